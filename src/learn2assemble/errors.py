@@ -1,0 +1,60 @@
+"""Errors that say what went wrong, what was given and what is allowed.
+
+Every error a user can cause is an :class:`InputError`. Its message is one line, so the
+command line can print it unchanged and leave with exit code 2.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class Learn2AssembleError(Exception):
+    """Base of every error this package raises on purpose."""
+
+
+class InputError(Learn2AssembleError, ValueError):
+    """A value given by the caller cannot be used.
+
+    Args:
+        what: the thing that is wrong, e.g. ``"task"`` or ``"elevations[0].outline"``.
+        got: the offending value; shown with ``repr`` and shortened.
+        expected: what would have been accepted, in words.
+    """
+
+    def __init__(self, what: str, got: object, expected: str) -> None:
+        self.what, self.got, self.expected = what, got, expected
+        super().__init__(f"{what}: got {_short(got)}, expected {expected}")
+
+
+class UnknownNameError(InputError):
+    """A name that is not in a table; the message names the nearest valid one."""
+
+    def __init__(self, what: str, got: object, valid: Iterable[str]) -> None:
+        names = sorted(valid)
+        near = difflib.get_close_matches(str(got), names, n=1, cutoff=0.4)
+        hint = f"one of {', '.join(names)}"
+        if near:
+            hint = f"did you mean {near[0]!r}? (valid: {', '.join(names)})"
+        super().__init__(what, got, hint)
+
+
+class MissingExtraError(Learn2AssembleError, ImportError):
+    """An optional dependency is not installed; the message names the extra that brings it."""
+
+    def __init__(self, module: str, extra: str) -> None:
+        super().__init__(
+            f"{module} is not installed; install it with: pip install 'learn2assemble[{extra}]'"
+        )
+
+
+def _short(value: object, limit: int = 120) -> str:
+    text = repr(value).replace("\n", " ")
+    return text if len(text) <= limit else text[: limit - 1] + "…"
+
+
+def one_line(error: BaseException) -> str:
+    """The message of ``error`` on a single line, with its type where the message is empty."""
+    text = " ".join(str(error).split())
+    return text or type(error).__name__

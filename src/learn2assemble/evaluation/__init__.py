@@ -1,0 +1,1 @@
+"""Measuring: episodes and their metrics, replay of recorded transitions, benchmarks."""

@@ -1,0 +1,1 @@
+"""Arrays only: cameras, pixel masks, coverage and box contact. Imports nothing of the package."""

@@ -1,0 +1,1 @@
+"""State to graph: node features, connectivity and batches for the networks."""

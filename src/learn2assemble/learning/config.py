@@ -1,0 +1,162 @@
+"""Training configurations by name: ``paper`` (published hyperparameters) and ``fast`` (ours)."""
+
+from __future__ import annotations
+
+import dataclasses
+import typing
+from dataclasses import dataclass, field
+from typing import Any
+
+from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.networks.config import NetworkConfig
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Everything that defines a training besides the task and the seed (protocol 10.1).
+
+    Args:
+        method: the learner, ``dqn``.
+        network: the Q-network.
+        num_samples: environment steps of the whole training.
+        num_envs: worlds stepped at once.
+        steps_per_round: steps of every world between two phases of learning.
+        updates_per_round: gradient steps of one phase of learning.
+        batch_size: transitions a gradient step.
+        learning_rate: of Adam at the start.
+        final_learning_rate: at the end; cosine in between (equal values: constant).
+        replay_size: transitions kept.
+        initial_samples: steps before the first gradient step.
+        epsilon_final: exploration rate in the end; it starts at 1.
+        epsilon_samples: steps until then, linearly.
+        target_period: gradient steps between two copies to the target network.
+        double: choose the next action by the online network, value it by the target network.
+        invalid_weight: weight of the loss that teaches Q = -1 for *every* placement of a sampled
+            state that static physics calls invalid. 0: only the action taken (paper). D6.
+        share_cell: give the target of the action taken to all (block, reference, relation) that
+            put a like block into the same cell. D6.
+        augment: mirror the structure and exchange its sides at random. D7.
+    """
+
+    method: str = "dqn"
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    num_samples: int = 300_000
+    num_envs: int = 32
+    steps_per_round: int = 1
+    updates_per_round: int = 2
+    batch_size: int = 128
+    learning_rate: float = 5e-4
+    final_learning_rate: float = 5e-4
+    replay_size: int = 60_000
+    initial_samples: int = 1000
+    epsilon_final: float = 0.05
+    epsilon_samples: int = 40_000
+    target_period: int = 300
+    double: bool = True
+    invalid_weight: float = 0.0
+    share_cell: bool = False
+    augment: bool = False
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise UnknownNameError("method", self.method, METHODS)
+        for name in ("num_samples", "num_envs", "steps_per_round", "updates_per_round",
+                     "batch_size", "replay_size", "initial_samples", "epsilon_samples",
+                     "target_period"):  # fmt: skip
+            if getattr(self, name) < 1:
+                raise InputError(name, getattr(self, name), "a positive whole number")
+        for name in ("learning_rate", "final_learning_rate"):
+            if not 0 < getattr(self, name) < 1:
+                raise InputError(name, getattr(self, name), "a rate between 0 and 1")
+        if not 0 <= self.epsilon_final <= 1:
+            raise InputError("epsilon_final", self.epsilon_final, "0 <= epsilon <= 1")
+        if self.invalid_weight < 0:
+            raise InputError("invalid_weight", self.invalid_weight, "a weight of at least 0")
+
+    def to_dict(self) -> dict[str, Any]:
+        return dataclasses.asdict(self)
+
+    @staticmethod
+    def from_dict(values: dict[str, Any]) -> TrainConfig:
+        """Inverse of :meth:`to_dict`; unknown keys raise :class:`UnknownNameError`."""
+        values = dict(values)
+        network = values.pop("network", {})
+        return _build(TrainConfig, {**values, "network": _build(NetworkConfig, network)})
+
+
+def _build(cls: type, values: dict[str, Any]) -> Any:
+    names = {f.name for f in dataclasses.fields(cls)}
+    for key in values:
+        if key not in names:
+            raise UnknownNameError(f"{cls.__name__} field", key, names)
+    return cls(**values)
+
+
+def override(config: TrainConfig, assignments: list[str]) -> TrainConfig:
+    """Apply ``key=value`` or ``network.key=value`` assignments.
+
+    Raises:
+        InputError: for a malformed assignment or a value of the wrong type.
+        UnknownNameError: for a key that does not exist.
+    """
+    for text in assignments:
+        key, sign, value = text.partition("=")
+        if not sign:
+            raise InputError("--set", text, "KEY=VALUE")
+        owner: Any = config
+        if key.startswith("network."):
+            key, owner = key.removeprefix("network."), config.network
+        hints = typing.get_type_hints(type(owner))
+        if key not in hints:
+            raise UnknownNameError("--set", key, hints)
+        changed = dataclasses.replace(owner, **{key: _parse(key, value, getattr(owner, key))})
+        config = changed if owner is config else dataclasses.replace(config, network=changed)
+    return config
+
+
+def _parse(key: str, text: str, current: Any) -> Any:
+    try:
+        if isinstance(current, bool):
+            return {"true": True, "false": False}[text.lower()]
+        if isinstance(current, tuple):
+            return tuple(float(part) for part in text.split(",") if part)
+        return type(current)(text)
+    except (ValueError, KeyError):
+        raise InputError(f"--set {key}", text, f"a value like {current!r}") from None
+
+
+METHODS = ("dqn",)
+
+CONFIGS: dict[str, TrainConfig] = {
+    "paper": TrainConfig(
+        network=NetworkConfig(feed_forward="wide"),
+        num_samples=500_000,
+        num_envs=4,
+        steps_per_round=25,
+        updates_per_round=25,
+        batch_size=32,
+        learning_rate=1e-4,
+        final_learning_rate=1e-4,
+        replay_size=30_000,
+        epsilon_samples=100_000,
+        target_period=1250,
+        double=False,
+    ),
+    "fast": TrainConfig(
+        network=NetworkConfig(position_scale=0.2, periods=(0.1, 0.2, 0.4)),
+        invalid_weight=1.0,
+        share_cell=True,
+        augment=True,
+    ),
+}
+
+
+def get_config(name: str) -> TrainConfig:
+    """The configuration called ``name``.
+
+    Raises:
+        UnknownNameError: naming the nearest one.
+    """
+    if name not in CONFIGS:
+        raise UnknownNameError("config", name, CONFIGS)
+    return CONFIGS[name]

@@ -1,0 +1,1 @@
+"""Graph encoders and the Q read-out."""

@@ -1,0 +1,50 @@
+"""What a Q-network is made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from learn2assemble.errors import InputError, UnknownNameError
+
+FEED_FORWARDS = ("light", "wide", "none")
+CONNECTIVITIES = ("partial", "full")
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Architecture of :class:`learn2assemble.networks.qnetwork.QNetwork` (protocol 9).
+
+    Args:
+        width: F, embedding size.
+        heads: attention heads; key and value size is ``width / heads``.
+        rounds: L, rounds of message passing with their own weights.
+        feed_forward: ``light`` is the paper's 64->64 layer with ReLU (equation 2), ``wide`` the
+            published 64->512->64, ``none`` leaves it out.
+        connectivity: ``partial`` or ``full`` (protocol 4).
+        num_actions: Na.
+        position_scale: positions are divided by this [m] (1.025 in the published code).
+        periods: periods [m] of sine and cosine features of the position added to the input;
+            empty for the paper's five features (deviation D5).
+    """
+
+    width: int = 64
+    heads: int = 4
+    rounds: int = 3
+    feed_forward: str = "light"
+    connectivity: str = "partial"
+    num_actions: int = 5
+    position_scale: float = 1.025
+    periods: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.feed_forward not in FEED_FORWARDS:
+            raise UnknownNameError("feed_forward", self.feed_forward, FEED_FORWARDS)
+        if self.connectivity not in CONNECTIVITIES:
+            raise UnknownNameError("connectivity", self.connectivity, CONNECTIVITIES)
+        if self.width % self.heads:
+            raise InputError("heads", self.heads, f"a divisor of width {self.width}")
+        if self.rounds < 1:
+            raise InputError("rounds", self.rounds, "at least 1")
+        if not self.position_scale > 0:
+            raise InputError("position_scale", self.position_scale, "a positive length [m]")
+        object.__setattr__(self, "periods", tuple(self.periods))

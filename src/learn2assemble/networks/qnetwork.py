@@ -1,0 +1,111 @@
+"""The Q-network: encoder and a read-out in O(N) (paper equations 1 to 5, protocol 9).
+
+The published read-out is ``Q(i, j, :) = W_o ReLU([p, h_i, h_j]) + b`` with p the pooled embedding.
+Its single linear layer comes after the ReLU, so the same function is a sum of three terms, one per
+input, and Q over all (i, j, k) never has to be formed to know its maximum.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import nn
+from torch.nn import functional as F
+
+from learn2assemble.graph.batch import GraphTensors
+from learn2assemble.networks.attention import AttentionRound
+from learn2assemble.networks.config import NetworkConfig
+
+NEGATIVE = -1e9
+
+
+class QFactors(NamedTuple):
+    """``Q(i, j, k) = block[i, k] + reference[j, k] + context[k]`` for every graph of a batch."""
+
+    block: torch.Tensor
+    """float[B, N, Na]: the term of the block to place."""
+    reference: torch.Tensor
+    """float[B, N, Na]: the term of the placed reference block."""
+    context: torch.Tensor
+    """float[B, Na]: the term of the whole graph."""
+
+    def select(self, action: torch.Tensor) -> torch.Tensor:
+        """Q of node actions int64[B, 3]: float[B]."""
+        row = torch.arange(len(action), device=action.device)
+        i, j, k = action.unbind(-1)
+        return self.block[row, i, k] + self.reference[row, j, k] + self.context[row, k]
+
+    def best(self, graph: GraphTensors) -> tuple[torch.Tensor, torch.Tensor]:
+        """Largest Q over the legal actions and the node action that has it: float[B], int64[B, 3].
+
+        Rows without a legal action have a value near -1e9.
+        """
+        block = self.block.masked_fill(~graph.unplaced[..., None], NEGATIVE)
+        reference = self.reference.masked_fill(~graph.placed[..., None], NEGATIVE)
+        best_block, i = block.max(1)
+        best_reference, j = reference.max(1)
+        value, k = (best_block + best_reference + self.context).max(-1)
+        i, j = i.gather(1, k[:, None])[:, 0], j.gather(1, k[:, None])[:, 0]
+        return value, torch.stack([i, j, k], -1)
+
+    def dense(self) -> torch.Tensor:
+        """Q of every pair: float[B, N, N, Na], legal or not."""
+        return (
+            self.block[:, :, None] + self.reference[:, None] + self.context[:, None, None]
+        )
+
+
+class QNetwork(nn.Module):
+    """Attention encoder and read-out; runs on any number of nodes.
+
+    Args:
+        config: the architecture.
+    """
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        self.config = config
+        width = config.width
+        inputs = 5 + 6 * len(config.periods)
+        self.embed = nn.Linear(inputs, width, bias=False)
+        nn.init.xavier_uniform_(self.embed.weight, gain=math.sqrt(2))
+        self.rounds = nn.ModuleList(
+            AttentionRound(width, config.heads, config.feed_forward) for _ in range(config.rounds)
+        )
+        self.pool = nn.Linear(width, width, bias=False)
+        # Columns: pooled graph, block to place, reference block.
+        self.readout = nn.Linear(3 * width, config.num_actions)
+        waves = 2 * math.pi / torch.tensor(config.periods, dtype=torch.float32)
+        self.register_buffer("waves", waves, persistent=False)
+
+    def features(self, nodes: torch.Tensor) -> torch.Tensor:
+        """Node features as the first layer sees them: float[B, N, 5 + 6 P]."""
+        position, flags = nodes[..., :3], nodes[..., 3:]
+        parts = [position / self.config.position_scale, flags]
+        if self.config.periods:
+            phase = (position[..., None] * self.waves).flatten(-2)
+            parts += [phase.sin(), phase.cos()]
+        return torch.cat(parts, -1)
+
+    def encode(self, graph: GraphTensors) -> torch.Tensor:
+        """Node embeddings float[B, N, F] (equations 1 and 2)."""
+        h = F.relu(self.embed(self.features(graph.nodes)))
+        adjacency = graph.adjacency(self.config.connectivity)[:, None]
+        for layer in self.rounds:
+            h = layer(h, adjacency)
+        return h
+
+    def forward(self, graph: GraphTensors) -> QFactors:
+        """Q-values of every action in factored form (equation 5)."""
+        h = self.encode(graph)
+        used = graph.used[..., None]
+        mean = (h * used).sum(1) / used.sum(1)
+        pooled, block, reference = self.readout.weight.split(self.config.width, 1)
+        active = F.relu(h)
+        return QFactors(
+            F.linear(active, block),
+            F.linear(active, reference),
+            F.linear(F.relu(self.pool(mean)), pooled, self.readout.bias),
+        )

@@ -1,0 +1,1 @@
+"""Whether a placement holds: static equilibrium and MuJoCo rigid bodies behind one protocol."""

@@ -1,0 +1,157 @@
+"""The transition of a task: reset, step, snapshot and observation of many worlds at once.
+
+One step is `placement -> rules -> physics -> coverage -> reward -> state`. Everything above
+(environments, search, learning, evaluation) uses this class and nothing below it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from learn2assemble.errors import Learn2AssembleError
+from learn2assemble.graph.features import Graph, build_graph
+from learn2assemble.physics.protocol import Physics, Verdict
+from learn2assemble.physics.static import StaticPhysics, survey
+from learn2assemble.task import MAX_VERTICES, Task
+from learn2assemble.world.layouts import waiting_positions
+from learn2assemble.world.rules import (
+    REWARDS,
+    count_row,
+    cover_block,
+    judge,
+    move_block,
+    recover_all,
+    target_cell,
+)
+from learn2assemble.world.sampling import sample_problem
+from learn2assemble.world.sides import side_frames
+from learn2assemble.world.state import State, empty_state
+
+
+class Transition(NamedTuple):
+    """What one step did; arrays over the batch. Rows that had already ended report zeros."""
+
+    reward: np.ndarray
+    """float64[B]."""
+    terminated: np.ndarray
+    """bool[B]."""
+    success: np.ndarray
+    """bool[B]: the target is filled and everything stands."""
+    verdict: np.ndarray
+    """int8[B] of :class:`Verdict`."""
+
+
+@njit(cache=True)
+def _propose(state, actions, active, previous):
+    for row in range(len(actions)):
+        previous[row] = state.plane_pixels[row]
+        if active[row]:
+            unplaced, reference = actions[row, 0], actions[row, 1]
+            x, y, z = target_cell(state, row, reference, actions[row, 2])
+            move_block(state, row, unplaced, reference, x, y, z)
+
+
+@njit(cache=True)
+def _score(
+    state, rows, verdict, frames, previous, recompute, reward_kind, threshold, reward, ended, success
+):
+    for n in range(len(rows)):
+        row = rows[n]
+        if recompute:
+            recover_all(state, row, frames)
+        else:
+            cover_block(state, row, frames, state.num_placed[row] - 1)
+        count_row(state, row)
+        reward[row], ended[row], success[row] = judge(
+            state, row, previous[row], verdict[n] == 0, reward_kind, threshold
+        )
+        state.terminated[row] = ended[row]
+
+
+@njit(cache=True)
+def _reset(state, rows, rng, frames, waiting, grid, num_nodes, min_pixels, max_initial, unseen):
+    draws = 0
+    for n in range(len(rows)):
+        d = sample_problem(
+            state, rows[n], rng, frames, waiting, grid, num_nodes, min_pixels, max_initial, unseen
+        )
+        if d == 0:
+            return -1
+        draws += d
+    return draws
+
+
+class Simulator:
+    """Steps a batch of worlds of one task under one physics.
+
+    Args:
+        task: the problem distribution.
+        physics: the judge of placements; static equilibrium by default.
+    """
+
+    def __init__(self, task: Task, physics: Physics | None = None) -> None:
+        self.task = task
+        self.physics: Physics = physics if physics is not None else StaticPhysics()
+        self.frames = side_frames(task.num_sides)
+        self._waiting = waiting_positions(task.layout, task.max_blocks)
+
+    def empty(self, batch: int) -> State:
+        """A state for ``batch`` worlds; reset its rows before use."""
+        return empty_state(batch, self.task.num_sides, MAX_VERTICES, self.task.max_blocks)
+
+    def reset(self, state: State, rows: np.ndarray, rng: np.random.Generator) -> int:
+        """Draw fresh problems into ``rows`` (int64[R]); returns the number of draws it took.
+
+        Raises:
+            Learn2AssembleError: where no acceptable problem is found in 100,000 draws.
+        """
+        t = self.task
+        draws = _reset(
+            state, np.asarray(rows, np.int64), rng, self.frames, self._waiting, t.grid,
+            t.num_nodes, t.min_mask_pixels, t.max_initial_cover, t.unseen_shapes_only,
+        )  # fmt: skip
+        if draws < 0:
+            raise Learn2AssembleError(f"task {t.name}: no acceptable target in 100,000 draws")
+        return int(draws)
+
+    def new(self, batch: int, rng: np.random.Generator) -> State:
+        """A state of ``batch`` fresh problems."""
+        state = self.empty(batch)
+        self.reset(state, np.arange(batch), rng)
+        return state
+
+    def step(self, state: State, actions: np.ndarray) -> Transition:
+        """Place one block in every row, in place; rows that have ended are left alone.
+
+        Args:
+            actions: int64[B, 3]: number of the unplaced block, number of the placed reference
+                block (both counted within their group), relative action. They must be legal.
+        """
+        batch = state.batch_size
+        active = ~state.terminated
+        rows = np.flatnonzero(active)
+        previous = np.empty(batch, np.int64)
+        _propose(state, actions, active, previous)
+        verdict = self.physics.settle(state, rows)
+        reward, ended = np.zeros(batch), np.zeros(batch, np.bool_)
+        success, verdicts = np.zeros(batch, np.bool_), np.zeros(batch, np.int8)
+        verdicts[rows] = verdict
+        _score(
+            state, rows, verdict, self.frames, previous, self.physics.moves_blocks,
+            REWARDS[self.task.reward], self.task.success_threshold, reward, ended, success,
+        )  # fmt: skip
+        return Transition(reward, ended, success, verdicts)
+
+    def observe(self, state: State) -> Graph:
+        """The graph of every row (protocol 4)."""
+        return build_graph(state, self.frames, self.task.num_nodes)
+
+    def physics_mask(self, state: State) -> np.ndarray:
+        """Which (reference, relation) are free and stable by static physics: bool[B, M, 5].
+
+        A help the paper's agent does not have; never applied silently.
+        """
+        return survey(state) == Verdict.STABLE

@@ -1,0 +1,83 @@
+"""A task is a value: everything that tells one environment from another."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.world.layouts import LAYOUTS
+from learn2assemble.world.rules import REWARDS
+
+MIN_VERTICES, MAX_VERTICES = 3, 5
+
+
+@dataclass(frozen=True)
+class Task:
+    """One assembly problem distribution.
+
+    Args:
+        name: how presets, agents and results refer to it.
+        num_sides: 1, 2, 3 or 4 target elevations (protocol 1.2).
+        grid: width and height of the box targets are drawn from, in block edges.
+        num_nodes: N, nodes of the graph; the number of blocks is N minus the target vertices.
+        layout: where unplaced blocks wait (``line`` or ``rows``).
+        reward: ``discrete`` (cubes) or ``scaled`` (objects), protocol 6.3.
+        discount: gamma of the returns.
+        success_threshold: Delta; the target is filled when F_co exceeds it.
+        min_mask_pixels: fewer mask pixels than this and the shapes are redrawn.
+        max_initial_cover: more than this share covered by the first block: redrawn.
+        unseen_shapes_only: every outline leaves the 3x3 box agents are trained on.
+
+    Raises:
+        InputError: for a value outside its range.
+    """
+
+    name: str
+    num_sides: int
+    grid: int
+    num_nodes: int
+    layout: str = "line"
+    reward: str = "discrete"
+    discount: float = 0.8
+    success_threshold: float = 0.975
+    min_mask_pixels: int = 50
+    max_initial_cover: float = 0.95
+    unseen_shapes_only: bool = False
+
+    def __post_init__(self) -> None:
+        if self.num_sides not in (1, 2, 3, 4):
+            raise InputError("num_sides", self.num_sides, "1, 2, 3 or 4")
+        if not 1 <= self.grid <= 6:
+            raise InputError("grid", self.grid, "1 to 6 block edges")
+        if self.num_nodes <= MAX_VERTICES * self.num_sides + 1:
+            raise InputError(
+                "num_nodes", self.num_nodes, f"more than {MAX_VERTICES * self.num_sides + 1}"
+            )
+        if self.layout not in LAYOUTS:
+            raise UnknownNameError("layout", self.layout, LAYOUTS)
+        if self.reward not in REWARDS:
+            raise UnknownNameError("reward", self.reward, REWARDS)
+        if not 0 < self.discount <= 1:
+            raise InputError("discount", self.discount, "0 < gamma <= 1")
+        if not 0 < self.success_threshold < 1:
+            raise InputError("success_threshold", self.success_threshold, "0 < Delta < 1")
+
+    @property
+    def num_actions(self) -> int:
+        """Na, relative placements of one block against another."""
+        return 5
+
+    @property
+    def max_blocks(self) -> int:
+        """Blocks of the problem with the fewest target vertices."""
+        return self.num_nodes - MIN_VERTICES * self.num_sides
+
+    @property
+    def block_range(self) -> tuple[int, int]:
+        """Fewest and most blocks, the first one included (the "a-b blocks" label of the paper)."""
+        return self.num_nodes - MAX_VERTICES * self.num_sides, self.max_blocks
+
+    def replace(self, **changes: object) -> Task:
+        """A copy with some fields changed."""
+        return dataclasses.replace(self, **changes)  # type: ignore[arg-type]

@@ -1,0 +1,150 @@
+"""The rules of the world as compiled functions on one row of a :class:`State`.
+
+Placement geometry (protocol 5), coverage (3.4), reward (6.3) and termination (6.4) each have
+exactly one definition, here; physics only adds the verdict on stability.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from learn2assemble.geometry.coverage import add_box, clear_to_ground, count_cover
+from learn2assemble.world.actions import DIRECTIONS
+from learn2assemble.world.blocks import EDGE, HALF
+
+DISCRETE, SCALED = 0, 1
+REWARDS = {"discrete": DISCRETE, "scaled": SCALED}
+SCALED_GAIN = 3.0
+"""c1 of the scaled reward (paper, equation 6 of the appendix)."""
+
+
+@njit(cache=True, inline="always")
+def rotate(quaternion, vector):
+    """Rotate ``vector`` by the unit quaternion (w, x, y, z)."""
+    w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+    a, b, c = vector[0], vector[1], vector[2]
+    ux, uy, uz = y * c - z * b, z * a - x * c, x * b - y * a
+    return (
+        a + 2 * (w * ux + y * uz - z * uy),
+        b + 2 * (w * uy + z * ux - x * uz),
+        c + 2 * (w * uz + x * uy - y * ux),
+    )
+
+
+@njit(cache=True)
+def target_cell(state, row, reference, relation):
+    """Centre [m] of the cell next to placed block ``reference`` in direction ``relation``."""
+    dx, dy, dz = rotate(state.quaternion[row, reference], DIRECTIONS[relation])
+    p = state.position[row, reference]
+    return p[0] + EDGE * dx, p[1] + EDGE * dy, p[2] + EDGE * dz
+
+
+@njit(cache=True)
+def move_block(state, row, unplaced, reference, x, y, z):
+    """Move unplaced block number ``unplaced`` to (x, y, z), last of the placed ones (protocol 4).
+
+    It takes the orientation of ``reference``; later unplaced blocks shift up by one place.
+    """
+    placed = state.num_placed[row]
+    source = placed + unplaced
+    moved = state.object_id[row, source]
+    for k in range(source, placed, -1):
+        for axis in range(3):
+            state.position[row, k, axis] = state.position[row, k - 1, axis]
+        state.object_id[row, k] = state.object_id[row, k - 1]
+    state.object_id[row, placed] = moved
+    state.position[row, placed, 0] = x
+    state.position[row, placed, 1] = y
+    state.position[row, placed, 2] = z
+    for k in range(4):
+        state.quaternion[row, placed, k] = state.quaternion[row, reference, k]
+    state.num_placed[row] = placed + 1
+
+
+@njit(cache=True)
+def cover_block(state, row, frames, block):
+    """Add one placed block to the pixel sets of every side."""
+    p = state.position[row, block]
+    for side in range(frames.shape[0]):
+        c, s, tx, ty = frames[side, 0], frames[side, 1], frames[side, 2], frames[side, 3]
+        wx, wy = p[0] - tx, p[1] - ty
+        x, y = c * wx + s * wy, c * wy - s * wx
+        add_box(state.covered[row, side], state.occluded[row, side], x, y, p[2], HALF)
+
+
+@njit(cache=True)
+def recover_all(state, row, frames):
+    """Recompute the pixel sets of a row from every placed block (needed once blocks have moved)."""
+    for side in range(frames.shape[0]):
+        clear_to_ground(state.covered[row, side], state.occluded[row, side])
+    for block in range(state.num_placed[row]):
+        cover_block(state, row, frames, block)
+
+
+@njit(cache=True)
+def count_row(state, row):
+    """Refresh ``plane_pixels`` and ``complete_pixels`` from the pixel sets."""
+    plane, complete = 0, 0
+    first, last = state.mask_rows[row, 0], state.mask_rows[row, 1]
+    for side in range(state.mask.shape[1]):
+        p, c = count_cover(
+            state.mask[row, side], state.covered[row, side], state.occluded[row, side], first, last
+        )
+        plane += p
+        complete += c
+    state.plane_pixels[row] = plane
+    state.complete_pixels[row] = complete
+
+
+@njit(cache=True)
+def judge(state, row, previous_plane, valid, reward_kind, threshold):
+    """Reward and end of the step that led to the current row (protocol 6.3, 6.4).
+
+    ``previous_plane`` is c_pl before the step. Returns ``(reward, terminated, success)``.
+    """
+    span = state.mask_pixels[row] - state.initial_pixels[row]
+    gain = (state.plane_pixels[row] - previous_plane) / span
+    complete = (state.complete_pixels[row] - state.initial_pixels[row]) / span
+    success = valid and complete > threshold
+    if not valid:
+        reward = -1.0
+    elif reward_kind == DISCRETE:
+        reward = 1.0 if gain > 0 else 0.0
+    else:
+        reward = SCALED_GAIN * max(gain, 0.0) + (1.0 if success else 0.0)
+    terminated = (not valid) or success or state.num_placed[row] >= state.num_blocks[row]
+    return reward, terminated, success
+
+
+@njit(cache=True)
+def observe_row(state, row, frames, nodes, object_id):
+    """Write the node features of a row (protocol 4): x, y, z [m], placed flag, target flag.
+
+    Also writes the object number of every node (-1 for targets). Returns the number of nodes.
+    """
+    n = 0
+    for side in range(frames.shape[0]):
+        c, s, tx, ty = frames[side, 0], frames[side, 1], frames[side, 2], frames[side, 3]
+        for k in range(state.num_vertices[row, side]):
+            x, y = state.vertices[row, side, k, 0], -HALF
+            nodes[n, 0] = c * x - s * y + tx
+            nodes[n, 1] = s * x + c * y + ty
+            nodes[n, 2] = state.vertices[row, side, k, 1]
+            nodes[n, 3] = 1.0
+            nodes[n, 4] = 1.0
+            object_id[n] = -1
+            n += 1
+    placed = state.num_placed[row]
+    for k in range(state.num_blocks[row]):
+        for axis in range(3):
+            nodes[n, axis] = state.position[row, k, axis]
+        nodes[n, 3] = 1.0 if k < placed else -1.0
+        nodes[n, 4] = -1.0
+        object_id[n] = state.object_id[row, k]
+        n += 1
+    for k in range(n, nodes.shape[0]):
+        for f in range(nodes.shape[1]):
+            nodes[k, f] = np.float32(0)
+        object_id[k] = -1
+    return n

@@ -1,0 +1,124 @@
+"""Random target shapes and fresh problems, compiled (protocol 1.3, 2)."""
+
+from __future__ import annotations
+
+from numba import njit
+
+from learn2assemble.geometry.mask import paper_mask
+from learn2assemble.world.blocks import EDGE, HALF
+from learn2assemble.world.rules import count_row, recover_all
+
+MAX_DRAWS = 100_000
+"""Draws after which a reset gives up (a task whose shapes can never be accepted)."""
+TRAINING_BOX = (0.075, 0.15)
+"""Half width and height of the 3x3 box that 'unseen' shapes must leave [m]."""
+
+
+@njit(cache=True, inline="always")
+def _cross(ax, az, bx, bz, px, pz):
+    return (bx - ax) * (pz - az) - (bz - az) * (px - ax)
+
+
+@njit(cache=True)
+def sample_outline(rng, grid, vertices):
+    """Draw one outline of 3, 4 or 5 vertices into ``vertices`` (local x, z [m]); returns the count."""
+    a, height = HALF * grid, EDGE * grid
+    count = 3 + int(rng.random() * 3)
+    vertices[0, 0], vertices[0, 1] = -rng.random() * a, 0.0
+    vertices[count - 1, 0], vertices[count - 1, 1] = rng.random() * a, 0.0
+    if count == 3:
+        vertices[1, 0] = (2 * rng.random() - 1) * a
+        vertices[1, 1] = rng.random() * height
+        return count
+    right = count - 2
+    vertices[1, 0], vertices[1, 1] = -rng.random() * a, rng.random() * height
+    vertices[right, 0], vertices[right, 1] = rng.random() * a, rng.random() * height
+    if count == 5:
+        lb, lt, rt, rb = vertices[0], vertices[1], vertices[3], vertices[4]
+        for _ in range(MAX_DRAWS):
+            x = lt[0] + rng.random() * (rt[0] - lt[0])
+            z = rng.random() * height
+            if (
+                _cross(rb[0], rb[1], rt[0], rt[1], x, z) > 0
+                and _cross(lb[0], lb[1], lt[0], lt[1], x, z) < 0
+            ):
+                vertices[2, 0], vertices[2, 1] = x, z
+                break
+    return count
+
+
+@njit(cache=True)
+def leaves_training_box(rng, vertices, count):
+    """Whether an outline has a vertex outside the 3x3 training box (protocol 2, lower bound)."""
+    half, height = TRAINING_BOX
+    low = height * rng.random()
+    if vertices[0, 0] < -half or vertices[count - 1, 0] > half:
+        return True
+    if count == 3:
+        return abs(vertices[1, 0]) > half or vertices[1, 1] > height
+    right = count - 2
+    if vertices[1, 0] < -half or vertices[1, 1] > low:
+        return True
+    if vertices[right, 0] > half or vertices[right, 1] > height:
+        return True
+    return count == 5 and vertices[2, 1] > height
+
+
+@njit(cache=True)
+def start_blocks(state, row, frames, waiting, side, num_blocks):
+    """First block at the bottom centre of ``side``, the others waiting; pixel sets and counts."""
+    state.num_blocks[row] = num_blocks
+    state.num_placed[row] = 1
+    state.terminated[row] = False
+    for k in range(state.position.shape[1]):
+        for axis in range(3):
+            state.position[row, k, axis] = 0.0
+        state.quaternion[row, k, 0] = 1.0
+        for q in range(1, 4):
+            state.quaternion[row, k, q] = 0.0
+        state.object_id[row, k] = k
+    for k in range(1, num_blocks):
+        for axis in range(3):
+            state.position[row, k, axis] = waiting[k - 1, axis]
+    state.position[row, 0, 0] = frames[side, 2]
+    state.position[row, 0, 1] = frames[side, 3]
+    state.position[row, 0, 2] = HALF
+    first, last = state.mask.shape[2], 0
+    for s in range(state.mask.shape[1]):
+        for r in range(state.mask.shape[2]):
+            for w in range(state.mask.shape[3]):
+                if state.mask[row, s, r, w] != 0:
+                    first, last = min(first, r), max(last, r + 1)
+    state.mask_rows[row, 0], state.mask_rows[row, 1] = first, last
+    recover_all(state, row, frames)
+    count_row(state, row)
+    state.initial_pixels[row] = state.plane_pixels[row]
+
+
+@njit(cache=True)
+def sample_problem(
+    state, row, rng, frames, waiting, grid, num_nodes, min_pixels, max_initial, unseen_only
+):
+    """Draw a fresh problem into a row; returns the number of draws, 0 where it gave up.
+
+    Shapes and first block are redrawn while the masks hold fewer than ``min_pixels`` pixels or
+    the first block covers more than ``max_initial`` of them (protocol 2, rejection at reset).
+    """
+    sides = frames.shape[0]
+    for draw in range(1, MAX_DRAWS + 1):
+        nodes, pixels = 0, 0
+        for side in range(sides):
+            for _ in range(MAX_DRAWS):
+                count = sample_outline(rng, grid, state.vertices[row, side])
+                if not unseen_only or leaves_training_box(rng, state.vertices[row, side], count):
+                    break
+            state.num_vertices[row, side] = count
+            nodes += count
+            pixels += paper_mask(state.vertices[row, side], count, state.mask[row, side])
+        if pixels < min_pixels:
+            continue
+        state.mask_pixels[row] = pixels
+        start_blocks(state, row, frames, waiting, int(rng.random() * sides), num_nodes - nodes)
+        if state.initial_pixels[row] <= max_initial * pixels:
+            return draw
+    return 0
