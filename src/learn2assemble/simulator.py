@@ -17,6 +17,7 @@ from learn2assemble.physics.protocol import Physics, Verdict
 from learn2assemble.physics.static import StaticPhysics, survey
 from learn2assemble.task import MAX_VERTICES, Task
 from learn2assemble.world.layouts import waiting_positions
+from learn2assemble.world.prospects import Prospects, prospects
 from learn2assemble.world.rules import (
     REWARDS,
     count_row,
@@ -148,6 +149,10 @@ class Simulator:
     def observe(self, state: State) -> Graph:
         """The graph of every row (protocol 4)."""
         return build_graph(state, self.frames, self.task.num_nodes)
+
+    def prospects(self, state: State) -> Prospects:
+        """Outcome of every (reference, relation) by static physics; see :class:`Prospects`."""
+        return prospects(state, self.frames, self.task.reward, self.task.success_threshold)
 
     def physics_mask(self, state: State) -> np.ndarray:
         """Which (reference, relation) are free and stable by static physics: bool[B, M, 5].

@@ -1,4 +1,4 @@
-"""Symmetries of the task without a robot: mirror images and exchanged sides.
+"""Symmetries of the task without a robot: mirror images and exchanged sides (deviation D7).
 
 They act on targets and placed blocks only. Waiting blocks are a heap in front of side 1 whichever
 way the structure is turned, and nothing about them changes what is valid or covered.
@@ -8,34 +8,41 @@ from __future__ import annotations
 
 import numpy as np
 
+from learn2assemble.graph.features import Graph
 from learn2assemble.learning.replay import Batch
 from learn2assemble.world.blocks import EDGE
+from learn2assemble.world.prospects import Prospects
 
 MIRROR = np.array([0, 2, 1, 3, 4])
 """Relative actions under x -> -x: left and right exchange."""
 EXCHANGE = np.array([0, 1, 2, 4, 3])
 """Relative actions under y -> c - y: front and behind exchange."""
-_AXIS = {2: EDGE, 3: None, 4: 2 * EDGE}
+_MIDDLE = {2: EDGE, 4: 2 * EDGE}
+"""c for the structures that exchange maps onto themselves."""
 
 
 def random_symmetry(batch: Batch, num_sides: int, rng: np.random.Generator) -> Batch:
     """Apply to every transition its own random symmetry of a structure with ``num_sides`` sides."""
     count = len(batch.reward)
     mirror = rng.random(count) < 0.5
-    axis = _AXIS.get(num_sides)
-    exchange = (rng.random(count) < 0.5) & (axis is not None)
-    action, valid = batch.action.copy(), batch.valid
+    exchange = (rng.random(count) < 0.5) & (num_sides in _MIDDLE)
+    middle = _MIDDLE.get(num_sides, 0.0)
+    action, prospects = batch.action.copy(), batch.prospects
     for chosen, permutation in ((mirror, MIRROR), (exchange, EXCHANGE)):
         action[chosen, 2] = permutation[action[chosen, 2]]
-        valid = np.where(chosen[:, None, None], valid[..., permutation], valid)
-    graphs = []
-    for graph in (batch.graph, batch.next_graph):
+        if prospects is not None:
+            swap = chosen[:, None, None]
+            prospects = Prospects(*[np.where(swap, a[..., permutation], a) for a in prospects])
+
+    def turn(graph: Graph) -> Graph:
         nodes = graph.nodes.copy()
         settled = np.arange(nodes.shape[1]) < (graph.num_targets + graph.num_placed)[:, None]
-        flip_x = settled & mirror[:, None]
-        nodes[..., 0] = np.where(flip_x, -nodes[..., 0], nodes[..., 0])
-        if axis is not None:
-            flip_y = settled & exchange[:, None]
-            nodes[..., 1] = np.where(flip_y, axis - nodes[..., 1], nodes[..., 1])
-        graphs.append(graph._replace(nodes=nodes))
-    return batch._replace(graph=graphs[0], next_graph=graphs[1], action=action, valid=valid)
+        x, y = nodes[..., 0], nodes[..., 1]
+        nodes[..., 0] = np.where(settled & mirror[:, None], -x, x)
+        nodes[..., 1] = np.where(settled & exchange[:, None], middle - y, y)
+        return graph._replace(nodes=nodes)
+
+    return batch._replace(
+        graph=turn(batch.graph), next_graph=turn(batch.next_graph), action=action,
+        prospects=prospects,
+    )  # fmt: skip

@@ -35,6 +35,8 @@ class TrainConfig:
             state that static physics calls invalid. 0: only the action taken (paper). D6.
         share_cell: give the target of the action taken to all (block, reference, relation) that
             put a like block into the same cell. D6.
+        counterfactual: share of a batch whose action is exchanged for the one the network would
+            take now, with reward and successor from the one-step model. D6.
         augment: mirror the structure and exchange its sides at random. D7.
     """
 
@@ -55,6 +57,7 @@ class TrainConfig:
     double: bool = True
     invalid_weight: float = 0.0
     share_cell: bool = False
+    counterfactual: float = 0.0
     augment: bool = False
 
     def __post_init__(self) -> None:
@@ -72,6 +75,13 @@ class TrainConfig:
             raise InputError("epsilon_final", self.epsilon_final, "0 <= epsilon <= 1")
         if self.invalid_weight < 0:
             raise InputError("invalid_weight", self.invalid_weight, "a weight of at least 0")
+        if not 0 <= self.counterfactual <= 1:
+            raise InputError("counterfactual", self.counterfactual, "a share between 0 and 1")
+
+    @property
+    def uses_model(self) -> bool:
+        """Whether training looks at placements that were not made (deviation D6)."""
+        return self.invalid_weight > 0 or self.counterfactual > 0
 
     def to_dict(self) -> dict[str, Any]:
         return dataclasses.asdict(self)
@@ -118,8 +128,6 @@ def _parse(key: str, text: str, current: Any) -> Any:
     try:
         if isinstance(current, bool):
             return {"true": True, "false": False}[text.lower()]
-        if isinstance(current, tuple):
-            return tuple(float(part) for part in text.split(",") if part)
         return type(current)(text)
     except (ValueError, KeyError):
         raise InputError(f"--set {key}", text, f"a value like {current!r}") from None
@@ -143,9 +151,12 @@ CONFIGS: dict[str, TrainConfig] = {
         double=False,
     ),
     "fast": TrainConfig(
-        network=NetworkConfig(position_scale=0.2, periods=(0.1, 0.2, 0.4)),
+        network=NetworkConfig(position_scale=0.1),
+        batch_size=32,
+        updates_per_round=4,
         invalid_weight=1.0,
         share_cell=True,
+        counterfactual=0.5,
         augment=True,
     ),
 }

@@ -1,4 +1,4 @@
-"""The DQN loss (protocol 10.3) and its two optional extensions (deviation D6)."""
+"""The DQN loss (protocol 10.3) and its optional extensions by a model (deviation D6)."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import numpy as np
 import torch
 from torch.nn import functional as F
 
-from learn2assemble.graph.batch import to_tensors
+from learn2assemble.graph.batch import GraphTensors, to_tensors
+from learn2assemble.graph.features import PLACED_FLAG, POSITION, Graph
 from learn2assemble.learning.config import TrainConfig
+from learn2assemble.learning.explore import random_actions
 from learn2assemble.learning.replay import Batch
 from learn2assemble.networks.qnetwork import QFactors, QNetwork
 from learn2assemble.world.actions import DIRECTIONS
@@ -15,36 +17,6 @@ from learn2assemble.world.blocks import EDGE
 
 INVALID_VALUE = -1.0
 """Exact Q of an invalid placement: reward -1, then nothing."""
-
-
-def td_targets(
-    online: QNetwork, target: QNetwork, batch: Batch, discount: float, double: bool, device: str
-) -> torch.Tensor:
-    """``y = r + gamma (1 - absorbing) max Q_T(s', .)`` over legal actions: float[B]."""
-    graph = to_tensors(batch.next_graph, device)
-    reward = torch.from_numpy(batch.reward).to(device)
-    alive = torch.from_numpy(~batch.absorbing).to(device)
-    with torch.no_grad():
-        factors: QFactors = target(graph)
-        if double:
-            _, action = online(graph).best(graph)
-            value = factors.select(action)
-        else:
-            value, _ = factors.best(graph)
-    return reward + discount * torch.where(alive, value, 0.0)
-
-
-def same_cell(batch: Batch, tolerance: float = 1e-3) -> np.ndarray:
-    """Which (reference, relation) lead to the cell of the action taken: bool[B, M, 5]."""
-    graph, blocks = batch.graph, batch.valid.shape[1]
-    rows = np.arange(len(batch.reward))
-    index = graph.num_targets[:, None] + np.arange(blocks)
-    index = np.minimum(index, graph.nodes.shape[1] - 1)
-    placed = graph.nodes[rows[:, None], index, :3]
-    taken = graph.nodes[rows, batch.action[:, 1], :3] + EDGE * DIRECTIONS[batch.action[:, 2]]
-    cells = placed[:, :, None] + EDGE * DIRECTIONS
-    near = np.abs(cells - taken[:, None, None]).max(-1) < tolerance
-    return near & (np.arange(blocks) < graph.num_placed[:, None])[..., None]
 
 
 def dqn_loss(
@@ -58,45 +30,137 @@ def dqn_loss(
 ) -> tuple[torch.Tensor, dict[str, float]]:
     """Loss of one batch and numbers to log.
 
-    The TD part is the smooth L1 of the paper. ``share_cell`` spreads it over equivalent actions,
-    ``invalid_weight`` adds the mean smooth L1 to -1 over all invalid placements of each state.
+    The TD part is the paper's smooth L1. ``counterfactual`` exchanges actions before it,
+    ``share_cell`` spreads it over equivalent actions, ``invalid_weight`` adds the mean smooth L1
+    to -1 over all invalid placements of each state.
     """
-    y = td_targets(online, target, batch, discount, config.double, device)
     graph = to_tensors(batch.graph, device)
-    action = torch.from_numpy(batch.action).to(device)
     factors: QFactors = online(graph)
-    value = factors.select(action)
-    if not config.share_cell and not config.invalid_weight:
-        loss = F.smooth_l1_loss(value, y)
-        return loss, {"loss": float(loss.detach()), "q": float(value.detach().mean())}
-
-    # Q of one random unplaced block at every (reference, relation): float[B, M, Na].
-    blocks = batch.valid.shape[1]
-    graph_np = batch.graph
-    first = graph_np.num_targets + graph_np.num_placed
-    block = first + (rng.random(len(y)) * (graph_np.num_nodes - first)).astype(np.int64)
-    rows = torch.arange(len(y), device=device)
-    index = graph_np.num_targets[:, None] + np.arange(blocks)
-    used = np.arange(blocks) < graph_np.num_placed[:, None]
-    index = torch.from_numpy(np.minimum(index, graph_np.nodes.shape[1] - 1)).to(device)
-    q = (
-        factors.block[rows, torch.from_numpy(block).to(device)][:, None]
-        + factors.reference[rows[:, None], index]
-        + factors.context[:, None]
-    )
+    if config.counterfactual:
+        batch = reconsider(batch, factors, graph, config.counterfactual, rng)
+    y = td_targets(online, target, batch, discount, config.double, device)
+    value = factors.select(torch.from_numpy(batch.action).to(device))
+    td = F.smooth_l1_loss(value, y)
+    logs = {"q": float(value.detach().mean())}
+    if config.share_cell or config.invalid_weight:
+        q = _all_placements(factors, batch, rng, device)
     if config.share_cell:
-        same = torch.from_numpy(same_cell(batch)).to(device)
+        same = torch.from_numpy(same_cell(batch, q.shape[1])).to(device)
         error = F.smooth_l1_loss(q, y[:, None, None].expand_as(q), reduction="none")
-        td = ((error * same).sum((1, 2)) / same.sum((1, 2)).clamp(min=1)).mean()
-        td = 0.5 * (td + F.smooth_l1_loss(value, y))
-    else:
-        td = F.smooth_l1_loss(value, y)
+        td = 0.5 * td + 0.5 * ((error * same).sum((1, 2)) / same.sum((1, 2))).mean()
     loss = td
-    logs = {"td": float(td.detach()), "q": float(value.detach().mean())}
     if config.invalid_weight:
-        invalid = torch.from_numpy(used[..., None] & ~batch.valid).to(device)
+        assert batch.prospects is not None
+        used = np.arange(q.shape[1]) < batch.graph.num_placed[:, None]
+        invalid = torch.from_numpy(used[..., None] & ~batch.prospects.valid).to(device)
         error = F.smooth_l1_loss(q, torch.full_like(q, INVALID_VALUE), reduction="none")
         extra = (error * invalid).sum() / invalid.sum().clamp(min=1)
         logs["invalid"] = float(extra.detach())
         loss = loss + config.invalid_weight * extra
-    return loss, {"loss": float(loss.detach()), **logs}
+    return loss, {"loss": float(loss.detach()), "td": float(td.detach()), **logs}
+
+
+def td_targets(
+    online: QNetwork, target: QNetwork, batch: Batch, discount: float, double: bool, device: str
+) -> torch.Tensor:
+    """``y = r + gamma (1 - terminal) max Q_T(s', .)`` over legal actions: float[B]."""
+    graph = to_tensors(batch.next_graph, device)
+    reward = torch.from_numpy(batch.reward).to(device)
+    alive = torch.from_numpy(~batch.terminal).to(device)
+    with torch.no_grad():
+        factors: QFactors = target(graph)
+        if double:
+            _, action = online(graph).best(graph)
+            value = factors.select(action)
+        else:
+            value, _ = factors.best(graph)
+    return reward + discount * torch.where(alive, value, 0.0)
+
+
+def reconsider(
+    batch: Batch, factors: QFactors, graph: GraphTensors, share: float, rng: np.random.Generator
+) -> Batch:
+    """Exchange the action taken for the one the network would take now, in a ``share`` of rows.
+
+    Its reward, end and successor come from the one-step model, so overestimated actions are
+    corrected without having to be played. One in five of these actions is uniformly random.
+    """
+    assert batch.prospects is not None
+    with torch.no_grad():
+        action = factors.best(graph)[1].cpu().numpy()
+    count = len(action)
+    uniform = random_actions(batch.graph, factors.context.shape[-1], rng)
+    action = np.where(rng.random((count, 1)) < 0.2, uniform, action)
+    chosen = rng.random(count) < share
+    action = np.where(chosen[:, None], action, batch.action)
+    rows, reference = np.arange(count), action[:, 1] - batch.graph.num_targets
+    reward = batch.prospects.reward[rows, reference, action[:, 2]]
+    terminal = batch.prospects.terminal[rows, reference, action[:, 2]]
+    moved = successor(batch.graph, action)
+    successors = Graph(
+        *[np.where(_expand(chosen, a), a, b) for a, b in zip(moved, batch.next_graph, strict=True)]
+    )
+    return batch._replace(
+        action=action,
+        reward=np.where(chosen, reward, batch.reward).astype(np.float32),
+        terminal=np.where(chosen, terminal, batch.terminal),
+        next_graph=successors,
+    )
+
+
+def successor(graph: Graph, action: np.ndarray) -> Graph:
+    """The graph after placing single cubes upright: node actions int64[B, 3].
+
+    The block changes places with the first unplaced node, which becomes the last placed one; the
+    order among unplaced nodes carries no meaning (protocol 4).
+    """
+    rows, block = np.arange(len(action)), action[:, 0]
+    first = graph.num_targets + graph.num_placed
+    nodes, object_id = graph.nodes.copy(), graph.object_id.copy()
+    nodes[rows, block], object_id[rows, block] = nodes[rows, first], object_id[rows, first]
+    reference = nodes[rows, action[:, 1], POSITION]
+    nodes[rows, first] = graph.nodes[rows, block]
+    nodes[rows, first, POSITION] = reference + EDGE * DIRECTIONS[action[:, 2]]
+    nodes[rows, first, PLACED_FLAG] = 1.0
+    object_id[rows, first] = graph.object_id[rows, block]
+    return graph._replace(nodes=nodes, object_id=object_id, num_placed=graph.num_placed + 1)
+
+
+def same_cell(batch: Batch, blocks: int, tolerance: float = 1e-3) -> np.ndarray:
+    """Which (reference, relation) lead to the cell of the action taken: bool[B, M, 5]."""
+    graph, rows = batch.graph, np.arange(len(batch.reward))
+    placed = graph.nodes[rows[:, None], _placed_index(graph, blocks), POSITION]
+    reference = graph.nodes[rows, batch.action[:, 1], POSITION]
+    taken = reference + EDGE * DIRECTIONS[batch.action[:, 2]]
+    cells = placed[:, :, None] + EDGE * DIRECTIONS
+    near = np.abs(cells - taken[:, None, None]).max(-1) < tolerance
+    return near & (np.arange(blocks) < graph.num_placed[:, None])[..., None]
+
+
+def _all_placements(
+    factors: QFactors, batch: Batch, rng: np.random.Generator, device: str
+) -> torch.Tensor:
+    """Q of one random unplaced block at every (reference, relation): float[B, M, Na]."""
+    graph = batch.graph
+    blocks = int(graph.num_placed.max())
+    if batch.prospects is not None:
+        blocks = batch.prospects.valid.shape[1]
+    first = graph.num_targets + graph.num_placed
+    block = first + (rng.random(len(first)) * (graph.num_nodes - first)).astype(np.int64)
+    rows = torch.arange(len(first), device=device)
+    index = torch.from_numpy(_placed_index(graph, blocks)).to(device)
+    return (
+        factors.block[rows, torch.from_numpy(block).to(device)][:, None]
+        + factors.reference[rows[:, None], index]
+        + factors.context[:, None]
+    )
+
+
+def _placed_index(graph: Graph, blocks: int) -> np.ndarray:
+    """Node index of placed block 0..blocks-1, clipped to the graph: int64[B, blocks]."""
+    index = graph.num_targets[:, None] + np.arange(blocks)
+    return np.minimum(index, graph.nodes.shape[1] - 1)
+
+
+def _expand(chosen: np.ndarray, like: np.ndarray) -> np.ndarray:
+    return chosen.reshape(-1, *[1] * (like.ndim - 1))

@@ -7,76 +7,99 @@ from typing import NamedTuple
 import numpy as np
 
 from learn2assemble.graph.features import Graph
+from learn2assemble.world.prospects import Prospects
 
-GRAPH_FIELDS = ("position", "object_id", "num_targets", "num_placed", "num_nodes")
+_COUNTS = ("num_targets", "num_placed", "num_nodes")
 
 
 class Batch(NamedTuple):
-    """Transitions drawn from the memory."""
+    """Transitions, and what other actions would have brought."""
 
     graph: Graph
     action: np.ndarray
     """int64[B, 3]: node indices of block and reference, relative action."""
     reward: np.ndarray
     """float32[B]."""
-    absorbing: np.ndarray
+    terminal: np.ndarray
     """bool[B]: nothing follows."""
     next_graph: Graph
-    valid: np.ndarray
-    """bool[B, M, Na]: placements (reference, action) that static physics allows, before."""
+    prospects: Prospects | None
+    """Outcome of every placement in ``graph``; ``None`` where the learner does not use it."""
 
 
 class Replay:
-    """A ring of ``size`` transitions of graphs with ``num_nodes`` nodes and ``blocks`` blocks."""
+    """A ring of ``size`` transitions.
 
-    def __init__(self, size: int, num_nodes: int, blocks: int, num_actions: int) -> None:
-        self.size, self.length, self.cursor = size, 0, 0
+    Args:
+        num_nodes: N, nodes of a graph.
+        blocks: M, placed blocks of a graph at most.
+        num_actions: Na.
+        prospects: whether transitions carry :class:`Prospects`.
+    """
+
+    def __init__(
+        self, size: int, num_nodes: int, blocks: int, num_actions: int, prospects: bool
+    ) -> None:
+        self.size, self.length, self.cursor, self.prospects = size, 0, 0, prospects
         self.arrays: dict[str, np.ndarray] = {
             "action": np.zeros((size, 3), np.int64),
             "reward": np.zeros(size, np.float32),
-            "absorbing": np.zeros(size, np.bool_),
-            "valid": np.zeros((size, blocks, num_actions), np.bool_),
+            "terminal": np.zeros(size, np.bool_),
         }
         for prefix in ("", "next_"):
-            self.arrays[prefix + "position"] = np.zeros((size, num_nodes, 3), np.float32)
-            self.arrays[prefix + "object_id"] = np.zeros((size, num_nodes), np.int16)
-            for name in GRAPH_FIELDS[2:]:
+            self.arrays[f"{prefix}position"] = np.zeros((size, num_nodes, 3), np.float32)
+            self.arrays[f"{prefix}object_id"] = np.zeros((size, num_nodes), np.int16)
+            for name in _COUNTS:
                 self.arrays[prefix + name] = np.zeros(size, np.int16)
+        if prospects:
+            shape = (size, blocks, num_actions)
+            self.arrays["prospects.reward"] = np.zeros(shape, np.float16)
+            self.arrays["prospects.terminal"] = np.zeros(shape, np.bool_)
+            self.arrays["prospects.valid"] = np.zeros(shape, np.bool_)
 
     def add(self, batch: Batch) -> None:
         """Append transitions, overwriting the oldest."""
         count = len(batch.reward)
         where = (self.cursor + np.arange(count)) % self.size
         for prefix, graph in (("", batch.graph), ("next_", batch.next_graph)):
-            values = (graph.nodes[..., :3], *graph[1:])
-            for name, value in zip(GRAPH_FIELDS, values, strict=True):
-                self.arrays[prefix + name][where] = value
-        for name in ("action", "reward", "absorbing", "valid"):
+            self.arrays[f"{prefix}position"][where] = graph.nodes[..., :3]
+            self.arrays[f"{prefix}object_id"][where] = graph.object_id
+            for name in _COUNTS:
+                self.arrays[prefix + name][where] = getattr(graph, name)
+        for name in ("action", "reward", "terminal"):
             self.arrays[name][where] = getattr(batch, name)
+        if self.prospects:
+            assert batch.prospects is not None
+            for name, value in batch.prospects._asdict().items():
+                self.arrays[f"prospects.{name}"][where] = value
         self.cursor = int((self.cursor + count) % self.size)
         self.length = min(self.length + count, self.size)
 
     def sample(self, count: int, rng: np.random.Generator) -> Batch:
         """``count`` transitions, uniformly with replacement."""
         rows = rng.integers(0, self.length, count)
-        a = self.arrays
+        a, prospects = self.arrays, None
+        if self.prospects:
+            reward = a["prospects.reward"][rows].astype(np.float32)
+            prospects = Prospects(
+                reward, a["prospects.terminal"][rows], a["prospects.valid"][rows]
+            )
         return Batch(
-            self._graph("", rows), a["action"][rows], a["reward"][rows], a["absorbing"][rows],
-            self._graph("next_", rows), a["valid"][rows],
+            self._graph("", rows), a["action"][rows], a["reward"][rows], a["terminal"][rows],
+            self._graph("next_", rows), prospects,
         )  # fmt: skip
 
     def _graph(self, prefix: str, rows: np.ndarray) -> Graph:
-        position, object_id, targets, placed, used = (
-            self.arrays[prefix + name][rows] for name in GRAPH_FIELDS
-        )
+        position = self.arrays[f"{prefix}position"][rows]
+        object_id = self.arrays[f"{prefix}object_id"][rows].astype(np.int32)
+        targets, placed, used = (self.arrays[prefix + n][rows].astype(np.int64) for n in _COUNTS)
         index = np.arange(position.shape[1])
         in_use = index < used[:, None]
         nodes = np.zeros((*position.shape[:2], 5), np.float32)
         nodes[..., :3] = position
         nodes[..., 3] = np.where(index < (targets + placed)[:, None], 1, -1) * in_use
         nodes[..., 4] = np.where(index < targets[:, None], 1, -1) * in_use
-        counts = (targets.astype(np.int64), placed.astype(np.int64), used.astype(np.int64))
-        return Graph(nodes, object_id.astype(np.int32), *counts)
+        return Graph(nodes, object_id, targets, placed, used)
 
     def state(self) -> dict[str, np.ndarray]:
         """The part in use, for a checkpoint."""

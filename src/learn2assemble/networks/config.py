@@ -23,8 +23,8 @@ class NetworkConfig:
         connectivity: ``partial`` or ``full`` (protocol 4).
         num_actions: Na.
         position_scale: positions are divided by this [m] (1.025 in the published code).
-        periods: periods [m] of sine and cosine features of the position added to the input;
-            empty for the paper's five features (deviation D5).
+        rotary: rotate queries and keys by the node positions, so that attention scores depend on
+            offsets between nodes instead of absolute positions (deviation D5).
     """
 
     width: int = 64
@@ -34,7 +34,7 @@ class NetworkConfig:
     connectivity: str = "partial"
     num_actions: int = 5
     position_scale: float = 1.025
-    periods: tuple[float, ...] = ()
+    rotary: bool = False
 
     def __post_init__(self) -> None:
         if self.feed_forward not in FEED_FORWARDS:
@@ -47,4 +47,3 @@ class NetworkConfig:
             raise InputError("rounds", self.rounds, "at least 1")
         if not self.position_scale > 0:
             raise InputError("position_scale", self.position_scale, "a positive length [m]")
-        object.__setattr__(self, "periods", tuple(self.periods))

@@ -15,7 +15,8 @@ from torch import nn
 from torch.nn import functional as F
 
 from learn2assemble.graph.batch import GraphTensors
-from learn2assemble.networks.attention import AttentionRound
+from learn2assemble.graph.features import NUM_FEATURES, POSITION
+from learn2assemble.networks.attention import AttentionRound, Rotation
 from learn2assemble.networks.config import NetworkConfig
 
 NEGATIVE = -1e9
@@ -68,8 +69,7 @@ class QNetwork(nn.Module):
         super().__init__()
         self.config = config
         width = config.width
-        inputs = 5 + 6 * len(config.periods)
-        self.embed = nn.Linear(inputs, width, bias=False)
+        self.embed = nn.Linear(NUM_FEATURES, width, bias=False)
         nn.init.xavier_uniform_(self.embed.weight, gain=math.sqrt(2))
         self.rounds = nn.ModuleList(
             AttentionRound(width, config.heads, config.feed_forward) for _ in range(config.rounds)
@@ -77,24 +77,20 @@ class QNetwork(nn.Module):
         self.pool = nn.Linear(width, width, bias=False)
         # Columns: pooled graph, block to place, reference block.
         self.readout = nn.Linear(3 * width, config.num_actions)
-        waves = 2 * math.pi / torch.tensor(config.periods, dtype=torch.float32)
-        self.register_buffer("waves", waves, persistent=False)
-
-    def features(self, nodes: torch.Tensor) -> torch.Tensor:
-        """Node features as the first layer sees them: float[B, N, 5 + 6 P]."""
-        position, flags = nodes[..., :3], nodes[..., 3:]
-        parts = [position / self.config.position_scale, flags]
-        if self.config.periods:
-            phase = (position[..., None] * self.waves).flatten(-2)
-            parts += [phase.sin(), phase.cos()]
-        return torch.cat(parts, -1)
+        scale = torch.ones(NUM_FEATURES)
+        scale[POSITION] = 1 / config.position_scale
+        self.register_buffer("scale", scale, persistent=False)
 
     def encode(self, graph: GraphTensors) -> torch.Tensor:
         """Node embeddings float[B, N, F] (equations 1 and 2)."""
-        h = F.relu(self.embed(self.features(graph.nodes)))
+        h = F.relu(self.embed(graph.nodes * self.scale))
         adjacency = graph.adjacency(self.config.connectivity)[:, None]
+        rotation = None
+        if self.config.rotary:
+            head_size = self.config.width // self.config.heads
+            rotation = Rotation.of(graph.nodes[..., POSITION], head_size)
         for layer in self.rounds:
-            h = layer(h, adjacency)
+            h = layer(h, adjacency, rotation)
         return h
 
     def forward(self, graph: GraphTensors) -> QFactors:

@@ -98,21 +98,32 @@ def count_row(state, row):
 
 
 @njit(cache=True)
-def judge(state, row, previous_plane, valid, reward_kind, threshold):
-    """Reward and end of the step that led to the current row (protocol 6.3, 6.4).
-
-    ``previous_plane`` is c_pl before the step. Returns ``(reward, terminated, success)``.
-    """
-    span = state.mask_pixels[row] - state.initial_pixels[row]
-    gain = (state.plane_pixels[row] - previous_plane) / span
-    complete = (state.complete_pixels[row] - state.initial_pixels[row]) / span
-    success = valid and complete > threshold
+def judge_counts(
+    mask_pixels, initial_pixels, previous_plane, plane, complete, valid, reward_kind, threshold
+):
+    """Reward and success of a step from pixel counts (protocol 6.3): ``(reward, success)``."""
+    span = mask_pixels - initial_pixels
+    gain = (plane - previous_plane) / span
+    success = valid and (complete - initial_pixels) / span > threshold
     if not valid:
         reward = -1.0
     elif reward_kind == DISCRETE:
         reward = 1.0 if gain > 0 else 0.0
     else:
         reward = SCALED_GAIN * max(gain, 0.0) + (1.0 if success else 0.0)
+    return reward, success
+
+
+@njit(cache=True)
+def judge(state, row, previous_plane, valid, reward_kind, threshold):
+    """Reward and end of the step that led to the current row (protocol 6.3, 6.4).
+
+    ``previous_plane`` is c_pl before the step. Returns ``(reward, terminated, success)``.
+    """
+    reward, success = judge_counts(
+        state.mask_pixels[row], state.initial_pixels[row], previous_plane,
+        state.plane_pixels[row], state.complete_pixels[row], valid, reward_kind, threshold,
+    )  # fmt: skip
     terminated = (not valid) or success or state.num_placed[row] >= state.num_blocks[row]
     return reward, terminated, success
 

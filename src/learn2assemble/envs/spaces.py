@@ -1,0 +1,134 @@
+"""Action and observation spaces of a task, and the numbering of actions (protocol 4, 5).
+
+An action is the published triple (i, j, k): node index of the unplaced block to place, node index
+of the placed reference block, relation. Spaces use its flat index ``a = (i * N + j) * Na + k``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from gymnasium import spaces
+from numba import njit
+
+from learn2assemble.graph.features import NUM_FEATURES, POSITION, Graph
+from learn2assemble.task import Task
+from learn2assemble.world.blocks import EDGE
+from learn2assemble.world.state import State
+
+WAITING_REACH = 1.25
+"""No waiting block and no target is farther from the origin than this along an axis [m]."""
+
+
+def num_flat_actions(task: Task) -> int:
+    """N * N * Na, the size of the flat action space and of both masks."""
+    return task.num_nodes * task.num_nodes * task.num_actions
+
+
+def action_space(task: Task) -> spaces.Discrete:
+    """All flat actions, legal or not."""
+    return spaces.Discrete(num_flat_actions(task))
+
+
+def observation_space(task: Task) -> spaces.Dict:
+    """The graph of one world; :func:`learn2assemble.graph.features.connectivity` needs no more.
+
+    ``nodes`` float32[N, 5]: x, y, z [m, world], placed and target flag (+-1). ``object_id``
+    int32[N]: object number, -1 for targets. ``num_targets``, ``num_placed``, ``num_nodes``.
+    """
+    high = np.ones((task.num_nodes, NUM_FEATURES), np.float32)
+    # Every placement reaches at most one edge farther than the structure already did.
+    high[:, POSITION] = WAITING_REACH + EDGE * task.max_blocks
+    count = task.num_nodes + 1
+    return spaces.Dict(
+        {
+            "nodes": spaces.Box(-high, high, dtype=np.float32),
+            "object_id": spaces.Box(-1, task.max_blocks - 1, (task.num_nodes,), np.int32),
+            "num_targets": spaces.Discrete(count),
+            "num_placed": spaces.Discrete(count),
+            "num_nodes": spaces.Discrete(count),
+        }
+    )
+
+
+def observation(graph: Graph) -> dict[str, np.ndarray]:
+    """A batch of graphs in the form of the (batched) observation space."""
+    return graph._asdict()
+
+
+def flatten_action(task: Task, i, j, k):
+    """(i, j, k) to the flat index; integers or arrays of one shape."""
+    return (i * task.num_nodes + j) * task.num_actions + k
+
+
+def unflatten_action(task: Task, action):
+    """Flat index to (i, j, k); an integer or an array."""
+    pair, k = divmod(action, task.num_actions)
+    i, j = divmod(pair, task.num_nodes)
+    return i, j, k
+
+
+@njit(cache=True)
+def _resolve(state, flat, num_nodes, num_relations, actions, clipped):
+    for row in range(len(flat)):
+        targets = state.num_vertices[row].sum()
+        placed, blocks = state.num_placed[row], state.num_blocks[row]
+        pair = flat[row] // num_relations
+        i, j = pair // num_nodes - targets - placed, pair % num_nodes - targets
+        unplaced = max(min(i, blocks - placed - 1), 0)
+        reference = max(min(j, placed - 1), 0)
+        actions[row, 0], actions[row, 1] = unplaced, reference
+        actions[row, 2] = flat[row] % num_relations
+        clipped[row] = unplaced != i or reference != j
+
+
+@njit(cache=True)
+def _fill(state, allowed, mask):
+    for row in range(len(mask)):
+        if state.terminated[row]:
+            continue
+        targets = state.num_vertices[row].sum()
+        placed, blocks = state.num_placed[row], state.num_blocks[row]
+        for i in range(targets + placed, targets + blocks):
+            for j in range(placed):
+                for k in range(mask.shape[3]):
+                    mask[row, i, targets + j, k] = allowed[row, j, k]
+
+
+def resolve_actions(task: Task, state: State, flat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Flat actions to what :meth:`Simulator.step` wants, clipped like the published code.
+
+    An i outside the unplaced nodes becomes the nearest of them, likewise j and the placed nodes
+    (protocol 5).
+
+    Args:
+        flat: int64[B], each in ``0..N*N*Na-1``.
+
+    Returns:
+        int64[B, 3] (number of the unplaced block, number of the reference block, relation) and
+        bool[B], where clipping changed the action.
+    """
+    actions = np.empty((len(flat), 3), np.int64)
+    clipped = np.empty(len(flat), np.bool_)
+    _resolve(state, flat, task.num_nodes, task.num_actions, actions, clipped)
+    return actions, clipped
+
+
+def expand_mask(task: Task, state: State, allowed: np.ndarray) -> np.ndarray:
+    """A mask over (reference, relation) as a mask over flat actions: any unplaced block may go.
+
+    Args:
+        allowed: bool[B, M, Na], e.g. :meth:`Simulator.physics_mask`.
+
+    Returns:
+        bool[B, N * N * Na]; all False for worlds that have ended.
+    """
+    n = task.num_nodes
+    mask = np.zeros((state.batch_size, n, n, task.num_actions), np.bool_)
+    _fill(state, allowed, mask)
+    return mask.reshape(state.batch_size, -1)
+
+
+def legal_mask(task: Task, state: State) -> np.ndarray:
+    """bool[B, N * N * Na]: i unplaced, j placed, world not ended (protocol 5)."""
+    everything = np.broadcast_to(np.True_, (state.batch_size, task.max_blocks, task.num_actions))
+    return expand_mask(task, state, everything)

@@ -1,0 +1,234 @@
+"""The environment of many worlds stepped as one batch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from learn2assemble.envs import spaces
+from learn2assemble.envs.worlds import RENDER_MODES, Worlds, check_render_mode
+from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.physics.protocol import Physics
+from learn2assemble.simulator import Transition
+from learn2assemble.task import Task
+
+
+class AssemblyVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
+    """``num_envs`` worlds; world k seeded with s behaves like a single one seeded with s + k.
+
+    Observations, rewards and infos equal those of Gymnasium's ``SyncVectorEnv`` over
+    :class:`~learn2assemble.envs.single.AssemblyEnv`, at the cost of one batched step.
+
+    Args:
+        task: the task, or the name of a preset.
+        num_envs: B, number of worlds.
+        physics: ``static``, ``rigid`` or a physics.
+        physics_mask: whether infos carry ``physics_mask``.
+        render_mode: None, ``ansi`` or ``rgb_array``.
+        autoreset_mode: ``NextStep`` (the call after an end resets that world and ignores its
+            action), ``SameStep`` (the last observation and info are ``final_obs`` and
+            ``final_info``) or ``Disabled`` (reset with ``options={"reset_mask": bool[B]}``).
+
+    Raises:
+        UnknownNameError: for a preset, physics, render mode or autoreset mode that does not exist.
+        InputError: for less than one world.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - declared so by the base class
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 2,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+    _STEP_KEYS: ClassVar[dict[str, Any]] = {"verdict": object, "success": bool, "clipped": bool}
+
+    def __init__(
+        self,
+        task: Task | str,
+        num_envs: int = 1,
+        physics: str | Physics = "static",
+        physics_mask: bool = True,
+        render_mode: str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+    ) -> None:
+        if num_envs < 1:
+            raise InputError("num_envs", num_envs, "1 or more")
+        self._worlds = Worlds(task, physics, num_envs, physics_mask)
+        self.task = self._worlds.task
+        self.num_envs = num_envs
+        self.render_mode = check_render_mode(render_mode)
+        self.autoreset_mode = _autoreset_mode(autoreset_mode)
+        self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
+        self.single_observation_space = spaces.observation_space(self.task)
+        self.single_action_space = spaces.action_space(self.task)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        pairs = [seeding.np_random() for _ in range(num_envs)]
+        self._generators, self._seeds = [g for g, _ in pairs], [s for _, s in pairs]
+        self._started = False
+        self._ended = np.zeros(num_envs, np.bool_)
+
+    @property
+    def simulator(self):
+        """The simulator, for search and planning."""
+        return self._worlds.simulator
+
+    @property
+    def state(self):
+        """All worlds; copy it before you change it."""
+        return self._worlds.state
+
+    @property
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
+        """The random number generator of every world."""
+        return tuple(self._generators)
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
+        """The seed of every world."""
+        return tuple(self._seeds)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Draw fresh problems.
+
+        Args:
+            seed: s seeds world k with s + k; a list seeds each world; None goes on drawing.
+            options: ``{"reset_mask": bool[B]}`` resets (and seeds) only some worlds.
+
+        Raises:
+            InputError: for a list of seeds or a mask of the wrong length.
+        """
+        seeds = _seeds(seed, self.num_envs)
+        rows = self._reset_rows(options)
+        for row in rows:
+            if seeds[row] is not None:
+                self._generators[row], self._seeds[row] = seeding.np_random(seeds[row])
+        self._restart(rows)
+        self._started = True
+        mask = np.zeros(self.num_envs, np.bool_)
+        mask[rows] = True
+        return self._worlds.observation(), self._infos(mask)
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Place one block in every world.
+
+        Args:
+            actions: integers[B], flat actions.
+
+        Raises:
+            InputError: for actions outside the action space.
+            ResetNeeded: before the first reset; for an ended world where autoreset is disabled.
+        """
+        self._require_reset()
+        restarted = self._ended
+        if self.autoreset_mode is AutoresetMode.DISABLED and restarted.any():
+            raise ResetNeeded("some worlds have ended: reset them with options['reset_mask']")
+        transition, clipped = self._worlds.place(actions)
+        ended, final = transition.terminated, {}
+        self._ended = ended.copy()
+        stepped = ~restarted
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:
+            final = self._final(transition, clipped)
+            restarted, stepped = ended, ~ended
+        self._restart(np.flatnonzero(restarted))
+        infos = final | self._infos(np.ones(self.num_envs, np.bool_))
+        self._add_step(infos, transition, clipped, stepped)
+        truncated = np.zeros(self.num_envs, np.bool_)
+        return self._worlds.observation(), transition.reward, ended, truncated, infos
+
+    def action_masks(self) -> np.ndarray:
+        """bool[B, N * N * Na]: the legal actions; none for a world that has ended."""
+        self._require_reset()
+        return self._worlds.action_masks()
+
+    def render(self) -> tuple[Any, ...]:
+        """The drawing of every world; see :class:`~learn2assemble.envs.single.AssemblyEnv`."""
+        self._require_reset()
+        return tuple(self._worlds.render(self.render_mode, row) for row in range(self.num_envs))
+
+    def _restart(self, rows: np.ndarray) -> None:
+        for row in rows:
+            self._worlds.reset(int(row), self._generators[row])
+            self._ended[row] = False
+
+    def _reset_rows(self, options: dict[str, Any] | None) -> np.ndarray:
+        mask = (options or {}).get("reset_mask")
+        if mask is None:
+            return np.arange(self.num_envs)
+        mask = np.asarray(mask)
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
+            expected = f"bool[{self.num_envs}] with at least one True"
+            raise InputError("options['reset_mask']", mask.tolist(), expected)
+        if not self._started:
+            raise ResetNeeded("the first reset must reset every world")
+        return np.flatnonzero(mask)
+
+    def _infos(self, present: np.ndarray) -> dict[str, Any]:
+        """Infos of the state; ``_key`` says which worlds have the key, as Gymnasium does."""
+        infos: dict[str, Any] = {}
+        for key, value in self._worlds.info().items():
+            infos[key], infos[f"_{key}"] = value, present.copy()
+        return infos
+
+    def _add_step(
+        self,
+        infos: dict[str, Any],
+        transition: Transition,
+        clipped: np.ndarray,
+        stepped: np.ndarray,
+    ) -> None:
+        if not stepped.any():
+            return
+        for key, kind in self._STEP_KEYS.items():
+            infos[key] = np.full(self.num_envs, None if kind is object else False, kind)
+            infos[f"_{key}"] = stepped.copy()
+        for row in np.flatnonzero(stepped):
+            for key, value in self._worlds.step_info(transition, clipped, row).items():
+                infos[key][row] = value
+
+    def _final(self, transition: Transition, clipped: np.ndarray) -> dict[str, Any]:
+        """``final_obs`` and ``final_info`` of the worlds that end with this step."""
+        infos: dict[str, Any] = {}
+        rows = np.flatnonzero(transition.terminated)
+        if len(rows) == 0:
+            return infos
+        observations, info = self._worlds.observation(), self._worlds.info()
+        for row in rows:
+            last = {key: value[row] for key, value in info.items()}
+            last |= self._worlds.step_info(transition, clipped, row)
+            final = {key: value[row] for key, value in observations.items()}
+            self._add_info(infos, {"final_obs": final, "final_info": last}, int(row))
+        return infos
+
+    def _require_reset(self) -> None:
+        if not self._started:
+            raise ResetNeeded("call reset() first")
+
+
+def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    names = [m.value for m in AutoresetMode]
+    if not isinstance(mode, AutoresetMode) and mode not in names:
+        raise UnknownNameError("autoreset_mode", mode, names)
+    return AutoresetMode(mode)
+
+
+def _seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
+    if seed is None:
+        return [None] * count
+    if isinstance(seed, (int, np.integer)):
+        return [int(seed) + k for k in range(count)]
+    if len(seed) != count:
+        raise InputError("seed", seed, f"one integer or {count} of them")
+    return list(seed)

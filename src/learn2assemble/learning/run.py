@@ -1,0 +1,205 @@
+"""A training run in a folder: progress, logs, checkpoints, resume.
+
+``config.json`` (task, configuration, seed, versions), ``log.jsonl`` (one line per interval),
+``tensorboard/`` where TensorBoard is installed, ``state.safetensors`` (everything needed to go
+on), ``agent.safetensors`` and ``agent.json`` (the network so far).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import json
+import os
+import platform
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import torch
+from tqdm import tqdm
+
+from learn2assemble.errors import InputError
+from learn2assemble.learning.config import TrainConfig
+from learn2assemble.learning.trainer import Trainer
+from learn2assemble.networks.agent import Agent, save_agent
+from learn2assemble.task import Task
+
+LOG_SECONDS = 10.0
+CHECKPOINT_SECONDS = 45.0
+"""A kill loses at most this much work."""
+
+
+def choose_device(name: str) -> str:
+    """``auto`` becomes ``cuda`` where a GPU is usable.
+
+    Raises:
+        InputError: for an unknown device or CUDA without a GPU.
+    """
+    if name not in ("auto", "cpu", "cuda"):
+        raise InputError("--device", name, "auto, cpu or cuda")
+    available = torch.cuda.is_available()
+    if name == "cuda" and not available:
+        raise InputError("--device", name, "cpu (no CUDA device is usable here)")
+    return "cuda" if name != "cpu" and available else "cpu"
+
+
+def provenance(device: str) -> dict[str, Any]:
+    """Versions, hardware and commit, for run files and results."""
+    here = Path(__file__).parent
+    commit = None
+    try:
+        done = subprocess.run(
+            ["git", "rev-parse", "--short", "HEAD"],
+            cwd=here, capture_output=True, text=True, check=False, timeout=5,
+        )  # fmt: skip
+        commit = done.stdout.strip() or None
+    except OSError:
+        pass
+    hardware = f"{os.cpu_count()} CPU cores ({platform.machine()})"
+    if device == "cuda":
+        hardware += f", {torch.cuda.get_device_name()}"
+    return {
+        "commit": commit,
+        "python": platform.python_version(),
+        "torch": torch.__version__,
+        "hardware": hardware,
+        "threads": torch.get_num_threads(),
+        "device": device,
+    }
+
+
+class _Logs:
+    """``log.jsonl`` and, where installed, TensorBoard."""
+
+    def __init__(self, out: Path, samples: int) -> None:
+        self.file = out / "log.jsonl"
+        _drop_lines_after(self.file, samples)
+        self.writer = None
+        if importlib.util.find_spec("tensorboard") is not None:
+            from torch.utils.tensorboard import SummaryWriter
+
+            self.writer = SummaryWriter(str(out / "tensorboard"), purge_step=samples)
+
+    def write(self, metrics: dict[str, float]) -> None:
+        with self.file.open("a", encoding="utf-8") as stream:
+            stream.write(json.dumps(metrics) + "\n")
+        if self.writer is not None:
+            for key, value in metrics.items():
+                if key != "samples":
+                    self.writer.add_scalar(key, value, int(metrics["samples"]))
+
+    def close(self) -> None:
+        if self.writer is not None:
+            self.writer.close()
+
+
+def _drop_lines_after(file: Path, samples: int) -> None:
+    """A resumed run repeats what came after its checkpoint; so must its log."""
+    if not file.exists():
+        return
+    kept = []
+    for line in file.read_text(encoding="utf-8").splitlines():
+        try:
+            if json.loads(line)["samples"] <= samples:
+                kept.append(line + "\n")
+        except ValueError:
+            continue  # A line cut off by the kill.
+    file.write_text("".join(kept), encoding="utf-8")
+
+
+def train(
+    task: Task,
+    config: TrainConfig,
+    out: Path,
+    *,
+    seed: int = 0,
+    minutes: float | None = None,
+    device: str = "auto",
+    resume: bool = False,
+    quiet: bool = False,
+) -> dict[str, float]:
+    """Train, or continue a training, in the folder ``out``; returns the last metrics.
+
+    Args:
+        minutes: stop after this many minutes of training in all, resumed parts counted in;
+            ``None``: run to ``config.num_samples``.
+        resume: continue ``out``; without it ``out`` must be empty or absent.
+
+    Raises:
+        InputError: for an output folder that is not usable, or nothing to resume.
+    """
+    device = choose_device(device)
+    state_file = out / "state.safetensors"
+    _prepare_folder(out, state_file, resume)
+    trainer = Trainer(task, config, seed, device)
+    if resume:
+        trainer.load(state_file)
+    else:
+        run = {
+            "task": dataclasses.asdict(task), "seed": seed, "minutes": minutes,
+            "config": config.to_dict(), **provenance(device),
+        }  # fmt: skip
+        (out / "config.json").write_text(json.dumps(run, indent=1) + "\n", encoding="utf-8")
+    logs = _Logs(out, trainer.samples)
+    limit = float("inf") if minutes is None else minutes * 60
+    bar = tqdm(
+        total=config.num_samples, initial=trainer.samples, unit=" samples", disable=quiet,
+        desc=task.name, dynamic_ncols=True,
+    )  # fmt: skip
+    started, base = time.monotonic(), trainer.seconds
+    next_log, next_save = started + LOG_SECONDS, started + CHECKPOINT_SECONDS
+    try:
+        while not trainer.finished and trainer.seconds < limit:
+            before = trainer.samples
+            trainer.round()
+            bar.update(trainer.samples - before)
+            now = time.monotonic()
+            trainer.seconds = base + now - started
+            if now >= next_log:
+                metrics = trainer.metrics()
+                logs.write(metrics)
+                bar.set_postfix_str(
+                    f"R {metrics['R']:.2f} success {metrics['success']:.2f} "
+                    f"eps {metrics['epsilon']:.2f}"
+                )
+                next_log = now + LOG_SECONDS
+            if now >= next_save:
+                _save(trainer, out, state_file)
+                next_save = time.monotonic() + CHECKPOINT_SECONDS
+    finally:
+        _save(trainer, out, state_file)
+        logs.write(trainer.metrics())
+        logs.close()
+        bar.close()
+    return trainer.metrics()
+
+
+def _save(trainer: Trainer, out: Path, state_file: Path) -> None:
+    trainer.save(state_file)
+    origin = {
+        "config": trainer.config.to_dict(),
+        "seed": trainer.seed,
+        "samples": trainer.samples,
+        "updates": trainer.updates,
+        "seconds": round(trainer.seconds, 1),
+        **provenance(trainer.device),
+    }
+    save_agent(Agent("agent", trainer.online, trainer.task.name, origin), out)
+
+
+def _prepare_folder(out: Path, state_file: Path, resume: bool) -> None:
+    if resume:
+        if not state_file.is_file():
+            raise InputError("--resume", str(out), "a folder with a state.safetensors to go on from")
+        return
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError("--out", str(out), "an empty or new folder (or --resume)")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        probe = out / ".write-test"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise InputError("--out", str(out), f"a writable folder ({error.strerror})") from None

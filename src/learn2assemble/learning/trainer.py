@@ -1,0 +1,210 @@
+"""Everything a training is, as one object that can be stepped, saved and restored."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+
+from learn2assemble.errors import InputError
+from learn2assemble.learning.augment import random_symmetry
+from learn2assemble.learning.config import TrainConfig
+from learn2assemble.learning.dqn import dqn_loss
+from learn2assemble.learning.explore import epsilon_greedy, to_local
+from learn2assemble.learning.replay import Batch, Replay
+from learn2assemble.networks.qnetwork import QNetwork
+from learn2assemble.simulator import Simulator
+from learn2assemble.task import Task
+
+TRAINING_STREAM = 1
+"""First word of every training seed; evaluation uses another, so no problem is seen twice."""
+EPISODES_AVERAGED = 300
+
+
+class Trainer:
+    """Collects with an epsilon-greedy policy in vectorised worlds and learns from replay.
+
+    Args:
+        task: what to learn.
+        config: how.
+        seed: of everything random.
+        device: ``cpu`` or ``cuda``.
+    """
+
+    def __init__(self, task: Task, config: TrainConfig, seed: int, device: str = "cpu") -> None:
+        self.task, self.config, self.seed, self.device = task, config, seed, device
+        self.simulator = Simulator(task)
+        self.rng = np.random.default_rng([TRAINING_STREAM, seed])
+        torch.manual_seed(seed)
+        self.online = QNetwork(config.network).to(device)
+        self.target = QNetwork(config.network).to(device)
+        self.target.load_state_dict(self.online.state_dict())
+        self.optimizer = torch.optim.Adam(self.online.parameters(), lr=config.learning_rate)
+        self.replay = Replay(
+            config.replay_size, task.num_nodes, task.max_blocks, task.num_actions,
+            prospects=config.uses_model,
+        )  # fmt: skip
+        self.state = self.simulator.new(config.num_envs, self.rng)
+        self.graph = self.simulator.observe(self.state)
+        self.samples = self.updates = self.episodes = 0
+        self.seconds = 0.0
+        self.running_return = np.zeros(config.num_envs)
+        self.running_discount = np.ones(config.num_envs)
+        self.recent: deque[tuple[float, bool, bool]] = deque(maxlen=EPISODES_AVERAGED)
+        """Discounted return, success and failure of the latest training episodes."""
+        self.logs: dict[str, float] = {}
+
+    @property
+    def epsilon(self) -> float:
+        """Exploration rate now: linear in the samples (protocol 10.1)."""
+        c = self.config
+        return max(c.epsilon_final, 1 - (1 - c.epsilon_final) * self.samples / c.epsilon_samples)
+
+    @property
+    def learning_rate(self) -> float:
+        """Cosine from ``learning_rate`` to ``final_learning_rate`` over ``num_samples``."""
+        c, share = self.config, min(self.samples / self.config.num_samples, 1.0)
+        swing = 0.5 * (1 + math.cos(math.pi * share))
+        return c.final_learning_rate + (c.learning_rate - c.final_learning_rate) * swing
+
+    @property
+    def finished(self) -> bool:
+        return self.samples >= self.config.num_samples
+
+    def round(self) -> None:
+        """One phase of collection and one of learning."""
+        for _ in range(self.config.steps_per_round):
+            self._collect()
+        if self.samples >= self.config.initial_samples:
+            for group in self.optimizer.param_groups:
+                group["lr"] = self.learning_rate
+            for _ in range(self.config.updates_per_round):
+                self._update()
+
+    def _collect(self) -> None:
+        state, graph = self.state, self.graph
+        prospects = self.simulator.prospects(state) if self.config.uses_model else None
+        action = epsilon_greedy(self.online, graph, self.epsilon, self.rng, self.device)
+        step = self.simulator.step(state, to_local(graph, action))
+        after = self.simulator.observe(state)
+        self.replay.add(
+            Batch(
+                graph, action, step.reward.astype(np.float32), step.terminated, after, prospects
+            )
+        )
+        self.samples += len(action)
+        self.running_return += self.running_discount * step.reward
+        self.running_discount *= self.task.discount
+        ended = np.flatnonzero(step.terminated)
+        for row in ended:
+            failed = bool(step.verdict[row] != 0)
+            self.recent.append((float(self.running_return[row]), bool(step.success[row]), failed))
+        self.episodes += len(ended)
+        self.running_return[ended], self.running_discount[ended] = 0.0, 1.0
+        if len(ended):
+            self.simulator.reset(state, ended, self.rng)
+            after = self.simulator.observe(state)
+        self.graph = after
+
+    def _update(self) -> None:
+        config = self.config
+        batch = self.replay.sample(config.batch_size, self.rng)
+        if config.augment:
+            batch = random_symmetry(batch, self.task.num_sides, self.rng)
+        loss, self.logs = dqn_loss(
+            self.online, self.target, batch, config, self.task.discount, self.rng, self.device
+        )
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        self.optimizer.step()
+        self.updates += 1
+        if self.updates % config.target_period == 0:
+            self.target.load_state_dict(self.online.state_dict())
+
+    def metrics(self) -> dict[str, float]:
+        """Numbers to log; returns are discounted and include exploration."""
+        recent = np.asarray(self.recent, float).reshape(-1, 3)
+        means = recent.mean(0) if len(recent) else np.full(3, math.nan)
+        return {
+            "samples": self.samples,
+            "updates": self.updates,
+            "episodes": self.episodes,
+            "seconds": self.seconds,
+            "epsilon": self.epsilon,
+            "learning_rate": self.learning_rate,
+            "R": float(means[0]),
+            "success": float(means[1]),
+            "f": float(means[2]),
+            **{f"batch_{k}": v for k, v in self.logs.items()},
+        }
+
+    def save(self, path: Path) -> None:
+        """Write the whole training state to one file, atomically."""
+        arrays: dict[str, np.ndarray] = {f"state.{k}": v for k, v in self.state._asdict().items()}
+        arrays |= self.replay.state()
+        arrays["running_return"] = self.running_return
+        arrays["running_discount"] = self.running_discount
+        arrays["recent"] = np.asarray(self.recent, float).reshape(-1, 3)
+        tensors = {k: torch.from_numpy(np.ascontiguousarray(v)) for k, v in arrays.items()}
+        for prefix, network in (("online", self.online), ("target", self.target)):
+            tensors |= {f"{prefix}.{k}": v.cpu() for k, v in network.state_dict().items()}
+        for number, slots in self.optimizer.state_dict()["state"].items():
+            tensors |= {f"adam.{number}.{k}": v.cpu() for k, v in slots.items()}
+        counters = {
+            "seed": self.seed,
+            "task": self.task.name,
+            "config": self.config.to_dict(),
+            "samples": self.samples,
+            "updates": self.updates,
+            "episodes": self.episodes,
+            "seconds": self.seconds,
+            "cursor": self.replay.cursor,
+            "rng": self.rng.bit_generator.state,
+        }
+        partial = path.with_suffix(".partial")
+        save_file(tensors, partial, metadata={"counters": json.dumps(counters)})
+        os.replace(partial, path)
+
+    def load(self, path: Path) -> None:
+        """Continue exactly where :meth:`save` was called.
+
+        Raises:
+            InputError: where the file belongs to another task or configuration.
+        """
+        with safe_open(path, "pt") as file:
+            counters: dict[str, Any] = json.loads(file.metadata()["counters"])
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+        mine = {"task": self.task.name, "config": json.loads(json.dumps(self.config.to_dict()))}
+        for key, value in mine.items():
+            if counters[key] != value:
+                raise InputError(f"--resume {key}", value, f"the run's own: {counters[key]}")
+        arrays = {k: v.numpy() for k, v in tensors.items() if not k.startswith("adam.")}
+        for name, field in self.state._asdict().items():
+            field[:] = arrays[f"state.{name}"]
+        self.graph = self.simulator.observe(self.state)
+        self.replay.load(arrays, counters["cursor"])
+        self.running_return[:] = arrays["running_return"]
+        self.running_discount[:] = arrays["running_discount"]
+        self.recent.extend((r, bool(s), bool(f)) for r, s, f in arrays["recent"].tolist())
+        for prefix, network in (("online", self.online), ("target", self.target)):
+            network.load_state_dict(
+                {k: tensors[f"{prefix}.{k}"] for k in network.state_dict()}
+            )
+        optimizer = self.optimizer.state_dict()
+        for key, value in tensors.items():
+            if key.startswith("adam."):
+                _, number, slot = key.split(".")
+                optimizer["state"].setdefault(int(number), {})[slot] = value
+        self.optimizer.load_state_dict(optimizer)
+        self.seed = counters["seed"]
+        self.samples, self.updates = counters["samples"], counters["updates"]
+        self.episodes, self.seconds = counters["episodes"], counters["seconds"]
+        self.rng.bit_generator.state = counters["rng"]

@@ -1,0 +1,1 @@
+"""Deciding with a trained agent: policies, and build plans for designs."""

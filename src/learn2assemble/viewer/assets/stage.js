@@ -1,0 +1,301 @@
+"use strict";
+/* The 3-D view. World frame, z up, metres; time is counted in steps: at time k step k is done,
+   between k - 1 and k its block is on the way.
+
+   Whatever moves is an actor: {group, update(time)}. Blocks are actors; a robot arm would be one
+   more, added with stage.add(actor) on the same timeline. */
+function createStage(canvas, data) {
+  const theme = () => {
+    const style = getComputedStyle(document.documentElement);
+    const names = ["sky", "table", "edge", "accent", "first", "wall", "current", "support", "waiting", "soft"];
+    return Object.fromEntries(names.map((name) => [name, style.getPropertyValue("--" + name).trim()]));
+  };
+  let colours = theme();
+  const renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
+  renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
+  renderer.shadowMap.enabled = true;
+  renderer.shadowMap.type = THREE.PCFShadowMap;
+  const scene = new THREE.Scene();
+  const camera = new THREE.PerspectiveCamera(32, 1, 0.02, 20);
+  camera.up.set(0, 0, 1);
+  const edge = data.edge;
+  const actors = [];
+  const painted = [];
+
+  // Extent of what has to be seen.
+  const points = [
+    ...data.blocks.map((b) => b.position), ...data.waiting, ...data.faces.flat(),
+  ];
+  const low = [0, 1, 2].map((k) => Math.min(...points.map((p) => p[k])) - (k < 2 ? edge / 2 : 0));
+  const high = [0, 1, 2].map((k) => Math.max(...points.map((p) => p[k])) + edge / 2);
+  low[2] = 0;
+  const middle = [0, 1].map((k) => (low[k] + high[k]) / 2);
+  const reach = Math.hypot(high[0] - low[0], high[1] - low[1], high[2]) / 2;
+  const built = [...data.blocks.map((b) => b.position[2]), ...data.faces.flat().map((p) => p[2])];
+  const roof = Math.max(edge, ...built) + edge / 2;
+
+  addLights();
+  addTable();
+  for (const face of data.faces) addTarget(face);
+  const used = new Map();
+  for (const block of data.blocks) {
+    actors.push(blockActor(block));
+    if (block.waiting !== null) used.set(block.waiting, block);
+  }
+  data.waiting.forEach((place, index) => {
+    addPlace(place);
+    if (!used.has(index)) addSpare(place);
+  });
+  for (const actor of actors) scene.add(actor.group);
+
+  const controls = new THREE.OrbitControls(camera, canvas);
+  controls.maxPolarAngle = 1.54;
+  controls.zoomToCursor = true;
+  controls.addEventListener("change", draw);
+  let touched = false;
+  controls.addEventListener("start", () => { touched = true; });
+  let time = data.steps;
+  paint();
+  resize();
+  new ResizeObserver(resize).observe(canvas.parentElement);
+  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+    colours = theme();
+    paint();
+    update(time);
+  });
+
+  return { update, resetView, add(actor) { actors.push(actor); scene.add(actor.group); update(time); } };
+
+  function update(now) {
+    time = now;
+    for (const actor of actors) actor.update(now);
+    draw();
+  }
+
+  function draw() { renderer.render(scene, camera); }
+
+  function resize() {
+    const { clientWidth: width, clientHeight: height } = canvas.parentElement;
+    if (!width || !height) return;
+    renderer.setSize(width, height, false);
+    camera.aspect = width / height;
+    camera.updateProjectionMatrix();
+    if (touched) draw(); else resetView();
+  }
+
+  /* Look from the front left and above, as near as shows everything. */
+  function resetView() {
+    touched = false;
+    const direction = new THREE.Vector3(-0.42, -1, 0.62).normalize();
+    const target = new THREE.Vector3(middle[0], middle[1], high[2] * 0.38);
+    controls.target.copy(target);
+    const corner = new THREE.Vector3();
+    const fits = (distance) => {
+      camera.position.copy(target).addScaledVector(direction, distance);
+      camera.lookAt(target);
+      camera.updateMatrixWorld();
+      for (let k = 0; k < 8; k++) {
+        corner.set(k & 1 ? high[0] : low[0], k & 2 ? high[1] : low[1], 0);
+        // The tray is flat: only the structure's half of the box is high.
+        if (k & 4) corner.set(k & 1 ? roofBox[1] : roofBox[0], k & 2 ? roofBox[3] : roofBox[2], high[2]);
+        corner.project(camera);
+        if (Math.abs(corner.x) > 0.93 || Math.abs(corner.y) > 0.9) return false;
+      }
+      return true;
+    };
+    const solid = [...data.blocks.map((b) => b.position), ...data.faces.flat()];
+    const xs = solid.map((p) => p[0]), ys = solid.map((p) => p[1]);
+    const roofBox = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
+    let near = 0.05, far = 12;
+    for (let k = 0; k < 24; k++) {
+      const distance = (near + far) / 2;
+      if (fits(distance)) far = distance; else near = distance;
+    }
+    fits(far);
+    controls.minDistance = edge * 2;
+    controls.maxDistance = far * 3;
+    controls.update();
+    draw();
+  }
+
+  function paint() {
+    scene.background = new THREE.Color(colours.sky);
+    for (const [material, name] of painted) material.color.set(colours[name]);
+  }
+
+  function coloured(material, name) {
+    painted.push([material, name]);
+    return material;
+  }
+
+  function addLights() {
+    scene.add(new THREE.HemisphereLight(0xffffff, 0xcfc8bb, 2.1));
+    const sun = new THREE.DirectionalLight(0xffffff, 1.7);
+    sun.position.set(middle[0] - 1.1 * reach, middle[1] - 1.5 * reach, 3 * reach);
+    sun.target.position.set(middle[0], middle[1], 0);
+    sun.castShadow = true;
+    sun.shadow.mapSize.set(2048, 2048);
+    const box = sun.shadow.camera;
+    box.left = box.bottom = -1.4 * reach;
+    box.right = box.top = 1.4 * reach;
+    box.far = 8 * reach;
+    sun.shadow.normalBias = edge / 50;
+    sun.shadow.radius = 3;
+    scene.add(sun, sun.target);
+  }
+
+  function addTable() {
+    const pad = 1.6 * edge, r = edge;
+    const [x0, y0, x1, y1] = [low[0] - pad, low[1] - pad, high[0] + pad, high[1] + pad];
+    const shape = new THREE.Shape();
+    shape.moveTo(x0 + r, y0).lineTo(x1 - r, y0).absarc(x1 - r, y0 + r, r, -Math.PI / 2, 0)
+      .lineTo(x1, y1 - r).absarc(x1 - r, y1 - r, r, 0, Math.PI / 2)
+      .lineTo(x0 + r, y1).absarc(x0 + r, y1 - r, r, Math.PI / 2, Math.PI)
+      .lineTo(x0, y0 + r).absarc(x0 + r, y0 + r, r, Math.PI, 1.5 * Math.PI);
+    const top = new THREE.Mesh(
+      new THREE.ShapeGeometry(shape, 12), coloured(new THREE.MeshLambertMaterial(), "table"));
+    top.position.z = -0.0004;
+    top.receiveShadow = true;
+    scene.add(top);
+  }
+
+  function addTarget(face) {
+    // Pushed off the face plane by a hair, so that it does not flicker against the blocks.
+    const corners = face.map((p) => new THREE.Vector3(...p));
+    const normal = faceNormal(corners);
+    for (const c of corners) c.addScaledVector(normal, 0.0008);
+    const flat = new THREE.BufferGeometry().setFromPoints(corners);
+    const along = new THREE.Vector3(normal.y, -normal.x, 0);
+    const shape = new THREE.Shape();
+    corners.forEach((c, k) => (k ? shape.lineTo(c.dot(along), c.z) : shape.moveTo(c.dot(along), c.z)));
+    const sheet = new THREE.ShapeGeometry(shape);
+    // A plane through the outline: local x runs along the side, local y is up.
+    sheet.rotateX(Math.PI / 2);
+    sheet.rotateZ(Math.atan2(along.y, along.x));
+    const offset = normal.clone().multiplyScalar(corners[0].dot(normal));
+    sheet.translate(offset.x, offset.y, 0);
+    const film = new THREE.Mesh(sheet, coloured(new THREE.MeshBasicMaterial({
+      transparent: true, opacity: 0.14, side: THREE.DoubleSide, depthWrite: false,
+    }), "accent"));
+    film.renderOrder = 2;
+    scene.add(film, new THREE.LineLoop(flat, coloured(new THREE.LineBasicMaterial(), "accent")));
+    corners.forEach((a, k) => {
+      const b = corners[(k + 1) % corners.length];
+      const rod = new THREE.Mesh(
+        new THREE.CylinderGeometry(edge / 45, edge / 45, a.distanceTo(b), 8),
+        coloured(new THREE.MeshBasicMaterial(), "accent"));
+      rod.position.copy(a).add(b).multiplyScalar(0.5);
+      rod.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), b.clone().sub(a).normalize());
+      scene.add(rod);
+    });
+  }
+
+  /* The side's outward direction: horizontal, away from the middle of the structure's footprint
+     where the outline's own turning direction leaves it open. */
+  function faceNormal(corners) {
+    let area = new THREE.Vector3();
+    for (let k = 0; k < corners.length; k++) {
+      area.add(corners[k].clone().cross(corners[(k + 1) % corners.length]));
+    }
+    const normal = new THREE.Vector3(area.x, area.y, 0).normalize();
+    if (!normal.lengthSq()) normal.set(0, -1, 0);
+    const solid = data.blocks.length ? data.blocks.map((b) => b.position) : data.faces.flat();
+    const mean = new THREE.Vector3();
+    for (const p of solid) mean.add(new THREE.Vector3(...p));
+    mean.divideScalar(solid.length);
+    return corners[0].clone().sub(mean).dot(normal) < 0 ? normal.negate() : normal;
+  }
+
+  /* A cube whose side faces carry an upright picture of its number. */
+  function cubeGeometry() {
+    const h = edge / 2, position = [], normals = [], uv = [], index = [];
+    const faces = [
+      [[0, -1, 0], [1, 0, 0], [0, 0, 1]], [[0, 1, 0], [-1, 0, 0], [0, 0, 1]],
+      [[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[-1, 0, 0], [0, -1, 0], [0, 0, 1]],
+      [[0, 0, 1], [1, 0, 0], [0, 1, 0]], [[0, 0, -1], [1, 0, 0], [0, -1, 0]],
+    ];
+    faces.forEach(([n, u, v], f) => {
+      for (const [a, b] of [[-1, -1], [1, -1], [1, 1], [-1, 1]]) {
+        position.push(...[0, 1, 2].map((k) => h * (n[k] + a * u[k] + b * v[k])));
+        normals.push(...n);
+        uv.push((a + 1) / 2, (b + 1) / 2);
+      }
+      index.push(...[0, 1, 2, 0, 2, 3].map((k) => 4 * f + k));
+    });
+    const geometry = new THREE.BufferGeometry();
+    geometry.setAttribute("position", new THREE.Float32BufferAttribute(position, 3));
+    geometry.setAttribute("normal", new THREE.Float32BufferAttribute(normals, 3));
+    geometry.setAttribute("uv", new THREE.Float32BufferAttribute(uv, 2));
+    geometry.setIndex(index);
+    return geometry;
+  }
+
+  function numberPicture(number) {
+    const picture = document.createElement("canvas");
+    picture.width = picture.height = 128;
+    const pen = picture.getContext("2d");
+    pen.fillStyle = "#fff";
+    pen.fillRect(0, 0, 128, 128);
+    pen.fillStyle = "#26221c";
+    pen.font = "600 56px system-ui, 'Liberation Sans', Arial, sans-serif";
+    pen.textAlign = "center";
+    pen.textBaseline = "middle";
+    if (number !== null) pen.fillText(String(number), 64, 68);
+    const texture = new THREE.CanvasTexture(picture);
+    texture.colorSpace = THREE.SRGBColorSpace;
+    texture.anisotropy = 8;
+    return texture;
+  }
+
+  function cube(number) {
+    createStage.cube ??= cubeGeometry();
+    createStage.rim ??= new THREE.EdgesGeometry(new THREE.BoxGeometry(edge, edge, edge));
+    const material = new THREE.MeshLambertMaterial({ map: numberPicture(number) });
+    const mesh = new THREE.Mesh(createStage.cube, material);
+    mesh.castShadow = mesh.receiveShadow = true;
+    const rim = coloured(new THREE.LineBasicMaterial(), "edge");
+    const group = new THREE.Group().add(mesh, new THREE.LineSegments(createStage.rim, rim));
+    return { group, material };
+  }
+
+  function blockActor(block) {
+    const { group, material } = cube(block.number);
+    const [w, x, y, z] = block.quaternion;
+    const goal = new THREE.Vector3(...block.position);
+    const goalTurn = new THREE.Quaternion(x, y, z, w);
+    const start = block.waiting === null ? goal : new THREE.Vector3(...data.waiting[block.waiting]);
+    const clear = roof + edge;
+    const ease = (t) => { const u = Math.min(Math.max(t, 0), 1); return u * u * (3 - 2 * u); };
+    return {
+      group,
+      update(now) {
+        const share = block.number === 0 ? 1 : Math.min(Math.max(now - block.number + 1, 0), 1);
+        const lift = ease(share / 0.3), across = ease((share - 0.22) / 0.5), lower = ease((share - 0.66) / 0.34);
+        group.position.lerpVectors(start, goal, across);
+        if (share < 1) {
+          const up = start.z + (clear - start.z) * lift;
+          group.position.z = up + (goal.z - clear) * lower;
+        }
+        group.quaternion.identity().slerp(goalTurn, across);
+        const current = block.number > 0 && Math.ceil(now) === block.number;
+        material.color.set(colours[current ? "current" : share > 0 ? block.kind : "waiting"]);
+      },
+    };
+  }
+
+  function addSpare(place) {
+    const { group, material } = cube(null);
+    coloured(material, "waiting");
+    group.position.set(...place);
+    scene.add(group);
+  }
+
+  /* The mark on the table where a block waits. */
+  function addPlace([x, y, z]) {
+    const h = edge / 2;
+    const corners = [[-h, -h], [h, -h], [h, h], [-h, h]].map(
+      ([a, b]) => new THREE.Vector3(x + a, y + b, z - h + 0.0006));
+    const line = coloured(new THREE.LineBasicMaterial({ transparent: true, opacity: 0.5 }), "soft");
+    scene.add(new THREE.LineLoop(new THREE.BufferGeometry().setFromPoints(corners), line));
+  }
+}

@@ -1,0 +1,196 @@
+"""The build report as one stand-alone HTML file.
+
+Everything is inside the file: no request leaves it, and its content security policy allows only
+the scripts and the style whose hashes it names, so text from a plan can never run.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from html import escape
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from learn2assemble.errors import InputError
+from learn2assemble.viewer.drawings import chart_svg, elevation_svg, kind
+from learn2assemble.viewer.scene import Scene, read_scene
+from learn2assemble.viewer.words import STATUS_WORDS, caption, percent, placement, summary
+
+_SCRIPTS = ("three.bundle.js", "stage.js", "timeline.js")
+
+
+def write_page(plan: Mapping[str, Any], path: Path) -> None:
+    """Write the report of a parsed ``plan.json`` to ``path``, a stand-alone HTML file.
+
+    ``#step=5`` behind its address opens it at step 5; without it the finished structure shows.
+
+    Raises:
+        InputError: for something that is not such a plan, or a path that cannot be written.
+    """
+    text = render_page(plan)
+    try:
+        path.write_text(text, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise InputError("page", str(path), f"a writable file ({error.strerror})") from None
+
+
+def render_page(plan: Mapping[str, Any]) -> str:
+    """The HTML text of the report."""
+    scene = read_scene(plan)
+    try:
+        return _render(plan, scene)
+    except KeyError as error:
+        raise InputError("plan", f"no field {error}", "every field of its format") from None
+
+
+def _render(plan: Mapping[str, Any], scene: Scene) -> str:
+    scripts = [_asset(name).strip() + "\n" for name in _SCRIPTS]
+    style = _asset("page.css")
+    policy = (
+        "default-src 'none'; img-src data: blob:; base-uri 'none'; form-action 'none'; "
+        f"style-src {_hash(style)}; script-src {' '.join(map(_hash, scripts))}"
+    )
+    values = {
+        "policy": policy,
+        "style": style,
+        "title": escape(plan["design"]["name"]),
+        "status": plan["status"],
+        "status_word": STATUS_WORDS[plan["status"]],
+        "summary": escape(summary(plan)),
+        "reason": _reason(plan),
+        "facts": _facts(plan),
+        "elevations": _elevations(scene),
+        "tray_note": _TRAY_NOTE if scene.rearranged else "",
+        "chart": chart_svg(plan),
+        "steps": _steps(plan),
+        "attempts": _attempts(plan),
+        "last": str(scene.num_steps),
+        "caption": escape(caption(plan, scene.num_steps)),
+        "movable": "movable" if scene.num_steps else "fixed",
+        "source": escape(str(plan["design"]["source"])),
+        "data": _json(_data(plan, scene)),
+        "scripts": "\n".join(f"<script>{text}</script>" for text in scripts),
+    }
+    # One pass, so that a value that holds braces is never filled in again.
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: values[match[1]], _asset("page.html"))
+
+
+_TRAY_NOTE = (
+    "Waiting blocks are drawn in a tidy tray: the plan's own waiting places overlap or hide the "
+    "structure."
+)
+
+
+def _asset(name: str) -> str:
+    return (resources.files("learn2assemble.viewer") / "assets" / name).read_text(encoding="utf-8")
+
+
+def _hash(text: str) -> str:
+    digest = hashlib.sha256(text.encode("utf-8")).digest()
+    return f"'sha256-{base64.b64encode(digest).decode()}'"
+
+
+def _json(value: Any) -> str:
+    """JSON that cannot end the script element it stands in."""
+    text = json.dumps(value, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _data(plan: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
+    """What the scripts need: lengths in metres, world frame, quaternions (w, x, y, z)."""
+    return {
+        "edge": scene.edge,
+        "steps": scene.num_steps,
+        "waiting": scene.waiting.round(5).tolist(),
+        "blocks": [
+            {
+                "number": block.number,
+                "waiting": block.waiting,
+                "position": block.position.round(5).tolist(),
+                "quaternion": block.quaternion.round(6).tolist(),
+                "kind": kind(block),
+            }
+            for block in scene.blocks
+        ],
+        "faces": [side.face(scene.edge).round(5).tolist() for side in scene.elevations],
+        "captions": [caption(plan, number) for number in range(scene.num_steps + 1)],
+    }
+
+
+def _reason(plan: Mapping[str, Any]) -> str:
+    if not plan.get("reason"):
+        return ""
+    head = "Why there is no build order" if plan["status"] == "refused" else "Why it ends here"
+    return (
+        f'<div class="reason" role="alert"><strong>{head}</strong>'
+        f"<p>{escape(str(plan['reason']))}</p></div>"
+    )
+
+
+def _facts(plan: Mapping[str, Any]) -> str:
+    search, blocks = plan["search"], plan["blocks"]
+    back = search["backtracks"]
+    facts = [
+        (
+            "Coverage",
+            percent(plan["coverage"]),
+            f"{percent(plan['design']['success_threshold'])} needed",
+        ),
+        ("Blocks", f"{blocks['used']}", f"of {blocks['available']} available"),
+        (
+            "Search",
+            search["needed"] or "none",
+            f"{back} step{'' if back == 1 else 's'} taken back",
+        ),
+        ("Verified by", plan.get("verified_by") or "nothing", ""),
+        ("Agent", plan["agent"] or "none", f"planned in {plan['seconds']:.1f} s"),
+    ]
+    return "".join(
+        f"<div><dt>{escape(name)}</dt><dd>{_fact(str(value))}"
+        f"<small>{escape(note)}</small></dd></div>"
+        for name, value, note in facts
+    )
+
+
+def _fact(value: str) -> str:
+    size = "figure" if len(value) < 9 else "words"
+    return f'<span class="{size}">{escape(value)}</span>'
+
+
+def _elevations(scene: Scene) -> str:
+    return "".join(
+        f"<figure>{elevation_svg(scene, side)}<figcaption><b>Side {side + 1}</b> "
+        f"{escape(elevation.name)}</figcaption></figure>"
+        for side, elevation in enumerate(scene.elevations)
+    )
+
+
+def _steps(plan: Mapping[str, Any]) -> str:
+    rows = []
+    for number, step in enumerate(plan["steps"], 1):
+        margin, stable = step["stability_margin"], step["stable"]
+        support = ' <span class="tag">support</span>' if step.get("outside") else ""
+        rows.append(
+            f'<tr data-step="{number}"><td><button type="button" data-step="{number}" '
+            f'aria-label="Show step {number}">{number}</button></td>'
+            f"<td>{escape(placement(step))}{support}</td>"
+            f'<td class="number">{int(step["block"])}</td>'
+            f'<td class="number">{escape(percent(step["coverage"]))}</td>'
+            f'<td class="number">{"–" if margin is None else f"{margin:.2f}"}</td>'
+            f'<td class="{"yes" if stable else "no"}">{"yes" if stable else "no"}</td></tr>'
+        )
+    return "".join(rows) or '<tr><td colspan="6">This plan has no steps.</td></tr>'
+
+
+def _attempts(plan: Mapping[str, Any]) -> str:
+    rows = "".join(
+        f"<tr><td>{escape(str(item['stage']))}</td><td>{escape(str(item['result']))}</td>"
+        f'<td class="number">{item["seconds"]:.2f} s</td></tr>'
+        for item in plan["search"]["attempts"]
+    )
+    return rows or '<tr><td colspan="3">Nothing was tried.</td></tr>'

@@ -1,0 +1,243 @@
+"""What a design asks of the blocks: cells to fill, fewest blocks, and why it cannot be built.
+
+Cubes carry no sideways load, so a cube stays only on the table or straight on another cube
+(:mod:`learn2assemble.geometry.boxes`): whatever is built in the plane of an elevation is a row of
+towers. All bounds here are about such towers; a block in front of an elevation hides it from the
+camera and is never counted on.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+
+from learn2assemble.errors import InputError
+from learn2assemble.world.blocks import EDGE
+from learn2assemble.world.design_model import Design
+from learn2assemble.world.design_pixels import (
+    MAX_COLUMN,
+    NUM_LEVELS,
+    Cell,
+    count_pixels,
+    face_pixels,
+    tower_pixels,
+)
+from learn2assemble.world.sides import side_frames, to_world
+
+INSIDE_SHARE = 0.01
+"""A cell is inside an outline when more than this share of its face is."""
+
+
+class _Tower(NamedTuple):
+    """One place on the table where a tower may stand."""
+
+    place: tuple[int, int]
+    """World x and y [block edges]."""
+    faces: tuple[tuple[int, int], ...]
+    """(elevation, column) of every plane it stands in: two at a corner of a 3x3 footprint."""
+    inside: np.ndarray
+    """bool[NUM_LEVELS]: whether the cell is inside at least one outline."""
+
+
+class _Limit(NamedTuple):
+    """How high a tower must and may be [blocks]."""
+
+    tower: _Tower
+    low: int
+    high: int
+
+
+def needed_cells(design: Design) -> tuple[dict[Cell, int], ...]:
+    """Per elevation, the cells whose face holds mask pixels, with their number.
+
+    Pixels that show the table are covered from the start and belong to no cell. A pixel sees a
+    point up to 7.8 mm below the one its mask bit stands for (protocol 3.5), so the cell under an
+    overhang may hold one row of pixels.
+    """
+    counts = [np.bitwise_count(face_pixels() & m).sum((-1, -2)) for m in design.masks()]
+    return tuple(
+        {Cell(int(i) - MAX_COLUMN, int(n)): int(count[i, n]) for i, n in np.argwhere(count)}
+        for count in counts
+    )
+
+
+def inside_cells(design: Design) -> tuple[frozenset[Cell], ...]:
+    """Per elevation, the cells where a block stands inside the outline (more than 1 % of its face).
+
+    With ``supports`` off, every block stands in such a cell of at least one elevation.
+    """
+    k = np.arange(-MAX_COLUMN, MAX_COLUMN + 1)[:, None] * EDGE
+    z = np.arange(NUM_LEVELS)[None, :] * EDGE
+    faces = shapely.box(k - EDGE / 2, z, k + EDGE / 2, z + EDGE)
+    result = []
+    for elevation in design.elevations:
+        area = shapely.area(shapely.intersection(faces, elevation.polygon))
+        cells = np.argwhere(area > INSIDE_SHARE * EDGE * EDGE)
+        result.append(frozenset(Cell(int(i) - MAX_COLUMN, int(n)) for i, n in cells))
+    return tuple(result)
+
+
+def unsupported_cells(design: Design) -> tuple[tuple[Cell, ...], ...]:
+    """Per elevation, the needed cells inside its outline with a cell below them that is not.
+
+    "Not" means inside no elevation. No cube can bridge such a gap, so these cells need blocks
+    outside the outlines to carry them. Sorted by column, then level.
+    """
+    needed, inside = needed_cells(design), inside_cells(design)
+    result: list[list[Cell]] = [[] for _ in design.elevations]
+    for tower in _towers(design):
+        height = _solid_height(tower)
+        for side, column in tower.faces:
+            cells = (Cell(column, level) for level in range(height, NUM_LEVELS))
+            result[side] += [c for c in cells if c in needed[side] and c in inside[side]]
+    return tuple(tuple(sorted(cells)) for cells in result)
+
+
+def minimum_blocks(design: Design) -> int:
+    """The fewest blocks, the first one included, with which F_co exceeds the threshold.
+
+    Exact over all sets of towers that stand in the planes of the elevations, by dynamic
+    programming over the towers; a block at the corner of a 3x3 footprint counts once. That the
+    towers must also touch one another is left out, so it is a lower bound where they do not.
+    With ``supports`` off, towers end below the first cell outside the outlines.
+
+    Raises:
+        InputError: where ``supports`` is off and no number of blocks suffices.
+    """
+    best = _most_pixels(design, _limits(design))
+    enough = np.flatnonzero(_share(design, best) > design.success_threshold)
+    if len(enough) == 0:
+        reason = explain_refusal(design) or "out of reach"
+        raise InputError("supports", design.supports, f"true, because {reason}")
+    return int(enough[0])
+
+
+def explain_refusal(design: Design) -> str | None:
+    """Why the design cannot be built, in one sentence without a full stop, or None."""
+    if not design.supports:
+        reason = _explain_overhang(design)
+        if reason is not None:
+            return reason
+    least = minimum_blocks(design)
+    if design.num_blocks is not None and design.num_blocks < least:
+        return f"needs at least {least} blocks, the design gives {design.num_blocks}"
+    return None
+
+
+def _explain_overhang(design: Design) -> str | None:
+    """Why it cannot be built from blocks inside the outlines alone, or None where it can."""
+    if Cell(0, 0) not in inside_cells(design)[design.first_elevation]:
+        name = design.elevations[design.first_elevation].name
+        return (
+            f"the first block stands at the bottom centre of elevation {name!r}, outside its "
+            "outline, and supports are off"
+        )
+    share = _share(design, _most_pixels(design, _limits(design)))[-1]
+    if share > design.success_threshold:
+        return None
+    tail = (
+        f"and supports are off: the rest is {100 * share:.1f} % of what the first block leaves, "
+        f"more than {100 * design.success_threshold:g} % are asked for"
+    )
+    for elevation, cells in zip(design.elevations, unsupported_cells(design), strict=True):
+        if cells:
+            listed = ", ".join(f"(column {c.column}, level {c.level})" for c in cells[:4])
+            more = f" and {len(cells) - 4} more" if len(cells) > 4 else ""
+            name = elevation.name
+            return f"elevation {name!r} overhangs at {listed}{more}, no cube can bridge it, {tail}"
+    towers = _towers(design)
+    reached = _connected(towers, _first(design, towers).place)
+    if any(tower.inside[0] and tower.place not in reached for tower in towers):
+        return f"parts of it stand apart from the first block, {tail}"
+    return f"the outlines only graze some of the cells they need, {tail}"
+
+
+def _share(design: Design, pixels: np.ndarray) -> np.ndarray:
+    """F_co for a number of pixels filled after the first block (protocol 3.4)."""
+    return pixels / count_pixels(design.masks() & ~design.first_cover())
+
+
+def _towers(design: Design) -> list[_Tower]:
+    """Every place in the planes of the elevations, in the order of elevation and column."""
+    inside, frames = inside_cells(design), side_frames(design.num_sides)
+    span = MAX_COLUMN if design.num_sides < 3 else 1
+    faces: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    for side, frame in enumerate(frames):
+        for column in range(-span, span + 1):
+            x, y, _ = to_world(frame, np.array(EDGE * column), np.array(0.0), np.array(0.0))
+            faces.setdefault((round(x / EDGE), round(y / EDGE)), []).append((side, column))
+    return [
+        _Tower(
+            place,
+            tuple(seen),
+            np.array([any(Cell(k, n) in inside[s] for s, k in seen) for n in range(NUM_LEVELS)]),
+        )
+        for place, seen in faces.items()
+    ]
+
+
+def _first(design: Design, towers: list[_Tower]) -> _Tower:
+    """The tower that begins with the first block."""
+    return next(t for t in towers if (design.first_elevation, 0) in t.faces)
+
+
+def _solid_height(tower: _Tower) -> int:
+    """Cells inside the outlines from the table up to the first one outside."""
+    return NUM_LEVELS if tower.inside.all() else int(np.argmin(tower.inside))
+
+
+def _connected(towers: list[_Tower], start: tuple[int, int]) -> set[tuple[int, int]]:
+    """Places reached from ``start`` over neighbouring places with a cell inside on the table."""
+    free = {tower.place for tower in towers if tower.inside[0]}
+    reached, stack = {start}, [start]
+    while stack:
+        x, y = stack.pop()
+        for place in ((x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)):
+            if place in free and place not in reached:
+                reached.add(place)
+                stack.append(place)
+    return reached
+
+
+def _limits(design: Design) -> list[_Limit]:
+    """The towers worth building and how high they may be; the first block is always there."""
+    needed, towers = needed_cells(design), _towers(design)
+    first = _first(design, towers)
+    # A block is put next to a placed one, and every tower begins on the table.
+    reached = _connected(towers, first.place)
+    limits = []
+    for tower in towers:
+        levels = [c.level for s, k in tower.faces for c in needed[s] if c.column == k]
+        high = max(levels, default=-1) + 1
+        if not design.supports:
+            high = min(high, _solid_height(tower)) if tower.place in reached else 0
+        low = 1 if tower is first else 0
+        if max(low, high) > 0:
+            limits.append(_Limit(tower, low, max(low, high)))
+    return limits
+
+
+def _most_pixels(design: Design, limits: list[_Limit]) -> np.ndarray:
+    """Most mask pixels that ``b`` blocks in towers add to the first block's: ``int64[B + 1]``.
+
+    Towers of one elevation share pixels only with their neighbours (those that see their common
+    edge), so the height of the tower before is all a tower has to know. Entry 0 is 0, and the
+    array never falls.
+    """
+    target = design.masks() & ~design.first_cover()
+    most = np.array([[0]])  # [height of the tower before, blocks used]; -1 is impossible
+    before = np.zeros((1, *target.shape), np.uint64)
+    for tower, low, high in limits:
+        towers = np.zeros((high - low + 1, *target.shape), np.uint64)
+        for side, column in tower.faces:
+            pixels = tower_pixels()[column + MAX_COLUMN, low : high + 1]
+            towers[:, side] = pixels & target[side]
+        new = np.full((len(towers), most.shape[1] + high), -1)
+        for k, tower_image in enumerate(towers):
+            gain = np.bitwise_count(tower_image & ~before).sum((-1, -2, -3)).astype(np.int64)
+            reached = np.where(most >= 0, most + gain[:, None], -1).max(0)
+            new[k, low + k : low + k + len(reached)] = reached
+        most, before = new, towers
+    return np.maximum(np.maximum.accumulate(most.max(0)), 0)
