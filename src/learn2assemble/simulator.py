@@ -12,8 +12,9 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.errors import Learn2AssembleError
+from learn2assemble.geometry.boxes import STABLE
 from learn2assemble.graph.features import Graph, build_graph
-from learn2assemble.physics.protocol import Physics, Verdict
+from learn2assemble.physics.protocol import Physics
 from learn2assemble.physics.static import StaticPhysics, survey
 from learn2assemble.task import MAX_VERTICES, Task
 from learn2assemble.world.layouts import waiting_positions
@@ -42,7 +43,7 @@ class Transition(NamedTuple):
     success: np.ndarray
     """bool[B]: the target is filled and everything stands."""
     verdict: np.ndarray
-    """int8[B] of :class:`Verdict`."""
+    """int8[B] of `physics.protocol.Verdict`."""
 
 
 @njit(cache=True)
@@ -159,4 +160,4 @@ class Simulator:
 
         A help the paper's agent does not have; never applied silently.
         """
-        return survey(state) == Verdict.STABLE
+        return survey(state) == STABLE

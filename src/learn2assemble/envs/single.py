@@ -14,7 +14,7 @@ from learn2assemble.physics.protocol import Physics
 from learn2assemble.task import Task
 
 
-class AssemblyEnv(gymnasium.Env[dict[str, Any], int]):
+class AssemblyEnv(gymnasium.Env[dict[str, Any], np.int64]):
     """Place blocks until the target elevations are filled (protocol 4 to 6).
 
     Actions are flat indices of (i, j, k), observations graphs; see
@@ -73,7 +73,7 @@ class AssemblyEnv(gymnasium.Env[dict[str, Any], int]):
         return self._observation(), self._info()
 
     def step(
-        self, action: int
+        self, action: np.int64 | int
     ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Place one block.
 

@@ -67,11 +67,14 @@ def unflatten_action(task: Task, action):
     return i, j, k
 
 
+# These two take single fields: handing a whole State to compiled code costs more than the work.
 @njit(cache=True)
-def _resolve(state, flat, num_nodes, num_relations, actions, clipped):
+def _resolve(
+    num_vertices, num_placed, num_blocks, flat, num_nodes, num_relations, actions, clipped
+):
     for row in range(len(flat)):
-        targets = state.num_vertices[row].sum()
-        placed, blocks = state.num_placed[row], state.num_blocks[row]
+        targets = num_vertices[row].sum()
+        placed, blocks = num_placed[row], num_blocks[row]
         pair = flat[row] // num_relations
         i, j = pair // num_nodes - targets - placed, pair % num_nodes - targets
         unplaced = max(min(i, blocks - placed - 1), 0)
@@ -82,12 +85,12 @@ def _resolve(state, flat, num_nodes, num_relations, actions, clipped):
 
 
 @njit(cache=True)
-def _fill(state, allowed, mask):
+def _fill(num_vertices, num_placed, num_blocks, terminated, allowed, mask):
     for row in range(len(mask)):
-        if state.terminated[row]:
+        if terminated[row]:
             continue
-        targets = state.num_vertices[row].sum()
-        placed, blocks = state.num_placed[row], state.num_blocks[row]
+        targets = num_vertices[row].sum()
+        placed, blocks = num_placed[row], num_blocks[row]
         for i in range(targets + placed, targets + blocks):
             for j in range(placed):
                 for k in range(mask.shape[3]):
@@ -109,7 +112,10 @@ def resolve_actions(task: Task, state: State, flat: np.ndarray) -> tuple[np.ndar
     """
     actions = np.empty((len(flat), 3), np.int64)
     clipped = np.empty(len(flat), np.bool_)
-    _resolve(state, flat, task.num_nodes, task.num_actions, actions, clipped)
+    _resolve(
+        state.num_vertices, state.num_placed, state.num_blocks, flat,
+        task.num_nodes, task.num_actions, actions, clipped,
+    )  # fmt: skip
     return actions, clipped
 
 
@@ -124,11 +130,11 @@ def expand_mask(task: Task, state: State, allowed: np.ndarray) -> np.ndarray:
     """
     n = task.num_nodes
     mask = np.zeros((state.batch_size, n, n, task.num_actions), np.bool_)
-    _fill(state, allowed, mask)
+    _fill(state.num_vertices, state.num_placed, state.num_blocks, state.terminated, allowed, mask)
     return mask.reshape(state.batch_size, -1)
 
 
 def legal_mask(task: Task, state: State) -> np.ndarray:
     """bool[B, N * N * Na]: i unplaced, j placed, world not ended (protocol 5)."""
-    everything = np.broadcast_to(np.True_, (state.batch_size, task.max_blocks, task.num_actions))
-    return expand_mask(task, state, everything)
+    shape = (state.batch_size, task.max_blocks, task.num_actions)
+    return expand_mask(task, state, np.ones(shape, np.bool_))

@@ -10,6 +10,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike
 
 from learn2assemble.envs import spaces
 from learn2assemble.envs.worlds import RENDER_MODES, Worlds, check_render_mode
@@ -120,7 +121,7 @@ class AssemblyVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]
         return self._worlds.observation(), self._infos(mask)
 
     def step(
-        self, actions: np.ndarray
+        self, actions: ArrayLike
     ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Place one block in every world.
 
@@ -195,7 +196,7 @@ class AssemblyVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]
             infos[key] = np.full(self.num_envs, None if kind is object else False, kind)
             infos[f"_{key}"] = stepped.copy()
         for row in np.flatnonzero(stepped):
-            for key, value in self._worlds.step_info(transition, clipped, row).items():
+            for key, value in self._worlds.step_info(transition, clipped, int(row)).items():
                 infos[key][row] = value
 
     def _final(self, transition: Transition, clipped: np.ndarray) -> dict[str, Any]:
@@ -207,7 +208,7 @@ class AssemblyVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]
         observations, info = self._worlds.observation(), self._worlds.info()
         for row in rows:
             last = {key: value[row] for key, value in info.items()}
-            last |= self._worlds.step_info(transition, clipped, row)
+            last |= self._worlds.step_info(transition, clipped, int(row))
             final = {key: value[row] for key, value in observations.items()}
             self._add_info(infos, {"final_obs": final, "final_info": last}, int(row))
         return infos

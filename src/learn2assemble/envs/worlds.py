@@ -2,43 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from learn2assemble.envs import render, spaces
 from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.physics.named import resolve_physics
 from learn2assemble.physics.protocol import Physics, Verdict
-from learn2assemble.physics.static import StaticPhysics
 from learn2assemble.presets import get_task
 from learn2assemble.simulator import Simulator, Transition
 from learn2assemble.task import Task
 
 RENDER_MODES = ("ansi", "rgb_array")
-
-
-def _rigid() -> Physics:
-    # MuJoCo is loaded only by those who ask for it.
-    from learn2assemble.physics.rigid import RigidPhysics
-
-    return RigidPhysics()
-
-
-PHYSICS: dict[str, Callable[[], Physics]] = {"static": StaticPhysics, "rigid": _rigid}
-
-
-def resolve_physics(physics: str | Physics) -> Physics:
-    """A physics by name, or the one given.
-
-    Raises:
-        UnknownNameError: naming the nearest physics.
-    """
-    if not isinstance(physics, str):
-        return physics
-    if physics not in PHYSICS:
-        raise UnknownNameError("physics", physics, PHYSICS)
-    return PHYSICS[physics]()
 
 
 def check_render_mode(mode: str | None) -> str | None:
@@ -77,7 +54,7 @@ class Worlds:
         """Draw a fresh problem into one world."""
         self.simulator.reset(self.state, np.array([row]), rng)
 
-    def place(self, flat: np.ndarray) -> tuple[Transition, np.ndarray]:
+    def place(self, flat: ArrayLike) -> tuple[Transition, np.ndarray]:
         """Step every world that has not ended.
 
         Args:
@@ -89,17 +66,7 @@ class Worlds:
         Raises:
             InputError: for an action that is no integer of the action space.
         """
-        flat = np.asarray(flat)
-        size = spaces.num_flat_actions(self.task)
-        if (
-            flat.shape != (self.state.batch_size,)
-            or flat.dtype.kind not in "iu"
-            or flat.min() < 0
-            or flat.max() >= size
-        ):
-            expected = f"{self.state.batch_size} integers in 0..{size - 1}"
-            raise InputError("action", flat.tolist(), expected)
-        actions, clipped = spaces.resolve_actions(self.task, self.state, flat.astype(np.int64))
+        actions, clipped = spaces.resolve_actions(self.task, self.state, self._checked(flat))
         return self.simulator.step(self.state, actions), clipped
 
     def observation(self) -> dict[str, np.ndarray]:
@@ -141,3 +108,15 @@ class Worlds:
         if mode == "rgb_array":
             return render.draw_image(self.state, row)
         return None
+
+    def _checked(self, flat: ArrayLike) -> np.ndarray:
+        count, size = self.state.batch_size, spaces.num_flat_actions(self.task)
+        expected = f"{count} integer{'s' if count > 1 else ''} in 0..{size - 1}"
+        try:
+            array = np.asarray(flat)
+        except ValueError as error:  # ragged
+            raise InputError("action", flat, expected) from error
+        good = array.shape == (count,) and array.dtype.kind in "iu"
+        if not good or array.min() < 0 or array.max() >= size:
+            raise InputError("action", array.tolist(), expected)
+        return array.astype(np.int64)

@@ -35,6 +35,8 @@ class TrainConfig:
             state that static physics calls invalid. 0: only the action taken (paper). D6.
         share_cell: give the target of the action taken to all (block, reference, relation) that
             put a like block into the same cell. D6.
+        reward_weight: weight of the loss that fits the reward head to the reward of *every*
+            placement of a sampled state, from the one-step model. D6.
         counterfactual: share of a batch whose action is exchanged for the one the network would
             take now, with reward and successor from the one-step model. D6.
         augment: mirror the structure and exchange its sides at random. D7.
@@ -57,6 +59,7 @@ class TrainConfig:
     double: bool = True
     invalid_weight: float = 0.0
     share_cell: bool = False
+    reward_weight: float = 0.0
     counterfactual: float = 0.0
     augment: bool = False
 
@@ -73,15 +76,18 @@ class TrainConfig:
                 raise InputError(name, getattr(self, name), "a rate between 0 and 1")
         if not 0 <= self.epsilon_final <= 1:
             raise InputError("epsilon_final", self.epsilon_final, "0 <= epsilon <= 1")
-        if self.invalid_weight < 0:
-            raise InputError("invalid_weight", self.invalid_weight, "a weight of at least 0")
+        for name in ("invalid_weight", "reward_weight"):
+            if getattr(self, name) < 0:
+                raise InputError(name, getattr(self, name), "a weight of at least 0")
+        if self.reward_weight and not self.network.reward_head:
+            raise InputError("reward_weight", self.reward_weight, "0, or network.reward_head")
         if not 0 <= self.counterfactual <= 1:
             raise InputError("counterfactual", self.counterfactual, "a share between 0 and 1")
 
     @property
     def uses_model(self) -> bool:
         """Whether training looks at placements that were not made (deviation D6)."""
-        return self.invalid_weight > 0 or self.counterfactual > 0
+        return max(self.invalid_weight, self.reward_weight, self.counterfactual) > 0
 
     def to_dict(self) -> dict[str, Any]:
         return dataclasses.asdict(self)
@@ -151,11 +157,12 @@ CONFIGS: dict[str, TrainConfig] = {
         double=False,
     ),
     "fast": TrainConfig(
-        network=NetworkConfig(position_scale=0.1),
+        network=NetworkConfig(position_scale=0.1, reward_head=True),
         batch_size=32,
         updates_per_round=4,
         invalid_weight=1.0,
         share_cell=True,
+        reward_weight=1.0,
         counterfactual=0.5,
         augment=True,
     ),

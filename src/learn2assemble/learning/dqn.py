@@ -32,18 +32,21 @@ def dqn_loss(
 
     The TD part is the paper's smooth L1. ``counterfactual`` exchanges actions before it,
     ``share_cell`` spreads it over equivalent actions, ``invalid_weight`` adds the mean smooth L1
-    to -1 over all invalid placements of each state.
+    to -1 over all invalid placements of each state, ``reward_weight`` that of the reward head to
+    the rewards of all placements.
     """
     graph = to_tensors(batch.graph, device)
-    factors: QFactors = online(graph)
+    embeddings = online.embeddings(graph)
+    factors = online.values(embeddings)
     if config.counterfactual:
         batch = reconsider(batch, factors, graph, config.counterfactual, rng)
     y = td_targets(online, target, batch, discount, config.double, device)
     value = factors.select(torch.from_numpy(batch.action).to(device))
     td = F.smooth_l1_loss(value, y)
     logs = {"q": float(value.detach().mean())}
+    block = _random_block(batch.graph, rng)
     if config.share_cell or config.invalid_weight:
-        q = _all_placements(factors, batch, rng, device)
+        q = _all_placements(factors, batch, block, device)
     if config.share_cell:
         same = torch.from_numpy(same_cell(batch, q.shape[1])).to(device)
         error = F.smooth_l1_loss(q, y[:, None, None].expand_as(q), reduction="none")
@@ -57,6 +60,16 @@ def dqn_loss(
         extra = (error * invalid).sum() / invalid.sum().clamp(min=1)
         logs["invalid"] = float(extra.detach())
         loss = loss + config.invalid_weight * extra
+    if config.reward_weight:
+        assert batch.prospects is not None
+        predicted = _all_placements(online.rewards(embeddings), batch, block, device)
+        reward = torch.from_numpy(batch.prospects.reward).to(device)
+        used = np.arange(reward.shape[1]) < batch.graph.num_placed[:, None]
+        weight = torch.from_numpy(used[..., None]).to(device).expand_as(reward)
+        error = F.smooth_l1_loss(predicted, reward, reduction="none")
+        extra = (error * weight).sum() / weight.sum()
+        logs["reward"] = float(extra.detach())
+        loss = loss + config.reward_weight * extra
     return loss, {"loss": float(loss.detach()), "td": float(td.detach()), **logs}
 
 
@@ -138,22 +151,26 @@ def same_cell(batch: Batch, blocks: int, tolerance: float = 1e-3) -> np.ndarray:
 
 
 def _all_placements(
-    factors: QFactors, batch: Batch, rng: np.random.Generator, device: str
+    factors: QFactors, batch: Batch, block: np.ndarray, device: str
 ) -> torch.Tensor:
-    """Q of one random unplaced block at every (reference, relation): float[B, M, Na]."""
+    """Value of unplaced node ``block`` at every (reference, relation): float[B, M, Na]."""
     graph = batch.graph
     blocks = int(graph.num_placed.max())
     if batch.prospects is not None:
         blocks = batch.prospects.valid.shape[1]
-    first = graph.num_targets + graph.num_placed
-    block = first + (rng.random(len(first)) * (graph.num_nodes - first)).astype(np.int64)
-    rows = torch.arange(len(first), device=device)
+    rows = torch.arange(len(block), device=device)
     index = torch.from_numpy(_placed_index(graph, blocks)).to(device)
     return (
         factors.block[rows, torch.from_numpy(block).to(device)][:, None]
         + factors.reference[rows[:, None], index]
         + factors.context[:, None]
     )
+
+
+def _random_block(graph: Graph, rng: np.random.Generator) -> np.ndarray:
+    """Node index of a uniformly drawn unplaced block of every graph: int64[B]."""
+    first = graph.num_targets + graph.num_placed
+    return first + (rng.random(len(first)) * (graph.num_nodes - first)).astype(np.int64)
 
 
 def _placed_index(graph: Graph, blocks: int) -> np.ndarray:

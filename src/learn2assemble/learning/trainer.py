@@ -82,14 +82,15 @@ class Trainer:
     def round(self) -> None:
         """One phase of collection and one of learning."""
         for _ in range(self.config.steps_per_round):
-            self._collect()
+            self.collect()
         if self.samples >= self.config.initial_samples:
             for group in self.optimizer.param_groups:
                 group["lr"] = self.learning_rate
             for _ in range(self.config.updates_per_round):
-                self._update()
+                self.update()
 
-    def _collect(self) -> None:
+    def collect(self) -> None:
+        """One epsilon-greedy step of every world, into the replay memory."""
         state, graph = self.state, self.graph
         prospects = self.simulator.prospects(state) if self.config.uses_model else None
         action = epsilon_greedy(self.online, graph, self.epsilon, self.rng, self.device)
@@ -114,7 +115,8 @@ class Trainer:
             after = self.simulator.observe(state)
         self.graph = after
 
-    def _update(self) -> None:
+    def update(self) -> None:
+        """One gradient step."""
         config = self.config
         batch = self.replay.sample(config.batch_size, self.rng)
         if config.augment:

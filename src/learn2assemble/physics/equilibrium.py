@@ -195,12 +195,12 @@ class _Program:
         self, contacts: Contacts, friction: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Wrenches of the cone generators on both objects, as sparse columns."""
-        axis = np.argmax(contacts.normals, 1)
-        generators = np.repeat(contacts.normals[:, None], CONE_SIDES, 1)
-        for k in range(3):
-            mine = np.flatnonzero(axis == k)
-            plane = [j for j in range(3) if j != k]
-            generators[np.ix_(mine, range(CONE_SIDES), plane)] = friction * _TANGENTS
+        # Per normal axis, the eight tangents in the plane of the patch.
+        tangents = np.zeros((3, CONE_SIDES, 3))
+        for axis in range(3):
+            tangents[axis][:, [k for k in range(3) if k != axis]] = _TANGENTS
+        axes = np.argmax(contacts.normals, 1)
+        generators = contacts.normals[:, None] + friction * tangents[axes]
         rows, values = [], []
         for body, sign in ((contacts.body_a, -1.0), (contacts.body_b, 1.0)):
             # The ground needs no equations: its columns are dropped below as zeros.

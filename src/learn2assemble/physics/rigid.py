@@ -1,5 +1,7 @@
 """The paper's rule of stability: place, simulate for 0.2 s, look at the speeds (protocol 6.1)."""
 
+# The compiled module has no stubs that pyright finds.
+# pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
 import mujoco

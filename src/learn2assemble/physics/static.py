@@ -73,6 +73,8 @@ def survey(state: State) -> np.ndarray:
     batch, blocks = state.position.shape[:2]
     verdict = np.full((batch, blocks, NUM_RELATIONS), int(Verdict.OVERLAP), np.int8)
     _survey(state, verdict)
+    if not (verdict == UNDECIDED).any():
+        return verdict
     for row, reference, relation in np.argwhere(verdict == UNDECIDED):
         placed = state.position[row, : state.num_placed[row]]
         cell = placed[reference] + EDGE * DIRECTIONS[relation]

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from learn2assemble.viewer.scene import Placed, Scene
+from learn2assemble.viewer.scene import Placed, Scene, Seen
 from learn2assemble.viewer.words import percent
 
 _MARGIN = 12.0
@@ -48,21 +48,31 @@ def elevation_svg(scene: Scene, side: int) -> str:
         f'<line class="ground" x1="{left - _MARGIN:.1f}" x2="{right + _MARGIN:.1f}" '
         'y1="0" y2="0"/>',
     ]
-    for seen in scene.seen_from(side):
-        label = ""
-        if seen.layer != "behind":
-            x, z = 1000 * seen.centre
-            size = 380 * scene.edge
-            label = (
-                f'<text x="{x:.1f}" y="{-z + 0.36 * size:.1f}" font-size="{size:.1f}">'
-                f"{seen.number}</text>"
-            )
+    views = scene.seen_from(side)
+    for seen in views:
         parts.append(
-            f'<g class="block {kinds[seen.number]} {seen.layer}" data-step="{seen.number}">'
-            f'<polygon points="{_points(seen.polygon)}"/>{label}</g>'
+            f'<polygon class="block {kinds[seen.number]} {seen.layer}" '
+            f'data-step="{seen.number}" points="{_points(seen.polygon)}"/>'
         )
-    parts.append(f'<polygon class="target-line" points="{outline}"/></svg>')
-    return "".join(parts)
+    parts.append(f'<polygon class="target-line" points="{outline}"/>')
+    size = 380 * scene.edge
+    for seen in _labelled(views, scene.edge):
+        x, z = 1000 * seen.centre
+        parts.append(
+            f'<text class="label {kinds[seen.number]}" data-step="{seen.number}" x="{x:.1f}" '
+            f'y="{-z + 0.36 * size:.1f}" font-size="{size:.1f}">{seen.number}</text>'
+        )
+    return "".join(parts) + "</svg>"
+
+
+def _labelled(views: tuple[Seen, ...], edge: float) -> list[Seen]:
+    """The blocks whose number is not behind another one."""
+    front = [seen for seen in views if seen.layer != "behind"]
+    return [
+        seen
+        for i, seen in enumerate(front)
+        if all(np.abs(seen.centre - nearer.centre).max() > edge / 2 for nearer in front[i + 1 :])
+    ]
 
 
 def chart_svg(plan: Mapping[str, Any]) -> str:

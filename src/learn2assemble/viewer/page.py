@@ -65,8 +65,10 @@ def _render(plan: Mapping[str, Any], scene: Scene) -> str:
         "reason": _reason(plan),
         "facts": _facts(plan),
         "elevations": _elevations(scene),
+        "sides": str(len(scene.elevations)),
         "tray_note": _TRAY_NOTE if scene.rearranged else "",
-        "chart": chart_svg(plan),
+        "chart": (chart := chart_svg(plan)),
+        "plane_note": _PLANE_NOTE if 'class="plane"' in chart else "",
         "steps": _steps(plan),
         "attempts": _attempts(plan),
         "last": str(scene.num_steps),
@@ -84,6 +86,7 @@ _TRAY_NOTE = (
     "Waiting blocks are drawn in a tidy tray: the plan's own waiting places overlap or hide the "
     "structure."
 )
+_PLANE_NOTE = " Dotted: without what stands in front of a side's face plane."
 
 
 def _asset(name: str) -> str:
@@ -147,7 +150,7 @@ def _facts(plan: Mapping[str, Any]) -> str:
             search["needed"] or "none",
             f"{back} step{'' if back == 1 else 's'} taken back",
         ),
-        ("Verified by", plan.get("verified_by") or "nothing", ""),
+        ("Verified by", plan.get("verified_by") or "not verified", ""),
         ("Agent", plan["agent"] or "none", f"planned in {plan['seconds']:.1f} s"),
     ]
     return "".join(

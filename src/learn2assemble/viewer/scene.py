@@ -224,14 +224,14 @@ def _tray(waiting: np.ndarray, blocks: tuple[Placed, ...], edge: float) -> np.nd
     clash |= _touch(waiting, built, 2 * edge) > 0
     if not clash:
         return waiting
-    columns = max(math.ceil(math.sqrt(2.2 * len(waiting))), 1)
-    pitch = 1.5 * edge
+    columns = max(math.ceil(math.sqrt(2.6 * len(waiting))), 1)
+    pitch = 1.4 * edge
     row, column = np.divmod(np.arange(len(waiting)), columns)
     in_row = np.minimum(len(waiting) - row * columns, columns)
     front = built[:, 1].min() if len(built) else 0.0
     middle = (built[:, 0].min() + built[:, 0].max()) / 2 if len(built) else 0.0
     x = middle + (column - (in_row - 1) / 2) * pitch
-    return np.stack([x, front - 3.5 * edge - row * pitch, np.full(len(x), edge / 2)], -1)
+    return np.stack([x, front - 3 * edge - row * pitch, np.full(len(x), edge / 2)], -1)
 
 
 def _touch(these: np.ndarray, those: np.ndarray, distance: float) -> int:

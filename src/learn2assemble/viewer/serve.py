@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import webbrowser
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -63,8 +64,6 @@ def serve(
             report(address)
         if open_browser:
             webbrowser.open(address)
-        try:
+        with suppress(KeyboardInterrupt):  # The way to stop it.
             server.serve_forever()
-        except KeyboardInterrupt:
-            pass  # The way to stop it.
     return address

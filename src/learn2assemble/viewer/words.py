@@ -20,11 +20,12 @@ STATUS_WORDS = {
 
 
 def percent(share: float | None) -> str:
-    """``0.9886`` as ``98.9 %``; never rounded up to 100 %."""
+    """``0.9886`` as ``98.9 %`` with a space that does not break; never rounded up to 100 %."""
     if share is None:
         return "–"
-    value = min(round(100 * share, 1), 99.9) if share < 1 else 100.0
-    return f"{value:g} %"
+    if share in (0, 1):
+        return f"{share:.0%}".replace("%", "\u00a0%")
+    return f"{min(100 * share, 99.9) if share < 1 else 100 * share:.1f}\u00a0%"
 
 
 def block_name(number: int) -> str:
@@ -38,25 +39,25 @@ def placement(step: Mapping[str, Any]) -> str:
 
 
 def summary(plan: Mapping[str, Any]) -> str:
-    """The report in one sentence: status, blocks, coverage, verification, search."""
+    """The report in short: status, blocks, coverage, search, verification."""
     used, available = plan["blocks"]["used"], plan["blocks"]["available"]
     needed = percent(plan["design"]["success_threshold"])
     covered = percent(plan["coverage"])
     if plan["status"] == "refused":
         return (
-            f"No build order is given for this design of {_sides(plan)}; "
-            f"{available} blocks were available and the reason stands below."
+            f"There is no build order for this design of {_sides(plan)}; "
+            f"{available} blocks were available."
         )
-    checked = f"checked with {plan['verified_by']}" if plan.get("verified_by") else "not verified"
-    effort = plan["search"]["needed"] or "no search"
+    verified = f"verified by {plan['verified_by']}" if plan.get("verified_by") else "not verified"
+    found = f"Found by {plan['search']['needed'] or 'the agent'}; {verified}."
     if plan["status"] == "complete":
         return (
-            f"A build order that stays stable was found: {used} of {available} blocks cover "
-            f"{covered} of the target ({needed} needed), {checked}, found by {effort}."
+            f"{used} of {available} blocks, placed in an order that stays stable after every "
+            f"step, cover {covered} of the target ({needed} needed). {found}"
         )
     return (
         f"The best order found places {used} of {available} blocks and covers {covered} of the "
-        f"target, short of the {needed} needed; it was {checked}, after {effort}."
+        f"target, short of the {needed} needed. {found}"
     )
 
 

@@ -8,6 +8,7 @@ coverage (protocol 3.4, 3.5), so counts agree with the simulator exactly.
 from __future__ import annotations
 
 from functools import lru_cache
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -72,13 +73,14 @@ def cell_pixels() -> np.ndarray:
 def face_pixels() -> np.ndarray:
     """As :func:`cell_pixels`, but every pixel belongs to one cell: the one whose face it sees.
 
-    The other one shows it only its flank, so it loses to the cell nearer to the optical axis.
+    The other one shows it only its flank, so it loses to the cell nearer to the optical axis; the
+    row of pixels exactly on that axis, at the edge of levels 4 and 5, goes to the lower cell.
     """
     faces = cell_pixels().copy()
     taken = np.zeros((ROWS, WORDS), np.uint64)
-    middle = (CAMERA_Z - HALF) / EDGE
-    cells = [(index, level) for index in range(NUM_COLUMNS) for level in range(NUM_LEVELS)]
-    for index, level in sorted(cells, key=lambda c: (abs(c[0] - MAX_COLUMN), abs(c[1] - middle))):
+    columns = sorted(range(NUM_COLUMNS), key=lambda index: abs(index - MAX_COLUMN))
+    levels = sorted(range(NUM_LEVELS), key=lambda n: round(abs(HALF + EDGE * n - CAMERA_Z), 6))
+    for index, level in product(columns, levels):
         faces[index, level] &= ~taken
         taken |= faces[index, level]
     return _frozen(faces)

@@ -16,7 +16,7 @@ function createStage(canvas, data) {
   renderer.shadowMap.enabled = true;
   renderer.shadowMap.type = THREE.PCFShadowMap;
   const scene = new THREE.Scene();
-  const camera = new THREE.PerspectiveCamera(32, 1, 0.02, 20);
+  const camera = new THREE.PerspectiveCamera(16, 1, 0.05, 60);
   camera.up.set(0, 0, 1);
   const edge = data.edge;
   const actors = [];
@@ -86,34 +86,34 @@ function createStage(canvas, data) {
   /* Look from the front left and above, as near as shows everything. */
   function resetView() {
     touched = false;
-    const direction = new THREE.Vector3(-0.42, -1, 0.62).normalize();
-    const target = new THREE.Vector3(middle[0], middle[1], high[2] * 0.38);
-    controls.target.copy(target);
-    const corner = new THREE.Vector3();
-    const fits = (distance) => {
+    const direction = new THREE.Vector3(-0.5, -1, 0.6).normalize();
+    const target = new THREE.Vector3(middle[0], middle[1], 0);
+    const right = new THREE.Vector3(), up = new THREE.Vector3(), seen = new THREE.Vector3();
+    const half = edge * 0.75;
+    let distance = 6 * reach;
+    for (let round = 0; round < 12; round++) {
       camera.position.copy(target).addScaledVector(direction, distance);
       camera.lookAt(target);
       camera.updateMatrixWorld();
-      for (let k = 0; k < 8; k++) {
-        corner.set(k & 1 ? high[0] : low[0], k & 2 ? high[1] : low[1], 0);
-        // The tray is flat: only the structure's half of the box is high.
-        if (k & 4) corner.set(k & 1 ? roofBox[1] : roofBox[0], k & 2 ? roofBox[3] : roofBox[2], high[2]);
-        corner.project(camera);
-        if (Math.abs(corner.x) > 0.93 || Math.abs(corner.y) > 0.9) return false;
+      const xs = [], ys = [];
+      for (const [x, y, z] of points) {
+        for (const [a, b, c] of [[-1, -1, -1], [1, -1, -1], [-1, 1, -1], [1, 1, -1], [-1, -1, 1], [1, -1, 1], [-1, 1, 1], [1, 1, 1]]) {
+          seen.set(x + a * half, y + b * half, z + c * half).project(camera);
+          xs.push(seen.x);
+          ys.push(seen.y);
+        }
       }
-      return true;
-    };
-    const solid = [...data.blocks.map((b) => b.position), ...data.faces.flat()];
-    const xs = solid.map((p) => p[0]), ys = solid.map((p) => p[1]);
-    const roofBox = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
-    let near = 0.05, far = 12;
-    for (let k = 0; k < 24; k++) {
-      const distance = (near + far) / 2;
-      if (fits(distance)) far = distance; else near = distance;
+      const [x0, x1, y0, y1] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
+      const height = distance * Math.tan(camera.fov * Math.PI / 360);
+      right.setFromMatrixColumn(camera.matrixWorld, 0);
+      up.setFromMatrixColumn(camera.matrixWorld, 1);
+      target.addScaledVector(right, (x0 + x1) / 2 * height * camera.aspect);
+      target.addScaledVector(up, (y0 + y1) / 2 * height);
+      distance *= Math.min(Math.max((x1 - x0) / 1.9, (y1 - y0) / 1.86, 0.5), 2);
     }
-    fits(far);
-    controls.minDistance = edge * 2;
-    controls.maxDistance = far * 3;
+    controls.target.copy(target);
+    controls.minDistance = edge * 4;
+    controls.maxDistance = distance * 3;
     controls.update();
     draw();
   }
@@ -129,9 +129,9 @@ function createStage(canvas, data) {
   }
 
   function addLights() {
-    scene.add(new THREE.HemisphereLight(0xffffff, 0xcfc8bb, 2.1));
-    const sun = new THREE.DirectionalLight(0xffffff, 1.7);
-    sun.position.set(middle[0] - 1.1 * reach, middle[1] - 1.5 * reach, 3 * reach);
+    scene.add(new THREE.HemisphereLight(0xffffff, 0xd8d2c6, 2.2));
+    const sun = new THREE.DirectionalLight(0xffffff, 1.9);
+    sun.position.set(middle[0] - 0.9 * reach, middle[1] - 1.9 * reach, 2.5 * reach);
     sun.target.position.set(middle[0], middle[1], 0);
     sun.castShadow = true;
     sun.shadow.mapSize.set(2048, 2048);
@@ -160,11 +160,10 @@ function createStage(canvas, data) {
   }
 
   function addTarget(face) {
-    // Pushed off the face plane by a hair, so that it does not flicker against the blocks.
+    // The film stands a hair behind the face plane: it shows what is not filled yet.
     const corners = face.map((p) => new THREE.Vector3(...p));
     const normal = faceNormal(corners);
-    for (const c of corners) c.addScaledVector(normal, 0.0008);
-    const flat = new THREE.BufferGeometry().setFromPoints(corners);
+    for (const c of corners) c.addScaledVector(normal, -edge / 50);
     const along = new THREE.Vector3(normal.y, -normal.x, 0);
     const shape = new THREE.Shape();
     corners.forEach((c, k) => (k ? shape.lineTo(c.dot(along), c.z) : shape.moveTo(c.dot(along), c.z)));
@@ -174,15 +173,16 @@ function createStage(canvas, data) {
     sheet.rotateZ(Math.atan2(along.y, along.x));
     const offset = normal.clone().multiplyScalar(corners[0].dot(normal));
     sheet.translate(offset.x, offset.y, 0);
+    for (const c of corners) c.addScaledVector(normal, edge / 50);
     const film = new THREE.Mesh(sheet, coloured(new THREE.MeshBasicMaterial({
-      transparent: true, opacity: 0.14, side: THREE.DoubleSide, depthWrite: false,
+      transparent: true, opacity: 0.2, side: THREE.DoubleSide, depthWrite: false,
     }), "accent"));
     film.renderOrder = 2;
-    scene.add(film, new THREE.LineLoop(flat, coloured(new THREE.LineBasicMaterial(), "accent")));
+    scene.add(film);
     corners.forEach((a, k) => {
       const b = corners[(k + 1) % corners.length];
       const rod = new THREE.Mesh(
-        new THREE.CylinderGeometry(edge / 45, edge / 45, a.distanceTo(b), 8),
+        new THREE.CylinderGeometry(edge / 40, edge / 40, a.distanceTo(b), 8),
         coloured(new THREE.MeshBasicMaterial(), "accent"));
       rod.position.copy(a).add(b).multiplyScalar(0.5);
       rod.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), b.clone().sub(a).normalize());
@@ -250,7 +250,9 @@ function createStage(canvas, data) {
   function cube(number) {
     createStage.cube ??= cubeGeometry();
     createStage.rim ??= new THREE.EdgesGeometry(new THREE.BoxGeometry(edge, edge, edge));
-    const material = new THREE.MeshLambertMaterial({ map: numberPicture(number) });
+    const material = new THREE.MeshLambertMaterial({
+      map: numberPicture(number), polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 2,
+    });
     const mesh = new THREE.Mesh(createStage.cube, material);
     mesh.castShadow = mesh.receiveShadow = true;
     const rim = coloured(new THREE.LineBasicMaterial(), "edge");

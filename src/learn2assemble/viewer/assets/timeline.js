@@ -9,7 +9,7 @@
   const last = data.steps;
   const SECONDS_PER_STEP = 1.1;
   const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
-  const marked = [...document.querySelectorAll(".block[data-step], .dot[data-step], #rows tr[data-step]")];
+  const marked = [...document.querySelectorAll(".block, .label, .dot, #rows tr[data-step]")];
   const cursor = document.querySelector(".cursor");
   const dots = [...document.querySelectorAll(".dot")];
   const playButton = find("play");
@@ -20,7 +20,7 @@
   function openStage() {
     const probe = document.createElement("canvas").getContext("webgl2");
     if (!probe) {
-      find("stage").classList.add("missing");
+      document.body.classList.add("flat");
       find("no-webgl").hidden = false;
       root.dataset.webgl = "missing";
       return { update() {}, resetView() {} };
@@ -108,7 +108,7 @@
   find("reset-view").addEventListener("click", () => stage.resetView());
   find("slider").addEventListener("input", (event) => goTo(Number(event.target.value)));
   document.addEventListener("click", (event) => {
-    const item = event.target.closest(".block[data-step], .dot[data-step], button[data-step]");
+    const item = event.target.closest(".block, .dot, button[data-step]");
     if (item) goTo(Number(item.dataset.step));
   });
   document.addEventListener("keydown", (event) => {

@@ -1,0 +1,31 @@
+"""The command line ``l2a``: a thin skin over the package."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+
+from learn2assemble.cli.parser import make_parser
+from learn2assemble.errors import Learn2AssembleError, one_line
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code.
+
+    0: done. 1: ``build`` ended with an incomplete or refused plan. 2: bad input, with one line
+    on standard error. 130: interrupted.
+    """
+    try:
+        options = make_parser().parse_args(arguments)
+        return int(options.run(options) or 0)
+    except Learn2AssembleError as error:
+        sys.stderr.write(f"l2a: error: {one_line(error)}\n")
+        return 2
+    except KeyboardInterrupt:
+        sys.stderr.write("l2a: interrupted\n")
+        return 130
+    except BrokenPipeError:
+        # The reader of our output has left; there is nobody to tell.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0

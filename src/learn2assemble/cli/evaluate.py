@@ -1,0 +1,58 @@
+"""``l2a eval``: whole episodes and the paper's metrics."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+import torch
+from tqdm import tqdm
+
+from learn2assemble.cli.output import Output
+from learn2assemble.errors import InputError
+from learn2assemble.evaluation.episodes import make_policy, run_episodes
+from learn2assemble.learning.run import provenance
+from learn2assemble.networks.agent import default_agent, load_agent
+from learn2assemble.physics.named import resolve_physics
+from learn2assemble.presets import get_task
+from learn2assemble.search.config import SearchConfig
+
+
+def run(options: argparse.Namespace) -> int:
+    output = Output(options.json)
+    task = get_task(options.task)
+    physics = resolve_physics(options.physics)
+    agent = load_agent(options.agent or default_agent(task.name))
+    if options.out is not None and options.out.exists():
+        raise InputError("--out", str(options.out), "a new file")
+    # One thread: small batches lose more by sharing than they gain.
+    torch.set_num_threads(1)
+    config = None
+    if options.search == "mcts":
+        config = SearchConfig(options.budget, options.epsilon, options.rollout)
+    policy = make_policy(task, agent.network, config, options.epsilon)
+    with tqdm(total=options.episodes, unit=" episodes", desc=task.name) as bar:
+        metrics = run_episodes(
+            task, policy, options.episodes, options.seed, physics,
+            progress=lambda done: bar.update(done - bar.n),
+        )  # fmt: skip
+    result = {
+        **metrics.to_dict(),
+        "task": task.name,
+        "agent": agent.name,
+        "search": options.search,
+        "budget": options.budget if config else 0,
+        "rollout": options.rollout if config else 0,
+        "epsilon": options.epsilon,
+        "seed": options.seed,
+        "provenance": provenance("cpu"),
+    }
+    if options.out is not None:
+        try:
+            options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        except OSError as error:
+            reason = error.strerror or "unwritable"
+            raise InputError("--out", str(options.out), f"a writable file ({reason})") from None
+    output.table(task.name, ("metric", "value"), list(metrics.to_dict().items()))
+    output.finish(result)
+    return 0

@@ -1,0 +1,57 @@
+"""Where a command's words go: tables and progress for people, one JSON object for programs."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+
+class Output:
+    """Standard output and standard error of one command.
+
+    Args:
+        as_json: tables go to standard error, :meth:`finish` prints to standard output.
+    """
+
+    def __init__(self, as_json: bool) -> None:
+        self.as_json = as_json
+        self.console = Console(stderr=as_json, highlight=False, soft_wrap=True)
+
+    def say(self, text: str) -> None:
+        """One line for people."""
+        self.console.print(text, markup=False)
+
+    def progress(self, text: str) -> None:
+        """One line on standard error."""
+        sys.stderr.write(f"l2a: {text}\n")
+        sys.stderr.flush()
+
+    def table(self, title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+        """A table for people."""
+        table = Table(title=title or None, title_justify="left", box=None, pad_edge=False)
+        for column in columns:
+            table.add_column(column, justify="left" if column == columns[0] else "right")
+        for row in rows:
+            table.add_row(*[_cell(value) for value in row])
+        self.console.print(table, soft_wrap=False)
+
+    def finish(self, result: dict[str, Any]) -> None:
+        """The result as JSON on the last line of standard output, if it was asked for."""
+        if self.as_json:
+            sys.stdout.write(json.dumps(result) + "\n")
+            sys.stdout.flush()
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.3f}"
+    return str(value).replace("[", "\\[")

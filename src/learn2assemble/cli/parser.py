@@ -1,0 +1,151 @@
+"""Arguments of every command. Nothing heavy is imported before a command is chosen."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import importlib
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NoReturn
+
+from learn2assemble import __version__
+
+COMMANDS = ("build", "train", "eval", "replay", "bench", "tasks", "view")
+
+
+class _Parser(argparse.ArgumentParser):
+    """Reports a wrong call in one line and exits with 2."""
+
+    def error(self, message: str) -> NoReturn:
+        text = " ".join(message.split())
+        if "invalid choice" in text and "(choose from" in text:
+            text = self._with_hint(text)
+        sys.stderr.write(f"{self.prog}: error: {text} (see {self.prog} --help)\n")
+        raise SystemExit(2)
+
+    def _with_hint(self, text: str) -> str:
+        got = text.split("invalid choice: ", 1)[1].split(" (choose")[0].strip("'")
+        near = difflib.get_close_matches(got, COMMANDS, n=1, cutoff=0.4)
+        return text + (f"; did you mean {near[0]!r}?" if near else "")
+
+
+def _number(cast: type, low: float, high: float, words: str) -> Callable[[str], Any]:
+    """An argparse type for finite numbers in a range."""
+
+    def parse(text: str) -> Any:
+        try:
+            value = cast(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"got {text!r}, expected {words}") from None
+        if not math.isfinite(value) or not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"got {text!r}, expected {words}")
+        return value
+
+    return parse
+
+
+_count = _number(int, 1, 10**9, "a whole number of at least 1")
+_natural = _number(int, 0, 2**31 - 1, "a whole number of at least 0")
+_share = _number(float, 0, 1, "a number between 0 and 1")
+_positive = _number(float, 1e-3, 1e7, "a positive number")
+
+
+def _rollout(text: str) -> int:
+    return 10_000 if text == "end" else _count(text)
+
+
+def _run(module: str) -> Callable[[argparse.Namespace], int]:
+    """The command's function, imported when it is called."""
+
+    def run(options: argparse.Namespace) -> int:
+        return importlib.import_module(f"learn2assemble.cli.{module}").run(options)
+
+    return run
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The parser of ``l2a`` and its commands; ``options.run`` is the command chosen."""
+    parser = _Parser(
+        prog="l2a", description="From a target design to a verified build plan.",
+        epilog="example: l2a build examples/designs/gabled_house.json --out out/house",
+    )  # fmt: skip
+    parser.add_argument("--version", action="version", version=f"learn2assemble {__version__}")
+    commands = parser.add_subparsers(metavar="COMMAND", required=True, parser_class=_Parser)
+
+    def command(name: str, module: str, help_text: str, example: str) -> argparse.ArgumentParser:
+        added = commands.add_parser(
+            name, help=help_text, description=help_text, epilog=f"example: {example}"
+        )
+        added.add_argument(
+            "--json", action="store_true",
+            help="end standard output with one JSON object; all else goes to standard error",
+        )  # fmt: skip
+        added.set_defaults(run=_run(module))
+        return added
+
+    build = command(
+        "build", "build", "plan a design, prove every step, write the report",
+        "l2a build examples/designs/gabled_house.json --out out/house",
+    )  # fmt: skip
+    build.add_argument("design", metavar="DESIGN", help="a design file, or the name of a preset")
+    build.add_argument("--out", type=Path, required=True, help="new or empty folder")
+    build.add_argument("--seed", type=_natural, default=0, help="of the preset's problem")
+    build.add_argument("--agent", default=None, help="shipped agent, .safetensors or run folder")
+    build.add_argument(
+        "--seconds", type=_positive, default=20.0, help="limit of the widest search [s]"
+    )
+
+    train = command(
+        "train", "train", "train an agent",
+        "l2a train two-sided-3x3-20-24 --out runs/first --minutes 15",
+    )  # fmt: skip
+    train.add_argument("task", metavar="TASK")
+    train.add_argument("--method", default="dqn", help="learner (dqn)")
+    train.add_argument("--config", default="fast", help="fast (ours) or paper")
+    train.add_argument("--out", type=Path, required=True, help="new or empty folder, or --resume")
+    length = train.add_mutually_exclusive_group()
+    length.add_argument("--minutes", type=_positive, default=None)
+    length.add_argument("--samples", type=_count, default=None)
+    train.add_argument("--seed", type=_natural, default=0)
+    train.add_argument("--device", default="auto", help="auto, cpu or cuda")
+    train.add_argument("--threads", type=_count, default=None, help="CPU threads of PyTorch")
+    train.add_argument("--resume", action="store_true", help="go on with the run in --out")
+    train.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE",
+        help="change one setting, e.g. learning_rate=1e-3 or network.heads=1",
+    )  # fmt: skip
+
+    evaluate = command(
+        "eval", "evaluate", "play whole episodes and report the paper's metrics",
+        "l2a eval two-sided-3x3-20-24 --search mcts --budget 10 --epsilon 0.05 --episodes 100",
+    )  # fmt: skip
+    evaluate.add_argument("task", metavar="TASK")
+    evaluate.add_argument("--agent", default=None, help="shipped agent, .safetensors or run folder")
+    evaluate.add_argument("--search", choices=("none", "mcts"), default="none")
+    evaluate.add_argument("--budget", type=_natural, default=10)
+    evaluate.add_argument("--rollout", type=_rollout, default=1, help="steps, or 'end'")
+    evaluate.add_argument("--epsilon", type=_share, default=0.05)
+    evaluate.add_argument("--episodes", type=_count, default=100)
+    evaluate.add_argument("--seed", type=_natural, default=0)
+    evaluate.add_argument("--physics", default="static", help="static or rigid")
+    evaluate.add_argument("--out", type=Path, default=None, help="write the result to this file")
+
+    replay = command(
+        "replay", "replay", "repeat recorded transitions and report the agreement",
+        "l2a replay tests/data/transitions_sample.jsonl",
+    )  # fmt: skip
+    replay.add_argument("files", metavar="FILE", nargs="+", type=Path)
+
+    bench = command("bench", "bench", "measure the speed of this machine", "l2a bench --seconds 2")
+    bench.add_argument("--seconds", type=_positive, default=2.0, help="per measurement")
+
+    command("tasks", "tasks", "list the presets and their agents", "l2a tasks")
+
+    view = command("view", "view", "open the page of a finished plan", "l2a view out/house")
+    view.add_argument("plan", metavar="PLAN", type=Path, help="plan.json or its folder")
+    view.add_argument("--port", type=_number(int, 0, 65535, "a port number"), default=0)
+    view.add_argument("--no-browser", action="store_true", help="only serve the page")
+    return parser

@@ -1,0 +1,56 @@
+"""``l2a train``: train an agent."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+
+import torch
+
+from learn2assemble.cli.output import Output
+from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.learning.config import METHODS, TrainConfig, get_config, override
+from learn2assemble.learning.run import train
+from learn2assemble.presets import get_task
+
+
+def run(options: argparse.Namespace) -> int:
+    output = Output(options.json)
+    task = get_task(options.task)
+    if options.method not in METHODS:
+        raise UnknownNameError("--method", options.method, METHODS)
+    if options.threads:
+        torch.set_num_threads(options.threads)
+    config, seed, minutes = _settings(options)
+    metrics = train(
+        task, config, options.out, seed=seed, minutes=minutes, device=options.device,
+        resume=options.resume,
+    )  # fmt: skip
+    output.table(
+        f"{task.name} ({options.config})", ("quantity", "value"), list(metrics.items())
+    )
+    output.say(f"agent: {options.out / 'agent.safetensors'}")
+    output.finish({"task": task.name, "out": str(options.out), **metrics})
+    return 0
+
+
+def _settings(options: argparse.Namespace) -> tuple[TrainConfig, int, float | None]:
+    """Configuration, seed and minutes: of the run that is resumed, else of the command line."""
+    if not options.resume:
+        config = override(get_config(options.config), [f"method={options.method}", *options.set])
+        if options.samples is not None:
+            config = dataclasses.replace(config, num_samples=options.samples)
+        return config, options.seed, options.minutes
+    file = options.out / "config.json"
+    try:
+        saved = json.loads(file.read_text(encoding="utf-8"))
+        config = TrainConfig.from_dict(saved["config"])
+        task, seed, minutes = saved["task"]["name"], saved["seed"], saved["minutes"]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise InputError("--resume", str(options.out), "the folder of a training run") from None
+    if task != options.task:
+        raise InputError("TASK", options.task, f"{task}, the task of the run to resume")
+    if options.set or options.samples is not None:
+        raise InputError("--resume", "--set or --samples", "the run's own configuration")
+    return config, seed, options.minutes if options.minutes is not None else minutes

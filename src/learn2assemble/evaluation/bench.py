@@ -1,0 +1,155 @@
+"""How fast this machine runs the pieces; each measurement is one function.
+
+Timings are of one core: PyTorch is held to one thread. Ratios within one run are more
+trustworthy than the numbers themselves.
+"""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+
+from learn2assemble.learning.config import TrainConfig, get_config
+from learn2assemble.learning.explore import random_actions, to_local
+from learn2assemble.learning.trainer import Trainer
+from learn2assemble.networks.config import NetworkConfig
+from learn2assemble.networks.qnetwork import QNetwork
+from learn2assemble.physics.rigid import RigidPhysics
+from learn2assemble.planning.world_model import WorldModel
+from learn2assemble.presets import get_task
+from learn2assemble.search.config import SearchConfig
+from learn2assemble.search.mcts import search
+from learn2assemble.simulator import Simulator
+
+TASK = "two-sided-3x3-20-24"
+BATCH = 256
+
+
+def static_batch_actions_per_s(seconds: float) -> float:
+    """Step, coverage, reward, auto-reset and graph features; random legal actions."""
+    return _random_play(Simulator(get_task(TASK)), BATCH, seconds)
+
+
+def static_single_steps_per_s(seconds: float) -> float:
+    """Single environment through Gymnasium, random legal actions, resets included."""
+    env = gymnasium.make(f"learn2assemble/{TASK}-v0")
+    rng = np.random.default_rng(0)
+    _, info = env.reset(seed=0)
+
+    def step() -> int:
+        nonlocal info
+        action = int(rng.choice(np.flatnonzero(info["action_masks"])))
+        _, _, terminated, _, info = env.step(action)
+        if terminated:
+            _, info = env.reset()
+        return 1
+
+    return _rate(step, seconds)
+
+
+def rigid_actions_per_s(seconds: float) -> float:
+    """Random stable placements, each settled in MuJoCo, until the blocks are used up."""
+    simulator = Simulator(get_task(TASK), RigidPhysics())
+    rng = np.random.default_rng(0)
+    state = simulator.new(1, rng)
+
+    def step() -> int:
+        good = np.argwhere(simulator.physics_mask(state)[0])
+        reference, relation = good[rng.integers(len(good))]
+        unplaced = rng.integers(state.num_unplaced[0])
+        done = simulator.step(state, np.array([[unplaced, reference, relation]])).terminated
+        if done[0]:
+            simulator.reset(state, np.array([0]), rng)
+        return 1
+
+    return _rate(step, seconds)
+
+
+def decision_ms(seconds: float) -> float:
+    """One decision with budget 10 on N = 30 nodes, a single world."""
+    torch.set_num_threads(1)
+    simulator = Simulator(get_task(TASK))
+    rng = np.random.default_rng(0)
+    model = WorldModel(simulator, QNetwork(get_config("fast").network).eval())
+    states = simulator.new(64, rng)
+    config = SearchConfig(budget=10)
+
+    def step() -> int:
+        search(model, states.take(rng.integers(0, 64, 1)), config, rng)
+        return 1
+
+    return 1000 / _rate(step, seconds)
+
+
+def gradient_steps_per_s(feed_forward: str) -> Callable[[float], float]:
+    """DQN gradient steps a second, batch 32, published loss, one of both feed-forwards."""
+
+    def measure(seconds: float) -> float:
+        torch.set_num_threads(1)
+        config = TrainConfig(
+            network=NetworkConfig(feed_forward=feed_forward), batch_size=32, double=False,
+            replay_size=2048,
+        )  # fmt: skip
+        trainer = Trainer(get_task(TASK), config, seed=0)
+        while trainer.replay.length < 1024:
+            trainer.collect()
+
+        def step() -> int:
+            trainer.update()
+            return 1
+
+        return _rate(step, seconds)
+
+    return measure
+
+
+MEASUREMENTS: dict[str, Callable[[float], float]] = {
+    "static_batch_actions_per_s": static_batch_actions_per_s,
+    "static_single_steps_per_s": static_single_steps_per_s,
+    "rigid_actions_per_s": rigid_actions_per_s,
+    "decision_ms": decision_ms,
+    "gradient_steps_per_s": gradient_steps_per_s("light"),
+    "gradient_steps_per_s_wide": gradient_steps_per_s("wide"),
+}
+
+
+def machine() -> dict[str, Any]:
+    """What was measured on."""
+    return {
+        "python": platform.python_version(),
+        "torch": torch.__version__,
+        "machine": platform.machine(),
+        "batch": BATCH,
+    }
+
+
+def _random_play(simulator: Simulator, batch: int, seconds: float) -> float:
+    rng = np.random.default_rng(0)
+    state = simulator.new(batch, rng)
+    graph = simulator.observe(state)
+
+    def step() -> int:
+        nonlocal graph
+        action = to_local(graph, random_actions(graph, simulator.task.num_actions, rng))
+        ended = np.flatnonzero(simulator.step(state, action).terminated)
+        simulator.reset(state, ended, rng)
+        graph = simulator.observe(state)
+        return batch
+
+    return _rate(step, seconds)
+
+
+def _rate(step: Callable[[], int], seconds: float) -> float:
+    """Units of work a second, after a warm-up."""
+    for _ in range(3):
+        step()
+    done, started = 0, time.perf_counter()
+    while time.perf_counter() - started < seconds:
+        done += step()
+    return done / (time.perf_counter() - started)
