@@ -34,10 +34,8 @@ class UnknownNameError(InputError):
     def __init__(self, what: str, got: object, valid: Iterable[str]) -> None:
         names = sorted(valid)
         near = difflib.get_close_matches(str(got), names, n=1, cutoff=0.4)
-        hint = f"one of {', '.join(names)}"
-        if near:
-            hint = f"did you mean {near[0]!r}? (valid: {', '.join(names)})"
-        super().__init__(what, got, hint)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        super().__init__(what, got, f"one of {', '.join(names) or 'none'}{hint}")
 
 
 class MissingExtraError(Learn2AssembleError, ImportError):

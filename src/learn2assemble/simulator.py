@@ -58,7 +58,7 @@ def _propose(state, actions, active, previous):
 
 @njit(cache=True)
 def _score(
-    state, rows, verdict, frames, previous, recompute, reward_kind, threshold, reward, ended, success
+    state, rows, verdict, frames, previous, recompute, kind, threshold, reward, ended, success
 ):
     for n in range(len(rows)):
         row = rows[n]
@@ -68,7 +68,7 @@ def _score(
             cover_block(state, row, frames, state.num_placed[row] - 1)
         count_row(state, row)
         reward[row], ended[row], success[row] = judge(
-            state, row, previous[row], verdict[n] == 0, reward_kind, threshold
+            state, row, previous[row], verdict[n] == 0, kind, threshold
         )
         state.terminated[row] = ended[row]
 

@@ -18,6 +18,10 @@ from learn2assemble.presets import get_task
 from learn2assemble.search.config import SearchConfig
 
 
+def _advance(bar: tqdm, done: int) -> None:
+    bar.update(done - bar.n)
+
+
 def run(options: argparse.Namespace) -> int:
     output = Output(options.json)
     task = get_task(options.task)
@@ -34,7 +38,7 @@ def run(options: argparse.Namespace) -> int:
     with tqdm(total=options.episodes, unit=" episodes", desc=task.name) as bar:
         metrics = run_episodes(
             task, policy, options.episodes, options.seed, physics,
-            progress=lambda done: bar.update(done - bar.n),
+            progress=lambda done: _advance(bar, done),
         )  # fmt: skip
     result = {
         **metrics.to_dict(),

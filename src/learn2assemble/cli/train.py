@@ -27,9 +27,7 @@ def run(options: argparse.Namespace) -> int:
         task, config, options.out, seed=seed, minutes=minutes, device=options.device,
         resume=options.resume,
     )  # fmt: skip
-    output.table(
-        f"{task.name} ({options.config})", ("quantity", "value"), list(metrics.items())
-    )
+    output.table(f"{task.name} ({options.config})", ("quantity", "value"), list(metrics.items()))
     output.say(f"agent: {options.out / 'agent.safetensors'}")
     output.finish({"task": task.name, "out": str(options.out), **metrics})
     return 0

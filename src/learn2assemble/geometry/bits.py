@@ -16,15 +16,17 @@ WORDS = (IMAGE_SIZE + 63) // 64
 
 
 @intrinsic
-def popcount(typingctx, word):  # type: ignore[no-untyped-def]
-    """Number of ones in an unsigned 64-bit word (one machine instruction)."""
-    if not isinstance(word, types.Integer):
-        return None
-
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+def _ctpop(typingctx, word):
+    def codegen(context, builder, signature, args):
         return builder.ctpop(args[0])
 
     return types.uint64(types.uint64), codegen
+
+
+@njit(cache=True, inline="always")
+def popcount(word):
+    """Number of ones in an unsigned 64-bit word (one machine instruction)."""
+    return _ctpop(word)  # pyright: ignore[reportCallIssue]
 
 
 @njit(cache=True, inline="always")

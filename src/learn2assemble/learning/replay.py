@@ -81,9 +81,7 @@ class Replay:
         a, prospects = self.arrays, None
         if self.prospects:
             reward = a["prospects.reward"][rows].astype(np.float32)
-            prospects = Prospects(
-                reward, a["prospects.terminal"][rows], a["prospects.valid"][rows]
-            )
+            prospects = Prospects(reward, a["prospects.terminal"][rows], a["prospects.valid"][rows])
         return Batch(
             self._graph("", rows), a["action"][rows], a["reward"][rows], a["terminal"][rows],
             self._graph("next_", rows), prospects,

@@ -192,7 +192,7 @@ def _save(trainer: Trainer, out: Path, state_file: Path) -> None:
 def _prepare_folder(out: Path, state_file: Path, resume: bool) -> None:
     if resume:
         if not state_file.is_file():
-            raise InputError("--resume", str(out), "a folder with a state.safetensors to go on from")
+            raise InputError("--resume", str(out), "a folder with a state.safetensors")
         return
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError("--out", str(out), "an empty or new folder (or --resume)")

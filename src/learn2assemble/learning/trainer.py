@@ -97,9 +97,7 @@ class Trainer:
         step = self.simulator.step(state, to_local(graph, action))
         after = self.simulator.observe(state)
         self.replay.add(
-            Batch(
-                graph, action, step.reward.astype(np.float32), step.terminated, after, prospects
-            )
+            Batch(graph, action, step.reward.astype(np.float32), step.terminated, after, prospects)
         )
         self.samples += len(action)
         self.running_return += self.running_discount * step.reward
@@ -197,9 +195,7 @@ class Trainer:
         self.running_discount[:] = arrays["running_discount"]
         self.recent.extend((r, bool(s), bool(f)) for r, s, f in arrays["recent"].tolist())
         for prefix, network in (("online", self.online), ("target", self.target)):
-            network.load_state_dict(
-                {k: tensors[f"{prefix}.{k}"] for k in network.state_dict()}
-            )
+            network.load_state_dict({k: tensors[f"{prefix}.{k}"] for k in network.state_dict()})
         optimizer = self.optimizer.state_dict()
         for key, value in tensors.items():
             if key.startswith("adam."):

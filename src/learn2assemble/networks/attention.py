@@ -9,7 +9,6 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-
 ROTARY = tuple((axis, period) for period in (0.1, 0.2, 0.4, 0.8) for axis in (0, 2, 1))
 """Axis and period [m] of each rotated pair of query and key entries, in order of use."""
 

@@ -53,9 +53,7 @@ class QFactors(NamedTuple):
 
     def dense(self) -> torch.Tensor:
         """Q of every pair: float[B, N, N, Na], legal or not."""
-        return (
-            self.block[:, :, None] + self.reference[:, None] + self.context[:, None, None]
-        )
+        return self.block[:, :, None] + self.reference[:, None] + self.context[:, None, None]
 
 
 class QNetwork(nn.Module):
@@ -80,6 +78,7 @@ class QNetwork(nn.Module):
         self.reward_readout: nn.Linear | None = None
         if config.reward_head:
             self.reward_readout = nn.Linear(3 * width, config.num_actions)
+        self.scale: torch.Tensor
         scale = torch.ones(NUM_FEATURES)
         scale[POSITION] = 1 / config.position_scale
         self.register_buffer("scale", scale, persistent=False)

@@ -125,9 +125,7 @@ def plan_sequences(
     stage = "every legal placement, with backtracking"
     progress(stage)
     placements, success, backtracks = _depth_first(problem, simulator, model, seconds)
-    yield _finish(
-        problem, simulator, placements, success, stage, 0, attempts, started, backtracks
-    )
+    yield _finish(problem, simulator, placements, success, stage, 0, attempts, started, backtracks)
 
 
 def _finish(
@@ -169,7 +167,7 @@ def _play(
         if problem.is_outside(state.position[0, before.num_placed[0]]) and not problem.supports:
             return placements[:-1], False
         if step.success[0]:
-            return placements, True
+            return placements, problem.accepts(state)
     return placements, False
 
 
@@ -189,7 +187,7 @@ def replay(
     for placement in placements:
         success, held = make(simulator, state, placement)
         if not held or success:
-            return state, held, success
+            return state, held, success and problem.accepts(state)
     return state, True, False
 
 
@@ -203,9 +201,7 @@ def make(simulator: Simulator, state: State, placement: Placement) -> tuple[bool
     return bool(step.success[0]), bool(step.verdict[0] == 0)
 
 
-def strip(
-    problem: Problem, simulator: Simulator, placements: list[Placement]
-) -> list[Placement]:
+def strip(problem: Problem, simulator: Simulator, placements: list[Placement]) -> list[Placement]:
     """A shorter plan to the same end: without the blocks that neither fill nor carry nor guide.
 
     Blocks are tried for removal from the last to the first; references to a removed block are
@@ -219,9 +215,7 @@ def strip(
     return placements[: int(state.num_placed[0]) - 1]
 
 
-def _without(
-    problem: Problem, placements: list[Placement], number: int
-) -> list[Placement] | None:
+def _without(problem: Problem, placements: list[Placement], number: int) -> list[Placement] | None:
     """``placements`` without step ``number`` (0-based), or ``None`` where a step loses its only
     neighbour."""
     cells = [problem.state.position[0, 0]]
@@ -280,7 +274,7 @@ def _depth_first(
         cover = float(after.complete_coverage[0])
         if cover > best_cover:
             best, best_cover = [*path, placement], cover
-        if success:
+        if success and problem.accepts(after):
             return [*path, placement], True, backtracks
         if not after.terminated[0]:
             path.append(placement)

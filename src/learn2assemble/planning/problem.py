@@ -44,6 +44,14 @@ class Problem:
         count = self.state.num_vertices[0]
         return [self.state.vertices[0, side, :n].copy() for side, n in enumerate(count)]
 
+    def accepts(self, state: State) -> bool:
+        """Whether the world in row 0 shows the target: for a design, the blocks must stand in the
+        planes of the outlines, so blocks that only hide them from the camera do not count."""
+        cover = state.complete_coverage[0]
+        if self.inside is not None:
+            cover = min(cover, state.plane_coverage[0])
+        return bool(cover > self.task.success_threshold)
+
     def is_outside(self, centre: np.ndarray) -> bool:
         """Whether a block with this centre [m] stands outside the outlines of all its planes."""
         if self.inside is None:
@@ -83,9 +91,7 @@ def design_problem(design: Design, layout: str = "line") -> Problem:
     waiting = waiting_positions(layout, blocks)
     start_blocks(state, 0, Simulator(task).frames, waiting, design.first_elevation, blocks)
     names = tuple(elevation.name for elevation in design.elevations)
-    return Problem(
-        design.name, task, state, names, inside_cells(design), design.supports, refusal
-    )
+    return Problem(design.name, task, state, names, inside_cells(design), design.supports, refusal)
 
 
 def preset_problem(name: str, seed: int) -> Problem:

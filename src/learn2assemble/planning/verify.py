@@ -63,6 +63,7 @@ def verify(problem: Problem, placements: list[Placement]) -> Proof:
     filled = False
     for placement in placements:
         filled, held = make(simulator, state, placement)
+        filled = filled and problem.accepts(state)
         count = int(state.num_placed[0])
         speeds = physics.last_speed_sums[0]
         centres = state.position[0, :count]

@@ -52,9 +52,7 @@ class WorldModel:
         for row in range(states.batch_size):
             first = int(graph.num_targets[row])
             split, end = first + int(graph.num_placed[row]), int(graph.num_nodes[row])
-            values = (
-                block[row, split:end, None] + reference[row, None, first:split] + context[row]
-            )
+            values = block[row, split:end, None] + reference[row, None, first:split] + context[row]
             actions = np.indices(values.shape).reshape(3, -1).T
             out.append(ActionValues(actions, values.ravel()))
         return out

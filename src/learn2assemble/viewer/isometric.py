@@ -18,6 +18,8 @@ _RIGHT = np.cross([0.0, 0.0, 1.0], TO_VIEWER) / np.linalg.norm(TO_VIEWER[:2])
 _UP = np.cross(TO_VIEWER, _RIGHT)
 _SUN = np.array([-0.35, -0.8, 1.0])
 """Direction to the light."""
+_SHADE = np.array([-0.55, -0.12])
+"""Shadows fall to the right, where the viewer sees them; a drawing may light them apart."""
 _FACES = (
     (0, 1, (1, 1), (2, 1)),
     (0, -1, (1, -1), (2, 1)),
@@ -46,8 +48,8 @@ def project(points: np.ndarray) -> np.ndarray:
 
 
 def shadow(points: np.ndarray) -> np.ndarray:
-    """Where the sun casts world points onto the table: ``float64[..., 2]``, world (x, y) [m]."""
-    return points[..., :2] - points[..., 2:] * _SUN[:2] / _SUN[2] * 0.55
+    """Where the light casts world points onto the table: ``float64[..., 2]``, world (x, y) [m]."""
+    return points[..., :2] - points[..., 2:] * _SHADE
 
 
 def visible_faces(block: Placed, edge: float) -> list[Face]:

@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
 from matplotlib.patches import PathPatch, Polygon
 from matplotlib.path import Path as Curve
 from matplotlib.textpath import TextPath
@@ -176,7 +177,7 @@ def _draw_block(
 
 def _number_on(axes: Axes, number: int, corners: np.ndarray) -> None:
     """The number of a block, lying in its face."""
-    path = TextPath((0, 0), str(number), size=0.37, prop={"weight": "bold"})
+    path = TextPath((0, 0), str(number), size=0.37, prop=FontProperties(weight="bold"))
     box = path.get_extents()
     vertices = path.vertices - [(box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2] + [0.5, 0.5]
     basis = np.array([corners[1] - corners[0], corners[3] - corners[0]])
@@ -235,7 +236,7 @@ def _draw_foot(panel: Any, plan: Mapping[str, Any], scene: Scene, top: float) ->
         title = panel(_SIDE + side * width, top + 18, width - 36, 34)
         name = textwrap.shorten(scene.elevations[side].name, int(width / 11), placeholder=" …")
         _text(title, 0, 0.5, f"Side {side + 1}", size=13, weight="bold")
-        _text(title, 66 / (width - 36), 0.5, name, size=12.5, color=_SOFT)
+        _text(title, 72 / (width - 36), 0.5, name, size=12.5, color=_SOFT)
     if chart:
         edge = WIDTH - _SIDE - chart_width
         _text(panel(edge + 46, top + 18, 300, 34), 0, 0.5, "Coverage", size=13, weight="bold")
@@ -300,7 +301,7 @@ def _fill(
             alpha=alpha,
             joinstyle="round",
             zorder=2,
-        )  # fmt: skip
+        )
     )
 
 
@@ -315,7 +316,7 @@ def _outline(axes: Axes, points: np.ndarray, width: float = 2.0, alpha: float = 
             alpha=alpha,
             joinstyle="round",
             zorder=2,
-        )  # fmt: skip
+        )
     )
 
 

@@ -33,7 +33,7 @@ class Prospects(NamedTuple):
 
 @njit(cache=True)
 def _try_all(state, frames, reward_kind, threshold, reward, terminal, valid, covered, occluded):
-    sides, rows, words = covered.shape
+    sides, words = covered.shape[0], covered.shape[2]
     for row in range(len(state.num_placed)):
         first, last = state.mask_rows[row, 0], state.mask_rows[row, 1]
         placed = state.num_placed[row]

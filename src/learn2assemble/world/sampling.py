@@ -21,7 +21,7 @@ def _cross(ax, az, bx, bz, px, pz):
 
 @njit(cache=True)
 def sample_outline(rng, grid, vertices):
-    """Draw one outline of 3, 4 or 5 vertices into ``vertices`` (local x, z [m]); returns the count."""
+    """Draw an outline of 3, 4 or 5 vertices into ``vertices`` (local x, z [m]); gives the count."""
     a, height = HALF * grid, EDGE * grid
     count = 3 + int(rng.random() * 3)
     vertices[0, 0], vertices[0, 1] = -rng.random() * a, 0.0

@@ -1,0 +1,605 @@
+"""The report of a build plan: page, picture, server."""
+
+from __future__ import annotations
+
+import base64
+import copy
+import hashlib
+import html
+import json
+import os
+import re
+import shutil
+import socket
+import subprocess
+import threading
+import urllib.request
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib.image import imread
+
+from learn2assemble.errors import InputError
+from learn2assemble.viewer import isometric, serve, write_page, write_progress
+from learn2assemble.viewer.page import render_page
+from learn2assemble.viewer.picture import moments, side_normal
+from learn2assemble.viewer.scene import hull, read_scene
+from learn2assemble.viewer.serve import open_server
+from learn2assemble.viewer.words import percent, summary
+from learn2assemble.world.layouts import waiting_positions
+from learn2assemble.world.sides import side_frames
+
+EDGE = 0.05
+EXAMPLE = Path(__file__).parent / "data" / "example_plan.json"
+_BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+
+
+@pytest.fixture
+def plan() -> dict[str, Any]:
+    return json.loads(EXAMPLE.read_text())
+
+
+def make_plan(sides: int, status: str = "complete") -> dict[str, Any]:
+    """A plan on the lattice: a wall for one side, two for two, a ring of walls for more."""
+    rings = {
+        1: [(0, 0), (1, 0), (-1, 0)],
+        2: [(0, 0), (1, 0), (-1, 0), (0, 1), (1, 1), (-1, 1)],
+        3: [(0, 0), (1, 0), (1, 1), (1, 2), (0, 2), (-1, 2)],
+        4: [(0, 0), (1, 0), (1, 1), (1, 2), (0, 2), (-1, 2), (-1, 1), (-1, 0)],
+    }
+    cells = [(x, y, z) for z in range(2) for x, y in rings[sides]]
+    outline = [[-0.074, 0], [-0.06, 0.095], [0.06, 0.095], [0.074, 0]]
+    steps = [
+        {
+            "step": k, "block": k, "reference": k - 1, "relation": "top" if z else "right",
+            "position": [EDGE * x, EDGE * y, EDGE * z + EDGE / 2], "quaternion": [1, 0, 0, 0],
+            "coverage": k / (len(cells) - 1), "plane_coverage": 0.9 * k / (len(cells) - 1),
+            "stability_margin": None, "speed_sum": None, "stable": True, "outside": False,
+        }
+        for k, (x, y, z) in enumerate(cells)
+    ][1:]  # fmt: skip
+    if status == "refused":
+        steps = []
+    elif status == "incomplete":
+        steps = steps[:-2]
+    return {
+        "format": "learn2assemble-plan", "version": 1,
+        "design": {
+            "name": f"{sides}-sided house", "source": "house.json", "num_sides": sides,
+            "frames": side_frames(sides).tolist(),
+            "elevations": [{"name": f"View {i + 1}", "outline": outline} for i in range(sides)],
+            "success_threshold": 0.975, "block_edge": EDGE,
+        },
+        "agent": "test", "status": status,
+        "reason": None if status == "complete" else "Too few blocks for the outline.",
+        "search": {"needed": "agent alone", "budget": 0, "attempts": [], "backtracks": 1},
+        "blocks": {
+            "available": 20, "used": len(steps) + 1,
+            "waiting": waiting_positions("rows", 20).tolist(),
+        },
+        "first_block": {
+            "block": 0, "position": [0, 0, EDGE / 2], "quaternion": [1, 0, 0, 0],
+        },
+        "steps": steps, "coverage": steps[-1]["coverage"] if steps else 0.0,
+        "verified_by": "MuJoCo 4.0.0" if steps else None, "seconds": 0.5,
+    }  # fmt: skip
+
+
+class _Page(HTMLParser):
+    """Every element with its attributes, and the text inside each kind of element."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.texts: dict[str, list[str]] = {}
+        self._open: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        self._open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        while self._open and self._open.pop() != tag:
+            pass
+
+    def handle_data(self, data: str) -> None:
+        self.texts.setdefault(self._open[-1] if self._open else "", []).append(data)
+
+    def having(self, name: str) -> list[dict[str, str | None]]:
+        return [attrs for tag, attrs in self.tags if tag == name]
+
+
+def _scripts(page: _Page) -> list[dict[str, str | None]]:
+    return [attrs for attrs in page.having("script") if attrs.get("type") != "application/json"]
+
+
+# --- the page -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sides", [1, 2, 3, 4])
+@pytest.mark.parametrize("status", ["complete", "incomplete", "refused"])
+def test_every_kind_of_plan_becomes_a_small_page(tmp_path: Path, sides: int, status: str) -> None:
+    plan = make_plan(sides, status)
+    path = tmp_path / "view.html"
+    write_page(plan, path)
+    assert path.stat().st_size < 1_500_000
+    text = path.read_text(encoding="utf-8")
+    assert "{{" not in re.sub(r"<script.*?</script>", "", text, flags=re.S)
+    page = _Page(text)
+    drawings = [a for a in page.having("svg") if a.get("class") == "elevation"]
+    assert len(drawings) == sides
+    rows = [a for a in page.having("tr") if "data-step" in a]
+    assert [int(a["data-step"] or 0) for a in rows] == list(range(1, len(plan["steps"]) + 1))
+    reasons = [a for a in page.having("div") if a.get("class") == "reason"]
+    assert len(reasons) == (status != "complete")
+    assert status == "complete" or plan["reason"] in text
+    charts = [a for a in page.having("svg") if a.get("class") == "chart"]
+    assert len(charts) == (status != "refused")
+
+
+def test_page_says_what_the_plan_says(plan: dict[str, Any]) -> None:
+    text = html.unescape(render_page(plan)).replace("\u00a0", " ")
+    for words in (
+        "15 of 24 blocks", "99.9 % of the target (97.5 % needed)", "agent with search, budget 10",
+        plan["verified_by"], "2 steps taken back", "to the left of block 5", "on top of block 4",
+    ):  # fmt: skip
+        assert words in text, words
+
+
+def test_page_needs_no_network(plan: dict[str, Any]) -> None:
+    text = render_page(plan)
+    page = _Page(text)
+    for tag, attrs in page.tags:
+        for name in ("src", "href", "srcset", "action", "data", "poster", "xlink:href"):
+            assert (attrs.get(name) or "data:").startswith(("data:", "#")), (tag, attrs)
+        assert not any(name.startswith("on") or name == "style" for name in attrs), (tag, attrs)
+    assert not page.having("link") or all(a["href"] == "data:," for a in page.having("link"))
+    # The XHTML namespace inside three.js is a name, not an address that is asked for.
+    assert set(re.findall(r"https?://[^\s\"'`<>]+", text)) <= {"http://www.w3.org/1999/xhtml"}
+    assert not re.search(r"@import|url\(|\bfetch\(|XMLHttpRequest|WebSocket|sendBeacon", text)
+    policy = next(a for a in page.having("meta") if "http-equiv" in a)["content"] or ""
+    assert "default-src 'none'" in policy
+    assert "unsafe" not in policy
+
+
+def test_policy_names_exactly_the_scripts_and_style_of_the_page(plan: dict[str, Any]) -> None:
+    text = render_page(plan)
+    policy = re.search(r'Security-Policy" content="([^"]*)"', text)
+    assert policy
+    inline = re.findall(r"<script>(.*?)</script>", text, flags=re.S)
+    inline += re.findall(r"<style>(.*?)</style>", text, flags=re.S)
+    hashes = {base64.b64encode(hashlib.sha256(body.encode()).digest()).decode() for body in inline}
+    assert set(re.findall(r"'sha256-([^']+)'", policy[1])) == hashes
+    assert len(hashes) == 4
+
+
+EVIL = (
+    "</script><script>alert(1)</script>",
+    "<img src=x onerror=alert(1)>",
+    '"><svg onload=alert(1)>',
+    "<!--<script>",
+    "{{scripts}} & 'x' \u2028 $\\frac",
+)
+
+
+@pytest.mark.parametrize("evil", EVIL)
+def test_text_from_a_plan_never_becomes_markup(plan: dict[str, Any], evil: str) -> None:
+    clean = _Page(render_page(plan))
+    design = plan["design"]
+    design["name"] = design["source"] = plan["reason"] = plan["agent"] = evil
+    plan["status"], plan["verified_by"] = "incomplete", evil
+    plan["search"]["needed"] = evil
+    design["elevations"][0]["name"] = evil
+    plan["search"]["attempts"][0].update(stage=evil, result=evil)
+    text = render_page(plan)
+    page = _Page(text)
+    assert len(_scripts(page)) == len(_scripts(clean))
+    assert not page.having("img")
+    assert len(page.having("svg")) == len(clean.having("svg"))
+    assert all(not name.startswith("on") for _, attrs in page.tags for name in attrs)
+    assert "".join(page.texts["h1"]) == evil, "the name reads as it was given"
+    assert text.count("<!--") == render_page(json.loads(EXAMPLE.read_text())).count("<!--")
+
+
+@given(st.text())
+@settings(max_examples=15, deadline=None)
+def test_any_name_survives_as_text(name: str) -> None:
+    plan = make_plan(1)
+    plan["design"]["name"] = name
+    heading = re.search(r"<h1>(.*?)</h1>", render_page(plan), flags=re.S)
+    assert heading
+    assert "<" not in heading[1]
+    if name.isprintable():
+        assert html.unescape(heading[1]) == name
+
+
+def test_data_in_the_page_is_the_plan(plan: dict[str, Any]) -> None:
+    data = json.loads(
+        re.findall(r'<script type="application/json" id="data">(.*?)</script>', render_page(plan))[
+            0
+        ]
+    )
+    assert data["steps"] == len(plan["steps"]) == len(data["captions"]) - 1
+    for block, step in zip(data["blocks"][1:], plan["steps"], strict=True):
+        np.testing.assert_allclose(block["position"], step["position"], atol=1e-5)
+        assert block["waiting"] == step["block"]
+    assert [b["number"] for b in data["blocks"] if b["kind"] == "support"] == [
+        s["step"] for s in plan["steps"] if s["outside"]
+    ]
+
+
+def test_page_is_the_same_every_time(plan: dict[str, Any]) -> None:
+    assert render_page(plan) == render_page(copy.deepcopy(plan))
+
+
+# --- the geometry behind it ---------------------------------------------------------------------
+
+
+def test_sides_see_their_own_wall(plan: dict[str, Any]) -> None:
+    scene = read_scene(plan)
+    for side, row in enumerate((0.0, EDGE)):
+        face = {s.number for s in scene.seen_from(side) if s.layer == "face"}
+        own = {b.number for b in scene.blocks if abs(b.position[1] - row) < EDGE / 2}
+        assert face == own
+    back = {s.number: s for s in scene.seen_from(1)}
+    # Block 8 stands at world x = -0.1; seen from behind it is on the right.
+    np.testing.assert_allclose(back[8].centre, [0.1, EDGE / 2], atol=1e-3)
+    layers = [s.layer for s in scene.seen_from(1)]
+    assert layers == sorted(layers, key=("behind", "face", "front").index), "farthest first"
+
+
+def test_a_block_before_the_face_plane_is_drawn_in_front(plan: dict[str, Any]) -> None:
+    plan["steps"][-1]["position"] = [0.0, -EDGE, EDGE / 2]
+    last = read_scene(plan).seen_from(0)[-1]
+    assert (last.number, last.layer) == (len(plan["steps"]), "front")
+    drawing = render_page(plan).split('class="elevation"')[1].split("</svg>")[0]
+    assert f">{last.number}</text>" in drawing
+    assert ">0</text>" not in drawing, "the number of a hidden block is left out"
+
+
+@given(st.integers(0, 3), st.lists(st.floats(-1, 1), min_size=3, max_size=3))
+@settings(max_examples=30, deadline=None)
+def test_local_and_world_frames_are_inverse(side: int, point: list[float]) -> None:
+    elevation = read_scene(make_plan(4)).elevations[side]
+    there = elevation.to_world(np.array(point))
+    np.testing.assert_allclose(elevation.to_local(there), point, atol=1e-12)
+    out = elevation.to_world(np.array([0, -1.0, 0])) - elevation.to_world(np.zeros(3))
+    np.testing.assert_allclose(side_normal(elevation.frame), out, atol=1e-12)
+
+
+@given(st.lists(st.tuples(st.integers(-5, 5), st.integers(-5, 5)), min_size=1, max_size=12))
+@settings(max_examples=50, deadline=None)
+def test_hull_is_convex_and_holds_every_point(points: list[tuple[int, int]]) -> None:
+    around = hull(np.array(points, float))
+    if len(around) < 3:
+        return
+    edges = np.roll(around, -1, 0) - around
+    for point in np.array(points, float):
+        offset = point - around
+        assert (edges[:, 0] * offset[:, 1] - edges[:, 1] * offset[:, 0] >= -1e-6).all()
+
+
+def test_waiting_places_are_kept_where_they_can_be_drawn() -> None:
+    plan = make_plan(2)
+    scene = read_scene(plan)
+    assert not scene.rearranged
+    np.testing.assert_array_equal(scene.waiting, plan["blocks"]["waiting"])
+
+
+@pytest.mark.parametrize("count", [1, 24, 60])
+def test_node_positions_are_drawn_as_a_tray(plan: dict[str, Any], count: int) -> None:
+    plan["steps"] = []
+    plan["blocks"]["waiting"] = waiting_positions("line", count).tolist()
+    scene = read_scene(plan)
+    assert scene.rearranged
+    assert scene.waiting.shape == (count, 3)
+    np.testing.assert_allclose(scene.waiting[:, 2], EDGE / 2)
+    gap = np.abs(scene.waiting[:, None] - scene.waiting[None]).max(-1)
+    assert (gap[~np.eye(count, dtype=bool)] > 1.3 * EDGE).all()
+    assert (scene.waiting[:, 1] < -2 * EDGE).all(), "in front of the structure"
+
+
+def _turned(plan: dict[str, Any], degrees: float) -> np.ndarray:
+    half = np.radians(degrees) / 2
+    plan["first_block"]["quaternion"] = [2 * np.cos(half), 0, 0, 2 * np.sin(half)]
+    return read_scene(plan).blocks[0].corners(EDGE)
+
+
+def test_quaternions_turn_blocks_about_their_centre(plan: dict[str, Any]) -> None:
+    corners = _turned(plan, 45)
+    assert np.abs(corners[:, 0]).max() == pytest.approx(EDGE / np.sqrt(2))
+    np.testing.assert_allclose(corners.mean(0), plan["first_block"]["position"], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda p: p.update(format="other"), "learn2assemble-plan version 1"),
+        (lambda p: p.update(status="done"), "plan status"),
+        (lambda p: p.pop("design"), "no field 'design'"),
+        (lambda p: p["blocks"].pop("used"), "no field 'used'"),
+        (lambda p: p["steps"][2].update(relation="under"), "steps[2].relation"),
+        (lambda p: p["steps"][2].update(reference=3), "steps[2].reference"),
+        (lambda p: p["steps"][2].update(block=24), "steps[2].block"),
+        (lambda p: p["steps"][2].update(step=7), "steps[2].step"),
+        (lambda p: p["steps"][2].update(position=[0, 0]), "position of block 3"),
+        (lambda p: p["steps"][2].update(position=[0, 0, float("nan")]), "position of block 3"),
+        (lambda p: p["steps"][2].update(quaternion=[0, 0, 0, 0]), "quaternion of block 3"),
+        (lambda p: p["design"]["frames"].pop(), "design.frames"),
+        (lambda p: p["design"].update(block_edge=0), "design.block_edge"),
+        (lambda p: p.update(steps=3), "plan"),
+    ],
+)
+def test_a_broken_plan_is_named_on_one_line(plan: dict[str, Any], change: Any, words: str) -> None:
+    change(plan)
+    with pytest.raises(InputError) as caught:
+        render_page(plan)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_percent_never_rounds_up_to_all() -> None:
+    assert percent(0.9999) == "99.9\u00a0%"
+    assert percent(1) == "100\u00a0%"
+    assert percent(0.0) == "0\u00a0%"
+    assert percent(None) == "–"
+
+
+def test_summary_of_every_status_differs() -> None:
+    words = {summary(make_plan(2, s)) for s in ("complete", "incomplete", "refused")}
+    assert len(words) == 3
+
+
+# --- the picture --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("steps", [0, 1, 3, 6, 7, 8, 14, 60])
+def test_moments_run_from_start_to_end(steps: int) -> None:
+    shown = moments(steps)
+    assert shown[0] == 0
+    assert shown[-1] == steps
+    assert shown == sorted(set(shown))
+    assert len(shown) == min(8, steps + 1)
+
+
+@pytest.mark.parametrize(
+    ("sides", "status"), [(1, "incomplete"), (3, "complete"), (4, "refused"), (2, None)]
+)
+def test_picture_has_its_size_and_colours(
+    tmp_path: Path, plan: dict[str, Any], sides: int, status: str | None
+) -> None:
+    plan = make_plan(sides, status) if status else plan
+    # Neither a formula sign nor a script the font lacks may stop it.
+    plan["design"]["name"] = "price $x_{1$ 家"
+    write_progress(plan, tmp_path / "progress.png")
+    image = imread(tmp_path / "progress.png")
+    assert image.shape[1] == 1600
+    assert 500 < image.shape[0] < 1600
+    assert _pixels(image, "#e0764a") > 300, "first block"
+    assert (_pixels(image, "#ecca90") > 3000) == bool(plan["steps"]), "placed blocks"
+    assert (_pixels(image, "#63b0f2") > 300) == bool(plan["steps"]), "block of the step"
+    assert _pixels(image, "#0b7285") > 1000, "outlines"
+
+
+def test_a_path_that_cannot_be_written_is_an_input_error() -> None:
+    for write in (write_page, write_progress):
+        with pytest.raises(InputError, match="writable"):
+            write(make_plan(1, "refused"), Path("no-such-folder") / "file")
+
+
+_CELLS = st.tuples(st.integers(-3, 3), st.integers(-3, 3), st.integers(0, 3))
+_SHIFT = st.tuples(*[st.floats(0, 0.9)] * 3)
+
+
+def _draw_depth(position: np.ndarray, point: np.ndarray) -> float:
+    """How near a cube is to the viewer along the ray through a world point; -inf for a miss."""
+    with np.errstate(divide="ignore"):
+        a = (position - EDGE / 2 - point) / isometric.TO_VIEWER
+        b = (position + EDGE / 2 - point) / isometric.TO_VIEWER
+    enter, leave = np.minimum(a, b).max(), np.maximum(a, b).min()
+    return leave if leave - enter > 1e-6 else -np.inf
+
+
+@given(st.lists(st.tuples(_CELLS, _SHIFT), min_size=2, max_size=14), st.integers(0, 1000))
+@settings(max_examples=60, deadline=None)
+def test_nearer_cubes_are_drawn_later(spec: list[Any], seed: int) -> None:
+    kept: list[np.ndarray] = []
+    for cell, shift in spec:
+        position = EDGE * (np.array(cell, float) + np.array(shift))
+        if all(np.abs(position - other).max() >= EDGE for other in kept):
+            kept.append(position)
+    positions = np.array(kept)
+    order = isometric.painters_order(positions, EDGE)
+    assert sorted(order) == list(range(len(kept)))
+    rank = np.argsort(order)
+    points = np.random.default_rng(seed).uniform(-0.5, 0.5, (40, 3)) * EDGE
+    for index, offset in enumerate(points):
+        point = positions[index % len(kept)] + offset
+        depths = [_draw_depth(position, point) for position in positions]
+        hit = [i for i, depth in enumerate(depths) if np.isfinite(depth)]
+        assert max(hit, key=lambda i: rank[i]) == max(hit, key=lambda i: depths[i])
+
+
+def test_a_cube_shows_three_faces_and_no_mirrored_number(plan: dict[str, Any]) -> None:
+    block = read_scene(plan).blocks[0]
+    faces = isometric.visible_faces(block, EDGE)
+    assert len(faces) == 3
+    for face in faces:
+        right, up = face.corners[1] - face.corners[0], face.corners[3] - face.corners[0]
+        assert right[0] * up[1] - right[1] * up[0] > 0
+    front = isometric.numbered_face(faces, block, np.zeros((0, 3)), EDGE)
+    assert front is not None
+    np.testing.assert_allclose(front.normal, [0, -1, 0])
+    before = block.position[None] - np.array([0, EDGE, 0])
+    beside = isometric.numbered_face(faces, block, before, EDGE)
+    assert beside is not None
+    np.testing.assert_allclose(beside.normal, [-1, 0, 0])
+
+
+# --- the server ---------------------------------------------------------------------------------
+
+
+def _page_in(folder: Path) -> Path:
+    path = folder / "my view.html"
+    path.write_text("hello", encoding="utf-8")
+    return path
+
+
+def test_server_answers_on_this_machine_only(tmp_path: Path) -> None:
+    server, address = open_server(_page_in(tmp_path))
+    assert address.startswith("http://127.0.0.1:")
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+    thread.start()
+    try:
+        opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+        with opener.open(address, timeout=10) as answer:
+            assert answer.read() == b"hello"
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+def test_serve_reports_the_address_and_ends_when_interrupted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    opened: list[str] = []
+    monkeypatch.setattr("http.server.ThreadingHTTPServer.serve_forever", interrupt)
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    told: list[str] = []
+    address = serve(_page_in(tmp_path), report=told.append)
+    assert told == opened == [address]
+    assert serve(_page_in(tmp_path), open_browser=False) != ""
+    assert len(opened) == 1
+
+
+def test_serve_refuses_what_it_cannot_serve(tmp_path: Path) -> None:
+    path = _page_in(tmp_path)
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        with pytest.raises(InputError, match="free port"):
+            serve(path, taken.getsockname()[1], open_browser=False)
+    with pytest.raises(InputError, match="65535"):
+        serve(path, 70000, open_browser=False)
+    with pytest.raises(InputError, match="existing"):
+        serve(tmp_path / "none.html", open_browser=False)
+
+
+# --- in a browser -------------------------------------------------------------------------------
+
+
+def _pixels(image: np.ndarray, colour: str) -> int:
+    """Pixels within two levels of a colour."""
+    wanted = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)])
+    return int((np.abs(np.rint(255 * image[..., :3]) - wanted) <= 2).all(-1).sum())
+
+
+@pytest.fixture(scope="module")
+def browser() -> str:
+    found = next(filter(None, map(shutil.which, _BROWSERS)), None)
+    if found is None:
+        pytest.skip(f"no headless browser on PATH (looked for {', '.join(_BROWSERS)})")
+    return found
+
+
+def _browse(browser: str, folder: Path, address: str, *options: str) -> tuple[str, str]:
+    """Open a page without a network; standard output and the browser's log."""
+    folder.mkdir()
+    command = [
+        browser, "--headless", "--no-sandbox", "--disable-dev-shm-usage", "--disable-quic",
+        "--no-first-run", "--disable-background-networking", "--disable-component-update",
+        "--disable-sync", "--hide-scrollbars", "--enable-logging=stderr",
+        f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=4000", *options, address,
+    ]  # fmt: skip
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=120, check=False,
+        env={**os.environ, "HOME": str(folder)},
+    )  # fmt: skip
+    return done.stdout, done.stderr
+
+
+_FLAT = ("--disable-gpu", "--disable-3d-apis")
+_SPATIAL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+
+
+def _side_by_side(folder: Path, steps: tuple[int, ...], size: tuple[int, int]) -> str:
+    """A page that shows the report at several steps, so that one browser run sees them all."""
+    frames = "".join(
+        f'<iframe src="view.html#step={step}" style="border:0;width:{size[0]}px;'
+        f'height:{size[1]}px;position:absolute;top:0;left:{index * size[0]}px"></iframe>'
+        for index, step in enumerate(steps)
+    )
+    (folder / "frames.html").write_text(f"<!doctype html><body>{frames}", encoding="utf-8")
+    return (folder / "frames.html").as_uri()
+
+
+def _shoot(
+    browser: str, folder: Path, steps: tuple[int, ...], size: tuple[int, int], *options: str
+) -> tuple[list[np.ndarray], str]:
+    """The picture of every step, and the browser's log."""
+    shot = folder / "shot.png"
+    _, log = _browse(
+        browser, folder / "run", _side_by_side(folder, steps, size), *options,
+        f"--screenshot={shot}", f"--window-size={size[0] * len(steps)},{size[1]}",
+    )  # fmt: skip
+    assert shot.is_file(), log
+    image = imread(shot)
+    return [image[:, k * size[0] : (k + 1) * size[0]] for k in range(len(steps))], log
+
+
+@pytest.mark.browser
+def test_drawings_follow_the_timeline_without_webgl(
+    browser: str, tmp_path: Path, plan: dict[str, Any]
+) -> None:
+    write_page(plan, tmp_path / "view.html")
+    images, log = _shoot(browser, tmp_path, (0, 5, 14), (1000, 1200), *_FLAT)
+    assert "CONSOLE" not in log, log
+    wood = [_pixels(image, "#ecca90") for image in images]
+    assert wood[0] + 1500 < wood[1], wood
+    assert wood[1] + 3000 < wood[2], wood
+    assert all(_pixels(image, "#e0764a") > 500 for image in images), "first block"
+    assert _pixels(images[1], "#63b0f2") > _pixels(images[0], "#63b0f2") + 500, "current block"
+    assert not np.array_equal(images[0], images[2])
+
+
+@pytest.mark.browser
+def test_page_runs_without_an_error(browser: str, tmp_path: Path, plan: dict[str, Any]) -> None:
+    plan["design"]["name"] = "</script><script>document.documentElement.dataset.evil=1</script>"
+    write_page(plan, tmp_path / "view.html")
+    address = (tmp_path / "view.html").as_uri()
+    dom, log = _browse(
+        browser, tmp_path / "run", f"{address}#step=5", *_SPATIAL, "--dump-dom",
+        "--window-size=500,600",
+    )  # fmt: skip
+    root = re.search(r"<html[^>]*>", dom)
+    assert root, log
+    assert 'data-ready="yes"' in root[0], log
+    assert 'data-step="5"' in root[0]
+    assert "data-error" not in root[0]
+    assert "data-evil" not in root[0]
+    assert "Uncaught" not in log
+    assert "Content Security Policy" not in log
+    assert "Block 5 goes to the left of block 2" in dom
+    assert re.findall(r'<tr data-step="(\d+)" class="[^"]*current', dom) == ["5"]
+
+
+@pytest.mark.browser
+def test_blocks_move_in_the_3d_view(browser: str, tmp_path: Path, plan: dict[str, Any]) -> None:
+    write_page(plan, tmp_path / "view.html")
+    images, log = _shoot(browser, tmp_path, (0, 14), (1000, 720), *_SPATIAL)
+    assert "Uncaught" not in log, log
+    start, end = (image[420:, 40:560] for image in images)
+    if _pixels(start, "#f1efea") > 0.95 * start[..., 0].size:
+        pytest.skip("this browser has no software WebGL; the drawings are tested without it")
+    changed = np.abs(start - end).max(-1) > 0.1
+    assert changed.mean() > 0.03, "the structure is not drawn block by block"
