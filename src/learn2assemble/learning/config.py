@@ -31,8 +31,9 @@ class TrainConfig:
         epsilon_samples: steps until then, linearly.
         target_period: gradient steps between two copies to the target network.
         double: choose the next action by the online network, value it by the target network.
-        invalid_weight: weight of the loss that teaches Q = -1 for *every* placement of a sampled
-            state that static physics calls invalid. 0: only the action taken (paper). D6.
+        terminal_weight: weight of the loss that fits Q to the reward of *every* placement of a
+            sampled state that would end the episode (invalid, filled, or out of blocks): there
+            the reward is the exact Q. 0: only the action taken (paper). D6.
         share_cell: give the target of the action taken to all (block, reference, relation) that
             put a like block into the same cell. D6.
         reward_weight: weight of the loss that fits the reward head to the reward of *every*
@@ -57,7 +58,7 @@ class TrainConfig:
     epsilon_samples: int = 40_000
     target_period: int = 300
     double: bool = True
-    invalid_weight: float = 0.0
+    terminal_weight: float = 0.0
     share_cell: bool = False
     reward_weight: float = 0.0
     counterfactual: float = 0.0
@@ -76,7 +77,7 @@ class TrainConfig:
                 raise InputError(name, getattr(self, name), "a rate between 0 and 1")
         if not 0 <= self.epsilon_final <= 1:
             raise InputError("epsilon_final", self.epsilon_final, "0 <= epsilon <= 1")
-        for name in ("invalid_weight", "reward_weight"):
+        for name in ("terminal_weight", "reward_weight"):
             if getattr(self, name) < 0:
                 raise InputError(name, getattr(self, name), "a weight of at least 0")
         if self.reward_weight and not self.network.reward_head:
@@ -87,7 +88,7 @@ class TrainConfig:
     @property
     def uses_model(self) -> bool:
         """Whether training looks at placements that were not made (deviation D6)."""
-        return max(self.invalid_weight, self.reward_weight, self.counterfactual) > 0
+        return max(self.terminal_weight, self.reward_weight, self.counterfactual) > 0
 
     def to_dict(self) -> dict[str, Any]:
         return dataclasses.asdict(self)
@@ -157,13 +158,15 @@ CONFIGS: dict[str, TrainConfig] = {
         double=False,
     ),
     "fast": TrainConfig(
-        network=NetworkConfig(position_scale=0.1, reward_head=True),
+        network=NetworkConfig(position_scale=0.1, rotary=True, reward_head=True),
+        learning_rate=2e-3,
+        final_learning_rate=1e-4,
+        epsilon_samples=25_000,
         batch_size=32,
         updates_per_round=4,
-        invalid_weight=1.0,
+        terminal_weight=1.0,
         share_cell=True,
         reward_weight=1.0,
-        counterfactual=0.5,
         augment=True,
     ),
 }

@@ -15,9 +15,6 @@ from learn2assemble.networks.qnetwork import QFactors, QNetwork
 from learn2assemble.world.actions import DIRECTIONS
 from learn2assemble.world.blocks import EDGE
 
-INVALID_VALUE = -1.0
-"""Exact Q of an invalid placement: reward -1, then nothing."""
-
 
 def dqn_loss(
     online: QNetwork,
@@ -31,9 +28,9 @@ def dqn_loss(
     """Loss of one batch and numbers to log.
 
     The TD part is the paper's smooth L1. ``counterfactual`` exchanges actions before it,
-    ``share_cell`` spreads it over equivalent actions, ``invalid_weight`` adds the mean smooth L1
-    to -1 over all invalid placements of each state, ``reward_weight`` that of the reward head to
-    the rewards of all placements.
+    ``share_cell`` spreads it over equivalent actions. ``terminal_weight`` adds the mean smooth L1
+    of Q to the reward over all placements that would end the episode, ``reward_weight`` that of
+    the reward head to the rewards of all placements.
     """
     graph = to_tensors(batch.graph, device)
     embeddings = online.embeddings(graph)
@@ -45,29 +42,26 @@ def dqn_loss(
     td = F.smooth_l1_loss(value, y)
     logs = {"q": float(value.detach().mean())}
     block = _random_block(batch.graph, rng)
-    if config.share_cell or config.invalid_weight:
+    if config.share_cell or config.terminal_weight:
         q = _all_placements(factors, batch, block, device)
     if config.share_cell:
         same = torch.from_numpy(same_cell(batch, q.shape[1])).to(device)
         error = F.smooth_l1_loss(q, y[:, None, None].expand_as(q), reduction="none")
         td = 0.5 * td + 0.5 * ((error * same).sum((1, 2)) / same.sum((1, 2))).mean()
     loss = td
-    if config.invalid_weight:
-        assert batch.prospects is not None
-        used = np.arange(q.shape[1]) < batch.graph.num_placed[:, None]
-        invalid = torch.from_numpy(used[..., None] & ~batch.prospects.valid).to(device)
-        error = F.smooth_l1_loss(q, torch.full_like(q, INVALID_VALUE), reduction="none")
-        extra = (error * invalid).sum() / invalid.sum().clamp(min=1)
-        logs["invalid"] = float(extra.detach())
-        loss = loss + config.invalid_weight * extra
-    if config.reward_weight:
-        assert batch.prospects is not None
-        predicted = _all_placements(online.rewards(embeddings), batch, block, device)
+    if batch.prospects is not None:
         reward = torch.from_numpy(batch.prospects.reward).to(device)
-        used = np.arange(reward.shape[1]) < batch.graph.num_placed[:, None]
-        weight = torch.from_numpy(used[..., None]).to(device).expand_as(reward)
-        error = F.smooth_l1_loss(predicted, reward, reduction="none")
-        extra = (error * weight).sum() / weight.sum()
+        used = (np.arange(reward.shape[1]) < batch.graph.num_placed[:, None])[..., None]
+    if config.terminal_weight:
+        # Two means: invalid placements are many, those that finish the structure few.
+        ends = used & batch.prospects.terminal
+        invalid = _mean_error(q, reward, ends & ~batch.prospects.valid)
+        final = _mean_error(q, reward, ends & batch.prospects.valid)
+        logs |= {"invalid": float(invalid.detach()), "final": float(final.detach())}
+        loss = loss + config.terminal_weight * (invalid + final)
+    if config.reward_weight:
+        predicted = _all_placements(online.rewards(embeddings), batch, block, device)
+        extra = _mean_error(predicted, reward, np.broadcast_to(used, reward.shape))
         logs["reward"] = float(extra.detach())
         loss = loss + config.reward_weight * extra
     return loss, {"loss": float(loss.detach()), "td": float(td.detach()), **logs}
@@ -165,6 +159,13 @@ def _all_placements(
         + factors.reference[rows[:, None], index]
         + factors.context[:, None]
     )
+
+
+def _mean_error(value: torch.Tensor, target: torch.Tensor, where: np.ndarray) -> torch.Tensor:
+    """Mean smooth L1 over the entries of float[B, M, Na] that ``where`` selects; 0 for none."""
+    weight = torch.from_numpy(np.ascontiguousarray(where)).to(value.device)
+    error = F.smooth_l1_loss(value, target, reduction="none")
+    return (error * weight).sum() / weight.sum().clamp(min=1)
 
 
 def _random_block(graph: Graph, rng: np.random.Generator) -> np.ndarray:

@@ -11,7 +11,6 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.geometry.boxes import UNDECIDED, classify_cube
-from learn2assemble.physics.equilibrium import is_stable
 from learn2assemble.physics.protocol import Verdict
 from learn2assemble.world.actions import DIRECTIONS
 from learn2assemble.world.blocks import EDGE, HALF
@@ -43,6 +42,9 @@ def _survey(state, verdict):
 
 
 def _equilibrium(centres: np.ndarray) -> int:
+    # Rarely needed, and training runs on machines without the solver.
+    from learn2assemble.physics.equilibrium import is_stable
+
     stable = is_stable(centres, np.arange(len(centres)))
     return int(Verdict.STABLE if stable else Verdict.UNSTABLE)
 

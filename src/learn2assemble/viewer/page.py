@@ -109,7 +109,10 @@ def _data(plan: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
     return {
         "edge": scene.edge,
         "steps": scene.num_steps,
-        "waiting": scene.waiting.round(5).tolist(),
+        "waiting": [
+            None if row == scene.first else place
+            for row, place in enumerate(scene.waiting.round(5).tolist())
+        ],
         "blocks": [
             {
                 "number": block.number,
@@ -150,7 +153,11 @@ def _facts(plan: Mapping[str, Any]) -> str:
             search["needed"] or "none",
             f"{back} step{'' if back == 1 else 's'} taken back",
         ),
-        ("Verified by", plan.get("verified_by") or "not verified", ""),
+        (
+            "Verified by" if plan["status"] == "complete" else "Checked by",
+            plan["steps"] and plan.get("verified_by") or "not checked",
+            "",
+        ),
         ("Agent", plan["agent"] or "none", f"planned in {plan['seconds']:.1f} s"),
     ]
     return "".join(

@@ -13,10 +13,6 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from matplotlib.font_manager import FontProperties
-from matplotlib.patches import PathPatch, Polygon
-from matplotlib.path import Path as Curve
-from matplotlib.textpath import TextPath
 from shapely.geometry import Polygon as Area
 from shapely.geometry import box
 from shapely.ops import unary_union
@@ -31,6 +27,21 @@ from learn2assemble.viewer.isometric import (
     shadow,
     visible_faces,
 )
+from learn2assemble.viewer.paint import (
+    ACCENT,
+    COLOURS,
+    GOOD,
+    LINE,
+    PAPER,
+    RIM,
+    SOFT,
+    TABLE,
+    draw_outline,
+    fill,
+    fill_area,
+    number_on,
+    write,
+)
 from learn2assemble.viewer.scene import Placed, Scene, hull, read_scene
 from learn2assemble.viewer.words import STATUS_WORDS, percent, placement
 
@@ -38,11 +49,6 @@ WIDTH = 1600
 """Width of the picture [px]."""
 MAX_MOMENTS = 8
 _DPI = 100
-_PAPER, _INK, _SOFT, _LINE, _TABLE = "#fbfaf8", "#1f2429", "#5a636d", "#dcd8d0", "#eeeae2"
-_ACCENT, _GOOD, _RIM = "#0b7285", "#17663c", "#4a3b26"
-_COLOURS = {
-    "first": "#e0764a", "wall": "#ecca90", "current": "#63b0f2", "support": "#aeb9c4",
-}  # fmt: skip
 _HEAD, _MOMENT_CAPTION, _FOOT = 118, 62, 330
 """Heights of the title, of the text under a moment and of the last row [px]."""
 _SIDE = 56
@@ -85,7 +91,7 @@ def draw_progress(plan: Mapping[str, Any], scene: Scene) -> Figure:
     cell = (WIDTH - 2 * _SIDE) / columns_drawn
     drawn = cell * frame.height / frame.width
     height = round(_HEAD + rows * (drawn + _MOMENT_CAPTION) + _FOOT)
-    figure = Figure(figsize=(WIDTH / _DPI, height / _DPI), dpi=_DPI, facecolor=_PAPER)
+    figure = Figure(figsize=(WIDTH / _DPI, height / _DPI), dpi=_DPI, facecolor=PAPER)
     FigureCanvasAgg(figure)
 
     def panel(x: float, y: float, width: float, tall: float) -> Axes:
@@ -139,22 +145,22 @@ def _draw_moment(axes: Axes, scene: Scene, number: int) -> None:
     edge = scene.edge
     standing = [block for block in scene.blocks if block.number <= number]
     ground = table(scene)
-    _fill(axes, project(np.c_[ground, np.zeros(len(ground))]), _TABLE)
+    fill(axes, project(np.c_[ground, np.zeros(len(ground))]), TABLE)
     shades = [Area(hull(shadow(block.corners(edge)))) for block in standing]
-    _fill_area(axes, unary_union(shades), _on_table, "#8d8474", 0.32)
+    fill_area(axes, unary_union(shades), _on_table, "#8d8474", 0.32)
     faces = [(project(side.face(edge)), side_normal(side.frame)) for side in scene.elevations]
     for outline, _ in faces:
-        _fill(axes, outline, _ACCENT, alpha=0.11)
+        fill(axes, outline, ACCENT, alpha=0.11)
     for outline, normal in faces:
         if normal @ TO_VIEWER <= 0:
-            _outline(axes, outline, alpha=0.75)
+            draw_outline(axes, outline, alpha=0.75)
     positions = np.array([block.position for block in standing]).reshape(-1, 3)
     for index in painters_order(positions, edge):
         block = standing[index]
         _draw_block(axes, block, edge, positions, block.number == number > 0)
     for outline, normal in faces:
         if normal @ TO_VIEWER > 0:
-            _outline(axes, outline)
+            draw_outline(axes, outline)
 
 
 def side_normal(frame: np.ndarray) -> np.ndarray:
@@ -166,28 +172,18 @@ def side_normal(frame: np.ndarray) -> np.ndarray:
 def _draw_block(
     axes: Axes, block: Placed, edge: float, standing: np.ndarray, current: bool
 ) -> None:
-    colour = np.array(to_rgb(_COLOURS["current" if current else kind(block)]))
+    colour = np.array(to_rgb(COLOURS["current" if current else kind(block)]))
     faces = visible_faces(block, edge)
     for face in faces:
-        _fill(axes, face.corners, colour * face.light, edge=_RIM, width=0.9)
+        fill(axes, face.corners, colour * face.light, edge=RIM, width=0.9)
     face = numbered_face(faces, block, standing, edge)
     if face is not None:
-        _number_on(axes, block.number, face.corners)
-
-
-def _number_on(axes: Axes, number: int, corners: np.ndarray) -> None:
-    """The number of a block, lying in its face."""
-    path = TextPath((0, 0), str(number), size=0.37, prop=FontProperties(weight="bold"))
-    box = path.get_extents()
-    vertices = path.vertices - [(box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2] + [0.5, 0.5]
-    basis = np.array([corners[1] - corners[0], corners[3] - corners[0]])
-    placed = Curve(corners[0] + vertices @ basis, path.codes)
-    axes.add_patch(PathPatch(placed, facecolor=_INK, edgecolor="none", alpha=0.82, zorder=2))
+        number_on(axes, block.number, face.corners)
 
 
 def _draw_head(axes: Axes, plan: Mapping[str, Any]) -> None:
     name = textwrap.shorten(" ".join(str(plan["design"]["name"]).split()), 72, placeholder=" …")
-    _text(axes, 0, 0.62, name, size=25, weight="bold")
+    write(axes, 0, 0.62, name, size=25, weight="bold")
     blocks = plan["blocks"]
     parts = [
         STATUS_WORDS[plan["status"]],
@@ -199,7 +195,7 @@ def _draw_head(axes: Axes, plan: Mapping[str, Any]) -> None:
     if plan.get("reason"):
         parts[1:] = [str(plan["reason"])]
     line = textwrap.shorten(" · ".join(parts), 150, placeholder=" …")
-    _text(axes, 0, 0.28, line, size=14, color=_SOFT)
+    write(axes, 0, 0.28, line, size=14, color=SOFT)
 
 
 def _draw_caption(axes: Axes, plan: Mapping[str, Any], number: int) -> None:
@@ -210,13 +206,13 @@ def _draw_caption(axes: Axes, plan: Mapping[str, Any], number: int) -> None:
         step = plan["steps"][number - 1]
         share, words = step["coverage"], placement(step)
     head = f"Step {number}" if number else "Start"
-    _text(axes, 0.08, 0.86, head, size=13, weight="bold")
-    _text(axes, 0.92, 0.86, percent(share), size=13, weight="bold", ha="right", color=_ACCENT)
-    _text(axes, 0.08, 0.28, words, size=11, color=_SOFT)
-    axes.plot([0.08, 0.92], [0.58, 0.58], color=_LINE, lw=4, solid_capstyle="round")
+    write(axes, 0.08, 0.86, head, size=13, weight="bold")
+    write(axes, 0.92, 0.86, percent(share), size=13, weight="bold", ha="right", color=ACCENT)
+    write(axes, 0.08, 0.28, words, size=11, color=SOFT)
+    axes.plot([0.08, 0.92], [0.58, 0.58], color=LINE, lw=4, solid_capstyle="round")
     if share > 0.005:
         end = 0.08 + 0.84 * min(share, 1)
-        axes.plot([0.08, end], [0.58, 0.58], color=_ACCENT, lw=4, solid_capstyle="round")
+        axes.plot([0.08, end], [0.58, 0.58], color=ACCENT, lw=4, solid_capstyle="round")
 
 
 def _draw_foot(panel: Any, plan: Mapping[str, Any], scene: Scene, top: float) -> None:
@@ -235,11 +231,11 @@ def _draw_foot(panel: Any, plan: Mapping[str, Any], scene: Scene, top: float) ->
         _draw_elevation(axes, scene, side)
         title = panel(_SIDE + side * width, top + 18, width - 36, 34)
         name = textwrap.shorten(scene.elevations[side].name, int(width / 11), placeholder=" …")
-        _text(title, 0, 0.5, f"Side {side + 1}", size=13, weight="bold")
-        _text(title, 72 / (width - 36), 0.5, name, size=12.5, color=_SOFT)
+        write(title, 0, 0.5, f"Side {side + 1}", size=13, weight="bold")
+        write(title, 72 / (width - 36), 0.5, name, size=12.5, color=SOFT)
     if chart:
         edge = WIDTH - _SIDE - chart_width
-        _text(panel(edge + 46, top + 18, 300, 34), 0, 0.5, "Coverage", size=13, weight="bold")
+        write(panel(edge + 46, top + 18, 300, 34), 0, 0.5, "Coverage", size=13, weight="bold")
         _draw_chart(panel(edge + 46, top + 64, chart_width - 56, tall - 22), plan)
 
 
@@ -251,21 +247,21 @@ def _draw_elevation(axes: Axes, scene: Scene, side: int) -> None:
     axes.set_aspect("equal", anchor="SW")
     outline = scene.elevations[side].outline
     kinds = {block.number: kind(block) for block in scene.blocks}
-    _fill(axes, outline, _ACCENT, alpha=0.10)
+    fill(axes, outline, ACCENT, alpha=0.10)
     views = scene.seen_from(side)
     for seen in views:
         if seen.layer == "behind":
-            _fill(axes, seen.polygon, "#e9e6e0", edge="#c9c4ba", width=0.7)
+            fill(axes, seen.polygon, "#e9e6e0", edge="#c9c4ba", width=0.7)
         else:
-            _fill(axes, seen.polygon, _COLOURS[kinds[seen.number]], edge=_RIM, width=1.1)
-    _outline(axes, outline, width=2.4)
-    axes.plot([left - pad, right + pad], [0, 0], color=_SOFT, lw=1.4, zorder=2)
+            fill(axes, seen.polygon, COLOURS[kinds[seen.number]], edge=RIM, width=1.1)
+    draw_outline(axes, outline, width=2.4)
+    axes.plot([left - pad, right + pad], [0, 0], color=SOFT, lw=1.4, zorder=2)
     for seen in views:
         if seen.layer != "behind":
             half = scene.edge / 2
             corner = seen.centre - half
             square = [(0, 0), (2 * half, 0), (2 * half, 2 * half), (0, 2 * half)]
-            _number_on(axes, seen.number, corner + np.array(square))
+            number_on(axes, seen.number, corner + np.array(square))
 
 
 def _draw_chart(axes: Axes, plan: Mapping[str, Any]) -> None:
@@ -274,67 +270,18 @@ def _draw_chart(axes: Axes, plan: Mapping[str, Any]) -> None:
     axes.set_xlim(-0.01 * last, 1.03 * last)
     axes.set_ylim(-0.02, 1.06)
     for share in (0, 0.25, 0.5, 0.75, 1):
-        axes.plot([0, last], [share, share], color=_LINE, lw=1, zorder=1)
-        _text(axes, -0.03 * last, share, f"{share:.0%}", size=10.5, color=_SOFT, ha="right")
+        axes.plot([0, last], [share, share], color=LINE, lw=1, zorder=1)
+        write(axes, -0.03 * last, share, f"{share:.0%}", size=10.5, color=SOFT, ha="right")
     for number in range(0, last + 1, max(1, -(-last // 8))):
-        _text(axes, number, -0.11, str(number), size=10.5, color=_SOFT, ha="center")
-    axes.plot([0, last], [threshold, threshold], color=_GOOD, lw=1.4, dashes=(5, 3), zorder=2)
+        write(axes, number, -0.11, str(number), size=10.5, color=SOFT, ha="center")
+    axes.plot([0, last], [threshold, threshold], color=GOOD, lw=1.4, dashes=(5, 3), zorder=2)
     needed = f"{percent(threshold)} needed"
-    _text(axes, 0.02 * last, threshold - 0.075, needed, size=10.5, color=_GOOD)
+    write(axes, 0.02 * last, threshold - 0.075, needed, size=10.5, color=GOOD)
     axes.plot(
-        range(last + 1), shares, color=_ACCENT, lw=2.2, marker="o", ms=5.5, zorder=3,
+        range(last + 1), shares, color=ACCENT, lw=2.2, marker="o", ms=5.5, zorder=3,
         solid_joinstyle="round", clip_on=False,
     )  # fmt: skip
 
 
-def _fill(
-    axes: Axes, points: np.ndarray, colour: Any, *, alpha: float = 1, edge: Any = "none",
-    width: float = 0.0,
-) -> None:  # fmt: skip
-    axes.add_patch(
-        Polygon(
-            points,
-            closed=True,
-            facecolor=colour,
-            edgecolor=edge,
-            linewidth=width,
-            alpha=alpha,
-            joinstyle="round",
-            zorder=2,
-        )
-    )
-
-
-def _outline(axes: Axes, points: np.ndarray, width: float = 2.0, alpha: float = 1) -> None:
-    axes.add_patch(
-        Polygon(
-            points,
-            closed=True,
-            fill=False,
-            edgecolor=_ACCENT,
-            linewidth=width,
-            alpha=alpha,
-            joinstyle="round",
-            zorder=2,
-        )
-    )
-
-
-def _fill_area(axes: Axes, area: Any, to_picture: Any, colour: str, alpha: float) -> None:
-    """Fill a plane area, holes and all, after mapping its points (n, 2) into the picture."""
-    for part in getattr(area, "geoms", [area]):
-        if part.is_empty or part.geom_type != "Polygon":
-            continue
-        rings = [np.asarray(r.coords) for r in (part.exterior, *part.interiors)]
-        curve = Curve.make_compound_path(*[Curve(to_picture(r), closed=True) for r in rings])
-        axes.add_patch(PathPatch(curve, facecolor=colour, edgecolor="none", alpha=alpha, zorder=2))
-
-
 def _on_table(xy: np.ndarray) -> np.ndarray:
     return project(np.c_[xy, np.zeros(len(xy))])
-
-
-def _text(axes: Axes, x: float, y: float, words: str, **style: Any) -> None:
-    """Text as it stands: a dollar sign in a design's name is no formula."""
-    style = {"va": "center", "color": _INK, **style}
-    axes.text(x, y, words, parse_math=False, **style)

@@ -109,6 +109,8 @@ class Scene:
     elevations: tuple[Elevation, ...]
     waiting: np.ndarray
     """float64[W, 3]: where the blocks wait in the drawings [m, world]."""
+    first: int | None
+    """Row of ``waiting`` that is the first block itself, which never waits."""
     rearranged: bool
     """The plan's waiting places cannot be drawn as they are, so a tray is drawn instead."""
 
@@ -164,9 +166,26 @@ def _read(plan: Mapping[str, Any]) -> Scene:
     )
     waiting = _numbers("blocks.waiting", plan["blocks"]["waiting"], 3)
     blocks = _blocks(plan, len(waiting))
-    drawn = _tray(waiting, blocks, edge)
-    rearranged = drawn is not waiting
-    return Scene(edge, blocks, elevations, drawn, rearranged)
+    first = _first_row(plan, waiting, blocks, edge)
+    rows = [row for row in range(len(waiting)) if row != first]
+    drawn = waiting.copy()
+    rearranged = _needs_tray(waiting[rows], blocks, edge)
+    if rearranged:
+        drawn[rows] = _tray(len(rows), blocks, edge)
+    return Scene(edge, blocks, elevations, drawn, first, rearranged)
+
+
+def _first_row(
+    plan: Mapping[str, Any], waiting: np.ndarray, blocks: tuple[Placed, ...], edge: float
+) -> int | None:
+    """The row of ``waiting`` where the first block already stands, if it has one."""
+    if not plan.get("first_block"):
+        return None
+    row = int(plan["first_block"]["block"])
+    if not 0 <= row < len(waiting) or row in {block.waiting for block in blocks}:
+        return None
+    near = bool(np.abs(waiting[row] - blocks[0].position).max() < edge / 2)
+    return row if near else None
 
 
 def _blocks(plan: Mapping[str, Any], num_waiting: int) -> tuple[Placed, ...]:
@@ -209,29 +228,34 @@ def _numbers(what: str, rows: Any, width: int) -> np.ndarray:
     return array
 
 
-def _tray(waiting: np.ndarray, blocks: tuple[Placed, ...], edge: float) -> np.ndarray:
-    """Where waiting blocks are drawn: as planned, or in a tray before side 1 where that is no help.
+def _needs_tray(waiting: np.ndarray, blocks: tuple[Placed, ...], edge: float) -> bool:
+    """Whether the waiting places cannot be drawn as planned.
 
-    Waiting places of environments without a robot are node positions, not bodies (protocol 1.4):
-    they may overlap, sink into the table or hide the structure.
+    Without a robot they are node positions, not bodies (protocol 1.4): they may overlap, sink
+    into the table or hide the structure.
     """
     if not len(waiting):
-        return waiting
+        return False
     built = np.array([block.position for block in blocks]).reshape(-1, 3)
-    clash = bool(np.any(waiting[:, 2] < edge / 2 - _TOLERANCE))
-    clash |= bool(np.any(np.ptp(waiting, axis=0) > 24 * edge))
-    clash |= _touch(waiting, waiting, edge) > len(waiting)
-    clash |= _touch(waiting, built, 2 * edge) > 0
-    if not clash:
-        return waiting
-    columns = max(math.ceil(math.sqrt(2.6 * len(waiting))), 1)
+    return bool(
+        np.any(waiting[:, 2] < edge / 2 - _TOLERANCE)
+        or np.any(np.ptp(waiting, axis=0) > 24 * edge)
+        or _touch(waiting, waiting, edge) > len(waiting)
+        or _touch(waiting, built, 2 * edge) > 0
+    )
+
+
+def _tray(count: int, blocks: tuple[Placed, ...], edge: float) -> np.ndarray:
+    """Rows of waiting blocks in front of side 1: float64[count, 3] [m, world]."""
+    built = np.array([block.position for block in blocks]).reshape(-1, 3)
+    columns = max(math.ceil(math.sqrt(2.6 * count)), 1)
     pitch = 1.4 * edge
-    row, column = np.divmod(np.arange(len(waiting)), columns)
-    in_row = np.minimum(len(waiting) - row * columns, columns)
+    row, column = np.divmod(np.arange(count), columns)
+    in_row = np.minimum(count - row * columns, columns)
     front = built[:, 1].min() if len(built) else 0.0
     middle = (built[:, 0].min() + built[:, 0].max()) / 2 if len(built) else 0.0
     x = middle + (column - (in_row - 1) / 2) * pitch
-    return np.stack([x, front - 3 * edge - row * pitch, np.full(len(x), edge / 2)], -1)
+    return np.stack([x, front - 3 * edge - row * pitch, np.full(count, edge / 2)], -1)
 
 
 def _touch(these: np.ndarray, those: np.ndarray, distance: float) -> int:

@@ -48,7 +48,8 @@ def summary(plan: Mapping[str, Any]) -> str:
             f"There is no build order for this design of {_sides(plan)}; "
             f"{available} blocks were available."
         )
-    verified = f"verified by {plan['verified_by']}" if plan.get("verified_by") else "not verified"
+    word = "verified" if plan["status"] == "complete" else "checked"
+    verified = f"{word} by {plan['verified_by']}" if plan.get("verified_by") else f"not {word}"
     found = f"Found by {plan['search']['needed'] or 'the agent'}; {verified}."
     if plan["status"] == "complete":
         return (

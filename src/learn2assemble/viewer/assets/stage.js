@@ -24,7 +24,7 @@ function createStage(canvas, data) {
 
   // Extent of what has to be seen.
   const points = [
-    ...data.blocks.map((b) => b.position), ...data.waiting, ...data.faces.flat(),
+    ...data.blocks.map((b) => b.position), ...data.waiting.filter(Boolean), ...data.faces.flat(),
   ];
   const low = [0, 1, 2].map((k) => Math.min(...points.map((p) => p[k])) - (k < 2 ? edge / 2 : 0));
   const high = [0, 1, 2].map((k) => Math.max(...points.map((p) => p[k])) + edge / 2);
@@ -43,6 +43,7 @@ function createStage(canvas, data) {
     if (block.waiting !== null) used.set(block.waiting, block);
   }
   data.waiting.forEach((place, index) => {
+    if (!place) return; // The first block stands from the start.
     addPlace(place);
     if (!used.has(index)) addSpare(place);
   });
