@@ -49,14 +49,17 @@ def dqn_loss(
         error = F.smooth_l1_loss(q, y[:, None, None].expand_as(q), reduction="none")
         td = 0.5 * td + 0.5 * ((error * same).sum((1, 2)) / same.sum((1, 2))).mean()
     loss = td
-    if batch.prospects is not None:
-        reward = torch.from_numpy(batch.prospects.reward).to(device)
+    prospects = batch.prospects
+    if prospects is not None:
+        reward = torch.from_numpy(prospects.reward).to(device)
         used = (np.arange(reward.shape[1]) < batch.graph.num_placed[:, None])[..., None]
     if config.terminal_weight:
-        # Two means: invalid placements are many, those that finish the structure few.
-        ends = used & batch.prospects.terminal
-        invalid = _mean_error(q, reward, ends & ~batch.prospects.valid)
-        final = _mean_error(q, reward, ends & batch.prospects.valid)
+        assert prospects is not None
+        # Invalid placements are many, those that finish the structure few: a final one counts
+        # like one action of the batch at most.
+        ends = used & prospects.terminal
+        invalid = _mean_error(q, reward, ends & ~prospects.valid)
+        final = _mean_error(q, reward, ends & prospects.valid, at_least=len(y))
         logs |= {"invalid": float(invalid.detach()), "final": float(final.detach())}
         loss = loss + config.terminal_weight * (invalid + final)
     if config.reward_weight:
@@ -161,11 +164,16 @@ def _all_placements(
     )
 
 
-def _mean_error(value: torch.Tensor, target: torch.Tensor, where: np.ndarray) -> torch.Tensor:
-    """Mean smooth L1 over the entries of float[B, M, Na] that ``where`` selects; 0 for none."""
+def _mean_error(
+    value: torch.Tensor, target: torch.Tensor, where: np.ndarray, at_least: int = 1
+) -> torch.Tensor:
+    """Mean smooth L1 over the entries of float[B, M, Na] that ``where`` selects.
+
+    The divisor is at least ``at_least``, so few entries do not weigh more than many.
+    """
     weight = torch.from_numpy(np.ascontiguousarray(where)).to(value.device)
     error = F.smooth_l1_loss(value, target, reduction="none")
-    return (error * weight).sum() / weight.sum().clamp(min=1)
+    return (error * weight).sum() / weight.sum().clamp(min=at_least)
 
 
 def _random_block(graph: Graph, rng: np.random.Generator) -> np.ndarray:

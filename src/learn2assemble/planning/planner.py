@@ -16,7 +16,7 @@ import numpy as np
 from learn2assemble.networks.qnetwork import QNetwork
 from learn2assemble.planning.problem import Problem
 from learn2assemble.planning.world_model import WorldModel
-from learn2assemble.search.config import TO_THE_END, SearchConfig
+from learn2assemble.search.config import SearchConfig
 from learn2assemble.search.mcts import search
 from learn2assemble.search.model import ActionValues
 from learn2assemble.simulator import Simulator
@@ -25,8 +25,8 @@ from learn2assemble.world.blocks import EDGE, HALF
 from learn2assemble.world.prospects import Prospects
 from learn2assemble.world.state import State
 
-WIDER = ((10, 1), (30, 1), (60, TO_THE_END))
-"""Budget and rollout depth of the agent's attempts, in order."""
+BUDGETS = (10, 40)
+"""Search budgets of the agent's attempts, in order, before every placement is tried."""
 TOLERANCE = 1e-3
 """Two cells are the same when their centres agree within this [m]."""
 
@@ -112,13 +112,11 @@ def plan_sequences(
     simulator = Simulator(problem.task)
     model = _AllowedModel(problem, simulator, network)
     attempts: list[Attempt] = []
-    for budget, rollout in WIDER:
+    for budget in BUDGETS:
         started = time.perf_counter()
         stage = f"agent with search, budget {budget}"
-        if rollout > 1:
-            stage += ", rollouts to the end"
         progress(stage)
-        config = SearchConfig(budget=budget, epsilon=0.0, rollout=rollout)
+        config = SearchConfig(budget=budget, epsilon=0.0)
         placements, success = _play(problem, simulator, model, config, seed)
         yield _finish(problem, simulator, placements, success, stage, budget, attempts, started, 0)
     started = time.perf_counter()

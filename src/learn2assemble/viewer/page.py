@@ -155,16 +155,20 @@ def _facts(plan: Mapping[str, Any]) -> str:
         ),
         (
             "Verified by" if plan["status"] == "complete" else "Checked by",
-            plan["steps"] and plan.get("verified_by") or "not checked",
+            (plan["steps"] and plan.get("verified_by")) or "not checked",
             "",
         ),
-        ("Agent", plan["agent"] or "none", f"planned in {plan['seconds']:.1f} s"),
+        ("Agent", plan["agent"] or "none", f"planned in {_seconds(plan['seconds'])}"),
     ]
     return "".join(
         f"<div><dt>{escape(name)}</dt><dd>{_fact(str(value))}"
         f"<small>{escape(note)}</small></dd></div>"
         for name, value, note in facts
     )
+
+
+def _seconds(seconds: float) -> str:
+    return "less than 0.1 s" if seconds < 0.1 else f"{seconds:.1f} s"
 
 
 def _fact(value: str) -> str:

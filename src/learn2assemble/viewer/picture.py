@@ -147,7 +147,7 @@ def _draw_moment(axes: Axes, scene: Scene, number: int) -> None:
     ground = table(scene)
     fill(axes, project(np.c_[ground, np.zeros(len(ground))]), TABLE)
     shades = [Area(hull(shadow(block.corners(edge)))) for block in standing]
-    fill_area(axes, unary_union(shades), _on_table, "#8d8474", 0.32)
+    fill_area(axes, unary_union(shades).intersection(Area(ground)), _on_table, "#8d8474", 0.32)
     faces = [(project(side.face(edge)), side_normal(side.frame)) for side in scene.elevations]
     for outline, _ in faces:
         fill(axes, outline, ACCENT, alpha=0.11)

@@ -50,7 +50,7 @@ def summary(plan: Mapping[str, Any]) -> str:
         )
     word = "verified" if plan["status"] == "complete" else "checked"
     verified = f"{word} by {plan['verified_by']}" if plan.get("verified_by") else f"not {word}"
-    found = f"Found by {plan['search']['needed'] or 'the agent'}; {verified}."
+    found = f"Search needed: {plan['search']['needed'] or 'none'}; {verified}."
     if plan["status"] == "complete":
         return (
             f"{used} of {available} blocks, placed in an order that stays stable after every "
