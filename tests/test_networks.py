@@ -285,8 +285,8 @@ def test_connectivity_written_out() -> None:
     """Protocol 4: an unplaced block sees targets, placed blocks and its own object.
 
     The protocol calls this asymmetric; by its own rule for every row it is not, because targets
-    and placed blocks attend to unplaced ones as well. The rows count. Three targets, one placed block, three unplaced ones of which the first two are one object,
-    one node of padding.
+    and placed blocks attend to unplaced ones as well. The rows count. Three targets, one placed
+    block, three unplaced ones of which the first two are one object, one node of padding.
     """
     graph = random_graph([(3, 1, 3)], 8, 0)
     graph.object_id[0] = [-1, -1, -1, 0, 1, 1, 2, -1]

@@ -1,0 +1,260 @@
+"""Imports point down only, and training needs five libraries (``docs/architecture.md``)."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = "learn2assemble"
+SOURCE = ROOT / "src" / PACKAGE
+
+_WORLD = {"errors", "geometry", "world"}
+_TASK = _WORLD | {"physics", "task", "presets", "graph", "simulator"}
+ALLOWED: dict[str, set[str]] = {
+    "errors": set(),
+    "geometry": set(),
+    "world": {"errors", "geometry"},
+    "physics": _WORLD,
+    "task": _WORLD,
+    "presets": {"errors", "task"},
+    "graph": _WORLD,
+    "simulator": _WORLD | {"physics", "task", "graph"},
+    "networks": {"errors", "graph"},
+    "search": {"errors"},
+    "learning": _TASK | {"networks", "search"},
+    "planning": _TASK | {"networks", "search"},
+    "evaluation": _TASK | {"networks", "search", "learning", "planning"},
+    "envs": _TASK,
+    "viewer": _WORLD,
+    "cli": _TASK
+    | {"networks", "search", "learning", "planning", "evaluation", "envs", "viewer", "__init__"},
+    "__main__": {"cli", "errors"},
+    "__init__": {"envs"},
+}
+"""What each part may import, besides itself. ``__init__`` is the package as such."""
+
+LIBRARIES = {"torch", "numpy", "numba", "safetensors", "tqdm"}
+"""What the training path may need."""
+HEAVY = {"mujoco", "gymnasium", "rich", "matplotlib", "highspy"}
+LIGHT_PARTS = ["geometry", "world", "task", "presets", "graph", "simulator", "networks", "search",
+               "learning"]  # fmt: skip
+ONLY: dict[str, set[str]] = {
+    "errors": set(),
+    "geometry": {"numpy", "numba"},
+    "search": {"numpy"},
+    "presets": set(),
+    "task": set(),
+    "simulator": {"numpy", "numba"},
+    "networks": {"torch", "safetensors"},
+    "learning": LIBRARIES | {"tensorboard"},
+}
+"""Libraries of the parts that promise to know few."""
+
+MODULES = {
+    path.relative_to(SOURCE).with_suffix("").as_posix().replace("/", "."): path
+    for path in sorted(SOURCE.rglob("*.py"))
+}
+
+
+def part_of(module: str) -> str:
+    """``world.rules`` -> ``world``, relative to the package; "" is the package itself."""
+    return module.split(".")[0] or "__init__"
+
+
+def _absolute(node: ast.ImportFrom, module: str) -> str:
+    """The module a ``from`` import names, dots resolved."""
+    if not node.level:
+        return node.module or ""
+    parents = [PACKAGE, *module.split(".")][: -node.level]
+    return ".".join([*parents, *([node.module] if node.module else [])])
+
+
+def imports(module: str, only_on_import: bool = False) -> set[str]:
+    """Full names of what a module imports; ``only_on_import`` leaves out function bodies."""
+    found: set[str] = set()
+
+    def visit(node: ast.AST) -> None:
+        for child in ast.iter_child_nodes(node):
+            if only_on_import and isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef):
+                continue
+            if (
+                only_on_import
+                and isinstance(child, ast.If)
+                and "TYPE_CHECKING" in ast.dump(child.test)
+            ):
+                continue
+            if isinstance(child, ast.Import):
+                found.update(alias.name for alias in child.names)
+            elif isinstance(child, ast.ImportFrom):
+                base = _absolute(child, module)
+                found.add(base)
+                # "from package import module" names a module too.
+                found.update(
+                    f"{base}.{a.name}"
+                    for a in child.names
+                    if _inside(f"{base}.{a.name}") in MODULES
+                )
+            visit(child)
+
+    visit(ast.parse(MODULES[module].read_text(encoding="utf-8")))
+    return found
+
+
+def _inside(name: str) -> str | None:
+    """A full name relative to the package; None for other libraries."""
+    if name == PACKAGE:
+        return "__init__"
+    return name.removeprefix(f"{PACKAGE}.") if name.startswith(f"{PACKAGE}.") else None
+
+
+def libraries(names: set[str]) -> set[str]:
+    tops = {name.split(".")[0] for name in names}
+    return tops - {PACKAGE} - set(sys.stdlib_module_names)
+
+
+# ---------------------------------------------------------------- direction
+
+
+def test_the_table_has_no_cycle_and_names_every_part() -> None:
+    parts = {part_of(module) for module in MODULES}
+    assert parts == set(ALLOWED)
+    left = {part: set(below) for part, below in ALLOWED.items()}
+    while left:
+        free = {part for part, below in left.items() if not below & left.keys()}
+        assert free, f"a cycle among {sorted(left)}"
+        left = {part: below for part, below in left.items() if part not in free}
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_imports_point_down(module: str) -> None:
+    part = part_of(module)
+    inner = {name for name in map(_inside, imports(module)) if name is not None}
+    wrong = {name for name in inner if part_of(name) not in ALLOWED[part] | {part}}
+    assert not wrong, f"{module} may not import {sorted(wrong)}"
+
+
+def test_no_two_modules_import_each_other() -> None:
+    """Not even inside a part, and not even lazily."""
+    graph = {
+        module: {name for name in map(_inside, imports(module)) if name in MODULES} - {module}
+        for module in MODULES
+    }
+    while graph:
+        free = {module for module, below in graph.items() if not below & graph.keys()}
+        assert free, f"a cycle among {sorted(graph)}"
+        graph = {module: below for module, below in graph.items() if module not in free}
+
+
+@pytest.mark.parametrize("part", ONLY)
+def test_parts_that_know_few_libraries(part: str) -> None:
+    names = [module for module in MODULES if part_of(module) == part]
+    assert names
+    for module in names:
+        assert libraries(imports(module)) <= ONLY[part], module
+
+
+@pytest.mark.parametrize(
+    ("library", "parts"),
+    [
+        ("mujoco", {"physics", "planning"}),
+        ("highspy", {"physics"}),
+        ("gymnasium", {"envs", "evaluation"}),
+        ("matplotlib", {"viewer"}),
+        ("rich", {"cli"}),
+        ("torch", {"graph", "networks", "learning", "planning", "evaluation", "cli"}),
+    ],
+)
+def test_a_library_stays_where_it_belongs(library: str, parts: set[str]) -> None:
+    users = {part_of(module) for module in MODULES if library in libraries(imports(module))}
+    assert users
+    assert users <= parts
+
+
+# ---------------------------------------------------------------- what training needs
+
+
+def loaded_with(module: str) -> set[str]:
+    """Libraries that importing a module brings, through all modules it imports on the way.
+
+    The package's own ``__init__`` is left out: it looks for Gymnasium before it asks for it.
+    """
+    seen, found, queue = set(), set(), [module]
+    while queue:
+        name = queue.pop()
+        if name in seen or name == "__init__":
+            continue
+        seen.add(name)
+        names = imports(name, only_on_import=True)
+        found |= libraries(names)
+        queue += [inner for inner in map(_inside, names) if inner in MODULES]
+        parent = f"{name.rpartition('.')[0]}.__init__"
+        queue += [parent] if parent in MODULES else []
+        package = [f"{inner}.__init__" for inner in map(_inside, names) if inner]
+        queue += [inner for inner in package if inner in MODULES]
+    return found
+
+
+LIGHT = [module for module in MODULES if part_of(module) in LIGHT_PARTS]
+
+
+@pytest.mark.parametrize("module", [*LIGHT, "physics.static", "physics.protocol", "physics.named"])
+def test_light_modules_load_no_heavy_library(module: str) -> None:
+    assert not loaded_with(module) & HEAVY
+
+
+def test_the_walk_finds_what_is_there() -> None:
+    assert "highspy" in loaded_with("physics.equilibrium")
+    assert "mujoco" in loaded_with("planning.build")
+    assert {"torch", "numba"} <= loaded_with("learning.trainer")
+
+
+def declared() -> set[str]:
+    """Every library the project declares for itself, its extras and its development."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    groups = [project["dependencies"], *project["optional-dependencies"].values()]
+    return {re.split(r"[^\w-]", line)[0] for group in groups for line in group} - {PACKAGE}
+
+
+SCRIPT = """
+import sys
+for name in sys.argv[1].split():
+    sys.modules[name] = None  # as if it were not installed
+import learn2assemble.learning.run, learn2assemble.learning.trainer
+from learn2assemble.learning.config import METHODS
+from learn2assemble.presets import get_task
+from learn2assemble.simulator import Simulator
+import numpy as np
+sim = Simulator(get_task("two-sided-3x3-20-24"))
+state = sim.new(2, np.random.default_rng(0))
+assert sim.physics_mask(state).any()
+sim.step(state, np.zeros((2, 3), np.int64))
+sim.prospects(state), sim.observe(state)
+"""
+
+
+def test_the_training_path_needs_five_libraries() -> None:
+    assert declared() >= LIBRARIES | HEAVY
+    others = sorted(declared() - LIBRARIES)
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", SCRIPT, " ".join(others)],
+        capture_output=True, text=True, check=False, cwd=ROOT,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_blocked_library_is_missed() -> None:
+    """The check above can fail: the simulator cannot do without numba."""
+    done = subprocess.run(
+        [sys.executable, "-c", "import sys; sys.modules['numba'] = None\n"
+         "import learn2assemble.simulator"],
+        capture_output=True, text=True, check=False, cwd=ROOT,
+    )  # fmt: skip
+    assert done.returncode != 0
+    assert "numba" in done.stderr

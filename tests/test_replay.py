@@ -1,0 +1,287 @@
+"""Agreement with the recorded transitions of the published simulator, and refusal of bad logs."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from learn2assemble.errors import InputError
+from learn2assemble.evaluation.replay import ReplayReport, read_lines, replay_file, replay_files
+from learn2assemble.physics.rigid import RigidPhysics
+from learn2assemble.world.actions import DIRECTIONS
+from learn2assemble.world.blocks import EDGE
+
+MIXED = ["2wo_g3_n30", "2wo_g4_n40", "2wo_g5_n50", "4wo_g3_n30", "4wo_g5_n50", "1mimic_g3_n27"]
+SUPPORTED = ["2wo_g5_n50_supported", "4wo_g5_n50_supported"]
+_REPORTS: dict[str, ReplayReport] = {}
+
+
+def report_of(reference: Path, name: str) -> ReplayReport:
+    """The report of one recorded file under both physics; replayed once a session."""
+    if name not in _REPORTS:
+        _REPORTS[name] = replay_file(reference / f"transitions_{name}.jsonl.gz", RigidPhysics())
+    return _REPORTS[name]
+
+
+def lines_of(reference: Path, name: str) -> list[dict[str, Any]]:
+    return list(read_lines(reference / f"transitions_{name}.jsonl.gz"))
+
+
+# ---------------------------------------------------------------- agreement
+
+
+@pytest.mark.parametrize("name", MIXED + SUPPORTED)
+def test_every_file_agrees(reference: Path, name: str) -> None:
+    report = report_of(reference, name)
+    assert report.lines == len(lines_of(reference, name)) > 200
+    assert report.real_lines > 200
+    assert report.views > 4 * report.tilted_views or name in SUPPORTED
+    assert report.mask_exact >= 0.999
+    assert report.plane_exact >= 0.99
+    assert report.complete_exact >= 0.99
+    assert report.max_px_diff <= 1
+    assert report.masks_within_rounding <= 2
+    if name in MIXED:
+        assert report.valid_static >= 0.99
+        assert report.valid_rigid is not None
+        assert report.valid_rigid >= 0.99
+
+
+def test_all_mixed_logs_together(reference: Path) -> None:
+    reports = [report_of(reference, name) for name in MIXED]
+
+    def mean(field: str, weight: str = "lines") -> float:
+        weights = [getattr(r, weight) for r in reports]
+        return float(np.average([getattr(r, field) for r in reports], weights=weights))
+
+    assert mean("valid_static") >= 0.995
+    assert mean("valid_rigid") >= 0.995
+    assert mean("reward", "real_lines") >= 0.995
+    assert mean("done", "real_lines") >= 0.995
+
+
+# ---------------------------------------------------------------- where they differ
+
+
+def is_supported(cell: np.ndarray, placed: np.ndarray) -> bool:
+    """On the table, or on a block that is straight below up to what the logs drift."""
+    if cell[2] < 0.03:
+        return True
+    above = np.abs(placed[:, :2] - cell[:2]).max(1, initial=0) < 0.02
+    return bool((above & (np.abs(cell[2] - placed[:, 2] - EDGE) < 0.01)).any())
+
+
+def stuck(line: dict[str, Any]) -> bool:
+    """A block set in mid-air against a neighbour that the published engine left hanging there."""
+    placed, after = np.array(line["placed"]), np.array(line["placed_after"])
+    cell = placed[line["ref"]] + EDGE * DIRECTIONS[line["u"][2]]
+    beside = np.abs(np.abs(placed - cell).sum(1) - EDGE) < 0.005
+    level = np.abs(placed[:, 2] - cell[2]) < 0.005
+    stayed = np.abs(after - cell).max(1).min() < 1e-3
+    return bool(
+        not line["invalid"] and not is_supported(cell, placed) and (beside & level).any() and stayed
+    )
+
+
+def holds_stuck_block(line: dict[str, Any]) -> bool:
+    """The state before the step contains a block in mid-air."""
+    placed = np.array(line["placed"])
+    return any(not is_supported(block, np.delete(placed, k, 0)) for k, block in enumerate(placed))
+
+
+@pytest.mark.parametrize("name", MIXED)
+def test_only_blocks_stuck_in_mid_air_differ(reference: Path, name: str) -> None:
+    lines = lines_of(reference, name)
+    for note in report_of(reference, name).disagreements:
+        line = lines[note["line"] - 1]
+        assert (line["ep"], line["t"]) == (note["ep"], note["t"])
+        assert stuck(line) or holds_stuck_block(line), note
+
+
+@pytest.mark.parametrize("name", SUPPORTED)
+def test_supported_placements_are_valid_in_both_physics(reference: Path, name: str) -> None:
+    """We differ exactly where jitter broke the published threshold on the sum of speeds."""
+    lines = lines_of(reference, name)
+    failed = {number for number, line in enumerate(lines, 1) if line["invalid"]}
+    assert failed
+    assert all(1.0 < lines[number - 1]["accv"] < 1.5 for number in failed)
+    for physics in ("static", "rigid"):
+        notes = report_of(reference, name).disagreements
+        assert {n["line"] for n in notes if n["physics"] == physics} == failed
+
+
+# ---------------------------------------------------------------- the project's own sample
+
+
+def test_sample_agrees(data: Path) -> None:
+    path = data / "transitions_sample.jsonl"
+    report = replay_file(path, RigidPhysics())
+    lines = list(read_lines(path))
+    assert {line["variant"] for line in lines} == {"1mimic", "2wo", "4wo"}
+    assert {line["kind"] for line in lines} == {"real", "probe"}
+    assert report.lines == len(lines)
+    assert report.views > 200
+    assert (report.mask_exact, report.plane_exact, report.complete_exact) == (1.0, 1.0, 1.0)
+    differ = [lines[note["line"] - 1] for note in report.disagreements]
+    assert {(line["ep"], line["t"]) for line in differ} == {(58, 9), (58, 10)}
+    assert all(stuck(line) or holds_stuck_block(line) for line in differ)
+    assert stuck(differ[0])
+    wrong = sum(line["kind"] == "real" for line in {line["t"]: line for line in differ}.values())
+    assert report.reward == report.done == 1 - wrong / report.real_lines
+    assert replay_files([path, path])[1].lines == report.lines
+
+
+def test_a_changed_record_is_noticed(data: Path, tmp_path: Path) -> None:
+    """The comparison is with the file: what is falsified there shows in the report."""
+    line = next(x for x in read_lines(data / "transitions_sample.jsonl") if x["kind"] == "real")
+
+    def report(**changes: Any) -> ReplayReport:
+        return replay_file(_write(tmp_path, {**line, **changes}))
+
+    honest = report()
+    assert (honest.valid_static, honest.reward, honest.done) == (1.0, 1.0, 1.0)
+    assert not honest.disagreements
+    assert report(invalid=not line["invalid"]).valid_static == 0.0
+    assert report(invalid=not line["invalid"]).disagreements
+    assert report(reward=line["reward"] + 1).reward == 0.0
+    assert report(done=not line["done"]).done == 0.0
+    assert report(mask_px=[n + 1 for n in line["mask_px"]]).mask_exact == 0.0
+    for name in ("plane", "comp"):
+        key = f"px_{name}_after"
+        changed = report(**{key: [n + 2 for n in line[key]]})
+        assert (changed.plane_exact, changed.complete_exact) == (
+            (0.5, 1.0) if name == "plane" else (1.0, 0.5)
+        )
+        assert changed.max_px_diff == 2
+    assert report(tilt_after=0.1).tilted_views == len(line["targets"])
+
+
+# ---------------------------------------------------------------- bad files
+
+
+def _write(folder: Path, *lines: Any) -> Path:
+    path = folder / "log.jsonl"
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def line(data: Path) -> dict[str, Any]:
+    """A real line that replays."""
+    return next(x for x in read_lines(data / "transitions_sample.jsonl") if x["kind"] == "real")
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.jsonl", tmp_path):
+        with pytest.raises(InputError, match=r"recorded transitions.*existing"):
+            replay_file(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.jsonl", b"{"), ("a.jsonl", b"[1, 2]\n"), ("a.jsonl", b"3\n"), ("a.jsonl", b"\xff\xfe"),
+        ("a.jsonl", b"{}\n"), ("a.jsonl", b"\n"), ("a.jsonl.gz", b"{}\n"),
+        ("a.jsonl.gz", gzip.compress(b"{}" * 500)[:-9]),
+    ],
+)  # fmt: skip
+def test_files_that_are_not_logs(tmp_path: Path, name: str, content: bytes) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="line") as caught:
+        replay_file(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("variant", ["1wo", "2more20", "2robo", "4robo", "", None, 2])
+def test_another_variant_is_refused(tmp_path: Path, line: dict[str, Any], variant: Any) -> None:
+    with pytest.raises(InputError, match=r"variant: got .*1mimic, 2wo, 4wo"):
+        replay_file(_write(tmp_path, {**line, "variant": variant}))
+
+
+@pytest.mark.parametrize("name", ["1wo_g5_n30", "2more20_g5_n30", "2robo_g3_n20"])
+def test_recorded_files_of_other_variants_are_refused(reference: Path, name: str) -> None:
+    with pytest.raises(InputError, match="variant"):
+        replay_file(reference / f"transitions_{name}.jsonl.gz")
+
+
+def test_a_probe_needs_its_real_line(tmp_path: Path, data: Path) -> None:
+    probe = next(x for x in read_lines(data / "transitions_sample.jsonl") if x["kind"] == "probe")
+    with pytest.raises(InputError, match="a step with a real line"):
+        replay_file(_write(tmp_path, probe))
+
+
+USED = ["variant", "ep", "t", "targets", "mask_px", "unplaced", "u", "ref", "blk", "placed",
+        "placed_after", "px_init", "px_plane_before", "px_comp_before", "px_plane_after",
+        "px_comp_after", "tilt_after", "reward", "done", "invalid", "accv"]  # fmt: skip
+
+
+@pytest.mark.parametrize("field", USED)
+def test_a_missing_field_is_named(tmp_path: Path, line: dict[str, Any], field: str) -> None:
+    del line[field]
+    with pytest.raises(InputError, match=field):
+        replay_file(_write(tmp_path, line))
+
+
+@pytest.mark.xfail(
+    strict=True, reason="fields are read unchecked: other exceptions than InputError"
+)
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"variant": ["2wo"]}, {"ep": [1]}, {"u": [1]}, {"u": "abc"}, {"ref": "a"}, {"ref": 1.5},
+        {"targets": []}, {"targets": [[]]}, {"targets": 5}, {"targets": [[[0.0, 0.0]]]},
+        {"placed": []}, {"placed": "x"}, {"placed": [[0.0, 0.0]]}, {"placed_after": None},
+        {"tilt_after": None}, {"px_init": None}, {"unplaced": None},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_field_of_another_kind_is_refused(
+    tmp_path: Path, line: dict[str, Any], change: dict[str, Any]
+) -> None:
+    with pytest.raises(InputError):
+        replay_file(_write(tmp_path, {**line, **change}))
+
+
+OUT_OF_RANGE: list[Callable[[dict[str, Any]], dict[str, Any]]] = [
+    lambda line: {"ref": len(line["placed"])},
+    lambda line: {"ref": -1},
+    lambda line: {"blk": len(line["unplaced"])},
+    lambda line: {"blk": 1000},
+    lambda line: {"blk": -2},
+    lambda line: {"unplaced": []},
+    lambda line: {"u": [*line["u"][:2], 5]},
+    lambda line: {"u": [*line["u"][:2], -1]},
+]
+
+
+@pytest.mark.xfail(
+    strict=True, reason="indices go unchecked into compiled code: wild reads, writes"
+)
+def test_indices_out_of_range_are_refused(tmp_path: Path, line: dict[str, Any]) -> None:
+    """In a process of its own: what is not refused may overwrite memory."""
+    paths = []
+    for number, change in enumerate(OUT_OF_RANGE):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        paths.append(str(_write(folder, {**line, **change(line)})))
+    script = (
+        "import sys; from pathlib import Path; from learn2assemble.errors import InputError\n"
+        "from learn2assemble.evaluation.replay import replay_file\n"
+        "for path in sys.argv[1:]:\n"
+        "    try: replay_file(Path(path))\n"
+        "    except InputError: pass\n"
+        "    else: sys.exit(path)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, *paths], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
