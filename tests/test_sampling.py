@@ -293,8 +293,8 @@ def _restored_counts(lines: list[dict[str, Any]], task: Task) -> tuple[float, fl
 @pytest.mark.parametrize("name", RECORDED)
 def test_recorded_problems_have_our_masks_and_initial_cover(reference: Path, name: str) -> None:
     masks, covers = _restored_counts(recorded(reference, name), RECORDED[name])
-    assert masks >= 0.99
-    assert covers >= 0.98
+    assert masks == 1.0
+    assert covers == 1.0
 
 
 def test_sampled_problems_have_our_masks_and_initial_cover(data: Path) -> None:

@@ -21,6 +21,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.geometry.mask import paper_mask
 from learn2assemble.physics.protocol import Physics, Verdict
 from learn2assemble.physics.static import StaticPhysics
+from learn2assemble.world.actions import RELATIONS
 from learn2assemble.world.rules import (
     DISCRETE,
     count_row,
@@ -112,7 +113,9 @@ class _Scene:
 
     def __init__(self, line: dict[str, Any], frames: np.ndarray) -> None:
         targets = line["targets"]
-        sides = len(targets)
+        sides = len(frames)
+        if len(targets) != sides or any(not 3 <= len(side) <= 5 for side in targets):
+            raise ValueError(f"targets are not {sides} outlines of 3 to 5 vertices")
         blocks = len(line["placed"]) + len(line["unplaced"]) + 1
         vertices = max(len(side) for side in targets)
         self.frames = frames
@@ -188,10 +191,12 @@ def replay_file(path: Path, rigid: Physics | None = None) -> ReplayReport:
         }
         for line in lines:
             _replay_line(line, problems, report, tallies, rigid)
-    except KeyError as error:
-        raise InputError(
-            f"{path.name} line {report.lines}", f"no field {error}", "a recorded transition"
-        ) from None
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        if isinstance(error, InputError):
+            raise
+        got = f"no field {error}" if isinstance(error, KeyError) else str(error)
+        where = f"{path.name} line {max(report.lines, 1)}"
+        raise InputError(where, got, "a recorded transition") from None
     report.mask_exact = tallies["mask"].fraction
     report.plane_exact = tallies["plane"].fraction
     report.complete_exact = tallies["complete"].fraction
@@ -223,8 +228,9 @@ def _replay_line(
     key = (line["ep"], line["t"])
     if key not in problems:
         raise InputError(f"{report.file} line {report.lines}", key, "a step with a real line")
-    scene = _Scene(problems[key], side_frames(_SIDES[variant]))
     unplaced = problems[key]["unplaced"]
+    _check_indices(line, len(unplaced))
+    scene = _Scene(problems[key], side_frames(_SIDES[variant]))
 
     if real:
         for side, theirs in enumerate(line["mask_px"]):
@@ -267,6 +273,16 @@ def _replay_line(
         valid, _, _ = _repeat(scene, line, len(unplaced), rigid)
         if not tallies["rigid"].add(valid == (not line["invalid"])):
             report.disagreements.append({**note, "physics": rigid.name})
+
+
+def _check_indices(line: dict[str, Any], num_unplaced: int) -> None:
+    """Refuse what compiled code would read beyond its arrays."""
+    limits = {"blk": num_unplaced, "ref": len(line["placed"])}
+    values = {name: line[name] for name in limits} | {"u[2]": line["u"][2]}
+    for name, value in values.items():
+        limit = limits.get(name, len(RELATIONS))
+        if type(value) is not int or not 0 <= value < limit:
+            raise ValueError(f"{name} is {value!r}, not an index below {limit}")
 
 
 def _repeat(

@@ -60,6 +60,8 @@ def paper_mask(vertices, count, mask):
         for w in range(WORDS):
             mask[row, w] = 0
     top, bottom = max(vs.min(), 0), min(vs.max(), ROWS - 1)
+    if count == 5:
+        top = 0  # With a dented roof the half-planes may stay open above the vertices.
     for row in range(top, bottom + 1):
         low, high = 0, IMAGE_SIZE - 1
         for k in range(count):

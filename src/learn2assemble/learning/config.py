@@ -38,8 +38,9 @@ class TrainConfig:
             put a like block into the same cell. D6.
         reward_weight: weight of the loss that fits the reward head to the reward of *every*
             placement of a sampled state, from the one-step model. D6.
-        counterfactual: share of a batch whose action is exchanged for the one the network would
-            take now, with reward and successor from the one-step model. D6.
+        imagined: further actions of every sampled state that get a TD target of their own, with
+            reward and successor from the one-step model: the one the network would take now,
+            then random valid ones. D6.
         augment: mirror the structure and exchange its sides at random. D7.
     """
 
@@ -61,7 +62,7 @@ class TrainConfig:
     terminal_weight: float = 0.0
     share_cell: bool = False
     reward_weight: float = 0.0
-    counterfactual: float = 0.0
+    imagined: int = 0
     augment: bool = False
 
     def __post_init__(self) -> None:
@@ -82,13 +83,13 @@ class TrainConfig:
                 raise InputError(name, getattr(self, name), "a weight of at least 0")
         if self.reward_weight and not self.network.reward_head:
             raise InputError("reward_weight", self.reward_weight, "0, or network.reward_head")
-        if not 0 <= self.counterfactual <= 1:
-            raise InputError("counterfactual", self.counterfactual, "a share between 0 and 1")
+        if self.imagined < 0:
+            raise InputError("imagined", self.imagined, "a whole number of at least 0")
 
     @property
     def uses_model(self) -> bool:
         """Whether training looks at placements that were not made (deviation D6)."""
-        return max(self.terminal_weight, self.reward_weight, self.counterfactual) > 0
+        return max(self.terminal_weight, self.reward_weight, self.imagined) > 0
 
     def to_dict(self) -> dict[str, Any]:
         return dataclasses.asdict(self)
@@ -158,7 +159,7 @@ CONFIGS: dict[str, TrainConfig] = {
         double=False,
     ),
     "fast": TrainConfig(
-        network=NetworkConfig(position_scale=0.1, rotary=True, reward_head=True),
+        network=NetworkConfig(heads=2, position_scale=0.1, rotary=True, reward_head=True),
         learning_rate=2e-3,
         final_learning_rate=1e-4,
         epsilon_samples=25_000,

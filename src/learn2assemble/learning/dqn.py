@@ -9,7 +9,6 @@ from torch.nn import functional as F
 from learn2assemble.graph.batch import GraphTensors, to_tensors
 from learn2assemble.graph.features import PLACED_FLAG, POSITION, Graph
 from learn2assemble.learning.config import TrainConfig
-from learn2assemble.learning.explore import random_actions
 from learn2assemble.learning.replay import Batch
 from learn2assemble.networks.qnetwork import QFactors, QNetwork
 from learn2assemble.world.actions import DIRECTIONS
@@ -27,19 +26,20 @@ def dqn_loss(
 ) -> tuple[torch.Tensor, dict[str, float]]:
     """Loss of one batch and numbers to log.
 
-    The TD part is the paper's smooth L1. ``counterfactual`` exchanges actions before it,
-    ``share_cell`` spreads it over equivalent actions. ``terminal_weight`` adds the mean smooth L1
-    of Q to the reward over all placements that would end the episode, ``reward_weight`` that of
-    the reward head to the rewards of all placements.
+    The TD part is the paper's smooth L1. ``imagined`` adds actions that were not taken,
+    ``share_cell`` spreads the target over equivalent actions, ``terminal_weight`` adds the mean
+    smooth L1 of Q to the reward over all placements that would end the episode,
+    ``reward_weight`` that of the reward head to the rewards of all placements.
     """
     graph = to_tensors(batch.graph, device)
     embeddings = online.embeddings(graph)
     factors = online.values(embeddings)
-    if config.counterfactual:
-        batch = reconsider(batch, factors, graph, config.counterfactual, rng)
     y = td_targets(online, target, batch, discount, config.double, device)
     value = factors.select(torch.from_numpy(batch.action).to(device))
     td = F.smooth_l1_loss(value, y)
+    if config.imagined:
+        extra = imagined_error(target, batch, factors, graph, config.imagined, discount, rng)
+        td = (td + extra) / (1 + config.imagined)
     logs = {"q": float(value.detach().mean())}
     block = _random_block(batch.graph, rng)
     if config.share_cell or config.terminal_weight:
@@ -87,35 +87,52 @@ def td_targets(
     return reward + discount * torch.where(alive, value, 0.0)
 
 
-def reconsider(
-    batch: Batch, factors: QFactors, graph: GraphTensors, share: float, rng: np.random.Generator
-) -> Batch:
-    """Exchange the action taken for the one the network would take now, in a ``share`` of rows.
+def imagined_error(
+    target: QNetwork,
+    batch: Batch,
+    factors: QFactors,
+    graph: GraphTensors,
+    count: int,
+    discount: float,
+    rng: np.random.Generator,
+) -> torch.Tensor:
+    """Sum over ``count`` actions that were not taken of the mean smooth L1 to their TD targets.
 
-    Its reward, end and successor come from the one-step model, so overestimated actions are
-    corrected without having to be played. One in five of these actions is uniformly random.
+    The first is the network's own choice, so overestimated actions are corrected without having
+    to be played; the others are random valid placements.
     """
     assert batch.prospects is not None
+    prospects, rows = batch.prospects, np.arange(len(batch.action))
     with torch.no_grad():
-        action = factors.best(graph)[1].cpu().numpy()
-    count = len(action)
-    uniform = random_actions(batch.graph, factors.context.shape[-1], rng)
-    action = np.where(rng.random((count, 1)) < 0.2, uniform, action)
-    chosen = rng.random(count) < share
-    action = np.where(chosen[:, None], action, batch.action)
-    rows, reference = np.arange(count), action[:, 1] - batch.graph.num_targets
-    reward = batch.prospects.reward[rows, reference, action[:, 2]]
-    terminal = batch.prospects.terminal[rows, reference, action[:, 2]]
-    moved = successor(batch.graph, action)
-    successors = Graph(
-        *[np.where(_expand(chosen, a), a, b) for a, b in zip(moved, batch.next_graph, strict=True)]
-    )
-    return batch._replace(
-        action=action,
-        reward=np.where(chosen, reward, batch.reward).astype(np.float32),
-        terminal=np.where(chosen, terminal, batch.terminal),
-        next_graph=successors,
-    )
+        actions = [factors.best(graph)[1].cpu().numpy()]
+    for _ in range(count - 1):
+        actions.append(_random_valid(batch, rng))
+    graphs, rewards, terminals = [], [], []
+    for action in actions:
+        where = (rows, action[:, 1] - batch.graph.num_targets, action[:, 2])
+        graphs.append(successor(batch.graph, action))
+        rewards.append(prospects.reward[where])
+        terminals.append(prospects.terminal[where])
+    joined = Graph(*[np.concatenate(fields) for fields in zip(*graphs, strict=True)])
+    tensors = to_tensors(joined, graph.nodes.device)
+    with torch.no_grad():
+        value, _ = target(tensors).best(tensors)
+    alive = torch.from_numpy(~np.concatenate(terminals)).to(value.device)
+    reward = torch.from_numpy(np.concatenate(rewards)).to(value.device)
+    y = (reward + discount * torch.where(alive, value, 0.0)).split(len(rows))
+    chosen = [factors.select(torch.from_numpy(a).to(value.device)) for a in actions]
+    return torch.stack([F.smooth_l1_loss(q, t) for q, t in zip(chosen, y, strict=True)]).sum()
+
+
+def _random_valid(batch: Batch, rng: np.random.Generator) -> np.ndarray:
+    """A uniformly drawn valid placement of a random block, node actions int64[B, 3]."""
+    assert batch.prospects is not None
+    valid = batch.prospects.valid.reshape(len(batch.action), -1)
+    # The largest of independent draws, among the valid entries, is uniform over them.
+    pick = (rng.random(valid.shape) * valid).argmax(1)
+    reference, relation = np.divmod(pick, batch.prospects.valid.shape[2])
+    block = _random_block(batch.graph, rng)
+    return np.stack([block, batch.graph.num_targets + reference, relation], -1)
 
 
 def successor(graph: Graph, action: np.ndarray) -> Graph:
@@ -186,7 +203,3 @@ def _placed_index(graph: Graph, blocks: int) -> np.ndarray:
     """Node index of placed block 0..blocks-1, clipped to the graph: int64[B, blocks]."""
     index = graph.num_targets[:, None] + np.arange(blocks)
     return np.minimum(index, graph.nodes.shape[1] - 1)
-
-
-def _expand(chosen: np.ndarray, like: np.ndarray) -> np.ndarray:
-    return chosen.reshape(-1, *[1] * (like.ndim - 1))

@@ -9,8 +9,10 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-ROTARY = tuple((axis, period) for period in (0.1, 0.2, 0.4, 0.8) for axis in (0, 2, 1))
-"""Axis and period [m] of each rotated pair of query and key entries, in order of use."""
+ROTARY = tuple((axis, period) for period in (0.1, 0.2, 0.05, 0.4) for axis in (0, 2, 1))
+"""Axis and period [m] of each rotated pair of query and key entries, in order of use.
+
+Multiples of the block edge tell lattice neighbours apart, the edge itself where an outline cuts."""
 
 
 class Rotation(NamedTuple):
