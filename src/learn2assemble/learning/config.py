@@ -30,6 +30,9 @@ class TrainConfig:
         epsilon_final: exploration rate in the end; it starts at 1.
         epsilon_samples: steps until then, linearly.
         target_period: gradient steps between two copies to the target network.
+        target_rate: where positive, the target network follows the online one by this share after
+            every gradient step instead of being copied, and the agent is the target network: an
+            average of the recent weights.
         double: choose the next action by the online network, value it by the target network.
         terminal_weight: weight of the loss that fits Q to the reward of *every* placement of a
             sampled state that would end the episode (invalid, filled, or out of blocks): there
@@ -38,6 +41,8 @@ class TrainConfig:
             put a like block into the same cell. D6.
         reward_weight: weight of the loss that fits the reward head to the reward of *every*
             placement of a sampled state, from the one-step model. D6.
+        gain_weight: weight of the loss that fits the gain head to the change of coverage, in units
+            of ``GAIN_UNIT``, of every placement of a sampled state. D6.
         imagined: further actions of every sampled state that get a TD target of their own, with
             reward and successor from the one-step model: the one the network would take now,
             then random valid ones. D6.
@@ -58,10 +63,12 @@ class TrainConfig:
     epsilon_final: float = 0.05
     epsilon_samples: int = 40_000
     target_period: int = 300
+    target_rate: float = 0.0
     double: bool = True
     terminal_weight: float = 0.0
     share_cell: bool = False
     reward_weight: float = 0.0
+    gain_weight: float = 0.0
     imagined: int = 0
     augment: bool = False
 
@@ -76,20 +83,24 @@ class TrainConfig:
         for name in ("learning_rate", "final_learning_rate"):
             if not 0 < getattr(self, name) < 1:
                 raise InputError(name, getattr(self, name), "a rate between 0 and 1")
+        if not 0 <= self.target_rate <= 1:
+            raise InputError("target_rate", self.target_rate, "a share between 0 and 1")
         if not 0 <= self.epsilon_final <= 1:
             raise InputError("epsilon_final", self.epsilon_final, "0 <= epsilon <= 1")
-        for name in ("terminal_weight", "reward_weight"):
+        for name in ("terminal_weight", "reward_weight", "gain_weight"):
             if getattr(self, name) < 0:
                 raise InputError(name, getattr(self, name), "a weight of at least 0")
         if self.reward_weight and not self.network.reward_head:
             raise InputError("reward_weight", self.reward_weight, "0, or network.reward_head")
+        if self.gain_weight and not self.network.gain_head:
+            raise InputError("gain_weight", self.gain_weight, "0, or network.gain_head")
         if self.imagined < 0:
             raise InputError("imagined", self.imagined, "a whole number of at least 0")
 
     @property
     def uses_model(self) -> bool:
         """Whether training looks at placements that were not made (deviation D6)."""
-        return max(self.terminal_weight, self.reward_weight, self.imagined) > 0
+        return max(self.terminal_weight, self.reward_weight, self.gain_weight, self.imagined) > 0
 
     def to_dict(self) -> dict[str, Any]:
         return dataclasses.asdict(self)

@@ -14,6 +14,9 @@ from learn2assemble.networks.qnetwork import QFactors, QNetwork
 from learn2assemble.world.actions import DIRECTIONS
 from learn2assemble.world.blocks import EDGE
 
+GAIN_UNIT = 0.1
+"""Change of coverage that counts as one in the loss of the gain head."""
+
 
 def dqn_loss(
     online: QNetwork,
@@ -67,6 +70,13 @@ def dqn_loss(
         extra = _mean_error(predicted, reward, np.broadcast_to(used, reward.shape))
         logs["reward"] = float(extra.detach())
         loss = loss + config.reward_weight * extra
+    if config.gain_weight:
+        assert prospects is not None
+        predicted = _all_placements(online.gains(embeddings), batch, block, device)
+        gain = torch.from_numpy(prospects.gain).to(device) / GAIN_UNIT
+        extra = _mean_error(predicted, gain, np.broadcast_to(used, gain.shape))
+        logs["gain"] = float(extra.detach())
+        loss = loss + config.gain_weight * extra
     return loss, {"loss": float(loss.detach()), "td": float(td.detach()), **logs}
 
 

@@ -56,6 +56,7 @@ class Replay:
             self.arrays["prospects.reward"] = np.zeros(shape, np.float16)
             self.arrays["prospects.terminal"] = np.zeros(shape, np.bool_)
             self.arrays["prospects.valid"] = np.zeros(shape, np.bool_)
+            self.arrays["prospects.gain"] = np.zeros(shape, np.float16)
 
     def add(self, batch: Batch) -> None:
         """Append transitions, overwriting the oldest."""
@@ -80,8 +81,12 @@ class Replay:
         rows = rng.integers(0, self.length, count)
         a, prospects = self.arrays, None
         if self.prospects:
-            reward = a["prospects.reward"][rows].astype(np.float32)
-            prospects = Prospects(reward, a["prospects.terminal"][rows], a["prospects.valid"][rows])
+            prospects = Prospects(
+                a["prospects.reward"][rows].astype(np.float32),
+                a["prospects.terminal"][rows],
+                a["prospects.valid"][rows],
+                a["prospects.gain"][rows].astype(np.float32),
+            )
         return Batch(
             self._graph("", rows), a["action"][rows], a["reward"][rows], a["terminal"][rows],
             self._graph("next_", rows), prospects,

@@ -186,7 +186,7 @@ def _save(trainer: Trainer, out: Path, state_file: Path) -> None:
         "seconds": round(trainer.seconds, 1),
         **provenance(trainer.device),
     }
-    save_agent(Agent("agent", trainer.online, trainer.task.name, origin), out)
+    save_agent(Agent("agent", trainer.agent_network, trainer.task.name, origin), out)
 
 
 def _prepare_folder(out: Path, state_file: Path, resume: bool) -> None:

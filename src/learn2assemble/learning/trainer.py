@@ -79,6 +79,11 @@ class Trainer:
     def finished(self) -> bool:
         return self.samples >= self.config.num_samples
 
+    @property
+    def agent_network(self) -> QNetwork:
+        """The network to keep: the averaged one where there is one."""
+        return self.target if self.config.target_rate else self.online
+
     def round(self) -> None:
         """One phase of collection and one of learning."""
         for _ in range(self.config.steps_per_round):
@@ -126,7 +131,12 @@ class Trainer:
         loss.backward()
         self.optimizer.step()
         self.updates += 1
-        if self.updates % config.target_period == 0:
+        if config.target_rate:
+            pairs = zip(self.target.parameters(), self.online.parameters(), strict=True)
+            with torch.no_grad():
+                for mine, theirs in pairs:
+                    mine.lerp_(theirs, config.target_rate)
+        elif self.updates % config.target_period == 0:
             self.target.load_state_dict(self.online.state_dict())
 
     def metrics(self) -> dict[str, float]:

@@ -25,6 +25,8 @@ class NetworkConfig:
         position_scale: positions are divided by this [m] (1.025 in the published code).
         rotary: rotate queries and keys by the node positions, so that attention scores depend on
             offsets between nodes instead of absolute positions (deviation D5).
+        gain_head: a second read-out that learning fits to the change of coverage; it only shapes
+            the embeddings and takes no part in Q (deviation D6).
         reward_head: give the read-out a second term that learning can also fit to the immediate
             reward alone; Q is the sum of both, so the function class is the same (deviation D6).
     """
@@ -38,6 +40,7 @@ class NetworkConfig:
     position_scale: float = 1.025
     rotary: bool = False
     reward_head: bool = False
+    gain_head: bool = False
 
     def __post_init__(self) -> None:
         if self.feed_forward not in FEED_FORWARDS:

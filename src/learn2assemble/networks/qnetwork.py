@@ -78,6 +78,9 @@ class QNetwork(nn.Module):
         self.reward_readout: nn.Linear | None = None
         if config.reward_head:
             self.reward_readout = nn.Linear(3 * width, config.num_actions)
+        self.gain_readout: nn.Linear | None = None
+        if config.gain_head:
+            self.gain_readout = nn.Linear(3 * width, config.num_actions)
         self.scale: torch.Tensor
         scale = torch.ones(NUM_FEATURES)
         scale[POSITION] = 1 / config.position_scale
@@ -117,6 +120,11 @@ class QNetwork(nn.Module):
         """The reward term of Q alone; needs ``reward_head``."""
         assert self.reward_readout is not None
         return _factors(embeddings, self.reward_readout.weight, self.reward_readout.bias)
+
+    def gains(self, embeddings: tuple[torch.Tensor, torch.Tensor]) -> QFactors:
+        """Predicted change of coverage of every action; needs ``gain_head``."""
+        assert self.gain_readout is not None
+        return _factors(embeddings, self.gain_readout.weight, self.gain_readout.bias)
 
 
 def _factors(

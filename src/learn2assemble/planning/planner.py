@@ -296,9 +296,13 @@ def _candidates(
         cell = placed[j] + EDGE * DIRECTIONS[k]
         if (int(j), int(k)) not in q or (not problem.supports and problem.is_outside(cell)):
             continue
-        fills = float(prospects.reward[0, j, k]) > 0
         column = (round(cell[0] / EDGE), round(cell[1] / EDGE))
-        score = q[int(j), int(k)] + (200.0 if fills else 100.0 if column in carries else 0.0)
+        score = q[int(j), int(k)]
+        if prospects.reward[0, j, k] > 0:
+            # The largest share first: where blocks are scarce, it needs the fewest.
+            score += 200.0 + 100.0 * float(prospects.gain[0, j, k])
+        elif column in carries:
+            score += 100.0
         key = (*column, round(cell[2] / EDGE - 0.5))
         if key not in best or score > best[key][0]:
             best[key] = (score, np.array([0, j, k]))
@@ -306,15 +310,13 @@ def _candidates(
 
 
 def _open_columns(problem: Problem, state: State) -> set[tuple[int, int]]:
-    """World columns (x, y in edges) in which some cell inside an outline is not yet filled."""
-    if problem.inside is None:
-        return set()
+    """World columns (x, y in edges) in which some needed cell is not yet filled."""
     filled = {
         (round(x / EDGE), round(y / EDGE), round((z - HALF) / EDGE))
         for x, y, z in state.position[0, : state.num_placed[0]]
     }
     columns = set()
-    for frame, cells in zip(Simulator(problem.task).frames, problem.inside, strict=True):
+    for frame, cells in zip(Simulator(problem.task).frames, problem.needed, strict=True):
         c, s, tx, ty = frame
         for cell in cells:
             x, y = c * cell.column * EDGE + tx, s * cell.column * EDGE + ty

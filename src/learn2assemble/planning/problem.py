@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from learn2assemble.presets import get_task
 from learn2assemble.simulator import Simulator
 from learn2assemble.task import Task
 from learn2assemble.world.blocks import EDGE, HALF
-from learn2assemble.world.design_pixels import Cell
+from learn2assemble.world.design_pixels import MAX_COLUMN, Cell, face_pixels
 from learn2assemble.world.designs import Design, explain_refusal, inside_cells, minimum_blocks
 from learn2assemble.world.layouts import waiting_positions
 from learn2assemble.world.sampling import start_blocks
@@ -43,6 +44,15 @@ class Problem:
         """Target outline of every side, local (x, z) [m]."""
         count = self.state.num_vertices[0]
         return [self.state.vertices[0, side, :n].copy() for side, n in enumerate(count)]
+
+    @cached_property
+    def needed(self) -> list[frozenset[Cell]]:
+        """Cells of each side whose face holds mask pixels."""
+        counts = np.bitwise_count(face_pixels() & self.state.mask[0][:, None, None]).sum((-1, -2))
+        return [
+            frozenset(Cell(int(column) - MAX_COLUMN, int(level)) for column, level in cells)
+            for cells in map(np.argwhere, counts)
+        ]
 
     def accepts(self, state: State) -> bool:
         """Whether the world in row 0 shows the target: for a design, the blocks must stand in the

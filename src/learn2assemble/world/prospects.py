@@ -29,10 +29,14 @@ class Prospects(NamedTuple):
     """bool[B, M, 5]: the episode would end."""
     valid: np.ndarray
     """bool[B, M, 5]: the block would stay."""
+    gain: np.ndarray
+    """float32[B, M, 5]: change of F_pl, negative where it hides a side; 0 where invalid."""
 
 
 @njit(cache=True)
-def _try_all(state, frames, reward_kind, threshold, reward, terminal, valid, covered, occluded):
+def _try_all(
+    state, frames, reward_kind, threshold, reward, terminal, valid, gain, covered, occluded
+):
     sides, words = covered.shape[0], covered.shape[2]
     for row in range(len(state.num_placed)):
         first, last = state.mask_rows[row, 0], state.mask_rows[row, 1]
@@ -67,6 +71,8 @@ def _try_all(state, frames, reward_kind, threshold, reward, terminal, valid, cov
                     plane, complete, True, reward_kind, threshold,
                 )  # fmt: skip
                 reward[row, reference, relation] = gained
+                span = state.mask_pixels[row] - state.initial_pixels[row]
+                gain[row, reference, relation] = (plane - state.plane_pixels[row]) / span
                 terminal[row, reference, relation] = success or is_last
 
 
@@ -81,6 +87,7 @@ def prospects(state: State, frames: np.ndarray, reward: str, threshold: float) -
         np.zeros((batch, blocks, 5), np.float32),
         np.zeros((batch, blocks, 5), np.bool_),
         np.zeros((batch, blocks, 5), np.bool_),
+        np.zeros((batch, blocks, 5), np.float32),
     )
     _try_all(
         state, frames, REWARDS[reward], threshold, *out,
