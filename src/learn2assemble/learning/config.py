@@ -30,6 +30,7 @@ class TrainConfig:
         epsilon_final: exploration rate in the end; it starts at 1.
         epsilon_samples: steps until then, linearly.
         target_period: gradient steps between two copies to the target network.
+        steps: n of n-step targets; they end before the first exploratory action.
         target_rate: where positive, the target network follows the online one by this share after
             every gradient step instead of being copied, and the agent is the target network: an
             average of the recent weights.
@@ -63,6 +64,7 @@ class TrainConfig:
     epsilon_final: float = 0.05
     epsilon_samples: int = 40_000
     target_period: int = 300
+    steps: int = 1
     target_rate: float = 0.0
     double: bool = True
     terminal_weight: float = 0.0
@@ -77,7 +79,7 @@ class TrainConfig:
             raise UnknownNameError("method", self.method, METHODS)
         for name in ("num_samples", "num_envs", "steps_per_round", "updates_per_round",
                      "batch_size", "replay_size", "initial_samples", "epsilon_samples",
-                     "target_period"):  # fmt: skip
+                     "target_period", "steps"):  # fmt: skip
             if getattr(self, name) < 1:
                 raise InputError(name, getattr(self, name), "a positive whole number")
         for name in ("learning_rate", "final_learning_rate"):

@@ -37,7 +37,7 @@ def dqn_loss(
     graph = to_tensors(batch.graph, device)
     embeddings = online.embeddings(graph)
     factors = online.values(embeddings)
-    y = td_targets(online, target, batch, discount, config.double, device)
+    y = td_targets(online, target, batch, config.double, device)
     value = factors.select(torch.from_numpy(batch.action).to(device))
     td = F.smooth_l1_loss(value, y)
     if config.imagined:
@@ -81,9 +81,12 @@ def dqn_loss(
 
 
 def td_targets(
-    online: QNetwork, target: QNetwork, batch: Batch, discount: float, double: bool, device: str
+    online: QNetwork, target: QNetwork, batch: Batch, double: bool, device: str
 ) -> torch.Tensor:
-    """``y = r + gamma (1 - terminal) max Q_T(s', .)`` over legal actions: float[B]."""
+    """``y = r + gamma (1 - terminal) max Q_T(s', .)`` over legal actions: float[B].
+
+    For joined steps r is their discounted sum and gamma the discount after them.
+    """
     graph = to_tensors(batch.next_graph, device)
     reward = torch.from_numpy(batch.reward).to(device)
     alive = torch.from_numpy(~batch.terminal).to(device)
@@ -94,6 +97,7 @@ def td_targets(
             value = factors.select(action)
         else:
             value, _ = factors.best(graph)
+    discount = torch.from_numpy(batch.discount).to(device)
     return reward + discount * torch.where(alive, value, 0.0)
 
 

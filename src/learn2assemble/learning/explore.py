@@ -29,14 +29,14 @@ def random_actions(graph: Graph, num_actions: int, rng: np.random.Generator) -> 
 
 def epsilon_greedy(
     network: QNetwork, graph: Graph, epsilon: float, rng: np.random.Generator, device: str
-) -> np.ndarray:
-    """Node actions int64[B, 3]: uniform with probability ``epsilon``, else greedy."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Node actions int64[B, 3], uniform with probability ``epsilon``, and which are greedy."""
     action = random_actions(graph, network.config.num_actions, rng)
     greedy = rng.random(len(action)) >= epsilon
     if greedy.any():
         rows = np.flatnonzero(greedy)
         action[rows] = greedy_actions(network, graph.take(rows), device)
-    return action
+    return action, greedy
 
 
 def to_local(graph: Graph, action: np.ndarray) -> np.ndarray:

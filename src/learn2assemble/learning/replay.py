@@ -19,10 +19,14 @@ class Batch(NamedTuple):
     action: np.ndarray
     """int64[B, 3]: node indices of block and reference, relative action."""
     reward: np.ndarray
-    """float32[B]."""
+    """float32[B]: discounted over the steps up to ``next_graph`` (one, unless n-step)."""
     terminal: np.ndarray
     """bool[B]: nothing follows."""
     next_graph: Graph
+    discount: np.ndarray
+    """float32[B]: of what follows ``next_graph``; gamma to the number of steps."""
+    greedy: np.ndarray
+    """bool[B]: the action was the network's own choice, not exploration."""
     prospects: Prospects | None
     """Outcome of every placement in ``graph``; ``None`` where the learner does not use it."""
 
@@ -34,17 +38,28 @@ class Replay:
         num_nodes: N, nodes of a graph.
         blocks: M, placed blocks of a graph at most.
         num_actions: Na.
+        worlds: transitions of one :meth:`add`; the same world follows itself at this distance.
         prospects: whether transitions carry :class:`Prospects`.
     """
 
     def __init__(
-        self, size: int, num_nodes: int, blocks: int, num_actions: int, prospects: bool
+        self,
+        size: int,
+        num_nodes: int,
+        blocks: int,
+        num_actions: int,
+        *,
+        worlds: int,
+        prospects: bool,
     ) -> None:
-        self.size, self.length, self.cursor, self.prospects = size, 0, 0, prospects
+        self.size, self.length, self.cursor = size, 0, 0
+        self.worlds, self.prospects = worlds, prospects
         self.arrays: dict[str, np.ndarray] = {
             "action": np.zeros((size, 3), np.int64),
             "reward": np.zeros(size, np.float32),
             "terminal": np.zeros(size, np.bool_),
+            "discount": np.zeros(size, np.float32),
+            "greedy": np.zeros(size, np.bool_),
         }
         for prefix in ("", "next_"):
             self.arrays[f"{prefix}position"] = np.zeros((size, num_nodes, 3), np.float32)
@@ -67,7 +82,7 @@ class Replay:
             self.arrays[f"{prefix}object_id"][where] = graph.object_id
             for name in _COUNTS:
                 self.arrays[prefix + name][where] = getattr(graph, name)
-        for name in ("action", "reward", "terminal"):
+        for name in ("action", "reward", "terminal", "discount", "greedy"):
             self.arrays[name][where] = getattr(batch, name)
         if self.prospects:
             assert batch.prospects is not None
@@ -76,10 +91,15 @@ class Replay:
         self.cursor = int((self.cursor + count) % self.size)
         self.length = min(self.length + count, self.size)
 
-    def sample(self, count: int, rng: np.random.Generator) -> Batch:
-        """``count`` transitions, uniformly with replacement."""
+    def sample(self, count: int, rng: np.random.Generator, steps: int = 1) -> Batch:
+        """``count`` transitions, uniformly with replacement.
+
+        With ``steps`` > 1 each is joined with up to ``steps - 1`` that followed it in its world,
+        as long as these were greedy: exploration must not lower the value of what came before.
+        """
         rows = rng.integers(0, self.length, count)
         a, prospects = self.arrays, None
+        last, reward, discount = self._follow(rows, steps)
         if self.prospects:
             prospects = Prospects(
                 a["prospects.reward"][rows].astype(np.float32),
@@ -88,9 +108,23 @@ class Replay:
                 a["prospects.gain"][rows].astype(np.float32),
             )
         return Batch(
-            self._graph("", rows), a["action"][rows], a["reward"][rows], a["terminal"][rows],
-            self._graph("next_", rows), prospects,
+            self._graph("", rows), a["action"][rows], reward, a["terminal"][last],
+            self._graph("next_", last), discount, a["greedy"][rows], prospects,
         )  # fmt: skip
+
+    def _follow(self, rows: np.ndarray, steps: int) -> tuple[np.ndarray, ...]:
+        """Last joined transition, discounted reward up to it and discount after it."""
+        a, last = self.arrays, rows.copy()
+        reward, discount = a["reward"][rows].copy(), a["discount"][rows].copy()
+        newer = (self.cursor - 1 - rows) % self.size
+        going = np.ones(len(rows), np.bool_)
+        for ahead in range(1, steps):
+            following = (rows + ahead * self.worlds) % self.size
+            going &= ~a["terminal"][last] & (ahead * self.worlds <= newer) & a["greedy"][following]
+            reward += np.where(going, discount * a["reward"][following], 0.0)
+            discount *= np.where(going, a["discount"][following], 1.0)
+            last = np.where(going, following, last)
+        return last, reward, discount
 
     def _graph(self, prefix: str, rows: np.ndarray) -> Graph:
         position = self.arrays[f"{prefix}position"][rows]

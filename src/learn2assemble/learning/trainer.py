@@ -50,7 +50,7 @@ class Trainer:
         self.optimizer = torch.optim.Adam(self.online.parameters(), lr=config.learning_rate)
         self.replay = Replay(
             config.replay_size, task.num_nodes, task.max_blocks, task.num_actions,
-            prospects=config.uses_model,
+            worlds=config.num_envs, prospects=config.uses_model,
         )  # fmt: skip
         self.state = self.simulator.new(config.num_envs, self.rng)
         self.graph = self.simulator.observe(self.state)
@@ -98,11 +98,13 @@ class Trainer:
         """One epsilon-greedy step of every world, into the replay memory."""
         state, graph = self.state, self.graph
         prospects = self.simulator.prospects(state) if self.config.uses_model else None
-        action = epsilon_greedy(self.online, graph, self.epsilon, self.rng, self.device)
+        action, greedy = epsilon_greedy(self.online, graph, self.epsilon, self.rng, self.device)
         step = self.simulator.step(state, to_local(graph, action))
         after = self.simulator.observe(state)
+        discount = np.full(len(action), self.task.discount, np.float32)
+        reward = step.reward.astype(np.float32)
         self.replay.add(
-            Batch(graph, action, step.reward.astype(np.float32), step.terminated, after, prospects)
+            Batch(graph, action, reward, step.terminated, after, discount, greedy, prospects)
         )
         self.samples += len(action)
         self.running_return += self.running_discount * step.reward
@@ -121,7 +123,7 @@ class Trainer:
     def update(self) -> None:
         """One gradient step."""
         config = self.config
-        batch = self.replay.sample(config.batch_size, self.rng)
+        batch = self.replay.sample(config.batch_size, self.rng, config.steps)
         if config.augment:
             batch = random_symmetry(batch, self.task.num_sides, self.rng)
         loss, self.logs = dqn_loss(
