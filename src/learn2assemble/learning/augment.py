@@ -27,12 +27,17 @@ def random_symmetry(batch: Batch, num_sides: int, rng: np.random.Generator) -> B
     mirror = rng.random(count) < 0.5
     exchange = (rng.random(count) < 0.5) & (num_sides in _MIDDLE)
     middle = _MIDDLE.get(num_sides, 0.0)
-    action, prospects = batch.action.copy(), batch.prospects
+    action = batch.action.copy()
     for chosen, permutation in ((mirror, MIRROR), (exchange, EXCHANGE)):
         action[chosen, 2] = permutation[action[chosen, 2]]
-        if prospects is not None:
+
+    def permute(prospects: Prospects | None) -> Prospects | None:
+        if prospects is None:
+            return None
+        for chosen, permutation in ((mirror, MIRROR), (exchange, EXCHANGE)):
             swap = chosen[:, None, None]
             prospects = Prospects(*[np.where(swap, a[..., permutation], a) for a in prospects])
+        return prospects
 
     def turn(graph: Graph) -> Graph:
         nodes = graph.nodes.copy()
@@ -44,5 +49,5 @@ def random_symmetry(batch: Batch, num_sides: int, rng: np.random.Generator) -> B
 
     return batch._replace(
         graph=turn(batch.graph), next_graph=turn(batch.next_graph), action=action,
-        prospects=prospects,
+        prospects=permute(batch.prospects), next_prospects=permute(batch.next_prospects),
     )  # fmt: skip

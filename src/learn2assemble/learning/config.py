@@ -44,6 +44,8 @@ class TrainConfig:
             placement of a sampled state, from the one-step model. D6.
         gain_weight: weight of the loss that fits the gain head to the change of coverage, in units
             of ``GAIN_UNIT``, of every placement of a sampled state. D6.
+        exact_next: in targets, replace the predicted reward term of every next placement by the
+            known reward, and its Q by the reward where the episode would end. D6.
         imagined: further actions of every sampled state that get a TD target of their own, with
             reward and successor from the one-step model: the one the network would take now,
             then random valid ones. D6.
@@ -71,6 +73,7 @@ class TrainConfig:
     share_cell: bool = False
     reward_weight: float = 0.0
     gain_weight: float = 0.0
+    exact_next: bool = False
     imagined: int = 0
     augment: bool = False
 
@@ -94,6 +97,8 @@ class TrainConfig:
                 raise InputError(name, getattr(self, name), "a weight of at least 0")
         if self.reward_weight and not self.network.reward_head:
             raise InputError("reward_weight", self.reward_weight, "0, or network.reward_head")
+        if self.exact_next and not self.network.reward_head:
+            raise InputError("exact_next", self.exact_next, "false, or network.reward_head")
         if self.gain_weight and not self.network.gain_head:
             raise InputError("gain_weight", self.gain_weight, "0, or network.gain_head")
         if self.imagined < 0:
@@ -102,7 +107,8 @@ class TrainConfig:
     @property
     def uses_model(self) -> bool:
         """Whether training looks at placements that were not made (deviation D6)."""
-        return max(self.terminal_weight, self.reward_weight, self.gain_weight, self.imagined) > 0
+        weights = (self.terminal_weight, self.reward_weight, self.gain_weight, self.imagined)
+        return self.exact_next or max(weights) > 0
 
     def to_dict(self) -> dict[str, Any]:
         return dataclasses.asdict(self)

@@ -10,7 +10,7 @@ from learn2assemble.graph.batch import GraphTensors, to_tensors
 from learn2assemble.graph.features import PLACED_FLAG, POSITION, Graph
 from learn2assemble.learning.config import TrainConfig
 from learn2assemble.learning.replay import Batch
-from learn2assemble.networks.qnetwork import QFactors, QNetwork
+from learn2assemble.networks.qnetwork import NEGATIVE, QFactors, QNetwork
 from learn2assemble.world.actions import DIRECTIONS
 from learn2assemble.world.blocks import EDGE
 
@@ -37,7 +37,7 @@ def dqn_loss(
     graph = to_tensors(batch.graph, device)
     embeddings = online.embeddings(graph)
     factors = online.values(embeddings)
-    y = td_targets(online, target, batch, config.double, device)
+    y = td_targets(online, target, batch, config, device)
     value = factors.select(torch.from_numpy(batch.action).to(device))
     td = F.smooth_l1_loss(value, y)
     if config.imagined:
@@ -81,7 +81,7 @@ def dqn_loss(
 
 
 def td_targets(
-    online: QNetwork, target: QNetwork, batch: Batch, double: bool, device: str
+    online: QNetwork, target: QNetwork, batch: Batch, config: TrainConfig, device: str
 ) -> torch.Tensor:
     """``y = r + gamma (1 - terminal) max Q_T(s', .)`` over legal actions: float[B].
 
@@ -91,14 +91,44 @@ def td_targets(
     reward = torch.from_numpy(batch.reward).to(device)
     alive = torch.from_numpy(~batch.terminal).to(device)
     with torch.no_grad():
-        factors: QFactors = target(graph)
-        if double:
+        if config.exact_next:
+            value = _exact_next(online, target, batch, graph)
+        elif config.double:
             _, action = online(graph).best(graph)
-            value = factors.select(action)
+            value = target(graph).select(action)
         else:
-            value, _ = factors.best(graph)
+            value, _ = target(graph).best(graph)
     discount = torch.from_numpy(batch.discount).to(device)
     return reward + discount * torch.where(alive, value, 0.0)
+
+
+def _exact_next(
+    online: QNetwork, target: QNetwork, batch: Batch, graph: GraphTensors
+) -> torch.Tensor:
+    """Value of the next states, double Q, with the model's rewards in place of predicted ones."""
+    mine, theirs = (_corrected(network, batch, graph) for network in (online, target))
+    return theirs.gather(1, mine.argmax(1, keepdim=True))[:, 0]
+
+
+def _corrected(network: QNetwork, batch: Batch, graph: GraphTensors) -> torch.Tensor:
+    """Q of the best unplaced block at every next placement, corrected: float[B, M * Na]."""
+    assert batch.next_prospects is not None
+    device, prospects = graph.nodes.device, batch.next_prospects
+    embeddings = network.embeddings(graph)
+    q, predicted = network.values(embeddings), network.rewards(embeddings)
+    best, block = q.block.masked_fill(~graph.unplaced[..., None], NEGATIVE).max(1, keepdim=True)
+    reward = torch.from_numpy(prospects.reward).to(device)
+    index = torch.from_numpy(_placed_index(batch.next_graph, reward.shape[1])).to(device)
+    rows = torch.arange(len(index), device=device)[:, None]
+    value = best + q.reference[rows, index] + q.context[:, None]
+    guess = predicted.block.gather(1, block) + predicted.reference[rows, index]
+    exact = value - guess - predicted.context[:, None] + reward
+    exact = torch.where(torch.from_numpy(prospects.terminal).to(device), reward, exact)
+    known = torch.from_numpy(batch.next_known).to(device)[:, None, None]
+    value = torch.where(known, exact, value)
+    used = np.arange(reward.shape[1]) < batch.next_graph.num_placed[:, None]
+    legal = torch.from_numpy(used).to(device)[..., None]
+    return value.masked_fill(~legal, NEGATIVE).flatten(1)
 
 
 def imagined_error(

@@ -29,6 +29,10 @@ class Batch(NamedTuple):
     """bool[B]: the action was the network's own choice, not exploration."""
     prospects: Prospects | None
     """Outcome of every placement in ``graph``; ``None`` where the learner does not use it."""
+    next_prospects: Prospects | None
+    """The same in ``next_graph``; meaningless where ``next_known`` is false."""
+    next_known: np.ndarray
+    """bool[B]: the memory holds the prospects of ``next_graph``."""
 
 
 class Replay:
@@ -98,19 +102,25 @@ class Replay:
         as long as these were greedy: exploration must not lower the value of what came before.
         """
         rows = rng.integers(0, self.length, count)
-        a, prospects = self.arrays, None
+        a = self.arrays
         last, reward, discount = self._follow(rows, steps)
-        if self.prospects:
-            prospects = Prospects(
-                a["prospects.reward"][rows].astype(np.float32),
-                a["prospects.terminal"][rows],
-                a["prospects.valid"][rows],
-                a["prospects.gain"][rows].astype(np.float32),
-            )
+        # The successor of a transition is where the next one of the same world starts.
+        after = (last + self.worlds) % self.size
+        known = ((self.cursor - 1 - last) % self.size >= self.worlds) & ~a["terminal"][last]
         return Batch(
             self._graph("", rows), a["action"][rows], reward, a["terminal"][last],
-            self._graph("next_", last), discount, a["greedy"][rows], prospects,
+            self._graph("next_", last), discount, a["greedy"][rows],
+            self._prospects(rows), self._prospects(after), known & self.prospects,
         )  # fmt: skip
+
+    def _prospects(self, rows: np.ndarray) -> Prospects | None:
+        if not self.prospects:
+            return None
+        values = {name: self.arrays[f"prospects.{name}"][rows] for name in Prospects._fields}
+        return Prospects(**{
+            name: value.astype(np.float32) if value.dtype == np.float16 else value
+            for name, value in values.items()
+        })  # fmt: skip
 
     def _follow(self, rows: np.ndarray, steps: int) -> tuple[np.ndarray, ...]:
         """Last joined transition, discounted reward up to it and discount after it."""

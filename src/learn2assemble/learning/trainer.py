@@ -104,7 +104,18 @@ class Trainer:
         discount = np.full(len(action), self.task.discount, np.float32)
         reward = step.reward.astype(np.float32)
         self.replay.add(
-            Batch(graph, action, reward, step.terminated, after, discount, greedy, prospects)
+            Batch(
+                graph,
+                action,
+                reward,
+                step.terminated,
+                after,
+                discount,
+                greedy,
+                prospects,
+                next_prospects=None,
+                next_known=np.zeros(len(action), np.bool_),
+            )
         )
         self.samples += len(action)
         self.running_return += self.running_discount * step.reward
