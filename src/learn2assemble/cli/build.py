@@ -7,6 +7,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from learn2assemble.cli.output import Output
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.networks.agent import default_agent, load_agent
@@ -22,6 +24,8 @@ DEFAULT_AGENT_TASK = "two-sided-3x3-20-24"
 def run(options: argparse.Namespace) -> int:
     """Exit code 0 for a complete plan, 1 for an incomplete or refused one."""
     output = Output(options.json)
+    # One thread: small batches lose more by sharing than they gain.
+    torch.set_num_threads(1)
     problem, source = _problem(options.design, options.seed)
     agent = load_agent(options.agent or default_agent(DEFAULT_AGENT_TASK))
     prepare_folder(options.out)

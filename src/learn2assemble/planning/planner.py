@@ -27,6 +27,8 @@ from learn2assemble.world.state import State
 
 BUDGETS = (10, 40)
 """Search budgets of the agent's attempts, in order, before every placement is tried."""
+PATIENCE = 6
+"""Placements in a row that fill nothing after which an attempt of the agent is given up."""
 TOLERANCE = 1e-3
 """Two cells are the same when their centres agree within this [m]."""
 
@@ -154,7 +156,8 @@ def _play(
     rng = np.random.default_rng(seed)
     state = problem.state.copy()
     placements: list[Placement] = []
-    while not state.terminated[0]:
+    idle = 0
+    while not state.terminated[0] and idle < PATIENCE:
         before = state.copy()
         action = search(model, state, config, rng)[0].action
         block = _block_of(state, action)
@@ -162,6 +165,7 @@ def _play(
         if step.verdict[0] != 0:
             return placements, False
         placements.append(Placement(block, int(action[1]), int(action[2])))
+        idle = idle + 1 if step.reward[0] <= 0 else 0
         if problem.is_outside(state.position[0, before.num_placed[0]]) and not problem.supports:
             return placements[:-1], False
         if step.success[0]:
