@@ -112,6 +112,7 @@ def make_parser() -> argparse.ArgumentParser:
     train.add_argument("--seed", type=_natural, default=0)
     train.add_argument("--device", default="auto", help="auto, cpu or cuda")
     train.add_argument("--threads", type=_count, default=None, help="CPU threads of PyTorch")
+    train.add_argument("--init", default=None, help="agent whose weights to start from")
     train.add_argument("--resume", action="store_true", help="go on with the run in --out")
     train.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE",

@@ -12,6 +12,7 @@ from learn2assemble.cli.output import Output
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.learning.config import METHODS, TrainConfig, get_config, override
 from learn2assemble.learning.run import train
+from learn2assemble.networks.agent import load_agent
 from learn2assemble.presets import get_task
 
 
@@ -23,9 +24,14 @@ def run(options: argparse.Namespace) -> int:
     if options.threads:
         torch.set_num_threads(options.threads)
     config, seed, minutes = _settings(options)
+    init = None
+    if options.init is not None:
+        if options.resume:
+            raise InputError("--init", options.init, "not together with --resume")
+        init = load_agent(options.init)
     metrics = train(
         task, config, options.out, seed=seed, minutes=minutes, device=options.device,
-        resume=options.resume,
+        resume=options.resume, init=init,
     )  # fmt: skip
     output.table(f"{task.name} ({options.config})", ("quantity", "value"), list(metrics.items()))
     output.say(f"agent: {options.out / 'agent.safetensors'}")

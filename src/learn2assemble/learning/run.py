@@ -118,6 +118,7 @@ def train(
     minutes: float | None = None,
     device: str = "auto",
     resume: bool = False,
+    init: Agent | None = None,
     quiet: bool = False,
 ) -> dict[str, float]:
     """Train, or continue a training, in the folder ``out``; returns the last metrics.
@@ -125,6 +126,7 @@ def train(
     Args:
         minutes: stop after this many minutes of training in all, resumed parts counted in;
             ``None``: run to ``config.num_samples``.
+        init: start from the weights of this agent instead of random ones.
         resume: continue ``out``; without it ``out`` must be empty or absent.
 
     Raises:
@@ -134,11 +136,17 @@ def train(
     state_file = out / "state.safetensors"
     _prepare_folder(out, state_file, resume)
     trainer = Trainer(task, config, seed, device)
+    started_from = None
+    if init is not None:
+        trainer.start_from(init.network)
+        started_from = {"name": init.name, "origin": init.origin}
     if resume:
         trainer.load(state_file)
+        started_from = json.loads((out / "config.json").read_text(encoding="utf-8")).get("init")
     else:
         run = {
             "task": dataclasses.asdict(task), "seed": seed, "minutes": minutes,
+            "init": started_from,
             "config": config.to_dict(), **provenance(device),
         }  # fmt: skip
         (out / "config.json").write_text(json.dumps(run, indent=1) + "\n", encoding="utf-8")
@@ -166,17 +174,19 @@ def train(
                 )
                 next_log = now + LOG_SECONDS
             if now >= next_save:
-                _save(trainer, out, state_file)
+                _save(trainer, out, state_file, started_from)
                 next_save = time.monotonic() + CHECKPOINT_SECONDS
     finally:
-        _save(trainer, out, state_file)
+        _save(trainer, out, state_file, started_from)
         logs.write(trainer.metrics())
         logs.close()
         bar.close()
     return trainer.metrics()
 
 
-def _save(trainer: Trainer, out: Path, state_file: Path) -> None:
+def _save(
+    trainer: Trainer, out: Path, state_file: Path, started_from: dict[str, Any] | None
+) -> None:
     trainer.save(state_file)
     origin = {
         "config": trainer.config.to_dict(),
@@ -184,6 +194,7 @@ def _save(trainer: Trainer, out: Path, state_file: Path) -> None:
         "samples": trainer.samples,
         "updates": trainer.updates,
         "seconds": round(trainer.seconds, 1),
+        "init": started_from,
         **provenance(trainer.device),
     }
     save_agent(Agent("agent", trainer.agent_network, trainer.task.name, origin), out)

@@ -62,6 +62,17 @@ class Trainer:
         """Discounted return, success and failure of the latest training episodes."""
         self.logs: dict[str, float] = {}
 
+    def start_from(self, network: QNetwork) -> None:
+        """Take over the weights of a trained network.
+
+        Raises:
+            InputError: where its architecture is another one.
+        """
+        if network.config != self.config.network:
+            raise InputError("--init", network.config, f"an agent with {self.config.network}")
+        for mine in (self.online, self.target):
+            mine.load_state_dict(network.state_dict())
+
     @property
     def epsilon(self) -> float:
         """Exploration rate now: linear in the samples (protocol 10.1)."""

@@ -94,7 +94,7 @@ class _AllowedModel(WorldModel):
         keep = good[values.actions[:, 1], values.actions[:, 2]]
         if not keep.any():
             return values
-        return ActionValues(values.actions[keep], values.values[keep])
+        return ActionValues(values.actions[keep], values.values[keep], values.group[keep])
 
 
 Progress = Callable[[str], None]
@@ -118,7 +118,7 @@ def plan_sequences(
         started = time.perf_counter()
         stage = f"agent with search, budget {budget}"
         progress(stage)
-        config = SearchConfig(budget=budget, epsilon=0.0)
+        config = SearchConfig(budget=budget, epsilon=0.0, distinct=True)
         placements, success = _play(problem, simulator, model, config, seed)
         yield _finish(problem, simulator, placements, success, stage, budget, attempts, started, 0)
     started = time.perf_counter()

@@ -9,6 +9,8 @@ from learn2assemble.graph.batch import to_tensors
 from learn2assemble.networks.qnetwork import QNetwork
 from learn2assemble.search.model import ActionValues, StepResult
 from learn2assemble.simulator import Simulator
+from learn2assemble.world.actions import DIRECTIONS
+from learn2assemble.world.blocks import EDGE
 from learn2assemble.world.state import State
 
 
@@ -54,7 +56,8 @@ class WorldModel:
             split, end = first + int(graph.num_placed[row]), int(graph.num_nodes[row])
             values = block[row, split:end, None] + reference[row, None, first:split] + context[row]
             actions = np.indices(values.shape).reshape(3, -1).T
-            out.append(ActionValues(actions, values.ravel()))
+            cells = np.broadcast_to(_cells(states, row), values.shape)
+            out.append(ActionValues(actions, values.ravel(), cells.ravel()))
         return out
 
     def best(self, states: State) -> tuple[np.ndarray, np.ndarray]:
@@ -66,3 +69,12 @@ class WorldModel:
             [graph.num_targets + graph.num_placed, graph.num_targets, 0 * graph.num_placed], -1
         )
         return value.cpu().numpy().astype(np.float64), action.cpu().numpy() - offset
+
+
+def _cells(states: State, row: int) -> np.ndarray:
+    """Number of the cell that every (reference, relation) leads to: int64[P, 5]."""
+    placed = states.position[row, : states.num_placed[row]]
+    # Centres in units of 5 mm: finer than a lattice cell, coarser than what settling moves.
+    index = np.rint((placed[:, None] + EDGE * DIRECTIONS) * (10 / EDGE)).astype(np.int64) + 4096
+    keys = (index[..., 0] << 40) + (index[..., 1] << 20) + index[..., 2]
+    return np.unique(keys, return_inverse=True)[1].reshape(keys.shape)

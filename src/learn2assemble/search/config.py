@@ -20,12 +20,15 @@ class SearchConfig:
         rollout: eta, steps simulated per expansion, the first included; afterwards the largest
             Q is the estimate. ``TO_THE_END`` plays to termination (the paper's double star).
         prior: start every child with visit count 1 and its Q as total.
+        distinct: expand only the best of several actions that lead to the same structure, such as
+            like blocks put into the same cell (deviation D14).
     """
 
     budget: int = 10
     epsilon: float = 0.05
     rollout: int = 1
     prior: bool = True
+    distinct: bool = False
 
     def __post_init__(self) -> None:
         if self.budget < 0:

@@ -51,7 +51,7 @@ def search(
     random explored child with probability ``epsilon``, else the child of largest mean value.
     """
     rows = range(model.batch_size(states))
-    legal = model.action_values(states)
+    legal = _candidates(model, states, config)
     roots = [Node(model.take(states, np.array([row])), legal=legal[row]) for row in rows]
     remaining = np.full(len(roots), config.budget)
     while True:
@@ -65,6 +65,12 @@ def search(
             break
         _simulate(model, leaves, config, rng)
     return [Decision(_final_action(root, config, rng), root) for root in roots]
+
+
+def _candidates(model: SearchModel, states: Any, config: SearchConfig) -> list[ActionValues]:
+    """The actions a search may expand, for every row."""
+    values = model.action_values(states)
+    return [row.distinct() for row in values] if config.distinct else values
 
 
 def _select(
@@ -83,7 +89,7 @@ def _select(
             key = max(open_keys, key=lambda k: node.children[k].value)
         child = node.children[key]
         if child.legal is None:
-            child.legal = model.action_values(child.state)[0]
+            child.legal = _candidates(model, child.state, config)[0]
         path.append(child)
     node = path[-1]
     assert node.legal is not None

@@ -14,6 +14,15 @@ class ActionValues(NamedTuple):
     """int64[A, 3]."""
     values: np.ndarray
     """float64[A]: Q(s, a)."""
+    group: np.ndarray
+    """int64[A]: actions with the same number lead to the same structure."""
+
+    def distinct(self) -> ActionValues:
+        """The action of largest value of every group."""
+        order = np.argsort(-self.values, kind="stable")
+        _, first = np.unique(self.group[order], return_index=True)
+        keep = np.sort(order[first])
+        return ActionValues(self.actions[keep], self.values[keep], self.group[keep])
 
 
 class StepResult(NamedTuple):
