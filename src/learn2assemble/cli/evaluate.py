@@ -33,7 +33,9 @@ def run(options: argparse.Namespace) -> int:
     torch.set_num_threads(1)
     config = None
     if options.search == "mcts":
-        config = SearchConfig(options.budget, options.epsilon, options.rollout)
+        config = SearchConfig(
+            options.budget, options.epsilon, options.rollout, distinct=options.distinct
+        )
     policy = make_policy(task, agent.network, config, options.epsilon)
     with tqdm(total=options.episodes, unit=" episodes", desc=task.name) as bar:
         metrics = run_episodes(
@@ -47,6 +49,7 @@ def run(options: argparse.Namespace) -> int:
         "search": options.search,
         "budget": options.budget if config else 0,
         "rollout": options.rollout if config else 0,
+        "distinct": bool(config and config.distinct),
         "epsilon": options.epsilon,
         "seed": options.seed,
         "provenance": provenance("cpu"),

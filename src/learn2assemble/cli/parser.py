@@ -128,6 +128,10 @@ def make_parser() -> argparse.ArgumentParser:
     evaluate.add_argument("--search", choices=("none", "mcts"), default="none")
     evaluate.add_argument("--budget", type=_natural, default=10)
     evaluate.add_argument("--rollout", type=_rollout, default=1, help="steps, or 'end'")
+    evaluate.add_argument(
+        "--distinct", action="store_true",
+        help="expand one of several placements that lead to the same structure (ours, D14)",
+    )  # fmt: skip
     evaluate.add_argument("--epsilon", type=_share, default=0.05)
     evaluate.add_argument("--episodes", type=_count, default=100)
     evaluate.add_argument("--seed", type=_natural, default=0)

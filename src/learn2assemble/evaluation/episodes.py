@@ -86,6 +86,13 @@ def make_policy(
     return search_policy(model, config)
 
 
+def episode_generators(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
+    """Generators of the problems and of the policy of an evaluation."""
+    root = np.random.SeedSequence([EVALUATION_STREAM, seed])
+    problems, policy = (np.random.default_rng(s) for s in root.spawn(2))
+    return problems, policy
+
+
 def run_episodes(
     task: Task,
     policy: Policy,
@@ -103,8 +110,7 @@ def run_episodes(
     """
     started = time.perf_counter()
     simulator = Simulator(task, physics)
-    root = np.random.SeedSequence([EVALUATION_STREAM, seed])
-    problem_rng, policy_rng = (np.random.default_rng(s) for s in root.spawn(2))
+    problem_rng, policy_rng = episode_generators(seed)
     parts = []
     for start in range(0, episodes, BATCH):
         state = simulator.new(min(BATCH, episodes - start), problem_rng)

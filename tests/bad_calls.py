@@ -1,0 +1,238 @@
+"""Calls of ``l2a`` that must be refused: name, words, what the message must say.
+
+Words may hold ``{d}``, a folder prepared by :func:`prepare`; nothing in it may change. A call with
+a ``reason`` is one that the program does not refuse properly yet.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+import shutil
+from pathlib import Path
+from typing import NamedTuple
+
+TASK = "one-sided-3x3-22-24"
+LONG = "x" * 300
+"""Longer than a file name may be."""
+TINY_RUN = [
+    "--config", "fast", "--device", "cpu", "--set", "network.width=16", "--set",
+    "network.rounds=1", "--set", "num_envs=4", "--set", "replay_size=50", "--set", "batch_size=4",
+    "--set", "initial_samples=8",
+]  # fmt: skip
+"""Words that make a training small."""
+
+
+class BadCall(NamedTuple):
+    name: str
+    words: list[str]
+    fragment: str
+    reason: str | None = None
+
+
+def train(*words: str) -> list[str]:
+    """A training into a new folder."""
+    return ["train", TASK, "--out", "{d}/new", "--samples", "8", *TINY_RUN, *words]
+
+
+def resume(folder: str, *words: str, task: str = TASK) -> list[str]:
+    return ["train", task, "--out", folder, "--resume", "--device", "cpu", *words]
+
+
+def evaluate(*words: str) -> list[str]:
+    return ["eval", TASK, "--agent", "{d}/agent", "--episodes", "1", *words]
+
+
+def build(*words: str) -> list[str]:
+    """A build of a valid design with a valid agent; later words win."""
+    return [
+        "build", "{d}/design.json", "--out", "{d}/new", "--agent", "{d}/agent", "--seconds", "1",
+        *words,
+    ]  # fmt: skip
+
+
+def prepare(folder: Path, agent: Path, run: Path, design: Path, log: Path) -> None:
+    """Fill ``folder`` with what the calls name.
+
+    Args:
+        agent: folder of a valid agent.
+        run: folder of a finished training of ``TASK``.
+        design: a valid design file.
+        log: a valid file of recorded transitions.
+    """
+    shutil.copytree(agent, folder / "agent")
+    shutil.copytree(run, folder / "run")
+    shutil.copy(design, folder / "design.json")
+    shutil.copy(log, folder / "log.jsonl")
+    (folder / "file.txt").write_text("mine")
+    (folder / "full").mkdir()
+    (folder / "full" / "keep.txt").write_text("mine")
+    for name in ("bad_agent", "half_agent"):
+        shutil.copytree(agent, folder / name)
+    (folder / "bad_agent" / "agent.safetensors").write_bytes(b"damaged" * 20)
+    (folder / "half_agent" / "agent.json").unlink()
+    for name in ("bad_config", "bad_state", "no_state"):
+        shutil.copytree(run, folder / name)
+    (folder / "bad_config" / "config.json").write_text("{")
+    (folder / "bad_state" / "state.safetensors").write_bytes(b"damaged" * 20)
+    (folder / "no_state" / "state.safetensors").unlink()
+    (folder / "not_json.jsonl").write_text("{]\n")
+    (folder / "list.jsonl").write_text("[1, 2]\n")
+    (folder / "robot.jsonl").write_text('{"variant": "2robo", "ep": 0, "t": 0}\n')
+    (folder / "empty.jsonl").write_text("")
+    (folder / "not_gzip.jsonl.gz").write_bytes(b"plain text")
+    # Valid framing around damaged contents.
+    packed = bytearray(gzip.compress(b'{"a": 1}\n' * 1000))
+    packed[20] ^= 0xFF
+    packed[25] ^= 0xFF
+    (folder / "damaged.jsonl.gz").write_bytes(bytes(packed))
+    (folder / "plan_of_others.json").write_text(json.dumps({"format": "other"}))
+    (folder / "empty_plan.json").write_text(
+        json.dumps({"format": "learn2assemble-plan", "version": 1})
+    )
+    (folder / "list.json").write_text("[]")
+
+
+BAD = [
+    # The command itself.
+    BadCall("no command", [], "COMMAND"),
+    BadCall("misspelt command", ["buidl"], "did you mean 'build'"),
+    BadCall("unknown command", ["qqqq"], "invalid choice"),
+    BadCall("unknown option", ["tasks", "--colour"], "--colour"),
+    BadCall("tasks with a word", ["tasks", "all"], "all"),
+    # build
+    BadCall("build nothing", ["build", "--out", "{d}/new"], "DESIGN"),
+    BadCall("build without --out", ["build", "{d}/design.json"], "--out"),
+    BadCall("missing design", ["build", "{d}/nosuch.json", *build()[2:]], "nosuch.json"),
+    BadCall("misspelt preset", ["build", "two-sided-3x3-20-25", *build()[2:]],
+            "did you mean 'two-sided-3x3-20-24'"),
+    BadCall("a folder as design", ["build", "{d}/full", *build()[2:]], "full"),
+    BadCall("no name as design", ["build", "", *build()[2:]], "error"),
+    BadCall("another file as design", ["build", "{d}/list.json", *build()[2:]], "list.json"),
+    BadCall("a text as design", ["build", "{d}/file.txt", *build()[2:]], "file.txt"),
+    BadCall("a path below a file as design", ["build", "{d}/file.txt/a.json", *build()[2:]],
+            "a.json"),
+    BadCall("build into a full folder", build("--out", "{d}/full"), "a new or empty folder"),
+    BadCall("build into a file", build("--out", "{d}/file.txt"), "a new or empty folder"),
+    BadCall("build below a file", build("--out", "{d}/file.txt/new"), "a folder that can be"),
+    BadCall("build into a long name", build("--out", "{d}/" + LONG), "--out"),
+    BadCall("build for no time", build("--seconds", "0"), "a positive number"),
+    BadCall("build for negative time", build("--seconds", "-5"), "a positive number"),
+    BadCall("build for nan seconds", build("--seconds", "nan"), "a positive number"),
+    BadCall("build for ever", build("--seconds", "inf"), "a positive number"),
+    BadCall("negative seed", build("--seed", "-1"), "a whole number"),
+    BadCall("half a seed", build("--seed", "1.5"), "a whole number"),
+    BadCall("unknown agent", build("--agent", "nobody"), "agent"),
+    BadCall("missing agent file", build("--agent", "{d}/no.safetensors"), "an existing file"),
+    BadCall("folder without agent", build("--agent", "{d}/full"), "an existing file"),
+    BadCall("damaged agent", build("--agent", "{d}/bad_agent"), "a trained agent"),
+    BadCall("half an agent", build("--agent", "{d}/half_agent"), "agent.json"),
+    BadCall("a long name as design", ["build", LONG, *build()[2:]], "DESIGN",
+            "Path.exists raises for names that are too long"),
+    BadCall("a long name as agent", build("--agent", LONG), "agent",
+            "Path.is_dir raises for names that are too long"),
+    # train
+    BadCall("train nothing", ["train", "--out", "{d}/new"], "TASK"),
+    BadCall("train without --out", ["train", TASK], "--out"),
+    BadCall("misspelt task", ["train", "one-sided-3x3-22-25", *train()[2:]],
+            "did you mean 'one-sided-3x3-22-24'"),
+    BadCall("misspelt configuration", train("--config", "fats"), "did you mean 'fast'"),
+    BadCall("unknown method", train("--method", "ppo"), "one of dqn"),
+    BadCall("train into a full folder", train("--out", "{d}/full"), "an empty or new folder"),
+    BadCall("train into a file", train("--out", "{d}/file.txt"), "an empty or new folder"),
+    BadCall("train below a file", train("--out", "{d}/file.txt/new"), "a writable folder"),
+    BadCall("train over a run", train("--out", "{d}/run"), "--resume"),
+    BadCall("train for nan minutes", ["train", TASK, "--out", "{d}/new", "--minutes", "nan"],
+            "a positive number"),
+    BadCall("train for negative minutes", ["train", TASK, "--out", "{d}/new", "--minutes", "-1"],
+            "a positive number"),
+    BadCall("minutes and samples", train("--minutes", "1"), "not allowed with"),
+    BadCall("no samples", train("--samples", "0"), "a whole number of at least 1"),
+    BadCall("a word as samples", train("--samples", "many"), "a whole number of at least 1"),
+    BadCall("unknown device", train("--device", "gpu"), "auto, cpu or cuda"),
+    BadCall("no threads", train("--threads", "0"), "a whole number of at least 1"),
+    BadCall("--set without a value", train("--set", "learning_rate"), "KEY=VALUE"),
+    BadCall("--set misspelt", train("--set", "lerning_rate=1"), "did you mean 'learning_rate'"),
+    BadCall("--set misspelt in the network", train("--set", "network.head=1"),
+            "did you mean 'heads'"),
+    BadCall("--set a word for a number", train("--set", "learning_rate=fast"), "a value like"),
+    BadCall("--set nan", train("--set", "learning_rate=nan"), "a rate between 0 and 1"),
+    BadCall("--set a negative number", train("--set", "batch_size=-1"), "a positive whole number"),
+    BadCall("--set heads that do not divide", train("--set", "network.heads=3"), "a divisor"),
+    BadCall("--set no heads", train("--set", "network.heads=0"), "heads", "divides by zero"),
+    BadCall("--set negative heads", train("--set", "network.heads=-1"), "heads",
+            "accepted by NetworkConfig"),
+    BadCall("--set a whole network", train("--set", "network=large"), "network",
+            "NetworkConfig is called with the word"),
+    BadCall("--set a nan weight", train("--set", "terminal_weight=nan"), "terminal_weight",
+            "nan is not below 0, so it passes, and an assertion fails later"),
+    BadCall("train into a long name", train("--out", "{d}/" + LONG), "--out",
+            "Path.exists raises for names that are too long"),
+    BadCall("resume nothing", resume("{d}/nosuch"), "--resume"),
+    BadCall("resume a folder that is no run", resume("{d}/full"), "the folder of a training run"),
+    BadCall("resume a run without its state", resume("{d}/no_state"), "state.safetensors"),
+    BadCall("resume a damaged configuration", resume("{d}/bad_config"), "the folder of a"),
+    BadCall("resume a damaged state", resume("{d}/bad_state"), "--resume",
+            "Trainer.load lets errors of safetensors through"),
+    BadCall("resume with another task", resume("{d}/run", task="two-sided-3x3-20-24"),
+            "the task of the run"),
+    BadCall("resume with --set", resume("{d}/run", "--set", "batch_size=8"), "own configuration"),
+    BadCall("resume with --samples", resume("{d}/run", "--samples", "99"), "own configuration"),
+    # eval
+    BadCall("eval nothing", ["eval"], "TASK"),
+    BadCall("eval a misspelt task", ["eval", "two-sided-4x4-20-30"], "did you mean"),
+    BadCall("eval an unknown agent", evaluate("--agent", "nobody"), "agent"),
+    BadCall("eval a damaged agent", evaluate("--agent", "{d}/bad_agent"), "a trained agent"),
+    BadCall("eval with unknown physics", evaluate("--physics", "rigd"), "did you mean 'rigid'"),
+    BadCall("eval with unknown search", evaluate("--search", "dfs"), "invalid choice"),
+    BadCall("eval with misspelt search", evaluate("--search", "mtcs"), "did you mean 'mcts'",
+            "the hint is taken from the commands, whatever the option: did you mean 'tasks'?"),
+    BadCall("negative budget", evaluate("--budget", "-1"), "a whole number of at least 0"),
+    BadCall("no rollout", evaluate("--rollout", "0"), "a whole number of at least 1"),
+    BadCall("a word as rollout", evaluate("--rollout", "forever"), "a whole number of at least 1"),
+    BadCall("epsilon beyond 1", evaluate("--epsilon", "1.5"), "a number between 0 and 1"),
+    BadCall("nan epsilon", evaluate("--epsilon", "nan"), "a number between 0 and 1"),
+    BadCall("no episodes", evaluate("--episodes", "0"), "a whole number of at least 1"),
+    BadCall("eval with a negative seed", evaluate("--seed", "-3"), "a whole number"),
+    BadCall("eval over a file", evaluate("--out", "{d}/file.txt"), "a new file"),
+    BadCall("eval over a folder", evaluate("--out", "{d}/full"), "a new file"),
+    BadCall("eval below a file", evaluate("--out", "{d}/file.txt/new.json"), "a writable file",
+            "noticed only after all episodes have been played"),
+    BadCall("eval into no folder", evaluate("--out", "{d}/nosuch/new.json"), "a writable file",
+            "noticed only after all episodes have been played"),
+    BadCall("eval into a long name", evaluate("--out", "{d}/" + LONG), "--out",
+            "Path.exists raises for names that are too long"),
+    # replay
+    BadCall("replay nothing", ["replay"], "FILE"),
+    BadCall("replay a missing file", ["replay", "{d}/nosuch.jsonl"], "an existing .jsonl"),
+    BadCall("replay a folder", ["replay", "{d}/full"], "an existing .jsonl"),
+    BadCall("replay what is not JSON", ["replay", "{d}/not_json.jsonl"], "line 1"),
+    BadCall("replay a list", ["replay", "{d}/list.jsonl"], "a JSON object"),
+    BadCall("replay a robot's log", ["replay", "{d}/robot.jsonl"], "2robo"),
+    BadCall("replay what is not packed", ["replay", "{d}/not_gzip.jsonl.gz"], "line 1"),
+    BadCall("replay a good and a bad file", ["replay", "{d}/log.jsonl", "{d}/list.jsonl"],
+            "list.jsonl line 1"),
+    BadCall("replay an empty file", ["replay", "{d}/empty.jsonl"], "empty.jsonl",
+            "reported as full agreement over 0 lines"),
+    BadCall("replay a damaged archive", ["replay", "{d}/damaged.jsonl.gz"], "damaged.jsonl.gz",
+            "zlib.error is not caught"),
+    BadCall("replay a long name", ["replay", LONG], "an existing .jsonl",
+            "Path.is_file raises for names that are too long"),
+    # bench
+    BadCall("bench for no time", ["bench", "--seconds", "0"], "a positive number"),
+    BadCall("bench for ever", ["bench", "--seconds", "inf"], "a positive number"),
+    BadCall("bench for a word", ["bench", "--seconds", "soon"], "a positive number"),
+    # view
+    BadCall("view nothing", ["view"], "PLAN"),
+    BadCall("view a missing plan", ["view", "{d}/nosuch"], "a plan.json or its folder"),
+    BadCall("view a folder without a plan", ["view", "{d}/full"], "a plan.json or its folder"),
+    BadCall("view a text", ["view", "{d}/file.txt"], "not JSON"),
+    BadCall("view below a file", ["view", "{d}/file.txt/plan.json"], "PLAN"),
+    BadCall("view another file", ["view", "{d}/plan_of_others.json"], "written by l2a build"),
+    BadCall("view a list", ["view", "{d}/list.json"], "written by l2a build"),
+    BadCall("view an empty plan", ["view", "{d}/empty_plan.json", "--no-browser"], "plan"),
+    BadCall("no such port", ["view", "{d}/design.json", "--port", "70000"], "a port number"),
+    BadCall("a word as port", ["view", "{d}/design.json", "--port", "http"], "a port number"),
+    BadCall("view a long name", ["view", LONG], "PLAN",
+            "Path.is_dir raises for names that are too long"),
+]  # fmt: skip
