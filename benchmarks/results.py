@@ -151,8 +151,8 @@ def table() -> str:
                 )
     lines.append("")
     lines.append(
-        "\\* the task it was trained on; the others it has never seen. Distinct: deviation D14. "
-        "The exact look-ahead knows what every placement brings; the bound is what no play can exceed."
+        "\\* the task it was trained on; the others it has never seen. Distinct: D14. "
+        "The exact look-ahead knows what every placement brings; no play can exceed the bound."
     )
     return "\n".join(lines)
 

@@ -171,7 +171,10 @@ def test_replay(l2a: Call, data: Path) -> None:
     assert result.err.startswith("l2a: replaying transitions_sample.jsonl\n")
 
 
-@pytest.mark.parametrize("search", [[], ["--search", "mcts", "--budget", "2", "--rollout", "end"]])
+SEARCH = ["--search", "mcts", "--budget", "2", "--rollout", "end"]
+
+
+@pytest.mark.parametrize("search", [[], SEARCH, [*SEARCH, "--distinct"]], ids=len)
 def test_eval(l2a: Call, agent: Path, tmp_path: Path, search: list[str]) -> None:
     """The file holds what is printed; the same seed gives the same numbers."""
     words = ["eval", TASK, "--agent", agent, "--episodes", "3", "--seed", "4", *search]
@@ -182,6 +185,7 @@ def test_eval(l2a: Call, agent: Path, tmp_path: Path, search: list[str]) -> None
     assert result["episodes"] == 3
     assert result["budget"] == (2 if search else 0)
     assert result["rollout"] == (10_000 if search else 0)
+    assert result["distinct"] == ("--distinct" in search)
     assert result["physics"] == "static"
     again = l2a(*words, "--json").json()
     for name in ("R", "a", "f", "b", "success", "coverage"):
@@ -206,6 +210,13 @@ def test_train_and_resume(l2a: Call, tmp_path: Path) -> None:
     assert loaded.task == TASK
     assert loaded.origin["samples"] == 300
     assert loaded.origin["seed"] == 3
+    # A second training that starts from the first, and says so.
+    words[3] = tmp_path / "second"
+    second = l2a(*words, "--samples", "4", *TINY_RUN, "--init", tmp_path / "run")
+    assert second.code == 0
+    origin = load_agent(str(tmp_path / "second")).origin
+    assert origin["init"]["origin"]["samples"] == 300
+    words[3] = tmp_path / "run"
     # Nothing is left to do, and nothing is lost.
     again = l2a(*words[:4], "--resume", "--device", "cpu", "--json")
     assert again.code == 0

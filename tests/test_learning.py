@@ -650,6 +650,19 @@ def test_target_network_follows(rate: float) -> None:
     assert trainer.agent_network is (trainer.target if rate else trainer.online)
 
 
+def test_start_from_another_network() -> None:
+    """Both networks take over the weights; another architecture is refused."""
+    trainer = Trainer(TINY, TrainConfig(network=SMALL, num_envs=2, replay_size=10), 0)
+    given_network = network(9)
+    trainer.start_from(given_network)
+    for mine in (trainer.online, trainer.target):
+        for a, b in zip(mine.parameters(), given_network.parameters(), strict=True):
+            assert torch.equal(a, b)
+            assert a is not b
+    with pytest.raises(InputError, match="--init"):
+        trainer.start_from(network(9, HEADS))
+
+
 # Configurations.
 
 
@@ -826,6 +839,8 @@ def test_interrupted_run_goes_on_as_if_nothing_happened(
             train(TINY, QUICK, tmp_path / "b", seed=5, device="cpu", quiet=True)
     stopped, _ = contents(tmp_path / "b" / "state.safetensors")
     assert stopped["samples"] == 150
+    with (tmp_path / "b" / "log.jsonl").open("a", encoding="utf-8") as stream:
+        stream.write('{"samples": 152}\n{"samp')  # Written after the checkpoint, then cut off.
     metrics = train(TINY, QUICK, tmp_path / "b", seed=5, device="cpu", quiet=True, resume=True)
     assert metrics["samples"] == QUICK.num_samples
     assert_same_training(tmp_path / "a" / "state.safetensors", tmp_path / "b" / "state.safetensors")
@@ -833,6 +848,7 @@ def test_interrupted_run_goes_on_as_if_nothing_happened(
     assert weights[0] == weights[1]
     log = samples_in_log(tmp_path / "b")
     assert 150 in log
+    assert 152 not in log
     assert log == sorted(log)
     assert log[-1] == QUICK.num_samples
     assert sorted(p.name for p in (tmp_path / "b").iterdir() if p.is_file()) == [

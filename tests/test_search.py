@@ -40,6 +40,8 @@ class TreeModel:
 
     def __init__(self, edges: dict[str, list[Edge]], discount: float = 0.5) -> None:
         self.edges, self.discount = edges, discount
+        self.groups: dict[str, list[int]] = {}
+        """By state, where several of its actions lead to the same structure."""
 
     def batch_size(self, states: np.ndarray) -> int:
         return len(states)
@@ -64,7 +66,8 @@ class TreeModel:
             q = np.array([edge.q for edge in self.edges[name]])
             # Numbered from 7, so that an action is not mistaken for its place in the list.
             actions = np.stack([7 + np.arange(len(q)), 0 * q, 0 * q], -1).astype(np.int64)
-            out.append(ActionValues(actions, q))
+            group = np.array(self.groups.get(name, range(len(q))), np.int64)
+            out.append(ActionValues(actions, q, group))
         return out
 
     def best(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -88,7 +91,12 @@ def decide(model: Any, seed: int = 0, **arguments: Any) -> Decision:
 
 def explored(decision: Decision) -> dict[int, tuple[float, int]]:
     """Value and visits of every explored root action, by its place in the list."""
-    return {int(a[0]) - 7: (round(v, 9), n) for a, v, n in decision.explored()}
+    return {number - 7: found for number, found in explored_actions(decision).items()}
+
+
+def explored_actions(decision: Decision) -> dict[int, tuple[float, int]]:
+    """The same by the first number of the action."""
+    return {int(a[0]): (round(v, 9), n) for a, v, n in decision.explored()}
 
 
 THREE = TreeModel(
@@ -168,6 +176,40 @@ def test_golden_tree_of_depth_two(
     assert decision.root.visits == 4
     assert decision.root.total == pytest.approx(total)
     assert decision.action[0] == 7
+
+
+def test_distinct_search_expands_the_best_of_every_group() -> None:
+    """Deviation D14: the first two root actions lead to the same structure, and so do both
+    actions below it; the budget goes to what is left."""
+    model = TreeModel(
+        {
+            "root": [Edge(0.5, 1.0, None), Edge(0.9, 0.0, "A"), Edge(0.1, 0.5, None)],
+            "A": [Edge(0.4, 0.25, None), Edge(0.2, 1.0, None)],
+        }
+    )
+    model.groups = {"root": [4, 4, 2], "A": [0, 0]}
+    # Q = 0.9 and 0.1 remain: (0.9 + 0 + 0.5 * 0.4) / 2 and (0.1 + 0.5) / 2.
+    decision = decide(model, budget=2, distinct=True)
+    assert explored_actions(decision) == {8: (0.55, 2), 9: (0.3, 2)}
+    assert decision.action.tolist() == [8, 0, 0]
+    whole = decide(model, budget=50, distinct=True, prior=False)
+    assert size(whole.root) == 3, "two actions at the root, one below"
+    assert size(decide(model, budget=50, prior=False).root) == 5
+    # Budget 0 stays the greedy policy.
+    assert decide(model, budget=0, distinct=True).action[0] == 8
+
+
+@given(st.lists(st.tuples(st.integers(0, 4), st.floats(-1, 1, width=16)), min_size=1, max_size=12))
+def test_distinct_keeps_one_best_action_of_every_group(drawn: list[tuple[int, float]]) -> None:
+    group, values = (np.array(column) for column in zip(*drawn, strict=True))
+    actions = np.arange(3 * len(group)).reshape(-1, 3)
+    kept = ActionValues(actions, values, group).distinct()
+    assert sorted(kept.group) == sorted(set(group))
+    for action, value, number in zip(*kept, strict=True):
+        assert value == values[group == number].max()
+        assert values[action[0] // 3] == value
+        assert group[action[0] // 3] == number
+    assert (np.diff(kept.actions[:, 0]) > 0).all(), "the order stays"
 
 
 def random_tree(seed: int, discount: float = 0.8, width: int = 3, depth: int = 4) -> TreeModel:
@@ -318,7 +360,7 @@ def test_final_choice_is_random_with_epsilon_one() -> None:
 
 def test_equal_values_are_chosen_at_random() -> None:
     """Protocol 11.3, ties random."""
-    node = Node(None, legal=ActionValues(np.zeros((3, 3), np.int64), np.zeros(3)))
+    node = Node(None, legal=ActionValues(np.zeros((3, 3), np.int64), np.zeros(3), np.arange(3)))
     for key, total in enumerate((2.0, 2.0, 1.0)):
         node.children[key] = Node(None, visits=2, total=total)
     rng = np.random.default_rng(0)
@@ -474,3 +516,25 @@ def test_world_model_steps_copies() -> None:
     taken = model.take(states, np.array([0, 0]))
     taken.position[:] = 9.0
     np.testing.assert_array_equal(states.position, before.position)
+
+
+def test_groups_are_structures() -> None:
+    """Two actions share a group exactly where the simulator puts the block into the same cell."""
+    simulator, rng = (
+        Simulator(Task("two", num_sides=2, grid=3, num_nodes=20)),
+        np.random.default_rng(0),
+    )
+    state = simulator.new(12, rng)
+    for relation in (1, 0, 4):
+        # Left of the first block, on top of it, behind it: all stand.
+        simulator.step(state, np.tile([0, 0, relation], (12, 1)))
+    state = state.take(np.flatnonzero(~state.terminated & (state.num_placed == 4))[:3])
+    assert state.batch_size == 3
+    torch.manual_seed(0)
+    model = WorldModel(simulator, QNetwork(NetworkConfig(width=16, heads=2, rounds=1)))
+    for row, legal in enumerate(model.action_values(state)):
+        many = state.take(np.full(len(legal.values), row))
+        simulator.step(many, legal.actions)
+        cells = [tuple(np.round(p, 4).tolist()) for p in many.position[:, 4]]
+        assert len(set(legal.group.tolist())) == len(set(cells)) < 20
+        assert len(set(zip(legal.group.tolist(), cells, strict=True))) == len(set(cells))

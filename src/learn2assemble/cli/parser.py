@@ -104,7 +104,7 @@ def make_parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     train.add_argument("task", metavar="TASK")
     train.add_argument("--method", default="dqn", help="learner (dqn)")
-    train.add_argument("--config", default="fast", help="fast (ours) or paper")
+    train.add_argument("--config", default="fast", help="fast, refine (ours) or paper")
     train.add_argument("--out", type=Path, required=True, help="new or empty folder, or --resume")
     length = train.add_mutually_exclusive_group()
     length.add_argument("--minutes", type=_positive, default=None)

@@ -1,4 +1,4 @@
-"""Training configurations by name: ``paper`` (published hyperparameters) and ``fast`` (ours)."""
+"""Training configurations by name: ``paper`` (published), ``fast`` and ``refine`` (ours)."""
 
 from __future__ import annotations
 
@@ -162,6 +162,8 @@ def _parse(key: str, text: str, current: Any) -> Any:
 
 METHODS = ("dqn",)
 
+_FAST_NETWORK = NetworkConfig(heads=2, position_scale=0.1, rotary=True, reward_head=True)
+
 CONFIGS: dict[str, TrainConfig] = {
     "paper": TrainConfig(
         network=NetworkConfig(feed_forward="wide"),
@@ -178,7 +180,8 @@ CONFIGS: dict[str, TrainConfig] = {
         double=False,
     ),
     "fast": TrainConfig(
-        network=NetworkConfig(heads=2, position_scale=0.1, rotary=True, reward_head=True),
+        network=_FAST_NETWORK,
+        num_samples=450_000,
         learning_rate=2e-3,
         final_learning_rate=1e-4,
         epsilon_samples=25_000,
@@ -187,6 +190,22 @@ CONFIGS: dict[str, TrainConfig] = {
         terminal_weight=1.0,
         share_cell=True,
         reward_weight=1.0,
+        augment=True,
+    ),
+    # A second stage from the weights of the first (--init): the reward of thin slivers of an
+    # outline is what the first stage leaves inaccurate.
+    "refine": TrainConfig(
+        network=_FAST_NETWORK,
+        num_samples=140_000,
+        learning_rate=1e-3,
+        final_learning_rate=3e-5,
+        initial_samples=16_000,
+        epsilon_samples=1,
+        batch_size=32,
+        updates_per_round=4,
+        terminal_weight=1.0,
+        share_cell=True,
+        reward_weight=4.0,
         augment=True,
     ),
 }
