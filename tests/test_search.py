@@ -178,6 +178,22 @@ def test_golden_tree_of_depth_two(
     assert decision.action[0] == 7
 
 
+def test_below_the_root_every_result_counts_before_the_next_choice() -> None:
+    """The best Q below A turns out bad, so the next expansion goes below B, not below A again."""
+    model = TreeModel(
+        {
+            "root": [Edge(1.0, 0.0, "A"), Edge(0.5, 0.0, "B")],
+            "A": [Edge(1.0, -1.0, None), Edge(0.9, 0.0, None)],
+            "B": [Edge(0.8, 0.6, None), Edge(0.7, 0.0, None)],
+        }
+    )
+    decision = decide(model, budget=4, prior=False)
+    # a: 0.5 * 1.0, then 0.5 * -1; b: 0.5 * 0.8, then 0.5 * 0.6.
+    assert explored(decision) == {0: (0.0, 2), 1: (0.35, 2)}
+    assert [list(child.children) for child in decision.root.children.values()] == [[0], [0]]
+    assert decision.action[0] == 8
+
+
 def test_distinct_search_expands_the_best_of_every_group() -> None:
     """Deviation D14: the first two root actions lead to the same structure, and so do both
     actions below it; the budget goes to what is left."""
