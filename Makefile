@@ -14,6 +14,7 @@ $(STAMP): pyproject.toml
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet $(TORCH)
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	@echo "compiling (once)"; $(BIN)/l2a bench --seconds 0.01 >/dev/null 2>&1
 	touch $@
 
 install: $(STAMP)

@@ -151,7 +151,6 @@ def test_damaged_agents_are_refused_in_one_line(name: str, tmp_path: Path) -> No
     assert "agent" in message
 
 
-@pytest.mark.xfail(strict=True, reason="NetworkConfig divides by zero heads")
 def test_agent_without_heads_is_refused(tmp_path: Path) -> None:
     save_agent(random_agent(), tmp_path)
     change_network(heads=0)(tmp_path)
@@ -159,7 +158,6 @@ def test_agent_without_heads_is_refused(tmp_path: Path) -> None:
         load_agent(str(tmp_path))
 
 
-@pytest.mark.xfail(strict=True, reason="nothing compares the agent's actions with the task's")
 def test_agent_with_other_actions_is_refused() -> None:
     """Relations beyond the task's five would be read beyond the end of a compiled array, so the
     refusal must come before the first step."""

@@ -223,7 +223,6 @@ def test_train_and_resume(l2a: Call, tmp_path: Path) -> None:
     assert again.json()["samples"] == 300
 
 
-@pytest.mark.xfail(strict=True, reason="metrics hold NaN before the first episode has ended")
 def test_json_of_a_very_short_training(l2a: Call, tmp_path: Path) -> None:
     """Standard output and the log stay valid JSON when there is nothing to average."""
     words = ["train", TASK, "--out", tmp_path / "run", "--samples", "1", *TINY_RUN]

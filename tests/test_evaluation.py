@@ -173,9 +173,6 @@ def test_no_training_problem_is_evaluated() -> None:
     assert not trained & evaluated
 
 
-@pytest.mark.xfail(
-    strict=True, reason="SeedSequence(1) is SeedSequence([1, 0]): trailing zeros do not count"
-)
 def test_no_training_problem_is_built() -> None:
     """``l2a build PRESET --seed s`` shows problems that no training seed has seen."""
     name = "one-sided-3x3-22-24"

@@ -718,7 +718,6 @@ def test_override_refuses(text: str, words: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.xfail(strict=True, reason="not finite, or not a setting, and not refused as input")
 @pytest.mark.parametrize(
     "text",
     ["network=x", "terminal_weight=nan", "reward_weight=inf", "network.heads=0", "network.width=0"],
@@ -728,7 +727,6 @@ def test_override_refuses_what_would_fail_later(text: str) -> None:
         override(get_config("fast"), [text])
 
 
-@pytest.mark.xfail(strict=True, reason="nothing compares the network's actions with the task's")
 @pytest.mark.parametrize("count", [3, 20])
 def test_network_with_other_actions_is_refused(count: int) -> None:
     """Relations beyond the task's five would be read beyond the end of a compiled array."""
@@ -863,7 +861,6 @@ def test_log_lines_after_the_checkpoint_are_dropped(tmp_path: Path) -> None:
     assert samples_in_log(tmp_path) == [10, 20]
 
 
-@pytest.mark.xfail(strict=True, reason="the final line repeats one written in the same round")
 def test_log_never_repeats_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """``samples`` strictly increases, also when a finished run is resumed."""
     monkeypatch.setattr(run_module, "LOG_SECONDS", 0.0)
@@ -873,9 +870,6 @@ def test_log_never_repeats_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert log == sorted(set(log))
 
 
-@pytest.mark.xfail(
-    strict=True, reason="Ctrl-C inside a step saves ended worlds that are never reset afterwards"
-)
 def test_interrupt_inside_a_step_leaves_no_dead_world(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -988,7 +982,6 @@ def test_output_folder_must_be_new(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
 
 
-@pytest.mark.xfail(strict=True, reason="Trainer.load lets errors of safetensors and json through")
 @pytest.mark.parametrize("damage", ["empty", "junk", "cut", "no counters", "missing tensor"])
 def test_damaged_state_is_refused_in_one_line(tmp_path: Path, damage: str) -> None:
     file = tmp_path / "state.safetensors"

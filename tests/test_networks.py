@@ -394,7 +394,6 @@ def test_config_refuses(changes: dict[str, Any], words: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.xfail(strict=True, reason="NetworkConfig lets these through; they crash later")
 @pytest.mark.parametrize(
     "changes",
     [

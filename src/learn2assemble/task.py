@@ -12,6 +12,18 @@ from learn2assemble.world.rules import REWARDS
 MIN_VERTICES, MAX_VERTICES = 3, 5
 
 
+def check_actions(num_actions: int, task: Task) -> None:
+    """Refuse a network whose actions are not the task's.
+
+    Raises:
+        InputError: naming both numbers.
+    """
+    if num_actions != task.num_actions:
+        raise InputError(
+            "network.num_actions", num_actions, f"{task.num_actions}, the actions of {task.name}"
+        )
+
+
 @dataclass(frozen=True)
 class Task:
     """One assembly problem distribution.

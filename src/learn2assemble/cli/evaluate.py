@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from pathlib import Path
 
 import torch
 from tqdm import tqdm
@@ -22,13 +23,29 @@ def _advance(bar: tqdm, done: int) -> None:
     bar.update(done - bar.n)
 
 
+def check_new_file(path: Path) -> None:
+    """Refuse a result file that could not be written, before hours of episodes.
+
+    Raises:
+        InputError: where it exists, or its folder does not or cannot be written.
+    """
+    try:
+        if path.exists():
+            raise InputError("--out", str(path), "a new file")
+        path.touch()
+        path.unlink()
+    except OSError as error:
+        reason = error.strerror or "unwritable"
+        raise InputError("--out", str(path), f"a writable file ({reason})") from None
+
+
 def run(options: argparse.Namespace) -> int:
     output = Output(options.json)
     task = get_task(options.task)
     physics = resolve_physics(options.physics)
     agent = load_agent(options.agent or default_agent(task.name))
-    if options.out is not None and options.out.exists():
-        raise InputError("--out", str(options.out), "a new file")
+    if options.out is not None:
+        check_new_file(options.out)
     # One thread: small batches lose more by sharing than they gain.
     torch.set_num_threads(1)
     config = None

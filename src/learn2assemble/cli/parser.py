@@ -13,8 +13,6 @@ from typing import Any, NoReturn
 
 from learn2assemble import __version__
 
-COMMANDS = ("build", "train", "eval", "replay", "bench", "tasks", "view")
-
 
 class _Parser(argparse.ArgumentParser):
     """Reports a wrong call in one line and exits with 2."""
@@ -27,8 +25,10 @@ class _Parser(argparse.ArgumentParser):
         raise SystemExit(2)
 
     def _with_hint(self, text: str) -> str:
-        got = text.split("invalid choice: ", 1)[1].split(" (choose")[0].strip("'")
-        near = difflib.get_close_matches(got, COMMANDS, n=1, cutoff=0.4)
+        head, _, choices = text.partition(" (choose from ")
+        got = head.split("invalid choice: ", 1)[1].strip("'")
+        valid = [choice.strip(" ')") for choice in choices.split(",")]
+        near = difflib.get_close_matches(got, valid, n=1, cutoff=0.4)
         return text + (f"; did you mean {near[0]!r}?" if near else "")
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import gzip
 import itertools
 import json
+import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -102,7 +103,7 @@ def read_lines(path: Path) -> Iterator[dict[str, Any]]:
                 if not isinstance(value, dict):
                     raise ValueError("not an object")
                 yield value
-    except (OSError, ValueError, EOFError) as error:
+    except (OSError, ValueError, EOFError, zlib.error) as error:
         raise InputError(
             f"{path.name} line {max(number, 1)}", str(error), "a JSON object"
         ) from None
@@ -184,6 +185,8 @@ def replay_file(path: Path, rigid: Physics | None = None) -> ReplayReport:
     names = ("mask", "plane", "complete", "static", "rigid", "reward", "done")
     tallies = {name: _Tally() for name in names}
     lines = list(read_lines(path))
+    if not lines:
+        raise InputError("recorded transitions", path.name, "a file with at least one line")
     try:
         # A probe comes before the real step of the same state, which holds the problem.
         problems = {

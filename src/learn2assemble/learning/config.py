@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import typing
 from dataclasses import dataclass, field
 from typing import Any
@@ -93,7 +94,7 @@ class TrainConfig:
         if not 0 <= self.epsilon_final <= 1:
             raise InputError("epsilon_final", self.epsilon_final, "0 <= epsilon <= 1")
         for name in ("terminal_weight", "reward_weight", "gain_weight"):
-            if getattr(self, name) < 0:
+            if not 0 <= getattr(self, name) < math.inf:
                 raise InputError(name, getattr(self, name), "a weight of at least 0")
         if self.reward_weight and not self.network.reward_head:
             raise InputError("reward_weight", self.reward_weight, "0, or network.reward_head")
@@ -144,7 +145,7 @@ def override(config: TrainConfig, assignments: list[str]) -> TrainConfig:
         if key.startswith("network."):
             key, owner = key.removeprefix("network."), config.network
         hints = typing.get_type_hints(type(owner))
-        if key not in hints:
+        if key not in hints or key == "network":
             raise UnknownNameError("--set", key, hints)
         changed = dataclasses.replace(owner, **{key: _parse(key, value, getattr(owner, key))})
         config = changed if owner is config else dataclasses.replace(config, network=changed)

@@ -76,6 +76,7 @@ class _Logs:
     def __init__(self, out: Path, samples: int) -> None:
         self.file = out / "log.jsonl"
         _drop_lines_after(self.file, samples)
+        self.last = samples if self.file.exists() and self.file.stat().st_size else -1
         self.writer = None
         if importlib.util.find_spec("tensorboard") is not None:
             from torch.utils.tensorboard import SummaryWriter
@@ -83,6 +84,10 @@ class _Logs:
             self.writer = SummaryWriter(str(out / "tensorboard"), purge_step=samples)
 
     def write(self, metrics: dict[str, float]) -> None:
+        """One line, unless nothing was sampled since the last one."""
+        if metrics["samples"] == self.last:
+            return
+        self.last = int(metrics["samples"])
         with self.file.open("a", encoding="utf-8") as stream:
             stream.write(json.dumps(metrics) + "\n")
         if self.writer is not None:
@@ -156,6 +161,8 @@ def train(
         total=config.num_samples, initial=trainer.samples, unit=" samples", disable=quiet,
         desc=task.name, dynamic_ncols=True,
     )  # fmt: skip
+    if not resume:
+        _save(trainer, out, state_file, started_from)
     started, base = time.monotonic(), trainer.seconds
     next_log, next_save = started + LOG_SECONDS, started + CHECKPOINT_SECONDS
     try:
@@ -169,7 +176,7 @@ def train(
                 metrics = trainer.metrics()
                 logs.write(metrics)
                 bar.set_postfix_str(
-                    f"R {metrics['R']:.2f} success {metrics['success']:.2f} "
+                    f"R {metrics.get('R', 0):.2f} success {metrics.get('success', 0):.2f} "
                     f"eps {metrics['epsilon']:.2f}"
                 )
                 next_log = now + LOG_SECONDS
@@ -177,8 +184,9 @@ def train(
                 _save(trainer, out, state_file, started_from)
                 next_save = time.monotonic() + CHECKPOINT_SECONDS
     finally:
-        _save(trainer, out, state_file, started_from)
-        logs.write(trainer.metrics())
+        if trainer.between_rounds:
+            _save(trainer, out, state_file, started_from)
+            logs.write(trainer.metrics())
         logs.close()
         bar.close()
     return trainer.metrics()

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from learn2assemble.errors import InputError
@@ -22,7 +22,7 @@ from learn2assemble.learning.explore import epsilon_greedy, to_local
 from learn2assemble.learning.replay import Batch, Replay
 from learn2assemble.networks.qnetwork import QNetwork
 from learn2assemble.simulator import Simulator
-from learn2assemble.task import Task
+from learn2assemble.task import Task, check_actions
 
 TRAINING_STREAM = 1
 """First word of every training seed; evaluation uses another, so no problem is seen twice."""
@@ -40,6 +40,7 @@ class Trainer:
     """
 
     def __init__(self, task: Task, config: TrainConfig, seed: int, device: str = "cpu") -> None:
+        check_actions(config.network.num_actions, task)
         self.task, self.config, self.seed, self.device = task, config, seed, device
         self.simulator = Simulator(task)
         self.rng = np.random.default_rng([TRAINING_STREAM, seed])
@@ -61,6 +62,8 @@ class Trainer:
         self.recent: deque[tuple[float, bool, bool]] = deque(maxlen=EPISODES_AVERAGED)
         """Discounted return, success and failure of the latest training episodes."""
         self.logs: dict[str, float] = {}
+        self.between_rounds = True
+        """Whether the state is one to save; an interrupted round leaves half a step behind."""
 
     def start_from(self, network: QNetwork) -> None:
         """Take over the weights of a trained network.
@@ -97,6 +100,7 @@ class Trainer:
 
     def round(self) -> None:
         """One phase of collection and one of learning."""
+        self.between_rounds = False
         for _ in range(self.config.steps_per_round):
             self.collect()
         if self.samples >= self.config.initial_samples:
@@ -104,6 +108,7 @@ class Trainer:
                 group["lr"] = self.learning_rate
             for _ in range(self.config.updates_per_round):
                 self.update()
+        self.between_rounds = True
 
     def collect(self) -> None:
         """One epsilon-greedy step of every world, into the replay memory."""
@@ -164,21 +169,22 @@ class Trainer:
             self.target.load_state_dict(self.online.state_dict())
 
     def metrics(self) -> dict[str, float]:
-        """Numbers to log; returns are discounted and include exploration."""
-        recent = np.asarray(self.recent, float).reshape(-1, 3)
-        means = recent.mean(0) if len(recent) else np.full(3, math.nan)
-        return {
+        """Numbers to log; returns are discounted and include exploration.
+
+        Those of episodes are left out until one has ended.
+        """
+        out: dict[str, float] = {
             "samples": self.samples,
             "updates": self.updates,
             "episodes": self.episodes,
             "seconds": self.seconds,
             "epsilon": self.epsilon,
             "learning_rate": self.learning_rate,
-            "R": float(means[0]),
-            "success": float(means[1]),
-            "f": float(means[2]),
-            **{f"batch_{k}": v for k, v in self.logs.items()},
         }
+        if self.recent:
+            means = np.asarray(self.recent, float).reshape(-1, 3).mean(0)
+            out |= dict(zip(("R", "success", "f"), means.tolist(), strict=True))
+        return out | {f"batch_{k}": v for k, v in self.logs.items()}
 
     def save(self, path: Path) -> None:
         """Write the whole training state to one file, atomically."""
@@ -213,9 +219,18 @@ class Trainer:
         Raises:
             InputError: where the file belongs to another task or configuration.
         """
-        with safe_open(path, "pt") as file:
-            counters: dict[str, Any] = json.loads(file.metadata()["counters"])
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+        try:
+            with safe_open(path, "pt") as file:
+                counters: dict[str, Any] = json.loads(file.metadata()["counters"])
+                tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+            self._restore(counters, tensors)
+        except (SafetensorError, OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
+            if isinstance(error, InputError):
+                raise
+            reason = " ".join(str(error).split())[:120]
+            raise InputError("--resume", str(path), f"an undamaged state ({reason})") from None
+
+    def _restore(self, counters: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
         mine = {"task": self.task.name, "config": json.loads(json.dumps(self.config.to_dict()))}
         for key, value in mine.items():
             if counters[key] != value:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from learn2assemble.errors import InputError, UnknownNameError
@@ -47,9 +48,12 @@ class NetworkConfig:
             raise UnknownNameError("feed_forward", self.feed_forward, FEED_FORWARDS)
         if self.connectivity not in CONNECTIVITIES:
             raise UnknownNameError("connectivity", self.connectivity, CONNECTIVITIES)
+        for name in ("width", "heads", "num_actions"):
+            if getattr(self, name) < 1:
+                raise InputError(name, getattr(self, name), "a positive whole number")
         if self.width % self.heads:
             raise InputError("heads", self.heads, f"a divisor of width {self.width}")
         if self.rounds < 1:
             raise InputError("rounds", self.rounds, "at least 1")
-        if not self.position_scale > 0:
+        if not 0 < self.position_scale < math.inf:
             raise InputError("position_scale", self.position_scale, "a positive length [m]")

@@ -21,6 +21,8 @@ from learn2assemble.world.state import State, empty_state
 SPARE_SHARE = 0.5
 """Blocks offered beyond the least number, as a share of it, where a design names no number."""
 MIN_SPARE = 4
+PROBLEM_STREAM = 3
+"""First word of the seed of a preset's problem: neither training's nor evaluation's stream."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +116,6 @@ def preset_problem(name: str, seed: int) -> Problem:
     task = get_task(name)
     if seed < 0:
         raise InputError("--seed", seed, "a whole number of at least 0")
-    state = Simulator(task).new(1, np.random.default_rng(seed))
+    state = Simulator(task).new(1, np.random.default_rng([PROBLEM_STREAM, seed]))
     names = tuple(f"side {side + 1}" for side in range(task.num_sides))
     return Problem(f"{name}, seed {seed}", task, state, names, inside=None)

@@ -9,6 +9,7 @@ from learn2assemble.graph.batch import to_tensors
 from learn2assemble.networks.qnetwork import QNetwork
 from learn2assemble.search.model import ActionValues, StepResult
 from learn2assemble.simulator import Simulator
+from learn2assemble.task import check_actions
 from learn2assemble.world.actions import DIRECTIONS
 from learn2assemble.world.blocks import EDGE
 from learn2assemble.world.state import State
@@ -24,6 +25,7 @@ class WorldModel:
     """
 
     def __init__(self, simulator: Simulator, network: QNetwork, device: str = "cpu") -> None:
+        check_actions(network.config.num_actions, simulator.task)
         self.simulator, self.network, self.device = simulator, network, device
         self.discount = simulator.task.discount
 
