@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from collections.abc import Sequence
@@ -22,10 +23,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Learn2AssembleError as error:
         sys.stderr.write(f"l2a: error: {one_line(error)}\n")
         return 2
-    except KeyboardInterrupt:
-        sys.stderr.write("l2a: interrupted\n")
-        return 130
     except BrokenPipeError:
         # The reader of our output has left; there is nobody to tell.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        sys.stderr.write("l2a: error: a file name is too long for this system\n")
+        return 2
+    except KeyboardInterrupt:
+        sys.stderr.write("l2a: interrupted\n")
+        return 130

@@ -13,6 +13,8 @@ from typing import Any, NoReturn
 
 from learn2assemble import __version__
 
+COMMANDS = ("build", "train", "eval", "replay", "bench", "tasks", "view")
+
 
 class _Parser(argparse.ArgumentParser):
     """Reports a wrong call in one line and exits with 2."""
