@@ -1,0 +1,43 @@
+"""The wheel carries everything a build needs."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+
+@pytest.mark.slow
+def test_the_wheel_builds_a_design_elsewhere(tmp_path: Path) -> None:
+    """Built, unpacked in another place, run from a third: nothing of the checkout is used."""
+    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "-w", str(tmp_path)]
+    subprocess.run([*command, str(ROOT)], check=True, capture_output=True, timeout=300)
+    (wheel,) = tmp_path.glob("learn2assemble-*.whl")
+    assert wheel.stat().st_size < 5_000_000
+    installed = tmp_path / "installed"
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(installed)
+    design = ROOT / "examples" / "designs" / "stepped_tower.json"
+    done = subprocess.run(
+        [sys.executable, "-m", "learn2assemble", "build", str(design), "--out", "out", "--json"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False,
+        env={**os.environ, "PYTHONPATH": str(installed)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout.splitlines()[-1])
+    assert result["status"] == "complete"
+    for name in ("plan.json", "view.html", "progress.png"):
+        assert (tmp_path / "out" / name).stat().st_size > 1000
+    where = subprocess.run(
+        [sys.executable, "-c", "import learn2assemble; print(learn2assemble.__file__)"],
+        cwd=tmp_path, capture_output=True, text=True, check=True,
+        env={**os.environ, "PYTHONPATH": str(installed)},
+    )  # fmt: skip
+    assert str(installed) in where.stdout
