@@ -137,7 +137,7 @@ BAD = [
     BadCall("misspelt task", ["train", "one-sided-3x3-22-25", *train()[2:]],
             "did you mean 'one-sided-3x3-22-24'"),
     BadCall("misspelt configuration", train("--config", "fats"), "did you mean 'fast'"),
-    BadCall("unknown method", train("--method", "ppo"), "one of dqn"),
+    BadCall("unknown method", train("--method", "ppo"), "one of dqn, eps-mcts, q-mcts"),
     BadCall("train into a full folder", train("--out", "{d}/full"), "an empty or new folder"),
     BadCall("train into a file", train("--out", "{d}/file.txt"), "an empty or new folder"),
     BadCall("train below a file", train("--out", "{d}/file.txt/new"), "a writable folder"),
