@@ -13,12 +13,13 @@ from numba import njit
 
 from learn2assemble.errors import Learn2AssembleError
 from learn2assemble.geometry.boxes import STABLE
-from learn2assemble.graph.features import Graph, build_graph
+from learn2assemble.graph.features import Graph, build_graph, node_offset
+from learn2assemble.graph.placements import Placements
 from learn2assemble.physics.protocol import Physics
 from learn2assemble.physics.static import StaticPhysics, survey
 from learn2assemble.task import MAX_VERTICES, Task
 from learn2assemble.world.layouts import waiting_positions
-from learn2assemble.world.prospects import Prospects, prospects
+from learn2assemble.world.outcomes import Outcomes, outcomes
 from learn2assemble.world.rules import (
     REWARDS,
     count_row,
@@ -151,9 +152,16 @@ class Simulator:
         """The graph of every row (protocol 4)."""
         return build_graph(state, self.frames, self.task.num_nodes)
 
-    def prospects(self, state: State) -> Prospects:
-        """Outcome of every (reference, relation) by static physics; see :class:`Prospects`."""
-        return prospects(state, self.frames, self.task.reward, self.task.success_threshold)
+    def outcomes(self, state: State, graph: Graph, placements: Placements) -> Outcomes:
+        """What every placement of ``placements``, those of ``graph``, would bring to ``state``.
+
+        By static physics; see :class:`Outcomes`. A help the paper's agent does not have.
+        """
+        actions = (placements.action - node_offset(graph)[:, None]) * placements.used[..., None]
+        return outcomes(
+            state, actions, placements.count, self.frames, self.task.reward,
+            self.task.success_threshold,
+        )  # fmt: skip
 
     def physics_mask(self, state: State) -> np.ndarray:
         """Which (reference, relation) are free and stable by static physics: bool[B, M, 5].

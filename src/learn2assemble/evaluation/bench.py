@@ -18,8 +18,8 @@ import torch
 from learn2assemble.learning.config import TrainConfig, get_config
 from learn2assemble.learning.explore import random_actions, to_local
 from learn2assemble.learning.trainer import Trainer
+from learn2assemble.networks.build import make_network
 from learn2assemble.networks.config import NetworkConfig
-from learn2assemble.networks.qnetwork import QNetwork
 from learn2assemble.physics.rigid import RigidPhysics
 from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.presets import get_task
@@ -76,7 +76,7 @@ def decision_ms(seconds: float) -> float:
     torch.set_num_threads(1)
     simulator = Simulator(get_task(TASK))
     rng = np.random.default_rng(0)
-    model = WorldModel(simulator, QNetwork(get_config("fast").network).eval())
+    model = WorldModel(simulator, make_network(get_config("relational").network).eval())
     states = simulator.new(64, rng)
     config = SearchConfig(budget=10)
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from learn2assemble.networks.qnetwork import QNetwork
+from learn2assemble.networks.build import Network
 from learn2assemble.physics.protocol import Physics
 from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.search.config import SearchConfig
@@ -74,7 +74,7 @@ def search_policy(model: WorldModel, config: SearchConfig) -> Policy:
 
 
 def make_policy(
-    task: Task, network: QNetwork, config: SearchConfig | None, epsilon: float
+    task: Task, network: Network, config: SearchConfig | None, epsilon: float
 ) -> Policy:
     """The policy of an agent: plain Q without ``config``, with search otherwise.
 

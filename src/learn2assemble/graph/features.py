@@ -54,6 +54,15 @@ def build_graph(state: State, frames: np.ndarray, num_nodes: int) -> Graph:
     return Graph(nodes, object_id, state.num_targets, state.num_placed.copy(), used)
 
 
+def node_offset(graph: Graph) -> np.ndarray:
+    """Node index of the first unplaced and of the first placed block, and 0: int64[B, 3].
+
+    Added to the numbers of an action within its groups, it gives the node action.
+    """
+    first = graph.num_targets + graph.num_placed
+    return np.stack([first, graph.num_targets, 0 * first], -1)
+
+
 def connectivity(graph: Graph, kind: str = "partial") -> np.ndarray:
     """Adjacency bool[B, N, N]; row i lists the nodes that node i attends to (protocol 4).
 

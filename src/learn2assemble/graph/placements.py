@@ -29,7 +29,8 @@ class Placements(NamedTuple):
     """
 
     cells: np.ndarray
-    """float32[B, K, 3]: centres of all cells some placement fills [m, world]."""
+    """float32[B, K, 3]: centres of all cells some placement fills, then of those that only placed
+    blocks fill [m, world]."""
     num_cells: np.ndarray
     """int64[B]."""
     action: np.ndarray
@@ -152,6 +153,15 @@ def _enumerate(
                                 num_cells[row] += 1
                             out_members[row, n, k] = c
                         count[row] += 1
+        for block in range(num_targets[row], first):
+            node, c = nodes[row, block], num_cells[row]
+            cell = _cell_key(node[0], node[1], node[2])
+            if _enter(tables[2], row, stamps[2], keys[2], cell, c) == c:
+                if c >= out_cells.shape[1]:
+                    return False
+                for axis in range(3):
+                    out_cells[row, c, axis] = node[axis]
+                num_cells[row] += 1
     return True
 
 
@@ -164,7 +174,7 @@ def distinct_placements(graph: Graph, num_actions: int) -> Placements:
     batch, capacity = len(graph.num_nodes), 256
     while True:
         out = Placements(
-            np.empty((batch, capacity, 3), np.float32),
+            np.zeros((batch, capacity, 3), np.float32),
             np.zeros(batch, np.int64),
             np.zeros((batch, capacity, 3), np.int64),
             np.full((batch, capacity, MAX_CELLS), -1, np.int64),
@@ -178,8 +188,10 @@ def distinct_placements(graph: Graph, num_actions: int) -> Placements:
             break
         capacity *= 2
     most_cells, most = max(1, int(out.num_cells.max())), max(1, int(out.count.max()))
+    members = out.members[:, :most]
+    largest = max(1, int((members >= 0).any((0, 1)).sum()))
     return Placements(
-        out.cells[:, :most_cells], out.num_cells, out.action[:, :most], out.members[:, :most],
+        out.cells[:, :most_cells], out.num_cells, out.action[:, :most], members[..., :largest],
         out.count, out.key[:, :most],
     )  # fmt: skip
 
@@ -209,5 +221,30 @@ def locate(
     _locate(
         graph.nodes, graph.object_id, graph.num_targets, graph.num_placed, graph.num_nodes,
         num_actions // len(DIRECTIONS), action, placements.count, placements.key, out,
+    )  # fmt: skip
+    return out
+
+
+@njit(cache=True)
+def _keys(nodes, object_id, targets, first, used, rotations, out):
+    offsets = np.empty((MAX_CELLS, 3))
+    cells = np.empty((MAX_CELLS, 3))
+    for i in range(used - first):
+        size = _offsets(nodes, object_id, first + i, first, used, offsets)
+        for j in range(first - targets):
+            for k in range(out.shape[2]):
+                out[i, j, k] = _fill(
+                    nodes, targets + j, k // rotations, k % rotations, offsets, size, cells
+                )
+
+
+def action_keys(graph: Graph, row: int, num_actions: int) -> np.ndarray:
+    """Number of the result of every legal action of a row: uint64[U, P, Na]."""
+    targets, first = graph.num_targets[row], graph.num_targets[row] + graph.num_placed[row]
+    used = graph.num_nodes[row]
+    out = np.empty((used - first, first - targets, num_actions), np.uint64)
+    _keys(
+        graph.nodes[row], graph.object_id[row], targets, first, used,
+        num_actions // len(DIRECTIONS), out,
     )  # fmt: skip
     return out

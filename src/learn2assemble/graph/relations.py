@@ -33,7 +33,9 @@ class Relations(NamedTuple):
     edge_used: np.ndarray
     """bool[B, S, E]."""
     offsets: np.ndarray
-    """int64[B, K, S, M]: number of the offset of every placed block, -1 beyond the placed."""
+    """int64[B, K, S, M]: number of the offset of every placed block, ``OFFSETS`` beyond."""
+    area: np.ndarray
+    """float32[B]: area of all outlines [block faces]."""
 
 
 @njit(cache=True, inline="always")
@@ -65,7 +67,7 @@ def _pixel_corner(x, z):
 @njit(cache=True)
 def _relate(
     nodes, object_id, num_targets, num_placed, cells, num_cells, most_edges,
-    edges, edge_used, offsets,
+    edges, edge_used, offsets, total_area,
 ):  # fmt: skip
     corner = np.empty((most_edges, 2))
     for row in range(len(num_targets)):
@@ -89,6 +91,7 @@ def _relate(
                 area += corner[k, 0] * corner[n, 1] - corner[n, 0] * corner[k, 1]
                 edge_used[row, side, k] = True
             turn = -1.0 if area < 0 else 1.0
+            total_area[row] += abs(area) / (2 * EDGE * EDGE)
             for c in range(num_cells[row]):
                 dx = cells[row, c, 0] - nodes[row, first, 0]
                 dy = cells[row, c, 1] - nodes[row, first, 1]
@@ -134,9 +137,10 @@ def relate(graph: Graph, placements: Placements) -> Relations:
     most_edges = max(int((side == s).sum(1).max()) for s in range(sides))
     edges = np.zeros((batch, most, sides, most_edges, EDGE_FEATURES), np.float32)
     edge_used = np.zeros((batch, sides, most_edges), np.bool_)
-    offsets = np.full((batch, most, sides, int(graph.num_placed.max())), -1, np.int64)
+    offsets = np.full((batch, most, sides, int(graph.num_placed.max())), OFFSETS, np.int64)
+    area = np.zeros(batch, np.float32)
     _relate(
         graph.nodes, graph.object_id, graph.num_targets, graph.num_placed, placements.cells,
-        placements.num_cells, most_edges, edges, edge_used, offsets,
+        placements.num_cells, most_edges, edges, edge_used, offsets, area,
     )  # fmt: skip
-    return Relations(edges, edge_used, offsets)
+    return Relations(edges, edge_used, offsets, area)

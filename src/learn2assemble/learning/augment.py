@@ -11,7 +11,6 @@ import numpy as np
 from learn2assemble.graph.features import Graph
 from learn2assemble.learning.replay import Batch
 from learn2assemble.world.blocks import EDGE
-from learn2assemble.world.prospects import Prospects
 
 MIRROR = np.array([0, 2, 1, 3, 4])
 """Relative actions under x -> -x: left and right exchange."""
@@ -31,14 +30,6 @@ def random_symmetry(batch: Batch, num_sides: int, rng: np.random.Generator) -> B
     for chosen, permutation in ((mirror, MIRROR), (exchange, EXCHANGE)):
         action[chosen, 2] = permutation[action[chosen, 2]]
 
-    def permute(prospects: Prospects | None) -> Prospects | None:
-        if prospects is None:
-            return None
-        for chosen, permutation in ((mirror, MIRROR), (exchange, EXCHANGE)):
-            swap = chosen[:, None, None]
-            prospects = Prospects(*[np.where(swap, a[..., permutation], a) for a in prospects])
-        return prospects
-
     searched = batch.searched
     if searched is not None:
         explored = searched.action.copy()
@@ -56,6 +47,5 @@ def random_symmetry(batch: Batch, num_sides: int, rng: np.random.Generator) -> B
 
     return batch._replace(
         graph=turn(batch.graph), next_graph=turn(batch.next_graph), action=action,
-        prospects=permute(batch.prospects), next_prospects=permute(batch.next_prospects),
         searched=searched,
     )  # fmt: skip

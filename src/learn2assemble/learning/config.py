@@ -1,5 +1,5 @@
 """Training configurations by name: ``paper`` (as published), ``published`` (the same learners on
-our schedule), ``fast`` and ``refine`` (ours)."""
+our schedule) and ``relational`` (our own method)."""
 
 from __future__ import annotations
 
@@ -38,21 +38,11 @@ class TrainConfig:
             every gradient step instead of being copied, and the agent is the target network: an
             average of the recent weights.
         double: choose the next action by the online network, value it by the target network.
-        terminal_weight: weight of the loss that fits Q to the reward of *every* placement of a
-            sampled state that would end the episode (invalid, filled, or out of blocks): there
-            the reward is the exact Q. 0: only the action taken (paper). D6.
-        share_cell: give the target of the action taken to all (block, reference, relation) that
-            put a like block into the same cell. D6.
-        reward_weight: weight of the loss that fits the reward head to the reward of *every*
-            placement of a sampled state, from the one-step model. D6.
-        gain_weight: weight of the loss that fits the gain head to the change of coverage, in units
-            of ``GAIN_UNIT``, of every placement of a sampled state. D6.
-        exact_next: in targets, replace the predicted reward term of every next placement by the
-            known reward, and its Q by the reward where the episode would end. D6.
-        imagined: further actions of every sampled state that get a TD target of their own, with
-            reward and successor from the one-step model: the one the network would take now,
-            then random valid ones. D6.
-        augment: mirror the structure and exchange its sides at random. D7.
+        dense_weight: weight of the loss that fits the reward part of Q, and Q itself where the
+            episode would end, to the one-step model's outcome of *every* placement of a sampled
+            state; needs the encoder ``relational``. 0: only the action taken (paper). D6.
+        augment: mirror the structure and exchange its sides at random; for cubes and the published
+            encoders. D7.
         search_budget: expansions of a search in training, one step each; not used by ``dqn``.
         search_weight: w_CE, weight of the search term in the loss, that of the TD term being
             1 - w_CE; not used by ``dqn``.
@@ -75,12 +65,7 @@ class TrainConfig:
     steps: int = 1
     target_rate: float = 0.0
     double: bool = True
-    terminal_weight: float = 0.0
-    share_cell: bool = False
-    reward_weight: float = 0.0
-    gain_weight: float = 0.0
-    exact_next: bool = False
-    imagined: int = 0
+    dense_weight: float = 0.0
     augment: bool = False
     search_budget: int = 5
     search_weight: float = 0.5
@@ -102,23 +87,13 @@ class TrainConfig:
             raise InputError("search_weight", self.search_weight, "a share between 0 and 1")
         if not 0 <= self.epsilon_final <= 1:
             raise InputError("epsilon_final", self.epsilon_final, "0 <= epsilon <= 1")
-        for name in ("terminal_weight", "reward_weight", "gain_weight"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise InputError(name, getattr(self, name), "a weight of at least 0")
-        if self.reward_weight and not self.network.reward_head:
-            raise InputError("reward_weight", self.reward_weight, "0, or network.reward_head")
-        if self.exact_next and not self.network.reward_head:
-            raise InputError("exact_next", self.exact_next, "false, or network.reward_head")
-        if self.gain_weight and not self.network.gain_head:
-            raise InputError("gain_weight", self.gain_weight, "0, or network.gain_head")
-        if self.imagined < 0:
-            raise InputError("imagined", self.imagined, "a whole number of at least 0")
-
-    @property
-    def uses_model(self) -> bool:
-        """Whether training looks at placements that were not made (deviation D6)."""
-        weights = (self.terminal_weight, self.reward_weight, self.gain_weight, self.imagined)
-        return self.exact_next or max(weights) > 0
+        if not 0 <= self.dense_weight < math.inf:
+            raise InputError("dense_weight", self.dense_weight, "a weight of at least 0")
+        relational = self.network.encoder == "relational"
+        if self.dense_weight and not relational:
+            raise InputError("dense_weight", self.dense_weight, "0 unless encoder is relational")
+        if self.augment and relational:
+            raise InputError("augment", self.augment, "false for the encoder relational")
 
     @property
     def searches(self) -> bool:
@@ -177,8 +152,6 @@ def _parse(key: str, text: str, current: Any) -> Any:
 
 METHODS = ("dqn", "q-mcts", "eps-mcts")
 
-_FAST_NETWORK = NetworkConfig(heads=2, position_scale=0.1, rotary=True, reward_head=True)
-
 CONFIGS: dict[str, TrainConfig] = {
     "paper": TrainConfig(
         network=NetworkConfig(feed_forward="wide"),
@@ -194,7 +167,7 @@ CONFIGS: dict[str, TrainConfig] = {
         target_period=1250,
         double=False,
     ),
-    # The published learners and network on the schedule of "fast": --set method=q-mcts or eps-mcts.
+    # The published learners and networks on a schedule that is about ten times shorter.
     "published": TrainConfig(
         num_samples=240_000,
         learning_rate=2e-3,
@@ -204,34 +177,15 @@ CONFIGS: dict[str, TrainConfig] = {
         updates_per_round=4,
         augment=True,
     ),
-    "fast": TrainConfig(
-        network=_FAST_NETWORK,
-        num_samples=450_000,
-        learning_rate=2e-3,
-        final_learning_rate=1e-4,
-        epsilon_samples=25_000,
-        batch_size=32,
-        updates_per_round=4,
-        terminal_weight=1.0,
-        share_cell=True,
-        reward_weight=1.0,
-        augment=True,
-    ),
-    # A second stage from the weights of the first (--init): the reward of thin slivers of an
-    # outline is what the first stage leaves inaccurate.
-    "refine": TrainConfig(
-        network=_FAST_NETWORK,
-        num_samples=140_000,
+    "relational": TrainConfig(
+        network=NetworkConfig(encoder="relational", rounds=2),
+        num_samples=100_000,
         learning_rate=1e-3,
         final_learning_rate=3e-5,
-        initial_samples=16_000,
-        epsilon_samples=1,
+        epsilon_samples=20_000,
         batch_size=32,
         updates_per_round=4,
-        terminal_weight=1.0,
-        share_cell=True,
-        reward_weight=4.0,
-        augment=True,
+        dense_weight=1.0,
     ),
 }
 

@@ -6,16 +6,16 @@ import numpy as np
 import torch
 
 from learn2assemble.graph.batch import to_tensors
-from learn2assemble.graph.features import Graph
+from learn2assemble.graph.features import Graph, node_offset
 from learn2assemble.learning.replay import Searched
-from learn2assemble.networks.qnetwork import QNetwork
+from learn2assemble.networks.build import Network
 from learn2assemble.search.config import SearchConfig
 from learn2assemble.search.mcts import search
 from learn2assemble.search.model import SearchModel
 from learn2assemble.world.state import State
 
 
-def greedy_actions(network: QNetwork, graph: Graph, device: str) -> np.ndarray:
+def greedy_actions(network: Network, graph: Graph, device: str) -> np.ndarray:
     """Legal node action with the largest Q of every row: int64[B, 3]."""
     with torch.inference_mode():
         tensors = to_tensors(graph, device)
@@ -33,7 +33,7 @@ def random_actions(graph: Graph, num_actions: int, rng: np.random.Generator) -> 
 
 
 def epsilon_greedy(
-    network: QNetwork, graph: Graph, epsilon: float, rng: np.random.Generator, device: str
+    network: Network, graph: Graph, epsilon: float, rng: np.random.Generator, device: str
 ) -> tuple[np.ndarray, np.ndarray]:
     """Node actions int64[B, 3], uniform with probability ``epsilon``, and which are greedy."""
     action = random_actions(graph, network.config.num_actions, rng)
@@ -67,12 +67,6 @@ def searching(
         for n, (local, value, _) in enumerate(explored):
             found.action[row, n], found.value[row, n] = local + offset[row], value
     return action, ~np.array([decision.random for decision in decisions]), found
-
-
-def node_offset(graph: Graph) -> np.ndarray:
-    """Node index of the first unplaced and of the first placed block, and 0: int64[B, 3]."""
-    first = graph.num_targets + graph.num_placed
-    return np.stack([first, graph.num_targets, 0 * graph.num_placed], -1)
 
 
 def to_local(graph: Graph, action: np.ndarray) -> np.ndarray:

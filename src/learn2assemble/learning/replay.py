@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from learn2assemble.graph.features import Graph
-from learn2assemble.world.prospects import Prospects
+from learn2assemble.world.outcomes import Outcomes
 
 _COUNTS = ("num_targets", "num_placed", "num_nodes")
 
@@ -38,12 +38,9 @@ class Batch(NamedTuple):
     """float32[B]: of what follows ``next_graph``; gamma to the number of steps."""
     greedy: np.ndarray
     """bool[B]: the action was the network's own choice, not exploration."""
-    prospects: Prospects | None
-    """Outcome of every placement in ``graph``; ``None`` where the learner does not use it."""
-    next_prospects: Prospects | None
-    """The same in ``next_graph``; meaningless where ``next_known`` is false."""
-    next_known: np.ndarray
-    """bool[B]: the memory holds the prospects of ``next_graph``."""
+    outcomes: Outcomes | None = None
+    """Outcome of every distinct placement of ``graph``, in the order of
+    :func:`learn2assemble.graph.placements.distinct_placements`; ``None`` where not used."""
     searched: Searched | None = None
     """``None`` for learners without search."""
 
@@ -53,10 +50,8 @@ class Replay:
 
     Args:
         num_nodes: N, nodes of a graph.
-        blocks: M, placed blocks of a graph at most.
-        num_actions: Na.
         worlds: transitions of one :meth:`add`; the same world follows itself at this distance.
-        prospects: whether transitions carry :class:`Prospects`.
+        outcomes: whether transitions carry :class:`Outcomes`.
         explored: E, root actions a search explores at most; 0 for learners without search.
     """
 
@@ -64,15 +59,13 @@ class Replay:
         self,
         size: int,
         num_nodes: int,
-        blocks: int,
-        num_actions: int,
         *,
         worlds: int,
-        prospects: bool,
+        outcomes: bool = False,
         explored: int = 0,
     ) -> None:
         self.size, self.length, self.cursor = size, 0, 0
-        self.worlds, self.prospects, self.explored = worlds, prospects, explored
+        self.worlds, self.outcomes, self.explored = worlds, outcomes, explored
         self.arrays: dict[str, np.ndarray] = {
             "action": np.zeros((size, 3), np.int64),
             "reward": np.zeros(size, np.float32),
@@ -85,12 +78,9 @@ class Replay:
             self.arrays[f"{prefix}object_id"] = np.zeros((size, num_nodes), np.int16)
             for name in _COUNTS:
                 self.arrays[prefix + name] = np.zeros(size, np.int16)
-        if prospects:
-            shape = (size, blocks, num_actions)
-            self.arrays["prospects.reward"] = np.zeros(shape, np.float16)
-            self.arrays["prospects.terminal"] = np.zeros(shape, np.bool_)
-            self.arrays["prospects.valid"] = np.zeros(shape, np.bool_)
-            self.arrays["prospects.gain"] = np.zeros(shape, np.float16)
+        if outcomes:
+            self.arrays["outcome.reward"] = np.zeros((size, 64), np.float16)
+            self.arrays["outcome.flags"] = np.zeros((size, 64), np.uint8)
         if explored:
             self.arrays["searched.action"] = np.zeros((size, explored, 3), np.int16)
             self.arrays["searched.value"] = np.zeros((size, explored), np.float32)
@@ -107,10 +97,9 @@ class Replay:
                 self.arrays[prefix + name][where] = getattr(graph, name)
         for name in ("action", "reward", "terminal", "discount", "greedy"):
             self.arrays[name][where] = getattr(batch, name)
-        if self.prospects:
-            assert batch.prospects is not None
-            for name, value in batch.prospects._asdict().items():
-                self.arrays[f"prospects.{name}"][where] = value
+        if self.outcomes:
+            assert batch.outcomes is not None
+            self._store_outcomes(where, batch.outcomes)
         if self.explored:
             assert batch.searched is not None
             for name, value in batch.searched._asdict().items():
@@ -127,24 +116,27 @@ class Replay:
         rows = rng.integers(0, self.length, count)
         a = self.arrays
         last, reward, discount = self._follow(rows, steps)
-        # The successor of a transition is where the next one of the same world starts.
-        after = (last + self.worlds) % self.size
-        known = ((self.cursor - 1 - last) % self.size >= self.worlds) & ~a["terminal"][last]
         return Batch(
             self._graph("", rows), a["action"][rows], reward, a["terminal"][last],
             self._graph("next_", last), discount, a["greedy"][rows],
-            self._prospects(rows), self._prospects(after), known & self.prospects,
-            self._searched(rows),
+            self._outcomes(rows), self._searched(rows),
         )  # fmt: skip
 
-    def _prospects(self, rows: np.ndarray) -> Prospects | None:
-        if not self.prospects:
+    def _store_outcomes(self, where: np.ndarray, outcomes: Outcomes) -> None:
+        count = outcomes.reward.shape[1]
+        while count > self.arrays["outcome.reward"].shape[1]:
+            for name in ("outcome.reward", "outcome.flags"):
+                self.arrays[name] = np.tile(self.arrays[name], 2)
+        self.arrays["outcome.reward"][where, :count] = outcomes.reward
+        self.arrays["outcome.flags"][where, :count] = outcomes.terminal + 2 * outcomes.valid
+
+    def _outcomes(self, rows: np.ndarray) -> Outcomes | None:
+        if not self.outcomes:
             return None
-        values = {name: self.arrays[f"prospects.{name}"][rows] for name in Prospects._fields}
-        return Prospects(**{
-            name: value.astype(np.float32) if value.dtype == np.float16 else value
-            for name, value in values.items()
-        })  # fmt: skip
+        reward = self.arrays["outcome.reward"][rows].astype(np.float32)
+        flags = self.arrays["outcome.flags"][rows]
+        # The gain is not kept: learning does not use it.
+        return Outcomes(reward, (flags & 1) > 0, (flags & 2) > 0, np.zeros_like(reward))
 
     def _searched(self, rows: np.ndarray) -> Searched | None:
         if not self.explored:
@@ -184,8 +176,10 @@ class Replay:
 
     def load(self, arrays: dict[str, np.ndarray], cursor: int) -> None:
         """Inverse of :meth:`state`."""
-        for name, mine in self.arrays.items():
+        for name in self.arrays:
             values = arrays[f"replay.{name}"]
             self.length = len(values)
-            mine[: self.length] = values
+            # Arrays of outcomes may have grown since.
+            self.arrays[name] = np.zeros((self.size, *values.shape[1:]), values.dtype)
+            self.arrays[name][: self.length] = values
         self.cursor = cursor

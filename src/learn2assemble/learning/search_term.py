@@ -5,20 +5,25 @@ from __future__ import annotations
 import torch
 
 from learn2assemble.learning.replay import Searched
-from learn2assemble.networks.qnetwork import NEGATIVE, QFactors
+from learn2assemble.networks.build import Values
+from learn2assemble.networks.qnetwork import NEGATIVE
 
 
-def search_cross_entropy(factors: QFactors, searched: Searched) -> torch.Tensor:
+def search_cross_entropy(values: Values, searched: Searched, taken: torch.Tensor) -> torch.Tensor:
     """``-(1/B) sum_s sum_e softmax_e(Q_S(s, a_e)) log softmax_e(Q(s, a_e))``, a scalar.
 
     The softmax runs over the explored actions e of each state at temperature 1; the stored search
     values Q_S are constants. States without a search add 0 and still count in the divisor B.
+
+    Args:
+        taken: int64[B, 3]: the actions taken; they stand in where fewer were explored.
     """
-    device = factors.context.device
+    device = taken.device
     actions = torch.from_numpy(searched.action).to(device)
     count = torch.from_numpy(searched.count).to(device)
     explored = torch.arange(actions.shape[1], device=device) < count[:, None]
-    q = torch.stack([factors.select(action) for action in actions.unbind(1)], 1)
+    actions = torch.where(explored[..., None], actions, taken[:, None])
+    q = torch.stack([values.select(action) for action in actions.unbind(1)], 1)
     stored = torch.from_numpy(searched.value).to(device)
     # A finite stand-in for minus infinity keeps rows without any search free of NaN.
     log_policy = q.masked_fill(~explored, NEGATIVE).log_softmax(1)

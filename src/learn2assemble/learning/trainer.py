@@ -15,12 +15,13 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from learn2assemble.errors import InputError
+from learn2assemble.graph.placements import distinct_placements
 from learn2assemble.learning.augment import random_symmetry
 from learn2assemble.learning.config import TrainConfig
-from learn2assemble.learning.dqn import dqn_loss
 from learn2assemble.learning.explore import epsilon_greedy, searching, to_local
+from learn2assemble.learning.loss import q_loss
 from learn2assemble.learning.replay import Batch, Replay
-from learn2assemble.networks.qnetwork import QNetwork
+from learn2assemble.networks.build import Network, make_network
 from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.search.config import training_search
 from learn2assemble.simulator import Simulator
@@ -47,15 +48,15 @@ class Trainer:
         self.simulator = Simulator(task)
         self.rng = np.random.default_rng([TRAINING_STREAM, seed])
         torch.manual_seed(seed)
-        self.online = QNetwork(config.network).to(device)
+        self.online = make_network(config.network).to(device)
         self.model = WorldModel(self.simulator, self.online, device)
         """What the searches of training look ahead with."""
-        self.target = QNetwork(config.network).to(device)
+        self.target = make_network(config.network).to(device)
         self.target.load_state_dict(self.online.state_dict())
         self.optimizer = torch.optim.Adam(self.online.parameters(), lr=config.learning_rate)
         self.replay = Replay(
-            config.replay_size, task.num_nodes, task.max_blocks, task.num_actions,
-            worlds=config.num_envs, prospects=config.uses_model,
+            config.replay_size, task.num_nodes,
+            worlds=config.num_envs, outcomes=config.dense_weight > 0,
             explored=config.search_budget if config.searches else 0,
         )  # fmt: skip
         self.state = self.simulator.new(config.num_envs, self.rng)
@@ -70,7 +71,7 @@ class Trainer:
         self.between_rounds = True
         """Whether the state is one to save; an interrupted round leaves half a step behind."""
 
-    def start_from(self, network: QNetwork) -> None:
+    def start_from(self, network: Network) -> None:
         """Take over the weights of a trained network.
 
         Raises:
@@ -99,7 +100,7 @@ class Trainer:
         return self.samples >= self.config.num_samples
 
     @property
-    def agent_network(self) -> QNetwork:
+    def agent_network(self) -> Network:
         """The network to keep: the averaged one where there is one."""
         return self.target if self.config.target_rate else self.online
 
@@ -118,8 +119,10 @@ class Trainer:
     def collect(self) -> None:
         """One step of every world by the learner's policy, into the replay memory."""
         state, graph = self.state, self.graph
-        prospects = self.simulator.prospects(state) if self.config.uses_model else None
-        searched = None
+        searched = outcomes = None
+        if self.config.dense_weight:
+            placements = distinct_placements(graph, self.task.num_actions)
+            outcomes = self.simulator.outcomes(state, graph, placements)
         if self.config.searches:
             how = training_search(self.config.method, self.config.search_budget, self.epsilon)
             action, greedy, searched = searching(self.model, state, graph, how, self.rng)
@@ -138,9 +141,7 @@ class Trainer:
                 after,
                 discount,
                 greedy,
-                prospects,
-                next_prospects=None,
-                next_known=np.zeros(len(action), np.bool_),
+                outcomes=outcomes,
                 searched=searched,
             )
         )
@@ -164,9 +165,7 @@ class Trainer:
         batch = self.replay.sample(config.batch_size, self.rng, config.steps)
         if config.augment:
             batch = random_symmetry(batch, self.task.num_sides, self.rng)
-        loss, self.logs = dqn_loss(
-            self.online, self.target, batch, config, self.task.discount, self.rng, self.device
-        )
+        loss, self.logs = q_loss(self.online, self.target, batch, config, self.device)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         self.optimizer.step()

@@ -17,8 +17,8 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
 from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.networks.build import Network, make_network
 from learn2assemble.networks.config import NetworkConfig
-from learn2assemble.networks.qnetwork import QNetwork
 
 FORMAT = "learn2assemble-agent"
 PRETRAINED = Path(__file__).parent.parent / "pretrained"
@@ -29,7 +29,7 @@ class Agent:
     """A Q-network with its origin."""
 
     name: str
-    network: QNetwork
+    network: Network
     task: str
     """Name of the task it was trained on."""
     origin: dict[str, Any] = field(default_factory=dict)
@@ -99,7 +99,7 @@ def load_agent(name_or_path: str, device: torch.device | str = "cpu") -> Agent:
         info = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
         if info["format"] != FORMAT:
             raise ValueError(f"format {info['format']!r}")
-        network = QNetwork(NetworkConfig(**info["network"]))
+        network = make_network(NetworkConfig(**info["network"]))
         network.load_state_dict(load_file(path))
         name, task, origin = info["name"], info["task"], info.get("origin", {})
     except (SafetensorError, OSError, ValueError, KeyError, TypeError, RuntimeError) as error:

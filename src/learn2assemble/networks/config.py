@@ -9,17 +9,19 @@ from learn2assemble.errors import InputError, UnknownNameError
 
 FEED_FORWARDS = ("light", "wide", "none")
 CONNECTIVITIES = ("partial", "full")
-ENCODERS = ("attention", "s2v")
+ENCODERS = ("attention", "s2v", "relational")
+"""``relational`` is the placement network, our own (:mod:`learn2assemble.networks.placement`)."""
 
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """Architecture of :class:`learn2assemble.networks.qnetwork.QNetwork` (protocol 9).
+    """Architecture of a Q-network (protocol 9).
 
     Args:
         width: F, embedding size.
-        encoder: ``attention`` or ``s2v`` (Structure2Vec); ``heads``, ``feed_forward`` and
-            ``rotary`` belong to ``attention``.
+        encoder: ``attention``, ``s2v`` (Structure2Vec) or ``relational`` (ours); ``heads``,
+            ``feed_forward`` and ``rotary`` belong to ``attention``, ``connectivity`` and
+            ``position_scale`` to the first two.
         heads: attention heads; key and value size is ``width / heads``.
         rounds: L, rounds of message passing with their own weights.
         feed_forward: ``light`` is the paper's 64->64 layer with ReLU (equation 2), ``wide`` the
@@ -29,10 +31,6 @@ class NetworkConfig:
         position_scale: positions are divided by this [m] (1.025 in the published code).
         rotary: rotate queries and keys by the node positions, so that attention scores depend on
             offsets between nodes instead of absolute positions (deviation D5).
-        gain_head: a second read-out that learning fits to the change of coverage; it only shapes
-            the embeddings and takes no part in Q (deviation D6).
-        reward_head: give the read-out a second term that learning can also fit to the immediate
-            reward alone; Q is the sum of both, so the function class is the same (deviation D6).
     """
 
     width: int = 64
@@ -43,8 +41,6 @@ class NetworkConfig:
     num_actions: int = 5
     position_scale: float = 1.025
     rotary: bool = False
-    reward_head: bool = False
-    gain_head: bool = False
     encoder: str = "attention"
 
     def __post_init__(self) -> None:

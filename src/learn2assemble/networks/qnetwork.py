@@ -77,12 +77,6 @@ class QNetwork(nn.Module):
         self.pool = nn.Linear(width, width, bias=False)
         # Columns: pooled graph, block to place, reference block.
         self.readout = nn.Linear(3 * width, config.num_actions)
-        self.reward_readout: nn.Linear | None = None
-        if config.reward_head:
-            self.reward_readout = nn.Linear(3 * width, config.num_actions)
-        self.gain_readout: nn.Linear | None = None
-        if config.gain_head:
-            self.gain_readout = nn.Linear(3 * width, config.num_actions)
         self.scale: torch.Tensor
         scale = torch.ones(NUM_FEATURES)
         scale[POSITION] = 1 / config.position_scale
@@ -108,44 +102,19 @@ class QNetwork(nn.Module):
 
     def forward(self, graph: GraphTensors) -> QFactors:
         """Q-values of every action in factored form (equation 5)."""
-        return self.values(self.embeddings(graph))
-
-    def embeddings(self, graph: GraphTensors) -> tuple[torch.Tensor, torch.Tensor]:
-        """What the read-out sees: ReLU of every node float[B, N, F] and of the pool float[B, F]."""
         h = self.encode(graph)
         used = graph.used[..., None]
-        mean = (h * used).sum(1) / used.sum(1)
-        return F.relu(h), F.relu(self.pool(mean))
-
-    def values(self, embeddings: tuple[torch.Tensor, torch.Tensor]) -> QFactors:
-        """Q from embeddings."""
-        weight, bias = self.readout.weight, self.readout.bias
-        if self.reward_readout is not None:
-            weight, bias = weight + self.reward_readout.weight, bias + self.reward_readout.bias
-        return _factors(embeddings, weight, bias)
-
-    def rewards(self, embeddings: tuple[torch.Tensor, torch.Tensor]) -> QFactors:
-        """The reward term of Q alone; needs ``reward_head``."""
-        assert self.reward_readout is not None
-        return _factors(embeddings, self.reward_readout.weight, self.reward_readout.bias)
-
-    def gains(self, embeddings: tuple[torch.Tensor, torch.Tensor]) -> QFactors:
-        """Predicted change of coverage of every action; needs ``gain_head``."""
-        assert self.gain_readout is not None
-        return _factors(embeddings, self.gain_readout.weight, self.gain_readout.bias)
+        pooled = F.relu(self.pool((h * used).sum(1) / used.sum(1)))
+        context, block, reference = self.readout.weight.chunk(3, 1)
+        nodes = F.relu(h)
+        return QFactors(
+            F.linear(nodes, block),
+            F.linear(nodes, reference),
+            F.linear(pooled, context, self.readout.bias),
+        )
 
 
 def _round(config: NetworkConfig) -> nn.Module:
     if config.encoder == "s2v":
         return Structure2VecRound(config.width)
     return AttentionRound(config.width, config.heads, config.feed_forward)
-
-
-def _factors(
-    embeddings: tuple[torch.Tensor, torch.Tensor], weight: torch.Tensor, bias: torch.Tensor
-) -> QFactors:
-    nodes, pooled = embeddings
-    context, block, reference = weight.chunk(3, 1)
-    return QFactors(
-        F.linear(nodes, block), F.linear(nodes, reference), F.linear(pooled, context, bias)
-    )

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from learn2assemble.graph.features import node_offset
+from learn2assemble.graph.placements import Placements, distinct_placements
 from learn2assemble.simulator import Simulator
-from learn2assemble.world.actions import DIRECTIONS
 from learn2assemble.world.blocks import EDGE
 from learn2assemble.world.sides import to_world
 from learn2assemble.world.state import State
@@ -18,27 +19,30 @@ from learn2assemble.world.state import State
 
 def lookahead_actions(simulator: Simulator, state: State) -> np.ndarray:
     """One action for every row: int64[B, 3] (local indices)."""
-    prospects = simulator.prospects(state)
-    actions = np.zeros((state.batch_size, 3), np.int64)
-    for row in range(state.batch_size):
-        valid, gain = prospects.valid[row], prospects.gain[row]
-        positive = valid & (prospects.reward[row] > 0)
-        if positive.any():
-            cost = np.where(positive, gain, np.inf)
-        else:
-            cost = np.where(valid, _support_cost(simulator, state, row), np.inf)
-        actions[row, 1:] = np.unravel_index(int(cost.argmin()), cost.shape)
-    return actions
+    graph = simulator.observe(state)
+    placements = distinct_placements(graph, simulator.task.num_actions)
+    outcomes = simulator.outcomes(state, graph, placements)
+    positive = outcomes.valid & (outcomes.reward > 0)
+    cost = np.where(positive, outcomes.gain, np.inf)
+    for row in np.flatnonzero(~positive.any(1)).tolist():
+        support = _support_cost(simulator, state, placements, row)
+        cost[row] = np.where(outcomes.valid[row], support, np.inf)
+    # A row without any valid placement takes the first one, which is legal and fails.
+    chosen = cost.argmin(1)
+    return placements.action[np.arange(len(chosen)), chosen] - node_offset(graph)
 
 
-def _support_cost(simulator: Simulator, state: State, row: int) -> np.ndarray:
-    """Distance of every cell from the target vertices in plan, then its height: float64[M, 5]."""
-    cells = state.position[row][:, None] + EDGE * DIRECTIONS
+def _support_cost(
+    simulator: Simulator, state: State, placements: Placements, row: int
+) -> np.ndarray:
+    """Distance of every placement from the target vertices in plan, then its height: float64[P]."""
     corners = []
     for side, frame in enumerate(simulator.frames):
         outline = state.vertices[row, side, : state.num_vertices[row, side]]
         corners.append(to_world(frame, outline[:, 0], np.zeros(len(outline)), outline[:, 1]))
     points = np.concatenate(corners)[:, :2]
     low, high = points.min(0) - EDGE / 2, points.max(0) + EDGE / 2
-    beyond = np.maximum(low - cells[..., :2], 0) + np.maximum(cells[..., :2] - high, 0)
-    return 100 * beyond.sum(-1) + cells[..., 2]
+    at = placements.cells[row, placements.members[row]]
+    beyond = np.maximum(low - at[..., :2], 0) + np.maximum(at[..., :2] - high, 0)
+    cost = (100 * beyond.sum(-1) + at[..., 2]) * (placements.members[row] >= 0)
+    return cost.sum(-1)

@@ -13,7 +13,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from learn2assemble.networks.qnetwork import QNetwork
+from learn2assemble.graph.features import node_offset
+from learn2assemble.graph.placements import distinct_placements
+from learn2assemble.networks.build import Network
 from learn2assemble.planning.problem import Problem
 from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.search.config import SearchConfig
@@ -22,7 +24,6 @@ from learn2assemble.search.model import ActionValues
 from learn2assemble.simulator import Simulator
 from learn2assemble.world.actions import DIRECTIONS
 from learn2assemble.world.blocks import EDGE, HALF
-from learn2assemble.world.prospects import Prospects
 from learn2assemble.world.state import State
 
 BUDGETS = (10, 40)
@@ -69,7 +70,7 @@ class Sequence:
 class _AllowedModel(WorldModel):
     """A world model that leaves out placements the design forbids (blocks outside it)."""
 
-    def __init__(self, problem: Problem, simulator: Simulator, network: QNetwork) -> None:
+    def __init__(self, problem: Problem, simulator: Simulator, network: Network) -> None:
         super().__init__(simulator, network)
         self.problem = problem
 
@@ -102,7 +103,7 @@ Progress = Callable[[str], None]
 
 def plan_sequences(
     problem: Problem,
-    network: QNetwork,
+    network: Network,
     seed: int = 0,
     seconds: float = 20.0,
     progress: Progress = lambda text: None,
@@ -289,28 +290,29 @@ def _candidates(
 ) -> list[np.ndarray]:
     """Placements to try, one per cell: those that fill first, then supports of open cells, then
     the rest, by the agent's Q within each class."""
-    prospects: Prospects = simulator.prospects(state)
+    graph = simulator.observe(state)
+    placements = distinct_placements(graph, simulator.task.num_actions)
+    outcomes = simulator.outcomes(state, graph, placements)
+    actions = placements.action[0] - node_offset(graph)
     values = model.action_values(state)[0]
-    placed = state.position[0, : state.num_placed[0]]
-    q = {(int(j), int(k)): float(v) for (i, j, k), v in
-         zip(values.actions, values.values, strict=True) if i == 0}  # fmt: skip
+    q = {tuple(action): value for action, value in zip(values.actions.tolist(), values.values,
+                                                       strict=True)}  # fmt: skip
     carries = _open_columns(problem, state)
-    best: dict[tuple[int, int, int], tuple[float, np.ndarray]] = {}
-    for j, k in np.argwhere(prospects.valid[0, : len(placed)]):
-        cell = placed[j] + EDGE * DIRECTIONS[k]
-        if (int(j), int(k)) not in q or (not problem.supports and problem.is_outside(cell)):
+    ranked: list[tuple[float, np.ndarray]] = []
+    for n in np.flatnonzero(outcomes.valid[0]):
+        cells = placements.cells[0, placements.members[0, n][placements.members[0, n] >= 0]]
+        if tuple(actions[n].tolist()) not in q:
             continue
-        column = (round(cell[0] / EDGE), round(cell[1] / EDGE))
-        score = q[int(j), int(k)]
-        if prospects.reward[0, j, k] > 0:
+        if not problem.supports and any(problem.is_outside(cell) for cell in cells):
+            continue
+        score = float(q[tuple(actions[n].tolist())])
+        if outcomes.reward[0, n] > 0:
             # The largest share first: where blocks are scarce, it needs the fewest.
-            score += 200.0 + 100.0 * float(prospects.gain[0, j, k])
-        elif column in carries:
+            score += 200.0 + 100.0 * float(outcomes.gain[0, n])
+        elif any((round(x / EDGE), round(y / EDGE)) in carries for x, y, _ in cells.tolist()):
             score += 100.0
-        key = (*column, round(cell[2] / EDGE - 0.5))
-        if key not in best or score > best[key][0]:
-            best[key] = (score, np.array([0, j, k]))
-    return [action for _, action in sorted(best.values(), key=lambda item: -item[0])]
+        ranked.append((score, actions[n]))
+    return [action for _, action in sorted(ranked, key=lambda item: -item[0])]
 
 
 def _open_columns(problem: Problem, state: State) -> set[tuple[int, int]]:

@@ -6,12 +6,14 @@ import numpy as np
 import torch
 
 from learn2assemble.graph.batch import to_tensors
-from learn2assemble.networks.qnetwork import QNetwork
+from learn2assemble.graph.features import Graph, node_offset
+from learn2assemble.graph.placements import action_keys
+from learn2assemble.networks.build import Network
+from learn2assemble.networks.placement import PlacementValues
+from learn2assemble.networks.qnetwork import QFactors
 from learn2assemble.search.model import ActionValues, StepResult
 from learn2assemble.simulator import Simulator
 from learn2assemble.task import check_actions
-from learn2assemble.world.actions import DIRECTIONS
-from learn2assemble.world.blocks import EDGE
 from learn2assemble.world.state import State
 
 
@@ -24,7 +26,7 @@ class WorldModel:
         device: where the network is.
     """
 
-    def __init__(self, simulator: Simulator, network: QNetwork, device: str = "cpu") -> None:
+    def __init__(self, simulator: Simulator, network: Network, device: str = "cpu") -> None:
         check_actions(network.config.num_actions, simulator.task)
         self.simulator, self.network, self.device = simulator, network, device
         self.discount = simulator.task.discount
@@ -50,17 +52,10 @@ class WorldModel:
     def action_values(self, states: State) -> list[ActionValues]:
         graph = self.simulator.observe(states)
         with torch.inference_mode():
-            factors = self.network(to_tensors(graph, self.device))
-        block, reference, context = (t.cpu().numpy().astype(np.float64) for t in factors)
-        out = []
-        for row in range(states.batch_size):
-            first = int(graph.num_targets[row])
-            split, end = first + int(graph.num_placed[row]), int(graph.num_nodes[row])
-            values = block[row, split:end, None] + reference[row, None, first:split] + context[row]
-            actions = np.indices(values.shape).reshape(3, -1).T
-            cells = np.broadcast_to(_cells(states, row), values.shape)
-            out.append(ActionValues(actions, values.ravel(), cells.ravel()))
-        return out
+            values = self.network(to_tensors(graph, self.device))
+        if isinstance(values, PlacementValues):
+            return _of_placements(graph, values)
+        return _of_pairs(graph, values, self.simulator.task.num_actions)
 
     def random_actions(self, states: State, rng: np.random.Generator) -> np.ndarray:
         relations = np.full(states.batch_size, self.simulator.task.num_actions)
@@ -72,16 +67,27 @@ class WorldModel:
         with torch.inference_mode():
             tensors = to_tensors(graph, self.device)
             value, action = self.network(tensors).best(tensors)
-        offset = np.stack(
-            [graph.num_targets + graph.num_placed, graph.num_targets, 0 * graph.num_placed], -1
-        )
-        return value.cpu().numpy().astype(np.float64), action.cpu().numpy() - offset
+        return value.cpu().numpy().astype(np.float64), action.cpu().numpy() - node_offset(graph)
 
 
-def _cells(states: State, row: int) -> np.ndarray:
-    """Number of the cell that every (reference, relation) leads to: int64[P, 5]."""
-    placed = states.position[row, : states.num_placed[row]]
-    # Centres in units of 5 mm: finer than a lattice cell, coarser than what settling moves.
-    index = np.rint((placed[:, None] + EDGE * DIRECTIONS) * (10 / EDGE)).astype(np.int64) + 4096
-    keys = (index[..., 0] << 40) + (index[..., 1] << 20) + index[..., 2]
-    return np.unique(keys, return_inverse=True)[1].reshape(keys.shape)
+def _of_placements(graph: Graph, values: PlacementValues) -> list[ActionValues]:
+    q = values.q.cpu().numpy().astype(np.float64)
+    placements, offset = values.cells.placements, node_offset(graph)
+    out = []
+    for row, count in enumerate(placements.count):
+        actions = placements.action[row, :count] - offset[row]
+        out.append(ActionValues(actions, q[row, :count], np.arange(count)))
+    return out
+
+
+def _of_pairs(graph: Graph, values: QFactors, num_actions: int) -> list[ActionValues]:
+    block, reference, context = (t.cpu().numpy().astype(np.float64) for t in values)
+    out = []
+    for row in range(len(graph.num_nodes)):
+        first = int(graph.num_targets[row])
+        split, end = first + int(graph.num_placed[row]), int(graph.num_nodes[row])
+        q = block[row, split:end, None] + reference[row, None, first:split] + context[row]
+        actions = np.indices(q.shape).reshape(3, -1).T
+        keys = action_keys(graph, row, num_actions)
+        out.append(ActionValues(actions, q.ravel(), keys.ravel()))
+    return out

@@ -1,0 +1,94 @@
+"""The cells of a batch of graphs and their relations as tensors, for the placement network."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from learn2assemble.graph.batch import GraphTensors
+from learn2assemble.graph.features import Graph
+from learn2assemble.graph.placements import Placements, distinct_placements, locate
+from learn2assemble.graph.relations import relate
+from learn2assemble.world.blocks import EDGE
+
+NUM_SUMMARY = 4
+"""Numbers that describe a whole graph, see :class:`CellTensors`."""
+
+
+class CellTensors(NamedTuple):
+    """``n`` cells in all ``B`` graphs, ``K`` a graph at most, ``P`` placements a graph at most."""
+
+    row: torch.Tensor
+    """int64[n]: graph of each cell."""
+    used: torch.Tensor
+    """bool[B, K]: where the n cells belong in a padded array, row by row."""
+    edges: torch.Tensor
+    """float32[n, S, E, F] of :mod:`learn2assemble.graph.relations`."""
+    edge_used: torch.Tensor
+    """bool[n, S, E]."""
+    offsets: torch.Tensor
+    """int64[n, S, M]."""
+    summary: torch.Tensor
+    """float32[B, 4]: unplaced and placed blocks, area of the outlines and its inverse."""
+    members: torch.Tensor
+    """int64[B, P, C]: cells of each placement; K where it has fewer."""
+    lever: torch.Tensor
+    """float32[B, P, C, 4]: offset of each cell from the centre of its placement [edges], and
+    whether there is one."""
+    legal: torch.Tensor
+    """bool[B, P]."""
+    action: torch.Tensor
+    """int64[B, P, 3]: node action of each placement."""
+    placements: Placements
+    graph: Graph
+    num_actions: int
+
+    def locate(self, action: torch.Tensor) -> torch.Tensor:
+        """Number of the placement with the result of each node action int64[B, 3]: int64[B]."""
+        found = locate(self.placements, self.graph, action.cpu().numpy(), self.num_actions)
+        return torch.from_numpy(found).to(action.device)
+
+
+def cell_tensors(graph: GraphTensors, num_actions: int) -> CellTensors:
+    """Enumerate placements and relate their cells to the graph, on the device of ``graph``."""
+    plain = Graph(*[t.cpu().numpy() for t in graph])
+    placements = distinct_placements(plain, num_actions)
+    relations = relate(plain, placements)
+    device = graph.nodes.device
+    used = np.arange(placements.cells.shape[1]) < placements.num_cells[:, None]
+    row = used.nonzero()[0]
+    unplaced = plain.num_nodes - plain.num_targets - plain.num_placed
+    area = np.maximum(relations.area, 0.1)
+    summary = np.stack([unplaced / 20, plain.num_placed / 20, area / 10, 1 / area], -1)
+    most = used.shape[1]
+    members = np.where(placements.members < 0, most, placements.members)
+
+    def put(array: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(np.ascontiguousarray(array)).to(device)
+
+    return CellTensors(
+        row=put(row),
+        used=put(used),
+        edges=put(relations.edges[used]),
+        edge_used=put(relations.edge_used[row]),
+        offsets=put(relations.offsets[used]),
+        summary=put(summary.astype(np.float32)),
+        members=put(members),
+        lever=put(_levers(placements)),
+        legal=put(placements.used),
+        action=put(placements.action),
+        placements=placements,
+        graph=plain,
+        num_actions=num_actions,
+    )
+
+
+def _levers(placements: Placements) -> np.ndarray:
+    present = placements.members >= 0
+    rows = np.arange(len(present))[:, None, None]
+    at = placements.cells[rows, placements.members] * present[..., None]
+    centre = at.sum(2) / np.maximum(present.sum(2), 1)[..., None]
+    offset = (at - centre[:, :, None]) / EDGE * present[..., None]
+    return np.concatenate([offset, present[..., None]], -1).astype(np.float32)

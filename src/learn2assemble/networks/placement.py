@@ -1,0 +1,103 @@
+"""The placement network: Q-values of distinct placements from relations (our own method, D16).
+
+Where the published network embeds every node and reads Q(i, j, k) off a pair of them, this one
+embeds every cell that could be filled. A cell looks at the edges of each outline and at the placed
+blocks around it in the viewer's frame of that side, so its embedding depends neither on where the
+structure stands, nor on which of its sides comes first, nor on how large the target is. A
+placement is the sum over the cells it fills; like placements are one placement.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import nn
+from torch.nn import functional as F
+
+from learn2assemble.graph.batch import GraphTensors
+from learn2assemble.graph.cells import NUM_SUMMARY, CellTensors, cell_tensors
+from learn2assemble.graph.relations import EDGE_FEATURES, OFFSETS
+from learn2assemble.networks.config import NetworkConfig
+from learn2assemble.networks.qnetwork import NEGATIVE
+
+
+class PlacementValues(NamedTuple):
+    """Q-values of the distinct placements of a batch of graphs."""
+
+    q: torch.Tensor
+    """float[B, P]; -1e9 beyond the placements of a row."""
+    reward: torch.Tensor
+    """float[B, P]: the part of Q that learning fits to the immediate reward."""
+    cells: CellTensors
+
+    def best(self, graph: GraphTensors) -> tuple[torch.Tensor, torch.Tensor]:
+        """Largest Q and the node action that has it: float[B], int64[B, 3]."""
+        value, index = self.q.max(1)
+        return value, self.cells.action[torch.arange(len(index), device=index.device), index]
+
+    def select(self, action: torch.Tensor) -> torch.Tensor:
+        """Q of node actions int64[B, 3]: float[B]."""
+        return self.q.gather(1, self.cells.locate(action)[:, None])[:, 0]
+
+
+class PlacementNetwork(nn.Module):
+    """Relational encoder of cells and read-out of placements.
+
+    Args:
+        config: its ``width``, ``rounds`` and ``num_actions`` count.
+    """
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        self.config = config
+        width = config.width
+        self.edge = nn.Linear(EDGE_FEATURES, width)
+        self.neighbour = nn.EmbeddingBag(OFFSETS + 1, width, mode="sum", padding_idx=OFFSETS)
+        nn.init.normal_(self.neighbour.weight, std=0.1)
+        with torch.no_grad():
+            self.neighbour.weight[OFFSETS] = 0
+        self.side = _two_layers(3 * width, width)
+        self.summary = nn.Linear(NUM_SUMMARY, width)
+        self.pools = nn.ModuleList(nn.Linear(2 * width, width) for _ in range(config.rounds))
+        self.rounds = nn.ModuleList(_two_layers(2 * width, width) for _ in range(config.rounds))
+        self.member = nn.Linear(width, width)
+        self.lever = nn.Linear(4, width, bias=False)
+        self.context = nn.Linear(width, width, bias=False)
+        self.readout = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 2))
+
+    def forward(self, graph: GraphTensors) -> PlacementValues:
+        """Q-values of every distinct placement."""
+        cells = cell_tensors(graph, self.config.num_actions)
+        x, context = self.encode(cells)
+        # A row of zeros stands for the cells a smaller object does not have.
+        table = F.pad(_padded(self.member(x), cells.used), (0, 0, 0, 1))
+        shape = cells.members.shape
+        index = cells.members.flatten(1)[..., None].expand(-1, -1, table.shape[2])
+        parts = table.gather(1, index).view(*shape, -1)
+        placed = (F.relu(parts + self.lever(cells.lever)) * cells.lever[..., 3:]).sum(2)
+        reward, rest = self.readout(placed + self.context(context)[:, None]).unbind(-1)
+        return PlacementValues((reward + rest).masked_fill(~cells.legal, NEGATIVE), reward, cells)
+
+    def encode(self, cells: CellTensors) -> tuple[torch.Tensor, torch.Tensor]:
+        """Embeddings of all cells float[n, F] and of the graphs float[B, F]."""
+        message = F.relu(self.edge(cells.edges)) * cells.edge_used[..., None]
+        seen = torch.cat([message.sum(2), message.amax(2)], -1)
+        sides, blocks = cells.offsets.shape[1:]
+        near = F.relu(self.neighbour(cells.offsets.view(-1, blocks))).view(len(seen), sides, -1)
+        x = F.relu(self.side(torch.cat([seen, near], -1)).sum(1))
+        context = self.summary(cells.summary)
+        for pool, layer in zip(self.pools, self.rounds, strict=True):
+            grid = _padded(x, cells.used)
+            context = F.relu(context + pool(torch.cat([grid.sum(1) / 10, grid.amax(1)], -1)))
+            x = x + layer(torch.cat([x, context[cells.row]], -1))
+        return F.relu(x), context
+
+
+def _two_layers(inputs: int, width: int) -> nn.Module:
+    return nn.Sequential(nn.Linear(inputs, 2 * width), nn.ReLU(), nn.Linear(2 * width, width))
+
+
+def _padded(x: torch.Tensor, used: torch.Tensor) -> torch.Tensor:
+    """Rows of x float[n, F] at the places that ``used`` bool[B, K] marks, zeros elsewhere."""
+    return x.new_zeros(*used.shape, x.shape[1]).masked_scatter(used[..., None], x)
