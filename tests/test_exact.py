@@ -1,0 +1,288 @@
+"""Exact returns on cubes against brute force over all placements, and the packing bound."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from learn2assemble.errors import InputError, Learn2AssembleError
+from learn2assemble.evaluation.bounds import return_bound
+from learn2assemble.evaluation.exact import exact_return, replay_actions, tower_bound
+from learn2assemble.evaluation.towers import find_towers
+from learn2assemble.geometry.bits import ROWS, WORDS, from_pixels, to_pixels
+from learn2assemble.geometry.coverage import add_box
+from learn2assemble.planning.lookahead import lookahead_actions
+from learn2assemble.presets import get_task
+from learn2assemble.simulator import Simulator
+from learn2assemble.task import Task
+from learn2assemble.world.blocks import EDGE, HALF
+from learn2assemble.world.design_pixels import (
+    MAX_COLUMN,
+    cell_pixels,
+    face_pixels,
+    table_pixels,
+)
+from learn2assemble.world.layouts import waiting_positions
+from learn2assemble.world.sampling import start_blocks
+from learn2assemble.world.state import State
+
+Cell = tuple[int, int, int]
+
+
+@lru_cache(maxsize=None)
+def images(cell: Cell, frame: tuple[float, ...]) -> tuple[int, int]:
+    """(covered, occluded) of one cube on the lattice, seen by one side, as integers of bits."""
+    c, s, tx, ty = frame
+    wx, wy = EDGE * cell[0] - tx, EDGE * cell[1] - ty
+    pair = np.zeros((2, ROWS, WORDS), np.uint64)
+    z = HALF + EDGE * cell[2]
+    add_box(pair[0], pair[1], round(c * wx + s * wy, 9), round(c * wy - s * wx, 9), z, HALF)
+    return bits(pair[0]), bits(pair[1])
+
+
+def bits(image: np.ndarray) -> int:
+    return int.from_bytes(np.ascontiguousarray(image).tobytes(), "little")
+
+
+class BruteForce:
+    """The best return over every placement next to a placed block, in no plane in particular."""
+
+    def __init__(self, simulator: Simulator, state: State) -> None:
+        self.task = simulator.task
+        self.frames = [tuple(frame) for frame in simulator.frames]
+        self.masks = [bits(mask) for mask in state.mask[0]]
+        self.blocks, self.initial = int(state.num_blocks[0]), int(state.initial_pixels[0])
+        self.span = int(state.mask_pixels[0]) - self.initial
+        x, y, _ = np.rint(state.position[0, 0] / EDGE)
+        self.first: Cell = (int(x), int(y), 0)
+        self.known: dict[frozenset[Cell], float] = {}
+
+    def counts(self, placed: frozenset[Cell]) -> tuple[int, int]:
+        plane = complete = 0
+        table = [bits(image) for image in table_pixels()]
+        for frame, mask in zip(self.frames, self.masks, strict=True):
+            covered, occluded = table
+            for cell in placed:
+                c, o = images(cell, frame)
+                covered, occluded = covered | c, occluded | o
+            complete += (covered & mask).bit_count()
+            plane += (covered & ~occluded & mask).bit_count()
+        return plane, complete
+
+    def best(self, placed: frozenset[Cell]) -> float:
+        if placed in self.known:
+            return self.known[placed]
+        plane, complete = self.counts(placed)
+        value = 0.0
+        success = (complete - self.initial) / self.span > self.task.success_threshold
+        if not success and len(placed) < self.blocks:
+            value = max(self.after(placed, cell, plane) for cell in self.choices(placed))
+        self.known[placed] = value
+        return value
+
+    def after(self, placed: frozenset[Cell], cell: Cell, plane: int) -> float:
+        grown = placed | {cell}
+        reward = 1.0 if self.counts(grown)[0] > plane else 0.0
+        return reward + self.task.discount * self.best(grown)
+
+    def choices(self, placed: frozenset[Cell]) -> set[Cell]:
+        found = set()
+        for x, y, z in placed:
+            around = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1))
+            for dx, dy, dz in around:
+                cell = (x + dx, y + dy, z + dz)
+                carried = cell[2] == 0 or (cell[0], cell[1], cell[2] - 1) in placed
+                if cell not in placed and carried:
+                    found.add(cell)
+        return found
+
+
+def problem(sides: int, grid: int, blocks: int, seed: int) -> tuple[Simulator, State]:
+    """A random problem of the published kind with few blocks."""
+    task = Task("small", num_sides=sides, grid=grid, num_nodes=5 * sides + 12, min_mask_pixels=20)
+    simulator = Simulator(task)
+    state = simulator.new(1, np.random.default_rng(seed))
+    state.num_blocks[0] = blocks
+    return simulator, state
+
+
+def painted(
+    shares: list[dict[tuple[int, int], float]],
+    blocks: int,
+    discount: float = 0.8,
+    threshold: float = 0.975,
+    seed: int | None = None,
+) -> tuple[Simulator, State]:
+    """A problem whose masks are shares of the pixels of the given cells (column, level).
+
+    Without a seed they are pixels that no other cell shows.
+    """
+    shown = to_pixels(cell_pixels()).sum((0, 1))
+    rng = np.random.default_rng(seed or 0)
+    task = Task("painted", len(shares), 6, 40, discount=discount, success_threshold=threshold)
+    simulator = Simulator(task)
+    state = simulator.empty(1)
+    for side, cells in enumerate(shares):
+        pixels = np.zeros((ROWS, 100), bool)
+        for (column, level), share in cells.items():
+            image = to_pixels(face_pixels()[column + MAX_COLUMN, level])
+            face = np.argwhere(image if seed is not None else image & (shown == 1))
+            count = max(round(share * len(face)), 1)
+            chosen = rng.permutation(len(face))[:count]
+            pixels[tuple(face[chosen].T)] = True
+        state.mask[0, side] = from_pixels(pixels)
+    state.mask_pixels[0] = np.bitwise_count(state.mask[0]).sum()
+    waiting = waiting_positions("line", blocks)
+    start_blocks(state, 0, simulator.frames, waiting, 0, blocks)
+    return simulator, state
+
+
+# ---------------------------------------------------------------- cubes
+
+
+def test_only_blocks_in_the_face_planes_gain() -> None:
+    """What the proof of the upper bound rests on; depth in blocks behind the face plane."""
+    table, _ = table_pixels()
+    for depth in (-4, -3, -2, -1, 1, 2, 3):
+        for column in range(-MAX_COLUMN, MAX_COLUMN + 1):
+            for level in range(12):
+                pair = np.zeros((2, ROWS, WORDS), np.uint64)
+                x, y, z = EDGE * column, EDGE * depth, HALF + EDGE * level
+                add_box(pair[0], pair[1], x, y, z, HALF)
+                assert not (pair[0] & ~pair[1] & ~table).any(), (depth, column, level)
+
+
+def test_a_pixel_belongs_to_two_neighbouring_columns_at_most() -> None:
+    columns = to_pixels(np.bitwise_or.reduce(cell_pixels(), axis=1))
+    assert columns.sum(0).max() == 2
+    for first in range(len(columns)):
+        for second in range(first + 2, len(columns)):
+            assert not (columns[first] & columns[second]).any()
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.sampled_from([1, 2]), st.sampled_from([1, 2, 3]), st.integers(2, 5), st.integers(0, 9999))
+def test_optimum_equals_brute_force(sides: int, grid: int, blocks: int, seed: int) -> None:
+    simulator, state = problem(sides, grid, blocks, seed)
+    brute = BruteForce(simulator, state)
+    best = brute.best(frozenset([brute.first]))
+    found = exact_return(simulator, state)
+    # A detour never pays with so few blocks.
+    assert found.feasible == pytest.approx(best)
+    assert found.upper == pytest.approx(best)
+
+
+CELLS = st.dictionaries(
+    st.tuples(st.integers(-2, 2), st.integers(0, 2)), st.floats(0, 1), min_size=1, max_size=4
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(CELLS, min_size=1, max_size=2),
+    st.integers(2, 5),
+    st.sampled_from([0.5, 0.8, 0.95]),
+    st.sampled_from([0.3, 0.6, 0.975]),
+    st.integers(0, 99),
+)
+def test_bounds_hold_on_scattered_masks(
+    shares: list[dict[tuple[int, int], float]],
+    blocks: int,
+    discount: float,
+    threshold: float,
+    seed: int,
+) -> None:
+    simulator, state = painted(shares, blocks, discount, threshold, seed)
+    if state.initial_pixels[0] == state.mask_pixels[0]:
+        return
+    brute = BruteForce(simulator, state)
+    best = brute.best(frozenset([brute.first]))
+    found = exact_return(simulator, state)
+    closed = tower_bound(find_towers(simulator, state, 0), discount)
+    assert found.feasible <= best + 1e-9
+    assert best <= found.upper + 1e-9
+    assert found.upper <= closed + 1e-9
+    assert closed <= return_bound(state, discount)[0] + 1e-9
+    assert replay_actions(simulator, state, 0, found.actions) == found.feasible
+    searched = exact_return(simulator, state, max_structures=0)
+    assert searched.structures == 0
+    assert searched.feasible == pytest.approx(found.feasible)
+
+
+def test_supports_delay() -> None:
+    simulator, state = painted([{(2, 1): 0.5}], blocks=6)
+    found = exact_return(simulator, state)
+    # Beside the first block, one further, on top of it: the third step is rewarded.
+    assert found.upper == found.feasible == pytest.approx(0.8**2)
+    assert len(found.actions) == 3
+    assert tower_bound(find_towers(simulator, state, 0), 0.8) == pytest.approx(0.8)
+    assert return_bound(state, 0.8)[0] == 1
+
+
+def test_the_last_cell_is_lost_where_success_comes_before_it() -> None:
+    # The crumb of one pixel lies on the full cell, which alone is success.
+    simulator, state = painted([{(1, 0): 1.0, (1, 1): 0.0}], blocks=6, threshold=0.9)
+    found = exact_return(simulator, state)
+    assert found.upper == found.feasible == 1
+    # Beside it, the crumb can be had first.
+    simulator, state = painted([{(1, 0): 1.0, (-1, 0): 0.0}], blocks=6, threshold=0.9)
+    found = exact_return(simulator, state)
+    assert found.upper == found.feasible == pytest.approx(1.8)
+
+
+def test_a_detour_that_pays_is_in_the_upper_bound() -> None:
+    """Around the full cell behind the only wall, to the crumb beyond it: three blocks, then two
+    rewards. No plan within the face plane does that, so the gap is real."""
+    simulator, state = painted([{(1, 0): 1.0, (2, 0): 0.0}], 6, discount=0.95, threshold=0.9)
+    brute = BruteForce(simulator, state)
+    best = brute.best(frozenset([brute.first]))
+    found = exact_return(simulator, state)
+    assert best == pytest.approx(0.95**3 + 0.95**4)
+    assert found.upper == pytest.approx(best)
+    assert found.feasible == 1
+    assert found.gap == pytest.approx(best - 1)
+
+
+def test_no_play_exceeds_the_exact_return_and_the_look_ahead_comes_close() -> None:
+    task = get_task("two-sided-3x3-20-24")
+    simulator = Simulator(task)
+    state = simulator.new(40, np.random.default_rng(1))
+    found = [exact_return(simulator, state, row) for row in range(40)]
+    upper = np.array([item.upper for item in found])
+    assert max(item.gap for item in found) < 1e-9
+    assert (upper <= return_bound(state, task.discount) + 1e-9).all()
+    total, discount = np.zeros(40), 1.0
+    while not state.terminated.all():
+        total += discount * simulator.step(state, lookahead_actions(simulator, state)).reward
+        discount *= task.discount
+    assert (total <= upper + 1e-9).all()
+    assert total.mean() > 0.97 * upper.mean()
+
+
+def test_what_is_not_a_fresh_problem_with_cubes_is_refused() -> None:
+    simulator = Simulator(get_task("four-sided-3x3-10-18"))
+    with pytest.raises(InputError, match="num_sides"):
+        exact_return(simulator, simulator.new(1, np.random.default_rng(0)))
+    simulator = Simulator(get_task("two-sided-3x3-20-24"))
+    state = simulator.new(1, np.random.default_rng(0))
+    simulator.step(state, np.array([[0, 0, 0]]))
+    with pytest.raises(InputError, match="num_placed"):
+        exact_return(simulator, state)
+    simulator = Simulator(get_task("two-sided-3x3-20-24").replace(reward="scaled"))
+    with pytest.raises(InputError, match="reward"):
+        exact_return(simulator, state)
+
+
+def test_a_plan_that_does_not_hold_is_refused() -> None:
+    simulator = Simulator(get_task("two-sided-3x3-20-24"))
+    state = simulator.new(1, np.random.default_rng(0))
+    actions = np.array([[0, 0, 1], [0, 0, 1]])
+    with pytest.raises(Learn2AssembleError, match="step 1 is invalid"):
+        replay_actions(simulator, state, 0, actions)
+    state.num_blocks[0] = 2
+    with pytest.raises(Learn2AssembleError, match="ended before step 1"):
+        replay_actions(simulator, state, 0, actions)
