@@ -31,8 +31,8 @@ def dqn_loss(
     """Loss of one batch and numbers to log.
 
     The TD part is the paper's smooth L1; where the batch carries searches, it is weighed against
-    the cross-entropy to their values (:mod:`~learn2assemble.learning.search_term`). ``imagined`` adds
-    actions that were not taken, ``share_cell`` spreads the target over equivalent actions,
+    the cross-entropy to their values, the only other part of the published losses. ``imagined``
+    adds actions that were not taken, ``share_cell`` spreads the target over equivalent actions,
     ``terminal_weight`` adds the mean smooth L1 of Q to the reward over all placements that would
     end the episode, ``reward_weight`` that of the reward head to the rewards of all placements.
     """

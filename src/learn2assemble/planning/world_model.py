@@ -38,8 +38,6 @@ class WorldModel:
     def join(self, states: list[State]) -> State:
         if len(states) == 1:
             return states[0]
-        if all(state is states[0] for state in states):
-            return states[0].take(np.zeros(len(states), np.int64))
         return State(*[np.concatenate(fields) for fields in zip(*states, strict=True)])
 
     def step(self, states: State, actions: np.ndarray) -> StepResult:
@@ -57,10 +55,13 @@ class WorldModel:
             first = int(graph.num_targets[row])
             split, end = first + int(graph.num_placed[row]), int(graph.num_nodes[row])
             values = block[row, split:end, None] + reference[row, None, first:split] + context[row]
-            actions = np.indices(values.shape).reshape(3, -1).T
-            cells = np.broadcast_to(_cells(states, row), values.shape)
-            out.append(ActionValues(actions, values.ravel(), cells.ravel()))
+            out.append(_legal(states, row, values))
         return out
+
+    def legal(self, states: State) -> list[ActionValues]:
+        relations = self.simulator.task.num_actions
+        sizes = zip(states.num_unplaced, states.num_placed, strict=True)
+        return [_legal(states, row, np.zeros((*n, relations))) for row, n in enumerate(sizes)]
 
     def random_actions(self, states: State, rng: np.random.Generator) -> np.ndarray:
         relations = np.full(states.batch_size, self.simulator.task.num_actions)
@@ -76,6 +77,13 @@ class WorldModel:
             [graph.num_targets + graph.num_placed, graph.num_targets, 0 * graph.num_placed], -1
         )
         return value.cpu().numpy().astype(np.float64), action.cpu().numpy() - offset
+
+
+def _legal(states: State, row: int, values: np.ndarray) -> ActionValues:
+    """All actions of a row in the order of float64[unplaced, placed, Na] ``values``."""
+    actions = np.indices(values.shape).reshape(3, -1).T
+    cells = np.broadcast_to(_cells(states, row), values.shape)
+    return ActionValues(actions, values.ravel(), cells.ravel())
 
 
 def _cells(states: State, row: int) -> np.ndarray:
