@@ -19,7 +19,8 @@ from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.search.config import TO_THE_END, SearchConfig
 from learn2assemble.search.mcts import Decision, search
 from learn2assemble.search.model import ActionValues, StepResult
-from learn2assemble.search.tree import Node, best_child, epsilon_greedy_expansions
+from learn2assemble.search.rules import epsilon_greedy_expansions, final_key
+from learn2assemble.search.tree import Node
 from learn2assemble.simulator import Simulator
 from learn2assemble.task import Task
 from learn2assemble.world.state import State
@@ -69,6 +70,12 @@ class TreeModel:
             group = np.array(self.groups.get(name, range(len(q))), np.int64)
             out.append(ActionValues(actions, q, group))
         return out
+
+    def legal(self, states: np.ndarray) -> list[ActionValues]:
+        return [v._replace(values=0 * v.values) for v in self.action_values(states)]
+
+    def random_actions(self, states: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        return np.array([rng.choice(v.actions) for v in self.action_values(states)])
 
     def best(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         values = self.action_values(states)
@@ -380,7 +387,7 @@ def test_equal_values_are_chosen_at_random() -> None:
     for key, total in enumerate((2.0, 2.0, 1.0)):
         node.children[key] = Node(None, visits=2, total=total)
     rng = np.random.default_rng(0)
-    counts = Counter(best_child(node, rng) for _ in range(400))
+    counts = Counter(final_key(node, SearchConfig(), rng) for _ in range(400))
     assert set(counts) == {0, 1}
     assert abs(counts[0] - 200) < 50
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import torch
 from tqdm import tqdm
@@ -17,10 +19,25 @@ from learn2assemble.networks.agent import default_agent, load_agent
 from learn2assemble.physics.named import resolve_physics
 from learn2assemble.presets import get_task
 from learn2assemble.search.config import SearchConfig
+from learn2assemble.search.named import get_search
 
 
 def _advance(bar: tqdm, done: int) -> None:
     bar.update(done - bar.n)
+
+
+def search_config(options: argparse.Namespace) -> SearchConfig | None:
+    """The named search with the options that were given in place of its own."""
+    if options.search == "none":
+        return None
+    config = get_search("dqn-mcts" if options.search == "mcts" else options.search)
+    given: dict[str, Any] = {"epsilon": options.epsilon}
+    for name in ("budget", "rollout"):
+        if getattr(options, name) is not None:
+            given[name] = getattr(options, name)
+    if options.distinct:
+        given["distinct"] = True
+    return dataclasses.replace(config, **given)
 
 
 def check_new_file(path: Path) -> None:
@@ -48,12 +65,8 @@ def run(options: argparse.Namespace) -> int:
         check_new_file(options.out)
     # One thread: small batches lose more by sharing than they gain.
     torch.set_num_threads(1)
-    config = None
-    if options.search == "mcts":
-        config = SearchConfig(
-            options.budget, options.epsilon, options.rollout, distinct=options.distinct
-        )
-    policy = make_policy(task, agent.network, config, options.epsilon)
+    config = search_config(options)
+    policy = make_policy(task, agent.network, config, options.epsilon, legacy=options.legacy)
     with tqdm(total=options.episodes, unit=" episodes", desc=task.name) as bar:
         metrics = run_episodes(
             task, policy, options.episodes, options.seed, physics,
@@ -64,9 +77,10 @@ def run(options: argparse.Namespace) -> int:
         "task": task.name,
         "agent": agent.name,
         "search": options.search,
-        "budget": options.budget if config else 0,
-        "rollout": options.rollout if config else 0,
+        "budget": config.budget if config else 0,
+        "rollout": config.rollout if config else 0,
         "distinct": bool(config and config.distinct),
+        "legacy": options.legacy,
         "epsilon": options.epsilon,
         "seed": options.seed,
         "provenance": provenance("cpu"),

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from learn2assemble import __version__
+from learn2assemble.search.named import SEARCHES
 
 COMMANDS = ("build", "train", "eval", "replay", "bench", "tasks", "view")
 
@@ -127,13 +128,25 @@ def make_parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     evaluate.add_argument("task", metavar="TASK")
     evaluate.add_argument("--agent", default=None, help="shipped agent, .safetensors or run folder")
-    evaluate.add_argument("--search", choices=("none", "mcts"), default="none")
-    evaluate.add_argument("--budget", type=_natural, default=10)
-    evaluate.add_argument("--rollout", type=_rollout, default=1, help="steps, or 'end'")
+    evaluate.add_argument(
+        "--search",
+        choices=("none", *SEARCHES, "mcts"),
+        default="none",
+        help=f"none, {', '.join(SEARCHES)}, or mcts for dqn-mcts",
+    )
+    evaluate.add_argument(
+        "--budget", type=_natural, default=None, help="the search's own: mostly 10"
+    )
+    evaluate.add_argument(
+        "--rollout", type=_rollout, default=None, help="steps, or 'end'; the search's own: mostly 1"
+    )
     evaluate.add_argument(
         "--distinct", action="store_true",
         help="expand one of several placements that lead to the same structure (ours, D14)",
     )  # fmt: skip
+    evaluate.add_argument(
+        "--legacy", action="store_true", help="search in copies with the published restore faults"
+    )
     evaluate.add_argument("--epsilon", type=_share, default=0.05)
     evaluate.add_argument("--episodes", type=_count, default=100)
     evaluate.add_argument("--seed", type=_natural, default=0)

@@ -12,9 +12,11 @@ import numpy as np
 
 from learn2assemble.networks.build import Network
 from learn2assemble.physics.protocol import Physics
+from learn2assemble.planning.legacy import LegacyModel
 from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.search.config import SearchConfig
 from learn2assemble.search.mcts import search
+from learn2assemble.search.model import SearchModel
 from learn2assemble.simulator import Simulator
 from learn2assemble.task import Task
 from learn2assemble.world.state import State
@@ -64,8 +66,8 @@ def greedy_policy(model: WorldModel, epsilon: float) -> Policy:
     return act
 
 
-def search_policy(model: WorldModel, config: SearchConfig) -> Policy:
-    """DQN+MCTS: a search before every action (protocol 11.5)."""
+def search_policy(model: SearchModel, config: SearchConfig) -> Policy:
+    """A search before every action (protocol 11.5)."""
 
     def act(state: State, rng: np.random.Generator) -> np.ndarray:
         return np.stack([decision.action for decision in search(model, state, config, rng)])
@@ -74,16 +76,22 @@ def search_policy(model: WorldModel, config: SearchConfig) -> Policy:
 
 
 def make_policy(
-    task: Task, network: Network, config: SearchConfig | None, epsilon: float
+    task: Task,
+    network: Network,
+    config: SearchConfig | None,
+    epsilon: float,
+    *,
+    legacy: bool = False,
 ) -> Policy:
     """The policy of an agent: plain Q without ``config``, with search otherwise.
 
-    The search always looks ahead with static physics, whatever judges the episode.
+    The search always looks ahead with static physics, whatever judges the episode; with
+    ``legacy`` it does so in copies with the published restore faults (protocol 11.6).
     """
     model = WorldModel(Simulator(task), network)
     if config is None or config.budget == 0:
         return greedy_policy(model, epsilon)
-    return search_policy(model, config)
+    return search_policy(LegacyModel(model, np.random.default_rng(0)) if legacy else model, config)
 
 
 def episode_generators(seed: int) -> tuple[np.random.Generator, np.random.Generator]:

@@ -40,7 +40,6 @@ from learn2assemble.evaluation.towers import (
 )
 from learn2assemble.simulator import Simulator
 from learn2assemble.world.actions import DIRECTIONS
-from learn2assemble.world.blocks import EDGE, HALF
 from learn2assemble.world.state import State
 
 MAX_STRUCTURES = 5_000_000

@@ -23,7 +23,7 @@ from learn2assemble.learning.loss import q_loss
 from learn2assemble.learning.replay import Batch, Replay
 from learn2assemble.networks.build import Network, make_network
 from learn2assemble.planning.world_model import WorldModel
-from learn2assemble.search.config import training_search
+from learn2assemble.search.named import training_search
 from learn2assemble.simulator import Simulator
 from learn2assemble.task import Task, check_actions
 

@@ -40,8 +40,6 @@ class WorldModel:
     def join(self, states: list[State]) -> State:
         if len(states) == 1:
             return states[0]
-        if all(state is states[0] for state in states):
-            return states[0].take(np.zeros(len(states), np.int64))
         return State(*[np.concatenate(fields) for fields in zip(*states, strict=True)])
 
     def step(self, states: State, actions: np.ndarray) -> StepResult:
@@ -55,7 +53,15 @@ class WorldModel:
             values = self.network(to_tensors(graph, self.device))
         if isinstance(values, PlacementValues):
             return _of_placements(graph, values)
-        return _of_pairs(graph, values, self.simulator.task.num_actions)
+        return _of_pairs(graph, values)
+
+    def legal(self, states: State) -> list[ActionValues]:
+        graph, num_actions = self.simulator.observe(states), self.simulator.task.num_actions
+        sizes = zip(states.num_unplaced, states.num_placed, strict=True)
+        return [
+            _all_actions(graph, row, np.zeros((*size, num_actions)))
+            for row, size in enumerate(sizes)
+        ]
 
     def random_actions(self, states: State, rng: np.random.Generator) -> np.ndarray:
         relations = np.full(states.batch_size, self.simulator.task.num_actions)
@@ -76,18 +82,23 @@ def _of_placements(graph: Graph, values: PlacementValues) -> list[ActionValues]:
     out = []
     for row, count in enumerate(placements.count):
         actions = placements.action[row, :count] - offset[row]
-        out.append(ActionValues(actions, q[row, :count], np.arange(count)))
+        out.append(ActionValues(actions, q[row, :count], placements.key[row, :count]))
     return out
 
 
-def _of_pairs(graph: Graph, values: QFactors, num_actions: int) -> list[ActionValues]:
+def _of_pairs(graph: Graph, values: QFactors) -> list[ActionValues]:
     block, reference, context = (t.cpu().numpy().astype(np.float64) for t in values)
     out = []
     for row in range(len(graph.num_nodes)):
         first = int(graph.num_targets[row])
         split, end = first + int(graph.num_placed[row]), int(graph.num_nodes[row])
         q = block[row, split:end, None] + reference[row, None, first:split] + context[row]
-        actions = np.indices(q.shape).reshape(3, -1).T
-        keys = action_keys(graph, row, num_actions)
-        out.append(ActionValues(actions, q.ravel(), keys.ravel()))
+        out.append(_all_actions(graph, row, q))
     return out
+
+
+def _all_actions(graph: Graph, row: int, values: np.ndarray) -> ActionValues:
+    """All actions of a row in the order of float64[unplaced, placed, Na] ``values``."""
+    actions = np.indices(values.shape).reshape(3, -1).T
+    keys = action_keys(graph, row, values.shape[2])
+    return ActionValues(actions, values.ravel(), keys.ravel())

@@ -1,32 +1,80 @@
-"""Arguments of a search."""
+"""Arguments of a search; every variant is the same function with other arguments."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass, field
 
 from learn2assemble.errors import InputError, UnknownNameError
 
 TO_THE_END = 10_000
 """Rollout depth that no episode reaches: play every rollout to termination."""
+NO_LIMIT = 10_000
+"""Tree depth that no episode reaches."""
+
+EXPANSIONS = ("epsilon-greedy", "uct", "gumbel")
+ROLLOUT_POLICIES = ("greedy", "random")
+FINALS = ("best-mean", "most-visits", "gumbel")
+BACKUPS = ("mean", "max")
 
 
-EXPANSIONS = ("epsilon-greedy", "uct")
+@dataclass(frozen=True)
+class GumbelConfig:
+    """Root selection of Danihelka et al. 2022, "Policy improvement by planning with Gumbel".
+
+    Args:
+        considered: actions the sequential halving starts with, at most.
+        temperature: the logits are Q / temperature.
+        value_scale, visit_offset: sigma(q) = (visit_offset + max visits) * value_scale * q for q
+            scaled to 0..1 over the actions of the node.
+        noise: draw Gumbel noise; without it the search is deterministic, which suits small budgets.
+    """
+
+    considered: int = 8
+    temperature: float = 1.0
+    value_scale: float = 1.0
+    visit_offset: float = 50.0
+    noise: bool = False
+
+    def __post_init__(self) -> None:
+        if self.considered < 1:
+            raise InputError("considered", self.considered, "at least 1 action")
+        for name in ("temperature", "value_scale"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise InputError(name, getattr(self, name), "a positive number")
+        if not 0 <= self.visit_offset < math.inf:
+            raise InputError("visit_offset", self.visit_offset, "a number of at least 0")
 
 
 @dataclass(frozen=True)
 class SearchConfig:
-    """How DQN+MCTS searches (protocol 11.1 to 11.3).
+    """How a search expands, simulates and decides (protocol 11).
 
     Args:
-        budget: B, simulated expansions per decision; 0 plays the Q-policy.
-        epsilon: chance of a random expansion and of a random explored child as final choice.
+        budget: B, simulations per decision; 0 plays the Q-policy.
+        epsilon: chance of a random expansion (epsilon-greedy), of a random step in a greedy
+            rollout and of a random explored child as final choice.
         rollout: eta, steps simulated per expansion, the first included; afterwards the largest
             Q is the estimate. ``TO_THE_END`` plays to termination (the paper's double star).
         prior: start every child with visit count 1 and its Q as total.
         distinct: expand only the best of several actions that lead to the same structure, such as
             like blocks put into the same cell (deviation D14).
-        expansion: rule that picks the next action to expand, see ``EXPANSIONS``.
+        expansion: how the next action of a node is picked. ``epsilon-greedy``: untried ones by Q,
+            some at random (11.2). ``uct``: largest ``mean + c sqrt(ln n(node) / n(child))``
+            (11.4); untried ones by Q with the prior, at random without. ``gumbel``: sequential
+            halving at the root, the completed policy below (:mod:`~learn2assemble.search.gumbel`).
+        exploration: c of ``uct``.
+        repeats: a walk may enter an explored child before its siblings have been tried, and the
+            end of a walk may be simulated again; without it every edge is simulated once.
+        widening: a node that n walks have left holds at most ``ceil((n + 1) ** widening)``
+            children; 1: every action is tried before a walk goes deeper.
+        depth: levels of the tree at most.
+        rollout_policy: ``greedy`` (epsilon-greedy on Q) or uniformly ``random``.
+        backup: ``mean`` of the returns through a node (11.1), or ``max``: reward and the largest
+            value among what was tried below and Q of what was not.
+        final: ``best-mean``, ``most-visits`` (ties by mean) or ``gumbel`` (the survivor).
         random_first: with probability ``epsilon`` act at random without any search (epsilon-MCTS).
+        gumbel: settings of that rule.
     """
 
     budget: int = 10
@@ -35,38 +83,38 @@ class SearchConfig:
     prior: bool = True
     distinct: bool = False
     expansion: str = "epsilon-greedy"
+    exploration: float = 2.0
+    repeats: bool = False
+    widening: float = 1.0
+    depth: int = NO_LIMIT
+    rollout_policy: str = "greedy"
+    backup: str = "mean"
+    final: str = "best-mean"
     random_first: bool = False
+    gumbel: GumbelConfig = field(default_factory=GumbelConfig)
 
     def __post_init__(self) -> None:
         if self.budget < 0:
             raise InputError("budget", self.budget, "a whole number of at least 0")
-        if self.expansion not in EXPANSIONS:
-            raise UnknownNameError("expansion", self.expansion, EXPANSIONS)
         if not 0 <= self.epsilon <= 1:
             raise InputError("epsilon", self.epsilon, "0 <= epsilon <= 1")
         if self.rollout < 1:
             raise InputError("rollout", self.rollout, "at least 1 step")
+        if not 0 <= self.exploration < math.inf:
+            raise InputError("exploration", self.exploration, "a number of at least 0")
+        if not 0 < self.widening <= 1:
+            raise InputError("widening", self.widening, "0 < widening <= 1")
+        if self.depth < 1:
+            raise InputError("depth", self.depth, "at least 1 level")
+        names = {"expansion": EXPANSIONS, "rollout_policy": ROLLOUT_POLICIES,
+                 "backup": BACKUPS, "final": FINALS}  # fmt: skip
+        for name, valid in names.items():
+            if getattr(self, name) not in valid:
+                raise UnknownNameError(name, getattr(self, name), valid)
+        if self.final == "gumbel" and self.expansion != "gumbel":
+            raise InputError("final", self.final, "best-mean or most-visits, or expansion gumbel")
 
-
-SEARCHES: dict[str, SearchConfig] = {
-    "dqn-mcts": SearchConfig(),
-    "q-mcts": SearchConfig(),
-    "eps-mcts": SearchConfig(expansion="uct", random_first=True),
-}
-"""The named searches."""
-
-
-def get_search(name: str) -> SearchConfig:
-    """The search called ``name``.
-
-    Raises:
-        UnknownNameError: naming the nearest one.
-    """
-    if name not in SEARCHES:
-        raise UnknownNameError("search", name, SEARCHES)
-    return SEARCHES[name]
-
-
-def training_search(method: str, budget: int, epsilon: float) -> SearchConfig:
-    """The search of a learner during training: one step, epsilon by its schedule."""
-    return replace(get_search(method), budget=budget, epsilon=epsilon)
+    @property
+    def uses_q(self) -> bool:
+        """Whether the choice among untried actions looks at Q."""
+        return self.budget == 0 or self.prior or self.expansion != "uct" or self.backup == "max"

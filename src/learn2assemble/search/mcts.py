@@ -1,9 +1,9 @@
-"""Batched small-budget Monte-Carlo tree search (paper 2.2, protocol 11.1 to 11.3).
+"""Batched small-budget Monte-Carlo tree search (paper 2.2, protocol 11).
 
-One decision for each of several roots. Every wave expands at most the remaining budget at one
-node of each root, simulates all expansions of all roots in one batched step and values all leaves
-in one batched network evaluation. At the root a wave may hold many expansions, because the
-expansion rule does not depend on simulated results; below the root it holds one at a time.
+One decision for each of several roots. In every round each root names a wave of root actions, all
+waves walk down their trees in lockstep, and all leaves of all roots are simulated in one batched
+step and valued in one batched network evaluation. How a variant differs is said by the rules
+(:mod:`~learn2assemble.search.rules`, :mod:`~learn2assemble.search.gumbel`), never here.
 """
 
 from __future__ import annotations
@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.search.config import SearchConfig
-from learn2assemble.search.model import ActionValues, SearchModel, StepResult
-from learn2assemble.search.tree import Node, best_child, epsilon_greedy_expansions
+from learn2assemble.search.model import ActionValues, SearchModel
+from learn2assemble.search.rollout import returns
+from learn2assemble.search.rules import choose, final_key, root_waves
+from learn2assemble.search.tree import Node, back_up, gather
 
 
 @dataclass
@@ -30,15 +32,17 @@ class Decision:
     """Whether a draw of epsilon chose the action."""
 
     def explored(self) -> list[tuple[np.ndarray, float, int]]:
-        """Explored root actions with their mean value and visit count."""
+        """Explored root actions with their value and visit count."""
         return [
-            (_legal(self.root).actions[key], child.value, child.visits)
+            (self.root.actions.actions[key], child.value, child.visits)
             for key, child in self.root.children.items()
         ]
 
 
 @dataclass
-class _Leaf:
+class _Walk:
+    """A way down a tree: nodes from the root, and the action taken at the last of them."""
+
     path: list[Node]
     key: int
 
@@ -49,25 +53,23 @@ def search(
     """Choose one action for every row of ``states`` (left unchanged).
 
     With ``budget`` 0 this is the epsilon-free greedy policy. The final choice is a uniformly
-    random explored child with probability ``epsilon``, else the child of largest mean value.
+    random explored child with probability ``epsilon``, else the one ``config.final`` names.
     """
     if config.random_first:
         return _random_first(model, states, config, rng)
-    rows = range(model.batch_size(states))
-    legal = _candidates(model, states, config)
-    roots = [Node(model.take(states, np.array([row])), legal=legal[row]) for row in rows]
-    remaining = np.full(len(roots), config.budget)
+    legal = _legal(model, states, config)
+    roots = [Node((states, row), legal=values) for row, values in enumerate(legal)]
+    plans = [root_waves(root, config, rng) for root in roots]
     while True:
-        leaves: list[_Leaf] = []
-        for number, root in enumerate(roots):
-            if remaining[number] > 0:
-                wave = _select(model, root, int(remaining[number]), config, rng)
-                remaining[number] = remaining[number] - len(wave) if wave else 0
-                leaves += wave
-        if not leaves:
-            break
-        _simulate(model, leaves, config, rng)
-    return [_final(root, config, rng) for root in roots]
+        walks = [
+            _Walk([root], key)
+            for root, plan in zip(roots, plans, strict=True)
+            for key in next(plan, ())
+        ]
+        if not walks:
+            return [_decide(root, config, rng) for root in roots]
+        _descend(model, walks, config, rng)
+        _simulate(model, walks, config, rng)
 
 
 def _random_first(
@@ -85,114 +87,63 @@ def _random_first(
     return out
 
 
-def _candidates(model: SearchModel, states: Any, config: SearchConfig) -> list[ActionValues]:
+def _legal(model: SearchModel, states: Any, config: SearchConfig) -> list[ActionValues]:
     """The actions a search may expand, for every row."""
-    values = model.action_values(states)
+    values = model.action_values(states) if config.uses_q else model.legal(states)
     return [row.distinct() for row in values] if config.distinct else values
 
 
-def _select(
-    model: SearchModel, root: Node, budget: int, config: SearchConfig, rng: np.random.Generator
-) -> list[_Leaf]:
-    """Walk down to a node with untried actions; empty where the whole tree is known."""
-    path = [root]
-    while path[-1].fully_expanded:
-        node = path[-1]
-        open_keys = [k for k, child in node.children.items() if not _exhausted(child)]
-        if not open_keys:
-            return []
-        if rng.random() < config.epsilon:
-            key = open_keys[int(rng.integers(len(open_keys)))]
-        else:
-            key = max(open_keys, key=lambda k: node.children[k].value)
-        child = node.children[key]
-        if child.legal is None:
-            child.legal = _candidates(model, child.state, config)[0]
-        path.append(child)
-    node = path[-1]
-    assert node.legal is not None
-    count = budget if len(path) == 1 else 1
-    epsilon = config.epsilon if config.expansion == "epsilon-greedy" else 0.0
-    keys = epsilon_greedy_expansions(node.legal.values, set(node.children), count, epsilon, rng)
-    return [_Leaf(list(path), key) for key in keys]
-
-
-def _exhausted(node: Node) -> bool:
-    """Whether nothing below a node is left to try."""
-    if node.terminal:
-        return True
-    return node.fully_expanded and all(_exhausted(child) for child in node.children.values())
+def _descend(
+    model: SearchModel, walks: list[_Walk], config: SearchConfig, rng: np.random.Generator
+) -> None:
+    """Lead every walk to the edge it simulates: an untried one, an end, or the depth limit."""
+    while walks:
+        going = []
+        for walk in walks:
+            child = walk.path[-1].children.get(walk.key)
+            if child is not None and not child.terminal and len(walk.path) < config.depth:
+                walk.path.append(child)
+                going.append(walk)
+        fresh = [walk.path[-1] for walk in going if walk.path[-1].legal is None]
+        if fresh:
+            for node, values in zip(
+                fresh, _legal(model, gather(model, fresh), config), strict=True
+            ):
+                node.legal = values
+        for walk in going:
+            key = choose(walk.path[-1], config, rng)
+            assert key is not None, "a node that is not done has something to try"
+            walk.key = key
+        walks = going
 
 
 def _simulate(
-    model: SearchModel, leaves: list[_Leaf], config: SearchConfig, rng: np.random.Generator
+    model: SearchModel, walks: list[_Walk], config: SearchConfig, rng: np.random.Generator
 ) -> None:
-    """Expand all leaves in one batch, roll out, back up."""
-    parents = [leaf.path[-1] for leaf in leaves]
-    keys = [leaf.key for leaf in leaves]
-    priors = [_legal(p).values[k] for p, k in zip(parents, keys, strict=True)]
-    actions = np.stack([_legal(p).actions[k] for p, k in zip(parents, keys, strict=True)])
-    result = model.step(model.join([parent.state for parent in parents]), actions)
-    returns = np.asarray(result.reward, float) + model.discount * _continue(
-        model, result, config, rng
-    )
-    for n, (leaf, parent) in enumerate(zip(leaves, parents, strict=True)):
-        terminal = bool(result.terminal[n])
-        state = None if terminal else model.take(result.states, np.array([n]))
-        child = Node(state, float(result.reward[n]), terminal)
-        if config.prior:
-            child.visits, child.total = 1, float(priors[n])
-        parent.children[leaf.key] = child
-        _back_up(leaf.path, child, float(returns[n]), model.discount)
+    """Take the last edge of every walk in one batch, roll out, back up."""
+    parents = [walk.path[-1] for walk in walks]
+    actions = np.stack([p.actions.actions[w.key] for p, w in zip(parents, walks, strict=True)])
+    result = model.step(gather(model, parents), actions)
+    values = returns(model, result, config, rng)
+    for n, (walk, parent) in enumerate(zip(walks, parents, strict=True)):
+        child = parent.children.get(walk.key)
+        if child is None:
+            terminal = bool(result.terminal[n])
+            state = None if terminal else (result.states, n)
+            child = Node(state, float(result.reward[n]), terminal)
+            child.done = terminal or len(walk.path) >= config.depth
+            if config.prior:
+                child.prior = float(parent.actions.values[walk.key])
+                child.visits, child.total = 1, child.prior
+            parent.children[walk.key] = child
+        back_up(walk.path, child, float(values[n]), model.discount, config.backup)
 
 
-def _back_up(path: list[Node], child: Node, value: float, discount: float) -> None:
-    """Add the return ``value`` of the new child to it and to every node above."""
-    child.visits += 1
-    child.total += value
-    for node in reversed(path[1:]):
-        value = node.reward + discount * value
-        node.visits += 1
-        node.total += value
-    path[0].visits += 1
-    path[0].total += value
-
-
-def _continue(
-    model: SearchModel, result: StepResult, config: SearchConfig, rng: np.random.Generator
-) -> np.ndarray:
-    """Return from the successors on: ``rollout - 1`` epsilon-greedy steps, then the largest Q."""
-    total = np.zeros(len(result.reward))
-    alive = np.flatnonzero(~result.terminal)
-    states = model.take(result.states, alive)
-    scale = 1.0
-    for _ in range(config.rollout - 1):
-        if not len(alive):
-            return total
-        _, actions = model.best(states)
-        for n in np.flatnonzero(rng.random(len(alive)) < config.epsilon):
-            legal = model.action_values(model.take(states, np.array([n])))[0].actions
-            actions[n] = legal[int(rng.integers(len(legal)))]
-        step = model.step(states, actions)
-        total[alive] += scale * step.reward
-        scale *= model.discount
-        going = np.flatnonzero(~step.terminal)
-        alive, states = alive[going], model.take(step.states, going)
-    if len(alive):
-        total[alive] += scale * model.best(states)[0]
-    return total
-
-
-def _legal(node: Node) -> ActionValues:
-    assert node.legal is not None
-    return node.legal
-
-
-def _final(root: Node, config: SearchConfig, rng: np.random.Generator) -> Decision:
-    legal = _legal(root)
+def _decide(root: Node, config: SearchConfig, rng: np.random.Generator) -> Decision:
+    legal = root.actions
     if not root.children:
         return Decision(legal.actions[int(np.argmax(legal.values))], root, random=False)
     if rng.random() < config.epsilon:
-        key = list(root.children)[int(rng.integers(len(root.children)))]
-        return Decision(legal.actions[key], root, random=True)
-    return Decision(legal.actions[best_child(root, rng)], root, random=False)
+        keys = list(root.children)
+        return Decision(legal.actions[keys[int(rng.integers(len(keys)))]], root, random=True)
+    return Decision(legal.actions[final_key(root, config, rng)], root, random=False)

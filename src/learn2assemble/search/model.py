@@ -62,6 +62,10 @@ class SearchModel(Protocol):
         """Legal actions and Q-values of every row."""
         ...
 
+    def legal(self, states: Any) -> list[ActionValues]:
+        """The same with values of 0, without looking at any estimate."""
+        ...
+
     def random_actions(self, states: Any, rng: np.random.Generator) -> np.ndarray:
         """A uniform legal action for every row: int64[B, 3]."""
         ...

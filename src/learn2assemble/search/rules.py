@@ -1,0 +1,147 @@
+"""Which action a walk takes, and which one is played in the end (protocol 11.2 to 11.4)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from learn2assemble.search import gumbel
+from learn2assemble.search.config import SearchConfig
+from learn2assemble.search.tree import Node
+
+
+def root_waves(root: Node, config: SearchConfig, rng: np.random.Generator) -> Iterator[list[int]]:
+    """Root actions to simulate next, again and again until the budget is spent.
+
+    The actions of one wave can be simulated together: none depends on the outcome of another.
+    """
+    if config.expansion == "gumbel":
+        yield from gumbel.halving(root, config, rng)
+        return
+    left = config.budget
+    while left > 0:
+        if len(root.children) < len(root.actions.values) and _blind(config):
+            wave = _untried(root, left, config, rng)
+        else:
+            key = choose(root, config, rng)
+            if key is None:
+                return
+            wave = [key]
+        left -= len(wave)
+        yield wave
+
+
+def _blind(config: SearchConfig) -> bool:
+    """Whether every untried action comes before any look at simulated results."""
+    first = not config.repeats or (config.expansion == "uct" and not config.prior)
+    return first and config.widening == 1
+
+
+def choose(node: Node, config: SearchConfig, rng: np.random.Generator) -> int | None:
+    """The action a walk takes at ``node``; ``None`` where nothing is left to try."""
+    if config.expansion == "gumbel":
+        return gumbel.interior(node, config)
+    room = not node.fully_expanded and len(node.children) < math.ceil(
+        (node.below + 1) ** config.widening - 1e-9
+    )
+    if config.repeats:
+        return _anything(node, room, config, rng)
+    if room:
+        return _untried(node, 1, config, rng)[0]
+    keys = [key for key, child in node.children.items() if not child.done]
+    if not keys:
+        return None if node.fully_expanded else _untried(node, 1, config, rng)[0]
+    if config.expansion == "uct":
+        return keys[largest(uct_scores(node, keys, config), rng)]
+    if rng.random() < config.epsilon:
+        return keys[int(rng.integers(len(keys)))]
+    return keys[largest([node.children[key].value for key in keys], rng)]
+
+
+def _anything(node: Node, room: bool, config: SearchConfig, rng: np.random.Generator) -> int:
+    """The choice among explored and, where there is room, untried actions."""
+    keys = list(range(len(node.actions.values))) if room else list(node.children)
+    if config.expansion == "uct":
+        return keys[largest(uct_scores(node, keys, config), rng)]
+    if rng.random() < config.epsilon:
+        return keys[int(rng.integers(len(keys)))]
+    return keys[largest(node.estimates()[keys], rng)]
+
+
+def uct_scores(node: Node, keys: Iterable[int], config: SearchConfig) -> np.ndarray:
+    """``mean + c sqrt(ln n(node) / n(child))`` of some actions (protocol 11.4).
+
+    An untried action has visit count 1 and mean Q with the prior, an infinite score without.
+    """
+    log, found = math.log(max(node.visits, 1)), []
+    for key in keys:
+        child = node.children.get(key)
+        if child is not None:
+            mean, visits = child.value, child.visits
+        elif config.prior:
+            mean, visits = float(node.actions.values[key]), 1
+        else:
+            mean, visits = math.inf, 1
+        found.append(mean + config.exploration * math.sqrt(log / visits))
+    return np.array(found)
+
+
+def _untried(node: Node, count: int, config: SearchConfig, rng: np.random.Generator) -> list[int]:
+    """The next ``count`` untried actions, or as many as there are."""
+    values = node.actions.values
+    if config.expansion == "epsilon-greedy":
+        return epsilon_greedy_expansions(values, set(node.children), count, config.epsilon, rng)
+    # All untried children of a node have the same bonus, so Q decides (protocol 11.4).
+    order = rng.permutation(len(values))
+    if config.prior:
+        order = order[np.argsort(-values[order], kind="stable")]
+    return [int(key) for key in order if int(key) not in node.children][:count]
+
+
+def epsilon_greedy_expansions(
+    values: np.ndarray, tried: set[int], count: int, epsilon: float, rng: np.random.Generator
+) -> list[int]:
+    """Numbers of the next ``count`` untried actions to expand (protocol 11.2).
+
+    Each draw is a uniform action with probability ``epsilon``, else the best by Q; one that has
+    been tried is rejected for good and the draw repeated. The rule does not look at simulated
+    results, so a whole budget can be chosen at once and simulated in one batch.
+    """
+    order = np.argsort(-values, kind="stable")
+    open_actions = np.ones(len(values), bool)
+    chosen: list[int] = []
+    tried = set(tried)
+    cursor = 0
+    while len(chosen) < count and len(tried) < len(values):
+        if rng.random() < epsilon:
+            pick = int(rng.choice(np.flatnonzero(open_actions)))
+        else:
+            while not open_actions[order[cursor]]:
+                cursor += 1
+            pick = int(order[cursor])
+        if pick in tried:
+            open_actions[pick] = False
+        else:
+            tried.add(pick)
+            chosen.append(pick)
+    return chosen
+
+
+def final_key(root: Node, config: SearchConfig, rng: np.random.Generator) -> int:
+    """Number of the explored root action to play, chance aside (protocol 11.3)."""
+    keys = list(root.children)
+    if config.final != "best-mean":
+        most = max(root.children[key].visits for key in keys)
+        keys = [key for key in keys if root.children[key].visits == most]
+    if config.final == "gumbel":
+        return keys[largest(gumbel.scores(root, config)[keys], rng)]
+    return keys[largest([root.children[key].value for key in keys], rng)]
+
+
+def largest(values: np.ndarray | list[float], rng: np.random.Generator) -> int:
+    """Place of the largest value; ties at random."""
+    values = np.asarray(values)
+    ties = np.flatnonzero(values >= values.max() - 1e-12)
+    return int(ties[0] if len(ties) == 1 else rng.choice(ties))
