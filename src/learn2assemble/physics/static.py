@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.geometry.boxes import UNDECIDED, classify_cube
-from learn2assemble.geometry.support import classify_object
+from learn2assemble.geometry.support import BALANCE_TOLERANCE, classify_object
 from learn2assemble.physics.protocol import Verdict
 from learn2assemble.world.actions import DIRECTIONS
 from learn2assemble.world.blocks import EDGE, HALF
@@ -60,7 +60,7 @@ def _equilibrium(centres: np.ndarray, object_id: np.ndarray) -> int:
     # Rarely needed, and training runs on machines without the solver.
     from learn2assemble.physics.equilibrium import is_stable
 
-    stable = is_stable(centres, object_id)
+    stable = is_stable(centres, object_id, slack=BALANCE_TOLERANCE)
     return int(Verdict.STABLE if stable else Verdict.UNSTABLE)
 
 
