@@ -22,9 +22,9 @@ from learn2assemble.geometry.mask import paper_mask
 from learn2assemble.presets import PRESETS, get_task
 from learn2assemble.simulator import Simulator
 from learn2assemble.task import Task
-from learn2assemble.world.layouts import sobol, waiting_positions
+from learn2assemble.world.layouts import sobol, waiting_places
 from learn2assemble.world.rules import count_row
-from learn2assemble.world.sampling import sample_outline, start_blocks
+from learn2assemble.world.sampling import sample_outline, start_objects
 from learn2assemble.world.sides import side_frames
 
 OURS = 1500
@@ -281,9 +281,9 @@ def _restored_counts(lines: list[dict[str, Any]], task: Task) -> tuple[float, fl
             state.vertices[0, side, :count], state.num_vertices[0, side] = outline, count
             sizes.append(paper_mask(state.vertices[0, side], count, state.mask[0, side]))
         masks += [a == b for a, b in zip(sizes, line["mask_px"], strict=True)]
-        waiting = waiting_positions(task.layout, task.max_blocks)
+        waiting = waiting_places(task.layout, task.max_blocks)
         side = _side(line, sim.frames)
-        start_blocks(state, 0, sim.frames, waiting, side, 1 + line["n_unplaced"])
+        start_objects(state, 0, sim.frames, waiting, side, 1 + line["n_unplaced"])
         count_row(state, 0)
         covers.append(int(state.initial_pixels[0]) == line["px_init"])
         assert state.position[0, 0] == pytest.approx(line["init_block"], abs=1e-6)
@@ -308,7 +308,7 @@ def test_sampled_problems_have_our_masks_and_initial_cover(data: Path) -> None:
 def _check_layout(line: dict[str, Any], layout: str) -> None:
     theirs = np.array(line["unplaced"])
     assert len(theirs) == line["n_unplaced"]
-    ours = waiting_positions(layout, len(theirs))
+    ours = waiting_places(layout, len(theirs)).position
     assert np.abs(ours - theirs).max() <= 1e-6
 
 

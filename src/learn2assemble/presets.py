@@ -1,8 +1,9 @@
 """The paper's tasks by name. Adding one is one line.
 
 The label "a-b blocks" fixes the number of nodes: N = a + 5 S = b + 3 S for S sides (protocol 0).
-Tasks on grids larger than the training grid draw only shapes that leave the 3x3 box
-(protocol 13.8).
+Cube tasks on grids larger than the training grid draw only shapes that leave the 3x3 box agents
+are trained on (protocol 13.8). Object tasks do not: their agents are trained on 5x5, and the
+published bound knows no other box than 3x3 (protocol 2).
 """
 
 from __future__ import annotations
@@ -10,16 +11,41 @@ from __future__ import annotations
 from learn2assemble.errors import UnknownNameError
 from learn2assemble.task import Task
 
+_OBJECTS = Task(
+    "objects", num_sides=2, grid=5, num_nodes=30, objects="set-26", rotations=4,
+    layout="narrow-field", reward="scaled", discount=0.95, success_threshold=0.75,
+    stability="object",
+)  # fmt: skip
+_BARS = Task(
+    "bars", num_sides=1, grid=5, num_nodes=30, objects="bars", layout="field", reward="scaled",
+)  # fmt: skip
+
 _ALL = (
     Task("two-sided-3x3-20-24", num_sides=2, grid=3, num_nodes=30),
     Task("two-sided-3x3-30-34", num_sides=2, grid=3, num_nodes=40),
     Task("two-sided-4x4-20-24", num_sides=2, grid=4, num_nodes=30, unseen_shapes_only=True),
     Task("two-sided-4x4-30-34", num_sides=2, grid=4, num_nodes=40, unseen_shapes_only=True),
     Task("two-sided-5x5-40-44", num_sides=2, grid=5, num_nodes=50, unseen_shapes_only=True),
+    Task("two-sided-6x6-50-54", num_sides=2, grid=6, num_nodes=60, unseen_shapes_only=True),
     Task("one-sided-3x3-22-24", num_sides=1, grid=3, num_nodes=27, layout="rows"),
     Task("four-sided-3x3-10-18", num_sides=4, grid=3, num_nodes=30),
     Task("four-sided-5x5-30-38", num_sides=4, grid=5, num_nodes=50, unseen_shapes_only=True),
-)
+    # The paper's four shapes: cube, standing pair, L, S (table 5, appendix table 6).
+    _OBJECTS.replace(name="objects-two-sided-5x5-20-24"),
+    _OBJECTS.replace(name="objects-two-sided-5x5-30-34", num_nodes=40),
+    _OBJECTS.replace(name="objects-two-sided-6x6-30-34", num_nodes=40, grid=6),
+    # The set the released environment without a robot draws from.
+    _OBJECTS.replace(name="objects21-two-sided-5x5-20-24", objects="set-21"),
+    _OBJECTS.replace(name="objects21-two-sided-6x6-30-34", objects="set-21", num_nodes=40, grid=6),
+    # Cubes, bars and standing pairs (appendix table 3).
+    _BARS.replace(name="bars-one-sided-5x5-25-27"),
+    _BARS.replace(name="bars-one-sided-5x5-35-37", num_nodes=40),
+    _BARS.replace(name="bars-one-sided-6x6-35-37", num_nodes=40, grid=6),
+    # "Different types of objects" in the same table; which ones is not said. Our reading: set 21.
+    _BARS.replace(
+        name="other-bars-one-sided-5x5-25-27", objects="set-21", stability="object",
+    ),
+)  # fmt: skip
 
 PRESETS: dict[str, Task] = {task.name: task for task in _ALL}
 

@@ -16,15 +16,17 @@ from learn2assemble.geometry.boxes import STABLE
 from learn2assemble.graph.features import Graph, build_graph, node_offset
 from learn2assemble.graph.placements import Placements
 from learn2assemble.physics.protocol import Physics
-from learn2assemble.physics.static import StaticPhysics, survey
+from learn2assemble.physics.static import StaticPhysics, survey, survey_objects
 from learn2assemble.task import MAX_VERTICES, Task
-from learn2assemble.world.layouts import waiting_positions
+from learn2assemble.world.layouts import waiting_places
+from learn2assemble.world.objects import inventory
 from learn2assemble.world.outcomes import Outcomes, outcomes
 from learn2assemble.world.rules import (
     REWARDS,
     count_row,
     cover_block,
     judge,
+    last_object,
     move_block,
     recover_all,
     target_cell,
@@ -48,13 +50,14 @@ class Transition(NamedTuple):
 
 
 @njit(cache=True)
-def _propose(state, actions, active, previous):
+def _propose(state, actions, rotations, active, previous):
     for row in range(len(actions)):
         previous[row] = state.plane_pixels[row]
         if active[row]:
             unplaced, reference = actions[row, 0], actions[row, 1]
-            x, y, z = target_cell(state, row, reference, actions[row, 2])
-            move_block(state, row, unplaced, reference, x, y, z)
+            relation, turns = divmod(actions[row, 2], rotations)
+            x, y, z = target_cell(state, row, reference, relation)
+            move_block(state, row, unplaced, reference, x, y, z, turns)
 
 
 @njit(cache=True)
@@ -66,7 +69,8 @@ def _score(
         if recompute:
             recover_all(state, row, frames)
         else:
-            cover_block(state, row, frames, state.num_placed[row] - 1)
+            for block in range(last_object(state, row), state.num_placed[row]):
+                cover_block(state, row, frames, block)
         count_row(state, row)
         reward[row], ended[row], success[row] = judge(
             state, row, previous[row], verdict[n] == 0, kind, threshold
@@ -75,12 +79,15 @@ def _score(
 
 
 @njit(cache=True)
-def _reset(state, rows, rng, frames, waiting, grid, num_nodes, min_pixels, max_initial, unseen):
+def _reset(
+    state, rows, rng, frames, stock, waiting, grid, num_nodes, min_pixels, max_initial, unseen
+):
     draws = 0
     for n in range(len(rows)):
         d = sample_problem(
-            state, rows[n], rng, frames, waiting, grid, num_nodes, min_pixels, max_initial, unseen
-        )
+            state, rows[n], rng, frames, stock, waiting, grid, num_nodes, min_pixels, max_initial,
+            unseen,
+        )  # fmt: skip
         if d == 0:
             return -1
         draws += d
@@ -99,7 +106,8 @@ class Simulator:
         self.task = task
         self.physics: Physics = physics if physics is not None else StaticPhysics()
         self.frames = side_frames(task.num_sides)
-        self._waiting = waiting_positions(task.layout, task.max_blocks)
+        self._stock = inventory(task.objects)
+        self._waiting = waiting_places(task.layout, task.max_blocks)
 
     def empty(self, batch: int) -> State:
         """A state for ``batch`` worlds; reset its rows before use."""
@@ -113,8 +121,8 @@ class Simulator:
         """
         t = self.task
         draws = _reset(
-            state, np.asarray(rows, np.int64), rng, self.frames, self._waiting, t.grid,
-            t.num_nodes, t.min_mask_pixels, t.max_initial_cover, t.unseen_shapes_only,
+            state, np.asarray(rows, np.int64), rng, self.frames, self._stock, self._waiting,
+            t.grid, t.num_nodes, t.min_mask_pixels, t.max_initial_cover, t.unseen_shapes_only,
         )  # fmt: skip
         if draws < 0:
             raise Learn2AssembleError(f"task {t.name}: no acceptable target in 100,000 draws")
@@ -127,7 +135,7 @@ class Simulator:
         return state
 
     def step(self, state: State, actions: np.ndarray) -> Transition:
-        """Place one block in every row, in place; rows that have ended are left alone.
+        """Place one object in every row, in place; rows that have ended are left alone.
 
         Args:
             actions: int64[B, 3]: number of the unplaced block, number of the placed reference
@@ -137,7 +145,7 @@ class Simulator:
         active = ~state.terminated
         rows = np.flatnonzero(active)
         previous = np.empty(batch, np.int64)
-        _propose(state, actions, active, previous)
+        _propose(state, actions, self.task.rotations, active, previous)
         verdict = self.physics.settle(state, rows)
         reward, ended = np.zeros(batch), np.zeros(batch, np.bool_)
         success, verdicts = np.zeros(batch, np.bool_), np.zeros(batch, np.int8)
@@ -159,13 +167,17 @@ class Simulator:
         """
         actions = (placements.action - node_offset(graph)[:, None]) * placements.used[..., None]
         return outcomes(
-            state, actions, placements.count, self.frames, self.task.reward,
+            state, actions, placements.count, self.task.rotations, self.frames, self.task.reward,
             self.task.success_threshold,
         )  # fmt: skip
 
     def physics_mask(self, state: State) -> np.ndarray:
-        """Which (reference, relation) are free and stable by static physics: bool[B, M, 5].
+        """Which placements are free and stable by static physics.
 
+        bool[B, M, 5] over (reference, relation) for cubes; for objects of several cells, which
+        differ, bool[B, M, M, Na] over (unplaced block, reference, action).
         A help the paper's agent does not have; never applied silently.
         """
-        return survey(state) == STABLE
+        if self.task.objects == "cubes":
+            return np.repeat(survey(state) == STABLE, self.task.rotations, -1)
+        return survey_objects(state, self.task.rotations) == STABLE

@@ -6,8 +6,10 @@ import dataclasses
 from dataclasses import dataclass
 
 from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.world.actions import RELATIONS, ROTATIONS
 from learn2assemble.world.layouts import LAYOUTS
-from learn2assemble.world.rules import REWARDS
+from learn2assemble.world.objects import OBJECT_SETS
+from learn2assemble.world.rules import REWARDS, STABILITY
 
 MIN_VERTICES, MAX_VERTICES = 3, 5
 
@@ -33,10 +35,14 @@ class Task:
         num_sides: 1, 2, 3 or 4 target elevations (protocol 1.2).
         grid: width and height of the box targets are drawn from, in block edges.
         num_nodes: N, nodes of the graph; the number of blocks is N minus the target vertices.
-        layout: where unplaced blocks wait (``line`` or ``rows``).
+        objects: the set objects are drawn from, see :mod:`learn2assemble.world.objects`.
+        rotations: quarter turns an object can be placed with: 1 (none) or 4.
+        layout: where unplaced objects wait, see :mod:`learn2assemble.world.layouts`.
         reward: ``discrete`` (cubes) or ``scaled`` (objects), protocol 6.3.
         discount: gamma of the returns.
         success_threshold: Delta; the target is filled when F_co exceeds it.
+        stability: rule of a simulated placement, see ``STABILITY`` in
+            :mod:`learn2assemble.world.rules`.
         min_mask_pixels: fewer mask pixels than this and the shapes are redrawn.
         max_initial_cover: more than this share covered by the first block: redrawn.
         unseen_shapes_only: every outline leaves the 3x3 box agents are trained on.
@@ -49,10 +55,13 @@ class Task:
     num_sides: int
     grid: int
     num_nodes: int
+    objects: str = "cubes"
+    rotations: int = 1
     layout: str = "line"
     reward: str = "discrete"
     discount: float = 0.8
     success_threshold: float = 0.975
+    stability: str = "block"
     min_mask_pixels: int = 50
     max_initial_cover: float = 0.95
     unseen_shapes_only: bool = False
@@ -66,6 +75,12 @@ class Task:
             raise InputError(
                 "num_nodes", self.num_nodes, f"more than {MAX_VERTICES * self.num_sides + 1}"
             )
+        if self.objects not in OBJECT_SETS:
+            raise UnknownNameError("object set", self.objects, OBJECT_SETS)
+        if self.rotations not in ROTATIONS:
+            raise InputError("rotations", self.rotations, "1 or 4")
+        if self.stability not in STABILITY:
+            raise UnknownNameError("stability rule", self.stability, STABILITY)
         if self.layout not in LAYOUTS:
             raise UnknownNameError("layout", self.layout, LAYOUTS)
         if self.reward not in REWARDS:
@@ -77,8 +92,8 @@ class Task:
 
     @property
     def num_actions(self) -> int:
-        """Na, relative placements of one block against another."""
-        return 5
+        """Na, ways to place a block against another: relations times rotations."""
+        return len(RELATIONS) * self.rotations
 
     @property
     def max_blocks(self) -> int:

@@ -19,7 +19,7 @@ def run(options: argparse.Namespace) -> int:
     reports = []
     for path in options.files:
         output.progress(f"replaying {path.name}")
-        reports.append(replay_file(path, RigidPhysics()).to_dict())
+        reports.append(replay_file(path, RigidPhysics).to_dict())
     output.table("agreement with recorded transitions", COLUMNS, [
         [report[column] for column in COLUMNS] for report in reports
     ])  # fmt: skip

@@ -1,7 +1,7 @@
 """Action and observation spaces of a task, and the numbering of actions (protocol 4, 5).
 
 An action is the published triple (i, j, k): node index of the unplaced block to place, node index
-of the placed reference block, relation. Spaces use its flat index ``a = (i * N + j) * Na + k``.
+of the placed reference block, action. Spaces use its flat index ``a = (i * N + j) * Na + k``.
 """
 
 from __future__ import annotations
@@ -72,23 +72,22 @@ def unflatten_action(task: Task, action):
 
 # These two take single fields: handing a whole State to compiled code costs more than the work.
 @njit(cache=True)
-def _resolve(
-    num_vertices, num_placed, num_blocks, flat, num_nodes, num_relations, actions, clipped
-):
+def _resolve(num_vertices, num_placed, num_blocks, flat, num_nodes, num_actions, actions, clipped):
     for row in range(len(flat)):
         targets = num_vertices[row].sum()
         placed, blocks = num_placed[row], num_blocks[row]
-        pair = flat[row] // num_relations
+        pair = flat[row] // num_actions
         i, j = pair // num_nodes - targets - placed, pair % num_nodes - targets
         unplaced = max(min(i, blocks - placed - 1), 0)
         reference = max(min(j, placed - 1), 0)
         actions[row, 0], actions[row, 1] = unplaced, reference
-        actions[row, 2] = flat[row] % num_relations
+        actions[row, 2] = flat[row] % num_actions
         clipped[row] = unplaced != i or reference != j
 
 
 @njit(cache=True)
 def _fill(num_vertices, num_placed, num_blocks, terminated, allowed, mask):
+    last = allowed.shape[1] - 1
     for row in range(len(mask)):
         if terminated[row]:
             continue
@@ -97,7 +96,9 @@ def _fill(num_vertices, num_placed, num_blocks, terminated, allowed, mask):
         for i in range(targets + placed, targets + blocks):
             for j in range(placed):
                 for k in range(mask.shape[3]):
-                    mask[row, i, targets + j, k] = allowed[row, j, k]
+                    mask[row, i, targets + j, k] = allowed[
+                        row, min(i - targets - placed, last), j, k
+                    ]
 
 
 def resolve_actions(task: Task, state: State, flat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -110,7 +111,7 @@ def resolve_actions(task: Task, state: State, flat: np.ndarray) -> tuple[np.ndar
         flat: int64[B], each in ``0..N*N*Na-1``.
 
     Returns:
-        int64[B, 3] (number of the unplaced block, number of the reference block, relation) and
+        int64[B, 3] (number of the unplaced block, number of the reference block, action) and
         bool[B], where clipping changed the action.
     """
     actions = np.empty((len(flat), 3), np.int64)
@@ -123,16 +124,20 @@ def resolve_actions(task: Task, state: State, flat: np.ndarray) -> tuple[np.ndar
 
 
 def expand_mask(task: Task, state: State, allowed: np.ndarray) -> np.ndarray:
-    """A mask over (reference, relation) as a mask over flat actions: any unplaced block may go.
+    """A mask over placements as a mask over flat actions.
 
     Args:
-        allowed: bool[B, M, Na], e.g. :meth:`Simulator.physics_mask`.
+        allowed: bool[B, M, Na] over (reference, action), where any unplaced block may go, or
+            bool[B, M, M, Na] over (unplaced block, reference, action); see
+            :meth:`Simulator.physics_mask`.
 
     Returns:
         bool[B, N * N * Na]; all False for worlds that have ended.
     """
     n = task.num_nodes
     mask = np.zeros((state.batch_size, n, n, task.num_actions), np.bool_)
+    if allowed.ndim == 3:
+        allowed = allowed[:, None]
     _fill(state.num_vertices, state.num_placed, state.num_blocks, state.terminated, allowed, mask)
     return mask.reshape(state.batch_size, -1)
 

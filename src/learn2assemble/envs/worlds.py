@@ -46,7 +46,7 @@ class Worlds:
         self, task: Task | str, physics: str | Physics, count: int, physics_mask: bool
     ) -> None:
         self.task = get_task(task) if isinstance(task, str) else task
-        self.simulator = Simulator(self.task, resolve_physics(physics))
+        self.simulator = Simulator(self.task, resolve_physics(physics, self.task.stability))
         self.state = self.simulator.empty(count)
         self._physics_mask = physics_mask
 

@@ -3,45 +3,40 @@
 Each line restores the recorded state before the step, repeats the action here, and compares. The
 two pixel counts are compared on the recorded poses (before and after), so they test the camera
 and nothing else; validity, reward and end are compared on our own outcome of the action.
+
+Probes were made on a restored copy of the recorded world, which has lost the joints between the
+cells of objects (protocol 11.6 c). So where blocks come in objects, only real steps are compared.
 """
 
 from __future__ import annotations
 
-import gzip
-import itertools
-import json
-import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from learn2assemble.errors import InputError
-from learn2assemble.geometry.mask import paper_mask
+from learn2assemble.evaluation.recorded import VARIANTS, Line, Log, Scene, Variant, is_real
 from learn2assemble.physics.protocol import Physics, Verdict
 from learn2assemble.physics.static import StaticPhysics
-from learn2assemble.world.actions import RELATIONS
 from learn2assemble.world.rules import (
-    DISCRETE,
+    REWARDS,
     count_row,
     cover_block,
     judge,
+    last_object,
     move_block,
     recover_all,
     target_cell,
 )
 from learn2assemble.world.sides import side_frames
-from learn2assemble.world.state import State, empty_state
 
-SUCCESS_THRESHOLD = 0.975
 TILT_LIMIT = 2e-3
 """Structures with a block tilted by more than this [rad] are excepted from the pixel comparison:
 the logs hold positions only, and at this tilt an edge of a block is off by 0.1 mm."""
-LOG_ROUNDING = 5e-8
-"""Half a unit of the last decimal of the recorded vertices [m]."""
-_SIDES = {"1mimic": 1, "2wo": 2, "4wo": 4}
+REWARD_TOLERANCE = 1e-9
 
 
 @dataclass
@@ -63,6 +58,8 @@ class ReplayReport:
     masks_within_rounding: int = 0
     """Masks that agree only for vertices moved by the rounding of the log; counted as exact."""
     real_lines: int = 0
+    judged_lines: int = 0
+    """Lines whose validity was compared: all of cubes, the real ones of objects."""
     disagreements: list[dict[str, Any]] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, Any]:
@@ -85,98 +82,13 @@ class _Tally:
         return self.good / self.all if self.all else 1.0
 
 
-def read_lines(path: Path) -> Iterator[dict[str, Any]]:
-    """The JSON objects of a ``.jsonl`` or ``.jsonl.gz`` file.
-
-    Raises:
-        InputError: where the file is missing, unreadable or not lines of JSON objects.
-    """
-    if not path.is_file():
-        raise InputError("recorded transitions", str(path), "an existing .jsonl or .jsonl.gz file")
-    opener = gzip.open if path.suffix == ".gz" else open
-    number = 0
-    try:
-        with opener(path, "rt", encoding="utf-8") as stream:
-            for text in stream:
-                number += 1
-                value = json.loads(text)
-                if not isinstance(value, dict):
-                    raise ValueError("not an object")
-                yield value
-    except (OSError, ValueError, EOFError, zlib.error) as error:
-        raise InputError(
-            f"{path.name} line {max(number, 1)}", str(error), "a JSON object"
-        ) from None
-
-
-class _Scene:
-    """One world restored from a recorded line, with the targets of its episode."""
-
-    def __init__(self, line: dict[str, Any], frames: np.ndarray) -> None:
-        targets = line["targets"]
-        sides = len(frames)
-        if len(targets) != sides or any(not 3 <= len(side) <= 5 for side in targets):
-            raise ValueError(f"targets are not {sides} outlines of 3 to 5 vertices")
-        blocks = len(line["placed"]) + len(line["unplaced"]) + 1
-        vertices = max(len(side) for side in targets)
-        self.frames = frames
-        self.state: State = empty_state(1, sides, vertices, blocks)
-        self.mask_px = []
-        for side, points in enumerate(targets):
-            c, s, tx, ty = frames[side]
-            world = np.asarray(points, float)
-            local_x = c * (world[:, 0] - tx) + s * (world[:, 1] - ty)
-            self.state.vertices[0, side, : len(points)] = np.stack([local_x, world[:, 2]], -1)
-            self.state.num_vertices[0, side] = len(points)
-            outline = self.state.vertices[0, side]
-            self.mask_px.append(paper_mask(outline, len(points), self.state.mask[0, side]))
-        self.state.mask_rows[0] = 0, self.state.mask.shape[2]
-        self.state.mask_pixels[0] = sum(self.mask_px)
-
-    def rounding_explains(self, side: int, recorded: int) -> bool:
-        """Whether the mask has the recorded size for vertices within the rounding of the log.
-
-        Vertices are rounded to whole pixels, so one that lies on a pixel boundary up to the last
-        decimal of the log may fall on either side of it.
-        """
-        count = int(self.state.num_vertices[0, side])
-        outline = self.state.vertices[0, side]
-        mask = np.empty_like(self.state.mask[0, side])
-        for vertex, axis, sign in itertools.product(range(count), range(2), (-1, 1)):
-            moved = outline.copy()
-            moved[vertex, axis] += sign * LOG_ROUNDING
-            if paper_mask(moved, count, mask) == recorded:
-                self.state.mask[0, side] = mask
-                return True
-        return False
-
-    def place(self, placed: list[list[float]], num_unplaced: int) -> State:
-        """Put the recorded blocks; returns the state with both pixel sets computed."""
-        count = len(placed)
-        self.state.position[0] = 0.0
-        self.state.position[0, :count] = placed
-        self.state.num_placed[0], self.state.num_blocks[0] = count, count + num_unplaced
-        recover_all(self.state, 0, self.frames)
-        count_row(self.state, 0)
-        return self.state
-
-    def counts(self) -> tuple[list[int], list[int]]:
-        """Plane and complete pixels of every side."""
-        mask, covered, occluded = self.state.mask[0], self.state.covered[0], self.state.occluded[0]
-        seen = mask & covered
-        return _count(seen & ~occluded), _count(seen)
-
-
-def _count(image: np.ndarray) -> list[int]:
-    return [int(np.bitwise_count(side).sum()) for side in image]
-
-
-def replay_file(path: Path, rigid: Physics | None = None) -> ReplayReport:
-    """Replay one file of cube environments without a robot.
+def replay_file(path: Path, rigid: Callable[[str], Physics] | None = None) -> ReplayReport:
+    """Replay one file of environments without a robot.
 
     Args:
-        path: ``transitions_2wo_*``, ``4wo_*`` or ``1mimic_*`` in the format of the reference.
-        rigid: a second physics whose validity is reported as ``valid_rigid``.
+        path: ``transitions_*`` of a variant in :data:`VARIANTS`, in the format of the reference.
+        rigid: makes a second physics from the rule of stability (``RigidPhysics``); its validity
+            is reported as ``valid_rigid``.
 
     Raises:
         InputError: for a file that is not such a log.
@@ -184,16 +96,16 @@ def replay_file(path: Path, rigid: Physics | None = None) -> ReplayReport:
     report = ReplayReport(file=path.name)
     names = ("mask", "plane", "complete", "static", "rigid", "reward", "done")
     tallies = {name: _Tally() for name in names}
-    lines = list(read_lines(path))
-    if not lines:
-        raise InputError("recorded transitions", path.name, "a file with at least one line")
+    log = Log(path)
     try:
-        # A probe comes before the real step of the same state, which holds the problem.
-        problems = {
-            (line["ep"], line["t"]): line for line in lines if line.get("kind", "real") == "real"
-        }
-        for line in lines:
-            _replay_line(line, problems, report, tallies, rigid)
+        log.index()
+        judges: dict[str, Physics] = {}
+        for line in log.lines:
+            report.lines += 1
+            variant = _variant(line, report)
+            if rigid is not None and variant.stability not in judges:
+                judges[variant.stability] = rigid(variant.stability)
+            _replay_line(line, variant, log, report, tallies, judges.get(variant.stability))
     except (KeyError, TypeError, ValueError, IndexError) as error:
         if isinstance(error, InputError):
             raise
@@ -209,32 +121,38 @@ def replay_file(path: Path, rigid: Physics | None = None) -> ReplayReport:
     return report
 
 
-def replay_files(paths: Iterable[Path], rigid: Physics | None = None) -> list[ReplayReport]:
+def replay_files(
+    paths: Iterable[Path], rigid: Callable[[str], Physics] | None = None
+) -> list[ReplayReport]:
     """One report per file."""
     return [replay_file(path, rigid) for path in paths]
 
 
+def _variant(line: Line, report: ReplayReport) -> Variant:
+    name = line["variant"]
+    if name not in VARIANTS:
+        raise InputError(f"{report.file} variant", name, f"one of {', '.join(VARIANTS)} (no robot)")
+    return VARIANTS[name]
+
+
 def _replay_line(
-    line: dict[str, Any],
-    problems: dict[tuple[int, int], dict[str, Any]],
+    line: Line,
+    variant: Variant,
+    log: Log,
     report: ReplayReport,
     tallies: dict[str, _Tally],
     rigid: Physics | None,
 ) -> None:
-    report.lines += 1
-    variant = line["variant"]
-    if variant not in _SIDES:
-        raise InputError(
-            f"{report.file} variant", variant, f"one of {', '.join(_SIDES)} (cubes, no robot)"
-        )
-    real = line.get("kind", "real") == "real"
+    real = is_real(line)
     key = (line["ep"], line["t"])
-    if key not in problems:
+    if key not in log.problems:
         raise InputError(f"{report.file} line {report.lines}", key, "a step with a real line")
-    unplaced = problems[key]["unplaced"]
-    _check_indices(line, len(unplaced))
-    scene = _Scene(problems[key], side_frames(_SIDES[variant]))
-
+    if variant.objects and not real:
+        return
+    problem = log.problems[key]
+    unplaced = problem["unplaced"]
+    _check_indices(line, len(unplaced), variant)
+    scene = Scene(problem, side_frames(variant.num_sides))
     if real:
         for side, theirs in enumerate(line["mask_px"]):
             exact = scene.mask_px[side] == theirs
@@ -242,19 +160,38 @@ def _replay_line(
                 exact = True
                 report.masks_within_rounding += 1
             tallies["mask"].add(exact)
-    earlier = problems.get((line["ep"], line["t"] - 1))
-    tilt = {
-        # A probe starts from a restored state, upright by construction.
-        "before": earlier["tilt_after"] if real and earlier is not None else 0.0,
-        "after": line["tilt_after"],
-    }
-    for when in ("before", "after"):
-        placed = line["placed"] if when == "before" else line["placed_after"]
-        views = len(scene.mask_px)
-        if tilt[when] > TILT_LIMIT:
+    _compare_pixels(line, log, scene, report, tallies)
+
+    objects = log.placed_objects(problem) if variant.objects else None
+    report.judged_lines += 1
+    outcome = _repeat(scene, line, unplaced, objects, variant, StaticPhysics())
+    note = {"line": report.lines, "ep": line["ep"], "t": line["t"], "accv": line["accv"],
+            "recorded_invalid": line["invalid"]}  # fmt: skip
+    if not tallies["static"].add(outcome.valid == (not line["invalid"])):
+        report.disagreements.append({**note, "physics": "static"})
+    if real:
+        report.real_lines += 1
+        tallies["reward"].add(abs(outcome.reward - line["reward"]) <= REWARD_TOLERANCE)
+        tallies["done"].add(outcome.done == line["done"])
+    if rigid is not None:
+        outcome = _repeat(scene, line, unplaced, objects, variant, rigid)
+        if not tallies["rigid"].add(outcome.valid == (not line["invalid"])):
+            report.disagreements.append({**note, "physics": rigid.name})
+
+
+def _compare_pixels(
+    line: Line, log: Log, scene: Scene, report: ReplayReport, tallies: dict[str, _Tally]
+) -> None:
+    """Both covers on the recorded poses before and after the step."""
+    earlier = log.problems.get((line["ep"], line["t"] - 1))
+    # A probe starts from a restored state, upright by construction.
+    tilt_before = earlier["tilt_after"] if is_real(line) and earlier is not None else 0.0
+    views = len(scene.mask_px)
+    for when, tilt in (("before", tilt_before), ("after", line["tilt_after"])):
+        if tilt > TILT_LIMIT:
             report.tilted_views += views
             continue
-        scene.place(placed, len(unplaced))
+        scene.place(line["placed"] if when == "before" else line["placed_after"], 0)
         for name, mine in zip(("plane", "complete"), scene.counts(), strict=True):
             theirs = line[f"px_{'plane' if name == 'plane' else 'comp'}_{when}"]
             for a, b in zip(mine, theirs, strict=True):
@@ -262,48 +199,50 @@ def _replay_line(
                 report.max_px_diff = max(report.max_px_diff, abs(a - b))
         report.views += views
 
-    valid, reward, done = _repeat(scene, line, len(unplaced), StaticPhysics())
-    agrees = tallies["static"].add(valid == (not line["invalid"]))
-    note = {"line": report.lines, "ep": line["ep"], "t": line["t"], "accv": line["accv"],
-            "recorded_invalid": line["invalid"]}  # fmt: skip
-    if not agrees:
-        report.disagreements.append({**note, "physics": "static"})
-    if real:
-        report.real_lines += 1
-        tallies["reward"].add(reward == line["reward"])
-        tallies["done"].add(done == line["done"])
-    if rigid is not None:
-        valid, _, _ = _repeat(scene, line, len(unplaced), rigid)
-        if not tallies["rigid"].add(valid == (not line["invalid"])):
-            report.disagreements.append({**note, "physics": rigid.name})
 
-
-def _check_indices(line: dict[str, Any], num_unplaced: int) -> None:
+def _check_indices(line: Line, num_unplaced: int, variant: Variant) -> None:
     """Refuse what compiled code would read beyond its arrays."""
     limits = {"blk": num_unplaced, "ref": len(line["placed"])}
     values = {name: line[name] for name in limits} | {"u[2]": line["u"][2]}
     for name, value in values.items():
-        limit = limits.get(name, len(RELATIONS))
+        limit = limits.get(name, variant.num_actions)
         if type(value) is not int or not 0 <= value < limit:
             raise ValueError(f"{name} is {value!r}, not an index below {limit}")
 
 
+class _Outcome(NamedTuple):
+    valid: bool
+    reward: float
+    done: bool
+
+
 def _repeat(
-    scene: _Scene, line: dict[str, Any], num_unplaced: int, physics: Physics
-) -> tuple[bool, float, bool]:
-    """Our outcome of the recorded action from the recorded state: valid, reward, done."""
-    state = scene.place(line["placed"], num_unplaced)
+    scene: Scene,
+    line: Line,
+    unplaced: list[list[float]],
+    objects: list[int] | None,
+    variant: Variant,
+    physics: Physics,
+) -> _Outcome:
+    """Our outcome of the recorded action from the recorded state."""
+    state = scene.place(line["placed"], len(unplaced))
+    if objects is not None:
+        scene.group(objects, unplaced)
     state.initial_pixels[0] = line["px_init"]
     previous = int(state.plane_pixels[0])
-    x, y, z = target_cell(state, 0, line["ref"], line["u"][2])
-    move_block(state, 0, line["blk"], line["ref"], x, y, z)
+    relation, turns = divmod(line["u"][2], variant.rotations)
+    x, y, z = target_cell(state, 0, line["ref"], relation)
+    move_block(state, 0, line["blk"], line["ref"], x, y, z, turns)
     verdict = physics.settle(state, np.array([0]))[0]
     if physics.moves_blocks:
         recover_all(state, 0, scene.frames)
     else:
-        cover_block(state, 0, scene.frames, int(state.num_placed[0]) - 1)
+        for block in range(last_object(state, 0), int(state.num_placed[0])):
+            cover_block(state, 0, scene.frames, block)
     count_row(state, 0)
     valid = bool(verdict == Verdict.STABLE)
-    reward, done, _ = judge(state, 0, previous, valid, DISCRETE, SUCCESS_THRESHOLD)
+    reward, done, _ = judge(
+        state, 0, previous, valid, REWARDS[variant.reward], variant.success_threshold
+    )
     state.quaternion[0] = (1.0, 0.0, 0.0, 0.0)
-    return valid, reward, done
+    return _Outcome(valid, reward, done)

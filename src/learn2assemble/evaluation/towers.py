@@ -149,7 +149,7 @@ def is_in_reach(towers, heights, n):
     """Whether tower ``n`` can take a block: it stands already, or a neighbour does."""
     if heights[n] > 0:
         return True
-    for near in towers.beside[n]:
+    for near in towers.beside[n]:  # noqa: SIM110 - compiled
         if near >= 0 and heights[near] > 0:
             return True
     return False

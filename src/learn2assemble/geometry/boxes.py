@@ -11,7 +11,7 @@ CONTACT_TOLERANCE = 2e-3
 CENTRED_TOLERANCE = 1e-3
 """A cube stands straight on another when their centres differ by at most this in x and y [m]."""
 
-STABLE, OVERLAP, BELOW_GROUND, FLOATING, UNDECIDED = 0, 1, 2, 3, 4
+STABLE, OVERLAP, BELOW_GROUND, FLOATING, UNDECIDED, UNSTABLE = 0, 1, 2, 3, 4, 5
 
 
 @njit(cache=True)

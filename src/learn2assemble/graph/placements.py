@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.graph.features import Graph
-from learn2assemble.world.actions import DIRECTIONS
+from learn2assemble.world.actions import DIRECTIONS, quarter_turn
 from learn2assemble.world.blocks import EDGE
 
 MAX_CELLS = 4
@@ -83,9 +83,7 @@ def _fill(nodes, reference, relation, turns, offsets, count, cells):
     """Cells filled by a placement; gives its key (the same for the same set of cells)."""
     key = np.uint64(0)
     for k in range(count):
-        a, b = offsets[k, 0], offsets[k, 1]
-        for _ in range(turns):
-            a, b = -b, a
+        a, b = quarter_turn(offsets[k, 0], offsets[k, 1], turns)
         cells[k, 0] = nodes[reference, 0] + EDGE * (DIRECTIONS[relation, 0] + a)
         cells[k, 1] = nodes[reference, 1] + EDGE * (DIRECTIONS[relation, 1] + b)
         cells[k, 2] = nodes[reference, 2] + EDGE * (DIRECTIONS[relation, 2] + offsets[k, 2])

@@ -76,15 +76,15 @@ def dense_error(
     is invalid; the same where it ends the episode otherwise (there the reward is the exact Q).
     """
     device = values.q.device
-    used = values.cells.legal
-    shape = used.shape
+    shape = values.q.shape
 
     def put(a: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(a[:, : shape[1]]).to(device)
 
     reward, terminal, valid = put(outcomes.reward), put(outcomes.terminal), put(outcomes.valid)
+    used = values.cells.legal & (terminal | valid)
     error = F.smooth_l1_loss(values.reward, reward, reduction="none") * used
-    rewards = error.sum() / used.sum()
+    rewards = error.sum() / used.sum().clamp(min=1)
     error = F.smooth_l1_loss(values.q, reward, reduction="none")
     ends, kept = used & terminal & ~valid, used & terminal & valid
     invalid = (error * ends).sum() / ends.sum().clamp(min=1)

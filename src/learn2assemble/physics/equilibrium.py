@@ -56,7 +56,7 @@ class Contacts(NamedTuple):
     """int64[C]: the object that is pushed along the normal."""
 
 
-def find_contacts(centres: np.ndarray, object_id: np.ndarray) -> Contacts:
+def find_contacts(centres: np.ndarray, object_id: np.ndarray, slack: float = 0.0) -> Contacts:
     """Corners of the contact patches between cubes of different objects, and with the ground.
 
     Two cubes touch when the gap along one axis is within CONTACT_TOLERANCE of zero and they
@@ -65,6 +65,7 @@ def find_contacts(centres: np.ndarray, object_id: np.ndarray) -> Contacts:
     Args:
         centres: float64[n, 3], centres of axis-aligned cubes [m, world].
         object_id: int64[n]; cubes with the same number are cells of one rigid object.
+        slack: how much farther than its edges a patch reaches [m].
 
     Raises:
         InputError: for arrays of another shape or coordinates that are not finite.
@@ -77,7 +78,7 @@ def find_contacts(centres: np.ndarray, object_id: np.ndarray) -> Contacts:
     depth = EDGE - np.abs(delta)
     touching = np.abs(depth) <= CONTACT_TOLERANCE
     beside = depth > OVERLAP_TOLERANCE
-    parts = [_ground_contacts(centres, body)]
+    parts = [_ground_contacts(centres, body, slack)]
     for axis in (2, 0, 1):
         u, v = (k for k in range(3) if k != axis)
         pair = np.flatnonzero(touching[:, axis] & beside[:, u] & beside[:, v])
@@ -87,7 +88,7 @@ def find_contacts(centres: np.ndarray, object_id: np.ndarray) -> Contacts:
         middle = (centres[low] + centres[high]) / 2
         points = np.repeat(middle[:, None], 4, 1)
         for k in (u, v):
-            points[:, :, k] += depth[pair, k, None] / 2 * _CORNERS[None, :, int(k == v)]
+            points[:, :, k] += (depth[pair, k, None] / 2 + slack) * _CORNERS[None, :, int(k == v)]
         parts.append(_patches(points, axis, body[low], body[high]))
     return Contacts(*[np.concatenate(field) for field in zip(*parts, strict=True)])
 
@@ -98,6 +99,7 @@ def is_stable(
     friction: float = FRICTION,
     *,
     lateral: bool = False,
+    slack: float = 0.0,
 ) -> bool:
     """Whether contact forces inside the friction cones can carry the weight of every object.
 
@@ -109,12 +111,14 @@ def is_stable(
         object_id: int64[n], see :func:`find_contacts`.
         friction: Coulomb coefficient of every contact.
         lateral: let vertical faces carry force too (see the module's docstring).
+        slack: how much farther than its edges a contact patch reaches [m]; settles by a margin
+            what is balanced exactly on an edge.
 
     Raises:
         InputError: for malformed arrays or a negative friction.
         Learn2AssembleError: where the solver fails.
     """
-    program = _Program(centres, object_id, friction, lateral)
+    program = _Program(centres, object_id, friction, lateral, slack)
     return program.num_objects == 0 or (program.touches_all and program.solve() is not None)
 
 
@@ -160,10 +164,10 @@ def _patches(points: np.ndarray, axis: int, body_a: np.ndarray, body_b: np.ndarr
     return Contacts(points.reshape(-1, 3), normals, np.repeat(body_a, 4), np.repeat(body_b, 4))
 
 
-def _ground_contacts(centres: np.ndarray, body: np.ndarray) -> Contacts:
+def _ground_contacts(centres: np.ndarray, body: np.ndarray, slack: float) -> Contacts:
     down = np.flatnonzero(np.abs(centres[:, 2] - HALF) <= CONTACT_TOLERANCE)
     points = np.repeat(centres[down][:, None], 4, 1)
-    points[:, :, :2] += HALF * _CORNERS
+    points[:, :, :2] += (HALF + slack) * _CORNERS
     points[:, :, 2] = 0.0
     return _patches(points, 2, np.full(len(down), GROUND), body[down])
 
@@ -172,12 +176,17 @@ class _Program:
     """The linear program of one structure: columns are the multipliers, then the load ``a``."""
 
     def __init__(
-        self, centres: np.ndarray, object_id: np.ndarray, friction: float, lateral: bool
+        self,
+        centres: np.ndarray,
+        object_id: np.ndarray,
+        friction: float,
+        lateral: bool,
+        slack: float = 0.0,
     ) -> None:
         if not (np.isfinite(friction) and friction >= 0):
             raise InputError("friction", friction, "a finite number >= 0")
         centres, body = _check(centres, object_id)
-        contacts = find_contacts(centres, body)
+        contacts = find_contacts(centres, body, slack)
         if not lateral:
             flat = contacts.normals[:, 2] == 1.0
             contacts = Contacts(*[field[flat] for field in contacts])
@@ -232,6 +241,13 @@ class _Program:
             solver.setOptionValue("simplex_strategy", _PRIMAL_SIMPLEX)
         solver.run()
         status = solver.getModelStatus()
+        if status == highspy.HighsModelStatus.kUnknown:
+            # On the border between the two answers the simplex method may give up.
+            solver.clearSolver()
+            solver.setOptionValue("solver", "ipm")
+            solver.run()
+            status = solver.getModelStatus()
+            solver.setOptionValue("solver", "choose")
         if status == highspy.HighsModelStatus.kOptimal:
             return float(-solver.getInfo().objective_function_value)
         if status == highspy.HighsModelStatus.kInfeasible:

@@ -29,7 +29,7 @@ Layout = tuple[tuple[tuple[int, int, int], ...], ...]
 """Per object its cells in block edges, relative to its first cell, in the object's frame."""
 
 TIMESTEP = 0.004
-SHRINK = 2.5e-4
+SHRINK = 1e-4
 """How much thinner a box is on each side in x and y [m]."""
 CONTACT_MARGIN = 1e-5
 """Margin of a geom [m]: a pair pushes at the sum of both (at the larger before MuJoCo 3.5).

@@ -9,18 +9,25 @@ from learn2assemble.physics.protocol import Physics
 from learn2assemble.physics.static import StaticPhysics
 
 
-def _rigid() -> Physics:
+def _static(stability: str) -> Physics:
+    return StaticPhysics()
+
+
+def _rigid(stability: str) -> Physics:
     # MuJoCo is loaded only by those who ask for it.
     from learn2assemble.physics.rigid import RigidPhysics
 
-    return RigidPhysics()
+    return RigidPhysics(stability)
 
 
-PHYSICS: dict[str, Callable[[], Physics]] = {"static": StaticPhysics, "rigid": _rigid}
+PHYSICS: dict[str, Callable[[str], Physics]] = {"static": _static, "rigid": _rigid}
 
 
-def resolve_physics(physics: str | Physics) -> Physics:
+def resolve_physics(physics: str | Physics, stability: str = "block") -> Physics:
     """A physics by name, or the one given.
+
+    Args:
+        stability: the rule of a simulated placement, :attr:`Task.stability` of the task.
 
     Raises:
         UnknownNameError: naming the nearest physics.
@@ -29,4 +36,4 @@ def resolve_physics(physics: str | Physics) -> Physics:
         return physics
     if physics not in PHYSICS:
         raise UnknownNameError("physics", physics, PHYSICS)
-    return PHYSICS[physics]()
+    return PHYSICS[physics](stability)

@@ -20,19 +20,19 @@ class Verdict(IntEnum):
     FLOATING = boxes.FLOATING
     UNDECIDED = boxes.UNDECIDED
     """Internal: the compiled rule cannot tell; never returned by :meth:`Physics.settle`."""
-    UNSTABLE = 5
+    UNSTABLE = boxes.UNSTABLE
     """In contact, but not in equilibrium (static) or moving too much (rigid)."""
 
 
 class Physics(Protocol):
-    """Decides whether the block placed last stays, and where everything comes to rest."""
+    """Decides whether the object placed last stays, and where everything comes to rest."""
 
     name: str
     moves_blocks: bool
     """Whether :meth:`settle` changes poses, so that coverage must be recomputed."""
 
     def settle(self, state: State, rows: np.ndarray) -> np.ndarray:
-        """Judge the last placed block of each row in ``rows`` (int64[R]).
+        """Judge the last placed object of each row in ``rows`` (int64[R]).
 
         May update ``position`` and ``quaternion`` of placed blocks in place.
 

@@ -12,11 +12,20 @@ from learn2assemble.geometry.boxes import classify_cube
 from learn2assemble.physics.mjcf import TIMESTEP, Grouping, compile_model, group_cells, rotation
 from learn2assemble.physics.protocol import Verdict
 from learn2assemble.world.blocks import HALF
+from learn2assemble.world.rules import STABILITY
 from learn2assemble.world.state import State
 
 SETTLE_STEPS = 50
-RULES = {"block": 0.5, "sum": 1.0}
-"""Published thresholds: of the fastest block (objects), of all blocks together (cubes)."""
+RULES = STABILITY
+"""Rules by name, with the published thresholds [m/s]."""
+STILL_SPEED = 0.1
+"""Rule ``object``: a chosen block that rises or falls faster [m/s] is waited for ..."""
+WAIT_STEPS = 200
+"""... so many steps at most."""
+HEIGHT_LIMIT = 1e-3
+"""Rule ``object``: the cells of the new object keep their heights, relative to each other [m]."""
+SHIFT_LIMIT = 0.01
+"""Rule ``object``: no earlier block may move by so much in x and y [m]."""
 _MAX_WORLDS = 64
 
 
@@ -26,13 +35,15 @@ class RigidPhysics:
     With V_b the sum over the settle steps of |vx| + |vy| + |vz| of block b [m/s], counted at the
     published step of 4 ms, a placement is invalid where max_b V_b exceeds the threshold (``rule``
     "block"), or where the sum of V_b over all blocks does ("sum"; the published rule for cubes,
-    which grows with the number of blocks).
+    which grows with the number of blocks). The rule "object" is "block", then waits until the
+    chosen block no longer rises or falls, and also fails where the new object tilts or an earlier
+    block shifts (the published rule for objects of several cells).
 
     Every settle starts at the poses of the state, at rest and without memory of an earlier one,
     so a step is a pure function of the state. One instance serves one thread.
 
     Args:
-        rule: ``block`` or ``sum``.
+        rule: ``block``, ``sum`` or ``object``.
         threshold: limit on V [m/s]; the published one of the rule by default.
         settle_steps: number of steps simulated.
         timestep: length of a step [s].
@@ -70,11 +81,11 @@ class RigidPhysics:
         return {**self.__dict__, "_worlds": {}}
 
     def settle(self, state: State, rows: np.ndarray) -> np.ndarray:
-        """Verdict on the last placed block of each row; moves the placed blocks of the row.
+        """Verdict on the object placed last of each row; moves the placed blocks of the row.
 
         An occupied cell and one below the ground are facts of geometry: nothing is simulated and
         nothing moves. FLOATING is reported where the simulation fails and nothing was below the
-        block. See :class:`Physics`.
+        object. See :class:`Physics`.
 
         Raises:
             InputError: where cells of one object are not on one lattice.
@@ -93,11 +104,14 @@ class RigidPhysics:
         if geometric in (Verdict.OVERLAP, Verdict.BELOW_GROUND):
             self.last_speed_sums.append(np.empty(0))
             return geometric
+        before = position.copy()
         speeds = self._simulate(position, quaternion, object_id)
         self.last_speed_sums.append(speeds)
-        total = speeds.max() if self.rule == "block" else speeds.sum()
+        total = speeds.sum() if self.rule == "sum" else speeds.max()
         # Written so that a simulation that diverged (NaN) fails.
-        if total <= self.threshold:
+        if total <= self.threshold and (
+            self.rule != "object" or _kept_place(before, position, object_id)
+        ):
             return Verdict.STABLE
         return Verdict.FLOATING if geometric == Verdict.FLOATING else Verdict.UNSTABLE
 
@@ -125,6 +139,8 @@ class RigidPhysics:
             flat_velocity[k] = now
             if turn is not None:
                 turn[k] = matrices
+        if self.rule == "object":
+            _wait(model, data, int(group.body[np.argmax(object_id == object_id[-1])]))
         if not (np.isfinite(velocity).all() and np.isfinite(pose).all()):
             return np.full(len(position), np.nan)
         position[:], quaternion[:] = pose[group.body, :3], pose[group.body, 3:]
@@ -145,6 +161,23 @@ class RigidPhysics:
             data = mujoco.MjData(compile_model(group.layout, self.timestep))
             self._worlds[group.layout] = data
         return data
+
+
+def _wait(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> None:
+    """Go on until ``body`` no longer rises or falls."""
+    vertical = data.qvel[6 * body + 2 : 6 * body + 3]
+    for _ in range(WAIT_STEPS):
+        if not abs(vertical[0]) > STILL_SPEED:
+            return
+        mujoco.mj_step(model, data)
+
+
+def _kept_place(before: np.ndarray, after: np.ndarray, object_id: np.ndarray) -> bool:
+    """Whether the last object kept its attitude and the others their places, rule ``object``."""
+    mine = object_id == object_id[-1]
+    sunk = after[mine, 2] - before[mine, 2]
+    shift = np.linalg.norm(after[~mine, :2] - before[~mine, :2], axis=1)
+    return bool(np.ptp(sunk) <= HEIGHT_LIMIT and (shift < SHIFT_LIMIT).all())
 
 
 def _classify_last(position: np.ndarray, object_id: np.ndarray) -> Verdict:

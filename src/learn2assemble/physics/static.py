@@ -1,8 +1,10 @@
 """Exact overlap and static equilibrium, compiled and batched.
 
 A cube on the ground or straight on another is proven stable by the column rule; it decides every
-lattice placement. What it cannot decide (overhangs, drifted supports) goes to the equilibrium
-program of :mod:`learn2assemble.physics.equilibrium`.
+lattice placement of cubes. Where objects of several cells are involved,
+:mod:`learn2assemble.geometry.support` looks at columns and centres of mass. What neither can
+decide (supports that overhang or have drifted) goes to the equilibrium program of
+:mod:`learn2assemble.physics.equilibrium`.
 """
 
 from __future__ import annotations
@@ -11,22 +13,35 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.geometry.boxes import UNDECIDED, classify_cube
+from learn2assemble.geometry.support import BALANCE_TOLERANCE, classify_object
 from learn2assemble.physics.protocol import Verdict
 from learn2assemble.world.actions import DIRECTIONS
 from learn2assemble.world.blocks import EDGE, HALF
-from learn2assemble.world.rules import target_cell
+from learn2assemble.world.rules import last_object, lay_object, target_cell
 from learn2assemble.world.state import State
 
 NUM_RELATIONS = len(DIRECTIONS)
 
 
 @njit(cache=True)
+def _only_cubes(object_id, count):
+    only = True
+    for k in range(1, count):
+        only &= object_id[k] != object_id[k - 1]
+    return only
+
+
+@njit(cache=True)
 def _settle(state, rows, verdict):
     for n in range(len(rows)):
         row = rows[n]
-        last = state.num_placed[row] - 1
-        p = state.position[row, last]
-        verdict[n] = classify_cube(state.position[row], last, p[0], p[1], p[2], HALF)
+        count = state.num_placed[row]
+        if _only_cubes(state.object_id[row], count):
+            p = state.position[row, count - 1]
+            verdict[n] = classify_cube(state.position[row], count - 1, p[0], p[1], p[2], HALF)
+        else:
+            first = last_object(state, row)
+            verdict[n] = classify_object(state.position[row], first, count, HALF)
 
 
 @njit(cache=True)
@@ -41,11 +56,11 @@ def _survey(state, verdict):
                 )
 
 
-def _equilibrium(centres: np.ndarray) -> int:
+def _equilibrium(centres: np.ndarray, object_id: np.ndarray) -> int:
     # Rarely needed, and training runs on machines without the solver.
     from learn2assemble.physics.equilibrium import is_stable
 
-    stable = is_stable(centres, np.arange(len(centres)))
+    stable = is_stable(centres, object_id, slack=BALANCE_TOLERANCE)
     return int(Verdict.STABLE if stable else Verdict.UNSTABLE)
 
 
@@ -56,17 +71,17 @@ class StaticPhysics:
     moves_blocks = False
 
     def settle(self, state: State, rows: np.ndarray) -> np.ndarray:
-        """Verdict on the last placed block of each row; see :class:`Physics`."""
+        """Verdict on the object placed last of each row; see :class:`Physics`."""
         verdict = np.empty(len(rows), np.int8)
         _settle(state, rows, verdict)
         for n in np.flatnonzero(verdict == UNDECIDED):
-            row = rows[n]
-            verdict[n] = _equilibrium(state.position[row, : state.num_placed[row]])
+            row, count = rows[n], state.num_placed[rows[n]]
+            verdict[n] = _equilibrium(state.position[row, :count], state.object_id[row, :count])
         return verdict
 
 
 def survey(state: State) -> np.ndarray:
-    """Verdict of placing a block next to every placed block, by static physics.
+    """Verdict of placing a block next to every placed block, by static physics; cubes only.
 
     Returns:
         int8[B, M, 5]: :class:`Verdict` for (reference, relation); OVERLAP for references beyond
@@ -80,5 +95,56 @@ def survey(state: State) -> np.ndarray:
     for row, reference, relation in np.argwhere(verdict == UNDECIDED):
         placed = state.position[row, : state.num_placed[row]]
         cell = placed[reference] + EDGE * DIRECTIONS[relation]
-        verdict[row, reference, relation] = _equilibrium(np.vstack([placed, cell]))
+        verdict[row, reference, relation] = _equilibrium(
+            np.vstack([placed, cell]), np.arange(len(placed) + 1)
+        )
+    return verdict
+
+
+@njit(cache=True)
+def _try_object(state, row, unplaced, reference, action, rotations, position):
+    """Verdict on one placement; its cells follow the placed ones in ``position``: (verdict, n)."""
+    placed = state.num_placed[row]
+    relation, turns = divmod(action, rotations)
+    x, y, z = target_cell(state, row, reference, relation)
+    cells = position[placed:]
+    count = placed + lay_object(state, row, unplaced, reference, x, y, z, turns, cells)
+    return classify_object(position, placed, count, HALF), count
+
+
+@njit(cache=True)
+def _try_objects(state, row, rotations, position, verdict):
+    for unplaced in range(verdict.shape[0]):
+        for reference in range(verdict.shape[1]):
+            for action in range(verdict.shape[2]):
+                verdict[unplaced, reference, action], _ = _try_object(
+                    state, row, unplaced, reference, action, rotations, position
+                )
+
+
+def survey_objects(state: State, rotations: int) -> np.ndarray:
+    """Verdict of every placement of every waiting block with its object, by static physics.
+
+    Returns:
+        int8[B, M, M, 5 * rotations]: :class:`Verdict` for (unplaced, reference, action), counted
+        as in :meth:`Simulator.step`; OVERLAP beyond the blocks there are.
+    """
+    batch, blocks = state.position.shape[:2]
+    shape = (batch, blocks, blocks, NUM_RELATIONS * rotations)
+    verdict = np.full(shape, int(Verdict.OVERLAP), np.int8)
+    for row in range(batch):
+        placed, waiting = state.num_placed[row], int(state.num_unplaced[row])
+        position = np.concatenate([state.position[row, :placed], np.empty((blocks, 3))])
+        found = verdict[row, :waiting, :placed]
+        _try_objects(state, row, rotations, position, found)
+        known: dict[bytes, int] = {}
+        for choice in np.argwhere(found == UNDECIDED):
+            unplaced, reference, action = choice
+            _, count = _try_object(state, row, unplaced, reference, action, rotations, position)
+            cells = position[placed:count]
+            key = np.unique(np.rint(cells * 1e6), axis=0).tobytes()
+            if key not in known:
+                ids = np.append(state.object_id[row, :placed], np.full(len(cells), -1))
+                known[key] = _equilibrium(position[:count], ids)
+            found[tuple(choice)] = known[key]
     return verdict

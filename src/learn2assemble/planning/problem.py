@@ -14,8 +14,8 @@ from learn2assemble.task import Task
 from learn2assemble.world.blocks import EDGE, HALF
 from learn2assemble.world.design_pixels import MAX_COLUMN, Cell, face_pixels
 from learn2assemble.world.designs import Design, explain_refusal, inside_cells, minimum_blocks
-from learn2assemble.world.layouts import waiting_positions
-from learn2assemble.world.sampling import start_blocks
+from learn2assemble.world.layouts import waiting_places
+from learn2assemble.world.sampling import start_objects
 from learn2assemble.world.state import State, empty_state
 
 SPARE_SHARE = 0.5
@@ -100,8 +100,8 @@ def design_problem(design: Design, layout: str = "line") -> Problem:
         state.num_vertices[0, side] = counts[side]
     state.mask[0] = design.masks()
     state.mask_pixels[0] = int(np.bitwise_count(state.mask[0]).sum())
-    waiting = waiting_positions(layout, blocks)
-    start_blocks(state, 0, Simulator(task).frames, waiting, design.first_elevation, blocks)
+    waiting = waiting_places(layout, blocks)
+    start_objects(state, 0, Simulator(task).frames, waiting, design.first_elevation, blocks)
     names = tuple(elevation.name for elevation in design.elevations)
     return Problem(design.name, task, state, names, inside_cells(design), design.supports, refusal)
 

@@ -1,6 +1,8 @@
-"""Where the unplaced blocks wait (protocol 1.4): positions of the graph's unplaced nodes."""
+"""Where unplaced objects wait (protocol 1.4): positions of the graph's unplaced nodes."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,9 +20,13 @@ def sobol(count: int) -> np.ndarray:
     return out
 
 
-def _line(count: int) -> np.ndarray:
-    x = (2 * sobol(count) - 1) * 20.5 * EDGE
+def _line(count: int, share: float = 1.0) -> np.ndarray:
+    x = (2 * sobol(count) - 1) * 20.5 * EDGE * share
     return np.stack([x, np.full(count, -EDGE), np.zeros(count)], -1)
+
+
+def _short_line(count: int) -> np.ndarray:
+    return _line(count, 0.25)
 
 
 def _rows(count: int) -> np.ndarray:
@@ -30,18 +36,41 @@ def _rows(count: int) -> np.ndarray:
     return np.stack([x, y, np.full(count, HALF)], -1)
 
 
-LAYOUTS = {"line": _line, "rows": _rows}
+_OBJECTS_APART = 0.07
+"""Least distance of the cells of two waiting objects, and of none to the wall [m]."""
+
+LAYOUTS = {
+    "line": (_line, 0.0),
+    "rows": (_rows, 0.0),
+    "field": (_line, _OBJECTS_APART),
+    "narrow-field": (_short_line, _OBJECTS_APART),
+}
+"""Positions of the k-th object, and how far apart the cells of objects are kept [m]."""
 
 
-def waiting_positions(layout: str, count: int) -> np.ndarray:
-    """Positions of ``count`` waiting blocks [m]: ``float64[count, 3]``.
+class Waiting(NamedTuple):
+    """Where objects wait."""
 
-    ``line`` spreads them on a line in front of side 1 (no-robot environments), ``rows`` in rows
-    of six (the one-sided twin of the robot cell).
+    position: np.ndarray
+    """float64[n, 3]: origin of the k-th waiting object [m], before it is moved apart."""
+    apart: float
+    """An object steps back by one edge in y until its cells are at least this far from those of
+    every earlier one, and in front of the wall [m]; 0: it never does."""
+
+
+def waiting_places(layout: str, count: int) -> Waiting:
+    """Where up to ``count`` objects wait.
+
+    ``line`` spreads cubes on a line in front of side 1 (no-robot environments), ``rows`` in rows
+    of six (the one-sided twin of the robot cell). ``field`` (bars) and ``narrow-field`` (objects)
+    start on a line, too, and move objects of several cells apart. The published code drops the
+    latter for ten simulation steps and draws again where something moved; waiting objects are
+    positions only here, so nothing can move (D16).
 
     Raises:
         UnknownNameError: for a layout that does not exist.
     """
     if layout not in LAYOUTS:
         raise UnknownNameError("layout", layout, LAYOUTS)
-    return LAYOUTS[layout](count)
+    place, apart = LAYOUTS[layout]
+    return Waiting(place(count), apart)

@@ -13,15 +13,19 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from learn2assemble.geometry.boxes import STABLE, classify_cube
+from learn2assemble.geometry.boxes import STABLE, UNDECIDED, classify_cube
 from learn2assemble.geometry.coverage import add_box, count_cover
+from learn2assemble.geometry.support import classify_object
 from learn2assemble.world.blocks import HALF
-from learn2assemble.world.rules import REWARDS, judge_counts, target_cell
+from learn2assemble.world.rules import REWARDS, judge_counts, lay_object, target_cell
 from learn2assemble.world.state import State
 
 
 class Outcomes(NamedTuple):
-    """Outcome of P placements of every row; zeros beyond those it has."""
+    """Outcome of P placements of every row; zeros beyond those it has.
+
+    Neither ``valid`` nor ``terminal``: only the equilibrium program could tell.
+    """
 
     reward: np.ndarray
     """float32[B, P]: -1 where the placement is invalid."""
@@ -34,61 +38,87 @@ class Outcomes(NamedTuple):
 
 
 @njit(cache=True)
+def _verdict(position, object_id, placed, count):
+    """Static verdict on the object with cells ``position[placed:count]``."""
+    single = count == placed + 1
+    for k in range(1, placed):
+        single &= object_id[k] != object_id[k - 1]
+    if single:
+        p = position[placed]
+        return classify_cube(position, placed, p[0], p[1], p[2], HALF)
+    return classify_object(position, placed, count, HALF)
+
+
+@njit(cache=True)
+def _cover(state, row, frames, position, placed, count, covered, occluded):
+    """Plane and complete cover with the cells ``position[placed:count]`` added."""
+    first, last = state.mask_rows[row, 0], state.mask_rows[row, 1]
+    plane, complete = 0, 0
+    for side in range(covered.shape[0]):
+        for r in range(first, last):
+            for w in range(covered.shape[2]):
+                covered[side, r, w] = state.covered[row, side, r, w]
+                occluded[side, r, w] = state.occluded[row, side, r, w]
+        c, s = frames[side, 0], frames[side, 1]
+        for k in range(placed, count):
+            wx, wy = position[k, 0] - frames[side, 2], position[k, 1] - frames[side, 3]
+            x, y = c * wx + s * wy, c * wy - s * wx
+            add_box(covered[side], occluded[side], x, y, position[k, 2], HALF)
+        p, q = count_cover(state.mask[row, side], covered[side], occluded[side], first, last)
+        plane += p
+        complete += q
+    return plane, complete
+
+
+@njit(cache=True)
 def _try_all(
-    state, actions, count, frames, reward_kind, threshold,
+    state, actions, count, rotations, frames, reward_kind, threshold,
     reward, terminal, valid, gain, covered, occluded,
 ):  # fmt: skip
-    sides, words = covered.shape[0], covered.shape[2]
+    position = np.empty((state.position.shape[1] + 8, 3))
     for row in range(len(count)):
-        first, last = state.mask_rows[row, 0], state.mask_rows[row, 1]
         placed = state.num_placed[row]
-        is_last = placed + 1 >= state.num_blocks[row]
+        position[:placed] = state.position[row, :placed]
         for n in range(count[row]):
-            x, y, z = target_cell(state, row, actions[row, n, 1], actions[row, n, 2])
-            if classify_cube(state.position[row], placed, x, y, z, HALF) != STABLE:
+            unplaced, reference = actions[row, n, 0], actions[row, n, 1]
+            relation, turns = actions[row, n, 2] // rotations, actions[row, n, 2] % rotations
+            x, y, z = target_cell(state, row, reference, relation)
+            end = placed + lay_object(
+                state, row, unplaced, reference, x, y, z, turns, position[placed:]
+            )
+            verdict = _verdict(position, state.object_id[row], placed, end)
+            if verdict == UNDECIDED:
+                continue
+            if verdict != STABLE:
                 reward[row, n] = -1.0
                 terminal[row, n] = True
                 continue
             valid[row, n] = True
-            plane, complete = 0, 0
-            for side in range(sides):
-                for r in range(first, last):
-                    for w in range(words):
-                        covered[side, r, w] = state.covered[row, side, r, w]
-                        occluded[side, r, w] = state.occluded[row, side, r, w]
-                c, s = frames[side, 0], frames[side, 1]
-                wx, wy = x - frames[side, 2], y - frames[side, 3]
-                add_box(covered[side], occluded[side], c * wx + s * wy, c * wy - s * wx, z, HALF)
-                p, q = count_cover(
-                    state.mask[row, side], covered[side], occluded[side], first, last
-                )
-                plane += p
-                complete += q
-            gained, success = judge_counts(
+            plane, complete = _cover(state, row, frames, position, placed, end, covered, occluded)
+            reward[row, n], success = judge_counts(
                 state.mask_pixels[row], state.initial_pixels[row], state.plane_pixels[row],
                 plane, complete, True, reward_kind, threshold,
             )  # fmt: skip
-            reward[row, n] = gained
             span = state.mask_pixels[row] - state.initial_pixels[row]
             gain[row, n] = (plane - state.plane_pixels[row]) / span
-            terminal[row, n] = success or is_last
+            terminal[row, n] = success or end >= state.num_blocks[row]
 
 
 def outcomes(
     state: State,
     actions: np.ndarray,
     count: np.ndarray,
+    rotations: int,
     frames: np.ndarray,
     reward: str,
     threshold: float,
 ) -> Outcomes:
     """Try placements of every row by static physics.
 
-    Placements that only the equilibrium program could judge count as invalid here.
-
     Args:
         actions: int64[B, P, 3]: number of the unplaced block, of the reference block, action.
         count: int64[B]: how many of them each row has.
+        rotations: quarter turns an action chooses from, 1 or 4.
         frames: float64[S, 4] of the sides.
     """
     shape = actions.shape[:2]
@@ -99,7 +129,7 @@ def outcomes(
         np.zeros(shape, np.float32),
     )
     _try_all(
-        state, actions, count, frames, REWARDS[reward], threshold, *out,
+        state, actions, count, rotations, frames, REWARDS[reward], threshold, *out,
         np.empty_like(state.covered[0]), np.empty_like(state.occluded[0]),
     )  # fmt: skip
     return out

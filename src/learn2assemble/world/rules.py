@@ -10,11 +10,15 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.geometry.coverage import add_box, clear_to_ground, count_cover
-from learn2assemble.world.actions import DIRECTIONS
+from learn2assemble.world.actions import DIRECTIONS, quarter_turn
 from learn2assemble.world.blocks import EDGE, HALF
 
 DISCRETE, SCALED = 0, 1
 REWARDS = {"discrete": DISCRETE, "scaled": SCALED}
+STABILITY = {"block": 0.5, "sum": 1.0, "object": 0.5}
+"""Rules by which a simulated placement holds, with their published limits on V [m/s]: of the
+fastest block, of all blocks together (cubes), of the fastest block while objects keep their
+attitude and nothing shifts (objects of several cells), protocol 6.1."""
 SCALED_GAIN = 3.0
 """c1 of the scaled reward (paper, equation 6 of the appendix)."""
 
@@ -41,25 +45,87 @@ def target_cell(state, row, reference, relation):
 
 
 @njit(cache=True)
-def move_block(state, row, unplaced, reference, x, y, z):
-    """Move unplaced block number ``unplaced`` to (x, y, z), last of the placed ones (protocol 4).
+def object_span(object_id, start, stop, block):
+    """First and one past the last cell of the object of ``block`` among ``start:stop``."""
+    low, high = block, block + 1
+    while low > start and object_id[low - 1] == object_id[block]:
+        low -= 1
+    while high < stop and object_id[high] == object_id[block]:
+        high += 1
+    return low, high
 
-    It takes the orientation of ``reference``; later unplaced blocks shift up by one place.
+
+@njit(cache=True)
+def lay_object(state, row, unplaced, reference, x, y, z, turns, cells):
+    """Where the cells of a waiting object would go (protocol 7, no robot).
+
+    Unplaced block number ``unplaced`` goes to (x, y, z) [m]. The other cells of its object keep
+    their places relative to it after ``turns`` quarter turns about its vertical axis, in the
+    frame of the placed block ``reference``.
+
+    Args:
+        cells: float64[C, 3], written: the chosen cell, then the others in list order [m].
+
+    Returns:
+        the number of cells.
+    """
+    placed = state.num_placed[row]
+    source = placed + unplaced
+    low, high = object_span(state.object_id[row], placed, state.num_blocks[row], source)
+    cells[0, 0], cells[0, 1], cells[0, 2] = x, y, z
+    n = 1
+    for k in range(low, high):
+        if k == source:
+            continue
+        # Cells are on one lattice; rounding keeps the drift of waiting places out.
+        dx = round((state.position[row, k, 0] - state.position[row, source, 0]) / EDGE)
+        dy = round((state.position[row, k, 1] - state.position[row, source, 1]) / EDGE)
+        dz = round((state.position[row, k, 2] - state.position[row, source, 2]) / EDGE)
+        dx, dy = quarter_turn(dx, dy, turns)
+        dx, dy, dz = rotate(state.quaternion[row, reference], (EDGE * dx, EDGE * dy, EDGE * dz))
+        cells[n, 0], cells[n, 1], cells[n, 2] = x + dx, y + dy, z + dz
+        n += 1
+    return n
+
+
+@njit(cache=True)
+def move_block(state, row, unplaced, reference, x, y, z, turns=0):
+    """Move the object of unplaced block ``unplaced``, that block to (x, y, z) (protocol 4, 7).
+
+    Its cells become the last placed ones, the chosen one first, see :func:`lay_object`, and take
+    the orientation of ``reference``; the unplaced blocks before them shift.
     """
     placed = state.num_placed[row]
     source = placed + unplaced
     moved = state.object_id[row, source]
-    for k in range(source, placed, -1):
+    low, high = object_span(state.object_id[row], placed, state.num_blocks[row], source)
+    size = high - low
+    if size > 1:
+        cells = np.empty((size, 3))
+        lay_object(state, row, unplaced, reference, x, y, z, turns, cells)
+    for k in range(high - 1, placed + size - 1, -1):
         for axis in range(3):
-            state.position[row, k, axis] = state.position[row, k - 1, axis]
-        state.object_id[row, k] = state.object_id[row, k - 1]
-    state.object_id[row, placed] = moved
-    state.position[row, placed, 0] = x
-    state.position[row, placed, 1] = y
-    state.position[row, placed, 2] = z
-    for k in range(4):
-        state.quaternion[row, placed, k] = state.quaternion[row, reference, k]
-    state.num_placed[row] = placed + 1
+            state.position[row, k, axis] = state.position[row, k - size, axis]
+        state.object_id[row, k] = state.object_id[row, k - size]
+    for n in range(size):
+        state.object_id[row, placed + n] = moved
+        for q in range(4):
+            state.quaternion[row, placed + n, q] = state.quaternion[row, reference, q]
+        if size > 1:
+            for axis in range(3):
+                state.position[row, placed + n, axis] = cells[n, axis]
+    if size == 1:
+        state.position[row, placed, 0] = x
+        state.position[row, placed, 1] = y
+        state.position[row, placed, 2] = z
+    state.num_placed[row] = placed + size
+
+
+@njit(cache=True)
+def last_object(state, row):
+    """First cell of the object placed last; it reaches to ``num_placed``."""
+    placed = state.num_placed[row]
+    return object_span(state.object_id[row], 0, placed, placed - 1)[0]
 
 
 @njit(cache=True)

@@ -6,12 +6,15 @@ from numba import njit
 
 from learn2assemble.geometry.mask import paper_mask
 from learn2assemble.world.blocks import EDGE, HALF
+from learn2assemble.world.objects import draw_objects
 from learn2assemble.world.rules import count_row, recover_all
 
 MAX_DRAWS = 100_000
 """Draws after which a reset gives up (a task whose shapes can never be accepted)."""
 TRAINING_BOX = (0.075, 0.15)
 """Half width and height of the 3x3 box that 'unseen' shapes must leave [m]."""
+FREE_STRIP = 0.075
+"""Objects that are kept apart also wait at least this far in front of the structure [m]."""
 
 
 @njit(cache=True, inline="always")
@@ -65,24 +68,55 @@ def leaves_training_box(rng, vertices, count):
 
 
 @njit(cache=True)
-def start_blocks(state, row, frames, waiting, side, num_blocks):
-    """First block at the bottom centre of ``side``, the others waiting; pixel sets and counts."""
+def _step_back(position, first, start, stop, apart):
+    """Move cells ``start:stop`` in -y until they keep their distance from ``first:start``."""
+    clear = False
+    while not clear:
+        clear = True
+        for k in range(start, stop):
+            if position[k, 1] > -FREE_STRIP:
+                clear = False
+            for j in range(first, start):
+                square = 0.0
+                for axis in range(3):
+                    square += (position[k, axis] - position[j, axis]) ** 2
+                if square < apart * apart:
+                    clear = False
+        if not clear:
+            for k in range(start, stop):
+                position[k, 1] -= EDGE
+
+
+@njit(cache=True)
+def start_objects(state, row, frames, waiting, side, num_blocks):
+    """First object at the bottom centre of ``side``, the others waiting; pixel sets and counts.
+
+    ``position`` and ``object_id`` hold the objects as :func:`draw_objects` leaves them.
+    """
+    position, object_id = state.position[row], state.object_id[row]
     state.num_blocks[row] = num_blocks
-    state.num_placed[row] = 1
     state.terminated[row] = False
-    for k in range(state.position.shape[1]):
-        for axis in range(3):
-            state.position[row, k, axis] = 0.0
+    for k in range(position.shape[0]):
         state.quaternion[row, k, 0] = 1.0
         for q in range(1, 4):
             state.quaternion[row, k, q] = 0.0
-        state.object_id[row, k] = k
-    for k in range(1, num_blocks):
-        for axis in range(3):
-            state.position[row, k, axis] = waiting[k - 1, axis]
-    state.position[row, 0, 0] = frames[side, 2]
-    state.position[row, 0, 1] = frames[side, 3]
-    state.position[row, 0, 2] = HALF
+    placed = 0
+    while placed < num_blocks and object_id[placed] == object_id[0]:
+        position[placed, 0] += frames[side, 2]
+        position[placed, 1] += frames[side, 3]
+        position[placed, 2] += HALF
+        placed += 1
+    state.num_placed[row] = placed
+    start, number = placed, 0
+    while start < num_blocks:
+        stop = start
+        while stop < num_blocks and object_id[stop] == object_id[start]:
+            for axis in range(3):
+                position[stop, axis] += waiting.position[number, axis]
+            stop += 1
+        if waiting.apart > 0:
+            _step_back(position, placed, start, stop, waiting.apart)
+        start, number = stop, number + 1
     first, last = state.mask.shape[2], 0
     for s in range(state.mask.shape[1]):
         for r in range(state.mask.shape[2]):
@@ -97,12 +131,12 @@ def start_blocks(state, row, frames, waiting, side, num_blocks):
 
 @njit(cache=True)
 def sample_problem(
-    state, row, rng, frames, waiting, grid, num_nodes, min_pixels, max_initial, unseen_only
+    state, row, rng, frames, stock, waiting, grid, num_nodes, min_pixels, max_initial, unseen_only
 ):
     """Draw a fresh problem into a row; returns the number of draws, 0 where it gave up.
 
-    Shapes and first block are redrawn while the masks hold fewer than ``min_pixels`` pixels or
-    the first block covers more than ``max_initial`` of them (protocol 2, rejection at reset).
+    Shapes and objects are redrawn while the masks hold fewer than ``min_pixels`` pixels or
+    the first object covers more than ``max_initial`` of them (protocol 2, rejection at reset).
     """
     sides = frames.shape[0]
     for draw in range(1, MAX_DRAWS + 1):
@@ -118,7 +152,9 @@ def sample_problem(
         if pixels < min_pixels:
             continue
         state.mask_pixels[row] = pixels
-        start_blocks(state, row, frames, waiting, int(rng.random() * sides), num_nodes - nodes)
+        side, blocks = int(rng.random() * sides), num_nodes - nodes
+        draw_objects(rng, stock, blocks, state.position[row], state.object_id[row])
+        start_objects(state, row, frames, waiting, side, blocks)
         if state.initial_pixels[row] <= max_initial * pixels:
             return draw
     return 0

@@ -32,7 +32,8 @@ class State(NamedTuple):
     quaternion: np.ndarray
     """float64[B, M, 4]: block orientations (w, x, y, z)."""
     object_id: np.ndarray
-    """int64[B, M]: blocks with the same number are cells of one rigid object."""
+    """int64[B, M]: blocks with the same number are cells of one rigid object. They stand side by
+    side in the list, and all of them are placed or none."""
     num_placed: np.ndarray
     """int64[B]."""
     num_blocks: np.ndarray

@@ -1,0 +1,220 @@
+"""Recorded transitions of the published simulator: reading them, and worlds restored from them."""
+
+from __future__ import annotations
+
+import gzip
+import itertools
+import json
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from learn2assemble.errors import InputError
+from learn2assemble.geometry.mask import paper_mask
+from learn2assemble.world.actions import RELATIONS
+from learn2assemble.world.blocks import EDGE
+from learn2assemble.world.rules import count_row, recover_all
+from learn2assemble.world.state import State, empty_state
+
+LOG_ROUNDING = 5e-8
+"""Half a unit of the last decimal of the recorded vertices [m]."""
+
+Line = dict[str, Any]
+
+
+class Variant(NamedTuple):
+    """What a recorded environment is, as far as a step depends on it (protocol 0)."""
+
+    num_sides: int
+    rotations: int = 1
+    reward: str = "discrete"
+    success_threshold: float = 0.975
+    stability: str = "block"
+    objects: bool = False
+    """Whether blocks come in objects of several cells."""
+
+    @property
+    def num_actions(self) -> int:
+        return len(RELATIONS) * self.rotations
+
+
+VARIANTS = {
+    "1mimic": Variant(1),
+    "2wo": Variant(2),
+    "4wo": Variant(4),
+    "1wo": Variant(1, reward="scaled", objects=True),
+    "2more20": Variant(
+        2, rotations=4, reward="scaled", success_threshold=0.75, stability="object", objects=True
+    ),
+}
+
+
+def read_lines(path: Path) -> Iterator[Line]:
+    """The JSON objects of a ``.jsonl`` or ``.jsonl.gz`` file.
+
+    Raises:
+        InputError: where the file is missing, unreadable or not lines of JSON objects.
+    """
+    if not path.is_file():
+        raise InputError("recorded transitions", str(path), "an existing .jsonl or .jsonl.gz file")
+    opener = gzip.open if path.suffix == ".gz" else open
+    number = 0
+    try:
+        with opener(path, "rt", encoding="utf-8") as stream:
+            for text in stream:
+                number += 1
+                value = json.loads(text)
+                if not isinstance(value, dict):
+                    raise ValueError("not an object")
+                yield value
+    except (OSError, ValueError, EOFError, zlib.error) as error:
+        raise InputError(
+            f"{path.name} line {max(number, 1)}", str(error), "a JSON object"
+        ) from None
+
+
+def is_real(line: Line) -> bool:
+    """Whether a line is a step of an episode; logs without ``kind`` hold nothing else."""
+    return line.get("kind", "real") == "real"
+
+
+class Log:
+    """The lines of one file, and the problem of each of its steps.
+
+    Raises:
+        InputError: for a file without lines.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.name = path.name
+        self.lines = list(read_lines(path))
+        if not self.lines:
+            raise InputError("recorded transitions", path.name, "a file with at least one line")
+        # A probe comes before the real step of the same state, which holds the problem.
+        self.problems: dict[tuple[int, int], Line] = {}
+
+    def index(self) -> None:
+        """Find the real lines; KeyError for a line that has no step number."""
+        self.problems = {(line["ep"], line["t"]): line for line in self.lines if is_real(line)}
+
+    def placed_objects(self, line: Line) -> list[int]:
+        """Number of the object that each placed block belongs to.
+
+        The log tells the cells of an object while it waits and when it is placed; so the steps
+        before this one are needed.
+        """
+        episode, step = line["ep"], line["t"]
+        try:
+            earlier = [self.problems[episode, t] for t in range(step)]
+            first = len(earlier[0]["placed"]) if earlier else len(line["placed"])
+        except KeyError:
+            raise ValueError(f"episode {episode} lacks a step before {step}") from None
+        sizes = [first, *(len(one["members"]) for one in earlier)]
+        numbers = [number for number, size in enumerate(sizes) for _ in range(size)]
+        if len(numbers) != len(line["placed"]):
+            raise ValueError(f"{len(line['placed'])} blocks placed, {len(numbers)} expected")
+        return numbers
+
+
+def waiting_objects(unplaced: list[list[float]]) -> list[int]:
+    """Number of the object that each waiting block belongs to; a row lists its fellow cells."""
+    numbers: list[int] = []
+    while len(numbers) < len(unplaced):
+        size = max(len(unplaced[len(numbers)]) - 3, 1)
+        numbers += [len(numbers)] * size
+    if len(numbers) != len(unplaced):
+        raise ValueError("the last waiting object lacks cells")
+    return numbers
+
+
+class Scene:
+    """One world restored from a recorded line, with the targets of its episode."""
+
+    def __init__(self, line: Line, frames: np.ndarray) -> None:
+        targets = line["targets"]
+        sides = len(frames)
+        if len(targets) != sides or any(not 3 <= len(side) <= 5 for side in targets):
+            raise ValueError(f"targets are not {sides} outlines of 3 to 5 vertices")
+        blocks = len(line["placed"]) + len(line["unplaced"]) + 1
+        vertices = max(len(side) for side in targets)
+        self.frames = frames
+        self.state: State = empty_state(1, sides, vertices, blocks)
+        self.mask_px = []
+        for side, points in enumerate(targets):
+            c, s, tx, ty = frames[side]
+            world = np.asarray(points, float)
+            local_x = c * (world[:, 0] - tx) + s * (world[:, 1] - ty)
+            self.state.vertices[0, side, : len(points)] = np.stack([local_x, world[:, 2]], -1)
+            self.state.num_vertices[0, side] = len(points)
+            outline = self.state.vertices[0, side]
+            self.mask_px.append(paper_mask(outline, len(points), self.state.mask[0, side]))
+        self.state.mask_rows[0] = 0, self.state.mask.shape[2]
+        self.state.mask_pixels[0] = sum(self.mask_px)
+
+    def rounding_explains(self, side: int, recorded: int) -> bool:
+        """Whether the mask has the recorded size for vertices within the rounding of the log.
+
+        Vertices are rounded to whole pixels, so one that lies on a pixel boundary up to the last
+        decimal of the log may fall on either side of it.
+        """
+        count = int(self.state.num_vertices[0, side])
+        outline = self.state.vertices[0, side]
+        mask = np.empty_like(self.state.mask[0, side])
+        for vertex, axis, sign in itertools.product(range(count), range(2), (-1, 1)):
+            moved = outline.copy()
+            moved[vertex, axis] += sign * LOG_ROUNDING
+            if paper_mask(moved, count, mask) == recorded:
+                self.state.mask[0, side] = mask
+                return True
+        return False
+
+    def place(self, placed: list[list[float]], num_unplaced: int) -> State:
+        """Put the recorded blocks; returns the state with both pixel sets computed."""
+        count = len(placed)
+        self.state.position[0] = 0.0
+        self.state.position[0, :count] = placed
+        self.state.num_placed[0], self.state.num_blocks[0] = count, count + num_unplaced
+        recover_all(self.state, 0, self.frames)
+        count_row(self.state, 0)
+        return self.state
+
+    def group(self, placed: list[int], unplaced: list[list[float]]) -> None:
+        """Say which blocks are one object, and where its waiting cells are."""
+        count, total = len(placed), len(placed) + len(unplaced)
+        self.state.object_id[0] = np.arange(len(self.state.object_id[0]))
+        self.state.object_id[0, :count] = placed
+        waiting = waiting_objects(unplaced)
+        self.state.object_id[0, count:total] = [max(placed) + 1 + n for n in waiting]
+        self.state.position[0, count:total] = [row[:3] for row in unplaced]
+        for number in set(placed):
+            cells = [k for k, other in enumerate(placed) if other == number]
+            self.state.quaternion[0, cells] = fit_tilt(self.state.position[0, cells])
+
+    def counts(self) -> tuple[list[int], list[int]]:
+        """Plane and complete pixels of every side."""
+        mask, covered, occluded = self.state.mask[0], self.state.covered[0], self.state.occluded[0]
+        seen = mask & covered
+        return _count(seen & ~occluded), _count(seen)
+
+
+def fit_tilt(cells: np.ndarray) -> np.ndarray:
+    """Orientation of an object from its cells, which logs hold without it: float64[4].
+
+    The rotation that takes the object's lattice closest to ``cells`` (float64[n, 3] [m]), and of
+    those the one that turns least; identity for a single cube.
+    """
+    offset = cells - cells[0]
+    lattice = EDGE * np.rint(offset / EDGE)
+    weak = 1e-6 * np.eye(3)
+    u, _, vt = np.linalg.svd((offset - offset.mean(0)).T @ (lattice - lattice.mean(0)) + weak)
+    r = u @ vt
+    w = np.sqrt(max(1.0 + np.trace(r), 1e-9)) / 2
+    x, y, z = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
+    return np.array([w, x / (4 * w), y / (4 * w), z / (4 * w)])
+
+
+def _count(image: np.ndarray) -> list[int]:
+    return [int(np.bitwise_count(side).sum()) for side in image]
