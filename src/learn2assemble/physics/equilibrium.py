@@ -56,9 +56,7 @@ class Contacts(NamedTuple):
     """int64[C]: the object that is pushed along the normal."""
 
 
-def find_contacts(
-    centres: np.ndarray, object_id: np.ndarray, slack: float = 0.0
-) -> Contacts:
+def find_contacts(centres: np.ndarray, object_id: np.ndarray, slack: float = 0.0) -> Contacts:
     """Corners of the contact patches between cubes of different objects, and with the ground.
 
     Two cubes touch when the gap along one axis is within CONTACT_TOLERANCE of zero and they

@@ -74,7 +74,9 @@ def verify(problem: Problem, placements: list[Placement]) -> Proof:
                 quaternion=state.quaternion[0, count - 1].copy(),
                 coverage=float(state.complete_coverage[0]),
                 plane_coverage=float(state.plane_coverage[0]),
-                stability_margin=stability_margin(centres, state.object_id[0, :count]) if held else 0.0,
+                stability_margin=stability_margin(centres, state.object_id[0, :count])
+                if held
+                else 0.0,
                 speed_sum=float(speeds.max()) if len(speeds) else float("inf"),
                 stable=held,
                 outside=problem.is_outside(centres[-1]),
