@@ -10,7 +10,8 @@ from learn2assemble.physics.rigid import RigidPhysics
 
 COLUMNS = (
     "file", "lines", "mask_exact", "plane_exact", "complete_exact", "max_px_diff",
-    "valid_static", "valid_rigid", "reward", "done",
+    "valid_static", "valid_rigid", "edge_lines", "valid_static_firm", "valid_rigid_firm", "reward",
+    "done",
 )  # fmt: skip
 
 

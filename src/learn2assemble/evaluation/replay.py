@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from learn2assemble.errors import InputError
+from learn2assemble.evaluation.explain import explain, starts_or_ends_on_edge
 from learn2assemble.evaluation.recorded import VARIANTS, Line, Log, Scene, Variant, is_real
 from learn2assemble.physics.protocol import Physics, Verdict
 from learn2assemble.physics.static import StaticPhysics
@@ -60,7 +61,13 @@ class ReplayReport:
     real_lines: int = 0
     judged_lines: int = 0
     """Lines whose validity was compared: all of cubes, the real ones of objects."""
+    edge_lines: int = 0
+    """Those of objects that balance on an edge, see :func:`starts_or_ends_on_edge`."""
+    valid_static_firm: float = 1.0
+    """``valid_static`` without them."""
+    valid_rigid_firm: float | None = None
     disagreements: list[dict[str, Any]] = field(default_factory=list)
+    """Per line and physics that differ in validity; ``why`` is the class of :func:`explain`."""
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -94,7 +101,10 @@ def replay_file(path: Path, rigid: Callable[[str], Physics] | None = None) -> Re
         InputError: for a file that is not such a log.
     """
     report = ReplayReport(file=path.name)
-    names = ("mask", "plane", "complete", "static", "rigid", "reward", "done")
+    names = (
+        "mask", "plane", "complete", "static", "rigid", "static_firm", "rigid_firm", "reward",
+        "done",
+    )  # fmt: skip
     tallies = {name: _Tally() for name in names}
     log = Log(path)
     try:
@@ -116,7 +126,10 @@ def replay_file(path: Path, rigid: Callable[[str], Physics] | None = None) -> Re
     report.plane_exact = tallies["plane"].fraction
     report.complete_exact = tallies["complete"].fraction
     report.valid_static = tallies["static"].fraction
-    report.valid_rigid = tallies["rigid"].fraction if rigid is not None else None
+    report.valid_static_firm = tallies["static_firm"].fraction
+    if rigid is not None:
+        report.valid_rigid = tallies["rigid"].fraction
+        report.valid_rigid_firm = tallies["rigid_firm"].fraction
     report.reward, report.done = tallies["reward"].fraction, tallies["done"].fraction
     return report
 
@@ -164,19 +177,27 @@ def _replay_line(
 
     objects = log.placed_objects(problem) if variant.objects else None
     report.judged_lines += 1
-    outcome = _repeat(scene, line, unplaced, objects, variant, StaticPhysics())
-    note = {"line": report.lines, "ep": line["ep"], "t": line["t"], "accv": line["accv"],
-            "recorded_invalid": line["invalid"]}  # fmt: skip
-    if not tallies["static"].add(outcome.valid == (not line["invalid"])):
-        report.disagreements.append({**note, "physics": "static"})
-    if real:
-        report.real_lines += 1
-        tallies["reward"].add(abs(outcome.reward - line["reward"]) <= REWARD_TOLERANCE)
-        tallies["done"].add(outcome.done == line["done"])
-    if rigid is not None:
-        outcome = _repeat(scene, line, unplaced, objects, variant, rigid)
-        if not tallies["rigid"].add(outcome.valid == (not line["invalid"])):
-            report.disagreements.append({**note, "physics": rigid.name})
+    edge = None
+    for physics in (StaticPhysics(), rigid):
+        if physics is None:
+            continue
+        outcome = _repeat(scene, line, unplaced, objects, variant, physics)
+        agrees = tallies[physics.name].add(outcome.valid == (not line["invalid"]))
+        if edge is None:
+            edge = variant.objects and starts_or_ends_on_edge(*outcome.structure)
+            report.edge_lines += int(edge)
+        if not edge:
+            tallies[f"{physics.name}_firm"].add(agrees)
+        if not agrees:
+            why = explain(*outcome.structure, line["invalid"], line["accv_obj"])
+            report.disagreements.append(
+                {"line": report.lines, "ep": line["ep"], "t": line["t"], "accv": line["accv"],
+                 "recorded_invalid": line["invalid"], "physics": physics.name, "why": why}
+            )  # fmt: skip
+        if real and physics.name == "static":
+            report.real_lines += 1
+            tallies["reward"].add(abs(outcome.reward - line["reward"]) <= REWARD_TOLERANCE)
+            tallies["done"].add(outcome.done == line["done"])
 
 
 def _compare_pixels(
@@ -214,6 +235,16 @@ class _Outcome(NamedTuple):
     valid: bool
     reward: float
     done: bool
+    centres: np.ndarray
+    """float64[n, 3]: the placed blocks with the new object where it was commanded [m]."""
+    object_id: np.ndarray
+    """int64[n]."""
+    new: int
+    """First cell of the new object."""
+
+    @property
+    def structure(self) -> tuple[np.ndarray, np.ndarray, int]:
+        return self.centres, self.object_id, self.new
 
 
 def _repeat(
@@ -233,11 +264,13 @@ def _repeat(
     relation, turns = divmod(line["u"][2], variant.rotations)
     x, y, z = target_cell(state, 0, line["ref"], relation)
     move_block(state, 0, line["blk"], line["ref"], x, y, z, turns)
+    count, new = int(state.num_placed[0]), last_object(state, 0)
+    centres, object_id = state.position[0, :count].copy(), state.object_id[0, :count].copy()
     verdict = physics.settle(state, np.array([0]))[0]
     if physics.moves_blocks:
         recover_all(state, 0, scene.frames)
     else:
-        for block in range(last_object(state, 0), int(state.num_placed[0])):
+        for block in range(new, count):
             cover_block(state, 0, scene.frames, block)
     count_row(state, 0)
     valid = bool(verdict == Verdict.STABLE)
@@ -245,4 +278,4 @@ def _repeat(
         state, 0, previous, valid, REWARDS[variant.reward], variant.success_threshold
     )
     state.quaternion[0] = (1.0, 0.0, 0.0, 0.0)
-    return _Outcome(valid, reward, done)
+    return _Outcome(valid, reward, done, centres, object_id, new)
