@@ -18,7 +18,8 @@ NUM_SUMMARY = 4
 
 
 class CellTensors(NamedTuple):
-    """``n`` cells in all ``B`` graphs, ``K`` a graph at most, ``P`` placements a graph at most."""
+    """``n`` cells in all ``B`` graphs, ``K`` a graph at most, ``P`` placements a graph at most,
+    ``m`` cells of all placements."""
 
     row: torch.Tensor
     """int64[n]: graph of each cell."""
@@ -32,11 +33,12 @@ class CellTensors(NamedTuple):
     """int64[n, S, M]."""
     summary: torch.Tensor
     """float32[B, 4]: unplaced and placed blocks, area of the outlines and its inverse."""
-    members: torch.Tensor
-    """int64[B, P, C]: cells of each placement; K where it has fewer."""
+    cell: torch.Tensor
+    """int64[m]: number of each cell of each placement among the n."""
+    part_of: torch.Tensor
+    """int64[m]: placement it belongs to, counted over the ``legal`` ones, row by row."""
     lever: torch.Tensor
-    """float32[B, P, C, 4]: offset of each cell from the centre of its placement [edges], and
-    whether there is one."""
+    """float32[m, 3]: its offset from the centre of the placement [edges]."""
     legal: torch.Tensor
     """bool[B, P]."""
     action: torch.Tensor
@@ -62,8 +64,7 @@ def cell_tensors(graph: GraphTensors, num_actions: int) -> CellTensors:
     unplaced = plain.num_nodes - plain.num_targets - plain.num_placed
     area = np.maximum(relations.area, 0.1)
     summary = np.stack([unplaced / 20, plain.num_placed / 20, area / 10, 1 / area], -1)
-    most = used.shape[1]
-    members = np.where(placements.members < 0, most, placements.members)
+    cell, part_of, lever = _parts(placements, np.cumsum(placements.num_cells))
 
     def put(array: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.ascontiguousarray(array)).to(device)
@@ -75,8 +76,9 @@ def cell_tensors(graph: GraphTensors, num_actions: int) -> CellTensors:
         edge_used=put(relations.edge_used[row]),
         offsets=put(relations.offsets[used]),
         summary=put(summary.astype(np.float32)),
-        members=put(members),
-        lever=put(_levers(placements)),
+        cell=put(cell),
+        part_of=put(part_of),
+        lever=put(lever),
         legal=put(placements.used),
         action=put(placements.action),
         placements=placements,
@@ -85,10 +87,13 @@ def cell_tensors(graph: GraphTensors, num_actions: int) -> CellTensors:
     )
 
 
-def _levers(placements: Placements) -> np.ndarray:
-    present = placements.members >= 0
-    rows = np.arange(len(present))[:, None, None]
-    at = placements.cells[rows, placements.members] * present[..., None]
-    centre = at.sum(2) / np.maximum(present.sum(2), 1)[..., None]
-    offset = (at - centre[:, :, None]) / EDGE * present[..., None]
-    return np.concatenate([offset, present[..., None]], -1).astype(np.float32)
+def _parts(placements: Placements, ends: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Cells of all placements one after the other; ``ends`` are those of the rows' cells."""
+    legal = placements.used
+    row = legal.nonzero()[0]
+    members = placements.members[legal]
+    present = members >= 0
+    at = placements.cells[row[:, None], members] * present[..., None]
+    lever = (at - (at.sum(1) / present.sum(1, keepdims=True))[:, None]) / EDGE
+    flat = members + (ends - placements.num_cells)[row][:, None]
+    return flat[present], present.nonzero()[0], lever[present].astype(np.float32)

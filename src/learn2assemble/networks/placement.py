@@ -62,7 +62,7 @@ class PlacementNetwork(nn.Module):
         self.pools = nn.ModuleList(nn.Linear(2 * width, width) for _ in range(config.rounds))
         self.rounds = nn.ModuleList(_two_layers(2 * width, width) for _ in range(config.rounds))
         self.member = nn.Linear(width, width)
-        self.lever = nn.Linear(4, width, bias=False)
+        self.lever = nn.Linear(3, width, bias=False)
         self.context = nn.Linear(width, width, bias=False)
         self.readout = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 2))
 
@@ -70,14 +70,14 @@ class PlacementNetwork(nn.Module):
         """Q-values of every distinct placement."""
         cells = cell_tensors(graph, self.config.num_actions)
         x, context = self.encode(cells)
-        # A row of zeros stands for the cells a smaller object does not have.
-        table = F.pad(_padded(self.member(x), cells.used), (0, 0, 0, 1))
-        shape = cells.members.shape
-        index = cells.members.flatten(1)[..., None].expand(-1, -1, table.shape[2])
-        parts = table.gather(1, index).view(*shape, -1)
-        placed = (F.relu(parts + self.lever(cells.lever)) * cells.lever[..., 3:]).sum(2)
-        reward, rest = self.readout(placed + self.context(context)[:, None]).unbind(-1)
-        return PlacementValues((reward + rest).masked_fill(~cells.legal, NEGATIVE), reward, cells)
+        parts = F.relu(F.embedding(cells.cell, self.member(x)) + self.lever(cells.lever))
+        row = cells.legal.nonzero()[:, 0]
+        placed = self.context(context)[row].index_add(0, cells.part_of, parts)
+        values = x.new_full((*cells.legal.shape, 2), NEGATIVE)
+        values[cells.legal] = self.readout(placed)
+        reward, rest = values.unbind(-1)
+        q = torch.where(cells.legal, reward + rest, NEGATIVE)
+        return PlacementValues(q, reward, cells)
 
     def encode(self, cells: CellTensors) -> tuple[torch.Tensor, torch.Tensor]:
         """Embeddings of all cells float[n, F] and of the graphs float[B, F]."""
