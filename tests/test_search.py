@@ -1,119 +1,34 @@
-"""The tree search: golden trees by hand, enumeration, expansion rule, determinism, real worlds."""
+"""The published search: golden trees by hand, enumeration, expansion rule, determinism."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.errors import InputError
-from learn2assemble.networks.config import NetworkConfig
-from learn2assemble.networks.qnetwork import QNetwork
-from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.search.config import TO_THE_END, SearchConfig
-from learn2assemble.search.mcts import Decision, search
-from learn2assemble.search.model import ActionValues, StepResult
+from learn2assemble.search.mcts import search
+from learn2assemble.search.model import ActionValues
 from learn2assemble.search.rules import epsilon_greedy_expansions, final_key
 from learn2assemble.search.tree import Node
-from learn2assemble.simulator import Simulator
-from learn2assemble.task import Task
-from learn2assemble.world.state import State
-
-torch.set_num_threads(1)
-
-
-class Edge(NamedTuple):
-    """One action: its Q-value, its reward, and where it leads (``None``: the end)."""
-
-    q: float
-    reward: float
-    to: str | None
-
-
-class TreeModel:
-    """A :class:`SearchModel` over a written-out tree; a batch is an array of state names."""
-
-    def __init__(self, edges: dict[str, list[Edge]], discount: float = 0.5) -> None:
-        self.edges, self.discount = edges, discount
-        self.groups: dict[str, list[int]] = {}
-        """By state, where several of its actions lead to the same structure."""
-
-    def batch_size(self, states: np.ndarray) -> int:
-        return len(states)
-
-    def take(self, states: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        return states[rows].copy()
-
-    def join(self, states: list[np.ndarray]) -> np.ndarray:
-        return np.concatenate(states)
-
-    def step(self, states: np.ndarray, actions: np.ndarray) -> StepResult:
-        taken = [self.edges[s][a[0] - 7] for s, a in zip(states, actions, strict=True)]
-        return StepResult(
-            np.array([edge.to for edge in taken], object),
-            np.array([edge.reward for edge in taken], float),
-            np.array([edge.to is None for edge in taken], bool),
-        )
-
-    def action_values(self, states: np.ndarray) -> list[ActionValues]:
-        out = []
-        for name in states:
-            q = np.array([edge.q for edge in self.edges[name]])
-            # Numbered from 7, so that an action is not mistaken for its place in the list.
-            actions = np.stack([7 + np.arange(len(q)), 0 * q, 0 * q], -1).astype(np.int64)
-            group = np.array(self.groups.get(name, range(len(q))), np.int64)
-            out.append(ActionValues(actions, q, group))
-        return out
-
-    def legal(self, states: np.ndarray) -> list[ActionValues]:
-        return [v._replace(values=0 * v.values) for v in self.action_values(states)]
-
-    def random_actions(self, states: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        return np.array([rng.choice(v.actions) for v in self.action_values(states)])
-
-    def best(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        values = self.action_values(states)
-        place = [int(np.argmax(v.values)) for v in values]
-        return (
-            np.array([v.values[n] for v, n in zip(values, place, strict=True)]),
-            np.array([v.actions[n] for v, n in zip(values, place, strict=True)]),
-        )
-
-
-def root(*names: str) -> np.ndarray:
-    return np.array(names or ("root",), object)
-
-
-def decide(model: Any, seed: int = 0, **arguments: Any) -> Decision:
-    """One decision at ``root``; without chance unless asked for."""
-    config = SearchConfig(**{"epsilon": 0.0, **arguments})
-    return search(model, root(), config, np.random.default_rng(seed))[0]
-
-
-def explored(decision: Decision) -> dict[int, tuple[float, int]]:
-    """Value and visits of every explored root action, by its place in the list."""
-    return {number - 7: found for number, found in explored_actions(decision).items()}
-
-
-def explored_actions(decision: Decision) -> dict[int, tuple[float, int]]:
-    """The same by the first number of the action."""
-    return {int(a[0]): (round(v, 9), n) for a, v, n in decision.explored()}
-
-
-THREE = TreeModel(
-    {
-        "root": [Edge(0.9, 0.0, "A"), Edge(0.5, 1.0, None), Edge(0.1, 0.5, "C")],
-        "A": [Edge(0.4, 0.25, None), Edge(0.2, 1.0, "A2")],
-        "A2": [Edge(3.0, 0.0, None)],
-        "C": [Edge(2.0, 0.1, "C2")],
-        "C2": [Edge(0.7, -1.0, None), Edge(0.6, 0.3, None)],
-    }
+from search_data import (
+    THREE,
+    Edge,
+    TreeModel,
+    best_return,
+    decide,
+    explored,
+    explored_actions,
+    greedy_return,
+    random_tree,
+    root,
+    size,
 )
 
 
@@ -233,48 +148,6 @@ def test_distinct_keeps_one_best_action_of_every_group(drawn: list[tuple[int, fl
         assert values[action[0] // 3] == value
         assert group[action[0] // 3] == number
     assert (np.diff(kept.actions[:, 0]) > 0).all(), "the order stays"
-
-
-def random_tree(seed: int, discount: float = 0.8, width: int = 3, depth: int = 4) -> TreeModel:
-    """A tree of up to ``width`` actions a state, with values that never tie."""
-    rng = np.random.default_rng(seed)
-    edges: dict[str, list[Edge]] = {}
-
-    def grow(name: str, level: int) -> None:
-        edges[name] = []
-        for number in range(int(rng.integers(1, width + 1))):
-            to = None if level == depth or rng.random() < 0.3 else f"{name}.{number}"
-            edges[name].append(Edge(float(rng.normal()), float(rng.normal()), to))
-            if to is not None:
-                grow(to, level + 1)
-
-    grow("root", 1)
-    return TreeModel(edges, discount)
-
-
-def greedy_return(model: TreeModel, state: str, action: int, steps: int) -> float:
-    """Return of ``action`` and greedy play, bootstrapped after ``steps`` steps."""
-    edge = model.edges[state][action]
-    if edge.to is None:
-        return edge.reward
-    q = [e.q for e in model.edges[edge.to]]
-    if steps == 1:
-        return edge.reward + model.discount * max(q)
-    follow = greedy_return(model, edge.to, int(np.argmax(q)), steps - 1)
-    return edge.reward + model.discount * follow
-
-
-def best_return(model: TreeModel, state: str) -> tuple[float, int]:
-    """Largest return by exhaustive enumeration, and the action that starts it."""
-    values = []
-    for edge in model.edges[state]:
-        later = 0.0 if edge.to is None else model.discount * best_return(model, edge.to)[0]
-        values.append(edge.reward + later)
-    return max(values), int(np.argmax(values))
-
-
-def size(node: Node) -> int:
-    return sum(1 + size(child) for child in node.children.values())
 
 
 @given(
@@ -446,118 +319,3 @@ def test_expansions_mix_at_the_given_rate() -> None:
 def test_config_refuses(changes: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=next(iter(changes))):
         SearchConfig(**changes)
-
-
-# The same search over the real world.
-
-TINY = Task("tiny", num_sides=1, grid=2, num_nodes=8)
-"""Up to five blocks; rows with exactly three are picked below."""
-
-
-def three_block_worlds(count: int) -> tuple[WorldModel, State]:
-    simulator = Simulator(TINY)
-    state = simulator.new(200, np.random.default_rng(5))
-    # Worlds with a rewarding structure: more than the first block is needed.
-    rows = np.flatnonzero(state.num_blocks == 3)[:count]
-    assert len(rows) == count
-    torch.manual_seed(1)
-    network = QNetwork(NetworkConfig(width=16, heads=2, rounds=1, position_scale=0.1))
-    return WorldModel(simulator, network), state.take(rows)
-
-
-def enumerate_world(
-    model: WorldModel, state: State, rollout: int
-) -> dict[tuple[int, ...], tuple[float, int]]:
-    """Mean return and visits of every root action when the whole tree is searched, prior off.
-
-    Written out for three blocks, of which the first is placed: two placements, then the end.
-    """
-    simulator, gamma = model.simulator, model.discount
-    out = {}
-    for i, j, k in np.ndindex(2, 1, 5):
-        after = state.copy()
-        first = simulator.step(after, np.array([[i, j, k]]))
-        returns = []
-        if first.terminated[0]:
-            returns.append(first.reward[0])
-        else:
-            second = []
-            for j2, k2 in np.ndindex(2, 5):
-                last = simulator.step(after.copy(), np.array([[0, j2, k2]]))
-                assert last.terminated[0]
-                second.append(float(last.reward[0]))
-            q = model.action_values(after)[0].values
-            estimate = q.max() if rollout == 1 else second[int(np.argmax(q))]
-            returns.append(first.reward[0] + gamma * estimate)
-            returns += [first.reward[0] + gamma * r for r in second]
-        out[(i, j, k)] = (float(np.mean(returns)), len(returns))
-    return out
-
-
-@pytest.mark.parametrize("rollout", [1, 2, TO_THE_END])
-def test_three_blocks_against_enumeration(rollout: int) -> None:
-    """The whole tree of a real problem: visits, means and the choice; the world is untouched."""
-    model, states = three_block_worlds(6)
-    before = states.copy()
-    config = SearchConfig(budget=1000, epsilon=0.0, rollout=rollout, prior=False)
-    decisions = search(model, states, config, np.random.default_rng(0))
-    for mine, theirs in zip(states, before, strict=True):
-        np.testing.assert_array_equal(mine, theirs)
-    going = 0
-    for row, decision in enumerate(decisions):
-        expected = enumerate_world(model, states.take(np.array([row])), rollout)
-        got = {tuple(a.tolist()): (v, n) for a, v, n in decision.explored()}
-        assert {a: n for a, (_, n) in got.items()} == {a: n for a, (_, n) in expected.items()}
-        for action, (value, _) in expected.items():
-            assert got[action][0] == pytest.approx(value, abs=1e-5)
-        best = max(value for value, _ in expected.values())
-        assert expected[tuple(decision.action.tolist())][0] == pytest.approx(best, abs=1e-5)
-        going += sum(n > 1 for _, n in expected.values())
-    assert going > 10, "the problems must not end at once"
-
-
-def test_world_model_values_are_the_networks() -> None:
-    """Local actions in order of (block, reference, relation), and ``best`` is their maximum."""
-    model, states = three_block_worlds(4)
-    value, action = model.best(states)
-    for row, legal in enumerate(model.action_values(states)):
-        assert legal.actions.tolist() == [[i, 0, k] for i in range(2) for k in range(5)]
-        assert value[row] == pytest.approx(legal.values.max(), abs=1e-5)
-        place = legal.actions.tolist().index(action[row].tolist())
-        assert legal.values[place] == pytest.approx(value[row], abs=1e-5)
-
-
-def test_world_model_steps_copies() -> None:
-    model, states = three_block_worlds(4)
-    before = states.copy()
-    result = model.step(states, np.tile([0, 0, 1], (4, 1)))
-    for mine, theirs in zip(states, before, strict=True):
-        np.testing.assert_array_equal(mine, theirs)
-    assert (result.states.num_placed == 2).all()
-    both = model.join([states, result.states])
-    assert both.num_placed.tolist() == [1] * 4 + [2] * 4
-    taken = model.take(states, np.array([0, 0]))
-    taken.position[:] = 9.0
-    np.testing.assert_array_equal(states.position, before.position)
-
-
-def test_groups_are_structures() -> None:
-    """Two actions share a group exactly where the simulator puts the block into the same cell."""
-    simulator, rng = (
-        Simulator(Task("two", num_sides=2, grid=3, num_nodes=20)),
-        np.random.default_rng(0),
-    )
-    state = simulator.new(12, rng)
-    for relation in (1, 0, 4):
-        # Left of the first block, on top of it, behind it: all stand.
-        simulator.step(state, np.tile([0, 0, relation], (12, 1)))
-    state = state.take(np.flatnonzero(~state.terminated & (state.num_placed == 4))[:3])
-    assert state.batch_size == 3
-    torch.manual_seed(0)
-    model = WorldModel(simulator, QNetwork(NetworkConfig(width=16, heads=2, rounds=1)))
-    for row, legal in enumerate(model.action_values(state)):
-        many = state.take(np.full(len(legal.values), row))
-        simulator.step(many, legal.actions)
-        cells = [tuple(np.round(p, 4).tolist()) for p in many.position[:, 4]]
-        assert len(set(legal.group.tolist())) == len(set(cells)) < 20
-        assert len(set(zip(legal.group.tolist(), cells, strict=True))) == len(set(cells))

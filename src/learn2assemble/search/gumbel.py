@@ -52,8 +52,8 @@ def completed_policy(node: Node, config: SearchConfig) -> np.ndarray:
 
 def interior(node: Node, config: SearchConfig) -> int:
     """Below the root: where the visits lag most behind the improved policy; no chance."""
-    counts = node.simulation_counts()
-    return int(np.argmax(completed_policy(node, config) - counts / (1 + counts.sum())))
+    share = node.simulated / (1 + node.simulated.sum())
+    return int(np.argmax(completed_policy(node, config) - share))
 
 
 def _logits(node: Node, config: SearchConfig) -> np.ndarray:
@@ -62,7 +62,6 @@ def _logits(node: Node, config: SearchConfig) -> np.ndarray:
 
 def _sigma(node: Node, config: SearchConfig) -> np.ndarray:
     """The monotone transform of completed Q-values, which search results sharpen."""
-    q, counts = node.estimates(), node.simulation_counts()
-    low, high = q.min(), q.max()
-    scaled = (q - low) / max(high - low, 1e-8)
-    return (config.gumbel.visit_offset + counts.max()) * config.gumbel.value_scale * scaled
+    low, high = node.estimates.min(), node.estimates.max()
+    scaled = (node.estimates - low) / max(high - low, 1e-8)
+    return (config.gumbel.visit_offset + node.simulated.max()) * config.gumbel.value_scale * scaled

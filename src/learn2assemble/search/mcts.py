@@ -58,7 +58,9 @@ def search(
     if config.random_first:
         return _random_first(model, states, config, rng)
     legal = _legal(model, states, config)
-    roots = [Node((states, row), legal=values) for row, values in enumerate(legal)]
+    roots = [Node((states, row)) for row in range(len(legal))]
+    for root, values in zip(roots, legal, strict=True):
+        root.open(values)
     plans = [root_waves(root, config, rng) for root in roots]
     while True:
         walks = [
@@ -109,7 +111,7 @@ def _descend(
             for node, values in zip(
                 fresh, _legal(model, gather(model, fresh), config), strict=True
             ):
-                node.legal = values
+                node.open(values)
         for walk in going:
             key = choose(walk.path[-1], config, rng)
             assert key is not None, "a node that is not done has something to try"
@@ -130,7 +132,7 @@ def _simulate(
         if child is None:
             terminal = bool(result.terminal[n])
             state = None if terminal else (result.states, n)
-            child = Node(state, float(result.reward[n]), terminal)
+            child = Node(state, float(result.reward[n]), terminal, key=walk.key)
             child.done = terminal or len(walk.path) >= config.depth
             if config.prior:
                 child.prior = float(parent.actions.values[walk.key])

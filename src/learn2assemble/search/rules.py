@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -67,25 +67,20 @@ def _anything(node: Node, room: bool, config: SearchConfig, rng: np.random.Gener
         return keys[largest(uct_scores(node, keys, config), rng)]
     if rng.random() < config.epsilon:
         return keys[int(rng.integers(len(keys)))]
-    return keys[largest(node.estimates()[keys], rng)]
+    return keys[largest(node.estimates[keys], rng)]
 
 
-def uct_scores(node: Node, keys: Iterable[int], config: SearchConfig) -> np.ndarray:
+def uct_scores(node: Node, keys: list[int], config: SearchConfig) -> np.ndarray:
     """``mean + c sqrt(ln n(node) / n(child))`` of some actions (protocol 11.4).
 
     An untried action has visit count 1 and mean Q with the prior, an infinite score without.
     """
-    log, found = math.log(max(node.visits, 1)), []
-    for key in keys:
-        child = node.children.get(key)
-        if child is not None:
-            mean, visits = child.value, child.visits
-        elif config.prior:
-            mean, visits = float(node.actions.values[key]), 1
-        else:
-            mean, visits = math.inf, 1
-        found.append(mean + config.exploration * math.sqrt(log / visits))
-    return np.array(found)
+    visits = np.maximum(node.counts, 1)
+    bonus = np.sqrt(math.log(max(node.visits, 1)) / visits)
+    scores = node.estimates + config.exploration * bonus
+    if not config.prior:
+        scores[node.counts == 0] = math.inf
+    return scores[keys]
 
 
 def _untried(node: Node, count: int, config: SearchConfig, rng: np.random.Generator) -> list[int]:

@@ -11,6 +11,10 @@ import numpy as np
 from learn2assemble.search.model import ActionValues, SearchModel
 
 
+def _nothing() -> np.ndarray:
+    return np.empty(0)
+
+
 @dataclass
 class Node:
     """A state reached in the search, and the action that led to it."""
@@ -21,7 +25,9 @@ class Node:
     """Reward of the action that led here."""
     terminal: bool = False
     legal: ActionValues | None = None
-    """Filled when a walk first comes here."""
+    """Filled by :meth:`open` when a walk first comes here."""
+    key: int = -1
+    """Number of this node among the actions of its parent."""
     children: dict[int, Node] = field(default_factory=dict)
     """By the number of the action in ``legal``."""
     visits: int = 0
@@ -34,6 +40,25 @@ class Node:
     """Whether nothing below is left to try."""
     noise: np.ndarray | None = None
     """float64[A]: Gumbel noise of a root."""
+    estimates: np.ndarray = field(default_factory=_nothing)
+    """float64[A]: value of every action: of the child where tried, else Q (completed Q-values)."""
+    counts: np.ndarray = field(default_factory=_nothing)
+    """int64[A]: visits of every child, 0 where there is none."""
+    simulated: np.ndarray = field(default_factory=_nothing)
+    """int64[A]: the same without visits that are only a prior."""
+
+    def open(self, legal: ActionValues) -> None:
+        """Learn which actions there are."""
+        self.legal = legal
+        self.estimates = np.array(legal.values, np.float64)
+        self.counts = np.zeros(len(legal.values), np.int64)
+        self.simulated = np.zeros(len(legal.values), np.int64)
+
+    def note(self, child: Node) -> None:
+        """Take over the statistics of a child that has changed."""
+        self.estimates[child.key] = child.value
+        self.counts[child.key] = child.visits
+        self.simulated[child.key] = child.visits - (child.prior is not None)
 
     @property
     def value(self) -> float:
@@ -45,29 +70,10 @@ class Node:
         return self.legal is not None and len(self.children) == len(self.legal.values)
 
     @property
-    def simulations(self) -> int:
-        """Visits without the one that is only the prior."""
-        return self.visits - (self.prior is not None)
-
-    @property
     def actions(self) -> ActionValues:
-        """``legal`` of a node that has been visited."""
+        """``legal`` of a node that has been opened."""
         assert self.legal is not None
         return self.legal
-
-    def estimates(self) -> np.ndarray:
-        """The value of every action: that of the child where tried, else Q (completed Q-values)."""
-        out = self.actions.values.copy()
-        for key, child in self.children.items():
-            out[key] = child.value
-        return out
-
-    def simulation_counts(self) -> np.ndarray:
-        """Simulations of every action: int64[A]."""
-        out = np.zeros(len(self.actions.values), np.int64)
-        for key, child in self.children.items():
-            out[key] = child.simulations
-        return out
 
 
 def gather(model: SearchModel, nodes: list[Node]) -> Any:
@@ -89,17 +95,20 @@ def back_up(path: list[Node], child: Node, value: float, discount: float, rule: 
     """
     child.visits += 1
     child.total += value
-    for node in reversed(path):
-        value = node.reward + discount * value if node is not path[0] else value
+    path[-1].note(child)
+    done = child.done
+    for node, parent in zip(reversed(path), [*reversed(path[:-1]), None], strict=True):
         node.visits += 1
         node.below += 1
+        done = done and node.fully_expanded and all(c.done for c in node.children.values())
+        node.done = done
+        if parent is None:
+            node.total += value
+            return
+        value = node.reward + discount * value
         node.total += value
-        if rule == "max" and node is not path[0]:
-            best = node.reward + discount * float(node.estimates().max())
+        if rule == "max":
+            best = node.reward + discount * float(node.estimates.max())
             mean = best if node.prior is None else (node.prior + best) / 2
             node.total = mean * node.visits
-    for node in reversed(path):
-        if not child.done:
-            break
-        node.done = node.fully_expanded and all(c.done for c in node.children.values())
-        child = node
+        parent.note(node)

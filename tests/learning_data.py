@@ -1,0 +1,111 @@
+"""Tasks, networks, recorded transitions and checks that several tests of learning share."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors import safe_open
+
+from learn2assemble.graph.features import Graph
+from learn2assemble.learning.config import TrainConfig
+from learn2assemble.learning.explore import random_actions, to_local
+from learn2assemble.learning.replay import Batch
+from learn2assemble.networks.config import NetworkConfig
+from learn2assemble.networks.qnetwork import QNetwork
+from learn2assemble.simulator import Simulator
+from learn2assemble.task import Task
+from learn2assemble.world.state import State
+
+torch.set_num_threads(1)
+
+TINY = Task("tiny", num_sides=1, grid=2, num_nodes=9)
+TASKS = {
+    1: Task("one", num_sides=1, grid=3, num_nodes=14),
+    2: Task("two", num_sides=2, grid=3, num_nodes=20),
+    4: Task("four", num_sides=4, grid=3, num_nodes=30),
+}
+SMALL = NetworkConfig(width=16, heads=2, rounds=1, position_scale=0.1, rotary=True)
+HEADS = dataclasses.replace(SMALL, reward_head=True, gain_head=True)
+
+
+def network(seed: int, config: NetworkConfig = SMALL) -> QNetwork:
+    torch.manual_seed(seed)
+    return QNetwork(config)
+
+
+def advance(simulator: Simulator, state: State, steps: int, rng: np.random.Generator) -> State:
+    """Worlds after up to ``steps`` valid placements, without those that have ended."""
+    for _ in range(steps):
+        options = simulator.prospects(state)
+        actions = to_local(
+            simulator.observe(state), random_actions(simulator.observe(state), 5, rng)
+        )
+        for row in range(state.batch_size):
+            good = np.argwhere(options.valid[row] & ~options.terminal[row])
+            if len(good):
+                actions[row, 1:] = good[rng.integers(len(good))]
+        simulator.step(state, actions)
+    return state.take(np.flatnonzero(~state.terminated))
+
+
+class Recorded:
+    """Transitions of a task with the worlds before and after them."""
+
+    def __init__(self, task: Task, count: int, seed: int, steps: int = 2) -> None:
+        rng = np.random.default_rng(seed)
+        self.task, self.simulator = task, Simulator(task)
+        self.before = advance(self.simulator, self.simulator.new(count, rng), steps, rng)
+        self.after = self.before.copy()
+        graph = self.simulator.observe(self.before)
+        options = self.simulator.prospects(self.before)
+        action = random_actions(graph, task.num_actions, rng)
+        self.local = to_local(graph, action)
+        self.step = self.simulator.step(self.after, self.local)
+        size = len(action)
+        self.batch = Batch(
+            graph, action, self.step.reward.astype(np.float32), self.step.terminated,
+            self.simulator.observe(self.after), np.full(size, task.discount, np.float32),
+            np.ones(size, np.bool_), options, self.simulator.prospects(self.after),
+            np.arange(size) % 2 == 0,
+        )  # fmt: skip
+
+
+def rows_of(graph: Graph, row: Any, low: int, high: int) -> list[tuple]:
+    """Rounded features and object number of some nodes."""
+    return [
+        (*np.round(graph.nodes[row, n].astype(float), 5).tolist(), int(graph.object_id[row, n]))
+        for n in range(low, high)
+    ]
+
+
+QUICK = TrainConfig(
+    network=dataclasses.replace(SMALL, reward_head=True), num_samples=250, num_envs=5,
+    initial_samples=50, batch_size=8, replay_size=130, epsilon_samples=120, target_period=7,
+    updates_per_round=2, steps=2, terminal_weight=1.0, reward_weight=1.0, share_cell=True,
+    imagined=2, augment=True, learning_rate=1e-3, final_learning_rate=1e-4,
+)  # fmt: skip
+"""Uses every source of randomness and wraps its memory."""
+
+
+def contents(file: Path) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
+    """Counters and tensors of a state file, without the time it took."""
+    with safe_open(file, "pt") as stream:
+        counters = json.loads(stream.metadata()["counters"])
+        tensors = {key: stream.get_tensor(key) for key in stream.keys()}  # noqa: SIM118
+    counters.pop("seconds")
+    return counters, tensors
+
+
+def assert_same_training(a: Path, b: Path) -> None:
+    """Bitwise: weights, optimiser, memory, worlds, counters, generator."""
+    (counters_a, tensors_a), (counters_b, tensors_b) = contents(a), contents(b)
+    assert counters_a == counters_b
+    assert tensors_a.keys() == tensors_b.keys()
+    for key, value in tensors_a.items():
+        assert value.dtype == tensors_b[key].dtype, key
+        assert value.numpy().tobytes() == tensors_b[key].numpy().tobytes(), key

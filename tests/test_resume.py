@@ -1,0 +1,252 @@
+"""Checkpoints, resume, interrupts and damaged files."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from safetensors import safe_open
+from safetensors.torch import save_file
+
+import learn2assemble.learning.run as run_module
+from learn2assemble.errors import InputError
+from learn2assemble.graph.features import Graph
+from learn2assemble.learning.run import train
+from learn2assemble.learning.trainer import Trainer
+from learn2assemble.simulator import Simulator
+from learn2assemble.world.state import State
+from learning_data import QUICK, TINY, assert_same_training, contents
+
+
+@pytest.mark.parametrize(
+    "changes", [{}, {"target_rate": 0.1, "imagined": 0}, {"exact_next": True}], ids=str
+)
+def test_resumed_training_is_bitwise_the_same(changes: dict[str, Any], tmp_path: Path) -> None:
+    config = dataclasses.replace(QUICK, **changes)
+    straight = Trainer(TINY, config, 3)
+    while not straight.finished:
+        straight.round()
+    straight.save(tmp_path / "straight.safetensors")
+
+    part = Trainer(TINY, config, 3)
+    for rounds in (4, 27):
+        for _ in range(rounds):
+            part.round()
+        part.save(tmp_path / "part.safetensors")
+        # Another seed: everything random must come from the file.
+        part = Trainer(TINY, config, 99)
+        part.load(tmp_path / "part.safetensors")
+    while not part.finished:
+        part.round()
+    part.save(tmp_path / "part.safetensors")
+    assert straight.updates > 70
+    assert_same_training(tmp_path / "straight.safetensors", tmp_path / "part.safetensors")
+    assert straight.metrics().keys() == part.metrics().keys()
+
+
+def samples_in_log(out: Path) -> list[int]:
+    lines = (out / "log.jsonl").read_text(encoding="utf-8").splitlines()
+    return [json.loads(line)["samples"] for line in lines]
+
+
+def interrupt_after(monkeypatch: pytest.MonkeyPatch, rounds: int) -> None:
+    """Ctrl-C between two rounds."""
+    whole: Callable[[Trainer], None] = Trainer.round
+    count = iter(range(10**6))
+
+    def round_or_stop(self: Trainer) -> None:
+        if next(count) == rounds:
+            raise KeyboardInterrupt
+        whole(self)
+
+    monkeypatch.setattr(Trainer, "round", round_or_stop)
+
+
+def test_interrupted_run_goes_on_as_if_nothing_happened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """``train`` stopped by Ctrl-C and resumed equals ``train`` in one go, files included."""
+    monkeypatch.setattr(run_module, "LOG_SECONDS", 0.02)
+    train(TINY, QUICK, tmp_path / "a", seed=5, device="cpu", quiet=True)
+    with monkeypatch.context() as patch:
+        interrupt_after(patch, 30)
+        with pytest.raises(KeyboardInterrupt):
+            train(TINY, QUICK, tmp_path / "b", seed=5, device="cpu", quiet=True)
+    stopped, _ = contents(tmp_path / "b" / "state.safetensors")
+    assert stopped["samples"] == 150
+    with (tmp_path / "b" / "log.jsonl").open("a", encoding="utf-8") as stream:
+        stream.write('{"samples": 152}\n{"samp')  # Written after the checkpoint, then cut off.
+    metrics = train(TINY, QUICK, tmp_path / "b", seed=5, device="cpu", quiet=True, resume=True)
+    assert metrics["samples"] == QUICK.num_samples
+    assert_same_training(tmp_path / "a" / "state.safetensors", tmp_path / "b" / "state.safetensors")
+    weights = [(tmp_path / name / "agent.safetensors").read_bytes() for name in "ab"]
+    assert weights[0] == weights[1]
+    log = samples_in_log(tmp_path / "b")
+    assert 150 in log
+    assert 152 not in log
+    assert log == sorted(log)
+    assert log[-1] == QUICK.num_samples
+    assert sorted(p.name for p in (tmp_path / "b").iterdir() if p.is_file()) == [
+        "agent.json", "agent.safetensors", "config.json", "log.jsonl", "state.safetensors"
+    ]  # fmt: skip
+
+
+def test_log_lines_after_the_checkpoint_are_dropped(tmp_path: Path) -> None:
+    file = tmp_path / "log.jsonl"
+    file.write_text('{"samples": 10}\n{"samples": 20}\n{"samples": 30}\n{"samp', encoding="utf-8")
+    run_module._drop_lines_after(file, 20)
+    assert samples_in_log(tmp_path) == [10, 20]
+
+
+def test_log_never_repeats_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """``samples`` strictly increases, also when a finished run is resumed."""
+    monkeypatch.setattr(run_module, "LOG_SECONDS", 0.0)
+    train(TINY, QUICK, tmp_path / "a", device="cpu", quiet=True)
+    train(TINY, QUICK, tmp_path / "a", device="cpu", quiet=True, resume=True)
+    log = samples_in_log(tmp_path / "a")
+    assert log == sorted(set(log))
+
+
+def test_interrupt_inside_a_step_leaves_no_dead_world(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever moment the interrupt comes at, the saved run can be continued properly."""
+    whole = Simulator.observe
+
+    def observe(self: Simulator, state: State) -> Graph:
+        if state.terminated.any():
+            raise KeyboardInterrupt
+        return whole(self, state)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Simulator, "observe", observe)
+        with pytest.raises(KeyboardInterrupt):
+            train(TINY, QUICK, tmp_path / "a", device="cpu", quiet=True)
+    trainer = Trainer(TINY, QUICK, 0)
+    trainer.load(tmp_path / "a" / "state.safetensors")
+    for _ in range(20):
+        trainer.collect()
+    assert not trainer.state.terminated.any()
+
+
+KILLED = """
+import sys
+from pathlib import Path
+import torch
+torch.set_num_threads(1)
+import learn2assemble.learning.run as run
+from learn2assemble.learning.config import TrainConfig
+from learn2assemble.task import Task
+run.CHECKPOINT_SECONDS = 0.2
+run.LOG_SECONDS = 0.05
+import json
+task = Task(**json.loads(sys.argv[2]))
+config = TrainConfig.from_dict(json.loads(sys.argv[3]))
+run.train(task, config, Path(sys.argv[1]), device="cpu", quiet=True)
+"""
+
+
+def test_killed_run_resumes_from_its_last_checkpoint(tmp_path: Path) -> None:
+    """SIGKILL in the middle of training; then on to the end."""
+    out = tmp_path / "run"
+    config = dataclasses.replace(QUICK, num_samples=10**6)
+    arguments = [json.dumps(dataclasses.asdict(TINY)), json.dumps(config.to_dict())]
+    process = subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(out), *arguments],
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    try:
+        deadline, checkpoints = time.monotonic() + 60, set[int]()
+        while len(checkpoints) < 3:
+            assert process.poll() is None, process.communicate()[1].decode()[-500:]
+            assert time.monotonic() < deadline, "no checkpoint within a minute"
+            if (out / "state.safetensors").exists():
+                checkpoints.add((out / "state.safetensors").stat().st_mtime_ns)
+            time.sleep(0.02)
+        time.sleep(0.15)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+    assert process.returncode == -signal.SIGKILL
+    saved, _ = contents(out / "state.safetensors")
+    assert saved["samples"] > 0
+    trainer = Trainer(TINY, config, 0)
+    trainer.load(out / "state.safetensors")
+    assert trainer.samples == saved["samples"]
+
+    # A goal close to the checkpoint; only the length of the training differs.
+    goal = saved["samples"] + 100
+    with safe_open(out / "state.safetensors", "pt") as stream:
+        counters = json.loads(stream.metadata()["counters"])
+        tensors = {key: stream.get_tensor(key) for key in stream.keys()}  # noqa: SIM118
+    counters["config"]["num_samples"] = goal
+    save_file(tensors, out / "state.safetensors", metadata={"counters": json.dumps(counters)})
+    metrics = train(
+        TINY, dataclasses.replace(config, num_samples=goal), out,
+        device="cpu", quiet=True, resume=True,
+    )  # fmt: skip
+    assert metrics["samples"] >= goal
+    assert metrics["updates"] > saved["updates"]
+    assert metrics["episodes"] >= saved["episodes"]
+    log = samples_in_log(out)
+    assert log == sorted(set(log))
+    assert log[-1] >= goal
+
+
+def test_resume_of_another_task_or_configuration_is_refused(tmp_path: Path) -> None:
+    trainer = Trainer(TINY, QUICK, 0)
+    trainer.save(tmp_path / "state.safetensors")
+    other_config = dataclasses.replace(QUICK, learning_rate=2e-3)
+    for task, config, words in (
+        (TINY, other_config, "config"),
+        (TINY.replace(name="another"), QUICK, "task"),
+    ):
+        with pytest.raises(InputError, match=f"--resume {words}"):
+            Trainer(task, config, 0).load(tmp_path / "state.safetensors")
+
+
+def test_resume_of_nothing_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="a folder with a state"):
+        train(TINY, QUICK, tmp_path, device="cpu", quiet=True, resume=True)
+
+
+def test_output_folder_must_be_new(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("keep")
+    with pytest.raises(InputError, match="--out"):
+        train(TINY, QUICK, tmp_path, device="cpu", quiet=True)
+    with pytest.raises(InputError, match="--out"):
+        train(TINY, QUICK, tmp_path / "mine.txt" / "below", device="cpu", quiet=True)
+    assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
+
+
+@pytest.mark.parametrize("damage", ["empty", "junk", "cut", "no counters", "missing tensor"])
+def test_damaged_state_is_refused_in_one_line(tmp_path: Path, damage: str) -> None:
+    file = tmp_path / "state.safetensors"
+    trainer = Trainer(TINY, QUICK, 0)
+    trainer.save(file)
+    with safe_open(file, "pt") as stream:
+        counters = stream.metadata()
+        tensors = {key: stream.get_tensor(key) for key in stream.keys()}  # noqa: SIM118
+    whole = file.read_bytes()
+    if damage == "empty":
+        file.write_bytes(b"")
+    elif damage == "junk":
+        file.write_bytes(b"junk" * 100)
+    elif damage == "cut":
+        file.write_bytes(whole[: len(whole) // 2])
+    elif damage == "no counters":
+        save_file(tensors, file)
+    else:
+        tensors.pop("running_return")
+        save_file(tensors, file, metadata=counters)
+    with pytest.raises(InputError) as caught:
+        trainer.load(file)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,180 @@
+"""Training configurations: schedules, overrides, what is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.graph.batch import to_tensors
+from learn2assemble.learning.config import CONFIGS, TrainConfig, get_config, override
+from learn2assemble.learning.explore import epsilon_greedy, to_local
+from learn2assemble.learning.run import choose_device
+from learn2assemble.learning.trainer import Trainer
+from learn2assemble.simulator import Simulator
+from learning_data import HEADS, SMALL, TINY, network
+
+
+def test_epsilon_greedy_rate_and_legality() -> None:
+    simulator = Simulator(TINY)
+    graph = simulator.observe(simulator.new(2000, np.random.default_rng(0)))
+    net = network(0)
+    action, greedy = epsilon_greedy(net, graph, 0.3, np.random.default_rng(1), "cpu")
+    assert greedy.mean() == pytest.approx(0.7, abs=0.04)
+    tensors = to_tensors(graph)
+    with torch.inference_mode():
+        best = net(tensors).best(tensors)[1].numpy()
+    np.testing.assert_array_equal(action[greedy], best[greedy])
+    local = to_local(graph, action)
+    unplaced = graph.num_nodes - graph.num_targets - graph.num_placed
+    assert (local >= 0).all()
+    assert (local[:, 0] < unplaced).all()
+    assert (local[:, 1] < graph.num_placed).all()
+    counts = np.bincount(action[~greedy, 2], minlength=5)
+    assert (np.abs(counts - counts.mean()) < 5 * math.sqrt(counts.mean())).all()
+
+
+def test_schedules() -> None:
+    """Protocol 10.1: epsilon linear in the samples, then constant; cosine learning rate."""
+    config = TrainConfig(
+        network=SMALL, epsilon_final=0.1, epsilon_samples=1000, num_samples=2000,
+        learning_rate=1e-3, final_learning_rate=1e-4, num_envs=2, replay_size=10,
+    )  # fmt: skip
+    trainer = Trainer(TINY, config, 0)
+    for samples, epsilon, rate in (
+        (0, 1.0, 1e-3), (500, 0.55, None), (1000, 0.1, 5.5e-4), (2000, 0.1, 1e-4), (3000, 0.1, 1e-4)
+    ):  # fmt: skip
+        trainer.samples = samples
+        assert trainer.epsilon == pytest.approx(epsilon)
+        if rate is not None:
+            assert trainer.learning_rate == pytest.approx(rate)
+    assert trainer.finished
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.25])
+def test_target_network_follows(rate: float) -> None:
+    """A hard copy every ``target_period`` updates (protocol 10.1), or a running average."""
+    config = TrainConfig(
+        network=SMALL, num_envs=4, replay_size=100, target_period=3, target_rate=rate,
+        batch_size=4, learning_rate=1e-2,
+    )  # fmt: skip
+    trainer = Trainer(TINY, config, 0)
+    for _ in range(4):
+        trainer.collect()
+    expected = [p.detach().clone() for p in trainer.target.parameters()]
+    for number in range(1, 7):
+        trainer.update()
+        online = [p.detach() for p in trainer.online.parameters()]
+        if rate:
+            expected = [(1 - rate) * e + rate * o for e, o in zip(expected, online, strict=True)]
+        elif number % 3 == 0:
+            expected = [o.clone() for o in online]
+        for mine, theirs in zip(trainer.target.parameters(), expected, strict=True):
+            torch.testing.assert_close(mine.detach(), theirs)
+    assert trainer.agent_network is (trainer.target if rate else trainer.online)
+
+
+def test_start_from_another_network() -> None:
+    """Both networks take over the weights; another architecture is refused."""
+    trainer = Trainer(TINY, TrainConfig(network=SMALL, num_envs=2, replay_size=10), 0)
+    given_network = network(9)
+    trainer.start_from(given_network)
+    for mine in (trainer.online, trainer.target):
+        for a, b in zip(mine.parameters(), given_network.parameters(), strict=True):
+            assert torch.equal(a, b)
+            assert a is not b
+    with pytest.raises(InputError, match="--init"):
+        trainer.start_from(network(9, HEADS))
+
+
+# Configurations.
+
+
+def test_configurations_survive_json() -> None:
+    for config in CONFIGS.values():
+        assert TrainConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
+    assert get_config("paper").batch_size == 32
+    assert get_config("paper").target_period == 1250
+
+
+def test_override() -> None:
+    config = override(
+        get_config("fast"),
+        ["learning_rate=3e-4", "network.heads=1", "augment=FALSE", "network.connectivity=full",
+         "num_envs=7"],
+    )  # fmt: skip
+    assert config.learning_rate == 3e-4
+    assert config.network.heads == 1
+    assert config.augment is False
+    assert config.network.connectivity == "full"
+    assert config.num_envs == 7
+    assert get_config("fast").network.heads != 1, "the table is not changed"
+
+
+BAD_SETTINGS = [
+    ("learning_rate", "KEY=VALUE"),
+    ("lerning_rate=1", "did you mean 'learning_rate'"),
+    ("network.head=1", "did you mean 'heads'"),
+    ("net.heads=1", "expected one of"),
+    ("learning_rate=fast", "a value like"),
+    ("learning_rate=nan", "a rate between 0 and 1"),
+    ("learning_rate=-1", "a rate between 0 and 1"),
+    ("num_envs=2.5", "a value like"),
+    ("num_envs=0", "a positive whole number"),
+    ("steps=0", "a positive whole number"),
+    ("augment=maybe", "a value like"),
+    ("epsilon_final=2", "epsilon_final"),
+    ("epsilon_final=nan", "epsilon_final"),
+    ("target_rate=-0.1", "a share"),
+    ("imagined=-1", "imagined"),
+    ("terminal_weight=-1", "at least 0"),
+    ("method=ppo", "expected one of dqn, eps-mcts, q-mcts"),
+    ("network.feed_forward=wyde", "did you mean 'wide'"),
+    ("network.rounds=0", "at least 1"),
+    ("network.reward_head=false", "network.reward_head"),
+]
+
+
+@pytest.mark.parametrize(("text", "words"), BAD_SETTINGS, ids=[t for t, _ in BAD_SETTINGS])
+def test_override_refuses(text: str, words: str) -> None:
+    with pytest.raises(InputError, match=words) as caught:
+        override(get_config("fast"), [text])
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["network=x", "terminal_weight=nan", "reward_weight=inf", "network.heads=0", "network.width=0"],
+)
+def test_override_refuses_what_would_fail_later(text: str) -> None:
+    with pytest.raises(InputError):
+        override(get_config("fast"), [text])
+
+
+@pytest.mark.parametrize("count", [3, 20])
+def test_network_with_other_actions_is_refused(count: int) -> None:
+    """Relations beyond the task's five would be read beyond the end of a compiled array."""
+    config = TrainConfig(network=dataclasses.replace(SMALL, num_actions=count), num_envs=2)
+    with pytest.raises(InputError):
+        Trainer(TINY, config, 0)
+
+
+def test_from_dict_refuses_unknown_names() -> None:
+    values = get_config("fast").to_dict()
+    with pytest.raises(UnknownNameError, match="did you mean 'num_envs'"):
+        TrainConfig.from_dict(values | {"num_env": 3})
+    with pytest.raises(UnknownNameError, match="did you mean 'heads'"):
+        TrainConfig.from_dict(values | {"network": {"head": 3}})
+    with pytest.raises(UnknownNameError, match="did you mean 'fast'"):
+        get_config("fats")
+
+
+def test_devices() -> None:
+    assert choose_device("cpu") == "cpu"
+    with pytest.raises(InputError, match="auto, cpu or cuda"):
+        choose_device("gpu")
