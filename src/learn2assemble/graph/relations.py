@@ -17,6 +17,7 @@ from learn2assemble.geometry.mask import pixel_vertex
 from learn2assemble.graph.features import Graph
 from learn2assemble.graph.placements import Placements
 from learn2assemble.world.blocks import EDGE, HALF
+from learn2assemble.world.sides import side_frames
 
 EDGE_FEATURES = 13
 REACH = 3
@@ -66,7 +67,7 @@ def _pixel_corner(x, z):
 
 @njit(cache=True)
 def _relate(
-    nodes, object_id, num_targets, num_placed, cells, num_cells, most_edges,
+    nodes, object_id, num_targets, num_placed, cells, num_cells, most_edges, frames,
     edges, edge_used, offsets, total_area,
 ):  # fmt: skip
     corner = np.empty((most_edges, 2))
@@ -80,11 +81,11 @@ def _relate(
                 last += 1
             right_x, right_y, out_x, out_y = _side_frame(nodes[row], first, last, targets)
             area = 0.0
-            # The origin along the face is the world's origin: sides are centred on it, and the
-            # cameras too, which the rounding to pixels needs.
+            # The camera stands before the middle of the side, which the rounding to pixels needs.
+            middle_x, middle_y = frames[side, 2], frames[side, 3]
             for k in range(last - first):
                 node = nodes[row, first + k]
-                x = node[0] * right_x + node[1] * right_y
+                x = (node[0] - middle_x) * right_x + (node[1] - middle_y) * right_y
                 corner[k, 0], corner[k, 1] = _pixel_corner(x, node[2])
             for k in range(last - first):
                 n = (k + 1) % (last - first)
@@ -96,7 +97,8 @@ def _relate(
                 dx = cells[row, c, 0] - nodes[row, first, 0]
                 dy = cells[row, c, 1] - nodes[row, first, 1]
                 depth = (dx * out_x + dy * out_y + HALF) / EDGE
-                x = cells[row, c, 0] * right_x + cells[row, c, 1] * right_y
+                x = (cells[row, c, 0] - middle_x) * right_x
+                x += (cells[row, c, 1] - middle_y) * right_y
                 z = cells[row, c, 2]
                 for k in range(last - first):
                     n = (k + 1) % (last - first)
@@ -141,6 +143,6 @@ def relate(graph: Graph, placements: Placements) -> Relations:
     area = np.zeros(batch, np.float32)
     _relate(
         graph.nodes, graph.object_id, graph.num_targets, graph.num_placed, placements.cells,
-        placements.num_cells, most_edges, edges, edge_used, offsets, area,
+        placements.num_cells, most_edges, side_frames(sides), edges, edge_used, offsets, area,
     )  # fmt: skip
     return Relations(edges, edge_used, offsets, area)
