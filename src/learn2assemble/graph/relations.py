@@ -1,8 +1,8 @@
 """How a cell lies to the outlines and to the placed blocks, seen from each side (deviation D16).
 
 Everything is expressed in the viewer's frame of a side (x right, depth towards the viewer, z up)
-relative to the cell, so it does not change when the structure is moved, turned with its sides, or
-when the sides are listed in another order. Read from the graph alone.
+relative to the cell, so it does not change when the structure is turned with its sides. Read from
+the graph alone, whose vertices carry the number of their side.
 """
 
 from __future__ import annotations
@@ -45,20 +45,6 @@ def _clip(value, limit):
 
 
 @njit(cache=True)
-def _side_frame(nodes, first, last, start):
-    """Unit vector to the viewer's right (x, y) and outward normal of the vertices first..last-1.
-
-    The first placed block ``start`` is always behind the face plane.
-    """
-    dx, dy = nodes[last - 1, 0] - nodes[first, 0], nodes[last - 1, 1] - nodes[first, 1]
-    length = max(np.sqrt(dx * dx + dy * dy), 1e-9)
-    nx, ny = dy / length, -dx / length
-    if (nodes[start, 0] - nodes[first, 0]) * nx + (nodes[start, 1] - nodes[first, 1]) * ny > 0:
-        nx, ny = -nx, -ny
-    return -ny, nx, nx, ny
-
-
-@njit(cache=True)
 def _pixel_corner(x, z):
     """A vertex where the mask has it: moved to its image point (protocol 3.2)."""
     u, v = pixel_vertex(x, z)
@@ -79,10 +65,12 @@ def _relate(
             last = first
             while last < targets and object_id[row, last] == object_id[row, first]:
                 last += 1
-            right_x, right_y, out_x, out_y = _side_frame(nodes[row], first, last, targets)
-            area = 0.0
-            # The camera stands before the middle of the side, which the rounding to pixels needs.
+            # The viewer's right and the outward normal; the camera stands before the middle of the
+            # side, which the rounding to pixels needs.
+            right_x, right_y = frames[side, 0], frames[side, 1]
+            out_x, out_y = right_y, -right_x
             middle_x, middle_y = frames[side, 2], frames[side, 3]
+            area = 0.0
             for k in range(last - first):
                 node = nodes[row, first + k]
                 x = (node[0] - middle_x) * right_x + (node[1] - middle_y) * right_y
