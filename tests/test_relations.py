@@ -53,7 +53,9 @@ def some_state(task: Task, seed: int, count: int = 1) -> tuple[Simulator, State]
 def half_plane(a: np.ndarray, b: np.ndarray, inward: np.ndarray) -> shapely.Polygon:
     """Everything within some metres on the inner side of the line through a and b."""
     along = (b - a) / np.linalg.norm(b - a) * FAR
-    return shapely.Polygon([a - along, b + along, b + along + FAR * inward, a - along + FAR * inward])
+    return shapely.Polygon(
+        [a - along, b + along, b + along + FAR * inward, a - along + FAR * inward]
+    )
 
 
 @pytest.mark.parametrize("drawn", [False, True], ids=["sampled", "random"])

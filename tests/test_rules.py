@@ -1,4 +1,4 @@
-"""The transition of the world: placements, coverage, rewards, ends, snapshots and look-ahead."""
+"""The transition of the world: placements, coverage, rewards, ends, snapshots."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.geometry.bits import IMAGE_SIZE, ROWS, from_pixels
-from learn2assemble.physics.protocol import Verdict
 from learn2assemble.presets import PRESETS, get_task
 from learn2assemble.simulator import Simulator
 from learn2assemble.task import Task
@@ -305,7 +304,7 @@ def assert_equal_steps(sim: Simulator, a: State, b: State, actions: np.ndarray) 
     assert same(a, b)
 
 
-# ---------------------------------------------------------------- look-ahead and batches
+# ---------------------------------------------------------------- batches
 
 
 @given(seed=SEEDS, task=some_task, steps=st.integers(0, 8))

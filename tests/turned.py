@@ -38,7 +38,9 @@ def turned_graph(graph: Graph, num_sides: int, quarters: int) -> Turn:
     for _ in range(quarters // (4 // num_sides)):
         sides = [_NEXT[num_sides][side] for side in sides]
     nodes, object_id = graph.nodes.copy(), graph.object_id.copy()
-    turn = Turn(graph._replace(nodes=nodes, object_id=object_id), sides, _MIDDLE[num_sides], quarters)
+    turn = Turn(
+        graph._replace(nodes=nodes, object_id=object_id), sides, _MIDDLE[num_sides], quarters
+    )
     for row, (targets, placed) in enumerate(zip(graph.num_targets, graph.num_placed, strict=True)):
         settled = slice(0, int(targets + placed))
         nodes[row, settled, :3] = turn.points(graph.nodes[row, settled, :3].astype(float))
