@@ -107,7 +107,11 @@ def make_parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     train.add_argument("task", metavar="TASK")
     train.add_argument("--method", default=None, help="learner: dqn, q-mcts or eps-mcts")
-    train.add_argument("--config", default="fast", help="fast, refine (ours), paper or published")
+    train.add_argument(
+        "--config",
+        default="relational",
+        help="relational, relational-objects (ours), published or paper",
+    )
     train.add_argument("--out", type=Path, required=True, help="new or empty folder, or --resume")
     length = train.add_mutually_exclusive_group()
     length.add_argument("--minutes", type=_positive, default=None)
