@@ -9,7 +9,8 @@ import pytest
 
 from learn2assemble.geometry.mask import paper_mask
 from learn2assemble.learning.augment import EXCHANGE, MIRROR, random_symmetry
-from learn2assemble.learning.explore import to_local
+from learn2assemble.learning.explore import random_actions, to_local
+from learn2assemble.learning.replay import Searched
 from learn2assemble.simulator import Simulator
 from learn2assemble.world.blocks import EDGE, HALF
 from learn2assemble.world.rules import count_row, recover_all
@@ -140,3 +141,21 @@ def test_one_sided_structures_are_not_exchanged() -> None:
     got = random_symmetry(data.batch, 1, cast(Any, Coins(False, True)))
     np.testing.assert_array_equal(got.graph.nodes, data.batch.graph.nodes)
     np.testing.assert_array_equal(got.action, data.batch.action)
+
+
+def test_symmetry_turns_the_explored_actions_of_a_search() -> None:
+    """An explored action turns as the action taken would."""
+    data = Recorded(TASKS[2], 30, 0)
+    count = len(data.batch.action)
+    rng = np.random.default_rng(5)
+    explored = np.stack([data.batch.action, random_actions(data.batch.graph, 5, rng)], 1)
+    searched = Searched(explored, np.zeros((count, 2), np.float32), np.full(count, 2))
+    batch = data.batch._replace(searched=searched)
+    got = random_symmetry(batch, 2, np.random.default_rng(0))
+    second = batch._replace(action=explored[:, 1])
+    other = random_symmetry(second, 2, np.random.default_rng(0))
+    assert got.searched is not None
+    np.testing.assert_array_equal(got.searched.action[:, 0], got.action)
+    np.testing.assert_array_equal(got.searched.action[:, 1], other.action)
+    assert (got.action != data.batch.action).any()
+    np.testing.assert_array_equal(searched.action, explored, err_msg="the batch given stays")

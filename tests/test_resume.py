@@ -27,7 +27,15 @@ from learning_data import QUICK, TINY, assert_same_training, contents
 
 
 @pytest.mark.parametrize(
-    "changes", [{}, {"target_rate": 0.1, "imagined": 0}, {"exact_next": True}], ids=str
+    "changes",
+    [
+        {},
+        {"target_rate": 0.1, "imagined": 0},
+        {"exact_next": True},
+        {"method": "q-mcts"},
+        {"method": "eps-mcts", "search_budget": 3},
+    ],
+    ids=str,
 )
 def test_resumed_training_is_bitwise_the_same(changes: dict[str, Any], tmp_path: Path) -> None:
     config = dataclasses.replace(QUICK, **changes)

@@ -1,4 +1,4 @@
-"""The search over real worlds: enumeration of three blocks, copies, cells."""
+"""The search over real worlds: enumeration of three blocks, copies, cells, restore faults."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ import torch
 
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QNetwork
+from learn2assemble.planning.legacy import LegacyModel
 from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.search.config import TO_THE_END, SearchConfig
 from learn2assemble.search.mcts import search
 from learn2assemble.simulator import Simulator
 from learn2assemble.task import Task
 from learn2assemble.world.state import State
+from learning_data import advance
 
 torch.set_num_threads(1)
 
@@ -129,3 +131,126 @@ def test_groups_are_structures() -> None:
         cells = [tuple(np.round(p, 4).tolist()) for p in many.position[:, 4]]
         assert len(set(legal.group.tolist())) == len(set(cells)) < 20
         assert len(set(zip(legal.group.tolist(), cells, strict=True))) == len(set(cells))
+
+
+# The published restore faults.
+
+
+def walls(task: Task, count: int = 60, placements: int = 3) -> tuple[WorldModel, State]:
+    """Worlds after some random valid placements."""
+    simulator, rng = Simulator(task), np.random.default_rng(1)
+    state = advance(simulator, simulator.new(count, rng), placements, rng)
+    torch.manual_seed(0)
+    return WorldModel(simulator, QNetwork(NetworkConfig(width=16, heads=2, rounds=1))), state
+
+
+def first_valid(model: WorldModel, state: State) -> np.ndarray:
+    valid = model.simulator.prospects(state).valid
+    places = [np.argwhere(row)[-1] for row in valid]
+    return np.array([[0, *place] for place in places])
+
+
+def test_legacy_takes_the_initial_cover_from_the_restored_state() -> None:
+    """Fault (a), protocol 11.6: scaled rewards grow by (A - c0) / (A - c_root), and it is harder
+    to fill the target; only the first step of a walk restores."""
+    task = TINY.replace(num_sides=2, num_nodes=20, grid=3, reward="scaled", max_initial_cover=1.0)
+    model, state = walls(task)
+    legacy = LegacyModel(model, np.random.default_rng(0))
+    before = state.copy()
+    actions = first_valid(model, state)
+    exact, faulty = model.step(state, actions), legacy.step(state, actions)
+    for mine, theirs in zip(state, before, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+    copies = faulty.states.state
+    np.testing.assert_array_equal(copies.initial_pixels, state.plane_pixels)
+    np.testing.assert_array_equal(copies.position, exact.states.position)
+    np.testing.assert_array_equal(copies.plane_pixels, exact.states.plane_pixels)
+    open_now = state.mask_pixels - state.plane_pixels
+    factor = (state.mask_pixels - state.initial_pixels) / open_now
+    going = ~exact.terminal & ~faulty.terminal
+    np.testing.assert_allclose(faulty.reward[going], (exact.reward * factor)[going])
+    assert (exact.reward[going] > 0).any()
+    assert (factor > 1.1).any()
+    assert not (faulty.terminal & ~exact.terminal).any()
+    again = legacy.step(faulty.states, np.zeros((len(actions), 3), np.int64))
+    np.testing.assert_array_equal(again.states.state.initial_pixels, state.plane_pixels)
+
+
+def test_legacy_ends_later() -> None:
+    """Fault (a): the block that fills the target is not enough in the copy.
+
+    F counts from what is covered at the root, so it falls wherever that is more than at the start.
+    """
+    task = TINY.replace(num_sides=1, num_nodes=14, success_threshold=0.6, max_initial_cover=1.0)
+    model, state = walls(task, 300, 1)
+    state = state.take(np.flatnonzero(state.plane_pixels > state.initial_pixels))
+    options = model.simulator.prospects(state)
+    gain = np.where(options.valid, options.gain, -9.0).reshape(state.batch_size, -1)
+    actions = np.stack([0 * state.num_placed, *np.divmod(gain.argmax(1), 5)], -1)
+    exact = model.step(state, actions)
+    faulty = LegacyModel(model, np.random.default_rng(0)).step(state, actions)
+    assert (exact.terminal & ~faulty.terminal).any()
+    assert not (~exact.terminal & faulty.terminal).any()
+
+
+def test_legacy_simulates_another_problem_where_much_is_covered() -> None:
+    """Fault (b), protocol 11.6: another random problem each time; the rest is as it was."""
+    task = TINY.replace(num_sides=2, num_nodes=20, grid=3)
+    model, state = walls(task)
+    share = state.plane_pixels / state.mask_pixels
+    model.simulator.task = task.replace(max_initial_cover=float(np.median(share)))
+    covered = share > np.median(share)
+    legacy = LegacyModel(model, np.random.default_rng(0))
+    # The last of all actions: its node numbers must be clipped to the other problem.
+    actions = np.stack([state.num_unplaced - 1, state.num_placed - 1, 0 * state.num_placed], -1)
+    exact = model.step(state, actions).states
+    runs = [legacy.step(state, actions).states for _ in range(2)]
+    for copies in runs:
+        assert not copies.real.any()
+        differs = (copies.state.mask != exact.mask).any((1, 2, 3))
+        np.testing.assert_array_equal(differs, covered)
+        assert (copies.state.num_placed[covered] == 2).all()
+        np.testing.assert_array_equal(copies.state.position[~covered], exact.position[~covered])
+    assert (runs[0].state.mask[covered] != runs[1].state.mask[covered]).any()
+
+
+def test_legacy_search_plays() -> None:
+    """A search over it keeps the world; without the faults' conditions it is the exact search."""
+    task = TINY.replace(num_sides=2, num_nodes=20, grid=3)
+    model, state = walls(task, 8)
+    fresh = model.simulator.new(8, np.random.default_rng(3))
+    config = SearchConfig(budget=12, epsilon=0.0, expansion="uct", widening=0.5, rollout=2)
+    for worlds, same in ((fresh, True), (state, False)):
+        before = worlds.copy()
+        legacy = LegacyModel(model, np.random.default_rng(0))
+        faulty = search(legacy, worlds, config, np.random.default_rng(0))
+        exact = search(model, worlds, config, np.random.default_rng(0))
+        for mine, theirs in zip(worlds, before, strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+        if same:
+            assert [d.action.tolist() for d in faulty] == [d.action.tolist() for d in exact]
+
+
+def test_parts_of_a_forward_pass_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+    """More graphs than one part holds give the values of a single pass."""
+    model, state = walls(TINY.replace(num_sides=2, num_nodes=20, grid=3), 30)
+    whole = [model.best(state)[0], *[v.values for v in model.action_values(state)]]
+    monkeypatch.setattr("learn2assemble.planning.world_model.PART", 7)
+    parts = [model.best(state)[0], *[v.values for v in model.action_values(state)]]
+    for mine, theirs in zip(whole, parts, strict=True):
+        np.testing.assert_allclose(mine, theirs, atol=1e-5)
+
+
+def test_legal_and_random_actions() -> None:
+    model, state = walls(TINY.replace(num_sides=2, num_nodes=20, grid=3), 6)
+    for mine, theirs in zip(model.legal(state), model.action_values(state), strict=True):
+        np.testing.assert_array_equal(mine.actions, theirs.actions)
+        np.testing.assert_array_equal(mine.group, theirs.group)
+        assert not mine.values.any()
+    many = state.take(np.zeros(3000, np.int64))
+    drawn = model.random_actions(many, np.random.default_rng(0))
+    counts = (int(state.num_unplaced[0]), int(state.num_placed[0]), 5)
+    for column, size in zip(drawn.T, counts, strict=True):
+        found = np.bincount(column, minlength=size)
+        assert len(found) == size
+        assert (np.abs(found - 3000 / size) < 5 * (3000 / size) ** 0.5).all()
