@@ -28,7 +28,7 @@ ALLOWED: dict[str, set[str]] = {
     "simulator": _WORLD | {"physics", "task", "graph"},
     "networks": {"errors", "graph"},
     "search": {"errors"},
-    "learning": _TASK | {"networks", "search"},
+    "learning": _TASK | {"networks", "search", "planning"},
     "planning": _TASK | {"networks", "search"},
     "evaluation": _TASK | {"networks", "search", "learning", "planning"},
     "envs": _TASK,

@@ -28,6 +28,8 @@ VARIANTS: list[dict[str, Any]] = [
     {"feed_forward": "none"},
     {"rotary": True},
     {"reward_head": True},
+    {"encoder": "s2v"},
+    {"encoder": "s2v", "connectivity": "full", "reward_head": True},
     {"rotary": True, "reward_head": True, "connectivity": "full", "position_scale": 0.1},
 ]
 
@@ -75,6 +77,9 @@ few = settings(max_examples=15, deadline=None)
         ({"feed_forward": "none", "rotary": True}, 54_533),
         # One 64 -> 64 layer with bias a round: 54 533 + 3 * 4160.
         ({"feed_forward": "light"}, 67_013),
+        # Structure2Vec has neither heads nor a feed-forward.
+        ({"encoder": "s2v"}, 59_007),
+        ({"encoder": "s2v", "heads": 1, "feed_forward": "wide"}, 59_007),
         ({"feed_forward": "none", "reward_head": True}, 54_533 + 192 * 5 + 5),
     ],
 )
@@ -267,6 +272,38 @@ def test_attention_round_written_out(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["partial", "full"])
+def test_structure2vec_written_out(kind: str) -> None:
+    """Protocol 9, S2V, pair by pair and without the shortcut that A_ij is 0 or 1."""
+    net = network(5, encoder="s2v", connectivity=kind)
+    (t, p, u), used = (3, 2, 4), 9
+    raw = random_graph([(t, p, u)], 11, 6)
+    graph = tensors(raw)
+    a = connectivity(raw, kind)[0][:used, :used].astype(float)
+    assert net.edges is not None
+    with torch.no_grad():
+        x = (graph.nodes[0] * net.scale)[:used]
+        h = torch.relu(x @ net.embed.weight.T)
+        count = [sum(a[j][i] for j in range(used)) for i in range(used)]
+        e = []
+        for i in range(used):
+            total = torch.zeros(SMALL["width"] - 1, dtype=torch.float64)
+            for j in range(used):
+                pair = torch.cat([torch.tensor([a[i, j]]), x[j]]) * a[i, j]
+                total = total + torch.relu(net.edges.pair.weight @ pair)
+            degree = torch.tensor([count[i] / max(count)], dtype=torch.float64)
+            row = torch.cat([total / count[i], degree])
+            e.append(torch.relu(net.edges.merge.weight @ row))
+        for layer in net.rounds:
+            after = []
+            for i in range(used):
+                near = sum(a[i, j] * h[j] for j in range(used)) / count[i]
+                m = torch.relu(layer.message.weight @ torch.cat([near, e[i]]))
+                after.append(torch.relu(layer.update.weight @ torch.cat([h[i], m])))
+            h = torch.stack(after)
+        torch.testing.assert_close(net.encode(graph)[0, :used], h, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("kind", ["partial", "full"])
 @given(counts=counts_of_rows, seed=st.integers(0, 99))
 @few
 def test_adjacency_of_tensors_is_the_one_of_arrays(
@@ -380,6 +417,9 @@ def test_positions_are_divided_by_the_scale() -> None:
         ({"feed_forward": "wyde"}, "did you mean 'wide'"),
         ({"feed_forward": ""}, "light, none, wide"),
         ({"connectivity": "parital"}, "did you mean 'partial'"),
+        ({"encoder": "s2w"}, "did you mean 's2v'"),
+        ({"encoder": "s2v", "rotary": True}, "false for the encoder s2v"),
+        ({"encoder": "s2v", "width": 1, "heads": 1}, "at least 2"),
         ({"heads": 3}, "a divisor of width 64"),
         ({"heads": 5, "width": 64}, "heads"),
         ({"rounds": 0}, "at least 1"),

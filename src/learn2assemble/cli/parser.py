@@ -105,8 +105,8 @@ def make_parser() -> argparse.ArgumentParser:
         "l2a train two-sided-3x3-20-24 --out runs/first --minutes 15",
     )  # fmt: skip
     train.add_argument("task", metavar="TASK")
-    train.add_argument("--method", default="dqn", help="learner (dqn)")
-    train.add_argument("--config", default="fast", help="fast, refine (ours) or paper")
+    train.add_argument("--method", default=None, help="learner: dqn, q-mcts or eps-mcts")
+    train.add_argument("--config", default="fast", help="fast, refine (ours), paper or published")
     train.add_argument("--out", type=Path, required=True, help="new or empty folder, or --resume")
     length = train.add_mutually_exclusive_group()
     length.add_argument("--minutes", type=_positive, default=None)

@@ -19,7 +19,7 @@ from learn2assemble.presets import get_task
 def run(options: argparse.Namespace) -> int:
     output = Output(options.json)
     task = get_task(options.task)
-    if options.method not in METHODS:
+    if options.method is not None and options.method not in METHODS:
         raise UnknownNameError("--method", options.method, METHODS)
     if options.threads:
         torch.set_num_threads(options.threads)
@@ -42,7 +42,8 @@ def run(options: argparse.Namespace) -> int:
 def _settings(options: argparse.Namespace) -> tuple[TrainConfig, int, float | None]:
     """Configuration, seed and minutes: of the run that is resumed, else of the command line."""
     if not options.resume:
-        config = override(get_config(options.config), [f"method={options.method}", *options.set])
+        method = [] if options.method is None else [f"method={options.method}"]
+        config = override(get_config(options.config), [*method, *options.set])
         if options.samples is not None:
             config = dataclasses.replace(config, num_samples=options.samples)
         return config, options.seed, options.minutes

@@ -33,7 +33,8 @@ def observation_space(task: Task) -> spaces.Dict:
     """The graph of one world; :func:`learn2assemble.graph.features.connectivity` needs no more.
 
     ``nodes`` float32[N, 5]: x, y, z [m, world], placed and target flag (+-1). ``object_id``
-    int32[N]: object number, -1 for targets. ``num_targets``, ``num_placed``, ``num_nodes``.
+    int32[N]: object number; -1 - s for vertices of side s. ``num_targets``, ``num_placed``,
+    ``num_nodes``.
     """
     high = np.ones((task.num_nodes, NUM_FEATURES), np.float32)
     # Every placement reaches at most one edge farther than the structure already did.
@@ -42,7 +43,9 @@ def observation_space(task: Task) -> spaces.Dict:
     return spaces.Dict(
         {
             "nodes": spaces.Box(-high, high, dtype=np.float32),
-            "object_id": spaces.Box(-1, task.max_blocks - 1, (task.num_nodes,), np.int32),
+            "object_id": spaces.Box(
+                -task.num_sides, task.max_blocks - 1, (task.num_nodes,), np.int32
+            ),
             "num_targets": spaces.Discrete(count),
             "num_placed": spaces.Discrete(count),
             "num_nodes": spaces.Discrete(count),

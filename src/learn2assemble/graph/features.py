@@ -21,7 +21,8 @@ class Graph(NamedTuple):
     nodes: np.ndarray
     """float32[B, N, 5]: x, y, z [m, world], placed flag, target flag (+-1); zeros are padding."""
     object_id: np.ndarray
-    """int32[B, N]: nodes with the same number >= 0 are cells of one object; -1 elsewhere."""
+    """int32[B, N]: nodes with the same number >= 0 are cells of one object; vertices of side s have
+    -1 - s, padding -1."""
     num_targets: np.ndarray
     """int64[B]."""
     num_placed: np.ndarray

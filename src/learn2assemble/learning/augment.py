@@ -39,6 +39,13 @@ def random_symmetry(batch: Batch, num_sides: int, rng: np.random.Generator) -> B
             prospects = Prospects(*[np.where(swap, a[..., permutation], a) for a in prospects])
         return prospects
 
+    searched = batch.searched
+    if searched is not None:
+        explored = searched.action.copy()
+        for chosen, permutation in ((mirror, MIRROR), (exchange, EXCHANGE)):
+            explored[chosen, :, 2] = permutation[explored[chosen, :, 2]]
+        searched = searched._replace(action=explored)
+
     def turn(graph: Graph) -> Graph:
         nodes = graph.nodes.copy()
         settled = np.arange(nodes.shape[1]) < (graph.num_targets + graph.num_placed)[:, None]
@@ -50,4 +57,5 @@ def random_symmetry(batch: Batch, num_sides: int, rng: np.random.Generator) -> B
     return batch._replace(
         graph=turn(batch.graph), next_graph=turn(batch.next_graph), action=action,
         prospects=permute(batch.prospects), next_prospects=permute(batch.next_prospects),
+        searched=searched,
     )  # fmt: skip

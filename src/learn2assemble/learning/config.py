@@ -1,4 +1,5 @@
-"""Training configurations by name: ``paper`` (published), ``fast`` and ``refine`` (ours)."""
+"""Training configurations by name: ``paper`` (as published), ``published`` (the same learners on
+our schedule), ``fast`` and ``refine`` (ours)."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ class TrainConfig:
     """Everything that defines a training besides the task and the seed (protocol 10.1).
 
     Args:
-        method: the learner, ``dqn``.
+        method: the learner: ``dqn``, or a search before every step of training, ``q-mcts`` and
+            ``eps-mcts`` (protocol 11.5), whose values regularise the loss (protocol 10.4).
         network: the Q-network.
         num_samples: environment steps of the whole training.
         num_envs: worlds stepped at once.
@@ -51,6 +53,9 @@ class TrainConfig:
             reward and successor from the one-step model: the one the network would take now,
             then random valid ones. D6.
         augment: mirror the structure and exchange its sides at random. D7.
+        search_budget: expansions of a search in training, one step each; not used by ``dqn``.
+        search_weight: w_CE, weight of the search term in the loss, that of the TD term being
+            1 - w_CE; not used by ``dqn``.
     """
 
     method: str = "dqn"
@@ -77,13 +82,15 @@ class TrainConfig:
     exact_next: bool = False
     imagined: int = 0
     augment: bool = False
+    search_budget: int = 5
+    search_weight: float = 0.5
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise UnknownNameError("method", self.method, METHODS)
         for name in ("num_samples", "num_envs", "steps_per_round", "updates_per_round",
                      "batch_size", "replay_size", "initial_samples", "epsilon_samples",
-                     "target_period", "steps"):  # fmt: skip
+                     "target_period", "steps", "search_budget"):  # fmt: skip
             if getattr(self, name) < 1:
                 raise InputError(name, getattr(self, name), "a positive whole number")
         for name in ("learning_rate", "final_learning_rate"):
@@ -91,6 +98,8 @@ class TrainConfig:
                 raise InputError(name, getattr(self, name), "a rate between 0 and 1")
         if not 0 <= self.target_rate <= 1:
             raise InputError("target_rate", self.target_rate, "a share between 0 and 1")
+        if not 0 <= self.search_weight <= 1:
+            raise InputError("search_weight", self.search_weight, "a share between 0 and 1")
         if not 0 <= self.epsilon_final <= 1:
             raise InputError("epsilon_final", self.epsilon_final, "0 <= epsilon <= 1")
         for name in ("terminal_weight", "reward_weight", "gain_weight"):
@@ -110,6 +119,11 @@ class TrainConfig:
         """Whether training looks at placements that were not made (deviation D6)."""
         weights = (self.terminal_weight, self.reward_weight, self.gain_weight, self.imagined)
         return self.exact_next or max(weights) > 0
+
+    @property
+    def searches(self) -> bool:
+        """Whether a search chooses the actions of training."""
+        return self.method != "dqn"
 
     def to_dict(self) -> dict[str, Any]:
         return dataclasses.asdict(self)
@@ -161,7 +175,7 @@ def _parse(key: str, text: str, current: Any) -> Any:
         raise InputError(f"--set {key}", text, f"a value like {current!r}") from None
 
 
-METHODS = ("dqn",)
+METHODS = ("dqn", "q-mcts", "eps-mcts")
 
 _FAST_NETWORK = NetworkConfig(heads=2, position_scale=0.1, rotary=True, reward_head=True)
 
@@ -179,6 +193,16 @@ CONFIGS: dict[str, TrainConfig] = {
         epsilon_samples=100_000,
         target_period=1250,
         double=False,
+    ),
+    # The published learners and network on the schedule of "fast": --set method=q-mcts or eps-mcts.
+    "published": TrainConfig(
+        num_samples=240_000,
+        learning_rate=2e-3,
+        final_learning_rate=1e-4,
+        epsilon_samples=25_000,
+        batch_size=32,
+        updates_per_round=4,
+        augment=True,
     ),
     "fast": TrainConfig(
         network=_FAST_NETWORK,

@@ -1,4 +1,4 @@
-"""The DQN loss (protocol 10.3) and its optional extensions by a model (deviation D6)."""
+"""The loss: TD (protocol 10.3), the search term (10.4), extensions by a model (deviation D6)."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from learn2assemble.graph.batch import GraphTensors, to_tensors
 from learn2assemble.graph.features import PLACED_FLAG, POSITION, Graph
 from learn2assemble.learning.config import TrainConfig
 from learn2assemble.learning.replay import Batch
+from learn2assemble.learning.search_term import search_cross_entropy
 from learn2assemble.networks.qnetwork import NEGATIVE, QFactors, QNetwork
 from learn2assemble.world.actions import DIRECTIONS
 from learn2assemble.world.blocks import EDGE
@@ -29,10 +30,11 @@ def dqn_loss(
 ) -> tuple[torch.Tensor, dict[str, float]]:
     """Loss of one batch and numbers to log.
 
-    The TD part is the paper's smooth L1. ``imagined`` adds actions that were not taken,
-    ``share_cell`` spreads the target over equivalent actions, ``terminal_weight`` adds the mean
-    smooth L1 of Q to the reward over all placements that would end the episode,
-    ``reward_weight`` that of the reward head to the rewards of all placements.
+    The TD part is the paper's smooth L1; where the batch carries searches, it is weighed against
+    the cross-entropy to their values (:mod:`~learn2assemble.learning.search_term`). ``imagined`` adds
+    actions that were not taken, ``share_cell`` spreads the target over equivalent actions,
+    ``terminal_weight`` adds the mean smooth L1 of Q to the reward over all placements that would
+    end the episode, ``reward_weight`` that of the reward head to the rewards of all placements.
     """
     graph = to_tensors(batch.graph, device)
     embeddings = online.embeddings(graph)
@@ -52,6 +54,10 @@ def dqn_loss(
         error = F.smooth_l1_loss(q, y[:, None, None].expand_as(q), reduction="none")
         td = 0.5 * td + 0.5 * ((error * same).sum((1, 2)) / same.sum((1, 2))).mean()
     loss = td
+    if batch.searched is not None:
+        ce = search_cross_entropy(factors, batch.searched)
+        logs["search"] = float(ce.detach())
+        loss = (1 - config.search_weight) * td + config.search_weight * ce
     prospects = batch.prospects
     if prospects is not None:
         reward = torch.from_numpy(prospects.reward).to(device)

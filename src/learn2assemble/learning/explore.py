@@ -1,4 +1,4 @@
-"""Choosing actions while collecting: epsilon-greedy on the Q-network (protocol 11.5)."""
+"""Choosing actions while collecting: epsilon-greedy, or a search first (protocol 11.5)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,12 @@ import torch
 
 from learn2assemble.graph.batch import to_tensors
 from learn2assemble.graph.features import Graph
+from learn2assemble.learning.replay import Searched
 from learn2assemble.networks.qnetwork import QNetwork
+from learn2assemble.search.config import SearchConfig
+from learn2assemble.search.mcts import search
+from learn2assemble.search.model import SearchModel
+from learn2assemble.world.state import State
 
 
 def greedy_actions(network: QNetwork, graph: Graph, device: str) -> np.ndarray:
@@ -39,9 +44,37 @@ def epsilon_greedy(
     return action, greedy
 
 
+def searching(
+    model: SearchModel,
+    state: State,
+    graph: Graph,
+    config: SearchConfig,
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray, Searched]:
+    """One search for every row: node actions int64[B, 3], which of them no draw of epsilon
+    chose, and what the searches found at their roots."""
+    decisions = search(model, state, config, rng)
+    offset = node_offset(graph)
+    action = np.stack([decision.action for decision in decisions]) + offset
+    found = Searched(
+        np.zeros((len(decisions), config.budget, 3), np.int64),
+        np.zeros((len(decisions), config.budget), np.float32),
+        np.zeros(len(decisions), np.int64),
+    )
+    for row, decision in enumerate(decisions):
+        explored = decision.explored()
+        found.count[row] = len(explored)
+        for n, (local, value, _) in enumerate(explored):
+            found.action[row, n], found.value[row, n] = local + offset[row], value
+    return action, ~np.array([decision.random for decision in decisions]), found
+
+
+def node_offset(graph: Graph) -> np.ndarray:
+    """Node index of the first unplaced and of the first placed block, and 0: int64[B, 3]."""
+    first = graph.num_targets + graph.num_placed
+    return np.stack([first, graph.num_targets, 0 * graph.num_placed], -1)
+
+
 def to_local(graph: Graph, action: np.ndarray) -> np.ndarray:
     """Node indices to indices within the unplaced and the placed blocks: int64[B, 3]."""
-    offset = np.stack(
-        [graph.num_targets + graph.num_placed, graph.num_targets, 0 * graph.num_placed], -1
-    )
-    return action - offset
+    return action - node_offset(graph)

@@ -12,6 +12,17 @@ from learn2assemble.world.prospects import Prospects
 _COUNTS = ("num_targets", "num_placed", "num_nodes")
 
 
+class Searched(NamedTuple):
+    """What the searches before the actions found at their roots (protocol 10.4)."""
+
+    action: np.ndarray
+    """int64[B, E, 3]: explored root actions as node indices; zeros beyond ``count``."""
+    value: np.ndarray
+    """float32[B, E]: Q_S, their mean values when they were collected."""
+    count: np.ndarray
+    """int64[B]: explored actions; 0 where no search took place."""
+
+
 class Batch(NamedTuple):
     """Transitions, and what other actions would have brought."""
 
@@ -33,6 +44,8 @@ class Batch(NamedTuple):
     """The same in ``next_graph``; meaningless where ``next_known`` is false."""
     next_known: np.ndarray
     """bool[B]: the memory holds the prospects of ``next_graph``."""
+    searched: Searched | None = None
+    """``None`` for learners without search."""
 
 
 class Replay:
@@ -44,6 +57,7 @@ class Replay:
         num_actions: Na.
         worlds: transitions of one :meth:`add`; the same world follows itself at this distance.
         prospects: whether transitions carry :class:`Prospects`.
+        explored: E, root actions a search explores at most; 0 for learners without search.
     """
 
     def __init__(
@@ -55,9 +69,10 @@ class Replay:
         *,
         worlds: int,
         prospects: bool,
+        explored: int = 0,
     ) -> None:
         self.size, self.length, self.cursor = size, 0, 0
-        self.worlds, self.prospects = worlds, prospects
+        self.worlds, self.prospects, self.explored = worlds, prospects, explored
         self.arrays: dict[str, np.ndarray] = {
             "action": np.zeros((size, 3), np.int64),
             "reward": np.zeros(size, np.float32),
@@ -76,6 +91,10 @@ class Replay:
             self.arrays["prospects.terminal"] = np.zeros(shape, np.bool_)
             self.arrays["prospects.valid"] = np.zeros(shape, np.bool_)
             self.arrays["prospects.gain"] = np.zeros(shape, np.float16)
+        if explored:
+            self.arrays["searched.action"] = np.zeros((size, explored, 3), np.int16)
+            self.arrays["searched.value"] = np.zeros((size, explored), np.float32)
+            self.arrays["searched.count"] = np.zeros(size, np.int16)
 
     def add(self, batch: Batch) -> None:
         """Append transitions, overwriting the oldest."""
@@ -92,6 +111,10 @@ class Replay:
             assert batch.prospects is not None
             for name, value in batch.prospects._asdict().items():
                 self.arrays[f"prospects.{name}"][where] = value
+        if self.explored:
+            assert batch.searched is not None
+            for name, value in batch.searched._asdict().items():
+                self.arrays[f"searched.{name}"][where] = value
         self.cursor = int((self.cursor + count) % self.size)
         self.length = min(self.length + count, self.size)
 
@@ -111,6 +134,7 @@ class Replay:
             self._graph("", rows), a["action"][rows], reward, a["terminal"][last],
             self._graph("next_", last), discount, a["greedy"][rows],
             self._prospects(rows), self._prospects(after), known & self.prospects,
+            self._searched(rows),
         )  # fmt: skip
 
     def _prospects(self, rows: np.ndarray) -> Prospects | None:
@@ -121,6 +145,12 @@ class Replay:
             name: value.astype(np.float32) if value.dtype == np.float16 else value
             for name, value in values.items()
         })  # fmt: skip
+
+    def _searched(self, rows: np.ndarray) -> Searched | None:
+        if not self.explored:
+            return None
+        action, value, count = (self.arrays[f"searched.{n}"][rows] for n in Searched._fields)
+        return Searched(action.astype(np.int64), value, count.astype(np.int64))
 
     def _follow(self, rows: np.ndarray, steps: int) -> tuple[np.ndarray, ...]:
         """Last joined transition, discounted reward up to it and discount after it."""

@@ -139,12 +139,13 @@ def train(
     """
     device = choose_device(device)
     state_file = out / "state.safetensors"
-    _prepare_folder(out, state_file, resume)
+    # First what can be refused without leaving a folder behind.
     trainer = Trainer(task, config, seed, device)
     started_from = None
     if init is not None:
         trainer.start_from(init.network)
         started_from = {"name": init.name, "origin": init.origin}
+    _prepare_folder(out, state_file, resume)
     if resume:
         trainer.load(state_file)
         started_from = json.loads((out / "config.json").read_text(encoding="utf-8")).get("init")

@@ -18,9 +18,11 @@ from learn2assemble.errors import InputError
 from learn2assemble.learning.augment import random_symmetry
 from learn2assemble.learning.config import TrainConfig
 from learn2assemble.learning.dqn import dqn_loss
-from learn2assemble.learning.explore import epsilon_greedy, to_local
+from learn2assemble.learning.explore import epsilon_greedy, searching, to_local
 from learn2assemble.learning.replay import Batch, Replay
 from learn2assemble.networks.qnetwork import QNetwork
+from learn2assemble.planning.world_model import WorldModel
+from learn2assemble.search.config import training_search
 from learn2assemble.simulator import Simulator
 from learn2assemble.task import Task, check_actions
 
@@ -30,7 +32,7 @@ EPISODES_AVERAGED = 300
 
 
 class Trainer:
-    """Collects with an epsilon-greedy policy in vectorised worlds and learns from replay.
+    """Collects with the learner's policy in vectorised worlds and learns from replay.
 
     Args:
         task: what to learn.
@@ -46,12 +48,15 @@ class Trainer:
         self.rng = np.random.default_rng([TRAINING_STREAM, seed])
         torch.manual_seed(seed)
         self.online = QNetwork(config.network).to(device)
+        self.model = WorldModel(self.simulator, self.online, device)
+        """What the searches of training look ahead with."""
         self.target = QNetwork(config.network).to(device)
         self.target.load_state_dict(self.online.state_dict())
         self.optimizer = torch.optim.Adam(self.online.parameters(), lr=config.learning_rate)
         self.replay = Replay(
             config.replay_size, task.num_nodes, task.max_blocks, task.num_actions,
             worlds=config.num_envs, prospects=config.uses_model,
+            explored=config.search_budget if config.searches else 0,
         )  # fmt: skip
         self.state = self.simulator.new(config.num_envs, self.rng)
         self.graph = self.simulator.observe(self.state)
@@ -111,10 +116,15 @@ class Trainer:
         self.between_rounds = True
 
     def collect(self) -> None:
-        """One epsilon-greedy step of every world, into the replay memory."""
+        """One step of every world by the learner's policy, into the replay memory."""
         state, graph = self.state, self.graph
         prospects = self.simulator.prospects(state) if self.config.uses_model else None
-        action, greedy = epsilon_greedy(self.online, graph, self.epsilon, self.rng, self.device)
+        searched = None
+        if self.config.searches:
+            how = training_search(self.config.method, self.config.search_budget, self.epsilon)
+            action, greedy, searched = searching(self.model, state, graph, how, self.rng)
+        else:
+            action, greedy = epsilon_greedy(self.online, graph, self.epsilon, self.rng, self.device)
         step = self.simulator.step(state, to_local(graph, action))
         after = self.simulator.observe(state)
         discount = np.full(len(action), self.task.discount, np.float32)
@@ -131,6 +141,7 @@ class Trainer:
                 prospects,
                 next_prospects=None,
                 next_known=np.zeros(len(action), np.bool_),
+                searched=searched,
             )
         )
         self.samples += len(action)

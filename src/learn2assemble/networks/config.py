@@ -9,6 +9,7 @@ from learn2assemble.errors import InputError, UnknownNameError
 
 FEED_FORWARDS = ("light", "wide", "none")
 CONNECTIVITIES = ("partial", "full")
+ENCODERS = ("attention", "s2v")
 
 
 @dataclass(frozen=True)
@@ -17,6 +18,8 @@ class NetworkConfig:
 
     Args:
         width: F, embedding size.
+        encoder: ``attention`` or ``s2v`` (Structure2Vec); ``heads``, ``feed_forward`` and
+            ``rotary`` belong to ``attention``.
         heads: attention heads; key and value size is ``width / heads``.
         rounds: L, rounds of message passing with their own weights.
         feed_forward: ``light`` is the paper's 64->64 layer with ReLU (equation 2), ``wide`` the
@@ -42,10 +45,13 @@ class NetworkConfig:
     rotary: bool = False
     reward_head: bool = False
     gain_head: bool = False
+    encoder: str = "attention"
 
     def __post_init__(self) -> None:
         if self.feed_forward not in FEED_FORWARDS:
             raise UnknownNameError("feed_forward", self.feed_forward, FEED_FORWARDS)
+        if self.encoder not in ENCODERS:
+            raise UnknownNameError("encoder", self.encoder, ENCODERS)
         if self.connectivity not in CONNECTIVITIES:
             raise UnknownNameError("connectivity", self.connectivity, CONNECTIVITIES)
         for name in ("width", "heads", "num_actions"):
@@ -53,6 +59,10 @@ class NetworkConfig:
                 raise InputError(name, getattr(self, name), "a positive whole number")
         if self.width % self.heads:
             raise InputError("heads", self.heads, f"a divisor of width {self.width}")
+        if self.encoder == "s2v" and self.width < 2:
+            raise InputError("width", self.width, "at least 2 for the encoder s2v")
+        if self.encoder == "s2v" and self.rotary:
+            raise InputError("rotary", self.rotary, "false for the encoder s2v (it has no scores)")
         if self.rounds < 1:
             raise InputError("rounds", self.rounds, "at least 1")
         if not 0 < self.position_scale < math.inf:

@@ -18,6 +18,7 @@ from learn2assemble.graph.batch import GraphTensors
 from learn2assemble.graph.features import NUM_FEATURES, POSITION
 from learn2assemble.networks.attention import AttentionRound, Rotation
 from learn2assemble.networks.config import NetworkConfig
+from learn2assemble.networks.structure2vec import EdgeSummary, Structure2VecRound
 
 NEGATIVE = -1e9
 
@@ -57,7 +58,7 @@ class QFactors(NamedTuple):
 
 
 class QNetwork(nn.Module):
-    """Attention encoder and read-out; runs on any number of nodes.
+    """Encoder (attention or Structure2Vec) and read-out; runs on any number of nodes.
 
     Args:
         config: the architecture.
@@ -69,9 +70,10 @@ class QNetwork(nn.Module):
         width = config.width
         self.embed = nn.Linear(NUM_FEATURES, width, bias=False)
         nn.init.xavier_uniform_(self.embed.weight, gain=math.sqrt(2))
-        self.rounds = nn.ModuleList(
-            AttentionRound(width, config.heads, config.feed_forward) for _ in range(config.rounds)
-        )
+        self.edges: EdgeSummary | None = None
+        if config.encoder == "s2v":
+            self.edges = EdgeSummary(NUM_FEATURES, width)
+        self.rounds = nn.ModuleList(_round(config) for _ in range(config.rounds))
         self.pool = nn.Linear(width, width, bias=False)
         # Columns: pooled graph, block to place, reference block.
         self.readout = nn.Linear(3 * width, config.num_actions)
@@ -88,14 +90,20 @@ class QNetwork(nn.Module):
 
     def encode(self, graph: GraphTensors) -> torch.Tensor:
         """Node embeddings float[B, N, F] (equations 1 and 2)."""
-        h = F.relu(self.embed(graph.nodes * self.scale))
-        adjacency = graph.adjacency(self.config.connectivity)[:, None]
+        x = graph.nodes * self.scale
+        h = F.relu(self.embed(x))
+        adjacency = graph.adjacency(self.config.connectivity)
+        if self.edges is not None:
+            near = self.edges(x, adjacency)
+            for layer in self.rounds:
+                h = layer(h, near)
+            return h
         rotation = None
         if self.config.rotary:
             head_size = self.config.width // self.config.heads
             rotation = Rotation.of(graph.nodes[..., POSITION], head_size)
         for layer in self.rounds:
-            h = layer(h, adjacency, rotation)
+            h = layer(h, adjacency[:, None], rotation)
         return h
 
     def forward(self, graph: GraphTensors) -> QFactors:
@@ -125,6 +133,12 @@ class QNetwork(nn.Module):
         """Predicted change of coverage of every action; needs ``gain_head``."""
         assert self.gain_readout is not None
         return _factors(embeddings, self.gain_readout.weight, self.gain_readout.bias)
+
+
+def _round(config: NetworkConfig) -> nn.Module:
+    if config.encoder == "s2v":
+        return Structure2VecRound(config.width)
+    return AttentionRound(config.width, config.heads, config.feed_forward)
 
 
 def _factors(

@@ -62,6 +62,11 @@ class WorldModel:
             out.append(ActionValues(actions, values.ravel(), cells.ravel()))
         return out
 
+    def random_actions(self, states: State, rng: np.random.Generator) -> np.ndarray:
+        relations = np.full(states.batch_size, self.simulator.task.num_actions)
+        counts = np.stack([states.num_unplaced, states.num_placed, relations], -1)
+        return (rng.random(counts.shape) * counts).astype(np.int64)
+
     def best(self, states: State) -> tuple[np.ndarray, np.ndarray]:
         graph = self.simulator.observe(states)
         with torch.inference_mode():

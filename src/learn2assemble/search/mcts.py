@@ -8,7 +8,7 @@ expansion rule does not depend on simulated results; below the root it holds one
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,12 +26,13 @@ class Decision:
     """int64[3]."""
     root: Node
     """The tree, with visits and values."""
+    random: bool
+    """Whether a draw of epsilon chose the action."""
 
     def explored(self) -> list[tuple[np.ndarray, float, int]]:
         """Explored root actions with their mean value and visit count."""
-        assert self.root.legal is not None
         return [
-            (self.root.legal.actions[key], child.value, child.visits)
+            (_legal(self.root).actions[key], child.value, child.visits)
             for key, child in self.root.children.items()
         ]
 
@@ -50,6 +51,8 @@ def search(
     With ``budget`` 0 this is the epsilon-free greedy policy. The final choice is a uniformly
     random explored child with probability ``epsilon``, else the child of largest mean value.
     """
+    if config.random_first:
+        return _random_first(model, states, config, rng)
     rows = range(model.batch_size(states))
     legal = _candidates(model, states, config)
     roots = [Node(model.take(states, np.array([row])), legal=legal[row]) for row in rows]
@@ -64,7 +67,22 @@ def search(
         if not leaves:
             break
         _simulate(model, leaves, config, rng)
-    return [Decision(_final_action(root, config, rng), root) for root in roots]
+    return [_final(root, config, rng) for root in roots]
+
+
+def _random_first(
+    model: SearchModel, states: Any, config: SearchConfig, rng: np.random.Generator
+) -> list[Decision]:
+    """Random actions without a search at the rate epsilon, searches in the other rows."""
+    actions = model.random_actions(states, rng)
+    searched = np.flatnonzero(rng.random(len(actions)) >= config.epsilon)
+    out = [Decision(action, Node(None), random=True) for action in actions]
+    if len(searched):
+        plain = replace(config, random_first=False)
+        found = search(model, model.take(states, searched), plain, rng)
+        for row, decision in zip(searched, found, strict=True):
+            out[row] = decision
+    return out
 
 
 def _candidates(model: SearchModel, states: Any, config: SearchConfig) -> list[ActionValues]:
@@ -94,9 +112,8 @@ def _select(
     node = path[-1]
     assert node.legal is not None
     count = budget if len(path) == 1 else 1
-    keys = epsilon_greedy_expansions(
-        node.legal.values, set(node.children), count, config.epsilon, rng
-    )
+    epsilon = config.epsilon if config.expansion == "epsilon-greedy" else 0.0
+    keys = epsilon_greedy_expansions(node.legal.values, set(node.children), count, epsilon, rng)
     return [_Leaf(list(path), key) for key in keys]
 
 
@@ -171,10 +188,11 @@ def _legal(node: Node) -> ActionValues:
     return node.legal
 
 
-def _final_action(root: Node, config: SearchConfig, rng: np.random.Generator) -> np.ndarray:
+def _final(root: Node, config: SearchConfig, rng: np.random.Generator) -> Decision:
     legal = _legal(root)
     if not root.children:
-        return legal.actions[int(np.argmax(legal.values))]
+        return Decision(legal.actions[int(np.argmax(legal.values))], root, random=False)
     if rng.random() < config.epsilon:
-        return legal.actions[list(root.children)[int(rng.integers(len(root.children)))]]
-    return legal.actions[best_child(root, rng)]
+        key = list(root.children)[int(rng.integers(len(root.children)))]
+        return Decision(legal.actions[key], root, random=True)
+    return Decision(legal.actions[best_child(root, rng)], root, random=False)

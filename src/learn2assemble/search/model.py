@@ -62,6 +62,10 @@ class SearchModel(Protocol):
         """Legal actions and Q-values of every row."""
         ...
 
+    def random_actions(self, states: Any, rng: np.random.Generator) -> np.ndarray:
+        """A uniform legal action for every row: int64[B, 3]."""
+        ...
+
     def best(self, states: Any) -> tuple[np.ndarray, np.ndarray]:
         """Largest Q of every row and its action: float64[B], int64[B, 3]."""
         ...

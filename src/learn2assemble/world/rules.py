@@ -198,7 +198,8 @@ def judge(state, row, previous_plane, valid, reward_kind, threshold):
 def observe_row(state, row, frames, nodes, object_id):
     """Write the node features of a row (protocol 4): x, y, z [m], placed flag, target flag.
 
-    Also writes the object number of every node (-1 for targets). Returns the number of nodes.
+    Also writes the object number of every node: -1 - s for vertices of side s. Returns the number
+    of nodes.
     """
     n = 0
     for side in range(frames.shape[0]):
@@ -210,7 +211,7 @@ def observe_row(state, row, frames, nodes, object_id):
             nodes[n, 2] = state.vertices[row, side, k, 1]
             nodes[n, 3] = 1.0
             nodes[n, 4] = 1.0
-            object_id[n] = -1
+            object_id[n] = -1 - side
             n += 1
     placed = state.num_placed[row]
     for k in range(state.num_blocks[row]):

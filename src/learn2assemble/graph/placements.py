@@ -1,0 +1,213 @@
+"""The distinct placements of a graph: one representative action for every resulting structure.
+
+Many actions (block, reference, relation) put like objects into the same cells. Of |U| x |P| x Na
+actions a structure of cubes has only a few dozen distinct ones. They are read from the graph
+alone: no rule, no physics, so placements that are blocked or float are among them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from learn2assemble.graph.features import Graph
+from learn2assemble.world.actions import DIRECTIONS
+from learn2assemble.world.blocks import EDGE
+
+MAX_CELLS = 4
+"""Cells of the largest object."""
+_TABLE = 1 << 14
+
+
+class Placements(NamedTuple):
+    """Distinct placements of a batch of graphs, padded to the largest row.
+
+    ``K`` cells and ``P`` placements a row at most; a placement fills up to ``C`` of the cells. For
+    cubes every placement is one cell.
+    """
+
+    cells: np.ndarray
+    """float32[B, K, 3]: centres of all cells some placement fills [m, world]."""
+    num_cells: np.ndarray
+    """int64[B]."""
+    action: np.ndarray
+    """int64[B, P, 3]: node action of the first placement found with this result."""
+    members: np.ndarray
+    """int64[B, P, C]: cells it fills, the chosen block's first; -1 beyond."""
+    count: np.ndarray
+    """int64[B]."""
+    key: np.ndarray
+    """uint64[B, P]: number of the result; equal for actions with the same result."""
+
+    @property
+    def used(self) -> np.ndarray:
+        """bool[B, P]."""
+        return np.arange(self.action.shape[1]) < self.count[:, None]
+
+
+@njit(cache=True, inline="always")
+def _mix(value):
+    value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return value ^ (value >> np.uint64(31))
+
+
+@njit(cache=True, inline="always")
+def _cell_key(x, y, z):
+    # In units of a tenth of a block: finer than a lattice, coarser than what settling moves.
+    unit = 10.0 / EDGE
+    a = np.uint64(int(np.rint(x * unit)) + (1 << 20))
+    b = np.uint64(int(np.rint(y * unit)) + (1 << 20))
+    c = np.uint64(int(np.rint(z * unit)) + (1 << 20))
+    return _mix((a << np.uint64(42)) ^ (b << np.uint64(21)) ^ c ^ np.uint64(0x9E3779B97F4A7C15))
+
+
+@njit(cache=True)
+def _offsets(nodes, object_id, block, first, used, out):
+    """Cells of the block's object relative to it in whole edges, itself first; their number."""
+    out[0, 0], out[0, 1], out[0, 2] = 0, 0, 0
+    count = 1
+    for other in range(first, used):
+        if other != block and object_id[other] == object_id[block]:
+            for axis in range(3):
+                out[count, axis] = np.rint((nodes[other, axis] - nodes[block, axis]) / EDGE)
+            count += 1
+    return count
+
+
+@njit(cache=True)
+def _fill(nodes, reference, relation, turns, offsets, count, cells):
+    """Cells filled by a placement; gives its key (the same for the same set of cells)."""
+    key = np.uint64(0)
+    for k in range(count):
+        a, b = offsets[k, 0], offsets[k, 1]
+        for _ in range(turns):
+            a, b = -b, a
+        cells[k, 0] = nodes[reference, 0] + EDGE * (DIRECTIONS[relation, 0] + a)
+        cells[k, 1] = nodes[reference, 1] + EDGE * (DIRECTIONS[relation, 1] + b)
+        cells[k, 2] = nodes[reference, 2] + EDGE * (DIRECTIONS[relation, 2] + offsets[k, 2])
+        key += _cell_key(cells[k, 0], cells[k, 1], cells[k, 2])
+    return key
+
+
+@njit(cache=True)
+def _enter(table, stamp, stamps, keys, key, number):
+    """Number under which ``key`` is known; enters it as ``number`` where it is new."""
+    slot = np.int64(key & np.uint64(_TABLE - 1))
+    while stamps[slot] == stamp:
+        if keys[slot] == key:
+            return table[slot]
+        slot = (slot + 1) & (_TABLE - 1)
+    stamps[slot], keys[slot], table[slot] = stamp, key, number
+    return number
+
+
+@njit(cache=True)
+def _enumerate(
+    nodes, object_id, num_targets, num_placed, num_nodes, rotations,
+    out_cells, num_cells, out_action, out_members, count, out_key,
+):  # fmt: skip
+    """Write all rows; returns False where the arrays are too small."""
+    tables = np.empty((3, _TABLE), np.int64)
+    stamps = np.full((3, _TABLE), -1, np.int64)
+    keys = np.empty((3, _TABLE), np.uint64)
+    offsets = np.empty((MAX_CELLS, 3))
+    cells = np.empty((MAX_CELLS, 3))
+    for row in range(len(num_targets)):
+        first = num_targets[row] + num_placed[row]
+        shapes = 0
+        for block in range(first, num_nodes[row]):
+            size = _offsets(nodes[row], object_id[row], block, first, num_nodes[row], offsets)
+            shape = np.uint64(0)
+            for k in range(size):
+                shape += _cell_key(EDGE * offsets[k, 0], EDGE * offsets[k, 1], EDGE * offsets[k, 2])
+            if _enter(tables[0], row, stamps[0], keys[0], shape, shapes) != shapes:
+                continue
+            shapes += 1
+            turns = rotations if size > 1 else 1
+            for reference in range(num_targets[row], first):
+                for relation in range(len(DIRECTIONS)):
+                    for turn in range(turns):
+                        key = _fill(nodes[row], reference, relation, turn, offsets, size, cells)
+                        n = count[row]
+                        if _enter(tables[1], row, stamps[1], keys[1], key, n) != n:
+                            continue
+                        if n >= out_action.shape[1]:
+                            return False
+                        out_action[row, n, 0] = block
+                        out_action[row, n, 1] = reference
+                        out_action[row, n, 2] = relation * rotations + turn
+                        out_key[row, n] = key
+                        for k in range(size):
+                            c = num_cells[row]
+                            cell = _cell_key(cells[k, 0], cells[k, 1], cells[k, 2])
+                            c = _enter(tables[2], row, stamps[2], keys[2], cell, c)
+                            if c == num_cells[row]:
+                                if c >= out_cells.shape[1]:
+                                    return False
+                                for axis in range(3):
+                                    out_cells[row, c, axis] = cells[k, axis]
+                                num_cells[row] += 1
+                            out_members[row, n, k] = c
+                        count[row] += 1
+    return True
+
+
+def distinct_placements(graph: Graph, num_actions: int) -> Placements:
+    """Enumerate the distinct placements of every row, in order of block, reference and action.
+
+    Args:
+        num_actions: Na; 5 for every quarter turn that objects may be placed with.
+    """
+    batch, capacity = len(graph.num_nodes), 256
+    while True:
+        out = Placements(
+            np.empty((batch, capacity, 3), np.float32),
+            np.zeros(batch, np.int64),
+            np.zeros((batch, capacity, 3), np.int64),
+            np.full((batch, capacity, MAX_CELLS), -1, np.int64),
+            np.zeros(batch, np.int64),
+            np.empty((batch, capacity), np.uint64),
+        )
+        if _enumerate(
+            graph.nodes, graph.object_id, graph.num_targets, graph.num_placed, graph.num_nodes,
+            num_actions // len(DIRECTIONS), *out,
+        ):  # fmt: skip
+            break
+        capacity *= 2
+    most_cells, most = max(1, int(out.num_cells.max())), max(1, int(out.count.max()))
+    return Placements(
+        out.cells[:, :most_cells], out.num_cells, out.action[:, :most], out.members[:, :most],
+        out.count, out.key[:, :most],
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def _locate(
+    nodes, object_id, num_targets, num_placed, num_nodes, rotations, action, count, keys, out
+):
+    offsets = np.empty((MAX_CELLS, 3))
+    cells = np.empty((MAX_CELLS, 3))
+    for row in range(len(action)):
+        first = num_targets[row] + num_placed[row]
+        size = _offsets(nodes[row], object_id[row], action[row, 0], first, num_nodes[row], offsets)
+        relation, turn = action[row, 2] // rotations, action[row, 2] % rotations
+        key = _fill(nodes[row], action[row, 1], relation, turn, offsets, size, cells)
+        for n in range(count[row]):
+            if keys[row, n] == key:
+                out[row] = n
+                break
+
+
+def locate(
+    placements: Placements, graph: Graph, action: np.ndarray, num_actions: int
+) -> np.ndarray:
+    """Number of the placement that has the result of each node action int64[B, 3]: int64[B]."""
+    out = np.full(len(action), -1, np.int64)
+    _locate(
+        graph.nodes, graph.object_id, graph.num_targets, graph.num_placed, graph.num_nodes,
+        num_actions // len(DIRECTIONS), action, placements.count, placements.key, out,
+    )  # fmt: skip
+    return out

@@ -1,0 +1,142 @@
+"""How a cell lies to the outlines and to the placed blocks, seen from each side (deviation D16).
+
+Everything is expressed in the viewer's frame of a side (x right, depth towards the viewer, z up)
+relative to the cell, so it does not change when the structure is moved, turned with its sides, or
+when the sides are listed in another order. Read from the graph alone.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from learn2assemble.geometry.camera import CAMERA_Z, CENTRE, HALF_EXTENT
+from learn2assemble.geometry.mask import pixel_vertex
+from learn2assemble.graph.features import Graph
+from learn2assemble.graph.placements import Placements
+from learn2assemble.world.blocks import EDGE, HALF
+
+EDGE_FEATURES = 13
+REACH = 3
+"""Offsets between a cell and a placed block are told apart up to this many blocks."""
+WINDOW = 2 * REACH + 1
+OFFSETS = WINDOW**3
+
+
+class Relations(NamedTuple):
+    """``K`` cells, ``S`` sides, ``E`` edges a side at most, ``M`` placed blocks at most."""
+
+    edges: np.ndarray
+    """float32[B, K, S, E, EDGE_FEATURES]."""
+    edge_used: np.ndarray
+    """bool[B, S, E]."""
+    offsets: np.ndarray
+    """int64[B, K, S, M]: number of the offset of every placed block, -1 beyond the placed."""
+
+
+@njit(cache=True, inline="always")
+def _clip(value, limit):
+    return min(max(value, -limit), limit)
+
+
+@njit(cache=True)
+def _side_frame(nodes, first, last, start):
+    """Unit vector to the viewer's right (x, y) and outward normal of the vertices first..last-1.
+
+    The first placed block ``start`` is always behind the face plane.
+    """
+    dx, dy = nodes[last - 1, 0] - nodes[first, 0], nodes[last - 1, 1] - nodes[first, 1]
+    length = max(np.sqrt(dx * dx + dy * dy), 1e-9)
+    nx, ny = dy / length, -dx / length
+    if (nodes[start, 0] - nodes[first, 0]) * nx + (nodes[start, 1] - nodes[first, 1]) * ny > 0:
+        nx, ny = -nx, -ny
+    return -ny, nx, nx, ny
+
+
+@njit(cache=True)
+def _pixel_corner(x, z):
+    """A vertex where the mask has it: moved to its image point (protocol 3.2)."""
+    u, v = pixel_vertex(x, z)
+    return (u / CENTRE - 1) * HALF_EXTENT, (1 - v / CENTRE) * HALF_EXTENT + CAMERA_Z
+
+
+@njit(cache=True)
+def _relate(
+    nodes, object_id, num_targets, num_placed, cells, num_cells, most_edges,
+    edges, edge_used, offsets,
+):  # fmt: skip
+    corner = np.empty((most_edges, 2))
+    for row in range(len(num_targets)):
+        targets, placed = num_targets[row], num_placed[row]
+        first = 0
+        while first < targets:
+            side = -1 - object_id[row, first]
+            last = first
+            while last < targets and object_id[row, last] == object_id[row, first]:
+                last += 1
+            right_x, right_y, out_x, out_y = _side_frame(nodes[row], first, last, targets)
+            area = 0.0
+            # The origin along the face is the world's origin: sides are centred on it, and the
+            # cameras too, which the rounding to pixels needs.
+            for k in range(last - first):
+                node = nodes[row, first + k]
+                x = node[0] * right_x + node[1] * right_y
+                corner[k, 0], corner[k, 1] = _pixel_corner(x, node[2])
+            for k in range(last - first):
+                n = (k + 1) % (last - first)
+                area += corner[k, 0] * corner[n, 1] - corner[n, 0] * corner[k, 1]
+                edge_used[row, side, k] = True
+            turn = -1.0 if area < 0 else 1.0
+            for c in range(num_cells[row]):
+                dx = cells[row, c, 0] - nodes[row, first, 0]
+                dy = cells[row, c, 1] - nodes[row, first, 1]
+                depth = (dx * out_x + dy * out_y + HALF) / EDGE
+                x = cells[row, c, 0] * right_x + cells[row, c, 1] * right_y
+                z = cells[row, c, 2]
+                for k in range(last - first):
+                    n = (k + 1) % (last - first)
+                    ax, az = (corner[k, 0] - x) / EDGE, (corner[k, 1] - z) / EDGE
+                    bx, bz = (corner[n, 0] - x) / EDGE, (corner[n, 1] - z) / EDGE
+                    length = max(np.sqrt((bx - ax) ** 2 + (bz - az) ** 2), 1e-6)
+                    # Inward normal of the edge and how far the centre is inside.
+                    px, pz = -turn * (bz - az) / length, turn * (bx - ax) / length
+                    inside = -(ax * px + az * pz)
+                    margin = inside + 0.5 * (abs(px) + abs(pz))
+                    out = edges[row, c, side, k]
+                    out[0], out[1] = px, pz
+                    out[2] = _clip(inside, 4.0) / 2
+                    out[3] = _clip(margin, 1.0)
+                    out[4] = _clip(8 * margin, 1.0)
+                    out[5], out[6] = _clip(ax, 6.0) / 2, _clip(az, 6.0) / 2
+                    out[7], out[8] = _clip(bx, 6.0) / 2, _clip(bz, 6.0) / 2
+                    out[9] = _clip(depth, 2.0)
+                    out[10] = 1.0 if abs(depth) < 0.25 else 0.0
+                    out[11] = 1.0 if last - first == 5 and (k == 1 or k == 2) else 0.0
+                    out[12] = z / EDGE / 4
+                for b in range(placed):
+                    node = nodes[row, targets + b]
+                    dx, dy = node[0] - cells[row, c, 0], node[1] - cells[row, c, 1]
+                    i = int(_clip(np.rint((dx * right_x + dy * right_y) / EDGE), REACH)) + REACH
+                    j = int(_clip(np.rint((dx * out_x + dy * out_y) / EDGE), REACH)) + REACH
+                    k = int(_clip(np.rint((node[2] - z) / EDGE), REACH)) + REACH
+                    offsets[row, c, side, b] = (i * WINDOW + j) * WINDOW + k
+            first = last
+
+
+def relate(graph: Graph, placements: Placements) -> Relations:
+    """Relations of every cell of ``placements`` to its graph."""
+    batch, most = placements.cells.shape[:2]
+    targets = np.arange(graph.nodes.shape[1]) < graph.num_targets[:, None]
+    side = np.where(targets, -1 - graph.object_id, -1)
+    sides = int(side.max()) + 1
+    most_edges = max(int((side == s).sum(1).max()) for s in range(sides))
+    edges = np.zeros((batch, most, sides, most_edges, EDGE_FEATURES), np.float32)
+    edge_used = np.zeros((batch, sides, most_edges), np.bool_)
+    offsets = np.full((batch, most, sides, int(graph.num_placed.max())), -1, np.int64)
+    _relate(
+        graph.nodes, graph.object_id, graph.num_targets, graph.num_placed, placements.cells,
+        placements.num_cells, most_edges, edges, edge_used, offsets,
+    )  # fmt: skip
+    return Relations(edges, edge_used, offsets)
