@@ -2,7 +2,8 @@
 
 The settings (protocol 1.1 for the physical constants) let exact structures rest:
 
-- boxes are 0.25 mm thinner per side in x and y, so that neighbours do not rub, but not in z;
+- boxes are 0.15 mm thinner per side in x and y, so that neighbours do not rub, but not in z; with
+  0.25 mm a bar of which one half overhangs exactly tips by more than the published logs show;
 - contacts begin 20 um before the surfaces meet: without it a block that stands exactly on
   another falls freely for one step, and the tremor grows with the height (V, as defined in
   :mod:`learn2assemble.physics.rigid`, of a column of 12 / 45 cubes: 1.5 / 5.8, not 0.04 / 0.08);
@@ -29,7 +30,7 @@ Layout = tuple[tuple[tuple[int, int, int], ...], ...]
 """Per object its cells in block edges, relative to its first cell, in the object's frame."""
 
 TIMESTEP = 0.004
-SHRINK = 1e-4
+SHRINK = 1.5e-4
 """How much thinner a box is on each side in x and y [m]."""
 CONTACT_MARGIN = 1e-5
 """Margin of a geom [m]: a pair pushes at the sum of both (at the larger before MuJoCo 3.5).
