@@ -26,8 +26,8 @@ def run(options: argparse.Namespace) -> int:
     ]
     note = (
         "Training episodes, exploration included; mean over agents, band from the lowest to the "
-        "highest, smoothed."
-    )
+        "highest, smoothed. " + figure.note
+    ).strip()
     write_curves(figure.title, lines, note, path)
     output.table(figure.title, ("line", "agents", "samples", "R", "f", "success"), [
         (c.label, c.seeds, int(c.samples[-1]), *[float(c.mean[q][-1]) for q in

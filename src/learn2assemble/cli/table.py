@@ -25,7 +25,7 @@ from learn2assemble.evaluation.table_text import (
     sections,
 )
 from learn2assemble.evaluation.tables import get_table
-from learn2assemble.learning.recipes import get_recipe, train_recipes
+from learn2assemble.learning.recipes import copy_logs, get_recipe, train_recipes
 from learn2assemble.viewer.table_picture import Block, write_table
 
 EPISODES, QUICK_EPISODES = 100, 50
@@ -37,12 +37,13 @@ def run(options: argparse.Namespace) -> int:
     page: Path | None = options.into
     before = "" if page is None else _page(page, table)
     root: Path = options.out / "quick" if options.quick else options.out
+    _prepare(root)
     if options.quick:
         output.progress(QUICK)
     folder = options.agents
     if options.train:
         folder = options.runs
-        _train(table, options, output)
+        _train(table, root, options, output)
     todo: list[Job] = []
     if not options.from_files:
         wanted = jobs(table, find_agents(folder), *_extent(options))
@@ -66,12 +67,22 @@ def _extent(options: argparse.Namespace) -> tuple[int, int | None]:
     return options.episodes or EPISODES, None
 
 
-def _train(table: Table, options: argparse.Namespace, output: Output) -> None:
+def _prepare(root: Path) -> None:
+    """Make the folder of results, before hours of episodes."""
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or "unwritable"
+        raise InputError("--out", str(root), f"a writable folder ({reason})") from None
+
+
+def _train(table: Table, root: Path, options: argparse.Namespace, output: Output) -> None:
     recipes = [get_recipe(name) for name in table.trainings]
     seeds = 1 if options.quick else None
     train_recipes(
         recipes, options.runs, seeds=seeds, workers=_workers(options), progress=output.progress
     )
+    copy_logs(recipes, options.runs, root / "runs")
 
 
 def _workers(options: argparse.Namespace) -> int:

@@ -26,6 +26,7 @@ class Figure:
     name: str
     title: str
     lines: tuple[tuple[str, str], ...]
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,8 @@ _ALL = (
     Figure("connectivity", "Connectivity (appendix figure 3b; bars, one side)",
            (("partially connected", "bars-partial"), ("fully connected", "bars-full"))),
     Figure("algorithms", "Learning algorithms (appendix figure 5)",
-           (("DQN", "dqn"), ("ε-MCTS", "eps-mcts"), ("Q-MCTS", "q-mcts"))),
+           (("DQN", "dqn"), ("ε-MCTS", "eps-mcts"), ("Q-MCTS", "q-mcts")),
+           "Q-MCTS and ε-MCTS search while they collect: their curves are of the search."),
 )  # fmt: skip
 FIGURES: dict[str, Figure] = {figure.name: figure for figure in _ALL}
 

@@ -37,7 +37,7 @@ def published(table: Table, row: Row, column: Column) -> Published | None:
     Raises:
         LookupError: where the fields of table, row and column pick more than one line.
     """
-    if not table.paper or not row.paper:
+    if not (table.paper and row.paper and column.paper):
         return None
     wanted = {**table.paper, **row.paper, **column.paper}
     found = [line for line in _lines() if all(line[key] == v for key, v in wanted.items())]

@@ -167,7 +167,7 @@ def get_table(name: str) -> Table:
     Raises:
         UnknownNameError: naming the nearest one.
     """
-    for table in _ALL:
+    for table in TABLES.values():
         if table.name.lower() == name.lower():
             return table
     raise UnknownNameError("table", name, TABLES)

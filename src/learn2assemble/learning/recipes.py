@@ -125,13 +125,15 @@ def stage_folder(recipe: Recipe, seed: int, runs: Path, stage: int) -> Path:
     return runs / f"{recipe.name}-s{seed}{early}"
 
 
-def copy_logs(runs: Path, names: list[str], folder: Path) -> None:
-    """Copy configuration and log of finished or unfinished runs, for learning curves."""
-    for name in names:
-        for file in LOGS:
-            if (runs / name / file).is_file():
+def copy_logs(recipes: list[Recipe], runs: Path, folder: Path) -> None:
+    """Copy configuration and log of every run of ``recipes``, for learning curves."""
+    for recipe in recipes:
+        for seed in range(SEEDS):
+            name = f"{recipe.name}-s{seed}"
+            if all((runs / name / file).is_file() for file in LOGS):
                 (folder / name).mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(runs / name / file, folder / name / file)
+                for file in LOGS:
+                    shutil.copyfile(runs / name / file, folder / name / file)
 
 
 def _check(folder: Path, recipe: Recipe, stage: Stage) -> None:
