@@ -82,21 +82,39 @@ class Cell:
             **{
                 **values,
                 "task": Task(**values["task"]),
-                "search": None if search is None else SearchConfig(**search),
+                "search": None if search is None else _rebuild(SearchConfig(), search),
             }
         )
+
+
+def _rebuild(default: Any, values: dict[str, Any]) -> Any:
+    """A configuration from its dictionary, other configurations inside it too."""
+    inner = {
+        name: _rebuild(getattr(default, name), value)
+        for name, value in values.items()
+        if dataclasses.is_dataclass(getattr(default, name, None))
+    }
+    return type(default)(**{**values, **inner})
 
 
 def _slug(search: SearchConfig | None) -> str:
     """Budget and every setting that is not the default one, for file names."""
     if search is None:
         return "none"
-    words = [f"b{search.budget}"]
-    for f in dataclasses.fields(search):
-        value = getattr(search, f.name)
-        if f.name not in ("budget", "epsilon") and value != f.default:
-            words.append(f"{f.name}={value}")
-    return "-".join(words)
+    return "-".join([f"b{search.budget}", *_changes(search, SearchConfig(), "")])
+
+
+def _changes(config: Any, default: Any, prefix: str) -> list[str]:
+    words = []
+    for f in dataclasses.fields(config):
+        value, usual = getattr(config, f.name), getattr(default, f.name)
+        if f.name in ("budget", "epsilon") or value == usual:
+            continue
+        if dataclasses.is_dataclass(usual):
+            words += _changes(value, usual, f"{f.name}.")
+        else:
+            words.append(f"{prefix}{f.name}={value}")
+    return words
 
 
 def measurable(cell: Cell) -> bool:
@@ -112,7 +130,7 @@ def measure(cell: Cell, agent_file: str | None, episodes: int) -> dict[str, Any]
     Args:
         agent_file: weights of the agent, for cells with one.
     """
-    started = time.perf_counter()
+    started, cpu = time.perf_counter(), time.process_time()
     if cell.policy == BOUND:
         rng, _ = episode_generators(cell.seed)
         state = Simulator(cell.task).new(episodes, rng)
@@ -132,8 +150,11 @@ def measure(cell: Cell, agent_file: str | None, episodes: int) -> dict[str, Any]
             "success": played.success.astype(int).tolist(),
             "coverage": _rounded(played.coverage),
         }
-    seconds = round(time.perf_counter() - started, 2)
-    return {**provenance("cpu"), "seconds": seconds, "episodes": episodes, **arrays}
+    times = {
+        "seconds": round(time.perf_counter() - started, 2),
+        "cpu_seconds": round(time.process_time() - cpu, 2),
+    }
+    return {**provenance("cpu"), **times, "episodes": episodes, **arrays}
 
 
 def _policy(cell: Cell, agent_file: str | None) -> Policy:
