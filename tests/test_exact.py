@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ from learn2assemble.world.state import State
 Cell = tuple[int, int, int]
 
 
-@lru_cache(maxsize=None)
+@cache
 def images(cell: Cell, frame: tuple[float, ...]) -> tuple[int, int]:
     """(covered, occluded) of one cube on the lattice, seen by one side, as integers of bits."""
     c, s, tx, ty = frame
