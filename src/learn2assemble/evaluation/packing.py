@@ -12,13 +12,15 @@ a group of pixels of weight :math:`w_j`, the most pixels that :math:`t` objects 
     & \textstyle\sum_{p \in s} x_p \le n_s \;\forall s, \quad
       \textstyle\sum_p x_p \le t, \quad x_p \in \{0, 1\},\ 0 \le y_j \le 1 .
 
-**Proven.** A pixel enters the plane cover once at most, when it is first covered, and not where
-the same object hides it. So after ``t`` steps of any play at most ``F(t)`` pixels have been
-gained, and the scaled reward (protocol 6.3) is bounded by :func:`discounted_bound`. Where the
-solver stops early, its own bound takes the place of the optimum, so ``F`` stays an upper bound.
+**Proven**, for physics that moves no blocks. A pixel enters the plane cover once at most, when it
+is first covered, and not where the same object hides it. So after ``t`` steps of any play at most
+``F(t)`` pixels have been gained, and the scaled reward (protocol 6.3) is bounded by
+:func:`discounted_bound`. Where the solver stops early, its own bound takes the place of the
+optimum, so ``F`` stays an upper bound.
 
 **Left out**, so the bound need not be reachable: support, balance, touching the structure, later
-blocks hiding pixels, and that one play has to be best at every ``t`` at once.
+blocks that hide pixels, and that one order has to be best at every ``t`` at once. There is no
+feasible plan here.
 """
 
 from __future__ import annotations
@@ -103,7 +105,7 @@ def gaining_poses(lattice: Lattice, inventory: Inventory, rotations: int = 4) ->
             if cells & taken or min(z for _, _, z in cells) < 0:
                 continue
             rows = [row[cell] for cell in cells if cell in row]
-            gains = lattice.shows[rows].any(0) & ~lattice.hides[rows].any(0)
+            gains = np.asarray(lattice.shows[rows].any(0) & ~lattice.hides[rows].any(0))
             if gains.any():
                 poses.append(Pose(number, cells, gains))
     return poses
