@@ -8,7 +8,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from learn2assemble.presets import PRESETS
-from learn2assemble.search.config import SEARCHES, SearchConfig
+from learn2assemble.search.config import SearchConfig
+from learn2assemble.search.named import SEARCHES
 from learn2assemble.task import Task
 
 AGENT, LOOK_AHEAD, UNTRAINED = "agent", "look-ahead", "untrained"

@@ -48,9 +48,8 @@ class Recipe:
     seeds: int = SEEDS
 
 
-_CUBES, _LARGE, _BARS, _OBJECTS = (
-    "two-sided-3x3-20-24", "two-sided-5x5-40-44", "bars-one-sided-5x5-25-27", "objects-two-sided-5x5-20-24",
-)  # fmt: skip
+_CUBES, _LARGE = "two-sided-3x3-20-24", "two-sided-5x5-40-44"
+_BARS, _OBJECTS = "bars-one-sided-5x5-25-27", "objects-two-sided-5x5-20-24"
 
 
 def _published(name: str, task: str, *changes: str) -> Recipe:
