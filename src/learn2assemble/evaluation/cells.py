@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from learn2assemble.evaluation.bounds import return_bound
+from learn2assemble.evaluation.perfect import best_returns, has_bound
 from learn2assemble.evaluation.episodes import (
     DISCOUNTS,
     Policy,
@@ -118,10 +118,8 @@ def _changes(config: Any, default: Any, prefix: str) -> list[str]:
 
 
 def measurable(cell: Cell) -> bool:
-    """Whether this version can play it; the look-ahead and the bound are for cubes only."""
-    if cell.policy == BOUND:
-        return cell.task.reward == "discrete"
-    return cell.policy != LOOK_AHEAD or cell.task.num_actions == 5
+    """Whether this version can play it."""
+    return cell.policy != BOUND or has_bound(cell.task)
 
 
 def measure(cell: Cell, agent_file: str | None, episodes: int) -> dict[str, Any]:
@@ -133,8 +131,7 @@ def measure(cell: Cell, agent_file: str | None, episodes: int) -> dict[str, Any]
     started, cpu = time.perf_counter(), time.process_time()
     if cell.policy == BOUND:
         rng, _ = episode_generators(cell.seed)
-        state = Simulator(cell.task).new(episodes, rng)
-        arrays = {"returns": _rounded(return_bound(state, cell.task.discount))}
+        arrays = {"returns": _rounded(best_returns(Simulator(cell.task), episodes, rng))}
     else:
         simulator = Simulator(cell.task, resolve_physics(cell.physics))
         played = play_episodes(simulator, _policy(cell, agent_file), episodes, cell.seed)

@@ -131,7 +131,8 @@ def notes(data: TableData) -> list[str]:
     if "%" in text:
         out.append(
             "of bound: mean return as a share of the mean upper bound on the return of the same "
-            "problems; the bound need not be reachable."
+            "problems (exact for cubes on one or two sides; for objects a packing bound that knows "
+            "neither balance nor support)."
         )
     if data.table.other_discount is not None:
         out.append(f"R': the same episodes at the discount {data.table.other_discount:g}.")
