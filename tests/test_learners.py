@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from learn2assemble.learning.dqn import dqn_loss, td_targets
 
 from learn2assemble.evaluation.episodes import greedy_policy, make_policy, run_episodes
 from learn2assemble.graph.batch import to_tensors
 from learn2assemble.learning.config import TrainConfig, get_config, override
-from learn2assemble.learning.dqn import dqn_loss, td_targets
 from learn2assemble.learning.explore import node_offset
 from learn2assemble.learning.replay import Searched
 from learn2assemble.learning.run import train

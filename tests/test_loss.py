@@ -9,11 +9,11 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from learn2assemble.learning.dqn import GAIN_UNIT, dqn_loss, same_cell, successor, td_targets
 
 from learn2assemble.graph.batch import to_tensors
 from learn2assemble.graph.features import Graph
 from learn2assemble.learning.config import TrainConfig
-from learn2assemble.learning.dqn import GAIN_UNIT, dqn_loss, same_cell, successor, td_targets
 from learn2assemble.learning.replay import Batch
 from learn2assemble.networks.qnetwork import QFactors, QNetwork
 from learning_data import HEADS, SMALL, TASKS, TINY, Recorded, network, rows_of

@@ -10,7 +10,6 @@ from typing import Any
 
 import torch
 
-from learn2assemble.evaluation.perfect import best_returns, has_bound
 from learn2assemble.evaluation.episodes import (
     DISCOUNTS,
     Policy,
@@ -19,6 +18,7 @@ from learn2assemble.evaluation.episodes import (
     make_policy,
     play_episodes,
 )
+from learn2assemble.evaluation.perfect import best_returns, has_bound
 from learn2assemble.evaluation.table_spec import AGENT, LOOK_AHEAD
 from learn2assemble.learning.run import provenance
 from learn2assemble.networks.agent import load_agent
