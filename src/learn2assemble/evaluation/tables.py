@@ -140,7 +140,8 @@ _ALL = (
          Row("DQN+MCTS, budget 10", "objects", "dqn-mcts", 10,
              paper={"method": "DQN+MCTS", "search_budget": "10"}),
          *_own(OWN_OBJECTS), _LOOK_AHEAD),
-        {**_NO_ROBOT, "source_table": "app_T6"}, other_discount=0.8, trainings=("objects", OWN_OBJECTS),
+        {**_NO_ROBOT, "source_table": "app_T6"}, other_discount=0.8,
+        trainings=("objects", OWN_OBJECTS),
     ),
     Table(
         "shipped", "The shipped agent beside the published methods", _T2_COLUMNS,
