@@ -16,7 +16,7 @@ TASK = "one-sided-3x3-22-24"
 LONG = "x" * 300
 """Longer than a file name may be."""
 TINY_RUN = [
-    "--config", "fast", "--device", "cpu", "--set", "network.width=16", "--set",
+    "--config", "published", "--device", "cpu", "--set", "network.width=16", "--set",
     "network.rounds=1", "--set", "num_envs=4", "--set", "replay_size=50", "--set", "batch_size=4",
     "--set", "initial_samples=8",
 ]  # fmt: skip
@@ -146,7 +146,7 @@ BAD = [
     BadCall("train without --out", ["train", TASK], "--out"),
     BadCall("misspelt task", ["train", "one-sided-3x3-22-25", *train()[2:]],
             "did you mean 'one-sided-3x3-22-24'"),
-    BadCall("misspelt configuration", train("--config", "fats"), "did you mean 'fast'"),
+    BadCall("misspelt configuration", train("--config", "papre"), "did you mean 'paper'"),
     BadCall("unknown method", train("--method", "ppo"), "one of dqn, eps-mcts, q-mcts"),
     BadCall("train into a full folder", train("--out", "{d}/full"), "an empty or new folder"),
     BadCall("train into a file", train("--out", "{d}/file.txt"), "an empty or new folder"),
@@ -172,7 +172,11 @@ BAD = [
     BadCall("--set no heads", train("--set", "network.heads=0"), "heads"),
     BadCall("--set negative heads", train("--set", "network.heads=-1"), "heads"),
     BadCall("--set a whole network", train("--set", "network=large"), "--set"),
-    BadCall("--set a nan weight", train("--set", "terminal_weight=nan"), "terminal_weight"),
+    BadCall("--set a nan weight", train("--set", "dense_weight=nan"), "dense_weight"),
+    BadCall("--set labels for a published network", train("--set", "dense_weight=1"),
+            "0 unless encoder is relational"),
+    BadCall("--set symmetries of our own network", train("--set", "network.encoder=relational"),
+            "augment"),
     BadCall("train into a long name", train("--out", "{d}/" + LONG), "--out",
             "Path.exists raises for names that are too long"),
     BadCall("start from an unknown agent", train("--init", "nobody"), "agent"),

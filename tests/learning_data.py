@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -11,14 +10,16 @@ import numpy as np
 import torch
 from safetensors import safe_open
 
-from learn2assemble.graph.features import Graph
+from learn2assemble.graph.features import Graph, node_offset
+from learn2assemble.graph.placements import Placements, distinct_placements
 from learn2assemble.learning.config import TrainConfig
 from learn2assemble.learning.explore import random_actions, to_local
 from learn2assemble.learning.replay import Batch
+from learn2assemble.networks.build import Network, make_network
 from learn2assemble.networks.config import NetworkConfig
-from learn2assemble.networks.qnetwork import QNetwork
 from learn2assemble.simulator import Simulator
 from learn2assemble.task import Task
+from learn2assemble.world.outcomes import Outcomes
 from learn2assemble.world.state import State
 
 torch.set_num_threads(1)
@@ -30,26 +31,32 @@ TASKS = {
     4: Task("four", num_sides=4, grid=3, num_nodes=30),
 }
 SMALL = NetworkConfig(width=16, heads=2, rounds=1, position_scale=0.1, rotary=True)
-HEADS = dataclasses.replace(SMALL, reward_head=True, gain_head=True)
+RELATIONAL = NetworkConfig(encoder="relational", width=16, rounds=2)
 
 
-def network(seed: int, config: NetworkConfig = SMALL) -> QNetwork:
+def network(seed: int, config: NetworkConfig = SMALL) -> Network:
     torch.manual_seed(seed)
-    return QNetwork(config)
+    return make_network(config)
+
+
+def look_ahead(simulator: Simulator, state: State) -> tuple[Placements, Outcomes]:
+    """Every distinct placement and what it would bring."""
+    graph = simulator.observe(state)
+    placements = distinct_placements(graph, simulator.task.num_actions)
+    return placements, simulator.outcomes(state, graph, placements)
 
 
 def advance(simulator: Simulator, state: State, steps: int, rng: np.random.Generator) -> State:
     """Worlds after up to ``steps`` valid placements, without those that have ended."""
     for _ in range(steps):
-        options = simulator.prospects(state)
-        actions = to_local(
-            simulator.observe(state), random_actions(simulator.observe(state), 5, rng)
-        )
+        placements, outcomes = look_ahead(simulator, state)
+        graph = simulator.observe(state)
+        actions = random_actions(graph, simulator.task.num_actions, rng)
         for row in range(state.batch_size):
-            good = np.argwhere(options.valid[row] & ~options.terminal[row])
+            good = np.flatnonzero(outcomes.valid[row] & ~outcomes.terminal[row])
             if len(good):
-                actions[row, 1:] = good[rng.integers(len(good))]
-        simulator.step(state, actions)
+                actions[row] = placements.action[row, rng.choice(good)]
+        simulator.step(state, actions - node_offset(graph))
     return state.take(np.flatnonzero(~state.terminated))
 
 
@@ -62,7 +69,7 @@ class Recorded:
         self.before = advance(self.simulator, self.simulator.new(count, rng), steps, rng)
         self.after = self.before.copy()
         graph = self.simulator.observe(self.before)
-        options = self.simulator.prospects(self.before)
+        self.placements, options = look_ahead(self.simulator, self.before)
         action = random_actions(graph, task.num_actions, rng)
         self.local = to_local(graph, action)
         self.step = self.simulator.step(self.after, self.local)
@@ -70,8 +77,7 @@ class Recorded:
         self.batch = Batch(
             graph, action, self.step.reward.astype(np.float32), self.step.terminated,
             self.simulator.observe(self.after), np.full(size, task.discount, np.float32),
-            np.ones(size, np.bool_), options, self.simulator.prospects(self.after),
-            np.arange(size) % 2 == 0,
+            np.ones(size, np.bool_), options,
         )  # fmt: skip
 
 
@@ -84,12 +90,13 @@ def rows_of(graph: Graph, row: Any, low: int, high: int) -> list[tuple]:
 
 
 QUICK = TrainConfig(
-    network=dataclasses.replace(SMALL, reward_head=True), num_samples=250, num_envs=5,
-    initial_samples=50, batch_size=8, replay_size=130, epsilon_samples=120, target_period=7,
-    updates_per_round=2, steps=2, terminal_weight=1.0, reward_weight=1.0, share_cell=True,
-    imagined=2, augment=True, learning_rate=1e-3, final_learning_rate=1e-4,
+    network=SMALL, num_samples=250, num_envs=5, initial_samples=50, batch_size=8, replay_size=130,
+    epsilon_samples=120, target_period=7, updates_per_round=2, steps=2, augment=True,
+    learning_rate=1e-3, final_learning_rate=1e-4,
 )  # fmt: skip
 """Uses every source of randomness and wraps its memory."""
+OWN: dict[str, Any] = {"network": RELATIONAL, "augment": False, "dense_weight": 1.0}
+"""What turns it into a training of our own method."""
 
 
 def contents(file: Path) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:

@@ -15,7 +15,7 @@ from safetensors.torch import load_file, save_file
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.evaluation.episodes import make_policy, run_episodes
 from learn2assemble.graph.batch import to_tensors
-from learn2assemble.learning.config import TrainConfig, get_config
+from learn2assemble.learning.config import TrainConfig
 from learn2assemble.networks import agent as agent_module
 from learn2assemble.networks.agent import (
     Agent,
@@ -25,8 +25,9 @@ from learn2assemble.networks.agent import (
     pretrained_names,
     save_agent,
 )
+from learn2assemble.networks.build import make_network
 from learn2assemble.networks.config import NetworkConfig
-from learn2assemble.networks.qnetwork import QNetwork
+from learn2assemble.networks.placement import PlacementNetwork, PlacementValues
 from learn2assemble.presets import PRESETS, get_task
 from learn2assemble.simulator import Simulator
 
@@ -38,14 +39,15 @@ TASK = "one-sided-3x3-22-24"
 def random_agent(**changes: Any) -> Agent:
     torch.manual_seed(0)
     config = NetworkConfig(**{"width": 16, "heads": 2, "rounds": 1, **changes})
-    return Agent("agent", QNetwork(config).eval(), TASK, {"seed": 7, "samples": 0})
+    return Agent("agent", make_network(config).eval(), TASK, {"seed": 7, "samples": 0})
 
 
 @pytest.mark.parametrize(
     "changes",
     [
         {},
-        {"rotary": True, "reward_head": True, "gain_head": True},
+        {"rotary": True, "connectivity": "full"},
+        {"encoder": "s2v"},
         {"feed_forward": "wide", "connectivity": "full", "position_scale": 0.1},
         {"feed_forward": "none", "num_actions": 20},
     ],
@@ -66,6 +68,22 @@ def test_saved_and_loaded_agent_is_the_same(changes: dict[str, Any], tmp_path: P
             for mine, theirs in zip(agent.network(graph), loaded.network(graph), strict=True):
                 assert torch.equal(mine, theirs)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["agent.json", "agent.safetensors"]
+
+
+@pytest.mark.parametrize("num_actions", [5, 20])
+def test_saved_and_loaded_placement_network_is_the_same(num_actions: int, tmp_path: Path) -> None:
+    agent = random_agent(encoder="relational", num_actions=num_actions)
+    loaded = load_agent(str(save_agent(agent, tmp_path)))
+    assert isinstance(loaded.network, PlacementNetwork)
+    assert loaded.network.config == agent.network.config
+    simulator = Simulator(get_task(TASK))
+    graph = to_tensors(simulator.observe(simulator.new(8, np.random.default_rng(0))))
+    with torch.inference_mode():
+        mine, theirs = agent.network(graph), loaded.network(graph)
+    assert isinstance(mine, PlacementValues)
+    assert isinstance(theirs, PlacementValues)
+    assert torch.equal(mine.q, theirs.q)
+    assert torch.equal(mine.reward, theirs.reward)
 
 
 def test_loading_twice_shares_nothing(tmp_path: Path) -> None:
@@ -211,6 +229,6 @@ def test_shipped_agent_is_complete(name: str | None) -> None:
     assert all(p.isfinite().all() for p in agent.network.parameters())
     task = get_task(agent.task)
     metrics = run_episodes(task, make_policy(task, agent.network, None, 0.0), 10, 0)
-    untrained = QNetwork(get_config("fast").network)
+    untrained = make_network(agent.network.config)
     chance = run_episodes(task, make_policy(task, untrained, None, 1.0), 10, 0)
     assert metrics.R > chance.R + 1

@@ -228,6 +228,7 @@ for name in sys.argv[1].split():
     sys.modules[name] = None  # as if it were not installed
 import learn2assemble.learning.run, learn2assemble.learning.trainer
 from learn2assemble.learning.config import METHODS
+from learn2assemble.graph.placements import distinct_placements
 from learn2assemble.presets import get_task
 from learn2assemble.simulator import Simulator
 import numpy as np
@@ -235,7 +236,8 @@ sim = Simulator(get_task("two-sided-3x3-20-24"))
 state = sim.new(2, np.random.default_rng(0))
 assert sim.physics_mask(state).any()
 sim.step(state, np.zeros((2, 3), np.int64))
-sim.prospects(state), sim.observe(state)
+graph = sim.observe(state)
+sim.outcomes(state, graph, distinct_placements(graph, 5))
 """
 
 

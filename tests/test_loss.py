@@ -7,26 +7,27 @@ from typing import Any, cast
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from learn2assemble.learning.dqn import GAIN_UNIT, dqn_loss, same_cell, successor, td_targets
 
 from learn2assemble.graph.batch import to_tensors
-from learn2assemble.graph.features import Graph
+from learn2assemble.graph.features import Graph, node_offset
 from learn2assemble.learning.config import TrainConfig
+from learn2assemble.learning.loss import dense_error, q_loss, td_targets
 from learn2assemble.learning.replay import Batch
-from learn2assemble.networks.qnetwork import QFactors, QNetwork
-from learning_data import HEADS, SMALL, TASKS, TINY, Recorded, network, rows_of
+from learn2assemble.networks.build import Network
+from learn2assemble.networks.placement import PlacementValues
+from learn2assemble.networks.qnetwork import NEGATIVE, QFactors
+from learn2assemble.world.outcomes import Outcomes
+from learning_data import RELATIONAL, SMALL, TASKS, TINY, Recorded, network
 
 
 class Fixed:
-    """A network that answers the same factors whatever it sees."""
+    """A network that answers the same factors for the first graphs, whatever it sees."""
 
     def __init__(self, factors: QFactors) -> None:
         self.factors = factors
 
     def __call__(self, graph: Any) -> QFactors:
-        return self.factors
+        return QFactors(*[field[: len(graph.nodes)] for field in self.factors])
 
 
 def test_td_target_by_hand() -> None:
@@ -49,7 +50,6 @@ def test_td_target_by_hand() -> None:
     batch = Batch(
         graph, np.zeros((2, 3), np.int64), np.array([1.0, -1.0], np.float32),
         np.array([False, True]), graph, np.array([0.8, 0.8], np.float32), np.ones(2, np.bool_),
-        None, None, np.zeros(2, np.bool_),
     )  # fmt: skip
 
     def y(**changes: Any) -> list[float]:
@@ -62,136 +62,66 @@ def test_td_target_by_hand() -> None:
     assert y(double=True) == pytest.approx([1 + 0.8 * 0, -1.0])
 
 
-class Constant:
-    """A generator whose every draw is 0.6, so that a loss can be written out."""
-
-    def random(self, size: Any) -> np.ndarray:
-        return np.full(size, 0.6)
-
-
 def smooth_l1(a: float, b: float) -> float:
     d = abs(a - b)
     return 0.5 * d * d if d < 1 else d - 0.5
 
 
-def legal_values(values: np.ndarray, graph: Graph, row: int) -> list[tuple[float, tuple]]:
+def legal_values(net: Network, graph: Graph, row: int) -> dict[tuple[int, int, int], float]:
+    """Q of every legal action of a row, asked for one by one."""
     t, p, n = (int(c[row]) for c in (graph.num_targets, graph.num_placed, graph.num_nodes))
-    pairs = ((i, j, k) for i in range(t + p, n) for j in range(t, t + p) for k in range(5))
-    return [(float(values[row][a]), a) for a in pairs]
-
-
-def written_out(online: QNetwork, target: QNetwork, data: Recorded, config: TrainConfig) -> float:
-    """The loss by loops over dense Q-values, with the simulator in place of stored numbers."""
-    batch, gamma, graph = data.batch, data.task.discount, data.batch.graph
+    k = net.config.num_actions
+    actions = [(i, j, a) for i in range(t + p, n) for j in range(t, t + p) for a in range(k)]
+    tensors = to_tensors(graph.take(np.full(len(actions), row)))
     with torch.no_grad():
+        q = net(tensors).select(torch.tensor(actions))
+    return dict(zip(actions, q.tolist(), strict=True))
 
-        def dense(net: QNetwork, g: Graph, part: str = "values") -> np.ndarray:
-            tensors = to_tensors(g)
-            return getattr(net, part)(net.embeddings(tensors)).dense().double().numpy()
 
-        q, q_next = dense(online, graph), dense(online, batch.next_graph)
-        t_next = dense(target, batch.next_graph)
-        rewards = dense(online, graph, "rewards") if config.network.reward_head else None
-        gains = dense(online, graph, "gains") if config.network.gain_head else None
-        if config.exact_next:
-            r_next = dense(online, batch.next_graph, "rewards")
-            tr_next = dense(target, batch.next_graph, "rewards")
+def best(values: dict[tuple[int, int, int], float]) -> tuple[int, int, int]:
+    return max(values, key=values.__getitem__)
+
+
+def written_out(online: Network, target: Network, data: Recorded, config: TrainConfig) -> float:
+    """The loss by loops over legal actions, with the simulator in place of stored numbers."""
+    batch, gamma, graph = data.batch, data.task.discount, data.batch.graph
     count = len(batch.action)
-    prospects = data.simulator.prospects(data.before)
-    next_prospects = data.simulator.prospects(data.after)
-    y = []
+    q = [legal_values(online, graph, row) for row in range(count)]
+    td = 0.0
     for row in range(count):
         value = 0.0
         if not batch.terminal[row]:
-            mine = legal_values(q_next, batch.next_graph, row)
-            choice = max(mine)[1]
-            if config.exact_next:
-                corrected = []
-                first = int(batch.next_graph.num_targets[row])
-                for j in range(first, first + int(batch.next_graph.num_placed[row])):
-                    for k in range(5):
-                        pair = []
-                        for values, guess in ((q_next, r_next), (t_next, tr_next)):
-                            same = [
-                                v for v in legal_values(values, batch.next_graph, row)
-                                if v[1][1:] == (j, k)
-                            ]  # fmt: skip
-                            best, a = max(same)
-                            where = row, j - first, k
-                            if batch.next_known[row] and next_prospects.terminal[where]:
-                                best = float(next_prospects.reward[where])
-                            elif batch.next_known[row]:
-                                known = float(next_prospects.reward[where])
-                                best += known - float(guess[row][a])
-                            pair.append(best)
-                        corrected.append(tuple(pair))
-                value = max(corrected)[1]
-            elif config.double:
-                value = float(t_next[row][choice])
-            else:
-                value = max(legal_values(t_next, batch.next_graph, row))[0]
-        y.append(float(batch.reward[row]) + gamma * value)
+            theirs = legal_values(target, batch.next_graph, row)
+            mine = legal_values(online, batch.next_graph, row)
+            value = theirs[best(mine)] if config.double else max(theirs.values())
+        y = float(batch.reward[row]) + gamma * value
+        td += smooth_l1(q[row][tuple(batch.action[row].tolist())], y) / count
+    if not config.dense_weight:
+        return td
 
-    td = np.mean([smooth_l1(q[row][tuple(batch.action[row])], y[row]) for row in range(count)])
-    total = 0.0
-    for number in range(config.imagined):
-        errors = []
-        for row in range(count):
-            first = int(graph.num_targets[row])
-            free = first + int(graph.num_placed[row])
-            if number == 0:
-                i, j, k = max(legal_values(q, graph, row))[1]
-            else:
-                i = free + int(0.6 * (int(graph.num_nodes[row]) - free))
-                good = np.argwhere(prospects.valid[row])
-                j, k = (first + good[0][0], good[0][1]) if len(good) else (first, 0)
-            world = data.before.take(np.array([row]))
-            outcome = data.simulator.step(world, np.array([[i - free, j - first, k]]))
-            goal = float(outcome.reward[0])
-            if not outcome.terminated[0]:
-                g = data.simulator.observe(world)
-                with torch.no_grad():
-                    goal += gamma * max(legal_values(dense(target, g), g, 0))[0]
-            errors.append(smooth_l1(q[row][i, j, k], goal))
-        total += float(np.mean(errors))
-    td = (td + total) / (1 + config.imagined)
-
-    shared, invalid, final, reward_errors, gain_errors = [], [], [], [], []
+    with torch.no_grad():
+        values = online(to_tensors(graph))
+    assert isinstance(values, PlacementValues)
+    rewards, invalid, final = [], [], []
     for row in range(count):
-        first, placed = int(graph.num_targets[row]), int(graph.num_placed[row])
-        free = first + placed
-        block = free + int(0.6 * (int(graph.num_nodes[row]) - free))
-        taken = data.after.position[row, placed]
-        like = []
-        for j in range(placed):
-            for k in range(5):
-                world = data.before.take(np.array([row]))
-                data.simulator.step(world, np.array([[0, j, k]]))
-                value = float(q[row][block, first + j, k])
-                if np.allclose(world.position[0, placed], taken, atol=1e-6):
-                    like.append(smooth_l1(value, y[row]))
-                known = float(prospects.reward[row, j, k])
-                if prospects.terminal[row, j, k]:
-                    valid = bool(prospects.valid[row, j, k])
-                    (final if valid else invalid).append(smooth_l1(value, known))
-                if rewards is not None:
-                    guess = float(rewards[row][block, first + j, k])
-                    reward_errors.append(smooth_l1(guess, known))
-                if gains is not None:
-                    gain = float(prospects.gain[row, j, k]) / GAIN_UNIT
-                    gain_errors.append(smooth_l1(float(gains[row][block, first + j, k]), gain))
-        shared.append(float(np.mean(like)))
-    if config.share_cell:
-        td = 0.5 * td + 0.5 * float(np.mean(shared))
-    loss = float(td)
-    if config.terminal_weight:
-        parts = sum(invalid) / max(len(invalid), 1) + sum(final) / max(len(final), count)
-        loss += config.terminal_weight * parts
-    if config.reward_weight:
-        loss += config.reward_weight * float(np.mean(reward_errors))
-    if config.gain_weight:
-        loss += config.gain_weight * float(np.mean(gain_errors))
-    return loss
+        structures = set()
+        placed, local = int(data.before.num_placed[row]), node_offset(graph)[row]
+        for action, value in q[row].items():
+            world = data.before.take(np.array([row]))
+            step = data.simulator.step(world, np.array([action]) - local)
+            cells = np.round(world.position[0, placed : world.num_placed[0]], 4)
+            structure = frozenset(map(tuple, cells.tolist()))
+            if structure in structures:
+                continue
+            structures.add(structure)
+            known = float(step.reward[0])
+            number = values.cells.locate(torch.tensor([action]).expand(count, 3))[row]
+            rewards.append(smooth_l1(float(values.reward[row, number]), known))
+            if step.terminated[0]:
+                (invalid if step.verdict[0] else final).append(smooth_l1(value, known))
+    dense = float(np.mean(rewards)) + sum(invalid) / max(len(invalid), 1)
+    dense += sum(final) / max(len(final), count)
+    return td + config.dense_weight * dense
 
 
 @pytest.mark.parametrize(
@@ -199,73 +129,85 @@ def written_out(online: QNetwork, target: QNetwork, data: Recorded, config: Trai
     [
         {},
         {"double": False},
-        {"share_cell": True},
-        {"terminal_weight": 0.7},
-        {"reward_weight": 2.0, "network": HEADS},
-        {"gain_weight": 0.5, "network": HEADS},
-        {"imagined": 1},
-        {"imagined": 3, "share_cell": True},
-        {"exact_next": True, "network": HEADS},
-        {"exact_next": True, "network": HEADS, "share_cell": True, "terminal_weight": 1.0,
-         "reward_weight": 1.0, "gain_weight": 1.0, "imagined": 2},
+        {"network": RELATIONAL},
+        {"network": RELATIONAL, "double": False, "dense_weight": 1.0},
+        {"network": RELATIONAL, "dense_weight": 0.3},
     ],
-    ids=str,
-)  # fmt: skip
+    ids=["published", "plain", "own, no labels", "own, plain", "own"],
+)
 @pytest.mark.parametrize("steps", [1, 3])
 def test_loss_written_out(changes: dict[str, Any], steps: int) -> None:
-    """Every option of the loss against loops over dense Q-values and simulated placements."""
+    """Every option of the loss against loops over actions and simulated placements."""
     config = TrainConfig(**{"network": SMALL, **changes})
-    data = Recorded(TINY, 8, 3 + steps, steps)
+    data = Recorded(TINY, 12, 3 + steps, steps)
     online, target = network(0, config.network), network(1, config.network)
     # Large enough that both branches of the smooth L1 are met.
     with torch.no_grad():
         for net in (online, target):
-            net.readout.weight.mul_(6)
-    loss, logs = dqn_loss(
-        online, target, data.batch, config, TINY.discount, cast(Any, Constant()), "cpu"
-    )
+            for parameter in net.readout.parameters():
+                parameter.mul_(6)
+    loss, logs = q_loss(online, target, data.batch, config, "cpu")
     expected = written_out(online, target, data, config)
     assert float(loss.detach()) == pytest.approx(expected, rel=1e-4, abs=1e-5)
     assert logs["loss"] == pytest.approx(expected, rel=1e-4, abs=1e-5)
+    assert ("final" in logs) == (config.dense_weight > 0)
     assert data.batch.terminal.any(), "some targets must be without a bootstrap"
     assert not data.batch.terminal.all()
     loss.backward()
     assert all(p.grad is None for p in target.parameters())
 
 
-@given(seed=st.integers(0, 10_000), sides=st.sampled_from([1, 2, 4]), steps=st.integers(0, 4))
-@settings(max_examples=25, deadline=None)
-def test_successor_is_what_the_simulator_observes(seed: int, sides: int, steps: int) -> None:
-    """Targets and placed blocks in the same order, unplaced ones as a multiset (protocol 4)."""
-    data = Recorded(TASKS[sides], 6, seed, steps)
-    mine, theirs = successor(data.batch.graph, data.batch.action), data.batch.next_graph
-    np.testing.assert_array_equal(mine.num_targets, theirs.num_targets)
-    np.testing.assert_array_equal(mine.num_placed, theirs.num_placed)
-    np.testing.assert_array_equal(mine.num_nodes, theirs.num_nodes)
-    for row in range(len(mine.num_nodes)):
-        settled = int(mine.num_targets[row] + mine.num_placed[row])
-        used = int(mine.num_nodes[row])
-        assert rows_of(mine, row, 0, settled) == rows_of(theirs, row, 0, settled)
-        left, right = rows_of(mine, row, settled, used), rows_of(theirs, row, settled, used)
-        assert sorted(left) == sorted(right)
-        assert not mine.nodes[row, used:].any()
+def test_dense_loss_written_out_on_two_sides() -> None:
+    """Rows with different numbers of placements."""
+    config = TrainConfig(network=RELATIONAL, dense_weight=0.7)
+    data = Recorded(TASKS[2], 5, 1, 3)
+    assert len(set(data.placements.count.tolist())) > 1
+    online, target = network(0, RELATIONAL), network(1, RELATIONAL)
+    loss, _ = q_loss(online, target, data.batch, config, "cpu")
+    expected = written_out(online, target, data, config)
+    assert float(loss.detach()) == pytest.approx(expected, rel=1e-4, abs=1e-5)
 
 
-@given(seed=st.integers(0, 10_000), sides=st.sampled_from([1, 2, 4]), steps=st.integers(0, 6))
-@settings(max_examples=20, deadline=None)
-def test_same_cell_is_where_the_simulator_puts_it(seed: int, sides: int, steps: int) -> None:
-    data = Recorded(TASKS[sides], 4, seed, steps)
-    blocks = data.task.max_blocks
-    got = same_cell(data.batch, blocks)
-    for row in range(len(got)):
-        placed = int(data.before.num_placed[row])
-        taken = data.after.position[row, placed]
-        for j in range(blocks):
-            for k in range(5):
-                expected = False
-                if j < placed:
-                    world = data.before.take(np.array([row]))
-                    data.simulator.step(world, np.array([[0, j, k]]))
-                    expected = np.allclose(world.position[0, placed], taken, atol=1e-6)
-                assert got[row, j, k] == expected
-    assert got.any((1, 2)).all(), "the action itself counts"
+class Legal:
+    """The only part of the cells that :func:`dense_error` looks at."""
+
+    def __init__(self, *rows: list[int]) -> None:
+        self.legal = torch.tensor(rows, dtype=torch.bool)
+
+
+def test_dense_error_by_hand() -> None:
+    """Two states with three and two placements; memory holds a fourth column of another state."""
+    q = torch.tensor([[0.5, -3.0, 1.0], [0.0, 2.0, NEGATIVE]], requires_grad=True)
+    reward = torch.tensor([[1.0, 0.0, 0.0], [0.5, 3.0, NEGATIVE]], requires_grad=True)
+    cells = cast(Any, Legal([1, 1, 1], [1, 1, 0]))
+    outcomes = Outcomes(
+        np.array([[1, -1, 0, 7], [0, 1, 9, 9]], np.float32),
+        np.array([[0, 1, 0, 1], [0, 1, 1, 1]], np.bool_),  # terminal
+        np.array([[1, 0, 0, 1], [1, 1, 1, 0]], np.bool_),  # valid; (0, 2) is undecided
+        np.zeros((2, 4), np.float32),
+    )
+    error, parts = dense_error(PlacementValues(q, reward, cells), outcomes)
+    # Rewards: |1-1|, |0+1|, (undecided), |0.5-0|, |3-1|: smooth L1 0, 0.5, 0.125, 1.5.
+    assert parts["reward"] == pytest.approx((0 + 0.5 + 0.125 + 1.5) / 4)
+    # Q where invalid: |-3+1| of one placement.
+    assert parts["invalid"] == pytest.approx(1.5)
+    # Q where valid and final: |2-1| of one placement, over the two states.
+    assert parts["final"] == pytest.approx(0.5 / 2)
+    assert float(error.detach()) == pytest.approx(sum(parts.values()))
+    error.backward()
+    assert q.grad is not None
+    assert reward.grad is not None
+    np.testing.assert_allclose(q.grad, [[0, -1, 0], [0, 0.5, 0]])
+    np.testing.assert_allclose(reward.grad, [[0, 0.25, 0], [0.125, 0.25, 0]])
+
+
+def test_dense_error_without_a_label_is_zero() -> None:
+    """Nothing invalid, nothing final, nothing known: no NaN, no gradient."""
+    q = torch.zeros(1, 2, requires_grad=True)
+    nothing = np.zeros((1, 2), np.bool_)
+    outcomes = Outcomes(np.zeros((1, 2), np.float32), nothing, nothing, np.zeros((1, 2)))
+    error, _ = dense_error(PlacementValues(q, q + 1, cast(Any, Legal([1, 1]))), outcomes)
+    error.backward()
+    assert float(error.detach()) == 0
+    assert q.grad is not None
+    assert not q.grad.any()

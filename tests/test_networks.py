@@ -27,10 +27,9 @@ VARIANTS: list[dict[str, Any]] = [
     {"feed_forward": "wide"},
     {"feed_forward": "none"},
     {"rotary": True},
-    {"reward_head": True},
     {"encoder": "s2v"},
-    {"encoder": "s2v", "connectivity": "full", "reward_head": True},
-    {"rotary": True, "reward_head": True, "connectivity": "full", "position_scale": 0.1},
+    {"encoder": "s2v", "connectivity": "full"},
+    {"rotary": True, "connectivity": "full", "position_scale": 0.1},
 ]
 
 
@@ -80,7 +79,6 @@ few = settings(max_examples=15, deadline=None)
         # Structure2Vec has neither heads nor a feed-forward.
         ({"encoder": "s2v"}, 59_007),
         ({"encoder": "s2v", "heads": 1, "feed_forward": "wide"}, 59_007),
-        ({"feed_forward": "none", "reward_head": True}, 54_533 + 192 * 5 + 5),
     ],
 )
 def test_number_of_parameters(changes: dict[str, Any], expected: int) -> None:
@@ -214,8 +212,6 @@ def test_read_out_is_the_published_form(changes: dict[str, Any]) -> None:
     with torch.no_grad():
         h, dense = net.encode(graph), net(graph).dense()
         weight, bias = net.readout.weight, net.readout.bias
-        if net.reward_readout is not None:
-            weight, bias = weight + net.reward_readout.weight, bias + net.reward_readout.bias
         for row, triple in enumerate(counts):
             used = sum(triple)
             pooled = net.pool.weight @ h[row, :used].mean(0)
@@ -225,20 +221,6 @@ def test_read_out_is_the_published_form(changes: dict[str, Any]) -> None:
                     torch.testing.assert_close(
                         dense[row, i, j], weight @ x + bias, rtol=0, atol=1e-10
                     )
-
-
-def test_reward_head_is_one_term_of_q() -> None:
-    """Deviation D6: Q is the sum of the two heads."""
-    net = network(reward_head=True)
-    graph = tensors(random_graph([(3, 2, 2)], 7, 1))
-    embeddings = net.embeddings(graph)
-    assert net.reward_readout is not None
-    whole, reward = net.values(embeddings).dense(), net.rewards(embeddings).dense()
-    with torch.no_grad():
-        net.reward_readout.weight.zero_()
-        net.reward_readout.bias.zero_()
-    torch.testing.assert_close(net.values(embeddings).dense() + reward, whole)
-    assert float(reward.detach().abs().max()) > 0
 
 
 def _attention_by_hand(layer: AttentionRound, x: torch.Tensor, adjacency: np.ndarray) -> Any:
@@ -418,6 +400,7 @@ def test_positions_are_divided_by_the_scale() -> None:
         ({"feed_forward": ""}, "light, none, wide"),
         ({"connectivity": "parital"}, "did you mean 'partial'"),
         ({"encoder": "s2w"}, "did you mean 's2v'"),
+        ({"encoder": "relation"}, "did you mean 'relational'"),
         ({"encoder": "s2v", "rotary": True}, "false for the encoder s2v"),
         ({"encoder": "s2v", "width": 1, "heads": 1}, "at least 2"),
         ({"heads": 3}, "a divisor of width 64"),

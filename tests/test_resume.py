@@ -23,17 +23,19 @@ from learn2assemble.learning.run import train
 from learn2assemble.learning.trainer import Trainer
 from learn2assemble.simulator import Simulator
 from learn2assemble.world.state import State
-from learning_data import QUICK, TINY, assert_same_training, contents
+from learning_data import OWN, QUICK, TINY, assert_same_training, contents
 
 
 @pytest.mark.parametrize(
     "changes",
     [
         {},
-        {"target_rate": 0.1, "imagined": 0},
-        {"exact_next": True},
+        {"target_rate": 0.1},
+        OWN,
+        {**OWN, "double": False, "steps": 1},
         {"method": "q-mcts"},
         {"method": "eps-mcts", "search_budget": 3},
+        {**OWN, "method": "q-mcts"},
     ],
     ids=str,
 )
@@ -78,21 +80,23 @@ def interrupt_after(monkeypatch: pytest.MonkeyPatch, rounds: int) -> None:
     monkeypatch.setattr(Trainer, "round", round_or_stop)
 
 
+@pytest.mark.parametrize("changes", [{}, OWN], ids=["published", "own"])
 def test_interrupted_run_goes_on_as_if_nothing_happened(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    changes: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """``train`` stopped by Ctrl-C and resumed equals ``train`` in one go, files included."""
     monkeypatch.setattr(run_module, "LOG_SECONDS", 0.02)
-    train(TINY, QUICK, tmp_path / "a", seed=5, device="cpu", quiet=True)
+    config = dataclasses.replace(QUICK, **changes)
+    train(TINY, config, tmp_path / "a", seed=5, device="cpu", quiet=True)
     with monkeypatch.context() as patch:
         interrupt_after(patch, 30)
         with pytest.raises(KeyboardInterrupt):
-            train(TINY, QUICK, tmp_path / "b", seed=5, device="cpu", quiet=True)
+            train(TINY, config, tmp_path / "b", seed=5, device="cpu", quiet=True)
     stopped, _ = contents(tmp_path / "b" / "state.safetensors")
     assert stopped["samples"] == 150
     with (tmp_path / "b" / "log.jsonl").open("a", encoding="utf-8") as stream:
         stream.write('{"samples": 152}\n{"samp')  # Written after the checkpoint, then cut off.
-    metrics = train(TINY, QUICK, tmp_path / "b", seed=5, device="cpu", quiet=True, resume=True)
+    metrics = train(TINY, config, tmp_path / "b", seed=5, device="cpu", quiet=True, resume=True)
     assert metrics["samples"] == QUICK.num_samples
     assert_same_training(tmp_path / "a" / "state.safetensors", tmp_path / "b" / "state.safetensors")
     weights = [(tmp_path / name / "agent.safetensors").read_bytes() for name in "ab"]

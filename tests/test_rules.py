@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.geometry.bits import IMAGE_SIZE, ROWS, from_pixels
-from learn2assemble.physics.protocol import Verdict
 from learn2assemble.presets import PRESETS, get_task
 from learn2assemble.simulator import Simulator
 from learn2assemble.task import Task
@@ -309,48 +308,6 @@ def assert_equal_steps(sim: Simulator, a: State, b: State, actions: np.ndarray) 
 
 
 # ---------------------------------------------------------------- look-ahead and batches
-
-
-@pytest.mark.parametrize("task", CUBES, ids=lambda task: task.name)
-def test_prospects_are_what_the_steps_bring(task: Task) -> None:
-    sim, rng = SIMULATORS[task.name], np.random.default_rng(11)
-    valid_seen, ends_seen = 0, 0
-    for steps in (0, 2, 6, 12):
-        state = played(task, 3, rng, steps)
-        untouched = state.copy()
-        seen = sim.prospects(state)
-        assert same(state, untouched)
-        assert np.array_equal(seen.valid, sim.physics_mask(state))
-        row, reference, relation = np.nonzero(
-            np.broadcast_to(
-                (np.arange(state.position.shape[1]) < state.num_placed[:, None])[..., None],
-                seen.valid.shape,
-            )
-        )
-        trial = state.take(row)
-        unplaced = rng.integers(trial.num_unplaced)
-        done = sim.step(trial, np.stack([unplaced, reference, relation], -1))
-        at = row, reference, relation
-        assert np.array_equal(done.verdict == Verdict.STABLE, seen.valid[at])
-        assert np.array_equal(done.reward.astype(np.float32), seen.reward[at])
-        assert np.array_equal(done.terminated, seen.terminal[at])
-        valid_seen += int(seen.valid[at].sum())
-        ends_seen += int((seen.terminal[at] & seen.valid[at]).sum())
-        rest = np.ones(seen.valid.shape, bool)
-        rest[at] = False
-        for field in seen:
-            assert not field[rest].any()
-    assert valid_seen > 50
-    assert ends_seen > 0 or task.name != "easy"
-
-
-def test_prospects_know_the_last_block() -> None:
-    sim = SIMULATORS[SMALL.name]
-    state = played(sim.task, 2, np.random.default_rng(0), 1)
-    state.num_blocks[1] = state.num_placed[1] + 1
-    seen = sim.prospects(state)
-    assert seen.terminal[1][seen.valid[1]].all()
-    assert not seen.terminal[0][seen.valid[0]].all()
 
 
 @given(seed=SEEDS, task=some_task, steps=st.integers(0, 8))

@@ -16,14 +16,16 @@ from learn2assemble.learning.config import CONFIGS, TrainConfig, get_config, ove
 from learn2assemble.learning.explore import epsilon_greedy, to_local
 from learn2assemble.learning.run import choose_device
 from learn2assemble.learning.trainer import Trainer
+from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.simulator import Simulator
-from learning_data import HEADS, SMALL, TINY, network
+from learning_data import RELATIONAL, SMALL, TINY, network
 
 
-def test_epsilon_greedy_rate_and_legality() -> None:
+@pytest.mark.parametrize("config", [SMALL, RELATIONAL], ids=lambda c: c.encoder)
+def test_epsilon_greedy_rate_and_legality(config: NetworkConfig) -> None:
     simulator = Simulator(TINY)
     graph = simulator.observe(simulator.new(2000, np.random.default_rng(0)))
-    net = network(0)
+    net = network(0, config)
     action, greedy = epsilon_greedy(net, graph, 0.3, np.random.default_rng(1), "cpu")
     assert greedy.mean() == pytest.approx(0.7, abs=0.04)
     tensors = to_tensors(graph)
@@ -89,7 +91,7 @@ def test_start_from_another_network() -> None:
             assert torch.equal(a, b)
             assert a is not b
     with pytest.raises(InputError, match="--init"):
-        trainer.start_from(network(9, HEADS))
+        trainer.start_from(network(9, RELATIONAL))
 
 
 # Configurations.
@@ -104,7 +106,7 @@ def test_configurations_survive_json() -> None:
 
 def test_override() -> None:
     config = override(
-        get_config("fast"),
+        get_config("published"),
         ["learning_rate=3e-4", "network.heads=1", "augment=FALSE", "network.connectivity=full",
          "num_envs=7"],
     )  # fmt: skip
@@ -113,7 +115,7 @@ def test_override() -> None:
     assert config.augment is False
     assert config.network.connectivity == "full"
     assert config.num_envs == 7
-    assert get_config("fast").network.heads != 1, "the table is not changed"
+    assert get_config("published").network.heads != 1, "the table is not changed"
 
 
 BAD_SETTINGS = [
@@ -131,29 +133,44 @@ BAD_SETTINGS = [
     ("epsilon_final=2", "epsilon_final"),
     ("epsilon_final=nan", "epsilon_final"),
     ("target_rate=-0.1", "a share"),
-    ("imagined=-1", "imagined"),
-    ("terminal_weight=-1", "at least 0"),
+    ("dense_weight=-1", "at least 0"),
+    ("dense_weight=1", "0 unless encoder is relational"),
+    ("network.encoder=relational", "augment"),
+    ("network.encoder=relationl", "did you mean 'relational'"),
     ("method=ppo", "expected one of dqn, eps-mcts, q-mcts"),
     ("network.feed_forward=wyde", "did you mean 'wide'"),
     ("network.rounds=0", "at least 1"),
-    ("network.reward_head=false", "network.reward_head"),
+    ("terminal_weight=1", "terminal_weight"),
+    ("network.reward_head=false", "reward_head"),
 ]
 
 
 @pytest.mark.parametrize(("text", "words"), BAD_SETTINGS, ids=[t for t, _ in BAD_SETTINGS])
 def test_override_refuses(text: str, words: str) -> None:
     with pytest.raises(InputError, match=words) as caught:
-        override(get_config("fast"), [text])
+        override(get_config("published"), [text])
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
     "text",
-    ["network=x", "terminal_weight=nan", "reward_weight=inf", "network.heads=0", "network.width=0"],
+    ["network=x", "dense_weight=nan", "dense_weight=inf", "network.heads=0", "network.width=0"],
 )
 def test_override_refuses_what_would_fail_later(text: str) -> None:
     with pytest.raises(InputError):
-        override(get_config("fast"), [text])
+        override(get_config("published"), [text])
+
+
+def test_own_learner_is_refused_what_does_not_go_with_it() -> None:
+    """Labels need values of whole placements; symmetries are built into the relations."""
+    with pytest.raises(InputError, match="dense_weight"):
+        TrainConfig(network=SMALL, dense_weight=0.5)
+    with pytest.raises(InputError, match="augment"):
+        TrainConfig(network=RELATIONAL, augment=True)
+    config = TrainConfig(network=RELATIONAL, dense_weight=0.5)
+    with pytest.raises(InputError, match="dense_weight"):
+        override(config, ["network.encoder=attention"])
+    assert override(config, ["dense_weight=0", "network.encoder=s2v"]).network.encoder == "s2v"
 
 
 @pytest.mark.parametrize("count", [3, 20])
@@ -165,13 +182,13 @@ def test_network_with_other_actions_is_refused(count: int) -> None:
 
 
 def test_from_dict_refuses_unknown_names() -> None:
-    values = get_config("fast").to_dict()
+    values = get_config("published").to_dict()
     with pytest.raises(UnknownNameError, match="did you mean 'num_envs'"):
         TrainConfig.from_dict(values | {"num_env": 3})
     with pytest.raises(UnknownNameError, match="did you mean 'heads'"):
         TrainConfig.from_dict(values | {"network": {"head": 3}})
-    with pytest.raises(UnknownNameError, match="did you mean 'fast'"):
-        get_config("fats")
+    with pytest.raises(UnknownNameError, match="did you mean 'paper'"):
+        get_config("papre")
 
 
 def test_devices() -> None:

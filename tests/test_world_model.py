@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from learn2assemble.graph.features import node_offset
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QNetwork
 from learn2assemble.planning.legacy import LegacyModel
@@ -15,7 +16,7 @@ from learn2assemble.search.mcts import search
 from learn2assemble.simulator import Simulator
 from learn2assemble.task import Task
 from learn2assemble.world.state import State
-from learning_data import advance
+from learning_data import advance, look_ahead
 
 torch.set_num_threads(1)
 
@@ -144,10 +145,14 @@ def walls(task: Task, count: int = 60, placements: int = 3) -> tuple[WorldModel,
     return WorldModel(simulator, QNetwork(NetworkConfig(width=16, heads=2, rounds=1))), state
 
 
-def first_valid(model: WorldModel, state: State) -> np.ndarray:
-    valid = model.simulator.prospects(state).valid
-    places = [np.argwhere(row)[-1] for row in valid]
-    return np.array([[0, *place] for place in places])
+def valid_with_most(model: WorldModel, state: State, worth: str | None) -> np.ndarray:
+    """Of the valid placements the one with the largest field of the outcomes, or the last."""
+    placements, outcomes = look_ahead(model.simulator, state)
+    number = np.broadcast_to(np.arange(outcomes.valid.shape[1]), outcomes.valid.shape)
+    value = getattr(outcomes, worth) if worth else number
+    chosen = np.where(outcomes.valid, value, -9.0).argmax(1)
+    action = placements.action[np.arange(len(chosen)), chosen]
+    return action - node_offset(model.simulator.observe(state))
 
 
 def test_legacy_takes_the_initial_cover_from_the_restored_state() -> None:
@@ -157,7 +162,7 @@ def test_legacy_takes_the_initial_cover_from_the_restored_state() -> None:
     model, state = walls(task)
     legacy = LegacyModel(model, np.random.default_rng(0))
     before = state.copy()
-    actions = first_valid(model, state)
+    actions = valid_with_most(model, state, None)
     exact, faulty = model.step(state, actions), legacy.step(state, actions)
     for mine, theirs in zip(state, before, strict=True):
         np.testing.assert_array_equal(mine, theirs)
@@ -184,9 +189,7 @@ def test_legacy_ends_later() -> None:
     task = TINY.replace(num_sides=1, num_nodes=14, success_threshold=0.6, max_initial_cover=1.0)
     model, state = walls(task, 300, 1)
     state = state.take(np.flatnonzero(state.plane_pixels > state.initial_pixels))
-    options = model.simulator.prospects(state)
-    gain = np.where(options.valid, options.gain, -9.0).reshape(state.batch_size, -1)
-    actions = np.stack([0 * state.num_placed, *np.divmod(gain.argmax(1), 5)], -1)
+    actions = valid_with_most(model, state, "gain")
     exact = model.step(state, actions)
     faulty = LegacyModel(model, np.random.default_rng(0)).step(state, actions)
     assert (exact.terminal & ~faulty.terminal).any()

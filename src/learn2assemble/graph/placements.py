@@ -18,7 +18,6 @@ from learn2assemble.world.blocks import EDGE
 
 MAX_CELLS = 4
 """Cells of the largest object."""
-_TABLE = 1 << 14
 
 
 class Placements(NamedTuple):
@@ -93,12 +92,16 @@ def _fill(nodes, reference, relation, turns, offsets, count, cells):
 
 @njit(cache=True)
 def _enter(table, stamp, stamps, keys, key, number):
-    """Number under which ``key`` is known; enters it as ``number`` where it is new."""
-    slot = np.int64(key & np.uint64(_TABLE - 1))
+    """Number under which ``key`` is known; enters it as ``number`` where it is new.
+
+    The tables are a power of two long and never full.
+    """
+    last = len(table) - 1
+    slot = np.int64(key & np.uint64(last))
     while stamps[slot] == stamp:
         if keys[slot] == key:
             return table[slot]
-        slot = (slot + 1) & (_TABLE - 1)
+        slot = (slot + 1) & last
     stamps[slot], keys[slot], table[slot] = stamp, key, number
     return number
 
@@ -109,9 +112,10 @@ def _enumerate(
     out_cells, num_cells, out_action, out_members, count, out_key,
 ):  # fmt: skip
     """Write all rows; returns False where the arrays are too small."""
-    tables = np.empty((3, _TABLE), np.int64)
-    stamps = np.full((3, _TABLE), -1, np.int64)
-    keys = np.empty((3, _TABLE), np.uint64)
+    slots = 4 * out_action.shape[1]
+    tables = np.empty((3, slots), np.int64)
+    stamps = np.full((3, slots), -1, np.int64)
+    keys = np.empty((3, slots), np.uint64)
     offsets = np.empty((MAX_CELLS, 3))
     cells = np.empty((MAX_CELLS, 3))
     for row in range(len(num_targets)):
@@ -214,7 +218,10 @@ def _locate(
 def locate(
     placements: Placements, graph: Graph, action: np.ndarray, num_actions: int
 ) -> np.ndarray:
-    """Number of the placement that has the result of each node action int64[B, 3]: int64[B]."""
+    """Number of the placement that has the result of each node action int64[B, 3]: int64[B].
+
+    -1 where none has it.
+    """
     out = np.full(len(action), -1, np.int64)
     _locate(
         graph.nodes, graph.object_id, graph.num_targets, graph.num_placed, graph.num_nodes,

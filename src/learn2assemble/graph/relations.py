@@ -1,8 +1,8 @@
 """How a cell lies to the outlines and to the placed blocks, seen from each side (deviation D20).
 
 Everything is expressed in the viewer's frame of a side (x right, depth towards the viewer, z up)
-relative to the cell, so it does not change when the structure is moved, turned with its sides, or
-when the sides are listed in another order. Read from the graph alone.
+relative to the cell, so it does not change when the structure is turned with its sides. Read from
+the graph alone, whose vertices carry the number of their side.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from learn2assemble.geometry.mask import pixel_vertex
 from learn2assemble.graph.features import Graph
 from learn2assemble.graph.placements import Placements
 from learn2assemble.world.blocks import EDGE, HALF
+from learn2assemble.world.sides import side_frames
 
 EDGE_FEATURES = 13
 REACH = 3
@@ -44,20 +45,6 @@ def _clip(value, limit):
 
 
 @njit(cache=True)
-def _side_frame(nodes, first, last, start):
-    """Unit vector to the viewer's right (x, y) and outward normal of the vertices first..last-1.
-
-    The first placed block ``start`` is always behind the face plane.
-    """
-    dx, dy = nodes[last - 1, 0] - nodes[first, 0], nodes[last - 1, 1] - nodes[first, 1]
-    length = max(np.sqrt(dx * dx + dy * dy), 1e-9)
-    nx, ny = dy / length, -dx / length
-    if (nodes[start, 0] - nodes[first, 0]) * nx + (nodes[start, 1] - nodes[first, 1]) * ny > 0:
-        nx, ny = -nx, -ny
-    return -ny, nx, nx, ny
-
-
-@njit(cache=True)
 def _pixel_corner(x, z):
     """A vertex where the mask has it: moved to its image point (protocol 3.2)."""
     u, v = pixel_vertex(x, z)
@@ -66,7 +53,7 @@ def _pixel_corner(x, z):
 
 @njit(cache=True)
 def _relate(
-    nodes, object_id, num_targets, num_placed, cells, num_cells, most_edges,
+    nodes, object_id, num_targets, num_placed, cells, num_cells, most_edges, frames,
     edges, edge_used, offsets, total_area,
 ):  # fmt: skip
     corner = np.empty((most_edges, 2))
@@ -78,13 +65,15 @@ def _relate(
             last = first
             while last < targets and object_id[row, last] == object_id[row, first]:
                 last += 1
-            right_x, right_y, out_x, out_y = _side_frame(nodes[row], first, last, targets)
+            # The viewer's right and the outward normal; the camera stands before the middle of the
+            # side, which the rounding to pixels needs.
+            right_x, right_y = frames[side, 0], frames[side, 1]
+            out_x, out_y = right_y, -right_x
+            middle_x, middle_y = frames[side, 2], frames[side, 3]
             area = 0.0
-            # The origin along the face is the world's origin: sides are centred on it, and the
-            # cameras too, which the rounding to pixels needs.
             for k in range(last - first):
                 node = nodes[row, first + k]
-                x = node[0] * right_x + node[1] * right_y
+                x = (node[0] - middle_x) * right_x + (node[1] - middle_y) * right_y
                 corner[k, 0], corner[k, 1] = _pixel_corner(x, node[2])
             for k in range(last - first):
                 n = (k + 1) % (last - first)
@@ -96,7 +85,8 @@ def _relate(
                 dx = cells[row, c, 0] - nodes[row, first, 0]
                 dy = cells[row, c, 1] - nodes[row, first, 1]
                 depth = (dx * out_x + dy * out_y + HALF) / EDGE
-                x = cells[row, c, 0] * right_x + cells[row, c, 1] * right_y
+                x = (cells[row, c, 0] - middle_x) * right_x
+                x += (cells[row, c, 1] - middle_y) * right_y
                 z = cells[row, c, 2]
                 for k in range(last - first):
                     n = (k + 1) % (last - first)
@@ -141,6 +131,6 @@ def relate(graph: Graph, placements: Placements) -> Relations:
     area = np.zeros(batch, np.float32)
     _relate(
         graph.nodes, graph.object_id, graph.num_targets, graph.num_placed, placements.cells,
-        placements.num_cells, most_edges, edges, edge_used, offsets, area,
+        placements.num_cells, most_edges, side_frames(sides), edges, edge_used, offsets, area,
     )  # fmt: skip
     return Relations(edges, edge_used, offsets, area)

@@ -16,6 +16,8 @@ MIRROR = np.array([0, 2, 1, 3, 4])
 """Relative actions under x -> -x: left and right exchange."""
 EXCHANGE = np.array([0, 1, 2, 4, 3])
 """Relative actions under y -> c - y: front and behind exchange."""
+_MIRRORED_SIDES, _EXCHANGED_SIDES = np.array([0, 1, 3, 2]), np.array([1, 0, 2, 3])
+"""Which side each side becomes."""
 _MIDDLE = {2: EDGE, 4: 2 * EDGE}
 """c for the structures that exchange maps onto themselves."""
 
@@ -43,7 +45,12 @@ def random_symmetry(batch: Batch, num_sides: int, rng: np.random.Generator) -> B
         x, y = nodes[..., 0], nodes[..., 1]
         nodes[..., 0] = np.where(settled & mirror[:, None], -x, x)
         nodes[..., 1] = np.where(settled & exchange[:, None], middle - y, y)
-        return graph._replace(nodes=nodes)
+        object_id = graph.object_id.copy()
+        vertex = np.arange(nodes.shape[1]) < graph.num_targets[:, None]
+        for chosen, permutation in ((mirror, _MIRRORED_SIDES), (exchange, _EXCHANGED_SIDES)):
+            turned = vertex & chosen[:, None]
+            object_id[turned] = -1 - permutation[-1 - object_id[turned]]
+        return graph._replace(nodes=nodes, object_id=object_id)
 
     return batch._replace(
         graph=turn(batch.graph), next_graph=turn(batch.next_graph), action=action,

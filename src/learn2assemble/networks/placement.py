@@ -89,7 +89,9 @@ class PlacementNetwork(nn.Module):
         context = self.summary(cells.summary)
         for pool, layer in zip(self.pools, self.rounds, strict=True):
             grid = _padded(x, cells.used)
-            context = F.relu(context + pool(torch.cat([grid.sum(1) / 10, grid.amax(1)], -1)))
+            # Never below 0: a padded row and the same row alone must have the same maximum.
+            largest = grid.amax(1).clamp(min=0)
+            context = F.relu(context + pool(torch.cat([grid.sum(1) / 10, largest], -1)))
             x = x + layer(torch.cat([x, context[cells.row]], -1))
         return F.relu(x), context
 

@@ -1,0 +1,260 @@
+"""Distinct placements and their outcomes against every single action of the simulator."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import learn2assemble.physics.static as static_module
+from learn2assemble.graph.features import Graph, node_offset
+from learn2assemble.graph.placements import action_keys, distinct_placements, locate
+from learn2assemble.simulator import Simulator
+from learn2assemble.task import Task
+from learn2assemble.world.blocks import HALF
+from learn2assemble.world.state import State
+from learning_data import advance, look_ahead
+
+_OBJECTS = Task(
+    "set-26", num_sides=2, grid=3, num_nodes=20, objects="set-26", rotations=4, reward="scaled",
+    success_threshold=0.75,
+)  # fmt: skip
+TASKS = {
+    task.name: task
+    for task in (
+        Task("one", num_sides=1, grid=3, num_nodes=14),
+        Task("two", num_sides=2, grid=3, num_nodes=20),
+        Task("four", num_sides=4, grid=3, num_nodes=30),
+        Task("scaled", num_sides=2, grid=3, num_nodes=20, reward="scaled"),
+        Task("turned-cubes", num_sides=2, grid=3, num_nodes=18, rotations=4),
+        Task("bars", num_sides=1, grid=4, num_nodes=18, objects="bars", reward="scaled"),
+        Task("set-20", num_sides=2, grid=3, num_nodes=20, objects="set-20", rotations=4),
+        Task("set-21", num_sides=1, grid=4, num_nodes=20, objects="set-21"),
+        _OBJECTS,
+    )
+}
+SIMULATORS = {name: Simulator(task) for name, task in TASKS.items()}
+some_state = given(
+    name=st.sampled_from(list(TASKS)), seed=st.integers(0, 10_000), steps=st.integers(0, 5)
+)
+
+Cells = frozenset[tuple[int, int, int]]
+
+
+def whole(positions: np.ndarray) -> list[tuple[int, int, int]]:
+    """Centres [m] in whole half edges."""
+    return [tuple(cell) for cell in np.rint(positions / HALF).astype(int).tolist()]
+
+
+class Tried(NamedTuple):
+    """Every legal action of one world, made."""
+
+    actions: np.ndarray
+    """int64[m, 3], numbers within unplaced and placed blocks, in lexical order."""
+    cells: list[Cells]
+    """Cells each of them fills."""
+    first: list[tuple[int, int, int]]
+    """Cell of the chosen block."""
+    reward: np.ndarray
+    terminated: np.ndarray
+    valid: np.ndarray
+    gain: np.ndarray
+
+
+def try_everything(simulator: Simulator, state: State, row: int) -> Tried:
+    counts = state.num_unplaced[row], state.num_placed[row], simulator.task.num_actions
+    actions = np.indices([int(n) for n in counts]).reshape(3, -1).T
+    many = state.take(np.full(len(actions), row))
+    placed, before = int(state.num_placed[row]), state.plane_coverage[row]
+    step = simulator.step(many, actions)
+    filled = [whole(many.position[n, placed : many.num_placed[n]]) for n in range(len(actions))]
+    return Tried(
+        actions, [frozenset(cells) for cells in filled], [cells[0] for cells in filled],
+        step.reward, step.terminated, step.verdict == 0, many.plane_coverage - before,
+    )  # fmt: skip
+
+
+def some_worlds(name: str, seed: int, steps: int, count: int = 2) -> tuple[Simulator, State]:
+    """Worlds on their way; at least one."""
+    simulator, rng = SIMULATORS[name], np.random.default_rng(seed)
+    state = advance(simulator, simulator.new(count, rng), steps, rng)
+    return simulator, state if state.batch_size else simulator.new(1, rng)
+
+
+@some_state
+@settings(max_examples=40, deadline=None)
+def test_placements_are_what_the_actions_can_make(name: str, seed: int, steps: int) -> None:
+    """One placement for every set of cells that some action fills, the first action that does."""
+    simulator, state = some_worlds(name, seed, steps)
+    graph = simulator.observe(state)
+    found = distinct_placements(graph, simulator.task.num_actions)
+    local = found.action - node_offset(graph)[:, None]
+    for row in range(state.batch_size):
+        tried = try_everything(simulator, state, row)
+        known: dict[Cells, int] = {}
+        for number, cells in enumerate(tried.cells):
+            known.setdefault(cells, number)
+        count = int(found.count[row])
+        assert local[row, :count].tolist() == tried.actions[list(known.values())].tolist()
+        assert found.used[row].sum() == count == len(known)
+        for n, (cells, number) in enumerate(known.items()):
+            members = [int(m) for m in found.members[row, n] if m >= 0]
+            there = whole(found.cells[row, members])
+            assert len(there) == len(cells)
+            assert frozenset(there) == cells
+            assert there[0] == tried.first[number], "the chosen block's cell comes first"
+        # Cells: all that can be filled, then what only placed blocks fill; each once.
+        every = whole(found.cells[row, : found.num_cells[row]])
+        assert len(set(every)) == len(every)
+        fillable = set().union(*known)
+        assert set(every[: len(fillable)]) == fillable
+        placed = set(whole(state.position[row, : state.num_placed[row]]))
+        assert set(every[len(fillable) :]) == placed - fillable
+
+
+@some_state
+@settings(max_examples=25, deadline=None)
+def test_keys_and_numbers_are_those_of_the_result(name: str, seed: int, steps: int) -> None:
+    """``action_keys`` are equal exactly where the cells are; ``locate`` finds the placement."""
+    simulator, state = some_worlds(name, seed, steps)
+    graph, kinds = simulator.observe(state), simulator.task.num_actions
+    found = distinct_placements(graph, kinds)
+    for row in range(state.batch_size):
+        tried = try_everything(simulator, state, row)
+        keys = action_keys(graph, row, kinds).ravel().tolist()
+        assert len(set(zip(keys, tried.cells, strict=True))) == len(set(keys))
+        assert len(set(keys)) == len(set(tried.cells))
+        many = graph.take(np.full(len(keys), row))
+        repeated = type(found)(*[field[np.full(len(keys), row)] for field in found])
+        action = tried.actions + node_offset(graph)[row]
+        number = locate(repeated, many, action, kinds)
+        assert found.key[row, number].tolist() == keys
+        order = list(dict.fromkeys(tried.cells))
+        assert number.tolist() == [order.index(cells) for cells in tried.cells]
+
+
+def test_locate_says_where_nothing_is_found() -> None:
+    simulator, state = some_worlds("two", 0, 1)
+    graph = simulator.observe(state)
+    found = distinct_placements(graph, 5)
+    action = found.action[:, 0]
+    none = found._replace(count=0 * found.count)
+    assert locate(found, graph, action, 5).tolist() == [0] * state.batch_size
+    assert locate(none, graph, action, 5).tolist() == [-1] * state.batch_size
+
+
+@given(seed=st.integers(0, 1000))
+@settings(max_examples=10, deadline=None)
+def test_rows_do_not_leak_into_each_other(seed: int) -> None:
+    simulator, state = some_worlds("set-26", seed, seed % 4, count=4)
+    graph = simulator.observe(state)
+    together = distinct_placements(graph, 20)
+    for row in range(state.batch_size):
+        alone = distinct_placements(graph.take(np.array([row])), 20)
+        count, cells = int(alone.count[0]), int(alone.num_cells[0])
+        assert together.count[row] == count
+        assert together.num_cells[row] == cells
+        np.testing.assert_array_equal(together.action[row, :count], alone.action[0, :count])
+        np.testing.assert_array_equal(together.key[row, :count], alone.key[0, :count])
+        np.testing.assert_array_equal(together.cells[row, :cells], alone.cells[0, :cells])
+
+
+def test_more_placements_than_fit_at_first() -> None:
+    """A wide floor: far more distinct placements than the first capacity of the tables."""
+    width = 30
+    nodes = np.zeros((1, 3 + width**2 + 1, 5), np.float32)
+    x, y = np.divmod(np.arange(width**2), width)
+    # Every other cell, so that each has four free neighbours of which two are shared.
+    nodes[0, 3:-1, :3] = np.stack([0.1 * x, 0.1 * y, 0 * x + HALF], -1)
+    object_id = np.arange(nodes.shape[1], dtype=np.int32)[None]
+    counts = [np.array([n]) for n in (3, width**2, nodes.shape[1])]
+    found = distinct_placements(Graph(nodes, object_id, *counts), 5)
+    between = 2 * width * (width + 1)
+    assert int(found.count[0]) == width**2 + between
+    assert int(found.num_cells[0]) == 2 * width**2 + between
+
+
+def test_nothing_left_to_place() -> None:
+    simulator, state = some_worlds("two", 3, 2)
+    state.num_blocks[:] = state.num_placed
+    graph = simulator.observe(state)
+    found = distinct_placements(graph, 5)
+    assert not found.count.any()
+    assert found.num_cells.tolist() == state.num_placed.tolist()
+    out = simulator.outcomes(state, graph, found)
+    assert not any(field.any() for field in out)
+
+
+# Outcomes.
+
+
+@some_state
+@settings(max_examples=40, deadline=None)
+def test_outcomes_are_what_the_steps_bring(name: str, seed: int, steps: int) -> None:
+    """Reward, end, validity and gain of every placement against a step of the simulator.
+
+    What is left undecided is exactly what static physics asks the equilibrium program about.
+    """
+    simulator, state = some_worlds(name, seed, steps)
+    before = state.copy()
+    found, out = look_ahead(simulator, state)
+    for mine, theirs in zip(state, before, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+    assert out.reward.dtype == out.gain.dtype == np.float32
+    asked: set[Cells] = set()
+    equilibrium = static_module._equilibrium
+
+    def spy(centres: np.ndarray, object_id: np.ndarray) -> int:
+        asked.add(frozenset(whole(centres[object_id == object_id[-1]])))
+        return equilibrium(centres, object_id)
+
+    for row in range(state.batch_size):
+        asked.clear()
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(static_module, "_equilibrium", spy)
+            tried = try_everything(simulator, state, row)
+        first = list({cells: n for n, cells in reversed(list(enumerate(tried.cells)))}.values())
+        first.sort()
+        count = int(found.count[row])
+        assert len(first) == count
+        known = out.valid[row, :count] | out.terminal[row, :count]
+        undecided = {tried.cells[n] for n, k in zip(first, known, strict=True) if not k}
+        assert undecided == asked
+        at = np.array(first)[known]
+        for mine, theirs in (
+            (out.reward, tried.reward.astype(np.float32)),
+            (out.terminal, tried.terminated),
+            (out.valid, tried.valid),
+        ):
+            np.testing.assert_array_equal(mine[row, :count][known], theirs[at])
+            assert not mine[row, :count][~known].any()
+            assert not mine[row, count:].any()
+        gain = np.where(tried.valid[at], tried.gain[at], 0)
+        np.testing.assert_allclose(out.gain[row, :count][known], gain, atol=1e-6)
+        assert not out.gain[row, count:].any()
+
+
+def test_outcomes_of_every_kind_occur() -> None:
+    """So that the comparison above says something: good and bad ends, and open questions."""
+    valid = invalid = final = undecided = negative = 0
+    for name, steps in (("two", 4), ("set-26", 2), ("set-26", 3), ("set-20", 3)):
+        simulator, state = some_worlds(name, 1, steps, count=10)
+        found, out = look_ahead(simulator, state)
+        valid += int((out.valid & ~out.terminal).sum())
+        invalid += int((out.terminal & ~out.valid).sum())
+        final += int((out.terminal & out.valid).sum())
+        undecided += int((~(out.terminal | out.valid) & found.used).sum())
+        negative += int((out.gain < 0).sum())
+    assert min(valid, invalid, final, undecided, negative) > 0
+
+
+def test_the_last_object_ends_the_episode() -> None:
+    simulator, state = some_worlds("two", 0, 1, count=8)
+    state.num_blocks[1] = state.num_placed[1] + 1
+    _, out = look_ahead(simulator, state)
+    assert out.valid[1].any()
+    assert out.terminal[1][out.valid[1]].all()
+    assert not out.terminal[0][out.valid[0]].all()

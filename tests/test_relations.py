@@ -1,0 +1,175 @@
+"""Relations of cells to outlines and blocks: against polygons, and when the world is turned."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from learn2assemble.geometry.camera import unproject
+from learn2assemble.geometry.mask import pixel_vertex
+from learn2assemble.graph.features import Graph
+from learn2assemble.graph.placements import Placements, distinct_placements
+from learn2assemble.graph.relations import OFFSETS, REACH, WINDOW, relate
+from learn2assemble.simulator import Simulator
+from learn2assemble.task import Task
+from learn2assemble.world.blocks import EDGE, HALF
+from learn2assemble.world.state import State
+from learning_data import advance
+from turned import turned_graph
+
+TASKS = {
+    sides: Task(f"{sides}-sided", num_sides=sides, grid=3, num_nodes=14 + 6 * (sides - 1))
+    for sides in (1, 2, 3, 4)
+}
+OBJECTS = Task("objects", num_sides=2, grid=3, num_nodes=20, objects="set-26", rotations=4)
+FAR = 10.0
+
+
+def random_outline(count: int, rng: np.random.Generator) -> np.ndarray:
+    """A simple polygon with ``count`` corners (x, z) [m], star-shaped, either orientation."""
+    angle = np.sort(rng.uniform(0, 2 * np.pi, count))
+    radius = rng.uniform(0.03, 0.14, count)
+    centre = [rng.uniform(-0.03, 0.03), 0.1]
+    outline = np.stack([np.cos(angle), np.sin(angle)], -1) * radius[:, None] + centre
+    return outline if rng.random() < 0.5 else outline[::-1]
+
+
+def in_frame(frame: np.ndarray, world: np.ndarray) -> np.ndarray:
+    """World points [m] in local coordinates of a side."""
+    c, s, tx, ty = frame
+    x, y = world[..., 0] - tx, world[..., 1] - ty
+    return np.stack([c * x + s * y, c * y - s * x, world[..., 2]], -1)
+
+
+def some_state(task: Task, seed: int, count: int = 1) -> tuple[Simulator, State]:
+    simulator, rng = Simulator(task), np.random.default_rng(seed)
+    state = advance(simulator, simulator.new(count, rng), seed % 4, rng)
+    return simulator, state if state.batch_size else simulator.new(1, rng)
+
+
+def half_plane(a: np.ndarray, b: np.ndarray, inward: np.ndarray) -> shapely.Polygon:
+    """Everything within some metres on the inner side of the line through a and b."""
+    along = (b - a) / np.linalg.norm(b - a) * FAR
+    return shapely.Polygon(
+        [a - along, b + along, b + along + FAR * inward, a - along + FAR * inward]
+    )
+
+
+@pytest.mark.parametrize("drawn", [False, True], ids=["sampled", "random"])
+@given(sides=st.sampled_from([1, 2, 3, 4]), seed=st.integers(0, 10_000))
+@settings(max_examples=15, deadline=None)
+def test_edges_against_polygons(drawn: bool, sides: int, seed: int) -> None:
+    """Normals, distances, margins, corners, depth and area of every cell and side."""
+    simulator, state = some_state(TASKS[sides], seed)
+    if drawn:
+        rng = np.random.default_rng(seed)
+        for side in range(sides):
+            count = int(state.num_vertices[0, side])
+            state.vertices[0, side, :count] = random_outline(count, rng)
+    graph = simulator.observe(state)
+    placements = distinct_placements(graph, 5)
+    found = relate(graph, placements)
+    area = 0.0
+    for side in range(sides):
+        outline = state.vertices[0, side, : state.num_vertices[0, side]]
+        assume(abs(outline[0, 0] - outline[-1, 0]) > 1e-3)
+        corners = np.array([unproject(*pixel_vertex(x, z)) for x, z in outline])
+        polygon = shapely.Polygon(corners)
+        assume(polygon.is_valid and polygon.area > 1e-4)
+        assume(min(np.linalg.norm(corners - np.roll(corners, 1, 0), axis=1)) > 1e-3)
+        area += polygon.area / EDGE**2
+        convex = polygon.convex_hull.area - polygon.area < 1e-9
+        count = len(outline)
+        assert found.edge_used[0, side].tolist() == [
+            k < count for k in range(found.edge_used.shape[2])
+        ]
+        for c, world in enumerate(placements.cells[0].astype(float)):
+            x, y, z = in_frame(simulator.frames[side], world)
+            face = shapely.box(x - HALF, z - HALF, x + HALF, z + HALF)
+            for k in range(count):
+                a, b = corners[k], corners[(k + 1) % count]
+                out = found.edges[0, c, side, k].astype(float)
+                inward = out[:2]
+                assert np.linalg.norm(inward) == pytest.approx(1, abs=1e-5)
+                assert inward @ (b - a) == pytest.approx(0, abs=1e-6)
+                assert polygon.contains(shapely.Point((a + b) / 2 + 1e-6 * inward))
+                inner, outer = half_plane(a, b, inward), half_plane(a, b, -inward)
+                centre = shapely.Point(x, z)
+                inside = (centre.distance(outer) - centre.distance(inner)) / EDGE
+                assert out[2] == pytest.approx(np.clip(inside, -4, 4) / 2, abs=1e-4)
+                # How deep the face reaches into the inner side; negative: how far it is away.
+                deepest = max(shapely.Point(p).distance(outer) for p in face.exterior.coords)
+                margin = (deepest - face.distance(inner)) / EDGE
+                assert out[3] == pytest.approx(np.clip(margin, -1, 1), abs=1e-4)
+                assert out[4] == pytest.approx(np.clip(8 * margin, -1, 1), abs=1e-3)
+                if convex and margin < -1e-4:
+                    assert not face.intersects(polygon)
+                for column, point in ((5, a), (7, b)):
+                    offset = np.clip((point - [x, z]) / EDGE, -6, 6) / 2
+                    np.testing.assert_allclose(out[column : column + 2], offset, atol=1e-4)
+                assert out[9] == pytest.approx(np.clip(-y / EDGE, -2, 2), abs=1e-4)
+                assert out[10] == (abs(y) < EDGE / 4)
+                assert out[11] == (count == 5 and k in (1, 2))
+                assert out[12] == pytest.approx(z / EDGE / 4, abs=1e-4)
+    assert found.area[0] == pytest.approx(area, rel=1e-4)
+
+
+@given(sides=st.sampled_from([1, 2, 3, 4]), seed=st.integers(0, 10_000))
+@settings(max_examples=25, deadline=None)
+def test_offsets_written_out(sides: int, seed: int) -> None:
+    """To every placed block, in whole edges in the frame of every side; padding beyond."""
+    simulator, state = some_state(TASKS[sides], seed, count=2)
+    graph = simulator.observe(state)
+    placements = distinct_placements(graph, 5)
+    found = relate(graph, placements)
+    for row in range(state.batch_size):
+        placed = int(state.num_placed[row])
+        assert (found.offsets[row, :, :, placed:] == OFFSETS).all()
+        for c in range(int(placements.num_cells[row])):
+            for side, frame in enumerate(simulator.frames):
+                mine = in_frame(frame, placements.cells[row, c].astype(float))
+                theirs = in_frame(frame, state.position[row, :placed])
+                # Right, towards the viewer, up.
+                steps = np.rint((theirs - mine) * [1, -1, 1] / EDGE).astype(int)
+                i, j, k = (np.clip(steps, -REACH, REACH) + REACH).T
+                numbers = (i * WINDOW + j) * WINDOW + k
+                assert found.offsets[row, c, side, :placed].tolist() == numbers.tolist()
+
+
+def rows_by_cell(graph: Graph, placements: Placements, row: int) -> dict[tuple, int]:
+    at = np.rint(placements.cells[row, : placements.num_cells[row]] / HALF).astype(int)
+    return {tuple(cell): n for n, cell in enumerate(at.tolist())}
+
+
+@pytest.mark.parametrize(
+    ("task", "quarters"),
+    [(TASKS[2], 2), (OBJECTS, 2), (TASKS[4], 1), (TASKS[4], 2), (TASKS[4], 3)],
+    ids=["two", "objects", "four-90", "four-180", "four-270"],
+)
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=15, deadline=None)
+def test_turning_the_world_changes_nothing(task: Task, quarters: int, seed: int) -> None:
+    """Turned with its sides exchanged, every cell sees the same from the side that is now there."""
+    simulator, state = some_state(task, seed, count=2)
+    graph = simulator.observe(state)
+    turn = turned_graph(graph, task.num_sides, quarters)
+    mine, theirs = (distinct_placements(g, task.num_actions) for g in (graph, turn.graph))
+    before, after = relate(graph, mine), relate(turn.graph, theirs)
+    np.testing.assert_array_equal(mine.num_cells, theirs.num_cells)
+    np.testing.assert_allclose(before.area, after.area, rtol=1e-5)
+    for row in range(state.batch_size):
+        where = rows_by_cell(turn.graph, theirs, row)
+        cells = turn.points(mine.cells[row, : mine.num_cells[row]].astype(float))
+        order = [where[tuple(cell)] for cell in np.rint(cells / HALF).astype(int).tolist()]
+        for side in range(task.num_sides):
+            other = turn.sides[side]
+            np.testing.assert_array_equal(before.edge_used[row, side], after.edge_used[row, other])
+            np.testing.assert_allclose(
+                before.edges[row, : len(order), side], after.edges[row, order, other], atol=1e-4
+            )
+            np.testing.assert_array_equal(
+                before.offsets[row, : len(order), side], after.offsets[row, order, other]
+            )
