@@ -43,6 +43,16 @@ def evaluate(*words: str) -> list[str]:
     return ["eval", TASK, "--agent", "{d}/agent", "--episodes", "1", *words]
 
 
+def table(*words: str) -> list[str]:
+    """A table from no files at all; nothing is measured."""
+    return ["table", *words, *([] if "--agents" in words or "--train" in words else
+            ["--from-files"]), "--out", "{d}/new"]  # fmt: skip
+
+
+def curves(name: str, *words: str) -> list[str]:
+    return ["curves", name, "--runs", "{d}/nosuch", "--out", "{d}/new", *words]
+
+
 def build(*words: str) -> list[str]:
     """A build of a valid design with a valid agent; later words win."""
     return [
@@ -183,6 +193,23 @@ BAD = [
             "the task of the run"),
     BadCall("resume with --set", resume("{d}/run", "--set", "batch_size=8"), "own configuration"),
     BadCall("resume with --samples", resume("{d}/run", "--samples", "99"), "own configuration"),
+    # table and curves
+    BadCall("no table", ["table"], "NAME"),
+    BadCall("unknown table", table("A5"), "did you mean 'A"),
+    BadCall("misspelt table", table("shiped"), "did you mean 'shipped'"),
+    BadCall("table of no episodes", table("T1", "--episodes", "0"), "a whole number of at least 1"),
+    BadCall("table by no worker", table("T1", "--workers", "0"), "a whole number of at least 1"),
+    BadCall("table into a file", ["table", "T1", "--out", "{d}/file.txt"], "a writable folder"),
+    BadCall("table of missing agents", table("T1", "--agents", "{d}/nosuch"),
+            "an existing folder"),
+    BadCall("table trained and not", table("T1", "--train", "--from-files"), "not allowed with"),
+    BadCall("table into a page without marks", table("T1", "--into", "{d}/file.txt"),
+            "table T1: begin"),
+    BadCall("table into no page", table("T1", "--into", "{d}/nosuch.md"), "an existing text file"),
+    BadCall("no curves", ["curves"], "NAME"),
+    BadCall("misspelt curves", curves("algoritms"), "did you mean 'algorithms'"),
+    BadCall("curves of no runs", curves("algorithms", "--runs", "{d}/full"), "such as dqn-s0"),
+    BadCall("curves into a file", curves("algorithms", "--out", "{d}/file.txt"), "--runs"),
     # eval
     BadCall("eval nothing", ["eval"], "TASK"),
     BadCall("eval a misspelt task", ["eval", "two-sided-4x4-20-30"], "did you mean"),

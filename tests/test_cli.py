@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+import dataclasses
 import hashlib
 import json
 import shutil
@@ -17,11 +19,13 @@ from bad_calls import BAD, TASK, TINY_RUN, BadCall, prepare
 from learn2assemble import __version__
 from learn2assemble.cli import main
 from learn2assemble.cli import view as view_module
-from learn2assemble.cli.parser import COMMANDS
+from learn2assemble.cli.evaluate import search_config
+from learn2assemble.cli.parser import COMMANDS, make_parser
 from learn2assemble.networks.agent import Agent, load_agent, pretrained_names, save_agent
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QNetwork
 from learn2assemble.presets import PRESETS
+from learn2assemble.search.named import SEARCHES
 
 torch.set_num_threads(1)
 
@@ -174,6 +178,32 @@ def test_replay(l2a: Call, data: Path) -> None:
 SEARCH = ["--search", "mcts", "--budget", "2", "--rollout", "end"]
 
 
+def options(*words: str) -> argparse.Namespace:
+    return make_parser().parse_args(["eval", TASK, *words])
+
+
+def test_eval_builds_the_named_search() -> None:
+    """A name stands for its whole configuration; options given take the place of its own."""
+    for name in SEARCHES:
+        config = search_config(options("--search", name, "--epsilon", "0.2"))
+        assert config == dataclasses.replace(SEARCHES[name], epsilon=0.2)
+    assert search_config(options()) is None
+    assert search_config(options("--search", "mcts")) == SEARCHES["dqn-mcts"]
+    given = search_config(options("--search", "uct", "--budget", "7", "--rollout", "2"))
+    assert given == dataclasses.replace(SEARCHES["uct"], budget=7, rollout=2)
+
+
+def test_eval_with_the_restore_faults(l2a: Call, agent: Path) -> None:
+    result = l2a(
+        "eval", TASK, "--agent", agent, "--episodes", "2", "--search", "eps-mcts",
+        "--budget", "3", "--legacy", "--json",
+    )  # fmt: skip
+    assert result.code == 0
+    summary = result.json()
+    assert summary["search"] == "eps-mcts"
+    assert summary["legacy"] is True
+
+
 @pytest.mark.parametrize("search", [[], SEARCH, [*SEARCH, "--distinct"]], ids=len)
 def test_eval(l2a: Call, agent: Path, tmp_path: Path, search: list[str]) -> None:
     """The file holds what is printed; the same seed gives the same numbers."""
@@ -186,6 +216,7 @@ def test_eval(l2a: Call, agent: Path, tmp_path: Path, search: list[str]) -> None
     assert result["budget"] == (2 if search else 0)
     assert result["rollout"] == (10_000 if search else 0)
     assert result["distinct"] == ("--distinct" in search)
+    assert result["legacy"] is False
     assert result["physics"] == "static"
     again = l2a(*words, "--json").json()
     for name in ("R", "a", "f", "b", "success", "coverage"):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 import pytest
@@ -11,8 +11,21 @@ from hypothesis import strategies as st
 
 from learn2assemble.errors import InputError, Learn2AssembleError
 from learn2assemble.evaluation.bounds import return_bound
-from learn2assemble.evaluation.exact import exact_return, replay_actions, tower_bound
-from learn2assemble.evaluation.towers import find_towers
+from learn2assemble.evaluation.exact import exact_return, replay_actions
+from learn2assemble.evaluation.object_bounds import (
+    object_return_bound,
+    state_inventory,
+    state_lattice,
+)
+from learn2assemble.evaluation.packing import (
+    Inventory,
+    Lattice,
+    discounted_bound,
+    gaining_poses,
+    most_pixels,
+    turned,
+)
+from learn2assemble.evaluation.towers import find_towers, tower_bound
 from learn2assemble.geometry.bits import ROWS, WORDS, from_pixels, to_pixels
 from learn2assemble.geometry.coverage import add_box
 from learn2assemble.planning.lookahead import lookahead_actions
@@ -33,7 +46,7 @@ from learn2assemble.world.state import State
 Cell = tuple[int, int, int]
 
 
-@lru_cache(maxsize=None)
+@cache
 def images(cell: Cell, frame: tuple[float, ...]) -> tuple[int, int]:
     """(covered, occluded) of one cube on the lattice, seen by one side, as integers of bits."""
     c, s, tx, ty = frame
@@ -181,7 +194,7 @@ CELLS = st.dictionaries(
 )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     st.lists(CELLS, min_size=1, max_size=2),
     st.integers(2, 5),
@@ -286,3 +299,168 @@ def test_a_plan_that_does_not_hold_is_refused() -> None:
     state.num_blocks[0] = 2
     with pytest.raises(Learn2AssembleError, match="ended before step 1"):
         replay_actions(simulator, state, 0, actions)
+
+
+# ---------------------------------------------------------------- objects
+
+SHAPES = (
+    np.array([[0, 0, 0]]),
+    np.array([[0, 0, 0], [0, 0, 1]]),
+    np.array([[0, 0, 0], [1, 0, 0]]),
+    np.array([[1, 0, 0], [0, 0, 0], [0, 0, 1]]),
+)
+
+
+def random_lattice(rng: np.random.Generator) -> Lattice:
+    """A wall of 2x2 cells with a row of cells before it, and six pixels seen at random."""
+    wall = [[x, 0, z] for x in range(2) for z in range(2)]
+    front = [[x, -1, 0] for x in range(2)]
+    cells = np.array(wall + front)
+    shows, hides = rng.random((2, 6, 6)) < 0.4
+    hides[:4] = False
+    shows[4:] = hides[4:]
+    return Lattice(cells, shows, hides, np.array([[-1, 0, 0]]))
+
+
+def best_packings(lattice: Lattice, inventory: Inventory, rotations: int) -> list[int]:
+    """F(t) by trying every set of objects at every place in a box, with no idea of gains."""
+    row = {tuple(cell): n for n, cell in enumerate(lattice.cells.tolist())}
+    taken = set(map(tuple, lattice.taken.tolist()))
+    places: list[dict[frozenset[Cell], frozenset[int]]] = []
+    for shape in inventory.shapes:
+        found = {}
+        for turns in range(rotations):
+            for shift in np.ndindex(6, 6, 3):
+                moved = turned(shape, turns) + np.array(shift) - (2, 3, 0)
+                cells = frozenset(tuple(cell) for cell in moved.tolist())
+                if cells & taken or moved[:, 2].min() < 0:
+                    continue
+                rows = [row[cell] for cell in cells if cell in row]
+                gained = lattice.shows[rows].any(0) & ~lattice.hides[rows].any(0)
+                if gained.any():
+                    found[cells] = frozenset(np.flatnonzero(gained).tolist())
+        places.append(found)
+    total = sum(inventory.counts)
+    best = [0] * (total + 1)
+
+    def add(used: frozenset[Cell], gained: frozenset[int], left: list[int], t: int) -> None:
+        best[t] = max(best[t], len(gained))
+        for shape, found in enumerate(places):
+            if left[shape]:
+                after = [n - (k == shape) for k, n in enumerate(left)]
+                for cells, more in found.items():
+                    if not cells & used and not more <= gained:
+                        add(used | cells, gained | more, after, t + 1)
+
+    add(frozenset(), frozenset(), list(inventory.counts), 0)
+    return [int(n) for n in np.maximum.accumulate(best)]
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.integers(0, 10**6),
+    st.lists(st.sampled_from([0, 1, 2, 3]), min_size=1, max_size=3),
+    st.sampled_from([1, 4]),
+)
+def test_packing_equals_brute_force(seed: int, objects: list[int], rotations: int) -> None:
+    lattice = random_lattice(np.random.default_rng(seed))
+    kinds = sorted(set(objects))
+    inventory = Inventory([SHAPES[k] for k in kinds], [objects.count(k) for k in kinds])
+    expected = best_packings(lattice, inventory, rotations)
+    assert most_pixels(lattice, inventory, rotations).tolist() == expected
+    stopped = most_pixels(lattice, inventory, rotations, max_nodes=0)
+    assert (stopped >= expected).all()
+
+
+def test_an_object_that_hides_its_own_face_gains_nothing() -> None:
+    cells = np.array([[0, 0, 0], [0, -1, 0]])
+    shows = np.array([[True, True], [False, True]])
+    hides = np.array([[False, False], [False, True]])
+    lattice = Lattice(cells, shows, hides, np.zeros((0, 3), np.int64))
+    across = Inventory([np.array([[0, 0, 0], [0, 1, 0]])], [1])
+    found = {tuple(map(int, pose.gains)) for pose in gaining_poses(lattice, across, 1)}
+    # Standing before the face it hides pixel 1, standing behind it shows both.
+    assert found == {(1, 0), (1, 1)}
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.integers(0, 40), min_size=1, max_size=6),
+    st.sampled_from([0.5, 0.8, 0.95]),
+    st.sampled_from([0.5, 0.75, 0.975]),
+)
+def test_the_discounted_bound_holds_for_every_sequence_of_gains(
+    gains: list[int], discount: float, threshold: float
+) -> None:
+    """One play whose gains are known, so F is the sum of the largest ones."""
+    span = max(sum(gains), 1)
+    most = np.cumsum([0, *sorted(gains, reverse=True)])
+    total, covered, factor = 0.0, 0, 1.0
+    for gain in gains:
+        covered += gain
+        success = covered / span > threshold
+        total += factor * (3 * gain / span + success)
+        factor *= discount
+        if success:
+            break
+    assert total <= discounted_bound(most, span, discount, threshold) + 1e-9
+
+
+def test_discounted_bound_by_hand() -> None:
+    # Half, then the other half: success at the second step.
+    assert discounted_bound(np.array([0, 5, 10]), 10, 0.9, 0.75) == pytest.approx(
+        3 * (0.5 + 0.9 * 0.5) + 0.9
+    )
+    assert discounted_bound(np.array([0]), 10, 0.9, 0.75) == 0
+
+
+def test_the_objects_bound_of_a_state_of_cubes() -> None:
+    """Cubes are objects of one cell: the look-ahead stays below the bound, and close."""
+    task = get_task("two-sided-3x3-20-24").replace(reward="scaled", discount=0.95)
+    simulator = Simulator(task)
+    state = simulator.new(8, np.random.default_rng(0))
+    inventory = state_inventory(state, 0)
+    assert [shape.tolist() for shape in inventory.shapes] == [[[0, 0, 0]]]
+    assert inventory.counts == [state.num_unplaced[0]]
+    open_pixels = np.bitwise_count(state.mask[0] & ~state.covered[0]).sum()
+    assert state_lattice(state, 0, simulator.frames).shows.shape[1] == open_pixels
+    bounds = np.array(
+        [object_return_bound(state, row, simulator.frames, 0.95, 0.975, 1) for row in range(8)]
+    )
+    total, discount = np.zeros(8), 1.0
+    while not state.terminated.all():
+        gain = simulator.prospects(state).gain
+        actions = np.zeros((8, 3), np.int64)
+        for row in range(8):
+            actions[row, 1:] = np.unravel_index(gain[row].argmax(), gain[row].shape)
+        stuck = gain.max((1, 2)) <= 0
+        actions[stuck] = lookahead_actions(simulator, state)[stuck]
+        total += discount * simulator.step(state, actions).reward
+        discount *= task.discount
+    assert (total <= bounds + 1e-9).all()
+    assert total.mean() > 0.8 * bounds.mean()
+
+
+def test_an_inventory_counts_turned_objects_as_one_shape() -> None:
+    simulator = Simulator(get_task("two-sided-3x3-20-24"))
+    state = simulator.new(1, np.random.default_rng(0))
+    state.num_blocks[0] = 6
+    state.object_id[0, 1:6] = [1, 1, 2, 2, 3]
+    state.position[0, 1:6] = (
+        np.array([[0, 0, 0], [1, 0, 0], [5, 5, 0], [5, 4, 0], [9, 9, 0]]) * EDGE
+    )
+    assert sorted(state_inventory(state, 0).counts) == [1, 2]
+    assert sorted(state_inventory(state, 0, rotations=1).counts) == [1, 1, 1]
+
+
+def test_malformed_arrays_are_refused() -> None:
+    lattice = random_lattice(np.random.default_rng(0))
+    cube = np.zeros((1, 3), np.int64)
+    with pytest.raises(InputError, match=r"lattice\.hides"):
+        gaining_poses(lattice._replace(hides=lattice.hides[:2]), Inventory([cube], [1]))
+    with pytest.raises(InputError, match="counts"):
+        gaining_poses(lattice, Inventory([cube], [1, 2]))
+    with pytest.raises(InputError, match="counts"):
+        gaining_poses(lattice, Inventory([cube], [-1]))
+    with pytest.raises(InputError, match="shapes"):
+        gaining_poses(lattice, Inventory([np.zeros((0, 3))], [1]))

@@ -164,7 +164,7 @@ def test_parts_that_know_few_libraries(part: str) -> None:
     ("library", "parts"),
     [
         ("mujoco", {"physics", "planning"}),
-        ("highspy", {"physics"}),
+        ("highspy", {"physics", "evaluation"}),
         ("gymnasium", {"envs", "evaluation"}),
         ("matplotlib", {"viewer"}),
         ("rich", {"cli"}),

@@ -35,6 +35,7 @@ TASKS = [
     SMALL.replace(name="scaled", reward="scaled"),
     SMALL.replace(name="easy", reward="scaled", success_threshold=0.2),
 ]
+CUBES = [task for task in TASKS if task.objects == "cubes"]
 some_task = st.sampled_from(TASKS)
 SIMULATORS = {task.name: Simulator(task) for task in TASKS}
 
@@ -51,16 +52,18 @@ def played(task: Task, batch: int, rng: np.random.Generator, steps: int) -> Stat
         good = sim.physics_mask(state)
         actions = np.zeros((batch, 3), np.int64)
         for row in range(batch):
-            choices = np.argwhere(good[row])
-            actions[row] = rng.integers(state.num_unplaced[row]), *rng.choice(choices)
+            choice = rng.choice(np.argwhere(good[row]))
+            # Without a block in the choice, any may go.
+            actions[row] = [rng.integers(state.num_unplaced[row]), *choice][-3:]
         before = state.copy()
         ended = np.flatnonzero(sim.step(state, actions).terminated)
         state.put(ended, before.take(ended))
     return state
 
 
-def random_actions(state: State, rng: np.random.Generator) -> np.ndarray:
-    limits = np.stack([state.num_unplaced, state.num_placed, np.full(state.batch_size, 5)], -1)
+def random_actions(task: Task, state: State, rng: np.random.Generator) -> np.ndarray:
+    ways = np.full(state.batch_size, task.num_actions)
+    limits = np.stack([state.num_unplaced, state.num_placed, ways], -1)
     return rng.integers(np.maximum(limits, 1))
 
 
@@ -283,7 +286,7 @@ def test_snapshots_are_exact_and_share_nothing(seed: int, task: Task) -> None:
     for field, taken in zip(state, several, strict=True):
         assert np.array_equal(field[rows], taken)
         assert not np.shares_memory(field, taken)
-    sim.step(state, random_actions(state, rng))
+    sim.step(state, random_actions(task, state, rng))
     assert not same(state, snapshot), "a step must be visible"
     assert all(not np.shares_memory(a, b) for a, b in zip(state, snapshot, strict=True))
     after = state.copy()
@@ -292,7 +295,7 @@ def test_snapshots_are_exact_and_share_nothing(seed: int, task: Task) -> None:
     assert same(state.take(np.array([0, 2])), after.take(np.array([0, 2])))
     state.put(np.arange(3), snapshot)
     assert same(state, snapshot)
-    action = random_actions(state, rng)
+    action = random_actions(task, state, rng)
     again = state.copy()
     assert_equal_steps(sim, state, again, action)
 
@@ -313,7 +316,7 @@ def test_rows_of_a_batch_do_not_leak(seed: int, task: Task, steps: int) -> None:
     rng, sim = np.random.default_rng(seed), SIMULATORS[task.name]
     state = played(task, 4, rng, steps)
     state.terminated[3] = True
-    actions = random_actions(state, rng)
+    actions = random_actions(task, state, rng)
     alone = [state.take(np.array([row])) for row in range(4)]
     frozen = alone[3].copy()
     together = sim.step(state, actions)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -21,6 +22,9 @@ class Output:
     def __init__(self, as_json: bool) -> None:
         self.as_json = as_json
         self.console = Console(stderr=as_json, highlight=False, soft_wrap=True)
+        if not self.console.is_terminal and "COLUMNS" not in os.environ:
+            # A file or a pipe has no width to fit into.
+            self.console.width = 200
 
     def say(self, text: str) -> None:
         """One line for people."""
@@ -34,8 +38,8 @@ class Output:
     def table(self, title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
         """A table for people."""
         table = Table(title=title or None, title_justify="left", box=None, pad_edge=False)
-        for column in columns:
-            table.add_column(column, justify="left" if column == columns[0] else "right")
+        for number, column in enumerate(columns):
+            table.add_column(column, justify="right" if number else "left")
         for row in rows:
             table.add_row(*[_cell(value) for value in row])
         self.console.print(table, soft_wrap=False)

@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 from learn2assemble import __version__
 from learn2assemble.search.named import SEARCHES
 
-COMMANDS = ("build", "train", "eval", "replay", "bench", "tasks", "view")
+COMMANDS = ("build", "train", "eval", "table", "curves", "replay", "bench", "tasks", "view")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -107,7 +107,11 @@ def make_parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     train.add_argument("task", metavar="TASK")
     train.add_argument("--method", default=None, help="learner: dqn, q-mcts or eps-mcts")
-    train.add_argument("--config", default="fast", help="fast, refine (ours), paper or published")
+    train.add_argument(
+        "--config",
+        default="relational",
+        help="relational, relational-objects (ours), published or paper",
+    )
     train.add_argument("--out", type=Path, required=True, help="new or empty folder, or --resume")
     length = train.add_mutually_exclusive_group()
     length.add_argument("--minutes", type=_positive, default=None)
@@ -152,6 +156,40 @@ def make_parser() -> argparse.ArgumentParser:
     evaluate.add_argument("--seed", type=_natural, default=0)
     evaluate.add_argument("--physics", default="static", help="static or rigid")
     evaluate.add_argument("--out", type=Path, default=None, help="write the result to this file")
+
+    table = command(
+        "table", "table", "measure a table of the paper and print it beside the paper's numbers",
+        "l2a table T2",
+    )  # fmt: skip
+    table.add_argument("name", metavar="NAME", help="T1, T2, T5, A2, A3, A4, A6 or shipped")
+    table.add_argument("--out", type=Path, default=Path("results"), help="folder of the results")
+    table.add_argument("--episodes", type=_count, default=None, help="of an agent in a cell (100)")
+    table.add_argument("--workers", type=_count, default=None, help="processes (all cores)")
+    table.add_argument(
+        "--quick", action="store_true",
+        help="one agent a row and 50 episodes, into the folder quick below --out",
+    )  # fmt: skip
+    source = table.add_mutually_exclusive_group()
+    source.add_argument(
+        "--agents", type=Path, default=None, help="folder of agents or runs (the shipped ones)"
+    )
+    source.add_argument(
+        "--train", action="store_true", help="first train all its agents in --runs, or go on"
+    )
+    source.add_argument(
+        "--from-files", action="store_true", help="measure nothing: print what --out holds"
+    )
+    table.add_argument("--runs", type=Path, default=Path("runs"), help="folder of --train")
+    table.add_argument(
+        "--into", type=Path, default=None, help="also put the main numbers into this page"
+    )
+
+    curves = command("curves", "curves", "draw learning curves", "l2a curves algorithms")
+    curves.add_argument("name", metavar="NAME", help="architectures, connectivity or algorithms")
+    curves.add_argument(
+        "--runs", type=Path, default=Path("results/runs"), help="folder with logs of runs"
+    )
+    curves.add_argument("--out", type=Path, default=Path("results/curves"), help="folder")
 
     replay = command(
         "replay", "replay", "repeat recorded transitions and report the agreement",

@@ -10,7 +10,7 @@ import torch
 
 from learn2assemble.cli.output import Output
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.learning.config import METHODS, TrainConfig, get_config, override
+from learn2assemble.learning.config import METHODS, TrainConfig, fit_to, get_config, override
 from learn2assemble.learning.run import train
 from learn2assemble.networks.agent import load_agent
 from learn2assemble.presets import get_task
@@ -43,7 +43,8 @@ def _settings(options: argparse.Namespace) -> tuple[TrainConfig, int, float | No
     """Configuration, seed and minutes: of the run that is resumed, else of the command line."""
     if not options.resume:
         method = [] if options.method is None else [f"method={options.method}"]
-        config = override(get_config(options.config), [*method, *options.set])
+        config = fit_to(get_config(options.config), get_task(options.task))
+        config = override(config, [*method, *options.set])
         if options.samples is not None:
             config = dataclasses.replace(config, num_samples=options.samples)
         return config, options.seed, options.minutes

@@ -4,7 +4,8 @@ With the discrete reward a step is worth 1 when the plane-filtered cover grows, 
 face planes can make it grow only once, when it is filled. With k cells whose faces show mask
 pixels that the first block leaves open, at most k steps are rewarded, so
 ``R <= 1 + gamma + ... + gamma^(k-1)``. The bound ignores that the episode ends at the success
-threshold and that supports cost steps, so it need not be reachable.
+threshold and that supports cost steps, so it need not be reachable;
+:mod:`learn2assemble.evaluation.exact` does count them, on one and two sides.
 """
 
 from __future__ import annotations

@@ -6,13 +6,14 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from learn2assemble.networks.build import Network
 from learn2assemble.physics.protocol import Physics
 from learn2assemble.planning.legacy import LegacyModel
+from learn2assemble.planning.lookahead import lookahead_actions
 from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.search.config import SearchConfig
 from learn2assemble.search.mcts import search
@@ -25,9 +26,28 @@ EVALUATION_STREAM = 2
 """First word of every evaluation seed; training uses another (``trainer.TRAINING_STREAM``)."""
 BATCH = 50
 """Episodes played side by side."""
+DISCOUNTS = (0.8, 0.95)
+"""Returns are also counted at these: the published code's discount and the paper's (13.4)."""
 
 Policy = Callable[[State, np.random.Generator], np.ndarray]
 """Actions int64[B, 3] (local indices) for every row of a state."""
+
+
+class Episodes(NamedTuple):
+    """What happened in each of E whole episodes."""
+
+    returns: np.ndarray
+    """float64[E]: discounted with the task's gamma."""
+    returns_at: np.ndarray
+    """float64[E, 2]: discounted with each of ``DISCOUNTS``."""
+    actions: np.ndarray
+    """int64[E]: number of actions."""
+    failed: np.ndarray
+    """bool[E]: ended by an invalid action."""
+    success: np.ndarray
+    """bool[E]."""
+    coverage: np.ndarray
+    """float64[E]: final F_co."""
 
 
 @dataclass(frozen=True)
@@ -58,10 +78,28 @@ def greedy_policy(model: WorldModel, epsilon: float) -> Policy:
 
     def act(state: State, rng: np.random.Generator) -> np.ndarray:
         _, actions = model.best(state)
-        for row in np.flatnonzero(rng.random(len(actions)) < epsilon):
-            shape = (state.num_unplaced[row], state.num_placed[row], 5)
-            actions[row] = [int(rng.integers(n)) for n in shape]
-        return actions
+        return sometimes_random(actions, state, model.simulator.task.num_actions, epsilon, rng)
+
+    return act
+
+
+def sometimes_random(
+    actions: np.ndarray, state: State, num_actions: int, epsilon: float, rng: np.random.Generator
+) -> np.ndarray:
+    """``actions`` int64[B, 3] with a uniform legal one in every row at the rate ``epsilon``."""
+    for row in np.flatnonzero(rng.random(len(actions)) < epsilon):
+        shape = (state.num_unplaced[row], state.num_placed[row], num_actions)
+        actions[row] = [int(rng.integers(n)) for n in shape]
+    return actions
+
+
+def lookahead_policy(task: Task, epsilon: float) -> Policy:
+    """The exact one-step look-ahead, with random actions as in :func:`greedy_policy`."""
+    simulator = Simulator(task)
+
+    def act(state: State, rng: np.random.Generator) -> np.ndarray:
+        actions = lookahead_actions(simulator, state)
+        return sometimes_random(actions, state, task.num_actions, epsilon, rng)
 
     return act
 
@@ -109,7 +147,7 @@ def run_episodes(
     physics: Physics | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Metrics:
-    """Play ``episodes`` fresh problems of ``task`` to their end.
+    """Play ``episodes`` fresh problems of ``task`` to their end; means over them.
 
     Args:
         seed: of problems and policy; the same seed gives the same problems to every policy.
@@ -118,6 +156,30 @@ def run_episodes(
     """
     started = time.perf_counter()
     simulator = Simulator(task, physics)
+    played = play_episodes(simulator, policy, episodes, seed, progress)
+    spread = float(played.returns.std(ddof=1)) if episodes > 1 else 0.0
+    return Metrics(
+        R=float(played.returns.mean()),
+        R_ci95=1.96 * spread / math.sqrt(episodes),
+        a=float(played.actions.mean()),
+        f=float(played.failed.mean()),
+        b=float((~played.failed & ~played.success).mean()),
+        success=float(played.success.mean()),
+        coverage=float(played.coverage.mean()),
+        episodes=episodes,
+        seconds=time.perf_counter() - started,
+        physics=simulator.physics.name,
+    )
+
+
+def play_episodes(
+    simulator: Simulator,
+    policy: Policy,
+    episodes: int,
+    seed: int,
+    progress: Callable[[int], None] | None = None,
+) -> Episodes:
+    """Play ``episodes`` fresh problems to their end; arguments as in :func:`run_episodes`."""
     problem_rng, policy_rng = episode_generators(seed)
     parts = []
     for start in range(0, episodes, BATCH):
@@ -125,41 +187,25 @@ def run_episodes(
         parts.append(_play(simulator, state, policy, policy_rng))
         if progress is not None:
             progress(start + state.batch_size)
-    returns, actions, failed, success, coverage = (
-        np.concatenate(column) for column in zip(*parts, strict=True)
-    )
-    spread = float(returns.std(ddof=1)) if episodes > 1 else 0.0
-    return Metrics(
-        R=float(returns.mean()),
-        R_ci95=1.96 * spread / math.sqrt(episodes),
-        a=float(actions.mean()),
-        f=float(failed.mean()),
-        b=float((~failed & ~success).mean()),
-        success=float(success.mean()),
-        coverage=float(coverage.mean()),
-        episodes=episodes,
-        seconds=time.perf_counter() - started,
-        physics=simulator.physics.name,
-    )
+    return Episodes(*[np.concatenate(column) for column in zip(*parts, strict=True)])
 
 
-def _play(
-    simulator: Simulator, state: State, policy: Policy, rng: np.random.Generator
-) -> tuple[np.ndarray, ...]:
-    """Returns, number of actions, failure, success and final F_co of every row."""
+def _play(simulator: Simulator, state: State, policy: Policy, rng: np.random.Generator) -> Episodes:
+    """Every row of ``state`` to its end."""
     batch = state.batch_size
-    returns, count = np.zeros(batch), np.zeros(batch, np.int64)
+    gammas = np.array([simulator.task.discount, *DISCOUNTS])
+    returns, count = np.zeros((batch, len(gammas))), np.zeros(batch, np.int64)
     failed, success = np.zeros(batch, np.bool_), np.zeros(batch, np.bool_)
     coverage = np.zeros(batch)
-    rows, discount = np.arange(batch), 1.0
+    rows, discount = np.arange(batch), np.ones(len(gammas))
     while len(rows):
         step = simulator.step(state, policy(state, rng))
-        returns[rows] += discount * step.reward
-        discount *= simulator.task.discount
+        returns[rows] += discount * step.reward[:, None]
+        discount = discount * gammas
         count[rows] += 1
         failed[rows] = step.verdict != 0
         success[rows] = step.success
         coverage[rows] = state.complete_coverage
         going = np.flatnonzero(~step.terminated)
         rows, state = rows[going], state.take(going)
-    return returns, count, failed, success, coverage
+    return Episodes(returns[:, 0], returns[:, 1:], count, failed, success, coverage)

@@ -8,19 +8,19 @@ With :math:`c(h)` the mask pixels shown,
 
 and :math:`V = 0` where the episode has ended. All heights are swept once.
 
-**Proven.** On the lattice only a block in a face plane can raise the plane cover
-(``tests/test_exact.py`` tries all others). Take any sequence of blocks and delete those outside
-the towers: every gain stays and comes no later, and success comes no earlier, since less is
-covered. What is lost is only how a place was reached. A place none of whose neighbours stands is
-reached by a detour of at least three blocks outside the face planes, because the detour begins
-beside a block that is not a neighbour of the place. So ``upper`` lets such a place be used for the
-price of three steps, paid once. This is a relaxation, hence an upper bound on every play.
+**Proven**, for physics that moves no blocks. On the lattice only a block in a face plane can raise
+the plane cover (``tests/test_exact.py`` tries all others). Take any sequence of blocks and delete
+those outside the towers: every gain stays and comes no later, and success comes no earlier, since
+less is covered. What is lost is only how a place was reached. A block outside touches one place at
+most, and two that touch each other belong to the same or to neighbouring places, so a place none
+of whose neighbours stands takes a detour of three blocks or more. ``upper`` lets such a place be
+used for the price of three steps, paid once: a relaxation, hence a bound on every play.
 
 **Carried by proof.** ``feasible`` is what ``actions`` earn in the simulator, replayed step by
 step. They may stop before the episode ends: the blocks that are left can be stacked without loss.
 
 **Heuristic.** Beyond ``max_structures`` the plan comes from a beam search and ``upper`` is
-:func:`tower_bound`, proven too, but possibly out of reach.
+:func:`~learn2assemble.evaluation.towers.tower_bound`, proven too, but possibly out of reach.
 """
 
 from __future__ import annotations
@@ -37,16 +37,19 @@ from learn2assemble.evaluation.towers import (
     gains,
     has_ended,
     is_in_reach,
+    merge_chains,
+    tower_bound,
+    tower_chains,
 )
 from learn2assemble.simulator import Simulator
 from learn2assemble.world.actions import DIRECTIONS
 from learn2assemble.world.state import State
 
-MAX_STRUCTURES = 5_000_000
+MAX_STRUCTURES = 1_000_000
 """Structures swept at most: 8 bytes and about 0.7 us each, in up to three sweeps."""
 DETOUR = 3
 """Blocks outside the face planes it takes at least to get around an empty place."""
-BEAM_WIDTH = 300
+BEAM_WIDTH = 100
 ROUNDING = 1e-12
 """Returns that differ by less are equal."""
 
@@ -108,38 +111,6 @@ def replay_actions(simulator: Simulator, state: State, row: int, actions: np.nda
         total += discount * float(step.reward[0])
         discount *= simulator.task.discount
     return total
-
-
-def tower_bound(towers: Towers, discount: float, heights: np.ndarray | None = None) -> float:
-    """Upper bound in closed form: towers grow independently, none waits for a neighbour.
-
-    The order of levels within a tower remains, so supports without pixels delay. The best order of
-    independent chains under discounting is by falling index, the greatest reward rate
-    ``sum gamma^i r_i / sum gamma^i`` of a chain's beginning (Gittins), and is found by sorting.
-    Success and pixels shared by neighbours are left out; the number of blocks limits the rewards.
-    """
-    low = towers.low if heights is None else heights
-    pieces = []
-    for own, h, cap in zip(towers.own, low, towers.cap, strict=True):
-        pieces += _pieces(own[h + 1 : cap + 1] > own[h:cap], discount)
-    total, factor, left = 0.0, 1.0, int(towers.counts[3] - low.sum())
-    for _, length, value in sorted(pieces, key=lambda piece: -piece[0]):
-        total += factor * value
-        factor *= discount**length
-    return min(total, float((discount ** np.arange(left)).sum()))
-
-
-def _pieces(rewarded: np.ndarray, discount: float) -> list[tuple[float, int, float]]:
-    """A chain cut into beginnings of greatest index: (index, length, discounted reward) each."""
-    found, bits = [], rewarded.astype(float)
-    while bits.any():
-        weight = discount ** np.arange(len(bits))
-        value = np.cumsum(weight * bits)
-        rate = value / np.cumsum(weight)
-        k = int(np.argmax(rate))
-        found.append((float(rate[k]), k + 1, float(value[k])))
-        bits = bits[k + 1 :]
-    return found
 
 
 @njit(cache=True)
@@ -205,25 +176,24 @@ def _follow(towers: Towers, discount: float, values: np.ndarray) -> list[int]:
 
 def _beam(towers: Towers, discount: float) -> list[int]:
     """A good order of towers to grow: the ``BEAM_WIDTH`` most promising structures a step."""
-    beam = {tuple(towers.low): (0.0, ())}
-    best, factor = (0.0, ()), 1.0
+    chains, blocks = tower_chains(towers, discount), int(towers.counts[3])
+    beam: dict[tuple[int, ...], tuple[float, tuple[int, ...]]]
+    beam, best, factor = {tuple(towers.low.tolist()): (0.0, ())}, (0.0, ()), 1.0
     while beam:
-        after: dict[tuple, tuple[float, tuple]] = {}
+        after: dict[tuple[int, ...], tuple[float, tuple[int, ...]]] = {}
         for key, (earned, order) in beam.items():
             heights = np.array(key)
-            for n in np.flatnonzero(heights < towers.cap):
-                if not is_in_reach(towers, heights, n):
-                    continue
-                reward = float(gains(towers, heights, n))
-                grown = (*key[:n], key[n] + 1, *key[n + 1 :])
-                child = (earned + factor * reward, (*order, int(n)))
-                if child[0] > after.get(grown, (-1.0, ()))[0]:
-                    after[grown] = child
+            for n in np.flatnonzero(heights < towers.cap).tolist():
+                if is_in_reach(towers, heights, n):
+                    value = earned + factor * float(gains(towers, heights, n))
+                    grown = (*key[:n], key[n] + 1, *key[n + 1 :])
+                    if value > after.get(grown, (-1.0, ()))[0]:
+                        after[grown] = (value, (*order, n))
         factor *= discount
         best = max([best, *after.values()], key=lambda child: child[0])
         rank = {
-            key: child[0] + factor * tower_bound(towers, discount, np.array(key))
-            for key, child in after.items()
+            key: value + factor * merge_chains(chains, key, blocks, discount)
+            for key, (value, _) in after.items()
             if not has_ended(towers, np.array(key))
         }
         chosen = sorted(rank, key=lambda key: (-rank[key], key))[:BEAM_WIDTH]

@@ -177,6 +177,8 @@ def _replay_line(
 
     objects = log.placed_objects(problem) if variant.objects else None
     report.judged_lines += 1
+    note = {name: line[name] for name in ("ep", "t", "accv")}
+    speeds = line["accv_obj"]
     edge = None
     for physics in (StaticPhysics(), rigid):
         if physics is None:
@@ -189,10 +191,10 @@ def _replay_line(
         if not edge:
             tallies[f"{physics.name}_firm"].add(agrees)
         if not agrees:
-            why = explain(*outcome.structure, line["invalid"], line["accv_obj"])
+            why = explain(*outcome.structure, line["invalid"], speeds)
             report.disagreements.append(
-                {"line": report.lines, "ep": line["ep"], "t": line["t"], "accv": line["accv"],
-                 "recorded_invalid": line["invalid"], "physics": physics.name, "why": why}
+                {"line": report.lines, **note, "recorded_invalid": line["invalid"],
+                 "physics": physics.name, "why": why}
             )  # fmt: skip
         if real and physics.name == "static":
             report.real_lines += 1

@@ -1,4 +1,4 @@
-"""A problem with cubes as towers in the face planes, and the rules of that game, compiled.
+"""A problem with cubes as towers in the face planes: the rules of that game and a quick bound.
 
 A structure is the list ``heights`` (int64[n], blocks on every place). It grows by one block on a
 tower, or on the table beside one (protocol 5: a cube is valid on the table or on a cube, next to
@@ -8,6 +8,7 @@ cubes of two places of a side at most.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,9 @@ from learn2assemble.world.design_pixels import MAX_COLUMN, tower_pixels
 from learn2assemble.world.rules import DISCRETE, judge_counts
 from learn2assemble.world.sides import to_world
 from learn2assemble.world.state import State
+
+Piece = tuple[float, int, float]
+"""Beginning of a chain: index (negative, so that they sort), length, discounted reward."""
 
 
 class Towers(NamedTuple):
@@ -149,7 +153,53 @@ def is_in_reach(towers, heights, n):
     """Whether tower ``n`` can take a block: it stands already, or a neighbour does."""
     if heights[n] > 0:
         return True
-    for near in towers.beside[n]:  # noqa: SIM110 - compiled
+    for near in towers.beside[n]:  # noqa: SIM110 (compiled)
         if near >= 0 and heights[near] > 0:
             return True
     return False
+
+
+def tower_bound(towers: Towers, discount: float) -> float:
+    """Upper bound on the return in closed form: towers grow independently, none waits.
+
+    The order of levels within a tower remains, so supports without pixels delay. The best order of
+    independent chains under discounting is by falling index, the greatest reward rate
+    ``sum gamma^i r_i / sum gamma^i`` of a chain's beginning (Gittins), and is found by sorting.
+    Success and pixels shared by neighbours are left out; the number of blocks limits the rewards.
+    """
+    chains = tower_chains(towers, discount)
+    return merge_chains(chains, towers.low.tolist(), int(towers.counts[3]), discount)
+
+
+def tower_chains(towers: Towers, discount: float) -> list[list[list[Piece]]]:
+    """What is left of every tower (first index) from every height (second), cut into pieces."""
+    return [
+        [_pieces(own[h + 1 : cap + 1] > own[h:cap], discount) for h in range(cap + 1)]
+        for own, cap in zip(towers.own, towers.cap, strict=True)
+    ]
+
+
+def merge_chains(
+    chains: list[list[list[Piece]]], heights: Sequence[int], blocks: int, discount: float
+) -> float:
+    """:func:`tower_bound` from ``heights`` on; ``chains`` as of :func:`tower_chains`."""
+    total, factor = 0.0, 1.0
+    pieces = (piece for chain, h in zip(chains, heights, strict=True) for piece in chain[h])
+    for _, length, value in sorted(pieces):
+        total += factor * value
+        factor *= discount**length
+    left = blocks - sum(heights)
+    return min(total, (1 - discount**left) / (1 - discount) if discount < 1 else float(left))
+
+
+def _pieces(rewarded: np.ndarray, discount: float) -> list[Piece]:
+    """A chain cut into beginnings of greatest index."""
+    found, bits = [], rewarded.astype(float)
+    while bits.any():
+        weight = discount ** np.arange(len(bits))
+        value = np.cumsum(weight * bits)
+        rate = value / np.cumsum(weight)
+        k = int(np.argmax(rate))
+        found.append((-float(rate[k]), k + 1, float(value[k])))
+        bits = bits[k + 1 :]
+    return found

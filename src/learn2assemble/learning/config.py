@@ -11,6 +11,7 @@ from typing import Any
 
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.networks.config import NetworkConfig
+from learn2assemble.task import Task
 
 
 @dataclass(frozen=True)
@@ -177,6 +178,7 @@ CONFIGS: dict[str, TrainConfig] = {
         updates_per_round=4,
         augment=True,
     ),
+    # Our own method.
     "relational": TrainConfig(
         network=NetworkConfig(encoder="relational", rounds=2),
         num_samples=100_000,
@@ -187,7 +189,27 @@ CONFIGS: dict[str, TrainConfig] = {
         updates_per_round=4,
         dense_weight=1.0,
     ),
+    # The same for objects of several cells, whose states have ten times as many placements.
+    "relational-objects": TrainConfig(
+        network=NetworkConfig(encoder="relational", rounds=2),
+        num_samples=60_000,
+        learning_rate=1e-3,
+        final_learning_rate=3e-5,
+        replay_size=20_000,
+        epsilon_samples=15_000,
+        batch_size=16,
+        updates_per_round=4,
+        dense_weight=1.0,
+    ),
 }
+
+
+def fit_to(config: TrainConfig, task: Task) -> TrainConfig:
+    """The configuration with what the task decides: its actions, and no symmetries that only
+    cubes have."""
+    network = dataclasses.replace(config.network, num_actions=task.num_actions)
+    augment = config.augment and task.objects == "cubes"
+    return dataclasses.replace(config, network=network, augment=augment)
 
 
 def get_config(name: str) -> TrainConfig:

@@ -17,7 +17,7 @@ from learn2assemble.geometry.support import BALANCE_TOLERANCE, classify_object
 from learn2assemble.physics.protocol import Verdict
 from learn2assemble.world.actions import DIRECTIONS
 from learn2assemble.world.blocks import EDGE, HALF
-from learn2assemble.world.rules import last_object, lay_object, target_cell
+from learn2assemble.world.rules import last_object, lay_object, object_span, target_cell
 from learn2assemble.world.state import State
 
 NUM_RELATIONS = len(DIRECTIONS)
@@ -113,13 +113,36 @@ def _try_object(state, row, unplaced, reference, action, rotations, position):
 
 
 @njit(cache=True)
+def _same_object(state, row, a, b):
+    """Whether two waiting blocks have the same cells around them, in the same order."""
+    placed, blocks = state.num_placed[row], state.num_blocks[row]
+    object_id, position = state.object_id[row], state.position[row]
+    low, high = object_span(object_id, placed, blocks, placed + a)
+    other, end = object_span(object_id, placed, blocks, placed + b)
+    if high - low != end - other or placed + a - low != placed + b - other:
+        return False
+    for k in range(high - low):
+        for axis in range(3):
+            mine = position[low + k, axis] - position[placed + a, axis]
+            theirs = position[other + k, axis] - position[placed + b, axis]
+            if abs(mine - theirs) > HALF:
+                return False
+    return True
+
+
+@njit(cache=True)
 def _try_objects(state, row, rotations, position, verdict):
     for unplaced in range(verdict.shape[0]):
-        for reference in range(verdict.shape[1]):
-            for action in range(verdict.shape[2]):
-                verdict[unplaced, reference, action], _ = _try_object(
-                    state, row, unplaced, reference, action, rotations, position
-                )
+        for earlier in range(unplaced):
+            if _same_object(state, row, unplaced, earlier):
+                verdict[unplaced] = verdict[earlier]
+                break
+        else:
+            for reference in range(verdict.shape[1]):
+                for action in range(verdict.shape[2]):
+                    verdict[unplaced, reference, action], _ = _try_object(
+                        state, row, unplaced, reference, action, rotations, position
+                    )
 
 
 def survey_objects(state: State, rotations: int) -> np.ndarray:

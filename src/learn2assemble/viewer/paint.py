@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.patches import PathPatch, Polygon
 from matplotlib.path import Path as Curve
 from matplotlib.textpath import TextPath
+
+from learn2assemble.errors import InputError
 
 PAPER, INK, SOFT, LINE, TABLE = "#fbfaf8", "#1f2429", "#5a636d", "#dcd8d0", "#eeeae2"
 ACCENT, GOOD, RIM = "#0b7285", "#17663c", "#4a3b26"
@@ -79,3 +84,18 @@ def write(axes: Axes, x: float, y: float, words: str, **style: Any) -> None:
     """Text as it stands: a dollar sign in a design's name is no formula."""
     style = {"va": "center", "color": INK, **style}
     axes.text(x, y, words, parse_math=False, **style)
+
+
+def save(figure: Figure, path: Path, dpi: int) -> None:
+    """Write a figure as PNG.
+
+    Raises:
+        InputError: where ``path`` cannot be written.
+    """
+    with warnings.catch_warnings():
+        # A name in a script the font lacks shows boxes; that is no reason to fail or to warn.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from")
+        try:
+            figure.savefig(path, format="png", dpi=dpi, metadata={"Software": None})
+        except OSError as error:
+            raise InputError("picture", str(path), f"a writable file ({error.strerror})") from None

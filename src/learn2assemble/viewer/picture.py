@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import textwrap
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -40,6 +39,7 @@ from learn2assemble.viewer.paint import (
     fill,
     fill_area,
     number_on,
+    save,
     write,
 )
 from learn2assemble.viewer.scene import Placed, Scene, hull, read_scene
@@ -66,13 +66,7 @@ def write_progress(plan: Mapping[str, Any], path: Path) -> None:
         figure = draw_progress(plan, scene)
     except KeyError as error:
         raise InputError("plan", f"no field {error}", "every field of its format") from None
-    with warnings.catch_warnings():
-        # A name in a script the font lacks shows boxes; that is no reason to fail or to warn.
-        warnings.filterwarnings("ignore", message="Glyph .* missing from")
-        try:
-            figure.savefig(path, format="png", dpi=_DPI, metadata={"Software": None})
-        except OSError as error:
-            raise InputError("picture", str(path), f"a writable file ({error.strerror})") from None
+    save(figure, path, _DPI)
 
 
 def moments(num_steps: int) -> list[int]:

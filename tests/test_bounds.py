@@ -1,11 +1,6 @@
-"""Published tables come from result files and from nowhere else."""
+"""The upper bound on returns and the exact look-ahead."""
 
 from __future__ import annotations
-
-import importlib.util
-import json
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -15,33 +10,6 @@ from learn2assemble.evaluation.episodes import run_episodes
 from learn2assemble.planning.lookahead import lookahead_actions
 from learn2assemble.presets import get_task
 from learn2assemble.simulator import Simulator
-
-ROOT = Path(__file__).parent.parent
-
-
-@pytest.fixture(scope="module")
-def results() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("results", ROOT / "benchmarks" / "results.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_the_table_of_the_readme_is_generated(results: ModuleType) -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert results.with_table(readme) == readme
-
-
-def test_the_results_file_says_how_it_was_made(results: ModuleType) -> None:
-    data = json.loads(results.RESULTS.read_text(encoding="utf-8"))
-    for key in ("agent", "origin", "commit", "hardware", "torch", "rows", "references"):
-        assert data[key], key
-    for row in data["rows"]:
-        assert row["episodes"] == 100 * len(row["seeds"])
-        assert row["f"] + row["b"] + row["success"] == pytest.approx(1)
-        assert row["seconds"] > 0
 
 
 def test_no_play_exceeds_the_bound() -> None:

@@ -1,0 +1,482 @@
+"""Tables: published numbers, specification, cells, result files, numbers and words."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.evaluation import published as published_module
+from learn2assemble.evaluation.bounds import return_bound
+from learn2assemble.evaluation.cells import BOUND, Cell, measure
+from learn2assemble.evaluation.episodes import episode_generators, make_policy, run_episodes
+from learn2assemble.evaluation.published import Published, published
+from learn2assemble.evaluation.results_store import (
+    agent_hash,
+    find_agents,
+    is_current,
+    read_result,
+    write_result,
+)
+from learn2assemble.evaluation.table_report import (
+    NOT_AVAILABLE,
+    NOT_MEASURED,
+    NOT_TRAINED,
+    Summary,
+    below_paper,
+    fails_more,
+    load_table,
+)
+from learn2assemble.evaluation.table_run import Job, jobs, row_cells, run_jobs, stale
+from learn2assemble.evaluation.table_spec import (
+    LOOK_AHEAD,
+    UNTRAINED,
+    Column,
+    Condition,
+    Row,
+    Table,
+    agent_seed,
+)
+from learn2assemble.evaluation.table_text import QUICK, compact_markdown, markdown
+from learn2assemble.evaluation.tables import TABLES, get_table
+from learn2assemble.learning.recipes import RECIPES
+from learn2assemble.networks.agent import Agent, load_agent, save_agent
+from learn2assemble.networks.config import NetworkConfig
+from learn2assemble.networks.qnetwork import QNetwork
+from learn2assemble.presets import get_task
+from learn2assemble.search.config import TO_THE_END, SearchConfig
+from learn2assemble.simulator import Simulator
+
+torch.set_num_threads(1)
+
+ROOT = Path(__file__).parent.parent
+NAME = "one-sided-3x3-22-24"
+TASK = get_task(NAME)
+PAPER_CELL = Published(R=3.0, R_ci95=0.1, a=8.0, b=None, f=0.2)
+SMALL = Table(
+    "small", "A table for the tests",
+    (Column(NAME, True, {"grid": "3x3", "blocks": "20-24"}), Column("no-such-task")),
+    (
+        Row("plain", "tiny", paper={"method": "DQN", "search_budget": "0"}),
+        Row("searched", "tiny", "dqn-mcts", 3, paper={"method": "DQN+MCTS"}),
+        Row("absent", "nobody"),
+        Row("look-ahead", policy=LOOK_AHEAD, help="knows outcomes", kind="reference"),
+        Row("of no search", "tiny", "nosuch", 3),
+    ),
+    {"source_table": "main_T2"},
+)  # fmt: skip
+
+
+def save_tiny(folder: Path, name: str, seed: int) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    torch.manual_seed(seed)
+    config = NetworkConfig(width=16, heads=2, rounds=1, position_scale=0.1)
+    return save_agent(Agent(name, QNetwork(config), NAME, {}), folder)
+
+
+@pytest.fixture
+def agents(tmp_path: Path) -> Path:
+    """Two agents that have learned nothing."""
+    for seed in (0, 1):
+        save_tiny(tmp_path / "agents", f"tiny-s{seed}", seed)
+    return tmp_path / "agents"
+
+
+# Specification and published numbers.
+
+
+def test_every_published_number_without_robot_has_its_place() -> None:
+    """All lines of the tables we reproduce are shown, each once, and nothing else."""
+    with published_module.FILE.open(encoding="utf-8") as stream:
+        lines = [line for line in csv.DictReader(stream) if line["robot"] == "no"]
+    for name, table in TABLES.items():
+        if name == "shipped":
+            continue
+        found = [published(table, row, c) for row in table.rows for c in table.columns]
+        shown = sorted((p.R, p.f) for p in found if p is not None)
+        wanted = [
+            (float(line["R"]), float(line["f"]))
+            for line in lines if line["source_table"] == table.paper["source_table"]
+        ]  # fmt: skip
+        assert shown == sorted(wanted), name
+        assert wanted
+
+
+def test_a_published_number_by_hand() -> None:
+    table = get_table("a4")
+    row = next(r for r in table.rows if r.label == "ε-MCTS, budget 5, to the end")
+    assert published(table, row, table.columns[3]) == Published(3.58, 0.12, 13.28, None, 0.92)
+    assert row.search_config(0.05) == SearchConfig(
+        budget=5, rollout=TO_THE_END, expansion="uct", random_first=True
+    )
+    table = get_table("A3")
+    assert published(table, table.rows[1], table.columns[3]) == Published(
+        2.40, 0.10, None, None, 0.26
+    )
+
+
+def test_two_published_lines_for_one_cell_are_a_mistake() -> None:
+    with pytest.raises(LookupError, match="fit"):
+        published(SMALL, SMALL.rows[0], Column("x", paper={"robot": "no"}))
+    assert published(dataclasses.replace(SMALL, paper={}), SMALL.rows[0], SMALL.columns[0]) is None
+
+
+@pytest.mark.parametrize("table", TABLES.values(), ids=str)
+def test_tables_name_what_exists(table: Table) -> None:
+    for name in table.trainings:
+        for stage in RECIPES[name].stages:
+            stage.resolve()
+    stems = {row.agents for row in table.rows if row.agents}
+    assert all(row.pick([f"{name}-s0"]) for row in table.rows for name in [row.agents] if name)
+    # Methods of the paper can be trained; ours may come as files only.
+    published_stems = {row.agents for row in table.rows if row.agents and row.kind == "method"}
+    assert published_stems <= set(table.trainings) <= stems
+    assert any(row.policy == LOOK_AHEAD for row in table.rows)
+
+
+def test_no_two_cells_share_a_file() -> None:
+    files: dict[str, Cell] = {}
+    for table in TABLES.values():
+        for row in table.rows:
+            for number in range(len(table.columns)):
+                for cell in row_cells(table, row, number, [f"{row.agents}-s{k}" for k in (0, 1)]):
+                    assert files.setdefault(cell.path, cell) == cell
+    assert len(files) > 100
+
+
+def test_agents_of_a_row() -> None:
+    names = ["dqn-s10", "dqn-s2", "dqn", "dqn-mcts-s0", "xdqn-s0", "dqn-s", "q-mcts-s0"]
+    assert Row("", "dqn").pick(names) == ["dqn", "dqn-s2", "dqn-s10"]
+    assert Row("").pick(names) == []
+    assert [agent_seed(n) for n in ("dqn-s10", "dqn", "dqn-s2")] == [10, 0, 2]
+
+
+def test_unknown_table_names_the_nearest() -> None:
+    with pytest.raises(UnknownNameError, match="did you mean 'shipped'"):
+        get_table("shpped")
+
+
+# Cells.
+
+
+def test_a_cell_survives_json_and_new_settings() -> None:
+    cell = Cell(TASK, "agent", "a-s1", SearchConfig(3, distinct=True), 0.05, "rigid", 1)
+    values = json.loads(json.dumps(cell.to_dict()))
+    assert Cell.from_dict(values) == cell
+    assert cell.path == f"cells/{NAME}/a-s1.b3-distinct=True.eps0.05.rigid.json"
+    # A file from before a setting existed means its default.
+    del values["search"]["random_first"]
+    assert Cell.from_dict(values) == cell
+    with pytest.raises(TypeError):
+        Cell.from_dict({**values, "search": {"bugdet": 3}})
+
+
+def test_measuring_is_playing_episodes(agents: Path) -> None:
+    cell = Cell(TASK, "agent", "tiny-s1", SearchConfig(2, 0.1), 0.1, seed=1)
+    data = measure(cell, str(agents / "tiny-s1.safetensors"), 7)
+    network = load_agent(str(agents / "tiny-s1.safetensors")).network
+    metrics = run_episodes(TASK, make_policy(TASK, network, cell.search, 0.1), 7, 1)
+    assert np.mean(data["returns"]) == pytest.approx(metrics.R, abs=1e-6)
+    assert np.mean(data["failed"]) == metrics.f
+    assert np.mean(data["actions"]) == metrics.a
+    assert "returns_at_0.8" not in data
+    # Discounted more, a return of 0 and 1 and a last -1 differs as the sum says.
+    for own, other, count in zip(
+        data["returns"], data["returns_at_0.95"], data["actions"], strict=True
+    ):
+        assert abs(other) <= (1 - 0.95**count) / 0.05 + 1e-6
+        assert (own == 0) == (other == 0) or count > 1
+
+
+def test_bound_and_look_ahead_meet_the_same_problems() -> None:
+    bound = measure(Cell(TASK, BOUND, seed=3), None, 60)["returns"]
+    reached = measure(Cell(TASK, LOOK_AHEAD, seed=3), None, 60)
+    state = Simulator(TASK).new(60, episode_generators(3)[0])
+    np.testing.assert_allclose(bound, return_bound(state, TASK.discount), atol=1e-6)
+    assert (np.array(reached["returns"]) <= np.array(bound) + 1e-5).all()
+    assert sum(reached["failed"]) == 0
+
+
+def test_untrained_policies_need_no_agent() -> None:
+    data = measure(Cell(TASK, UNTRAINED, search=SearchConfig(2, 0.0)), None, 2)
+    assert len(data["returns"]) == data["episodes"] == 2
+
+
+# Result files.
+
+
+def fake(root: Path, cell: Cell, returns: list[float], failed: list[int], **more: Any) -> None:
+    """A result file with given numbers."""
+    count = len(returns)
+    data = {
+        "commit": "abc", "seconds": 1.0, "episodes": count, "returns": returns,
+        "actions": [4] * count, "failed": failed, "success": [1 - f for f in failed],
+        "coverage": [0.5] * count, **more,
+    }  # fmt: skip
+    write_result(root, cell, "hash" if cell.agent else None, data)
+
+
+def test_result_files_round_trip_and_staleness(tmp_path: Path) -> None:
+    cell = Cell(TASK, "agent", "tiny-s0", SearchConfig(3, 0.05), 0.05)
+    assert not is_current(tmp_path, cell, "hash", 1)
+    fake(tmp_path, cell, [1.0, 2.0], [0, 1])
+    result = read_result(tmp_path / cell.path)
+    assert result is not None
+    assert (result.cell, result.agent_hash, result.episodes) == (cell, "hash", 2)
+    assert result.array("returns").tolist() == [1.0, 2.0]
+    assert is_current(tmp_path, cell, "hash", 2)
+    assert is_current(tmp_path, cell, "hash", 1)
+    assert not is_current(tmp_path, cell, "hash", 3)
+    assert not is_current(tmp_path, cell, "other", 2)
+    for change in (
+        {"task": TASK.replace(discount=0.9)}, {"seed": 4},
+        {"search": dataclasses.replace(cell.search or SearchConfig(), prior=False)},
+    ):  # fmt: skip
+        changed = dataclasses.replace(cell, **change)
+        file = tmp_path / changed.path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        if file != tmp_path / cell.path:
+            file.write_bytes((tmp_path / cell.path).read_bytes())
+        assert not is_current(tmp_path, changed, "hash", 2)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "{", "[]", "{}", '{"format": "learn2assemble-cell", "version": 2}',
+     '{"format": "learn2assemble-cell", "version": 1, "cell": {}, "agent_hash": null}'],
+)  # fmt: skip
+def test_damaged_result_files_count_as_absent(text: str, tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text(text)
+    assert read_result(tmp_path / "a.json") is None
+
+
+def test_result_with_too_few_numbers_counts_as_absent(tmp_path: Path) -> None:
+    cell = Cell(TASK, LOOK_AHEAD)
+    fake(tmp_path, cell, [1.0, 2.0], [0, 1], coverage=[0.5])
+    assert read_result(tmp_path / cell.path) is None
+
+
+def test_hash_of_an_agent_sees_weights_and_architecture(tmp_path: Path) -> None:
+    a, b = save_tiny(tmp_path, "a", 0), save_tiny(tmp_path, "b", 1)
+    assert agent_hash(a) == agent_hash(a) != agent_hash(b)
+    before = agent_hash(a)
+    info = json.loads(a.with_suffix(".json").read_text())
+    a.with_suffix(".json").write_text(json.dumps({**info, "origin": {"other": 1}}))
+    assert agent_hash(a) == before
+    info["network"]["heads"] = 1
+    a.with_suffix(".json").write_text(json.dumps(info))
+    assert agent_hash(a) != before
+
+
+def test_agents_are_found_as_files_and_as_runs(tmp_path: Path) -> None:
+    save_tiny(tmp_path, "tiny-s0", 0)
+    save_tiny(tmp_path / "tiny-s1", "agent", 1)
+    (tmp_path / "half-s0.safetensors").write_bytes(b"")
+    assert set(find_agents(tmp_path)) == {"tiny-s0", "tiny-s1"}
+    assert "two-sided-3x3-20-24-fast" in find_agents(None)
+    with pytest.raises(InputError, match="--agents"):
+        find_agents(tmp_path / "nosuch")
+
+
+# Measuring a table.
+
+
+def test_only_missing_and_stale_cells_are_measured(agents: Path, tmp_path: Path) -> None:
+    """An interruption loses nothing that is done; another agent brings only its own cells back."""
+    root = tmp_path / "out"
+    wanted = jobs(SMALL, find_agents(agents), 2)
+    # Two agents, two rows, two conditions; the look-ahead; bounds for two seeds.
+    assert len(wanted) == 8 + 2 + 2
+    assert {j.cell.seed for j in wanted if j.cell.agent == "tiny-s1"} == {1}
+    seen: list[Job] = []
+
+    def stop_after_five(job: Job) -> None:
+        seen.append(job)
+        if len(seen) == 5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_jobs(root, stale(root, wanted), 1, stop_after_five)
+    left = stale(root, wanted)
+    assert {j.cell.path for j in left} == {j.cell.path for j in wanted} - {
+        j.cell.path for j in seen
+    }
+    run_jobs(root, left, 1)
+    assert stale(root, wanted) == []
+    save_tiny(agents, "tiny-s1", 7)
+    again = stale(root, jobs(SMALL, find_agents(agents), 2))
+    assert {j.cell.agent for j in again} == {"tiny-s1"}
+    assert len(again) == 4
+    assert len(stale(root, jobs(SMALL, find_agents(agents), 3))) == 12
+    assert list(root.rglob("*.part")) == []
+
+
+@pytest.mark.slow
+def test_workers_measure_the_same(agents: Path, tmp_path: Path) -> None:
+    wanted = jobs(SMALL, find_agents(agents), 2)[:4]
+    for folder, workers in (("one", 1), ("two", 2)):
+        run_jobs(tmp_path / folder, wanted, workers)
+    for job in wanted:
+        one, two = (read_result(tmp_path / name / job.cell.path) for name in ("one", "two"))
+        assert one is not None
+        assert two is not None
+        assert one.array("returns").tolist() == two.array("returns").tolist()
+
+
+def test_quick_takes_one_agent(agents: Path) -> None:
+    wanted = jobs(SMALL, find_agents(agents), 2, max_agents=1)
+    assert {j.cell.agent for j in wanted} == {"", "tiny-s0"}
+
+
+# Numbers.
+
+
+def filled(root: Path) -> None:
+    """Results of two agents with known numbers."""
+    for condition, shift in ((Condition(0.05), -1.0), (Condition(0.0), 0.0)):
+        for seed, base in ((0, 3.0), (1, 3.5)):
+            cell = Cell(TASK, "agent", f"tiny-s{seed}", None, condition.epsilon, seed=seed)
+            fake(root, cell, [base + shift - 0.5, base + shift + 0.5], [0, seed])
+    for seed in (0, 1):
+        fake(root, Cell(TASK, BOUND, seed=seed), [4.0, 4.0, 9.0], [0, 0, 0])
+
+
+def test_numbers_of_a_row_by_hand(tmp_path: Path) -> None:
+    filled(tmp_path)
+    data = load_table(SMALL, tmp_path)
+    entry = data.entries[0][0]
+    clean, noisy = entry.results[Condition(0.0)], entry.results[Condition(0.05)]
+    returns = [clean.R, noisy.R]
+    assert returns == pytest.approx([3.25, 2.25])
+    # Student's t for two agents 0.5 apart: 12.706 * (0.5 / sqrt 2) / sqrt 2.
+    assert clean.R_ci95 == pytest.approx(12.706 * 0.25)
+    assert clean.over_agents
+    assert (clean.agents, clean.episodes, clean.a) == (2, 4, 4.0)
+    assert (clean.f, clean.success, clean.b) == (0.25, 0.75, 0.0)
+    assert clean.share == pytest.approx(3.25 / 4)
+    assert noisy.share is None
+    assert entry.paper == Published(3.21, 0.05, 7.93, None, 0.16)
+    assert [e[0].state for e in data.entries] == [
+        "", NOT_MEASURED, NOT_TRAINED, NOT_MEASURED, NOT_AVAILABLE
+    ]  # fmt: skip
+    assert {e[1].state for e in data.entries} == {NOT_AVAILABLE}
+    assert data.episodes == (2, 2)
+
+
+def test_interval_of_one_agent_is_over_episodes(tmp_path: Path) -> None:
+    cell = Cell(TASK, "agent", "tiny-s0", None, 0.0)
+    fake(tmp_path, cell, [1.0, 2.0, 3.0, 6.0], [0] * 4)
+    summary = load_table(SMALL, tmp_path).entries[0][0].results[Condition(0.0)]
+    spread = math.sqrt((4 + 1 + 0 + 9) / 3)
+    assert summary.R_ci95 == pytest.approx(1.96 * spread / 2)
+    assert not summary.over_agents
+    # Without the bound of its problems there is no share.
+    assert summary.share is None
+    fake(tmp_path, Cell(TASK, BOUND), [4.0] * 3, [0] * 3)
+    assert load_table(SMALL, tmp_path).entries[0][0].results[Condition(0.0)].share is None
+
+
+def test_results_of_another_task_do_not_count(tmp_path: Path) -> None:
+    cell = Cell(TASK.replace(discount=0.9), "agent", "tiny-s0", None, 0.0)
+    fake(tmp_path, cell, [1.0, 2.0], [0, 0])
+    assert load_table(SMALL, tmp_path).entries[0][0].results == {}
+
+
+def summary(R: float, f: float, episodes: int = 100) -> Summary:
+    return Summary(R, 0.1, 8.0, 0.0, f, 1 - f, 1, episodes, None, None)
+
+
+def test_marks() -> None:
+    assert below_paper(PAPER_CELL, summary(2.89, 0))
+    assert not below_paper(PAPER_CELL, summary(2.91, 0))
+    assert not below_paper(None, summary(0, 0))
+    # 1.96 * sqrt(0.2 * 0.8 / 500 + 0.3 * 0.7 / 100) = 0.0964; 0.3 at 1000 episodes: 0.0452.
+    assert not fails_more(PAPER_CELL, summary(3, 0.29))
+    assert fails_more(PAPER_CELL, summary(3, 0.3))
+    assert not fails_more(PAPER_CELL, summary(3, 0.24, 1000))
+    assert fails_more(PAPER_CELL, summary(3, 0.25, 1000))
+
+
+# Words.
+
+
+def test_text_depends_on_the_numbers_alone(tmp_path: Path) -> None:
+    """Other commits, hardware, seconds and order of writing: the same bytes."""
+    filled(tmp_path / "a")
+    files = sorted((tmp_path / "a").rglob("*.json"), reverse=True)
+    for file in files:
+        other = tmp_path / "b" / file.relative_to(tmp_path / "a")
+        other.parent.mkdir(parents=True, exist_ok=True)
+        data = {**json.loads(file.read_text()), "commit": "zzz", "seconds": 99}
+        other.write_text(json.dumps(data))
+    a, b = (load_table(SMALL, tmp_path / name) for name in "ab")
+    assert markdown(a) == markdown(b)
+    assert compact_markdown(a) == compact_markdown(b)
+    page = markdown(a)
+    assert "| plain | 2 | 3.21 ± 0.05 | 7.93 | 0.16 | 2.25 ± 3.18 ▼ | 4.00 | 0.00 | 0.25 |" in page
+    assert "| absent | not trained |" in page
+    assert "| look-ahead (knows outcomes) | not measured |" in page
+    assert "## no-such-task" in page
+    assert "81.2 %" in page
+    assert "over agents" in page
+    assert QUICK not in page
+    assert QUICK in markdown(load_table(SMALL, tmp_path / "a", quick=True))
+    columns = {
+        line.count("|") for line in page.split("## no-such-task")[0].splitlines() if "|" in line
+    }
+    assert len(columns) == 1
+
+
+def test_marks_of_single_agents(tmp_path: Path) -> None:
+    fake(tmp_path, Cell(TASK, "agent", "tiny-s0", None, 0.05), [3.0, 3.2] * 20, [0, 1] * 20)
+    page = markdown(load_table(SMALL, tmp_path))
+    assert "3.10 ± 0.03° ▼" in page
+    assert "0.50 ▲" in page
+
+
+# The committed tables.
+
+
+def committed() -> list[str]:
+    return sorted(file.stem for file in (ROOT / "results" / "tables").glob("*.md"))
+
+
+def test_tables_are_committed() -> None:
+    assert "shipped" in committed()
+
+
+@pytest.mark.parametrize("name", committed())
+def test_committed_tables_are_generated(name: str) -> None:
+    text = (ROOT / "results" / "tables" / f"{name}.md").read_text(encoding="utf-8")
+    assert markdown(load_table(get_table(name), ROOT / "results")) == text
+
+
+def test_committed_results_say_how_they_were_made() -> None:
+    files = list((ROOT / "results" / "cells").rglob("*.json"))
+    assert files
+    for file in files:
+        result = read_result(file)
+        assert result is not None, file
+        assert file == ROOT / "results" / result.cell.path
+        for key in ("commit", "hardware", "torch", "seconds"):
+            assert result.data[key] is not None, (file, key)
+        if result.cell.policy != BOUND:
+            ended = result.array("failed") + result.array("success")
+            assert set(ended) <= {0.0, 1.0}
+
+
+def test_committed_results_of_shipped_agents_are_of_these_agents() -> None:
+    shipped = find_agents(None)
+    for file in (ROOT / "results" / "cells").rglob("*.json"):
+        result = read_result(file)
+        assert result is not None
+        if result.cell.agent in shipped:
+            assert result.agent_hash == agent_hash(shipped[result.cell.agent]), file
