@@ -28,6 +28,7 @@ from learn2assemble.evaluation.packing import (
 from learn2assemble.evaluation.towers import find_towers, tower_bound
 from learn2assemble.geometry.bits import ROWS, WORDS, from_pixels, to_pixels
 from learn2assemble.geometry.coverage import add_box
+from learn2assemble.graph.features import node_offset
 from learn2assemble.planning.lookahead import lookahead_actions
 from learn2assemble.presets import get_task
 from learn2assemble.simulator import Simulator
@@ -39,9 +40,10 @@ from learn2assemble.world.design_pixels import (
     face_pixels,
     table_pixels,
 )
-from learn2assemble.world.layouts import waiting_positions
-from learn2assemble.world.sampling import start_blocks
+from learn2assemble.world.layouts import waiting_places
+from learn2assemble.world.sampling import start_objects
 from learn2assemble.world.state import State
+from learning_data import look_ahead
 
 Cell = tuple[int, int, int]
 
@@ -149,8 +151,7 @@ def painted(
             pixels[tuple(face[chosen].T)] = True
         state.mask[0, side] = from_pixels(pixels)
     state.mask_pixels[0] = np.bitwise_count(state.mask[0]).sum()
-    waiting = waiting_positions("line", blocks)
-    start_blocks(state, 0, simulator.frames, waiting, 0, blocks)
+    start_objects(state, 0, simulator.frames, waiting_places("line", blocks), 0, blocks)
     return simulator, state
 
 
@@ -429,11 +430,10 @@ def test_the_objects_bound_of_a_state_of_cubes() -> None:
     )
     total, discount = np.zeros(8), 1.0
     while not state.terminated.all():
-        gain = simulator.prospects(state).gain
-        actions = np.zeros((8, 3), np.int64)
-        for row in range(8):
-            actions[row, 1:] = np.unravel_index(gain[row].argmax(), gain[row].shape)
-        stuck = gain.max((1, 2)) <= 0
+        placements, found = look_ahead(simulator, state)
+        best = placements.action[np.arange(8), found.gain.argmax(1)]
+        actions = best - node_offset(simulator.observe(state))
+        stuck = found.gain.max(1) <= 0
         actions[stuck] = lookahead_actions(simulator, state)[stuck]
         total += discount * simulator.step(state, actions).reward
         discount *= task.discount

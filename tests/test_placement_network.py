@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -39,7 +41,7 @@ some_graphs = given(
     name=st.sampled_from(list(TASKS)), seed=st.integers(0, 10_000), rounds=st.integers(1, 3)
 )
 few = settings(max_examples=20, deadline=None)
-CLOSE = {"rtol": 0.0, "atol": 2e-4}
+CLOSE: dict[str, Any] = {"rtol": 0.0, "atol": 2e-4}
 """Single precision: relations are float32."""
 
 
@@ -136,7 +138,7 @@ def test_negative_maxima_are_treated_alike() -> None:
         last = net.rounds[0]
         assert isinstance(last, torch.nn.Sequential)
         assert isinstance(last[2], torch.nn.Linear)
-        last[2].bias -= 100
+        last[2].bias.sub_(100)
         pool = net.pools[1]
         assert isinstance(pool, torch.nn.Linear)
         pool.weight[:, : net.config.width] = 0  # Only the maximum counts.

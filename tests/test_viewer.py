@@ -31,7 +31,7 @@ from learn2assemble.viewer.picture import moments, side_normal
 from learn2assemble.viewer.scene import hull, read_scene
 from learn2assemble.viewer.serve import open_server
 from learn2assemble.viewer.words import percent, summary
-from learn2assemble.world.layouts import waiting_positions
+from learn2assemble.world.layouts import waiting_places
 from learn2assemble.world.sides import side_frames
 
 EDGE = 0.05
@@ -80,7 +80,7 @@ def make_plan(sides: int, status: str = "complete") -> dict[str, Any]:
         "search": {"needed": "agent alone", "budget": 0, "attempts": [], "backtracks": 1},
         "blocks": {
             "available": 20, "used": len(steps) + 1,
-            "waiting": [[0, 0, EDGE / 2], *waiting_positions("rows", 19).tolist()],
+            "waiting": [[0, 0, EDGE / 2], *waiting_places("rows", 19).position.tolist()],
         },
         "first_block": {
             "block": 0, "position": [0, 0, EDGE / 2], "quaternion": [1, 0, 0, 0],
@@ -303,7 +303,7 @@ def test_waiting_places_are_kept_where_they_can_be_drawn() -> None:
 
 def test_a_plan_may_list_only_blocks_that_wait() -> None:
     plan = make_plan(2)
-    plan["blocks"]["waiting"] = waiting_positions("rows", 20).tolist()
+    plan["blocks"]["waiting"] = waiting_places("rows", 20).position.tolist()
     assert read_scene(plan).first is None
 
 
@@ -311,7 +311,7 @@ def test_a_plan_may_list_only_blocks_that_wait() -> None:
 def test_node_positions_are_drawn_as_a_tray(plan: dict[str, Any], count: int) -> None:
     plan["steps"] = []
     plan["first_block"] = None
-    plan["blocks"]["waiting"] = waiting_positions("line", count).tolist()
+    plan["blocks"]["waiting"] = waiting_places("line", count).position.tolist()
     scene = read_scene(plan)
     assert scene.rearranged
     assert scene.waiting.shape == (count, 3)
