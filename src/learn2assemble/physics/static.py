@@ -162,7 +162,8 @@ def survey_objects(state: State, rotations: int) -> np.ndarray:
         _try_objects(state, row, rotations, position, found)
         known: dict[bytes, int] = {}
         for choice in np.argwhere(found == UNDECIDED):
-            _, count = _try_object(state, row, *choice, rotations, position)
+            unplaced, reference, action = choice
+            _, count = _try_object(state, row, unplaced, reference, action, rotations, position)
             cells = position[placed:count]
             key = np.unique(np.rint(cells * 1e6), axis=0).tobytes()
             if key not in known:
