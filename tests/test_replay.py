@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from learn2assemble.errors import InputError
-from learn2assemble.evaluation.recorded import read_lines
+from learn2assemble.evaluation.recorded import fit_tilt, read_lines
 from learn2assemble.evaluation.replay import ReplayReport, replay_file, replay_files
 from learn2assemble.physics.rigid import RigidPhysics
 from learn2assemble.world.actions import DIRECTIONS
@@ -117,6 +117,107 @@ def test_supported_placements_are_valid_in_both_physics(reference: Path, name: s
     for physics in ("static", "rigid"):
         notes = report_of(reference, name).disagreements
         assert {n["line"] for n in notes if n["physics"] == physics} == failed
+
+
+# ---------------------------------------------------------------- objects of several cells
+
+OBJECTS = {
+    # Least agreement in validity: static, rigid.
+    "1wo_g5_n30": (0.96, 0.98),
+    "2more20_g5_n30": (0.99, 0.99),
+    "2more20_g6_n40": (0.97, 0.95),
+}
+"""The rest are steps at which something balances exactly on an edge. There the log itself is not
+of one mind: the same bar at the same place holds in one line and falls in another."""
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_logs_of_objects_agree(reference: Path, name: str) -> None:
+    report = report_of(reference, name)
+    lines = lines_of(reference, name)
+    assert report.lines == len(lines)
+    assert report.judged_lines == report.real_lines
+    assert report.real_lines == sum(line["kind"] == "real" for line in lines) > 200
+    assert report.mask_exact == 1.0
+    assert report.plane_exact >= 0.99
+    assert report.complete_exact >= 0.99
+    assert report.max_px_diff <= 1
+    assert report.views > 2 * report.tilted_views
+    static, rigid = OBJECTS[name]
+    assert report.valid_static >= static
+    assert report.valid_rigid is not None
+    assert report.valid_rigid >= rigid
+    # Reward and end follow the verdict, but for single pixels where recorded blocks had drifted.
+    assert report.done == report.valid_static
+    assert report.reward >= report.valid_static - 0.025
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_objects_differ_only_by_chance_or_where_blocks_got_stuck(
+    reference: Path, name: str
+) -> None:
+    report = report_of(reference, name)
+    assert report.edge_lines < 0.25 * report.judged_lines
+    assert report.valid_static_firm >= 0.99
+    assert report.valid_rigid_firm is not None
+    assert report.valid_rigid_firm >= 0.985
+    for note in report.disagreements:
+        assert note["why"] == "edge" or (note["why"] == "stuck" and not note["recorded_invalid"])
+
+
+def test_the_same_balance_was_recorded_to_hold_and_to_fall(reference: Path) -> None:
+    """What no rule of geometry can tell: a bar put on one cube of two, half of it overhanging."""
+    found = set()
+    for name in ("1wo_g5_n30", "2more20_g5_n30"):
+        for line in lines_of(reference, name):
+            alone = line["kind"] == "real" and line["t"] == 0 and len(line["placed"]) == 1
+            relation = line["u"][2] // (4 if name.startswith("2more") else 1)
+            bar = len(line["members"]) == 2 and line["tilt_after"] > 1e-3
+            if alone and bar and relation == 0:
+                found.add(line["invalid"])
+    assert found == {True, False}
+
+
+def test_sample_of_objects_agrees(data: Path) -> None:
+    path = data / "transitions_objects.jsonl"
+    report = replay_file(path, RigidPhysics)
+    lines = list(read_lines(path))
+    assert {line["variant"] for line in lines} == {"1wo", "2more20"}
+    assert max(len(line["members"]) for line in lines) >= 3
+    assert report.real_lines == report.judged_lines == len(lines)
+    assert report.mask_exact == report.complete_exact == 1.0
+    assert report.valid_static_firm == report.valid_rigid_firm == 1.0
+    assert all(note["why"] == "edge" for note in report.disagreements)
+
+
+def test_objects_need_all_earlier_steps(tmp_path: Path, data: Path) -> None:
+    lines = list(read_lines(data / "transitions_objects.jsonl"))
+    second = next(line for line in lines if line["t"] == 1)
+    first = next(x for x in lines if (x["variant"], x["ep"], x["t"]) == (
+        second["variant"], second["ep"], 0))  # fmt: skip
+    assert replay_file(_write(tmp_path, first, second)).lines == 2
+    with pytest.raises(InputError, match="lacks a step before 1"):
+        replay_file(_write(tmp_path, second))
+    with pytest.raises(InputError, match="members"):
+        replay_file(_write(tmp_path, {k: v for k, v in first.items() if k != "members"}, second))
+    with pytest.raises(InputError, match="lacks cells"):
+        replay_file(_write(tmp_path, {**first, "unplaced": [*first["unplaced"], [0, 0, 0, 0, 1]]}))
+    with pytest.raises(InputError, match="blocks placed"):
+        replay_file(_write(tmp_path, {**first, "members": [0] * 9}, second))
+
+
+def test_the_tilt_of_an_object_is_read_from_its_cells() -> None:
+    cells = EDGE * np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1]], float)
+    assert fit_tilt(cells) == pytest.approx([1, 0, 0, 0])
+    assert fit_tilt(cells[:1]) == pytest.approx([1, 0, 0, 0])
+    for axis, angle in ((0, 0.02), (1, -0.03), (2, 0.01)):
+        c, s = np.cos(angle), np.sin(angle)
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        turn = np.eye(3)
+        turn[i, i], turn[i, j], turn[j, i], turn[j, j] = c, -s, s, c
+        expected = np.zeros(4)
+        expected[0], expected[1 + axis] = np.cos(angle / 2), np.sin(angle / 2)
+        assert fit_tilt(cells @ turn.T) == pytest.approx(expected, abs=1e-6)
 
 
 # ---------------------------------------------------------------- the project's own sample

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import gzip
 import json
+from collections import Counter
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,14 +19,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from learn2assemble.evaluation.recorded import waiting_objects
 from learn2assemble.geometry.mask import paper_mask
 from learn2assemble.presets import PRESETS, get_task
 from learn2assemble.simulator import Simulator
 from learn2assemble.task import Task
+from learn2assemble.world.blocks import EDGE
 from learn2assemble.world.layouts import sobol, waiting_places
-from learn2assemble.world.rules import count_row
 from learn2assemble.world.sampling import sample_outline, start_objects
 from learn2assemble.world.sides import side_frames
+from learn2assemble.world.state import empty_state
 
 OURS = 1500
 LEVEL = 0.001
@@ -39,10 +42,14 @@ RECORDED = {
     "4wo_g3_n30": FOUR,
     "4wo_g5_n50": get_task("four-sided-5x5-30-38"),
     "1mimic_g3_n27": get_task("one-sided-3x3-22-24"),
+    "1wo_g5_n30": get_task("bars-one-sided-5x5-25-27"),
+    "2more20_g5_n30": get_task("objects21-two-sided-5x5-20-24"),
+    "2more20_g6_n40": get_task("objects21-two-sided-6x6-30-34"),
 }
 """Preset of each recording, up to the lower bound on unseen shapes."""
-LARGER_GRID = [name for name, task in RECORDED.items() if task.grid > 3]
-NUM_TESTS = 5 * len(RECORDED)
+LARGER_GRID = [name for name, task in RECORDED.items() if task.unseen_shapes_only]
+OBJECTS = [name for name, task in RECORDED.items() if task.objects != "cubes"]
+NUM_TESTS = 7 * len(RECORDED)
 
 
 class Draws(NamedTuple):
@@ -84,7 +91,9 @@ def recorded_draws(lines: list[dict[str, Any]], task: Task) -> Draws:
 
 def _side(line: dict[str, Any], frames: np.ndarray) -> int:
     distance = np.abs(np.array(line["init_block"])[:2] - frames[:, 2:]).sum(1)
-    assert distance.min() < 1e-6
+    # Blocks of the richer environments have settled; the far cell of a bar can come first.
+    far = abs(distance.min() - EDGE) if len(frames) == 1 else np.inf
+    assert min(distance.min(), far) < 2e-5
     return int(distance.argmin())
 
 
@@ -271,6 +280,13 @@ def test_fresh_problems_keep_what_the_task_promises(task: Task) -> None:
 # ---------------------------------------------------------------- restoring a recorded reset
 
 
+FIRST_OBJECTS = {
+    1: [[(0, 0, 0)]],
+    2: [[(0, 0, 0), (0, 0, 1)], [(0, 0, 0), (1, 0, 0)], [(1, 0, 0), (0, 0, 0)]],
+}
+"""What the first object can be, by its number of cells; the log tells only the first of them."""
+
+
 def _restored_counts(lines: list[dict[str, Any]], task: Task) -> tuple[float, float]:
     """Shares of masks, and of initial covers, that have the recorded size."""
     sim = Simulator(task)
@@ -285,10 +301,21 @@ def _restored_counts(lines: list[dict[str, Any]], task: Task) -> tuple[float, fl
         masks += [a == b for a, b in zip(sizes, line["mask_px"], strict=True)]
         waiting = waiting_places(task.layout, task.max_blocks)
         side = _side(line, sim.frames)
-        start_objects(state, 0, sim.frames, waiting, side, 1 + line["n_unplaced"])
-        count_row(state, 0)
-        covers.append(int(state.initial_pixels[0]) == line["px_init"])
-        assert state.position[0, 0] == pytest.approx(line["init_block"], abs=1e-6)
+        first = line["nodes"] - int(state.num_vertices[0].sum()) - line["n_unplaced"]
+        found = []
+        for cells in FIRST_OBJECTS[first]:
+            if EDGE * cells[0][0] + sim.frames[side, 2] != pytest.approx(
+                line["init_block"][0], abs=1e-6
+            ):
+                continue
+            state.object_id[0, :first] = 0
+            state.position[0] = 0.0
+            state.position[0, :first] = EDGE * np.array(cells)
+            start_objects(state, 0, sim.frames, waiting, side, first + line["n_unplaced"])
+            found.append(int(state.initial_pixels[0]))
+        covers.append(line["px_init"] in found)
+        # The richer environments let the first block sink for ten steps.
+        assert state.position[0, 0] == pytest.approx(line["init_block"], abs=2e-5)
     return float(np.mean(masks)), float(np.mean(covers))
 
 
@@ -308,10 +335,53 @@ def test_sampled_problems_have_our_masks_and_initial_cover(data: Path) -> None:
 
 
 def _check_layout(line: dict[str, Any], layout: str) -> None:
-    theirs = np.array(line["unplaced"])
+    theirs = np.array([row[:3] for row in line["unplaced"]])
     assert len(theirs) == line["n_unplaced"]
-    ours = waiting_places(layout, len(theirs)).position
-    assert np.abs(ours - theirs).max() <= 1e-6
+    places = waiting_places(layout, len(theirs))
+    # Rows of objects end with the numbers of their other cells.
+    ids = np.array(waiting_objects(line["unplaced"]))
+    state = empty_state(1, 1, 3, len(theirs) + 1)
+    state.object_id[0] = np.append(-1, ids)
+    for number, first in enumerate(dict.fromkeys(ids.tolist())):
+        cells = theirs[ids == first]
+        offset = cells - [places.position[number, 0], cells[:, 1].max(), cells[:, 2].min()]
+        state.position[0, 1:][ids == first] = EDGE * np.rint(offset / EDGE)
+    start_objects(state, 0, side_frames(1), places, 0, len(theirs) + 1)
+    assert np.abs(state.position[0, 1:] - theirs).max() <= 1e-6
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_objects_are_of_the_recorded_kinds(reference: Path, name: str) -> None:
+    """Pooled kinds of waiting objects, cells in node order, and how many there are a reset."""
+    lines = recorded(reference, name)
+    task = RECORDED[name]
+    state = Simulator(task).new(OURS, np.random.default_rng(20240301))
+    ours, our_number = Counter(), []
+    for row in range(OURS):
+        first, count = int(state.num_placed[row]), int(state.num_blocks[row])
+        kinds = _kinds(state.position[row, first:count], state.object_id[row, first:count])
+        ours.update(kinds)
+        our_number.append(len(kinds))
+    theirs, their_number = Counter(), []
+    for line in lines:
+        cells = np.array([row[:3] for row in line["unplaced"]])
+        kinds = _kinds(cells, np.array(waiting_objects(line["unplaced"])))
+        theirs.update(kinds)
+        their_number.append(len(kinds))
+    assert set(ours) == set(theirs)
+    # Kinds of one reset are not independent; with bars not even nearly: there they are counted
+    # a reset, with pairs and bars the same way round pooled.
+    found = [_categories(np.array(our_number), np.array(their_number))]
+    if task.objects != "bars":
+        table = np.array([[ours[k], theirs[k]] for k in ours])
+        found.append(float(stats.chi2_contingency(table).pvalue))
+    assert min(found) > LEVEL / NUM_TESTS, found
+
+
+def _kinds(cells: np.ndarray, ids: np.ndarray) -> list[tuple[tuple[int, ...], ...]]:
+    """Per object its cells relative to the first, in block edges and node order."""
+    groups = [cells[ids == number] for number in dict.fromkeys(ids.tolist())]
+    return [tuple(map(tuple, np.rint((g - g[0]) / EDGE).astype(int).tolist())) for g in groups]
 
 
 @pytest.mark.parametrize("name", RECORDED)

@@ -208,7 +208,7 @@ def fit_tilt(cells: np.ndarray) -> np.ndarray:
     """
     offset = cells - cells[0]
     lattice = EDGE * np.rint(offset / EDGE)
-    weak = 1e-6 * np.eye(3)
+    weak = 1e-9 * np.eye(3)
     u, _, vt = np.linalg.svd((offset - offset.mean(0)).T @ (lattice - lattice.mean(0)) + weak)
     r = u @ vt
     w = np.sqrt(max(1.0 + np.trace(r), 1e-9)) / 2
