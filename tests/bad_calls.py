@@ -195,7 +195,7 @@ BAD = [
     BadCall("resume with --samples", resume("{d}/run", "--samples", "99"), "own configuration"),
     # table and curves
     BadCall("no table", ["table"], "NAME"),
-    BadCall("unknown table", table("A5"), "did you mean 'A"),
+    BadCall("unknown table", table("T22"), "did you mean 'T2'"),
     BadCall("misspelt table", table("shiped"), "did you mean 'shipped'"),
     BadCall("table of no episodes", table("T1", "--episodes", "0"), "a whole number of at least 1"),
     BadCall("table by no worker", table("T1", "--workers", "0"), "a whole number of at least 1"),

@@ -37,16 +37,16 @@ def run(options: argparse.Namespace) -> int:
     page: Path | None = options.into
     before = "" if page is None else _page(page, table)
     root: Path = options.out / "quick" if options.quick else options.out
+    agents = {} if options.train or options.from_files else find_agents(options.agents)
     _prepare(root)
     if options.quick:
         output.progress(QUICK)
-    folder = options.agents
     if options.train:
-        folder = options.runs
         _train(table, root, options, output)
+        agents = find_agents(options.runs)
     todo: list[Job] = []
     if not options.from_files:
-        wanted = jobs(table, find_agents(folder), *_extent(options))
+        wanted = jobs(table, agents, *_extent(options))
         todo = stale(root, wanted)
         output.progress(f"{len(wanted)} cells, {len(todo)} to measure")
         _measure(root, todo, options)
