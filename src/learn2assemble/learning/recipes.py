@@ -57,6 +57,13 @@ def _published(name: str, task: str, *changes: str) -> Recipe:
 
 
 _FULL = "network.connectivity=full"
+_SHORTER = "num_samples=160000"
+
+
+def _ablation(name: str, *changes: str) -> Recipe:
+    stage = Stage("relational", ("num_samples=24000", "epsilon_samples=8000", *changes))
+    return Recipe(f"ablation-{name}", _CUBES, (stage,))
+
 
 _ALL = (
     _published("dqn", _CUBES),
@@ -65,12 +72,17 @@ _ALL = (
     _published("mha-full", _CUBES, _FULL),
     _published("sha-full", _CUBES, _FULL, "network.heads=1"),
     _published("s2v-full", _CUBES, _FULL, "network.encoder=s2v"),
-    _published("bars-full", _BARS, _FULL),
-    _published("bars-partial", _BARS),
-    _published("objects", _OBJECTS),
+    _published("bars-full", _BARS, _FULL, _SHORTER),
+    _published("bars-partial", _BARS, _SHORTER),
+    _published("objects", _OBJECTS, _SHORTER),
     Recipe("relational-cubes", _LARGE, (Stage("relational", ("num_samples=120000",)),)),
-    Recipe("relational-bars", _BARS, (Stage("relational"),)),
+    Recipe("relational-bars", _BARS, (Stage("relational", ("num_samples=60000",)),)),
     Recipe("relational-objects", _OBJECTS, (Stage("relational-objects"),)),
+    _ablation("full"),
+    _ablation("no-dense-labels", "dense_weight=0"),
+    _ablation("single-q", "double=false"),
+    _ablation("one-round", "network.rounds=1"),
+    _ablation("three-steps", "steps=3"),
 )
 
 RECIPES: dict[str, Recipe] = {recipe.name: recipe for recipe in _ALL}
