@@ -49,7 +49,7 @@ class Column:
 
     Args:
         task: name of the preset.
-        star: the published agents were trained on it.
+        star: the agents were trained on it; what is not so is said in the notes.
         paper: fields of ``published.csv`` that pick the column.
     """
 

@@ -123,7 +123,7 @@ def notes(data: TableData) -> list[str]:
     out = [QUICK] if data.quick else []
     out += [
         "R: mean discounted return; a: actions an episode; b: share that ran out of blocks; f: "
-        "share ended by an invalid action. *: the published agents were trained on this task.",
+        "share ended by an invalid action. *: the agents were trained on this task.",
         f"Ours: {count} episodes an agent, evaluation problems never used in training. ± is the "
         "95 % interval of R: over agents (Student) where a row has at least two, over episodes "
         "(marked °) where it has one. Paper: five agents, 100 episodes each.",

@@ -125,13 +125,15 @@ _ALL = (
     Table(
         "T2", "Learning algorithms (main Table 2; two sides, no robot)", _T2_COLUMNS,
         (*_budget(0), *_budget(10), _UCT, *_own(OWN_CUBES), _LOOK_AHEAD),
-        {"source_table": "main_T2"}, notes=_TRAINED, trainings=("dqn", "eps-mcts", "q-mcts", OWN_CUBES),
+        {"source_table": "main_T2"}, notes=_TRAINED,
+        trainings=("dqn", "eps-mcts", "q-mcts", OWN_CUBES),
     ),
     Table(
         "A4", "Learning algorithms (appendix Table 4; two sides, no robot)", _T2_COLUMNS,
         (*_budget(0), *_budget(5), *_budget(5, TO_THE_END), *_budget(10), _UCT,
          *_own(OWN_CUBES), _LOOK_AHEAD),
-        {"source_table": "app_T4"}, notes=_TRAINED, trainings=("dqn", "eps-mcts", "q-mcts", OWN_CUBES),
+        {"source_table": "app_T4"}, notes=_TRAINED,
+        trainings=("dqn", "eps-mcts", "q-mcts", OWN_CUBES),
     ),
     Table(
         "A3", "Connectivity (appendix Table 3; bars, one side)", _A3_COLUMNS,

@@ -74,7 +74,7 @@ _ALL = (
     _published("s2v-full", _CUBES, _FULL, "network.encoder=s2v"),
     _published("bars-full", _BARS, _FULL, _SHORTER),
     _published("bars-partial", _BARS, _SHORTER),
-    _published("objects", _OBJECTS, _SHORTER),
+    _published("objects", _OBJECTS, "num_samples=60000"),
     Recipe("relational-cubes", _LARGE, (Stage("relational", ("num_samples=120000",)),)),
     Recipe("relational-bars", _BARS, (Stage("relational", ("num_samples=60000",)),)),
     Recipe("relational-objects", _OBJECTS, (Stage("relational-objects"),)),
