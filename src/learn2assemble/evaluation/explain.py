@@ -33,10 +33,17 @@ def starts_or_ends_on_edge(centres: np.ndarray, object_id: np.ndarray, new: int)
     """
     cells = snap(centres)
     return any(
-        is_stable(cells[:count], object_id[:count], slack=BALANCE_TOLERANCE)
+        _overhangs(cells[:count])
+        and is_stable(cells[:count], object_id[:count], slack=BALANCE_TOLERANCE)
         and not is_stable(cells[:count], object_id[:count], slack=-BALANCE_TOLERANCE)
         for count in (new, len(cells))
     )
+
+
+def _overhangs(cells: np.ndarray) -> bool:
+    """Whether some cell of the lattice has nothing below it."""
+    filled = {tuple(cell) for cell in np.rint(cells / HALF).astype(int).tolist()}
+    return any(z > 1 and (x, y, z - 2) not in filled for x, y, z in filled)
 
 
 def explain(

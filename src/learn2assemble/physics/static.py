@@ -24,10 +24,10 @@ NUM_RELATIONS = len(DIRECTIONS)
 
 
 @njit(cache=True)
-def _only_cubes(object_id, count):
+def _only_cubes(object_id, row, count):
     only = True
     for k in range(1, count):
-        only &= object_id[k] != object_id[k - 1]
+        only &= object_id[row, k] != object_id[row, k - 1]
     return only
 
 
@@ -36,7 +36,7 @@ def _settle(state, rows, verdict):
     for n in range(len(rows)):
         row = rows[n]
         count = state.num_placed[row]
-        if _only_cubes(state.object_id[row], count):
+        if _only_cubes(state.object_id, row, count):
             p = state.position[row, count - 1]
             verdict[n] = classify_cube(state.position[row], count - 1, p[0], p[1], p[2], HALF)
         else:
@@ -116,9 +116,9 @@ def _try_object(state, row, unplaced, reference, action, rotations, position):
 def _same_object(state, row, a, b):
     """Whether two waiting blocks have the same cells around them, in the same order."""
     placed, blocks = state.num_placed[row], state.num_blocks[row]
-    object_id, position = state.object_id[row], state.position[row]
-    low, high = object_span(object_id, placed, blocks, placed + a)
-    other, end = object_span(object_id, placed, blocks, placed + b)
+    object_id, position = state.object_id, state.position[row]
+    low, high = object_span(object_id, row, placed, blocks, placed + a)
+    other, end = object_span(object_id, row, placed, blocks, placed + b)
     if high - low != end - other or placed + a - low != placed + b - other:
         return False
     for k in range(high - low):

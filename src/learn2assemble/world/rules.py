@@ -44,13 +44,17 @@ def target_cell(state, row, reference, relation):
     return p[0] + EDGE * dx, p[1] + EDGE * dy, p[2] + EDGE * dz
 
 
-@njit(cache=True)
-def object_span(object_id, start, stop, block):
-    """First and one past the last cell of the object of ``block`` among ``start:stop``."""
+@njit(cache=True, inline="always")
+def object_span(object_id, row, start, stop, block):
+    """First and one past the last cell of the object of ``block`` among ``start:stop`` of a row.
+
+    Args:
+        object_id: of the whole state; views of a row cost as much as the search.
+    """
     low, high = block, block + 1
-    while low > start and object_id[low - 1] == object_id[block]:
+    while low > start and object_id[row, low - 1] == object_id[row, block]:
         low -= 1
-    while high < stop and object_id[high] == object_id[block]:
+    while high < stop and object_id[row, high] == object_id[row, block]:
         high += 1
     return low, high
 
@@ -71,7 +75,7 @@ def lay_object(state, row, unplaced, reference, x, y, z, turns, cells):
     """
     placed = state.num_placed[row]
     source = placed + unplaced
-    low, high = object_span(state.object_id[row], placed, state.num_blocks[row], source)
+    low, high = object_span(state.object_id, row, placed, state.num_blocks[row], source)
     cells[0, 0], cells[0, 1], cells[0, 2] = x, y, z
     n = 1
     for k in range(low, high):
@@ -89,6 +93,28 @@ def lay_object(state, row, unplaced, reference, x, y, z, turns, cells):
 
 
 @njit(cache=True)
+def move_cell(state, row, source, reference, x, y, z):
+    """Make block number ``source`` the last placed one, at (x, y, z) [m]; those between shift.
+
+    It takes the orientation of ``reference``. All there is to placing a cube; of a larger object
+    it leaves the other cells behind.
+    """
+    placed = state.num_placed[row]
+    moved = state.object_id[row, source]
+    for k in range(source, placed, -1):
+        for axis in range(3):
+            state.position[row, k, axis] = state.position[row, k - 1, axis]
+        state.object_id[row, k] = state.object_id[row, k - 1]
+    state.object_id[row, placed] = moved
+    state.position[row, placed, 0] = x
+    state.position[row, placed, 1] = y
+    state.position[row, placed, 2] = z
+    for k in range(4):
+        state.quaternion[row, placed, k] = state.quaternion[row, reference, k]
+    state.num_placed[row] = placed + 1
+
+
+@njit(cache=True)
 def move_block(state, row, unplaced, reference, x, y, z, turns=0):
     """Move the object of unplaced block ``unplaced``, that block to (x, y, z) (protocol 4, 7).
 
@@ -97,35 +123,20 @@ def move_block(state, row, unplaced, reference, x, y, z, turns=0):
     """
     placed = state.num_placed[row]
     source = placed + unplaced
-    moved = state.object_id[row, source]
-    low, high = object_span(state.object_id[row], placed, state.num_blocks[row], source)
-    size = high - low
-    if size > 1:
-        cells = np.empty((size, 3))
-        lay_object(state, row, unplaced, reference, x, y, z, turns, cells)
-    for k in range(high - 1, placed + size - 1, -1):
-        for axis in range(3):
-            state.position[row, k, axis] = state.position[row, k - size, axis]
-        state.object_id[row, k] = state.object_id[row, k - size]
-    for n in range(size):
-        state.object_id[row, placed + n] = moved
-        for q in range(4):
-            state.quaternion[row, placed + n, q] = state.quaternion[row, reference, q]
-        if size > 1:
-            for axis in range(3):
-                state.position[row, placed + n, axis] = cells[n, axis]
-    if size == 1:
-        state.position[row, placed, 0] = x
-        state.position[row, placed, 1] = y
-        state.position[row, placed, 2] = z
-    state.num_placed[row] = placed + size
+    low, high = object_span(state.object_id, row, placed, state.num_blocks[row], source)
+    cells = np.empty((high - low, 3))
+    lay_object(state, row, unplaced, reference, x, y, z, turns, cells)
+    for n in range(high - low):
+        # Whichever cell comes next has by then been shifted to place low + n.
+        k = low + n if n else source
+        move_cell(state, row, k, reference, cells[n, 0], cells[n, 1], cells[n, 2])
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def last_object(state, row):
     """First cell of the object placed last; it reaches to ``num_placed``."""
     placed = state.num_placed[row]
-    return object_span(state.object_id[row], 0, placed, placed - 1)[0]
+    return object_span(state.object_id, row, 0, placed, placed - 1)[0]
 
 
 @njit(cache=True)

@@ -88,35 +88,43 @@ def _step_back(position, first, start, stop, apart):
 
 
 @njit(cache=True)
-def start_objects(state, row, frames, waiting, side, num_blocks):
-    """First object at the bottom centre of ``side``, the others waiting; pixel sets and counts.
-
-    ``position`` and ``object_id`` hold the objects as :func:`draw_objects` leaves them.
-    """
-    position, object_id = state.position[row], state.object_id[row]
-    state.num_blocks[row] = num_blocks
-    state.terminated[row] = False
-    for k in range(position.shape[0]):
-        state.quaternion[row, k, 0] = 1.0
-        for q in range(1, 4):
-            state.quaternion[row, k, q] = 0.0
+def _spread(position, object_id, waiting, apart, x, y, num_blocks):
+    """First object to (x, y) on the ground, the others to their places; gives its cells."""
     placed = 0
     while placed < num_blocks and object_id[placed] == object_id[0]:
-        position[placed, 0] += frames[side, 2]
-        position[placed, 1] += frames[side, 3]
+        position[placed, 0] += x
+        position[placed, 1] += y
         position[placed, 2] += HALF
         placed += 1
-    state.num_placed[row] = placed
     start, number = placed, 0
     while start < num_blocks:
         stop = start
         while stop < num_blocks and object_id[stop] == object_id[start]:
             for axis in range(3):
-                position[stop, axis] += waiting.position[number, axis]
+                position[stop, axis] += waiting[number, axis]
             stop += 1
-        if waiting.apart > 0:
-            _step_back(position, placed, start, stop, waiting.apart)
+        if apart > 0:
+            _step_back(position, placed, start, stop, apart)
         start, number = stop, number + 1
+    return placed
+
+
+@njit(cache=True)
+def start_objects(state, row, frames, waiting, side, num_blocks):
+    """First object at the bottom centre of ``side``, the others waiting; pixel sets and counts.
+
+    ``position`` and ``object_id`` hold the objects as :func:`draw_objects` leaves them.
+    """
+    state.num_blocks[row] = num_blocks
+    state.terminated[row] = False
+    for k in range(state.quaternion.shape[1]):
+        state.quaternion[row, k, 0] = 1.0
+        for q in range(1, 4):
+            state.quaternion[row, k, q] = 0.0
+    state.num_placed[row] = _spread(
+        state.position[row], state.object_id[row], waiting.position, waiting.apart,
+        frames[side, 2], frames[side, 3], num_blocks,
+    )  # fmt: skip
     first, last = state.mask.shape[2], 0
     for s in range(state.mask.shape[1]):
         for r in range(state.mask.shape[2]):
