@@ -19,8 +19,8 @@ from learn2assemble.learning.config import TrainConfig, get_config
 from learn2assemble.learning.explore import random_actions, to_local
 from learn2assemble.learning.trainer import Trainer
 from learn2assemble.networks.build import make_network
-from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.physics.rigid import RigidPhysics
+from learn2assemble.planning.lookahead import lookahead_actions
 from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.presets import get_task
 from learn2assemble.search.config import SearchConfig
@@ -28,12 +28,18 @@ from learn2assemble.search.mcts import search
 from learn2assemble.simulator import Simulator
 
 TASK = "two-sided-3x3-20-24"
+OBJECTS = "objects-two-sided-5x5-20-24"
 BATCH = 256
 
 
 def static_batch_actions_per_s(seconds: float) -> float:
     """Step, coverage, reward, auto-reset and graph features; random legal actions."""
     return _random_play(Simulator(get_task(TASK)), BATCH, seconds)
+
+
+def objects_batch_actions_per_s(seconds: float) -> float:
+    """The same with objects of several cells and 20 actions."""
+    return _random_play(Simulator(get_task(OBJECTS)), BATCH, seconds)
 
 
 def static_single_steps_per_s(seconds: float) -> float:
@@ -72,30 +78,39 @@ def rigid_actions_per_s(seconds: float) -> float:
 
 
 def decision_ms(seconds: float) -> float:
-    """One decision with budget 10 on N = 30 nodes, a single world."""
+    """One decision of our own network with budget 10 on N = 30 nodes, a single world."""
+    return 1000 / _decisions("relational", 1, seconds)
+
+
+def decisions_per_s(config: str) -> Callable[[float], float]:
+    """Decisions with budget 10 on N = 30 nodes, 64 worlds at once, one thread."""
+    return lambda seconds: _decisions(config, 64, seconds)
+
+
+def _decisions(config: str, worlds: int, seconds: float) -> float:
     torch.set_num_threads(1)
     simulator = Simulator(get_task(TASK))
     rng = np.random.default_rng(0)
-    model = WorldModel(simulator, make_network(get_config("relational").network).eval())
+    model = WorldModel(simulator, make_network(get_config(config).network).eval())
     states = simulator.new(64, rng)
-    config = SearchConfig(budget=10)
+    for _ in range(3):
+        # Worlds a few blocks on are like those that searches meet.
+        simulator.step(states, lookahead_actions(simulator, states))
+    states = states.take(np.flatnonzero(~states.terminated))
 
     def step() -> int:
-        search(model, states.take(rng.integers(0, 64, 1)), config, rng)
-        return 1
+        search(model, states.take(rng.integers(0, len(states.num_placed), worlds)),
+               SearchConfig(budget=10), rng)  # fmt: skip
+        return worlds
 
-    return 1000 / _rate(step, seconds)
+    return _rate(step, seconds)
 
 
-def gradient_steps_per_s(feed_forward: str) -> Callable[[float], float]:
-    """DQN gradient steps a second, batch 32, published loss, one of both feed-forwards."""
+def gradient_steps_per_s(config: TrainConfig) -> Callable[[float], float]:
+    """Gradient steps a second of a configuration, memory filled by its first steps."""
 
     def measure(seconds: float) -> float:
         torch.set_num_threads(1)
-        config = TrainConfig(
-            network=NetworkConfig(feed_forward=feed_forward), batch_size=32, double=False,
-            replay_size=2048,
-        )  # fmt: skip
         trainer = Trainer(get_task(TASK), config, seed=0)
         while trainer.replay.length < 1024:
             trainer.collect()
@@ -113,9 +128,13 @@ MEASUREMENTS: dict[str, Callable[[float], float]] = {
     "static_batch_actions_per_s": static_batch_actions_per_s,
     "static_single_steps_per_s": static_single_steps_per_s,
     "rigid_actions_per_s": rigid_actions_per_s,
+    "objects_batch_actions_per_s": objects_batch_actions_per_s,
     "decision_ms": decision_ms,
-    "gradient_steps_per_s": gradient_steps_per_s("light"),
-    "gradient_steps_per_s_wide": gradient_steps_per_s("wide"),
+    "decisions_per_s": decisions_per_s("relational"),
+    "decisions_per_s_published": decisions_per_s("published"),
+    "gradient_steps_per_s": gradient_steps_per_s(get_config("relational")),
+    "gradient_steps_per_s_published": gradient_steps_per_s(get_config("published")),
+    "gradient_steps_per_s_paper": gradient_steps_per_s(get_config("paper")),
 }
 
 
