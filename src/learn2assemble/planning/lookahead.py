@@ -1,8 +1,9 @@
 """The full-width one-step look-ahead with the exact model: a policy without any learning.
 
-It takes the smallest positive gain of coverage, which keeps most gains for later; where nothing
-gains, the lowest valid placement that stays within the footprint of the structure. It knows which
-placements are valid and what they bring, which the paper's agent does not.
+With the discrete reward it takes the smallest positive gain of coverage, which keeps most gains
+for later, with the scaled one the largest reward; where nothing gains, the lowest valid placement
+that stays within the footprint of the structure. It knows which placements are valid and what
+they bring, which the paper's agent does not.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ def lookahead_actions(simulator: Simulator, state: State) -> np.ndarray:
     placements = distinct_placements(graph, simulator.task.num_actions)
     outcomes = simulator.outcomes(state, graph, placements)
     positive = outcomes.valid & (outcomes.reward > 0)
-    cost = np.where(positive, outcomes.gain, np.inf)
+    # The discrete reward counts gains, so small ones first; the scaled one adds them up discounted.
+    best = outcomes.gain if simulator.task.reward == "discrete" else -outcomes.reward
+    cost = np.where(positive, best, np.inf)
     for row in np.flatnonzero(~positive.any(1)).tolist():
         support = _support_cost(simulator, state, placements, row)
         cost[row] = np.where(outcomes.valid[row], support, np.inf)
