@@ -35,7 +35,8 @@ class Output:
         """A table for people."""
         table = Table(title=title or None, title_justify="left", box=None, pad_edge=False)
         for column in columns:
-            table.add_column(column, justify="left" if column == columns[0] else "right")
+            first = column == columns[0]
+            table.add_column(column, justify="left" if first else "right", no_wrap=first)
         for row in rows:
             table.add_row(*[_cell(value) for value in row])
         self.console.print(table, soft_wrap=False)
