@@ -39,7 +39,7 @@ class Output:
         """A table for people."""
         table = Table(title=title or None, title_justify="left", box=None, pad_edge=False)
         for number, column in enumerate(columns):
-            table.add_column(column, justify="right" if number else "left")
+            table.add_column(column, justify="right" if number else "left", no_wrap=number == 0)
         for row in rows:
             table.add_row(*[_cell(value) for value in row])
         self.console.print(table, soft_wrap=False)

@@ -19,12 +19,14 @@ def run(options: argparse.Namespace) -> int:
         low, high = task.block_range
         rows.append({
             "name": name, "sides": task.num_sides, "grid": task.grid, "nodes": task.num_nodes,
-            "blocks": [low, high], "actions": task.num_actions, "discount": task.discount,
+            "blocks": [low, high], "objects": task.objects,
+            "actions": task.num_actions, "discount": task.discount,
             "success_threshold": task.success_threshold, "agents": agents.get(name, []),
         })  # fmt: skip
-    output.table("", ("task", "sides", "grid", "nodes", "blocks", "agents"), [
+    output.table("", ("task", "sides", "grid", "nodes", "blocks", "objects", "agents"), [
         (r["name"], r["sides"], f"{r['grid']}x{r['grid']}", r["nodes"],
-         f"{r['blocks'][0]}-{r['blocks'][1]}", ", ".join(r["agents"]) or "-") for r in rows
+         f"{r['blocks'][0]}-{r['blocks'][1]}", r["objects"], ", ".join(r["agents"]) or "-")
+        for r in rows
     ])  # fmt: skip
     output.finish({"tasks": rows})
     return 0

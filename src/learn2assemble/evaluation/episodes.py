@@ -73,12 +73,12 @@ class Metrics:
         return asdict(self)
 
 
-def greedy_policy(model: WorldModel, epsilon: float) -> Policy:
+def greedy_policy(model: WorldModel, epsilon: float, num_actions: int = 5) -> Policy:
     """The Q-policy, with a uniform legal action at the rate ``epsilon`` (protocol 11.5, DQN)."""
 
     def act(state: State, rng: np.random.Generator) -> np.ndarray:
         _, actions = model.best(state)
-        return sometimes_random(actions, state, model.simulator.task.num_actions, epsilon, rng)
+        return sometimes_random(actions, state, num_actions, epsilon, rng)
 
     return act
 
@@ -128,7 +128,7 @@ def make_policy(
     """
     model = WorldModel(Simulator(task), network)
     if config is None or config.budget == 0:
-        return greedy_policy(model, epsilon)
+        return greedy_policy(model, epsilon, task.num_actions)
     return search_policy(LegacyModel(model, np.random.default_rng(0)) if legacy else model, config)
 
 

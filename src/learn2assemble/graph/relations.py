@@ -1,4 +1,4 @@
-"""How a cell lies to the outlines and to the placed blocks, seen from each side (deviation D20).
+"""How a cell lies to the outlines and to the placed blocks, seen from each side (deviation D23).
 
 Everything is expressed in the viewer's frame of a side (x right, depth towards the viewer, z up)
 relative to the cell, so it does not change when the structure is turned with its sides. Read from

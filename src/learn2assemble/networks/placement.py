@@ -1,4 +1,4 @@
-"""The placement network: Q-values of distinct placements from relations (our own method, D20).
+"""The placement network: Q-values of distinct placements from relations (our own method, D23).
 
 Where the published network embeds every node and reads Q(i, j, k) off a pair of them, this one
 embeds every cell that could be filled. A cell looks at the edges of each outline and at the placed

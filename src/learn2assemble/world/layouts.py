@@ -65,7 +65,7 @@ def waiting_places(layout: str, count: int) -> Waiting:
     of six (the one-sided twin of the robot cell). ``field`` (bars) and ``narrow-field`` (objects)
     start on a line, too, and move objects of several cells apart. The published code drops the
     latter for ten simulation steps and draws again where something moved; waiting objects are
-    positions only here, so nothing can move (D16).
+    positions only here, so nothing can move (D18).
 
     Raises:
         UnknownNameError: for a layout that does not exist.
