@@ -17,9 +17,10 @@ from learn2assemble.evaluation.episodes import (
     lookahead_policy,
     make_policy,
     play_episodes,
+    random_policy,
 )
 from learn2assemble.evaluation.perfect import best_returns, has_bound
-from learn2assemble.evaluation.table_spec import AGENT, LOOK_AHEAD
+from learn2assemble.evaluation.table_spec import AGENT, LOOK_AHEAD, RANDOM
 from learn2assemble.learning.run import provenance
 from learn2assemble.networks.agent import load_agent
 from learn2assemble.networks.config import NetworkConfig
@@ -41,7 +42,7 @@ class Cell:
 
     Args:
         task: the problems.
-        policy: ``agent``, ``look-ahead``, ``untrained`` or ``bound``.
+        policy: ``agent``, ``look-ahead``, ``untrained``, ``random`` or ``bound``.
         agent: name of the agent; empty without one.
         search: what precedes every decision.
         epsilon: chance of a random action.
@@ -157,6 +158,8 @@ def measure(cell: Cell, agent_file: str | None, episodes: int) -> dict[str, Any]
 def _policy(cell: Cell, agent_file: str | None) -> Policy:
     if cell.policy == LOOK_AHEAD:
         return lookahead_policy(cell.task, cell.epsilon)
+    if cell.policy == RANDOM:
+        return random_policy(cell.task.num_actions)
     if cell.policy == AGENT:
         assert agent_file is not None
         network = load_agent(str(Path(agent_file))).network

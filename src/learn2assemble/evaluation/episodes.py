@@ -104,6 +104,16 @@ def lookahead_policy(task: Task, epsilon: float) -> Policy:
     return act
 
 
+def random_policy(num_actions: int) -> Policy:
+    """A uniform legal action always."""
+
+    def act(state: State, rng: np.random.Generator) -> np.ndarray:
+        none = np.zeros((state.batch_size, 3), np.int64)
+        return sometimes_random(none, state, num_actions, 1.0, rng)
+
+    return act
+
+
 def search_policy(model: SearchModel, config: SearchConfig) -> Policy:
     """A search before every action (protocol 11.5)."""
 

@@ -12,8 +12,8 @@ from learn2assemble.search.config import SearchConfig
 from learn2assemble.search.named import SEARCHES
 from learn2assemble.task import Task
 
-AGENT, LOOK_AHEAD, UNTRAINED = "agent", "look-ahead", "untrained"
-"""What chooses actions: trained agents, the exact look-ahead, a search without any learning."""
+AGENT, LOOK_AHEAD, UNTRAINED, RANDOM = "agent", "look-ahead", "untrained", "random"
+"""What chooses actions: trained agents, the exact look-ahead, search without learning, chance."""
 MODEL_LABELS, KNOWS = "model labels", "knows outcomes"
 HELPS = {
     MODEL_LABELS: "trained with rewards the one-step model gives for placements that were not "
