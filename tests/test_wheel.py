@@ -20,7 +20,7 @@ def test_the_wheel_builds_a_design_elsewhere(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "-w", str(tmp_path)]
     subprocess.run([*command, str(ROOT)], check=True, capture_output=True, timeout=300)
     (wheel,) = tmp_path.glob("learn2assemble-*.whl")
-    assert wheel.stat().st_size < 5_000_000
+    assert wheel.stat().st_size < 25_000_000
     installed = tmp_path / "installed"
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(installed)
