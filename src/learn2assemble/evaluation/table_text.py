@@ -16,7 +16,7 @@ from learn2assemble.evaluation.table_report import (
     compared,
     fails_more,
 )
-from learn2assemble.evaluation.table_spec import HELPS, PAPER_PROTOCOL, Condition
+from learn2assemble.evaluation.table_spec import AGENT, HELPS, PAPER_PROTOCOL, Condition
 
 DASH = "–"
 LOW, HIGH = "▼", "▲"
@@ -56,14 +56,17 @@ def sections(data: TableData, brief: bool = False) -> list[Section]:
             ours = condition.label if brief else f"ours, {condition.label}"
             groups.append((ours, len(names[condition])))
             columns += names[condition]
-        rows = []
+        rows, kinds = [], []
         for row, entries in zip(table.rows, data.entries, strict=True):
+            if row.columns is not None and number not in row.columns:
+                continue
             entry = entries[number]
-            line = [row.name, _agents(entry), *_paper(entry.paper, fields)]
+            agents = _agents(entry) if row.policy == AGENT or entry.state else DASH
+            line = [row.name, agents, *_paper(entry.paper, fields)]
+            kinds.append(row.kind)
             for condition in table.conditions:
                 line += _ours(entry, condition, names[condition])
             rows.append(line)
-        kinds = [row.kind for row in table.rows]
         out.append(Section(_title(data, number), groups, columns, rows, kinds))
     return out
 
