@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from learn2assemble.networks.agent import Agent, load_agent, pretrained_names
+from learn2assemble.networks.agent import Agent, default_agent, load_agent
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QNetwork
 from learn2assemble.planning.build import build
@@ -28,7 +28,7 @@ BUILDABLE = [path for path in DESIGNS if path.stem != "cannot_be_built"]
 
 @pytest.fixture(scope="module")
 def agent() -> Agent:
-    return load_agent(pretrained_names()[0])
+    return load_agent(default_agent("two-sided-3x3-20-24"))
 
 
 @pytest.fixture(scope="module")
