@@ -161,10 +161,10 @@ def test_the_table_of_the_readme_is_generated() -> None:
 def test_every_recipe_resolves() -> None:
     for recipe in RECIPES.values():
         for stage in recipe.stages:
-            config = stage.resolve()
+            config = stage.resolve(recipe.task)
             if recipe.task in PRESETS:
                 assert config.network.num_actions == PRESETS[recipe.task].num_actions
-    assert get_recipe("s2v-full").stages[0].resolve().network.encoder == "s2v"
+    assert get_recipe("s2v-full").stages[0].resolve("two-sided-3x3-20-24").network.encoder == "s2v"
     with pytest.raises(UnknownNameError, match="did you mean 'q-mcts'"):
         get_recipe("qmcts")
 

@@ -173,8 +173,9 @@ _ALL = (
          _learner("DQN", 0),
          Row("shipped agent, no search", OWN_CUBES, help=MODEL_LABELS, kind=OWN),
          *(Row(f"shipped agent, {name}, budget 10", OWN_CUBES, name, 10, distinct=True,
-               help=MODEL_LABELS, kind=OWN) for name in ("dqn-mcts", "widening", "gumbel"))),
-        trainings=tuple(f"ablation-{stem}" for _, stem, _ in _PARTS),
+               help=MODEL_LABELS, kind=OWN) for name in ("dqn-mcts", "widening", "gumbel")),
+         _LOOK_AHEAD),
+        trainings=(*(f"ablation-{stem}" for _, stem, _ in _PARTS), "dqn", OWN_CUBES),
     ),
     Table(
         "shipped", "The shipped agent beside the published methods",

@@ -46,8 +46,17 @@ def agent_info(name: str) -> dict[str, Any]:
     return json.loads((PRETRAINED / f"{name}.json").read_text(encoding="utf-8"))
 
 
+DEFAULTS = {
+    "objects": "relational-objects-s0",
+    "bars": "relational-bars-s0",
+    "other-bars": "relational-bars-s0",
+    "": "relational-cubes-s0",
+}
+"""Our agent for tasks by how their names begin: what is built with."""
+
+
 def default_agent(task: str) -> str:
-    """The shipped agent trained on ``task``, else the first one shipped.
+    """Our shipped agent for tasks like ``task``, else one trained on it, else the first.
 
     Raises:
         InputError: where no agent is shipped.
@@ -55,6 +64,9 @@ def default_agent(task: str) -> str:
     names = pretrained_names()
     if not names:
         raise InputError("agent", None, "a trained agent (none is shipped)")
+    for start, name in DEFAULTS.items():
+        if task.startswith(start) and name in names:
+            return name
     for name in names:
         if agent_info(name)["task"] == task:
             return name
