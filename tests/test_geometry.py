@@ -206,7 +206,7 @@ def test_a_roof_vertex_can_dent_or_raise_the_roof() -> None:
 # ---------------------------------------------------------------- general mask
 
 U, V = np.meshgrid(np.arange(SIZE), np.arange(SIZE))
-POINTS = shapely.points(*unproject(U.astype(float), V.astype(float)))  # type: ignore[arg-type]
+POINTS = shapely.points(*unproject(U.astype(float), V.astype(float)))
 
 
 @st.composite

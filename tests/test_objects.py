@@ -4,7 +4,7 @@
 # pyright: reportCallIssue=false
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 
 import numpy as np
 import pytest
@@ -139,10 +139,10 @@ def test_a_group_is_uniform_and_a_member_within_it(name: str) -> None:
     objects = [cells for seed in range(2) for cells in draw(name, 3000, seed)[1:-3]]
     found = Counter(shape_of(cells) for cells in objects)
     groups = inventory_names(name)
-    shares: Counter[str] = Counter()
+    shares: defaultdict[str, float] = defaultdict(float)
     for group in groups:
         for shape in group:
-            shares[shape] += 1 / len(groups) / len(group)  # type: ignore[assignment]
+            shares[shape] += 1 / len(groups) / len(group)
     expected = [shares[shape] * len(objects) for shape in shares]
     assert stats.chisquare([found[shape] for shape in shares], expected).pvalue > 0.001
 

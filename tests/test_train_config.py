@@ -195,3 +195,13 @@ def test_devices() -> None:
     assert choose_device("cpu") == "cpu"
     with pytest.raises(InputError, match="auto, cpu or cuda"):
         choose_device("gpu")
+
+
+def test_settings_that_need_each_other_may_come_in_any_order() -> None:
+    pair = ["dense_weight=1", "network.encoder=relational"]
+    base = TrainConfig()
+    assert override(base, pair) == override(base, pair[::-1])
+    assert override(base, pair).dense_weight == 1
+    with pytest.raises(InputError, match="dense_weight"):
+        override(base, pair[:1])
+    assert override(base, ["steps=2", "steps=3"]).steps == 3

@@ -7,7 +7,10 @@ command line can print it unchanged and leave with exit code 2.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import TypeVar
+
+T = TypeVar("T")
 
 
 class Learn2AssembleError(Exception):
@@ -36,6 +39,17 @@ class UnknownNameError(InputError):
         near = difflib.get_close_matches(str(got), names, n=1, cutoff=0.4)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         super().__init__(what, got, f"one of {', '.join(names) or 'none'}{hint}")
+
+
+def look_up(what: str, name: str, table: Mapping[str, T]) -> T:
+    """The entry of ``table`` called ``name``.
+
+    Raises:
+        UnknownNameError: naming the nearest one; ``what`` says what kind of thing it is.
+    """
+    if name not in table:
+        raise UnknownNameError(what, name, table)
+    return table[name]
 
 
 class MissingExtraError(Learn2AssembleError, ImportError):

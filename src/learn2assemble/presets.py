@@ -8,7 +8,7 @@ published bound knows no other box than 3x3 (protocol 2).
 
 from __future__ import annotations
 
-from learn2assemble.errors import UnknownNameError
+from learn2assemble.errors import look_up
 from learn2assemble.task import Task
 
 _OBJECTS = Task(
@@ -56,6 +56,4 @@ def get_task(name: str) -> Task:
     Raises:
         UnknownNameError: naming the nearest preset.
     """
-    if name not in PRESETS:
-        raise UnknownNameError("task", name, PRESETS)
-    return PRESETS[name]
+    return look_up("task", name, PRESETS)

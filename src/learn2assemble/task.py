@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.world.actions import RELATIONS, ROTATIONS
@@ -105,6 +106,6 @@ class Task:
         """Fewest and most blocks, the first one included (the "a-b blocks" label of the paper)."""
         return self.num_nodes - MAX_VERTICES * self.num_sides, self.max_blocks
 
-    def replace(self, **changes: object) -> Task:
+    def replace(self, **changes: Any) -> Task:
         """A copy with some fields changed."""
-        return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
+        return dataclasses.replace(self, **changes)

@@ -84,6 +84,7 @@ class AssemblyVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]
         """All worlds; copy it before you change it."""
         return self._worlds.state
 
+    # Gymnasium declares these two for one generator; every world here has its own.
     @property
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
         """The random number generator of every world."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.errors import InputError, look_up
 from learn2assemble.evaluation.table_spec import Row
 
 QUANTITIES = ("R", "f", "success")
@@ -61,9 +61,7 @@ def get_figure(name: str) -> Figure:
     Raises:
         UnknownNameError: naming the nearest one.
     """
-    if name not in FIGURES:
-        raise UnknownNameError("figure", name, FIGURES)
-    return FIGURES[name]
+    return look_up("figure", name, FIGURES)
 
 
 def load_curves(figure: Figure, runs: Path) -> list[Curve]:

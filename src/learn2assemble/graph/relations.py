@@ -20,6 +20,11 @@ from learn2assemble.world.blocks import EDGE, HALF
 from learn2assemble.world.sides import side_frames
 
 EDGE_FEATURES = 13
+"""Inward normal (right, up); how far the cell's centre is inside the line of the edge, and its most
+inward corner (coarse and, times eight, fine); both ends of the edge (right, up); how far the cell
+stands before the face plane, and whether it lies in it; whether the edge is one of the roof of a
+five-sided outline, which binds only its own columns; height of the cell. Lengths in block edges,
+clipped and scaled to about one."""
 REACH = 3
 """Offsets between a cell and a placed block are told apart up to this many blocks."""
 WINDOW = 2 * REACH + 1
@@ -49,6 +54,33 @@ def _pixel_corner(x, z):
     """A vertex where the mask has it: moved to its image point (protocol 3.2)."""
     u, v = pixel_vertex(x, z)
     return (u / CENTRE - 1) * HALF_EXTENT, (1 - v / CENTRE) * HALF_EXTENT + CAMERA_Z
+
+
+@njit(cache=True)
+def _line(a, b, turn, x, z, out):
+    """The first nine features: the edge from corner ``a`` to ``b`` seen from the cell (x, z)."""
+    ax, az = (a[0] - x) / EDGE, (a[1] - z) / EDGE
+    bx, bz = (b[0] - x) / EDGE, (b[1] - z) / EDGE
+    length = max(np.sqrt((bx - ax) ** 2 + (bz - az) ** 2), 1e-6)
+    # ``turn`` makes the normal point inward whichever way round the outline is listed.
+    normal_x, normal_z = -turn * (bz - az) / length, turn * (bx - ax) / length
+    inside = -(ax * normal_x + az * normal_z)
+    margin = inside + 0.5 * (abs(normal_x) + abs(normal_z))
+    out[0], out[1] = normal_x, normal_z
+    out[2] = _clip(inside, 4.0) / 2
+    out[3] = _clip(margin, 1.0)
+    out[4] = _clip(8 * margin, 1.0)
+    out[5], out[6] = _clip(ax, 6.0) / 2, _clip(az, 6.0) / 2
+    out[7], out[8] = _clip(bx, 6.0) / 2, _clip(bz, 6.0) / 2
+
+
+@njit(cache=True)
+def _offset_number(right, out, up):
+    """Number of an offset [m] to the right, outward and up, in whole blocks up to ``REACH``."""
+    i = int(_clip(np.rint(right / EDGE), REACH)) + REACH
+    j = int(_clip(np.rint(out / EDGE), REACH)) + REACH
+    k = int(_clip(np.rint(up / EDGE), REACH)) + REACH
+    return (i * WINDOW + j) * WINDOW + k
 
 
 @njit(cache=True)
@@ -90,20 +122,8 @@ def _relate(
                 z = cells[row, c, 2]
                 for k in range(last - first):
                     n = (k + 1) % (last - first)
-                    ax, az = (corner[k, 0] - x) / EDGE, (corner[k, 1] - z) / EDGE
-                    bx, bz = (corner[n, 0] - x) / EDGE, (corner[n, 1] - z) / EDGE
-                    length = max(np.sqrt((bx - ax) ** 2 + (bz - az) ** 2), 1e-6)
-                    # Inward normal of the edge and how far the centre is inside.
-                    px, pz = -turn * (bz - az) / length, turn * (bx - ax) / length
-                    inside = -(ax * px + az * pz)
-                    margin = inside + 0.5 * (abs(px) + abs(pz))
                     out = edges[row, c, side, k]
-                    out[0], out[1] = px, pz
-                    out[2] = _clip(inside, 4.0) / 2
-                    out[3] = _clip(margin, 1.0)
-                    out[4] = _clip(8 * margin, 1.0)
-                    out[5], out[6] = _clip(ax, 6.0) / 2, _clip(az, 6.0) / 2
-                    out[7], out[8] = _clip(bx, 6.0) / 2, _clip(bz, 6.0) / 2
+                    _line(corner[k], corner[n], turn, x, z, out)
                     out[9] = _clip(depth, 2.0)
                     out[10] = 1.0 if abs(depth) < 0.25 else 0.0
                     out[11] = 1.0 if last - first == 5 and (k == 1 or k == 2) else 0.0
@@ -111,10 +131,9 @@ def _relate(
                 for b in range(placed):
                     node = nodes[row, targets + b]
                     dx, dy = node[0] - cells[row, c, 0], node[1] - cells[row, c, 1]
-                    i = int(_clip(np.rint((dx * right_x + dy * right_y) / EDGE), REACH)) + REACH
-                    j = int(_clip(np.rint((dx * out_x + dy * out_y) / EDGE), REACH)) + REACH
-                    k = int(_clip(np.rint((node[2] - z) / EDGE), REACH)) + REACH
-                    offsets[row, c, side, b] = (i * WINDOW + j) * WINDOW + k
+                    offsets[row, c, side, b] = _offset_number(
+                        dx * right_x + dy * right_y, dx * out_x + dy * out_y, node[2] - z
+                    )
             first = last
 
 

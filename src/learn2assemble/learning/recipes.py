@@ -15,7 +15,7 @@ from pathlib import Path
 
 import torch
 
-from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.errors import InputError, look_up
 from learn2assemble.learning.config import TrainConfig, fit_to, get_config, override
 from learn2assemble.learning.run import train
 from learn2assemble.networks.agent import load_agent
@@ -94,9 +94,7 @@ def get_recipe(name: str) -> Recipe:
     Raises:
         UnknownNameError: naming the nearest one.
     """
-    if name not in RECIPES:
-        raise UnknownNameError("training", name, RECIPES)
-    return RECIPES[name]
+    return look_up("training", name, RECIPES)
 
 
 def train_recipes(

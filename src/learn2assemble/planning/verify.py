@@ -9,8 +9,8 @@ import numpy as np
 
 from learn2assemble.physics.equilibrium import stability_margin
 from learn2assemble.physics.rigid import SETTLE_STEPS, RigidPhysics
-from learn2assemble.planning.planner import Placement, make
 from learn2assemble.planning.problem import Problem
+from learn2assemble.planning.sequence import Placement, make
 from learn2assemble.simulator import Simulator
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from learn2assemble.errors import UnknownNameError
+from learn2assemble.errors import look_up
 from learn2assemble.search.config import TO_THE_END, GumbelConfig, SearchConfig
 
 SEARCHES: dict[str, SearchConfig] = {
@@ -35,9 +35,7 @@ def get_search(name: str) -> SearchConfig:
     Raises:
         UnknownNameError: naming the nearest one.
     """
-    if name not in SEARCHES:
-        raise UnknownNameError("search", name, SEARCHES)
-    return SEARCHES[name]
+    return look_up("search", name, SEARCHES)
 
 
 def training_search(method: str, budget: int, epsilon: float) -> SearchConfig:
