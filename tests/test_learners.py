@@ -176,6 +176,7 @@ def test_dqn_stores_no_searches() -> None:
 # Learning works.
 
 TINY_PUBLISHED = ["network.position_scale=0.1", "learning_rate=3e-3", "final_learning_rate=5e-4"]
+FULL = ["network.connectivity=full"]
 LEARNERS = {
     "own": ("relational", 2500, 0.9, ["learning_rate=3e-3", "final_learning_rate=5e-4"]),
     "paper": (
@@ -186,6 +187,8 @@ LEARNERS = {
     "dqn": ("published", 4000, 0.65, TINY_PUBLISHED),
     "q-mcts": ("published", 4000, 0.5, [*TINY_PUBLISHED, "method=q-mcts"]),
     "eps-mcts": ("published", 4000, 0.65, [*TINY_PUBLISHED, "method=eps-mcts"]),
+    "s2v": ("published", 4000, 0.4, [*TINY_PUBLISHED, *FULL, "network.encoder=s2v"]),
+    "sha": ("published", 4000, 0.4, [*TINY_PUBLISHED, *FULL, "network.heads=1"]),
 }  # fmt: skip
 
 
