@@ -32,7 +32,8 @@ class Towers(NamedTuple):
     place: np.ndarray
     """int64[n, 2]: x, y [block edges, world], side by side, each from left to right as seen."""
     cap: np.ndarray
-    """int64[n]: blocks above this show no open pixels; at least 1, as any place may be passed."""
+    """int64[n]: blocks above this show no open pixels, or there are not so many; at least 1, as any
+    place may be passed."""
     low: np.ndarray
     """int64[n]: height at the start, 1 for the first block's tower, else 0."""
     beside: np.ndarray
@@ -83,10 +84,11 @@ def find_towers(simulator: Simulator, state: State, row: int) -> Towers:
         if side[n] == side[n - 1]:
             both = seen[side[n], column[n] - 1][:, None] & seen[side[n], column[n]][None]
             shared[n] = np.bitwise_count(both).sum((-1, -2))
+    low = first[side, column].astype(np.int64)
     return Towers(
         place=place,
-        cap=np.maximum(useful[side, column], 1),
-        low=first[side, column].astype(np.int64),
+        cap=np.minimum(np.maximum(useful[side, column], 1), low + state.num_blocks[row] - 1),
+        low=low,
         beside=_neighbours(place),
         own=own[side, column],
         shared=shared,
