@@ -1,10 +1,11 @@
 """The paper's tasks by name. Adding one is one line.
 
 The label "a-b blocks" fixes the number of nodes: N = a + 5 S = b + 3 S for S sides (protocol 0).
-Cube tasks whose grid or number of blocks is larger than in training draw only unseen shapes, as the
-paper's text says (protocol 13.8): outlines for which the published bound on the 3x3 box holds, also
-where the grid is the 3x3 of training and the bound only asks for high left shoulders. Object tasks do not: their agents are trained on 5x5, and the
-published bound knows no other box than 3x3 (protocol 2).
+Cube tasks whose grid or number of blocks is larger than in training draw only unseen shapes, as
+the paper's text says (protocol 13.8): outlines that meet the published bound on the 3x3 box. Where
+the grid is 3x3 itself, that leaves four- and five-sided ones with high left shoulders. Object tasks
+do not: their agents are trained on 5x5, and the published bound knows no other box than 3x3
+(protocol 2).
 """
 
 from __future__ import annotations
