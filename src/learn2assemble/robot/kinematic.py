@@ -1,0 +1,163 @@
+"""The arm without dynamics: can it reach, and does it touch anything on the way?
+
+The cheap fidelity, for training and search. It moves nothing and decides nothing about balance;
+:mod:`learn2assemble.physics` does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.collision import CollisionModel, Touch
+from learn2assemble.robot.columns import Columns
+from learn2assemble.robot.motion import OPENING, RISE, crossing_height
+from learn2assemble.robot.outcome import Outcome
+from learn2assemble.robot.scene import Move, Scene, carried, put_down
+from learn2assemble.world.blocks import EDGE
+
+STRIDE = 0.25
+"""Largest step of a joint between two checks of a free motion [rad]."""
+DETOUR = 0.10
+"""How much higher the tool crosses where the straight way is blocked [m]."""
+STAGES = ("pick", "lift", "cross", "place", "release", "retreat", "approach")
+
+
+class Attempt(NamedTuple):
+    """What became of a move."""
+
+    outcome: Outcome
+    stage: str = ""
+    """Where it failed; empty for a success."""
+    detail: str = ""
+    """Why, in one line."""
+    pick: np.ndarray | None = None
+    """float64[k, n]: joint positions over the picked cell, from the contact upwards [rad]."""
+    place: np.ndarray | None = None
+    """The same over the target."""
+
+    @property
+    def reached(self) -> bool:
+        return self.outcome == Outcome.REACHED
+
+
+class KinematicCell:
+    """Reach, joint limits and collisions of one arm, for scenes of at most ``num_cells`` cells.
+
+    Joint solutions over a place are remembered, so repeated places cost collision checks only.
+    A move is tried as ordered and with the fingers exchanged. One instance serves one thread.
+    """
+
+    name = "kinematic"
+
+    def __init__(self, arm: Arm, num_cells: int = 40) -> None:
+        self.arm = arm
+        self.columns = Columns(arm)
+        self.collisions = CollisionModel(arm, num_cells)
+
+    def attempt(self, scene: Scene, move: Move) -> Attempt:
+        """Outcome of a move; the scene is left alone."""
+        flipped = move._replace(grasp=move.grasp.flipped(), place=move.place.flipped())
+        first = self._attempt(scene, move)
+        if first.reached:
+            return first
+        second = self._attempt(scene, flipped)
+        return second if _further(second) > _further(first) else first
+
+    def attempt_many(self, orders: Iterable[tuple[Scene, Move]]) -> list[Attempt]:
+        """One attempt after the other."""
+        return [self.attempt(scene, move) for scene, move in orders]
+
+    def _attempt(self, scene: Scene, move: Move) -> Attempt:
+        height = crossing_height(scene, move)
+        start = scene.position[move.cell]
+        pick = self.columns.solve(start, move.grasp, height)
+        if isinstance(pick, str):
+            return Attempt(Outcome.UNREACHABLE, "pick", pick)
+        hit = self._empty(scene, None, pick)
+        if hit:
+            return _collision(Outcome.GRASP_COLLISION, "pick", hit)
+        members = scene.members(move.cell)
+        self._grip(scene, move, members)
+        hit = self._first(pick[1:], EDGE)
+        if hit:
+            return _collision(Outcome.GRASP_COLLISION, "lift", hit)
+        place = self.columns.solve(move.target, move.place, height)
+        if isinstance(place, str):
+            return Attempt(Outcome.UNREACHABLE, "place", place)
+        hit = self._first(place, EDGE)
+        if hit:
+            return _collision(Outcome.PLACE_COLLISION, "place", hit)
+        hit = self._cross(pick[-1], place[-1])
+        if hit:
+            over = self._detour(scene, move, height)
+            if over is None:
+                return _collision(Outcome.UNREACHABLE, "cross", hit)
+            pick, place = over
+        # The object now stands at its target and is in the way like all others.
+        hit = self._empty(put_down(scene, move), None, place[: len(RISE)])
+        if hit:
+            return _collision(Outcome.PLACE_COLLISION, "release", hit)
+        hit = self._first(_between(place[-1], self.arm.home), OPENING)
+        if hit:
+            return _collision(Outcome.PLACE_COLLISION, "retreat", hit)
+        self._empty_hand(scene)
+        hit = self._first(_between(self.arm.home, pick[-1]), OPENING)
+        if hit:
+            return _collision(Outcome.GRASP_COLLISION, "approach", hit)
+        return Attempt(Outcome.REACHED, pick=pick, place=place)
+
+    def _detour(
+        self, scene: Scene, move: Move, height: float
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """Columns whose tops are joined by a free motion, higher up."""
+        pick = self.columns.solve(scene.position[move.cell], move.grasp, height + DETOUR)
+        place = self.columns.solve(move.target, move.place, height + DETOUR)
+        if isinstance(pick, str) or isinstance(place, str):
+            return None
+        way = [pick[len(RISE) :], place[len(RISE) :], *_between(pick[-1], place[-1])]
+        return None if self._first(np.vstack(way), EDGE) else (pick, place)
+
+    def _empty_hand(self, scene: Scene) -> None:
+        self.collisions.place(scene)
+        self.collisions.carry(np.empty((0, 3)), np.empty(0, np.int64))
+
+    def _empty(self, scene: Scene, without: None, joints: np.ndarray) -> Touch | None:
+        self._empty_hand(scene)
+        return self._first(joints, OPENING)
+
+    def _grip(self, scene: Scene, move: Move, members: np.ndarray) -> None:
+        """The object hangs from the hand instead of standing in the scene."""
+        rotation = move.grasp.rotation()
+        offset = scene.position[members] - move.grasp.tool_point(scene.position[move.cell])
+        self.collisions.place(scene, without=members)
+        self.collisions.carry(offset @ rotation, scene.object_id[members])
+
+    def _cross(self, start: np.ndarray, end: np.ndarray) -> Touch | None:
+        return self._first(_between(start, end), EDGE)
+
+    def _first(self, joints: Iterable[np.ndarray], opening: float) -> Touch | None:
+        for q in joints:
+            hit = self.collisions.touch(q, opening)
+            if hit is not None:
+                return hit
+        return None
+
+
+def _between(start: np.ndarray, end: np.ndarray) -> Iterator[np.ndarray]:
+    """Joint positions strictly between two, at most a stride apart."""
+    steps = math.ceil(np.abs(end - start).max() / STRIDE)
+    for k in range(1, steps):
+        yield start + (end - start) * (k / steps)
+
+
+def _collision(outcome: Outcome, stage: str, hit: Touch) -> Attempt:
+    return Attempt(outcome, stage, f"{hit.part} touches {hit.other}")
+
+
+def _further(attempt: Attempt) -> int:
+    return len(STAGES) if attempt.reached else STAGES.index(attempt.stage)
