@@ -10,6 +10,10 @@ from learn2assemble.robot.grasps import Attitude, turn
 from learn2assemble.world.blocks import HALF
 
 
+GAP = 0.01
+"""Between horizontal neighbours on the lattice of the robot cell [m] (protocol 7)."""
+
+
 class Scene(NamedTuple):
     """Cubes on the table, in the world frame; the placed ones first.
 
