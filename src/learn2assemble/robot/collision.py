@@ -52,26 +52,39 @@ class CollisionModel:
         self._fingers = np.array([m.joint(name).qposadr[0] for name in arm.gripper.joints])
         self._carried = np.array([m.body(f"carried {k}").id for k in range(MAX_CARRIED)])
         self._carried_fillers = np.array([m.body(f"carried f{k}").id for k in range(MAX_CARRIED)])
-        self._names: list[str] = [m.body(k).name for k in range(m.nbody)]
-        self._first = m.body("cell 0").id
+        self._names = [m.body(k).name for k in range(m.nbody)]
+        self._pairs = np.empty((0, 2), np.int64)
         site, turn = m.site(arm.tool), np.empty(9)
         mujoco.mju_quat2Mat(turn, site.quat)
         self._tool_position, self._tool_rotation = site.pos.copy(), turn.reshape(3, 3)
 
-    def place(self, scene: Scene, without: np.ndarray | None = None) -> None:
-        """Put the boxes where the cells of ``scene`` are, except the cells ``without`` int64[w]."""
-        keep = np.ones(len(scene.position), np.bool_)
-        if without is not None:
-            keep[without] = False
-        cells, n = np.flatnonzero(keep), self.num_cells
-        position, yaw = scene.position[cells], scene.yaw[cells]
-        pairs = fillers(position, yaw, scene.object_id[cells])
-        d, c, f = self.data, len(cells), len(pairs)
-        d.mocap_pos[:] = _FAR
-        d.mocap_pos[:c], d.mocap_quat[:c] = position, _about_z(yaw)
-        d.mocap_pos[n : n + f], angle = _between(position, pairs)
-        d.mocap_quat[n : n + f] = _about_z(angle)
-        self._names[self._first : self._first + c] = [f"block {k}" for k in cells]
+    def place(self, scene: Scene) -> None:
+        """Put the boxes where the cells of ``scene`` are."""
+        n, d = len(scene.position), self.data
+        self._pairs = fillers(scene.position, scene.object_id)
+        d.mocap_pos[n : self.num_cells] = _FAR
+        d.mocap_pos[self.num_cells + len(self._pairs) :] = _FAR
+        self.put(np.arange(n), scene.position, scene.yaw)
+
+    def put(self, cells: np.ndarray, position: np.ndarray, yaw: np.ndarray) -> None:
+        """Move whole objects of the scene.
+
+        Args:
+            cells: int64[c] of the scene.
+            position: float64[c, 3], their centres [m].
+            yaw: float64[c] [rad].
+        """
+        d = self.data
+        d.mocap_pos[cells], d.mocap_quat[cells] = position, _about_z(yaw)
+        if len(self._pairs):
+            numbers = np.flatnonzero(np.isin(self._pairs[:, 0], cells))
+            where, angle = _between(d.mocap_pos, self._pairs[numbers])
+            d.mocap_pos[self.num_cells + numbers] = where
+            d.mocap_quat[self.num_cells + numbers] = _about_z(angle)
+
+    def take(self, cells: np.ndarray) -> None:
+        """Take whole objects out of the scene."""
+        self.put(cells, np.tile(_FAR, (len(cells), 1)), np.zeros(len(cells)))
 
     def carry(self, position: np.ndarray, object_id: np.ndarray) -> None:
         """Fix the cells of an object to the hand; no cells: the hand is empty.
@@ -82,7 +95,7 @@ class CollisionModel:
             object_id: int64[c].
         """
         m = self.model
-        pairs = fillers(position, np.zeros(len(position)), object_id)
+        pairs = fillers(position, object_id)
         m.body_pos[self._carried], m.body_pos[self._carried_fillers] = _FAR, _FAR
         m.body_pos[self._carried[: len(position)]] = self._in_hand(position)
         where, angle = _between(position, pairs)
@@ -107,13 +120,12 @@ class CollisionModel:
         first, second = (self._names[m.geom_bodyid[g]] for g in d.contact.geom[0])
         return Touch(*((second, first) if first.split()[0] in _THINGS else (first, second)))
 
-
     def _in_hand(self, points: np.ndarray) -> np.ndarray:
         """float64[k, 3]: points of the tool frame in the frame of its body [m]."""
         return self._tool_position + points @ self._tool_rotation.T
 
 
-_THINGS = ("table", "block", "filler", "cell")
+_THINGS = ("table", "block", "filler")
 
 
 def _compile(arm: Arm, num_cells: int) -> mujoco.MjModel:
@@ -128,7 +140,7 @@ def _compile(arm: Arm, num_cells: int) -> mujoco.MjModel:
     _box(table, size, _THING, 0).pos = [0.0, 0.0, -TABLE[2]]
     for base in mounted:
         spec.add_exclude(bodyname1="table", bodyname2=base)
-    names = [(f"cell {k}", _CELL) for k in range(num_cells)]
+    names = [(f"block {k}", _CELL) for k in range(num_cells)]
     names += [(f"filler {k}", _FILLER) for k in range(num_cells)]
     for name, half in names:
         _box(world.add_body(name=name, mocap=True, pos=_FAR), list(half), _THING, 0)
@@ -149,8 +161,9 @@ def _box(body: mujoco.MjsBody, half: list[float], contype: int, conaffinity: int
 
 def _about_z(yaw: np.ndarray) -> np.ndarray:
     """float64[n, 4]: quaternions (w, x, y, z)."""
-    zero = np.zeros_like(yaw)
-    return np.stack([np.cos(yaw / 2), zero, zero, np.sin(yaw / 2)], -1)
+    quaternion = np.zeros((len(yaw), 4))
+    quaternion[:, 0], quaternion[:, 3] = np.cos(yaw / 2), np.sin(yaw / 2)
+    return quaternion
 
 
 def _between(position: np.ndarray, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -17,14 +17,14 @@ from learn2assemble.robot.collision import CollisionModel, Touch
 from learn2assemble.robot.columns import Columns
 from learn2assemble.robot.motion import OPENING, RISE, crossing_height
 from learn2assemble.robot.outcome import Outcome
-from learn2assemble.robot.scene import Move, Scene, carried, put_down
+from learn2assemble.robot.scene import Move, Scene, carried
 from learn2assemble.world.blocks import EDGE
 
 STRIDE = 0.25
 """Largest step of a joint between two checks of a free motion [rad]."""
 DETOUR = 0.10
 """How much higher the tool crosses where the straight way is blocked [m]."""
-STAGES = ("pick", "lift", "cross", "place", "release", "retreat", "approach")
+STAGES = ("pick", "lift", "place", "cross", "release", "retreat")
 
 
 class Attempt(NamedTuple):
@@ -39,6 +39,8 @@ class Attempt(NamedTuple):
     """float64[k, n]: joint positions over the picked cell, from the contact upwards [rad]."""
     place: np.ndarray | None = None
     """The same over the target."""
+    by_link: bool = False
+    """A link of the arm, not its hand, was in the way."""
 
     @property
     def reached(self) -> bool:
@@ -63,7 +65,8 @@ class KinematicCell:
         """Outcome of a move; the scene is left alone."""
         flipped = move._replace(grasp=move.grasp.flipped(), place=move.place.flipped())
         first = self._attempt(scene, move)
-        if first.reached:
+        if first.reached or (first.outcome != Outcome.UNREACHABLE and not first.by_link):
+            # Exchanging the fingers moves the wrist, not what is at its end.
             return first
         second = self._attempt(scene, flipped)
         return second if _further(second) > _further(first) else first
@@ -74,41 +77,40 @@ class KinematicCell:
 
     def _attempt(self, scene: Scene, move: Move) -> Attempt:
         height = crossing_height(scene, move)
-        start = scene.position[move.cell]
-        pick = self.columns.solve(start, move.grasp, height)
+        pick = self.columns.solve(scene.position[move.cell], move.grasp, height)
         if isinstance(pick, str):
             return Attempt(Outcome.UNREACHABLE, "pick", pick)
-        hit = self._empty(scene, None, pick)
+        self.collisions.place(scene)
+        self._open_hand()
+        hit = self._first(pick, OPENING) or self._first(between(self.arm.home, pick[-1]), OPENING)
         if hit:
-            return _collision(Outcome.GRASP_COLLISION, "pick", hit)
+            return self._hit(Outcome.GRASP_COLLISION, "pick", hit)
         members = scene.members(move.cell)
         self._grip(scene, move, members)
         hit = self._first(pick[1:], EDGE)
         if hit:
-            return _collision(Outcome.GRASP_COLLISION, "lift", hit)
+            return self._hit(Outcome.GRASP_COLLISION, "lift", hit)
         place = self.columns.solve(move.target, move.place, height)
         if isinstance(place, str):
             return Attempt(Outcome.UNREACHABLE, "place", place)
         hit = self._first(place, EDGE)
         if hit:
-            return _collision(Outcome.PLACE_COLLISION, "place", hit)
-        hit = self._cross(pick[-1], place[-1])
+            return self._hit(Outcome.PLACE_COLLISION, "place", hit)
+        hit = self._first(between(pick[-1], place[-1]), EDGE)
         if hit:
             over = self._detour(scene, move, height)
             if over is None:
-                return _collision(Outcome.UNREACHABLE, "cross", hit)
+                return self._hit(Outcome.UNREACHABLE, "cross", hit)
             pick, place = over
         # The object now stands at its target and is in the way like all others.
-        hit = self._empty(put_down(scene, move), None, place[: len(RISE)])
+        self.collisions.put(members, *carried(scene, move, members))
+        self._open_hand()
+        hit = self._first(place[: len(RISE)], OPENING)
         if hit:
-            return _collision(Outcome.PLACE_COLLISION, "release", hit)
-        hit = self._first(_between(place[-1], self.arm.home), OPENING)
+            return self._hit(Outcome.PLACE_COLLISION, "release", hit)
+        hit = self._first(between(place[-1], self.arm.home), OPENING)
         if hit:
-            return _collision(Outcome.PLACE_COLLISION, "retreat", hit)
-        self._empty_hand(scene)
-        hit = self._first(_between(self.arm.home, pick[-1]), OPENING)
-        if hit:
-            return _collision(Outcome.GRASP_COLLISION, "approach", hit)
+            return self._hit(Outcome.PLACE_COLLISION, "retreat", hit)
         return Attempt(Outcome.REACHED, pick=pick, place=place)
 
     def _detour(
@@ -119,26 +121,24 @@ class KinematicCell:
         place = self.columns.solve(move.target, move.place, height + DETOUR)
         if isinstance(pick, str) or isinstance(place, str):
             return None
-        way = [pick[len(RISE) :], place[len(RISE) :], *_between(pick[-1], place[-1])]
+        way = [pick[len(RISE) :], place[len(RISE) :], *between(pick[-1], place[-1])]
         return None if self._first(np.vstack(way), EDGE) else (pick, place)
 
-    def _empty_hand(self, scene: Scene) -> None:
-        self.collisions.place(scene)
+    def _open_hand(self) -> None:
         self.collisions.carry(np.empty((0, 3)), np.empty(0, np.int64))
-
-    def _empty(self, scene: Scene, without: None, joints: np.ndarray) -> Touch | None:
-        self._empty_hand(scene)
-        return self._first(joints, OPENING)
 
     def _grip(self, scene: Scene, move: Move, members: np.ndarray) -> None:
         """The object hangs from the hand instead of standing in the scene."""
         rotation = move.grasp.rotation()
         offset = scene.position[members] - move.grasp.tool_point(scene.position[move.cell])
-        self.collisions.place(scene, without=members)
+        self.collisions.take(members)
         self.collisions.carry(offset @ rotation, scene.object_id[members])
 
-    def _cross(self, start: np.ndarray, end: np.ndarray) -> Touch | None:
-        return self._first(_between(start, end), EDGE)
+    def _hit(self, outcome: Outcome, stage: str, hit: Touch) -> Attempt:
+        gripper = self.arm.gripper
+        at_end = {gripper.hand, *gripper.fingers, "carried"}
+        by_link = hit.part.split()[0] not in at_end
+        return Attempt(outcome, stage, f"{hit.part} touches {hit.other}", by_link=by_link)
 
     def _first(self, joints: Iterable[np.ndarray], opening: float) -> Touch | None:
         for q in joints:
@@ -148,15 +148,11 @@ class KinematicCell:
         return None
 
 
-def _between(start: np.ndarray, end: np.ndarray) -> Iterator[np.ndarray]:
+def between(start: np.ndarray, end: np.ndarray) -> Iterator[np.ndarray]:
     """Joint positions strictly between two, at most a stride apart."""
     steps = math.ceil(np.abs(end - start).max() / STRIDE)
     for k in range(1, steps):
         yield start + (end - start) * (k / steps)
-
-
-def _collision(outcome: Outcome, stage: str, hit: Touch) -> Attempt:
-    return Attempt(outcome, stage, f"{hit.part} touches {hit.other}")
 
 
 def _further(attempt: Attempt) -> int:
