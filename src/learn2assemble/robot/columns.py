@@ -8,7 +8,7 @@ import numpy as np
 
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.grasps import Attitude
-from learn2assemble.robot.inverse import solve
+from learn2assemble.robot.inverse import RESTARTS, solve
 from learn2assemble.robot.motion import column
 
 REMEMBERED = 20_000
@@ -46,10 +46,12 @@ class Columns:
         poses = column(centre, attitude, height)
         start, out = self.arm.home, []
         for point in poses.position:
-            solution = solve(self.arm, point, poses.rotation, start)
-            if solution.failure:
-                x, y, z = np.round(point, 3)
-                return f"({x}, {y}, {z}): {solution.failure.label}"
+            # Only the first may be anywhere: a restart further up would leave the branch.
+            restarts = 0 if out else RESTARTS
+            solution = solve(self.arm, point, poses.rotation, start, restarts=restarts)
+            if not solution.ok:
+                x, y, z = np.round(point, 3).tolist()
+                return f"tool at ({x}, {y}, {z}): {solution.failure.name.lower().replace('_', ' ')}"
             out.append(solution.joints)
             start = solution.joints
         return np.array(out)
