@@ -223,6 +223,15 @@ def test_curves_are_means_over_seeds(tmp_path: Path) -> None:
     np.testing.assert_allclose(curve.mean["f"], 0.5)
 
 
+def test_the_stages_of_a_training_are_one_curve(tmp_path: Path) -> None:
+    log(tmp_path, "dqn-s0.stage1", [(100, 1.0), (300, 3.0)])
+    log(tmp_path, "dqn-s0", [(100, 4.0), (200, 5.0)])
+    (curve,) = load_curves(get_figure("algorithms"), tmp_path)
+    assert curve.seeds == 1
+    assert (curve.samples[0], curve.samples[-1]) == (100, 500)
+    np.testing.assert_allclose(curve.mean["R"], curve.samples / 100)
+
+
 def test_smoothing_reduces_noise_and_keeps_the_mean() -> None:
     noise = np.random.default_rng(0).normal(size=200)
     smooth = curves_module._smooth(noise)
