@@ -26,7 +26,7 @@ ALLOWED: dict[str, set[str]] = {
     "presets": {"errors", "task"},
     "graph": _WORLD,
     "simulator": _WORLD | {"physics", "task", "graph"},
-    "networks": {"errors", "graph"},
+    "networks": {"errors", "graph", "world"},
     "search": {"errors"},
     "learning": _TASK | {"networks", "search", "planning"},
     "planning": _TASK | {"networks", "search"},
@@ -237,7 +237,7 @@ state = sim.new(2, np.random.default_rng(0))
 assert sim.physics_mask(state).any()
 sim.step(state, np.zeros((2, 3), np.int64))
 graph = sim.observe(state)
-sim.outcomes(state, graph, distinct_placements(graph, 5))
+sim.outcomes(state, graph, distinct_placements(graph, sim.ways))
 """
 
 

@@ -59,7 +59,7 @@ def check_new_file(path: Path) -> None:
 def run(options: argparse.Namespace) -> int:
     output = Output(options.json)
     task = get_task(options.task)
-    physics = resolve_physics(options.physics, task.stability)
+    physics = resolve_physics(options.physics, task.stability, task.pitch)
     agent = load_agent(options.agent or default_agent(task.name))
     if options.out is not None:
         check_new_file(options.out)

@@ -46,7 +46,9 @@ class Worlds:
         self, task: Task | str, physics: str | Physics, count: int, physics_mask: bool
     ) -> None:
         self.task = get_task(task) if isinstance(task, str) else task
-        self.simulator = Simulator(self.task, resolve_physics(physics, self.task.stability))
+        self.simulator = Simulator(
+            self.task, resolve_physics(physics, self.task.stability, self.task.pitch)
+        )
         self.state = self.simulator.empty(count)
         self._physics_mask = physics_mask
 
@@ -104,9 +106,9 @@ class Worlds:
     def render(self, mode: str | None, row: int) -> Any:
         """A drawing of one world: text (``ansi``), uint8[H, W, 3] (``rgb_array``) or None."""
         if mode == "ansi":
-            return render.draw_text(self.state, self.simulator.frames, row)
+            return render.draw_text(self.state, self.simulator.frames, row, self.task.pitch)
         if mode == "rgb_array":
-            return render.draw_image(self.state, row)
+            return render.draw_image(self.state, row, self.simulator.depths)
         return None
 
     def _checked(self, flat: ArrayLike) -> np.ndarray:

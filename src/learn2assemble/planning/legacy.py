@@ -4,7 +4,7 @@ The published search did not copy the world: before every simulation it rebuilt 
 observation, and two steps of an ordinary reset ran along.
 
 * (a) The initial cover c0 is taken from the restored state, so coverage and the success threshold
-  refer to what is still open.
+  refer to what is still open (where coverage is normalised: without a robot).
 * (b) Where the structure already covers more than the share at which a reset redraws the problem,
   or the masks are too small, the simulation silently runs in a random new problem.
 
@@ -76,7 +76,8 @@ class LegacyModel:
         """What the published search simulated in place of the real rows, and which actions."""
         task = self.model.simulator.task
         start = copies.state.copy()
-        start.initial_pixels[copies.real] = start.plane_pixels[copies.real]
+        if task.normalise_initial:
+            start.initial_pixels[copies.real] = start.plane_pixels[copies.real]
         redrawn = start.plane_pixels > task.max_initial_cover * start.mask_pixels
         redrawn |= start.mask_pixels < task.min_mask_pixels
         rows = np.flatnonzero(copies.real & redrawn)
