@@ -60,7 +60,7 @@ def _candidates(
     """Placements to try, one per cell: those that fill first, then supports of open cells, then
     the rest, by the agent's Q within each class."""
     graph = simulator.observe(state)
-    placements = distinct_placements(graph, simulator.task.num_actions)
+    placements = distinct_placements(graph, simulator.ways)
     outcomes = simulator.outcomes(state, graph, placements)
     actions = placements.action[0] - node_offset(graph)
     values = model.action_values(state)[0]
