@@ -160,14 +160,16 @@ def descend_published(chain, target_position, target_rotation, rows, tolerance, 
     size = np.inf
     for iteration in range(max_iterations + 1):
         tool_and_frames(chain, q, positions, rotations, position, rotation)
+        # Where only the position matters, the target has the rotation the tool has.
+        wanted = target_rotation if rows == 6 else rotation
         for i in range(3):
             relative[i] = 0.0
             for k in range(3):
-                relative[i] += target_rotation[k, i] * (position[k] - target_position[k])
+                relative[i] += wanted[k, i] * (position[k] - target_position[k])
             for j in range(3):
                 turn[i, j] = 0.0
                 for k in range(3):
-                    turn[i, j] += target_rotation[k, i] * rotation[k, j]
+                    turn[i, j] += wanted[k, i] * rotation[k, j]
         logarithm(relative, turn, error)
         size = 0.0
         for i in range(rows):
