@@ -1,7 +1,7 @@
 """Objects on a table, and a hand that goes where it is told: the world of the published cell.
 
-The hand (and its fingers, stiff) is a body of great mass whose pose and velocity are set before
-every step, so it pushes what it meets and nothing pushes it. A held object hangs on a weld.
+MuJoCo finds the contacts; :mod:`learn2assemble.robot.impulses` moves the bodies. Nothing pushes
+the hand. A held object hangs on a constraint.
 """
 
 # The compiled module has no stubs that pyright finds.
@@ -14,20 +14,19 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from learn2assemble.physics.mjcf import DAMPING, IMPRATIO, SHRINK, SOLIMP, SOLREF
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.model import PICTURE_GROUP, arm_model
 from learn2assemble.robot.grasps import turn
+from learn2assemble.robot.impulses import advance, move, resolve, wake
+from learn2assemble.robot.model import PICTURE_GROUP, arm_model
+from learn2assemble.robot.rotations import rotation_vector
 from learn2assemble.robot.scene import GAP, Scene, fillers
-from learn2assemble.world.blocks import FRICTION, GRAVITY, HALF, MASS
+from learn2assemble.world.blocks import EDGE, FRICTION, GRAVITY, HALF, MASS
 
 SKIN = 1e-3
 """The hand counts as this much thicker on every side [m]: the margin of the engine's hulls."""
-FEELER = 1e-3
-"""Contacts count from this distance on [m]."""
-HAND_MASS, HAND_INERTIA = 1e3, 1e2
-WELD = (0.02, 1.0)
-"""Time constant [s] and damping of the hold: a fifth of an error goes in a step."""
+FEELER = 0.9e-3
+"""Contacts count from this distance on [m]: 2 % of a block's half diagonal."""
+SLOW = 1e-3
 GRAIN = 1e-3
 """Cells of an object are multiples of this apart [m]."""
 _FAR = np.array([0.0, 0.0, 5.0])
@@ -36,21 +35,8 @@ Cells = tuple[tuple[float, float, float], ...]
 """Centres of an object's cells relative to its first one [m]."""
 
 
-class Part(NamedTuple):
-    """A convex piece of the hand, in the tool frame."""
-
-    vertices: np.ndarray
-    """float64[k, 3] [m]."""
-
-
 @lru_cache(maxsize=16)
-def hand_parts(arm: Arm, opening: float) -> tuple[Part, ...]:
-    """Hulls of the hand and of every finger.
-
-    Args:
-        arm: whose gripper.
-        opening: between the pads [m].
-    """
+def hand_parts(arm: Arm, opening: float) -> tuple[np.ndarray, ...]:
     model = arm_model(arm, pictures=True)
     data = mujoco.MjData(model)
     for name in arm.gripper.joints:
@@ -68,110 +54,140 @@ def hand_parts(arm: Arm, opening: float) -> tuple[Part, ...]:
                 own = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
                 world = data.geom_xpos[geom] + own @ data.geom_xmat[geom].reshape(3, 3).T
                 points.append((world - origin) @ axes)
-        parts.append(Part(np.concatenate(points)))
+        parts.append(np.concatenate(points))
     return tuple(parts)
 
 
 class HandWorld:
-    """One instance serves one thread.
-
-    Args:
-        arm: whose hand.
-        opening: between the pads [m].
-        timestep: [s].
-    """
-
     def __init__(self, arm: Arm, opening: float, timestep: float) -> None:
         self.parts = hand_parts(arm, opening)
         self.timestep = timestep
         self._models: dict[tuple[Cells, ...], mujoco.MjModel] = {}
 
     def place(self, scene: Scene) -> None:
-        """Start over with the objects of ``scene`` at rest, and the hand far away."""
         self._group(scene)
         if self._shape not in self._models:
-            self._models[self._shape] = _compile(self.parts, self._shape, self.timestep)
+            self._models[self._shape] = _compile(self.parts, self._shape)
         self.model = m = self._models[self._shape]
-        self.data = d = mujoco.MjData(m)
-        d.qpos[:3] = _FAR
-        for number, cells in enumerate(self._cells):
-            pose = d.qpos[7 * number + 7 : 7 * number + 14]
-            pose[:3] = self._origin[number]
+        self.data = mujoco.MjData(m)
+        count = m.nbody
+        self.mass = np.zeros(count)
+        self.local = np.zeros((count, 3, 3))
+        self.mass[2:] = 1 / m.body_mass[2:]
+        for b in range(2, count):
+            full = np.empty(9)
+            mujoco.mju_quat2Mat(full, m.body_iquat[b])
+            axes = full.reshape(3, 3)
+            self.local[b] = axes @ np.diag(1 / m.body_inertia[b]) @ axes.T
+        self.com = m.body_ipos.copy()
+        self.com[:2] = 0
+        self.position = np.zeros((count, 3))
+        self.quat = np.zeros((count, 4))
+        self.quat[:, 0] = 1
+        self.position[1] = _FAR
+        for number in range(len(self._shape)):
             yaw = self._yaw[number]
-            pose[3:] = np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)
-        self._hand_pose = None
+            self.quat[number + 2] = np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)
+            self.position[number + 2] = self._origin[number] + turn(yaw) @ self.com[number + 2]
+        self.velocity, self.spin = np.zeros((count, 3)), np.zeros((count, 3))
+        self.held = -1
+        self.hand_turn = np.eye(3)
 
     def jump(self, position: np.ndarray, rotation: np.ndarray) -> None:
-        """The hand is there at once; then one step."""
-        self._hand_pose = (position, rotation)
+        self._put_hand(position, rotation)
         self.move(position, rotation)
 
+    def _put_hand(self, position, rotation) -> None:
+        self.position[1] = position
+        mujoco.mju_mat2Quat(self.quat[1], np.ascontiguousarray(rotation).ravel())
+        self.hand_turn = rotation.copy()
+
+    def _rotation(self, b) -> np.ndarray:
+        full = np.empty(9)
+        mujoco.mju_quat2Mat(full, self.quat[b])
+        return full.reshape(3, 3)
+
+    def contacts(self):
+        m, d = self.model, self.data
+        pose = d.qpos.reshape(-1, 7)
+        d.xmat[0] = d.xmat[0]
+        pose[:, 3:] = self.quat[1:]
+        turned = np.empty(3)
+        for b in range(1, len(self.position)):
+            if self.com[b].any():
+                mujoco.mju_rotVecQuat(turned, self.com[b], self.quat[b])
+                pose[b - 1, :3] = self.position[b] - turned
+            else:
+                pose[b - 1, :3] = self.position[b]
+        mujoco.mj_kinematics(m, d)
+        mujoco.mj_collision(m, d)
+        found = d.contact
+        body = m.geom_bodyid[found.geom]
+        first, second = body[:, 0].astype(np.int64), body[:, 1].astype(np.int64)
+        distance = found.dist.copy()
+        distance[(first == 1) | (second == 1)] -= SKIN
+        keep = distance < FEELER
+        return first[keep], second[keep], found.pos[keep], found.frame[keep].reshape(-1, 3, 3), distance[keep]
+
     def move(self, position: np.ndarray, rotation: np.ndarray) -> None:
-        """One step, at the end of which the hand is there."""
-        d, (before, turned) = self.data, self._hand_pose
-        d.qpos[:3] = before
-        quat = np.empty(4)
-        mujoco.mju_mat2Quat(quat, turned.ravel())
-        d.qpos[3:7] = quat
-        d.qvel[:3] = (position - before) / self.timestep
-        relative = np.empty(4)
-        mujoco.mju_mat2Quat(relative, (turned.T @ rotation).ravel())
-        local = np.empty(3)
-        mujoco.mju_quat2Vel(local, relative, self.timestep)
-        d.qvel[3:6] = local
-        mujoco.mj_step(self.model, d)
-        self._hand_pose = (position, rotation)
+        dt = self.timestep
+        first, second, point, frame, distance = self.contacts()
+        self.velocity[1] = (position - self.position[1]) / dt
+        rotation_vector(self.hand_turn, np.ascontiguousarray(rotation), self.spin[1])
+        self.spin[1] /= dt
+        awake = np.zeros(len(self.mass), bool)
+        if self.held >= 0:
+            awake[self.held] = True
+        awake[1] = True
+        wake(awake, first, second, self.velocity, self.spin, SLOW)
+        awake[1] = False
+        advance(self.velocity, self.spin, awake, GRAVITY, dt)
+        keep = awake[first] | awake[second]
+        inertia = np.zeros_like(self.local)
+        mass = np.where(awake, self.mass, 0)
+        for b in np.flatnonzero(awake):
+            r = self._rotation(b)
+            inertia[b] = r @ self.local[b] @ r.T
+        error, lack, hold = np.zeros(3), np.zeros(3), np.zeros(3)
+        if self.held >= 0:
+            r = self._rotation(self.held)
+            hold = self.position[self.held] + r @ (self.hold_offset - self.com[self.held])
+            error = self.position[1] - hold
+            rotation_vector(r, np.ascontiguousarray(self.hand_turn @ self.hold_relative), lack)
+        resolve(
+            self.position, self.velocity, self.spin, mass, inertia, first[keep], second[keep],
+            point[keep], frame[keep], distance[keep], np.full(keep.sum(), FRICTION), self.held, hold, error, lack, dt,
+        )
+        move(self.position, self.quat, self.velocity, self.spin, awake, dt)
+        self._put_hand(position, rotation)
 
     def grip(self, cell: int) -> None:
-        """Weld the object of a cell to the hand: the cell's centre at the tool point, axes kept."""
-        body, offset = self._body[cell], self._offset[cell]
-        m, d = self.model, self.data
-        position, rotation = self._hand_pose
-        own = d.xmat[body + 2].reshape(3, 3)
-        relative = rotation.T @ own
-        quat = np.empty(4)
-        mujoco.mju_mat2Quat(quat, relative.ravel())
-        data = m.eq_data[body]
-        data[:3] = 0
-        data[3:6] = -relative @ offset
-        data[6:10] = quat
-        data[10] = 1.0
-        d.eq_active[body] = 1
+        self.held = int(self._body[cell]) + 2
+        self.hold_offset = self._offset[cell]
+        self.hold_relative = self.hand_turn.T @ self._rotation(self.held)
 
     def release(self, cell: int) -> None:
-        self.data.eq_active[self._body[cell]] = 0
+        self.held = -1
 
     def touched(self) -> set[int]:
-        """Numbers of the objects that the hand touches."""
-        d, body = self.data, self.model.geom_bodyid
-        mujoco.mj_kinematics(self.model, d)
-        mujoco.mj_collision(self.model, d)
-        return {
-            int(max(pair)) - 2 for pair in body[d.contact.geom] if 1 in pair and min(pair) == 1
-        }
+        first, second, *_ = self.contacts()
+        return {int(max(a, b)) - 2 for a, b in zip(first, second) if min(a, b) == 1}
 
     def on_table(self, cell: int) -> bool:
-        d, body = self.data, self.model.geom_bodyid
-        return any(
-            min(pair) == 0 and max(pair) == self._body[cell] + 2 for pair in body[d.contact.geom]
-        )
+        first, second, *_ = self.contacts()
+        return any(min(a, b) == 0 and max(a, b) == self._body[cell] + 2 for a, b in zip(first, second))
 
     def objects(self, cells: np.ndarray) -> set[int]:
         return set(self._body[cells].tolist())
 
     def centres(self) -> np.ndarray:
-        """float64[n, 3]: of all cells [m]."""
-        pose = self.data.qpos[7:].reshape(-1, 7)
-        where = pose[self._body, :3].copy()
+        bodies = self._body + 2
+        where = self.position[bodies]
         turned = np.empty(3)
-        for cell in np.flatnonzero(self._offset.any(1)):
-            mujoco.mju_rotVecQuat(turned, self._offset[cell], pose[self._body[cell], 3:])
+        for cell in self._several:
+            mujoco.mju_rotVecQuat(turned, self._offset[cell] - self.com[bodies[cell]], self.quat[bodies[cell]])
             where[cell] += turned
         return where
-
-    def yaw(self) -> np.ndarray:
-        q = self.data.qpos[7:].reshape(-1, 7)[self._body, 3:]
-        return 2 * np.arctan2(q[:, 3], q[:, 0])
 
     def _group(self, scene: Scene) -> None:
         """Objects, sorted by shape so that few models are compiled."""
@@ -187,77 +203,49 @@ class HandWorld:
         groups.sort(key=lambda group: (len(group[0]), group[0]))
         count = len(scene.position)
         self._shape = tuple(group[0] for group in groups)
-        self._cells = [group[1] for group in groups]
         self._body = np.empty(count, np.int64)
         self._offset = np.zeros((count, 3))
         self._origin, self._yaw = np.empty((len(groups), 3)), np.empty(len(groups))
+        several = []
         for number, (_, cells, relative, own) in enumerate(groups):
             self._body[cells] = number
             self._offset[cells] = relative
             self._origin[number] = (scene.position[cells] - relative @ own.T).mean(0)
             self._yaw[number] = scene.yaw[cells[0]]
+            if len(cells) > 1:
+                several += cells.tolist()
+        self._several = several
 
 
-def _compile(
-    parts: tuple[Part, ...], shapes: tuple[Cells, ...], timestep: float
-) -> mujoco.MjModel:
+def _compile(parts: tuple[np.ndarray, ...], shapes: tuple[Cells, ...]) -> mujoco.MjModel:
     spec = mujoco.MjSpec()
-    option = spec.option
-    option.timestep = timestep
-    option.gravity = [0, 0, -GRAVITY]
-    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    option.impratio = IMPRATIO
-    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
     world = spec.worldbody
     table = world.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
-    _set_contact(table)
-    hand = world.add_body(
-        name="hand", pos=_FAR, mass=HAND_MASS, inertia=[HAND_INERTIA] * 3, gravcomp=1,
-        explicitinertial=True,
-    )  # fmt: skip
+    table.margin = FEELER / 2
+    hand = world.add_body(name="hand", pos=_FAR, mass=1, inertia=[1] * 3, explicitinertial=True)
     hand.add_freejoint()
-    for number, part in enumerate(parts):
-        mesh = spec.add_mesh(name=f"part {number}", uservert=part.vertices.ravel())
+    for number, vertices in enumerate(parts):
+        mesh = spec.add_mesh(name=f"part {number}", uservert=vertices.ravel())
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
         geom = hand.add_geom(
             type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, mass=0, contype=2, conaffinity=1
         )
-        _set_contact(geom)
-        geom.margin, geom.gap = SKIN, FEELER
+        geom.margin = SKIN + FEELER / 2
     for number, cells in enumerate(shapes):
         body = world.add_body(name=f"object {number}")
         body.add_freejoint()
         for cell in cells:
-            _box(body, cell, (HALF - SHRINK, HALF - SHRINK, HALF))
+            _box(body, cell, (HALF, HALF, HALF))
         centres = np.array(cells)
         for a, b in fillers(centres, np.zeros(len(centres), np.int64)):
             along_x = abs(centres[a] - centres[b])[0] > HALF
-            half = (GAP / 2, HALF - SHRINK, HALF) if along_x else (HALF - SHRINK, GAP / 2, HALF)
+            half = (GAP / 2, HALF, HALF) if along_x else (HALF, GAP / 2, HALF)
             _box(body, tuple((centres[a] + centres[b]) / 2), half)
-        weld = spec.add_equality(
-            name=f"hold {number}", type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY,
-            name1="hand", name2=body.name, active=False,
-        )
-        weld.solref = WELD
-        weld.solimp = (0.99, 0.9999, 0.001, 0.5, 2.0)
-    model = spec.compile()
-    damping = model.dof_damping[6:].reshape(-1, 6)
-    damping[:, :3] = DAMPING * model.body_mass[2:, None]
-    damping[:, 3:] = DAMPING * model.body_inertia[2:].mean(1, keepdims=True)
-    return model
+    return spec.compile()
 
 
 def _box(body: mujoco.MjsBody, centre: tuple[float, ...], half: tuple[float, ...]) -> None:
     geom = body.add_geom(
         type=mujoco.mjtGeom.mjGEOM_BOX, pos=list(centre), size=list(half), mass=MASS
     )
-    _set_contact(geom)
-
-
-def _set_contact(geom: mujoco.MjsGeom) -> None:
-    geom.friction[0] = FRICTION
-    geom.solref = SOLREF
-    geom.solimp = SOLIMP
-    geom.margin = 1e-5
+    geom.margin = FEELER / 2

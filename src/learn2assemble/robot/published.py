@@ -74,6 +74,7 @@ class PublishedCell:
         self.world.place(scene)
         self.scene, self.move = scene, move
         self.steps = 0
+        self.total = np.zeros(7)
         if top is None:
             below = scene.position[: scene.num_placed] - (move.target - [0, 0, EDGE])
             top = bool(np.any(np.abs(below).max(1) < EDGE / 2))
@@ -180,16 +181,18 @@ class PublishedCell:
         self._stepped(self.world.jump)
 
     def _servo(self, goal: np.ndarray, steps: int, point: np.ndarray | None = None) -> None:
-        servo, total, near = self.servo, np.zeros(len(goal)), False
+        servo, near = self.servo, False
         for _ in range(steps):
             servo.command = servo.joints + 0.5 * (goal - servo.joints)
             if point is not None:
                 left = point - self.world.centres()[self.move.cell]
                 near = near or np.abs(left).max() < 0.01
-                if near:
+                if not near:
+                    self.total = np.zeros(len(goal))
+                else:
                     jac = jacobian(self.chain, servo.joints)[:3]
-                    total = total + jac.T @ np.linalg.solve(jac @ jac.T, left)
-                    servo.command = servo.command + 0.0075 * total
+                    self.total = self.total + jac.T @ np.linalg.solve(jac @ jac.T, left)
+                    servo.command = servo.command + 0.0075 * self.total
             servo.step()
             self._stepped(self.world.move)
 
