@@ -16,6 +16,8 @@ import numpy as np
 
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.grasps import turn
+from learn2assemble.robot.kinematics import forward, get_chain, jacobian
+from learn2assemble.robot.servo import Servo
 from learn2assemble.robot.impulses import advance, move, resolve, wake
 from learn2assemble.robot.model import PICTURE_GROUP, arm_model
 from learn2assemble.robot.rotations import rotation_vector
@@ -59,7 +61,8 @@ def hand_parts(arm: Arm, opening: float) -> tuple[np.ndarray, ...]:
 
 
 class HandWorld:
-    def __init__(self, arm: Arm, opening: float, timestep: float) -> None:
+    def __init__(self, arm: Arm, opening: float, timestep: float, servo: Servo) -> None:
+        self.chain, self.servo = get_chain(arm), servo
         self.parts = hand_parts(arm, opening)
         self.timestep = timestep
         self._models: dict[tuple[Cells, ...], mujoco.MjModel] = {}
@@ -89,13 +92,9 @@ class HandWorld:
             yaw = self._yaw[number]
             self.quat[number + 2] = np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)
             self.position[number + 2] = self._origin[number] + turn(yaw) @ self.com[number + 2]
-        self.velocity, self.spin = np.zeros((count, 3)), np.zeros((count, 3))
+        self.twist = np.zeros((count, 6))
         self.held = -1
         self.hand_turn = np.eye(3)
-
-    def jump(self, position: np.ndarray, rotation: np.ndarray) -> None:
-        self._put_hand(position, rotation)
-        self.move(position, rotation)
 
     def _put_hand(self, position, rotation) -> None:
         self.position[1] = position
@@ -129,37 +128,42 @@ class HandWorld:
         keep = distance < FEELER
         return first[keep], second[keep], found.pos[keep], found.frame[keep].reshape(-1, 3, 3), distance[keep]
 
-    def move(self, position: np.ndarray, rotation: np.ndarray) -> None:
-        dt = self.timestep
+    def step(self) -> None:
+        dt, servo = self.timestep, self.servo
+        self._put_hand(*forward(self.chain, servo.joints))
         first, second, point, frame, distance = self.contacts()
-        self.velocity[1] = (position - self.position[1]) / dt
-        rotation_vector(self.hand_turn, np.ascontiguousarray(rotation), self.spin[1])
-        self.spin[1] /= dt
+        jac = jacobian(self.chain, servo.joints)
+        inverse = servo.dynamics()
+        self.twist[1] = jac @ servo.rates
         awake = np.zeros(len(self.mass), bool)
         if self.held >= 0:
             awake[self.held] = True
         awake[1] = True
-        wake(awake, first, second, self.velocity, self.spin, SLOW)
+        wake(awake, first, second, self.twist, SLOW)
         awake[1] = False
-        advance(self.velocity, self.spin, awake, GRAVITY, dt)
+        advance(self.twist, awake, GRAVITY, dt)
         keep = awake[first] | awake[second]
-        inertia = np.zeros_like(self.local)
-        mass = np.where(awake, self.mass, 0)
+        yielding = np.zeros((len(self.mass), 6, 6))
+        yielding[1] = jac @ inverse @ jac.T
         for b in np.flatnonzero(awake):
             r = self._rotation(b)
-            inertia[b] = r @ self.local[b] @ r.T
-        error, lack, hold = np.zeros(3), np.zeros(3), np.zeros(3)
+            yielding[b, :3, :3] = self.mass[b] * np.eye(3)
+            yielding[b, 3:, 3:] = r @ self.local[b] @ r.T
+        error, hold = np.zeros(6), np.zeros(3)
         if self.held >= 0:
             r = self._rotation(self.held)
             hold = self.position[self.held] + r @ (self.hold_offset - self.com[self.held])
-            error = self.position[1] - hold
-            rotation_vector(r, np.ascontiguousarray(self.hand_turn @ self.hold_relative), lack)
+            error[:3] = self.position[1] - hold
+            rotation_vector(r, np.ascontiguousarray(self.hand_turn @ self.hold_relative), error[3:])
         resolve(
-            self.position, self.velocity, self.spin, mass, inertia, first[keep], second[keep],
-            point[keep], frame[keep], distance[keep], np.full(keep.sum(), FRICTION), self.held, hold, error, lack, dt,
+            self.position, self.twist, yielding, first[keep], second[keep],
+            point[keep], frame[keep], distance[keep], np.full(keep.sum(), FRICTION),
+            self.held, hold, error, jac, inverse, servo.joints, servo.rates, servo.command,
+            servo.lower, servo.upper, servo.torque * dt, dt,
         )
-        move(self.position, self.quat, self.velocity, self.spin, awake, dt)
-        self._put_hand(position, rotation)
+        move(self.position, self.quat, self.twist, awake, dt)
+        servo.joints = servo.joints + dt * servo.rates
+        self._put_hand(*forward(self.chain, servo.joints))
 
     def grip(self, cell: int) -> None:
         self.held = int(self._body[cell]) + 2

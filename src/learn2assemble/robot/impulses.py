@@ -1,8 +1,8 @@
 """Contact dynamics as the published simulator computes it: sequential impulses, 50 sweeps.
 
-What is squeezed between a hand that does not yield and a table is decided by which constraint
-comes last and how many sweeps there are, and sliding contacts must not lift off. A solver that
-converges, on a convex model of friction, throws blocks that the published simulator only nudges.
+What is squeezed between hand and table is decided by which constraint comes last and by how many
+sweeps there are, and sliding contacts must not lift off. A solver that converges, on a convex
+model of friction, throws blocks that the published simulator only nudges.
 """
 
 from __future__ import annotations
@@ -11,149 +11,173 @@ import numpy as np
 from numba import njit
 
 SWEEPS = 50
-CONTACT_SHARE, HOLD_SHARE = 0.08, 0.2
-"""Shares of a penetration and of an error of the hold that go in a step."""
+CONTACT_SHARE, HOLD_SHARE, STOP_SHARE = 0.08, 0.2, 0.2
+"""Shares of a penetration, of an error of the hold and of what a joint is beyond its limit that
+go in a step."""
+MOTOR_SHARE = 0.1
+"""Share of the distance to its command that a joint goes in a step."""
 SLOP = 1e-5
 """Penetration that is left alone [m]."""
 RESIDUAL = 1e-7
 """Squared change of velocity below which the sweeps end [m^2/s^2]."""
 DAMPING = 10.0
 """Drag per mass: DAMPING v (1 + |v|), and the same of turns (all protocol 1.1)."""
+HAND = 1
+"""Number of the body the arm moves; 0 is the world."""
 
 
 @njit(cache=True)
-def advance(velocity, spin, awake, gravity, timestep):
-    """Gravity and drag on bodies float64[b, 3] that are awake, in place."""
-    for b in range(velocity.shape[0]):
+def advance(twist, awake, gravity, timestep):
+    """Gravity and drag on bodies, twist float64[b, 6], that are awake, in place."""
+    for b in range(twist.shape[0]):
         if not awake[b]:
             continue
-        speed = np.sqrt(np.sum(velocity[b] ** 2))
-        rate = np.sqrt(np.sum(spin[b] ** 2))
+        speed = np.sqrt(np.sum(twist[b, :3] ** 2))
+        rate = np.sqrt(np.sum(twist[b, 3:] ** 2))
         for i in range(3):
-            velocity[b, i] -= timestep * DAMPING * (1 + speed) * velocity[b, i]
-            spin[b, i] -= timestep * DAMPING * (1 + rate) * spin[b, i]
-        velocity[b, 2] -= timestep * gravity
+            twist[b, i] -= timestep * DAMPING * (1 + speed) * twist[b, i]
+            twist[b, 3 + i] -= timestep * DAMPING * (1 + rate) * twist[b, 3 + i]
+        twist[b, 2] -= timestep * gravity
 
 
 @njit(cache=True)
-def _along(direction, arm_1, arm_2, v1, w1, v2, w2):
-    """Velocity of the second body's point relative to the first one's."""
+def _row(direction, point, centre, sign, out):
+    """Unit wrench float64[6] of an impulse along a direction at a point, on a body's centre."""
+    x, y, z = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
+    out[0], out[1], out[2] = sign * direction[0], sign * direction[1], sign * direction[2]
+    out[3] = y * out[2] - z * out[1]
+    out[4] = z * out[0] - x * out[2]
+    out[5] = x * out[1] - y * out[0]
+
+
+@njit(cache=True)
+def _dot(a, b):
     total = 0.0
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        one = v1[i] + w1[j] * arm_1[k] - w1[k] * arm_1[j]
-        two = v2[i] + w2[j] * arm_2[k] - w2[k] * arm_2[j]
-        total += direction[i] * (two - one)
+    for i in range(a.shape[0]):
+        total += a[i] * b[i]
     return total
 
 
 @njit(cache=True)
-def _push(direction, arm, inverse_mass, inverse_inertia, v, w, impulse):
-    for i in range(3):
-        v[i] += inverse_mass * impulse * direction[i]
-    x = arm[1] * direction[2] - arm[2] * direction[1]
-    y = arm[2] * direction[0] - arm[0] * direction[2]
-    z = arm[0] * direction[1] - arm[1] * direction[0]
-    for i in range(3):
-        w[i] += impulse * (
-            inverse_inertia[i, 0] * x + inverse_inertia[i, 1] * y + inverse_inertia[i, 2] * z
-        )
-
-
-@njit(cache=True)
-def _yielding(direction, arm, inverse_mass, inverse_inertia):
-    v, w = np.zeros(3), np.zeros(3)
-    _push(direction, arm, inverse_mass, inverse_inertia, v, w, 1.0)
-    zero = np.zeros(3)
-    return _along(direction, zero, arm, zero, zero, v, w)
+def _add(a, factor, b):
+    for i in range(a.shape[0]):
+        a[i] += factor * b[i]
 
 
 @njit(cache=True)
 def resolve(
-    centre, velocity, spin, inverse_mass, inverse_inertia, first, second, point, frame, distance,
-    friction, held, hold_point, hold_error, hold_turn, timestep,
+    centre, twist, yielding, first, second, point, frame, distance, friction,
+    held, hold_point, hold_error, jac, inverse, joints, rates, command, lower, upper, largest,
+    timestep,
 ):  # fmt: skip
-    """Changes velocity and spin, float64[b, 3], in place.
+    """Changes twist, float64[b, 6] (velocity of the centre and spin), and rates in place.
 
     Args:
-        centre: float64[b, 3] centres of mass [m].
-        inverse_mass: float64[b]; 0 for what cannot be moved.
-        inverse_inertia: float64[b, 3, 3], world axes.
+        centre: float64[b, 3] centres of mass; of the hand its tool point [m].
+        yielding: float64[b, 6, 6]: twist per impulse; 0 for what cannot be moved.
         first, second: int64[c]: bodies of each contact.
         point: float64[c, 3] [m]; frame: float64[c, 3, 3], its rows the normal from first to
             second and two tangents.
         distance: float64[c], negative where they overlap [m].
         friction: float64[c].
-        held: body that hangs on body 1, or -1.
-        hold_point: float64[3]: where [m]; hold_error: float64[3]: by how much it is off [m];
-            hold_turn: float64[3]: the rotation it lacks [rad].
+        held: body that hangs on the hand, or -1.
+        hold_point: float64[3]: where [m]; hold_error: float64[6]: by how much it is off [m, rad].
+        jac: float64[6, n] of the tool; inverse: float64[n, n] of the arm's mass matrix.
+        joints, rates, command, lower, upper: float64[n]; see :class:`~.servo.Servo`.
+        largest: impulse of a motor in a step [N m s].
     """
-    count = len(first)
-    arm_1, arm_2 = np.empty((count, 3)), np.empty((count, 3))
-    mass = np.empty((count, 3))
-    impulse = np.zeros((count, 3))
+    count, n = len(first), len(rates)
+    one, two = np.zeros((count, 3, 6)), np.zeros((count, 3, 6))
+    give_1, give_2 = np.zeros((count, 3, 6)), np.zeros((count, 3, 6))
+    arm = inverse @ jac.T
+    reach = np.zeros((count, 3, n))
+    mass, impulse = np.empty((count, 3)), np.zeros((count, 3))
     least = np.empty(count)
     for c in range(count):
         a, b = first[c], second[c]
-        arm_1[c], arm_2[c] = point[c] - centre[a], point[c] - centre[b]
         for k in range(3):
-            total = _yielding(frame[c, k], arm_1[c], inverse_mass[a], inverse_inertia[a])
-            total += _yielding(frame[c, k], arm_2[c], inverse_mass[b], inverse_inertia[b])
-            mass[c, k] = 1.0 / total if total > 0 else 0.0
+            _row(frame[c, k], point[c], centre[a], -1.0, one[c, k])
+            _row(frame[c, k], point[c], centre[b], 1.0, two[c, k])
+            give_1[c, k] = yielding[a] @ one[c, k]
+            give_2[c, k] = yielding[b] @ two[c, k]
+            mass[c, k] = 1.0 / (_dot(one[c, k], give_1[c, k]) + _dot(two[c, k], give_2[c, k]))
+            if a == HAND:
+                reach[c, k] = arm @ one[c, k]
+            elif b == HAND:
+                reach[c, k] = arm @ two[c, k]
         depth = distance[c] + SLOP
         least[c] = -depth / timestep if depth > 0 else -CONTACT_SHARE * depth / timestep
     axes = np.eye(3)
-    hold_1, hold_2 = np.zeros(3), np.zeros(3)
-    hold_mass = np.zeros(6)
+    hand_row, held_row = np.zeros((6, 6)), np.zeros((6, 6))
+    hand_give, held_give = np.zeros((6, 6)), np.zeros((6, 6))
+    hold_reach, hold_mass = np.zeros((6, n)), np.zeros(6)
     if held >= 0:
-        hold_1, hold_2 = hold_point - centre[1], hold_point - centre[held]
         for k in range(3):
-            hold_mass[k] = 1.0 / _yielding(
-                axes[k], hold_2, inverse_mass[held], inverse_inertia[held]
-            )
-            hold_mass[3 + k] = 1.0 / inverse_inertia[held, k, k]
+            _row(axes[k], hold_point, centre[HAND], -1.0, hand_row[k])
+            _row(axes[k], hold_point, centre[held], 1.0, held_row[k])
+            hand_row[3 + k, 3 + k], held_row[3 + k, 3 + k] = -1.0, 1.0
+        for k in range(6):
+            hand_give[k], held_give[k] = yielding[HAND] @ hand_row[k], yielding[held] @ held_row[k]
+            hold_reach[k] = arm @ hand_row[k]
+            hold_mass[k] = 1.0 / (_dot(hand_row[k], hand_give[k]) + _dot(held_row[k], held_give[k]))
+    motor, stop = np.zeros(n), np.zeros(n)
+    turn = np.ascontiguousarray((jac @ inverse).T)
     for sweep in range(SWEEPS):
         change = 0.0
-        if held >= 0:
-            for number in range(6):
-                row = number if sweep % 2 else 5 - number
-                k = row % 3
-                if row < 3:
-                    wanted = HOLD_SHARE * hold_error[k] / timestep
-                    now = _along(
-                        axes[k], hold_1, hold_2, velocity[1], spin[1], velocity[held], spin[held]
-                    )
-                    extra = (wanted - now) * hold_mass[row]
-                    _push(
-                        axes[k], hold_2, inverse_mass[held], inverse_inertia[held],
-                        velocity[held], spin[held], extra,
-                    )  # fmt: skip
+        for number in range(2 * n + 6):
+            row = number if sweep % 2 else 2 * n + 5 - number
+            if row >= 2 * n:
+                if held < 0:
+                    continue
+                k = row - 2 * n
+                now = _dot(hand_row[k], twist[HAND]) + _dot(held_row[k], twist[held])
+                extra = (HOLD_SHARE * hold_error[k] / timestep - now) * hold_mass[k]
+                _add(twist[HAND], extra, hand_give[k])
+                _add(twist[held], extra, held_give[k])
+                _add(rates, extra, hold_reach[k])
+                change = max(change, (extra / hold_mass[k]) ** 2)
+                continue
+            i = row % n
+            if row < n:
+                below, above = lower[i] - joints[i], joints[i] - upper[i]
+                if below <= 0 and above <= 0:
+                    continue
+                if below > 0:
+                    new = stop[i] + (STOP_SHARE * below / timestep - rates[i]) / inverse[i, i]
+                    new = max(new, 0.0)
                 else:
-                    wanted = HOLD_SHARE * hold_turn[k] / timestep
-                    now = spin[held, k] - spin[1, k]
-                    extra = (wanted - now) * hold_mass[row]
-                    for i in range(3):
-                        spin[held, i] += inverse_inertia[held, i, k] * extra
-                change = max(change, (wanted - now) ** 2)
+                    new = stop[i] + (-STOP_SHARE * above / timestep - rates[i]) / inverse[i, i]
+                    new = min(new, 0.0)
+                extra = new - stop[i]
+                stop[i] = new
+            else:
+                wanted = MOTOR_SHARE * (command[i] - joints[i]) / timestep
+                new = motor[i] + (wanted - rates[i]) / inverse[i, i]
+                new = min(max(new, -largest), largest)
+                extra = new - motor[i]
+                motor[i] = new
+            _add(rates, extra, inverse[i])
+            _add(twist[HAND], extra, turn[i])
+            change = max(change, (extra * inverse[i, i]) ** 2)
         for c in range(count):
             a, b = first[c], second[c]
-            now = _along(
-                frame[c, 0], arm_1[c], arm_2[c], velocity[a], spin[a], velocity[b], spin[b]
-            )
+            now = _dot(one[c, 0], twist[a]) + _dot(two[c, 0], twist[b])
             new = max(impulse[c, 0] + (least[c] - now) * mass[c, 0], 0.0)
             extra = new - impulse[c, 0]
-            impulse[c, 0] = new
             if extra != 0:
-                _push(frame[c, 0], arm_1[c], inverse_mass[a], inverse_inertia[a], velocity[a], spin[a], -extra)
-                _push(frame[c, 0], arm_2[c], inverse_mass[b], inverse_inertia[b], velocity[b], spin[b], extra)
+                impulse[c, 0] = new
+                _add(twist[a], extra, give_1[c, 0])
+                _add(twist[b], extra, give_2[c, 0])
+                if a == HAND or b == HAND:
+                    _add(rates, extra, reach[c, 0])
                 change = max(change, (extra / mass[c, 0]) ** 2)
         for c in range(count):
             if impulse[c, 0] <= 0 and impulse[c, 1] == 0 and impulse[c, 2] == 0:
                 continue
             a, b = first[c], second[c]
             old_1, old_2 = impulse[c, 1], impulse[c, 2]
-            now_1 = _along(frame[c, 1], arm_1[c], arm_2[c], velocity[a], spin[a], velocity[b], spin[b])
-            now_2 = _along(frame[c, 2], arm_1[c], arm_2[c], velocity[a], spin[a], velocity[b], spin[b])
+            now_1 = _dot(one[c, 1], twist[a]) + _dot(two[c, 1], twist[b])
+            now_2 = _dot(one[c, 2], twist[a]) + _dot(two[c, 2], twist[b])
             new_1, new_2 = old_1 - now_1 * mass[c, 1], old_2 - now_2 * mass[c, 2]
             size, most = np.sqrt(new_1**2 + new_2**2), friction[c] * impulse[c, 0]
             if size > most:
@@ -161,21 +185,23 @@ def resolve(
             impulse[c, 1], impulse[c, 2] = new_1, new_2
             for k in range(1, 3):
                 extra = new_1 - old_1 if k == 1 else new_2 - old_2
-                _push(frame[c, k], arm_1[c], inverse_mass[a], inverse_inertia[a], velocity[a], spin[a], -extra)
-                _push(frame[c, k], arm_2[c], inverse_mass[b], inverse_inertia[b], velocity[b], spin[b], extra)
+                _add(twist[a], extra, give_1[c, k])
+                _add(twist[b], extra, give_2[c, k])
+                if a == HAND or b == HAND:
+                    _add(rates, extra, reach[c, k])
                 change = max(change, (extra / mass[c, k]) ** 2)
         if change < RESIDUAL:
             break
 
 
 @njit(cache=True)
-def wake(awake, first, second, velocity, spin, slow):
+def wake(awake, first, second, twist, slow):
     """Bodies that move, are held or pushed, and all that is connected to them by contacts.
 
     ``awake`` bool[b] comes with what is driven; the world (body 0) connects nothing.
     """
     for b in range(1, len(awake)):
-        if np.abs(velocity[b]).max() > slow or 0.025 * np.abs(spin[b]).max() > slow:
+        if np.abs(twist[b, :3]).max() > slow or 0.025 * np.abs(twist[b, 3:]).max() > slow:
             awake[b] = True
     changed = True
     while changed:
@@ -188,19 +214,18 @@ def wake(awake, first, second, velocity, spin, slow):
 
 
 @njit(cache=True)
-def move(position, quaternion, velocity, spin, awake, timestep):
+def move(position, quaternion, twist, awake, timestep):
     """Poses after a step; quaternions (w, x, y, z)."""
     for b in range(len(awake)):
         if not awake[b]:
-            velocity[b] = 0.0
-            spin[b] = 0.0
+            twist[b] = 0.0
             continue
-        position[b] += timestep * velocity[b]
-        rate = np.sqrt(np.sum(spin[b] ** 2))
+        position[b] += timestep * twist[b, :3]
+        rate = np.sqrt(np.sum(twist[b, 3:] ** 2))
         if rate > 0:
             half = 0.5 * rate * timestep
             s = np.sin(half) / rate
-            w, x, y, z = np.cos(half), s * spin[b, 0], s * spin[b, 1], s * spin[b, 2]
+            w, x, y, z = np.cos(half), s * twist[b, 3], s * twist[b, 4], s * twist[b, 5]
             q = quaternion[b].copy()
             quaternion[b, 0] = w * q[0] - x * q[1] - y * q[2] - z * q[3]
             quaternion[b, 1] = w * q[1] + x * q[0] + y * q[3] - z * q[2]

@@ -64,9 +64,9 @@ class PublishedCell:
     def __init__(self, arm: Arm, rules: str = "cubes", opening: float = OPENING, torque: float = 500.0, limits=True) -> None:
         self.arm = arm
         self.rules = look_up("rules", rules, RULES)
-        self.world = HandWorld(arm, opening, TIMESTEP)
         wide = np.full(7, 1e3)
         self.servo = Servo(arm, LOWER if limits else -wide, UPPER if limits else wide, torque)
+        self.world = HandWorld(arm, opening, TIMESTEP, self.servo)
         self.chain = get_chain(arm)
         self.trace = None
 
@@ -133,8 +133,10 @@ class PublishedCell:
                 raise _Failed(Outcome.PLACE_COLLISION, "table contact")
         placed = np.arange(scene.num_placed)
         structure = self.world.objects(placed)
+        self.before_open = self.world.centres()
         if self.world.touched() & structure:
             raise _Failed(Outcome.PLACE_COLLISION, "contact before opening")
+        self.before_open = self.world.centres()
         self.world.release(move.cell)
         self.watched[:] = 0
         self._idle(50)
@@ -178,7 +180,7 @@ class PublishedCell:
 
     def _jump(self, joints: np.ndarray) -> None:
         self.servo.jump(joints)
-        self._stepped(self.world.jump)
+        self._stepped()
 
     def _servo(self, goal: np.ndarray, steps: int, point: np.ndarray | None = None) -> None:
         servo, near = self.servo, False
@@ -193,17 +195,15 @@ class PublishedCell:
                     jac = jacobian(self.chain, servo.joints)[:3]
                     self.total = self.total + jac.T @ np.linalg.solve(jac @ jac.T, left)
                     servo.command = servo.command + 0.0075 * self.total
-            servo.step()
-            self._stepped(self.world.move)
+            self._stepped()
 
     def _idle(self, steps: int) -> None:
         for _ in range(steps):
-            self.servo.step()
-            self._stepped(self.world.move)
+            self._stepped()
 
-    def _stepped(self, go) -> None:
+    def _stepped(self) -> None:
         before = self.world.centres()
-        go(*forward(self.chain, self.servo.joints))
+        self.world.step()
         self.steps += 1
         now = self.world.centres()
         self.speed = (now - before) / TIMESTEP
