@@ -150,7 +150,7 @@ def descend_published(chain, target_position, target_rotation, rows, tolerance, 
 
     error = log6(T_target^-1 T(q)), dq = -0.1 J^T (J J^T + 1e-12 I)^-1 error with J in the tool's
     own axes; done when the norm of the error, its first three entries for position only, is below
-    the tolerance. Returns as :func:`descend` does.
+    the tolerance. These three depend on ``target_rotation``, too. Returns as :func:`descend` does.
     """
     n = q.shape[0]
     positions, rotations = np.empty((n, 3)), np.empty((n, 3, 3))
@@ -160,16 +160,14 @@ def descend_published(chain, target_position, target_rotation, rows, tolerance, 
     size = np.inf
     for iteration in range(max_iterations + 1):
         tool_and_frames(chain, q, positions, rotations, position, rotation)
-        # Where only the position matters, the target has the rotation the tool has.
-        wanted = target_rotation if rows == 6 else rotation
         for i in range(3):
             relative[i] = 0.0
             for k in range(3):
-                relative[i] += wanted[k, i] * (position[k] - target_position[k])
+                relative[i] += target_rotation[k, i] * (position[k] - target_position[k])
             for j in range(3):
                 turn[i, j] = 0.0
                 for k in range(3):
-                    turn[i, j] += wanted[k, i] * rotation[k, j]
+                    turn[i, j] += target_rotation[k, i] * rotation[k, j]
         logarithm(relative, turn, error)
         size = 0.0
         for i in range(rows):

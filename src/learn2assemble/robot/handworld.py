@@ -28,6 +28,7 @@ SKIN = 1e-3
 """The hand counts as this much thicker on every side [m]: the margin of the engine's hulls."""
 FEELER = 0.9e-3
 """Contacts count from this distance on [m]: 2 % of a block's half diagonal."""
+INERTIA = 3.0
 SLOW = 1e-3
 GRAIN = 1e-3
 """Cells of an object are multiples of this apart [m]."""
@@ -81,7 +82,9 @@ class HandWorld:
             full = np.empty(9)
             mujoco.mju_quat2Mat(full, m.body_iquat[b])
             axes = full.reshape(3, 3)
-            self.local[b] = axes @ np.diag(1 / m.body_inertia[b]) @ axes.T
+            inertia = axes @ np.diag(m.body_inertia[b]) @ axes.T
+            inertia += np.eye(3) * (INERTIA - 1) * sum(4 * m.geom_size[g][:2].dot(m.geom_size[g][:2]) / 12 * MASS for g in np.flatnonzero(m.geom_bodyid == b))
+            self.local[b] = np.linalg.inv(inertia)
         self.com = m.body_ipos.copy()
         self.com[:2] = 0
         self.position = np.zeros((count, 3))
@@ -159,7 +162,7 @@ class HandWorld:
             self.position, self.twist, yielding, first[keep], second[keep],
             point[keep], frame[keep], distance[keep], np.full(keep.sum(), FRICTION),
             self.held, hold, error, jac, inverse, servo.joints, servo.rates, servo.command,
-            servo.lower, servo.upper, servo.torque * dt, dt,
+            servo.lower, servo.upper, servo.torque * dt if servo.powered else 0.0, dt,
         )
         move(self.position, self.quat, self.twist, awake, dt)
         servo.joints = servo.joints + dt * servo.rates

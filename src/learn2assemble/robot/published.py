@@ -13,6 +13,7 @@ import numpy as np
 from learn2assemble.errors import look_up
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.attempt import Attempt
+from learn2assemble.robot.descent import CONVERGED, descend_published
 from learn2assemble.robot.handworld import HandWorld
 from learn2assemble.robot.inverse import solve
 from learn2assemble.robot.kinematics import forward, get_chain, jacobian
@@ -35,6 +36,18 @@ P = (
     np.array([0.0652, 0.3777, 0.0531, -2.5578, -0.0884, 2.9480, 2.5584]),
 )
 OPENING = 0.08
+MASSES = {
+    "link1": (2.7, (0.0, -0.04, -0.05), (0.02297, 0.01777, 0.01148)),
+    "link2": (2.73, (0.0, -0.04, 0.06), (0.02349, 0.01161, 0.01823)),
+    "link3": (2.04, (0.01, 0.01, -0.05), (0.01092, 0.01258, 0.01197)),
+    "link4": (2.08, (-0.03, 0.03, 0.02), (0.01134, 0.01225, 0.01306)),
+    "link5": (3.0, (0.0, 0.04, -0.12), (0.03568, 0.02985, 0.0128)),
+    "link6": (1.3, (0.04, 0.0, 0.0), (0.003428, 0.005117, 0.005988)),
+    "link7": (0.2, (0.0, 0.0, 0.08), (0.0003616, 0.0003622, 0.0005921)),
+    "hand": (0.81, (0.0, 0.0, 0.04), (0.003719, 0.001016, 0.003388)),
+    "left_finger": (0.1, (0.0, 0.01, 0.02), (4.168e-05, 3.874e-05, 1.694e-05)),
+    "right_finger": (0.1, (0.0, 0.01, 0.02), (4.168e-05, 3.874e-05, 1.694e-05)),
+}
 RELEASE_LIMIT = 0.75
 WATCH_LIMIT = 1.0
 HEIGHT_LIMIT = 1e-3
@@ -61,11 +74,11 @@ class _Failed(Exception):
 class PublishedCell:
     name = "published"
 
-    def __init__(self, arm: Arm, rules: str = "cubes", opening: float = OPENING, torque: float = 500.0, limits=True) -> None:
+    def __init__(self, arm: Arm, rules: str = "cubes", opening: float = OPENING, torque: float = 500.0, limits=True, masses=True) -> None:
         self.arm = arm
         self.rules = look_up("rules", rules, RULES)
         wide = np.full(7, 1e3)
-        self.servo = Servo(arm, LOWER if limits else -wide, UPPER if limits else wide, torque)
+        self.servo = Servo(arm, LOWER if limits else -wide, UPPER if limits else wide, torque, MASSES if masses else None)
         self.world = HandWorld(arm, opening, TIMESTEP, self.servo)
         self.chain = get_chain(arm)
         self.trace = None
@@ -75,6 +88,7 @@ class PublishedCell:
         self.scene, self.move = scene, move
         self.steps = 0
         self.total = np.zeros(7)
+        self.servo.powered = False
         if top is None:
             below = scene.position[: scene.num_placed] - (move.target - [0, 0, EDGE])
             top = bool(np.any(np.abs(below).max(1) < EDGE / 2))
@@ -96,7 +110,7 @@ class PublishedCell:
             start = G[0 if abs(np.sin(move.grasp.yaw)) < 0.5 else 1]
         self.before = self.world.centres()
         self.watched = np.zeros(len(scene.position))
-        joints = self._solve(centre + [0, 0, 0.15], None, start, "grasp")
+        joints = self._reach(centre + [0, 0, 0.15], rotation, start, "grasp")
         self._jump(joints)
         joints = self._solve(centre + [0, 0, 0.05], rotation, self.servo.joints, "grasp")
         self._jump(joints)
@@ -150,9 +164,10 @@ class PublishedCell:
                     break
                 self._idle(1)
         base = move.target - ([0, 0, EDGE] if top else [0, 0, 0])
-        for offset, turned in (([0, 0, 0.10], rotation), ([0, 0, 0.25], rotation), ([0, -0.15, 0.25], None)):
-            start = self._solve(base + offset, turned, start, "retreat")
+        for offset in ([0, 0, 0.10], [0, 0, 0.25]):
+            start = self._solve(base + offset, rotation, start, "retreat")
             self._jump(start)
+        self._jump(self._reach(base + [0, -0.15, 0.25], rotation, start, "retreat"))
 
     def _judge(self) -> Attempt:
         scene, rules = self.scene, self.rules
@@ -178,6 +193,14 @@ class PublishedCell:
             raise _Failed(Outcome.UNREACHABLE, stage, found.failure.name)
         return found.joints
 
+    def _reach(self, point, rotation, start, stage) -> np.ndarray:
+        """Position only: the first three rows of log6."""
+        joints, converged = np.array(start), False
+        state, *_ = descend_published(self.chain, point, rotation, 3, 1e-6, 1000, joints)
+        if state != CONVERGED:
+            raise _Failed(Outcome.UNREACHABLE, stage, "position")
+        return joints
+
     def _jump(self, joints: np.ndarray) -> None:
         self.servo.jump(joints)
         self._stepped()
@@ -185,6 +208,7 @@ class PublishedCell:
     def _servo(self, goal: np.ndarray, steps: int, point: np.ndarray | None = None) -> None:
         servo, near = self.servo, False
         for _ in range(steps):
+            servo.powered = True
             servo.command = servo.joints + 0.5 * (goal - servo.joints)
             if point is not None:
                 left = point - self.world.centres()[self.move.cell]
@@ -192,10 +216,16 @@ class PublishedCell:
                 if not near:
                     self.total = np.zeros(len(goal))
                 else:
-                    jac = jacobian(self.chain, servo.joints)[:3]
+                    jac = self._spatial(servo.joints)
                     self.total = self.total + jac.T @ np.linalg.solve(jac @ jac.T, left)
                     servo.command = servo.command + 0.0075 * self.total
             self._stepped()
+
+    def _spatial(self, joints: np.ndarray) -> np.ndarray:
+        """float64[3, n]: velocity of the point of the hand that is at the base, in world axes."""
+        jac = jacobian(self.chain, joints)
+        away = forward(self.chain, joints)[0] - self.arm.base_position
+        return jac[:3] + np.cross(away, jac[3:].T).T
 
     def _idle(self, steps: int) -> None:
         for _ in range(steps):

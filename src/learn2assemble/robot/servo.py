@@ -27,15 +27,23 @@ class Servo:
     """
 
     def __init__(
-        self, arm: Arm, lower: np.ndarray, upper: np.ndarray, torque: float = TORQUE
+        self, arm: Arm, lower: np.ndarray, upper: np.ndarray, torque: float = TORQUE,
+        masses=None,
     ) -> None:
         self.lower, self.upper, self.torque = lower, upper, torque
         spec = arm_spec(arm)
         spec.option.gravity = [0, 0, -GRAVITY]
         self._model = m = spec.compile()
         m.dof_armature[:] = 0
+        for name, (mass, where, inertia) in (masses or {}).items():
+            body = m.body(name).id
+            m.body_mass[body] = mass
+            m.body_ipos[body] = where
+            m.body_iquat[body] = 1, 0, 0, 0
+            m.body_inertia[body] = inertia
         m.body_gravcomp[:] = 0
         m.dof_damping[:] = 0
+        mujoco.mj_setConst(m, mujoco.MjData(m))
         self._data = mujoco.MjData(m)
         self._qpos = np.array([m.joint(name).qposadr[0] for name in arm.joints])
         self._dof = np.array([m.joint(name).dofadr[0] for name in arm.joints])
@@ -50,7 +58,6 @@ class Servo:
     def jump(self, joints: np.ndarray) -> None:
         """Put the joints somewhere, at rest."""
         self.joints, self.rates = joints.copy(), np.zeros(len(joints))
-        self.command = self.joints.copy()
 
     def dynamics(self) -> np.ndarray:
         """Inverse of the mass matrix, float64[n, n]; gravity and inertia act on the rates."""
