@@ -29,6 +29,7 @@ SKIN = 1e-3
 FEELER = 0.9e-3
 """Contacts count from this distance on [m]: 2 % of a block's half diagonal."""
 INERTIA = 3.0
+ORDER = True
 SLOW = 1e-3
 GRAIN = 1e-3
 """Cells of an object are multiples of this apart [m]."""
@@ -96,6 +97,7 @@ class HandWorld:
             self.quat[number + 2] = np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)
             self.position[number + 2] = self._origin[number] + turn(yaw) @ self.com[number + 2]
         self.twist = np.zeros((count, 6))
+        self.seen, self.clock = {}, 0
         self.held = -1
         self.hand_turn = np.eye(3)
 
@@ -128,7 +130,14 @@ class HandWorld:
         first, second = body[:, 0].astype(np.int64), body[:, 1].astype(np.int64)
         distance = found.dist.copy()
         distance[(first == 1) | (second == 1)] -= SKIN
-        keep = distance < FEELER
+        keep = np.flatnonzero(distance < FEELER)
+        if ORDER:
+            self.clock += 1
+            now = {}
+            for a, b in zip(first[keep].tolist(), second[keep].tolist()):
+                now[a, b] = self.seen.get((a, b), self.clock)
+            self.seen = now
+            keep = keep[np.argsort([-now[a, b] for a, b in zip(first[keep].tolist(), second[keep].tolist())], kind="stable")]
         return first[keep], second[keep], found.pos[keep], found.frame[keep].reshape(-1, 3, 3), distance[keep]
 
     def step(self) -> None:
@@ -228,7 +237,7 @@ def _compile(parts: tuple[np.ndarray, ...], shapes: tuple[Cells, ...]) -> mujoco
     spec = mujoco.MjSpec()
     world = spec.worldbody
     table = world.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
-    table.margin = FEELER / 2
+    table.margin = FEELER
     hand = world.add_body(name="hand", pos=_FAR, mass=1, inertia=[1] * 3, explicitinertial=True)
     hand.add_freejoint()
     for number, vertices in enumerate(parts):
@@ -237,7 +246,7 @@ def _compile(parts: tuple[np.ndarray, ...], shapes: tuple[Cells, ...]) -> mujoco
         geom = hand.add_geom(
             type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, mass=0, contype=2, conaffinity=1
         )
-        geom.margin = SKIN + FEELER / 2
+        geom.margin = SKIN + FEELER
     for number, cells in enumerate(shapes):
         body = world.add_body(name=f"object {number}")
         body.add_freejoint()
@@ -255,4 +264,3 @@ def _box(body: mujoco.MjsBody, centre: tuple[float, ...], half: tuple[float, ...
     geom = body.add_geom(
         type=mujoco.mjtGeom.mjGEOM_BOX, pos=list(centre), size=list(half), mass=MASS
     )
-    geom.margin = FEELER / 2
