@@ -19,6 +19,7 @@ from learn2assemble.robot.grasps import turn
 from learn2assemble.robot.kinematics import forward, get_chain, jacobian
 from learn2assemble.robot.servo import Servo
 from learn2assemble.robot.impulses import advance, move, resolve, wake
+from learn2assemble.robot.manifolds import BREAKING, empty, points, update
 from learn2assemble.robot.model import PICTURE_GROUP, arm_model
 from learn2assemble.robot.rotations import rotation_vector
 from learn2assemble.robot.scene import GAP, Scene, fillers
@@ -97,7 +98,8 @@ class HandWorld:
             self.quat[number + 2] = np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)
             self.position[number + 2] = self._origin[number] + turn(yaw) @ self.com[number + 2]
         self.twist = np.zeros((count, 6))
-        self.seen, self.clock = {}, 0
+        self.clock = 0
+        self.manifolds = empty(m.ngeom, 12 * m.ngeom)
         self.held = -1
         self.hand_turn = np.eye(3)
 
@@ -126,24 +128,23 @@ class HandWorld:
         mujoco.mj_kinematics(m, d)
         mujoco.mj_collision(m, d)
         found = d.contact
-        body = m.geom_bodyid[found.geom]
-        first, second = body[:, 0].astype(np.int64), body[:, 1].astype(np.int64)
+        shapes = found.geom
+        body = m.geom_bodyid.astype(np.int64)
         distance = found.dist.copy()
-        distance[(first == 1) | (second == 1)] -= SKIN
-        keep = np.flatnonzero(distance < FEELER)
-        if ORDER:
-            self.clock += 1
-            now = {}
-            for a, b in zip(first[keep].tolist(), second[keep].tolist()):
-                now[a, b] = self.seen.get((a, b), self.clock)
-            self.seen = now
-            keep = keep[np.argsort([-now[a, b] for a, b in zip(first[keep].tolist(), second[keep].tolist())], kind="stable")]
-        return first[keep], second[keep], found.pos[keep], found.frame[keep].reshape(-1, 3, 3), distance[keep]
+        distance[(body[shapes] == 1).any(1)] -= SKIN
+        keep = np.flatnonzero(distance < BREAKING)
+        self.clock += 1
+        rotation = np.array([self._rotation(b) for b in range(m.nbody)])
+        update(
+            self.manifolds, self.clock, shapes[keep, 0].astype(np.int64), shapes[keep, 1].astype(np.int64), body,
+            found.pos[keep], found.frame[keep, :3], distance[keep], self.position, rotation,
+        )
+        return points(self.manifolds, body, self.position, rotation)
 
     def step(self) -> None:
         dt, servo = self.timestep, self.servo
         self._put_hand(*forward(self.chain, servo.joints))
-        first, second, point, frame, distance = self.contacts()
+        first, second, end_1, end_2, frame, distance = self.contacts()
         jac = jacobian(self.chain, servo.joints)
         inverse = servo.dynamics()
         self.twist[1] = jac @ servo.rates
@@ -169,7 +170,7 @@ class HandWorld:
             rotation_vector(r, np.ascontiguousarray(self.hand_turn @ self.hold_relative), error[3:])
         resolve(
             self.position, self.twist, yielding, first[keep], second[keep],
-            point[keep], frame[keep], distance[keep], np.full(keep.sum(), FRICTION),
+            end_1[keep], end_2[keep], frame[keep], distance[keep], np.full(keep.sum(), FRICTION),
             self.held, hold, error, jac, inverse, servo.joints, servo.rates, servo.command,
             servo.lower, servo.upper, servo.torque * dt if servo.powered else 0.0, dt,
         )
@@ -237,7 +238,7 @@ def _compile(parts: tuple[np.ndarray, ...], shapes: tuple[Cells, ...]) -> mujoco
     spec = mujoco.MjSpec()
     world = spec.worldbody
     table = world.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
-    table.margin = FEELER
+    table.margin = BREAKING
     hand = world.add_body(name="hand", pos=_FAR, mass=1, inertia=[1] * 3, explicitinertial=True)
     hand.add_freejoint()
     for number, vertices in enumerate(parts):
@@ -246,7 +247,7 @@ def _compile(parts: tuple[np.ndarray, ...], shapes: tuple[Cells, ...]) -> mujoco
         geom = hand.add_geom(
             type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, mass=0, contype=2, conaffinity=1
         )
-        geom.margin = SKIN + FEELER
+        geom.margin = SKIN + BREAKING
     for number, cells in enumerate(shapes):
         body = world.add_body(name=f"object {number}")
         body.add_freejoint()

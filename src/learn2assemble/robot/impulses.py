@@ -66,7 +66,7 @@ def _add(a, factor, b):
 
 @njit(cache=True)
 def resolve(
-    centre, twist, yielding, first, second, point, frame, distance, friction,
+    centre, twist, yielding, first, second, end_1, end_2, frame, distance, friction,
     held, hold_point, hold_error, jac, inverse, joints, rates, command, lower, upper, largest,
     timestep,
 ):  # fmt: skip
@@ -96,8 +96,8 @@ def resolve(
     for c in range(count):
         a, b = first[c], second[c]
         for k in range(3):
-            _row(frame[c, k], point[c], centre[a], -1.0, one[c, k])
-            _row(frame[c, k], point[c], centre[b], 1.0, two[c, k])
+            _row(frame[c, k], end_1[c], centre[a], -1.0, one[c, k])
+            _row(frame[c, k], end_2[c], centre[b], 1.0, two[c, k])
             give_1[c, k] = yielding[a] @ one[c, k]
             give_2[c, k] = yielding[b] @ two[c, k]
             mass[c, k] = 1.0 / (_dot(one[c, k], give_1[c, k]) + _dot(two[c, k], give_2[c, k]))
