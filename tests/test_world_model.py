@@ -168,11 +168,14 @@ def test_legacy_takes_the_initial_cover_from_the_restored_state() -> None:
         np.testing.assert_array_equal(mine, theirs)
     copies = faulty.states.state
     np.testing.assert_array_equal(copies.initial_pixels, state.plane_pixels)
-    np.testing.assert_array_equal(copies.position, exact.states.position)
-    np.testing.assert_array_equal(copies.plane_pixels, exact.states.plane_pixels)
+    np.testing.assert_allclose(copies.position, exact.states.position, atol=1e-6)
+    # Fault (d): single precision moves edges that lie on a pixel's border.
+    same = copies.plane_pixels == exact.states.plane_pixels
+    assert same.mean() > 0.9
+    assert abs(copies.plane_pixels - exact.states.plane_pixels).max() <= 2
     open_now = state.mask_pixels - state.plane_pixels
     factor = (state.mask_pixels - state.initial_pixels) / open_now
-    going = ~exact.terminal & ~faulty.terminal
+    going = same & ~exact.terminal & ~faulty.terminal
     np.testing.assert_allclose(faulty.reward[going], (exact.reward * factor)[going])
     assert (exact.reward[going] > 0).any()
     assert (factor > 1.1).any()
@@ -213,8 +216,40 @@ def test_legacy_simulates_another_problem_where_much_is_covered() -> None:
         differs = (copies.state.mask != exact.mask).any((1, 2, 3))
         np.testing.assert_array_equal(differs, covered)
         assert (copies.state.num_placed[covered] == 2).all()
-        np.testing.assert_array_equal(copies.state.position[~covered], exact.position[~covered])
+        np.testing.assert_allclose(
+            copies.state.position[~covered], exact.position[~covered], atol=1e-6
+        )
     assert (runs[0].state.mask[covered] != runs[1].state.mask[covered]).any()
+
+
+def test_legacy_takes_objects_apart() -> None:
+    """Fault (c), protocol 11.6: an S that stands falls in the copy, and only chains stay whole."""
+    task = TINY.replace(objects="set-26", num_nodes=20, stability="object")
+    model, _ = walls(task, 1)
+    state = model.simulator.new(2, np.random.default_rng(0))
+    # A cube on the ground; beside it an S with its free end in the air, in the second row a tower.
+    cube, s_shape = (0, 0, 0), ((1, 0, 0), (1, 0, 1), (2, 0, 1))
+    tower = ((1, 0, 0), (1, 0, 1), (1, 0, 2))
+    waiting = ((0, -5, 0), (1, -5, 0), (2, -5, 0), (4, -5, 0), (3, -5, 0), (5, -5, 0))
+    for row, shape in enumerate((s_shape, tower)):
+        cells = np.array([cube, *shape, *waiting], float) * 0.05 + [0, 0, 0.025]
+        state.position[row, :10] = cells
+        state.object_id[row, :10] = [0, 1, 1, 1, 2, 2, 2, 3, 3, 3]
+        state.num_placed[row], state.num_blocks[row] = 4, 10
+    actions = np.array([[0, 0, 3], [0, 0, 3]])
+    exact = model.step(state, actions)
+    faulty = LegacyModel(model, np.random.default_rng(0)).step(state, actions)
+    assert (exact.reward >= 0).all()
+    assert faulty.reward.tolist()[0] == -1
+    assert faulty.terminal[0]
+    assert faulty.reward[1] >= 0
+    ids = faulty.states.state.object_id[1, :10].tolist()
+    assert len(set(ids[:4])) == 4  # nothing placed is joined any more
+    # The chain of three was placed whole; of the bar listed middle first only a pair is left.
+    assert [ids[k] == ids[k + 1] for k in range(4, 9)] == [True, True, False, True, False]
+    # What is further down a walk is not rebuilt again.
+    again = LegacyModel(model, np.random.default_rng(0)).step(faulty.states, actions)
+    assert again.states.state.object_id[1, 7] == faulty.states.state.object_id[1, 7]
 
 
 def test_legacy_search_plays() -> None:

@@ -8,8 +8,10 @@ observation, and two steps of an ordinary reset ran along.
 * (b) Where the structure already covers more than the share at which a reset redraws the problem,
   or the masks are too small, the simulation silently runs in a random new problem.
 
-Left out: (c) constraints of placed objects are not rebuilt, and (d) positions pass through
-float32. Placed cubes have no constraints.
+* (c) The cells of placed objects are not joined again, so an overhanging cell falls and every
+  action looks invalid; waiting objects are put together from cells that follow each other in the
+  list and touch, which splits those that are no chains (W, bars listed middle first).
+* (d) Positions pass through the normalised observation in single precision.
 """
 
 from __future__ import annotations
@@ -17,10 +19,18 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
+from learn2assemble.geometry.support import reaches_ground
 from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.search.model import ActionValues, StepResult
+from learn2assemble.world.blocks import EDGE, HALF
 from learn2assemble.world.state import State
+
+OBSERVED_SCALE = 1.025
+"""Positions are divided by it in the published observation [m] (protocol 4)."""
+TOUCH_TOLERANCE = 1e-3
+"""Cells of waiting objects are taken to touch up to this [m] (protocol 11.6)."""
 
 
 class Copies(NamedTuple):
@@ -55,10 +65,12 @@ class LegacyModel:
 
     def step(self, states: State | Copies, actions: np.ndarray) -> StepResult:
         copies = _copies(states)
-        start, actions = self._restore(copies, actions)
+        start, actions, fell = self._restore(copies, actions)
         result = self.model.step(start, actions)
+        result.states.terminated[fell] = True
         after = Copies(result.states, np.zeros(len(copies.real), np.bool_))
-        return result._replace(states=after)
+        reward = np.where(fell, -1.0, result.reward)
+        return StepResult(after, reward, result.terminal | fell)
 
     def action_values(self, states: State | Copies) -> list[ActionValues]:
         return self.model.action_values(_state(states))
@@ -72,17 +84,24 @@ class LegacyModel:
     def best(self, states: State | Copies) -> tuple[np.ndarray, np.ndarray]:
         return self.model.best(_state(states))
 
-    def _restore(self, copies: Copies, actions: np.ndarray) -> tuple[State, np.ndarray]:
-        """What the published search simulated in place of the real rows, and which actions."""
+    def _restore(self, copies: Copies, actions: np.ndarray) -> tuple[State, np.ndarray, np.ndarray]:
+        """What the published search simulated in place of the real rows, which actions, and in
+        which rows a cell falls."""
         task = self.model.simulator.task
         start = copies.state.copy()
+        seen = (start.position[copies.real] / OBSERVED_SCALE).astype(np.float32)
+        start.position[copies.real] = seen * np.float32(OBSERVED_SCALE)
+        fell = np.zeros(start.batch_size, np.bool_)
+        if task.objects != "cubes":
+            _take_apart(start, copies.real, task.pitch, fell)
         if task.normalise_initial:
             start.initial_pixels[copies.real] = start.plane_pixels[copies.real]
         redrawn = start.plane_pixels > task.max_initial_cover * start.mask_pixels
         redrawn |= start.mask_pixels < task.min_mask_pixels
         rows = np.flatnonzero(copies.real & redrawn)
         if not len(rows):
-            return start, actions
+            return start, actions, fell
+        fell[rows] = False
         # The action names nodes; in the other problem they are clipped to its ranges (protocol 5).
         nodes = actions[rows] + _first_nodes(start, rows)
         self.model.simulator.reset(start, rows, self.rng)
@@ -90,7 +109,28 @@ class LegacyModel:
         local = nodes - _first_nodes(start, rows)
         actions = actions.copy()
         actions[rows, :2] = np.clip(local[:, :2], 0, counts - 1)
-        return start, actions
+        return start, actions, fell
+
+
+@njit(cache=True)
+def _take_apart(state, rebuilt, pitch, fell):
+    """Fault (c) on the rows ``rebuilt``; sets ``fell`` where a placed cell then hangs."""
+    for row in range(len(rebuilt)):
+        if not rebuilt[row]:
+            continue
+        position, placed = state.position[row], state.num_placed[row]
+        number = 0
+        for k in range(state.num_blocks[row]):
+            if k < placed:
+                fell[row] |= not reaches_ground(position, placed, k, HALF)
+            apart = 0.0
+            for axis in range(3):
+                apart += abs(position[k, axis] - position[k - 1, axis])
+            # Cells are on one lattice, so touching ones are one edge apart along one axis.
+            off = min(abs(apart - EDGE), abs(apart - pitch))
+            if k <= placed or off > TOUCH_TOLERANCE:
+                number += 1
+            state.object_id[row, k] = number
 
 
 def _state(states: State | Copies) -> State:
