@@ -22,6 +22,7 @@ ALLOWED: dict[str, set[str]] = {
     "geometry": set(),
     "world": {"errors", "geometry"},
     "physics": _WORLD,
+    "robot": _WORLD,
     "task": _WORLD,
     "presets": {"errors", "task"},
     "graph": _WORLD,
@@ -163,7 +164,7 @@ def test_parts_that_know_few_libraries(part: str) -> None:
 @pytest.mark.parametrize(
     ("library", "parts"),
     [
-        ("mujoco", {"physics", "planning"}),
+        ("mujoco", {"physics", "planning", "robot"}),
         ("highspy", {"physics", "evaluation"}),
         ("gymnasium", {"envs", "evaluation"}),
         ("matplotlib", {"viewer"}),

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from learn2assemble.errors import InputError, look_up
-from learn2assemble.robot.model import read_spec
+from learn2assemble.robot.spec import read_spec
 
 ASSETS = Path(__file__).resolve().parents[1] / "assets" / "arms"
 ARMS: dict[str, Path] = {name: ASSETS / name / "arm.toml" for name in ("panda", "ur5e")}
