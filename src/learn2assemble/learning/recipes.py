@@ -49,6 +49,8 @@ class Recipe:
 
 
 _CUBES, _LARGE = "two-sided-3x3-20-24", "two-sided-5x5-40-44"
+_ROBOT_TWO, _ROBOT_FOUR = "robot-two-sided-3x3-10-14", "robot-four-sided-3x3-10-18"
+_ROBOT_OBJECTS = "robot-objects-two-sided-5x5-20-24"
 _BARS, _OBJECTS = "bars-one-sided-5x5-25-27", "objects-two-sided-5x5-20-24"
 
 
@@ -87,9 +89,17 @@ _ALL = (
             "num_samples=300000 learning_rate=0.0007 replay_size=150000",
         ),
     ),
+    _published("robot-two-sided", _ROBOT_TWO),
+    _published("robot-four-sided", _ROBOT_FOUR),
+    _published("robot-objects", _ROBOT_OBJECTS),
+    _published("robot-one-sided", "robot-one-sided-5x5-15-17", _SHORTER),
+    _published("one-sided", "one-sided-5x5-15-17", _SHORTER),
     Recipe("relational-cubes", _LARGE, (Stage("relational", ("num_samples=120000",)),)),
     Recipe("relational-bars", _BARS, (Stage("relational", ("num_samples=60000",)),)),
     Recipe("relational-objects", _OBJECTS, (Stage("relational-objects"),)),
+    Recipe("relational-two-sided", _ROBOT_TWO, (Stage("relational"),)),
+    Recipe("relational-four-sided", _ROBOT_FOUR, (Stage("relational"),)),
+    Recipe("relational-robot-objects", _ROBOT_OBJECTS, (Stage("relational-objects"),)),
     _ablation("full"),
     _ablation("no-dense-labels", "dense_weight=0"),
     _ablation("single-q", "double=false"),
