@@ -165,7 +165,7 @@ def test_parts_that_know_few_libraries(part: str) -> None:
 @pytest.mark.parametrize(
     ("library", "parts"),
     [
-        ("mujoco", {"physics", "planning"}),
+        ("mujoco", {"physics", "planning", "robot"}),
         ("highspy", {"physics", "evaluation"}),
         ("gymnasium", {"envs", "evaluation"}),
         ("matplotlib", {"viewer"}),

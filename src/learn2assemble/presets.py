@@ -13,7 +13,7 @@ do not: their agents are trained on 5x5, and the published bound knows no other 
 
 from __future__ import annotations
 
-from learn2assemble.errors import look_up
+from learn2assemble.errors import InputError, look_up
 from learn2assemble.task import Task
 
 _OBJECTS = Task(
@@ -87,10 +87,19 @@ _ALL = (
 PRESETS: dict[str, Task] = {task.name: task for task in _ALL}
 
 
-def get_task(name: str) -> Task:
+def get_task(name: str, arm: str | None = None) -> Task:
     """The preset called ``name``.
 
+    Args:
+        arm: builds in place of the task's own, or ``none``; for tasks with a robot.
+
     Raises:
-        UnknownNameError: naming the nearest preset.
+        UnknownNameError: naming the nearest preset or arm.
+        InputError: for an arm where the task has no robot.
     """
-    return look_up("task", name, PRESETS)
+    task = look_up("task", name, PRESETS)
+    if arm is None:
+        return task
+    if not task.has_arm:
+        raise InputError("arm", arm, f"a task with a robot ({name} has none)")
+    return task.replace(arm=arm)

@@ -187,16 +187,25 @@ class Simulator:
         """The graph of every row (protocol 4)."""
         return build_graph(state, self.frames, self.task.num_nodes)
 
-    def outcomes(self, state: State, graph: Graph, placements: Placements) -> Outcomes:
+    def outcomes(
+        self, state: State, graph: Graph, placements: Placements, by_hand: bool = False
+    ) -> Outcomes:
         """What every placement of ``placements``, those of ``graph``, would bring to ``state``.
 
-        By static physics; see :class:`Outcomes`. A help the paper's agent does not have.
+        By static physics; see :class:`Outcomes`. Whether an arm could do it takes an attempt, so
+        with an arm what is valid otherwise is left undecided, unless ``by_hand``. A help the
+        paper's agent does not have.
         """
         actions = (placements.action - node_offset(graph)[:, None]) * placements.used[..., None]
-        return outcomes(
+        found = outcomes(
             state, actions, placements.count, self.ways, self.frames, self.task.reward,
             self.task.success_threshold, self.depths,
         )  # fmt: skip
+        if self.task.has_arm and not by_hand:
+            undecided = found.valid.copy()
+            for field in found:
+                field[undecided] = 0
+        return found
 
     def physics_mask(self, state: State) -> np.ndarray:
         """Which placements are free and stable by static physics.

@@ -58,7 +58,7 @@ def check_new_file(path: Path) -> None:
 
 def run(options: argparse.Namespace) -> int:
     output = Output(options.json)
-    task = get_task(options.task)
+    task = get_task(options.task, options.arm)
     physics = resolve_judge(options.physics, task)
     agent = load_agent(options.agent or default_agent(task.name))
     if options.out is not None:
