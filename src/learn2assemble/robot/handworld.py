@@ -1,267 +1,221 @@
-"""Objects on a table, and a hand that goes where it is told: the world of the published cell.
+"""Objects on a table, and the hand of an arm among them: the world of the published cell.
 
-MuJoCo finds the contacts; :mod:`learn2assemble.robot.impulses` moves the bodies. Nothing pushes
-the hand. A held object hangs on a constraint.
+MuJoCo finds where shapes touch; :mod:`learn2assemble.robot.impulses` says what comes of it.
 """
 
 # The compiled module has no stubs that pyright finds.
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.freebodies import (
+    FIRST,
+    HAND,
+    REST,
+    accelerate,
+    move,
+    rotations,
+    wake,
+    yields,
+)
 from learn2assemble.robot.grasps import turn
-from learn2assemble.robot.kinematics import forward, get_chain, jacobian
-from learn2assemble.robot.servo import Servo
-from learn2assemble.robot.impulses import advance, move, resolve, wake
-from learn2assemble.robot.manifolds import BREAKING, empty, points, update
-from learn2assemble.robot.model import PICTURE_GROUP, arm_model
+from learn2assemble.robot.handshapes import (
+    SKIN,
+    Cells,
+    compile_shapes,
+    hand_parts,
+    inverse_inertia,
+)
+from learn2assemble.robot.impulses import Contacts, Drive, Hold, resolve
+from learn2assemble.robot.manifolds import BREAKING, Manifolds, empty, points, update
+from learn2assemble.robot.published_arm import LOWER, TIMESTEP, UPPER, MotorArm
 from learn2assemble.robot.rotations import rotation_vector
-from learn2assemble.robot.scene import GAP, Scene, fillers
-from learn2assemble.world.blocks import EDGE, FRICTION, GRAVITY, HALF, MASS
+from learn2assemble.robot.scene import Scene
 
-SKIN = 1e-3
-"""The hand counts as this much thicker on every side [m]: the margin of the engine's hulls."""
-FEELER = 0.9e-3
-"""Contacts count from this distance on [m]: 2 % of a block's half diagonal."""
-INERTIA = 3.0
-ORDER = True
-SLOW = 1e-3
 GRAIN = 1e-3
 """Cells of an object are multiples of this apart [m]."""
-_FAR = np.array([0.0, 0.0, 5.0])
-
-Cells = tuple[tuple[float, float, float], ...]
-"""Centres of an object's cells relative to its first one [m]."""
+MAX_MODELS = 64
 
 
-@lru_cache(maxsize=16)
-def hand_parts(arm: Arm, opening: float) -> tuple[np.ndarray, ...]:
-    model = arm_model(arm, pictures=True)
-    data = mujoco.MjData(model)
-    for name in arm.gripper.joints:
-        data.qpos[model.joint(name).qposadr[0]] = opening / len(arm.gripper.joints)
-    mujoco.mj_kinematics(model, data)
-    site = model.site(arm.tool).id
-    origin, axes = data.site_xpos[site], data.site_xmat[site].reshape(3, 3)
-    parts = []
-    for body in (arm.gripper.hand, *arm.gripper.fingers):
-        points = []
-        for geom in np.flatnonzero(model.geom_bodyid == model.body(body).id):
-            if model.geom_group[geom] == PICTURE_GROUP:
-                mesh = model.geom_dataid[geom]
-                first = model.mesh_vertadr[mesh]
-                own = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
-                world = data.geom_xpos[geom] + own @ data.geom_xmat[geom].reshape(3, 3).T
-                points.append((world - origin) @ axes)
-        parts.append(np.concatenate(points))
-    return tuple(parts)
+class _Shapes(NamedTuple):
+    """A compiled set of objects."""
+
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    body: np.ndarray
+    """int64[g] of each shape."""
+    centre: np.ndarray
+    """float64[b, 3]: centre of mass in the body's frame [m]."""
+    inverse_mass: np.ndarray
+    """float64[b] [1/kg]."""
+    inverse_inertia: np.ndarray
+    """float64[b, 3, 3]."""
 
 
 class HandWorld:
-    def __init__(self, arm: Arm, opening: float, timestep: float, servo: Servo) -> None:
-        self.chain, self.servo = get_chain(arm), servo
-        self.parts = hand_parts(arm, opening)
-        self.timestep = timestep
-        self._models: dict[tuple[Cells, ...], mujoco.MjModel] = {}
+    """Bodies are the world, the hand and the objects; all start asleep.
+
+    One instance serves one thread.
+
+    Args:
+        arm: whose hand.
+        motors: its joints.
+        opening: between the pads [m].
+    """
+
+    def __init__(self, arm: Arm, motors: MotorArm, opening: float) -> None:
+        self.motors = motors
+        self._parts = hand_parts(arm, opening)
+        self._known: dict[tuple[Cells, ...], _Shapes] = {}
 
     def place(self, scene: Scene) -> None:
-        self._group(scene)
-        if self._shape not in self._models:
-            self._models[self._shape] = _compile(self.parts, self._shape)
-        self.model = m = self._models[self._shape]
-        self.data = mujoco.MjData(m)
-        count = m.nbody
-        self.mass = np.zeros(count)
-        self.local = np.zeros((count, 3, 3))
-        self.mass[2:] = 1 / m.body_mass[2:]
-        for b in range(2, count):
-            full = np.empty(9)
-            mujoco.mju_quat2Mat(full, m.body_iquat[b])
-            axes = full.reshape(3, 3)
-            inertia = axes @ np.diag(m.body_inertia[b]) @ axes.T
-            inertia += np.eye(3) * (INERTIA - 1) * sum(4 * m.geom_size[g][:2].dot(m.geom_size[g][:2]) / 12 * MASS for g in np.flatnonzero(m.geom_bodyid == b))
-            self.local[b] = np.linalg.inv(inertia)
-        self.com = m.body_ipos.copy()
-        self.com[:2] = 0
-        self.position = np.zeros((count, 3))
-        self.quat = np.zeros((count, 4))
-        self.quat[:, 0] = 1
-        self.position[1] = _FAR
-        for number in range(len(self._shape)):
-            yaw = self._yaw[number]
-            self.quat[number + 2] = np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)
-            self.position[number + 2] = self._origin[number] + turn(yaw) @ self.com[number + 2]
-        self.twist = np.zeros((count, 6))
-        self.clock = 0
-        self.manifolds = empty(m.ngeom, 12 * m.ngeom)
-        self.held = -1
-        self.hand_turn = np.eye(3)
-
-    def _put_hand(self, position, rotation) -> None:
-        self.position[1] = position
-        mujoco.mju_mat2Quat(self.quat[1], np.ascontiguousarray(rotation).ravel())
-        self.hand_turn = rotation.copy()
-
-    def _rotation(self, b) -> np.ndarray:
-        full = np.empty(9)
-        mujoco.mju_quat2Mat(full, self.quat[b])
-        return full.reshape(3, 3)
-
-    def contacts(self):
-        m, d = self.model, self.data
-        pose = d.qpos.reshape(-1, 7)
-        d.xmat[0] = d.xmat[0]
-        pose[:, 3:] = self.quat[1:]
-        turned = np.empty(3)
-        for b in range(1, len(self.position)):
-            if self.com[b].any():
-                mujoco.mju_rotVecQuat(turned, self.com[b], self.quat[b])
-                pose[b - 1, :3] = self.position[b] - turned
-            else:
-                pose[b - 1, :3] = self.position[b]
-        mujoco.mj_kinematics(m, d)
-        mujoco.mj_collision(m, d)
-        found = d.contact
-        shapes = found.geom
-        body = m.geom_bodyid.astype(np.int64)
-        distance = found.dist.copy()
-        distance[(body[shapes] == 1).any(1)] -= SKIN
-        keep = np.flatnonzero(distance < BREAKING)
-        self.clock += 1
-        rotation = np.array([self._rotation(b) for b in range(m.nbody)])
-        update(
-            self.manifolds, self.clock, shapes[keep, 0].astype(np.int64), shapes[keep, 1].astype(np.int64), body,
-            found.pos[keep], found.frame[keep, :3], distance[keep], self.position, rotation,
-        )
-        return points(self.manifolds, body, self.position, rotation)
+        """Start over with the objects of ``scene`` at rest."""
+        objects, origin, yaw = self._group(scene)
+        if objects not in self._known:
+            if len(self._known) >= MAX_MODELS:
+                self._known.clear()
+            self._known[objects] = _shapes(compile_shapes(self._parts, objects))
+        self._shapes = s = self._known[objects]
+        count = len(s.centre)
+        self._position, self._quaternion = np.zeros((count, 3)), np.zeros((count, 4))
+        self._quaternion[:, 0] = 1
+        self._quaternion[FIRST:, 0], self._quaternion[FIRST:, 3] = np.cos(yaw / 2), np.sin(yaw / 2)
+        self._rotation = rotations(self._quaternion)
+        self._position[FIRST:] = origin
+        self._position += np.einsum("bij,bj->bi", self._rotation, s.centre)
+        self._twist = np.zeros((count, 6))
+        self._still = np.full(count, REST)
+        self._manifolds: Manifolds = empty(len(s.body), 8 * len(s.body))
+        self._touching = np.empty((0, 2), np.int64)
+        self._clock, self._held = 0, -1
+        self._hold_offset, self._hold_turn = np.zeros(3), np.eye(3)
 
     def step(self) -> None:
-        dt, servo = self.timestep, self.servo
-        self._put_hand(*forward(self.chain, servo.joints))
-        first, second, end_1, end_2, frame, distance = self.contacts()
-        jac = jacobian(self.chain, servo.joints)
-        inverse = servo.dynamics()
-        self.twist[1] = jac @ servo.rates
-        awake = np.zeros(len(self.mass), bool)
-        if self.held >= 0:
-            awake[self.held] = True
-        awake[1] = True
-        wake(awake, first, second, self.twist, SLOW)
-        awake[1] = False
-        advance(self.twist, awake, GRAVITY, dt)
-        keep = awake[first] | awake[second]
-        yielding = np.zeros((len(self.mass), 6, 6))
-        yielding[1] = jac @ inverse @ jac.T
-        for b in np.flatnonzero(awake):
-            r = self._rotation(b)
-            yielding[b, :3, :3] = self.mass[b] * np.eye(3)
-            yielding[b, 3:, 3:] = r @ self.local[b] @ r.T
-        error, hold = np.zeros(6), np.zeros(3)
-        if self.held >= 0:
-            r = self._rotation(self.held)
-            hold = self.position[self.held] + r @ (self.hold_offset - self.com[self.held])
-            error[:3] = self.position[1] - hold
-            rotation_vector(r, np.ascontiguousarray(self.hand_turn @ self.hold_relative), error[3:])
-        resolve(
-            self.position, self.twist, yielding, first[keep], second[keep],
-            end_1[keep], end_2[keep], frame[keep], distance[keep], np.full(keep.sum(), FRICTION),
-            self.held, hold, error, jac, inverse, servo.joints, servo.rates, servo.command,
-            servo.lower, servo.upper, servo.torque * dt if servo.powered else 0.0, dt,
+        """One time step of arm and objects."""
+        motors, s = self.motors, self._shapes
+        self._follow()
+        contacts = self._contacts()
+        self._touching = np.stack([contacts.first, contacts.second], -1)
+        jacobian, inverse = motors.jacobian(), motors.dynamics()
+        awake = wake(self._still, contacts.first, contacts.second, self._held)
+        accelerate(self._twist, awake, TIMESTEP)
+        self._twist[HAND] = jacobian @ motors.rates
+        concerned = awake[contacts.first] | awake[contacts.second]
+        drive = Drive(
+            jacobian, inverse, motors.joints, motors.command, LOWER, UPPER, motors.impulse
         )
-        move(self.position, self.quat, self.twist, awake, dt)
-        servo.joints = servo.joints + dt * servo.rates
-        self._put_hand(*forward(self.chain, servo.joints))
+        resolve(
+            self._position, self._twist, motors.rates,
+            yields(s.inverse_mass, s.inverse_inertia, self._rotation, awake),
+            Contacts(*(field[concerned] for field in contacts)), drive, self._hold(), TIMESTEP,
+        )  # fmt: skip
+        move(self._position, self._quaternion, self._twist, awake, self._still, TIMESTEP)
+        motors.joints = motors.joints + TIMESTEP * motors.rates
+        self._follow()
+        self._rotation = rotations(self._quaternion)
 
     def grip(self, cell: int) -> None:
-        self.held = int(self._body[cell]) + 2
-        self.hold_offset = self._offset[cell]
-        self.hold_relative = self.hand_turn.T @ self._rotation(self.held)
+        """Fix the object of a cell to the hand: the cell's centre to the tool point, axes kept."""
+        body = int(self._body[cell])
+        self._held = body
+        self._hold_offset = self._offset[cell] - self._shapes.centre[body]
+        self._hold_turn = self._rotation[HAND].T @ self._rotation[body]
 
-    def release(self, cell: int) -> None:
-        self.held = -1
+    def release(self) -> None:
+        """Let go."""
+        self._held = -1
 
-    def touched(self) -> set[int]:
-        first, second, *_ = self.contacts()
-        return {int(max(a, b)) - 2 for a, b in zip(first, second) if min(a, b) == 1}
+    def hand_touches(self, cells: np.ndarray) -> bool:
+        """Whether the hand touched the object of any of these cells in the last step."""
+        bodies = self._body[cells]
+        pairs = self._touching[(self._touching == HAND).any(1)]
+        return bool(np.isin(pairs, bodies).any())
 
-    def on_table(self, cell: int) -> bool:
-        first, second, *_ = self.contacts()
-        return any(min(a, b) == 0 and max(a, b) == self._body[cell] + 2 for a, b in zip(first, second))
-
-    def objects(self, cells: np.ndarray) -> set[int]:
-        return set(self._body[cells].tolist())
+    def table_touches(self, cell: int) -> bool:
+        """Whether the object of a cell touched the table in the last step."""
+        pairs = self._touching[(self._touching == 0).any(1)]
+        return bool((pairs == self._body[cell]).any())
 
     def centres(self) -> np.ndarray:
-        bodies = self._body + 2
-        where = self.position[bodies]
-        turned = np.empty(3)
-        for cell in self._several:
-            mujoco.mju_rotVecQuat(turned, self._offset[cell] - self.com[bodies[cell]], self.quat[bodies[cell]])
-            where[cell] += turned
-        return where
+        """float64[n, 3]: of all cells [m]."""
+        away = self._offset - self._shapes.centre[self._body]
+        return self._position[self._body] + np.einsum(
+            "nij,nj->ni", self._rotation[self._body], away
+        )
 
-    def _group(self, scene: Scene) -> None:
-        """Objects, sorted by shape so that few models are compiled."""
-        ids, first = np.unique(scene.object_id, return_index=True)
+    def yaws(self) -> np.ndarray:
+        """float64[n]: rotation of all cells about z [rad]."""
+        x, y = self._rotation[self._body, 0, 0], self._rotation[self._body, 1, 0]
+        return np.arctan2(y, x)
+
+    def _follow(self) -> None:
+        """The hand is where the joints take it."""
+        position, rotation = self.motors.tool()
+        self._position[HAND], self._rotation[HAND] = position, rotation
+        mujoco.mju_mat2Quat(self._quaternion[HAND], np.ascontiguousarray(rotation).ravel())
+
+    def _contacts(self) -> Contacts:
+        model, data, body = self._shapes.model, self._shapes.data, self._shapes.body
+        pose = data.qpos.reshape(-1, 7)
+        away = np.einsum("bij,bj->bi", self._rotation, self._shapes.centre)
+        pose[:, :3] = (self._position - away)[HAND:]
+        pose[:, 3:] = self._quaternion[HAND:]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        found = data.contact
+        shapes = found.geom.astype(np.int64)
+        distance = found.dist - SKIN * (body[shapes] == HAND).any(1)
+        near = np.flatnonzero(distance < BREAKING)
+        self._clock += 1
+        update(
+            self._manifolds, self._clock, shapes[near], body, found.pos[near],
+            found.frame[near, :3], distance[near], self._position, self._rotation,
+        )  # fmt: skip
+        return points(self._manifolds, body, self._position, self._rotation)
+
+    def _hold(self) -> Hold:
+        error, point = np.zeros(6), np.zeros(3)
+        if self._held >= 0:
+            rotation = self._rotation[self._held]
+            point = self._position[self._held] + rotation @ self._hold_offset
+            error[:3] = self._position[HAND] - point
+            rotation_vector(rotation, self._rotation[HAND] @ self._hold_turn, error[3:])
+        return Hold(self._held, point, error)
+
+    def _group(self, scene: Scene) -> tuple[tuple[Cells, ...], np.ndarray, np.ndarray]:
+        """Objects sorted by shape, so that few sets are compiled; origins and yaws."""
         groups = []
-        for head in sorted(first):
-            cells = np.flatnonzero(scene.object_id == scene.object_id[head])
-            own = turn(scene.yaw[head])
-            relative = (scene.position[cells] - scene.position[head]) @ own
-            relative = GRAIN * np.rint(relative / GRAIN)
-            shape = tuple(tuple(float(round(v, 6)) for v in row) for row in relative)
-            groups.append((shape, cells, relative, own))
+        for number in np.unique(scene.object_id):
+            cells = np.flatnonzero(scene.object_id == number)
+            axes = turn(scene.yaw[cells[0]])
+            offset = (scene.position[cells] - scene.position[cells[0]]) @ axes
+            offset = GRAIN * np.rint(offset / GRAIN)
+            origin = (scene.position[cells] - offset @ axes.T).mean(0)
+            # Rounded again so that equal shapes are equal tuples.
+            shape = tuple((float(x), float(y), float(z)) for x, y, z in offset.round(6) + 0.0)
+            groups.append((shape, cells, offset, origin, scene.yaw[cells[0]]))
         groups.sort(key=lambda group: (len(group[0]), group[0]))
         count = len(scene.position)
-        self._shape = tuple(group[0] for group in groups)
-        self._body = np.empty(count, np.int64)
-        self._offset = np.zeros((count, 3))
-        self._origin, self._yaw = np.empty((len(groups), 3)), np.empty(len(groups))
-        several = []
-        for number, (_, cells, relative, own) in enumerate(groups):
-            self._body[cells] = number
-            self._offset[cells] = relative
-            self._origin[number] = (scene.position[cells] - relative @ own.T).mean(0)
-            self._yaw[number] = scene.yaw[cells[0]]
-            if len(cells) > 1:
-                several += cells.tolist()
-        self._several = several
+        self._body, self._offset = np.empty(count, np.int64), np.empty((count, 3))
+        for number, (_, cells, offset, _, _) in enumerate(groups):
+            self._body[cells], self._offset[cells] = FIRST + number, offset
+        return (
+            tuple(group[0] for group in groups), np.array([group[3] for group in groups]),
+            np.array([group[4] for group in groups]),
+        )  # fmt: skip
 
 
-def _compile(parts: tuple[np.ndarray, ...], shapes: tuple[Cells, ...]) -> mujoco.MjModel:
-    spec = mujoco.MjSpec()
-    world = spec.worldbody
-    table = world.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
-    table.margin = BREAKING
-    hand = world.add_body(name="hand", pos=_FAR, mass=1, inertia=[1] * 3, explicitinertial=True)
-    hand.add_freejoint()
-    for number, vertices in enumerate(parts):
-        mesh = spec.add_mesh(name=f"part {number}", uservert=vertices.ravel())
-        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-        geom = hand.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, mass=0, contype=2, conaffinity=1
-        )
-        geom.margin = SKIN + BREAKING
-    for number, cells in enumerate(shapes):
-        body = world.add_body(name=f"object {number}")
-        body.add_freejoint()
-        for cell in cells:
-            _box(body, cell, (HALF, HALF, HALF))
-        centres = np.array(cells)
-        for a, b in fillers(centres, np.zeros(len(centres), np.int64)):
-            along_x = abs(centres[a] - centres[b])[0] > HALF
-            half = (GAP / 2, HALF, HALF) if along_x else (HALF, GAP / 2, HALF)
-            _box(body, tuple((centres[a] + centres[b]) / 2), half)
-    return spec.compile()
-
-
-def _box(body: mujoco.MjsBody, centre: tuple[float, ...], half: tuple[float, ...]) -> None:
-    geom = body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_BOX, pos=list(centre), size=list(half), mass=MASS
-    )
+def _shapes(model: mujoco.MjModel) -> _Shapes:
+    inverse_mass = np.zeros(model.nbody)
+    inverse_mass[FIRST:] = 1 / model.body_mass[FIRST:]
+    centre = model.body_ipos.copy()
+    centre[:FIRST] = 0
+    return _Shapes(
+        model, mujoco.MjData(model), model.geom_bodyid.astype(np.int64), centre, inverse_mass,
+        inverse_inertia(model),
+    )  # fmt: skip

@@ -11,6 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from learn2assemble.robot.impulses import Contacts
+
 POINTS = 4
 BREAKING = 0.866e-3
 """A point ends when its ends are farther apart, or have slid farther, than this [m]: 2 % of a
@@ -93,20 +95,20 @@ def _place_for(one, distance, count, point, depth):
 
 
 @njit(cache=True)
-def update(m, step, shape_1, shape_2, body, point, normal, distance, position, rotation):
+def update(m, step, shapes, body, point, normal, distance, position, rotation):
     """Bring the manifolds up to date with the contacts found in this step.
 
     Args:
         m: see :class:`Manifolds`.
         step: number of the step.
-        shape_1, shape_2: int64[c]; body: int64[g] of each shape.
+        shapes: int64[c, 2] that touch; body: int64[g] of each shape.
         point: float64[c, 3], halfway between the surfaces [m].
         normal: float64[c, 3] from first to second; distance: float64[c] [m].
         position: float64[b, 3] [m]; rotation: float64[b, 3, 3].
     """
     one, two, end = np.empty(3), np.empty(3), np.empty(3)
-    for c in range(len(shape_1)):
-        i, j = shape_1[c], shape_2[c]
+    for c in range(len(shapes)):
+        i, j = shapes[c, 0], shapes[c, 1]
         a, b = body[i], body[j]
         row = m.slot[i, j]
         if row < 0:
@@ -156,34 +158,31 @@ def update(m, step, shape_1, shape_2, body, point, normal, distance, position, r
 
 @njit(cache=True)
 def points(m, body, position, rotation):
-    """The contacts to resolve, the youngest pairs first.
-
-    Returns:
-        Bodies int64[c] and int64[c]; ends float64[c, 3] on either [m]; frames float64[c, 3, 3],
-        rows normal and two tangents; distances float64[c] [m].
-    """
+    """The contacts to resolve, the youngest pairs first, as :class:`~.impulses.Contacts`."""
     rows = np.flatnonzero(m.pair[:, 0] >= 0)
     rows = rows[np.argsort(-m.since[rows], kind="mergesort")]
     total = m.count[rows].sum()
-    first, second = np.empty(total, np.int64), np.empty(total, np.int64)
-    end_1, end_2 = np.empty((total, 3)), np.empty((total, 3))
-    frame, distance = np.empty((total, 3, 3)), np.empty(total)
+    out = Contacts(
+        np.empty(total, np.int64), np.empty(total, np.int64), np.empty((total, 3)),
+        np.empty((total, 3)), np.empty((total, 3, 3)), np.empty(total),
+    )  # fmt: skip
     c = 0
     for row in rows:
         a, b = body[m.pair[row, 0]], body[m.pair[row, 1]]
         for k in range(m.count[row]):
-            first[c], second[c] = a, b
-            end_1[c] = position[a] + rotation[a] @ m.one[row, k]
-            end_2[c] = position[b] + rotation[b] @ m.two[row, k]
-            n = m.normal[row, k]
-            frame[c, 0] = n
+            out.first[c], out.second[c] = a, b
+            out.end_1[c] = position[a] + rotation[a] @ m.one[row, k]
+            out.end_2[c] = position[b] + rotation[b] @ m.two[row, k]
+            out.distance[c] = m.distance[row, k]
+            n = out.frame[c, 0]
+            n[:] = m.normal[row, k]
+            # A tangent in the plane of the normal's two largest entries, or nearly so.
             if abs(n[2]) > 0.7:
                 size = np.sqrt(n[1] ** 2 + n[2] ** 2)
-                frame[c, 1, 0], frame[c, 1, 1], frame[c, 1, 2] = 0.0, -n[2] / size, n[1] / size
+                out.frame[c, 1] = 0.0, -n[2] / size, n[1] / size
             else:
                 size = np.sqrt(n[0] ** 2 + n[1] ** 2)
-                frame[c, 1, 0], frame[c, 1, 1], frame[c, 1, 2] = -n[1] / size, n[0] / size, 0.0
-            frame[c, 2] = np.cross(n, frame[c, 1])
-            distance[c] = m.distance[row, k]
+                out.frame[c, 1] = -n[1] / size, n[0] / size, 0.0
+            out.frame[c, 2] = np.cross(n, out.frame[c, 1])
             c += 1
-    return first, second, end_1, end_2, frame, distance
+    return out
