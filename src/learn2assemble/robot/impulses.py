@@ -154,7 +154,7 @@ def resolve(centre, twist, rates, yields, contacts, drive, hold, timestep):
         change = 0.0
         guided = 2 * n + (6 if held >= 0 else 0)
         for number in range(guided):
-            # Every other sweep goes backwards: stops, motors, hold.
+            # Motors, stops, hold, and every other time backwards.
             index = number if sweep % 2 else guided - 1 - number
             if index < 2 * n:
                 moved = _turn(index, drive, rates, twist[HAND], hand_turn, motor, stop, timestep)
@@ -216,6 +216,12 @@ def _turn(index, drive, rates, hand, hand_turn, motor, stop, timestep):
     i = index % n
     own = drive.inverse[i, i]
     if index < n:
+        wanted = MOTOR_SHARE * (drive.command[i] - drive.joints[i]) / timestep
+        new = motor[i] + (wanted - rates[i]) / own
+        new = min(max(new, -drive.impulse), drive.impulse)
+        extra = new - motor[i]
+        motor[i] = new
+    else:
         below, above = drive.lower[i] - drive.joints[i], drive.joints[i] - drive.upper[i]
         if below > 0:
             new = max(stop[i] + (STOP_SHARE * below / timestep - rates[i]) / own, 0.0)
@@ -225,12 +231,6 @@ def _turn(index, drive, rates, hand, hand_turn, motor, stop, timestep):
             return 0.0
         extra = new - stop[i]
         stop[i] = new
-    else:
-        wanted = MOTOR_SHARE * (drive.command[i] - drive.joints[i]) / timestep
-        new = motor[i] + (wanted - rates[i]) / own
-        new = min(max(new, -drive.impulse), drive.impulse)
-        extra = new - motor[i]
-        motor[i] = new
     _add(rates, extra, drive.inverse[i])
     # The mass matrix is symmetric, so a row of M^-1 J^T is what a joint does to the hand.
     _add(hand, extra, hand_turn[i])
