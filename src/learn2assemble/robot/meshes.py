@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-_CREASE = np.cos(np.radians(38.0))
+_CREASE = np.cos(np.radians(60.0))
 """Faces that meet at a larger angle do not share a normal."""
 _SAME = 1e-6
 """Corners nearer than this are one [m]."""

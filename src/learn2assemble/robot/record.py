@@ -102,6 +102,16 @@ class StepRecord:
     after: np.ndarray
     """The same when everything has come to rest."""
 
+    @property
+    def seconds(self) -> float:
+        """How long the arm takes for it [s]."""
+        return float(np.ptp(self.samples.time)) if len(self.samples.time) else 0.0
+
+    @property
+    def error(self) -> float:
+        """Distance of the grasped cell from where it should stand, at the end [m]."""
+        return float(np.linalg.norm(self.after[self.cells[0], :3] - self.target[:3]))
+
     def stage_at(self, time: float) -> str:
         """The stage at a time [s]; empty outside all of them."""
         for stage in reversed(self.stages):
