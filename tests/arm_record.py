@@ -196,11 +196,11 @@ class Recorder:
         self.move("lift", *pick[1:])
         self.move("transit", place[-1])
         if result == Outcome.DROPPED:
-            over = self.stages[-1]
+            over, after = self.stages[-1], np.array([-0.21, -0.08, EDGE / 2, 0.7])
             self.open_to("release", OPENING)
             self.move("home", home)
-            self.finish(plan_step, cell, target, result, (grip, (over.start + over.end) / 2),
-                        np.array([-0.21, -0.08, EDGE / 2, 0.7]), "lost on the way across")  # fmt: skip
+            held = (grip, (over.start + over.end) / 2)
+            self.finish(plan_step, cell, target, result, held, after, "lost on the way across")
             return
         self.move("place", *place[-2::-1])
         self.open_to("release", OPENING)

@@ -32,9 +32,11 @@ ALLOWED: dict[str, set[str]] = {
     "planning": _TASK | {"networks", "search"},
     "evaluation": _TASK | {"networks", "search", "learning", "planning"},
     "envs": _TASK,
-    "viewer": _WORLD,
+    "robot": _WORLD,
+    "viewer": _WORLD | {"robot"},
     "cli": _TASK
-    | {"networks", "search", "learning", "planning", "evaluation", "envs", "viewer", "__init__"},
+    | {"networks", "search", "learning", "planning", "evaluation", "envs", "viewer", "__init__"}
+    | {"robot"},
     "__main__": {"cli", "errors"},
     "__init__": {"envs"},
 }
@@ -163,7 +165,7 @@ def test_parts_that_know_few_libraries(part: str) -> None:
 @pytest.mark.parametrize(
     ("library", "parts"),
     [
-        ("mujoco", {"physics", "planning"}),
+        ("mujoco", {"physics", "planning", "robot"}),
         ("highspy", {"physics", "evaluation"}),
         ("gymnasium", {"envs", "evaluation"}),
         ("matplotlib", {"viewer"}),

@@ -73,7 +73,7 @@ def _times(record: BuildRecord) -> Iterator[str]:
     samples, number = record.joined()
     wanted = np.arange(len(samples.time)) / record.rate
     wrong = np.abs(samples.time - wanted) > 2 * GRAIN
-    for i in np.flatnonzero(wrong):
+    for i in np.flatnonzero(wrong).tolist():
         yield (
             f"step {number[i]}: sample {i} of the build is at {samples.time[i]:.6g} s, at "
             f"{record.rate:g} per second it should be at {wanted[i]:.6g} s"
@@ -94,7 +94,7 @@ def _limits(record: BuildRecord) -> Iterator[str]:
     arm, rate = record.arm, record.rate
     q, v = samples.joints, samples.velocity
     place = (q < arm.lower - GRAIN) | (q > arm.upper + GRAIN)
-    for i, j in np.argwhere(place):
+    for i, j in np.argwhere(place).tolist():
         yield (
             f"{_where(samples, number, i)}: {arm.joints[j]} is at {q[i, j]:.4f} rad, limits "
             f"{arm.lower[j]:.4f} to {arm.upper[j]:.4f}"
@@ -102,7 +102,7 @@ def _limits(record: BuildRecord) -> Iterator[str]:
     # Mean over a sample, too, which the commanded velocity at its ends does not show.
     mean = np.abs(np.diff(q, axis=0)) * rate
     fast = np.maximum(np.abs(v), np.vstack([np.zeros((min(len(v), 1), v.shape[1])), mean]))
-    for i, j in np.argwhere(fast > arm.velocity + GRAIN * (1 + 2 * rate)):
+    for i, j in np.argwhere(fast > arm.velocity + GRAIN * (1 + 2 * rate)).tolist():
         yield (
             f"{_where(samples, number, i)}: {arm.joints[j]} moves at {fast[i, j]:.4f} rad/s, "
             f"limit {arm.velocity[j]:.4f}"
@@ -110,13 +110,13 @@ def _limits(record: BuildRecord) -> Iterator[str]:
     if len(v):
         rest = np.zeros((1, v.shape[1]))  # before the first sample and after the last
         change = np.abs(np.diff(np.vstack([rest, v, rest]), axis=0)) * rate
-        for i, j in np.argwhere(change > arm.acceleration + 2 * GRAIN * rate):
+        for i, j in np.argwhere(change > arm.acceleration + 2 * GRAIN * rate).tolist():
             yield (
                 f"{_where(samples, number, min(i, len(v) - 1))}: {arm.joints[j]} accelerates at "
                 f"{change[i, j]:.4f} rad/s^2, limit {arm.acceleration[j]:.4f}"
             )
     wide = (samples.width < -GRAIN) | (samples.width > arm.max_width + GRAIN)
-    for i in np.flatnonzero(wide):
+    for i in np.flatnonzero(wide).tolist():
         yield (
             f"{_where(samples, number, i)}: the gripper is open {1000 * samples.width[i]:.3f} mm, "
             f"limits 0 to {1000 * arm.max_width:g}"
@@ -131,12 +131,12 @@ def _motion(record: BuildRecord) -> Iterator[str]:
     q, v = samples.joints, samples.velocity
     gap = np.abs(np.diff(q, axis=0) - period * (v[1:] + v[:-1]) / 2)
     slack = arm.acceleration * period**2 / 4 + GRAIN * (1 + period)
-    for i, j in np.argwhere(gap > slack):
+    for i, j in np.argwhere(gap > slack).tolist():
         yield (
             f"{_where(samples, number, i + 1)}: {arm.joints[j]} jumps by {gap[i, j]:.4f} rad "
             "against its velocity"
         )
-    for i in np.flatnonzero(np.abs(np.diff(samples.width)) > WIDTH_SPEED * period + GRAIN):
+    for i in np.flatnonzero(np.abs(np.diff(samples.width)) > WIDTH_SPEED * period + GRAIN).tolist():
         yield (
             f"{_where(samples, number, i + 1)}: the gripper jumps by "
             f"{1000 * abs(samples.width[i + 1] - samples.width[i]):.1f} mm"

@@ -38,7 +38,7 @@ def arm_values(plan: Mapping[str, Any], playback: Playback) -> dict[str, str]:
         ),
         "doing": (
             '<p class="doing" id="doing"><span id="doing-words">The build is over.</span>'
-            '<span class="chip" id="outcome" hidden></span></p>'
+            '<span class="chip good" id="outcome">end</span></p>'
         ),
         "legend": (
             '<li><i class="waiting"></i>waiting block</li>'

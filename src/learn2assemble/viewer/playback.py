@@ -15,6 +15,7 @@ import numpy as np
 
 from learn2assemble.errors import InputError
 from learn2assemble.robot.arm import Arm, get_arm
+from learn2assemble.robot.outcome import Outcome
 from learn2assemble.robot.record import BuildRecord, StepRecord
 from learn2assemble.robot.shape import Shape, arm_shape
 from learn2assemble.viewer.turns import blend, product, quaternion_of
@@ -203,6 +204,11 @@ def _fits(record: BuildRecord, plan: Mapping[str, Any], arm: Arm) -> None:
         if step.plan_step is not None and not 1 <= step.plan_step <= last:
             what = f"trajectory.steps[{step.number - 1}].plan_step"
             raise InputError(what, step.plan_step, f"1 to {last}, the steps of the plan")
+        if step.plan_step is not None and step.outcome == Outcome.REACHED:
+            block = plan["steps"][step.plan_step - 1]["block"]
+            if block not in step.cells:
+                what = f"trajectory.steps[{step.number - 1}].cells"
+                raise InputError(what, step.cells, f"block {block}, as in the plan")
 
 
 def poses(cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

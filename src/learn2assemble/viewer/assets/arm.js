@@ -33,7 +33,7 @@ function armClock(data) {
       const count = `${minutes(t)} / ${minutes(duration)}`;
       if (t <= 0) {
         return { step: 0, current: -1, segment: -1, count, caption: data.arm.start,
-          doing: "The arm waits.", outcome: "", good: true, text: `${minutes(0)}, start` };
+          doing: "The arm waits.", outcome: "start", good: true, text: `${minutes(0)}, start` };
       }
       const counts = segment.reached && segment.step !== null;
       const stage = segment.stages.find(([from, to]) => t >= from - 1e-6 && t <= to + 1e-6);

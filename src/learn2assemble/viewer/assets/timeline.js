@@ -90,7 +90,6 @@
     const chip = find("outcome");
     chip.textContent = outcome;
     chip.className = `chip ${good ? "good" : "bad"}`;
-    chip.hidden = !outcome;
   }
 
   function goTo(now) {
