@@ -15,14 +15,8 @@ from learn2assemble.robot.grasps import get_grasps
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.motion import OPENING
 from learn2assemble.robot.outcome import Outcome
-from learn2assemble.robot.record import (
-    RATE,
-    BuildRecord,
-    Samples,
-    Stage,
-    StepRecord,
-    arm_facts,
-)
+from learn2assemble.robot.record import RATE, BuildRecord, Stage
+from learn2assemble.robot.recording import Recording
 from learn2assemble.robot.scene import Move, Scene
 from learn2assemble.world.layouts import sobol
 
@@ -87,24 +81,26 @@ def arm_plan(count: int = 20) -> dict[str, Any]:
 
 
 class Recorder:
-    """Appends motions to a record, sample by sample."""
+    """Appends motions to a recording, sample by sample."""
 
     def __init__(self, arm: Arm, plan: dict[str, Any]) -> None:
         self.arm, self.cell = arm, KinematicCell(arm, 40)
         places = np.array(plan["blocks"]["waiting"], float)
-        self.poses = np.column_stack([places, np.zeros(len(places))])
-        self.count, self.steps = 0, []  # samples, steps
         self.joints, self.width = arm.home.copy(), OPENING
-        self._begin()
+        self.recording = Recording(
+            arm, self.joints, self.width, np.column_stack([places, np.zeros(len(places))]),
+            [[k] for k in range(len(places))], "a kinematic sketch for tests",
+        )  # fmt: skip
+        self.rows, self.stages = [], []
 
-    def _begin(self) -> None:
-        first = [] if self.count else [(self.joints, np.zeros_like(self.joints), self.width)]
-        self.rows, self.stages = first, []
-        self.count += len(first)
+    @property
+    def poses(self) -> np.ndarray:
+        return self.recording.poses
 
     @property
     def now(self) -> float:
-        return max(self.count - 1, 0) / RATE
+        """Since the step began [s]."""
+        return len(self.rows) / RATE
 
     def move(self, stage: str, *joints: np.ndarray) -> None:
         """Through joint positions to the last one, from rest to rest."""
@@ -113,56 +109,44 @@ class Recorder:
         knots = np.concatenate([[0.0], np.cumsum(pace.max(1) + 1e-3)])
         curve, length = PchipInterpolator(knots, path), knots[-1]
         u = np.linspace(0, 1, 400)
-        s, ds, dds = u**3 * (10 + u * (6 * u - 15)), 30 * (u * (1 - u)) ** 2, 60 * u * (
-            1 + u * (2 * u - 3))  # fmt: skip
-        slope, bend = curve(s * length, 1) * length, curve(s * length, 2) * length**2
-        fast = np.abs(slope * ds[:, None]) / self.arm.velocity
-        push = np.abs(slope * dds[:, None] + bend * ds[:, None] ** 2) / self.arm.acceleration
-        seconds = 1.7 * max(fast.max(), math.sqrt(push.max()))
-        n = math.ceil(seconds * RATE)
+        rise, push = 30 * (u * (1 - u)) ** 2, 60 * u * (1 + u * (2 * u - 3))
+        at = u**3 * (10 + u * (6 * u - 15)) * length
+        slope, bend = curve(at, 1) * length, curve(at, 2) * length**2
+        fast = np.abs(slope * rise[:, None]) / self.arm.velocity
+        hard = np.abs(slope * push[:, None] + bend * rise[:, None] ** 2) / self.arm.acceleration
+        n = math.ceil(1.7 * max(fast.max(), math.sqrt(hard.max())) * RATE)
         start = self.now
-        for k in range(1, n + 1):
-            w = k / n
-            at = w**3 * (10 + w * (6 * w - 15)) * length
-            rate = 30 * (w * (1 - w)) ** 2 * length * RATE / n
-            self._sample(curve(at), curve(at, 1) * rate, self.width)
+        for u in np.arange(1, n + 1) / n:
+            at = u**3 * (10 + u * (6 * u - 15)) * length
+            rate = 30 * (u * (1 - u)) ** 2 * length * RATE / n
+            self.rows.append((curve(at), curve(at, 1) * rate, self.width))
         self.joints = path[-1]
         self.stages.append(Stage(stage, start, self.now))
 
     def open_to(self, stage: str, width: float) -> None:
         """The fingers at 0.1 m/s, then a moment of rest."""
-        start, still = self.now, np.zeros_like(self.joints)
-        n = math.ceil(abs(width - self.width) / 0.1 * RATE) + 10
-        before = self.width
-        for k in range(1, n + 1):
-            self.width = before + (width - before) * min(k / (n - 10), 1)
-            self._sample(self.joints, still, self.width)
+        start, before = self.now, self.width
+        n = math.ceil(abs(width - before) / 0.1 * RATE)
+        for k in range(1, n + 11):
+            self.width = before + (width - before) * min(k / n, 1)
+            self.rows.append((self.joints, np.zeros_like(self.joints), self.width))
         self.stages.append(Stage(stage, start, self.now))
-
-    def _sample(self, joints: np.ndarray, velocity: np.ndarray, width: float) -> None:
-        self.rows.append((joints, velocity, width))
-        self.count += 1
 
     def finish(
         self, plan_step: int | None, cell: int, target: np.ndarray, outcome: Outcome,
         held: tuple[float | None, float | None], after: np.ndarray, detail: str = "",
     ) -> None:  # fmt: skip
-        n, rows = len(self.arm.joints), self.rows
-        time = (np.arange(len(rows)) + self.count - len(rows)) / RATE
-        samples = Samples(
-            time, np.array([r[0] for r in rows]).reshape(-1, n),
-            np.array([r[1] for r in rows]).reshape(-1, n), np.array([r[2] for r in rows]),
-        )  # fmt: skip
         poses = self.poses.copy()
         poses[cell] = after
-        self.steps.append(
-            StepRecord(
-                len(self.steps) + 1, plan_step, (cell,), target, outcome, detail,
-                outcome != Outcome.REACHED, tuple(self.stages), *held, samples, self.poses, poses,
-            )
+        joints, velocity, width = zip(*self.rows, strict=True) if self.rows else (None,) * 3
+        self.recording.add(
+            plan_step=plan_step, cells=[cell], target=target, outcome=outcome, detail=detail,
+            joints=joints, velocity=velocity, width=width, stages=self.stages, grip=held[0],
+            release=held[1], after=poses,
         )  # fmt: skip
-        self.poses = poses
-        self._begin()
+        if outcome != Outcome.REACHED:
+            self.recording.replanned()
+        self.rows, self.stages = [], []
 
     def attempt(self, plan_step: int, cell: int, goal: np.ndarray, result: Outcome) -> None:
         """One step; ``result`` is made up, all else follows the kinematic cell."""
@@ -212,18 +196,11 @@ class Recorder:
 
     def _scene(self, cell: int) -> tuple[Scene, int]:
         """The cells as a scene, the placed ones first, and the row of ``cell``."""
-        placed = [0, *(s.cells[0] for s in self.steps if s.outcome == Outcome.REACHED)]
+        placed = [0, *(s.cells[0] for s in self.recording.steps if s.outcome == Outcome.REACHED)]
         order = placed + [k for k in range(len(self.poses)) if k not in placed]
         poses = self.poses[order]
         ids = np.arange(len(order))
         return Scene(poses[:, :3].copy(), poses[:, 3].copy(), ids, len(placed)), order.index(cell)
-
-    def record(self) -> BuildRecord:
-        objects = tuple((k,) for k in range(len(self.poses)))
-        return BuildRecord(
-            arm_facts(self.arm), RATE, EDGE, objects, "a kinematic sketch for tests",
-            tuple(self.steps),
-        )  # fmt: skip
 
 
 @lru_cache(maxsize=8)
@@ -237,4 +214,4 @@ def arm_record(name: str = "panda", count: int = 20, failures: bool = True) -> B
         if failures and step["step"] in trouble:
             recorder.attempt(step["step"], step["block"], goal, trouble[step["step"]])
         recorder.attempt(step["step"], step["block"], goal, Outcome.REACHED)
-    return recorder.record()
+    return recorder.recording.record()

@@ -19,7 +19,7 @@ def write_arm_files(
     folder: Path,
     progress: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Path]:
-    """Write ``trajectory.json``, ``trajectory.csv`` and ``build.mp4``; what each file holds.
+    """Write ``trajectory.json``, ``trajectory.csv`` and ``build.mp4``; which file is what.
 
     The trajectory is written before it is checked, so that a faulty one can be looked at.
 
@@ -30,11 +30,12 @@ def write_arm_files(
     files = {
         "trajectory": folder / "trajectory.json",
         "trajectory table": folder / "trajectory.csv",
-        "video": folder / "build.mp4",
     }
     write_record(record, files["trajectory"])
     write_csv(record, files["trajectory table"])
     require_sound(record)
-    progress("drawing the video")
-    write_video(plan, record, files["video"])
+    if record.steps:
+        files["video"] = folder / "build.mp4"
+        progress("drawing the video")
+        write_video(plan, record, files["video"])
     return files

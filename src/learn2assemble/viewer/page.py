@@ -54,7 +54,8 @@ def render_page(plan: Mapping[str, Any], record: BuildRecord | None = None) -> s
     """The HTML text of the report."""
     scene = read_scene(plan)
     try:
-        return _render(plan, scene, None if record is None else Playback(record, plan))
+        moved = record is not None and record.steps
+        return _render(plan, scene, Playback(record, plan) if moved else None)
     except KeyError as error:
         raise InputError("plan", f"no field {error}", "every field of its format") from None
 

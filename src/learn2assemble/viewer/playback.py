@@ -16,7 +16,7 @@ import numpy as np
 from learn2assemble.errors import InputError
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.outcome import Outcome
-from learn2assemble.robot.record import BuildRecord, StepRecord
+from learn2assemble.robot.record import BuildRecord, Samples, StepRecord
 from learn2assemble.robot.shape import Shape, arm_shape
 from learn2assemble.viewer.turns import blend, product, quaternion_of
 
@@ -77,9 +77,7 @@ class Playback:
         _fits(record, plan, arm)
         self.record = record
         self.shape: Shape = arm_shape(arm)
-        self.samples, _ = record.joined()
-        if not len(self.samples.time):
-            raise InputError("trajectory", "no samples", "at least one, where the arm stands")
+        self.samples = _samples(record, arm)
         self.segments = tuple(self._segments())
 
     @property
@@ -174,6 +172,15 @@ class Playback:
             end = min(start + takes, segment.end)
             found.append(Glide(cell, grip, release, offset, turn, start, end, where, turned, falls))
         return found
+
+
+def _samples(record: BuildRecord, arm: Arm) -> Samples:
+    """Of the whole build; an arm that never moves stands at home."""
+    samples, _ = record.joined()
+    if len(samples.time):
+        return samples
+    home = arm.home[None]
+    return Samples(np.zeros(1), home, np.zeros_like(home), np.array([arm.gripper.max_width]))
 
 
 def _moment(segment: Segment) -> float:
