@@ -56,7 +56,7 @@ def project_light(world, axes, low, size, screen):
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def span(low, high, limit):
+def _span(low, high, limit):
     """First and last sample whose centre lies between ``low`` and ``high``."""
     return max(int(np.ceil(low - 0.5)), 0), min(int(np.floor(high - 0.5)), limit - 1)
 
@@ -92,8 +92,8 @@ def fill(screen, faces, body, shown, depth, seen):
         area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
         if area > -1e-6 or az <= 0 or bz <= 0 or cz <= 0:
             continue
-        x0, x1 = span(min(ax, bx, cx), max(ax, bx, cx), width)
-        y0, y1 = span(min(ay, by, cy), max(ay, by, cy), height)
+        x0, x1 = _span(min(ax, bx, cx), max(ax, bx, cx), width)
+        y0, y1 = _span(min(ay, by, cy), max(ay, by, cy), height)
         over = np.float32(1.0 / area)
         u_step, v_step = (by - cy) * over, (cy - ay) * over
         px = np.float32(x0 + 0.5)
@@ -134,8 +134,8 @@ def fill_shadow(screen, faces, kind, body, shown, height_of):
         area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
         if area < 1e-6:
             continue
-        x0, x1 = span(min(ax, bx, cx), max(ax, bx, cx), size)
-        y0, y1 = span(min(ay, by, cy), max(ay, by, cy), size)
+        x0, x1 = _span(min(ax, bx, cx), max(ax, bx, cx), size)
+        y0, y1 = _span(min(ay, by, cy), max(ay, by, cy), size)
         over = np.float32(1.0 / area)
         u_step, v_step = (by - cy) * over, (cy - ay) * over
         px = np.float32(x0 + 0.5)
@@ -173,22 +173,22 @@ def blend_film(corners, colour, share, depth, image):
     if abs(area) < 1e-6:
         return
     over = 1.0 / area
-    x0, x1 = span(min(a[0], b[0], c[0]), max(a[0], b[0], c[0]), depth.shape[1])
-    y0, y1 = span(min(a[1], b[1], c[1]), max(a[1], b[1], c[1]), depth.shape[0])
-    part = share / (SAMPLES * SAMPLES)
-    u_step, v_step = (b[1] - c[1]) * over, (c[1] - a[1]) * over
-    for y in range(y0, y1 + 1):
-        px, py = np.float32(x0 + 0.5), np.float32(y + 0.5)
-        u = ((c[0] - b[0]) * (py - b[1]) - (c[1] - b[1]) * (px - b[0])) * over
-        v = ((a[0] - c[0]) * (py - c[1]) - (a[1] - c[1]) * (px - c[0])) * over
-        first, last = _inner(u, v, u_step, v_step, x1 - x0 + 1)
-        for x in range(x0 + first, x0 + last + 1):
-            su, sv = u + (x - x0) * u_step, v + (x - x0) * v_step
-            sw = 1.0 - su - sv
-            near = su * a[2] + sv * b[2] + sw * c[2]
-            if su >= 0 and sv >= 0 and sw >= 0 and near > depth[y, x]:
-                pixel = image[y // SAMPLES, x // SAMPLES]
-                for channel in range(3):
-                    pixel[channel] = np.uint8(
-                        pixel[channel] + part * (colour[channel] - pixel[channel]) + 0.5
-                    )
+    height, width = image.shape[:2]
+    x0, x1 = _span(min(a[0], b[0], c[0]), max(a[0], b[0], c[0]), depth.shape[1])
+    y0, y1 = _span(min(a[1], b[1], c[1]), max(a[1], b[1], c[1]), depth.shape[0])
+    for y in range(y0 // SAMPLES, min(y1 // SAMPLES + 1, height)):
+        for x in range(x0 // SAMPLES, min(x1 // SAMPLES + 1, width)):
+            hits = 0
+            for n in range(SAMPLES * SAMPLES):
+                i, j = SAMPLES * x + n % SAMPLES, SAMPLES * y + n // SAMPLES
+                px, py = i + 0.5, j + 0.5
+                u = ((c[0] - b[0]) * (py - b[1]) - (c[1] - b[1]) * (px - b[0])) * over
+                v = ((a[0] - c[0]) * (py - c[1]) - (a[1] - c[1]) * (px - c[0])) * over
+                w = 1.0 - u - v
+                near = u * a[2] + v * b[2] + w * c[2]
+                if u >= 0 and v >= 0 and w >= 0 and near > depth[j, i]:
+                    hits += 1
+            part = share * hits / (SAMPLES * SAMPLES)
+            for channel in range(3):
+                old = image[y, x, channel]
+                image[y, x, channel] = np.uint8(old + part * (colour[channel] - old) + 0.5)

@@ -66,19 +66,18 @@ def write_video(
     note = "" if speed == 1 else f", shown {speed:g} times as fast"
     film = Film(plan, record, width, height, note)
     clocks = moments(film.playback.duration, speed)
+    try:
+        path.write_bytes(b"")  # before the work, not after it
+    except OSError as error:
+        raise InputError("video", str(path), f"a writable file ({error.strerror})") from None
     # One thread: how many there are would change the bytes.
     options = {"crf": "20", "preset": "veryfast", "threads": "1"}
-    try:
-        with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as file:
-            stream = file.add_stream("libx264", rate=FRAMES_PER_SECOND, options=options)
-            stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
-            for picture in _pictures(film, clocks, progress):
-                frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
-                file.mux(stream.encode(frame))
-            file.mux(stream.encode())
-    except OSError as error:
-        reason = error.strerror or "cannot be opened"
-        raise InputError("video", str(path), f"a writable file ({reason})") from None
+    with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as file:
+        stream = file.add_stream("libx264", rate=FRAMES_PER_SECOND, options=options)
+        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+        for picture in _pictures(film, clocks, progress):
+            file.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        file.mux(stream.encode())
 
 
 def moments(duration: float, speed: float) -> np.ndarray:
