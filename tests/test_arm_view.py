@@ -315,7 +315,7 @@ def test_the_page_tells_the_outcome_of_every_step(record: BuildRecord) -> None:
         assert f">{step.outcome.label}</td>" in text
         assert arm_words.sentence(step.detail) in text
     assert text.count('class="tag">planned anew') == 3
-    assert "5 of 8 steps reached" in text
+    assert "5 of 8 attempts reached" in text
     assert len(re.findall(r'<rect class="failed"', text)) == 3
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -13,9 +15,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arm_record import arm_plan, arm_record
+from learn2assemble.cli import view
 from learn2assemble.cli.arm_files import write_arm_files
 from learn2assemble.errors import InputError, MissingExtraError
 from learn2assemble.robot.meshes import box
+from learn2assemble.robot.record_files import write_record
 from learn2assemble.viewer.film import Film, ears
 from learn2assemble.viewer.lettering import fill_box, lettering, number_picture, rgb, write
 from learn2assemble.viewer.raster import GROUND, LIT, SAMPLES, blend_film, fill
@@ -280,3 +284,16 @@ def test_the_files_of_a_build_and_an_unsound_one(
     assert set(write_arm_files(plan, replace(record, steps=()), tmp_path)) == {
         "trajectory", "trajectory table",
     }  # fmt: skip
+
+
+def test_view_shows_the_arm_of_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("learn2assemble.cli.view.serve", lambda *_: "")
+    options = argparse.Namespace(plan=tmp_path, json=False, port=0, no_browser=True)
+    (tmp_path / "plan.json").write_text(json.dumps(arm_plan(COUNT)))
+    page = tmp_path / "view.html"
+    view.run(options)
+    assert '<body class="movable">' in page.read_text(encoding="utf-8")
+    page.unlink()
+    write_record(arm_record("panda", COUNT), tmp_path / "trajectory.json")
+    view.run(options)
+    assert '<body class="movable with-arm">' in page.read_text(encoding="utf-8")

@@ -26,7 +26,7 @@ def arm_values(plan: Mapping[str, Any], playback: Playback) -> dict[str, str]:
     end = f"{playback.duration:.2f}"
     return {
         "body": "movable with-arm",
-        "near_view": '<button type="button" id="near-view">Without the arm</button>',
+        "near_view": '<button type="button" id="near-view">Near view</button>',
         "ribbon": ribbon(playback),
         "slider_last": end,
         "slider_step": "any",

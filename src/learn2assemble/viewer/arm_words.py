@@ -76,7 +76,9 @@ def clock_words(seconds: float) -> str:
 
 
 def arm_summary(record: BuildRecord) -> str:
-    """Outcomes in short, e.g. ``"20 of 22 steps reached, 2:43 of robot time"``."""
+    """Outcomes in short, e.g. ``"20 of 22 attempts reached in 2:43 of robot time"``."""
     reached = sum(step.outcome == Outcome.REACHED for step in record.steps)
     spent = record.spans()[-1][1] if record.steps else 0.0
-    return f"{reached} of {len(record.steps)} steps reached in {clock_words(spent)} of robot time"
+    return (
+        f"{reached} of {len(record.steps)} attempts reached in {clock_words(spent)} of robot time"
+    )

@@ -54,8 +54,8 @@ def render_page(plan: Mapping[str, Any], record: BuildRecord | None = None) -> s
     """The HTML text of the report."""
     scene = read_scene(plan)
     try:
-        moved = record is not None and record.steps
-        return _render(plan, scene, Playback(record, plan) if moved else None)
+        playback = Playback(record, plan) if record is not None and record.steps else None
+        return _render(plan, scene, playback)
     except KeyError as error:
         raise InputError("plan", f"no field {error}", "every field of its format") from None
 

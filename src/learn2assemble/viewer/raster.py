@@ -104,8 +104,8 @@ def fill(screen, faces, body, shown, depth, seen):
             first, last = 0, x1 - x0
             if last > _WIDE:
                 first, last = _inner(u, v, u_step, v_step, last + 1)
-                u += first * u_step
-                v += first * v_step
+                u += np.float32(first) * u_step
+                v += np.float32(first) * v_step
             for x in range(x0 + first, x0 + last + 1):
                 w = np.float32(1.0) - u - v
                 if u >= 0 and v >= 0 and w >= 0:
@@ -146,8 +146,8 @@ def fill_shadow(screen, faces, kind, body, shown, height_of):
             first, last = 0, x1 - x0
             if last > _WIDE:
                 first, last = _inner(u, v, u_step, v_step, last + 1)
-                u += first * u_step
-                v += first * v_step
+                u += np.float32(first) * u_step
+                v += np.float32(first) * v_step
             for x in range(x0 + first, x0 + last + 1):
                 w = np.float32(1.0) - u - v
                 if u >= 0 and v >= 0 and w >= 0:
