@@ -34,9 +34,11 @@ ALLOWED: dict[str, set[str]] = {
     "planning": _TASK | {"networks", "search"},
     "evaluation": _TASK | {"networks", "search", "learning", "planning"},
     "envs": _TASK,
-    "viewer": _WORLD,
+    "robot": _WORLD,
+    "viewer": _WORLD | {"robot"},
     "cli": _TASK
-    | {"networks", "search", "learning", "planning", "evaluation", "envs", "viewer", "__init__"},
+    | {"networks", "search", "learning", "planning", "evaluation", "envs", "viewer", "__init__"}
+    | {"robot"},
     "__main__": {"cli", "errors"},
     "__init__": {"envs"},
 }
