@@ -1,1 +1,1 @@
-"""The robot: arm models, inverse kinematics, grasps, and three fidelities of pick and place."""
+"""The robot cell: arms, their kinematics, and what picking and placing a block comes to."""

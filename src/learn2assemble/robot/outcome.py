@@ -1,4 +1,4 @@
-"""What can become of a pick and place."""
+"""What an attempt of the arm comes to, the same for every cell (kinematic, dynamic, published)."""
 
 from __future__ import annotations
 
@@ -6,20 +6,26 @@ from enum import IntEnum
 
 
 class Outcome(IntEnum):
-    """Typed outcome, the same at every fidelity of the arm. Only REACHED is a success."""
+    """Result of one pick and place; stored as int8. Everything but ``REACHED`` is a failure."""
 
     REACHED = 0
+    """The block stands where it should and nothing else moved."""
     UNREACHABLE = 1
-    """A pose of the hand is out of reach, or no free path leads to it."""
+    """No joint configuration for a pose on the way (:class:`~.inverse.IKFailure` says why)."""
     GRASP_COLLISION = 2
-    """Hand, arm or held object would touch something while picking up."""
+    """Something is touched while approaching, grasping or lifting."""
     PLACE_COLLISION = 3
-    """The same while placing, releasing or retreating; also an occupied cell."""
+    """Something is touched by arm or held object on the way, while placing or retreating."""
     GRASP_LOST = 4
-    """The object slipped out of the fingers before it was placed."""
+    """The fingers closed on nothing, or the block slipped out before it was lifted."""
     DISTURBED_STRUCTURE = 5
-    """An earlier block was moved too far."""
+    """A block that was there before has moved."""
     UNSTABLE = 6
-    """The object does not stand where it was put."""
+    """The placed object did not stay where it was released."""
     DROPPED = 7
-    """The object fell elsewhere."""
+    """The block left the hand between lifting and release."""
+
+    @property
+    def label(self) -> str:
+        """The name as it is shown, e.g. ``"grasp-collision"``."""
+        return self.name.lower().replace("_", "-")
