@@ -86,6 +86,20 @@ class Arm:
     tool: str
     """Site of the tool: z out of the hand (down when grasping), y the closing direction."""
     gripper: Gripper
+    branches: dict[str, tuple[np.ndarray, np.ndarray]]
+    """Parts of the joint range [rad] in which the arm keeps its shape (elbow up, wrist not turned
+    over), the preferred one first; empty where the arm has no such choice."""
+
+    def limits(self, branch: str | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper joint limits [rad] of a branch, by default the preferred one.
+
+        Raises:
+            UnknownNameError: naming the nearest one; ``"any"`` is the whole range.
+        """
+        whole = (self.lower, self.upper)
+        if branch is None:
+            return next(iter(self.branches.values()), whole)
+        return look_up(f"branch of arm {self.name}", branch, {**self.branches, "any": whole})
 
     def inside_limits(self, joints: np.ndarray, tolerance: float = 1e-9) -> np.ndarray:
         """bool[...]: whether joints [rad], float64[..., n], respect the limits."""
@@ -136,6 +150,10 @@ def load_arm(path: Path) -> Arm:
         base_position=position, base_yaw=yaw,
         tool=_named(model, "site", _value(data, "tool", where), where),
         gripper=_gripper(gripper, model, where),
+        branches={
+            label: _branch(ranges, joints, limits, f"{where}, branches.{label}")
+            for label, ranges in data.get("branches", {}).items()
+        },
     )  # fmt: skip
     if not arm.inside_limits(arm.home):
         raise InputError(f"{where}, home", arm.home.tolist(), "joints within their limits")
@@ -158,6 +176,20 @@ def _gripper(data: dict[str, Any], model: mujoco.MjModel, where: str) -> Gripper
         force=float(_value(data, "force", where)), speed=float(_value(data, "speed", where)),
         stiffness=per_command * abs(float(opened - closed)) / width,
     )  # fmt: skip
+
+
+def _branch(
+    ranges: dict[str, Any], joints: tuple[str, ...], limits: np.ndarray, where: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """The limits, narrowed where the branch says so."""
+    narrowed = limits.copy()
+    for name in ranges:
+        k = look_up(f"{where}, joint", name, {joint: k for k, joint in enumerate(joints)})
+        low, high = _numbers(ranges, name, 2, where)
+        narrowed[k] = max(low, limits[k, 0]), min(high, limits[k, 1])
+        if narrowed[k, 0] >= narrowed[k, 1]:
+            raise InputError(f"{where}, {name}", ranges[name], "a range within the joint's limits")
+    return _frozen(narrowed[:, 0]), _frozen(narrowed[:, 1])
 
 
 def _value(data: dict[str, Any], key: str, where: str) -> Any:
