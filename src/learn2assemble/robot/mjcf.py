@@ -36,6 +36,8 @@ PLAN_MARGIN = 0.005
 TABLE, ARM, PAD = -1, -2, -3
 """Kinds of geoms in :attr:`World.kind` that belong to no object."""
 
+_ARM_BIT, _THING_BIT, _HELD_BIT = 1, 2, 4
+
 Box = tuple[tuple[float, ...], tuple[float, ...], float]
 """Centre and half extents in the object's frame [m], mass [kg]."""
 
@@ -111,7 +113,7 @@ class World(NamedTuple):
     spec: mujoco.MjSpec
     model: mujoco.MjModel
     plan: mujoco.MjModel
-    """The same with a margin around the arm, to plan ways with."""
+    """The same to plan ways with: a margin around the arm, and objects do not meet each other."""
     joint: np.ndarray
     """int64[n]: addresses of the arm's joints in qpos and qvel (the arm comes first)."""
     finger: np.ndarray
@@ -160,9 +162,27 @@ def compile_world(arm: Arm, shape: tuple[tuple[Box, ...], ...], friction: float)
             )
             _set_contact(box, friction)
     plan = spec.compile()
+    plan.opt.enableflags = 0
     for part in arm_parts:
         part.margin = 0.0
-    return _world(arm, spec, spec.compile(), plan, len(shape))
+    world = _world(arm, spec, spec.compile(), plan, len(shape))
+    arm_bits, thing_bits = (_ARM_BIT, _ARM_BIT | _THING_BIT), (_THING_BIT, _ARM_BIT | _HELD_BIT)
+    for geom, kind in enumerate(world.kind):
+        bits = thing_bits if kind >= TABLE else arm_bits
+        if plan.geom_contype[geom] or plan.geom_conaffinity[geom]:
+            plan.geom_contype[geom], plan.geom_conaffinity[geom] = bits
+    return world
+
+
+def set_held(world: World, held: int | None) -> None:
+    """In the model for planning, one object is in the hand: it and the arm do not meet, but it
+    and all other things do."""
+    model, kind = world.plan, world.kind
+    model.geom_contype[kind >= 0], model.geom_conaffinity[kind >= 0] = (
+        _THING_BIT, _ARM_BIT | _HELD_BIT
+    )  # fmt: skip
+    if held is not None:
+        model.geom_contype[kind == held], model.geom_conaffinity[kind == held] = _HELD_BIT, 0
 
 
 def _world(
