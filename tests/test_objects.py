@@ -495,7 +495,7 @@ def test_the_survey_is_the_verdict_of_every_step(task: Task) -> None:
         before = state.copy()
         if sim.step(state, rng.choice(good)[None]).terminated[0]:
             state.put(np.array([0]), before)
-    found = survey_objects(state, task.rotations)
+    found = survey_objects(state, task.ways)
     waiting, placed = int(state.num_unplaced[0]), int(state.num_placed[0])
     assert (found[0, waiting:] == Verdict.OVERLAP).all()
     assert (found[0, :, placed:] == Verdict.OVERLAP).all()

@@ -21,6 +21,7 @@ from learn2assemble.networks.placement import PlacementNetwork, PlacementValues
 from learn2assemble.networks.qnetwork import QNetwork
 from learn2assemble.simulator import Simulator
 from learn2assemble.task import Task
+from learn2assemble.world.actions import get_ways
 from learn2assemble.world.state import State
 from learning_data import advance
 from turned import turned_graph
@@ -281,7 +282,7 @@ def test_placements_of_the_values_are_the_enumerated_ones() -> None:
     """Learning relies on the order: outcomes are stored in that of :func:`distinct_placements`."""
     graph = graphs("set-26", 0)
     values = evaluate(network(TASKS["set-26"], 0), graph)
-    found = distinct_placements(graph, 20)
+    found = distinct_placements(graph, get_ways("turns", 4))
     np.testing.assert_array_equal(values.cells.action, found.action)
     np.testing.assert_array_equal(values.cells.legal, found.used)
     assert found.members.shape[2] <= MAX_CELLS

@@ -14,6 +14,7 @@ from learn2assemble.graph.features import Graph, node_offset
 from learn2assemble.graph.placements import action_keys, distinct_placements, locate
 from learn2assemble.simulator import Simulator
 from learn2assemble.task import Task
+from learn2assemble.world.actions import get_ways
 from learn2assemble.world.blocks import HALF
 from learn2assemble.world.state import State
 from learning_data import advance, look_ahead
@@ -90,7 +91,7 @@ def test_placements_are_what_the_actions_can_make(name: str, seed: int, steps: i
     """One placement for every set of cells that some action fills, the first action that does."""
     simulator, state = some_worlds(name, seed, steps)
     graph = simulator.observe(state)
-    found = distinct_placements(graph, simulator.task.num_actions)
+    found = distinct_placements(graph, simulator.ways)
     local = found.action - node_offset(graph)[:, None]
     for row in range(state.batch_size):
         tried = try_everything(simulator, state, row)
@@ -120,17 +121,17 @@ def test_placements_are_what_the_actions_can_make(name: str, seed: int, steps: i
 def test_keys_and_numbers_are_those_of_the_result(name: str, seed: int, steps: int) -> None:
     """``action_keys`` are equal exactly where the cells are; ``locate`` finds the placement."""
     simulator, state = some_worlds(name, seed, steps)
-    graph, kinds = simulator.observe(state), simulator.task.num_actions
-    found = distinct_placements(graph, kinds)
+    graph, ways = simulator.observe(state), simulator.ways
+    found = distinct_placements(graph, ways)
     for row in range(state.batch_size):
         tried = try_everything(simulator, state, row)
-        keys = action_keys(graph, row, kinds).ravel().tolist()
+        keys = action_keys(graph, row, ways).ravel().tolist()
         assert len(set(zip(keys, tried.cells, strict=True))) == len(set(keys))
         assert len(set(keys)) == len(set(tried.cells))
         many = graph.take(np.full(len(keys), row))
         repeated = type(found)(*[field[np.full(len(keys), row)] for field in found])
         action = tried.actions + node_offset(graph)[row]
-        number = locate(repeated, many, action, kinds)
+        number = locate(repeated, many, action, ways)
         assert found.key[row, number].tolist() == keys
         order = list(dict.fromkeys(tried.cells))
         assert number.tolist() == [order.index(cells) for cells in tried.cells]
@@ -139,11 +140,11 @@ def test_keys_and_numbers_are_those_of_the_result(name: str, seed: int, steps: i
 def test_locate_says_where_nothing_is_found() -> None:
     simulator, state = some_worlds("two", 0, 1)
     graph = simulator.observe(state)
-    found = distinct_placements(graph, 5)
+    found = distinct_placements(graph, get_ways())
     action = found.action[:, 0]
     none = found._replace(count=0 * found.count)
-    assert locate(found, graph, action, 5).tolist() == [0] * state.batch_size
-    assert locate(none, graph, action, 5).tolist() == [-1] * state.batch_size
+    assert locate(found, graph, action, get_ways()).tolist() == [0] * state.batch_size
+    assert locate(none, graph, action, get_ways()).tolist() == [-1] * state.batch_size
 
 
 @given(seed=st.integers(0, 1000))
@@ -151,9 +152,9 @@ def test_locate_says_where_nothing_is_found() -> None:
 def test_rows_do_not_leak_into_each_other(seed: int) -> None:
     simulator, state = some_worlds("set-26", seed, seed % 4, count=4)
     graph = simulator.observe(state)
-    together = distinct_placements(graph, 20)
+    together = distinct_placements(graph, simulator.ways)
     for row in range(state.batch_size):
-        alone = distinct_placements(graph.take(np.array([row])), 20)
+        alone = distinct_placements(graph.take(np.array([row])), simulator.ways)
         count, cells = int(alone.count[0]), int(alone.num_cells[0])
         assert together.count[row] == count
         assert together.num_cells[row] == cells
@@ -171,7 +172,7 @@ def test_more_placements_than_fit_at_first() -> None:
     nodes[0, 3:-1, :3] = np.stack([0.1 * x, 0.1 * y, 0 * x + HALF], -1)
     object_id = np.arange(nodes.shape[1], dtype=np.int32)[None]
     counts = [np.array([n]) for n in (3, width**2, nodes.shape[1])]
-    found = distinct_placements(Graph(nodes, object_id, *counts), 5)
+    found = distinct_placements(Graph(nodes, object_id, *counts), get_ways())
     between = 2 * width * (width + 1)
     assert int(found.count[0]) == width**2 + between
     assert int(found.num_cells[0]) == 2 * width**2 + between
@@ -181,7 +182,7 @@ def test_nothing_left_to_place() -> None:
     simulator, state = some_worlds("two", 3, 2)
     state.num_blocks[:] = state.num_placed
     graph = simulator.observe(state)
-    found = distinct_placements(graph, 5)
+    found = distinct_placements(graph, get_ways())
     assert not found.count.any()
     assert found.num_cells.tolist() == state.num_placed.tolist()
     out = simulator.outcomes(state, graph, found)

@@ -15,6 +15,7 @@ from learn2assemble.graph.placements import Placements, distinct_placements
 from learn2assemble.graph.relations import OFFSETS, REACH, WINDOW, relate
 from learn2assemble.simulator import Simulator
 from learn2assemble.task import Task
+from learn2assemble.world.actions import get_ways
 from learn2assemble.world.blocks import EDGE, HALF
 from learn2assemble.world.state import State
 from learning_data import advance
@@ -70,7 +71,7 @@ def test_edges_against_polygons(drawn: bool, sides: int, seed: int) -> None:
             count = int(state.num_vertices[0, side])
             state.vertices[0, side, :count] = random_outline(count, rng)
     graph = simulator.observe(state)
-    placements = distinct_placements(graph, 5)
+    placements = distinct_placements(graph, get_ways())
     found = relate(graph, placements)
     area = 0.0
     for side in range(sides):
@@ -126,7 +127,7 @@ def test_offsets_written_out(sides: int, seed: int) -> None:
     """To every placed block, in whole edges in the frame of every side; padding beyond."""
     simulator, state = some_state(TASKS[sides], seed, count=2)
     graph = simulator.observe(state)
-    placements = distinct_placements(graph, 5)
+    placements = distinct_placements(graph, get_ways())
     found = relate(graph, placements)
     for row in range(state.batch_size):
         placed = int(state.num_placed[row])
@@ -159,7 +160,7 @@ def test_turning_the_world_changes_nothing(task: Task, quarters: int, seed: int)
     simulator, state = some_state(task, seed, count=2)
     graph = simulator.observe(state)
     turn = turned_graph(graph, task.num_sides, quarters)
-    mine, theirs = (distinct_placements(g, task.num_actions) for g in (graph, turn.graph))
+    mine, theirs = (distinct_placements(g, task.ways) for g in (graph, turn.graph))
     before, after = relate(graph, mine), relate(turn.graph, theirs)
     np.testing.assert_array_equal(mine.num_cells, theirs.num_cells)
     np.testing.assert_allclose(before.area, after.area, rtol=1e-5)

@@ -180,7 +180,8 @@ def test_a_later_stage_starts_from_the_earlier(tmp_path: Path) -> None:
         torch.testing.assert_close(a, b, rtol=0, atol=1e-5)
     assert "two-s0: R" in told[-1]
     copy_logs([recipe], tmp_path, tmp_path / "logs")
-    assert [path.name for path in (tmp_path / "logs").iterdir()] == ["two-s0"]
+    logs = sorted(path.name for path in (tmp_path / "logs").iterdir())
+    assert logs == ["two-s0", "two-s0.stage1"]
 
 
 def test_a_run_of_another_recipe_is_not_continued(tmp_path: Path) -> None:
@@ -221,6 +222,15 @@ def test_curves_are_means_over_seeds(tmp_path: Path) -> None:
     np.testing.assert_allclose(curve.mean["R"], 1 + curve.samples / 100)
     np.testing.assert_allclose(curve.high["R"] - curve.low["R"], 2)
     np.testing.assert_allclose(curve.mean["f"], 0.5)
+
+
+def test_the_stages_of_a_training_are_one_curve(tmp_path: Path) -> None:
+    log(tmp_path, "dqn-s0.stage1", [(100, 1.0), (300, 3.0)])
+    log(tmp_path, "dqn-s0", [(100, 4.0), (200, 5.0)])
+    (curve,) = load_curves(get_figure("algorithms"), tmp_path)
+    assert curve.seeds == 1
+    assert (curve.samples[0], curve.samples[-1]) == (100, 500)
+    np.testing.assert_allclose(curve.mean["R"], curve.samples / 100)
 
 
 def test_smoothing_reduces_noise_and_keeps_the_mean() -> None:

@@ -73,7 +73,7 @@ def load_curves(figure: Figure, runs: Path) -> list[Curve]:
     names = sorted(file.parent.name for file in runs.glob("*/log.jsonl"))
     curves = []
     for label, stem in figure.lines:
-        logs = [read_log(runs / name / "log.jsonl") for name in Row(label, stem).pick(names)]
+        logs = [read_stages(runs, name) for name in Row(label, stem).pick(names)]
         logs = [log for log in logs if len(log["samples"]) >= 2]
         if logs:
             curves.append(_average(label, logs))
@@ -81,6 +81,21 @@ def load_curves(figure: Figure, runs: Path) -> list[Curve]:
         wanted = ", ".join(f"{stem}-s0" for _, stem in figure.lines)
         raise InputError("--runs", str(runs), f"a folder with runs such as {wanted}")
     return curves
+
+
+def read_stages(runs: Path, name: str) -> dict[str, np.ndarray]:
+    """The logs of all stages of a training (:mod:`learn2assemble.learning.recipes`) as one.
+
+    Raises:
+        InputError: see :func:`read_log`.
+    """
+    folders = [*sorted(runs.glob(f"{name}.stage*")), runs / name]
+    logs = [read_log(folder / "log.jsonl") for folder in folders]
+    before = 0.0
+    for log in logs:
+        log["samples"] += before
+        before = log["samples"][-1] if len(log["samples"]) else before
+    return {key: np.concatenate([log[key] for log in logs]) for key in logs[0]}
 
 
 def read_log(file: Path) -> dict[str, np.ndarray]:

@@ -52,12 +52,18 @@ _CUBES, _LARGE = "two-sided-3x3-20-24", "two-sided-5x5-40-44"
 _BARS, _OBJECTS = "bars-one-sided-5x5-25-27", "objects-two-sided-5x5-20-24"
 
 
-def _published(name: str, task: str, *changes: str) -> Recipe:
-    return Recipe(name, task, (Stage(changes=changes),))
-
-
 _FULL = "network.connectivity=full"
 _SHORTER = "num_samples=160000"
+_AGAIN = ("learning_rate=0.001", "final_learning_rate=0.00003", "epsilon_samples=1")
+
+
+def _published(name: str, task: str, *changes: str, again: int = 0) -> Recipe:
+    """``again``: samples of a second stage, which starts with half the learning rate and no more
+    exploration than it ends with; 0: there is none."""
+    stages = [Stage(changes=changes)]
+    if again:
+        stages.append(Stage(changes=(*changes, *_AGAIN, f"num_samples={again}")))
+    return Recipe(name, task, tuple(stages))
 
 
 def _ablation(name: str, *changes: str) -> Recipe:
@@ -69,12 +75,12 @@ _ALL = (
     _published("dqn", _CUBES),
     _published("q-mcts", _CUBES, "method=q-mcts"),
     _published("eps-mcts", _CUBES, "method=eps-mcts"),
-    _published("mha-full", _CUBES, _FULL),
-    _published("sha-full", _CUBES, _FULL, "network.heads=1"),
+    _published("mha-full", _CUBES, _FULL, again=240_000),
+    _published("sha-full", _CUBES, _FULL, "network.heads=1", again=240_000),
     _published("s2v-full", _CUBES, _FULL, "network.encoder=s2v"),
-    _published("bars-full", _BARS, _FULL, _SHORTER),
-    _published("bars-partial", _BARS, _SHORTER),
-    _published("objects", _OBJECTS, "num_samples=60000"),
+    _published("bars-full", _BARS, _FULL, _SHORTER, again=160_000),
+    _published("bars-partial", _BARS, _SHORTER, again=160_000),
+    _published("objects", _OBJECTS, "num_samples=60000", again=240_000),
     Recipe("relational-cubes", _LARGE, (Stage("relational", ("num_samples=120000",)),)),
     Recipe("relational-bars", _BARS, (Stage("relational", ("num_samples=60000",)),)),
     Recipe("relational-objects", _OBJECTS, (Stage("relational-objects"),)),
@@ -140,11 +146,12 @@ def copy_logs(recipes: list[Recipe], runs: Path, folder: Path) -> None:
     """Copy configuration and log of every run of ``recipes``, for learning curves."""
     for recipe in recipes:
         for seed in range(SEEDS):
-            name = f"{recipe.name}-s{seed}"
-            if all((runs / name / file).is_file() for file in LOGS):
-                (folder / name).mkdir(parents=True, exist_ok=True)
-                for file in LOGS:
-                    shutil.copyfile(runs / name / file, folder / name / file)
+            sources = [stage_folder(recipe, seed, runs, n) for n in range(len(recipe.stages))]
+            for source in sources:
+                if all((source / file).is_file() for file in LOGS):
+                    (folder / source.name).mkdir(parents=True, exist_ok=True)
+                    for file in LOGS:
+                        shutil.copyfile(source / file, folder / source.name / file)
 
 
 def _check(folder: Path, recipe: Recipe, stage: Stage) -> None:

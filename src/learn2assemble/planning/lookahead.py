@@ -21,8 +21,8 @@ from learn2assemble.world.state import State
 def lookahead_actions(simulator: Simulator, state: State) -> np.ndarray:
     """One action for every row: int64[B, 3] (local indices)."""
     graph = simulator.observe(state)
-    placements = distinct_placements(graph, simulator.task.num_actions)
-    outcomes = simulator.outcomes(state, graph, placements)
+    placements = distinct_placements(graph, simulator.ways)
+    outcomes = simulator.outcomes(state, graph, placements, by_hand=True)
     positive = outcomes.valid & (outcomes.reward > 0)
     # The discrete reward counts gains, so small ones first; the scaled one adds them up discounted.
     best = outcomes.gain if simulator.task.reward == "discrete" else -outcomes.reward

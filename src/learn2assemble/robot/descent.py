@@ -95,7 +95,9 @@ def descend(
         for k in range(n):
             pull[k] = gain * (posture[k] - q[k])
             free[k] = True
-        if not _bounded_step(jac, error, rows, damping, pull, q, lower, upper, free, gram, rest, step):
+        if not _bounded_step(
+            jac, error, rows, damping, pull, q, lower, upper, free, gram, rest, step
+        ):
             return STALLED, total, iteration
         largest = 0.0
         for k in range(n):

@@ -26,7 +26,9 @@ SINGULAR_VALUE = 0.005
 """Below this smallest singular value of the Jacobian a configuration counts as singular: there is
 a direction in which 5 mm/s of the tool (or 5 mrad/s) cost a joint 1 rad/s."""
 MAX_ITERATIONS = 60
-RESTARTS = 6
+RESTARTS = 16
+SINGULAR_RESTARTS = 4
+"""How many more starts are tried once a singular solution is known."""
 NUM_SEEDS = 1024
 METRES_PER_RADIAN = 0.3
 """How a rotation compares with a shift when seeds are ranked."""
@@ -38,12 +40,12 @@ class IKFailure(IntEnum):
     NONE = 0
     """There is one."""
     OUT_OF_REACH = 1
-    """Not even an arm without joint limits gets there."""
+    """A gap is left even where joint limits do not count."""
     JOINT_LIMIT = 2
-    """Only beyond the limits."""
+    """There is one beyond the limits; within them none was found."""
     SINGULAR = 3
-    """Only with the arm in a singular configuration (:data:`SINGULAR_VALUE`), which it could not
-    leave in every direction at bounded joint speed. The joints are those of this solution."""
+    """Found only with the arm in a singular configuration (:data:`SINGULAR_VALUE`), which it could
+    not leave in every direction at bounded joint speed. The joints are those of this solution."""
     NO_CONVERGENCE = 4
     """Not found in the iterations allowed; nothing is proven."""
 
@@ -152,12 +154,15 @@ def solve_many(
     out = Solutions(joints, np.empty(m, np.int8), np.empty(m), np.empty(m, np.int64))
     chain = get_chain(arm)
     if method == "published":
-        _published(chain, position, rotation, rows, max_iterations or 1000, *out)
+        _published(
+            chain, position, rotation, rows,
+            1000 if max_iterations is None else max_iterations, *out,
+        )  # fmt: skip
     else:
         lower, upper = arm.limits(branch)
         _limited(
             chain, lower, upper, arm.home, seeds(arm, branch), position, rotation, rows,
-            max_iterations or MAX_ITERATIONS, restarts, *out,
+            MAX_ITERATIONS if max_iterations is None else max_iterations, restarts, *out,
         )  # fmt: skip
     return out
 
@@ -227,6 +232,7 @@ def _solve_one(
     trial, singular = np.empty(n), np.empty(n)
     best, spent, is_singular, open_end = np.inf, 0, False, False
     ranks = np.empty(0)
+    last, left_singular = restarts, 0.0
     reach = _reach(chain)
     away = 0.0
     for i in range(3):
@@ -234,7 +240,9 @@ def _solve_one(
     if np.sqrt(away) > reach:
         _clip(q, lower, upper)
         return _FAR, np.sqrt(away) - reach, 0
-    for attempt in range(restarts + 1):
+    attempt = -1
+    while attempt < last:
+        attempt += 1
         if attempt == 0:
             trial[:] = start
         else:
@@ -254,30 +262,35 @@ def _solve_one(
             if smallest_singular_value(jacobian(chain, trial), rows) >= SINGULAR_VALUE:
                 q[:] = trial
                 return _NONE, left, spent
+            if last > attempt + SINGULAR_RESTARTS:
+                last = attempt + SINGULAR_RESTARTS
             if not is_singular:
                 is_singular = True
                 singular[:] = trial
+                left_singular = left
         open_end |= state == OUT_OF_STEPS
         if left < best:
             best = left
             q[:] = trial
     if is_singular:
         q[:] = singular
-        return _SINGULAR, best, spent
+        return _SINGULAR, left_singular, spent
     # Which of the others: the same without limits, from the best that was found and from the start.
     wide = np.full(n, 1e3)
     for attempt in range(2):
         trial[:] = q if attempt == 0 else start
-        state, _, taken = descend(
+        state, left, taken = descend(
             chain, -wide, wide, posture, position, rotation, rows, TOLERANCE, max_iterations, trial
         )
         spent += taken
         if state == CONVERGED:
             _unwind(trial, start, lower, upper)
-            if _inside(trial, lower, upper):
-                q[:] = trial
-                return _NONE, best, spent
-            return _LIMIT, best, spent
+            if not _inside(trial, lower, upper):
+                return _LIMIT, best, spent
+            q[:] = trial
+            if smallest_singular_value(jacobian(chain, q), rows) < SINGULAR_VALUE:
+                return _SINGULAR, left, spent
+            return _NONE, left, spent
         open_end |= state == OUT_OF_STEPS
     return (_OPEN if open_end else _FAR), best, spent
 

@@ -9,6 +9,9 @@ import numpy as np
 from learn2assemble.robot.grasps import Attitude, turn
 from learn2assemble.world.blocks import HALF
 
+GAP = 0.01
+"""Between horizontal neighbours on the lattice of the robot cell [m] (protocol 7)."""
+
 
 class Scene(NamedTuple):
     """Cubes on the table, in the world frame; the placed ones first.
@@ -69,21 +72,20 @@ def carried(scene: Scene, move: Move, members: np.ndarray) -> tuple[np.ndarray, 
     return move.target + offset @ turn(move.turn).T, scene.yaw[members] + move.turn
 
 
-def fillers(position: np.ndarray, yaw: np.ndarray, object_id: np.ndarray) -> np.ndarray:
-    """Boxes that fill the gaps between horizontal neighbours of one object (protocol 7).
+def fillers(position: np.ndarray, object_id: np.ndarray) -> np.ndarray:
+    """Pairs of horizontal neighbours of one object; the gap between them is filled (protocol 7).
 
     Args:
-        position: float64[n, 3] cell centres [m]; ``yaw`` float64[n]; ``object_id`` int64[n].
+        position: float64[n, 3] cell centres [m].
+        object_id: int64[n].
 
     Returns:
-        int64[f, 2]: pairs of neighbouring cells; the filler lies between them.
+        int64[f, 2].
     """
-    pairs = []
-    for a in range(len(position)):
-        for b in range(a + 1, len(position)):
-            gap = position[b] - position[a]
-            level = abs(gap[2]) < HALF
-            reach = np.hypot(gap[0], gap[1])
-            if object_id[a] == object_id[b] and level and reach < 3 * HALF:
-                pairs.append((a, b))
-    return np.array(pairs, np.int64).reshape(-1, 2)
+    same = object_id[:, None] == object_id
+    if same.sum() == len(object_id):
+        return np.empty((0, 2), np.int64)
+    a, b = np.nonzero(np.triu(same, 1))
+    gap = np.abs(position[b] - position[a])
+    near = (gap[:, 2] < HALF) & (np.hypot(gap[:, 0], gap[:, 1]) < 3 * HALF)
+    return np.stack([a, b], -1)[near]
