@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from learn2assemble.robot.approach import JointColumn, Plan
+from learn2assemble.robot.approach import PRESS, JointColumn, joint_column
+from learn2assemble.robot.contacts import PUSH, TOUCH, Rules
 from learn2assemble.robot.mjcf import TIMESTEP
 from learn2assemble.robot.motion import OPENING
+from learn2assemble.robot.order import Order
 from learn2assemble.robot.outcome import Outcome
-from learn2assemble.robot.contacts import PUSH, TOUCH, Rules
+from learn2assemble.robot.prepare import Course, Failure
 from learn2assemble.robot.simulate import Event, Simulation, Watch
 from learn2assemble.robot.trajectory import Leg, Limits, joint_path, pace_of
 from learn2assemble.world.blocks import EDGE
@@ -24,66 +24,73 @@ SOFT_SPEED = 0.04
 LANDED = 1.0
 """What rests presses so hard on others [N]: as much as a block weighs."""
 GRIPPED = 0.8
-"""The grasp holds when both fingers press with this share of their force."""
+"""The grasp holds when both fingers press with this share of their force ..."""
+GRIP_TIME = 0.2
+"""... within this time after they were told to [s]."""
 REST_TIME = 1.0
 """Longest time to wait for rest [s]."""
-_EMPTY = Rules(TOUCH, PUSH, None)
-_LOADED = Rules(TOUCH, None, TOUCH)
-_FREE = Rules(TOUCH, None, None)
-_BLIND = Rules(None)
-
-
-@dataclass(frozen=True)
-class Failure(Exception):
-    """What broke a pick and place off."""
-
-    outcome: Outcome
-    stage: str
-    detail: str
+EMPTY = Watch(Rules(TOUCH, PUSH, None))
+LOADED = Watch(Rules(TOUCH, None, TOUCH))
+NEAR = Watch(Rules(TOUCH, None, None))
+BLIND = Watch(Rules(None, None, None))
+"""What is looked for with an empty hand, a loaded one, near the contact, and after a failure."""
 
 
 class Execution:
-    """Carries out a plan in a simulation.
+    """Carries out a course in a simulation.
 
     Args:
         sim: at the beginning of the attempt.
+        order: what is asked.
+        course: how.
         limits: of the joints while the hand is empty.
         loaded: of the joints while it holds something.
-        skip_free: let time pass instead of simulating what the arm does far from everything.
     """
 
-    def __init__(
-        self, sim: Simulation, limits: Limits, loaded: Limits, skip_free: bool = False
-    ) -> None:
-        self.sim, self.limits, self.loaded, self.skip_free = sim, limits, loaded, skip_free
-        self.released = False
-        """Whether the object has been let go on purpose."""
-        self.landed = False
-        """Whether it rested on something before that."""
+    correct = True
+    """Look where the object sits in the hand before lowering it."""
+    skip_free = False
+    """Let time pass instead of simulating what the arm does far from everything."""
 
-    def run(self, plan: Plan, ways: tuple[np.ndarray, np.ndarray, np.ndarray | None]) -> None:
-        """The whole of it. ``ways``: joint positions float64[k, n] to the pick, across, and home.
+    def __init__(
+        self, sim: Simulation, order: Order, course: Course, limits: Limits, loaded: Limits
+    ) -> None:
+        self.sim, self.order, self.course = sim, order, course
+        self.limits, self.loaded = limits, loaded
+        self.place = course.plan.place
+        """The column over the target that is used."""
+        self.legs = 0
+        """How many straight parts of the way across are done."""
+        self.holding = False
+        """Whether the object is in the hand."""
+        self.landed = False
+        """Whether it rested on something before the hand let go of it."""
+
+    def go(self) -> None:
+        """The whole of it.
 
         Raises:
             Failure: at the first thing that goes wrong; the arm has stopped.
         """
-        there, across, home = ways
+        course, sim = self.course, self.sim
         self.settle("approach")
-        self.travel(there, "approach")
-        self.grasp(plan.pick)
-        self.carry(across)
-        self.lower(plan.place)
-        self.release()
-        self.retreat(plan.place)
-        if home is not None:
-            self.travel(home, "home")
-        self.settle(self.sim.stage)
+        self.travel(course.there, "approach")
+        self.grasp(course.plan.pick)
+        self.carry(course.across)
+        if self.correct:
+            self.place = self.corrected()
+        self.lower(self.place, "place", LOADED, NEAR)
+        self.release("release", NEAR)
+        self.rise(self.place, "retreat", NEAR)
+        if course.home is not None:
+            self.travel(np.vstack([sim.joints, course.home[1:]]), "home")
+        self.settle(sim.stage)
 
     def settle(self, stage: str) -> None:
         """Wait until every object rests."""
-        self.sim.wait(round(REST_TIME / TIMESTEP), stage, Watch(_BLIND, until=self.sim.asleep))
+        self.sim.wait(_steps(REST_TIME), stage, BLIND._replace(until=self.sim.asleep))
 
-    def travel(self, way: np.ndarray, stage: str) -> None:
+    def travel(self, way: np.ndarray, stage: str, watch: Watch = EMPTY) -> None:
         """Move the empty hand along straight lines of the joints."""
         outcome = Outcome.GRASP_COLLISION if stage == "approach" else Outcome.PLACE_COLLISION
         for start, end in zip(way[:-1], way[1:], strict=True):
@@ -91,88 +98,111 @@ class Execution:
             pace = pace_of(path, self.limits)
             if self.skip_free:
                 self.sim.skip(path, pace, stage)
-                continue
-            event = self.sim.follow(path, pace, stage, (Watch(_EMPTY),))
-            _check(event, outcome, stage)
+            else:
+                _check(self.sim.follow(path, pace, stage, (watch,)), outcome, stage)
 
     def grasp(self, column: JointColumn) -> None:
         """Down, close, up."""
         sim, gripper = self.sim, self.sim.arm.gripper
-        path = joint_path(column.joints[::-1], self.limits)
-        event = sim.follow(path, pace_of(path, self.limits), "pick", (Watch(_EMPTY),))
-        _check(event, Outcome.GRASP_COLLISION, "pick")
+        touch = Outcome.GRASP_COLLISION
+        above = column.rise >= 0
+        joints, rise = column.joints[above], column.rise[above]
+        path = joint_path(joints[::-1], self.limits)
+        _check(sim.follow(path, pace_of(path, self.limits), "pick", (EMPTY,)), touch, "pick")
         pressing = EDGE - gripper.force / gripper.stiffness
         enough = GRIPPED * gripper.force
-        event = sim.squeeze(_ramp(sim.width, pressing, gripper.speed), "pick", Watch(_FREE))
-        _check(event, Outcome.GRASP_COLLISION, "pick")
-        event = sim.wait(100, "pick", Watch(_FREE, until=lambda: self.grip() >= enough))
+        _check(sim.squeeze(_ramp(sim.width, pressing, gripper.speed), "pick", NEAR), touch, "pick")
+        watch = NEAR._replace(until=lambda: self.grip() >= enough)
+        event = sim.wait(_steps(GRIP_TIME), "pick", watch)
         if event is None:
-            detail = f"the fingers press with {self.grip():.1f} N at {sim.opening:.3f} m"
+            detail = f"the fingers press with {self.grip():.1f} N at {1e3 * sim.opening:.0f} mm"
             raise Failure(Outcome.GRASP_LOST, "pick", detail)
-        _check(event, Outcome.GRASP_COLLISION, "pick")
+        _check(event, touch, "pick")
         sim.hold()
-        path = joint_path(column.joints, self.loaded)
-        near = float(np.interp(LOOSE, column.rise, path.knots))
-        watches = (Watch(_FREE), Watch(_LOADED, near))
-        event = sim.follow(path, pace_of(path, self.loaded), "lift", watches)
-        _check(event, Outcome.GRASP_COLLISION, "lift")
+        self.holding = True
+        path = joint_path(joints, self.loaded)
+        off = float(np.interp(LOOSE, rise, path.knots))
+        watches = (NEAR, LOADED._replace(start=off))
+        _check(sim.follow(path, pace_of(path, self.loaded), "lift", watches), touch, "lift")
 
     def grip(self) -> float:
         """What the weaker finger presses with [N]."""
         return self.sim.contacts.grip(self.sim.arm.gripper.pads)
 
-    def carry(self, way: np.ndarray) -> None:
+    def carry(self, way: np.ndarray, watch: Watch = LOADED) -> None:
         """Across, along straight lines of the joints."""
         for start, end in zip(way[:-1], way[1:], strict=True):
             path = joint_path(np.array([start, end]), self.loaded)
-            pace = pace_of(path, self.loaded)
-            event = self.sim.follow(path, pace, "cross", (Watch(_LOADED),))
+            event = self.sim.follow(path, pace_of(path, self.loaded), "cross", (watch,))
             _check(event, Outcome.PLACE_COLLISION, "cross")
+            self.legs += 1
 
-    def lower(self, column: JointColumn) -> None:
-        """Down, the last part slowly, until the object rests or the column ends."""
+    def corrected(self) -> JointColumn:
+        """The column over the target for the hand that holds the object as it does."""
+        sim, plan, order = self.sim, self.course.plan, self.order
+        position, rotation = sim.tool()
+        cell = order.cells(sim.poses)[0][order.move.cell]
+        place, target = plan.move.place, order.move.target
+        tool = target - place.rotation() @ rotation.T @ (cell - position)
+        centre = tool + target - place.tool_point(target)
+        found = joint_column(sim.arm, centre, place, plan.height, PRESS, plan.place.joints[0])
+        if isinstance(found, str):
+            raise Failure(Outcome.UNREACHABLE, "place", found)
+        return found
+
+    def lower(self, column: JointColumn, stage: str, before: Watch, near: Watch) -> None:
+        """Down, the last part slowly, until the object rests or the column ends.
+
+        Args:
+            column: over the place, from below it.
+            stage: for the recording.
+            before: what is looked for on the way ...
+            near: ... and within :data:`LOOSE` of the place.
+        """
         sim = self.sim
-        path = joint_path(column.joints[::-1], self.loaded)
+        now = _nearest(column, sim.joints)
+        path = joint_path(np.vstack([sim.joints, column.joints[:now][::-1]]), self.loaded)
         pace = pace_of(path, self.loaded)
-        rise = column.rise[::-1]
-        soft, near = np.interp([-SOFT, -LOOSE], -rise, path.knots)
-        slope = (path.length - soft) / (SOFT - rise[-1])
-        legs = (
-            Leg(soft, min(pace.speed, SOFT_SPEED * slope)),
-            Leg(path.length, 0.0, SOFT_SPEED * slope),
-        )
-        watches = (
-            Watch(_LOADED),
-            Watch(_FREE, near, lambda: sim.contacts.support() >= LANDED),
-        )
-        event = sim.follow(path, pace, "place", watches, legs)
+        rise = column.rise[: now + 1][::-1]
+        soft, loose = np.interp([-SOFT, -LOOSE], -rise, path.knots).tolist()
+        slow = SOFT_SPEED * path.length / (rise[0] - rise[-1])
+        if soft < path.length:
+            slow = SOFT_SPEED * (path.length - soft) / (min(SOFT, rise[0]) - rise[-1])
+        legs = (Leg(soft, min(pace.speed, slow)), Leg(path.length, 0.0, slow))
+        until = near._replace(start=loose, until=lambda: sim.contacts.support() >= LANDED)
+        event = sim.follow(path, pace, stage, (before, until), legs if soft > 0 else legs[1:])
         self.landed = event is not None and event.what == "until"
-        _check(event, Outcome.PLACE_COLLISION, "place")
+        _check(event, Outcome.PLACE_COLLISION, stage)
 
-    def release(self) -> None:
+    def release(self, stage: str, watch: Watch) -> None:
         """Open no further than needed."""
-        sim, gripper = self.sim, self.sim.arm.gripper
-        sim.let_go()
-        self.released = True
-        event = sim.squeeze(_ramp(sim.width, OPENING, gripper.speed), "release", Watch(_FREE))
-        _check(event, Outcome.PLACE_COLLISION, "release")
-        event = sim.wait(10, "release", Watch(_FREE))
-        _check(event, Outcome.PLACE_COLLISION, "release")
-
-    def retreat(self, column: JointColumn) -> None:
-        """Up again from wherever the hand is in the column."""
         sim = self.sim
-        now = int(np.argmin(np.abs(column.joints - sim.joints).max(1)))
-        above = np.vstack([sim.joints, column.joints[now + 1 :]])
-        path = joint_path(above, self.limits)
-        event = sim.follow(path, pace_of(path, self.limits), "retreat", (Watch(_FREE),))
-        _check(event, Outcome.PLACE_COLLISION, "retreat")
+        sim.let_go()
+        self.holding = False
+        widths = _ramp(sim.width, OPENING, sim.arm.gripper.speed)
+        _check(sim.squeeze(widths, stage, watch), Outcome.PLACE_COLLISION, stage)
+
+    def rise(self, column: JointColumn, stage: str, watch: Watch) -> None:
+        """Up from wherever the hand is in a column."""
+        sim, limits = self.sim, self.loaded if self.holding else self.limits
+        above = column.joints[_nearest(column, sim.joints) + 1 :]
+        path = joint_path(np.vstack([sim.joints, above]), limits)
+        event = sim.follow(path, pace_of(path, limits), stage, (watch,))
+        _check(event, Outcome.PLACE_COLLISION, stage)
 
 
 def _check(event: Event | None, outcome: Outcome, stage: str) -> None:
     if event is not None and event.what != "until":
         lost = event.what == "lost"
         raise Failure(Outcome.GRASP_LOST if lost else outcome, stage, event.detail)
+
+
+def _nearest(column: JointColumn, joints: np.ndarray) -> int:
+    return int(np.argmin(np.abs(column.joints - joints).max(1)))
+
+
+def _steps(time: float) -> int:
+    return round(time / TIMESTEP)
 
 
 def _ramp(start: float, end: float, speed: float) -> np.ndarray:

@@ -74,8 +74,7 @@ def group(scene: Scene, quaternion: np.ndarray) -> Objects:
 def _boxes(cells: np.ndarray) -> list[Box]:
     half = (HALF - SHRINK, HALF - SHRINK, HALF)
     boxes: list[Box] = [(tuple(cell.tolist()), half, MASS) for cell in cells]
-    count = len(cells)
-    for a, b in fillers(cells, np.zeros(count), np.zeros(count, np.int64)):
+    for a, b in fillers(cells, np.zeros(len(cells), np.int64)):
         gap = np.abs(cells[b] - cells[a])
         size = np.array(half)
         axis = int(np.argmax(gap))

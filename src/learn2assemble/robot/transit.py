@@ -72,8 +72,16 @@ class Surroundings:
                 return self._name(pair[1] if own else pair[0])
         return None
 
-    def touch(self, joints: np.ndarray) -> str | None:
-        """What touches what at joints float64[n] [rad], or None where everything is free."""
+    def touch(
+        self, joints: np.ndarray, margin: float = PLAN_MARGIN, besides: int | None = None
+    ) -> str | None:
+        """What touches what at joints float64[n] [rad], or None where everything is free.
+
+        Args:
+            joints: of the arm.
+            margin: distance the arm keeps [m], at most :data:`PLAN_MARGIN`.
+            besides: an object it may touch.
+        """
         m, d, w = self.model, self.data, self.world
         d.qpos[w.joint] = joints
         d.qpos[w.finger] = self._width / len(w.finger)
@@ -86,8 +94,8 @@ class Surroundings:
             mujoco.mj_kinematics(m, d)
         mujoco.mj_collision(m, d)
         for pair, distance in zip(d.contact.geom, d.contact.dist, strict=True) if d.ncon else ():
-            name = self._collision(pair, distance)
-            if name is not None:
+            name = self._collision(pair, distance, margin)
+            if name is not None and besides not in self.world.kind[pair].tolist():
                 return name
         return None
 
@@ -101,14 +109,14 @@ class Surroundings:
                 return hit
         return None
 
-    def _collision(self, pair: np.ndarray, distance: float) -> str | None:
+    def _collision(self, pair: np.ndarray, distance: float, margin: float) -> str | None:
         kind = self.world.kind[pair]
         own = self._is_arm[pair]
         if own.all():
             return self._say(pair) if distance < 0 and not (kind == PAD).all() else None
         if not own.any():
             return self._say(pair) if distance <= -DEPTH else None
-        return self._say(pair) if distance < PLAN_MARGIN else None
+        return self._say(pair) if distance < margin else None
 
     def _say(self, pair: np.ndarray) -> str:
         first, second = sorted(pair, key=lambda g: not self._is_arm[g])

@@ -1,0 +1,68 @@
+"""After a failure: the arm leaves, and what it holds goes back to where it came from."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from learn2assemble.robot.execution import BLIND, Execution
+from learn2assemble.robot.motion import OPENING
+from learn2assemble.robot.outcome import Outcome
+from learn2assemble.robot.prepare import Failure
+from learn2assemble.robot.transit import Surroundings, straight_or_tree
+
+
+def abandon(run: Execution, failure: Failure, recover: bool) -> Failure:
+    """End an attempt that failed; every object comes to rest.
+
+    Args:
+        run: the attempt; its arm has stopped.
+        failure: why.
+        recover: put what is held back and bring the arm home; else it stays where it is.
+
+    Returns:
+        the failure, with a word on what became of what was held.
+    """
+    if failure.outcome == Outcome.GRASP_LOST:
+        run.sim.let_go()
+        run.holding = False
+    words = "still in the hand" if run.holding else ""
+    if recover and failure.stage != "rest":
+        try:
+            if run.holding:
+                _put_back(run)
+                words = "put back"
+            _leave(run)
+        except Failure as second:
+            words = f"then {second.stage}: {second.detail}"
+            run.sim.let_go()
+            run.holding = run.holding and second.outcome != Outcome.GRASP_LOST
+    run.settle(run.sim.stage)
+    detail = f"{failure.detail}; {words}" if words else failure.detail
+    return Failure(failure.outcome, failure.stage, detail)
+
+
+def _put_back(run: Execution) -> None:
+    """The way here backwards, and down where the object came from."""
+    pick, across = run.course.plan.pick, run.course.across
+    if run.sim.stage in ("place", "cross"):
+        if run.sim.stage == "place":
+            run.rise(run.place, "place", BLIND)
+        run.carry(np.vstack([run.sim.joints, across[: run.legs + 1][-2::-1]]), BLIND)
+    run.lower(pick, "place", BLIND, BLIND)
+    run.release("release", BLIND)
+    run.rise(pick, "retreat", BLIND)
+
+
+def _leave(run: Execution) -> None:
+    """Up, and home if there is a free way."""
+    sim = run.sim
+    if sim.stage in ("pick", "lift"):
+        run.rise(run.course.plan.pick, "retreat", BLIND)
+    elif sim.stage in ("place", "release", "retreat"):
+        run.rise(run.place, "retreat", BLIND)
+    around = Surroundings(sim.arm, sim.world, sim.poses.copy(), run.order.names)
+    around.empty(OPENING)
+    way = straight_or_tree(around, sim.joints, sim.arm.home)
+    if isinstance(way, str):
+        raise Failure(Outcome.UNREACHABLE, "home", f"no free way: {way}")
+    run.travel(way, "home", BLIND)
