@@ -52,9 +52,7 @@ class Contacts:
         target: number of the object that is moved.
     """
 
-    def __init__(
-        self, world: World, data: mujoco.MjData, names: list[str], target: int
-    ) -> None:
+    def __init__(self, world: World, data: mujoco.MjData, names: list[str], target: int) -> None:
         self.world, self.data, self.names = world, data, names
         self._class = np.select(
             [world.kind == TABLE, world.kind == ARM, world.kind == PAD, world.kind == target],

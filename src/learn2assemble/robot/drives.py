@@ -31,7 +31,11 @@ class Drives:
         self._entry = self._inertia_entries(joint)
 
     def commands(
-        self, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray, width: np.ndarray
+        self,
+        position: np.ndarray,
+        velocity: np.ndarray,
+        acceleration: np.ndarray,
+        width: np.ndarray,
     ) -> np.ndarray:
         """Commands float64[k, u] of the next k steps, the inertia taken as it is now.
 
@@ -46,7 +50,9 @@ class Drives:
         load = acceleration @ inertia + coriolis + velocity * self._damping
         out = np.zeros((len(position), w.model.nu))
         out[:, w.drive] = position + load / w.stiffness
-        out[:, w.gripper] = self.arm.gripper.command(width)
+        gripper = self.arm.gripper
+        closed = gripper.command(0.0)
+        out[:, w.gripper] = closed + (gripper.command(1.0) - closed) * width
         return out
 
     def _inertia_entries(self, joint: np.ndarray) -> np.ndarray:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
-from learn2assemble.robot.approach import PRESS, JointColumn, joint_column
+from learn2assemble.robot.approach import JointColumn, joint_column
 from learn2assemble.robot.contacts import PUSH, TOUCH, Rules
 from learn2assemble.robot.mjcf import TIMESTEP
 from learn2assemble.robot.motion import OPENING
 from learn2assemble.robot.order import Order
 from learn2assemble.robot.outcome import Outcome
-from learn2assemble.robot.prepare import Course, Failure
+from learn2assemble.robot.prepare import PRESS, Course, Failure
 from learn2assemble.robot.simulate import Event, Simulation, Watch
 from learn2assemble.robot.trajectory import Leg, Limits, joint_path, pace_of
 from learn2assemble.world.blocks import EDGE
@@ -93,7 +95,7 @@ class Execution:
     def travel(self, way: np.ndarray, stage: str, watch: Watch = EMPTY) -> None:
         """Move the empty hand along straight lines of the joints."""
         outcome = Outcome.GRASP_COLLISION if stage == "approach" else Outcome.PLACE_COLLISION
-        for start, end in zip(way[:-1], way[1:], strict=True):
+        for start, end in pairwise(way):
             path = joint_path(np.array([start, end]), self.limits)
             pace = pace_of(path, self.limits)
             if self.skip_free:
@@ -131,7 +133,7 @@ class Execution:
 
     def carry(self, way: np.ndarray, watch: Watch = LOADED) -> None:
         """Across, along straight lines of the joints."""
-        for start, end in zip(way[:-1], way[1:], strict=True):
+        for start, end in pairwise(way):
             path = joint_path(np.array([start, end]), self.loaded)
             event = self.sim.follow(path, pace_of(path, self.loaded), "cross", (watch,))
             _check(event, Outcome.PLACE_COLLISION, "cross")
@@ -141,7 +143,7 @@ class Execution:
         """The column over the target for the hand that holds the object as it does."""
         sim, plan, order = self.sim, self.course.plan, self.order
         position, rotation = sim.tool()
-        cell = order.cells(sim.poses)[0][order.move.cell]
+        cell = order.objects.cells(sim.poses)[0][order.move.cell]
         place, target = plan.move.place, order.move.target
         tool = target - place.rotation() @ rotation.T @ (cell - position)
         centre = tool + target - place.tool_point(target)

@@ -17,10 +17,10 @@ import mujoco
 import numpy as np
 
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.grasps import turn
 from learn2assemble.robot.model import arm_spec
+from learn2assemble.robot.recording import rotated
 from learn2assemble.robot.scene import Scene, fillers
-from learn2assemble.world.blocks import FRICTION, GRAVITY, HALF, MASS
+from learn2assemble.world.blocks import GRAVITY, HALF, MASS
 
 TIMESTEP = 0.002
 """[s]; with 4 ms the grasp fails."""
@@ -54,6 +54,13 @@ class Objects(NamedTuple):
     """float64[n, 3]: cell centre in the object's frame [m]."""
     lead: np.ndarray
     """int64[b]: first cell of each object."""
+
+    def cells(self, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Centres float64[n, 3] [m], quaternions float64[n, 4] and yaws float64[n] [rad] of the
+        cells of objects at ``poses`` float64[b, 7]."""
+        pose = poses[self.owner]
+        yaw = np.array([heading(matrix(turn)) for turn in pose[:, 3:]])
+        return pose[:, :3] + rotated(pose[:, 3:], self.offset), pose[:, 3:].copy(), yaw
 
 
 def group(scene: Scene, quaternion: np.ndarray) -> Objects:
@@ -148,9 +155,7 @@ def compile_world(arm: Arm, shape: tuple[tuple[Box, ...], ...], friction: float)
     arm_parts = [geom for geom in spec.geoms if geom.contype or geom.conaffinity]
     for part in arm_parts:
         part.margin = PLAN_MARGIN
-    table = spec.worldbody.add_geom(
-        name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1]
-    )
+    table = spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
     _set_contact(table, friction)
     for number, boxes in enumerate(shape):
         body = spec.worldbody.add_body(name=f"object{number}")

@@ -1,4 +1,4 @@
-"""A move in a scene as the simulation sees it: rigid objects with poses, one of them to be moved."""
+"""A move in a scene as the simulation sees it: rigid objects with poses, one to be moved."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ import numpy as np
 
 from learn2assemble.errors import InputError
 from learn2assemble.robot.grasps import Attitude
-from learn2assemble.robot.mjcf import Objects, about_z, group, heading, matrix
-from learn2assemble.robot.recording import rotated
+from learn2assemble.robot.mjcf import Objects, about_z, group, matrix
 from learn2assemble.robot.scene import Move, Scene, put_down
 
 
@@ -40,17 +39,10 @@ class Order(NamedTuple):
         tool = place.rotation()
         return place.tool_point(self.move.target) + tool @ position, tool @ rotation
 
-    def cells(self, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Centres float64[n, 3] [m] and quaternions float64[n, 4] of the cells of objects at
-        ``poses`` float64[b, 7]."""
-        pose = poses[self.objects.owner]
-        return pose[:, :3] + rotated(pose[:, 3:], self.objects.offset), pose[:, 3:].copy()
-
     def after(self, poses: np.ndarray) -> tuple[Scene, np.ndarray]:
         """The scene with objects at ``poses`` float64[b, 7], the moved one listed as
         :func:`~.scene.put_down` does, and quaternions of its cells float64[n, 4]."""
-        position, quaternion = self.cells(poses)
-        yaw = np.array([heading(matrix(q)) for q in quaternion])
+        position, quaternion, yaw = self.objects.cells(poses)
         # Which cell goes where in the list, by sending their numbers instead of their yaws.
         numbered = self.scene._replace(yaw=np.arange(len(yaw), dtype=float))
         meant = put_down(numbered, self.move)
@@ -75,11 +67,25 @@ def take_order(scene: Scene, move: Move, quaternion: np.ndarray | None = None) -
     if not scene.num_placed <= move.cell < len(scene.position):
         waiting = f"the index of a waiting cell, {scene.num_placed} to {len(scene.position) - 1}"
         raise InputError("cell", move.cell, waiting)
+    if not np.isfinite(move.target).all():
+        raise InputError("target", np.asarray(move.target).tolist(), "finite numbers")
+    objects, poses, names = rigid_objects(scene, quaternion)
+    turns = poses[objects.owner, 3:]
+    return Order(scene, turns, move, objects, poses, names, int(objects.owner[move.cell]))
+
+
+def rigid_objects(
+    scene: Scene, quaternion: np.ndarray | None = None
+) -> tuple[Objects, np.ndarray, list[str]]:
+    """The objects of a scene, their poses float64[b, 7] and their names in messages.
+
+    Raises:
+        InputError: for numbers that are not finite.
+    """
     turns = about_z(scene.yaw) if quaternion is None else np.asarray(quaternion, float)
-    for what, array in (("scene", scene.position), ("scene", turns), ("target", move.target)):
+    for array in (scene.position, turns):
         if not np.isfinite(array).all():
-            raise InputError(what, np.asarray(array).tolist(), "finite numbers")
+            raise InputError("scene", array.tolist(), "finite numbers")
     objects = group(scene, turns)
     poses = np.hstack([scene.position[objects.lead], turns[objects.lead]])
-    names = [f"block {k}" for k in objects.lead]
-    return Order(scene, turns, move, objects, poses, names, int(objects.owner[move.cell]))
+    return objects, poses, [f"block {k}" for k in objects.lead]

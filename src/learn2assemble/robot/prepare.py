@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from learn2assemble.robot.approach import MAX_RAISES, Plan, plans, raised
+from learn2assemble.robot.approach import JointColumn, joint_column, joint_columns, turning
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.mjcf import World
-from learn2assemble.robot.motion import OPENING
+from learn2assemble.robot.motion import LEVEL, OPENING, crossing_height
 from learn2assemble.robot.order import Order
 from learn2assemble.robot.outcome import Outcome
-from learn2assemble.robot.transit import Surroundings, straight_or_tree
+from learn2assemble.robot.scene import Move
+from learn2assemble.robot.transit import Surroundings, Touch, straight_or_tree
 from learn2assemble.world.blocks import EDGE
+
+PRESS = 0.004
+"""Columns begin so far below the ordered place [m]: what is held is lowered until it rests."""
+MAX_RAISES = 4
+"""How often the crossing is tried again, a level higher."""
 
 
 class Failure(Exception):
@@ -28,6 +35,19 @@ class Failure(Exception):
     def __init__(self, outcome: Outcome, stage: str, detail: str) -> None:
         super().__init__(f"{outcome.label} ({stage}): {detail}")
         self.outcome, self.stage, self.detail = outcome, stage, detail
+
+
+class Plan(NamedTuple):
+    """Joint positions over both places."""
+
+    pick: JointColumn
+    """Over the grasped cell, from :data:`PRESS` below the contact."""
+    place: JointColumn
+    """Over the target, likewise."""
+    move: Move
+    """The order, with the fingers exchanged where that is easier."""
+    height: float
+    """Of the tool while crossing [m]."""
 
 
 class Course(NamedTuple):
@@ -60,17 +80,13 @@ def prepare(
         Failure: where there is none.
     """
     around = Surroundings(arm, world, order.poses, order.names)
-    found, stage, reason = plans(arm, order.scene, order.move)
-    if not found:
-        raise Failure(Outcome.UNREACHABLE, stage, reason)
+    plan = _plan(arm, around, order)
     if precheck:
-        move = found[0].move
-        around.put(order.target, *order.in_world(move.grasp, move.place), OPENING)
+        around.put(order.target, *order.in_world(plan.move.grasp, plan.move.place), OPENING)
         hit = around.overlap(order.target)
         if hit is not None:
             name = order.names[order.target]
             raise Failure(Outcome.PLACE_COLLISION, "place", f"{name} would overlap {hit}")
-    plan = next((plan for plan in found if _looks_free(around, order, plan)), found[0])
     plan, across = _across(arm, around, order, plan)
     around.empty(OPENING)
     there = _way(around, joints, plan.pick.joints[-1], "approach")
@@ -82,13 +98,54 @@ def prepare(
     return Course(plan, there, across, home)
 
 
-def _looks_free(around: Surroundings, order: Order, plan: Plan) -> bool:
-    """Whether the columns meet nothing: which of two ways round to try, not a verdict."""
-    around.empty(OPENING)
-    if any(around.touch(q, 0.0, order.target) for q in plan.pick.joints[1::2]):
-        return False
-    around.carry(order.target, *order.in_hand(plan.move.grasp), EDGE)
-    return not any(around.touch(q, 0.0) for q in plan.place.joints[1::2])
+def _plan(arm: Arm, around: Surroundings, order: Order) -> Plan:
+    """As ordered or with the fingers exchanged: whatever meets less, then what turns less."""
+    height = crossing_height(order.scene, order.move)
+    given = order.move
+    flipped = given._replace(grasp=given.grasp.flipped(), place=given.place.flipped())
+    found: list[tuple[int, float, Plan]] = []
+    reasons: list[Failure] = []
+    for move in (given, flipped):
+        centre = order.scene.position[move.cell]
+        around.empty(OPENING)
+        pick = _choose(
+            around, joint_columns(arm, centre, move.grasp, height, PRESS), order.target
+        )  # fmt: skip
+        if isinstance(pick, str):
+            reasons.append(Failure(Outcome.UNREACHABLE, "pick", pick))
+            continue
+        around.carry(order.target, *order.in_hand(move.grasp), EDGE)
+        place = _choose(around, joint_columns(arm, move.target, move.place, height, PRESS), None)
+        if isinstance(place, str):
+            reasons.append(Failure(Outcome.UNREACHABLE, "place", place))
+            continue
+        plan = Plan(pick[0], place[0], move, height)
+        ways = [arm.home, *plan.pick.joints[::-1], *plan.place.joints, arm.home]
+        found.append((pick[1] + place[1], turning(arm, ways), plan))
+    if not found:
+        raise reasons[0]
+    return min(found, key=lambda one: one[:2])[2]
+
+
+def _choose(
+    around: Surroundings, columns: Iterator[JointColumn | str], besides: int | None
+) -> tuple[JointColumn, int] | str:
+    """The first column that meets nothing but perhaps the object ``besides``, and 0; else the
+    first one, and 1: the motion will tell. If there is none, why."""
+    first, reason = None, ""
+    for found in columns:
+        if isinstance(found, str):
+            reason = reason or found
+            continue
+        hits = (around.touch(q, 0.0, besides) for q in found.joints[1::2])
+        hit = next((hit for hit in hits if hit), None)
+        if hit is None:
+            return found, 0
+        first = first or found
+        if not hit.by_link:
+            # Another branch moves the links, not what is at their end.
+            break
+    return reason if first is None else (first, 1)
 
 
 def _across(arm: Arm, around: Surroundings, order: Order, plan: Plan) -> tuple[Plan, np.ndarray]:
@@ -96,7 +153,7 @@ def _across(arm: Arm, around: Surroundings, order: Order, plan: Plan) -> tuple[P
     around.carry(order.target, *order.in_hand(plan.move.grasp), EDGE)
     hit = around.blocked(plan.pick.joints[-1], plan.place.joints[-1])
     for levels in range(1, MAX_RAISES + 1) if hit else ():
-        higher = raised(arm, order.scene, plan, levels)
+        higher = _raised(arm, order, plan, levels)
         if higher is None:
             break
         ends = higher.pick.joints[-1], higher.place.joints[-1]
@@ -105,8 +162,19 @@ def _across(arm: Arm, around: Surroundings, order: Order, plan: Plan) -> tuple[P
     return plan, _way(around, plan.pick.joints[-1], plan.place.joints[-1], "cross")
 
 
+def _raised(arm: Arm, order: Order, plan: Plan, levels: int) -> Plan | None:
+    """The plan on the same branches, crossing some levels higher."""
+    height, move = plan.height + levels * LEVEL, plan.move
+    centre = order.scene.position[move.cell]
+    pick = joint_column(arm, centre, move.grasp, height, PRESS, plan.pick.joints[0])
+    place = joint_column(arm, move.target, move.place, height, PRESS, plan.place.joints[0])
+    if isinstance(pick, str) or isinstance(place, str):
+        return None
+    return Plan(pick, place, move, height)
+
+
 def _way(around: Surroundings, start: np.ndarray, end: np.ndarray, stage: str) -> np.ndarray:
     way = straight_or_tree(around, start, end)
-    if isinstance(way, str):
-        raise Failure(Outcome.UNREACHABLE, stage, f"no free way: {way}")
+    if isinstance(way, Touch):
+        raise Failure(Outcome.UNREACHABLE, stage, f"no free way: {way.words}")
     return way

@@ -68,9 +68,7 @@ class Recorder:
         )
         poses = np.array(self._poses)[:, owner]
         poses[..., :3] += rotated(poses[..., 3:], offset)
-        return Trajectory(
-            time, joints, velocity, width, command, stage.astype(np.int8), poses
-        )
+        return Trajectory(time, joints, velocity, width, command, stage.astype(np.int8), poses)
 
 
 def rotated(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:

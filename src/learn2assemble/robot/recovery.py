@@ -8,7 +8,7 @@ from learn2assemble.robot.execution import BLIND, Execution
 from learn2assemble.robot.motion import OPENING
 from learn2assemble.robot.outcome import Outcome
 from learn2assemble.robot.prepare import Failure
-from learn2assemble.robot.transit import Surroundings, straight_or_tree
+from learn2assemble.robot.transit import Surroundings, Touch, straight_or_tree
 
 
 def abandon(run: Execution, failure: Failure, recover: bool) -> Failure:
@@ -63,6 +63,6 @@ def _leave(run: Execution) -> None:
     around = Surroundings(sim.arm, sim.world, sim.poses.copy(), run.order.names)
     around.empty(OPENING)
     way = straight_or_tree(around, sim.joints, sim.arm.home)
-    if isinstance(way, str):
-        raise Failure(Outcome.UNREACHABLE, "home", f"no free way: {way}")
+    if isinstance(way, Touch):
+        raise Failure(Outcome.UNREACHABLE, "home", f"no free way: {way.words}")
     run.travel(way, "home", BLIND)

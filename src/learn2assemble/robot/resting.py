@@ -52,7 +52,7 @@ def check_rest(
             elsewhere, UNSTABLE where it tipped or has not come to rest. An object that rested and
             then tipped over is UNSTABLE wherever it lies, one that was let go in the air DROPPED.
     """
-    position, quaternion = order.cells(poses)
+    position, quaternion, _ = order.objects.cells(poses)
     shift = np.linalg.norm((position - order.scene.position)[:, : rule.axes], axis=1)
     shift[order.objects.owner == order.target] = 0.0
     if not shift.max() < rule.limit:

@@ -4,7 +4,6 @@
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -12,9 +11,9 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from learn2assemble.errors import Learn2AssembleError
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.contacts import Contacts, Rules
+from learn2assemble.robot.diverged import diverged
 from learn2assemble.robot.drives import Drives
 from learn2assemble.robot.mjcf import TIMESTEP, World
 from learn2assemble.robot.recording import Recorder
@@ -25,14 +24,6 @@ SLIP = 0.01
 BLOCK = 10
 """Steps whose commands are computed at once; also between two looks at what need not be seen
 at once."""
-
-
-class SimulationDivergedError(Learn2AssembleError, ArithmeticError):
-    """The simulation has left the numbers; the message names a folder with model and state."""
-
-    def __init__(self, time: float, folder: Path) -> None:
-        super().__init__(f"simulation diverged at {time:.3f} s; model and state are in {folder}")
-        self.folder = folder
 
 
 class Watch(NamedTuple):
@@ -146,7 +137,9 @@ class Simulation:
         self.stage = stage
         run = motion(path, pace, TIMESTEP, legs)
         begins = np.searchsorted(run.progress[:, 0], [w.start for w in watches]).tolist()
-        for watch, begin, end in zip(watches, begins, [*begins[1:], len(run.progress)], strict=True):
+        for watch, begin, end in zip(
+            watches, begins, [*begins[1:], len(run.progress)], strict=True
+        ):
             event, k = self._play(run, begin, end, watch)
             if event is not None:
                 s, rate, change = run.progress[k]
@@ -155,14 +148,16 @@ class Simulation:
                 return event
         return None
 
+    def run(self, run: Motion, widths: np.ndarray, stage: str, watch: Watch) -> Event | None:
+        """Follow samples one step apart, the gripper openings float64[k] [m]."""
+        self.stage = stage
+        return self._play(run, 0, len(widths), watch, widths)[0]
+
     def squeeze(self, widths: np.ndarray, stage: str, watch: Watch) -> Event | None:
         """Stand still while the gripper is told one opening [m] after the other, a step each."""
-        self.stage = stage
-        still = Motion(
-            np.zeros((len(widths), 3)), np.tile(self.joints, (len(widths), 1)),
-            *np.zeros((2, len(widths), len(self.joints))),
-        )  # fmt: skip
-        return self._play(still, 0, len(widths), watch, widths)[0]
+        still = np.zeros((2, len(widths), len(self.joints)))
+        there = np.tile(self.joints, (len(widths), 1))
+        return self.run(Motion(np.zeros((len(widths), 3)), there, *still), widths, stage, watch)
 
     def wait(self, steps: int, stage: str, watch: Watch) -> Event | None:
         """Stand still for a number of steps, or until the watch ends it."""
@@ -244,13 +239,6 @@ class Simulation:
     def _guard(self) -> None:
         """Stops a simulation that diverged, with everything needed to look into it."""
         d = self.data
-        if np.isfinite(d.qpos).all() and np.isfinite(d.qvel).all():
-            return
-        folder = self.dump or Path(tempfile.mkdtemp(prefix="l2a-diverged-"))
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "scene.xml").write_text(self.world.spec.to_xml(), encoding="utf-8")
-        np.savez(
-            folder / "state.npz", qpos=d.qpos, qvel=d.qvel, ctrl=d.ctrl, time=self.time,
-            begin=self.recorder.first_poses(), stage=self.stage,
-        )  # fmt: skip
-        raise SimulationDivergedError(self.time, folder)
+        if not (np.isfinite(d.qpos).all() and np.isfinite(d.qvel).all()):
+            began = self.recorder.first_poses()
+            raise diverged(self.world, d, self.time, self.dump, began=began, stage=self.stage)

@@ -130,7 +130,9 @@ def pace_of(path: JointPath, limits: Limits) -> Pace:
     first, second, third = (np.maximum(bound, 1e-12) for bound in path.bounds())
     v, a, j = limits
     speed = min(
-        np.min(v / first), np.sqrt(np.min(_BENT * a / second)), np.cbrt(np.min(_BENT / 2 * j / third))
+        np.min(v / first),
+        np.sqrt(np.min(_BENT * a / second)),
+        np.cbrt(np.min(_BENT / 2 * j / third)),
     )
     acceleration = min(
         np.min((a - second * speed**2) / first), np.min(_BENT / 2 * j / (3 * second * speed))

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -19,6 +20,14 @@ STRIDE = 0.05
 _GROW = 0.4
 """Largest step of a joint when a tree grows [rad]."""
 _TRIES, _SHORTCUTS = 600, 40
+
+
+class Touch(NamedTuple):
+    """Two things that meet."""
+
+    words: str
+    by_link: bool
+    """A link of the arm is one of them, not its hand."""
 
 
 class Surroundings:
@@ -38,6 +47,8 @@ class Surroundings:
         self._poses = d.qpos[world.pose :].reshape(-1, 7)
         self._begin = poses
         self._is_arm = (world.kind == ARM) | (world.kind == PAD)
+        bodies = [m.body(name).id for name in (arm.gripper.hand, *arm.gripper.fingers)]
+        self._is_link = self._is_arm & ~np.isin(m.geom_bodyid, bodies)
         self._width = 0.0
         self._held: tuple[int, np.ndarray, np.ndarray] | None = None
         self.empty(0.0)
@@ -74,7 +85,7 @@ class Surroundings:
 
     def touch(
         self, joints: np.ndarray, margin: float = PLAN_MARGIN, besides: int | None = None
-    ) -> str | None:
+    ) -> Touch | None:
         """What touches what at joints float64[n] [rad], or None where everything is free.
 
         Args:
@@ -94,12 +105,12 @@ class Surroundings:
             mujoco.mj_kinematics(m, d)
         mujoco.mj_collision(m, d)
         for pair, distance in zip(d.contact.geom, d.contact.dist, strict=True) if d.ncon else ():
-            name = self._collision(pair, distance, margin)
-            if name is not None and besides not in self.world.kind[pair].tolist():
-                return name
+            hit = self._collision(pair, distance, margin)
+            if hit is not None and besides not in self.world.kind[pair].tolist():
+                return hit
         return None
 
-    def blocked(self, start: np.ndarray, end: np.ndarray) -> str | None:
+    def blocked(self, start: np.ndarray, end: np.ndarray) -> Touch | None:
         """What is touched on the straight way between joints, both ends included, or None."""
         count = max(1, math.ceil(np.abs(end - start).max() / STRIDE))
         # From the middle outwards finds what is in the way sooner than from one end.
@@ -109,7 +120,7 @@ class Surroundings:
                 return hit
         return None
 
-    def _collision(self, pair: np.ndarray, distance: float, margin: float) -> str | None:
+    def _collision(self, pair: np.ndarray, distance: float, margin: float) -> Touch | None:
         kind = self.world.kind[pair]
         own = self._is_arm[pair]
         if own.all():
@@ -118,9 +129,10 @@ class Surroundings:
             return self._say(pair) if distance <= -DEPTH else None
         return self._say(pair) if distance < margin else None
 
-    def _say(self, pair: np.ndarray) -> str:
+    def _say(self, pair: np.ndarray) -> Touch:
         first, second = sorted(pair, key=lambda g: not self._is_arm[g])
-        return f"{self._name(first)} touches {self._name(second)}"
+        by_link = bool(self._is_link[pair].any())
+        return Touch(f"{self._name(first)} touches {self._name(second)}", by_link)
 
     def _name(self, geom: int) -> str:
         kind = int(self.world.kind[geom])
@@ -131,7 +143,7 @@ class Surroundings:
 
 def straight_or_tree(
     around: Surroundings, start: np.ndarray, end: np.ndarray, seed: int = 0
-) -> np.ndarray | str:
+) -> np.ndarray | Touch:
     """Joint positions float64[k, n] whose straight connections are free, or what is in the way.
 
     Two trees grow towards each other (RRT-Connect) where the straight line is blocked.
@@ -196,9 +208,7 @@ def _back(tree: tuple[list[np.ndarray], list[int]], leaf: int) -> list[np.ndarra
     return way
 
 
-def _shortened(
-    around: Surroundings, way: list[np.ndarray], rng: np.random.Generator
-) -> np.ndarray:
+def _shortened(around: Surroundings, way: list[np.ndarray], rng: np.random.Generator) -> np.ndarray:
     """The way without corners that can be cut."""
     for _ in range(_SHORTCUTS):
         if len(way) < 3:
