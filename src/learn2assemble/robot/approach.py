@@ -17,7 +17,7 @@ SPACING = 0.02
 """Largest distance between poses of a column that are solved for [m]."""
 JUMP = 0.5
 """Neighbouring poses of a column whose joints differ by more [rad] are on different branches."""
-STARTS = 8
+STARTS = 16
 """How many other configurations a column is sought from."""
 
 

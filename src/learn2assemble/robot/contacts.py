@@ -19,6 +19,8 @@ PUSH = 5.0
 """The same between the open hand and the block it is about to grasp [N]: a finger that slides a
 free block (friction holds it with 1 N) is none, one that lands on it is."""
 _CLASSES = _TABLE, _ARM, _PAD, _TARGET, _OTHER = range(5)
+_SUBJECT = (4, 0, 0, 1, 3)
+"""Which of two things touches the other, by class."""
 
 
 class Rules(NamedTuple):
@@ -70,7 +72,7 @@ class Contacts:
                 first, second = pairs[begin]
                 force = self.force(begin)
                 if force >= thresholds[self._class[first], self._class[second]]:
-                    if self._class[second] in (_ARM, _PAD):
+                    if _SUBJECT[self._class[second]] < _SUBJECT[self._class[first]]:
                         first, second = second, first
                     names = f"{self.name(first)} touches {self.name(second)}"
                     return f"{names} with {force:.1f} N"

@@ -137,7 +137,7 @@ def _choose(
         if isinstance(found, str):
             reason = reason or found
             continue
-        hits = (around.touch(q, 0.0, besides) for q in found.joints[1::2])
+        hits = (around.touch(q, 0.0, besides) for q in found.joints[1:])
         hit = next((hit for hit in hits if hit), None)
         if hit is None:
             return found, 0

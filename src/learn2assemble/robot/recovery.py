@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from learn2assemble.robot.execution import BLIND, Execution
+from learn2assemble.robot.execution import BLIND, REST_TIME, Execution
+from learn2assemble.robot.mjcf import TIMESTEP
 from learn2assemble.robot.motion import OPENING
 from learn2assemble.robot.outcome import Outcome
 from learn2assemble.robot.prepare import Failure
 from learn2assemble.robot.transit import Surroundings, Touch, straight_or_tree
+from learn2assemble.world.blocks import EDGE
+
+HOLDS = 0.5
+"""Both fingers press what is in the hand with this much at least [N]: half a block's weight."""
 
 
 def abandon(run: Execution, failure: Failure, recover: bool) -> Failure:
@@ -22,23 +27,37 @@ def abandon(run: Execution, failure: Failure, recover: bool) -> Failure:
     Returns:
         the failure, with a word on what became of what was held.
     """
-    if failure.outcome == Outcome.GRASP_LOST:
-        run.sim.let_go()
-        run.holding = False
-    words = "still in the hand" if run.holding else ""
+    sim = run.sim
+    sim.let_go()
+    _settle(run)
+    words = ""
     if recover and failure.stage != "rest":
+        words = "the arm is home"
         try:
             if run.holding:
+                sim.hold()
                 _put_back(run)
                 words = "put back"
             _leave(run)
         except Failure as second:
             words = f"then {second.stage}: {second.detail}"
-            run.sim.let_go()
-            run.holding = run.holding and second.outcome != Outcome.GRASP_LOST
-    run.settle(run.sim.stage)
+            sim.let_go()
+        _settle(run)
+    words = "still in the hand" if run.holding else words
     detail = f"{failure.detail}; {words}" if words else failure.detail
     return Failure(failure.outcome, failure.stage, detail)
+
+
+def _settle(run: Execution) -> None:
+    """Wait until everything rests but what both fingers hold, whatever was meant."""
+    sim = run.sim
+
+    def in_hand() -> bool:
+        return sim.width < EDGE and run.grip() >= HOLDS
+
+    watch = BLIND._replace(until=lambda: sim.asleep(besides=in_hand()))
+    sim.wait(round(REST_TIME / TIMESTEP), sim.stage, watch)
+    run.holding = in_hand()
 
 
 def _put_back(run: Execution) -> None:

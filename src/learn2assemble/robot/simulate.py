@@ -110,9 +110,10 @@ class Simulation:
         position, rotation = self.tool()
         return rotation.T @ (self.poses[self.target, :3] - position)
 
-    def asleep(self) -> bool:
-        """Whether every object rests."""
-        return bool((self.data.tree_asleep[self.world.tree :] >= 0).all())
+    def asleep(self, besides: bool = False) -> bool:
+        """Whether every object rests, or every one but the target."""
+        rest = self.data.tree_asleep[self.world.tree :] >= 0
+        return bool(rest.all() or (besides and np.delete(rest, self.target).all()))
 
     def speed(self, number: int) -> float:
         """Of an object [m/s]."""

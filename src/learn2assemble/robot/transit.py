@@ -15,6 +15,8 @@ from learn2assemble.robot.mjcf import ARM, PAD, PLAN_MARGIN, TABLE, World, set_h
 
 DEPTH = 0.001
 """What is held may be so deep in other things [m], as it is where it rests on them."""
+SELF_MARGIN = 0.002
+"""Distance the arm keeps from itself on planned ways and in columns [m]."""
 STRIDE = 0.05
 """Largest step of a joint between two checks of a way [rad]."""
 _GROW = 0.4
@@ -124,7 +126,8 @@ class Surroundings:
         kind = self.world.kind[pair]
         own = self._is_arm[pair]
         if own.all():
-            return self._say(pair) if distance < 0 and not (kind == PAD).all() else None
+            near = distance < SELF_MARGIN and not (kind == PAD).all()
+            return self._say(pair) if near else None
         if not own.any():
             return self._say(pair) if distance <= -DEPTH else None
         return self._say(pair) if distance < margin else None
