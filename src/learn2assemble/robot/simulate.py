@@ -17,7 +17,16 @@ from learn2assemble.robot.diverged import diverged
 from learn2assemble.robot.drives import Drives
 from learn2assemble.robot.mjcf import TIMESTEP, World
 from learn2assemble.robot.recording import Recorder
-from learn2assemble.robot.trajectory import JointPath, Leg, Motion, Pace, motion, stop
+from learn2assemble.robot.trajectory import (
+    JointPath,
+    Leg,
+    Limits,
+    Motion,
+    Pace,
+    motion,
+    pace_of,
+    stop,
+)
 
 SLIP = 0.01
 """What is held has been lost when it has moved so far in the hand [m]."""
@@ -73,6 +82,8 @@ class Simulation:
     ) -> None:
         self.arm, self.world, self.dump, self.target = arm, world, dump, target
         self.model, self.data = world.model, mujoco.MjData(world.model)
+        self.limits = Limits(arm.velocity, arm.acceleration, arm.jerk)
+        """What brakes may use."""
         self.drives = Drives(arm, world, self.data)
         self.contacts = Contacts(world, self.data, names, target)
         self.stage, self.steps, self.sample_steps = "approach", 0, sample_steps
@@ -144,7 +155,8 @@ class Simulation:
             event, k = self._play(run, begin, end, watch)
             if event is not None:
                 s, rate, change = run.progress[k]
-                rest = stop(path, pace, TIMESTEP, (s, rate, change))
+                brake = pace_of(path, self.limits)
+                rest = stop(path, brake, TIMESTEP, (s, rate, change))
                 self._play(rest, 0, len(rest.progress), Watch(Rules(None)))
                 return event
         return None

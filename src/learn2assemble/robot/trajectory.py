@@ -141,6 +141,14 @@ def pace_of(path: JointPath, limits: Limits) -> Pace:
     return Pace(float(speed), float(acceleration), float(jerk))
 
 
+def reachable_speed(speed: float, way: float, pace: Pace) -> float:
+    """A speed that can be reached from another one, without acceleration at both ends, on a way;
+    no lower than that."""
+    # The acceleration rises and falls at full jerk; on average it is at least half its peak.
+    peak = min(pace.acceleration, np.cbrt(pace.jerk**2 * way / 2))
+    return float(np.sqrt(speed**2 + peak * way))
+
+
 class Motion(NamedTuple):
     """Where the joints shall be at equal steps of time; the first sample is one step after now."""
 
