@@ -44,7 +44,7 @@ ALLOWED: dict[str, set[str]] = {
 
 LIBRARIES = {"torch", "numpy", "numba", "safetensors", "tqdm"}
 """What the training path may need."""
-HEAVY = {"mujoco", "gymnasium", "rich", "matplotlib", "highspy"}
+HEAVY = {"mujoco", "gymnasium", "rich", "matplotlib", "highspy", "ruckig"}
 LIGHT_PARTS = ["geometry", "world", "task", "presets", "graph", "simulator", "networks", "search",
                "learning"]  # fmt: skip
 ONLY: dict[str, set[str]] = {
@@ -165,7 +165,8 @@ def test_parts_that_know_few_libraries(part: str) -> None:
 @pytest.mark.parametrize(
     ("library", "parts"),
     [
-        ("mujoco", {"physics", "planning"}),
+        ("mujoco", {"physics", "planning", "robot"}),
+        ("ruckig", {"robot"}),
         ("highspy", {"physics", "evaluation"}),
         ("gymnasium", {"envs", "evaluation"}),
         ("matplotlib", {"viewer"}),

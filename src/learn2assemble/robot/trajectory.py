@@ -81,12 +81,6 @@ class JointPath(NamedTuple):
         first = np.max(np.abs([left, left + m0 * h / 2, right]), axis=0)
         return first, np.maximum(np.abs(m0), np.abs(m1)), np.abs(m1 - m0) / h
 
-    def reversed(self) -> JointPath:
-        """The same way back."""
-        return JointPath(
-            self.length - self.knots[::-1], self.joints[::-1].copy(), self.bend[::-1].copy()
-        )
-
 
 def joint_path(joints: np.ndarray, limits: Limits) -> JointPath:
     """The path through joint positions float64[k, n] [rad]; repeated ones count once.
