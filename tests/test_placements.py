@@ -23,6 +23,11 @@ _OBJECTS = Task(
     "set-26", num_sides=2, grid=3, num_nodes=20, objects="set-26", rotations=4, reward="scaled",
     success_threshold=0.75,
 )  # fmt: skip
+_GRIPPED = Task(
+    "gripped", num_sides=2, grid=3, num_nodes=18, rotations=4, attitudes="grips", pitch=0.06,
+    layout="slanted-rows", success_threshold=0.75, cover_filter="wide", normalise_initial=False,
+    max_initial_cover=0.6,
+)  # fmt: skip
 TASKS = {
     task.name: task
     for task in (
@@ -35,6 +40,10 @@ TASKS = {
         Task("set-20", num_sides=2, grid=3, num_nodes=20, objects="set-20", rotations=4),
         Task("set-21", num_sides=1, grid=4, num_nodes=20, objects="set-21"),
         _OBJECTS,
+        _GRIPPED,
+        _GRIPPED.replace(
+            name="gripped-set-26", objects="set-26", layout="columns", reward="scaled"
+        ),
     )
 }
 SIMULATORS = {name: Simulator(task) for name, task in TASKS.items()}
@@ -43,10 +52,12 @@ some_state = given(
 )
 
 Cells = frozenset[tuple[int, int, int]]
+Result = tuple[Cells, int]
+"""The cells an action fills and the grip by which it does; without a gripper always 0."""
 
 
 def whole(positions: np.ndarray) -> list[tuple[int, int, int]]:
-    """Centres [m] in whole half edges."""
+    """Centres [m] in whole half edges, which tells apart the cells of a wider lattice, too."""
     return [tuple(cell) for cell in np.rint(positions / HALF).astype(int).tolist()]
 
 
@@ -57,6 +68,7 @@ class Tried(NamedTuple):
     """int64[m, 3], numbers within unplaced and placed blocks, in lexical order."""
     cells: list[Cells]
     """Cells each of them fills."""
+    result: list[Result]
     first: list[tuple[int, int, int]]
     """Cell of the chosen block."""
     reward: np.ndarray
@@ -72,8 +84,11 @@ def try_everything(simulator: Simulator, state: State, row: int) -> Tried:
     placed, before = int(state.num_placed[row]), state.plane_coverage[row]
     step = simulator.step(many, actions)
     filled = [whole(many.position[n, placed : many.num_placed[n]]) for n in range(len(actions))]
+    cells = [frozenset(one) for one in filled]
+    gripped = simulator.task.attitudes == "grips"
+    grips = (actions[:, 2] % simulator.task.rotations * gripped).tolist()
     return Tried(
-        actions, [frozenset(cells) for cells in filled], [cells[0] for cells in filled],
+        actions, cells, list(zip(cells, grips, strict=True)), [cells[0] for cells in filled],
         step.reward, step.terminated, step.verdict == 0, many.plane_coverage - before,
     )  # fmt: skip
 
@@ -88,20 +103,21 @@ def some_worlds(name: str, seed: int, steps: int, count: int = 2) -> tuple[Simul
 @some_state
 @settings(max_examples=40, deadline=None)
 def test_placements_are_what_the_actions_can_make(name: str, seed: int, steps: int) -> None:
-    """One placement for every set of cells that some action fills, the first action that does."""
+    """One placement for every set of cells that some action fills by some grip, the first action
+    that does."""
     simulator, state = some_worlds(name, seed, steps)
     graph = simulator.observe(state)
     found = distinct_placements(graph, simulator.ways)
     local = found.action - node_offset(graph)[:, None]
     for row in range(state.batch_size):
         tried = try_everything(simulator, state, row)
-        known: dict[Cells, int] = {}
-        for number, cells in enumerate(tried.cells):
-            known.setdefault(cells, number)
+        known: dict[Result, int] = {}
+        for number, result in enumerate(tried.result):
+            known.setdefault(result, number)
         count = int(found.count[row])
         assert local[row, :count].tolist() == tried.actions[list(known.values())].tolist()
         assert found.used[row].sum() == count == len(known)
-        for n, (cells, number) in enumerate(known.items()):
+        for n, ((cells, _), number) in enumerate(known.items()):
             members = [int(m) for m in found.members[row, n] if m >= 0]
             there = whole(found.cells[row, members])
             assert len(there) == len(cells)
@@ -110,7 +126,7 @@ def test_placements_are_what_the_actions_can_make(name: str, seed: int, steps: i
         # Cells: all that can be filled, then what only placed blocks fill; each once.
         every = whole(found.cells[row, : found.num_cells[row]])
         assert len(set(every)) == len(every)
-        fillable = set().union(*known)
+        fillable = set().union(*(cells for cells, _ in known))
         assert set(every[: len(fillable)]) == fillable
         placed = set(whole(state.position[row, : state.num_placed[row]]))
         assert set(every[len(fillable) :]) == placed - fillable
@@ -119,22 +135,22 @@ def test_placements_are_what_the_actions_can_make(name: str, seed: int, steps: i
 @some_state
 @settings(max_examples=25, deadline=None)
 def test_keys_and_numbers_are_those_of_the_result(name: str, seed: int, steps: int) -> None:
-    """``action_keys`` are equal exactly where the cells are; ``locate`` finds the placement."""
+    """``action_keys`` are equal just where cells and grip are; ``locate`` finds the placement."""
     simulator, state = some_worlds(name, seed, steps)
     graph, ways = simulator.observe(state), simulator.ways
     found = distinct_placements(graph, ways)
     for row in range(state.batch_size):
         tried = try_everything(simulator, state, row)
         keys = action_keys(graph, row, ways).ravel().tolist()
-        assert len(set(zip(keys, tried.cells, strict=True))) == len(set(keys))
-        assert len(set(keys)) == len(set(tried.cells))
+        assert len(set(zip(keys, tried.result, strict=True))) == len(set(keys))
+        assert len(set(keys)) == len(set(tried.result))
         many = graph.take(np.full(len(keys), row))
         repeated = type(found)(*[field[np.full(len(keys), row)] for field in found])
         action = tried.actions + node_offset(graph)[row]
         number = locate(repeated, many, action, ways)
         assert found.key[row, number].tolist() == keys
-        order = list(dict.fromkeys(tried.cells))
-        assert number.tolist() == [order.index(cells) for cells in tried.cells]
+        order = list(dict.fromkeys(tried.result))
+        assert number.tolist() == [order.index(result) for result in tried.result]
 
 
 def test_locate_says_where_nothing_is_found() -> None:
@@ -217,7 +233,7 @@ def test_outcomes_are_what_the_steps_bring(name: str, seed: int, steps: int) -> 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(static_module, "_equilibrium", spy)
             tried = try_everything(simulator, state, row)
-        first = list({cells: n for n, cells in reversed(list(enumerate(tried.cells)))}.values())
+        first = list({made: n for n, made in reversed(list(enumerate(tried.result)))}.values())
         first.sort()
         count = int(found.count[row])
         assert len(first) == count

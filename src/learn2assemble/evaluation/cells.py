@@ -21,6 +21,7 @@ from learn2assemble.evaluation.episodes import (
 )
 from learn2assemble.evaluation.perfect import best_returns, has_bound
 from learn2assemble.evaluation.table_spec import AGENT, LOOK_AHEAD, RANDOM
+from learn2assemble.judges import JUDGES
 from learn2assemble.learning.run import provenance
 from learn2assemble.networks.agent import load_agent
 from learn2assemble.networks.config import NetworkConfig
@@ -119,7 +120,9 @@ def _changes(config: Any, default: Any, prefix: str) -> list[str]:
 
 def measurable(cell: Cell) -> bool:
     """Whether this version can play it."""
-    return cell.policy != BOUND or has_bound(cell.task)
+    if cell.policy == BOUND:
+        return has_bound(cell.task)
+    return cell.physics in JUDGES
 
 
 def measure(cell: Cell, agent_file: str | None, episodes: int) -> dict[str, Any]:

@@ -144,7 +144,8 @@ def _replay_line(
 
     objects = log.placed_objects(problem) if several else None
     report.judged_lines += 1
-    note = {name: line[name] for name in ("ep", "t", "accv") if name != "accv" or not robot}
+    note = {name: line[name] for name in (("ep", "t") if robot else ("ep", "t", "accv"))}
+    speeds = [] if robot else line["accv_obj"]
     edge = None
     for physics in (StaticPhysics(), None if robot else rigid):
         if physics is None:
@@ -157,7 +158,10 @@ def _replay_line(
         if not edge:
             tallies[f"{physics.name}_firm"].add(agrees)
         if not agrees:
-            why = _why_not_here(line, outcome) if robot else _why(line, outcome)
+            if robot:
+                why = _why_not_here(line, outcome)
+            else:
+                why = explain(*outcome.structure, line["invalid"], speeds)
             report.disagreements.append(
                 {"line": report.lines, **note, "recorded_invalid": line["invalid"],
                  "physics": physics.name, "why": why}
@@ -166,10 +170,6 @@ def _replay_line(
             report.real_lines += 1
             tallies["reward"].add(abs(outcome.reward - line["reward"]) <= REWARD_TOLERANCE)
             tallies["done"].add(outcome.done == line["done"])
-
-
-def _why(line: Line, outcome: _Outcome) -> str:
-    return explain(*outcome.structure, line["invalid"], line["accv_obj"])
 
 
 def _why_not_here(line: Line, outcome: _Outcome) -> str:

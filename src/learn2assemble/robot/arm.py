@@ -14,8 +14,8 @@ import mujoco
 import numpy as np
 
 from learn2assemble.errors import InputError, look_up
-from learn2assemble.robot.model import read_spec
 from learn2assemble.robot.registry import ARMS
+from learn2assemble.robot.spec import read_spec
 
 
 @dataclass(frozen=True, eq=False)
