@@ -24,7 +24,9 @@ from learn2assemble.robot.trajectory import (
 )
 
 STEP = 0.002
-LIMITS = Limits(np.array([2.0, 2.5, 1.0]), np.array([15.0, 7.5, 3.0]), np.array([800.0, 90.0, 40.0]))
+LIMITS = Limits(
+    np.array([2.0, 2.5, 1.0]), np.array([15.0, 7.5, 3.0]), np.array([800.0, 90.0, 40.0])
+)
 
 
 def walks(seed: int, count: int) -> np.ndarray:

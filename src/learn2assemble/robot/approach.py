@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.attempts import METRES_PER_RADIAN, seeds
 from learn2assemble.robot.grasps import Attitude
-from learn2assemble.robot.inverse import METRES_PER_RADIAN, seeds, solve
+from learn2assemble.robot.inverse import solve
 from learn2assemble.robot.motion import column
 
 SPACING = 0.02

@@ -36,5 +36,5 @@ def diverged(
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "scene.xml").write_text(world.spec.to_xml(), encoding="utf-8")
     state = {"qpos": data.qpos, "qvel": data.qvel, "ctrl": data.ctrl, "time": time, **more}
-    np.savez(folder / "state.npz", allow_pickle=False, **state)
+    np.savez(folder / "state.npz", **state)
     return SimulationDivergedError(time, folder)

@@ -75,6 +75,8 @@ class DynamicCell:
                 raise InputError(what, value, "a share, above 0 and at most 1")
         if finish not in ("home", "above"):
             raise InputError("finish", finish, "home or above")
+        if sample_steps < 1:
+            raise InputError("sample_steps", sample_steps, "1 or more")
         self.arm = arm
         full = Limits(arm.velocity, arm.acceleration, arm.jerk)
         self.limits, self.loaded = full.scaled(speed), full.scaled(loaded_speed)
