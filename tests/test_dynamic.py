@@ -291,9 +291,9 @@ def test_what_is_let_go_in_the_air_is_dropped(panda: DynamicCell) -> None:
 
 
 def test_a_block_that_overhangs_tips(panda: DynamicCell) -> None:
-    found = panda.attempt(ONE, Move(1, cell(0, 0, 1) + [0.032, 0, 0], *AA))
+    found = panda.attempt(ONE, Move(1, cell(0.032 / PITCH, 0, 1), *AA))
     assert failed(found) == (Outcome.UNSTABLE, "rest")
-    assert panda.attempt(ONE, Move(1, cell(0, 0, 1) + [0.02, 0, 0], *AA)).reached
+    assert panda.attempt(ONE, Move(1, cell(0.02 / PITCH, 0, 1), *AA)).reached
 
 
 def test_a_block_that_levers_another_off_disturbs() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -107,7 +109,7 @@ def test_a_tower_is_gone_round() -> None:
     assert len(way) > 2
     np.testing.assert_array_equal(way[0], start)
     np.testing.assert_array_equal(way[-1], end)
-    for a, b in zip(way[:-1], way[1:], strict=True):
+    for a, b in pairwise(way):
         for share in np.linspace(0, 1, 40):
             assert there.touch(a + share * (b - a), 0.0) is None
     np.testing.assert_array_equal(straight_or_tree(around(tower(6)), start, end), way)

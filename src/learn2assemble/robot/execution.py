@@ -14,7 +14,8 @@ from learn2assemble.robot.order import Order
 from learn2assemble.robot.outcome import Outcome
 from learn2assemble.robot.prepare import PRESS, Course, Failure
 from learn2assemble.robot.simulate import Event, Simulation, Watch
-from learn2assemble.robot.trajectory import JointPath, Leg, Limits, Pace, joint_path, pace_of, reachable_speed
+from learn2assemble.robot.slowing import slowing
+from learn2assemble.robot.trajectory import Limits, joint_path, pace_of
 from learn2assemble.world.blocks import EDGE
 
 LOOSE = 0.005
@@ -115,7 +116,7 @@ class Execution:
         joints, rise = column.joints[above], column.rise[above]
         path = joint_path(joints[::-1], self.limits)
         pace = pace_of(path, self.limits)
-        legs = _slowing(path, rise[::-1], ((CAREFUL, CAREFUL_SPEED),), pace)
+        legs = slowing(path, rise[::-1], ((CAREFUL, CAREFUL_SPEED),), pace)
         _check(sim.follow(path, pace, "pick", (EMPTY,), legs), touch, "pick")
         pressing = EDGE - gripper.force / gripper.stiffness
         enough = GRIPPED * gripper.force
@@ -172,120 +173,10 @@ class Execution:
         path = joint_path(np.vstack([sim.joints, column.joints[:now][::-1]]), self.loaded)
         pace = pace_of(path, self.loaded)
         rise = column.rise[: now + 1][::-1]
-        legs = _slowing(path, rise, ((CAREFUL, CAREFUL_SPEED), (SOFT, SOFT_SPEED)), pace)
+        legs = slowing(path, rise, ((CAREFUL, CAREFUL_SPEED), (SOFT, SOFT_SPEED)), pace)
         loose = float(np.interp(-LOOSE, -rise, path.knots))
         until = near._replace(start=loose, until=lambda: sim.contacts.support() >= LANDED)
         event = sim.follow(path, pace, stage, (before, until), legs)
-        self.landed = False
-        """Whether it rested on something before the hand let go of it."""
-
-    def go(self) -> None:
-        """The whole of it.
-
-        Raises:
-            Failure: at the first thing that goes wrong; the arm has stopped.
-        """
-        course, sim = self.course, self.sim
-        self.settle("approach")
-        self.travel(course.there, "approach")
-        self.grasp(course.plan.pick)
-        self.carry(course.across)
-        if self.correct:
-            self.place = self.corrected()
-        self.lower(self.place, "place", LOADED, NEAR)
-        self.release("release", NEAR)
-        self.rise(self.place, "retreat", NEAR)
-        if course.home is not None:
-            self.travel(np.vstack([sim.joints, course.home[1:]]), "home")
-        self.settle(sim.stage)
-
-    def settle(self, stage: str) -> None:
-        """Wait until every object rests."""
-        self.sim.wait(_steps(REST_TIME), stage, BLIND._replace(until=self.sim.asleep))
-
-    def travel(self, way: np.ndarray, stage: str, watch: Watch = EMPTY) -> None:
-        """Move the empty hand along straight lines of the joints."""
-        outcome = Outcome.GRASP_COLLISION if stage == "approach" else Outcome.PLACE_COLLISION
-        for start, end in pairwise(way):
-            path = joint_path(np.array([start, end]), self.limits)
-            pace = pace_of(path, self.limits)
-            if self.skip_free:
-                self.sim.skip(path, pace, stage)
-            else:
-                _check(self.sim.follow(path, pace, stage, (watch,)), outcome, stage)
-
-    def grasp(self, column: JointColumn) -> None:
-        """Down, close, up."""
-        sim, gripper = self.sim, self.sim.arm.gripper
-        touch = Outcome.GRASP_COLLISION
-        above = column.rise >= 0
-        joints, rise = column.joints[above], column.rise[above]
-        path = joint_path(joints[::-1], self.limits)
-        pace = pace_of(path, self.limits)
-        legs = _slowing(path, rise[::-1], ((CAREFUL, CAREFUL_SPEED),), pace)
-        _check(sim.follow(path, pace, "pick", (EMPTY,), legs), touch, "pick")
-        pressing = EDGE - gripper.force / gripper.stiffness
-        enough = GRIPPED * gripper.force
-        _check(sim.squeeze(_ramp(sim.width, pressing, gripper.speed), "pick", NEAR), touch, "pick")
-        watch = NEAR._replace(until=lambda: self.grip() >= enough)
-        event = sim.wait(_steps(GRIP_TIME), "pick", watch)
-        if event is None:
-            detail = f"the fingers press with {self.grip():.1f} N at {1e3 * sim.opening:.0f} mm"
-            raise Failure(Outcome.GRASP_LOST, "pick", detail)
-        _check(event, touch, "pick")
-        sim.hold()
-        self.holding = True
-        path = joint_path(joints, self.loaded)
-        off = float(np.interp(LOOSE, rise, path.knots))
-        watches = (NEAR, LOADED._replace(start=off))
-        _check(sim.follow(path, pace_of(path, self.loaded), "lift", watches), touch, "lift")
-
-    def grip(self) -> float:
-        """What the weaker finger presses with [N]."""
-        return self.sim.contacts.grip(self.sim.arm.gripper.pads)
-
-    def carry(self, way: np.ndarray, watch: Watch = LOADED) -> None:
-        """Across, along straight lines of the joints."""
-        for start, end in pairwise(way):
-            path = joint_path(np.array([start, end]), self.loaded)
-            event = self.sim.follow(path, pace_of(path, self.loaded), "cross", (watch,))
-            _check(event, Outcome.PLACE_COLLISION, "cross")
-            self.legs += 1
-
-    def corrected(self) -> JointColumn:
-        """The column over the target for the hand that holds the object as it does."""
-        sim, plan, order = self.sim, self.course.plan, self.order
-        position, rotation = sim.tool()
-        cell = order.objects.cells(sim.poses)[0][order.move.cell]
-        place, target = plan.move.place, order.move.target
-        tool = target - place.rotation() @ rotation.T @ (cell - position)
-        centre = tool + target - place.tool_point(target)
-        found = joint_column(sim.arm, centre, place, plan.height, PRESS, plan.place.joints[0])
-        if isinstance(found, str):
-            raise Failure(Outcome.UNREACHABLE, "place", found)
-        return found
-
-    def lower(self, column: JointColumn, stage: str, before: Watch, near: Watch) -> None:
-        """Down, the last part slowly, until the object rests or the column ends.
-
-        Args:
-            column: over the place, from below it.
-            stage: for the recording.
-            before: what is looked for on the way ...
-            near: ... and within :data:`LOOSE` of the place.
-        """
-        sim = self.sim
-        now = _nearest(column, sim.joints)
-        path = joint_path(np.vstack([sim.joints, column.joints[:now][::-1]]), self.loaded)
-        pace = pace_of(path, self.loaded)
-        rise = column.rise[: now + 1][::-1]
-        soft, loose = np.interp([-SOFT, -LOOSE], -rise, path.knots).tolist()
-        slow = SOFT_SPEED * path.length / (rise[0] - rise[-1])
-        if soft < path.length:
-            slow = SOFT_SPEED * (path.length - soft) / (min(SOFT, rise[0]) - rise[-1])
-        legs = (Leg(soft, min(pace.speed, slow)), Leg(path.length, 0.0, slow))
-        until = near._replace(start=loose, until=lambda: sim.contacts.support() >= LANDED)
-        event = sim.follow(path, pace, stage, (before, until), legs if soft > 0 else legs[1:])
         self.landed = event is not None and event.what == "until"
         _check(event, Outcome.PLACE_COLLISION, stage)
 
@@ -310,30 +201,6 @@ def _check(event: Event | None, outcome: Outcome, stage: str) -> None:
     if event is not None and event.what != "until":
         lost = event.what == "lost"
         raise Failure(Outcome.GRASP_LOST if lost else outcome, stage, event.detail)
-
-
-def _slowing(
-    path: JointPath, rise: np.ndarray, zones: tuple[tuple[float, float], ...], pace: Pace
-) -> tuple[Leg, ...]:
-    """Legs of a way down that enter zones near the contact at lower speeds.
-
-    Args:
-        path: down a column.
-        rise: float64[k] of the tool at its knots [m], falling.
-        zones: height above the contact [m] and largest speed there [m/s], downwards.
-        pace: of the path.
-    """
-    legs, top, begun, speed = [], pace.speed, 0.0, 0.0
-    for height, slowly in zones:
-        s = float(np.interp(-height, -rise, path.knots))
-        # Within a zone, s and the way of the tool are all but proportional.
-        limit = min(top, slowly * (path.length - s) / (height - rise[-1]))
-        if s > begun:
-            speed = min(limit, reachable_speed(speed, s - begun, pace))
-            legs.append(Leg(s, speed, top))
-            begun = s
-        top = limit
-    return (*legs, Leg(path.length, 0.0, top))
 
 
 def _nearest(column: JointColumn, joints: np.ndarray) -> int:
