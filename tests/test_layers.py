@@ -46,7 +46,7 @@ ALLOWED: dict[str, set[str]] = {
 
 LIBRARIES = {"torch", "numpy", "numba", "safetensors", "tqdm"}
 """What the training path may need."""
-HEAVY = {"mujoco", "gymnasium", "rich", "matplotlib", "highspy"}
+HEAVY = {"mujoco", "gymnasium", "rich", "matplotlib", "highspy", "ruckig"}
 LIGHT_PARTS = ["geometry", "world", "task", "presets", "graph", "simulator", "networks", "search",
                "learning"]  # fmt: skip
 ONLY: dict[str, set[str]] = {
@@ -168,6 +168,7 @@ def test_parts_that_know_few_libraries(part: str) -> None:
     ("library", "parts"),
     [
         ("mujoco", {"physics", "planning", "robot"}),
+        ("ruckig", {"robot"}),
         ("highspy", {"physics", "evaluation"}),
         ("gymnasium", {"envs", "evaluation"}),
         ("matplotlib", {"viewer"}),
