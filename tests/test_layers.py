@@ -34,7 +34,6 @@ ALLOWED: dict[str, set[str]] = {
     "planning": _TASK | {"networks", "search"},
     "evaluation": _TASK | {"networks", "search", "learning", "planning"},
     "envs": _TASK,
-    "robot": _WORLD,
     "viewer": _WORLD | {"robot"},
     "cli": _TASK
     | {"networks", "search", "learning", "planning", "evaluation", "envs", "viewer", "__init__"}

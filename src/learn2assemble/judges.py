@@ -30,7 +30,31 @@ def _kinematic(task: Task, balance: str) -> Physics:
     return ArmPhysics(cell, get_grasps(task.grasps), balance_judge)
 
 
-CELLS: dict[str, Callable[[Task], Physics]] = {}
+def _dynamic(task: Task) -> Physics:
+    from learn2assemble.robot.arm import get_arm
+    from learn2assemble.robot.dynamic import DynamicCell
+    from learn2assemble.robot.grasps import get_grasps
+    from learn2assemble.robot.judge import ArmPhysics
+    from learn2assemble.robot.resting import ONE_SIDED
+
+    rule = ONE_SIDED if task.num_sides == 1 else None
+    # What the hand does where nothing is near changes nothing for the blocks.
+    cell = DynamicCell(get_arm(task.arm), shift_rule=rule, skip_free_motion=True)
+    return ArmPhysics(cell, get_grasps(task.grasps))
+
+
+def _published(task: Task) -> Physics:
+    from learn2assemble.robot.arm import get_arm
+    from learn2assemble.robot.grasps import get_grasps
+    from learn2assemble.robot.judge import ArmPhysics
+    from learn2assemble.robot.published import PublishedCell
+
+    rules = "one-sided" if task.num_sides == 1 else "cubes"
+    rules = "objects" if task.objects != "cubes" else rules
+    return ArmPhysics(PublishedCell(get_arm(task.arm), rules), get_grasps(task.grasps))
+
+
+CELLS: dict[str, Callable[[Task], Physics]] = {"dynamic": _dynamic, "published": _published}
 """Judges that find out about balance themselves."""
 JUDGES = (*BALANCE, *CELLS)
 """All names."""

@@ -147,9 +147,7 @@ class PublishedCell:
                 raise _FailedError(Outcome.GRASP_COLLISION, "grasp speed")
         self._idle(IDLE_STEPS)
         self.world.grip(move.cell)
-        self._jump(
-            self._solve(centre + [0, 0, LIFTED], rotation, self.motors.joints, "lift")
-        )
+        self._jump(self._solve(centre + [0, 0, LIFTED], rotation, self.motors.joints, "lift"))
 
     def _place(self, top: bool) -> None:
         scene, move, rules = self._scene, self._move, self.rules
