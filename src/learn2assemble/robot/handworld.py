@@ -192,7 +192,7 @@ class HandWorld:
         groups = []
         for number in np.unique(scene.object_id):
             cells = np.flatnonzero(scene.object_id == number)
-            axes = turn(scene.yaw[cells[0]])
+            axes = turn(float(scene.yaw[cells[0]]))
             offset = (scene.position[cells] - scene.position[cells[0]]) @ axes
             offset = GRAIN * np.rint(offset / GRAIN)
             origin = (scene.position[cells] - offset @ axes.T).mean(0)

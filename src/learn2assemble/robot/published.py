@@ -117,7 +117,9 @@ class PublishedCell:
         self._travel = np.zeros(len(self._now))
         self._integral = np.zeros(len(self.motors.joints))
         if top is None:
-            gap = np.abs(scene.position[: scene.num_placed] - move.target + [0, 0, EDGE])
+            gap = np.abs(
+                scene.position[: scene.num_placed] - move.target + np.array([0.0, 0.0, EDGE])
+            )
             top = bool((gap.max(1) < HALF).any())
         try:
             self._grasp()
@@ -134,8 +136,10 @@ class PublishedCell:
         start = HOME
         if self.rules.objects and centre[1] > 0:
             start = GRASP_STARTS[turned(move.grasp)]
-        self._jump(self._reach(centre + [0, 0, ABOVE], rotation, start, "approach"))
-        joints = self._solve(centre + [0, 0, BEFORE], rotation, self.motors.joints, "approach")
+        self._jump(self._reach(centre + np.array([0.0, 0.0, ABOVE]), rotation, start, "approach"))
+        joints = self._solve(
+            centre + np.array([0.0, 0.0, BEFORE]), rotation, self.motors.joints, "approach"
+        )
         self._jump(joints)
         joints = self._solve(centre, rotation, self.motors.joints, "approach")
         self._servo(joints, APPROACH_STEPS)
@@ -147,7 +151,9 @@ class PublishedCell:
                 raise _FailedError(Outcome.GRASP_COLLISION, "grasp speed")
         self._idle(IDLE_STEPS)
         self.world.grip(move.cell)
-        self._jump(self._solve(centre + [0, 0, LIFTED], rotation, self.motors.joints, "lift"))
+        self._jump(
+            self._solve(centre + np.array([0.0, 0.0, LIFTED]), rotation, self.motors.joints, "lift")
+        )
 
     def _place(self, top: bool) -> None:
         scene, move, rules = self._scene, self._move, self.rules
@@ -156,7 +162,7 @@ class PublishedCell:
             joints = PLACE_STARTS[2 * turned(move.grasp) + turned(move.place)]
         waypoints = TOP_WAYPOINTS if top and not rules.objects else WAYPOINTS
         for number, (height, steps) in enumerate(waypoints):
-            point = move.target + [0, 0, height]
+            point = move.target + np.array([0.0, 0.0, height])
             joints = self._solve(point, rotation, joints, f"waypoint {number}")
             self._servo(joints, steps, point)
             if number == 1 and rules.objects and self.world.table_touches(move.cell):
