@@ -278,7 +278,7 @@ def test_what_is_carried_does_not_meet_the_base() -> None:
     model.place(Scene(np.array([[0.5, 0.4, 0.025]]), np.zeros(1), np.zeros(1, int), 1))
     assert model.touch(joints, OPENING) is None
     # A long object that reaches from the hand into the base.
-    base = (arm.base_position + [0.0, 0.0, 0.06] - position) @ rotation
+    base = (arm.base_position + np.array([0.0, 0.0, 0.06]) - position) @ rotation
     model.carry(base[None], np.zeros(1, np.int64))
     assert model.touch(joints, OPENING) is not None
 
