@@ -36,13 +36,13 @@ def rotations(quaternion):
 
 
 @njit(cache=True)
-def wake(still, first, second, held):
+def wake(still, touching, held):
     """bool[b]: bodies that are in motion, held or touched by what is.
 
     Args:
         still: int64[b]: steps for which a body has been still; set to 0 where it is awake for
             another reason.
-        first, second: int64[c]: bodies that touch; the world (body 0) connects nothing.
+        touching: int64[m, 2]: bodies that touch; the world (body 0) connects nothing.
         held: body in the hand, or -1.
     """
     awake = still < REST
@@ -52,8 +52,8 @@ def wake(still, first, second, held):
     changed = True
     while changed:
         changed = False
-        for c in range(len(first)):
-            a, b = first[c], second[c]
+        for c in range(len(touching)):
+            a, b = touching[c, 0], touching[c, 1]
             if a > 0 and b > 0 and awake[a] != awake[b]:
                 awake[a] = awake[b] = changed = True
     for b in range(FIRST, len(awake)):

@@ -31,8 +31,8 @@ from learn2assemble.robot.handshapes import (
     hand_parts,
     inverse_inertia,
 )
-from learn2assemble.robot.impulses import Contacts, Drive, Hold, resolve
-from learn2assemble.robot.manifolds import BREAKING, Manifolds, empty, points, update
+from learn2assemble.robot.impulses import Drive, Hold, resolve
+from learn2assemble.robot.manifolds import BREAKING, Manifolds, empty, points, touching, update
 from learn2assemble.robot.published_arm import LOWER, TIMESTEP, UPPER, MotorArm
 from learn2assemble.robot.rotations import rotation_vector
 from learn2assemble.robot.scene import Scene
@@ -99,20 +99,20 @@ class HandWorld:
         """One time step of arm and objects."""
         motors, s = self.motors, self._shapes
         self._follow()
-        contacts = self._contacts()
-        self._touching = np.stack([contacts.first, contacts.second], -1)
+        self._find_contacts()
+        self._touching = touching(self._manifolds, s.body)
+        awake = wake(self._still, self._touching, self._held)
+        contacts = points(self._manifolds, s.body, self._position, self._rotation, awake)
         jacobian, inverse = motors.jacobian(), motors.dynamics()
-        awake = wake(self._still, contacts.first, contacts.second, self._held)
         accelerate(self._twist, awake, TIMESTEP)
         self._twist[HAND] = jacobian @ motors.rates
-        concerned = awake[contacts.first] | awake[contacts.second]
         drive = Drive(
             jacobian, inverse, motors.joints, motors.command, LOWER, UPPER, motors.impulse
         )
         resolve(
             self._position, self._twist, motors.rates,
             yields(s.inverse_mass, s.inverse_inertia, self._rotation, awake),
-            Contacts(*(field[concerned] for field in contacts)), drive, self._hold(), TIMESTEP,
+            contacts, drive, self._hold(), TIMESTEP,
         )  # fmt: skip
         move(self._position, self._quaternion, self._twist, awake, self._still, TIMESTEP)
         motors.joints = motors.joints + TIMESTEP * motors.rates
@@ -159,7 +159,7 @@ class HandWorld:
         self._position[HAND], self._rotation[HAND] = position, rotation
         mujoco.mju_mat2Quat(self._quaternion[HAND], np.ascontiguousarray(rotation).ravel())
 
-    def _contacts(self) -> Contacts:
+    def _find_contacts(self) -> None:
         model, data, body = self._shapes.model, self._shapes.data, self._shapes.body
         pose = data.qpos.reshape(-1, 7)
         away = np.einsum("bij,bj->bi", self._rotation, self._shapes.centre)
@@ -176,7 +176,6 @@ class HandWorld:
             self._manifolds, self._clock, shapes[near], body, found.pos[near],
             found.frame[near, :3], distance[near], self._position, self._rotation,
         )  # fmt: skip
-        return points(self._manifolds, body, self._position, self._rotation)
 
     def _hold(self) -> Hold:
         error, point = np.zeros(6), np.zeros(3)

@@ -157,9 +157,24 @@ def update(m, step, shapes, body, point, normal, distance, position, rotation):
 
 
 @njit(cache=True)
-def points(m, body, position, rotation):
-    """The contacts to resolve, the youngest pairs first, as :class:`~.impulses.Contacts`."""
+def touching(m, body):
+    """int64[k, 2]: bodies of every pair."""
     rows = np.flatnonzero(m.pair[:, 0] >= 0)
+    out = np.empty((len(rows), 2), np.int64)
+    for k in range(len(rows)):
+        out[k, 0], out[k, 1] = body[m.pair[rows[k], 0]], body[m.pair[rows[k], 1]]
+    return out
+
+
+@njit(cache=True)
+def points(m, body, position, rotation, awake):
+    """The contacts of bodies that are awake, bool[b], the youngest pairs first, as
+    :class:`~.impulses.Contacts`."""
+    rows = np.flatnonzero(m.pair[:, 0] >= 0)
+    for r in range(len(rows)):
+        if not (awake[body[m.pair[rows[r], 0]]] or awake[body[m.pair[rows[r], 1]]]):
+            rows[r] = -1
+    rows = rows[rows >= 0]
     rows = rows[np.argsort(-m.since[rows], kind="mergesort")]
     total = m.count[rows].sum()
     out = Contacts(
