@@ -36,7 +36,8 @@ class DynamicCell:
         loaded_speed: the same while the hand holds something.
         correct: look where the object sits in the hand before lowering it, and correct the target
             by that, as the published integral term does (protocol 8.4).
-        finish: ``home``, or ``above``: stay over the target.
+        finish: ``home`` (or above it where something stands there), or ``above``: stay over the
+            target.
         recover: after a failure on the way, bring what is held back to where it was, and the arm
             home; else it stops, holding it.
         precheck: report an occupied target without moving; else the motion has to find it.
@@ -99,7 +100,8 @@ class DynamicCell:
         Args:
             scene: as things are.
             move: the order; the fingers may be exchanged.
-            joints: float64[n] where the arm begins [rad]; its home pose by default.
+            joints: float64[n] where the arm begins [rad]; by default at home, or above it where
+                something stands there.
             quaternion: float64[n, 4] orientations of the cells where not all stand upright.
 
         Raises:
@@ -107,18 +109,20 @@ class DynamicCell:
             SimulationDivergedError: where the simulation left the numbers.
         """
         order = take_order(scene, move, quaternion)
-        start = np.array(self.arm.home if joints is None else joints, float)
-        if start.shape != self.arm.home.shape or not self.arm.inside_limits(start):
-            raise InputError("joints", start.tolist(), f"{len(self.arm.joints)} within limits")
+        if joints is not None:
+            joints = np.array(joints, float)
+            if joints.shape != self.arm.home.shape or not self.arm.inside_limits(joints):
+                within = f"{len(self.arm.joints)} angles within the limits"
+                raise InputError("joints", joints.tolist(), within)
         world = self.world(order.objects)
         try:
             course = prepare(
-                self.arm, world, order, start, self.finish == "home", self.precheck
+                self.arm, world, order, joints, self.finish == "home", self.precheck
             )  # fmt: skip
         except Failure as failure:
-            return _report(order, order.poses, start, failure)
+            return _report(order, order.poses, self.arm.home if joints is None else joints, failure)
         sim = Simulation(
-            self.arm, world, order.poses, order.names, order.target, start, OPENING,
+            self.arm, world, order.poses, order.names, order.target, course.there[0], OPENING,
             self.sample_steps, self.dump,
         )  # fmt: skip
         run = Execution(sim, order, course, self.limits, self.loaded)

@@ -66,6 +66,8 @@ class Execution:
         self.limits, self.loaded = limits, loaded
         self.place = course.plan.place
         """The column over the target that is used."""
+        self.inside: JointColumn | None = None
+        """The column the hand is in; None where it travels."""
         self.legs = 0
         """How many straight parts of the way across are done."""
         self.holding = False
@@ -88,7 +90,7 @@ class Execution:
             self.place = self.corrected()
         self.lower(self.place, "place", LOADED, NEAR)
         self.release("release", NEAR)
-        self.rise(self.place, "retreat", NEAR)
+        self.rise("retreat", NEAR)
         if course.home is not None:
             self.travel(np.vstack([sim.joints, course.home[1:]]), "home")
         self.settle(sim.stage)
@@ -99,6 +101,7 @@ class Execution:
 
     def travel(self, way: np.ndarray, stage: str, watch: Watch = EMPTY) -> None:
         """Move the empty hand along straight lines of the joints."""
+        self.inside = None
         outcome = Outcome.GRASP_COLLISION if stage == "approach" else Outcome.PLACE_COLLISION
         for start, end in pairwise(way):
             path = joint_path(np.array([start, end]), self.limits)
@@ -111,7 +114,7 @@ class Execution:
     def grasp(self, column: JointColumn) -> None:
         """Down, close, up."""
         sim, gripper = self.sim, self.sim.arm.gripper
-        touch = Outcome.GRASP_COLLISION
+        touch, self.inside = Outcome.GRASP_COLLISION, column
         above = column.rise >= 0
         joints, rise = column.joints[above], column.rise[above]
         path = joint_path(joints[::-1], self.limits)
@@ -140,6 +143,7 @@ class Execution:
 
     def carry(self, way: np.ndarray, watch: Watch = LOADED) -> None:
         """Across, along straight lines of the joints."""
+        self.inside = None
         for start, end in pairwise(way):
             path = joint_path(np.array([start, end]), self.loaded)
             event = self.sim.follow(path, pace_of(path, self.loaded), "cross", (watch,))
@@ -168,7 +172,7 @@ class Execution:
             before: what is looked for on the way ...
             near: ... and within :data:`LOOSE` of the place.
         """
-        sim = self.sim
+        sim, self.inside = self.sim, column
         now = _nearest(column, sim.joints)
         path = joint_path(np.vstack([sim.joints, column.joints[:now][::-1]]), self.loaded)
         pace = pace_of(path, self.loaded)
@@ -188,13 +192,17 @@ class Execution:
         widths = _ramp(sim.width, OPENING, sim.arm.gripper.speed)
         _check(sim.squeeze(widths, stage, watch), Outcome.PLACE_COLLISION, stage)
 
-    def rise(self, column: JointColumn, stage: str, watch: Watch) -> None:
-        """Up from wherever the hand is in a column."""
+    def rise(self, stage: str, watch: Watch) -> None:
+        """Up from wherever the hand is in a column; it may travel then."""
+        column = self.inside
+        if column is None:
+            return
         sim, limits = self.sim, self.loaded if self.holding else self.limits
         above = column.joints[_nearest(column, sim.joints) + 1 :]
         path = joint_path(np.vstack([sim.joints, above]), limits)
         event = sim.follow(path, pace_of(path, limits), stage, (watch,))
         _check(event, Outcome.PLACE_COLLISION, stage)
+        self.inside = None
 
 
 def _check(event: Event | None, outcome: Outcome, stage: str) -> None:

@@ -9,6 +9,8 @@ import numpy as np
 
 from learn2assemble.robot.approach import JointColumn, joint_column, joint_columns, turning
 from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.inverse import solve
+from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.mjcf import World
 from learn2assemble.robot.motion import LEVEL, OPENING, crossing_height
 from learn2assemble.robot.order import Order
@@ -21,6 +23,7 @@ PRESS = 0.004
 """Columns begin so far below the ordered place [m]: what is held is lowered until it rests."""
 MAX_RAISES = 4
 """How often the crossing is tried again, a level higher."""
+_MAX_LIFTS, _UP = 8, np.array([0.0, 0.0, LEVEL])
 
 
 class Failure(Exception):
@@ -64,7 +67,7 @@ class Course(NamedTuple):
 
 
 def prepare(
-    arm: Arm, world: World, order: Order, joints: np.ndarray, go_home: bool, precheck: bool
+    arm: Arm, world: World, order: Order, joints: np.ndarray | None, go_home: bool, precheck: bool
 ) -> Course:
     """The course of an attempt.
 
@@ -72,7 +75,7 @@ def prepare(
         arm: the robot.
         world: model of the cell.
         order: what is asked.
-        joints: float64[n] where the arm is [rad].
+        joints: float64[n] where the arm is [rad]; by default its :func:`rest_pose`.
         go_home: whether it returns to its home pose.
         precheck: whether an occupied target is a failure already.
 
@@ -89,13 +92,25 @@ def prepare(
             raise Failure(Outcome.PLACE_COLLISION, "place", f"{name} would overlap {hit}")
     plan, across = _across(arm, around, order, plan)
     around.empty(OPENING)
-    there = _way(around, joints, plan.pick.joints[-1], "approach")
+    start = rest_pose(arm, around) if joints is None else joints
+    there = _way(around, start, plan.pick.joints[-1], "approach")
     home = None
     if go_home:
         pose = order.in_world(plan.move.grasp, plan.move.place)
         around.put(order.target, *pose, OPENING)
-        home = _way(around, plan.place.joints[-1], arm.home, "home")
+        home = _way(around, plan.place.joints[-1], rest_pose(arm, around), "home")
     return Course(plan, there, across, home)
+
+
+def rest_pose(arm: Arm, around: Surroundings) -> np.ndarray:
+    """Where the arm waits, float64[n] [rad]: at home, or above it where something stands there."""
+    position, rotation = forward(get_chain(arm), arm.home)
+    for level in range(_MAX_LIFTS):
+        found = solve(arm, position + level * _UP, rotation, arm.home)
+        joints = arm.home if level == 0 else found.joints
+        if found.ok and around.touch(joints) is None:
+            return joints
+    return arm.home
 
 
 def _plan(arm: Arm, around: Surroundings, order: Order) -> Plan:

@@ -8,7 +8,7 @@ from learn2assemble.robot.execution import BLIND, REST_TIME, Execution
 from learn2assemble.robot.mjcf import TIMESTEP
 from learn2assemble.robot.motion import OPENING
 from learn2assemble.robot.outcome import Outcome
-from learn2assemble.robot.prepare import Failure
+from learn2assemble.robot.prepare import Failure, rest_pose
 from learn2assemble.robot.transit import Surroundings, Touch, straight_or_tree
 from learn2assemble.world.blocks import EDGE
 
@@ -63,25 +63,20 @@ def _settle(run: Execution) -> None:
 def _put_back(run: Execution) -> None:
     """The way here backwards, and down where the object came from."""
     pick, across = run.course.plan.pick, run.course.across
-    if run.sim.stage in ("place", "cross"):
-        if run.sim.stage == "place":
-            run.rise(run.place, "place", BLIND)
+    if run.inside is not pick:
+        run.rise("place", BLIND)
         run.carry(np.vstack([run.sim.joints, across[: run.legs + 1][-2::-1]]), BLIND)
     run.lower(pick, "place", BLIND, BLIND)
     run.release("release", BLIND)
-    run.rise(pick, "retreat", BLIND)
 
 
 def _leave(run: Execution) -> None:
     """Up, and home if there is a free way."""
     sim = run.sim
-    if sim.stage in ("pick", "lift"):
-        run.rise(run.course.plan.pick, "retreat", BLIND)
-    elif sim.stage in ("place", "release", "retreat"):
-        run.rise(run.place, "retreat", BLIND)
+    run.rise("retreat", BLIND)
     around = Surroundings(sim.arm, sim.world, sim.poses.copy(), run.order.names)
     around.empty(OPENING)
-    way = straight_or_tree(around, sim.joints, sim.arm.home)
+    way = straight_or_tree(around, sim.joints, rest_pose(sim.arm, around))
     if isinstance(way, Touch):
         raise Failure(Outcome.UNREACHABLE, "home", f"no free way: {way.words}")
     run.travel(way, "home", BLIND)
