@@ -16,7 +16,7 @@ from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.motion import OPENING
 from learn2assemble.robot.outcome import Outcome
 from learn2assemble.robot.record import RATE, BuildRecord, Stage
-from learn2assemble.robot.recording import Recording
+from learn2assemble.robot.logbook import Logbook
 from learn2assemble.robot.scene import Move, Scene
 from learn2assemble.world.layouts import sobol
 
@@ -87,7 +87,7 @@ class Recorder:
         self.arm, self.cell = arm, KinematicCell(arm, 40)
         places = np.array(plan["blocks"]["waiting"], float)
         self.joints, self.width = arm.home.copy(), OPENING
-        self.recording = Recording(
+        self.recording = Logbook(
             arm, self.joints, self.width, np.column_stack([places, np.zeros(len(places))]),
             [[k] for k in range(len(places))], "a kinematic sketch for tests",
         )  # fmt: skip

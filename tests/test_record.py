@@ -27,7 +27,7 @@ from learn2assemble.robot.record_files import (
     record_from,
     write_record,
 )
-from learn2assemble.robot.recording import Recording
+from learn2assemble.robot.logbook import Logbook
 
 
 @pytest.fixture(scope="module")
@@ -330,7 +330,7 @@ def test_no_limit_is_exceeded_unseen(joint: int, times: float, data: st.DataObje
 def test_steps_are_put_on_one_clock() -> None:
     arm = get_arm("panda")
     poses = np.array([[0, 0, 0.025, 0], [0.2, 0, 0.025, 0]])
-    book = Recording(arm, arm.home, 0.05, poses, [[0], [1]], "test")
+    book = Logbook(arm, arm.home, 0.05, poses, [[0], [1]], "test")
     still = {"joints": np.tile(arm.home, (10, 1)), "velocity": np.zeros((10, 7)),
              "width": np.full(10, 0.05)}  # fmt: skip
     order: dict[str, Any] = {"plan_step": 1, "cells": [1], "target": poses[1]}

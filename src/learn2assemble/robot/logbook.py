@@ -20,7 +20,7 @@ from learn2assemble.robot.record import (
 from learn2assemble.world.blocks import EDGE
 
 
-class Recording:
+class Logbook:
     """Appends steps to a record and puts them on its clock.
 
     Args:
