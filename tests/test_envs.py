@@ -31,6 +31,7 @@ from learn2assemble.graph.features import Graph, connectivity
 from learn2assemble.physics.protocol import Verdict
 from learn2assemble.physics.static import StaticPhysics
 from learn2assemble.presets import PRESETS, get_task
+from learn2assemble.simulator import Simulator
 from learn2assemble.world.actions import DIRECTIONS, RELATIONS
 from learn2assemble.world.blocks import EDGE
 
@@ -91,7 +92,7 @@ def test_make_gives_the_preset(name: str) -> None:
     low, high = task.block_range
     assert low <= task.num_nodes - obs["num_targets"] <= high
     assert obs["num_placed"] == 1 or task.objects == "bars"
-    assert info["plane_coverage"] == 0.0
+    assert (info["plane_coverage"] == 0.0) == task.normalise_initial
     assert info["coverage"] >= 0.0
     _, _, _, _, info = env.step(pick(info, np.random.default_rng(0)))
     assert set(info) == INFO_KEYS | STEP_KEYS
@@ -208,14 +209,25 @@ def test_masks_say_what_every_action_does(name: str, seed: int, steps: int) -> N
     worlds = env.state.take(np.zeros(len(flat), np.int64))
     actions, clipped = spaces.resolve_actions(env.task, worlds, flat)
     assert not clipped.any()
-    verdict = env.simulator.step(worlds, actions).verdict
+    some = np.linspace(0, len(flat) - 1, 6).astype(int)
+    reached = env.simulator.step(worlds.take(some), actions[some]).verdict == Verdict.STABLE
+    # The mask knows no arm.
+    verdict = Simulator(env.task.replace(arm="none")).step(worlds, actions).verdict
     assert np.array_equal(verdict == Verdict.STABLE, stable[flat])
+    assert not (reached & ~stable[flat][some]).any()
+    assert env.task.has_arm or np.array_equal(reached, stable[flat][some])
     i, j, k = spaces.unflatten_action(env.task, flat)
     sizes = (obs["object_id"][i][:, None] == obs["object_id"][-unplaced:]).sum(1)
     assert np.array_equal(worlds.num_placed, obs["num_placed"] + sizes)
     placed = obs["num_placed"]
     assert np.array_equal(worlds.object_id[:, placed], obs["object_id"][i])
-    target = obs["nodes"][j, :3] + EDGE * DIRECTIONS[k // env.task.rotations]
+    step = np.array([env.task.pitch, env.task.pitch, EDGE])
+    target = obs["nodes"][j, :3] + step * DIRECTIONS[k // env.task.rotations]
+    if env.task.ways.level:
+        # The chosen cell is as far above its object's lowest as it was while waiting.
+        waiting = obs["object_id"][-unplaced:], obs["nodes"][-unplaced:, 2]
+        lowest = [waiting[1][waiting[0] == number].min() for number in obs["object_id"][i]]
+        target[:, 2] += obs["nodes"][i, 2] - lowest
     assert np.allclose(worlds.position[:, placed], target, atol=1e-6)
 
 
@@ -490,8 +502,10 @@ def transcript(name: str) -> str:
         ahead = env.simulator.step(worlds, triples)
         action = int(actions[np.argmax(ahead.reward + ahead.success)])
         i, j, k = spaces.unflatten_action(env.task, action)
-        relation, turns = divmod(k, env.task.rotations)
-        turned = f" after {turns} quarter turns" if turns else ""
+        relation, way = divmod(k, env.task.rotations)
+        turned = f" after {way} quarter turns" if way else ""
+        if env.task.attitudes == "grips":
+            turned = f" by grip {way}"
         digits = 4 if env.task.reward == "scaled" else 0
         obs, reward, ended, _, info = env.step(action)
         lines.append(

@@ -16,17 +16,19 @@ PACKAGE = "learn2assemble"
 SOURCE = ROOT / "src" / PACKAGE
 
 _WORLD = {"errors", "geometry", "world"}
-_TASK = _WORLD | {"physics", "task", "presets", "graph", "simulator"}
+_TASK = _WORLD | {"physics", "robot", "task", "presets", "graph", "judges", "simulator"}
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
     "geometry": set(),
     "world": {"errors", "geometry"},
     "physics": _WORLD,
-    "task": _WORLD,
+    "robot": _WORLD | {"physics"},
+    "task": _WORLD | {"robot"},
     "presets": {"errors", "task"},
     "graph": _WORLD,
-    "simulator": _WORLD | {"physics", "task", "graph"},
-    "networks": {"errors", "graph"},
+    "judges": {"errors", "physics", "robot", "task"},
+    "simulator": _WORLD | {"physics", "task", "graph", "judges"},
+    "networks": {"errors", "graph", "world"},
     "search": {"errors"},
     "learning": _TASK | {"networks", "search", "planning"},
     "planning": _TASK | {"networks", "search"},
@@ -44,7 +46,7 @@ ALLOWED: dict[str, set[str]] = {
 
 LIBRARIES = {"torch", "numpy", "numba", "safetensors", "tqdm"}
 """What the training path may need."""
-HEAVY = {"mujoco", "gymnasium", "rich", "matplotlib", "highspy"}
+HEAVY = {"mujoco", "gymnasium", "rich", "matplotlib", "highspy", "ruckig"}
 LIGHT_PARTS = ["geometry", "world", "task", "presets", "graph", "simulator", "networks", "search",
                "learning"]  # fmt: skip
 ONLY: dict[str, set[str]] = {
@@ -166,6 +168,7 @@ def test_parts_that_know_few_libraries(part: str) -> None:
     ("library", "parts"),
     [
         ("mujoco", {"physics", "planning", "robot"}),
+        ("ruckig", {"robot"}),
         ("highspy", {"physics", "evaluation"}),
         ("gymnasium", {"envs", "evaluation"}),
         ("matplotlib", {"viewer"}),
@@ -239,7 +242,7 @@ state = sim.new(2, np.random.default_rng(0))
 assert sim.physics_mask(state).any()
 sim.step(state, np.zeros((2, 3), np.int64))
 graph = sim.observe(state)
-sim.outcomes(state, graph, distinct_placements(graph, 5))
+sim.outcomes(state, graph, distinct_placements(graph, sim.ways))
 """
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -10,21 +11,28 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.graph.batch import GraphTensors, to_tensors
 from learn2assemble.graph.features import Graph
 from learn2assemble.graph.placements import MAX_CELLS, distinct_placements
 from learn2assemble.graph.relations import EDGE_FEATURES, OFFSETS
 from learn2assemble.learning.explore import random_actions
-from learn2assemble.networks.build import make_network
+from learn2assemble.networks.build import at_pitch, make_network
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.placement import PlacementNetwork, PlacementValues
 from learn2assemble.networks.qnetwork import QNetwork
+from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.simulator import Simulator
 from learn2assemble.task import Task
+from learn2assemble.world.actions import get_ways
+from learn2assemble.world.blocks import EDGE
 from learn2assemble.world.state import State
 from learning_data import advance
 from turned import turned_graph
 
+_GRIPPED = Task(
+    "gripped", num_sides=2, grid=3, num_nodes=16, rotations=4, attitudes="grips", pitch=0.06
+)
 TASKS = {
     task.name: task
     for task in (
@@ -33,10 +41,12 @@ TASKS = {
         Task("four", num_sides=4, grid=3, num_nodes=30),
         Task("bars", num_sides=1, grid=4, num_nodes=18, objects="bars"),
         Task("set-26", num_sides=2, grid=3, num_nodes=20, objects="set-26", rotations=4),
+        _GRIPPED,
+        _GRIPPED.replace(name="gripped-set-26", objects="set-26", layout="columns"),
     )
 }
 SIMULATORS = {name: Simulator(task) for name, task in TASKS.items()}
-CUBES = ("one", "two", "four")
+CUBES = ("one", "two", "four", "gripped")
 some_graphs = given(
     name=st.sampled_from(list(TASKS)), seed=st.integers(0, 10_000), rounds=st.integers(1, 3)
 )
@@ -49,8 +59,9 @@ def network(task: Task, seed: int, rounds: int = 2, width: int = 16) -> Placemen
     """A random one whose outputs are of the size of 1 and which uses every layer."""
     torch.manual_seed(seed)
     config = NetworkConfig(
-        encoder="relational", width=width, rounds=rounds, num_actions=task.num_actions
-    )
+        encoder="relational", width=width, rounds=rounds, num_actions=task.num_actions,
+        attitudes=task.attitudes, pitch=task.pitch,
+    )  # fmt: skip
     net = make_network(config)
     assert isinstance(net, PlacementNetwork)
     return net
@@ -102,6 +113,9 @@ def test_number_of_parameters(rounds: int, expected: int, num_actions: int) -> N
     )  # fmt: skip
     found = sum(p.numel() for p in make_network(config).parameters())
     assert found == written_out == expected
+    if num_actions == 20:
+        gripped = make_network(dataclasses.replace(config, attitudes="grips"))
+        assert sum(p.numel() for p in gripped.parameters()) == expected + 4 * f
 
 
 @some_graphs
@@ -264,6 +278,71 @@ def test_best_and_select_are_those_of_q(name: str, seed: int, rounds: int) -> No
         assert len(set(np.round(one_by_one.numpy(), 3).tolist())) <= count
 
 
+@pytest.mark.parametrize("name", ["gripped", "gripped-set-26"])
+def test_q_knows_the_grip(name: str) -> None:
+    """The same cells by another grip have another Q, unless the network knows no difference."""
+    net, graph = network(TASKS[name], 0), graphs(name, 0)
+    values = evaluate(net, graph)
+    found = values.cells.placements
+    assert net.grip is not None
+    with torch.no_grad():
+        net.grip.weight[:] = net.grip.weight[0]
+    alike = evaluate(net, graph)
+    compared = 0
+    for row in range(len(graph.num_nodes)):
+        filled: dict[frozenset[int], list[int]] = {}
+        for n in range(int(found.count[row])):
+            cells = frozenset(found.members[row, n][found.members[row, n] >= 0].tolist())
+            filled.setdefault(cells, []).append(n)
+        for same in filled.values():
+            grips = found.action[row, same, 2] % 4
+            assert len(set(grips.tolist())) == len(same), "each grip once"
+            q = values.q[row, same].tolist()
+            assert len(set(np.round(q, 6).tolist())) == len(same)
+            torch.testing.assert_close(alike.q[row, same], alike.q[row, same[:1]].expand(len(same)))
+            compared += len(same) > 1
+    assert compared > 10
+
+
+def test_a_network_moves_to_another_pitch_with_its_weights() -> None:
+    """Trained where blocks touch, asked where they leave a gap: cells are those of the gap."""
+    net = network(TASKS["one"], 3)
+    moved = at_pitch(net, 0.055)
+    assert at_pitch(net, EDGE) is net
+    assert (net.config.pitch, moved.config.pitch) == (EDGE, 0.055)
+    assert all(a is b for a, b in zip(net.parameters(), moved.parameters(), strict=True))
+    spaced = TASKS["one"].replace(name="spaced", pitch=0.055)
+    model = WorldModel(Simulator(spaced), net)
+    assert model.network.config.pitch == 0.055
+    state = model.simulator.new(1, np.random.default_rng(0))
+    before = state.copy()
+    cells = {tuple(np.round(p - before.position[0, 0], 6)) for p in _first_cells(model, state)}
+    assert (0.055, 0.0, 0.0) in cells
+    assert (0.0, 0.0, 0.05) in cells
+    assert (0.05, 0.0, 0.0) not in cells
+
+
+def _first_cells(model: WorldModel, state: State) -> list[np.ndarray]:
+    """Where each of the actions the model values puts its block [m]."""
+    out = []
+    for action in model.action_values(state)[0].actions:
+        after = model.step(state, action[None]).states
+        out.append(after.position[0, after.num_placed[0] - 1])
+    return out
+
+
+def test_a_network_for_other_actions_is_refused() -> None:
+    turns = NetworkConfig(encoder="relational", num_actions=20)
+    with pytest.raises(InputError, match=r"network\.attitudes: got 'turns', expected grips"):
+        WorldModel(SIMULATORS["gripped"], make_network(turns))
+    with pytest.raises(InputError, match=r"network\.num_actions: got 5"):
+        WorldModel(SIMULATORS["gripped"], make_network(NetworkConfig()))
+    with pytest.raises(UnknownNameError, match="did you mean 'grips'"):
+        NetworkConfig(attitudes="grip")
+    with pytest.raises(InputError, match="pitch"):
+        NetworkConfig(pitch=0.0)
+
+
 def test_without_a_placement_q_is_far_below() -> None:
     state = worlds("two", 5)
     state.num_blocks[1] = state.num_placed[1]
@@ -281,7 +360,7 @@ def test_placements_of_the_values_are_the_enumerated_ones() -> None:
     """Learning relies on the order: outcomes are stored in that of :func:`distinct_placements`."""
     graph = graphs("set-26", 0)
     values = evaluate(network(TASKS["set-26"], 0), graph)
-    found = distinct_placements(graph, 20)
+    found = distinct_placements(graph, get_ways("turns", 4))
     np.testing.assert_array_equal(values.cells.action, found.action)
     np.testing.assert_array_equal(values.cells.legal, found.used)
     assert found.members.shape[2] <= MAX_CELLS

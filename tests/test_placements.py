@@ -14,6 +14,7 @@ from learn2assemble.graph.features import Graph, node_offset
 from learn2assemble.graph.placements import action_keys, distinct_placements, locate
 from learn2assemble.simulator import Simulator
 from learn2assemble.task import Task
+from learn2assemble.world.actions import get_ways
 from learn2assemble.world.blocks import HALF
 from learn2assemble.world.state import State
 from learning_data import advance, look_ahead
@@ -21,6 +22,11 @@ from learning_data import advance, look_ahead
 _OBJECTS = Task(
     "set-26", num_sides=2, grid=3, num_nodes=20, objects="set-26", rotations=4, reward="scaled",
     success_threshold=0.75,
+)  # fmt: skip
+_GRIPPED = Task(
+    "gripped", num_sides=2, grid=3, num_nodes=18, rotations=4, attitudes="grips", pitch=0.06,
+    layout="slanted-rows", success_threshold=0.75, cover_filter="wide", normalise_initial=False,
+    max_initial_cover=0.6,
 )  # fmt: skip
 TASKS = {
     task.name: task
@@ -34,6 +40,10 @@ TASKS = {
         Task("set-20", num_sides=2, grid=3, num_nodes=20, objects="set-20", rotations=4),
         Task("set-21", num_sides=1, grid=4, num_nodes=20, objects="set-21"),
         _OBJECTS,
+        _GRIPPED,
+        _GRIPPED.replace(
+            name="gripped-set-26", objects="set-26", layout="columns", reward="scaled"
+        ),
     )
 }
 SIMULATORS = {name: Simulator(task) for name, task in TASKS.items()}
@@ -42,10 +52,12 @@ some_state = given(
 )
 
 Cells = frozenset[tuple[int, int, int]]
+Result = tuple[Cells, int]
+"""The cells an action fills and the grip by which it does; without a gripper always 0."""
 
 
 def whole(positions: np.ndarray) -> list[tuple[int, int, int]]:
-    """Centres [m] in whole half edges."""
+    """Centres [m] in whole half edges, which tells apart the cells of a wider lattice, too."""
     return [tuple(cell) for cell in np.rint(positions / HALF).astype(int).tolist()]
 
 
@@ -56,6 +68,7 @@ class Tried(NamedTuple):
     """int64[m, 3], numbers within unplaced and placed blocks, in lexical order."""
     cells: list[Cells]
     """Cells each of them fills."""
+    result: list[Result]
     first: list[tuple[int, int, int]]
     """Cell of the chosen block."""
     reward: np.ndarray
@@ -71,8 +84,11 @@ def try_everything(simulator: Simulator, state: State, row: int) -> Tried:
     placed, before = int(state.num_placed[row]), state.plane_coverage[row]
     step = simulator.step(many, actions)
     filled = [whole(many.position[n, placed : many.num_placed[n]]) for n in range(len(actions))]
+    cells = [frozenset(one) for one in filled]
+    gripped = simulator.task.attitudes == "grips"
+    grips = (actions[:, 2] % simulator.task.rotations * gripped).tolist()
     return Tried(
-        actions, [frozenset(cells) for cells in filled], [cells[0] for cells in filled],
+        actions, cells, list(zip(cells, grips, strict=True)), [cells[0] for cells in filled],
         step.reward, step.terminated, step.verdict == 0, many.plane_coverage - before,
     )  # fmt: skip
 
@@ -87,20 +103,21 @@ def some_worlds(name: str, seed: int, steps: int, count: int = 2) -> tuple[Simul
 @some_state
 @settings(max_examples=40, deadline=None)
 def test_placements_are_what_the_actions_can_make(name: str, seed: int, steps: int) -> None:
-    """One placement for every set of cells that some action fills, the first action that does."""
+    """One placement for every set of cells that some action fills by some grip, the first action
+    that does."""
     simulator, state = some_worlds(name, seed, steps)
     graph = simulator.observe(state)
-    found = distinct_placements(graph, simulator.task.num_actions)
+    found = distinct_placements(graph, simulator.ways)
     local = found.action - node_offset(graph)[:, None]
     for row in range(state.batch_size):
         tried = try_everything(simulator, state, row)
-        known: dict[Cells, int] = {}
-        for number, cells in enumerate(tried.cells):
-            known.setdefault(cells, number)
+        known: dict[Result, int] = {}
+        for number, result in enumerate(tried.result):
+            known.setdefault(result, number)
         count = int(found.count[row])
         assert local[row, :count].tolist() == tried.actions[list(known.values())].tolist()
         assert found.used[row].sum() == count == len(known)
-        for n, (cells, number) in enumerate(known.items()):
+        for n, ((cells, _), number) in enumerate(known.items()):
             members = [int(m) for m in found.members[row, n] if m >= 0]
             there = whole(found.cells[row, members])
             assert len(there) == len(cells)
@@ -109,7 +126,7 @@ def test_placements_are_what_the_actions_can_make(name: str, seed: int, steps: i
         # Cells: all that can be filled, then what only placed blocks fill; each once.
         every = whole(found.cells[row, : found.num_cells[row]])
         assert len(set(every)) == len(every)
-        fillable = set().union(*known)
+        fillable = set().union(*(cells for cells, _ in known))
         assert set(every[: len(fillable)]) == fillable
         placed = set(whole(state.position[row, : state.num_placed[row]]))
         assert set(every[len(fillable) :]) == placed - fillable
@@ -118,32 +135,32 @@ def test_placements_are_what_the_actions_can_make(name: str, seed: int, steps: i
 @some_state
 @settings(max_examples=25, deadline=None)
 def test_keys_and_numbers_are_those_of_the_result(name: str, seed: int, steps: int) -> None:
-    """``action_keys`` are equal exactly where the cells are; ``locate`` finds the placement."""
+    """``action_keys`` are equal just where cells and grip are; ``locate`` finds the placement."""
     simulator, state = some_worlds(name, seed, steps)
-    graph, kinds = simulator.observe(state), simulator.task.num_actions
-    found = distinct_placements(graph, kinds)
+    graph, ways = simulator.observe(state), simulator.ways
+    found = distinct_placements(graph, ways)
     for row in range(state.batch_size):
         tried = try_everything(simulator, state, row)
-        keys = action_keys(graph, row, kinds).ravel().tolist()
-        assert len(set(zip(keys, tried.cells, strict=True))) == len(set(keys))
-        assert len(set(keys)) == len(set(tried.cells))
+        keys = action_keys(graph, row, ways).ravel().tolist()
+        assert len(set(zip(keys, tried.result, strict=True))) == len(set(keys))
+        assert len(set(keys)) == len(set(tried.result))
         many = graph.take(np.full(len(keys), row))
         repeated = type(found)(*[field[np.full(len(keys), row)] for field in found])
         action = tried.actions + node_offset(graph)[row]
-        number = locate(repeated, many, action, kinds)
+        number = locate(repeated, many, action, ways)
         assert found.key[row, number].tolist() == keys
-        order = list(dict.fromkeys(tried.cells))
-        assert number.tolist() == [order.index(cells) for cells in tried.cells]
+        order = list(dict.fromkeys(tried.result))
+        assert number.tolist() == [order.index(result) for result in tried.result]
 
 
 def test_locate_says_where_nothing_is_found() -> None:
     simulator, state = some_worlds("two", 0, 1)
     graph = simulator.observe(state)
-    found = distinct_placements(graph, 5)
+    found = distinct_placements(graph, get_ways())
     action = found.action[:, 0]
     none = found._replace(count=0 * found.count)
-    assert locate(found, graph, action, 5).tolist() == [0] * state.batch_size
-    assert locate(none, graph, action, 5).tolist() == [-1] * state.batch_size
+    assert locate(found, graph, action, get_ways()).tolist() == [0] * state.batch_size
+    assert locate(none, graph, action, get_ways()).tolist() == [-1] * state.batch_size
 
 
 @given(seed=st.integers(0, 1000))
@@ -151,9 +168,9 @@ def test_locate_says_where_nothing_is_found() -> None:
 def test_rows_do_not_leak_into_each_other(seed: int) -> None:
     simulator, state = some_worlds("set-26", seed, seed % 4, count=4)
     graph = simulator.observe(state)
-    together = distinct_placements(graph, 20)
+    together = distinct_placements(graph, simulator.ways)
     for row in range(state.batch_size):
-        alone = distinct_placements(graph.take(np.array([row])), 20)
+        alone = distinct_placements(graph.take(np.array([row])), simulator.ways)
         count, cells = int(alone.count[0]), int(alone.num_cells[0])
         assert together.count[row] == count
         assert together.num_cells[row] == cells
@@ -171,7 +188,7 @@ def test_more_placements_than_fit_at_first() -> None:
     nodes[0, 3:-1, :3] = np.stack([0.1 * x, 0.1 * y, 0 * x + HALF], -1)
     object_id = np.arange(nodes.shape[1], dtype=np.int32)[None]
     counts = [np.array([n]) for n in (3, width**2, nodes.shape[1])]
-    found = distinct_placements(Graph(nodes, object_id, *counts), 5)
+    found = distinct_placements(Graph(nodes, object_id, *counts), get_ways())
     between = 2 * width * (width + 1)
     assert int(found.count[0]) == width**2 + between
     assert int(found.num_cells[0]) == 2 * width**2 + between
@@ -181,7 +198,7 @@ def test_nothing_left_to_place() -> None:
     simulator, state = some_worlds("two", 3, 2)
     state.num_blocks[:] = state.num_placed
     graph = simulator.observe(state)
-    found = distinct_placements(graph, 5)
+    found = distinct_placements(graph, get_ways())
     assert not found.count.any()
     assert found.num_cells.tolist() == state.num_placed.tolist()
     out = simulator.outcomes(state, graph, found)
@@ -216,7 +233,7 @@ def test_outcomes_are_what_the_steps_bring(name: str, seed: int, steps: int) -> 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(static_module, "_equilibrium", spy)
             tried = try_everything(simulator, state, row)
-        first = list({cells: n for n, cells in reversed(list(enumerate(tried.cells)))}.values())
+        first = list({made: n for n, made in reversed(list(enumerate(tried.result)))}.values())
         first.sort()
         count = int(found.count[row])
         assert len(first) == count

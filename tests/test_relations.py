@@ -24,6 +24,7 @@ TASKS = {
     sides: Task(f"{sides}-sided", num_sides=sides, grid=3, num_nodes=14 + 6 * (sides - 1))
     for sides in (1, 2, 3, 4)
 }
+TASKS[5] = Task("robot", num_sides=4, grid=3, num_nodes=30, pitch=0.06)
 OBJECTS = Task("objects", num_sides=2, grid=3, num_nodes=20, objects="set-26", rotations=4)
 FAR = 10.0
 
@@ -59,19 +60,20 @@ def half_plane(a: np.ndarray, b: np.ndarray, inward: np.ndarray) -> shapely.Poly
 
 
 @pytest.mark.parametrize("drawn", [False, True], ids=["sampled", "random"])
-@given(sides=st.sampled_from([1, 2, 3, 4]), seed=st.integers(0, 10_000))
+@given(number=st.sampled_from([1, 2, 3, 4, 5]), seed=st.integers(0, 10_000))
 @settings(max_examples=15, deadline=None)
-def test_edges_against_polygons(drawn: bool, sides: int, seed: int) -> None:
+def test_edges_against_polygons(drawn: bool, number: int, seed: int) -> None:
     """Normals, distances, margins, corners, depth and area of every cell and side."""
-    simulator, state = some_state(TASKS[sides], seed)
+    simulator, state = some_state(TASKS[number], seed)
+    sides = TASKS[number].num_sides
     if drawn:
         rng = np.random.default_rng(seed)
         for side in range(sides):
             count = int(state.num_vertices[0, side])
             state.vertices[0, side, :count] = random_outline(count, rng)
     graph = simulator.observe(state)
-    placements = distinct_placements(graph, 5)
-    found = relate(graph, placements)
+    placements = distinct_placements(graph, simulator.ways)
+    found = relate(graph, placements, simulator.task.pitch)
     area = 0.0
     for side in range(sides):
         outline = state.vertices[0, side, : state.num_vertices[0, side]]
@@ -120,14 +122,14 @@ def test_edges_against_polygons(drawn: bool, sides: int, seed: int) -> None:
     assert found.area[0] == pytest.approx(area, rel=1e-4)
 
 
-@given(sides=st.sampled_from([1, 2, 3, 4]), seed=st.integers(0, 10_000))
+@given(number=st.sampled_from([1, 2, 3, 4, 5]), seed=st.integers(0, 10_000))
 @settings(max_examples=25, deadline=None)
-def test_offsets_written_out(sides: int, seed: int) -> None:
-    """To every placed block, in whole edges in the frame of every side; padding beyond."""
-    simulator, state = some_state(TASKS[sides], seed, count=2)
-    graph = simulator.observe(state)
-    placements = distinct_placements(graph, 5)
-    found = relate(graph, placements)
+def test_offsets_written_out(number: int, seed: int) -> None:
+    """To every placed block, in whole cells in the frame of every side; padding beyond."""
+    simulator, state = some_state(TASKS[number], seed, count=2)
+    graph, pitch = simulator.observe(state), simulator.task.pitch
+    placements = distinct_placements(graph, simulator.ways)
+    found = relate(graph, placements, pitch)
     for row in range(state.batch_size):
         placed = int(state.num_placed[row])
         assert (found.offsets[row, :, :, placed:] == OFFSETS).all()
@@ -136,7 +138,7 @@ def test_offsets_written_out(sides: int, seed: int) -> None:
                 mine = in_frame(frame, placements.cells[row, c].astype(float))
                 theirs = in_frame(frame, state.position[row, :placed])
                 # Right, towards the viewer, up.
-                steps = np.rint((theirs - mine) * [1, -1, 1] / EDGE).astype(int)
+                steps = np.rint((theirs - mine) * [1, -1, 1] / [pitch, pitch, EDGE]).astype(int)
                 i, j, k = (np.clip(steps, -REACH, REACH) + REACH).T
                 numbers = (i * WINDOW + j) * WINDOW + k
                 assert found.offsets[row, c, side, :placed].tolist() == numbers.tolist()
@@ -159,7 +161,7 @@ def test_turning_the_world_changes_nothing(task: Task, quarters: int, seed: int)
     simulator, state = some_state(task, seed, count=2)
     graph = simulator.observe(state)
     turn = turned_graph(graph, task.num_sides, quarters)
-    mine, theirs = (distinct_placements(g, task.num_actions) for g in (graph, turn.graph))
+    mine, theirs = (distinct_placements(g, task.ways) for g in (graph, turn.graph))
     before, after = relate(graph, mine), relate(turn.graph, theirs)
     np.testing.assert_array_equal(mine.num_cells, theirs.num_cells)
     np.testing.assert_allclose(before.area, after.area, rtol=1e-5)

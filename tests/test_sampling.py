@@ -47,7 +47,20 @@ RECORDED = {
     "2more20_g6_n40": get_task("objects21-two-sided-6x6-30-34"),
 }
 """Preset of each recording, up to the lower bound on unseen shapes."""
-LARGER_GRID = [name for name, task in RECORDED.items() if task.unseen_shapes_only]
+_ROBOT = get_task("robot-two-sided-3x3-10-14")
+ROBOTS = {
+    "1robo_g3_n20": get_task("robot-one-sided-5x5-15-17").replace(grid=3),
+    "2robo_g3_n20": _ROBOT,
+    "2robo_g3_n20_b": _ROBOT,
+    "2robo_g5_n24_b": get_task("robot-two-sided-5x5-14-18"),
+    "4robo_g3_n30": get_task("robot-four-sided-3x3-10-18"),
+    "2robomore_g5_n30": get_task("robot-objects-two-sided-5x5-20-24"),
+}
+"""With a robot, the first steps of recorded episodes are what is known of resets."""
+RESETS = list(RECORDED)
+RECORDED |= ROBOTS
+SAMPLED = [name for name in RECORDED if name != "2robo_g5_n24_b"]
+LARGER_GRID = [name for name in RESETS if RECORDED[name].unseen_shapes_only]
 OBJECTS = [name for name, task in RECORDED.items() if task.objects != "cubes"]
 NUM_TESTS = 7 * len(RECORDED)
 
@@ -73,19 +86,19 @@ def our_draws(task: Task) -> Draws:
     draws = np.array([sim.reset(state, np.array([row]), rng) for row in range(OURS)])
     places = state.position[:, 0, None, :2] - sim.frames[None, :, 2:]
     return Draws(
-        state.mask_pixels, state.initial_pixels / state.mask_pixels,
+        state.mask_pixels, state.plane_pixels / state.mask_pixels,
         np.abs(places).sum(-1).argmin(1), state.num_unplaced, draws,
     )  # fmt: skip
 
 
 def recorded_draws(lines: list[dict[str, Any]], task: Task) -> Draws:
-    frames = side_frames(task.num_sides)
+    frames = side_frames(task.num_sides, task.pitch)
     area = np.array([line["px_total"] for line in lines])
     return Draws(
         area, np.array([line["px_init"] for line in lines]) / area,
         np.array([_side(line, frames) for line in lines]),
         np.array([line["n_unplaced"] for line in lines]),
-        np.array([line["draws"] for line in lines]),
+        np.array([line.get("draws", 0) for line in lines]),
     )  # fmt: skip
 
 
@@ -98,14 +111,20 @@ def _side(line: dict[str, Any], frames: np.ndarray) -> int:
 
 
 def p_values(a: Draws, b: Draws) -> dict[str, float]:
-    """Two-sample tests; small where the two cannot be draws of one distribution."""
-    return {
+    """Two-sample tests; small where the two cannot be draws of one distribution.
+
+    Of problems with a robot it was not recorded how many draws they took.
+    """
+    found = {
         "area": stats.ks_2samp(a.area, b.area).pvalue,
         "initial_share": stats.ks_2samp(a.initial_share, b.initial_share).pvalue,
         "side": _categories(a.side, b.side),
         "unplaced": _categories(a.unplaced, b.unplaced),
-        "draws": stats.fisher_exact(_table(np.minimum(a.draws, 2), np.minimum(b.draws, 2))).pvalue,
     }
+    if b.draws.all():
+        table = _table(np.minimum(a.draws, 2), np.minimum(b.draws, 2))
+        found["draws"] = stats.fisher_exact(table).pvalue
+    return found
 
 
 def _table(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -131,13 +150,29 @@ def read(path: Path) -> list[dict[str, Any]]:
 
 
 def recorded(folder: Path, name: str) -> list[dict[str, Any]]:
+    if name in ROBOTS:
+        return first_steps(read(folder / f"transitions_{name}.jsonl.gz"))
     return read(folder / f"resets_{name}.jsonl.gz")
 
 
+def first_steps(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """First steps of episodes with a robot, in the form of resets."""
+    return [
+        {
+            **line,
+            "unplaced": line["unplaced_info"] or line["unplaced"],
+            "n_unplaced": len(line["unplaced"]),
+        }
+        for line in lines
+        if line["t"] == 0
+    ]
+
+
 def sampled(folder: Path, name: str) -> list[dict[str, Any]]:
-    variant, grid, nodes = name.split("_")
+    variant, grid, nodes, *_ = name.split("_")
     wanted = (variant, int(grid[1:]), int(nodes[1:]))
     lines = read(folder / "resets_sample.jsonl")
+    lines += first_steps(read(folder / "transitions_robot.jsonl"))
     return [x for x in lines if (x["variant"], x["grid"], x["nodes"]) == wanted]
 
 
@@ -148,12 +183,12 @@ def sampled(folder: Path, name: str) -> list[dict[str, Any]]:
 def test_resets_are_distributed_as_recorded(reference: Path, name: str) -> None:
     task = RECORDED[name].replace(unseen_shapes_only=False)
     lines = recorded(reference, name)
-    assert len(lines) == 150
+    assert len(lines) == 150 if name in RESETS else 10 <= len(lines) <= 40
     found = p_values(our_draws(task), recorded_draws(lines, task))
     assert min(found.values()) > LEVEL / NUM_TESTS, found
 
 
-@pytest.mark.parametrize("name", [n for n in RECORDED if n != "2wo_g3_n40"])
+@pytest.mark.parametrize("name", [n for n in RESETS if n != "2wo_g3_n40"])
 def test_resets_are_distributed_as_the_sample(data: Path, name: str) -> None:
     """The same with the few lines the project carries; they can only tell what is far off."""
     task = RECORDED[name].replace(unseen_shapes_only=False)
@@ -199,6 +234,9 @@ def test_unseen_shapes_leave_the_training_box(task: Task) -> None:
         assert not inside  # a triangle on the 3x3 grid cannot leave the 3x3 box
         return
     assert len(inside) > 20
+    if task.num_sides == 1 and not task.touching:
+        assert not any(inside)  # a first block covers more than 60 % of so small a triangle
+        return
     assert any(inside) != task.unseen_shapes_only
 
 
@@ -264,13 +302,15 @@ def test_fresh_problems_keep_what_the_task_promises(task: Task) -> None:
     sim = Simulator(task)
     state = sim.new(100, np.random.default_rng(8))
     assert (state.mask_pixels >= task.min_mask_pixels).all()
-    assert (state.initial_pixels <= task.max_initial_cover * state.mask_pixels).all()
+    assert (state.plane_pixels <= task.max_initial_cover * state.mask_pixels).all()
     assert (state.num_blocks + state.num_targets == task.num_nodes).all()
     low, high = task.block_range
     assert ((low <= state.num_blocks) & (state.num_blocks <= high)).all()
     assert (state.num_placed == 1).all() or task.objects == "bars"
     assert not state.terminated.any()
-    assert (state.plane_coverage == 0).all()
+    start = state.plane_pixels if task.normalise_initial else np.zeros(100, int)
+    assert np.array_equal(state.initial_pixels, start)
+    assert (state.plane_coverage == 0).all() == task.normalise_initial
     assert np.array_equal(state.mask_pixels, np.bitwise_count(state.mask).sum((1, 2, 3)))
     bottom = {(*frame[2:].tolist(), 0.025) for frame in sim.frames}
     if task.objects == "bars":  # its first listed cell may be the far one
@@ -307,18 +347,19 @@ def _restored_counts(lines: list[dict[str, Any]], task: Task) -> tuple[float, fl
         first = line["nodes"] - int(state.num_vertices[0].sum()) - line["n_unplaced"]
         found = []
         for cells in FIRST_OBJECTS[first]:
-            if EDGE * cells[0][0] + sim.frames[side, 2] != pytest.approx(
+            if task.pitch * cells[0][0] + sim.frames[side, 2] != pytest.approx(
                 line["init_block"][0], abs=1e-6
             ):
                 continue
             state.object_id[0, :first] = 0
             state.position[0] = 0.0
             state.position[0, :first] = EDGE * np.array(cells)
-            start_objects(state, 0, sim.frames, waiting, side, first + line["n_unplaced"])
+            blocks = first + line["n_unplaced"]
+            start_objects(state, 0, sim.frames, waiting, side, blocks, sim.depths)
             found.append(int(state.initial_pixels[0]))
         covers.append(line["px_init"] in found)
         # The richer environments let the first block sink for ten steps.
-        assert state.position[0, 0] == pytest.approx(line["init_block"], abs=2e-5)
+        assert state.position[0, 0] == pytest.approx(line["init_block"], abs=1e-4)
     return float(np.mean(masks)), float(np.mean(covers))
 
 
@@ -330,25 +371,28 @@ def test_recorded_problems_have_our_masks_and_initial_cover(reference: Path, nam
 
 
 def test_sampled_problems_have_our_masks_and_initial_cover(data: Path) -> None:
-    for name, task in RECORDED.items():
-        assert _restored_counts(sampled(data, name), task) == (1.0, 1.0)
+    for name in SAMPLED:
+        assert _restored_counts(sampled(data, name), RECORDED[name]) == (1.0, 1.0)
 
 
 # ---------------------------------------------------------------- waiting blocks
 
 
-def _check_layout(line: dict[str, Any], layout: str) -> None:
+def _check_layout(line: dict[str, Any], task: Task) -> None:
     theirs = np.array([row[:3] for row in line["unplaced"]])
     assert len(theirs) == line["n_unplaced"]
-    places = waiting_places(layout, len(theirs))
+    places = waiting_places(task.layout, len(theirs))
+    spacing = np.array([task.pitch, task.pitch, EDGE])
     # Rows of objects end with the numbers of their other cells.
     ids = np.array(waiting_objects(line["unplaced"]))
     state = empty_state(1, 1, 3, len(theirs) + 1)
     state.object_id[0] = np.append(-1, ids)
     for number, first in enumerate(dict.fromkeys(ids.tolist())):
         cells = theirs[ids == first]
-        offset = cells - [places.position[number, 0], cells[:, 1].max(), cells[:, 2].min()]
-        state.position[0, 1:][ids == first] = EDGE * np.rint(offset / EDGE)
+        # The cell that stands at the object's place matters where steps are no whole cells.
+        origin = cells[1 if len(cells) > 2 else 0, 1] if not task.touching else cells[:, 1].max()
+        offset = cells - [places.position[number, 0], origin, cells[:, 2].min()]
+        state.position[0, 1:][ids == first] = spacing * np.rint(offset / spacing)
     start_objects(state, 0, side_frames(1), places, 0, len(theirs) + 1)
     assert np.abs(state.position[0, 1:] - theirs).max() <= 1e-6
 
@@ -390,15 +434,15 @@ def _kinds(cells: np.ndarray, ids: np.ndarray) -> list[tuple[tuple[int, ...], ..
 @pytest.mark.parametrize("name", RECORDED)
 def test_blocks_wait_where_they_were_recorded_to(reference: Path, name: str) -> None:
     for line in recorded(reference, name):
-        _check_layout(line, RECORDED[name].layout)
+        _check_layout(line, RECORDED[name])
 
 
-@pytest.mark.parametrize("name", RECORDED)
+@pytest.mark.parametrize("name", SAMPLED)
 def test_blocks_wait_where_the_sample_says(data: Path, name: str) -> None:
     lines = sampled(data, name)
     assert lines
     for line in lines:
-        _check_layout(line, RECORDED[name].layout)
+        _check_layout(line, RECORDED[name])
 
 
 def test_sobol_numbers_of_the_protocol() -> None:

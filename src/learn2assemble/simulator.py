@@ -13,10 +13,12 @@ from numba import njit
 
 from learn2assemble.errors import Learn2AssembleError
 from learn2assemble.geometry.boxes import STABLE
+from learn2assemble.geometry.coverage import FILTERS
 from learn2assemble.graph.features import Graph, build_graph, node_offset
 from learn2assemble.graph.placements import Placements
+from learn2assemble.judges import resolve_judge
 from learn2assemble.physics.protocol import Physics
-from learn2assemble.physics.static import StaticPhysics, survey, survey_objects
+from learn2assemble.physics.static import survey, survey_objects
 from learn2assemble.task import MAX_VERTICES, Task
 from learn2assemble.world.layouts import waiting_places
 from learn2assemble.world.objects import inventory
@@ -32,7 +34,7 @@ from learn2assemble.world.rules import (
     recover_all,
     target_cell,
 )
-from learn2assemble.world.sampling import sample_problem
+from learn2assemble.world.sampling import Problems, sample_problem
 from learn2assemble.world.sides import side_frames
 from learn2assemble.world.state import State, empty_state
 
@@ -51,39 +53,42 @@ class Transition(NamedTuple):
 
 
 @njit(cache=True)
-def _propose_cubes(state, actions, rotations, active, previous):
+def _propose_cubes(state, actions, rotations, pitch, active, previous):
     # Apart from _propose, as a choice inside the loop would double its cost.
     for row in range(len(actions)):
         previous[row] = state.plane_pixels[row]
         if active[row]:
             reference, relation = actions[row, 1], actions[row, 2] // rotations
-            x, y, z = target_cell(state, row, reference, relation)
+            x, y, z = target_cell(state, row, reference, relation, pitch)
             source = state.num_placed[row] + actions[row, 0]
             move_cell(state, row, source, reference, x, y, z)
 
 
 @njit(cache=True)
-def _propose(state, actions, rotations, active, previous):
+def _propose(state, actions, ways, active, previous):
     for row in range(len(actions)):
         previous[row] = state.plane_pixels[row]
         if active[row]:
             unplaced, reference = actions[row, 0], actions[row, 1]
-            relation, turns = divmod(actions[row, 2], rotations)
-            x, y, z = target_cell(state, row, reference, relation)
-            move_block(state, row, unplaced, reference, x, y, z, turns)
+            relation, way = divmod(actions[row, 2], len(ways.turns))
+            x, y, z = target_cell(state, row, reference, relation, ways.pitch)
+            move_block(
+                state, row, unplaced, reference, x, y, z, ways.turns[way], ways.pitch, ways.level
+            )
 
 
 @njit(cache=True)
 def _score(
-    state, rows, verdict, frames, previous, recompute, kind, threshold, reward, ended, success
-):
+    state, rows, verdict, frames, depths, previous, recompute, kind, threshold, reward, ended,
+    success,
+):  # fmt: skip
     for n in range(len(rows)):
         row = rows[n]
         if recompute:
-            recover_all(state, row, frames)
+            recover_all(state, row, frames, depths)
         else:
             for block in range(last_object(state, row), state.num_placed[row]):
-                cover_block(state, row, frames, block)
+                cover_block(state, row, frames, block, depths)
         count_row(state, row)
         reward[row], ended[row], success[row] = judge(
             state, row, previous[row], verdict[n] == 0, kind, threshold
@@ -92,15 +97,10 @@ def _score(
 
 
 @njit(cache=True)
-def _reset(
-    state, rows, rng, frames, stock, waiting, grid, num_nodes, min_pixels, max_initial, unseen
-):
+def _reset(state, rows, rng, frames, stock, waiting, problems):
     draws = 0
     for n in range(len(rows)):
-        d = sample_problem(
-            state, rows[n], rng, frames, stock, waiting, grid, num_nodes, min_pixels, max_initial,
-            unseen,
-        )  # fmt: skip
+        d = sample_problem(state, rows[n], rng, frames, stock, waiting, problems)
         if d == 0:
             return -1
         draws += d
@@ -112,15 +112,25 @@ class Simulator:
 
     Args:
         task: the problem distribution.
-        physics: the judge of placements; static equilibrium by default.
+        physics: the judge of placements, or its name, see :mod:`learn2assemble.judges`; static
+            equilibrium by default, and the kinematic cell where the task has an arm.
+
+    Raises:
+        UnknownNameError, InputError: see :func:`resolve_judge`.
     """
 
-    def __init__(self, task: Task, physics: Physics | None = None) -> None:
+    def __init__(self, task: Task, physics: str | Physics | None = None) -> None:
         self.task = task
-        self.physics: Physics = physics if physics is not None else StaticPhysics()
-        self.frames = side_frames(task.num_sides)
+        self.physics: Physics = resolve_judge(physics, task)
+        self.frames = side_frames(task.num_sides, task.pitch)
+        self.depths = FILTERS[task.cover_filter]
+        self.ways = task.ways
         self._stock = inventory(task.objects)
         self._waiting = waiting_places(task.layout, task.max_blocks)
+        self._problems = Problems(
+            task.grid, task.num_nodes, task.min_mask_pixels, task.max_initial_cover,
+            task.unseen_shapes_only, task.pitch, self.depths, task.normalise_initial,
+        )  # fmt: skip
 
     def empty(self, batch: int) -> State:
         """A state for ``batch`` worlds; reset its rows before use."""
@@ -132,13 +142,13 @@ class Simulator:
         Raises:
             Learn2AssembleError: where no acceptable problem is found in 100,000 draws.
         """
-        t = self.task
         draws = _reset(
             state, np.asarray(rows, np.int64), rng, self.frames, self._stock, self._waiting,
-            t.grid, t.num_nodes, t.min_mask_pixels, t.max_initial_cover, t.unseen_shapes_only,
+            self._problems,
         )  # fmt: skip
         if draws < 0:
-            raise Learn2AssembleError(f"task {t.name}: no acceptable target in 100,000 draws")
+            name = self.task.name
+            raise Learn2AssembleError(f"task {name}: no acceptable target in 100,000 draws")
         return int(draws)
 
     def new(self, batch: int, rng: np.random.Generator) -> State:
@@ -158,14 +168,17 @@ class Simulator:
         active = ~state.terminated
         rows = np.flatnonzero(active)
         previous = np.empty(batch, np.int64)
-        propose = _propose_cubes if self.task.objects == "cubes" else _propose
-        propose(state, actions, self.task.rotations, active, previous)
+        self.physics.prepare(state, rows, actions)
+        if self.task.objects == "cubes":
+            _propose_cubes(state, actions, self.task.rotations, self.task.pitch, active, previous)
+        else:
+            _propose(state, actions, self.ways, active, previous)
         verdict = self.physics.settle(state, rows)
         reward, ended = np.zeros(batch), np.zeros(batch, np.bool_)
         success, verdicts = np.zeros(batch, np.bool_), np.zeros(batch, np.int8)
         verdicts[rows] = verdict
         _score(
-            state, rows, verdict, self.frames, previous, self.physics.moves_blocks,
+            state, rows, verdict, self.frames, self.depths, previous, self.physics.moves_blocks,
             REWARDS[self.task.reward], self.task.success_threshold, reward, ended, success,
         )  # fmt: skip
         return Transition(reward, ended, success, verdicts)
@@ -174,16 +187,25 @@ class Simulator:
         """The graph of every row (protocol 4)."""
         return build_graph(state, self.frames, self.task.num_nodes)
 
-    def outcomes(self, state: State, graph: Graph, placements: Placements) -> Outcomes:
+    def outcomes(
+        self, state: State, graph: Graph, placements: Placements, by_hand: bool = False
+    ) -> Outcomes:
         """What every placement of ``placements``, those of ``graph``, would bring to ``state``.
 
-        By static physics; see :class:`Outcomes`. A help the paper's agent does not have.
+        By static physics; see :class:`Outcomes`. Whether an arm could do it takes an attempt, so
+        with an arm what is valid otherwise is left undecided, unless ``by_hand``. A help the
+        paper's agent does not have.
         """
         actions = (placements.action - node_offset(graph)[:, None]) * placements.used[..., None]
-        return outcomes(
-            state, actions, placements.count, self.task.rotations, self.frames, self.task.reward,
-            self.task.success_threshold,
+        found = outcomes(
+            state, actions, placements.count, self.ways, self.frames, self.task.reward,
+            self.task.success_threshold, self.depths,
         )  # fmt: skip
+        if self.task.has_arm and not by_hand:
+            undecided = found.valid.copy()
+            for field in found:
+                field[undecided] = 0
+        return found
 
     def physics_mask(self, state: State) -> np.ndarray:
         """Which placements are free and stable by static physics.
@@ -193,5 +215,6 @@ class Simulator:
         A help the paper's agent does not have; never applied silently.
         """
         if self.task.objects == "cubes":
-            return np.repeat(survey(state) == STABLE, self.task.rotations, -1)
-        return survey_objects(state, self.task.rotations) == STABLE
+            stable = survey(state, self.task.pitch) == STABLE
+            return np.repeat(stable, self.task.rotations, -1)
+        return survey_objects(state, self.ways) == STABLE

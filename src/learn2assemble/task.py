@@ -7,24 +7,32 @@ from dataclasses import dataclass
 from typing import Any
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.world.actions import RELATIONS, ROTATIONS
-from learn2assemble.world.layouts import LAYOUTS
+from learn2assemble.geometry.coverage import FILTERS
+from learn2assemble.robot.registry import ARMS
+from learn2assemble.world.actions import RELATIONS, Ways, get_ways
+from learn2assemble.world.blocks import EDGE
+from learn2assemble.world.layouts import LAYOUTS, RANDOM
 from learn2assemble.world.objects import OBJECT_SETS
 from learn2assemble.world.rules import REWARDS, STABILITY
 
 MIN_VERTICES, MAX_VERTICES = 3, 5
+NO_ARM = "none"
+MAX_PITCH = 0.07
+"""Cells farther apart [m] would need other rules for what fills the gaps of objects."""
 
 
-def check_actions(num_actions: int, task: Task) -> None:
+def check_actions(num_actions: int, attitudes: str, task: Task) -> None:
     """Refuse a network whose actions are not the task's.
 
     Raises:
-        InputError: naming both numbers.
+        InputError: naming what differs.
     """
     if num_actions != task.num_actions:
         raise InputError(
             "network.num_actions", num_actions, f"{task.num_actions}, the actions of {task.name}"
         )
+    if attitudes != task.attitudes:
+        raise InputError("network.attitudes", attitudes, f"{task.attitudes}, those of {task.name}")
 
 
 @dataclass(frozen=True)
@@ -37,11 +45,19 @@ class Task:
         grid: width and height of the box targets are drawn from, in block edges.
         num_nodes: N, nodes of the graph; the number of blocks is N minus the target vertices.
         objects: the set objects are drawn from, see :mod:`learn2assemble.world.objects`.
-        rotations: quarter turns an object can be placed with: 1 (none) or 4.
+        rotations: ways to place an object in each relation, 1 or 4.
+        attitudes: what these are, see ``ATTITUDES`` in :mod:`learn2assemble.world.actions`.
+        pitch: horizontal distance of the centres of neighbouring blocks [m]; more than a block's
+            edge leaves room for the fingers of a gripper.
         layout: where unplaced objects wait, see :mod:`learn2assemble.world.layouts`.
         reward: ``discrete`` (cubes) or ``scaled`` (objects), protocol 6.3.
         discount: gamma of the returns.
         success_threshold: Delta; the target is filled when F_co exceeds it.
+        cover_filter: which depths count as covered, see ``FILTERS`` in
+            :mod:`learn2assemble.geometry.coverage`.
+        normalise_initial: F counts from the cover of the first object on; without it from nothing.
+        arm: which arm builds, see :mod:`learn2assemble.robot.registry`; ``none``: objects appear
+            at their places.
         stability: rule of a simulated placement, see ``STABILITY`` in
             :mod:`learn2assemble.world.rules`.
         min_mask_pixels: fewer mask pixels than this and the shapes are redrawn.
@@ -58,10 +74,15 @@ class Task:
     num_nodes: int
     objects: str = "cubes"
     rotations: int = 1
+    attitudes: str = "turns"
+    pitch: float = EDGE
     layout: str = "line"
     reward: str = "discrete"
     discount: float = 0.8
     success_threshold: float = 0.975
+    cover_filter: str = "narrow"
+    normalise_initial: bool = True
+    arm: str = "none"
     stability: str = "block"
     min_mask_pixels: int = 50
     max_initial_cover: float = 0.95
@@ -78,12 +99,19 @@ class Task:
             )
         if self.objects not in OBJECT_SETS:
             raise UnknownNameError("object set", self.objects, OBJECT_SETS)
-        if self.rotations not in ROTATIONS:
-            raise InputError("rotations", self.rotations, "1 or 4")
+        get_ways(self.attitudes, self.rotations, self.pitch)
+        if not EDGE <= self.pitch <= MAX_PITCH:
+            raise InputError("pitch", self.pitch, f"{EDGE} to {MAX_PITCH} m")
+        if self.cover_filter not in FILTERS:
+            raise UnknownNameError("cover filter", self.cover_filter, FILTERS)
         if self.stability not in STABILITY:
             raise UnknownNameError("stability rule", self.stability, STABILITY)
+        if self.arm not in (NO_ARM, *ARMS):
+            raise UnknownNameError("arm", self.arm, (NO_ARM, *ARMS))
         if self.layout not in LAYOUTS:
             raise UnknownNameError("layout", self.layout, LAYOUTS)
+        if self.layout == RANDOM and self.objects != "cubes":
+            raise InputError("layout", self.layout, "one for objects of several cells")
         if self.reward not in REWARDS:
             raise UnknownNameError("reward", self.reward, REWARDS)
         if not 0 < self.discount <= 1:
@@ -95,6 +123,27 @@ class Task:
     def num_actions(self) -> int:
         """Na, ways to place a block against another: relations times rotations."""
         return len(RELATIONS) * self.rotations
+
+    @property
+    def ways(self) -> Ways:
+        """What the actions mean, beside the relation."""
+        return get_ways(self.attitudes, self.rotations, self.pitch)
+
+    @property
+    def grasps(self) -> str:
+        """The grasp set an arm uses, see :mod:`learn2assemble.robot.grasps`: one attitude where
+        there is one way, else the four pairs of the paper."""
+        return "along-y" if self.rotations == 1 else "paper"
+
+    @property
+    def has_arm(self) -> bool:
+        """Whether an arm builds."""
+        return self.arm != NO_ARM
+
+    @property
+    def touching(self) -> bool:
+        """Whether blocks side by side touch; else they leave room for the fingers of a gripper."""
+        return self.pitch == EDGE
 
     @property
     def max_blocks(self) -> int:

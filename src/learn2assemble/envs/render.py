@@ -6,7 +6,7 @@ import numpy as np
 
 from learn2assemble.geometry.bits import ROWS, WORDS, to_pixels
 from learn2assemble.geometry.camera import HALF_EXTENT, IMAGE_SIZE, project
-from learn2assemble.geometry.coverage import clear_to_ground
+from learn2assemble.geometry.coverage import NARROW, DepthFilter, clear_to_ground
 from learn2assemble.world.blocks import EDGE, HALF
 from learn2assemble.world.state import State
 
@@ -26,16 +26,19 @@ _REACH = int(HALF_EXTENT / EDGE)
 """Cells between the middle of an elevation and the edge of its image."""
 
 
-def draw_text(state: State, frames: np.ndarray, row: int) -> str:
+def draw_text(state: State, frames: np.ndarray, row: int, pitch: float = EDGE) -> str:
     """The elevations of one world side by side, one character per block cell, ground below.
 
     ``#`` block on the target, ``x`` block in the plane but off the target, ``o`` block in front
     of the plane, ``.`` target still open.
+
+    Args:
+        pitch: horizontal distance of the centres of neighbouring cells [m].
     """
     mask, covered = to_pixels(state.mask[row]), to_pixels(state.covered[row])
     placed = state.position[row, : state.num_placed[row]]
     sides = zip(frames, mask, mask & ~covered, strict=True)
-    cells = [_cells(frame, placed, target, still_open) for frame, target, still_open in sides]
+    cells = [_cells(frame, placed, target, still, pitch) for frame, target, still in sides]
     reach = max((abs(c) for side in cells for c, _ in side), default=0)
     height = max((r for side in cells for _, r in side), default=0) + 1
     columns = range(-reach, reach + 1)
@@ -51,34 +54,34 @@ def draw_text(state: State, frames: np.ndarray, row: int) -> str:
     return "\n".join(line.rstrip() for line in [head, *lines, ground])
 
 
-def draw_image(state: State, row: int) -> np.ndarray:
+def draw_image(state: State, row: int, depths: DepthFilter = NARROW) -> np.ndarray:
     """The elevations of one world side by side as uint8[300, 300 S, 3]; see :data:`COLOURS`."""
     mask, covered = to_pixels(state.mask[row]), to_pixels(state.covered[row])
     occluded = to_pixels(state.occluded[row])
     image = np.empty((*mask.shape, 3), np.uint8)
     image[:] = COLOURS["background"]
     image[covered] = COLOURS["outside"]
-    image[:, _ground()] = COLOURS["ground"]
+    image[:, _ground(depths)] = COLOURS["ground"]
     image[mask] = COLOURS["target"]
     image[mask & occluded] = COLOURS["hidden"]
     image[mask & covered & ~occluded] = COLOURS["filled"]
     return np.concatenate(image, 1).repeat(SCALE, 0).repeat(SCALE, 1)
 
 
-def _ground() -> np.ndarray:
+def _ground(depths: DepthFilter) -> np.ndarray:
     covered = np.zeros((ROWS, WORDS), np.uint64)
-    clear_to_ground(covered, np.zeros_like(covered))
+    clear_to_ground(covered, np.zeros_like(covered), depths)
     return to_pixels(covered)
 
 
 def _cells(
-    frame: np.ndarray, placed: np.ndarray, mask: np.ndarray, open_pixels: np.ndarray
+    frame: np.ndarray, placed: np.ndarray, mask: np.ndarray, open_pixels: np.ndarray, pitch: float
 ) -> dict[tuple[int, int], str]:
     """Characters of one elevation by (column from the middle, row from the ground)."""
     cells: dict[tuple[int, int], str] = {}
     for c in range(-_REACH, _REACH + 1):
         for r in range(2 * _REACH):
-            if _pixels(open_pixels, c, r).any():
+            if _pixels(open_pixels, c, r, pitch).any():
                 cells[c, r] = "."
     cos, sin, tx, ty = frame
     local = placed - (tx, ty, HALF)
@@ -87,15 +90,15 @@ def _cells(
     for n in order:
         if y[n] >= HALF:
             continue
-        cell = round(x[n] / EDGE), max(round(local[n, 2] / EDGE), 0)
-        on_target = "#" if _pixels(mask, *cell).any() else "x"
+        cell = round(x[n] / pitch), max(round(local[n, 2] / EDGE), 0)
+        on_target = "#" if _pixels(mask, *cell, pitch).any() else "x"
         cells[cell] = on_target if y[n] > -HALF else "o"
     return cells
 
 
-def _pixels(image: np.ndarray, column: int, row: int) -> np.ndarray:
+def _pixels(image: np.ndarray, column: int, row: int, pitch: float) -> np.ndarray:
     """The part of an image that shows the face of one cell."""
-    u0, v0 = project(EDGE * column - HALF, EDGE * (row + 1))
-    u1, v1 = project(EDGE * column + HALF, EDGE * row)
+    u0, v0 = project(pitch * column - HALF, EDGE * (row + 1))
+    u1, v1 = project(pitch * column + HALF, EDGE * row)
     u0, u1, v0, v1 = (min(max(round(e), 0), IMAGE_SIZE) for e in (u0, u1, v0, v1))
     return image[v0:v1, u0:u1]

@@ -12,7 +12,6 @@ from numba import njit
 
 from learn2assemble.graph.features import NUM_FEATURES, POSITION, Graph
 from learn2assemble.task import Task
-from learn2assemble.world.blocks import EDGE
 from learn2assemble.world.state import State
 
 WAITING_REACH = 1.25
@@ -37,8 +36,8 @@ def observation_space(task: Task) -> spaces.Dict:
     ``num_nodes``.
     """
     high = np.ones((task.num_nodes, NUM_FEATURES), np.float32)
-    # Every placement reaches at most one edge farther than the structure already did.
-    high[:, POSITION] = WAITING_REACH + EDGE * task.max_blocks
+    # Every placement reaches at most one cell farther than the structure already did.
+    high[:, POSITION] = WAITING_REACH + task.pitch * task.max_blocks
     count = task.num_nodes + 1
     return spaces.Dict(
         {

@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 
 from learn2assemble.envs import render, spaces
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.physics.named import resolve_physics
 from learn2assemble.physics.protocol import Physics, Verdict
 from learn2assemble.presets import get_task
 from learn2assemble.simulator import Simulator, Transition
@@ -46,7 +45,7 @@ class Worlds:
         self, task: Task | str, physics: str | Physics, count: int, physics_mask: bool
     ) -> None:
         self.task = get_task(task) if isinstance(task, str) else task
-        self.simulator = Simulator(self.task, resolve_physics(physics, self.task.stability))
+        self.simulator = Simulator(self.task, physics)
         self.state = self.simulator.empty(count)
         self._physics_mask = physics_mask
 
@@ -104,9 +103,9 @@ class Worlds:
     def render(self, mode: str | None, row: int) -> Any:
         """A drawing of one world: text (``ansi``), uint8[H, W, 3] (``rgb_array``) or None."""
         if mode == "ansi":
-            return render.draw_text(self.state, self.simulator.frames, row)
+            return render.draw_text(self.state, self.simulator.frames, row, self.task.pitch)
         if mode == "rgb_array":
-            return render.draw_image(self.state, row)
+            return render.draw_image(self.state, row, self.simulator.depths)
         return None
 
     def _checked(self, flat: ArrayLike) -> np.ndarray:

@@ -13,8 +13,9 @@ from learn2assemble.world.state import State
 
 
 def has_bound(task: Task) -> bool:
-    """Whether a bound is known: cubes with the discrete, anything with the scaled reward."""
-    return task.reward == "scaled" or task.objects == "cubes"
+    """Whether a bound is known: cubes with the discrete, anything with the scaled reward, where
+    blocks touch."""
+    return task.touching and (task.reward == "scaled" or task.objects == "cubes")
 
 
 def best_returns(simulator: Simulator, count: int, rng: np.random.Generator) -> np.ndarray:

@@ -8,48 +8,40 @@ import json
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from learn2assemble.errors import InputError
+from learn2assemble.geometry.coverage import FILTERS
 from learn2assemble.geometry.mask import paper_mask
-from learn2assemble.world.actions import RELATIONS
+from learn2assemble.task import Task
 from learn2assemble.world.blocks import EDGE
 from learn2assemble.world.rules import count_row, recover_all
+from learn2assemble.world.sides import side_frames
 from learn2assemble.world.state import State, empty_state
 
 LOG_ROUNDING = 5e-8
 """Half a unit of the last decimal of the recorded vertices [m]."""
+DRIFT_LIMIT = 8e-4
+"""A block that an arm has left farther beside the lattice [m] was pushed. Then it has also turned,
+by an angle the log does not hold."""
 
 Line = dict[str, Any]
 
 
-class Variant(NamedTuple):
-    """What a recorded environment is, as far as a step depends on it (protocol 0)."""
-
-    num_sides: int
-    rotations: int = 1
-    reward: str = "discrete"
-    success_threshold: float = 0.975
-    stability: str = "block"
-    objects: bool = False
-    """Whether blocks come in objects of several cells."""
-
-    @property
-    def num_actions(self) -> int:
-        return len(RELATIONS) * self.rotations
-
-
 VARIANTS = {
-    "1mimic": Variant(1),
-    "2wo": Variant(2),
-    "4wo": Variant(4),
-    "1wo": Variant(1, reward="scaled", objects=True),
-    "2more20": Variant(
-        2, rotations=4, reward="scaled", success_threshold=0.75, stability="object", objects=True
-    ),
+    "1mimic": "one-sided-3x3-22-24",
+    "2wo": "two-sided-3x3-20-24",
+    "4wo": "four-sided-3x3-10-18",
+    "1wo": "bars-one-sided-5x5-25-27",
+    "2more20": "objects21-two-sided-5x5-20-24",
+    "1robo": "robot-one-sided-5x5-15-17",
+    "2robo": "robot-two-sided-3x3-10-14",
+    "4robo": "robot-four-sided-3x3-10-18",
+    "2robomore": "robot-objects-two-sided-5x5-20-24",
 }
+"""The preset that each recorded environment is, but for its grid and number of nodes."""
 
 
 def read_lines(path: Path) -> Iterator[Line]:
@@ -112,11 +104,30 @@ class Log:
             first = len(earlier[0]["placed"]) if earlier else len(line["placed"])
         except KeyError:
             raise ValueError(f"episode {episode} lacks a step before {step}") from None
-        sizes = [first, *(len(one["members"]) for one in earlier)]
+        sizes = [first, *(_num_members(one) for one in earlier)]
         numbers = [number for number, size in enumerate(sizes) for _ in range(size)]
         if len(numbers) != len(line["placed"]):
             raise ValueError(f"{len(line['placed'])} blocks placed, {len(numbers)} expected")
         return numbers
+
+
+def _num_members(line: Line) -> int:
+    """Number of cells of the object that is placed; logs with a robot do not list them."""
+    if "grasp_variant" in line:
+        return len(line["placed_after"]) - len(line["placed"])
+    return len(line["members"])
+
+
+def waiting_rows(line: Line, task: Task) -> list[list[float]]:
+    """Nodes of the waiting blocks; with a robot, objects count where they were planned to be."""
+    planned = task.objects != "cubes" and not task.touching
+    return line["unplaced_info"] if planned else line["unplaced"]
+
+
+def drifted(blocks: list[list[float]], pitch: float) -> bool:
+    """Whether a block stands beside its place on the lattice."""
+    places = np.asarray(blocks, float)[:, :2]
+    return bool(np.abs(places - pitch * np.rint(places / pitch)).max() > DRIFT_LIMIT)
 
 
 def waiting_objects(unplaced: list[list[float]]) -> list[int]:
@@ -133,7 +144,9 @@ def waiting_objects(unplaced: list[list[float]]) -> list[int]:
 class Scene:
     """One world restored from a recorded line, with the targets of its episode."""
 
-    def __init__(self, line: Line, frames: np.ndarray) -> None:
+    def __init__(self, line: Line, task: Task) -> None:
+        self.task, self.depths = task, FILTERS[task.cover_filter]
+        frames = side_frames(task.num_sides, task.pitch)
         targets = line["targets"]
         sides = len(frames)
         if len(targets) != sides or any(not 3 <= len(side) <= 5 for side in targets):
@@ -177,7 +190,7 @@ class Scene:
         self.state.position[0] = 0.0
         self.state.position[0, :count] = placed
         self.state.num_placed[0], self.state.num_blocks[0] = count, count + num_unplaced
-        recover_all(self.state, 0, self.frames)
+        recover_all(self.state, 0, self.frames, self.depths)
         count_row(self.state, 0)
         return self.state
 
@@ -189,6 +202,8 @@ class Scene:
         waiting = waiting_objects(unplaced)
         self.state.object_id[0, count:total] = [max(placed) + 1 + n for n in waiting]
         self.state.position[0, count:total] = [row[:3] for row in unplaced]
+        if not self.task.touching:
+            return  # An arm counts from the axes of the world, however its blocks stand.
         for number in set(placed):
             cells = [k for k, other in enumerate(placed) if other == number]
             self.state.quaternion[0, cells] = fit_tilt(self.state.position[0, cells])

@@ -4,15 +4,18 @@ For one image row the rays lie in a plane, and the part of a box nearer than som
 so the pixels it covers are one interval. Two pixel sets per side are enough for both coverages of
 the paper, and both only grow when a box is added:
 
-* ``covered``: pixels whose ray meets something at depth <= 0.226 m (the complete filter);
-* ``occluded``: pixels whose ray meets something nearer than 0.224 m.
+* ``covered``: pixels whose ray meets something no deeper than a depth window reaches (the complete
+  filter), 0.226 m without a robot;
+* ``occluded``: pixels whose ray meets something nearer than the window, 0.224 m.
 
-Plane filter = covered and not occluded. Complete filter = covered.
+Plane filter = covered and not occluded. Complete filter = covered. The window is a
+:class:`DepthFilter`, as it is wider in the environments with a robot.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -30,8 +33,31 @@ from learn2assemble.geometry.camera import (
 
 PLANE_NEAR, PLANE_FAR = 0.224, 0.226
 """Depth window of the plane filter without a robot [m]."""
+WIDE_NEAR, WIDE_FAR = 0.21, 0.25
+"""The same with a robot, whose blocks stand up to some millimetres beside their places [m]."""
 
-_BELOW_NEAR = np.nextafter(PLANE_NEAR, 0.0)
+
+class DepthFilter(NamedTuple):
+    """Which depths count as standing in the plane of a side (protocol 3.4)."""
+
+    hiding: float
+    """Greatest depth at which something hides the plane [m]."""
+    far: float
+    """Greatest depth that counts [m]."""
+    margin: float
+    """How much smaller a block is seen than it is, on every side [m]."""
+
+
+def _window(near: float, far: float, margin: float) -> DepthFilter:
+    return DepthFilter(float(np.nextafter(near, 0.0)), far, margin)
+
+
+NARROW = _window(PLANE_NEAR, PLANE_FAR, 0.0)
+WIDE = _window(WIDE_NEAR, WIDE_FAR, 1e-6)
+"""The wide window also sees the tops of blocks, whose edges pass exactly through pixels where
+blocks stand on the lattice; in the recordings such pixels do not show the block."""
+FILTERS = {"narrow": NARROW, "wide": WIDE}
+"""Depth filters by name: without a robot, with a robot."""
 
 
 @njit(cache=True, inline="always")
@@ -68,22 +94,22 @@ def _add_box(image, x, y, z, half, depth_limit):
 
 
 @njit(cache=True)
-def add_box(covered, occluded, x, y, z, half):
+def add_box(covered, occluded, x, y, z, half, depths=NARROW):
     """Add one axis-aligned cube (local centre, half edge [m]) to both pixel sets of a side."""
-    _add_box(covered, x, y, z, half, PLANE_FAR)
-    _add_box(occluded, x, y, z, half, _BELOW_NEAR)
+    _add_box(covered, x, y, z, half - depths.margin, depths.far)
+    _add_box(occluded, x, y, z, half - depths.margin, depths.hiding)
 
 
 @njit(cache=True)
-def clear_to_ground(covered, occluded):
-    """Reset both pixel sets to the empty table: only the ground's front strip is seen."""
+def clear_to_ground(covered, occluded, depths=NARROW):
+    """Reset both pixel sets to the empty ground or table, of which only a front strip is seen."""
     for row in range(ROWS):
         slope = (CENTRE - (row + 1)) / CENTRE * TAN_HALF_FOV
         depth = -CAMERA_Z / slope if slope < 0 else FAR_CLIP + 1.0
         for w in range(WORDS):
             full = span_word(0, IMAGE_SIZE - 1, w)
-            covered[row, w] = full if depth <= PLANE_FAR else np.uint64(0)
-            occluded[row, w] = full if depth < PLANE_NEAR else np.uint64(0)
+            covered[row, w] = full if depth <= depths.far else np.uint64(0)
+            occluded[row, w] = full if depth <= depths.hiding else np.uint64(0)
 
 
 @njit(cache=True)

@@ -11,6 +11,10 @@ ground and with such columns.
 *It falls.* Where all contacts of an object lie at one height and face up, friction in them has no
 moment about a horizontal axis in their plane, and the object must tip where its centre of mass is
 outside their hull.
+
+Objects on a lattice with gaps are held together by fillers, see :func:`find_fillers`. They count
+for the centre of mass only: all that a filler can rest on is a filler between two cubes on which
+the cubes at both its ends rest, too.
 """
 
 from __future__ import annotations
@@ -36,9 +40,35 @@ from learn2assemble.geometry.boxes import (
 BALANCE_TOLERANCE = 1e-3
 """How far beyond its support a centre of mass may be [m]: an overhang of exactly one half stands
 whatever the rounding, as it does in the simulations."""
+FILLER_SLACK = 1e-3
+"""How exactly cells of an object are level and in line [m]; a smaller gap has no filler."""
 _MAX_PATCHES = 12
 """Contact patches looked at per cell: four at most on top of cubes that do not overlap, doubled
 and more for tolerances."""
+
+
+@njit(cache=True)
+def find_fillers(position, first, count, half, centre):
+    """Fillers of the object with cells ``position[first:count]``; returns their number.
+
+    Where two of its cells are horizontal neighbours with a gap between them, the gap is filled with
+    a body as heavy as a cube (protocol 7).
+
+    Args:
+        centre: float64[F, 3], written: their centres [m]; four cells have four at most.
+    """
+    found = 0
+    for k in range(first, count):
+        for j in range(first, k):
+            dx, dy = abs(position[k, 0] - position[j, 0]), abs(position[k, 1] - position[j, 1])
+            along, across = max(dx, dy), min(dx, dy)
+            if abs(position[k, 2] - position[j, 2]) > FILLER_SLACK or across > FILLER_SLACK:
+                continue
+            if 2 * half + FILLER_SLACK < along < 3 * half:
+                for axis in range(3):
+                    centre[found, axis] = (position[k, axis] + position[j, axis]) / 2
+                found += 1
+    return found
 
 
 @njit(cache=True)
@@ -114,10 +144,16 @@ def classify_object(position, first, count, half):
     lowest, highest = np.inf, -np.inf
     covered = False
     centre_x, centre_y = 0.0, 0.0
+    filler = np.empty((2 * size, 3))
+    num_fillers = find_fillers(position, first, count, half, filler)
+    weight = size + num_fillers
+    for k in range(num_fillers):
+        centre_x += filler[k, 0] / weight
+        centre_y += filler[k, 1] / weight
     for k in range(first, count):
         x, y, z = position[k, 0], position[k, 1], position[k, 2]
-        centre_x += x / size
-        centre_y += y / size
+        centre_x += x / weight
+        centre_y += y / weight
         for j in range(-1, first):
             if j < 0:
                 # The ground.

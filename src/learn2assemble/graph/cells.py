@@ -11,6 +11,7 @@ from learn2assemble.graph.batch import GraphTensors
 from learn2assemble.graph.features import Graph
 from learn2assemble.graph.placements import Placements, distinct_placements, locate
 from learn2assemble.graph.relations import relate
+from learn2assemble.world.actions import Ways
 from learn2assemble.world.blocks import EDGE
 
 NUM_SUMMARY = 4
@@ -43,27 +44,34 @@ class CellTensors(NamedTuple):
     """bool[B, P]."""
     action: torch.Tensor
     """int64[B, P, 3]: node action of each placement."""
+    grip: torch.Tensor
+    """int64[m]: grip by which each of the m cells is placed, see :class:`Ways`."""
     placements: Placements
     graph: Graph
-    num_actions: int
+    ways: Ways
 
     def locate(self, action: torch.Tensor) -> torch.Tensor:
         """Number of the placement with the result of each node action int64[B, 3]: int64[B]."""
-        found = locate(self.placements, self.graph, action.cpu().numpy(), self.num_actions)
+        found = locate(self.placements, self.graph, action.cpu().numpy(), self.ways)
         return torch.from_numpy(found).to(action.device)
 
 
-def cell_tensors(graph: GraphTensors, num_actions: int) -> CellTensors:
-    """Enumerate placements and relate their cells to the graph, on the device of ``graph``."""
+def cell_tensors(graph: GraphTensors, ways: Ways) -> CellTensors:
+    """Enumerate placements and relate their cells to the graph, on the device of ``graph``.
+
+    Args:
+        ways: what the actions mean, :attr:`Task.ways`.
+    """
     plain = Graph(*[t.cpu().numpy() for t in graph])
-    placements = distinct_placements(plain, num_actions)
-    relations = relate(plain, placements)
+    placements = distinct_placements(plain, ways)
+    relations = relate(plain, placements, ways.pitch)
     device = graph.nodes.device
     used = np.arange(placements.cells.shape[1]) < placements.num_cells[:, None]
     row = used.nonzero()[0]
     unplaced = plain.num_nodes - plain.num_targets - plain.num_placed
     area = np.maximum(relations.area, 0.1)
     summary = np.stack([unplaced / 20, plain.num_placed / 20, area / 10, 1 / area], -1)
+    way = placements.action[..., 2][placements.used] % len(ways.turns)
     cell, part_of, lever = _parts(placements, np.cumsum(placements.num_cells))
 
     def put(array: np.ndarray) -> torch.Tensor:
@@ -81,9 +89,10 @@ def cell_tensors(graph: GraphTensors, num_actions: int) -> CellTensors:
         lever=put(lever),
         legal=put(placements.used),
         action=put(placements.action),
+        grip=put(ways.grip[way[part_of]]),
         placements=placements,
         graph=plain,
-        num_actions=num_actions,
+        ways=ways,
     )
 
 

@@ -1,8 +1,9 @@
 """The distinct placements of a graph: one representative action for every resulting structure.
 
 Many actions (block, reference, relation) put like objects into the same cells. Of |U| x |P| x Na
-actions a structure of cubes has only a few dozen distinct ones. They are read from the graph
-alone: no rule, no physics, so placements that are blocked or float are among them.
+actions a structure of cubes has only a few dozen distinct ones. With a gripper, what fills the same
+cells by another grip is another placement. They are read from the graph alone: no rule, no physics,
+so placements that are blocked or float are among them.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.graph.features import Graph
-from learn2assemble.world.actions import DIRECTIONS, quarter_turn
+from learn2assemble.world.actions import DIRECTIONS, Ways, quarter_turn
 from learn2assemble.world.blocks import EDGE
 
 MAX_CELLS = 4
@@ -39,7 +40,7 @@ class Placements(NamedTuple):
     count: np.ndarray
     """int64[B]."""
     key: np.ndarray
-    """uint64[B, P]: number of the result; equal for actions with the same result."""
+    """uint64[B, P]: number of the result; equal for actions with the same result and grip."""
 
     @property
     def used(self) -> np.ndarray:
@@ -56,7 +57,8 @@ def _mix(value):
 
 @njit(cache=True, inline="always")
 def _cell_key(x, y, z):
-    # In units of a tenth of a block: finer than a lattice, coarser than what settling moves.
+    # In units of a tenth of a block: finer than a lattice, coarser than what settling moves. A
+    # gripper may leave blocks beside their places by more, then like placements may look different.
     unit = 10.0 / EDGE
     a = np.uint64(int(np.rint(x * unit)) + (1 << 20))
     b = np.uint64(int(np.rint(y * unit)) + (1 << 20))
@@ -65,27 +67,33 @@ def _cell_key(x, y, z):
 
 
 @njit(cache=True)
-def _offsets(nodes, object_id, block, first, used, out):
-    """Cells of the block's object relative to it in whole edges, itself first; their number."""
+def _offsets(nodes, object_id, block, first, used, pitch, out):
+    """Cells of the block's object relative to it in whole cells, itself first; their number."""
     out[0, 0], out[0, 1], out[0, 2] = 0, 0, 0
     count = 1
     for other in range(first, used):
         if other != block and object_id[other] == object_id[block]:
             for axis in range(3):
-                out[count, axis] = np.rint((nodes[other, axis] - nodes[block, axis]) / EDGE)
+                step = pitch if axis < 2 else EDGE
+                out[count, axis] = np.rint((nodes[other, axis] - nodes[block, axis]) / step)
             count += 1
     return count
 
 
 @njit(cache=True)
-def _fill(nodes, reference, relation, turns, offsets, count, cells):
-    """Cells filled by a placement; gives its key (the same for the same set of cells)."""
-    key = np.uint64(0)
+def _fill(nodes, reference, relation, way, ways, offsets, count, cells):
+    """Cells filled by a placement; gives its key (the same for the same set of cells and grip)."""
+    key = np.uint64(ways.grip[way]) * np.uint64(0xD6E8FEB86659FD93)
+    rise = 0.0
+    if ways.level:
+        for k in range(count):
+            rise = max(rise, -offsets[k, 2])
     for k in range(count):
-        a, b = quarter_turn(offsets[k, 0], offsets[k, 1], turns)
-        cells[k, 0] = nodes[reference, 0] + EDGE * (DIRECTIONS[relation, 0] + a)
-        cells[k, 1] = nodes[reference, 1] + EDGE * (DIRECTIONS[relation, 1] + b)
-        cells[k, 2] = nodes[reference, 2] + EDGE * (DIRECTIONS[relation, 2] + offsets[k, 2])
+        a, b = quarter_turn(offsets[k, 0], offsets[k, 1], ways.turns[way])
+        up = DIRECTIONS[relation, 2] + offsets[k, 2] + rise
+        cells[k, 0] = nodes[reference, 0] + ways.pitch * (DIRECTIONS[relation, 0] + a)
+        cells[k, 1] = nodes[reference, 1] + ways.pitch * (DIRECTIONS[relation, 1] + b)
+        cells[k, 2] = nodes[reference, 2] + EDGE * up
         key += _cell_key(cells[k, 0], cells[k, 1], cells[k, 2])
     return key
 
@@ -108,7 +116,7 @@ def _enter(table, stamp, stamps, keys, key, number):
 
 @njit(cache=True)
 def _enumerate(
-    nodes, object_id, num_targets, num_placed, num_nodes, rotations,
+    nodes, object_id, num_targets, num_placed, num_nodes, ways,
     out_cells, num_cells, out_action, out_members, count, out_key,
 ):  # fmt: skip
     """Write all rows; returns False where the arrays are too small."""
@@ -118,22 +126,28 @@ def _enumerate(
     keys = np.empty((3, slots), np.uint64)
     offsets = np.empty((MAX_CELLS, 3))
     cells = np.empty((MAX_CELLS, 3))
+    rotations = len(ways.turns)
     for row in range(len(num_targets)):
         first = num_targets[row] + num_placed[row]
         shapes = 0
         for block in range(first, num_nodes[row]):
-            size = _offsets(nodes[row], object_id[row], block, first, num_nodes[row], offsets)
+            size = _offsets(
+                nodes[row], object_id[row], block, first, num_nodes[row], ways.pitch, offsets
+            )
             shape = np.uint64(0)
             for k in range(size):
                 shape += _cell_key(EDGE * offsets[k, 0], EDGE * offsets[k, 1], EDGE * offsets[k, 2])
             if _enter(tables[0], row, stamps[0], keys[0], shape, shapes) != shapes:
                 continue
             shapes += 1
-            turns = rotations if size > 1 else 1
             for reference in range(num_targets[row], first):
                 for relation in range(len(DIRECTIONS)):
-                    for turn in range(turns):
-                        key = _fill(nodes[row], reference, relation, turn, offsets, size, cells)
+                    for way in range(rotations):
+                        if way > 0 and size == 1 and ways.grip[way] == ways.grip[way - 1]:
+                            continue  # A turned cube is the same cube.
+                        key = _fill(
+                            nodes[row], reference, relation, way, ways, offsets, size, cells
+                        )
                         n = count[row]
                         if _enter(tables[1], row, stamps[1], keys[1], key, n) != n:
                             continue
@@ -141,7 +155,7 @@ def _enumerate(
                             return False
                         out_action[row, n, 0] = block
                         out_action[row, n, 1] = reference
-                        out_action[row, n, 2] = relation * rotations + turn
+                        out_action[row, n, 2] = relation * rotations + way
                         out_key[row, n] = key
                         for k in range(size):
                             c = num_cells[row]
@@ -167,11 +181,11 @@ def _enumerate(
     return True
 
 
-def distinct_placements(graph: Graph, num_actions: int) -> Placements:
+def distinct_placements(graph: Graph, ways: Ways) -> Placements:
     """Enumerate the distinct placements of every row, in order of block, reference and action.
 
     Args:
-        num_actions: Na; 5 for every quarter turn that objects may be placed with.
+        ways: what the actions mean, :attr:`Task.ways`.
     """
     batch, capacity = len(graph.num_nodes), 256
     while True:
@@ -185,7 +199,7 @@ def distinct_placements(graph: Graph, num_actions: int) -> Placements:
         )
         if _enumerate(
             graph.nodes, graph.object_id, graph.num_targets, graph.num_placed, graph.num_nodes,
-            num_actions // len(DIRECTIONS), *out,
+            ways, *out,
         ):  # fmt: skip
             break
         capacity *= 2
@@ -199,25 +213,23 @@ def distinct_placements(graph: Graph, num_actions: int) -> Placements:
 
 
 @njit(cache=True)
-def _locate(
-    nodes, object_id, num_targets, num_placed, num_nodes, rotations, action, count, keys, out
-):
+def _locate(nodes, object_id, num_targets, num_placed, num_nodes, ways, action, count, keys, out):
     offsets = np.empty((MAX_CELLS, 3))
     cells = np.empty((MAX_CELLS, 3))
     for row in range(len(action)):
         first = num_targets[row] + num_placed[row]
-        size = _offsets(nodes[row], object_id[row], action[row, 0], first, num_nodes[row], offsets)
-        relation, turn = action[row, 2] // rotations, action[row, 2] % rotations
-        key = _fill(nodes[row], action[row, 1], relation, turn, offsets, size, cells)
+        size = _offsets(
+            nodes[row], object_id[row], action[row, 0], first, num_nodes[row], ways.pitch, offsets
+        )
+        relation, way = divmod(action[row, 2], len(ways.turns))
+        key = _fill(nodes[row], action[row, 1], relation, way, ways, offsets, size, cells)
         for n in range(count[row]):
             if keys[row, n] == key:
                 out[row] = n
                 break
 
 
-def locate(
-    placements: Placements, graph: Graph, action: np.ndarray, num_actions: int
-) -> np.ndarray:
+def locate(placements: Placements, graph: Graph, action: np.ndarray, ways: Ways) -> np.ndarray:
     """Number of the placement that has the result of each node action int64[B, 3]: int64[B].
 
     -1 where none has it.
@@ -225,31 +237,28 @@ def locate(
     out = np.full(len(action), -1, np.int64)
     _locate(
         graph.nodes, graph.object_id, graph.num_targets, graph.num_placed, graph.num_nodes,
-        num_actions // len(DIRECTIONS), action, placements.count, placements.key, out,
+        ways, action, placements.count, placements.key, out,
     )  # fmt: skip
     return out
 
 
 @njit(cache=True)
-def _keys(nodes, object_id, targets, first, used, rotations, out):
+def _keys(nodes, object_id, targets, first, used, ways, out):
     offsets = np.empty((MAX_CELLS, 3))
     cells = np.empty((MAX_CELLS, 3))
     for i in range(used - first):
-        size = _offsets(nodes, object_id, first + i, first, used, offsets)
+        size = _offsets(nodes, object_id, first + i, first, used, ways.pitch, offsets)
         for j in range(first - targets):
             for k in range(out.shape[2]):
-                out[i, j, k] = _fill(
-                    nodes, targets + j, k // rotations, k % rotations, offsets, size, cells
-                )
+                relation, way = divmod(k, len(ways.turns))
+                out[i, j, k] = _fill(nodes, targets + j, relation, way, ways, offsets, size, cells)
 
 
-def action_keys(graph: Graph, row: int, num_actions: int) -> np.ndarray:
+def action_keys(graph: Graph, row: int, ways: Ways) -> np.ndarray:
     """Number of the result of every legal action of a row: uint64[U, P, Na]."""
     targets, first = graph.num_targets[row], graph.num_targets[row] + graph.num_placed[row]
     used = graph.num_nodes[row]
+    num_actions = len(DIRECTIONS) * len(ways.turns)
     out = np.empty((used - first, first - targets, num_actions), np.uint64)
-    _keys(
-        graph.nodes[row], graph.object_id[row], targets, first, used,
-        num_actions // len(DIRECTIONS), out,
-    )  # fmt: skip
+    _keys(graph.nodes[row], graph.object_id[row], targets, first, used, ways, out)
     return out

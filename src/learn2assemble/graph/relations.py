@@ -75,10 +75,10 @@ def _line(a, b, turn, x, z, out):
 
 
 @njit(cache=True)
-def _offset_number(right, out, up):
-    """Number of an offset [m] to the right, outward and up, in whole blocks up to ``REACH``."""
-    i = int(_clip(np.rint(right / EDGE), REACH)) + REACH
-    j = int(_clip(np.rint(out / EDGE), REACH)) + REACH
+def _offset_number(right, out, up, pitch):
+    """Number of an offset [m] to the right, outward and up, in whole cells up to ``REACH``."""
+    i = int(_clip(np.rint(right / pitch), REACH)) + REACH
+    j = int(_clip(np.rint(out / pitch), REACH)) + REACH
     k = int(_clip(np.rint(up / EDGE), REACH)) + REACH
     return (i * WINDOW + j) * WINDOW + k
 
@@ -86,7 +86,7 @@ def _offset_number(right, out, up):
 @njit(cache=True)
 def _relate(
     nodes, object_id, num_targets, num_placed, cells, num_cells, most_edges, frames,
-    edges, edge_used, offsets, total_area,
+    pitch, edges, edge_used, offsets, total_area,
 ):  # fmt: skip
     corner = np.empty((most_edges, 2))
     for row in range(len(num_targets)):
@@ -132,13 +132,17 @@ def _relate(
                     node = nodes[row, targets + b]
                     dx, dy = node[0] - cells[row, c, 0], node[1] - cells[row, c, 1]
                     offsets[row, c, side, b] = _offset_number(
-                        dx * right_x + dy * right_y, dx * out_x + dy * out_y, node[2] - z
+                        dx * right_x + dy * right_y, dx * out_x + dy * out_y, node[2] - z, pitch
                     )
             first = last
 
 
-def relate(graph: Graph, placements: Placements) -> Relations:
-    """Relations of every cell of ``placements`` to its graph."""
+def relate(graph: Graph, placements: Placements, pitch: float = EDGE) -> Relations:
+    """Relations of every cell of ``placements`` to its graph.
+
+    Args:
+        pitch: horizontal distance of the centres of neighbouring cells [m].
+    """
     batch, most = placements.cells.shape[:2]
     targets = np.arange(graph.nodes.shape[1]) < graph.num_targets[:, None]
     side = np.where(targets, -1 - graph.object_id, -1)
@@ -150,6 +154,7 @@ def relate(graph: Graph, placements: Placements) -> Relations:
     area = np.zeros(batch, np.float32)
     _relate(
         graph.nodes, graph.object_id, graph.num_targets, graph.num_placed, placements.cells,
-        placements.num_cells, most_edges, side_frames(sides), edges, edge_used, offsets, area,
+        placements.num_cells, most_edges, side_frames(sides, pitch), pitch,
+        edges, edge_used, offsets, area,
     )  # fmt: skip
     return Relations(edges, edge_used, offsets, area)

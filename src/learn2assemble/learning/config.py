@@ -206,10 +206,12 @@ CONFIGS: dict[str, TrainConfig] = {
 
 
 def fit_to(config: TrainConfig, task: Task) -> TrainConfig:
-    """The configuration with what the task decides: its actions, and no symmetries that only
-    cubes have."""
-    network = dataclasses.replace(config.network, num_actions=task.num_actions)
-    augment = config.augment and task.objects == "cubes"
+    """The configuration with what the task decides: its actions and lattice, and no symmetries that
+    only cubes without a robot have."""
+    network = dataclasses.replace(
+        config.network, num_actions=task.num_actions, attitudes=task.attitudes, pitch=task.pitch
+    )
+    augment = config.augment and task.objects == "cubes" and task.touching
     return dataclasses.replace(config, network=network, augment=augment)
 
 

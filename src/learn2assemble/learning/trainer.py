@@ -21,7 +21,7 @@ from learn2assemble.learning.config import TrainConfig
 from learn2assemble.learning.explore import epsilon_greedy, searching, to_local
 from learn2assemble.learning.loss import q_loss
 from learn2assemble.learning.replay import Batch, Replay
-from learn2assemble.networks.build import Network, make_network
+from learn2assemble.networks.build import Network, at_pitch, make_network
 from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.search.named import training_search
 from learn2assemble.simulator import Simulator
@@ -43,7 +43,7 @@ class Trainer:
     """
 
     def __init__(self, task: Task, config: TrainConfig, seed: int, device: str = "cpu") -> None:
-        check_actions(config.network.num_actions, task)
+        check_actions(config.network.num_actions, config.network.attitudes, task)
         self.task, self.config, self.seed, self.device = task, config, seed, device
         self.simulator = Simulator(task)
         self.rng = np.random.default_rng([TRAINING_STREAM, seed])
@@ -77,7 +77,7 @@ class Trainer:
         Raises:
             InputError: where its architecture is another one.
         """
-        if network.config != self.config.network:
+        if at_pitch(network, self.config.network.pitch).config != self.config.network:
             raise InputError("--init", network.config, f"an agent with {self.config.network}")
         for mine in (self.online, self.target):
             mine.load_state_dict(network.state_dict())
@@ -121,7 +121,7 @@ class Trainer:
         state, graph = self.state, self.graph
         searched = outcomes = None
         if self.config.dense_weight:
-            placements = distinct_placements(graph, self.task.num_actions)
+            placements = distinct_placements(graph, self.task.ways)
             outcomes = self.simulator.outcomes(state, graph, placements)
         if self.config.searches:
             how = training_search(self.config.method, self.config.search_budget, self.epsilon)
@@ -241,10 +241,12 @@ class Trainer:
             raise InputError("--resume", str(path), f"an undamaged state ({reason})") from None
 
     def _restore(self, counters: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
-        mine = {"task": self.task.name, "config": json.loads(json.dumps(self.config.to_dict()))}
+        mine = {"task": self.task.name, "config": self.config}
+        # Runs may be older than some settings, which then had their defaults.
+        theirs = {**counters, "config": TrainConfig.from_dict(counters["config"])}
         for key, value in mine.items():
-            if counters[key] != value:
-                raise InputError(f"--resume {key}", value, f"the run's own: {counters[key]}")
+            if theirs[key] != value:
+                raise InputError(f"--resume {key}", value, f"the run's own: {theirs[key]}")
         arrays = {k: v.numpy() for k, v in tensors.items() if not k.startswith("adam.")}
         for name, field in self.state._asdict().items():
             field[:] = arrays[f"state.{name}"]

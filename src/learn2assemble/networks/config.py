@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 
 from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.world.actions import ATTITUDES
+from learn2assemble.world.blocks import EDGE
 
 FEED_FORWARDS = ("light", "wide", "none")
 CONNECTIVITIES = ("partial", "full")
@@ -28,6 +30,9 @@ class NetworkConfig:
             published 64->512->64, ``none`` leaves it out.
         connectivity: ``partial`` or ``full`` (protocol 4).
         num_actions: Na.
+        attitudes: what the ways of an action are, :attr:`Task.attitudes`; counts for
+            ``relational`` only, like ``pitch``.
+        pitch: horizontal distance of neighbouring blocks of the task [m].
         position_scale: positions are divided by this [m] (1.025 in the published code).
         rotary: rotate queries and keys by the node positions, so that attention scores depend on
             offsets between nodes instead of absolute positions (deviation D5).
@@ -39,6 +44,8 @@ class NetworkConfig:
     feed_forward: str = "light"
     connectivity: str = "partial"
     num_actions: int = 5
+    attitudes: str = "turns"
+    pitch: float = EDGE
     position_scale: float = 1.025
     rotary: bool = False
     encoder: str = "attention"
@@ -59,6 +66,10 @@ class NetworkConfig:
             raise InputError("width", self.width, "at least 2 for the encoder s2v")
         if self.encoder == "s2v" and self.rotary:
             raise InputError("rotary", self.rotary, "false for the encoder s2v (it has no scores)")
+        if self.attitudes not in ATTITUDES:
+            raise UnknownNameError("attitudes", self.attitudes, ATTITUDES)
+        if not 0 < self.pitch < math.inf:
+            raise InputError("pitch", self.pitch, "a positive length [m]")
         if self.rounds < 1:
             raise InputError("rounds", self.rounds, "at least 1")
         if not 0 < self.position_scale < math.inf:

@@ -4,7 +4,8 @@ Where the published network embeds every node and reads Q(i, j, k) off a pair of
 embeds every cell that could be filled. A cell looks at the edges of each outline and at the placed
 blocks around it in the viewer's frame of that side, so its embedding depends neither on where the
 structure stands, nor on which of its sides comes first, nor on how large the target is. A
-placement is the sum over the cells it fills; like placements are one placement.
+placement is the sum over the cells it fills; like placements are one placement. With a gripper,
+every cell also knows the grip it would be placed with.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from learn2assemble.graph.cells import NUM_SUMMARY, CellTensors, cell_tensors
 from learn2assemble.graph.relations import EDGE_FEATURES, OFFSETS
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import NEGATIVE
+from learn2assemble.world.actions import RELATIONS, get_ways
 
 
 class PlacementValues(NamedTuple):
@@ -45,7 +47,7 @@ class PlacementNetwork(nn.Module):
     """Relational encoder of cells and read-out of placements.
 
     Args:
-        config: its ``width``, ``rounds`` and ``num_actions`` count.
+        config: its ``width``, ``rounds``, ``num_actions``, ``attitudes`` and ``pitch`` count.
     """
 
     def __init__(self, config: NetworkConfig) -> None:
@@ -65,12 +67,19 @@ class PlacementNetwork(nn.Module):
         self.lever = nn.Linear(3, width, bias=False)
         self.context = nn.Linear(width, width, bias=False)
         self.readout = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 2))
+        grips = get_ways(config.attitudes, config.num_actions // len(RELATIONS)).num_grips
+        self.grip = nn.Embedding(grips, width) if grips > 1 else None
 
     def forward(self, graph: GraphTensors) -> PlacementValues:
         """Q-values of every distinct placement."""
-        cells = cell_tensors(graph, self.config.num_actions)
+        config = self.config
+        ways = get_ways(config.attitudes, config.num_actions // len(RELATIONS), config.pitch)
+        cells = cell_tensors(graph, ways)
         x, context = self.encode(cells)
-        parts = F.relu(F.embedding(cells.cell, self.member(x)) + self.lever(cells.lever))
+        parts = F.embedding(cells.cell, self.member(x)) + self.lever(cells.lever)
+        if self.grip is not None:
+            parts = parts + self.grip(cells.grip)
+        parts = F.relu(parts)
         row = cells.legal.nonzero()[:, 0]
         placed = self.context(context)[row].index_add(0, cells.part_of, parts)
         values = x.new_full((*cells.legal.shape, 2), NEGATIVE)

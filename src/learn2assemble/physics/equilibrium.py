@@ -28,6 +28,7 @@ import numpy as np
 
 from learn2assemble.errors import InputError, Learn2AssembleError
 from learn2assemble.geometry.boxes import CONTACT_TOLERANCE, OVERLAP_TOLERANCE
+from learn2assemble.geometry.support import find_fillers
 from learn2assemble.world.blocks import EDGE, FRICTION, HALF
 
 GROUND = -1
@@ -172,6 +173,18 @@ def _ground_contacts(centres: np.ndarray, body: np.ndarray, slack: float) -> Con
     return _patches(points, 2, np.full(len(down), GROUND), body[down])
 
 
+def _fillers(centres: np.ndarray, body: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Centres float64[f, 3] of the fillers of all objects, and whose they are int64[f]."""
+    found, owner = [np.empty((0, 3))], []
+    for number in np.flatnonzero(np.bincount(body) > 1).tolist():
+        cells = np.ascontiguousarray(centres[body == number])
+        out = np.empty((2 * len(cells), 3))
+        count = find_fillers(cells, 0, len(cells), HALF, out)
+        found.append(out[:count])
+        owner += [number] * count
+    return np.concatenate(found), np.array(owner, np.int64)
+
+
 class _Program:
     """The linear program of one structure: columns are the multipliers, then the load ``a``."""
 
@@ -191,9 +204,12 @@ class _Program:
             flat = contacts.normals[:, 2] == 1.0
             contacts = Contacts(*[field[flat] for field in contacts])
         self.num_objects = int(body.max()) + 1 if len(body) else 0
-        self.mass = np.bincount(body, minlength=self.num_objects).astype(float)
+        # What fills the gaps of objects is as heavy as a cube.
+        filler, its_body = _fillers(centres, body)
+        heavy, owner = np.concatenate([centres, filler]), np.concatenate([body, its_body])
+        self.mass = np.bincount(owner, minlength=self.num_objects).astype(float)
         weighted = np.zeros((self.num_objects, 3))
-        np.add.at(weighted, body, centres)
+        np.add.at(weighted, owner, heavy)
         self._centre = weighted / np.maximum(self.mass, 1)[:, None]
         touched = np.concatenate([contacts.body_a, contacts.body_b])
         self.touches_all = len(np.setdiff1d(np.arange(self.num_objects), touched)) == 0

@@ -1,4 +1,4 @@
-"""MuJoCo models of blocks on the ground: one free body per object, one box per cell.
+"""MuJoCo models of blocks on the ground: one free body per object, one box per cell and filler.
 
 The settings (protocol 1.1 for the physical constants) let exact structures rest:
 
@@ -25,10 +25,11 @@ import mujoco
 import numpy as np
 
 from learn2assemble.errors import InputError
+from learn2assemble.geometry.support import find_fillers
 from learn2assemble.world.blocks import EDGE, FRICTION, GRAVITY, HALF, MASS
 
 Layout = tuple[tuple[tuple[int, int, int], ...], ...]
-"""Per object its cells in block edges, relative to its first cell, in the object's frame."""
+"""Per object its cells in whole cells, relative to its first cell, in the object's frame."""
 
 TIMESTEP = 0.004
 SHRINK = 1.5e-4
@@ -58,16 +59,43 @@ class Grouping(NamedTuple):
     """int64[b]: first cell of each body."""
 
 
-def group_cells(position: np.ndarray, quaternion: np.ndarray, object_id: np.ndarray) -> Grouping:
+class Parts(NamedTuple):
+    """What an object is made of; lengths in metres from its centre of mass, in its own frame."""
+
+    cells: np.ndarray
+    """float64[n, 3]: centres of its cells."""
+    fillers: np.ndarray
+    """float64[f, 3]: centres of what fills the gaps between them."""
+    sizes: np.ndarray
+    """float64[f, 3]: half edges of the fillers."""
+
+
+def object_parts(cells: tuple[tuple[int, int, int], ...] | np.ndarray, pitch: float) -> Parts:
+    """The object with the given cells (in whole cells) at a horizontal distance of ``pitch``."""
+    lattice, spacing = np.asarray(cells, float), np.array([pitch, pitch, EDGE])
+    found = np.empty((2 * len(lattice), 3))
+    count = find_fillers(spacing * lattice, 0, len(lattice), HALF, found)
+    between = np.rint(2 * found[:count] / spacing) / 2
+    # A filler lies off the lattice along the axis on which it fills a gap.
+    sizes = np.full(between.shape, HALF)
+    sizes[:, :2] = np.where(between[:, :2] % 1 == 0, HALF - SHRINK, (pitch - EDGE) / 2)
+    centre = np.concatenate([lattice, between]).mean(0)
+    return Parts(spacing * (lattice - centre), spacing * (between - centre), sizes)
+
+
+def group_cells(
+    position: np.ndarray, quaternion: np.ndarray, object_id: np.ndarray, pitch: float = EDGE
+) -> Grouping:
     """Bodies of the given cells.
 
     Args:
         position: float64[n, 3] cell centres [m, world].
         quaternion: float64[n, 4] orientations (w, x, y, z), the same for all cells of an object.
         object_id: int64[n]; cells with the same number are one body.
+        pitch: horizontal distance of neighbouring cells of an object [m].
 
     Raises:
-        InputError: where the cells of an object are not on one lattice of block edges.
+        InputError: where the cells of an object are not on one lattice.
     """
     ids = object_id.tolist()
     count = len(ids)
@@ -78,17 +106,18 @@ def group_cells(position: np.ndarray, quaternion: np.ndarray, object_id: np.ndar
     body = np.array([first.setdefault(k, len(first)) for k in ids])
     lead = np.array([ids.index(k) for k in first])
     offset = np.zeros((count, 3))
-    layout = []
+    layout, spacing = [], np.array([pitch, pitch, EDGE])
     for number, head in enumerate(lead):
         cells = np.flatnonzero(body == number)
-        relative = (position[cells] - position[head]) @ rotation(quaternion[head]) / EDGE
-        lattice = np.rint(relative)
-        if np.abs(relative - lattice).max() * EDGE > CELL_TOLERANCE:
+        relative = (position[cells] - position[head]) @ rotation(quaternion[head])
+        lattice = np.rint(relative / spacing)
+        if np.abs(relative - spacing * lattice).max() > CELL_TOLERANCE:
             raise InputError(
-                f"object {ids[head]}", position[cells].tolist(), "cells on one 5 cm lattice"
-            )
+                f"object {ids[head]}", position[cells].tolist(),
+                f"cells on one {100 * pitch:g} cm lattice",
+            )  # fmt: skip
         layout.append(tuple(tuple(int(v) for v in cell) for cell in lattice))
-        offset[cells] = EDGE * (lattice - lattice.mean(0))
+        offset[cells] = object_parts(lattice, pitch).cells
     return Grouping(tuple(layout), body, offset, lead)
 
 
@@ -99,12 +128,13 @@ def rotation(quaternion: np.ndarray) -> np.ndarray:
     return matrix.reshape(3, 3)
 
 
-def build_spec(layout: Layout, timestep: float = TIMESTEP) -> mujoco.MjSpec:
+def build_spec(layout: Layout, timestep: float = TIMESTEP, pitch: float = EDGE) -> mujoco.MjSpec:
     """An editable scene: the ground and one free body ``object<k>`` per object.
 
     Args:
         layout: see :data:`Layout`.
         timestep: simulation step [s].
+        pitch: horizontal distance of neighbouring cells of an object [m].
     """
     spec = mujoco.MjSpec()
     option = spec.option
@@ -122,16 +152,14 @@ def build_spec(layout: Layout, timestep: float = TIMESTEP) -> mujoco.MjSpec:
     )
     _set_contact(ground)
     for number, cells in enumerate(layout):
-        centre = np.mean(cells, axis=0)
+        parts = object_parts(cells, pitch)
+        cube = np.array([[HALF - SHRINK, HALF - SHRINK, HALF]])
+        places = np.concatenate([parts.cells, parts.fillers])
+        sizes = np.concatenate([cube.repeat(len(parts.cells), 0), parts.sizes])
         body = spec.worldbody.add_body(name=f"object{number}")
         body.add_freejoint()
-        for cell in cells:
-            box = body.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_BOX,
-                pos=EDGE * (np.array(cell) - centre),
-                size=[HALF - SHRINK, HALF - SHRINK, HALF],
-                mass=MASS,
-            )
+        for place, size in zip(places, sizes, strict=True):
+            box = body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=place, size=size, mass=MASS)
             _set_contact(box)
     return spec
 
@@ -144,9 +172,11 @@ def _set_contact(geom: mujoco.MjsGeom) -> None:
 
 
 @lru_cache(maxsize=256)
-def compile_model(layout: Layout, timestep: float = TIMESTEP) -> mujoco.MjModel:
+def compile_model(
+    layout: Layout, timestep: float = TIMESTEP, pitch: float = EDGE
+) -> mujoco.MjModel:
     """The compiled scene with damping; shared between callers, so do not change it."""
-    model = build_spec(layout, timestep).compile()
+    model = build_spec(layout, timestep, pitch).compile()
     damping = model.dof_damping.reshape(-1, 6)
     damping[:, :3] = DAMPING * model.body_mass[1:, None]
     damping[:, 3:] = DAMPING * model.body_inertia[1:].mean(1, keepdims=True)

@@ -11,7 +11,7 @@ from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.geometry.boxes import classify_cube
 from learn2assemble.physics.mjcf import TIMESTEP, Grouping, compile_model, group_cells, rotation
 from learn2assemble.physics.protocol import Verdict
-from learn2assemble.world.blocks import HALF
+from learn2assemble.world.blocks import EDGE, HALF
 from learn2assemble.world.rules import STABILITY
 from learn2assemble.world.state import State
 
@@ -47,6 +47,7 @@ class RigidPhysics:
         threshold: limit on V [m/s]; the published one of the rule by default.
         settle_steps: number of steps simulated.
         timestep: length of a step [s].
+        pitch: horizontal distance of neighbouring cells of an object [m].
 
     Raises:
         UnknownNameError: for another rule.
@@ -62,6 +63,7 @@ class RigidPhysics:
         threshold: float | None = None,
         settle_steps: int = SETTLE_STEPS,
         timestep: float = TIMESTEP,
+        pitch: float = EDGE,
     ) -> None:
         if rule not in RULES:
             raise UnknownNameError("rule", rule, RULES)
@@ -69,7 +71,8 @@ class RigidPhysics:
         self.threshold = RULES[rule] if threshold is None else threshold
         self.settle_steps = settle_steps
         self.timestep = timestep
-        for what in ("threshold", "settle_steps", "timestep"):
+        self.pitch = pitch
+        for what in ("threshold", "settle_steps", "timestep", "pitch"):
             if not getattr(self, what) > 0:
                 raise InputError(what, getattr(self, what), "a positive number")
         self.last_speed_sums: list[np.ndarray] = []
@@ -79,6 +82,9 @@ class RigidPhysics:
 
     def __getstate__(self) -> dict[str, object]:
         return {**self.__dict__, "_worlds": {}}
+
+    def prepare(self, state: State, rows: np.ndarray, actions: np.ndarray) -> None:
+        """Nothing: only where the object comes to matters."""
 
     def settle(self, state: State, rows: np.ndarray) -> np.ndarray:
         """Verdict on the object placed last of each row; moves the placed blocks of the row.
@@ -119,7 +125,7 @@ class RigidPhysics:
         self, position: np.ndarray, quaternion: np.ndarray, object_id: np.ndarray
     ) -> np.ndarray:
         """Settle the given cells in place; returns V_b, float64[n]."""
-        group = group_cells(position, quaternion, object_id)
+        group = group_cells(position, quaternion, object_id, self.pitch)
         data = self._world(group)
         model = data.model
         pose = data.qpos.reshape(-1, 7)
@@ -158,7 +164,7 @@ class RigidPhysics:
         if data is None:
             if len(self._worlds) >= _MAX_WORLDS:
                 self._worlds.pop(next(iter(self._worlds)))
-            data = mujoco.MjData(compile_model(group.layout, self.timestep))
+            data = mujoco.MjData(compile_model(group.layout, self.timestep, self.pitch))
             self._worlds[group.layout] = data
         return data
 

@@ -15,7 +15,7 @@ from numba import njit
 from learn2assemble.geometry.boxes import UNDECIDED, classify_cube
 from learn2assemble.geometry.support import BALANCE_TOLERANCE, classify_object
 from learn2assemble.physics.protocol import Verdict
-from learn2assemble.world.actions import DIRECTIONS
+from learn2assemble.world.actions import DIRECTIONS, Ways
 from learn2assemble.world.blocks import EDGE, HALF
 from learn2assemble.world.rules import last_object, lay_object, object_span, target_cell
 from learn2assemble.world.state import State
@@ -45,12 +45,12 @@ def _settle(state, rows, verdict):
 
 
 @njit(cache=True)
-def _survey(state, verdict):
+def _survey(state, pitch, verdict):
     for row in range(len(state.num_placed)):
         placed = state.num_placed[row]
         for reference in range(placed):
             for relation in range(NUM_RELATIONS):
-                x, y, z = target_cell(state, row, reference, relation)
+                x, y, z = target_cell(state, row, reference, relation, pitch)
                 verdict[row, reference, relation] = classify_cube(
                     state.position[row], placed, x, y, z, HALF
                 )
@@ -70,6 +70,9 @@ class StaticPhysics:
     name = "static"
     moves_blocks = False
 
+    def prepare(self, state: State, rows: np.ndarray, actions: np.ndarray) -> None:
+        """Nothing: only where the object comes to matters."""
+
     def settle(self, state: State, rows: np.ndarray) -> np.ndarray:
         """Verdict on the object placed last of each row; see :class:`Physics`."""
         verdict = np.empty(len(rows), np.int8)
@@ -80,8 +83,11 @@ class StaticPhysics:
         return verdict
 
 
-def survey(state: State) -> np.ndarray:
+def survey(state: State, pitch: float = EDGE) -> np.ndarray:
     """Verdict of placing a block next to every placed block, by static physics; cubes only.
+
+    Args:
+        pitch: horizontal distance of the centres of neighbouring cells [m].
 
     Returns:
         int8[B, M, 5]: :class:`Verdict` for (reference, relation); OVERLAP for references beyond
@@ -89,12 +95,12 @@ def survey(state: State) -> np.ndarray:
     """
     batch, blocks = state.position.shape[:2]
     verdict = np.full((batch, blocks, NUM_RELATIONS), int(Verdict.OVERLAP), np.int8)
-    _survey(state, verdict)
+    _survey(state, pitch, verdict)
     if not (verdict == UNDECIDED).any():
         return verdict
     for row, reference, relation in np.argwhere(verdict == UNDECIDED):
         placed = state.position[row, : state.num_placed[row]]
-        cell = placed[reference] + EDGE * DIRECTIONS[relation]
+        cell = target_cell(state, row, reference, relation, pitch)
         verdict[row, reference, relation] = _equilibrium(
             np.vstack([placed, cell]), np.arange(len(placed) + 1)
         )
@@ -102,13 +108,15 @@ def survey(state: State) -> np.ndarray:
 
 
 @njit(cache=True)
-def _try_object(state, row, unplaced, reference, action, rotations, position):
+def _try_object(state, row, unplaced, reference, action, ways, position):
     """Verdict on one placement; its cells follow the placed ones in ``position``: (verdict, n)."""
     placed = state.num_placed[row]
-    relation, turns = divmod(action, rotations)
-    x, y, z = target_cell(state, row, reference, relation)
-    cells = position[placed:]
-    count = placed + lay_object(state, row, unplaced, reference, x, y, z, turns, cells)
+    relation, way = divmod(action, len(ways.turns))
+    x, y, z = target_cell(state, row, reference, relation, ways.pitch)
+    count = placed + lay_object(
+        state, row, unplaced, reference, x, y, z, ways.turns[way], position[placed:],
+        ways.pitch, ways.level,
+    )  # fmt: skip
     return classify_object(position, placed, count, HALF), count
 
 
@@ -131,7 +139,7 @@ def _same_object(state, row, a, b):
 
 
 @njit(cache=True)
-def _try_objects(state, row, rotations, position, verdict):
+def _try_objects(state, row, ways, position, verdict):
     for unplaced in range(verdict.shape[0]):
         for earlier in range(unplaced):
             if _same_object(state, row, unplaced, earlier):
@@ -141,29 +149,32 @@ def _try_objects(state, row, rotations, position, verdict):
             for reference in range(verdict.shape[1]):
                 for action in range(verdict.shape[2]):
                     verdict[unplaced, reference, action], _ = _try_object(
-                        state, row, unplaced, reference, action, rotations, position
+                        state, row, unplaced, reference, action, ways, position
                     )
 
 
-def survey_objects(state: State, rotations: int) -> np.ndarray:
+def survey_objects(state: State, ways: Ways) -> np.ndarray:
     """Verdict of every placement of every waiting block with its object, by static physics.
 
+    Args:
+        ways: what the actions mean.
+
     Returns:
-        int8[B, M, M, 5 * rotations]: :class:`Verdict` for (unplaced, reference, action), counted
+        int8[B, M, M, 5 * R]: :class:`Verdict` for (unplaced, reference, action), counted
         as in :meth:`Simulator.step`; OVERLAP beyond the blocks there are.
     """
     batch, blocks = state.position.shape[:2]
-    shape = (batch, blocks, blocks, NUM_RELATIONS * rotations)
+    shape = (batch, blocks, blocks, NUM_RELATIONS * len(ways.turns))
     verdict = np.full(shape, int(Verdict.OVERLAP), np.int8)
     for row in range(batch):
         placed, waiting = state.num_placed[row], int(state.num_unplaced[row])
         position = np.concatenate([state.position[row, :placed], np.empty((blocks, 3))])
         found = verdict[row, :waiting, :placed]
-        _try_objects(state, row, rotations, position, found)
+        _try_objects(state, row, ways, position, found)
         known: dict[bytes, int] = {}
         for choice in np.argwhere(found == UNDECIDED):
             unplaced, reference, action = choice
-            _, count = _try_object(state, row, unplaced, reference, action, rotations, position)
+            _, count = _try_object(state, row, unplaced, reference, action, ways, position)
             cells = position[placed:count]
             key = np.unique(np.rint(cells * 1e6), axis=0).tobytes()
             if key not in known:

@@ -60,8 +60,8 @@ def _candidates(
     """Placements to try, one per cell: those that fill first, then supports of open cells, then
     the rest, by the agent's Q within each class."""
     graph = simulator.observe(state)
-    placements = distinct_placements(graph, simulator.task.num_actions)
-    outcomes = simulator.outcomes(state, graph, placements)
+    placements = distinct_placements(graph, simulator.ways)
+    outcomes = simulator.outcomes(state, graph, placements, by_hand=True)
     actions = placements.action[0] - node_offset(graph)
     values = model.action_values(state)[0]
     q = {tuple(action): value for action, value in zip(values.actions.tolist(), values.values,

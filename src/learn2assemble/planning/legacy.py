@@ -4,7 +4,7 @@ The published search did not copy the world: before every simulation it rebuilt 
 observation, and two steps of an ordinary reset ran along.
 
 * (a) The initial cover c0 is taken from the restored state, so coverage and the success threshold
-  refer to what is still open.
+  refer to what is still open (where coverage is normalised: without a robot).
 * (b) Where the structure already covers more than the share at which a reset redraws the problem,
   or the masks are too small, the simulation silently runs in a random new problem.
 
@@ -93,8 +93,9 @@ class LegacyModel:
         start.position[copies.real] = seen * np.float32(OBSERVED_SCALE)
         fell = np.zeros(start.batch_size, np.bool_)
         if task.objects != "cubes":
-            _take_apart(start, copies.real, fell)
-        start.initial_pixels[copies.real] = start.plane_pixels[copies.real]
+            _take_apart(start, copies.real, task.pitch, fell)
+        if task.normalise_initial:
+            start.initial_pixels[copies.real] = start.plane_pixels[copies.real]
         redrawn = start.plane_pixels > task.max_initial_cover * start.mask_pixels
         redrawn |= start.mask_pixels < task.min_mask_pixels
         rows = np.flatnonzero(copies.real & redrawn)
@@ -112,7 +113,7 @@ class LegacyModel:
 
 
 @njit(cache=True)
-def _take_apart(state, rebuilt, fell):
+def _take_apart(state, rebuilt, pitch, fell):
     """Fault (c) on the rows ``rebuilt``; sets ``fell`` where a placed cell then hangs."""
     for row in range(len(rebuilt)):
         if not rebuilt[row]:
@@ -125,8 +126,9 @@ def _take_apart(state, rebuilt, fell):
             apart = 0.0
             for axis in range(3):
                 apart += abs(position[k, axis] - position[k - 1, axis])
-            # Cells are on one lattice, so touching ones are one edge apart along one axis.
-            if k <= placed or abs(apart - EDGE) > TOUCH_TOLERANCE:
+            # Cells are on one lattice, so neighbours are one step apart along one axis.
+            off = min(abs(apart - EDGE), abs(apart - pitch))
+            if k <= placed or off > TOUCH_TOLERANCE:
                 number += 1
             state.object_id[row, k] = number
 

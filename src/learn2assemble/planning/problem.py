@@ -118,5 +118,9 @@ def preset_problem(name: str, seed: int) -> Problem:
         raise InputError("--seed", seed, "a whole number of at least 0")
     state = Simulator(task).new(1, np.random.default_rng([PROBLEM_STREAM, seed]))
     names = tuple(f"side {side + 1}" for side in range(task.num_sides))
-    several = None if task.objects == "cubes" else "plans are made of cubes, not yet of objects"
-    return Problem(f"{name}, seed {seed}", task, state, names, inside=None, refusal=several)
+    refusal = None
+    if task.objects != "cubes":
+        refusal = "plans are made of cubes, not yet of objects"
+    elif not task.touching:
+        refusal = "plans are made of blocks that touch, not yet for the gaps a gripper needs"
+    return Problem(f"{name}, seed {seed}", task, state, names, inside=None, refusal=refusal)

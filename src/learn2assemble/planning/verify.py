@@ -56,7 +56,7 @@ def method() -> str:
 
 def verify(problem: Problem, placements: list[Placement]) -> Proof:
     """Make every placement in rigid-body simulation, on what the ones before have become."""
-    physics = RigidPhysics(problem.task.stability)
+    physics = RigidPhysics(problem.task.stability, pitch=problem.task.pitch)
     simulator = Simulator(problem.task, physics)
     state = problem.state.copy()
     steps: list[VerifiedStep] = []

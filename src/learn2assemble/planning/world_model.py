@@ -8,12 +8,13 @@ import torch
 from learn2assemble.graph.batch import GraphTensors, to_tensors
 from learn2assemble.graph.features import Graph, node_offset
 from learn2assemble.graph.placements import action_keys
-from learn2assemble.networks.build import Network
+from learn2assemble.networks.build import Network, at_pitch
 from learn2assemble.networks.placement import PlacementValues
 from learn2assemble.networks.qnetwork import QFactors
 from learn2assemble.search.model import ActionValues, StepResult
 from learn2assemble.simulator import Simulator
 from learn2assemble.task import check_actions
+from learn2assemble.world.actions import Ways
 from learn2assemble.world.state import State
 
 PART = 64
@@ -25,13 +26,15 @@ class WorldModel:
 
     Args:
         simulator: steps copies of states exactly, so a search never disturbs the real world.
-        network: estimates values.
+        network: estimates values; it may have been trained at another pitch.
         device: where the network is.
     """
 
     def __init__(self, simulator: Simulator, network: Network, device: str = "cpu") -> None:
-        check_actions(network.config.num_actions, simulator.task)
-        self.simulator, self.network, self.device = simulator, network, device
+        task, config = simulator.task, network.config
+        check_actions(config.num_actions, config.attitudes, task)
+        self.simulator, self.device = simulator, device
+        self.network = at_pitch(network, task.pitch)
         self.discount = simulator.task.discount
 
     def batch_size(self, states: State) -> int:
@@ -58,14 +61,15 @@ class WorldModel:
         for number, values in enumerate(found):
             part = graph.take(np.arange(len(graph.num_nodes))[number * PART : (number + 1) * PART])
             pairs = isinstance(values, QFactors)
-            out += _of_pairs(part, values) if pairs else _of_placements(part, values)
+            ways = self.simulator.ways
+            out += _of_pairs(part, values, ways) if pairs else _of_placements(part, values)
         return out
 
     def legal(self, states: State) -> list[ActionValues]:
         graph, num_actions = self.simulator.observe(states), self.simulator.task.num_actions
         sizes = zip(states.num_unplaced, states.num_placed, strict=True)
         return [
-            _all_actions(graph, row, np.zeros((*size, num_actions)))
+            _all_actions(graph, row, np.zeros((*size, num_actions)), self.simulator.ways)
             for row, size in enumerate(sizes)
         ]
 
@@ -99,19 +103,19 @@ def _of_placements(graph: Graph, values: PlacementValues) -> list[ActionValues]:
     return out
 
 
-def _of_pairs(graph: Graph, values: QFactors) -> list[ActionValues]:
+def _of_pairs(graph: Graph, values: QFactors, ways: Ways) -> list[ActionValues]:
     block, reference, context = (t.cpu().numpy().astype(np.float64) for t in values)
     out = []
     for row in range(len(graph.num_nodes)):
         first = int(graph.num_targets[row])
         split, end = first + int(graph.num_placed[row]), int(graph.num_nodes[row])
         q = block[row, split:end, None] + reference[row, None, first:split] + context[row]
-        out.append(_all_actions(graph, row, q))
+        out.append(_all_actions(graph, row, q, ways))
     return out
 
 
-def _all_actions(graph: Graph, row: int, values: np.ndarray) -> ActionValues:
+def _all_actions(graph: Graph, row: int, values: np.ndarray, ways: Ways) -> ActionValues:
     """All actions of a row in the order of float64[unplaced, placed, Na] ``values``."""
     actions = np.indices(values.shape).reshape(3, -1).T
-    keys = action_keys(graph, row, values.shape[2])
+    keys = action_keys(graph, row, ways)
     return ActionValues(actions, values.ravel(), keys.ravel())

@@ -14,11 +14,8 @@ import mujoco
 import numpy as np
 
 from learn2assemble.errors import InputError, look_up
-from learn2assemble.robot.model import read_spec
-
-ASSETS = Path(__file__).resolve().parents[1] / "assets" / "arms"
-ARMS: dict[str, Path] = {name: ASSETS / name / "arm.toml" for name in ("panda", "ur5e")}
-"""Every arm by name, and its file."""
+from learn2assemble.robot.registry import ARMS
+from learn2assemble.robot.spec import read_spec
 
 
 @dataclass(frozen=True, eq=False)

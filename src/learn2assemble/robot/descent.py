@@ -150,7 +150,7 @@ def descend_published(chain, target_position, target_rotation, rows, tolerance, 
 
     error = log6(T_target^-1 T(q)), dq = -0.1 J^T (J J^T + 1e-12 I)^-1 error with J in the tool's
     own axes; done when the norm of the error, its first three entries for position only, is below
-    the tolerance. Returns as :func:`descend` does.
+    the tolerance. These three depend on ``target_rotation``, too. Returns as :func:`descend` does.
     """
     n = q.shape[0]
     positions, rotations = np.empty((n, 3)), np.empty((n, 3, 3))

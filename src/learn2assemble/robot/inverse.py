@@ -1,54 +1,29 @@
 """Inverse kinematics within joint limits; a failure says which one.
 
-One attempt (:mod:`learn2assemble.robot.descent`) starts where the caller says, so that the answer
-stays near; the next ones from a table of fixed configurations, those whose tool is nearest to the
-target first. Nothing is random: the same question has the same answer.
+One descent (:mod:`learn2assemble.robot.descent`) starts where the caller says, so that the answer
+stays near; where that leads nowhere, others follow (:mod:`learn2assemble.robot.attempts`).
 """
 
 from __future__ import annotations
 
-from enum import IntEnum
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from learn2assemble.errors import InputError, look_up
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.descent import CONVERGED, OUT_OF_STEPS, descend, descend_published
-from learn2assemble.robot.kinematics import forward_many, get_chain, jacobian
-from learn2assemble.robot.rotations import smallest_singular_value
+from learn2assemble.robot.attempts import (
+    MAX_ITERATIONS,
+    PUBLISHED_ITERATIONS,
+    RESTARTS,
+    IKFailure,
+    seeds,
+    solve_all,
+    solve_published,
+)
+from learn2assemble.robot.kinematics import get_chain
 
-TOLERANCE = 1e-6
-"""Largest error of a solution in position [m] and in rotation [rad]."""
-SINGULAR_VALUE = 0.005
-"""Below this smallest singular value of the Jacobian a configuration counts as singular: there is
-a direction in which 5 mm/s of the tool (or 5 mrad/s) cost a joint 1 rad/s."""
-MAX_ITERATIONS = 60
-RESTARTS = 6
-NUM_SEEDS = 1024
-METRES_PER_RADIAN = 0.3
-"""How a rotation compares with a shift when seeds are ranked."""
-
-
-class IKFailure(IntEnum):
-    """Why there is no solution; stored as int8."""
-
-    NONE = 0
-    """There is one."""
-    OUT_OF_REACH = 1
-    """Not even an arm without joint limits gets there."""
-    JOINT_LIMIT = 2
-    """Only beyond the limits."""
-    SINGULAR = 3
-    """Only with the arm in a singular configuration (:data:`SINGULAR_VALUE`), which it could not
-    leave in every direction at bounded joint speed. The joints are those of this solution."""
-    NO_CONVERGENCE = 4
-    """Not found in the iterations allowed; nothing is proven."""
-
-
-_NONE, _FAR, _LIMIT, _SINGULAR, _OPEN = (int(failure) for failure in IKFailure)
+__all__ = ["IKFailure", "Solution", "Solutions", "solve", "solve_many"]
 
 
 class Solution(NamedTuple):
@@ -82,7 +57,7 @@ class Solutions(NamedTuple):
     @property
     def ok(self) -> np.ndarray:
         """bool[m]."""
-        return self.failure == _NONE
+        return self.failure == IKFailure.NONE
 
 
 def solve(
@@ -110,7 +85,7 @@ def solve(
         restarts: how many other starts are tried where the first leads nowhere.
 
     Raises:
-        InputError: where a shape is wrong or a number is not finite.
+        InputError: where a shape is wrong, a number not finite or a matrix not a rotation.
         UnknownNameError: for a branch or method there is not.
     """
     many = solve_many(
@@ -135,15 +110,20 @@ def solve_many(
     max_iterations: int | None = None,
     restarts: int = RESTARTS,
 ) -> Solutions:
-    """:func:`solve` for float64[m, 3] and float64[m, 3, 3]; ``start`` is one for all or one each."""
+    """:func:`solve` for float64[m, 3] and float64[m, 3, 3]; ``start`` for all or one for each."""
     look_up("method", method, {"limits": None, "published": None})
     n = len(arm.joints)
     position = np.ascontiguousarray(position, float)
     m = len(position)
     _check("position", position, (m, 3))
     rows = 3 if rotation is None else 6
-    rotation = np.zeros((m, 3, 3)) if rotation is None else np.ascontiguousarray(rotation, float)
-    _check("rotation", rotation, (m, 3, 3))
+    if rotation is None:
+        rotation = np.broadcast_to(np.eye(3), (m, 3, 3)).copy()
+    else:
+        rotation = np.ascontiguousarray(rotation, float)
+        _check("rotation", rotation, (m, 3, 3))
+        if np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max(initial=0) > 1e-6:
+            raise InputError("rotation", rotation.tolist(), "rotation matrices")
     start = np.array(arm.home if start is None else start, float)
     if start.ndim == 1:
         start = np.broadcast_to(start, (m, len(start)))
@@ -152,12 +132,16 @@ def solve_many(
     out = Solutions(joints, np.empty(m, np.int8), np.empty(m), np.empty(m, np.int64))
     chain = get_chain(arm)
     if method == "published":
-        _published(chain, position, rotation, rows, max_iterations or 1000, *out)
+        solve_published(
+            chain, position, rotation, rows,
+            PUBLISHED_ITERATIONS if max_iterations is None else max_iterations, *out,
+        )  # fmt: skip
     else:
-        lower, upper = arm.limits(branch)
-        _limited(
-            chain, lower, upper, arm.home, seeds(arm, branch), position, rotation, rows,
-            max_iterations or MAX_ITERATIONS, restarts, *out,
+        # Copies: a read-only array is another type, and would be compiled for anew.
+        lower, upper = (limit.copy() for limit in arm.limits(branch))
+        solve_all(
+            chain, lower, upper, arm.home.copy(), seeds(arm, branch), position, rotation, rows,
+            MAX_ITERATIONS if max_iterations is None else max_iterations, restarts, *out,
         )  # fmt: skip
     return out
 
@@ -165,175 +149,3 @@ def solve_many(
 def _check(name: str, array: np.ndarray, shape: tuple[int, ...]) -> None:
     if array.shape != shape or not np.isfinite(array).all():
         raise InputError(name, array.tolist(), f"{shape} finite numbers")
-
-
-class Seeds(NamedTuple):
-    """Configurations and the tool poses they give."""
-
-    joints: np.ndarray
-    """float64[k, n] [rad]."""
-    position: np.ndarray
-    """float64[k, 3] [m, world]."""
-    rotation: np.ndarray
-    """float64[k, 3, 3]."""
-
-
-@lru_cache(maxsize=32)
-def seeds(arm: Arm, branch: str | None = None) -> Seeds:
-    """Fixed configurations spread evenly over a branch, at most a turn around the home pose."""
-    lower, upper = arm.limits(branch)
-    lower, upper = np.maximum(lower, arm.home - np.pi), np.minimum(upper, arm.home + np.pi)
-    # The additive recurrence of the generalised golden ratio: even in any dimension.
-    n = len(lower)
-    ratio = 2.0
-    for _ in range(60):
-        ratio = (1 + ratio) ** (1 / (n + 1))
-    share = np.outer(np.arange(1, NUM_SEEDS + 1), ratio ** -np.arange(1.0, n + 1)) % 1
-    joints = lower + share * (upper - lower)
-    return Seeds(joints, *forward_many(get_chain(arm), joints))
-
-
-# ---------------------------------------------------------------- compiled
-
-
-@njit(cache=True)
-def _published(chain, position, rotation, rows, max_iterations, joints, failure, error, iterations):
-    for k in range(position.shape[0]):
-        state, error[k], iterations[k] = descend_published(
-            chain, position[k], rotation[k], rows, TOLERANCE, max_iterations, joints[k]
-        )
-        failure[k] = _NONE if state == CONVERGED else _OPEN
-
-
-@njit(cache=True)
-def _limited(
-    chain, lower, upper, posture, table, position, rotation, rows, max_iterations, restarts,
-    joints, failure, error, iterations,
-):  # fmt: skip
-    for k in range(position.shape[0]):
-        failure[k], error[k], iterations[k] = _solve_one(
-            chain, lower, upper, posture, table, position[k], rotation[k], rows, max_iterations,
-            restarts, joints[k],
-        )  # fmt: skip
-
-
-@njit(cache=True)
-def _solve_one(
-    chain, lower, upper, posture, table, position, rotation, rows, max_iterations, restarts, q
-):
-    """Leaves the solution in q, which holds the start."""
-    n = q.shape[0]
-    start = q.copy()
-    trial, singular = np.empty(n), np.empty(n)
-    best, spent, is_singular, open_end = np.inf, 0, False, False
-    ranks = np.empty(0)
-    reach = _reach(chain)
-    away = 0.0
-    for i in range(3):
-        away += (position[i] - chain.offset[0, i]) ** 2
-    if np.sqrt(away) > reach:
-        _clip(q, lower, upper)
-        return _FAR, np.sqrt(away) - reach, 0
-    for attempt in range(restarts + 1):
-        if attempt == 0:
-            trial[:] = start
-        else:
-            if attempt == 1:
-                ranks = _ranks(table, position, rotation, rows)
-            nearest = np.argmin(ranks)
-            ranks[nearest] = np.inf
-            trial[:] = table.joints[nearest]
-        _clip(trial, lower, upper)
-        state, left, taken = descend(
-            chain, lower, upper, posture, position, rotation, rows, TOLERANCE, max_iterations,
-            trial,
-        )  # fmt: skip
-        spent += taken
-        if state == CONVERGED:
-            _unwind(trial, start, lower, upper)
-            if smallest_singular_value(jacobian(chain, trial), rows) >= SINGULAR_VALUE:
-                q[:] = trial
-                return _NONE, left, spent
-            if not is_singular:
-                is_singular = True
-                singular[:] = trial
-        open_end |= state == OUT_OF_STEPS
-        if left < best:
-            best = left
-            q[:] = trial
-    if is_singular:
-        q[:] = singular
-        return _SINGULAR, best, spent
-    # Which of the others: the same without limits, from the best that was found and from the start.
-    wide = np.full(n, 1e3)
-    for attempt in range(2):
-        trial[:] = q if attempt == 0 else start
-        state, _, taken = descend(
-            chain, -wide, wide, posture, position, rotation, rows, TOLERANCE, max_iterations, trial
-        )
-        spent += taken
-        if state == CONVERGED:
-            _unwind(trial, start, lower, upper)
-            if _inside(trial, lower, upper):
-                q[:] = trial
-                return _NONE, best, spent
-            return _LIMIT, best, spent
-        open_end |= state == OUT_OF_STEPS
-    return (_OPEN if open_end else _FAR), best, spent
-
-
-@njit(cache=True)
-def _reach(chain):
-    """An upper bound of how far the tool can be from the first joint [m]."""
-    total = np.sqrt(np.sum(chain.tool_offset**2))
-    for k in range(1, chain.offset.shape[0]):
-        total += np.sqrt(np.sum(chain.offset[k] ** 2))
-    return total
-
-
-@njit(cache=True)
-def _ranks(table, position, rotation, rows):
-    """Distances of the table's tool poses from the target [m], rotations counted as metres."""
-    count = table.joints.shape[0]
-    out = np.empty(count)
-    for k in range(count):
-        square = 0.0
-        for i in range(3):
-            square += (table.position[k, i] - position[i]) ** 2
-        if rows == 6:
-            trace = 0.0
-            for i in range(3):
-                for j in range(3):
-                    trace += table.rotation[k, i, j] * rotation[i, j]
-            angle = np.arccos(min(max(0.5 * (trace - 1), -1.0), 1.0))
-            square += (METRES_PER_RADIAN * angle) ** 2
-        out[k] = square
-    return out
-
-
-@njit(cache=True)
-def _clip(q, lower, upper):
-    for k in range(q.shape[0]):
-        q[k] = min(max(q[k], lower[k]), upper[k])
-
-
-@njit(cache=True)
-def _unwind(q, start, lower, upper):
-    """Takes off whole turns of joints where that brings them nearer to the start, or inside."""
-    turn = 2 * np.pi
-    for k in range(q.shape[0]):
-        wanted = q[k] - turn * np.round((q[k] - start[k]) / turn)
-        while wanted < lower[k]:
-            wanted += turn
-        while wanted > upper[k]:
-            wanted -= turn
-        if lower[k] <= wanted <= upper[k]:
-            q[k] = wanted
-
-
-@njit(cache=True)
-def _inside(q, lower, upper):
-    for k in range(q.shape[0]):
-        if q[k] < lower[k] or q[k] > upper[k]:
-            return False
-    return True

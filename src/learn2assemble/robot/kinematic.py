@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from typing import NamedTuple
 
 import numpy as np
 
 from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.attempt import Attempt
 from learn2assemble.robot.collision import CollisionModel, Touch
 from learn2assemble.robot.columns import Columns
 from learn2assemble.robot.motion import OPENING, RISE, crossing_height
@@ -25,26 +25,6 @@ STRIDE = 0.25
 DETOUR = 0.10
 """How much higher the tool crosses where the straight way is blocked [m]."""
 STAGES = ("pick", "lift", "place", "cross", "release", "retreat")
-
-
-class Attempt(NamedTuple):
-    """What became of a move."""
-
-    outcome: Outcome
-    stage: str = ""
-    """Where it failed; empty for a success."""
-    detail: str = ""
-    """Why, in one line."""
-    pick: np.ndarray | None = None
-    """float64[k, n]: joint positions over the picked cell, from the contact upwards [rad]."""
-    place: np.ndarray | None = None
-    """The same over the target."""
-    by_link: bool = False
-    """A link of the arm, not its hand, was in the way."""
-
-    @property
-    def reached(self) -> bool:
-        return self.outcome == Outcome.REACHED
 
 
 class KinematicCell:

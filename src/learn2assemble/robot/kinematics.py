@@ -97,9 +97,9 @@ def _frame_with_z(axis: np.ndarray) -> np.ndarray:
 # ---------------------------------------------------------------- compiled
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _step(chain, k, angle, position, rotation, new_position, new_rotation):
-    """Joint frame k from the one before, turned by ``angle`` about its z axis."""
+    """Joint frame k from the one before, whose arrays it may replace, turned by ``angle``."""
     c, s = np.cos(angle), np.sin(angle)
     for i in range(3):
         new_position[i] = (
@@ -118,7 +118,7 @@ def _step(chain, k, angle, position, rotation, new_position, new_rotation):
         new_rotation[i, 2] = z
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _place(position, rotation, offset, turn, new_position, new_rotation):
     for i in range(3):
         new_position[i] = position[i]
@@ -134,11 +134,13 @@ def _place(position, rotation, offset, turn, new_position, new_rotation):
 @njit(cache=True)
 def joint_frames(chain, q, positions, rotations):
     """Fills the joint frames, float64[n, 3] [m, world] and float64[n, 3, 3], of joints q [rad]."""
-    start, upright = np.zeros(3), np.eye(3)
+    for i in range(3):
+        positions[0, i] = 0.0
+        for j in range(3):
+            rotations[0, i, j] = 1.0 if i == j else 0.0
     for k in range(q.shape[0]):
-        if k:
-            start, upright = positions[k - 1], rotations[k - 1]
-        _step(chain, k, q[k], start, upright, positions[k], rotations[k])
+        before = max(k - 1, 0)
+        _step(chain, k, q[k], positions[before], rotations[before], positions[k], rotations[k])
 
 
 @njit(cache=True)
@@ -188,7 +190,7 @@ def link_frames(chain, q):
     return position, rotation
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def fill_jacobian(positions, rotations, position, out):
     """The geometric Jacobian, float64[6, n], from joint frames and tool position."""
     for k in range(positions.shape[0]):

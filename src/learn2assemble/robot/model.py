@@ -5,46 +5,13 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import mujoco
-import numpy as np
 
-if TYPE_CHECKING:
-    from pathlib import Path
+from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.spec import COLLISION_GROUP, PICTURE_GROUP, read_spec
 
-    from learn2assemble.robot.arm import Arm
-
-PICTURE_GROUP, COLLISION_GROUP = 2, 3
-"""Geom groups of every vendored arm."""
-
-
-def read_spec(mjcf: Path, position: np.ndarray, yaw: float, pictures: bool) -> mujoco.MjSpec:
-    """The arm's MJCF, its root bodies moved to the base pose.
-
-    Args:
-        mjcf: file of the arm.
-        position: float64[3] of the base [m, world].
-        yaw: turn of the base about z [rad].
-        pictures: keep the geoms without contact, which only pictures need; loading is faster
-            without them.
-    """
-    spec = mujoco.MjSpec.from_file(str(mjcf))
-    turn = np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
-    for body in spec.worldbody.bodies:
-        moved, turned, rotated = np.empty(3), np.empty(4), np.empty(3)
-        own = np.asarray(body.quat) / np.linalg.norm(body.quat)
-        mujoco.mju_rotVecQuat(rotated, np.asarray(body.pos), turn)
-        mujoco.mju_mulQuat(turned, turn, own)
-        np.add(position, rotated, out=moved)
-        body.pos, body.quat = moved, turned
-    if not pictures:
-        for geom in list(spec.geoms):
-            if geom.group == PICTURE_GROUP:
-                spec.delete(geom)
-        for mesh in list(spec.meshes):
-            spec.delete(mesh)
-    return spec
+__all__ = ["COLLISION_GROUP", "PICTURE_GROUP", "arm_model", "arm_spec"]
 
 
 def arm_spec(arm: Arm, pictures: bool = False) -> mujoco.MjSpec:

@@ -87,7 +87,9 @@ def smallest_singular_value(jacobian, rows):
             gram[i, j] = total
     if not factorise(gram, rows):
         return 0.0
-    vector, size = np.arange(1.0, 7.0), 1.0
+    vector, size = np.empty(6), 1.0
+    for i in range(6):
+        vector[i] = 1.0 + i
     for _ in range(12):
         solve_factorised(gram, rows, vector)
         size = 0.0

@@ -1,13 +1,20 @@
 """Placements: which unplaced block, against which placed block, in which way (protocol 5).
 
-With R rotations, action ``k`` is relation ``k div R`` after ``k mod R`` quarter turns of the
-object about the vertical axis through the chosen block: 5 actions for R = 1, 20 for R = 4.
+An action ``k`` is relation ``k div R`` in way ``k mod R``. Without a robot the way is a number of
+quarter turns of the object about the vertical axis through the chosen block: 5 actions for R = 1,
+20 for R = 4. With a robot it is a pair of gripper attitudes.
 """
 
 from __future__ import annotations
 
+from functools import lru_cache
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+
+from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.world.blocks import EDGE
 
 RELATIONS = ("top", "left", "right", "front", "behind")
 """Names of the five relative placements, in the order of the action index."""
@@ -16,7 +23,55 @@ DIRECTIONS = np.array([[0, 0, 1], [-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0]],
 """float64[5, 3]: unit direction of each relation in the reference block's frame."""
 
 ROTATIONS = (1, 4)
-"""Numbers of quarter turns a task may offer: none, or all of them."""
+"""Numbers of ways a task may offer in each relation."""
+
+ATTITUDES = {
+    "turns": ((0, 1, 2, 3), False),
+    "grips": ((0, 3, 1, 0), True),
+}
+"""What the ways are: the quarter turns they make, and whether a gripper makes them. ``turns`` are
+quarter turns, any number of which may fill the same cells. ``grips`` are the (grasp, place) yaws
+AA, AB, BA, BB of the gripper: two of them fill the same cells and are different actions all the
+same, as the fingers stand elsewhere."""
+
+
+class Ways(NamedTuple):
+    """What actions mean, beside the relation: a :attr:`Task.ways`."""
+
+    pitch: float
+    """Horizontal distance of the centres of neighbouring cells [m]."""
+    turns: np.ndarray
+    """int64[R]: quarter turns the object makes in each way."""
+    grip: np.ndarray
+    """int64[R]: ways with different numbers are different even where the cells are the same."""
+    level: bool
+    """The object's lowest cell comes to the level of the reference, not the chosen cell."""
+
+    @property
+    def num_grips(self) -> int:
+        return int(self.grip.max()) + 1
+
+
+@lru_cache
+def get_ways(attitudes: str = "turns", rotations: int = 1, pitch: float = EDGE) -> Ways:
+    """The ways of a task.
+
+    Args:
+        attitudes: a name of :data:`ATTITUDES`.
+        rotations: R, how many there are in each relation.
+        pitch: horizontal distance of the centres of neighbouring cells [m].
+
+    Raises:
+        UnknownNameError: for other attitudes.
+        InputError: for another number of ways.
+    """
+    if attitudes not in ATTITUDES:
+        raise UnknownNameError("attitudes", attitudes, ATTITUDES)
+    turns, gripped = ATTITUDES[attitudes]
+    if rotations not in ROTATIONS:
+        raise InputError("rotations", rotations, "1 or 4")
+    grip = np.arange(rotations) if gripped else np.zeros(rotations, np.int64)
+    return Ways(float(pitch), np.array(turns[:rotations]), grip, gripped)
 
 
 @njit(cache=True, inline="always")

@@ -29,23 +29,44 @@ def _short_line(count: int) -> np.ndarray:
     return _line(count, 0.25)
 
 
+def _six(count: int) -> np.ndarray:
+    """x of places in rows of six that an arm standing to the left can reach [m]."""
+    return (2 * sobol(6)[np.arange(count) % 6] - 1) * 7.6875 * EDGE - 1.5375 * EDGE
+
+
 def _rows(count: int) -> np.ndarray:
-    k = np.arange(count)
-    x = (2 * sobol(6)[k % 6] - 1) * 7.6875 * EDGE - 1.5375 * EDGE
-    y = -0.2 - 0.125 * (k // 6)
+    y = -0.2 - 0.125 * (np.arange(count) // 6)
+    return np.stack([_six(count), y, np.full(count, HALF)], -1)
+
+
+def _slanted_rows(count: int) -> np.ndarray:
+    number = np.arange(count) // 6
+    x, y = _six(count) - 0.025 * number, -0.15 - 0.1 * number
     return np.stack([x, y, np.full(count, HALF)], -1)
 
 
-_OBJECTS_APART = 0.07
+def _columns(count: int) -> np.ndarray:
+    # The published code counts heights from the table here, not from the centres of cells.
+    return np.stack([_six(count), np.full(count, -0.15), np.zeros(count)], -1)
+
+
+OBJECTS_APART = 0.07
 """Least distance of the cells of two waiting objects, and of none to the wall [m]."""
+CUBES_APART = 0.095
+"""Least distance of two cubes that wait at random places: room for the fingers [m]."""
 
 LAYOUTS = {
     "line": (_line, 0.0),
     "rows": (_rows, 0.0),
-    "field": (_line, _OBJECTS_APART),
-    "narrow-field": (_short_line, _OBJECTS_APART),
+    "field": (_line, OBJECTS_APART),
+    "narrow-field": (_short_line, OBJECTS_APART),
+    "slanted-rows": (_slanted_rows, 0.0),
+    "columns": (_columns, OBJECTS_APART),
+    "random": (_rows, CUBES_APART),
 }
 """Positions of the k-th object, and how far apart the cells of objects are kept [m]."""
+RANDOM = "random"
+"""The layout whose places are drawn anew for every problem."""
 
 
 class Waiting(NamedTuple):
@@ -56,16 +77,21 @@ class Waiting(NamedTuple):
     apart: float
     """An object steps back by one edge in y until its cells are at least this far from those of
     every earlier one, and in front of the wall [m]; 0: it never does."""
+    random: bool = False
+    """Cubes wait at random places on both sides of the structure instead, ``apart`` from each
+    other."""
 
 
 def waiting_places(layout: str, count: int) -> Waiting:
     """Where up to ``count`` objects wait.
 
     ``line`` spreads cubes on a line in front of side 1 (no-robot environments), ``rows`` in rows
-    of six (the one-sided twin of the robot cell). ``field`` (bars) and ``narrow-field`` (objects)
-    start on a line, too, and move objects of several cells apart. The published code drops the
-    latter for ten simulation steps and draws again where something moved; waiting objects are
-    positions only here, so nothing can move (D18).
+    of six (the one-sided robot cell and its twin). ``field`` (bars) and ``narrow-field`` (objects)
+    start on a line, too, and move objects of several cells apart. With a robot, ``slanted-rows``
+    are rows of six each a little to the left of the one before, ``columns`` (objects) start at six
+    places of one row, and ``random`` scatters cubes before and behind the structure. The published
+    code drops some of these for ten simulation steps and draws again where something moved;
+    waiting objects are positions only here, so nothing can move (D18).
 
     Raises:
         UnknownNameError: for a layout that does not exist.
@@ -73,4 +99,4 @@ def waiting_places(layout: str, count: int) -> Waiting:
     if layout not in LAYOUTS:
         raise UnknownNameError("layout", layout, LAYOUTS)
     place, apart = LAYOUTS[layout]
-    return Waiting(place(count), apart)
+    return Waiting(place(count), apart, layout == RANDOM)

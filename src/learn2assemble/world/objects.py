@@ -1,6 +1,6 @@
 """Objects of several cells, and the sets problems draw them from (protocol 7).
 
-A cell is one primitive block, its place counted in block edges from the object's origin. Objects
+A cell is one primitive block, its place counted in cells from the object's origin. Objects
 are drawn in list order; their cells are nodes in the order of the shape.
 """
 
@@ -21,7 +21,7 @@ class Shape(NamedTuple):
     """An object before it is drawn."""
 
     cells: tuple[tuple[int, int, int], ...]
-    """(x, y, z) of each cell [block edges], in node order."""
+    """(x, y, z) of each cell [cells], in node order."""
     turned: bool = False
     """Drawn with a random number of quarter turns about z."""
     shuffled: bool = False
@@ -155,7 +155,7 @@ def _choose_shapes(rng, stock, count, chosen):
 
 
 @njit(cache=True)
-def draw_objects(rng, stock, count, position, object_id):
+def draw_objects(rng, stock, count, position, object_id, pitch=EDGE):
     """Draw objects with ``count`` cells together, one after the other.
 
     Args:
@@ -163,6 +163,7 @@ def draw_objects(rng, stock, count, position, object_id):
         position: float64[M, 3], written: each cell relative to its object's origin [m].
         object_id: int64[M], written: number of the object in the list. What lies beyond
             ``count`` gets numbers that no object has.
+        pitch: horizontal distance of the centres of neighbouring cells [m].
     """
     for k in range(len(object_id)):
         object_id[k] = k
@@ -178,7 +179,7 @@ def draw_objects(rng, stock, count, position, object_id):
         turns = _below(rng, 4) if stock.turned[shape] else 0
         for c in range(size):
             x, y = quarter_turn(stock.cells[shape, c, 0], stock.cells[shape, c, 1], turns)
-            position[k + c, 0], position[k + c, 1] = EDGE * x, EDGE * y
+            position[k + c, 0], position[k + c, 1] = pitch * x, pitch * y
             position[k + c, 2] = EDGE * stock.cells[shape, c, 2]
             object_id[k + c] = number
         if stock.shuffled[shape]:

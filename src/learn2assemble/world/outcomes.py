@@ -14,8 +14,9 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.geometry.boxes import STABLE, UNDECIDED, classify_cube
-from learn2assemble.geometry.coverage import add_box, count_cover
+from learn2assemble.geometry.coverage import NARROW, DepthFilter, add_box, count_cover
 from learn2assemble.geometry.support import classify_object
+from learn2assemble.world.actions import Ways
 from learn2assemble.world.blocks import HALF
 from learn2assemble.world.rules import REWARDS, judge_counts, lay_object, target_cell
 from learn2assemble.world.state import State
@@ -50,7 +51,7 @@ def _verdict(position, object_id, placed, count):
 
 
 @njit(cache=True)
-def _cover(state, row, frames, position, placed, count, covered, occluded):
+def _cover(state, row, frames, depths, position, placed, count, covered, occluded):
     """Plane and complete cover with the cells ``position[placed:count]`` added."""
     first, last = state.mask_rows[row, 0], state.mask_rows[row, 1]
     plane, complete = 0, 0
@@ -63,7 +64,7 @@ def _cover(state, row, frames, position, placed, count, covered, occluded):
         for k in range(placed, count):
             wx, wy = position[k, 0] - frames[side, 2], position[k, 1] - frames[side, 3]
             x, y = c * wx + s * wy, c * wy - s * wx
-            add_box(covered[side], occluded[side], x, y, position[k, 2], HALF)
+            add_box(covered[side], occluded[side], x, y, position[k, 2], HALF, depths)
         p, q = count_cover(state.mask[row, side], covered[side], occluded[side], first, last)
         plane += p
         complete += q
@@ -72,19 +73,30 @@ def _cover(state, row, frames, position, placed, count, covered, occluded):
 
 @njit(cache=True)
 def _try_all(
-    state, actions, count, rotations, frames, reward_kind, threshold,
+    state, actions, count, ways, frames, depths, reward_kind, threshold,
     reward, terminal, valid, gain, covered, occluded,
 ):  # fmt: skip
     position = np.empty((state.position.shape[1] + 8, 3))
+    rotations = len(ways.turns)
     for row in range(len(count)):
         placed = state.num_placed[row]
         position[:placed] = state.position[row, :placed]
         for n in range(count[row]):
             unplaced, reference = actions[row, n, 0], actions[row, n, 1]
-            relation, turns = actions[row, n, 2] // rotations, actions[row, n, 2] % rotations
-            x, y, z = target_cell(state, row, reference, relation)
+            relation, way = actions[row, n, 2] // rotations, actions[row, n, 2] % rotations
+            x, y, z = target_cell(state, row, reference, relation, ways.pitch)
             end = placed + lay_object(
-                state, row, unplaced, reference, x, y, z, turns, position[placed:]
+                state,
+                row,
+                unplaced,
+                reference,
+                x,
+                y,
+                z,
+                ways.turns[way],
+                position[placed:],
+                ways.pitch,
+                ways.level,
             )
             verdict = _verdict(position, state.object_id[row], placed, end)
             if verdict == UNDECIDED:
@@ -94,7 +106,9 @@ def _try_all(
                 terminal[row, n] = True
                 continue
             valid[row, n] = True
-            plane, complete = _cover(state, row, frames, position, placed, end, covered, occluded)
+            plane, complete = _cover(
+                state, row, frames, depths, position, placed, end, covered, occluded
+            )
             reward[row, n], success = judge_counts(
                 state.mask_pixels[row], state.initial_pixels[row], state.plane_pixels[row],
                 plane, complete, True, reward_kind, threshold,
@@ -108,18 +122,20 @@ def outcomes(
     state: State,
     actions: np.ndarray,
     count: np.ndarray,
-    rotations: int,
+    ways: Ways,
     frames: np.ndarray,
     reward: str,
     threshold: float,
+    depths: DepthFilter = NARROW,
 ) -> Outcomes:
     """Try placements of every row by static physics.
 
     Args:
         actions: int64[B, P, 3]: number of the unplaced block, of the reference block, action.
         count: int64[B]: how many of them each row has.
-        rotations: quarter turns an action chooses from, 1 or 4.
+        ways: what the actions mean.
         frames: float64[S, 4] of the sides.
+        depths: which depths count as in the plane of a side.
     """
     shape = actions.shape[:2]
     out = Outcomes(
@@ -129,7 +145,7 @@ def outcomes(
         np.zeros(shape, np.float32),
     )
     _try_all(
-        state, actions, count, rotations, frames, REWARDS[reward], threshold, *out,
+        state, actions, count, ways, frames, depths, REWARDS[reward], threshold, *out,
         np.empty_like(state.covered[0]), np.empty_like(state.occluded[0]),
     )  # fmt: skip
     return out

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from learn2assemble.geometry.coverage import add_box, clear_to_ground, count_cover
+from learn2assemble.geometry.coverage import NARROW, add_box, clear_to_ground, count_cover
 from learn2assemble.world.actions import DIRECTIONS, quarter_turn
 from learn2assemble.world.blocks import EDGE, HALF
 
@@ -37,11 +37,17 @@ def rotate(quaternion, vector):
 
 
 @njit(cache=True)
-def target_cell(state, row, reference, relation):
-    """Centre [m] of the cell next to placed block ``reference`` in direction ``relation``."""
+def target_cell(state, row, reference, relation, pitch=EDGE):
+    """Centre [m] of the cell next to placed block ``reference`` in direction ``relation``.
+
+    Args:
+        pitch: horizontal distance of the centres of neighbouring cells [m]; above each other
+            blocks always touch.
+    """
     dx, dy, dz = rotate(state.quaternion[row, reference], DIRECTIONS[relation])
     p = state.position[row, reference]
-    return p[0] + EDGE * dx, p[1] + EDGE * dy, p[2] + EDGE * dz
+    step = EDGE if DIRECTIONS[relation, 2] != 0 else pitch
+    return p[0] + step * dx, p[1] + step * dy, p[2] + step * dz
 
 
 @njit(cache=True, inline="always")
@@ -60,8 +66,8 @@ def object_span(object_id, row, start, stop, block):
 
 
 @njit(cache=True)
-def lay_object(state, row, unplaced, reference, x, y, z, turns, cells):
-    """Where the cells of a waiting object would go (protocol 7, no robot).
+def lay_object(state, row, unplaced, reference, x, y, z, turns, cells, pitch=EDGE, level=False):
+    """Where the cells of a waiting object would go (protocol 7).
 
     Unplaced block number ``unplaced`` goes to (x, y, z) [m]. The other cells of its object keep
     their places relative to it after ``turns`` quarter turns about its vertical axis, in the
@@ -69,6 +75,9 @@ def lay_object(state, row, unplaced, reference, x, y, z, turns, cells):
 
     Args:
         cells: float64[C, 3], written: the chosen cell, then the others in list order [m].
+        pitch: horizontal distance of the centres of neighbouring cells [m].
+        level: z is the level of the object's lowest cell, and the chosen cell stands as far above
+            it as it does in the waiting object (with a robot).
 
     Returns:
         the number of cells.
@@ -76,17 +85,22 @@ def lay_object(state, row, unplaced, reference, x, y, z, turns, cells):
     placed = state.num_placed[row]
     source = placed + unplaced
     low, high = object_span(state.object_id, row, placed, state.num_blocks[row], source)
+    if level:
+        rise = 0.0
+        for k in range(low, high):
+            rise = max(rise, state.position[row, source, 2] - state.position[row, k, 2])
+        z += EDGE * round(rise / EDGE)
     cells[0, 0], cells[0, 1], cells[0, 2] = x, y, z
     n = 1
     for k in range(low, high):
         if k == source:
             continue
         # Cells are on one lattice; rounding keeps the drift of waiting places out.
-        dx = round((state.position[row, k, 0] - state.position[row, source, 0]) / EDGE)
-        dy = round((state.position[row, k, 1] - state.position[row, source, 1]) / EDGE)
+        dx = round((state.position[row, k, 0] - state.position[row, source, 0]) / pitch)
+        dy = round((state.position[row, k, 1] - state.position[row, source, 1]) / pitch)
         dz = round((state.position[row, k, 2] - state.position[row, source, 2]) / EDGE)
         dx, dy = quarter_turn(dx, dy, turns)
-        dx, dy, dz = rotate(state.quaternion[row, reference], (EDGE * dx, EDGE * dy, EDGE * dz))
+        dx, dy, dz = rotate(state.quaternion[row, reference], (pitch * dx, pitch * dy, EDGE * dz))
         cells[n, 0], cells[n, 1], cells[n, 2] = x + dx, y + dy, z + dz
         n += 1
     return n
@@ -115,7 +129,7 @@ def move_cell(state, row, source, reference, x, y, z):
 
 
 @njit(cache=True)
-def move_block(state, row, unplaced, reference, x, y, z, turns=0):
+def move_block(state, row, unplaced, reference, x, y, z, turns=0, pitch=EDGE, level=False):
     """Move the object of unplaced block ``unplaced``, that block to (x, y, z) (protocol 4, 7).
 
     Its cells become the last placed ones, the chosen one first, see :func:`lay_object`, and take
@@ -125,7 +139,7 @@ def move_block(state, row, unplaced, reference, x, y, z, turns=0):
     source = placed + unplaced
     low, high = object_span(state.object_id, row, placed, state.num_blocks[row], source)
     cells = np.empty((high - low, 3))
-    lay_object(state, row, unplaced, reference, x, y, z, turns, cells)
+    lay_object(state, row, unplaced, reference, x, y, z, turns, cells, pitch, level)
     for n in range(high - low):
         # Whichever cell comes next has by then been shifted to place low + n.
         k = low + n if n else source
@@ -140,23 +154,23 @@ def last_object(state, row):
 
 
 @njit(cache=True)
-def cover_block(state, row, frames, block):
+def cover_block(state, row, frames, block, depths=NARROW):
     """Add one placed block to the pixel sets of every side."""
     p = state.position[row, block]
     for side in range(frames.shape[0]):
         c, s, tx, ty = frames[side, 0], frames[side, 1], frames[side, 2], frames[side, 3]
         wx, wy = p[0] - tx, p[1] - ty
         x, y = c * wx + s * wy, c * wy - s * wx
-        add_box(state.covered[row, side], state.occluded[row, side], x, y, p[2], HALF)
+        add_box(state.covered[row, side], state.occluded[row, side], x, y, p[2], HALF, depths)
 
 
 @njit(cache=True)
-def recover_all(state, row, frames):
+def recover_all(state, row, frames, depths=NARROW):
     """Recompute the pixel sets of a row from every placed block (needed once blocks have moved)."""
     for side in range(frames.shape[0]):
-        clear_to_ground(state.covered[row, side], state.occluded[row, side])
+        clear_to_ground(state.covered[row, side], state.occluded[row, side], depths)
     for block in range(state.num_placed[row]):
-        cover_block(state, row, frames, block)
+        cover_block(state, row, frames, block, depths)
 
 
 @njit(cache=True)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from numba import njit
 
+from learn2assemble.geometry.coverage import NARROW, DepthFilter
 from learn2assemble.geometry.mask import paper_mask
 from learn2assemble.world.blocks import EDGE, HALF
 from learn2assemble.world.objects import draw_objects
@@ -15,6 +18,21 @@ TRAINING_BOX = (0.075, 0.15)
 """Half width and height of the 3x3 box that 'unseen' shapes must leave [m]."""
 FREE_STRIP = 0.075
 """Objects that are kept apart also wait at least this far in front of the structure [m]."""
+RANDOM_X, RANDOM_Y = (-0.07, 0.28828), (0.15, 0.35)
+"""Random places: middle and half width in x, distance from the x axis in y [m] (protocol 1.4)."""
+
+
+class Problems(NamedTuple):
+    """The distribution problems are drawn from, beside their objects; see :class:`Task`."""
+
+    grid: int
+    num_nodes: int
+    min_pixels: int
+    max_initial: float
+    unseen_only: bool
+    pitch: float
+    depths: DepthFilter
+    normalise: bool
 
 
 @njit(cache=True, inline="always")
@@ -88,6 +106,40 @@ def _step_back(position, first, start, stop, apart):
 
 
 @njit(cache=True)
+def scatter(rng, position, apart):
+    """Draw random places for cubes before and behind the structure (protocol 1.4).
+
+    Args:
+        position: float64[n, 3], written: centres [m].
+        apart: least distance of two of them [m]; who is nearer to an earlier one is moved away
+            from the structure, and drawn again where that leads too far.
+
+    Returns:
+        whether places were found for all.
+    """
+    middle, width = RANDOM_X
+    nearest, farthest = RANDOM_Y
+    for k in range(len(position)):
+        for _ in range(MAX_DRAWS):
+            x = middle + (2 * rng.random() - 1) * width
+            y = nearest + (farthest - nearest) * rng.random()
+            side = 1.0 if rng.random() < 0.5 else -1.0
+            near = True
+            while near and y <= farthest:
+                near = False
+                for j in range(k):
+                    dx, dy = x - position[j, 0], side * y - position[j, 1]
+                    near |= dx * dx + dy * dy < apart * apart
+                y += EDGE if near else 0.0
+            if not near:
+                position[k, 0], position[k, 1], position[k, 2] = x, side * y, HALF
+                break
+        else:
+            return False
+    return True
+
+
+@njit(cache=True)
 def _spread(position, object_id, waiting, apart, x, y, num_blocks):
     """First object to (x, y) on the ground, the others to their places; gives its cells."""
     placed = 0
@@ -110,7 +162,7 @@ def _spread(position, object_id, waiting, apart, x, y, num_blocks):
 
 
 @njit(cache=True)
-def start_objects(state, row, frames, waiting, side, num_blocks):
+def start_objects(state, row, frames, waiting, side, num_blocks, depths=NARROW):
     """First object at the bottom centre of ``side``, the others waiting; pixel sets and counts.
 
     ``position`` and ``object_id`` hold the objects as :func:`draw_objects` leaves them.
@@ -122,8 +174,8 @@ def start_objects(state, row, frames, waiting, side, num_blocks):
         for q in range(1, 4):
             state.quaternion[row, k, q] = 0.0
     state.num_placed[row] = _spread(
-        state.position[row], state.object_id[row], waiting.position, waiting.apart,
-        frames[side, 2], frames[side, 3], num_blocks,
+        state.position[row], state.object_id[row], waiting.position,
+        0.0 if waiting.random else waiting.apart, frames[side, 2], frames[side, 3], num_blocks,
     )  # fmt: skip
     first, last = state.mask.shape[2], 0
     for s in range(state.mask.shape[1]):
@@ -132,37 +184,49 @@ def start_objects(state, row, frames, waiting, side, num_blocks):
                 if state.mask[row, s, r, w] != 0:
                     first, last = min(first, r), max(last, r + 1)
     state.mask_rows[row, 0], state.mask_rows[row, 1] = first, last
-    recover_all(state, row, frames)
+    recover_all(state, row, frames, depths)
     count_row(state, row)
     state.initial_pixels[row] = state.plane_pixels[row]
 
 
 @njit(cache=True)
-def sample_problem(
-    state, row, rng, frames, stock, waiting, grid, num_nodes, min_pixels, max_initial, unseen_only
-):
+def sample_problem(state, row, rng, frames, stock, waiting, problems):
     """Draw a fresh problem into a row; returns the number of draws, 0 where it gave up.
 
     Shapes and objects are redrawn while the masks hold fewer than ``min_pixels`` pixels or
     the first object covers more than ``max_initial`` of them (protocol 2, rejection at reset).
+
+    Args:
+        stock: the :class:`Inventory`.
+        waiting: the :class:`Waiting` places.
+        problems: the :class:`Problems`.
     """
     sides = frames.shape[0]
     for draw in range(1, MAX_DRAWS + 1):
         nodes, pixels = 0, 0
         for side in range(sides):
             for _ in range(MAX_DRAWS):
-                count = sample_outline(rng, grid, state.vertices[row, side])
-                if not unseen_only or leaves_training_box(rng, state.vertices[row, side], count):
+                outline = state.vertices[row, side]
+                count = sample_outline(rng, problems.grid, outline)
+                if not problems.unseen_only or leaves_training_box(rng, outline, count):
                     break
             state.num_vertices[row, side] = count
             nodes += count
             pixels += paper_mask(state.vertices[row, side], count, state.mask[row, side])
-        if pixels < min_pixels:
+        if pixels < problems.min_pixels:
             continue
         state.mask_pixels[row] = pixels
-        side, blocks = int(rng.random() * sides), num_nodes - nodes
-        draw_objects(rng, stock, blocks, state.position[row], state.object_id[row])
-        start_objects(state, row, frames, waiting, side, blocks)
-        if state.initial_pixels[row] <= max_initial * pixels:
-            return draw
+        side, blocks = int(rng.random() * sides), problems.num_nodes - nodes
+        position = state.position[row]
+        draw_objects(rng, stock, blocks, position, state.object_id[row], problems.pitch)
+        start_objects(state, row, frames, waiting, side, blocks, problems.depths)
+        if state.initial_pixels[row] > problems.max_initial * pixels:
+            continue
+        if not problems.normalise:
+            state.initial_pixels[row] = 0
+        if waiting.random:
+            first = state.num_placed[row]
+            if not scatter(rng, position[first:blocks], waiting.apart):
+                return 0
+        return draw
     return 0

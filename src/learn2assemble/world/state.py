@@ -43,7 +43,8 @@ class State(NamedTuple):
     occluded: np.ndarray
     """uint64[B, S, ROWS, WORDS]."""
     initial_pixels: np.ndarray
-    """int64[B]: c0, plane-filtered cover right after reset."""
+    """int64[B]: c0, plane-filtered cover right after reset; 0 where coverage is relative to the
+    whole target instead of what is open at the start."""
     plane_pixels: np.ndarray
     """int64[B]: c_pl, plane-filtered cover now."""
     complete_pixels: np.ndarray
@@ -67,7 +68,7 @@ class State(NamedTuple):
 
     @property
     def plane_coverage(self) -> np.ndarray:
-        """F_pl, float64[B], relative to the initial cover (protocol 3.4, no robot)."""
+        """F_pl, float64[B], relative to the initial cover (protocol 3.4)."""
         return _relative(self.plane_pixels, self)
 
     @property
