@@ -13,10 +13,10 @@ from scipy.interpolate import PchipInterpolator
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.grasps import get_grasps
 from learn2assemble.robot.kinematic import KinematicCell
+from learn2assemble.robot.logbook import Logbook, upright
 from learn2assemble.robot.motion import OPENING
 from learn2assemble.robot.outcome import Outcome
 from learn2assemble.robot.record import RATE, BuildRecord, Stage
-from learn2assemble.robot.recording import Recording
 from learn2assemble.robot.scene import Move, Scene
 from learn2assemble.world.layouts import sobol
 
@@ -80,6 +80,10 @@ def arm_plan(count: int = 20) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def pose(position: Any, yaw: float) -> np.ndarray:
+    return upright(np.array([position]), np.array([yaw]))[0]
+
+
 class Recorder:
     """Appends motions to a recording, sample by sample."""
 
@@ -87,8 +91,8 @@ class Recorder:
         self.arm, self.cell = arm, KinematicCell(arm, 40)
         places = np.array(plan["blocks"]["waiting"], float)
         self.joints, self.width = arm.home.copy(), OPENING
-        self.recording = Recording(
-            arm, self.joints, self.width, np.column_stack([places, np.zeros(len(places))]),
+        self.recording = Logbook(
+            arm, self.joints, self.width, upright(places, np.zeros(len(places))),
             [[k] for k in range(len(places))], "a kinematic sketch for tests",
         )  # fmt: skip
         self.rows, self.stages = [], []
@@ -150,7 +154,7 @@ class Recorder:
 
     def attempt(self, plan_step: int, cell: int, goal: np.ndarray, result: Outcome) -> None:
         """One step; ``result`` is made up, all else follows the kinematic cell."""
-        target = np.append(goal, 0.0)
+        target = upright(goal[None], np.zeros(1))[0]
         if result == Outcome.UNREACHABLE:
             self.finish(plan_step, cell, target, result, (None, None), self.poses[cell],
                         "place: tool at (0.06, 0, 0.23): out of reach")  # fmt: skip
@@ -165,22 +169,22 @@ class Recorder:
         assert found.place is not None
         pick, place, home = found.pick, found.place, self.arm.home
         self.move("approach", pick[-1])
-        self.move("descend", *pick[-2::-1])
+        self.move("pick", *pick[-2::-1])
         if result == Outcome.GRASP_LOST:
-            self.open_to("grasp", 0.0)
+            self.open_to("pick", 0.0)
             self.move("lift", *pick[1:])
             self.open_to("release", OPENING)
             self.move("home", home)
-            after = self.poses[cell] + [0.012, 0.02, 0, 0.4]
+            after = pose(self.poses[cell, :3] + [0.012, 0.02, 0], 0.4)
             self.finish(plan_step, cell, target, result, (None, None), after,
                         "the fingers closed on nothing")  # fmt: skip
             return
-        self.open_to("grasp", EDGE)
+        self.open_to("pick", EDGE)
         grip = self.stages[-1].end
         self.move("lift", *pick[1:])
-        self.move("transit", place[-1])
+        self.move("cross", place[-1])
         if result == Outcome.DROPPED:
-            over, after = self.stages[-1], np.array([-0.21, -0.08, EDGE / 2, 0.7])
+            over, after = self.stages[-1], pose([-0.21, -0.08, EDGE / 2], 0.7)
             self.open_to("release", OPENING)
             self.move("home", home)
             held = (grip, (over.start + over.end) / 2)
@@ -191,8 +195,9 @@ class Recorder:
         release = self.stages[-1].start + 0.04
         self.move("retreat", *place[1:])
         self.move("home", home)
-        error = 4e-4 * np.array([math.sin(cell), math.cos(cell), 0, 5 * math.sin(3 * cell)])
-        self.finish(plan_step, cell, target, result, (grip, release), target + error)
+        error = 4e-4 * np.array([math.sin(cell), math.cos(cell), 0])
+        after = pose(goal + error, 2e-3 * math.sin(3 * cell))
+        self.finish(plan_step, cell, target, result, (grip, release), after)
 
     def _scene(self, cell: int) -> tuple[Scene, int]:
         """The cells as a scene, the placed ones first, and the row of ``cell``."""
@@ -200,7 +205,9 @@ class Recorder:
         order = placed + [k for k in range(len(self.poses)) if k not in placed]
         poses = self.poses[order]
         ids = np.arange(len(order))
-        return Scene(poses[:, :3].copy(), poses[:, 3].copy(), ids, len(placed)), order.index(cell)
+        return Scene(
+            poses[:, :3].copy(), 2 * np.arctan2(poses[:, 6], poses[:, 3]), ids, len(placed)
+        ), order.index(cell)
 
 
 @lru_cache(maxsize=8)

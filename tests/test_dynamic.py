@@ -24,10 +24,10 @@ from learn2assemble.robot.motion import OPENING
 from learn2assemble.robot.order import take_order
 from learn2assemble.robot.outcome import Outcome
 from learn2assemble.robot.prepare import Failure
+from learn2assemble.robot.recording import STAGES, Trajectory
 from learn2assemble.robot.replay import replay
 from learn2assemble.robot.resting import ONE_SIDED, ShiftRule, check_rest
 from learn2assemble.robot.scene import Move, Scene, put_down
-from learn2assemble.robot.trace import STAGES, Trajectory
 
 AA, AB, BA, BB = get_grasps("paper")
 PITCH, GROUND = 0.06, 0.025

@@ -17,6 +17,11 @@ from hypothesis import strategies as st
 from arm_record import arm_record
 from learn2assemble.errors import InputError
 from learn2assemble.robot.arm import get_arm
+from learn2assemble.robot.dynamic import DynamicCell
+from learn2assemble.robot.grasps import get_grasps
+from learn2assemble.robot.kinematics import forward, get_chain
+from learn2assemble.robot.logbook import LOST, Logbook, holding, stages_of, upright
+from learn2assemble.robot.motion import OPENING
 from learn2assemble.robot.outcome import Outcome
 from learn2assemble.robot.record import BuildRecord, Samples, Stage, StepRecord
 from learn2assemble.robot.record_check import find_fault, require_sound
@@ -27,7 +32,8 @@ from learn2assemble.robot.record_files import (
     record_from,
     write_record,
 )
-from learn2assemble.robot.recording import Recording
+from learn2assemble.robot.recording import STAGES, Trajectory
+from learn2assemble.robot.scene import Move, Scene
 
 
 @pytest.fixture(scope="module")
@@ -268,11 +274,11 @@ def faulty(record: BuildRecord) -> dict[str, tuple[BuildRecord, str]]:
         "rate": (replace(record, rate=0.0), "samples per second"),
         "limits": (replace(record, arm=replace(arm, upper=np.ones(3))), "3 numbers for 7 joints"),
         "before": (stepped(record, 2, before=step.before[:3]), "6 cells"),
+        "quaternion": (stepped(record, 2, after=2 * step.after), "not of length 1"),
         "samples": (sampled(record, 2, width=s.width[:-1]), "differ in number"),
         "finite": (sampled(record, 2, width=nan), "not finite"),
-        "never held": (stepped(record, 2, grip=None, release=None), "never held"),
-        "never released": (stepped(record, 2, release=None, outcome=Outcome.DROPPED,
-                                   detail="x"), "never released"),
+        "never held": (stepped(record, 2, grip=None, release=None), "never held and released"),
+        "reached and still held": (stepped(record, 2, release=None), "never held and released"),
         "no grip": (stepped(record, 2, grip=None, outcome=Outcome.DROPPED, detail="x"),
                     "but never held"),
         "held too long": (stepped(record, 2, release=1e3), "outside"),
@@ -329,8 +335,8 @@ def test_no_limit_is_exceeded_unseen(joint: int, times: float, data: st.DataObje
 
 def test_steps_are_put_on_one_clock() -> None:
     arm = get_arm("panda")
-    poses = np.array([[0, 0, 0.025, 0], [0.2, 0, 0.025, 0]])
-    book = Recording(arm, arm.home, 0.05, poses, [[0], [1]], "test")
+    poses = upright(np.array([[0, 0, 0.025], [0.2, 0, 0.025]]), np.zeros(2))
+    book = Logbook(arm, arm.home, 0.05, poses, [[0], [1]], "test")
     still = {"joints": np.tile(arm.home, (10, 1)), "velocity": np.zeros((10, 7)),
              "width": np.full(10, 0.05)}  # fmt: skip
     order: dict[str, Any] = {"plan_step": 1, "cells": [1], "target": poses[1]}
@@ -355,3 +361,58 @@ def test_steps_are_put_on_one_clock() -> None:
     np.testing.assert_array_equal(record.steps[1].before, poses)
     assert record.steps[1].stage_at(0.1) == "lift"
     assert record.steps[1].stage_at(0.3) == ""
+
+
+def test_what_a_cell_reports_becomes_a_record() -> None:
+    """Two blocks on top of another by the dynamic cell, and one let go of in mid-air."""
+    arm = get_arm("panda")
+    cell = DynamicCell(arm)
+    place = np.array([[0, 0, 0.025], [0, -0.25, 0.025], [0.12, -0.25, 0.025], [0.2, -0.2, 0.025]])
+    scene = Scene(place, np.zeros(4), np.arange(4), 1)
+    book = Logbook(arm, arm.home, OPENING, upright(place, np.zeros(4)), [[k] for k in range(4)],
+                   "test")  # fmt: skip
+    pair = get_grasps("paper")[0]
+    numbers, joints, quaternion = np.array([0, 1, 2, 3]), None, None
+    for row, height in ((2, 0.075), (3, 0.125), (3, 0.3)):
+        move = Move(row, np.array([0, 0, height]), *pair)
+        found = cell.attempt(scene, move, joints=joints, quaternion=quaternion)
+        numbers = book.add_attempt(found, scene, move, numbers)
+        assert found.after is not None
+        scene, quaternion, joints = found.after, found.quaternion, found.joints
+    record = book.record()
+    assert find_fault(record) is None
+    first, second, third = record.steps
+    assert (first.outcome, second.outcome) == (Outcome.REACHED, Outcome.REACHED)
+    assert (first.cells, second.cells) == ((2,), (3,)), "rows of the scene change, cells do not"
+    assert numbers.tolist() == [0, 2, 3, 1]
+    assert third.outcome != Outcome.REACHED
+    assert first.error < 0.001
+    np.testing.assert_allclose(first.after[2, :3], [0, 0, 0.075], atol=1e-3)
+    np.testing.assert_allclose(first.after[[0, 1, 3]], first.before[[0, 1, 3]], atol=1e-3)
+    assert [s.name for s in first.stages] == list(STAGES)
+    lift, release = first.stages[2], first.stages[5]
+    assert first.grip == pytest.approx(lift.start)
+    assert first.release == pytest.approx(release.start)
+    assert second.stages[0].start == first.stages[-1].end == first.samples.time[-1]
+
+
+def test_what_slips_is_not_held_any_more() -> None:
+    arm = get_arm("panda")
+    count = 8
+    where, _ = forward(get_chain(arm), arm.home)
+    pose = np.tile([*where, 1, 0, 0, 0], (count, 1, 1)).astype(float)
+    stage = np.array([0, 1, 1, 2, 2, 3, 3, 3], np.int8)
+
+    def made(pose: np.ndarray, stage: np.ndarray) -> Trajectory:
+        still = np.zeros((count, 7))
+        return Trajectory(0.02 * np.arange(count), still + arm.home, still, np.full(count, 0.05),
+                          np.full(count, 0.05), stage, pose)  # fmt: skip
+
+    assert holding(arm, made(pose, stage), 0) == (0.04, None), "still in the hand at the end"
+    slipped = pose.copy()
+    slipped[6:, 0, 2] -= 1.01 * LOST
+    grip, release = holding(arm, made(slipped, stage), 0)
+    assert (grip, release) == (pytest.approx(0.04), pytest.approx(0.1))
+    assert holding(arm, made(pose, np.minimum(stage, 1)), 0) == (None, None)
+    spans = [(s.name, round(s.start, 3), round(s.end, 3)) for s in stages_of(made(pose, stage))]
+    assert spans == [("pick", 0.0, 0.04), ("lift", 0.04, 0.08), ("cross", 0.08, 0.14)]

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from learn2assemble.robot.outcome import Outcome
+from learn2assemble.robot.recording import Trajectory
 from learn2assemble.robot.scene import Scene
-from learn2assemble.robot.trace import Trajectory
 
 
 class Attempt(NamedTuple):

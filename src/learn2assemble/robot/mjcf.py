@@ -21,8 +21,8 @@ import numpy as np
 
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.model import arm_spec
+from learn2assemble.robot.recording import rotated
 from learn2assemble.robot.scene import Scene, fillers
-from learn2assemble.robot.trace import rotated
 from learn2assemble.world.blocks import GRAVITY, HALF, MASS
 
 TIMESTEP = 0.002

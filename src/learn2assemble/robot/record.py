@@ -17,18 +17,13 @@ from learn2assemble.robot.outcome import Outcome
 
 RATE = 50.0
 """Samples per second."""
-STAGES = (
-    "approach", "descend", "grasp", "lift", "transit", "place", "release", "retreat", "home"
-)  # fmt: skip
-"""Parts of a step in their order: to above the block, down to it, fingers close, up, across, down
-with the block, fingers open, up, to where the arm waits. A step may leave some out."""
 
 
 class Stage(NamedTuple):
     """A part of a step."""
 
     name: str
-    """One of :data:`STAGES`."""
+    """One of :data:`~.recording.STAGES`."""
     start: float
     """[s]."""
     end: float
@@ -85,7 +80,7 @@ class StepRecord:
     cells: tuple[int, ...]
     """Cells of the object, the grasped one first."""
     target: np.ndarray
-    """float64[4]: where the grasped cell shall stand: x, y, z [m, world], yaw [rad]."""
+    """float64[7]: pose the grasped cell shall have."""
     outcome: Outcome
     detail: str
     """Why it failed, in one line; empty for a success."""
@@ -95,10 +90,11 @@ class StepRecord:
     grip: float | None
     """When the object follows the hand from [s]; None: never."""
     release: float | None
-    """When it does not any more, on purpose or not [s]."""
+    """When it does not any more, on purpose or not [s]; None: never held, or still at the end."""
     samples: Samples
     before: np.ndarray
-    """float64[C, 4]: x, y, z [m, world], yaw [rad] of every cell before the step."""
+    """float64[C, 7]: poses of all cells before the step: x, y, z [m, world], quaternion
+    (w, x, y, z)."""
     after: np.ndarray
     """The same when everything has come to rest."""
 

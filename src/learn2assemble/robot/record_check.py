@@ -55,8 +55,11 @@ def _structure(record: BuildRecord) -> Iterator[str]:
         if not step.cells or set(step.cells) not in own or len(set(step.cells)) < len(step.cells):
             yield f"step {k}: cells {list(step.cells)} are no object of the build"
         for what in ("before", "after"):
-            if getattr(step, what).shape != (len(cells), 4):
-                yield f"step {k}: {what} does not hold 4 numbers for each of {len(cells)} cells"
+            poses = getattr(step, what)
+            if poses.shape != (len(cells), 7):
+                yield f"step {k}: {what} does not hold 7 numbers for each of {len(cells)} cells"
+            elif np.abs(np.linalg.norm(poses[:, 3:], axis=1) - 1).max(initial=0.0) > 1e-4:
+                yield f"step {k}: {what} holds a quaternion that is not of length 1"
         samples, count = step.samples, len(step.samples.time)
         if not (
             samples.joints.shape == samples.velocity.shape == (count, n)
@@ -164,12 +167,11 @@ def _held(step: StepRecord, start: float, end: float) -> Iterator[str]:
         yield f"step {k}: reached, but the object is never held and released"
     if step.grip is None and step.release is not None:
         yield f"step {k}: released at {step.release:g} s, but never held"
-    if step.grip is not None and step.release is None:
-        yield f"step {k}: held from {step.grip:g} s on, but never released"
-    if step.grip is not None and step.release is not None:
-        if not start - GRAIN <= step.grip <= step.release <= end + GRAIN:
+    if step.grip is not None:
+        release = end if step.release is None else step.release
+        if not start - GRAIN <= step.grip <= release <= end + GRAIN:
             yield (
-                f"step {k}: held from {step.grip:g} to {step.release:g} s, outside "
+                f"step {k}: held from {step.grip:g} to {release:g} s, outside "
                 f"{start:g} to {end:g} s"
             )
         if not len(step.samples.time):

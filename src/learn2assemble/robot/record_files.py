@@ -15,14 +15,8 @@ import numpy as np
 
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.robot.outcome import Outcome
-from learn2assemble.robot.record import (
-    STAGES,
-    ArmFacts,
-    BuildRecord,
-    Samples,
-    Stage,
-    StepRecord,
-)
+from learn2assemble.robot.record import ArmFacts, BuildRecord, Samples, Stage, StepRecord
+from learn2assemble.robot.recording import STAGES
 
 FORMAT, VERSION = "learn2assemble-trajectory", 1
 DECIMALS = 6
@@ -166,7 +160,7 @@ def _step_from(item: Mapping[str, Any], where: str, n: int, cells: int) -> StepR
         number=int(item["step"]),
         plan_step=None if item["plan_step"] is None else int(item["plan_step"]),
         cells=tuple(int(c) for c in item["cells"]),
-        target=array("target", 4),
+        target=array("target", 7),
         outcome=OUTCOMES[item["outcome"]],
         detail=str(item["detail"]),
         replanned=bool(item["replanned"]),
@@ -180,8 +174,8 @@ def _step_from(item: Mapping[str, Any], where: str, n: int, cells: int) -> StepR
             array("time", times), array("joints", times, n), array("velocity", times, n),
             array("width", times),
         ),
-        before=array("before", cells, 4),
-        after=array("after", cells, 4),
+        before=array("before", cells, 7),
+        after=array("after", cells, 7),
     )  # fmt: skip
 
 

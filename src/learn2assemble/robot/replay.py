@@ -9,9 +9,9 @@ from learn2assemble.robot.dynamic import DynamicCell
 from learn2assemble.robot.execution import BLIND, REST_TIME
 from learn2assemble.robot.mjcf import TIMESTEP
 from learn2assemble.robot.order import rigid_objects
+from learn2assemble.robot.recording import Trajectory
 from learn2assemble.robot.scene import Scene
 from learn2assemble.robot.simulate import Simulation
-from learn2assemble.robot.trace import Trajectory
 from learn2assemble.robot.trajectory import Motion
 
 

@@ -16,7 +16,7 @@ from learn2assemble.robot.contacts import Contacts, Rules
 from learn2assemble.robot.diverged import diverged
 from learn2assemble.robot.drives import Drives
 from learn2assemble.robot.mjcf import TIMESTEP, World
-from learn2assemble.robot.trace import Recorder
+from learn2assemble.robot.recording import Recorder
 from learn2assemble.robot.trajectory import (
     JointPath,
     Leg,

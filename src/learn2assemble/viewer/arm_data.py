@@ -13,8 +13,8 @@ from learn2assemble.robot.outcome import Outcome
 from learn2assemble.robot.scene import fillers
 from learn2assemble.robot.shape import Part
 from learn2assemble.viewer.arm_words import arm_caption, block_names, stage_words
-from learn2assemble.viewer.playback import Glide, Playback, Segment, poses
-from learn2assemble.viewer.turns import quaternion_of
+from learn2assemble.viewer.playback import Glide, Playback, Segment, split
+from learn2assemble.viewer.turns import quaternion_of, rotation_of
 from learn2assemble.viewer.words import caption
 
 
@@ -50,7 +50,7 @@ def arm_data(plan: Mapping[str, Any], playback: Playback, kinds: Mapping[int, st
             {"number": numbers.get(cell), "kind": kinds.get(numbers.get(cell, -1), "wall"),
              "position": position, "quaternion": quaternion}
             for cell, (position, quaternion) in enumerate(
-                zip(*map(_list, poses(first)), strict=True)
+                zip(*map(_list, split(first)), strict=True)
             )
         ],
         "fillers": _fillers(playback, first),
@@ -81,7 +81,7 @@ def _segment(plan: Mapping[str, Any], segment: Segment) -> dict[str, Any]:
         ],
         "glides": [_glide(glide) for glide in segment.glides],
         "after": {
-            str(glide.cell): [_list(v[0]) for v in poses(step.after[glide.cell][None])]
+            str(glide.cell): [_list(v) for v in split(step.after[glide.cell])]
             for glide in segment.glides
         },
     }
@@ -89,9 +89,9 @@ def _segment(plan: Mapping[str, Any], segment: Segment) -> dict[str, Any]:
 
 def _glide(glide: Glide) -> dict[str, Any]:
     return {
-        "cell": glide.cell, "grip": _time(glide.grip), "release": _time(glide.release),
+        "cell": glide.cell, "grip": _time(glide.grip), "release": _short(glide.release),
         "offset": _list(glide.offset), "turn": _list(glide.turn),
-        "start": _short(glide.start), "end": _short(glide.end),
+        "end": _short(glide.end),
         "position": _list(glide.position), "quaternion": _list(glide.quaternion),
         "falls": glide.falls,
     }  # fmt: skip
@@ -105,8 +105,7 @@ def _fillers(playback: Playback, first: np.ndarray) -> list[dict[str, Any]]:
     found = []
     for a, b in fillers(first[:, :3], owner).tolist():
         gap = first[b, :3] - first[a, :3]
-        c, s = math.cos(first[a, 3]), math.sin(first[a, 3])
-        x, y = c * gap[0] + s * gap[1], c * gap[1] - s * gap[0]
+        x, y, _ = rotation_of(first[a, 3:]).T @ gap
         found.append({"cell": a, "middle": _list(np.array([x / 2, y / 2, 0.0])),
                       "yaw": _short(math.atan2(y, x)),
                       "gap": _short(math.hypot(x, y) - playback.record.block_edge)})  # fmt: skip

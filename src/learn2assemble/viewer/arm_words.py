@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,10 +12,9 @@ from learn2assemble.viewer.words import caption
 
 STAGE_WORDS = {
     "approach": ("moves to above {block}", "moves on"),
-    "descend": ("goes down to {block}", "goes down"),
-    "grasp": ("closes the fingers on {block}", "closes the fingers on {block}"),
+    "pick": ("goes down and grasps {block}", "goes down to {block}"),
     "lift": ("lifts {block}", "goes up without a block"),
-    "transit": ("carries {block} across", "moves across without a block"),
+    "cross": ("carries {block} across", "moves across without a block"),
     "place": ("lowers {block} into its place", "goes down without a block"),
     "release": ("opens the fingers", "opens the fingers"),
     "retreat": ("leaves {block} and goes up", "goes up without a block"),
@@ -31,18 +31,17 @@ OUTCOME_WORDS = {
     Outcome.UNSTABLE: "the block did not stay where it was released",
     Outcome.DROPPED: "the block was lost on the way",
 }
-_CARRYING = ("lift", "transit", "place")
-_AFTER = ("retreat",)
+_CARRYING = ("lift", "cross", "place")
 
 
 def stage_words(step: StepRecord, stage: Stage, block: str) -> str:
     """What the arm does, e.g. ``"lifts block 7"``; ``block`` is how the object is called."""
     as_planned, empty = STAGE_WORDS[stage.name]
     middle = (stage.start + stage.end) / 2
-    held = step.grip is not None and step.release is not None
-    held = held and step.grip <= middle <= step.release  # type: ignore[operator]
+    release = math.inf if step.release is None else step.release
+    held = step.grip is not None and step.grip <= middle <= release
     lost = stage.name in _CARRYING and not held
-    lost |= stage.name in _AFTER and step.release is None
+    lost |= stage.name in ("pick", "retreat") and step.grip is None
     return (empty if lost else as_planned).format(block=block)
 
 

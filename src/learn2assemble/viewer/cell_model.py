@@ -14,7 +14,7 @@ import numpy as np
 from learn2assemble.robot.meshes import Mesh, box
 from learn2assemble.robot.scene import fillers
 from learn2assemble.viewer.lettering import number_picture
-from learn2assemble.viewer.playback import Playback, poses
+from learn2assemble.viewer.playback import Playback, split
 from learn2assemble.viewer.raster import BLOCK, GROUND, LIT, PLAIN
 from learn2assemble.viewer.render import Triangles
 from learn2assemble.viewer.scene import Scene
@@ -138,8 +138,8 @@ def body_poses(model: CellModel, playback: Playback, clock: float) -> tuple[np.n
         x = (cells[b] - cells[a]) / np.linalg.norm(cells[b] - cells[a])
         z = rotation[model.cells + a, :, 2]
         rotation[k] = np.stack([x, np.cross(z, x), z], 1)
-    target, quaternion = poses(playback.segment_at(clock).step.target[None])
-    position[model.goal], rotation[model.goal] = target[0], rotation_of(quaternion)[0]
+    target, quaternion = split(playback.segment_at(clock).step.target)
+    position[model.goal], rotation[model.goal] = target, rotation_of(quaternion)
     return position, rotation
 
 

@@ -26,25 +26,26 @@ SETTLE = 0.25
 """A released or pushed object comes to rest within this time [s]; a fall takes longer."""
 _GRAVITY = 10.0
 _STILL = 1e-5
-"""Cells that differ by less have not moved [m], [rad]."""
+"""Cells whose poses differ by less have not moved."""
 
 
 class Glide(NamedTuple):
-    """How a cell moves in a step: held from ``grip`` to ``release``, then gliding to rest.
+    """How a cell moves in a step: held from ``grip`` to ``release``, or not at all, then gliding to
+    rest.
 
     Times are on the clock of the replay [s].
     """
 
     cell: int
     grip: float | None
-    release: float | None
+    release: float
+    """The end of the step where it is not released."""
     offset: np.ndarray
     """float64[3]: the cell in the tool frame while held [m]."""
     turn: np.ndarray
     """float64[4]: its orientation there (w, x, y, z)."""
-    start: float
-    """When it begins to glide."""
     end: float
+    """When it has come to rest."""
     position: np.ndarray
     """float64[3]: where the glide begins [m, world]."""
     quaternion: np.ndarray
@@ -101,7 +102,7 @@ class Playback:
     def cells_at(self, clock: float) -> tuple[np.ndarray, np.ndarray]:
         """Where all cells are: float64[C, 3] [m, world] and float64[C, 4] (w, x, y, z)."""
         segment = self.segment_at(clock)
-        position, quaternion = poses(segment.step.before)
+        position, quaternion = split(segment.step.before)
         for glide in segment.glides:
             place = self._place(segment, glide, clock)
             if place is not None:
@@ -111,17 +112,18 @@ class Playback:
     def _place(
         self, segment: Segment, glide: Glide, clock: float
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        if glide.grip is not None and glide.release is not None and clock < glide.release:
+        if glide.grip is not None and clock < glide.release:
             if clock < glide.grip:
                 return None
             where, rotation = self.shape.tool(self._arm(clock - segment.delay)[0])
             return where + rotation @ glide.offset, product(quaternion_of(rotation), glide.turn)
-        share = min(max((clock - glide.start) / max(glide.end - glide.start, 1e-9), 0.0), 1.0)
+        share = (clock - glide.release) / max(glide.end - glide.release, 1e-9)
+        share = min(max(share, 0.0), 1.0)
         share = share * share if glide.falls else share * share * (3 - 2 * share)
-        end, turn = poses(segment.step.after[glide.cell][None])
+        end, turn = split(segment.step.after[glide.cell])
         return (
-            glide.position + share * (end[0] - glide.position),
-            blend(glide.quaternion, turn[0], share),
+            glide.position + share * (end - glide.position),
+            blend(glide.quaternion, turn, share),
         )
 
     def _arm(self, time: float) -> tuple[np.ndarray, float]:
@@ -153,24 +155,24 @@ class Playback:
         if step.grip is not None:
             moved[list(step.cells)] = True
         found = []
-        position, quaternion = poses(step.before)
+        position, quaternion = split(step.before)
         for cell in np.flatnonzero(moved).tolist():
             where, turned = position[cell], quaternion[cell]
             offset, turn = np.zeros(3), np.array([1.0, 0, 0, 0])
-            grip = release = None
-            if step.grip is not None and step.release is not None and cell in step.cells:
+            grip, release = None, _moment(segment)
+            if step.grip is not None and cell in step.cells:
+                let_go = segment.end - delay if step.release is None else step.release
                 tool, rotation = self.shape.tool(self._arm(step.grip)[0])
                 offset = rotation.T @ (where - tool)
                 turn = product(quaternion_of(rotation.T), turned)
-                tool, rotation = self.shape.tool(self._arm(step.release)[0])
+                tool, rotation = self.shape.tool(self._arm(let_go)[0])
                 where, turned = tool + rotation @ offset, product(quaternion_of(rotation), turn)
-                grip, release = step.grip + delay, step.release + delay
+                grip, release = step.grip + delay, let_go + delay
             drop = float(where[2] - step.after[cell, 2])
             falls = drop > 0.01
             takes = max(SETTLE, math.sqrt(2 * drop / _GRAVITY)) if falls else SETTLE
-            start = release if release is not None else _moment(segment)
-            end = min(start + takes, segment.end)
-            found.append(Glide(cell, grip, release, offset, turn, start, end, where, turned, falls))
+            end = min(release + takes, segment.end)
+            found.append(Glide(cell, grip, release, offset, turn, end, where, turned, falls))
         return found
 
 
@@ -189,9 +191,14 @@ def _moment(segment: Segment) -> float:
     if step.release is not None:
         return step.release + segment.delay
     for stage in step.stages:
-        if stage.name == "grasp":
-            return stage.start + segment.delay
+        if stage.name == "pick":
+            return (stage.start + stage.end) / 2 + segment.delay
     return (segment.start + segment.end) / 2
+
+
+def split(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poses float64[..., 7] as positions float64[..., 3] and quaternions float64[..., 4]."""
+    return poses[..., :3].copy(), poses[..., 3:].copy()
 
 
 def _fits(record: BuildRecord, plan: Mapping[str, Any], arm: Arm) -> None:
@@ -216,9 +223,3 @@ def _fits(record: BuildRecord, plan: Mapping[str, Any], arm: Arm) -> None:
             if block not in step.cells:
                 what = f"trajectory.steps[{step.number - 1}].cells"
                 raise InputError(what, step.cells, f"block {block}, as in the plan")
-
-
-def poses(cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """x, y, z, yaw float64[m, 4] as positions float64[m, 3] and quaternions float64[m, 4]."""
-    half, zero = cells[:, 3] / 2, np.zeros(len(cells))
-    return cells[:, :3].copy(), np.stack([np.cos(half), zero, zero, np.sin(half)], 1)

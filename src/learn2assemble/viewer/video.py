@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -29,9 +28,10 @@ def require_video() -> ModuleType:
         MissingExtraError: without the extra ``video``.
     """
     try:
-        return importlib.import_module("av")
+        import av
     except ImportError as error:
         raise MissingExtraError("av", "video") from error
+    return av
 
 
 def write_video(

@@ -115,11 +115,11 @@ function createArm(data, tools) {
       material.color.set(colours()[colourOf(cell, k, now)]);
     });
     for (const glide of segment.glides) follow(glide, segment, now, cells[glide.cell].group);
-    const held = segment.glides.find((glide) => glide.release !== null);
-    ghost.visible = now > 0 && (now < segment.end || !segment.reached) && !(held && now > held.release);
-    const [x, y, z, yaw] = segment.target;
+    const held = segment.glides.find((glide) => glide.grip !== null);
+    ghost.visible = now > 0 && now < arm.duration && !(held && now > held.release);
+    const [x, y, z, ...quaternion] = segment.target;
     ghost.position.set(x, y, z);
-    ghost.rotation.z = yaw;
+    ghost.quaternion.copy(turned(quaternion));
   }
 
   function pose(time) {
@@ -137,7 +137,7 @@ function createArm(data, tools) {
 
   /* A cell that moves in this segment: held, or gliding to where it comes to rest. */
   function follow(glide, segment, now, cube) {
-    if (glide.release !== null && now < glide.release) {
+    if (glide.grip !== null && now < glide.release) {
       if (now < glide.grip) return;
       tool.updateWorldMatrix(true, false);
       tool.getWorldPosition(toolPlace);
@@ -146,7 +146,7 @@ function createArm(data, tools) {
       cube.quaternion.copy(toolTurn).multiply(turned(glide.turn));
       return;
     }
-    const share = Math.min(Math.max((now - glide.start) / Math.max(glide.end - glide.start, 1e-9), 0), 1);
+    const share = Math.min(Math.max((now - glide.release) / Math.max(glide.end - glide.release, 1e-9), 0), 1);
     const eased = glide.falls ? share * share : share * share * (3 - 2 * share);
     const [position, quaternion] = segment.after[glide.cell];
     cube.position.set(...glide.position).lerp(new THREE.Vector3(...position), eased);
