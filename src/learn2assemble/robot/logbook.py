@@ -141,8 +141,8 @@ class Logbook:
         moved = done is not None and len(done.time) > 1
         grip, release = holding(self.arm, done, move.cell) if done and moved else (None, None)
         self.add(
-            plan_step=plan_step, cells=numbers[members].tolist(), target=np.array([*move.target, *turn]),
-            outcome=attempt.outcome, detail=attempt.detail,
+            plan_step=plan_step, cells=numbers[members].tolist(),
+            target=np.array([*move.target, *turn]), outcome=attempt.outcome, detail=attempt.detail,
             joints=done.joints[1:] if done and moved else None,
             velocity=done.velocity[1:] if done and moved else None,
             width=done.width[1:].clip(0, self.arm.gripper.max_width) if done and moved else None,
