@@ -138,10 +138,9 @@ def test_limits_hold_in_random_moves(name: str, sample_steps: int, seed: int) ->
     if found.reached:
         assert np.linalg.norm(after.position[1] - target) < 0.01
     if not found.held:
-        assert after.position[:, 2].max() < 0.03 or found.outcome in (
-            Outcome.REACHED, Outcome.DISTURBED_STRUCTURE, Outcome.UNSTABLE, Outcome.PLACE_COLLISION,
-            Outcome.DROPPED,
-        )  # fmt: skip
+        # On the table, or on the other block.
+        over = np.linalg.norm(after.position[1, :2] - after.position[0, :2]) < 0.05
+        assert after.position[1, 2] < (0.08 if over else 0.03)
 
 
 def test_a_wall_of_six(panda: DynamicCell) -> None:

@@ -4,6 +4,7 @@
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import mujoco
@@ -42,6 +43,24 @@ class Rules(NamedTuple):
             table[part, _TARGET] = target
         table[_TARGET, [_TABLE, _OTHER]] = held
         return np.minimum(table, table.T)
+
+
+class Watch(NamedTuple):
+    """What is looked for from some point of a path on."""
+
+    rules: Rules
+    start: float = 0.0
+    """s from which this holds."""
+    until: Callable[[], bool] | None = None
+    """Brake as soon as this is so."""
+
+
+class Event(NamedTuple):
+    """Why a motion was broken off."""
+
+    what: str
+    """``touch``, ``lost`` or ``until``."""
+    detail: str = ""
 
 
 class Contacts:

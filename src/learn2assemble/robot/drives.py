@@ -9,14 +9,16 @@ import numpy as np
 
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.mjcf import World
+from learn2assemble.world.blocks import GRAVITY
 
 
 class Drives:
     """Commands of the actuators.
 
     The drives are position servos, torque = k (command - q) - d q'. The command is the wanted
-    position plus what it takes for the joint to be there: damping, inertia and Coriolis forces
-    over k, as the controller of any real arm adds. Gravity is compensated by the model.
+    position plus what it takes for the joint to be there: damping, inertia, Coriolis forces and
+    the payload over k, as the controller of any real arm adds. The arm's own weight is
+    compensated by the model.
 
     Args:
         arm: the robot.
@@ -24,11 +26,15 @@ class Drives:
         data: its state.
     """
 
+    payload = 0.0
+    """Mass at the tool point the controller was told of [kg]."""
+
     def __init__(self, arm: Arm, world: World, data: mujoco.MjData) -> None:
         self.arm, self.world, self.data = arm, world, data
         m, joint = world.model, world.joint
         self._damping = world.damping + m.dof_damping[joint]
         self._entry = self._inertia_entries(joint)
+        self._jacobian = np.empty((3, m.nv))
 
     def commands(
         self,
@@ -46,8 +52,13 @@ class Drives:
         """
         w, d = self.world, self.data
         inertia = d.M[self._entry]
-        coriolis = d.qfrc_bias[w.joint] - d.qfrc_gravcomp[w.joint]
-        load = acceleration @ inertia + coriolis + velocity * self._damping
+        load = d.qfrc_bias[w.joint] - d.qfrc_gravcomp[w.joint]
+        if self.payload:
+            mujoco.mj_jacSite(w.model, d, self._jacobian, None, w.tool)
+            jacobian = self._jacobian[:, w.joint]
+            inertia = inertia + self.payload * jacobian.T @ jacobian
+            load += self.payload * GRAVITY * jacobian[2]
+        load = load + acceleration @ inertia + velocity * self._damping
         out = np.zeros((len(position), w.model.nu))
         out[:, w.drive] = position + load / w.stiffness
         gripper = self.arm.gripper

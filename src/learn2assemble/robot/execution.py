@@ -7,13 +7,13 @@ from itertools import pairwise
 import numpy as np
 
 from learn2assemble.robot.approach import JointColumn, joint_column
-from learn2assemble.robot.contacts import PUSH, TOUCH, Rules
+from learn2assemble.robot.contacts import PUSH, TOUCH, Event, Rules, Watch
 from learn2assemble.robot.mjcf import TIMESTEP
 from learn2assemble.robot.motion import OPENING
 from learn2assemble.robot.order import Order
 from learn2assemble.robot.outcome import Outcome
 from learn2assemble.robot.prepare import PRESS, Course, Failure
-from learn2assemble.robot.simulate import Event, Simulation, Watch
+from learn2assemble.robot.simulate import Simulation
 from learn2assemble.robot.slowing import slowing
 from learn2assemble.robot.trajectory import Limits, joint_path, pace_of
 from learn2assemble.world.blocks import EDGE
@@ -34,6 +34,9 @@ GRIPPED = 0.8
 """The grasp holds when both fingers press with this share of their force ..."""
 GRIP_TIME = 0.2
 """... within this time after they were told to [s]."""
+LOAD_TIME = 0.1
+"""In which the controller learns of what the hand holds, and forgets it again [s]: at once, the
+arm would jump."""
 REST_TIME = 1.0
 """Longest time to wait for rest [s]."""
 EMPTY = Watch(Rules(TOUCH, PUSH, None))
@@ -132,6 +135,8 @@ class Execution:
         _check(event, touch, "pick")
         sim.hold()
         self.holding = True
+        mass = sim.mass(self.order.target)
+        _check(sim.load(mass, _steps(LOAD_TIME), "pick", NEAR), touch, "pick")
         path = joint_path(joints, self.loaded)
         off = float(np.interp(LOOSE, rise, path.knots))
         watches = (NEAR, LOADED._replace(start=off))
@@ -187,6 +192,7 @@ class Execution:
     def release(self, stage: str, watch: Watch) -> None:
         """Open no further than needed."""
         sim = self.sim
+        _check(sim.load(0.0, _steps(LOAD_TIME), stage, watch), Outcome.PLACE_COLLISION, stage)
         sim.let_go()
         self.holding = False
         widths = _ramp(sim.width, OPENING, sim.arm.gripper.speed)

@@ -31,7 +31,7 @@ SHRINK = 2.5e-4
 """How much thinner a box is on each side in x and y [m]."""
 IMPRATIO = 10.0
 SOLREF = (0.01, 1.0)
-SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
+SOLIMP = (0.998, 0.9998, 0.001, 0.5, 2.0)
 GRAIN = 1e-3
 """Places of cells in their object are multiples of this [m]."""
 PLAN_MARGIN = 0.005

@@ -23,6 +23,8 @@ class Trajectory(NamedTuple):
     """float64[t]: opening between the pads [m], as it was."""
     command: np.ndarray
     """float64[t]: opening the gripper was told [m]; less than what it holds where it presses."""
+    payload: np.ndarray
+    """float64[t]: mass at the tool point the controller was told of [kg]."""
     stage: np.ndarray
     """int8[t]: index into :data:`STAGES`."""
     pose: np.ndarray
@@ -39,7 +41,7 @@ class Recorder:
     """Collects samples; one attempt each."""
 
     def __init__(self) -> None:
-        self._rows: list[tuple[float, np.ndarray, np.ndarray, float, float, int]] = []
+        self._rows: list[tuple[float, np.ndarray, np.ndarray, float, float, float, int]] = []
         self._poses: list[np.ndarray] = []
 
     def add(
@@ -49,11 +51,13 @@ class Recorder:
         velocity: np.ndarray,
         width: float,
         command: float,
+        payload: float,
         stage: str,
         poses: np.ndarray,
     ) -> None:
         """Append a sample; ``poses`` float64[b, 7] are those of the objects."""
-        row = (time, joints.copy(), velocity.copy(), width, command, STAGES.index(stage))
+        number = STAGES.index(stage)
+        row = (time, joints.copy(), velocity.copy(), width, command, payload, number)
         self._rows.append(row)
         self._poses.append(poses.copy())
 
@@ -63,12 +67,14 @@ class Recorder:
 
     def trajectory(self, owner: np.ndarray, offset: np.ndarray) -> Trajectory:
         """All samples; cell c of object ``owner[c]`` lies at ``offset[c]`` in its frame [m]."""
-        time, joints, velocity, width, command, stage = (
+        time, joints, velocity, width, command, payload, stage = (
             np.array(column) for column in zip(*self._rows, strict=True)
         )
         poses = np.array(self._poses)[:, owner]
         poses[..., :3] += rotated(poses[..., 3:], offset)
-        return Trajectory(time, joints, velocity, width, command, stage.astype(np.int8), poses)
+        return Trajectory(
+            time, joints, velocity, width, command, payload, stage.astype(np.int8), poses
+        )
 
 
 def rotated(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from learn2assemble.robot.execution import BLIND, REST_TIME, Execution
+from learn2assemble.robot.execution import BLIND, LOAD_TIME, REST_TIME, Execution
 from learn2assemble.robot.mjcf import TIMESTEP
 from learn2assemble.robot.motion import OPENING
 from learn2assemble.robot.outcome import Outcome
@@ -58,6 +58,8 @@ def _settle(run: Execution) -> None:
     watch = BLIND._replace(until=lambda: sim.asleep(besides=in_hand()))
     sim.wait(round(REST_TIME / TIMESTEP), sim.stage, watch)
     run.holding = in_hand()
+    if not run.holding:
+        sim.load(0.0, round(LOAD_TIME / TIMESTEP), sim.stage, BLIND)
 
 
 def _put_back(run: Execution) -> None:

@@ -43,15 +43,15 @@ def replay(
         cell.arm, world, poses, names, 0, recorded.joints[0], float(recorded.width[0]),
         cell.sample_steps, cell.dump,
     )  # fmt: skip
-    motion, widths = _every_step(recorded)
-    sim.run(motion, widths, "approach", BLIND)
+    motion, widths, payloads = _every_step(recorded)
+    sim.run(motion, widths, "approach", BLIND, payloads)
     sim.wait(round(REST_TIME / TIMESTEP), "home", BLIND._replace(until=sim.asleep))
     position, turns, yaw = objects.cells(sim.poses)
     return scene._replace(position=position, yaw=yaw), turns
 
 
-def _every_step(recorded: Trajectory) -> tuple[Motion, np.ndarray]:
-    """Samples one simulation step apart, and openings [m]."""
+def _every_step(recorded: Trajectory) -> tuple[Motion, np.ndarray, np.ndarray]:
+    """Samples one simulation step apart, openings [m] and payloads [kg]."""
     t = recorded.time
     now = np.arange(1, round((t[-1] - t[0]) / TIMESTEP) + 1) * TIMESTEP + t[0]
     k = np.clip(np.searchsorted(t, now - 1e-9) - 1, 0, len(t) - 2)
@@ -64,5 +64,5 @@ def _every_step(recorded: Trajectory) -> tuple[Motion, np.ndarray]:
     position = p + u * (v + u * (c2 + u * c3))
     velocity = (v + u * (2 * c2 + u * 3 * c3)) / h
     acceleration = (2 * c2 + u * 6 * c3) / h**2
-    widths = np.interp(now, t, recorded.command)
-    return Motion(np.zeros((len(now), 3)), position, velocity, acceleration), widths
+    widths, payloads = (np.interp(now, t, told) for told in (recorded.command, recorded.payload))
+    return Motion(np.zeros((len(now), 3)), position, velocity, acceleration), widths, payloads

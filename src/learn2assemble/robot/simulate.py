@@ -6,13 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.contacts import Contacts, Rules
+from learn2assemble.robot.cellstate import CellState
+from learn2assemble.robot.contacts import Contacts, Event, Rules, Watch
 from learn2assemble.robot.diverged import diverged
 from learn2assemble.robot.drives import Drives
 from learn2assemble.robot.mjcf import TIMESTEP, World
@@ -35,25 +35,7 @@ BLOCK = 10
 at once."""
 
 
-class Watch(NamedTuple):
-    """What is looked for from some point of a path on."""
-
-    rules: Rules
-    start: float = 0.0
-    """s from which this holds."""
-    until: Callable[[], bool] | None = None
-    """Brake as soon as this is so."""
-
-
-class Event(NamedTuple):
-    """Why a motion was broken off."""
-
-    what: str
-    """``touch``, ``lost`` or ``until``."""
-    detail: str = ""
-
-
-class Simulation:
+class Simulation(CellState):
     """One attempt in the making.
 
     Args:
@@ -80,56 +62,22 @@ class Simulation:
         sample_steps: int,
         dump: Path | None = None,
     ) -> None:
-        self.arm, self.world, self.dump, self.target = arm, world, dump, target
-        self.model, self.data = world.model, mujoco.MjData(world.model)
+        super().__init__(world, poses, target, joints, width)
+        self.arm, self.dump = arm, dump
         self.limits = Limits(arm.velocity, arm.acceleration, arm.jerk)
         """What brakes may use."""
         self.drives = Drives(arm, world, self.data)
         self.contacts = Contacts(world, self.data, names, target)
         self.stage, self.steps, self.sample_steps = "approach", 0, sample_steps
         self.recorder = Recorder()
-        self.poses = self.data.qpos[world.pose :].reshape(-1, 7)
-        self.poses[:] = poses
-        self.joints, self.velocity = joints.copy(), np.zeros_like(joints)
-        self.width = width
-        self.data.qpos[world.finger] = width / len(world.finger)
-        self.jump(joints)
+        self.joints, self.velocity, self.width = joints.copy(), np.zeros_like(joints), width
         self._grip: np.ndarray | None = None
         self._record()
-
-    # ------------------------------------------------------------ what is known
 
     @property
     def time(self) -> float:
         """Since the beginning [s]."""
         return self.steps * TIMESTEP
-
-    @property
-    def opening(self) -> float:
-        """Between the pads [m]."""
-        return float(self.data.qpos[self.world.finger].sum())
-
-    def tool(self) -> tuple[np.ndarray, np.ndarray]:
-        """Pose of the tool float64[3] [m] and float64[3, 3], of the same instant as the objects
-        (a step leaves its own one behind)."""
-        mujoco.mj_kinematics(self.model, self.data)
-        d, tool = self.data, self.world.tool
-        return d.site_xpos[tool].copy(), d.site_xmat[tool].reshape(3, 3).copy()
-
-    def in_hand(self) -> np.ndarray:
-        """float64[3]: the target object in the tool frame [m]."""
-        position, rotation = self.tool()
-        return rotation.T @ (self.poses[self.target, :3] - position)
-
-    def asleep(self, besides: bool = False) -> bool:
-        """Whether every object rests, or every one but the target."""
-        rest = self.data.tree_asleep[self.world.tree :] >= 0
-        return bool(rest.all() or (besides and np.delete(rest, self.target).all()))
-
-    def speed(self, number: int) -> float:
-        """Of an object [m/s]."""
-        first = self.model.nv - 6 * (len(self.poses) - number)
-        return float(np.linalg.norm(self.data.qvel[first : first + 3]))
 
     # ------------------------------------------------------------ motion
 
@@ -161,27 +109,37 @@ class Simulation:
                 return event
         return None
 
-    def run(self, run: Motion, widths: np.ndarray, stage: str, watch: Watch) -> Event | None:
-        """Follow samples one step apart, the gripper openings float64[k] [m]."""
+    def run(
+        self,
+        run: Motion,
+        widths: np.ndarray,
+        stage: str,
+        watch: Watch,
+        payloads: np.ndarray | None = None,
+    ) -> Event | None:
+        """Follow samples one step apart, with openings of the gripper float64[k] [m] and, if
+        given, payloads float64[k] [kg]."""
         self.stage = stage
-        return self._play(run, 0, len(widths), watch, widths)[0]
+        return self._play(run, 0, len(widths), watch, widths, payloads)[0]
 
-    def squeeze(self, widths: np.ndarray, stage: str, watch: Watch) -> Event | None:
-        """Stand still while the gripper is told one opening [m] after the other, a step each."""
+    def squeeze(
+        self, widths: np.ndarray, stage: str, watch: Watch, payloads: np.ndarray | None = None
+    ) -> Event | None:
+        """Stand still while the gripper is told one opening [m] (and payload [kg]) after the
+        other, a step each."""
         still = np.zeros((2, len(widths), len(self.joints)))
         there = np.tile(self.joints, (len(widths), 1))
-        return self.run(Motion(np.zeros((len(widths), 3)), there, *still), widths, stage, watch)
+        run = Motion(np.zeros((len(widths), 3)), there, *still)
+        return self.run(run, widths, stage, watch, payloads)
+
+    def load(self, payload: float, steps: int, stage: str, watch: Watch) -> Event | None:
+        """Tell the controller of another payload [kg], little by little in a number of steps."""
+        change = np.linspace(self.drives.payload, payload, steps + 1)[1:]
+        return self.squeeze(np.full(steps, self.width), stage, watch, change)
 
     def wait(self, steps: int, stage: str, watch: Watch) -> Event | None:
         """Stand still for a number of steps, or until the watch ends it."""
         return self.squeeze(np.full(steps, self.width), stage, watch)
-
-    def jump(self, joints: np.ndarray) -> None:
-        """Put the arm somewhere, at rest."""
-        d, joint = self.data, self.world.joint
-        d.qpos[joint], d.qvel[joint] = joints, 0.0
-        self.joints, self.velocity = joints.copy(), np.zeros_like(joints)
-        mujoco.mj_forward(self.model, d)
 
     def skip(self, path: JointPath, pace: Pace, stage: str) -> None:
         """Let the time of a motion pass for the arm alone: the objects rest and it meets none."""
@@ -189,7 +147,7 @@ class Simulation:
         run = motion(path, pace, TIMESTEP)
         for position, velocity in zip(run.position, run.velocity, strict=True):
             self._count(position, velocity)
-        self.jump(path.joints[-1])
+        self.put_arm(path.joints[-1])
 
     def hold(self) -> None:
         """From now on the target must stay where it is in the hand."""
@@ -200,12 +158,20 @@ class Simulation:
         self._grip = None
 
     def _play(
-        self, run: Motion, begin: int, end: int, watch: Watch, widths: np.ndarray | None = None
+        self,
+        run: Motion,
+        begin: int,
+        end: int,
+        watch: Watch,
+        widths: np.ndarray | None = None,
+        payloads: np.ndarray | None = None,
     ) -> tuple[Event | None, int]:
         """Samples begin..end of a motion; what broke it off, and at which sample."""
         thresholds = watch.rules.thresholds()
         for first in range(begin, end, BLOCK):
             part = slice(first, min(first + BLOCK, end))
+            if payloads is not None:
+                self.drives.payload = float(payloads[part][-1])
             rows = self.drives.commands(
                 run.position[part], run.velocity[part], run.acceleration[part],
                 np.array(self.width) if widths is None else widths[part],
@@ -246,7 +212,14 @@ class Simulation:
 
     def _record(self) -> None:
         self.recorder.add(
-            self.time, self.joints, self.velocity, self.opening, self.width, self.stage, self.poses
+            self.time,
+            self.joints,
+            self.velocity,
+            self.opening,
+            self.width,
+            self.drives.payload,
+            self.stage,
+            self.poses,
         )
 
     def _guard(self) -> None:
