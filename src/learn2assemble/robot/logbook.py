@@ -141,7 +141,7 @@ class Logbook:
         moved = done is not None and len(done.time) > 1
         grip, release = holding(self.arm, done, move.cell) if done and moved else (None, None)
         self.add(
-            plan_step=plan_step, cells=numbers[members], target=np.array([*move.target, *turn]),
+            plan_step=plan_step, cells=numbers[members].tolist(), target=np.array([*move.target, *turn]),
             outcome=attempt.outcome, detail=attempt.detail,
             joints=done.joints[1:] if done and moved else None,
             velocity=done.velocity[1:] if done and moved else None,
