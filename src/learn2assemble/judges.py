@@ -43,15 +43,21 @@ def _dynamic(task: Task) -> Physics:
     return ArmPhysics(cell, get_grasps(task.grasps))
 
 
+def published_rules(task: Task) -> str:
+    """Which of the published rules of disturbance are those of a task (protocol 6.2)."""
+    if task.objects != "cubes":
+        return "objects"
+    return "one-sided" if task.num_sides == 1 else "cubes"
+
+
 def _published(task: Task) -> Physics:
     from learn2assemble.robot.arm import get_arm
     from learn2assemble.robot.grasps import get_grasps
     from learn2assemble.robot.judge import ArmPhysics
     from learn2assemble.robot.published import PublishedCell
 
-    rules = "one-sided" if task.num_sides == 1 else "cubes"
-    rules = "objects" if task.objects != "cubes" else rules
-    return ArmPhysics(PublishedCell(get_arm(task.arm), rules), get_grasps(task.grasps))
+    cell = PublishedCell(get_arm(task.arm), published_rules(task))
+    return ArmPhysics(cell, get_grasps(task.grasps))
 
 
 CELLS: dict[str, Callable[[Task], Physics]] = {"dynamic": _dynamic, "published": _published}

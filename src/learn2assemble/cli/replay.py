@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 
 from learn2assemble.cli.output import Output
+from learn2assemble.evaluation.recorded import read_lines
 from learn2assemble.evaluation.replay import replay_file
+from learn2assemble.evaluation.robot_replay import is_robot_line, replay_robot_file
 from learn2assemble.physics.rigid import RigidPhysics
 
 COLUMNS = (
@@ -13,16 +15,23 @@ COLUMNS = (
     "valid_static", "valid_rigid", "edge_lines", "valid_static_firm", "valid_rigid_firm", "reward",
     "done",
 )  # fmt: skip
+ROBOT_COLUMNS = ("file", "cell", "lines", "agree", "same_class", "rule")
 
 
 def run(options: argparse.Namespace) -> int:
     output = Output(options.json)
-    reports = []
+    reports, robots = [], []
     for path in options.files:
         output.progress(f"replaying {path.name}")
         reports.append(replay_file(path, RigidPhysics).to_dict())
+        if any(map(is_robot_line, read_lines(path))):
+            robots.append(replay_robot_file(path).to_dict())
     output.table("agreement with recorded transitions", COLUMNS, [
         [report[column] for column in COLUMNS] for report in reports
     ])  # fmt: skip
-    output.finish({"files": reports})
+    if robots:
+        output.table("agreement of the arm on success or failure", ROBOT_COLUMNS, [
+            [report[column] for column in ROBOT_COLUMNS] for report in robots
+        ])  # fmt: skip
+    output.finish({"files": reports, "robot": robots})
     return 0

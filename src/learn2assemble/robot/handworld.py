@@ -90,7 +90,7 @@ class HandWorld:
         self._position += np.einsum("bij,bj->bi", self._rotation, s.centre)
         self._twist = np.zeros((count, 6))
         self._still = np.full(count, REST)
-        self._manifolds: Manifolds = empty(len(s.body), 8 * len(s.body))
+        self._manifolds: Manifolds = empty(len(s.body), 4 * len(s.body))
         self._touching = np.empty((0, 2), np.int64)
         self._clock, self._held = 0, -1
         self._hold_offset, self._hold_turn = np.zeros(3), np.eye(3)

@@ -115,6 +115,7 @@ def resolve(centre, twist, rates, yields, contacts, drive, hold, timestep):
     count, n = len(contacts.first), len(rates)
     arm = drive.inverse @ drive.jacobian.T
     yields[HAND] = drive.jacobian @ arm
+    hand_turn = np.ascontiguousarray(arm)
     # Rows of contacts, then six of the hold: wrenches on both bodies, and what they do.
     total = 3 * count + 6
     one, two = np.zeros((total, 6)), np.zeros((total, 6))
@@ -156,7 +157,7 @@ def resolve(centre, twist, rates, yields, contacts, drive, hold, timestep):
             # Every other sweep goes backwards: stops, motors, hold.
             index = number if sweep % 2 else guided - 1 - number
             if index < 2 * n:
-                moved = _turn(index, drive, rates, twist[HAND], motor, stop, timestep)
+                moved = _turn(index, drive, rates, twist[HAND], hand_turn, motor, stop, timestep)
             else:
                 k = index - 2 * n
                 row = first_hold + k
@@ -209,7 +210,7 @@ def _push(a, b, extra, give_1, give_2, reach, twist, rates):
 
 
 @njit(cache=True)
-def _turn(index, drive, rates, hand, motor, stop, timestep):
+def _turn(index, drive, rates, hand, hand_turn, motor, stop, timestep):
     """One motor or stop; returns the change of the joint's rate."""
     n = len(rates)
     i = index % n
@@ -231,9 +232,6 @@ def _turn(index, drive, rates, hand, motor, stop, timestep):
         extra = new - motor[i]
         motor[i] = new
     _add(rates, extra, drive.inverse[i])
-    for k in range(6):
-        total = 0.0
-        for j in range(n):
-            total += drive.jacobian[k, j] * drive.inverse[j, i]
-        hand[k] += extra * total
+    # The mass matrix is symmetric, so a row of M^-1 J^T is what a joint does to the hand.
+    _add(hand, extra, hand_turn[i])
     return extra * own

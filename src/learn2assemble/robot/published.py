@@ -117,9 +117,7 @@ class PublishedCell:
         self._travel = np.zeros(len(self._now))
         self._integral = np.zeros(len(self.motors.joints))
         if top is None:
-            gap = np.abs(
-                scene.position[: scene.num_placed] - move.target + np.array([0.0, 0.0, EDGE])
-            )
+            gap = np.abs(scene.position[: scene.num_placed] - _over(move.target, -EDGE))
             top = bool((gap.max(1) < HALF).any())
         try:
             self._grasp()
@@ -136,10 +134,8 @@ class PublishedCell:
         start = HOME
         if self.rules.objects and centre[1] > 0:
             start = GRASP_STARTS[turned(move.grasp)]
-        self._jump(self._reach(centre + np.array([0.0, 0.0, ABOVE]), rotation, start, "approach"))
-        joints = self._solve(
-            centre + np.array([0.0, 0.0, BEFORE]), rotation, self.motors.joints, "approach"
-        )
+        self._jump(self._reach(_over(centre, ABOVE), rotation, start, "approach"))
+        joints = self._solve(_over(centre, BEFORE), rotation, self.motors.joints, "approach")
         self._jump(joints)
         joints = self._solve(centre, rotation, self.motors.joints, "approach")
         self._servo(joints, APPROACH_STEPS)
@@ -151,9 +147,7 @@ class PublishedCell:
                 raise _FailedError(Outcome.GRASP_COLLISION, "grasp speed")
         self._idle(IDLE_STEPS)
         self.world.grip(move.cell)
-        self._jump(
-            self._solve(centre + np.array([0.0, 0.0, LIFTED]), rotation, self.motors.joints, "lift")
-        )
+        self._jump(self._solve(_over(centre, LIFTED), rotation, self.motors.joints, "lift"))
 
     def _place(self, top: bool) -> None:
         scene, move, rules = self._scene, self._move, self.rules
@@ -162,7 +156,7 @@ class PublishedCell:
             joints = PLACE_STARTS[2 * turned(move.grasp) + turned(move.place)]
         waypoints = TOP_WAYPOINTS if top and not rules.objects else WAYPOINTS
         for number, (height, steps) in enumerate(waypoints):
-            point = move.target + np.array([0.0, 0.0, height])
+            point = _over(move.target, height)
             joints = self._solve(point, rotation, joints, f"waypoint {number}")
             self._servo(joints, steps, point)
             if number == 1 and rules.objects and self.world.table_touches(move.cell):
@@ -181,7 +175,7 @@ class PublishedCell:
             if abs(self._speed[move.cell, 2]) <= STILL_SPEED:
                 break
             self._idle(1)
-        level = move.target - [0, 0, EDGE if top else 0]
+        level = _over(move.target, -EDGE if top else 0.0)
         for offset in AWAY[:-1]:
             joints = self._solve(level + offset, rotation, joints, "retreat")
             self._jump(joints)
@@ -264,3 +258,8 @@ class PublishedCell:
         self._speed = (self._now - before) / TIMESTEP
         self._travel += np.abs(self._speed).sum(1)
         self.steps += 1
+
+
+def _over(point: np.ndarray, height: float) -> np.ndarray:
+    """float64[3]: the point that is so much higher [m]."""
+    return point + np.array([0.0, 0.0, height])
