@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from headless import find_browser
+
 ROOT = Path(__file__).resolve().parents[1]
 REFERENCE = ROOT.parent / "shared" / "reference"
 
@@ -22,3 +24,8 @@ def reference() -> Path:
 def data() -> Path:
     """Folder of the project's own test data."""
     return Path(__file__).parent / "data"
+
+
+@pytest.fixture(scope="session")
+def browser() -> str:
+    return find_browser()

@@ -34,7 +34,7 @@ ALLOWED: dict[str, set[str]] = {
     "planning": _TASK | {"networks", "search"},
     "evaluation": _TASK | {"networks", "search", "learning", "planning"},
     "envs": _TASK,
-    "viewer": _WORLD,
+    "viewer": _WORLD | {"robot"},
     "cli": _TASK
     | {"networks", "search", "learning", "planning", "evaluation", "envs", "viewer", "__init__"},
     "__main__": {"cli", "errors"},
@@ -44,7 +44,7 @@ ALLOWED: dict[str, set[str]] = {
 
 LIBRARIES = {"torch", "numpy", "numba", "safetensors", "tqdm"}
 """What the training path may need."""
-HEAVY = {"mujoco", "gymnasium", "rich", "matplotlib", "highspy"}
+HEAVY = {"mujoco", "gymnasium", "rich", "matplotlib", "highspy", "ruckig"}
 LIGHT_PARTS = ["geometry", "world", "task", "presets", "graph", "simulator", "networks", "search",
                "learning"]  # fmt: skip
 ONLY: dict[str, set[str]] = {
@@ -166,6 +166,8 @@ def test_parts_that_know_few_libraries(part: str) -> None:
     ("library", "parts"),
     [
         ("mujoco", {"physics", "planning", "robot"}),
+        ("ruckig", {"robot"}),
+        ("av", {"viewer"}),
         ("highspy", {"physics", "evaluation"}),
         ("gymnasium", {"envs", "evaluation"}),
         ("matplotlib", {"viewer"}),

@@ -4,6 +4,7 @@
 # pyright: reportCallIssue=false
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter
 
 import mujoco
@@ -18,6 +19,7 @@ from learn2assemble.evaluation.perfect import has_bound
 from learn2assemble.geometry.boxes import FLOATING, STABLE, UNSTABLE, classify_cube
 from learn2assemble.geometry.support import classify_object, find_fillers
 from learn2assemble.learning.config import fit_to, get_config
+from learn2assemble.learning.trainer import Trainer
 from learn2assemble.networks.build import make_network
 from learn2assemble.physics.equilibrium import is_stable
 from learn2assemble.physics.mjcf import compile_model, object_parts
@@ -29,13 +31,21 @@ from learn2assemble.planning.legacy import LegacyModel
 from learn2assemble.planning.problem import preset_problem
 from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.presets import PRESETS, get_task
+from learn2assemble.search.config import SearchConfig
+from learn2assemble.search.mcts import search
 from learn2assemble.simulator import Simulator
 from learn2assemble.task import Task
 from learn2assemble.world.actions import DIRECTIONS, get_ways, quarter_turn
 from learn2assemble.world.blocks import EDGE, HALF, MASS
 from learn2assemble.world.layouts import waiting_places
 from learn2assemble.world.objects import SHAPES
-from learn2assemble.world.rules import last_object, move_block, recover_all, target_cell
+from learn2assemble.world.rules import (
+    last_object,
+    move_block,
+    recover_all,
+    target_cell,
+    waiting_level,
+)
 from learn2assemble.world.sampling import scatter
 from learn2assemble.world.sides import side_frames
 from learn2assemble.world.state import State, empty_state
@@ -264,7 +274,7 @@ def test_grips_turn_objects_as_the_protocol_says() -> None:
     ways = get_ways("grips", 4, 0.06)
     degrees = {0: 0, 1: 90, 2: 180, 3: -90}
     assert [degrees[turns] for turns in ways.turns.tolist()] == [0, -90, 90, 0]
-    assert ways.grip.tolist() == [0, 1, 2, 3]
+    assert ways.grips.tolist() == [0, 1, 2, 3]
     assert ways.level
     assert (ways.num_grips, get_ways("turns", 4).num_grips) == (4, 1)
     assert not get_ways("turns", 4).level
@@ -400,11 +410,10 @@ def random_pile(rng: np.random.Generator, count: int) -> State:
         trial = state.copy()
         reference, way = int(rng.integers(trial.num_placed[0])), int(rng.integers(4))
         relation = int(rng.choice([0, 0, 1, 2, 3, 4]))
-        cell = target_cell(trial, 0, reference, relation, ways.pitch)
-        move_block(
-            trial, 0, int(rng.integers(trial.num_unplaced[0])), reference, *cell,
-            int(ways.turns[way]), ways.pitch, ways.level,
-        )  # fmt: skip
+        chosen = int(rng.integers(trial.num_unplaced[0]))
+        x, y, z = target_cell(trial, 0, reference, relation, ways.pitch)
+        z += waiting_level(trial.position[0, trial.num_placed[0] + chosen, 2])
+        move_block(trial, 0, chosen, reference, x, y, z, ways.turns[way], ways.pitch)
         if trial.num_placed[0] >= min(count, trial.num_blocks[0] - 4):
             return trial
         if physics.settle(trial, np.array([0]))[0] == STABLE:
@@ -447,6 +456,33 @@ def test_every_shape_stands_on_the_table() -> None:
         lowest = min(z for _, _, z in shape.cells)
         cells = [(x, y, z - lowest) for x, y, z in shape.cells]
         assert verdicts(0.06, [(5, 5, 0)], cells) == HOLDS
+
+
+# ---------------------------------------------------------------- learning and search
+
+SMALL = TWO.replace(name="small", grid=2, num_nodes=14, min_mask_pixels=20)
+
+
+@pytest.mark.parametrize("task", [SMALL, OBJECTS], ids=["cubes", "objects"])
+@pytest.mark.parametrize("name", ["published", "relational"])
+def test_networks_learn_and_search_there(task: Task, name: str) -> None:
+    config = dataclasses.replace(
+        fit_to(get_config(name), task), num_envs=3, initial_samples=6, batch_size=4, replay_size=40
+    )
+    trainer = Trainer(task, config, 0)
+    before = [p.clone() for p in trainer.online.parameters()]
+    for _ in range(4):
+        trainer.round()
+    assert any(not a.equal(b) for a, b in zip(trainer.online.parameters(), before, strict=True))
+    assert trainer.updates > 0
+    state = trainer.simulator.new(2, np.random.default_rng(1))
+    before_search = state.copy()
+    how = SearchConfig(budget=6, distinct=True)
+    for row, decision in enumerate(search(trainer.model, state, how, np.random.default_rng(0))):
+        limits = state.num_unplaced[row], state.num_placed[row], task.num_actions
+        assert ((decision.action >= 0) & (decision.action < limits)).all()
+        assert len(decision.explored()) == 6
+    assert all(np.array_equal(a, b) for a, b in zip(state, before_search, strict=True))
 
 
 # ---------------------------------------------------------------- what is not known there yet

@@ -7,11 +7,8 @@ import copy
 import hashlib
 import html
 import json
-import os
 import re
-import shutil
 import socket
-import subprocess
 import threading
 import urllib.request
 from html.parser import HTMLParser
@@ -24,6 +21,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from matplotlib.image import imread
 
+from headless import FLAT, SPATIAL, browse, pixels, shoot
 from learn2assemble.errors import InputError
 from learn2assemble.viewer import isometric, serve, write_page, write_progress
 from learn2assemble.viewer.page import _json, render_page
@@ -36,7 +34,6 @@ from learn2assemble.world.sides import side_frames
 
 EDGE = 0.05
 EXAMPLE = Path(__file__).parent / "data" / "example_plan.json"
-_BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
 
 @pytest.fixture
@@ -397,10 +394,10 @@ def test_picture_has_its_size_and_colours(
     image = imread(tmp_path / "progress.png")
     assert image.shape[1] == 1600
     assert 500 < image.shape[0] < 1600
-    assert _pixels(image, "#e0764a") > 300, "first block"
-    assert (_pixels(image, "#ecca90") > 3000) == bool(plan["steps"]), "placed blocks"
-    assert (_pixels(image, "#63b0f2") > 300) == bool(plan["steps"]), "block of the step"
-    assert _pixels(image, "#0b7285") > 1000, "outlines"
+    assert pixels(image, "#e0764a") > 300, "first block"
+    assert (pixels(image, "#ecca90") > 3000) == bool(plan["steps"]), "placed blocks"
+    assert (pixels(image, "#63b0f2") > 300) == bool(plan["steps"]), "block of the step"
+    assert pixels(image, "#0b7285") > 1000, "outlines"
 
 
 def test_a_path_that_cannot_be_written_is_an_input_error() -> None:
@@ -514,78 +511,19 @@ def test_serve_refuses_what_it_cannot_serve(tmp_path: Path) -> None:
 # --- in a browser -------------------------------------------------------------------------------
 
 
-def _pixels(image: np.ndarray, colour: str) -> int:
-    """Pixels within two levels of a colour."""
-    wanted = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)])
-    return int((np.abs(np.rint(255 * image[..., :3]) - wanted) <= 2).all(-1).sum())
-
-
-@pytest.fixture(scope="module")
-def browser() -> str:
-    found = next(filter(None, map(shutil.which, _BROWSERS)), None)
-    if found is None:
-        pytest.skip(f"no headless browser on PATH (looked for {', '.join(_BROWSERS)})")
-    return found
-
-
-def _browse(browser: str, folder: Path, address: str, *options: str) -> tuple[str, str]:
-    """Open a page without a network; standard output and the browser's log."""
-    folder.mkdir()
-    command = [
-        browser, "--headless", "--no-sandbox", "--disable-dev-shm-usage", "--disable-quic",
-        "--no-first-run", "--disable-background-networking", "--disable-component-update",
-        "--disable-sync", "--hide-scrollbars", "--enable-logging=stderr",
-        f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=4000", *options, address,
-    ]  # fmt: skip
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=120, check=False,
-        env={**os.environ, "HOME": str(folder)},
-    )  # fmt: skip
-    return done.stdout, done.stderr
-
-
-_FLAT = ("--disable-gpu", "--disable-3d-apis")
-_SPATIAL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
-
-
-def _side_by_side(folder: Path, steps: tuple[int, ...], size: tuple[int, int]) -> str:
-    """A page that shows the report at several steps, so that one browser run sees them all."""
-    frames = "".join(
-        f'<iframe src="view.html#step={step}" style="border:0;width:{size[0]}px;'
-        f'height:{size[1]}px;position:absolute;top:0;left:{index * size[0]}px"></iframe>'
-        for index, step in enumerate(steps)
-    )
-    (folder / "frames.html").write_text(f"<!doctype html><body>{frames}", encoding="utf-8")
-    return (folder / "frames.html").as_uri()
-
-
-def _shoot(
-    browser: str, folder: Path, steps: tuple[int, ...], size: tuple[int, int], *options: str
-) -> tuple[list[np.ndarray], str]:
-    """The picture of every step, and the browser's log."""
-    shot = folder / "shot.png"
-    _, log = _browse(
-        browser, folder / "run", _side_by_side(folder, steps, size), *options,
-        f"--screenshot={shot}", f"--window-size={size[0] * len(steps)},{size[1]}",
-    )  # fmt: skip
-    assert shot.is_file(), log
-    image = imread(shot)
-    return [image[:, k * size[0] : (k + 1) * size[0]] for k in range(len(steps))], log
-
-
 @pytest.mark.browser
 def test_drawings_follow_the_timeline_without_webgl(
     browser: str, tmp_path: Path, plan: dict[str, Any]
 ) -> None:
     write_page(plan, tmp_path / "view.html")
-    images, log = _shoot(browser, tmp_path, (0, 5, 14), (1000, 1200), *_FLAT)
+    images, log = shoot(browser, tmp_path, ("step=0", "step=5", "step=14"), (1000, 1200), *FLAT)
     assert "CONSOLE" not in log, log
-    wood = [_pixels(image, "#ecca90") for image in images]
+    wood = [pixels(image, "#ecca90") for image in images]
     assert wood[0] < 400, "only the legend before the first step"
     assert wood[0] + 1500 < wood[1], wood
     assert wood[1] + 3000 < wood[2], wood
-    assert all(_pixels(image, "#e0764a") > 500 for image in images), "first block"
-    assert _pixels(images[1], "#63b0f2") > _pixels(images[0], "#63b0f2") + 500, "current block"
+    assert all(pixels(image, "#e0764a") > 500 for image in images), "first block"
+    assert pixels(images[1], "#63b0f2") > pixels(images[0], "#63b0f2") + 500, "current block"
     assert not np.array_equal(images[0], images[2])
 
 
@@ -594,8 +532,8 @@ def test_page_runs_without_an_error(browser: str, tmp_path: Path, plan: dict[str
     plan["design"]["name"] = "</script><script>document.documentElement.dataset.evil=1</script>"
     write_page(plan, tmp_path / "view.html")
     address = (tmp_path / "view.html").as_uri()
-    dom, log = _browse(
-        browser, tmp_path / "run", f"{address}#step=5", *_SPATIAL, "--dump-dom",
+    dom, log = browse(
+        browser, tmp_path / "run", f"{address}#step=5", *SPATIAL, "--dump-dom",
         "--window-size=500,600",
     )  # fmt: skip
     root = re.search(r"<html[^>]*>", dom)
@@ -613,10 +551,10 @@ def test_page_runs_without_an_error(browser: str, tmp_path: Path, plan: dict[str
 @pytest.mark.browser
 def test_blocks_move_in_the_3d_view(browser: str, tmp_path: Path, plan: dict[str, Any]) -> None:
     write_page(plan, tmp_path / "view.html")
-    images, log = _shoot(browser, tmp_path, (0, 14), (1000, 720), *_SPATIAL)
+    images, log = shoot(browser, tmp_path, ("step=0", "step=14"), (1000, 720), *SPATIAL)
     assert "Uncaught" not in log, log
     stage = [image[400:, 40:560] for image in images]
-    if _pixels(stage[0], "#f1efea") > 0.95 * stage[0][..., 0].size:
+    if pixels(stage[0], "#f1efea") > 0.95 * stage[0][..., 0].size:
         pytest.skip("this browser has no software WebGL; the drawings are tested without it")
     changed = np.abs(stage[0] - stage[1]).max(-1) > 0.1
     assert changed[:180].mean() > 0.03, "the structure is built"

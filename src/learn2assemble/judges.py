@@ -30,6 +30,19 @@ def _kinematic(task: Task, balance: str) -> Physics:
     return ArmPhysics(cell, get_grasps(task.grasps), balance_judge)
 
 
+def _dynamic(task: Task) -> Physics:
+    from learn2assemble.robot.arm import get_arm
+    from learn2assemble.robot.dynamic import DynamicCell
+    from learn2assemble.robot.grasps import get_grasps
+    from learn2assemble.robot.judge import ArmPhysics
+    from learn2assemble.robot.resting import ONE_SIDED
+
+    rule = ONE_SIDED if task.num_sides == 1 else None
+    # What the hand does where nothing is near changes nothing for the blocks.
+    cell = DynamicCell(get_arm(task.arm), shift_rule=rule, skip_free_motion=True)
+    return ArmPhysics(cell, get_grasps(task.grasps))
+
+
 def published_rules(task: Task) -> str:
     """Which of the published rules of disturbance are those of a task (protocol 6.2)."""
     if task.objects != "cubes":
@@ -47,7 +60,7 @@ def _published(task: Task) -> Physics:
     return ArmPhysics(cell, get_grasps(task.grasps))
 
 
-CELLS: dict[str, Callable[[Task], Physics]] = {"published": _published}
+CELLS: dict[str, Callable[[Task], Physics]] = {"dynamic": _dynamic, "published": _published}
 """Judges that find out about balance themselves."""
 JUDGES = (*BALANCE, *CELLS)
 """All names."""

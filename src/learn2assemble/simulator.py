@@ -33,6 +33,7 @@ from learn2assemble.world.rules import (
     move_cell,
     recover_all,
     target_cell,
+    waiting_level,
 )
 from learn2assemble.world.sampling import Problems, sample_problem
 from learn2assemble.world.sides import side_frames
@@ -72,9 +73,9 @@ def _propose(state, actions, ways, active, previous):
             unplaced, reference = actions[row, 0], actions[row, 1]
             relation, way = divmod(actions[row, 2], len(ways.turns))
             x, y, z = target_cell(state, row, reference, relation, ways.pitch)
-            move_block(
-                state, row, unplaced, reference, x, y, z, ways.turns[way], ways.pitch, ways.level
-            )
+            if ways.level:
+                z += waiting_level(state.position[row, state.num_placed[row] + unplaced, 2])
+            move_block(state, row, unplaced, reference, x, y, z, ways.turns[way], ways.pitch)
 
 
 @njit(cache=True)
@@ -142,6 +143,8 @@ class Simulator:
         Raises:
             Learn2AssembleError: where no acceptable problem is found in 100,000 draws.
         """
+        if not len(rows):
+            return 0
         draws = _reset(
             state, np.asarray(rows, np.int64), rng, self.frames, self._stock, self._waiting,
             self._problems,

@@ -9,12 +9,14 @@ from typing import Any
 
 import torch
 
+from learn2assemble.cli.arm_files import write_arm_files
 from learn2assemble.cli.output import Output
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.networks.agent import default_agent, load_agent
 from learn2assemble.planning.build import build
 from learn2assemble.planning.problem import Problem, design_problem, preset_problem
 from learn2assemble.presets import PRESETS
+from learn2assemble.robot.record import BuildRecord
 from learn2assemble.viewer import write_page, write_progress
 from learn2assemble.world.designs import read_design
 
@@ -69,12 +71,16 @@ def _problem(text: str, seed: int) -> tuple[Problem, str]:
     return design_problem(read_design(path)), path.name
 
 
-def _write(plan: dict[str, Any], folder: Path) -> dict[str, Path]:
+def _write(
+    plan: dict[str, Any], folder: Path, record: BuildRecord | None = None
+) -> dict[str, Path]:
     files = {"plan": folder / "plan.json", "page": folder / "view.html"}
     files["plan"].write_text(json.dumps(plan, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    write_page(plan, files["page"])
+    write_page(plan, files["page"], record)
     files["picture"] = folder / "progress.png"
     write_progress(plan, files["picture"])
+    if record is not None:
+        files |= write_arm_files(plan, record, folder)
     return files
 
 

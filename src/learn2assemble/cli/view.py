@@ -9,6 +9,7 @@ from typing import Any
 
 from learn2assemble.cli.output import Output
 from learn2assemble.errors import InputError
+from learn2assemble.robot.record_files import read_record
 from learn2assemble.viewer import serve, write_page
 
 
@@ -18,7 +19,8 @@ def run(options: argparse.Namespace) -> int:
     plan = _read(plan_file)
     page = plan_file.with_name("view.html")
     if not page.exists():
-        write_page(plan, page)
+        trajectory = plan_file.with_name("trajectory.json")
+        write_page(plan, page, read_record(trajectory) if trajectory.exists() else None)
 
     def tell(url: str) -> None:
         output.say(f"{url} (Ctrl-C ends it)")

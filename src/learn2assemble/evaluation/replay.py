@@ -46,6 +46,7 @@ from learn2assemble.world.rules import (
     move_block,
     recover_all,
     target_cell,
+    waiting_level,
 )
 
 TILT_LIMIT = 2e-3
@@ -248,9 +249,9 @@ def _repeat(
     previous = int(state.plane_pixels[0])
     relation, way = divmod(line["u"][2], task.rotations)
     x, y, z = target_cell(state, 0, line["ref"], relation, task.pitch)
-    move_block(
-        state, 0, line["blk"], line["ref"], x, y, z, int(ways.turns[way]), task.pitch, ways.level
-    )
+    if ways.level:
+        z += waiting_level(state.position[0, state.num_placed[0] + line["blk"], 2])
+    move_block(state, 0, line["blk"], line["ref"], x, y, z, int(ways.turns[way]), task.pitch)
     count, new = int(state.num_placed[0]), last_object(state, 0)
     centres, object_id = state.position[0, :count].copy(), state.object_id[0, :count].copy()
     verdict = physics.settle(state, np.array([0]))[0]

@@ -89,7 +89,7 @@ def cell_tensors(graph: GraphTensors, ways: Ways) -> CellTensors:
         lever=put(lever),
         legal=put(placements.used),
         action=put(placements.action),
-        grip=put(ways.grip[way[part_of]]),
+        grip=put(ways.grips[way[part_of]]),
         placements=placements,
         graph=plain,
         ways=ways,

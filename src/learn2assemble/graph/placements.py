@@ -16,6 +16,7 @@ from numba import njit
 from learn2assemble.graph.features import Graph
 from learn2assemble.world.actions import DIRECTIONS, Ways, quarter_turn
 from learn2assemble.world.blocks import EDGE
+from learn2assemble.world.rules import waiting_level
 
 MAX_CELLS = 4
 """Cells of the largest object."""
@@ -67,33 +68,29 @@ def _cell_key(x, y, z):
 
 
 @njit(cache=True)
-def _offsets(nodes, object_id, block, first, used, pitch, out):
+def _offsets(nodes, object_id, block, first, used, ways, out):
     """Cells of the block's object relative to it in whole cells, itself first; their number."""
     out[0, 0], out[0, 1], out[0, 2] = 0, 0, 0
     count = 1
     for other in range(first, used):
         if other != block and object_id[other] == object_id[block]:
             for axis in range(3):
-                step = pitch if axis < 2 else EDGE
+                step = ways.pitch if axis < 2 else EDGE
                 out[count, axis] = np.rint((nodes[other, axis] - nodes[block, axis]) / step)
             count += 1
     return count
 
 
 @njit(cache=True)
-def _fill(nodes, reference, relation, way, ways, offsets, count, cells):
+def _fill(nodes, reference, relation, turns, grip, pitch, offsets, count, lift, cells):
     """Cells filled by a placement; gives its key (the same for the same set of cells and grip)."""
-    key = np.uint64(ways.grip[way]) * np.uint64(0xD6E8FEB86659FD93)
-    rise = 0.0
-    if ways.level:
-        for k in range(count):
-            rise = max(rise, -offsets[k, 2])
+    key = np.uint64(grip) * np.uint64(0xD6E8FEB86659FD93)
     for k in range(count):
-        a, b = quarter_turn(offsets[k, 0], offsets[k, 1], ways.turns[way])
-        up = DIRECTIONS[relation, 2] + offsets[k, 2] + rise
-        cells[k, 0] = nodes[reference, 0] + ways.pitch * (DIRECTIONS[relation, 0] + a)
-        cells[k, 1] = nodes[reference, 1] + ways.pitch * (DIRECTIONS[relation, 1] + b)
-        cells[k, 2] = nodes[reference, 2] + EDGE * up
+        a, b = quarter_turn(offsets[k, 0], offsets[k, 1], turns)
+        cells[k, 0] = nodes[reference, 0] + pitch * (DIRECTIONS[relation, 0] + a)
+        cells[k, 1] = nodes[reference, 1] + pitch * (DIRECTIONS[relation, 1] + b)
+        up = EDGE * (DIRECTIONS[relation, 2] + offsets[k, 2])
+        cells[k, 2] = nodes[reference, 2] + lift + up
         key += _cell_key(cells[k, 0], cells[k, 1], cells[k, 2])
     return key
 
@@ -126,14 +123,13 @@ def _enumerate(
     keys = np.empty((3, slots), np.uint64)
     offsets = np.empty((MAX_CELLS, 3))
     cells = np.empty((MAX_CELLS, 3))
-    rotations = len(ways.turns)
+    turns, grips, rotations = ways.turns, ways.grips, len(ways.turns)
     for row in range(len(num_targets)):
         first = num_targets[row] + num_placed[row]
         shapes = 0
         for block in range(first, num_nodes[row]):
-            size = _offsets(
-                nodes[row], object_id[row], block, first, num_nodes[row], ways.pitch, offsets
-            )
+            size = _offsets(nodes[row], object_id[row], block, first, num_nodes[row], ways, offsets)
+            lift = waiting_level(nodes[row, block, 2]) if ways.level else 0.0
             shape = np.uint64(0)
             for k in range(size):
                 shape += _cell_key(EDGE * offsets[k, 0], EDGE * offsets[k, 1], EDGE * offsets[k, 2])
@@ -143,11 +139,12 @@ def _enumerate(
             for reference in range(num_targets[row], first):
                 for relation in range(len(DIRECTIONS)):
                     for way in range(rotations):
-                        if way > 0 and size == 1 and ways.grip[way] == ways.grip[way - 1]:
+                        if way > 0 and size == 1 and grips[way] == grips[way - 1]:
                             continue  # A turned cube is the same cube.
                         key = _fill(
-                            nodes[row], reference, relation, way, ways, offsets, size, cells
-                        )
+                            nodes[row], reference, relation, turns[way], grips[way], ways.pitch,
+                            offsets, size, lift, cells,
+                        )  # fmt: skip
                         n = count[row]
                         if _enter(tables[1], row, stamps[1], keys[1], key, n) != n:
                             continue
@@ -219,10 +216,14 @@ def _locate(nodes, object_id, num_targets, num_placed, num_nodes, ways, action, 
     for row in range(len(action)):
         first = num_targets[row] + num_placed[row]
         size = _offsets(
-            nodes[row], object_id[row], action[row, 0], first, num_nodes[row], ways.pitch, offsets
+            nodes[row], object_id[row], action[row, 0], first, num_nodes[row], ways, offsets
         )
         relation, way = divmod(action[row, 2], len(ways.turns))
-        key = _fill(nodes[row], action[row, 1], relation, way, ways, offsets, size, cells)
+        lift = waiting_level(nodes[row, action[row, 0], 2]) if ways.level else 0.0
+        key = _fill(
+            nodes[row], action[row, 1], relation, ways.turns[way], ways.grips[way], ways.pitch,
+            offsets, size, lift, cells,
+        )  # fmt: skip
         for n in range(count[row]):
             if keys[row, n] == key:
                 out[row] = n
@@ -247,11 +248,15 @@ def _keys(nodes, object_id, targets, first, used, ways, out):
     offsets = np.empty((MAX_CELLS, 3))
     cells = np.empty((MAX_CELLS, 3))
     for i in range(used - first):
-        size = _offsets(nodes, object_id, first + i, first, used, ways.pitch, offsets)
+        size = _offsets(nodes, object_id, first + i, first, used, ways, offsets)
+        lift = waiting_level(nodes[first + i, 2]) if ways.level else 0.0
         for j in range(first - targets):
             for k in range(out.shape[2]):
                 relation, way = divmod(k, len(ways.turns))
-                out[i, j, k] = _fill(nodes, targets + j, relation, way, ways, offsets, size, cells)
+                out[i, j, k] = _fill(
+                    nodes, targets + j, relation, ways.turns[way], ways.grips[way], ways.pitch,
+                    offsets, size, lift, cells,
+                )  # fmt: skip
 
 
 def action_keys(graph: Graph, row: int, ways: Ways) -> np.ndarray:

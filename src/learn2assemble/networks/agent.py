@@ -47,9 +47,7 @@ def agent_info(name: str) -> dict[str, Any]:
 
 
 DEFAULTS = {
-    "robot-two-sided": "robot-two-sided-s0",
-    "robot-random-two-sided": "robot-two-sided-s0",
-    "robot-four-sided": "robot-four-sided-s0",
+    "robot": "relational-two-sided-s0",
     "objects": "relational-objects-s0",
     "bars": "relational-bars-s0",
     "other-bars": "relational-bars-s0",

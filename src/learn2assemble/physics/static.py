@@ -17,7 +17,13 @@ from learn2assemble.geometry.support import BALANCE_TOLERANCE, classify_object
 from learn2assemble.physics.protocol import Verdict
 from learn2assemble.world.actions import DIRECTIONS, Ways
 from learn2assemble.world.blocks import EDGE, HALF
-from learn2assemble.world.rules import last_object, lay_object, object_span, target_cell
+from learn2assemble.world.rules import (
+    last_object,
+    lay_object,
+    object_span,
+    target_cell,
+    waiting_level,
+)
 from learn2assemble.world.state import State
 
 NUM_RELATIONS = len(DIRECTIONS)
@@ -113,9 +119,11 @@ def _try_object(state, row, unplaced, reference, action, ways, position):
     placed = state.num_placed[row]
     relation, way = divmod(action, len(ways.turns))
     x, y, z = target_cell(state, row, reference, relation, ways.pitch)
+    if ways.level:
+        z += waiting_level(state.position[row, state.num_placed[row] + unplaced, 2])
     count = placed + lay_object(
         state, row, unplaced, reference, x, y, z, ways.turns[way], position[placed:],
-        ways.pitch, ways.level,
+        ways.pitch,
     )  # fmt: skip
     return classify_object(position, placed, count, HALF), count
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from learn2assemble.robot.outcome import Outcome
+from learn2assemble.robot.recording import Trajectory
 from learn2assemble.robot.scene import Scene
 
 
@@ -27,6 +28,17 @@ class Attempt(NamedTuple):
     listed as :func:`learn2assemble.robot.scene.put_down` does."""
     by_link: bool = False
     """A link of the arm, not its hand, was in the way."""
+
+    quaternion: np.ndarray | None = None
+    """float64[n, 4]: orientations (w, x, y, z) of the cells of ``after``, where simulated."""
+    error: float = np.nan
+    """Distance of the grasped cell from its target then [m], where simulated."""
+    held: bool = False
+    """The object is still in the hand, which has stopped."""
+    joints: np.ndarray | None = None
+    """float64[n]: where the arm is then [rad]."""
+    trajectory: Trajectory | None = None
+    """What the arm did, where something was moved in a simulation."""
 
     @property
     def reached(self) -> bool:

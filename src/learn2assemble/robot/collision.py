@@ -134,6 +134,8 @@ def _compile(arm: Arm, num_cells: int) -> mujoco.MjModel:
     for geom in spec.geoms:
         solid = geom.contype or geom.conaffinity
         geom.contype, geom.conaffinity = (_ARM, _ARM | _THING) if solid else (0, 0)
+        if solid and geom.parent.name in mounted:
+            geom.contype |= _THING  # what is carried must not meet the base either
     world, hand = spec.worldbody, spec.site(arm.tool).parent
     table = world.add_body(name="table")
     size = list(TABLE)

@@ -1,4 +1,4 @@
-"""Reports of a finished build plan: the page, the picture, and a small server for the page."""
+"""Reports of a finished build plan: the page, the picture, the video, and a small server."""
 
 from learn2assemble.viewer.page import write_page
 from learn2assemble.viewer.picture import write_progress

@@ -17,39 +17,52 @@ from pathlib import Path
 from typing import Any
 
 from learn2assemble.errors import InputError
+from learn2assemble.robot.record import BuildRecord
+from learn2assemble.viewer.arm_data import arm_data
+from learn2assemble.viewer.arm_page import arm_values
+from learn2assemble.viewer.arm_words import arm_summary
 from learn2assemble.viewer.drawings import chart_svg, elevation_svg, kind
+from learn2assemble.viewer.playback import Playback
 from learn2assemble.viewer.scene import Scene, read_scene
 from learn2assemble.viewer.words import STATUS_WORDS, caption, percent, placement, summary
 
 _SCRIPTS = ("three.bundle.js", "stage.js", "timeline.js")
+_ARM_SCRIPT = "arm.js"
 
 
-def write_page(plan: Mapping[str, Any], path: Path) -> None:
+def write_page(plan: Mapping[str, Any], path: Path, record: BuildRecord | None = None) -> None:
     """Write the report of a parsed ``plan.json`` to ``path``, a stand-alone HTML file.
 
     ``#step=5`` behind its address opens it at step 5; without it the finished structure shows.
 
+    Args:
+        record: of the arm that built it; the page then shows the arm, and ``#t=12.5`` behind its
+            address opens it at this second.
+
     Raises:
-        InputError: for something that is not such a plan, or a path that cannot be written.
+        InputError: for something that is not such a plan, a record that does not fit it, or a
+            path that cannot be written.
     """
-    text = render_page(plan)
+    text = render_page(plan, record)
     try:
         path.write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
         raise InputError("page", str(path), f"a writable file ({error.strerror})") from None
 
 
-def render_page(plan: Mapping[str, Any]) -> str:
+def render_page(plan: Mapping[str, Any], record: BuildRecord | None = None) -> str:
     """The HTML text of the report."""
     scene = read_scene(plan)
     try:
-        return _render(plan, scene)
+        playback = Playback(record, plan) if record is not None and record.steps else None
+        return _render(plan, scene, playback)
     except KeyError as error:
         raise InputError("plan", f"no field {error}", "every field of its format") from None
 
 
-def _render(plan: Mapping[str, Any], scene: Scene) -> str:
-    scripts = [_asset(name).strip() + "\n" for name in _SCRIPTS]
+def _render(plan: Mapping[str, Any], scene: Scene, playback: Playback | None) -> str:
+    names = _SCRIPTS if playback is None else (*_SCRIPTS[:-1], _ARM_SCRIPT, _SCRIPTS[-1])
+    scripts = [_asset(name).strip() + "\n" for name in names]
     style = _asset("page.css")
     policy = (
         "default-src 'none'; img-src data: blob:; base-uri 'none'; form-action 'none'; "
@@ -61,25 +74,51 @@ def _render(plan: Mapping[str, Any], scene: Scene) -> str:
         "title": escape(plan["design"]["name"]),
         "status": plan["status"],
         "status_word": STATUS_WORDS[plan["status"]],
-        "summary": escape(summary(plan)),
+        "summary": escape(summary(plan)) + _arm_words(playback),
         "reason": _reason(plan),
         "facts": _facts(plan),
         "elevations": _elevations(scene),
         "sides": str(len(scene.elevations)),
-        "tray_note": _TRAY_NOTE if scene.rearranged else "",
+        "tray_note": _TRAY_NOTE if scene.rearranged and playback is None else "",
         "chart": (chart := chart_svg(plan)),
         "plane_note": _PLANE_NOTE if 'class="plane"' in chart else "",
         "steps": _steps(plan),
         "attempts": _attempts(plan),
-        "last": str(scene.num_steps),
         "caption": escape(caption(plan, scene.num_steps)),
-        "movable": "movable" if scene.num_steps else "fixed",
         "source": escape(str(plan["design"]["source"])),
-        "data": _json(_data(plan, scene)),
+        "data": _json(_data(plan, scene, playback)),
         "scripts": "\n".join(f"<script>{text}</script>" for text in scripts),
+        **_no_arm(scene),
     }
+    if playback is not None:
+        values |= arm_values(plan, playback)
     # One pass, so that a value that holds braces is never filled in again.
     return re.sub(r"\{\{(\w+)\}\}", lambda match: values[match[1]], _asset("page.html"))
+
+
+def _no_arm(scene: Scene) -> dict[str, str]:
+    """What a page without an arm says where :func:`arm_values` says something else."""
+    last = str(scene.num_steps)
+    speeds = ((0.5, "½×"), (1, "1×"), (2, "2×"), (4, "4×"))
+    empty = ("near_view", "ribbon", "doing", "legend", "keys_note", "arm_section", "reading")
+    return dict.fromkeys(empty, "") | {
+        "body": "movable" if scene.num_steps else "fixed",
+        "slider_last": last,
+        "slider_step": "1",
+        "slider_name": "Step",
+        "count": f"{last} / {last}",
+        "speeds": "".join(
+            f'<option value="{value}"{" selected" if value == 1 else ""}>{name}</option>'
+            for value, name in speeds
+        ),
+    }
+
+
+def _arm_words(playback: Playback | None) -> str:
+    if playback is None:
+        return ""
+    record = playback.record
+    return escape(f" Built by the arm {record.arm.name}: {arm_summary(record)}.")
 
 
 _TRAY_NOTE = (
@@ -104,9 +143,11 @@ def _json(value: Any) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def _data(plan: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
+def _data(plan: Mapping[str, Any], scene: Scene, playback: Playback | None) -> dict[str, Any]:
     """What the scripts need: lengths in metres, world frame, quaternions (w, x, y, z)."""
+    kinds = {block.number: kind(block) for block in scene.blocks}
     return {
+        **({} if playback is None else {"arm": arm_data(plan, playback, kinds)}),
         "edge": scene.edge,
         "steps": scene.num_steps,
         "waiting": [
@@ -119,7 +160,7 @@ def _data(plan: Mapping[str, Any], scene: Scene) -> dict[str, Any]:
                 "waiting": block.waiting,
                 "position": block.position.round(5).tolist(),
                 "quaternion": block.quaternion.round(6).tolist(),
-                "kind": kind(block),
+                "kind": kinds[block.number],
             }
             for block in scene.blocks
         ],

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.viewer.turns import rotation_of
 from learn2assemble.world.actions import RELATIONS
 
 FORMAT, VERSION = "learn2assemble-plan", 1
@@ -43,14 +44,7 @@ class Placed:
     @property
     def rotation(self) -> np.ndarray:
         """R_world_block, float64[3, 3]."""
-        w, x, y, z = self.quaternion
-        return np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-            ]
-        )
+        return rotation_of(self.quaternion)
 
     def corners(self, edge: float) -> np.ndarray:
         """float64[8, 3] [m, world]."""

@@ -42,14 +42,14 @@ class Ways(NamedTuple):
     """Horizontal distance of the centres of neighbouring cells [m]."""
     turns: np.ndarray
     """int64[R]: quarter turns the object makes in each way."""
-    grip: np.ndarray
+    grips: np.ndarray
     """int64[R]: ways with different numbers are different even where the cells are the same."""
     level: bool
     """The object's lowest cell comes to the level of the reference, not the chosen cell."""
 
     @property
     def num_grips(self) -> int:
-        return int(self.grip.max()) + 1
+        return int(self.grips.max()) + 1
 
 
 @lru_cache
@@ -70,8 +70,8 @@ def get_ways(attitudes: str = "turns", rotations: int = 1, pitch: float = EDGE) 
     turns, gripped = ATTITUDES[attitudes]
     if rotations not in ROTATIONS:
         raise InputError("rotations", rotations, "1 or 4")
-    grip = np.arange(rotations) if gripped else np.zeros(rotations, np.int64)
-    return Ways(float(pitch), np.array(turns[:rotations]), grip, gripped)
+    grips = np.arange(rotations) if gripped else np.zeros(rotations, np.int64)
+    return Ways(float(pitch), np.array(turns[:rotations]), grips, gripped)
 
 
 @njit(cache=True, inline="always")

@@ -18,7 +18,13 @@ from learn2assemble.geometry.coverage import NARROW, DepthFilter, add_box, count
 from learn2assemble.geometry.support import classify_object
 from learn2assemble.world.actions import Ways
 from learn2assemble.world.blocks import HALF
-from learn2assemble.world.rules import REWARDS, judge_counts, lay_object, target_cell
+from learn2assemble.world.rules import (
+    REWARDS,
+    judge_counts,
+    lay_object,
+    target_cell,
+    waiting_level,
+)
 from learn2assemble.world.state import State
 
 
@@ -77,27 +83,20 @@ def _try_all(
     reward, terminal, valid, gain, covered, occluded,
 ):  # fmt: skip
     position = np.empty((state.position.shape[1] + 8, 3))
-    rotations = len(ways.turns)
+    turns, rotations, pitch, level = ways.turns, len(ways.turns), ways.pitch, ways.level
     for row in range(len(count)):
         placed = state.num_placed[row]
         position[:placed] = state.position[row, :placed]
         for n in range(count[row]):
             unplaced, reference = actions[row, n, 0], actions[row, n, 1]
             relation, way = actions[row, n, 2] // rotations, actions[row, n, 2] % rotations
-            x, y, z = target_cell(state, row, reference, relation, ways.pitch)
+            x, y, z = target_cell(state, row, reference, relation, pitch)
+            if level:
+                z += waiting_level(state.position[row, state.num_placed[row] + unplaced, 2])
             end = placed + lay_object(
-                state,
-                row,
-                unplaced,
-                reference,
-                x,
-                y,
-                z,
-                ways.turns[way],
-                position[placed:],
-                ways.pitch,
-                ways.level,
-            )
+                state, row, unplaced, reference, x, y, z, turns[way], position[placed:],
+                pitch,
+            )  # fmt: skip
             verdict = _verdict(position, state.object_id[row], placed, end)
             if verdict == UNDECIDED:
                 continue

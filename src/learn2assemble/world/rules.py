@@ -46,7 +46,7 @@ def target_cell(state, row, reference, relation, pitch=EDGE):
     """
     dx, dy, dz = rotate(state.quaternion[row, reference], DIRECTIONS[relation])
     p = state.position[row, reference]
-    step = EDGE if DIRECTIONS[relation, 2] != 0 else pitch
+    step = pitch if relation else EDGE
     return p[0] + step * dx, p[1] + step * dy, p[2] + step * dz
 
 
@@ -65,8 +65,17 @@ def object_span(object_id, row, start, stop, block):
     return low, high
 
 
+@njit(cache=True, inline="always")
+def waiting_level(z):
+    """How far a waiting cell with node height ``z`` stands above those on the table [m].
+
+    Some layouts count heights from the table, some from the centres of the cells on it.
+    """
+    return EDGE * np.floor(z / EDGE + 0.25)
+
+
 @njit(cache=True)
-def lay_object(state, row, unplaced, reference, x, y, z, turns, cells, pitch=EDGE, level=False):
+def lay_object(state, row, unplaced, reference, x, y, z, turns, cells, pitch=EDGE):
     """Where the cells of a waiting object would go (protocol 7).
 
     Unplaced block number ``unplaced`` goes to (x, y, z) [m]. The other cells of its object keep
@@ -76,8 +85,6 @@ def lay_object(state, row, unplaced, reference, x, y, z, turns, cells, pitch=EDG
     Args:
         cells: float64[C, 3], written: the chosen cell, then the others in list order [m].
         pitch: horizontal distance of the centres of neighbouring cells [m].
-        level: z is the level of the object's lowest cell, and the chosen cell stands as far above
-            it as it does in the waiting object (with a robot).
 
     Returns:
         the number of cells.
@@ -85,11 +92,6 @@ def lay_object(state, row, unplaced, reference, x, y, z, turns, cells, pitch=EDG
     placed = state.num_placed[row]
     source = placed + unplaced
     low, high = object_span(state.object_id, row, placed, state.num_blocks[row], source)
-    if level:
-        rise = 0.0
-        for k in range(low, high):
-            rise = max(rise, state.position[row, source, 2] - state.position[row, k, 2])
-        z += EDGE * round(rise / EDGE)
     cells[0, 0], cells[0, 1], cells[0, 2] = x, y, z
     n = 1
     for k in range(low, high):
@@ -129,7 +131,7 @@ def move_cell(state, row, source, reference, x, y, z):
 
 
 @njit(cache=True)
-def move_block(state, row, unplaced, reference, x, y, z, turns=0, pitch=EDGE, level=False):
+def move_block(state, row, unplaced, reference, x, y, z, turns=0, pitch=EDGE):
     """Move the object of unplaced block ``unplaced``, that block to (x, y, z) (protocol 4, 7).
 
     Its cells become the last placed ones, the chosen one first, see :func:`lay_object`, and take
@@ -139,7 +141,7 @@ def move_block(state, row, unplaced, reference, x, y, z, turns=0, pitch=EDGE, le
     source = placed + unplaced
     low, high = object_span(state.object_id, row, placed, state.num_blocks[row], source)
     cells = np.empty((high - low, 3))
-    lay_object(state, row, unplaced, reference, x, y, z, turns, cells, pitch, level)
+    lay_object(state, row, unplaced, reference, x, y, z, turns, cells, pitch)
     for n in range(high - low):
         # Whichever cell comes next has by then been shifted to place low + n.
         k = low + n if n else source

@@ -1,9 +1,8 @@
 "use strict";
 /* The 3-D view. World frame, z up, metres; time is counted in steps: at time k step k is done,
-   between k - 1 and k its block is on the way.
+   between k - 1 and k its block is on the way. With an arm it is counted in seconds (arm.js).
 
-   Whatever moves is an actor: {group, update(time)}. Blocks are actors; a robot arm would be one
-   more, added with stage.add(actor) on the same timeline. */
+   Whatever moves is an actor: {group, update(time)}. */
 function createStage(canvas, data) {
   const theme = () => {
     const style = getComputedStyle(document.documentElement);
@@ -22,10 +21,13 @@ function createStage(canvas, data) {
   const actors = [];
   const painted = [];
 
-  // Extent of what has to be seen.
-  const points = [
-    ...data.blocks.map((b) => b.position), ...data.waiting.filter(Boolean), ...data.faces.flat(),
+  // Extent of what has to be seen; near: without the arm.
+  const near = [
+    ...(data.arm ? data.arm.cells.map((cell) => cell.position)
+      : [...data.blocks.map((b) => b.position), ...data.waiting.filter(Boolean)]),
+    ...data.faces.flat(),
   ];
+  const points = data.arm ? [...near, ...data.arm.extent] : near;
   const low = [0, 1, 2].map((k) => Math.min(...points.map((p) => p[k])) - (k < 2 ? edge / 2 : 0));
   const high = [0, 1, 2].map((k) => Math.max(...points.map((p) => p[k])) + edge / 2);
   low[2] = 0;
@@ -37,25 +39,20 @@ function createStage(canvas, data) {
   addLights();
   addTable();
   for (const face of data.faces) addTarget(face);
-  const used = new Map();
-  for (const block of data.blocks) {
-    actors.push(blockActor(block));
-    if (block.waiting !== null) used.set(block.waiting, block);
+  if (data.arm) {
+    actors.push(createArm(data, { edge, cube, coloured, addPlace, colours: () => colours }));
+  } else {
+    addBlocks();
   }
-  data.waiting.forEach((place, index) => {
-    if (!place) return; // The first block stands from the start.
-    addPlace(place);
-    if (!used.has(index)) addSpare(place);
-  });
   for (const actor of actors) scene.add(actor.group);
 
   const controls = new THREE.OrbitControls(camera, canvas);
   controls.maxPolarAngle = 1.54;
   controls.zoomToCursor = true;
   controls.addEventListener("change", draw);
-  let touched = false;
+  let touched = false, shown = points;
   controls.addEventListener("start", () => { touched = true; });
-  let time = data.steps;
+  let time = data.arm ? data.arm.duration : data.steps;
   paint();
   resize();
   new ResizeObserver(resize).observe(canvas.parentElement);
@@ -65,7 +62,20 @@ function createStage(canvas, data) {
     update(time);
   });
 
-  return { update, resetView, add(actor) { actors.push(actor); scene.add(actor.group); update(time); } };
+  return { update, resetView: () => resetView(points), nearView: () => resetView(near) };
+
+  function addBlocks() {
+    const used = new Map();
+    for (const block of data.blocks) {
+      actors.push(blockActor(block));
+      if (block.waiting !== null) used.set(block.waiting, block);
+    }
+    data.waiting.forEach((place, index) => {
+      if (!place) return; // The first block stands from the start.
+      addPlace(place);
+      if (!used.has(index)) addSpare(place);
+    });
+  }
 
   function update(now) {
     time = now;
@@ -81,13 +91,15 @@ function createStage(canvas, data) {
     renderer.setSize(width, height, false);
     camera.aspect = width / height;
     camera.updateProjectionMatrix();
-    if (touched) draw(); else resetView();
+    if (touched) draw(); else resetView(shown);
   }
 
-  /* Look from the front left and above, as near as shows everything. */
-  function resetView() {
+  /* Look from the front and above, as near as shows all these points: from the left, but from the
+     right where an arm stands on the left. */
+  function resetView(wanted) {
     touched = false;
-    const direction = new THREE.Vector3(-0.5, -1, 0.6).normalize();
+    shown = wanted;
+    const direction = new THREE.Vector3(data.arm ? 0.5 : -0.5, -1, 0.6).normalize();
     const target = new THREE.Vector3(middle[0], middle[1], 0);
     const right = new THREE.Vector3(), up = new THREE.Vector3(), seen = new THREE.Vector3();
     const half = edge * 0.75;
@@ -97,7 +109,7 @@ function createStage(canvas, data) {
       camera.lookAt(target);
       camera.updateMatrixWorld();
       const xs = [], ys = [];
-      for (const [x, y, z] of points) {
+      for (const [x, y, z] of wanted) {
         for (const [a, b, c] of [[-1, -1, -1], [1, -1, -1], [-1, 1, -1], [1, 1, -1], [-1, -1, 1], [1, -1, 1], [-1, 1, 1], [1, 1, 1]]) {
           seen.set(x + a * half, y + b * half, z + c * half).project(camera);
           xs.push(seen.x);
@@ -161,7 +173,8 @@ function createStage(canvas, data) {
   }
 
   function addTarget(face) {
-    // The film stands a hair behind the face plane: it shows what is not filled yet.
+    // The film stands a hair behind the face plane, also after the cubes' own offset in depth: it
+    // shows what is not filled yet.
     const corners = face.map((p) => new THREE.Vector3(...p));
     const normal = faceNormal(corners);
     for (const c of corners) c.addScaledVector(normal, -edge / 50);
@@ -177,6 +190,7 @@ function createStage(canvas, data) {
     for (const c of corners) c.addScaledVector(normal, edge / 50);
     const film = new THREE.Mesh(sheet, coloured(new THREE.MeshBasicMaterial({
       transparent: true, opacity: 0.2, side: THREE.DoubleSide, depthWrite: false,
+      polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 4,
     }), "accent"));
     film.renderOrder = 2;
     scene.add(film);

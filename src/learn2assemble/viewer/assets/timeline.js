@@ -1,21 +1,40 @@
 "use strict";
-/* The timeline: one number, the time in steps, drives the 3-D view, the drawings, the chart and
-   the table. */
+/* The timeline: one number, the time, drives the 3-D view, the drawings, the chart and the tables.
+   A clock says what the number means: steps of the plan, or seconds of an arm's build (arm.js). */
 (() => {
   const root = document.documentElement;
   window.addEventListener("error", (event) => { root.dataset.error = String(event.message); });
   const find = (id) => document.getElementById(id);
   const data = JSON.parse(find("data").textContent);
-  const last = data.steps;
   const SECONDS_PER_STEP = 1.1;
+  const clock = data.arm ? armClock(data) : stepClock();
+  const last = clock.last;
   const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
   const marked = [...document.querySelectorAll(".block, .label, .dot, #rows tr[data-step]")];
   const cursor = document.querySelector(".cursor");
   const dots = [...document.querySelectorAll(".dot")];
   const playButton = find("play");
-  let time = last, shown = -1, playing = false, before = 0;
+  const attempts = [...document.querySelectorAll("[data-segment]")];
+  let time = last, shown = "", told = "", playing = false, before = 0;
 
   const stage = openStage();
+
+  /* Time in steps: between k - 1 and k the block of step k is on the way. */
+  function stepClock() {
+    const end = data.steps;
+    return {
+      last: end,
+      speed: 1 / SECONDS_PER_STEP,
+      marks: Array.from({ length: end + 1 }, (_, k) => k),
+      exact: false,
+      timeOf: (step) => step,
+      at(now) {
+        const step = Math.ceil(now);
+        return { step, current: step > 0 ? step : -1, segment: -1, count: `${step} / ${end}`,
+          caption: data.captions[step], text: `Step ${step} of ${end}` };
+      },
+    };
+  }
 
   function openStage() {
     const probe = document.createElement("canvas").getContext("webgl2");
@@ -23,7 +42,7 @@
       document.body.classList.add("flat");
       find("no-webgl").hidden = false;
       root.dataset.webgl = "missing";
-      return { update() {}, resetView() {} };
+      return { update() {}, resetView() {}, nearView() {} };
     }
     probe.getExtension("WEBGL_lose_context")?.loseContext();
     const made = createStage(find("canvas"), data);
@@ -34,33 +53,50 @@
   function moveTo(now) {
     time = Math.min(Math.max(now, 0), last);
     stage.update(time);
-    const step = Math.ceil(time);
-    if (step !== shown) showStep(step);
+    const here = clock.at(time);
+    const key = `${here.step} ${here.segment}`;
+    if (key !== shown) { shown = key; showStep(here); }
+    if (here.text !== told) { told = here.text; tell(here); }
+    if (clock.exact) find("slider").value = String(time);
   }
 
   /* Everything that changes only from step to step. */
-  function showStep(step) {
-    shown = step;
+  function showStep({ step, current, segment, caption }) {
     root.dataset.step = String(step);
     for (const item of marked) {
       const number = Number(item.dataset.step);
       item.classList.toggle("future", number > step);
       item.classList.toggle("done", number <= step);
-      item.classList.toggle("current", number === step && (step > 0 || item.classList.contains("dot")));
+      item.classList.toggle("current", number === (item.classList.contains("dot") ? step : current));
+    }
+    for (const item of attempts) {
+      const number = Number(item.dataset.segment);
+      item.classList.toggle("current", number === segment);
+      item.classList.toggle("future", number > segment);
     }
     if (cursor && dots[step]) {
       for (const end of ["x1", "x2"]) cursor.setAttribute(end, dots[step].getAttribute("cx"));
     }
-    find("slider").value = String(step);
-    find("slider").setAttribute("aria-valuetext", `Step ${step} of ${last}`);
-    find("count").textContent = `${step} / ${last}`;
-    find("caption").textContent = data.captions[step];
+    if (!clock.exact) find("slider").value = String(step);
+    find("caption").textContent = caption;
   }
 
-  function goTo(step) {
+  /* What is said about this very moment. */
+  function tell({ count, text, doing, outcome, good }) {
+    find("slider").setAttribute("aria-valuetext", text);
+    find("count").textContent = count;
+    if (!find("doing")) return;
+    find("doing-words").textContent = doing;
+    const chip = find("outcome");
+    chip.textContent = outcome;
+    chip.className = `chip ${good ? "good" : "bad"}`;
+  }
+
+  function goTo(now) {
     pause();
-    moveTo(step);
-    history.replaceState(null, "", `#step=${shown}`);
+    moveTo(now);
+    const place = clock.exact ? `#t=${time.toFixed(2)}` : `#step=${clock.at(time).step}`;
+    history.replaceState(null, "", place);
   }
 
   function pause() {
@@ -81,10 +117,12 @@
 
   function tick(now) {
     if (!playing) return;
-    const passed = Math.max(now - before, 0) / 1000 / SECONDS_PER_STEP * Number(find("speed").value);
+    const speed = Number(find("speed").value);
+    const passed = Math.max(now - before, 0) / 1000 * clock.speed * speed;
     if (calm.matches) {
       // No movement asked for: show each step as it stands, then jump to the next.
-      if (passed >= 1) { before = now; moveTo(Math.floor(time) + 1); }
+      const pause = 1000 * SECONDS_PER_STEP / (clock.exact ? 1 : speed);
+      if (now - before >= pause) { before = now; moveTo(next()); }
     } else {
       before = now;
       moveTo(time + passed);
@@ -93,12 +131,15 @@
   }
 
   function fromAddress() {
-    const match = /^#step=(\d+)$/.exec(location.hash);
-    return match ? Math.min(Number(match[1]), last) : last;
+    const step = /^#step=(\d+)$/.exec(location.hash);
+    if (step) return Math.min(clock.timeOf(Number(step[1])), last);
+    const moment = clock.exact && /^#t=(\d+(?:\.\d+)?)$/.exec(location.hash);
+    return moment ? Math.min(Number(moment[1]), last) : last;
   }
 
-  const back = () => goTo(Math.ceil(time) - 1);
-  const forward = () => goTo(Math.floor(time) + 1);
+  const next = () => clock.marks.find((mark) => mark > time + 1e-6) ?? last;
+  const back = () => goTo(clock.marks.findLast((mark) => mark < time - 1e-6) ?? 0);
+  const forward = () => goTo(next());
   const toggle = () => { if (playing) { pause(); } else { play(); } };
   find("first").addEventListener("click", () => goTo(0));
   find("back").addEventListener("click", back);
@@ -106,10 +147,13 @@
   find("last").addEventListener("click", () => goTo(last));
   playButton.addEventListener("click", toggle);
   find("reset-view").addEventListener("click", () => stage.resetView());
+  find("near-view")?.addEventListener("click", () => stage.nearView());
   find("slider").addEventListener("input", (event) => goTo(Number(event.target.value)));
   document.addEventListener("click", (event) => {
     const item = event.target.closest(".block, .dot, button[data-step]");
-    if (item) goTo(Number(item.dataset.step));
+    if (item) goTo(clock.timeOf(Number(item.dataset.step)));
+    const attempt = event.target.closest("[data-segment]:is(button, rect)");
+    if (attempt) goTo(data.arm.segments[Number(attempt.dataset.segment)].start + 0.01);
   });
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;

@@ -1,0 +1,195 @@
+"""Everything that is decided before the arm moves: which way round, how high, along which ways."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from learn2assemble.robot.approach import JointColumn, joint_column, joint_columns, turning
+from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.inverse import solve
+from learn2assemble.robot.kinematics import forward, get_chain
+from learn2assemble.robot.mjcf import World
+from learn2assemble.robot.motion import LEVEL, OPENING, crossing_height
+from learn2assemble.robot.order import Order
+from learn2assemble.robot.outcome import Outcome
+from learn2assemble.robot.scene import Move
+from learn2assemble.robot.transit import Surroundings, Touch, straight_or_tree
+from learn2assemble.world.blocks import EDGE
+
+PRESS = 0.004
+"""Columns begin so far below the ordered place [m]: what is held is lowered until it rests."""
+MAX_RAISES = 4
+"""How often the crossing is tried again, a level higher."""
+_MAX_LIFTS, _UP = 8, np.array([0.0, 0.0, LEVEL])
+
+
+class Failure(Exception):
+    """What broke a pick and place off, or spoiled it.
+
+    Args:
+        outcome: its kind.
+        stage: one of :data:`~.recording.STAGES`, or ``rest`` once the arm is done.
+        detail: one line.
+    """
+
+    def __init__(self, outcome: Outcome, stage: str, detail: str) -> None:
+        super().__init__(f"{outcome.label} ({stage}): {detail}")
+        self.outcome, self.stage, self.detail = outcome, stage, detail
+
+
+class Plan(NamedTuple):
+    """Joint positions over both places."""
+
+    pick: JointColumn
+    """Over the grasped cell, from :data:`PRESS` below the contact."""
+    place: JointColumn
+    """Over the target, likewise."""
+    move: Move
+    """The order, with the fingers exchanged where that is easier."""
+    height: float
+    """Of the tool while crossing [m]."""
+
+
+class Course(NamedTuple):
+    """A plan and the ways between its columns, each float64[k, n]: joint positions [rad] whose
+    straight connections are free."""
+
+    plan: Plan
+    there: np.ndarray
+    """From where the arm is to above the object."""
+    across: np.ndarray
+    """From there to above the target."""
+    home: np.ndarray | None
+    """From there home; None if the arm is to stay."""
+
+
+def prepare(
+    arm: Arm, world: World, order: Order, joints: np.ndarray | None, go_home: bool, precheck: bool
+) -> Course:
+    """The course of an attempt.
+
+    Args:
+        arm: the robot.
+        world: model of the cell.
+        order: what is asked.
+        joints: float64[n] where the arm is [rad]; by default its :func:`rest_pose`.
+        go_home: whether it returns to its home pose.
+        precheck: whether an occupied target is a failure already.
+
+    Raises:
+        Failure: where there is none.
+    """
+    around = Surroundings(arm, world, order.poses, order.names)
+    plan = _plan(arm, around, order)
+    if precheck:
+        around.put(order.target, *order.in_world(plan.move.grasp, plan.move.place), OPENING)
+        hit = around.overlap(order.target)
+        if hit is not None:
+            name = order.names[order.target]
+            raise Failure(Outcome.PLACE_COLLISION, "place", f"{name} would overlap {hit}")
+    plan, across = _across(arm, around, order, plan)
+    around.empty(OPENING)
+    start = rest_pose(arm, around) if joints is None else joints
+    there = _way(around, start, plan.pick.joints[-1], "approach")
+    home = None
+    if go_home:
+        pose = order.in_world(plan.move.grasp, plan.move.place)
+        around.put(order.target, *pose, OPENING)
+        home = _way(around, plan.place.joints[-1], rest_pose(arm, around), "home")
+    return Course(plan, there, across, home)
+
+
+def rest_pose(arm: Arm, around: Surroundings) -> np.ndarray:
+    """Where the arm waits, float64[n] [rad]: at home, or above it where something stands there."""
+    position, rotation = forward(get_chain(arm), arm.home)
+    for level in range(_MAX_LIFTS):
+        found = solve(arm, position + level * _UP, rotation, arm.home)
+        joints = arm.home if level == 0 else found.joints
+        if found.ok and around.touch(joints) is None:
+            return joints
+    return arm.home
+
+
+def _plan(arm: Arm, around: Surroundings, order: Order) -> Plan:
+    """As ordered or with the fingers exchanged: whatever meets less, then what turns less."""
+    height = crossing_height(order.scene, order.move)
+    given = order.move
+    flipped = given._replace(grasp=given.grasp.flipped(), place=given.place.flipped())
+    found: list[tuple[int, float, Plan]] = []
+    reasons: list[Failure] = []
+    for move in (given, flipped):
+        centre = order.scene.position[move.cell]
+        around.empty(OPENING)
+        pick = _choose(
+            around, joint_columns(arm, centre, move.grasp, height, PRESS), order.target
+        )  # fmt: skip
+        if isinstance(pick, str):
+            reasons.append(Failure(Outcome.UNREACHABLE, "pick", pick))
+            continue
+        around.carry(order.target, *order.in_hand(move.grasp), EDGE)
+        place = _choose(around, joint_columns(arm, move.target, move.place, height, PRESS), None)
+        if isinstance(place, str):
+            reasons.append(Failure(Outcome.UNREACHABLE, "place", place))
+            continue
+        plan = Plan(pick[0], place[0], move, height)
+        ways = [arm.home, *plan.pick.joints[::-1], *plan.place.joints, arm.home]
+        found.append((pick[1] + place[1], turning(arm, ways), plan))
+    if not found:
+        raise reasons[0]
+    return min(found, key=lambda one: one[:2])[2]
+
+
+def _choose(
+    around: Surroundings, columns: Iterator[JointColumn | str], besides: int | None
+) -> tuple[JointColumn, int] | str:
+    """The first column that meets nothing but perhaps the object ``besides``, and 0; else the
+    first one, and 1: the motion will tell. If there is none, why."""
+    first, reason = None, ""
+    for found in columns:
+        if isinstance(found, str):
+            reason = reason or found
+            continue
+        hits = (around.touch(q, 0.0, besides) for q in found.joints[1:])
+        hit = next((hit for hit in hits if hit), None)
+        if hit is None:
+            return found, 0
+        first = first or found
+        if not hit.by_link:
+            # Another branch moves the links, not what is at their end.
+            break
+    return reason if first is None else (first, 1)
+
+
+def _across(arm: Arm, around: Surroundings, order: Order, plan: Plan) -> tuple[Plan, np.ndarray]:
+    """The plan, higher where that gives a straight free way, and the way."""
+    around.carry(order.target, *order.in_hand(plan.move.grasp), EDGE)
+    hit = around.blocked(plan.pick.joints[-1], plan.place.joints[-1])
+    for levels in range(1, MAX_RAISES + 1) if hit else ():
+        higher = _raised(arm, order, plan, levels)
+        if higher is None:
+            break
+        ends = higher.pick.joints[-1], higher.place.joints[-1]
+        if around.blocked(*ends) is None:
+            return higher, np.array(ends)
+    return plan, _way(around, plan.pick.joints[-1], plan.place.joints[-1], "cross")
+
+
+def _raised(arm: Arm, order: Order, plan: Plan, levels: int) -> Plan | None:
+    """The plan on the same branches, crossing some levels higher."""
+    height, move = plan.height + levels * LEVEL, plan.move
+    centre = order.scene.position[move.cell]
+    pick = joint_column(arm, centre, move.grasp, height, PRESS, plan.pick.joints[0])
+    place = joint_column(arm, move.target, move.place, height, PRESS, plan.place.joints[0])
+    if isinstance(pick, str) or isinstance(place, str):
+        return None
+    return Plan(pick, place, move, height)
+
+
+def _way(around: Surroundings, start: np.ndarray, end: np.ndarray, stage: str) -> np.ndarray:
+    way = straight_or_tree(around, start, end)
+    if isinstance(way, Touch):
+        raise Failure(Outcome.UNREACHABLE, stage, f"no free way: {way.words}")
+    return way

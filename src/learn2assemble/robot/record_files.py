@@ -1,0 +1,240 @@
+"""``trajectory.json``: everything about what the arm did (``docs/trajectory.md``).
+
+Numbers are rounded to six decimals (micrometres, microradians), so the same record gives the same
+bytes, and reading and writing a file again changes nothing.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.robot.outcome import Outcome
+from learn2assemble.robot.record import ArmFacts, BuildRecord, Samples, Stage, StepRecord
+from learn2assemble.robot.recording import STAGES
+
+FORMAT, VERSION = "learn2assemble-trajectory", 1
+DECIMALS = 6
+OUTCOMES = {outcome.label: outcome for outcome in Outcome}
+
+
+def write_record(record: BuildRecord, path: Path) -> None:
+    """Write ``trajectory.json``.
+
+    Raises:
+        InputError: where ``path`` cannot be written, or the record holds no finite number.
+    """
+    write_text(_text(record_data(record)) + "\n", "trajectory", path)
+
+
+def read_record(path: Path) -> BuildRecord:
+    """Read what :func:`write_record` has written.
+
+    Raises:
+        InputError: where it is no such file; :func:`~.record_check.find_fault` looks further.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or "not JSON"
+        raise InputError("trajectory", str(path), f"a trajectory.json ({reason})") from None
+    return record_from(data)
+
+
+def record_data(record: BuildRecord) -> dict[str, Any]:
+    """The content of ``trajectory.json``: plain numbers, words and lists."""
+    arm = record.arm
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "units": "s, m, rad; world frame, z up",
+        "arm": {
+            "name": arm.name, "joints": list(arm.joints),
+            "lower": _plain(arm.lower), "upper": _plain(arm.upper),
+            "velocity": _plain(arm.velocity), "acceleration": _plain(arm.acceleration),
+            "base_position": _plain(arm.base_position), "base_yaw": _plain(arm.base_yaw),
+            "tool": arm.tool, "max_width": _plain(arm.max_width),
+        },
+        "rate": _plain(record.rate),
+        "block_edge": _plain(record.block_edge),
+        "objects": [list(map(int, cells)) for cells in record.objects],
+        "simulated_by": record.simulated_by,
+        "steps": [_step_data(step) for step in record.steps],
+    }  # fmt: skip
+
+
+def _step_data(step: StepRecord) -> dict[str, Any]:
+    samples = step.samples
+    return {
+        "step": step.number,
+        "plan_step": step.plan_step,
+        "cells": list(map(int, step.cells)),
+        "target": _plain(step.target),
+        "outcome": step.outcome.label,
+        "detail": step.detail,
+        "replanned": step.replanned,
+        "stages": [[s.name, _plain(s.start), _plain(s.end)] for s in step.stages],
+        "grip": None if step.grip is None else _plain(step.grip),
+        "release": None if step.release is None else _plain(step.release),
+        "before": _plain(step.before),
+        "after": _plain(step.after),
+        "time": _plain(samples.time),
+        "joints": _plain(samples.joints),
+        "velocity": _plain(samples.velocity),
+        "width": _plain(samples.width),
+    }
+
+
+def record_from(data: Any) -> BuildRecord:
+    """The record that a parsed ``trajectory.json`` describes.
+
+    Raises:
+        InputError: where it is none, naming the field.
+    """
+    if not isinstance(data, Mapping) or data.get("format") != FORMAT:
+        raise InputError("trajectory", type(data).__name__, f"a {FORMAT} file")
+    if data.get("version") != VERSION:
+        raise InputError("trajectory.version", data.get("version"), str(VERSION))
+    where = "trajectory"
+    try:
+        facts = _arm_from(data["arm"])
+        objects = tuple(tuple(int(c) for c in cells) for cells in data["objects"])
+        count, steps = sum(map(len, objects)), []
+        for k, item in enumerate(data["steps"]):
+            where = f"trajectory.steps[{k}]"
+            steps.append(_step_from(item, where, len(facts.joints), count))
+        where = "trajectory"
+        return BuildRecord(
+            arm=facts,
+            rate=_number("rate", data["rate"]),
+            block_edge=_number("block_edge", data["block_edge"]),
+            objects=objects,
+            simulated_by=str(data["simulated_by"]),
+            steps=tuple(steps),
+        )
+    except KeyError as error:
+        raise InputError(where, f"no field {error}", f"every field of a {FORMAT} file") from None
+    except (TypeError, AttributeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(where, str(error), f"a {FORMAT} file") from None
+
+
+def _arm_from(data: Mapping[str, Any]) -> ArmFacts:
+    joints = tuple(map(str, data["joints"]))
+
+    def per_joint(key: str) -> np.ndarray:
+        return array_of(f"arm.{key}", data[key], (len(joints),))
+
+    return ArmFacts(
+        name=str(data["name"]),
+        joints=joints,
+        lower=per_joint("lower"),
+        upper=per_joint("upper"),
+        velocity=per_joint("velocity"),
+        acceleration=per_joint("acceleration"),
+        base_position=array_of("arm.base_position", data["base_position"], (3,)),
+        base_yaw=_number("arm.base_yaw", data["base_yaw"]),
+        tool=str(data["tool"]),
+        max_width=_number("arm.max_width", data["max_width"]),
+    )
+
+
+def _step_from(item: Mapping[str, Any], where: str, n: int, cells: int) -> StepRecord:
+    times = len(item["time"])
+    if item["outcome"] not in OUTCOMES:
+        raise UnknownNameError(f"{where}.outcome", item["outcome"], OUTCOMES)
+    for name, *_ in item["stages"]:
+        if name not in STAGES:
+            raise UnknownNameError(f"{where}.stages", name, STAGES)
+
+    def array(key: str, *shape: int) -> np.ndarray:
+        return array_of(f"{where}.{key}", item[key], shape)
+
+    return StepRecord(
+        number=int(item["step"]),
+        plan_step=None if item["plan_step"] is None else int(item["plan_step"]),
+        cells=tuple(int(c) for c in item["cells"]),
+        target=array("target", 7),
+        outcome=OUTCOMES[item["outcome"]],
+        detail=str(item["detail"]),
+        replanned=bool(item["replanned"]),
+        stages=tuple(
+            Stage(str(name), *array_of(f"{where}.stages", times, (2,)).tolist())
+            for name, *times in item["stages"]
+        ),
+        grip=_time(f"{where}.grip", item["grip"]),
+        release=_time(f"{where}.release", item["release"]),
+        samples=Samples(
+            array("time", times), array("joints", times, n), array("velocity", times, n),
+            array("width", times),
+        ),
+        before=array("before", cells, 7),
+        after=array("after", cells, 7),
+    )  # fmt: skip
+
+
+def write_text(text: str, what: str, path: Path) -> None:
+    """Write a file.
+
+    Raises:
+        InputError: where ``path`` cannot be written.
+    """
+    try:
+        path.write_text(text, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise InputError(what, str(path), f"a writable file ({error.strerror})") from None
+
+
+def rounded(values: np.ndarray) -> np.ndarray:
+    """To six decimals."""
+    return np.round(values, DECIMALS) + 0.0  # no minus zero
+
+
+def _plain(value: Any) -> Any:
+    array = np.asarray(value, float)
+    if not np.isfinite(array).all():
+        raise InputError("trajectory", array.tolist(), "finite numbers")
+    return rounded(array).tolist()
+
+
+def _number(what: str, value: Any) -> float:
+    return float(array_of(what, value, ()))
+
+
+def _time(what: str, value: Any) -> float | None:
+    return None if value is None else _number(what, value)
+
+
+def array_of(what: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """Plain numbers as float64 of this shape, finite, or an InputError."""
+    try:
+        array = np.array(value, float)
+    except (TypeError, ValueError):
+        array = np.full((1,) * (len(shape) + 1), np.nan)
+    if array.size == 0 and 0 in shape:
+        return np.empty(shape)
+    if array.shape != shape or not np.isfinite(array).all():
+        size = " x ".join(map(str, shape))
+        raise InputError(what, value, f"{size} finite numbers" if shape else "a finite number")
+    return array
+
+
+def _text(value: Any, indent: int = 0) -> str:
+    """JSON with one line per row of numbers, and everything else indented."""
+    inner = value.values() if isinstance(value, dict) else value
+    if not isinstance(value, dict | list) or not any(isinstance(v, dict | list) for v in inner):
+        return json.dumps(value, ensure_ascii=False, allow_nan=False)
+    if isinstance(value, dict):
+        parts = [f"{json.dumps(k)}: {_text(v, indent + 1)}" for k, v in value.items()]
+        left, right = "{", "}"
+    else:
+        parts = [_text(v, indent + 1) for v in value]
+        left, right = "[", "]"
+    between = "\n" + " " * (indent + 1)
+    return left + between + f",{between}".join(parts) + between[:-1] + right

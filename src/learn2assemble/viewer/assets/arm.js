@@ -1,0 +1,199 @@
+"use strict";
+/* The arm of a record. Its clock runs in seconds; segments are the steps of the record, one after
+   the other. What happens when is decided where the page is written; here it is only played. */
+
+/* The clock of a build by an arm, for the timeline. */
+function armClock(data) {
+  const { segments, duration } = data.arm;
+  const minutes = (t) => `${Math.floor(t / 60)}:${String(Math.floor(t % 60)).padStart(2, "0")}`;
+  const index = (t) => {
+    const found = segments.findIndex((segment) => t <= segment.end + 1e-6);
+    return found < 0 ? segments.length - 1 : found;
+  };
+  // Steps of the plan that are done before each segment.
+  let done = 0;
+  const before = segments.map((segment) => {
+    const now = done;
+    if (segment.reached && segment.step !== null) done = segment.step;
+    return now;
+  });
+  return {
+    last: duration,
+    speed: 1,
+    marks: [0, ...segments.map((segment) => segment.end)],
+    exact: true,
+    index,
+    timeOf(step) {
+      if (step <= 0) return 0;
+      const found = segments.find((segment) => segment.reached && segment.step === step);
+      return found ? found.end : duration;
+    },
+    at(t) {
+      const k = index(t), segment = segments[k];
+      const count = `${minutes(t)} / ${minutes(duration)}`;
+      if (t <= 0) {
+        return { step: 0, current: -1, segment: -1, count, caption: data.arm.start,
+          doing: "The arm waits.", outcome: "start", good: true, text: `${minutes(0)}, start` };
+      }
+      const counts = segment.reached && segment.step !== null;
+      const stage = segment.stages.find(([from, to]) => t >= from - 1e-6 && t <= to + 1e-6);
+      let doing = `The arm ${stage ? stage[2] : segment.moves ? "stands still" : segment.still}.`;
+      if (t >= duration) doing = "The build is over.";
+      return {
+        step: counts ? segment.step : before[k], current: counts ? segment.step : -1, segment: k,
+        count, caption: segment.caption, doing, good: segment.reached,
+        outcome: `attempt ${k + 1} of ${segments.length}: ${segment.outcome}`,
+        text: `${minutes(t)}, attempt ${k + 1} of ${segments.length}: ${doing}`,
+      };
+    },
+  };
+}
+
+/* The arm and the blocks as one actor of the stage. */
+function createArm(data, tools) {
+  const { edge, coloured, colours } = tools;
+  const arm = data.arm, group = new THREE.Group();
+  const clock = armClock(data);
+  const turned = ([w, x, y, z]) => new THREE.Quaternion(x, y, z, w);
+  const placed = (parent, { offset, turn }) => {
+    const node = new THREE.Group();
+    node.position.set(...offset);
+    node.quaternion.copy(turned(turn));
+    parent.add(node);
+    return node;
+  };
+
+  // The chain: every joint turns about the z axis of its own frame.
+  const joints = [];
+  let end = group;
+  for (const joint of arm.joints) {
+    const turning = new THREE.Group();
+    placed(end, joint).add(turning);
+    joints.push(turning);
+    end = turning;
+  }
+  const tool = placed(end, arm.tool);
+  const fingers = arm.fingers.map((finger) => placed(end, finger));
+  const frames = [...joints, ...fingers];
+  for (const part of arm.parts) (part.frame < 0 ? group : frames[part.frame]).add(mesh(part));
+
+  const samples = unpack(arm.samples), wide = joints.length + 1, count = samples.length / wide;
+
+  const cells = arm.cells.map(makeCell);
+  for (const filler of arm.fillers) addFiller(filler);
+  const owner = new Map(); // cell -> the segment that puts it into the structure
+  arm.segments.forEach((segment, k) => {
+    if (segment.reached) for (const cell of segment.cells) owner.set(cell, k);
+  });
+  // Where everything is before each segment.
+  const states = [arm.cells.map(({ position, quaternion }) => [new THREE.Vector3(...position), turned(quaternion)])];
+  for (const segment of arm.segments) {
+    const next = states[states.length - 1].slice();
+    for (const [cell, [position, quaternion]] of Object.entries(segment.after)) {
+      next[cell] = [new THREE.Vector3(...position), turned(quaternion)];
+    }
+    states.push(next);
+  }
+  arm.cells.forEach(({ number, position }) => { if (number !== 0) tools.addPlace(position); });
+
+  const ghostLine = coloured(new THREE.LineBasicMaterial({ transparent: true, opacity: 0.9 }), "current");
+  const ghost = new THREE.LineSegments(
+    new THREE.EdgesGeometry(new THREE.BoxGeometry(edge, edge, edge)), ghostLine);
+  group.add(ghost);
+  const toolPlace = new THREE.Vector3(), toolTurn = new THREE.Quaternion();
+
+  return { group, update };
+
+  function update(now) {
+    const k = clock.index(now), segment = arm.segments[k];
+    const time = segment.moves ? now - segment.delay : segment.start - segment.delay;
+    pose(time);
+    cells.forEach(({ group: cube, material }, cell) => {
+      const [position, quaternion] = states[k][cell];
+      cube.position.copy(position);
+      cube.quaternion.copy(quaternion);
+      material.color.set(colours()[colourOf(cell, k, now)]);
+    });
+    for (const glide of segment.glides) follow(glide, segment, now, cells[glide.cell].group);
+    const held = segment.glides.find((glide) => glide.grip !== null);
+    ghost.visible = now > 0 && now < arm.duration && !(held && now > held.release);
+    const [x, y, z, ...quaternion] = segment.target;
+    ghost.position.set(x, y, z);
+    ghost.quaternion.copy(turned(quaternion));
+  }
+
+  function pose(time) {
+    const at = Math.min(Math.max(time * arm.rate, 0), count - 1);
+    const low = Math.min(Math.floor(at), Math.max(count - 2, 0)), share = at - low;
+    const high = Math.min(low + 1, count - 1);
+    const value = (j) => samples[low * wide + j] + share * (samples[high * wide + j] - samples[low * wide + j]);
+    joints.forEach((joint, j) => { joint.rotation.z = value(j); });
+    const width = value(wide - 1);
+    fingers.forEach((finger, j) => {
+      const { offset, travel } = arm.fingers[j];
+      finger.position.set(...offset.map((v, axis) => v + width * travel[axis]));
+    });
+  }
+
+  /* A cell that moves in this segment: held, or gliding to where it comes to rest. */
+  function follow(glide, segment, now, cube) {
+    if (glide.grip !== null && now < glide.release) {
+      if (now < glide.grip) return;
+      tool.updateWorldMatrix(true, false);
+      tool.getWorldPosition(toolPlace);
+      tool.getWorldQuaternion(toolTurn);
+      cube.position.set(...glide.offset).applyQuaternion(toolTurn).add(toolPlace);
+      cube.quaternion.copy(toolTurn).multiply(turned(glide.turn));
+      return;
+    }
+    const share = Math.min(Math.max((now - glide.release) / Math.max(glide.end - glide.release, 1e-9), 0), 1);
+    const eased = glide.falls ? share * share : share * share * (3 - 2 * share);
+    const [position, quaternion] = segment.after[glide.cell];
+    cube.position.set(...glide.position).lerp(new THREE.Vector3(...position), eased);
+    cube.quaternion.copy(turned(glide.quaternion)).slerp(turned(quaternion), eased);
+  }
+
+  function colourOf(cell, k, now) {
+    const { number, kind } = arm.cells[cell];
+    if (number === 0) return kind;
+    if (arm.segments[k].cells.includes(cell) && now > 0) return "current";
+    return owner.has(cell) && owner.get(cell) < k ? kind : "waiting";
+  }
+
+  function makeCell({ number }) {
+    const cube = tools.cube(number ?? null);
+    group.add(cube.group);
+    return cube;
+  }
+
+  /* Neighbouring cells of one object are glued together. */
+  function addFiller({ cell, middle, yaw, gap }) {
+    const thin = Math.max(gap, 0.0005), box = new THREE.BoxGeometry(thin, edge * 0.98, edge * 0.98);
+    const piece = new THREE.Mesh(box, cells[cell].material);
+    piece.position.set(...middle);
+    piece.rotation.z = yaw;
+    piece.castShadow = piece.receiveShadow = true;
+    cells[cell].group.add(piece);
+  }
+
+  function mesh(part) {
+    const geometry = new THREE.BufferGeometry();
+    geometry.setAttribute("position", new THREE.Float32BufferAttribute(unpack(part.vertices), 3));
+    geometry.setAttribute("normal", new THREE.Float32BufferAttribute(unpack(part.normals), 3));
+    const raw = bytes(part.faces).buffer;
+    geometry.setIndex([...(part.wide ? new Uint32Array(raw) : new Uint16Array(raw))]);
+    const [red, green, blue] = part.colour;
+    const material = new THREE.MeshStandardMaterial({ roughness: 0.55, metalness: 0.05 });
+    material.color.setRGB(red, green, blue, THREE.SRGBColorSpace);
+    const made = new THREE.Mesh(geometry, material);
+    made.castShadow = made.receiveShadow = true;
+    return made;
+  }
+
+  function bytes(text) { return Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)); }
+
+  function unpack({ low, scale, bytes: size, data: text }) {
+    const raw = bytes(text), whole = size === 1 ? raw : new Uint16Array(raw.buffer);
+    return Float32Array.from(whole, (value, k) => low[k % low.length] + value * scale[k % low.length]);
+  }
+}

@@ -1,0 +1,194 @@
+"""The robot cell of a record as triangles: table, outlines, arm and blocks.
+
+Every thing in one colour that moves as one is a *body*. Bodies, in order: what stands still and
+is never shaded (outlines, waiting places), the frame that shows where a block goes, the table,
+the parts of the arm, the cells, and what fills the gaps inside objects.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from learn2assemble.robot.meshes import Mesh, box
+from learn2assemble.robot.scene import fillers
+from learn2assemble.viewer.lettering import number_picture
+from learn2assemble.viewer.playback import Playback, split
+from learn2assemble.viewer.raster import BLOCK, GROUND, LIT, PLAIN
+from learn2assemble.viewer.render import Triangles
+from learn2assemble.viewer.scene import Scene
+from learn2assemble.viewer.shading import NUMBER_SIZE
+from learn2assemble.viewer.turns import rotation_of
+
+_FACES = (
+    ((0, -1, 0), (1, 0, 0), (0, 0, 1)), ((0, 1, 0), (-1, 0, 0), (0, 0, 1)),
+    ((1, 0, 0), (0, 1, 0), (0, 0, 1)), ((-1, 0, 0), (0, -1, 0), (0, 0, 1)),
+    ((0, 0, 1), (1, 0, 0), (0, 1, 0)), ((0, 0, -1), (1, 0, 0), (0, -1, 0)),
+)  # fmt: skip
+"""Of every face of a cube: outward, right and up as seen from outside."""
+
+
+class CellModel(NamedTuple):
+    """Triangles and which body is what."""
+
+    triangles: Triangles
+    numbers: np.ndarray
+    """float32[n, s, s]: pictures of the numbers."""
+    outline: int
+    """Body of the target outlines; likewise the next four."""
+    places: int
+    goal: int
+    table: int
+    arm: int
+    """First of the arm's parts."""
+    cells: int
+    """First of the cells."""
+    fillers: np.ndarray
+    """int64[f, 2]: the cells whose gap the last bodies fill."""
+    count: int
+
+
+class _Collector:
+    """Triangles of all bodies, one after the other."""
+
+    def __init__(self) -> None:
+        self.rows: list[tuple[np.ndarray, ...]] = []
+        self.vertices = self.bodies = 0
+
+    def body(self) -> int:
+        self.bodies += 1
+        return self.bodies - 1
+
+    def add(
+        self, body: int, mesh: Mesh, kind: int, marks: np.ndarray | None = None, number: int = -1
+    ) -> None:
+        v, f = len(mesh.vertices), len(mesh.faces)
+        self.rows.append((
+            mesh.vertices, mesh.normals, np.zeros((v, 2)) if marks is None else marks,
+            np.full(v, body), mesh.faces + self.vertices, np.full(f, kind), np.full(f, number),
+        ))  # fmt: skip
+        self.vertices += v
+
+    def triangles(self) -> Triangles:
+        columns = [np.concatenate(column) for column in zip(*self.rows, strict=True)]
+        kinds = (np.float32, np.float32, np.float32, np.int32, np.int32, np.uint8, np.int32)
+        return Triangles(*(c.astype(k) for c, k in zip(columns, kinds, strict=True)))
+
+
+def cell_model(playback: Playback, scene: Scene, numbers: dict[int, int]) -> CellModel:
+    """The cell of a record.
+
+    Args:
+        scene: of the plan, for the outlines.
+        numbers: that stand on the cells; cells without one stay blank.
+    """
+    record, edge = playback.record, playback.record.block_edge
+    first, all_cells = record.steps[0].before, _Collector()
+    outline, places, goal, table = (all_cells.body() for _ in range(4))
+    for side in scene.elevations:
+        corners = side.face(edge)
+        for a, b in zip(corners, np.roll(corners, -1, 0), strict=True):
+            all_cells.add(outline, rod(a, b, edge / 22), PLAIN)
+    square = edge / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    for cell in range(record.num_cells):
+        if numbers.get(cell) != 0:
+            at = np.column_stack([first[cell, :2] + square, np.full(4, edge / 90)])
+            for a, b in zip(at, np.roll(at, -1, 0), strict=True):
+                all_cells.add(places, rod(a, b, edge / 90), PLAIN)
+    corner = edge / 2 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    for i, j in ((i, i | 1 << k) for i in range(8) for k in range(3) if not i >> k & 1):
+        all_cells.add(goal, rod(corner[i], corner[j], edge / 40), PLAIN)
+    all_cells.add(table, _table(playback, scene), GROUND)
+    arm = all_cells.bodies
+    for part in playback.shape.parts:
+        all_cells.add(all_cells.body(), part.mesh, LIT)
+    cells = all_cells.bodies
+    cube, marks = _cube(edge)
+    for cell in range(record.num_cells):
+        all_cells.add(all_cells.body(), cube, BLOCK, marks, cell)
+    pairs = _fillers(playback, first)
+    for a, b in pairs.tolist():
+        gap = float(np.linalg.norm(first[a, :3] - first[b, :3])) - edge
+        half = np.array([max(gap, 0.0005), 0.98 * edge, 0.98 * edge]) / 2
+        all_cells.add(all_cells.body(), box(half), LIT)
+    pictures = [number_picture(numbers.get(c), NUMBER_SIZE) for c in range(record.num_cells)]
+    return CellModel(
+        all_cells.triangles(), np.array(pictures), outline, places, goal, table, arm, cells,
+        pairs, all_cells.bodies,
+    )  # fmt: skip
+
+
+def body_poses(model: CellModel, playback: Playback, clock: float) -> tuple[np.ndarray, np.ndarray]:
+    """Where all bodies are at a time of the replay: float64[b, 3] [m] and float64[b, 3, 3]."""
+    position = np.zeros((model.count, 3))
+    rotation = np.tile(np.eye(3), (model.count, 1, 1))
+    joints, width = playback.arm_at(clock)
+    where, turned = playback.shape.frames(joints, width)
+    for k, part in enumerate(playback.shape.parts):
+        if part.frame >= 0:
+            position[model.arm + k] = where[part.frame]
+            rotation[model.arm + k] = turned[part.frame]
+    cells, quaternions = playback.cells_at(clock)
+    count = len(cells)
+    position[model.cells : model.cells + count] = cells
+    rotation[model.cells : model.cells + count] = rotation_of(quaternions)
+    for k, (a, b) in enumerate(model.fillers.tolist(), model.cells + count):
+        position[k] = (cells[a] + cells[b]) / 2
+        x = (cells[b] - cells[a]) / np.linalg.norm(cells[b] - cells[a])
+        z = rotation[model.cells + a, :, 2]
+        rotation[k] = np.stack([x, np.cross(z, x), z], 1)
+    target, quaternion = split(playback.segment_at(clock).step.target)
+    position[model.goal], rotation[model.goal] = target, rotation_of(quaternion)
+    return position, rotation
+
+
+def rod(a: np.ndarray, b: np.ndarray, radius: float) -> Mesh:
+    """A thin square bar from a to b, float64[3] each [m]."""
+    along = (b - a) / max(float(np.linalg.norm(b - a)), 1e-9)
+    side = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
+    side /= np.linalg.norm(side)
+    turn = np.stack([along, side, np.cross(along, side)], 1)
+    bar = box(np.array([np.linalg.norm(b - a) / 2 + radius, radius, radius]))
+    return Mesh(bar.vertices @ turn.T + (a + b) / 2, bar.normals @ turn.T, bar.faces)
+
+
+def _cube(edge: float) -> tuple[Mesh, np.ndarray]:
+    """A block whose faces know left, right, below and above: float64[24, 2] from 0 to 1."""
+    vertices, normals, marks, faces = [], [], [], []
+    for n, u, v in np.array(_FACES, float):
+        k = len(vertices)
+        for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
+            vertices.append(edge / 2 * (n + a * u + b * v))
+            normals.append(n)
+            marks.append(((a + 1) / 2, (b + 1) / 2))
+        faces += [(k, k + 1, k + 2), (k, k + 2, k + 3)]
+    return Mesh(np.array(vertices), np.array(normals), np.array(faces, np.int32)), np.array(marks)
+
+
+def _table(playback: Playback, scene: Scene) -> Mesh:
+    """The table top under all there is, its corners round."""
+    edge = playback.record.block_edge
+    points = [playback.record.steps[0].before[:, :2], playback.shape.chain.offset[:1, :2]]
+    points += [side.face(edge)[:, :2] for side in scene.elevations]
+    every = np.concatenate(points)
+    low, high = every.min(0) - 2.2 * edge, every.max(0) + 2.2 * edge
+    quarter = np.linspace(0, np.pi / 2, 9)
+    ring = []
+    for k, (sx, sy) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
+        centre = np.where(np.array([sx, sy]) > 0, high, low) - edge * np.array([sx, sy])
+        turn = quarter + k * np.pi / 2
+        ring.append(centre + edge * np.column_stack([np.cos(turn), np.sin(turn)]))
+    around = np.concatenate(ring)
+    flat = np.vstack([around.mean(0), around])
+    n = len(around)
+    faces = np.column_stack([np.zeros(n), 1 + np.arange(n), 1 + (np.arange(n) + 1) % n])
+    vertices = np.column_stack([flat, np.full(len(flat), -0.0004)])
+    return Mesh(vertices, np.tile([0.0, 0.0, 1.0], (len(flat), 1)), faces.astype(np.int32))
+
+
+def _fillers(playback: Playback, first: np.ndarray) -> np.ndarray:
+    owner = np.empty(playback.record.num_cells, np.int64)
+    for number, cells in enumerate(playback.record.objects):
+        owner[list(cells)] = number
+    return fillers(first[:, :3], owner)

@@ -1,0 +1,71 @@
+"""A headless browser that opens pages without a network, and what its pictures show."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+FLAT = ("--disable-gpu", "--disable-3d-apis")
+SPATIAL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+
+
+def find_browser() -> str:
+    """The browser's program; skips the test where there is none."""
+    found = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if found is None:
+        pytest.skip(f"no headless browser on PATH (looked for {', '.join(BROWSERS)})")
+    return found
+
+
+def browse(browser: str, folder: Path, address: str, *options: str) -> tuple[str, str]:
+    """Open a page without a network; standard output and the browser's log."""
+    folder.mkdir()
+    command = [
+        browser, "--headless", "--no-sandbox", "--disable-dev-shm-usage", "--disable-quic",
+        "--no-first-run", "--disable-background-networking", "--disable-component-update",
+        "--disable-sync", "--hide-scrollbars", "--enable-logging=stderr",
+        f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=4000", *options, address,
+    ]  # fmt: skip
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=180, check=False,
+        env={**os.environ, "HOME": str(folder)},
+    )  # fmt: skip
+    return done.stdout, done.stderr
+
+
+def _side_by_side(folder: Path, anchors: tuple[str, ...], size: tuple[int, int]) -> str:
+    """A page that shows the report at several anchors, so that one browser run sees them all."""
+    frames = "".join(
+        f'<iframe src="view.html#{anchor}" style="border:0;width:{size[0]}px;'
+        f'height:{size[1]}px;position:absolute;top:0;left:{index * size[0]}px"></iframe>'
+        for index, anchor in enumerate(anchors)
+    )
+    (folder / "frames.html").write_text(f"<!doctype html><body>{frames}", encoding="utf-8")
+    return (folder / "frames.html").as_uri()
+
+
+def shoot(
+    browser: str, folder: Path, anchors: tuple[str, ...], size: tuple[int, int], *options: str
+) -> tuple[list[np.ndarray], str]:
+    """The picture of ``view.html`` in ``folder`` at every anchor, and the browser's log."""
+    shot = folder / "shot.png"
+    _, log = browse(
+        browser, folder / "run", _side_by_side(folder, anchors, size), *options,
+        f"--screenshot={shot}", f"--window-size={size[0] * len(anchors)},{size[1]}",
+    )  # fmt: skip
+    assert shot.is_file(), log
+    image = imread(shot)
+    return [image[:, k * size[0] : (k + 1) * size[0]] for k in range(len(anchors))], log
+
+
+def pixels(image: np.ndarray, colour: str) -> int:
+    """Pixels within two levels of a colour."""
+    wanted = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)])
+    return int((np.abs(np.rint(255 * image[..., :3]) - wanted) <= 2).all(-1).sum())

@@ -1,0 +1,158 @@
+"""What is decided before the arm moves: columns of joint positions and free ways."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from learn2assemble.robot.approach import JUMP, SPACING, JointColumn, joint_column, joint_columns
+from learn2assemble.robot.arm import get_arm
+from learn2assemble.robot.grasps import Attitude, get_grasps
+from learn2assemble.robot.inverse import solve
+from learn2assemble.robot.kinematics import forward, get_chain
+from learn2assemble.robot.mjcf import compile_world
+from learn2assemble.robot.motion import OPENING
+from learn2assemble.robot.order import take_order
+from learn2assemble.robot.prepare import PRESS, Failure, prepare
+from learn2assemble.robot.scene import Move, Scene
+from learn2assemble.robot.transit import Surroundings, Touch, straight_or_tree
+
+PANDA = get_arm("panda")
+AA = get_grasps("along-y")[0]
+
+
+def tower(levels: int) -> Scene:
+    """A block that waits at the left, and a tower between it and the right."""
+    cells = [(0.0, 0.0, 0.025 + 0.05 * k) for k in range(levels)]
+    position = np.array([*cells, (0.0, -0.25, 0.025)])
+    return Scene(position, np.zeros(levels + 1), np.arange(levels + 1), levels)
+
+
+def around(scene: Scene) -> Surroundings:
+    order = take_order(scene, Move(scene.num_placed, np.array([0.0, 0.25, 0.025]), *AA))
+    found = Surroundings(
+        PANDA, compile_world(PANDA, order.objects.shape, 1.0), order.poses, order.names
+    )
+    found.empty(OPENING)
+    return found
+
+
+def over(y: float, z: float = 0.15) -> np.ndarray:
+    found = solve(PANDA, np.array([0.0, y, z]), Attitude().rotation())
+    assert found.ok
+    return found.joints
+
+
+# ---------------------------------------------------------------- columns
+
+
+@given(
+    st.sampled_from(["panda", "ur5e"]), st.floats(-0.2, 0.2), st.floats(-0.35, 0.2),
+    st.floats(0.0, 0.2), st.sampled_from([0.0, -np.pi / 2, np.pi]),
+    st.sampled_from([0.0, np.pi / 6]),
+)  # fmt: skip
+@settings(max_examples=12, deadline=None)
+def test_columns_stay_on_one_branch_and_on_their_line(
+    name: str, x: float, y: float, z: float, yaw: float, tilt: float
+) -> None:
+    arm, attitude = get_arm(name), Attitude(yaw, tilt)
+    centre = np.array([x, y, 0.025 + z])
+    for found in joint_columns(arm, centre, attitude, 0.3, PRESS):
+        if isinstance(found, str):
+            assert found.startswith("tool at")
+            continue
+        assert np.abs(np.diff(found.joints, axis=0)).max() <= JUMP
+        assert arm.inside_limits(found.joints).all()
+        assert found.rise[0] == -PRESS
+        assert np.diff(found.rise).max() <= SPACING + 1e-9
+        poses = [forward(get_chain(arm), q) for q in found.joints]
+        for _, rotation in poses:
+            np.testing.assert_allclose(rotation, attitude.rotation(), atol=1e-5)
+        contact = int(np.argmin(np.abs(found.rise)))
+        np.testing.assert_allclose(poses[contact][0], attitude.tool_point(centre), atol=1e-5)
+        way = np.linalg.norm(np.diff([p for p, _ in poses], axis=0), axis=1)
+        np.testing.assert_allclose(np.cumsum(way), found.rise[1:] + PRESS, atol=1e-4)
+
+
+def test_near_the_base_other_branches_are_found() -> None:
+    """Starting from home leads into a joint limit there."""
+    centre = np.array([-0.269, -0.15, 0.025])
+    found = list(joint_columns(PANDA, centre, Attitude(), 0.3, PRESS))
+    assert isinstance(found[0], str)
+    assert any(isinstance(one, JointColumn) for one in found)
+    assert isinstance(joint_column(PANDA, centre, Attitude(), 0.3), JointColumn)
+    far = joint_column(PANDA, np.array([0.9, 0.0, 0.025]), Attitude(), 0.3)
+    assert isinstance(far, str)
+    assert "out of reach" in far
+
+
+# ---------------------------------------------------------------- ways
+
+
+def test_the_straight_way_is_taken_where_it_is_free() -> None:
+    way = straight_or_tree(around(tower(1)), over(-0.25), over(0.25))
+    assert isinstance(way, np.ndarray)
+    assert len(way) == 2
+
+
+def test_a_tower_is_gone_round() -> None:
+    there = around(tower(6))
+    start, end = over(-0.25), over(0.25)
+    hit = there.blocked(start, end)
+    assert hit is not None
+    way = straight_or_tree(there, start, end)
+    assert isinstance(way, np.ndarray)
+    assert len(way) > 2
+    np.testing.assert_array_equal(way[0], start)
+    np.testing.assert_array_equal(way[-1], end)
+    for a, b in pairwise(way):
+        for share in np.linspace(0, 1, 40):
+            assert there.touch(a + share * (b - a), 0.0) is None
+    np.testing.assert_array_equal(straight_or_tree(around(tower(6)), start, end), way)
+
+
+def test_an_end_inside_a_block_cannot_be_reached() -> None:
+    inside = straight_or_tree(around(tower(3)), over(-0.25), over(0.0, 0.1))
+    assert isinstance(inside, Touch)
+    assert "block" in inside.words
+
+
+def test_what_is_carried_counts() -> None:
+    there = around(tower(3))
+    clear, end = over(0.0, 0.21), over(0.25, 0.21)
+    assert there.blocked(clear, end) is None
+    hanging = np.array([0.0, 0.0, 0.05])
+    there.carry(3, hanging, np.diag([1.0, -1.0, -1.0]), 0.05)
+    hit = there.blocked(clear, end)
+    assert hit is not None
+    assert "block 3" in hit.words
+    assert not hit.by_link
+    there.empty(OPENING)
+    assert there.blocked(clear, end) is None
+
+
+@pytest.mark.parametrize("height", [2, 5])
+def test_a_course_crosses_above_everything(height: int) -> None:
+    scene = tower(height)
+    order = take_order(scene, Move(height, np.array([0.0, 0.15, 0.025]), *AA))
+    world = compile_world(PANDA, order.objects.shape, 1.0)
+    course = prepare(PANDA, world, order, PANDA.home, True, True)
+    tops = [forward(get_chain(PANDA), q)[0][2] for q in (course.across[0], course.across[-1])]
+    assert min(tops) > 0.05 * height + 0.025
+    assert course.home is not None
+    np.testing.assert_allclose(course.home[-1], PANDA.home)
+
+
+def test_where_no_way_is_free_the_target_is_unreachable(monkeypatch: pytest.MonkeyPatch) -> None:
+    def nowhere(*_: object) -> Touch:
+        return Touch("link5 touches block 0", True)
+
+    monkeypatch.setattr("learn2assemble.robot.prepare.straight_or_tree", nowhere)
+    order = take_order(tower(1), Move(1, np.array([0.0, 0.15, 0.025]), *AA))
+    world = compile_world(PANDA, order.objects.shape, 1.0)
+    with pytest.raises(Failure, match=r"unreachable \(cross\): no free way: link5 touches"):
+        prepare(PANDA, world, order, PANDA.home, True, True)

@@ -1,0 +1,298 @@
+"""The video of a build: what the small renderer sees, the words below it, and the file."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from arm_record import arm_plan, arm_record
+from learn2assemble.cli import view
+from learn2assemble.cli.arm_files import write_arm_files
+from learn2assemble.errors import InputError, MissingExtraError
+from learn2assemble.robot.meshes import box
+from learn2assemble.robot.record_files import write_record
+from learn2assemble.viewer.film import Film, ears
+from learn2assemble.viewer.lettering import fill_box, lettering, number_picture, rgb, write
+from learn2assemble.viewer.raster import GROUND, LIT, SAMPLES, blend_film, fill
+from learn2assemble.viewer.render import Buffers, Camera, Light, Triangles, render
+from learn2assemble.viewer.video import FRAMES_PER_SECOND, moments, write_video
+
+COUNT = 3
+SIZE = 64
+
+
+@pytest.fixture(scope="module")
+def film() -> Film:
+    return Film(arm_plan(COUNT), arm_record("panda", COUNT), 320, 240)
+
+
+# ---------------------------------------------------------------- what is seen
+
+
+_CORNER = st.tuples(st.floats(-5, SIZE + 5), st.floats(-5, SIZE + 5), st.floats(0.1, 1))
+
+
+@given(st.lists(st.tuples(_CORNER, _CORNER, _CORNER), min_size=1, max_size=5))
+@settings(max_examples=60, deadline=None)
+def test_every_sample_sees_the_nearest_triangle(corners: list[Any]) -> None:
+    screen = np.array(corners, np.float32).reshape(-1, 3)
+    faces = np.arange(len(screen), dtype=np.int32).reshape(-1, 3)
+    depth, seen = np.zeros((SIZE, SIZE), np.float32), np.full((SIZE, SIZE), -1, np.int32)
+    fill(screen, faces, np.zeros(len(screen), np.int32), np.ones(1, bool), depth, seen)
+    y, x = (grid + 0.5 for grid in np.mgrid[:SIZE, :SIZE])
+    near, margin = np.zeros((SIZE, SIZE)), np.full((SIZE, SIZE), np.inf)
+    for a, b, c in screen.astype(float).reshape(-1, 3, 3):
+        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        if area > -1e-5:
+            continue
+        u = ((c[0] - b[0]) * (y - b[1]) - (c[1] - b[1]) * (x - b[0])) / area
+        v = ((a[0] - c[0]) * (y - c[1]) - (a[1] - c[1]) * (x - c[0])) / area
+        inside = np.minimum(np.minimum(u, v), 1 - u - v)
+        here = np.where(inside >= 0, u * a[2] + v * b[2] + (1 - u - v) * c[2], 0)
+        margin = np.minimum(margin, np.abs(inside))
+        margin = np.where(inside >= 0, np.minimum(margin, np.abs(near - here) + 1e-9), margin)
+        near = np.maximum(near, here)
+    sure = margin > 1e-3  # not on an edge, and not where two triangles cross
+    np.testing.assert_array_equal(seen[sure] >= 0, near[sure] > 0)
+    np.testing.assert_allclose(depth[sure], near[sure], atol=1e-3)
+
+
+def still_life(kinds: list[int], boxes: list[tuple[np.ndarray, np.ndarray]]) -> Triangles:
+    rows = []
+    for k, (kind, (half, centre)) in enumerate(zip(kinds, boxes, strict=True)):
+        mesh = box(np.array(half, float))
+        rows.append((mesh.vertices + centre, mesh.normals, np.full(len(mesh.vertices), k),
+                     mesh.faces + 24 * k, np.full(len(mesh.faces), kind)))  # fmt: skip
+    vertices, normals, body, faces, kind = (np.concatenate(c) for c in zip(*rows, strict=True))
+    return Triangles(
+        vertices.astype(np.float32), normals.astype(np.float32),
+        np.zeros((len(vertices), 2), np.float32), body.astype(np.int32), faces.astype(np.int32),
+        kind.astype(np.uint8), np.full(len(faces), -1, np.int32),
+    )  # fmt: skip
+
+
+def test_a_box_hides_what_is_behind_and_casts_a_shadow() -> None:
+    """From straight above, the sun from the left: the shadow lies on the right."""
+    ground, cube = ((1, 1, 0.1), (0, 0, -0.1)), ((0.1, 0.1, 0.1), (0, 0, 0.1))
+    scene = still_life([GROUND, LIT], [ground, cube])
+    axes = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
+    camera = Camera(np.array([0, 0, 10.0]), axes, 500.0, np.array([50.0, 50.0]))
+    sun = np.array([-1.0, 0, 1.0]) / np.sqrt(2)
+    light = Light(np.stack([[0, 1, 0], np.cross(sun, [0, 1, 0]), sun]), np.array([-2, -2.0]), 4.0)
+    colour = np.array([[200, 200, 200], [250, 0, 0]], np.float32)
+    stand, turn = np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1))
+    sky, rim = np.array([0, 0, 255], np.float32), np.zeros(3, np.float32)
+    pictures = np.zeros((1, 32, 32), np.float32)
+    buffers = Buffers(scene, 120, 100)
+
+    def picture(cube_shown: bool) -> np.ndarray:
+        shown = np.array([True, cube_shown])
+        return render(scene, buffers, camera, light, stand, turn, shown, colour, sky, rim,
+                      pictures).astype(int)  # fmt: skip
+
+    with_cube, without = picture(True), picture(False)
+    assert (with_cube[50, 110] == [0, 0, 255]).all(), "beyond the ground is sky"
+    assert with_cube[50, 50, 0] > 150
+    assert with_cube[50, 50, 1] == 0, "the cube is red from above"
+    assert with_cube[50, 60, 0] < without[50, 60, 0] - 30, "shadow on the right"
+    for y, x in ((50, 40), (60, 50), (40, 50)):
+        np.testing.assert_array_equal(with_cube[y, x], without[y, x])
+    # 10 cm high, sun at 45 degrees: the shadow of the 20 cm cube ends 20 cm to its right.
+    dark = np.flatnonzero(with_cube[50, :, 0] < without[50, :, 0] - 15)
+    dark = dark[dark > 55]
+    assert (dark.min(), dark.max()) == (pytest.approx(55, abs=1), pytest.approx(65, abs=1))
+
+
+def test_a_film_tints_only_what_lies_behind_it() -> None:
+    depth = np.zeros((20 * SAMPLES, 20 * SAMPLES), np.float32)
+    depth[:, : 10 * SAMPLES] = 2.0
+    image = np.full((20, 20, 3), 100, np.uint8)
+    corners = np.array([[0, 0, 1], [80, 0, 1], [0, 80, 1]], np.float32)
+    blend_film(corners, np.array([0, 200, 100], np.float32), 0.5, depth, image)
+    assert (image[5, :10] == 100).all()
+    np.testing.assert_allclose(image[5, 10:], np.tile([50, 150, 100], (10, 1)), atol=1)
+
+
+_CONCAVE = np.array([[0, 0], [3, 0], [3, 2], [2, 2], [2, 1], [1, 1], [1, 2], [0, 2]], float)
+
+
+@pytest.mark.parametrize("turn", [1, -1])
+def test_outlines_are_cut_into_triangles_of_the_same_area(turn: int) -> None:
+    corners = np.column_stack([_CONCAVE[:, 0], np.zeros(8), _CONCAVE[:, 1]])[::turn]
+    areas = [np.linalg.norm(np.cross(corners[b] - corners[a], corners[c] - corners[a])) / 2
+             for a, b, c in ears(corners)]  # fmt: skip
+    assert len(areas) == 6
+    assert sum(areas) == pytest.approx(5.0)
+
+
+# ---------------------------------------------------------------- words
+
+
+def test_words_stand_where_they_should_and_are_cut_at_the_border() -> None:
+    for align, x in (("left", 100), ("right", 300), ("middle", 200)):
+        image = np.full((60, 400, 3), 250, np.uint8)
+        write(image, "Hxg", x, 40, 20, rgb("#000000"), align=align)
+        rows, columns = np.nonzero((image < 120).any(-1))
+        assert rows.min() > 20, "capitals are about 15 pixels high"
+        assert 40 < rows.max() < 48, "the g hangs below the base line"
+        ends = {"left": columns.min(), "right": columns.max()}
+        assert abs(ends.get(align, (columns.min() + columns.max()) / 2) - x) < 4
+    image = np.full((20, 20, 3), 250, np.uint8)
+    write(image, "M" * 9, -10, 5, 30, rgb("#000000"))
+    write(image, "", 5, 5, 30, rgb("#000000"))
+    assert (image < 100).any()
+    assert lettering("Ä €", 12)[0].max() > 0.5
+
+
+def test_boxes_cover_pixels_in_part() -> None:
+    image = np.zeros((4, 10, 3), np.uint8)
+    fill_box(image, 1.5, 1, 4.25, 3, np.array([200, 100, 0], float))
+    assert image[1, :6, 0].tolist() == [0, 100, 200, 200, 50, 0]
+    assert (image[[0, 3]] == 0).all()
+
+
+def test_numbers_of_blocks_differ() -> None:
+    pictures = [number_picture(n, 32) for n in (None, 1, 2, 88, 123)]
+    assert pictures[0].max() == 0
+    for k, a in enumerate(pictures):
+        for b in pictures[k + 1 :]:
+            assert np.abs(a - b).max() > 0.5
+
+
+# ---------------------------------------------------------------- frames and file
+
+
+def test_frames_show_the_build(film: Film) -> None:
+    first, last = film.frame(0.0).copy(), film.frame(film.playback.duration).copy()
+    assert first.shape == last.shape == (240, 320, 3)
+    assert first.dtype == np.uint8
+    np.testing.assert_array_equal(first, film.frame(0.0))
+    segment = film.playback.segments[0]
+    cross = next(stage for stage in segment.step.stages if stage.name == "cross")
+    carried = film.frame((cross.start + cross.end) / 2).copy()
+    blue = [
+        ((picture[..., 2] > 180) & (picture[..., 0] < 140)).sum()
+        for picture in (first, carried, last)
+    ]
+    assert blue[1] > 15 + max(blue[0], blue[2]), "the block of the step is blue"
+    for a, b in ((first, carried), (carried, last), (first, last)):
+        assert (np.abs(a.astype(int) - b).max(-1) > 40).mean() > 0.005
+    white = [(picture[:148].min(-1) > 200).mean() for picture in (first, carried, last)]
+    assert min(white) > 0.01, "the arm is always there"
+
+
+def test_the_words_below_follow_the_arm(film: Film) -> None:
+    lost = film.playback.segments[1]
+    said = {film.doing(clock) for clock in np.linspace(lost.start + 0.01, lost.end, 60)}
+    assert {"The arm goes down to block 2.", "The arm goes up without a block."} <= said
+    assert film.doing(0.0) == "The arm waits."
+    assert film.doing(film.playback.duration) == "The build is over."
+
+
+def test_moments_play_the_whole_build_and_hold_its_end() -> None:
+    clocks = moments(10.0, 4.0)
+    assert clocks[0] == 0
+    np.testing.assert_allclose(np.diff(clocks[:60]), 4 / FRAMES_PER_SECOND)
+    assert clocks[-1] == clocks[-FRAMES_PER_SECOND] == 10.0
+    assert (np.diff(clocks) >= 0).all()
+
+
+def test_the_video_opens_and_has_its_length_and_size(tmp_path: Path) -> None:
+    av = pytest.importorskip("av")
+    plan, record = arm_plan(COUNT), arm_record("panda", COUNT)
+    done: list[float] = []
+    for name in ("a.mp4", "b.mp4"):
+        write_video(plan, record, tmp_path / name, speed=20, width=320, height=240,
+                    progress=done.append)  # fmt: skip
+    assert (tmp_path / "a.mp4").read_bytes() == (tmp_path / "b.mp4").read_bytes()
+    assert done[-1] == 1.0
+    film = Film(plan, record, 320, 240, ", shown 20 times as fast")
+    clocks = moments(film.playback.duration, 20)
+    with av.open(str(tmp_path / "a.mp4")) as file:
+        stream = file.streams.video[0]
+        assert (stream.codec_context.name, stream.average_rate) == ("h264", FRAMES_PER_SECOND)
+        assert (stream.width, stream.height) == (320, 240)
+        frames = [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
+        length = float(stream.duration * stream.time_base)
+    assert len(frames) == len(clocks)
+    assert length == pytest.approx(len(clocks) / FRAMES_PER_SECOND, abs=0.05)
+    for k in (0, len(frames) // 2, len(frames) - 1):
+        error = np.abs(frames[k].astype(float) - film.frame(clocks[k])).mean()
+        assert error < 6, "the file shows what was drawn"
+    assert np.abs(frames[0].astype(float) - frames[-1]).max() > 80
+
+
+def test_without_the_extra_the_error_names_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(MissingExtraError, match=r"learn2assemble\[video\]"):
+        write_video(arm_plan(COUNT), arm_record("panda", COUNT), tmp_path / "a.mp4")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"speed": 0.0}, "speed"), ({"speed": float("nan")}, "speed"),
+        ({"width": 321}, "even numbers"), ({"height": 100}, "even numbers"),
+    ],
+)  # fmt: skip
+def test_nonsense_is_refused(tmp_path: Path, options: dict[str, Any], words: str) -> None:
+    pytest.importorskip("av")
+    with pytest.raises(InputError, match=words):
+        write_video(arm_plan(COUNT), arm_record("panda", COUNT), tmp_path / "a.mp4", **options)
+
+
+def test_a_path_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("av")
+    with pytest.raises(InputError, match="writable"):
+        write_video(arm_plan(COUNT), arm_record("panda", COUNT), tmp_path / "no" / "a.mp4",
+                    speed=100, width=320, height=240)  # fmt: skip
+
+
+# ---------------------------------------------------------------- all files of a build
+
+
+def test_the_files_of_a_build_and_an_unsound_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Path] = []
+    monkeypatch.setattr(
+        "learn2assemble.cli.arm_files.write_video", lambda plan, record, path: drawn.append(path)
+    )
+    plan, record = arm_plan(COUNT), arm_record("panda", COUNT)
+    files = write_arm_files(plan, record, tmp_path)
+    assert [path.name for path in files.values()] == [
+        "trajectory.json", "trajectory.csv", "build.mp4",
+    ]  # fmt: skip
+    assert drawn == [tmp_path / "build.mp4"]
+    slow = replace(record, arm=replace(record.arm, velocity=record.arm.velocity / 5))
+    with pytest.raises(InputError, match=r"rad/s, limit"):
+        write_arm_files(plan, slow, tmp_path)
+    assert len(drawn) == 1
+    assert set(write_arm_files(plan, replace(record, steps=()), tmp_path)) == {
+        "trajectory", "trajectory table",
+    }  # fmt: skip
+
+
+def test_view_shows_the_arm_of_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("learn2assemble.cli.view.serve", lambda *_: "")
+    options = argparse.Namespace(plan=tmp_path, json=False, port=0, no_browser=True)
+    (tmp_path / "plan.json").write_text(json.dumps(arm_plan(COUNT)))
+    page = tmp_path / "view.html"
+    view.run(options)
+    assert '<body class="movable">' in page.read_text(encoding="utf-8")
+    page.unlink()
+    write_record(arm_record("panda", COUNT), tmp_path / "trajectory.json")
+    view.run(options)
+    assert '<body class="movable with-arm">' in page.read_text(encoding="utf-8")
