@@ -278,7 +278,7 @@ def test_build(l2a: Call, agent: Path, tmp_path: Path) -> None:
     """A complete plan: exit code 0, three files, one JSON object that agrees with them."""
     out = tmp_path / "deep" / "tower"
     design = DESIGNS / "stepped_tower.json"
-    result = l2a("build", design, "--out", out, "--agent", agent, "--seconds", "5", "--json")
+    result = l2a("build", design, "--out", out, "--agent", agent, "--seconds", "60", "--json")
     assert result.code == 0
     summary = result.json()
     plan = json.loads((out / "plan.json").read_text(encoding="utf-8"))

@@ -16,16 +16,18 @@ PACKAGE = "learn2assemble"
 SOURCE = ROOT / "src" / PACKAGE
 
 _WORLD = {"errors", "geometry", "world"}
-_TASK = _WORLD | {"physics", "task", "presets", "graph", "simulator"}
+_TASK = _WORLD | {"physics", "robot", "task", "presets", "graph", "judges", "simulator"}
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
     "geometry": set(),
     "world": {"errors", "geometry"},
     "physics": _WORLD,
-    "task": _WORLD,
+    "robot": _WORLD | {"physics"},
+    "task": _WORLD | {"robot"},
     "presets": {"errors", "task"},
     "graph": _WORLD,
-    "simulator": _WORLD | {"physics", "task", "graph"},
+    "judges": {"errors", "physics", "robot", "task"},
+    "simulator": _WORLD | {"physics", "task", "graph", "judges"},
     "networks": {"errors", "graph", "world"},
     "search": {"errors"},
     "learning": _TASK | {"networks", "search", "planning"},
@@ -163,7 +165,7 @@ def test_parts_that_know_few_libraries(part: str) -> None:
 @pytest.mark.parametrize(
     ("library", "parts"),
     [
-        ("mujoco", {"physics", "planning"}),
+        ("mujoco", {"physics", "planning", "robot"}),
         ("highspy", {"physics", "evaluation"}),
         ("gymnasium", {"envs", "evaluation"}),
         ("matplotlib", {"viewer"}),

@@ -34,7 +34,7 @@ from learn2assemble.world.state import State, empty_state
 SEEDS = st.integers(0, 2**32 - 1)
 SEVERAL = [name for name in OBJECT_SETS if name != "cubes"]
 PAPER = get_task("objects-two-sided-5x5-20-24")
-TASKS = [task for task in PRESETS.values() if task.objects != "cubes"]
+TASKS = [task.replace(arm="none") for task in PRESETS.values() if task.objects != "cubes"]
 Cells = tuple[tuple[int, int, int], ...]
 
 

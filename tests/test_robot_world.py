@@ -51,10 +51,11 @@ from learn2assemble.world.sides import side_frames
 from learn2assemble.world.state import State, empty_state
 
 SEEDS = st.integers(0, 2**32 - 1)
-ROBOTS = {name: task for name, task in PRESETS.items() if name.startswith("robot")}
-TWO = get_task("robot-two-sided-3x3-10-14")
-OBJECTS = get_task("robot-objects-two-sided-5x5-20-24")
-RANDOM = get_task("robot-random-two-sided-3x3-10-14")
+ROBOTS = {name: task.replace(arm="none") for name, task in PRESETS.items() if task.has_arm}
+"""The worlds of the robot cell without their arm."""
+TWO = get_task("robot-two-sided-3x3-10-14").replace(arm="none")
+OBJECTS = get_task("robot-objects-two-sided-5x5-20-24").replace(arm="none")
+RANDOM = get_task("robot-random-two-sided-3x3-10-14").replace(arm="none")
 each_robot = pytest.mark.parametrize("task", ROBOTS.values(), ids=lambda task: task.name)
 
 
@@ -97,7 +98,10 @@ def test_the_papers_robot_tasks() -> None:
 
 
 def test_the_twin_differs_from_the_one_sided_cell_by_the_robot_alone() -> None:
-    twin, robot = get_task("one-sided-5x5-15-17"), get_task("robot-one-sided-5x5-15-17")
+    twin, robot = (
+        get_task("one-sided-5x5-15-17"),
+        get_task("robot-one-sided-5x5-15-17").replace(arm="none"),
+    )
     assert twin == robot.replace(
         name=twin.name, pitch=EDGE, cover_filter="narrow", normalise_initial=True,
         success_threshold=0.975, max_initial_cover=0.95,

@@ -24,6 +24,12 @@ def test_the_wheel_builds_a_design_elsewhere(tmp_path: Path) -> None:
     installed = tmp_path / "installed"
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(installed)
+        names = set(archive.namelist())
+    for arm in ("panda", "ur5e"):
+        folder = f"learn2assemble/assets/arms/{arm}"
+        wanted = {f"{folder}/{name}" for name in ("arm.toml", f"{arm}.xml", "LICENSE", "NOTICE")}
+        assert wanted <= names
+        assert any(name.startswith(f"{folder}/meshes/") for name in names)
     design = ROOT / "examples" / "designs" / "stepped_tower.json"
     done = subprocess.run(
         [sys.executable, "-m", "learn2assemble", "build", str(design), "--out", "out", "--json"],

@@ -11,6 +11,8 @@ from collections.abc import Iterable, Mapping
 from typing import TypeVar
 
 T = TypeVar("T")
+MANY, NEAREST = 20, 6
+"""Of more valid names than this, a message shows only so many of the nearest."""
 
 
 class Learn2AssembleError(Exception):
@@ -36,9 +38,12 @@ class UnknownNameError(InputError):
 
     def __init__(self, what: str, got: object, valid: Iterable[str]) -> None:
         names = sorted(valid)
-        near = difflib.get_close_matches(str(got), names, n=1, cutoff=0.4)
+        near = difflib.get_close_matches(str(got), names, n=NEAREST, cutoff=0.4)
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        super().__init__(what, got, f"one of {', '.join(names) or 'none'}{hint}")
+        shown = ", ".join(names) or "none"
+        if len(names) > MANY:
+            shown = f"{len(names)} names such as {', '.join(near or names[:NEAREST])}"
+        super().__init__(what, got, f"one of {shown}{hint}")
 
 
 def look_up(what: str, name: str, table: Mapping[str, T]) -> T:

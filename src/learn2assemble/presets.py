@@ -1,8 +1,8 @@
 """The paper's tasks by name. Adding one is one line.
 
 The label "a-b blocks" fixes the number of nodes: N = a + 5 S = b + 3 S for S sides (protocol 0).
-The worlds of the robot cell begin with ``robot``. Until an arm is attached to them they are played
-by the hand of god: blocks appear at their places, and static physics alone decides (D24).
+The worlds of the robot cell begin with ``robot``; an arm builds in them. The same worlds without
+one: ``get_task(NAME).replace(arm="none")``.
 
 Cube tasks whose grid or number of blocks is larger than in training draw only unseen shapes, as
 the paper's text says (protocol 13.8): outlines that meet the published bound on the 3x3 box. Where
@@ -13,7 +13,7 @@ do not: their agents are trained on 5x5, and the published bound knows no other 
 
 from __future__ import annotations
 
-from learn2assemble.errors import look_up
+from learn2assemble.errors import InputError, look_up
 from learn2assemble.task import Task
 
 _OBJECTS = Task(
@@ -30,7 +30,7 @@ _BARS = Task(
 _ROBOT = Task(
     "robot", num_sides=2, grid=3, num_nodes=20, rotations=4, attitudes="grips", pitch=0.06,
     layout="slanted-rows", success_threshold=0.75, cover_filter="wide", normalise_initial=False,
-    max_initial_cover=0.6,
+    max_initial_cover=0.6, arm="panda",
 )  # fmt: skip
 _ROBOT_MORE = _ROBOT.replace(num_nodes=24, unseen_shapes_only=True)
 _ROBOT_ONE_SIDED = _ROBOT.replace(
@@ -87,10 +87,19 @@ _ALL = (
 PRESETS: dict[str, Task] = {task.name: task for task in _ALL}
 
 
-def get_task(name: str) -> Task:
+def get_task(name: str, arm: str | None = None) -> Task:
     """The preset called ``name``.
 
+    Args:
+        arm: builds in place of the task's own, or ``none``; for tasks with a robot.
+
     Raises:
-        UnknownNameError: naming the nearest preset.
+        UnknownNameError: naming the nearest preset or arm.
+        InputError: for an arm where the task has no robot.
     """
-    return look_up("task", name, PRESETS)
+    task = look_up("task", name, PRESETS)
+    if arm is None:
+        return task
+    if not task.has_arm:
+        raise InputError("arm", arm, f"a task with a robot ({name} has none)")
+    return task.replace(arm=arm)

@@ -16,8 +16,9 @@ from learn2assemble.geometry.boxes import STABLE
 from learn2assemble.geometry.coverage import FILTERS
 from learn2assemble.graph.features import Graph, build_graph, node_offset
 from learn2assemble.graph.placements import Placements
+from learn2assemble.judges import resolve_judge
 from learn2assemble.physics.protocol import Physics
-from learn2assemble.physics.static import StaticPhysics, survey, survey_objects
+from learn2assemble.physics.static import survey, survey_objects
 from learn2assemble.task import MAX_VERTICES, Task
 from learn2assemble.world.layouts import waiting_places
 from learn2assemble.world.objects import inventory
@@ -112,12 +113,16 @@ class Simulator:
 
     Args:
         task: the problem distribution.
-        physics: the judge of placements; static equilibrium by default.
+        physics: the judge of placements, or its name, see :mod:`learn2assemble.judges`; static
+            equilibrium by default, and the kinematic cell where the task has an arm.
+
+    Raises:
+        UnknownNameError, InputError: see :func:`resolve_judge`.
     """
 
-    def __init__(self, task: Task, physics: Physics | None = None) -> None:
+    def __init__(self, task: Task, physics: str | Physics | None = None) -> None:
         self.task = task
-        self.physics: Physics = physics if physics is not None else StaticPhysics()
+        self.physics: Physics = resolve_judge(physics, task)
         self.frames = side_frames(task.num_sides, task.pitch)
         self.depths = FILTERS[task.cover_filter]
         self.ways = task.ways
@@ -166,6 +171,7 @@ class Simulator:
         active = ~state.terminated
         rows = np.flatnonzero(active)
         previous = np.empty(batch, np.int64)
+        self.physics.prepare(state, rows, actions)
         if self.task.objects == "cubes":
             _propose_cubes(state, actions, self.task.rotations, self.task.pitch, active, previous)
         else:
@@ -184,16 +190,25 @@ class Simulator:
         """The graph of every row (protocol 4)."""
         return build_graph(state, self.frames, self.task.num_nodes)
 
-    def outcomes(self, state: State, graph: Graph, placements: Placements) -> Outcomes:
+    def outcomes(
+        self, state: State, graph: Graph, placements: Placements, by_hand: bool = False
+    ) -> Outcomes:
         """What every placement of ``placements``, those of ``graph``, would bring to ``state``.
 
-        By static physics; see :class:`Outcomes`. A help the paper's agent does not have.
+        By static physics; see :class:`Outcomes`. Whether an arm could do it takes an attempt, so
+        with an arm what is valid otherwise is left undecided, unless ``by_hand``. A help the
+        paper's agent does not have.
         """
         actions = (placements.action - node_offset(graph)[:, None]) * placements.used[..., None]
-        return outcomes(
+        found = outcomes(
             state, actions, placements.count, self.ways, self.frames, self.task.reward,
             self.task.success_threshold, self.depths,
         )  # fmt: skip
+        if self.task.has_arm and not by_hand:
+            undecided = found.valid.copy()
+            for field in found:
+                field[undecided] = 0
+        return found
 
     def physics_mask(self, state: State) -> np.ndarray:
         """Which placements are free and stable by static physics.

@@ -8,6 +8,7 @@ from typing import Any
 
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.geometry.coverage import FILTERS
+from learn2assemble.robot.registry import ARMS
 from learn2assemble.world.actions import RELATIONS, Ways, get_ways
 from learn2assemble.world.blocks import EDGE
 from learn2assemble.world.layouts import LAYOUTS, RANDOM
@@ -15,6 +16,7 @@ from learn2assemble.world.objects import OBJECT_SETS
 from learn2assemble.world.rules import REWARDS, STABILITY
 
 MIN_VERTICES, MAX_VERTICES = 3, 5
+NO_ARM = "none"
 MAX_PITCH = 0.07
 """Cells farther apart [m] would need other rules for what fills the gaps of objects."""
 
@@ -54,6 +56,8 @@ class Task:
         cover_filter: which depths count as covered, see ``FILTERS`` in
             :mod:`learn2assemble.geometry.coverage`.
         normalise_initial: F counts from the cover of the first object on; without it from nothing.
+        arm: which arm builds, see :mod:`learn2assemble.robot.registry`; ``none``: objects appear
+            at their places.
         stability: rule of a simulated placement, see ``STABILITY`` in
             :mod:`learn2assemble.world.rules`.
         min_mask_pixels: fewer mask pixels than this and the shapes are redrawn.
@@ -78,6 +82,7 @@ class Task:
     success_threshold: float = 0.975
     cover_filter: str = "narrow"
     normalise_initial: bool = True
+    arm: str = "none"
     stability: str = "block"
     min_mask_pixels: int = 50
     max_initial_cover: float = 0.95
@@ -101,6 +106,8 @@ class Task:
             raise UnknownNameError("cover filter", self.cover_filter, FILTERS)
         if self.stability not in STABILITY:
             raise UnknownNameError("stability rule", self.stability, STABILITY)
+        if self.arm not in (NO_ARM, *ARMS):
+            raise UnknownNameError("arm", self.arm, (NO_ARM, *ARMS))
         if self.layout not in LAYOUTS:
             raise UnknownNameError("layout", self.layout, LAYOUTS)
         if self.layout == RANDOM and self.objects != "cubes":
@@ -121,6 +128,17 @@ class Task:
     def ways(self) -> Ways:
         """What the actions mean, beside the relation."""
         return get_ways(self.attitudes, self.rotations, self.pitch)
+
+    @property
+    def grasps(self) -> str:
+        """The grasp set an arm uses, see :mod:`learn2assemble.robot.grasps`: one attitude where
+        there is one way, else the four pairs of the paper."""
+        return "along-y" if self.rotations == 1 else "paper"
+
+    @property
+    def has_arm(self) -> bool:
+        """Whether an arm builds."""
+        return self.arm != NO_ARM
 
     @property
     def touching(self) -> bool:

@@ -14,9 +14,9 @@ from tqdm import tqdm
 from learn2assemble.cli.output import Output
 from learn2assemble.errors import InputError
 from learn2assemble.evaluation.episodes import make_policy, run_episodes
+from learn2assemble.judges import resolve_judge
 from learn2assemble.learning.run import provenance
 from learn2assemble.networks.agent import default_agent, load_agent
-from learn2assemble.physics.named import resolve_physics
 from learn2assemble.presets import get_task
 from learn2assemble.search.config import SearchConfig
 from learn2assemble.search.named import get_search
@@ -58,8 +58,8 @@ def check_new_file(path: Path) -> None:
 
 def run(options: argparse.Namespace) -> int:
     output = Output(options.json)
-    task = get_task(options.task)
-    physics = resolve_physics(options.physics, task.stability, task.pitch)
+    task = get_task(options.task, options.arm)
+    physics = resolve_judge(options.physics, task)
     agent = load_agent(options.agent or default_agent(task.name))
     if options.out is not None:
         check_new_file(options.out)

@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 from learn2assemble import __version__
 from learn2assemble.search.named import SEARCHES
 
+ARM_HELP = "panda, ur5e or none; the task's own"
 COMMANDS = ("build", "train", "eval", "table", "curves", "replay", "bench", "tasks", "view")
 
 
@@ -119,6 +120,7 @@ def make_parser() -> argparse.ArgumentParser:
     train.add_argument("--seed", type=_natural, default=0)
     train.add_argument("--device", default="auto", help="auto, cpu or cuda")
     train.add_argument("--threads", type=_count, default=None, help="CPU threads of PyTorch")
+    train.add_argument("--arm", default=None, help=ARM_HELP)
     train.add_argument("--init", default=None, help="agent whose weights to start from")
     train.add_argument("--resume", action="store_true", help="go on with the run in --out")
     train.add_argument(
@@ -154,7 +156,12 @@ def make_parser() -> argparse.ArgumentParser:
     evaluate.add_argument("--epsilon", type=_share, default=0.05)
     evaluate.add_argument("--episodes", type=_count, default=100)
     evaluate.add_argument("--seed", type=_natural, default=0)
-    evaluate.add_argument("--physics", default="static", help="static or rigid")
+    evaluate.add_argument(
+        "--physics", default="static",
+        help="the judge: static or rigid; with an arm these stand for its kinematic cell, and "
+        "dynamic and published are others",
+    )  # fmt: skip
+    evaluate.add_argument("--arm", default=None, help=ARM_HELP)
     evaluate.add_argument("--out", type=Path, default=None, help="write the result to this file")
 
     table = command(

@@ -19,13 +19,14 @@ def run(options: argparse.Namespace) -> int:
         low, high = task.block_range
         rows.append({
             "name": name, "sides": task.num_sides, "grid": task.grid, "nodes": task.num_nodes,
-            "blocks": [low, high], "objects": task.objects,
+            "blocks": [low, high], "objects": task.objects, "arm": task.arm,
             "actions": task.num_actions, "discount": task.discount,
             "success_threshold": task.success_threshold, "agents": agents.get(name, []),
         })  # fmt: skip
-    output.table("", ("task", "sides", "grid", "nodes", "blocks", "objects", "agents"), [
+    output.table("", ("task", "sides", "grid", "nodes", "blocks", "objects", "arm", "agents"), [
         (r["name"], r["sides"], f"{r['grid']}x{r['grid']}", r["nodes"],
-         f"{r['blocks'][0]}-{r['blocks'][1]}", r["objects"], ", ".join(r["agents"]) or "-")
+         f"{r['blocks'][0]}-{r['blocks'][1]}", r["objects"], r["arm"],
+         ", ".join(r["agents"]) or "-")
         for r in rows
     ])  # fmt: skip
     output.finish({"tasks": rows})

@@ -14,16 +14,18 @@ from learn2assemble.learning.config import METHODS, TrainConfig, fit_to, get_con
 from learn2assemble.learning.run import train
 from learn2assemble.networks.agent import load_agent
 from learn2assemble.presets import get_task
+from learn2assemble.task import NO_ARM
 
 
 def run(options: argparse.Namespace) -> int:
     output = Output(options.json)
-    task = get_task(options.task)
+    get_task(options.task, options.arm)
     if options.method is not None and options.method not in METHODS:
         raise UnknownNameError("--method", options.method, METHODS)
     if options.threads:
         torch.set_num_threads(options.threads)
-    config, seed, minutes = _settings(options)
+    config, seed, minutes, arm = _settings(options)
+    task = get_task(options.task, arm)
     init = None
     if options.init is not None:
         if options.resume:
@@ -39,24 +41,28 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _settings(options: argparse.Namespace) -> tuple[TrainConfig, int, float | None]:
-    """Configuration, seed and minutes: of the run that is resumed, else of the command line."""
+def _settings(
+    options: argparse.Namespace,
+) -> tuple[TrainConfig, int, float | None, str | None]:
+    """Configuration, seed, minutes, arm: of the run that is resumed, else of the command line."""
     if not options.resume:
         method = [] if options.method is None else [f"method={options.method}"]
         config = fit_to(get_config(options.config), get_task(options.task))
         config = override(config, [*method, *options.set])
         if options.samples is not None:
             config = dataclasses.replace(config, num_samples=options.samples)
-        return config, options.seed, options.minutes
+        return config, options.seed, options.minutes, options.arm
     file = options.out / "config.json"
     try:
         saved = json.loads(file.read_text(encoding="utf-8"))
         config = TrainConfig.from_dict(saved["config"])
         task, seed, minutes = saved["task"]["name"], saved["seed"], saved["minutes"]
+        arm = saved["task"].get("arm", NO_ARM)
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError("--resume", str(options.out), "the folder of a training run") from None
     if task != options.task:
         raise InputError("TASK", options.task, f"{task}, the task of the run to resume")
-    if options.set or options.samples is not None:
-        raise InputError("--resume", "--set or --samples", "the run's own configuration")
-    return config, seed, options.minutes if options.minutes is not None else minutes
+    if options.set or options.samples is not None or options.arm is not None:
+        raise InputError("--resume", "--set, --samples or --arm", "the run's own configuration")
+    minutes = options.minutes if options.minutes is not None else minutes
+    return config, seed, minutes, arm if get_task(task).has_arm else None

@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 
 from learn2assemble.envs import render, spaces
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.physics.named import resolve_physics
 from learn2assemble.physics.protocol import Physics, Verdict
 from learn2assemble.presets import get_task
 from learn2assemble.simulator import Simulator, Transition
@@ -46,9 +45,7 @@ class Worlds:
         self, task: Task | str, physics: str | Physics, count: int, physics_mask: bool
     ) -> None:
         self.task = get_task(task) if isinstance(task, str) else task
-        self.simulator = Simulator(
-            self.task, resolve_physics(physics, self.task.stability, self.task.pitch)
-        )
+        self.simulator = Simulator(self.task, physics)
         self.state = self.simulator.empty(count)
         self._physics_mask = physics_mask
 

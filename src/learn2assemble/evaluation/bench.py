@@ -29,6 +29,7 @@ from learn2assemble.simulator import Simulator
 
 TASK = "two-sided-3x3-20-24"
 OBJECTS = "objects-two-sided-5x5-20-24"
+ARM_TASK = "robot-two-sided-3x3-10-14"
 BATCH = 256
 
 
@@ -72,6 +73,32 @@ def rigid_actions_per_s(seconds: float) -> float:
         done = simulator.step(state, np.array([[unplaced, reference, relation]])).terminated
         if done[0]:
             simulator.reset(state, np.array([0]), rng)
+        return 1
+
+    return _rate(step, seconds)
+
+
+def kinematic_actions_per_s(seconds: float) -> float:
+    """Attempts of the Panda without dynamics: random legal placements that would stand, in two
+    walls on the way up; those that fail are tried again with another."""
+    task = get_task(ARM_TASK)
+    arm = Simulator(task)
+    rng = np.random.default_rng(0)
+    state = arm.new(1, rng)
+
+    def step() -> int:
+        good = np.argwhere(arm.physics_mask(state)[0])
+        if not len(good):
+            arm.reset(state, np.array([0]), rng)
+            return 0
+        reference, action = good[rng.integers(len(good))]
+        unplaced = rng.integers(state.num_unplaced[0])
+        trial = state.copy()
+        done = arm.step(trial, np.array([[unplaced, reference, action]]))
+        if done.verdict[0] == 0:
+            state.put(np.array([0]), trial)
+        if state.terminated[0]:
+            arm.reset(state, np.array([0]), rng)
         return 1
 
     return _rate(step, seconds)
@@ -128,6 +155,7 @@ MEASUREMENTS: dict[str, Callable[[float], float]] = {
     "static_batch_actions_per_s": static_batch_actions_per_s,
     "static_single_steps_per_s": static_single_steps_per_s,
     "rigid_actions_per_s": rigid_actions_per_s,
+    "kinematic_actions_per_s": kinematic_actions_per_s,
     "objects_batch_actions_per_s": objects_batch_actions_per_s,
     "decision_ms": decision_ms,
     "decisions_per_s": decisions_per_s("relational"),

@@ -21,11 +21,11 @@ from learn2assemble.evaluation.episodes import (
 )
 from learn2assemble.evaluation.perfect import best_returns, has_bound
 from learn2assemble.evaluation.table_spec import AGENT, LOOK_AHEAD, RANDOM
+from learn2assemble.judges import JUDGES
 from learn2assemble.learning.run import provenance
 from learn2assemble.networks.agent import load_agent
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QNetwork
-from learn2assemble.physics.named import resolve_physics
 from learn2assemble.search.config import SearchConfig
 from learn2assemble.simulator import Simulator
 from learn2assemble.task import Task
@@ -120,7 +120,9 @@ def _changes(config: Any, default: Any, prefix: str) -> list[str]:
 
 def measurable(cell: Cell) -> bool:
     """Whether this version can play it."""
-    return cell.policy != BOUND or has_bound(cell.task)
+    if cell.policy == BOUND:
+        return has_bound(cell.task)
+    return cell.physics in JUDGES
 
 
 def measure(cell: Cell, agent_file: str | None, episodes: int) -> dict[str, Any]:
@@ -134,7 +136,7 @@ def measure(cell: Cell, agent_file: str | None, episodes: int) -> dict[str, Any]
         rng, _ = episode_generators(cell.seed)
         arrays = {"returns": _rounded(best_returns(Simulator(cell.task), episodes, rng))}
     else:
-        simulator = Simulator(cell.task, resolve_physics(cell.physics, pitch=cell.task.pitch))
+        simulator = Simulator(cell.task, cell.physics)
         played = play_episodes(simulator, _policy(cell, agent_file), episodes, cell.seed)
         arrays = {
             "returns": _rounded(played.returns),

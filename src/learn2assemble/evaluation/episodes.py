@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from learn2assemble.networks.build import Network
-from learn2assemble.physics.protocol import Physics
+from learn2assemble.physics.protocol import Physics, Verdict
 from learn2assemble.planning.legacy import LegacyModel
 from learn2assemble.planning.lookahead import lookahead_actions
 from learn2assemble.planning.world_model import WorldModel
@@ -48,6 +48,8 @@ class Episodes(NamedTuple):
     """bool[E]."""
     coverage: np.ndarray
     """float64[E]: final F_co."""
+    verdict: np.ndarray
+    """int8[E] of :class:`Verdict`, on the last action."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,8 @@ class Metrics:
     episodes: int
     seconds: float
     physics: str
+    failures: dict[str, int]
+    """How often each verdict ended an episode; empty without failures."""
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -179,6 +183,11 @@ def run_episodes(
         episodes=episodes,
         seconds=time.perf_counter() - started,
         physics=simulator.physics.name,
+        failures={
+            Verdict(number).name.lower().replace("_", "-"): int(count)
+            for number, count in zip(*np.unique(played.verdict, return_counts=True), strict=True)
+            if number != Verdict.STABLE
+        },
     )
 
 
@@ -206,7 +215,7 @@ def _play(simulator: Simulator, state: State, policy: Policy, rng: np.random.Gen
     gammas = np.array([simulator.task.discount, *DISCOUNTS])
     returns, count = np.zeros((batch, len(gammas))), np.zeros(batch, np.int64)
     failed, success = np.zeros(batch, np.bool_), np.zeros(batch, np.bool_)
-    coverage = np.zeros(batch)
+    coverage, verdict = np.zeros(batch), np.zeros(batch, np.int8)
     rows, discount = np.arange(batch), np.ones(len(gammas))
     while len(rows):
         step = simulator.step(state, policy(state, rng))
@@ -214,8 +223,9 @@ def _play(simulator: Simulator, state: State, policy: Policy, rng: np.random.Gen
         discount = discount * gammas
         count[rows] += 1
         failed[rows] = step.verdict != 0
+        verdict[rows] = step.verdict
         success[rows] = step.success
         coverage[rows] = state.complete_coverage
         going = np.flatnonzero(~step.terminated)
         rows, state = rows[going], state.take(going)
-    return Episodes(returns[:, 0], returns[:, 1:], count, failed, success, coverage)
+    return Episodes(returns[:, 0], returns[:, 1:], count, failed, success, coverage, verdict)

@@ -1,10 +1,14 @@
-"""The paper's tables without a robot, and the one of the README, as data (protocol 12.2)."""
+"""The paper's tables without a robot, and the one of the README, as data (protocol 12.2).
+
+Those with a robot are in :mod:`learn2assemble.evaluation.robot_tables`.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 
 from learn2assemble.errors import UnknownNameError
+from learn2assemble.evaluation.robot_tables import ROBOT_TABLES
 from learn2assemble.evaluation.table_spec import (
     KNOWS,
     LOOK_AHEAD,
@@ -192,7 +196,7 @@ _ALL = (
     ),
 )  # fmt: skip
 
-TABLES: dict[str, Table] = {table.name: table for table in _ALL}
+TABLES: dict[str, Table] = {table.name: table for table in (*_ALL, *ROBOT_TABLES)}
 
 
 def get_table(name: str) -> Table:

@@ -49,6 +49,8 @@ class Recipe:
 
 
 _CUBES, _LARGE = "two-sided-3x3-20-24", "two-sided-5x5-40-44"
+_ROBOT_TWO, _ROBOT_FOUR = "robot-two-sided-3x3-10-14", "robot-four-sided-3x3-10-18"
+_ROBOT_OBJECTS = "robot-objects-two-sided-5x5-20-24"
 _BARS, _OBJECTS = "bars-one-sided-5x5-25-27", "objects-two-sided-5x5-20-24"
 
 
@@ -57,13 +59,11 @@ _SHORTER = "num_samples=160000"
 _AGAIN = ("learning_rate=0.001", "final_learning_rate=0.00003", "epsilon_samples=1")
 
 
-def _published(name: str, task: str, *changes: str, again: int = 0) -> Recipe:
-    """``again``: samples of a second stage, which starts with half the learning rate and no more
-    exploration than it ends with; 0: there is none."""
-    stages = [Stage(changes=changes)]
-    if again:
-        stages.append(Stage(changes=(*changes, *_AGAIN, f"num_samples={again}")))
-    return Recipe(name, task, tuple(stages))
+def _published(name: str, task: str, *changes: str, again: tuple[str, ...] = ()) -> Recipe:
+    """``again``: changes of each later stage, which starts with half the learning rate and no more
+    exploration than the first ends with."""
+    later = (Stage(changes=(*changes, *_AGAIN, *words.split())) for words in again)
+    return Recipe(name, task, (Stage(changes=changes), *later))
 
 
 def _ablation(name: str, *changes: str) -> Recipe:
@@ -75,15 +75,31 @@ _ALL = (
     _published("dqn", _CUBES),
     _published("q-mcts", _CUBES, "method=q-mcts"),
     _published("eps-mcts", _CUBES, "method=eps-mcts"),
-    _published("mha-full", _CUBES, _FULL, again=240_000),
-    _published("sha-full", _CUBES, _FULL, "network.heads=1", again=240_000),
+    _published("mha-full", _CUBES, _FULL, again=("num_samples=240000",)),
+    _published("sha-full", _CUBES, _FULL, "network.heads=1", again=("num_samples=240000",)),
     _published("s2v-full", _CUBES, _FULL, "network.encoder=s2v"),
-    _published("bars-full", _BARS, _FULL, _SHORTER, again=160_000),
-    _published("bars-partial", _BARS, _SHORTER, again=160_000),
-    _published("objects", _OBJECTS, "num_samples=60000", again=240_000),
+    _published("bars-full", _BARS, _FULL, _SHORTER, again=("num_samples=160000",)),
+    _published("bars-partial", _BARS, _SHORTER, again=("num_samples=160000",)),
+    _published(
+        "objects",
+        _OBJECTS,
+        "num_samples=60000",
+        again=(
+            "num_samples=240000",
+            "num_samples=300000 learning_rate=0.0007 replay_size=150000",
+        ),
+    ),
+    _published("robot-two-sided", _ROBOT_TWO),
+    _published("robot-four-sided", _ROBOT_FOUR),
+    _published("robot-objects", _ROBOT_OBJECTS),
+    _published("robot-one-sided", "robot-one-sided-5x5-15-17", _SHORTER),
+    _published("one-sided", "one-sided-5x5-15-17", _SHORTER),
     Recipe("relational-cubes", _LARGE, (Stage("relational", ("num_samples=120000",)),)),
     Recipe("relational-bars", _BARS, (Stage("relational", ("num_samples=60000",)),)),
     Recipe("relational-objects", _OBJECTS, (Stage("relational-objects"),)),
+    Recipe("relational-two-sided", _ROBOT_TWO, (Stage("relational", ("num_samples=60000",)),)),
+    Recipe("relational-four-sided", _ROBOT_FOUR, (Stage("relational", ("num_samples=60000",)),)),
+    Recipe("relational-robot-objects", _ROBOT_OBJECTS, (Stage("relational-objects"),)),
     _ablation("full"),
     _ablation("no-dense-labels", "dense_weight=0"),
     _ablation("single-q", "double=false"),

@@ -47,6 +47,9 @@ def agent_info(name: str) -> dict[str, Any]:
 
 
 DEFAULTS = {
+    "robot-two-sided": "relational-two-sided-s0",
+    "robot-random-two-sided": "relational-two-sided-s0",
+    "robot-four-sided": "relational-four-sided-s0",
     "objects": "relational-objects-s0",
     "bars": "relational-bars-s0",
     "other-bars": "relational-bars-s0",

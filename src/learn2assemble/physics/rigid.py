@@ -83,6 +83,9 @@ class RigidPhysics:
     def __getstate__(self) -> dict[str, object]:
         return {**self.__dict__, "_worlds": {}}
 
+    def prepare(self, state: State, rows: np.ndarray, actions: np.ndarray) -> None:
+        """Nothing: only where the object comes to matters."""
+
     def settle(self, state: State, rows: np.ndarray) -> np.ndarray:
         """Verdict on the object placed last of each row; moves the placed blocks of the row.
 

@@ -76,6 +76,9 @@ class StaticPhysics:
     name = "static"
     moves_blocks = False
 
+    def prepare(self, state: State, rows: np.ndarray, actions: np.ndarray) -> None:
+        """Nothing: only where the object comes to matters."""
+
     def settle(self, state: State, rows: np.ndarray) -> np.ndarray:
         """Verdict on the object placed last of each row; see :class:`Physics`."""
         verdict = np.empty(len(rows), np.int8)

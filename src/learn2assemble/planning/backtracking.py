@@ -61,7 +61,7 @@ def _candidates(
     the rest, by the agent's Q within each class."""
     graph = simulator.observe(state)
     placements = distinct_placements(graph, simulator.ways)
-    outcomes = simulator.outcomes(state, graph, placements)
+    outcomes = simulator.outcomes(state, graph, placements, by_hand=True)
     actions = placements.action[0] - node_offset(graph)
     values = model.action_values(state)[0]
     q = {tuple(action): value for action, value in zip(values.actions.tolist(), values.values,

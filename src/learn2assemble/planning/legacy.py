@@ -126,7 +126,7 @@ def _take_apart(state, rebuilt, pitch, fell):
             apart = 0.0
             for axis in range(3):
                 apart += abs(position[k, axis] - position[k - 1, axis])
-            # Cells are on one lattice, so touching ones are one edge apart along one axis.
+            # Cells are on one lattice, so neighbours are one step apart along one axis.
             off = min(abs(apart - EDGE), abs(apart - pitch))
             if k <= placed or off > TOUCH_TOLERANCE:
                 number += 1

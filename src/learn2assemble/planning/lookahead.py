@@ -10,29 +10,51 @@ from __future__ import annotations
 
 import numpy as np
 
-from learn2assemble.graph.features import node_offset
+from learn2assemble.graph.features import Graph, node_offset
 from learn2assemble.graph.placements import Placements, distinct_placements
 from learn2assemble.simulator import Simulator
 from learn2assemble.world.blocks import EDGE
 from learn2assemble.world.sides import to_world
 from learn2assemble.world.state import State
 
+LAST = 1e6
+"""Added to the cost of placements that gain nothing."""
+
 
 def lookahead_actions(simulator: Simulator, state: State) -> np.ndarray:
     """One action for every row: int64[B, 3] (local indices)."""
     graph = simulator.observe(state)
     placements = distinct_placements(graph, simulator.ways)
-    outcomes = simulator.outcomes(state, graph, placements)
+    outcomes = simulator.outcomes(state, graph, placements, by_hand=True)
     positive = outcomes.valid & (outcomes.reward > 0)
     # The discrete reward counts gains, so small ones first; the scaled one adds them up discounted.
     best = outcomes.gain if simulator.task.reward == "discrete" else -outcomes.reward
     cost = np.where(positive, best, np.inf)
-    for row in np.flatnonzero(~positive.any(1)).tolist():
-        support = _support_cost(simulator, state, placements, row)
-        cost[row] = np.where(outcomes.valid[row], support, np.inf)
+    wanting = ~positive.any(1) | simulator.task.has_arm
+    for row in np.flatnonzero(wanting).tolist():
+        support = LAST + _support_cost(simulator, state, placements, row)
+        cost[row] = np.where(
+            positive[row], cost[row], np.where(outcomes.valid[row], support, np.inf)
+        )
+    if simulator.task.has_arm:
+        _try_in_order(simulator, state, graph, placements, cost)
     # A row without any valid placement takes the first one, which is legal and fails.
     chosen = cost.argmin(1)
     return placements.action[np.arange(len(chosen)), chosen] - node_offset(graph)
+
+
+def _try_in_order(
+    simulator: Simulator, state: State, graph: Graph, placements: Placements, cost: np.ndarray
+) -> None:
+    """Rule out, cheapest first, what the arm cannot do, up to the first placement it can."""
+    for row in range(len(cost)):
+        for number in np.argsort(cost[row], kind="stable").tolist():
+            if not np.isfinite(cost[row, number]):
+                break
+            action = placements.action[row, number] - node_offset(graph)[row]
+            if simulator.step(state.take(np.array([row])), action[None]).verdict[0] == 0:
+                break
+            cost[row, number] = np.inf
 
 
 def _support_cost(

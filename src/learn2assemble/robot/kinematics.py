@@ -1,0 +1,215 @@
+"""Forward kinematics of an arm as compiled functions on a named tuple of arrays.
+
+The chain is read from the arm's MJCF once. Every joint is brought to turn about the z axis of its
+own *joint frame*, so that a joint costs two columns of one 3x3 product.
+"""
+
+# The compiled module has no stubs that pyright finds.
+# pyright: reportAttributeAccessIssue=false
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from numba import njit
+
+from learn2assemble.errors import InputError
+from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.model import arm_model
+
+
+class Chain(NamedTuple):
+    """Fixed transforms of an arm with n joints, its base pose in the world included."""
+
+    offset: np.ndarray
+    """float64[n, 3]: origin of each joint frame in the one before (the first in the world) [m]."""
+    turn: np.ndarray
+    """float64[n, 3, 3]: its rotation there, at joint angle 0."""
+    tool_offset: np.ndarray
+    """float64[3]: the tool in the last joint frame [m]."""
+    tool_turn: np.ndarray
+    """float64[3, 3]."""
+    link_offset: np.ndarray
+    """float64[n, 3]: origin of the body that each joint moves, in its joint frame [m]."""
+    link_turn: np.ndarray
+    """float64[n, 3, 3]."""
+
+
+@lru_cache(maxsize=16)
+def get_chain(arm: Arm) -> Chain:
+    """The chain of an arm from its base in the world to its tool.
+
+    Raises:
+        InputError: where the joints do not follow one another from base to tool.
+    """
+    model = arm_model(arm)
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0
+    mujoco.mj_forward(model, data)
+    ids = [model.joint(name).id for name in arm.joints]
+    bodies = model.jnt_bodyid[ids]
+    path, body = [], int(model.site_bodyid[model.site(arm.tool).id])
+    while body:
+        path.append(body)
+        body = int(model.body_parentid[body])
+    moving = [b for b in reversed(path) if model.body_jntnum[b]]
+    if moving != bodies.tolist() or (model.body_jntnum[bodies] != 1).any():
+        raise InputError(
+            f"arm {arm.name}, joints", list(arm.joints), "all joints from base to tool, in order"
+        )
+    frames = [(data.xanchor[j], _frame_with_z(data.xaxis[j])) for j in ids]
+    parents = [(np.zeros(3), np.eye(3)), *frames[:-1]]
+    joints = [_relative(a, b) for a, b in zip(parents, frames, strict=True)]
+    site = data.site(arm.tool)
+    tool = _relative(frames[-1], (site.xpos, site.xmat.reshape(3, 3)))
+    links = [
+        _relative(frame, (data.xpos[b], data.xmat[b].reshape(3, 3)))
+        for frame, b in zip(frames, bodies, strict=True)
+    ]
+    return Chain(
+        *_stacked(joints), np.ascontiguousarray(tool[0]), np.ascontiguousarray(tool[1]),
+        *_stacked(links),
+    )  # fmt: skip
+
+
+Pose = tuple[np.ndarray, np.ndarray]
+
+
+def _relative(parent: Pose, child: Pose) -> Pose:
+    """T_parent_child of two poses in the world."""
+    return parent[1].T @ (child[0] - parent[0]), parent[1].T @ child[1]
+
+
+def _stacked(poses: list[Pose]) -> Pose:
+    return np.array([p for p, _ in poses]), np.array([r for _, r in poses])
+
+
+def _frame_with_z(axis: np.ndarray) -> np.ndarray:
+    """A rotation whose z axis is ``axis``."""
+    helper = np.eye(3)[np.argmin(np.abs(axis))]
+    x = np.cross(helper, axis)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(axis, x), axis], 1)
+
+
+# ---------------------------------------------------------------- compiled
+
+
+@njit(cache=True)
+def _step(chain, k, angle, position, rotation, new_position, new_rotation):
+    """Joint frame k from the one before, whose arrays it may replace, turned by ``angle``."""
+    c, s = np.cos(angle), np.sin(angle)
+    for i in range(3):
+        new_position[i] = (
+            position[i]
+            + rotation[i, 0] * chain.offset[k, 0]
+            + rotation[i, 1] * chain.offset[k, 1]
+            + rotation[i, 2] * chain.offset[k, 2]
+        )
+        x = y = z = 0.0
+        for j in range(3):
+            x += rotation[i, j] * chain.turn[k, j, 0]
+            y += rotation[i, j] * chain.turn[k, j, 1]
+            z += rotation[i, j] * chain.turn[k, j, 2]
+        new_rotation[i, 0] = c * x + s * y
+        new_rotation[i, 1] = c * y - s * x
+        new_rotation[i, 2] = z
+
+
+@njit(cache=True)
+def _place(position, rotation, offset, turn, new_position, new_rotation):
+    for i in range(3):
+        new_position[i] = position[i]
+        for j in range(3):
+            new_position[i] += rotation[i, j] * offset[j]
+            new_rotation[i, j] = (
+                rotation[i, 0] * turn[0, j]
+                + rotation[i, 1] * turn[1, j]
+                + rotation[i, 2] * turn[2, j]
+            )
+
+
+@njit(cache=True)
+def joint_frames(chain, q, positions, rotations):
+    """Fills the joint frames, float64[n, 3] [m, world] and float64[n, 3, 3], of joints q [rad]."""
+    for i in range(3):
+        positions[0, i] = 0.0
+        for j in range(3):
+            rotations[0, i, j] = 1.0 if i == j else 0.0
+    for k in range(q.shape[0]):
+        before = max(k - 1, 0)
+        _step(chain, k, q[k], positions[before], rotations[before], positions[k], rotations[k])
+
+
+@njit(cache=True)
+def tool_and_frames(chain, q, positions, rotations, position, rotation):
+    """As :func:`joint_frames`, and fills the tool's float64[3] and float64[3, 3] (world)."""
+    joint_frames(chain, q, positions, rotations)
+    last = q.shape[0] - 1
+    _place(positions[last], rotations[last], chain.tool_offset, chain.tool_turn, position, rotation)
+
+
+@njit(cache=True)
+def forward(chain, q):
+    """The tool in the world at joints q, float64[n] [rad]: position float64[3] [m], rotation
+    float64[3, 3] (T_world_tool)."""
+    n = q.shape[0]
+    position, rotation = np.empty(3), np.empty((3, 3))
+    tool_and_frames(chain, q, np.empty((n, 3)), np.empty((n, 3, 3)), position, rotation)
+    return position, rotation
+
+
+@njit(cache=True)
+def forward_many(chain, q):
+    """:func:`forward` of float64[m, n]: float64[m, 3] and float64[m, 3, 3]."""
+    m, n = q.shape
+    position, rotation = np.empty((m, 3)), np.empty((m, 3, 3))
+    positions, rotations = np.empty((n, 3)), np.empty((n, 3, 3))
+    for k in range(m):
+        tool_and_frames(chain, q[k], positions, rotations, position[k], rotation[k])
+    return position, rotation
+
+
+@njit(cache=True)
+def link_frames(chain, q):
+    """Poses of the n moving bodies, T_world_link: float64[n, 3] [m] and float64[n, 3, 3].
+
+    What is fixed to the last of them (hand, tool) moves with it.
+    """
+    n = q.shape[0]
+    positions, rotations = np.empty((n, 3)), np.empty((n, 3, 3))
+    joint_frames(chain, q, positions, rotations)
+    position, rotation = np.empty((n, 3)), np.empty((n, 3, 3))
+    for k in range(n):
+        _place(
+            positions[k], rotations[k], chain.link_offset[k], chain.link_turn[k],
+            position[k], rotation[k],
+        )  # fmt: skip
+    return position, rotation
+
+
+@njit(cache=True)
+def fill_jacobian(positions, rotations, position, out):
+    """The geometric Jacobian, float64[6, n], from joint frames and tool position."""
+    for k in range(positions.shape[0]):
+        ax, ay, az = rotations[k, 0, 2], rotations[k, 1, 2], rotations[k, 2, 2]
+        x, y, z = position[0] - positions[k, 0], position[1] - positions[k, 1], position[2]
+        z -= positions[k, 2]
+        out[0, k] = ay * z - az * y
+        out[1, k] = az * x - ax * z
+        out[2, k] = ax * y - ay * x
+        out[3, k], out[4, k], out[5, k] = ax, ay, az
+
+
+@njit(cache=True)
+def jacobian(chain, q):
+    """float64[6, n]: velocity of the tool point [m/s] and angular velocity [rad/s], both in
+    world axes, per joint velocity [rad/s]."""
+    n = q.shape[0]
+    positions, rotations = np.empty((n, 3)), np.empty((n, 3, 3))
+    position, out = np.empty(3), np.empty((6, n))
+    tool_and_frames(chain, q, positions, rotations, position, np.empty((3, 3)))
+    fill_jacobian(positions, rotations, position, out)
+    return out

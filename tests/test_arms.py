@@ -1,0 +1,247 @@
+"""Arms as data: files, limits, models, grippers."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.robot.arm import ARMS, Arm, get_arm, load_arm
+from learn2assemble.robot.kinematics import forward, get_chain
+from learn2assemble.robot.model import COLLISION_GROUP, PICTURE_GROUP, arm_model, arm_spec
+from learn2assemble.robot.outcome import Outcome
+
+BOX, CAPSULE = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE
+
+
+@pytest.fixture(params=ARMS)
+def arm(request: pytest.FixtureRequest) -> Arm:
+    return get_arm(request.param)
+
+
+@pytest.fixture
+def third(tmp_path: Path) -> Path:
+    """A copy of the Panda's folder under another name."""
+    shutil.copytree(ARMS["panda"].parent, tmp_path / "mine")
+    return tmp_path / "mine" / "arm.toml"
+
+
+def at_rest(arm: Arm, pictures: bool = False) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """The arm at home with open fingers."""
+    model = arm_model(arm, pictures)
+    data = mujoco.MjData(model)
+    for name, angle in zip(arm.joints, arm.home, strict=True):
+        data.joint(name).qpos[0] = angle
+        data.actuator(name).ctrl[0] = angle
+    for name in arm.gripper.joints:
+        data.joint(name).qpos[0] = arm.gripper.max_width / 2
+    data.actuator(arm.gripper.actuator).ctrl[0] = arm.gripper.open_command
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
+# ---------------------------------------------------------------- names and files
+
+
+def test_there_are_two_arms_and_each_is_made_once() -> None:
+    assert set(ARMS) == {"panda", "ur5e"}
+    assert get_arm("panda") is get_arm("panda")
+    assert [len(get_arm(name).joints) for name in ("panda", "ur5e")] == [7, 6]
+
+
+def test_a_wrong_name_is_refused_with_the_nearest() -> None:
+    with pytest.raises(UnknownNameError, match=r"arm: got 'pandas'.*did you mean 'panda'\?"):
+        get_arm("pandas")
+    with pytest.raises(UnknownNameError, match=r"did you mean 'elbow-up'\?"):
+        get_arm("ur5e").limits("elbowup")
+
+
+def test_a_third_arm_is_a_file(third: Path) -> None:
+    text = third.read_text(encoding="utf-8").replace("[-0.5, 0.0, 0.0]", "[0.25, -0.5, 0.1]")
+    third.write_text(text.replace("yaw = 0.0", "yaw = 1.5707963267948966"), encoding="utf-8")
+    mine, panda = load_arm(third), get_arm("panda")
+    assert mine.name == "mine"
+    there, here = (forward(get_chain(arm), arm.home)[0] for arm in (mine, panda))
+    x, y, z = here - panda.base_position
+    np.testing.assert_allclose(there, [0.25 - y, -0.5 + x, 0.1 + z], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('tool = "tool"', 'tool = "tol"', r"site: got 'tol'.*did you mean 'tool'"),
+        ('"joint7"]', '"joint8"]', r"joint: got 'joint8'.*did you mean"),
+        ('"joint7"]', '"left_finger_joint"]', r"joints: got 'left_finger_joint'.*hinge"),
+        ("home = [0.0,", "home = [3.0,", r"home: got .*within their limits"),
+        ("home = [0.0, ", "home = [", r"home: got .*expected 7 numbers"),
+        ("velocity = [2.175,", "velocity = [nan,", r"velocity: got .*7 numbers"),
+        ("velocity = ", "speeds = ", r"velocity: got None, expected a value"),
+        ("[gripper]", "[hand]", r"gripper: got None"),
+        ('"panda.xml"', '"other.xml"', r"mjcf: got .*other.xml"),
+        ('mjcf = "', "mjcf = ", r"expected valid TOML"),
+        ("[base]", '[branches.odd]\njoint9 = [0, 1]\n[base]', r"branches.odd, joint: got 'joint9'"),
+        ("[base]", "[branches.odd]\njoint4 = [0, 1]\n[base]", r"odd, joint4: got \[0, 1\]"),
+    ],
+)  # fmt: skip
+def test_a_wrong_file_is_refused(third: Path, old: str, new: str, message: str) -> None:
+    text = third.read_text(encoding="utf-8")
+    assert old in text
+    third.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(InputError, match=message) as caught:
+        load_arm(third)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"a file arm\.toml"):
+        load_arm(tmp_path / "nothing" / "arm.toml")
+
+
+def test_licences_and_sizes(arm: Arm) -> None:
+    folder = arm.mjcf.parent
+    for name, words in (("LICENSE", "WARRANTIES"), ("NOTICE", "Changed:")):
+        assert words in (folder / name).read_text(encoding="utf-8")
+    assert sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) < 600_000
+
+
+# ---------------------------------------------------------------- the models
+
+
+def test_arrays_fit_and_are_read_only(arm: Arm) -> None:
+    for array in (arm.lower, arm.upper, arm.velocity, arm.acceleration, arm.jerk, arm.home):
+        assert array.shape == (len(arm.joints),)
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+    assert arm.inside_limits(arm.home)
+    assert not arm.inside_limits(arm.upper + 1e-3)
+    for lower, upper in (arm.limits(), arm.limits("any"), *arm.branches.values()):
+        assert ((arm.lower <= lower) & (lower < upper) & (upper <= arm.upper)).all()
+        assert ((lower <= arm.home) & (arm.home <= upper)).all()
+
+
+def test_home_points_the_tool_down_with_room_to_turn_the_hand(arm: Arm) -> None:
+    position, rotation = forward(get_chain(arm), arm.home)
+    np.testing.assert_allclose(rotation[:, 2], [0, 0, -1], atol=2e-3)
+    assert abs(rotation[1, 1]) > 0.999  # the fingers close along the world's y
+    assert 0.15 < position[2] < 0.4
+    assert (np.minimum(arm.home - arm.lower, arm.upper - arm.home)[-1]) > np.pi / 2
+
+
+def test_geoms_are_named_and_grouped(arm: Arm) -> None:
+    model, gripper = arm_model(arm, pictures=True), arm.gripper
+    for k in range(model.ngeom):
+        geom, body = model.geom(k), model.body(model.geom(k).bodyid[0]).name
+        if geom.group[0] == PICTURE_GROUP:
+            assert geom.name.startswith(f"{body}_v_")
+            assert geom.contype[0] == geom.conaffinity[0] == 0
+        else:
+            assert geom.group[0] == COLLISION_GROUP
+            assert int(geom.type[0]) in (int(BOX), int(CAPSULE))
+            assert geom.name.startswith(f"{body}_c") or geom.name in gripper.pads
+    for pad, finger in zip(gripper.pads, gripper.fingers, strict=True):
+        geom = model.geom(pad)
+        assert model.body(geom.bodyid[0]).name == finger
+        assert (geom.friction[0], geom.condim[0], geom.priority[0]) == (1, 4, 1)
+    assert (model.body_gravcomp[1:] == 1).all()
+    plain = arm_model(arm)
+    assert plain.nmesh == 0
+    assert plain.ngeom == (model.geom_group == COLLISION_GROUP).sum()
+    assert plain.body_mass.sum() == pytest.approx(model.body_mass.sum())
+
+
+def distance(model: mujoco.MjModel, data: mujoco.MjData, geom: int, points: np.ndarray):
+    """Signed distance of float64[k, 3] to a box or capsule (negative inside) [m]."""
+    local = (points - data.geom_xpos[geom]) @ data.geom_xmat[geom].reshape(3, 3)
+    size = model.geom_size[geom]
+    if model.geom_type[geom] == BOX:
+        out = np.abs(local) - size
+        return np.linalg.norm(np.maximum(out, 0), axis=1) + np.minimum(out.max(1), 0)
+    local[:, 2] -= np.clip(local[:, 2], -size[1], size[1])
+    return np.linalg.norm(local, axis=1) - size[0]
+
+
+def test_what_collides_covers_what_is_seen(arm: Arm) -> None:
+    """Pictures stick out of the collision shapes by some millimetres at most."""
+    model, data = at_rest(arm, pictures=True)
+    for name in arm.gripper.joints:
+        data.joint(name).qpos[0] = 0.025
+    mujoco.mj_forward(model, data)
+    hand = [model.body(name).id for name in (arm.gripper.hand, *arm.gripper.fingers)]
+    for body in range(1, model.nbody):
+        near = hand if body in hand else [body]
+        shapes = [
+            k
+            for k in range(model.ngeom)
+            if model.geom_bodyid[k] in near and model.geom_group[k] == COLLISION_GROUP
+        ]
+        for k in np.flatnonzero((model.geom_bodyid == body) & (model.geom_group == PICTURE_GROUP)):
+            mesh = model.geom_dataid[k]
+            start = model.mesh_vertadr[mesh]
+            vertices = model.mesh_vert[start : start + model.mesh_vertnum[mesh]]
+            points = vertices @ data.geom_xmat[k].reshape(3, 3).T + data.geom_xpos[k]
+            out = np.min([distance(model, data, shape, points) for shape in shapes], axis=0)
+            assert out.max() < 0.010, model.geom(k).name
+    assert shapes
+
+
+def test_the_arm_rests_at_home_without_touching_itself(arm: Arm) -> None:
+    model, data = at_rest(arm)
+    assert data.ncon == 0
+    mujoco.mj_step(model, data, 500)
+    assert data.ncon == 0
+    joints = np.array([data.joint(name).qpos[0] for name in arm.joints])
+    np.testing.assert_allclose(joints, arm.home, atol=1e-3)
+
+
+@pytest.mark.parametrize("width", [0.0, 0.02, 0.05, 0.07])
+def test_the_gripper_opens_to_the_commanded_width(arm: Arm, width: float) -> None:
+    model, data = at_rest(arm)
+    data.actuator(arm.gripper.actuator).ctrl[0] = arm.gripper.command(width)
+    mujoco.mj_step(model, data, 1000)
+    travel = [data.joint(name).qpos[0] for name in arm.gripper.joints]
+    np.testing.assert_allclose(travel, width / 2, atol=5e-4)
+    left, right = (data.geom(pad).xpos for pad in arm.gripper.pads)
+    thickness = [2 * model.geom(pad).size[1] for pad in arm.gripper.pads]
+    assert np.linalg.norm(left - right) - np.mean(thickness) == pytest.approx(width, abs=1e-3)
+    # The pads face each other along the tool's y axis and hold the tool point between them.
+    site = data.site(arm.tool)
+    along = (left - right) @ site.xmat.reshape(3, 3)
+    assert abs(along[0]) < 1e-6 and abs(along[2]) < 1e-6  # noqa: PT018
+    assert np.linalg.norm((left + right) / 2 - site.xpos) < 0.003
+
+
+def test_the_gripper_presses_with_its_force(arm: Arm) -> None:
+    spec = arm_spec(arm)
+    block = spec.worldbody.add_body(name="block", pos=forward(get_chain(arm), arm.home)[0])
+    block.add_freejoint()
+    block.gravcomp = 1
+    block.add_geom(type=BOX, size=[0.025] * 3, mass=0.1)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    for name, angle in zip(arm.joints, arm.home, strict=True):
+        data.joint(name).qpos[0] = data.actuator(name).ctrl[0] = angle
+    for name in arm.gripper.joints:
+        data.joint(name).qpos[0] = 0.03
+    data.actuator(arm.gripper.actuator).ctrl[0] = arm.gripper.grip_command(0.05)
+    mujoco.mj_step(model, data, 500)
+    pads = [model.geom(pad).id for pad in arm.gripper.pads]
+    normal = dict.fromkeys(pads, 0.0)
+    force = np.zeros(6)
+    for k, contact in enumerate(data.contact):
+        mujoco.mj_contactForce(model, data, k, force)
+        for pad in pads:
+            if pad in contact.geom:
+                normal[pad] += force[0]
+    np.testing.assert_allclose(list(normal.values()), arm.gripper.force, rtol=0.03)
+
+
+def test_outcomes_have_the_names_of_the_contract() -> None:
+    assert [outcome.label for outcome in Outcome] == [
+        "reached", "unreachable", "grasp-collision", "place-collision", "grasp-lost",
+        "disturbed-structure", "unstable", "dropped",
+    ]  # fmt: skip
+    assert Outcome.REACHED == 0

@@ -1,0 +1,299 @@
+"""The kinematic cell: columns, collisions, typed outcomes."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from learn2assemble.errors import UnknownNameError
+from learn2assemble.robot.arm import get_arm
+from learn2assemble.robot.collision import CollisionModel
+from learn2assemble.robot.columns import Columns
+from learn2assemble.robot.grasps import GRASP_SETS, Attitude, get_grasps, turn
+from learn2assemble.robot.kinematic import Attempt, KinematicCell
+from learn2assemble.robot.kinematics import forward, get_chain
+from learn2assemble.robot.motion import OPENING, column, crossing_height
+from learn2assemble.robot.outcome import Outcome
+from learn2assemble.robot.scene import Move, Scene, carried, fillers, put_down
+
+AA, AB, BA, BB = get_grasps("paper")
+GROUND = 0.025
+PITCH = 0.06
+
+
+def scene(placed: list[tuple], waiting: list[tuple], objects: list[int] | None = None) -> Scene:
+    """Cells on the lattice of the robot cell: (x, y, z) [pitches; levels above the ground]."""
+    cells = np.array([*placed, *waiting], float)
+    position = cells * [PITCH, PITCH, 0.05] + [0.0, 0.0, GROUND]
+    ids = np.arange(len(cells)) if objects is None else np.array(objects)
+    return Scene(position, np.zeros(len(cells)), ids, len(placed))
+
+
+def cell(x: float, y: float, z: float) -> np.ndarray:
+    return np.array([x * PITCH, y * PITCH, z * 0.05 + GROUND])
+
+
+@pytest.fixture(scope="module")
+def panda() -> KinematicCell:
+    return KinematicCell(get_arm("panda"), num_cells=16)
+
+
+@pytest.fixture(scope="module")
+def ur5e() -> KinematicCell:
+    return KinematicCell(get_arm("ur5e"), num_cells=16)
+
+
+# ---------------------------------------------------------------- attitudes and columns
+
+
+def test_attitudes_close_along_the_axes_of_the_paper() -> None:
+    np.testing.assert_array_equal(abs(AA.grasp.rotation()[:, 1]), [0, 1, 0])
+    np.testing.assert_array_equal(abs(BB.grasp.rotation()[:, 1]), [1, 0, 0])
+    for pair in (AA, AB, BA, BB):
+        np.testing.assert_array_equal(pair.grasp.rotation()[:, 2], [0, 0, -1])
+    # Protocol 5: net turns of 0, -90, 90 and 0 degrees.
+    turns = [pair.place.yaw - pair.grasp.yaw for pair in (AA, AB, BA, BB)]
+    np.testing.assert_allclose(np.degrees(turns), [0, -90, 90, 0])
+
+
+@pytest.mark.parametrize("name", GRASP_SETS)
+def test_rotations_are_proper_and_the_tool_points_down(name: str) -> None:
+    for attitude in {a for pair in get_grasps(name) for a in pair}:
+        rotation = attitude.rotation()
+        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(rotation) == pytest.approx(1)
+        assert rotation[2, 2] < -0.8
+        # Exchanging the fingers turns the closing axis round and leaves the approach.
+        other = attitude.flipped()
+        np.testing.assert_allclose(other.rotation()[:2, 1], -rotation[:2, 1], atol=1e-12)
+
+
+def test_unknown_grasp_sets_are_refused() -> None:
+    with pytest.raises(UnknownNameError, match="paper"):
+        get_grasps("papper")
+
+
+@given(st.floats(-0.6, 0.6), st.floats(0, 0.02), st.floats(-math.pi, math.pi))
+def test_the_hand_leans_and_keeps_off_along_its_approach(
+    tilt: float, depth: float, yaw: float
+) -> None:
+    attitude = Attitude(yaw, tilt, depth)
+    centre = np.array([0.1, -0.2, 0.3])
+    poses = column(centre, attitude, 0.5)
+    away = poses.position[0] - centre
+    np.testing.assert_allclose(away, -depth * poses.rotation[:, 2], atol=1e-12)
+    near = np.diff(poses.position[:4], axis=0)
+    along = near / np.linalg.norm(near, axis=1)[:, None]
+    np.testing.assert_allclose(along, np.tile(-poses.rotation[:, 2], (3, 1)), atol=1e-9)
+    assert (np.diff(poses.position[:, 2]) > 0).all()
+    assert poses.position[-1, 2] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5e"])
+def test_columns_reach_their_poses_on_one_branch(name: str) -> None:
+    arm = get_arm(name)
+    columns = Columns(arm)
+    for x, y in ((0.0, 0.0), (0.1, 0.12), (-0.15, -0.2)):
+        centre = np.array([x, y, GROUND])
+        joints = columns.solve(centre, AA.grasp, 0.3)
+        assert not isinstance(joints, str), joints
+        assert arm.inside_limits(joints).all()
+        poses = column(centre, AA.grasp, 0.3)
+        for q, position in zip(joints, poses.position, strict=True):
+            where, rotation = forward(get_chain(arm), q)
+            np.testing.assert_allclose(where, position, atol=1e-5)
+            np.testing.assert_allclose(rotation, poses.rotation, atol=1e-5)
+        assert abs(np.diff(joints, axis=0)).max() < 0.6
+        assert columns.solve(centre, AA.grasp, 0.3) is joints
+
+
+# ---------------------------------------------------------------- scenes
+
+
+def test_crossing_height_clears_what_stands_and_what_hangs() -> None:
+    low = scene([(0, 0, 0)], [(3, -3, 0)])
+    tall = scene([(0, 0, k) for k in range(5)], [(3, -3, 0)])
+    pair = scene([(0, 0, 0)], [(3, -3, 0), (3, -3, 1)], [0, 1, 1])
+    move = Move(1, cell(1, 0, 0), *AA)
+    base = crossing_height(low, move)
+    assert crossing_height(tall, move._replace(cell=5)) == pytest.approx(base + 0.2)
+    assert crossing_height(pair, move._replace(cell=2)) == pytest.approx(base + 0.05)
+
+
+def test_put_down_lists_the_object_last_with_the_grasped_cell_first() -> None:
+    before = scene([(0, 0, 0)], [(2, -3, 0), (3, -3, 0), (4, -3, 0), (6, -3, 0)], [0, 1, 2, 2, 3])
+    after = put_down(before, Move(3, cell(0, 1, 0), *AB))
+    assert after.num_placed == 3
+    assert after.object_id.tolist() == [0, 2, 2, 1, 3]
+    np.testing.assert_allclose(after.position[1], cell(0, 1, 0))
+    # The other cell lay to the left; a quarter turn to the right puts it behind.
+    np.testing.assert_allclose(after.position[2], cell(0, 2, 0), atol=1e-12)
+    np.testing.assert_allclose(after.position[3:], before.position[[1, 4]])
+
+
+@given(st.integers(0, 3), st.integers(0, 2))
+def test_carried_objects_stay_rigid(turns: int, grasped: int) -> None:
+    shape = [(5, -3, 0), (6, -3, 0), (6, -3, 1)]
+    before = scene([(0, 0, 0)], shape, [0, 1, 1, 1])
+    place = Attitude(yaw=-turns * math.pi / 2)
+    move = Move(1 + grasped, cell(0, 0, 1), AA.grasp, place)
+    members = before.members(move.cell)
+    position, yaw = carried(before, move, members)
+    np.testing.assert_allclose(position[0], move.target)
+    start = before.position[members]
+    for a in range(3):
+        for b in range(3):
+            np.testing.assert_allclose(
+                np.linalg.norm(position[a] - position[b]), np.linalg.norm(start[a] - start[b])
+            )
+    np.testing.assert_allclose(yaw, -turns * math.pi / 2)
+
+
+def test_fillers_join_horizontal_neighbours_of_one_object() -> None:
+    cells = scene([(0, 0, 0)], [(5, -3, 0), (6, -3, 0), (6, -3, 1), (7, -3, 0)], [0, 1, 1, 1, 2])
+    assert fillers(cells.position, cells.object_id).tolist() == [[1, 2]]
+    alone = scene([(0, 0, 0)], [(1, 0, 0)])
+    assert len(fillers(alone.position, alone.object_id)) == 0
+
+
+# ---------------------------------------------------------------- collisions against MuJoCo
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 10**9))
+def test_collisions_agree_with_distances_of_all_pairs(seed: int) -> None:
+    """The verdict of broad phase, masks and exclusions against every pair of geoms by itself."""
+    rng = np.random.default_rng(seed)
+    arm = get_arm("panda")
+    model = CollisionModel(arm, 4)
+    position = rng.uniform([-0.4, -0.3, 0.0], [0.2, 0.3, 0.5], (4, 3))
+    model.place(Scene(position, rng.uniform(-3, 3, 4), np.array([0, 1, 2, 2]), 1))
+    model.carry(np.array([[0.0, 0.0, 0.0]]), np.zeros(1, np.int64))
+    joints = rng.uniform(arm.lower, arm.upper)
+    hit = model.touch(joints, OPENING)
+    m, d = model.model, model.data
+    mujoco.mj_kinematics(m, d)
+
+    def name(geom: int) -> str:
+        return m.body(m.geom_bodyid[geom]).name
+
+    thing = ("table", "block", "filler")
+    things = [g for g in range(m.ngeom) if name(g).startswith(thing)]
+    held = [g for g in range(m.ngeom) if name(g).startswith("carried")]
+    links = [g for g in range(m.ngeom) if g not in (*things, *held) and m.geom_group[g] == 3]
+    nearest = min(
+        mujoco.mj_geomDistance(m, d, a, b, 0.05, None)
+        for a in (*links, *held) for b in things
+        if not (name(a) == "link0" and name(b) == "table")
+    )  # fmt: skip
+    if abs(nearest) < 1e-5:
+        return
+    if nearest < 0:
+        assert hit is not None
+    elif hit is not None:
+        # Only the arm itself is left.
+        assert not hit.other.startswith(thing)
+
+
+# ---------------------------------------------------------------- outcomes
+
+
+def outcome(found: Attempt) -> tuple[Outcome, str]:
+    return found.outcome, found.stage
+
+
+@pytest.mark.parametrize("pair", [AA, AB, BA, BB])
+def test_a_block_on_a_block_is_reached(
+    panda: KinematicCell, ur5e: KinematicCell, pair: tuple
+) -> None:
+    world = scene([(0, 0, 0)], [(-1, -4, 0), (1, -4, 0)])
+    for arm in (panda, ur5e):
+        found = arm.attempt(world, Move(1, cell(0, 0, 1), *pair))
+        assert outcome(found) == (Outcome.REACHED, "")
+        assert found.pick is not None
+        assert arm.arm.inside_limits(found.pick).all()
+
+
+def test_far_places_are_unreachable(panda: KinematicCell) -> None:
+    world = scene([(0, 0, 0)], [(1, -4, 0), (14, 0, 0)])
+    for number, target, stage in ((1, cell(14, 0, 0), "place"), (2, cell(0, 0, 1), "pick")):
+        found = panda.attempt(world, Move(number, target, *AA))
+        assert outcome(found) == (Outcome.UNREACHABLE, stage)
+        assert "out of reach" in found.detail
+
+
+def test_a_neighbour_on_the_closing_axis_is_in_the_way(panda: KinematicCell) -> None:
+    # At y the neighbour stands where a finger has to go, at x there is room.
+    waiting = scene([(0, 0, 0)], [(2, -4, 0), (2, -5, 0)])
+    found = panda.attempt(waiting, Move(1, cell(0, 0, 1), *AA))
+    assert outcome(found) == (Outcome.GRASP_COLLISION, "pick")
+    assert "finger touches block 2" in found.detail
+    assert panda.attempt(waiting, Move(1, cell(0, 0, 1), *BB)).reached
+    wall = scene([(0, 0, 0)], [(2, -4, 0)])
+    found = panda.attempt(wall, Move(1, cell(0, 1, 0), *AA))
+    assert found.outcome == Outcome.PLACE_COLLISION
+    assert panda.attempt(wall, Move(1, cell(0, 1, 0), *AB)).reached
+
+
+def test_a_higher_neighbour_on_the_closing_axis_stops_the_hand(panda: KinematicCell) -> None:
+    world = scene([(0, 0, 0), (2, 0, 0), (2, 0, 1), (2, 0, 2)], [(0, -4, 0)])
+    blocked = panda.attempt(world, Move(4, cell(0, 0, 1), *BB))
+    assert blocked.outcome == Outcome.PLACE_COLLISION
+    assert panda.attempt(world, Move(4, cell(0, 0, 1), *BA)).reached
+
+
+@pytest.mark.parametrize(
+    ("target", "other"), [((0, 0, 0), "block 0"), ((2, 0, -1), "table"), ((0, 0, 0.5), "block 0")]
+)
+def test_occupied_and_sunken_cells_collide(panda: KinematicCell, target: tuple, other: str) -> None:
+    world = scene([(0, 0, 0)], [(0, -4, 0)])
+    found = panda.attempt(world, Move(1, cell(*target), *AA))
+    assert outcome(found) == (Outcome.PLACE_COLLISION, "place")
+    assert found.detail.endswith(other)
+
+
+def test_objects_are_grasped_by_any_cell_the_hand_can_get_at(panda: KinematicCell) -> None:
+    upright = scene([(0, 0, 0)], [(1, -4, 0), (1, -4, 1)], [0, 1, 1])
+    upper = panda.attempt(upright, Move(2, cell(0, -1, 1), *BB))
+    assert upper.reached
+    lower = panda.attempt(upright, Move(1, cell(0, -1, 0), *BB))
+    assert lower.outcome == Outcome.GRASP_COLLISION
+    assert "block 2" in lower.detail
+    lying = scene([(0, 0, 0)], [(1, -4, 0), (2, -4, 0)], [0, 1, 1])
+    # Across the object there is room; along it, its own other cell is in the way.
+    assert panda.attempt(lying, Move(1, cell(1, 0, 0), *AA)).reached
+    assert panda.attempt(lying, Move(1, cell(1, 0, 0), *BB)).outcome == Outcome.GRASP_COLLISION
+
+
+def test_what_hangs_from_the_hand_collides(panda: KinematicCell) -> None:
+    """A vertical pair held by its upper cell: its lower one hits what the hand would clear."""
+    world = scene([(0, 0, 0), (0, 0, 1)], [(1, -4, 0), (1, -4, 1)], [0, 1, 2, 2])
+    found = panda.attempt(world, Move(3, cell(0, 0, 2), *BB))
+    assert found.outcome == Outcome.PLACE_COLLISION
+    assert found.detail.startswith("carried")
+    assert panda.attempt(world, Move(3, cell(0, 0, 3), *BB)).reached
+
+
+def test_an_attempt_leaves_the_scene_alone_and_forgets_the_last(panda: KinematicCell) -> None:
+    world = scene([(0, 0, 0)], [(1, -4, 0), (1, -4, 1), (-1, -4, 0)], [0, 1, 1, 2])
+    before = [np.copy(field) for field in world]
+    orders = [(world, Move(n, cell(*to), *pair)) for n, to, pair in (
+        (2, (0, 0, 2), AA), (3, (0, 0, 1), BB), (1, (0, 0, 1), AA), (3, (1, 0, 0), AB),
+    )]  # fmt: skip
+    first = panda.attempt_many(orders)
+    again = panda.attempt_many(orders[::-1])[::-1]
+    assert [outcome(a) for a in first] == [outcome(a) for a in again]
+    fresh = KinematicCell(get_arm("panda"), num_cells=16)
+    assert [outcome(a) for a in fresh.attempt_many(orders)] == [outcome(a) for a in first]
+    for field, old in zip(world, before, strict=True):
+        np.testing.assert_array_equal(field, old)
+
+
+def test_turns_are_exact_for_quarters() -> None:
+    np.testing.assert_array_equal(turn(-math.pi / 2) @ [1, 0, 0], [0, -1, 0])
+    np.testing.assert_array_equal(turn(5 * math.pi / 2), turn(math.pi / 2))
