@@ -88,6 +88,7 @@ def prepare(folder: Path, agent: Path, run: Path, design: Path, log: Path) -> No
     (folder / "no_state" / "state.safetensors").unlink()
     (folder / "not_json.jsonl").write_text("{]\n")
     (folder / "list.jsonl").write_text("[1, 2]\n")
+    (folder / "robot.jsonl").write_text('{"variant": "3robo", "ep": 0, "t": 0}\n')
     (folder / "empty.jsonl").write_text("")
     (folder / "not_gzip.jsonl.gz").write_bytes(b"plain text")
     # Valid framing around damaged contents.
@@ -235,6 +236,7 @@ BAD = [
     BadCall("replay a folder", ["replay", "{d}/full"], "an existing .jsonl"),
     BadCall("replay what is not JSON", ["replay", "{d}/not_json.jsonl"], "line 1"),
     BadCall("replay a list", ["replay", "{d}/list.jsonl"], "a JSON object"),
+    BadCall("replay another robot's log", ["replay", "{d}/robot.jsonl"], "3robo"),
     BadCall("replay what is not packed", ["replay", "{d}/not_gzip.jsonl.gz"], "line 1"),
     BadCall("replay a good and a bad file", ["replay", "{d}/log.jsonl", "{d}/list.jsonl"],
             "list.jsonl line 1"),
