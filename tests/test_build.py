@@ -13,8 +13,9 @@ from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QNetwork
 from learn2assemble.planning.build import build
 from learn2assemble.planning.planner import plan_sequences
-from learn2assemble.planning.problem import Problem, design_problem, preset_problem
+from learn2assemble.planning.problem import Problem
 from learn2assemble.planning.sequence import Placement, replay, strip
+from learn2assemble.planning.sources import design_problem, preset_problem
 from learn2assemble.planning.verify import verify
 from learn2assemble.presets import PRESETS
 from learn2assemble.simulator import Simulator

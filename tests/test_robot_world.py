@@ -28,7 +28,7 @@ from learn2assemble.physics.protocol import Verdict
 from learn2assemble.physics.rigid import RigidPhysics
 from learn2assemble.physics.static import StaticPhysics
 from learn2assemble.planning.legacy import LegacyModel
-from learn2assemble.planning.problem import preset_problem
+from learn2assemble.planning.sources import preset_problem
 from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.presets import PRESETS, get_task
 from learn2assemble.search.config import SearchConfig
@@ -490,10 +490,12 @@ def test_networks_learn_and_search_there(task: Task, name: str) -> None:
 
 @each_robot
 def test_what_needs_touching_blocks_says_so(task: Task) -> None:
-    """Plans, bounds and symmetries are those of the lattice without gaps."""
-    refusal = preset_problem(task.name, 0).refusal
-    assert refusal is not None
-    assert "plans are made of" in refusal
+    """Bounds and symmetries are those of touching blocks; plans need the arm, and cubes."""
+    cubes = task.objects == "cubes"
+    with_arm, by_hand = preset_problem(task.name, 0), preset_problem(task.name, 0, "none")
+    assert (with_arm.refusal is None) == cubes
+    assert by_hand.refusal is not None
+    assert ("fingers of an arm" if cubes else "plans are made of cubes") in by_hand.refusal
     assert not has_bound(task)
     fitted = fit_to(get_config("published"), task)
     assert not fitted.augment

@@ -25,18 +25,19 @@ _BARS = Task(
     "bars", num_sides=1, grid=5, num_nodes=30, objects="bars", layout="field", reward="scaled",
 )  # fmt: skip
 
-# What all cells with a robot share: room for the fingers, a tolerant camera, coverage of the whole
+# Shared by all cells with a robot: room for the fingers, a tolerant camera, coverage of the whole
 # target (protocol 0, 1.2, 2, 3.4). One side has five actions, all by one grip.
-_ROBOT = Task(
+ROBOT = Task(
     "robot", num_sides=2, grid=3, num_nodes=20, rotations=4, attitudes="grips", pitch=0.06,
     layout="slanted-rows", success_threshold=0.75, cover_filter="wide", normalise_initial=False,
     max_initial_cover=0.6, arm="panda",
 )  # fmt: skip
-_ROBOT_MORE = _ROBOT.replace(num_nodes=24, unseen_shapes_only=True)
-_ROBOT_ONE_SIDED = _ROBOT.replace(
+"""What all cells with a robot share, also those that build a user's design."""
+_ROBOT_MORE = ROBOT.replace(num_nodes=24, unseen_shapes_only=True)
+_ROBOT_ONE_SIDED = ROBOT.replace(
     num_sides=1, grid=5, rotations=1, attitudes="turns", pitch=0.055, layout="rows"
 )
-_ROBOT_OBJECTS = _ROBOT.replace(
+_ROBOT_OBJECTS = ROBOT.replace(
     grid=5, num_nodes=30, objects="set-26", layout="columns", reward="scaled", discount=0.95,
     stability="object",
 )  # fmt: skip
@@ -71,13 +72,13 @@ _ALL = (
     # With a robot: appendix table 5, table 4 (blocks in rows, at random places), table 3, table 5.
     _ROBOT_ONE_SIDED.replace(name="robot-one-sided-5x5-15-17"),
     _ROBOT_ONE_SIDED.replace(name="robot-one-sided-6x6-16-18", grid=6, num_nodes=21),
-    _ROBOT.replace(name="robot-two-sided-3x3-10-14"),
+    ROBOT.replace(name="robot-two-sided-3x3-10-14"),
     _ROBOT_MORE.replace(name="robot-two-sided-3x3-14-18"),
     _ROBOT_MORE.replace(name="robot-two-sided-5x5-14-18", grid=5),
-    _ROBOT.replace(name="robot-random-two-sided-3x3-10-14", layout="random"),
+    ROBOT.replace(name="robot-random-two-sided-3x3-10-14", layout="random"),
     _ROBOT_MORE.replace(name="robot-random-two-sided-3x3-14-18", layout="random"),
     _ROBOT_MORE.replace(name="robot-random-two-sided-5x5-14-18", layout="random", grid=5),
-    _ROBOT.replace(name="robot-four-sided-3x3-10-18", num_sides=4, num_nodes=30),
+    ROBOT.replace(name="robot-four-sided-3x3-10-18", num_sides=4, num_nodes=30),
     _ROBOT_MORE.replace(name="robot-four-sided-3x3-16-24", num_sides=4, num_nodes=36),
     _ROBOT_OBJECTS.replace(name="robot-objects-two-sided-5x5-20-24"),
     _ROBOT_OBJECTS.replace(name="robot-objects-two-sided-5x5-30-34", num_nodes=40),

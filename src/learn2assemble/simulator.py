@@ -123,7 +123,7 @@ class Simulator:
     def __init__(self, task: Task, physics: str | Physics | None = None) -> None:
         self.task = task
         self.physics: Physics = resolve_judge(physics, task)
-        self.frames = side_frames(task.num_sides, task.pitch)
+        self.frames = side_frames(task.num_sides, task.pitch, task.aisle)
         self.depths = FILTERS[task.cover_filter]
         self.ways = task.ways
         self._stock = inventory(task.objects)

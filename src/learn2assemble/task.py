@@ -49,6 +49,7 @@ class Task:
         attitudes: what these are, see ``ATTITUDES`` in :mod:`learn2assemble.world.actions`.
         pitch: horizontal distance of the centres of neighbouring blocks [m]; more than a block's
             edge leaves room for the fingers of a gripper.
+        aisle: empty rows of cells between the two walls of a two-sided structure.
         layout: where unplaced objects wait, see :mod:`learn2assemble.world.layouts`.
         reward: ``discrete`` (cubes) or ``scaled`` (objects), protocol 6.3.
         discount: gamma of the returns.
@@ -76,6 +77,7 @@ class Task:
     rotations: int = 1
     attitudes: str = "turns"
     pitch: float = EDGE
+    aisle: int = 0
     layout: str = "line"
     reward: str = "discrete"
     discount: float = 0.8
@@ -102,6 +104,8 @@ class Task:
         get_ways(self.attitudes, self.rotations, self.pitch)
         if not EDGE <= self.pitch <= MAX_PITCH:
             raise InputError("pitch", self.pitch, f"{EDGE} to {MAX_PITCH} m")
+        if self.aisle not in ((0, 1, 2) if self.num_sides == 2 else (0,)):
+            raise InputError("aisle", self.aisle, "0 to 2 rows between two walls, else 0")
         if self.cover_filter not in FILTERS:
             raise UnknownNameError("cover filter", self.cover_filter, FILTERS)
         if self.stability not in STABILITY:

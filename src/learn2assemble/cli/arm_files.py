@@ -18,8 +18,11 @@ def write_arm_files(
     record: BuildRecord,
     folder: Path,
     progress: Callable[[str], None] = lambda text: None,
+    video: bool = True,
 ) -> dict[str, Path]:
     """Write ``trajectory.json``, ``trajectory.csv`` and ``build.mp4``; which file is what.
+
+    Where the arm did nothing there is nothing to film.
 
     The trajectory is written before it is checked, so that a faulty one can be looked at.
 
@@ -34,7 +37,7 @@ def write_arm_files(
     write_record(record, files["trajectory"])
     write_csv(record, files["trajectory table"])
     require_sound(record)
-    if record.steps:
+    if record.steps and video:
         files["video"] = folder / "build.mp4"
         progress("drawing the video")
         write_video(plan, record, files["video"])

@@ -1,9 +1,10 @@
-"""``l2a build``: plan a design, prove every step, write the report."""
+"""``l2a build``: plan a design, prove every step or let an arm build it, write the report."""
 
 from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +12,26 @@ import torch
 
 from learn2assemble.cli.arm_files import write_arm_files
 from learn2assemble.cli.output import Output
-from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.errors import InputError, UnknownNameError, look_up
 from learn2assemble.networks.agent import default_agent, load_agent
+from learn2assemble.planning.arm_build import build_with_arm, real_cell
 from learn2assemble.planning.build import build
-from learn2assemble.planning.problem import Problem, design_problem, preset_problem
+from learn2assemble.planning.problem import Problem
+from learn2assemble.planning.site import set_out
+from learn2assemble.planning.sources import design_problem, preset_problem
 from learn2assemble.presets import PRESETS
+from learn2assemble.robot.arm import get_arm
+from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.record import BuildRecord
+from learn2assemble.robot.registry import ARMS
 from learn2assemble.viewer import write_page, write_progress
+from learn2assemble.viewer.video import require_video
 from learn2assemble.world.designs import read_design
+from learn2assemble.world.layout_file import Layout, read_layout
 
 DEFAULT_AGENT_TASK = "two-sided-3x3-20-24"
+DEFAULT_ARM_TASKS = ("robot-two-sided-3x3-10-14", "robot-four-sided-3x3-10-18")
+"""With an arm: walls, and what has more than two sides."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -28,14 +39,24 @@ def run(options: argparse.Namespace) -> int:
     output = Output(options.json)
     # One thread: small batches lose more by sharing than they gain.
     torch.set_num_threads(1)
-    problem, source = _problem(options.design, options.seed)
-    agent = load_agent(options.agent or default_agent(DEFAULT_AGENT_TASK))
-    prepare_folder(options.out)
-    plan = build(
-        problem, agent, source, seed=options.seed, seconds=options.seconds,
-        progress=output.progress,
-    )  # fmt: skip
-    files = _write(plan, options.out)
+    layout = read_layout(options.layout) if options.layout else None
+    problem, source = _problem(options, layout)
+    agent = load_agent(options.agent or default_agent(_agent_task(problem)))
+    how = {"seed": options.seed, "seconds": options.seconds, "progress": output.progress}
+    record = None
+    if problem.task.has_arm:
+        arm = get_arm(problem.task.arm)
+        # What is missing shows before the work, not after it.
+        cell, video = real_cell(arm), options.video and require_video() is not None
+        if problem.inside is not None and problem.refusal is None:
+            blocks = int(problem.state.num_blocks[0])
+            problem = set_out(problem, KinematicCell(arm, blocks), layout)
+        prepare_folder(options.out)
+        plan, record = build_with_arm(problem, agent, source, cell, **how)
+    else:
+        prepare_folder(options.out)
+        plan, video = build(problem, agent, source, **how), False
+    files = _write(plan, options.out, record, output.progress, video)
     _report(output, plan, files)
     output.finish({**_summary(plan), "files": {k: str(v) for k, v in files.items()}})
     return 0 if plan["status"] == "complete" else 1
@@ -61,18 +82,37 @@ def prepare_folder(folder: Path) -> None:
         raise InputError("--out", str(folder), f"a folder that can be written ({reason})") from None
 
 
-def _problem(text: str, seed: int) -> tuple[Problem, str]:
+def _problem(options: argparse.Namespace, layout: Layout | None) -> tuple[Problem, str]:
     """A design file, or a preset where there is no such file."""
+    text, seed, arm = options.design, options.seed, options.arm
+    if arm is not None:
+        look_up("arm", arm, dict.fromkeys(ARMS))
     if text in PRESETS:
-        return preset_problem(text, seed), f"preset {text}, seed {seed}"
+        if layout is not None:
+            raise InputError("--layout", layout.source, f"a design (preset {text} has its own)")
+        return preset_problem(text, seed, arm), f"preset {text}, seed {seed}"
     path = Path(text)
     if path.suffix == "" and not path.exists():
         raise UnknownNameError("DESIGN", text, PRESETS)
-    return design_problem(read_design(path)), path.name
+    if layout is not None and arm is None:
+        raise InputError("--layout", layout.source, "an arm to take blocks from there (--arm)")
+    design = read_design(path)
+    return design_problem(design, arm, len(layout.places) if layout else None), path.name
+
+
+def _agent_task(problem: Problem) -> str:
+    """A task whose agent knows problems like this one."""
+    if not problem.task.has_arm:
+        return DEFAULT_AGENT_TASK
+    return DEFAULT_ARM_TASKS[problem.task.num_sides > 2]
 
 
 def _write(
-    plan: dict[str, Any], folder: Path, record: BuildRecord | None = None
+    plan: dict[str, Any],
+    folder: Path,
+    record: BuildRecord | None,
+    progress: Callable[[str], None],
+    video: bool,
 ) -> dict[str, Path]:
     files = {"plan": folder / "plan.json", "page": folder / "view.html"}
     files["plan"].write_text(json.dumps(plan, indent=1, allow_nan=False) + "\n", encoding="utf-8")
@@ -80,7 +120,7 @@ def _write(
     files["picture"] = folder / "progress.png"
     write_progress(plan, files["picture"])
     if record is not None:
-        files |= write_arm_files(plan, record, folder)
+        files |= write_arm_files(plan, record, folder, progress, video)
     return files
 
 
@@ -100,23 +140,31 @@ def _summary(plan: dict[str, Any]) -> dict[str, Any]:
         "backtracks": plan["search"]["backtracks"],
         "agent": plan["agent"],
         "seconds": plan["seconds"],
+        **({"arm": plan["arm"]} if "arm" in plan else {}),
     }
 
 
 def _report(output: Output, plan: dict[str, Any], files: dict[str, Path]) -> None:
-    waiting = plan["steps"]
+    by_arm = "arm" in plan
+    how = ("grasped", "put down", "outcome") if by_arm else ("stable",)
     output.table(
         plan["design"]["name"],
-        ("step", "block", "placed", "against", "coverage", "margin [g]", "stable"),
+        ("step", "block", "placed", "against", "coverage", "margin [g]", *how),
         [
             (
                 step["step"], step["block"], step["relation"],
                 "first block" if step["reference"] == 0 else f"step {step['reference']}",
-                f"{step['coverage']:.1%}", step["stability_margin"], step["stable"],
+                f"{step['coverage']:.1%}", step["stability_margin"],
+                *((step["grasp"], step["place"], step["outcome"]) if by_arm else (step["stable"],)),
             )
-            for step in waiting
+            for step in plan["steps"]
         ],
     )  # fmt: skip
+    for failure in plan["arm"]["failures"] if by_arm else ():
+        after = "; the rest was planned anew" if failure["replanned"] else ""
+        output.say(
+            f"attempt {failure['attempt']}: {failure['outcome']} ({failure['detail']}){after}"
+        )
     summary = _summary(plan)
     head = f"{summary['status']}: {summary['blocks_used']} of {summary['blocks_available']} blocks"
     output.say(
@@ -125,4 +173,6 @@ def _report(output: Output, plan: dict[str, Any], files: dict[str, Path]) -> Non
     )
     if plan["reason"]:
         output.say(f"why: {plan['reason']}")
-    output.say(f"page: {files['page']}")
+    for what in ("page", "video", "trajectory", "trajectory table"):
+        if what in files:
+            output.say(f"{what}: {files[what]}")

@@ -92,10 +92,19 @@ def make_parser() -> argparse.ArgumentParser:
 
     build = command(
         "build", "build", "plan a design, prove every step, write the report",
-        "l2a build examples/designs/gabled_house.json --out out/house",
+        "l2a build examples/designs/gabled_house.json --arm panda --out out/house",
     )  # fmt: skip
     build.add_argument("design", metavar="DESIGN", help="a design file, or the name of a preset")
     build.add_argument("--out", type=Path, required=True, help="new or empty folder")
+    build.add_argument("--arm", default=None, help="an arm builds it: panda or ur5e")
+    build.add_argument(
+        "--layout", type=Path, default=None, metavar="FILE",
+        help="where the blocks wait for the arm (docs/layouts.md); by default around the site",
+    )  # fmt: skip
+    build.add_argument(
+        "--video", action=argparse.BooleanOptionalAction, default=True,
+        help="of the arm, build.mp4 (needs the extra video)",
+    )  # fmt: skip
     build.add_argument("--seed", type=_natural, default=0, help="of the preset's problem")
     build.add_argument("--agent", default=None, help="shipped agent, .safetensors or run folder")
     build.add_argument(

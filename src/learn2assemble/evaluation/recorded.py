@@ -146,7 +146,7 @@ class Scene:
 
     def __init__(self, line: Line, task: Task) -> None:
         self.task, self.depths = task, FILTERS[task.cover_filter]
-        frames = side_frames(task.num_sides, task.pitch)
+        frames = side_frames(task.num_sides, task.pitch, task.aisle)
         targets = line["targets"]
         sides = len(frames)
         if len(targets) != sides or any(not 3 <= len(side) <= 5 for side in targets):

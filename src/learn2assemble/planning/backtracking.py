@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from learn2assemble.graph.placements import distinct_placements
 from learn2assemble.planning.problem import Problem
 from learn2assemble.planning.sequence import Placement, block_of, make
 from learn2assemble.planning.world_model import WorldModel
+from learn2assemble.robot.arm import get_arm
 from learn2assemble.simulator import Simulator
 from learn2assemble.world.blocks import EDGE, HALF
 from learn2assemble.world.state import State
@@ -57,8 +59,7 @@ def depth_first(
 def _candidates(
     problem: Problem, simulator: Simulator, model: WorldModel, state: State
 ) -> list[np.ndarray]:
-    """Placements to try, one per cell: those that fill first, then supports of open cells, then
-    the rest, by the agent's Q within each class."""
+    """Placements to try, the best first; of those that rank the same, the agent's favourite."""
     graph = simulator.observe(state)
     placements = distinct_placements(graph, simulator.ways)
     outcomes = simulator.outcomes(state, graph, placements, by_hand=True)
@@ -66,39 +67,75 @@ def _candidates(
     values = model.action_values(state)[0]
     q = {tuple(action): value for action, value in zip(values.actions.tolist(), values.values,
                                                        strict=True)}  # fmt: skip
-    carries = _open_columns(problem, state)
-    ranked: list[tuple[float, np.ndarray]] = []
+    rank = _rank_by_level if problem.task.has_arm else _rank_by_share
+    ranks = rank(problem, state)
+    ranked: list[tuple[float, float, np.ndarray]] = []
     for n in np.flatnonzero(outcomes.valid[0]):
-        cells = placements.cells[0, placements.members[0, n][placements.members[0, n] >= 0]]
-        if tuple(actions[n].tolist()) not in q:
+        action = actions[n]
+        if not problem.allows(state, action) or tuple(action.tolist()) not in q:
             continue
-        if not problem.supports and any(problem.is_outside(cell) for cell in cells):
-            continue
-        score = float(q[tuple(actions[n].tolist())])
-        if outcomes.reward[0, n] > 0:
-            # The largest share first: where blocks are scarce, it needs the fewest.
-            score += 200.0 + 100.0 * float(outcomes.gain[0, n])
-        elif any((round(x / EDGE), round(y / EDGE)) in carries for x, y, _ in cells.tolist()):
-            score += 100.0
-        ranked.append((score, actions[n]))
-    return [action for _, action in sorted(ranked, key=lambda item: -item[0])]
+        gain = float(outcomes.gain[0, n]) if outcomes.reward[0, n] > 0 else 0.0
+        score = ranks(problem.target(state, action), gain)
+        ranked.append((score, float(q[tuple(action.tolist())]), action))
+    return [action for *_, action in sorted(ranked, key=lambda item: (-item[0], -item[1]))]
 
 
-def _open_columns(problem: Problem, state: State) -> set[tuple[int, int]]:
-    """World columns (x, y in edges) in which some needed cell is not yet filled."""
-    filled = {
-        (round(x / EDGE), round(y / EDGE), round((z - HALF) / EDGE))
+Rank = Callable[[np.ndarray, float], float]
+"""How good it is to fill the cell with this centre [m], which gains that much coverage."""
+
+
+def _rank_by_share(problem: Problem, state: State) -> Rank:
+    """By hand: the largest share first, which needs the fewest blocks; then supports of open
+    cells."""
+    pitch, open_cells = problem.task.pitch, _open_cells(problem, state)
+    carries = {(x, y) for x, y, _ in open_cells}
+
+    def rank(cell: np.ndarray, gain: float) -> float:
+        if gain > 0:
+            return 2.0 + gain
+        return float((round(cell[0] / pitch), round(cell[1] / pitch)) in carries)
+
+    return rank
+
+
+def _rank_by_level(problem: Problem, state: State) -> Rank:
+    """With an arm: level by level and the farthest first, so that nothing tall stands between the
+    arm and what is left; on a level what gains, then what leads to cells still to be filled."""
+    pitch, open_cells = problem.task.pitch, _open_cells(problem, state)
+    base = get_arm(problem.task.arm).base_position
+    filled = _filled(problem, state)
+
+    def rank(cell: np.ndarray, gain: float) -> float:
+        level = round((cell[2] - HALF) / EDGE)
+        wanted = {(x, y) for x, y, z in open_cells if z >= level and (x, y, level) not in filled}
+        x, y = cell[:2] / pitch
+        away = min((abs(x - a) + abs(y - b) for a, b in wanted), default=np.inf)
+        if gain <= 0 and not np.isfinite(away):
+            return -np.inf
+        toward = 0.0 if gain > 0 else 1.0 + away
+        return -1000.0 * level - 50.0 * toward + float(np.hypot(*(cell[:2] - base[:2]))) / pitch
+
+    return rank
+
+
+def _filled(problem: Problem, state: State) -> set[tuple[int, int, int]]:
+    """Cells (x, y in cells, level) in which a block stands."""
+    pitch = problem.task.pitch
+    return {
+        (round(x / pitch), round(y / pitch), round((z - HALF) / EDGE))
         for x, y, z in state.position[0, : state.num_placed[0]]
     }
-    columns = set()
-    for frame, cells in zip(Simulator(problem.task).frames, problem.needed, strict=True):
+
+
+def _open_cells(problem: Problem, state: State) -> set[tuple[int, int, int]]:
+    """Needed cells (x, y in cells, level) that are not yet filled."""
+    pitch, needed = problem.task.pitch, set()
+    for frame, cells in zip(problem.frames, problem.needed, strict=True):
         c, s, tx, ty = frame
         for cell in cells:
-            x, y = c * cell.column * EDGE + tx, s * cell.column * EDGE + ty
-            place = (round(x / EDGE), round(y / EDGE))
-            if (*place, cell.level) not in filled:
-                columns.add(place)
-    return columns
+            x, y = c * cell.column * pitch + tx, s * cell.column * pitch + ty
+            needed.add((round(x / pitch), round(y / pitch), cell.level))
+    return needed - _filled(problem, state)
 
 
 def _key(state: State) -> frozenset[tuple[int, int, int]]:

@@ -22,8 +22,6 @@ from learn2assemble.search.config import SearchConfig
 from learn2assemble.search.mcts import search
 from learn2assemble.search.model import ActionValues
 from learn2assemble.simulator import Simulator
-from learn2assemble.world.actions import DIRECTIONS
-from learn2assemble.world.blocks import EDGE
 from learn2assemble.world.state import State
 
 BUDGETS = (10, 40)
@@ -56,20 +54,21 @@ class Sequence:
 
 
 class _AllowedModel(WorldModel):
-    """A world model that leaves out placements the design forbids (blocks outside it)."""
+    """A world model that leaves out what the problem does not allow."""
 
     def __init__(self, problem: Problem, simulator: Simulator, network: Network) -> None:
         super().__init__(simulator, network)
         self.problem = problem
+        self._free = problem.supports and not problem.avoid
 
     def action_values(self, states: State) -> list[ActionValues]:
         values = super().action_values(states)
-        if self.problem.supports:
+        if self._free:
             return values
         return [self._filter(states, row, v) for row, v in enumerate(values)]
 
     def best(self, states: State) -> tuple[np.ndarray, np.ndarray]:
-        if self.problem.supports:
+        if self._free:
             return super().best(states)
         rows = self.action_values(states)
         picks = [int(np.argmax(row.values)) for row in rows]
@@ -77,10 +76,8 @@ class _AllowedModel(WorldModel):
         return value, np.stack([row.actions[p] for row, p in zip(rows, picks, strict=True)])
 
     def _filter(self, states: State, row: int, values: ActionValues) -> ActionValues:
-        placed = states.position[row, : states.num_placed[row]]
-        cells = placed[:, None] + EDGE * DIRECTIONS
-        good = np.array([[not self.problem.is_outside(c) for c in line] for line in cells])
-        keep = good[values.actions[:, 1], values.actions[:, 2]]
+        one = states.take(np.array([row]))
+        keep = np.array([self.problem.allows(one, action) for action in values.actions])
         if not keep.any():
             return values
         return ActionValues(values.actions[keep], values.values[keep], values.group[keep])

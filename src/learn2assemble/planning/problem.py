@@ -1,4 +1,4 @@
-"""What a plan is made for: one target with its blocks, from a design or from a preset."""
+"""What a plan is made for: one target with its blocks."""
 
 from __future__ import annotations
 
@@ -7,22 +7,28 @@ from functools import cached_property
 
 import numpy as np
 
-from learn2assemble.errors import InputError
-from learn2assemble.presets import get_task
-from learn2assemble.simulator import Simulator
 from learn2assemble.task import Task
 from learn2assemble.world.blocks import EDGE, HALF
-from learn2assemble.world.design_pixels import MAX_COLUMN, Cell, face_pixels
-from learn2assemble.world.designs import Design, explain_refusal, inside_cells, minimum_blocks
-from learn2assemble.world.layouts import waiting_places
-from learn2assemble.world.sampling import start_objects
-from learn2assemble.world.state import State, empty_state
+from learn2assemble.world.design_pixels import MAX_COLUMN, Cell, Terms, face_pixels
+from learn2assemble.world.rules import target_cell
+from learn2assemble.world.sides import side_frames, to_world
+from learn2assemble.world.state import State
 
-SPARE_SHARE = 0.5
-"""Blocks offered beyond the least number, as a share of it, where a design names no number."""
-MIN_SPARE = 4
-PROBLEM_STREAM = 3
-"""First word of the seed of a preset's problem: neither training's nor evaluation's stream."""
+Key = tuple[int, int, int, int]
+
+
+def placement_key(target: np.ndarray, way: int) -> Key:
+    """A placement with another of its kind nearby: target in half edges, and the way."""
+    x, y, z = (round(float(c) / HALF) for c in target)
+    return x, y, z, way
+
+
+def terms_of(task: Task) -> Terms:
+    """What a task means for its designs."""
+    return Terms(
+        task.pitch, task.aisle, task.cover_filter, task.normalise_initial,
+        of_coverable=not task.touching,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -40,6 +46,35 @@ class Problem:
     """Whether blocks may stand outside every outline."""
     refusal: str | None = None
     """Why it cannot be built, where that is known beforehand."""
+    avoid: frozenset[Key] = frozenset()
+    """Placements that failed in reality, see :func:`placement_key`."""
+
+    @property
+    def frames(self) -> np.ndarray:
+        """float64[S, 4], see :mod:`learn2assemble.world.sides`."""
+        return side_frames(self.task.num_sides, self.task.pitch, self.task.aisle)
+
+    @cached_property
+    def ground(self) -> np.ndarray:
+        """float64[n, 2]: centres of the cells on the table under what is needed [m, world]."""
+        found = {}
+        for frame, cells in zip(self.frames, self.needed, strict=True):
+            for column in {cell.column for cell in cells}:
+                x = np.array(self.task.pitch * column)
+                found[tuple(np.round(to_world(frame, x, 0 * x, 0 * x)[:2], 6).tolist())] = None
+        return np.array(list(found))
+
+    def target(self, state: State, action: np.ndarray) -> np.ndarray:
+        """float64[3]: where an action puts its block in row 0 [m]."""
+        relation = int(action[2]) // self.task.rotations
+        return np.array(target_cell(state, 0, int(action[1]), relation, self.task.pitch))
+
+    def allows(self, state: State, action: np.ndarray) -> bool:
+        """Whether an action in row 0 keeps to the design and has not failed in reality before."""
+        target = self.target(state, action)
+        if not self.supports and self.is_outside(target):
+            return False
+        return placement_key(target, int(action[2]) % self.task.rotations) not in self.avoid
 
     @property
     def outlines(self) -> list[np.ndarray]:
@@ -50,7 +85,8 @@ class Problem:
     @cached_property
     def needed(self) -> list[frozenset[Cell]]:
         """Cells of each side whose face holds mask pixels."""
-        counts = np.bitwise_count(face_pixels() & self.state.mask[0][:, None, None]).sum((-1, -2))
+        faces = face_pixels(terms_of(self.task)) & self.state.mask[0][:, None, None]
+        counts = np.bitwise_count(faces).sum((-1, -2))
         return [
             frozenset(Cell(int(column) - MAX_COLUMN, int(level)) for column, level in cells)
             for cells in map(np.argwhere, counts)
@@ -68,59 +104,11 @@ class Problem:
         """Whether a block with this centre [m] stands outside the outlines of all its planes."""
         if self.inside is None:
             return False
-        for frame, cells in zip(Simulator(self.task).frames, self.inside, strict=True):
+        for frame, cells in zip(self.frames, self.inside, strict=True):
             c, s, tx, ty = frame
             wx, wy = centre[0] - tx, centre[1] - ty
             x, y = c * wx + s * wy, c * wy - s * wx
-            cell = Cell(round(x / EDGE), round((centre[2] - HALF) / EDGE))
+            cell = Cell(round(x / self.task.pitch), round((centre[2] - HALF) / EDGE))
             if abs(y) < HALF and cell in cells:
                 return False
         return True
-
-
-def design_problem(design: Design, layout: str = "line") -> Problem:
-    """The problem a design poses; spare blocks are offered where it names no number."""
-    refusal = explain_refusal(design)
-    blocks = design.num_blocks
-    if blocks is None:
-        least = minimum_blocks(design) if refusal is None else 2
-        blocks = least + max(MIN_SPARE, round(SPARE_SHARE * least))
-    counts = [len(elevation.outline) for elevation in design.elevations]
-    task = Task(
-        name=design.name,
-        num_sides=design.num_sides,
-        grid=6,
-        num_nodes=max(sum(counts) + blocks, 5 * design.num_sides + 2),
-        layout=layout,
-        success_threshold=design.success_threshold,
-    )
-    state = empty_state(1, design.num_sides, max(counts), blocks)
-    for side, elevation in enumerate(design.elevations):
-        state.vertices[0, side, : counts[side]] = elevation.outline
-        state.num_vertices[0, side] = counts[side]
-    state.mask[0] = design.masks()
-    state.mask_pixels[0] = int(np.bitwise_count(state.mask[0]).sum())
-    waiting = waiting_places(layout, blocks)
-    start_objects(state, 0, Simulator(task).frames, waiting, design.first_elevation, blocks)
-    names = tuple(elevation.name for elevation in design.elevations)
-    return Problem(design.name, task, state, names, inside_cells(design), design.supports, refusal)
-
-
-def preset_problem(name: str, seed: int) -> Problem:
-    """A random problem of a preset, with the masks and the number of blocks of the paper.
-
-    Raises:
-        UnknownNameError: for a preset that does not exist.
-        InputError: for a negative seed.
-    """
-    task = get_task(name)
-    if seed < 0:
-        raise InputError("--seed", seed, "a whole number of at least 0")
-    state = Simulator(task).new(1, np.random.default_rng([PROBLEM_STREAM, seed]))
-    names = tuple(f"side {side + 1}" for side in range(task.num_sides))
-    refusal = None
-    if task.objects != "cubes":
-        refusal = "plans are made of cubes, not yet of objects"
-    elif not task.touching:
-        refusal = "plans are made of blocks that touch, not yet for the gaps a gripper needs"
-    return Problem(f"{name}, seed {seed}", task, state, names, inside=None, refusal=refusal)

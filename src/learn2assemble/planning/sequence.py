@@ -8,22 +8,23 @@ import numpy as np
 
 from learn2assemble.planning.problem import Problem
 from learn2assemble.simulator import Simulator
-from learn2assemble.world.actions import DIRECTIONS
-from learn2assemble.world.blocks import EDGE
+from learn2assemble.world.actions import DIRECTIONS, step_sizes
 from learn2assemble.world.state import State
 
-TOLERANCE = 1e-3
-"""Two cells are the same when their centres agree within this [m]."""
+TOLERANCE = 3e-3
+"""Two cells are the same when their centres agree within this [m]; an arm leaves blocks beside
+their places by a fraction of it."""
 
 
 @dataclass(frozen=True)
 class Placement:
-    """One step of a plan: block ``block`` of the heap goes to the cell ``relation`` of
-    ``reference`` (0 the first block, n the block placed in step n)."""
+    """One step of a plan: block ``block`` of the heap goes next to the block that was the
+    ``reference``-th to be placed, counted from 0 as in :class:`State`."""
 
     block: int
     reference: int
-    relation: int
+    action: int
+    """Relation and way, see :mod:`learn2assemble.world.actions`."""
 
 
 def block_of(state: State, action: np.ndarray) -> int:
@@ -51,7 +52,7 @@ def make(simulator: Simulator, state: State, placement: Placement) -> tuple[bool
     waiting = state.object_id[0, state.num_placed[0] : state.num_blocks[0]]
     unplaced = int(np.flatnonzero(waiting == placement.block)[0])
     step = simulator.step(
-        state, np.array([[unplaced, placement.reference, placement.relation]], np.int64)
+        state, np.array([[unplaced, placement.reference, placement.action]], np.int64)
     )
     return bool(step.success[0]), bool(step.verdict[0] == 0)
 
@@ -67,33 +68,39 @@ def strip(problem: Problem, simulator: Simulator, placements: list[Placement]) -
         if shorter is not None and replay(problem, simulator, shorter)[1:] == (True, True):
             placements = shorter
     state, _, _ = replay(problem, simulator, placements)
-    return placements[: int(state.num_placed[0]) - 1]
+    return placements[: int(state.num_placed[0] - problem.state.num_placed[0])]
 
 
 def _without(problem: Problem, placements: list[Placement], number: int) -> list[Placement] | None:
     """``placements`` without step ``number`` (0-based), or ``None`` where a step loses its only
     neighbour."""
-    cells = [problem.state.position[0, 0]]
+    ways, steps = problem.task.rotations, DIRECTIONS * step_sizes(problem.task.pitch)
+    there = int(problem.state.num_placed[0])
+    cells = list(problem.state.position[0, :there])
     for placement in placements:
-        cells.append(cells[placement.reference] + EDGE * DIRECTIONS[placement.relation])
-    kept = [cells[0]]
+        cells.append(cells[placement.reference] + steps[placement.action // ways])
+    kept = cells[:there]
     out: list[Placement] = []
     for step, placement in enumerate(placements):
         if step == number:
             continue
-        found = _reference(kept, cells[step + 1])
+        found = _reference(kept, cells[there + step], steps)
         if found is None:
             return None
-        out.append(Placement(placement.block, *found))
-        kept.append(cells[step + 1])
+        reference, relation = found
+        action = relation * ways + placement.action % ways
+        out.append(Placement(placement.block, reference, action))
+        kept.append(cells[there + step])
     return out
 
 
-def _reference(placed: list[np.ndarray], cell: np.ndarray) -> tuple[int, int] | None:
+def _reference(
+    placed: list[np.ndarray], cell: np.ndarray, steps: np.ndarray
+) -> tuple[int, int] | None:
     """A placed block and relation that lead to ``cell``; the block below where there is one."""
     offsets = cell - np.array(placed)
-    for relation, direction in enumerate(DIRECTIONS):
-        match = np.abs(offsets - EDGE * direction).max(1) < TOLERANCE
+    for relation, step in enumerate(steps):
+        match = np.abs(offsets - step).max(1) < TOLERANCE
         if match.any():
             return int(np.flatnonzero(match)[-1]), relation
     return None

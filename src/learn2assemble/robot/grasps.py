@@ -9,6 +9,8 @@ import numpy as np
 
 from learn2assemble.errors import look_up
 
+QUARTER = math.pi / 2
+
 
 class Attitude(NamedTuple):
     """How the hand meets a cell. The tool's z axis points out of the hand, the fingers close
@@ -36,6 +38,13 @@ class Attitude(NamedTuple):
     def flipped(self) -> Attitude:
         """The same grasp with the fingers exchanged."""
         return self._replace(yaw=self.yaw + math.pi)
+
+
+def along(grasp: Attitude, yaw: float) -> Attitude:
+    """An attitude meant for an upright object, for one that is turned by ``yaw`` [rad]: turned
+    with it by at most an eighth, as a quarter makes no difference to a cube."""
+    turned = yaw - QUARTER * round(yaw / QUARTER)
+    return grasp._replace(yaw=grasp.yaw + turned) if turned else grasp
 
 
 def turn(yaw: float) -> np.ndarray:

@@ -11,14 +11,12 @@ import numpy as np
 
 from learn2assemble.physics.protocol import ARM, Physics, Verdict
 from learn2assemble.robot.attempt import Attempt
-from learn2assemble.robot.grasps import GraspPair
+from learn2assemble.robot.grasps import QUARTER, GraspPair, along
 from learn2assemble.robot.outcome import Outcome
 from learn2assemble.robot.scene import Move, Scene, put_down
 from learn2assemble.world.blocks import HALF
 from learn2assemble.world.rules import last_object
 from learn2assemble.world.state import State
-
-QUARTER = np.pi / 2
 
 
 class Cell(Protocol):
@@ -96,13 +94,14 @@ class ArmPhysics:
         assert before is not None
         placed, count = int(before.num_placed[n]), int(before.num_blocks[n])
         unplaced, _, action = before.actions[n].tolist()
-        pair = self.grasps[action % len(self.grasps)]
         scene = scene_of(
             before.position[n, :count], before.quaternion[n, :count],
             before.object_id[n, :count], placed,
         )  # fmt: skip
         target = state.position[row, last_object(state, row)].copy()
-        return scene, Move(placed + unplaced, target, pair.grasp, pair.place)
+        pair = self.grasps[action % len(self.grasps)]
+        grasp = along(pair.grasp, float(scene.yaw[placed + unplaced]))
+        return scene, Move(placed + unplaced, target, grasp, pair.place)
 
 
 def scene_of(
@@ -123,7 +122,6 @@ def scene_of(
         position[start:stop, 2] += HALF - position[start:stop, 2].min()
         start = stop
     yaw = 2 * np.arctan2(quaternion[:, 3], quaternion[:, 0])
-    yaw[num_placed:] = 0.0
     return Scene(position, yaw, object_id.copy(), num_placed)
 
 

@@ -55,7 +55,8 @@ class KinematicCell:
         """One attempt after the other."""
         return [self.attempt(scene, move) for scene, move in orders]
 
-    def _attempt(self, scene: Scene, move: Move) -> Attempt:
+    def pick(self, scene: Scene, move: Move) -> Attempt:
+        """The first half of a move: what lies at its target does not matter, its height does."""
         height = crossing_height(scene, move)
         pick = self.columns.solve(scene.position[move.cell], move.grasp, height)
         if isinstance(pick, str):
@@ -65,11 +66,18 @@ class KinematicCell:
         hit = self._first(pick, OPENING) or self._first(between(self.arm.home, pick[-1]), OPENING)
         if hit:
             return self._hit(Outcome.GRASP_COLLISION, "pick", hit)
-        members = scene.members(move.cell)
-        self._grip(scene, move, members)
+        self._grip(scene, move, scene.members(move.cell))
         hit = self._first(pick[1:], EDGE)
         if hit:
             return self._hit(Outcome.GRASP_COLLISION, "lift", hit)
+        return Attempt(Outcome.REACHED, pick=pick)
+
+    def _attempt(self, scene: Scene, move: Move) -> Attempt:
+        picked = self.pick(scene, move)
+        pick, height = picked.pick, crossing_height(scene, move)
+        if pick is None:
+            return picked
+        members = scene.members(move.cell)
         place = self.columns.solve(move.target, move.place, height)
         if isinstance(place, str):
             return Attempt(Outcome.UNREACHABLE, "place", place)

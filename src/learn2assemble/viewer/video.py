@@ -15,8 +15,8 @@ from learn2assemble.robot.record import BuildRecord
 from learn2assemble.viewer.film import HEIGHT, WIDTH, Film
 
 FRAMES_PER_SECOND = 25
-SPEED = 4.0
-"""How many times faster than the arm the video plays."""
+SPEED, LONGEST = 4.0, 45.0
+"""How many times faster than the arm the video plays at least, and how long it may be [s]."""
 _HOLD = 1.5
 """How long the finished build is shown at the end [s]."""
 
@@ -39,7 +39,7 @@ def write_video(
     record: BuildRecord,
     path: Path,
     *,
-    speed: float = SPEED,
+    speed: float | None = None,
     width: int = WIDTH,
     height: int = HEIGHT,
     progress: Callable[[float], object] = lambda share: None,
@@ -49,7 +49,8 @@ def write_video(
     Args:
         plan: parsed ``plan.json``.
         record: what the arm did.
-        speed: how many times faster than the arm it plays.
+        speed: how many times faster than the arm it plays; by default :data:`SPEED`, or as much as
+            it takes for the video to last no longer than :data:`LONGEST`.
         width, height: of the picture [px], even.
         progress: told the share that is done.
 
@@ -59,6 +60,9 @@ def write_video(
             not even or too small, or ``path`` cannot be written.
     """
     av = require_video()
+    if speed is None:
+        seconds = record.spans()[-1][1] if record.steps else 0.0
+        speed = max(SPEED, math.ceil(seconds / LONGEST))
     if not 0 < speed < math.inf:
         raise InputError("speed", speed, "a positive number")
     if width % 2 or height % 2 or width < 320 or height < 240:

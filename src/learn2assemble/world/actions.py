@@ -74,6 +74,11 @@ def get_ways(attitudes: str = "turns", rotations: int = 1, pitch: float = EDGE) 
     return Ways(float(pitch), np.array(turns[:rotations]), grips, gripped)
 
 
+def step_sizes(pitch: float) -> np.ndarray:
+    """float64[3]: from a cell to its neighbours along x, y and z [m]."""
+    return np.array([pitch, pitch, EDGE])
+
+
 @njit(cache=True, inline="always")
 def quarter_turn(x, y, turns):
     """``(x, y)`` after ``turns`` (0..3) quarter turns to the left, seen from above; exact."""

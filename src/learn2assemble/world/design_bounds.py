@@ -8,6 +8,7 @@ camera and is never counted on.
 
 from __future__ import annotations
 
+import dataclasses
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +20,9 @@ from learn2assemble.world.design_model import Design
 from learn2assemble.world.design_pixels import (
     MAX_COLUMN,
     NUM_LEVELS,
+    TOUCHING,
     Cell,
+    Terms,
     count_pixels,
     face_pixels,
     tower_pixels,
@@ -34,7 +37,7 @@ class _Tower(NamedTuple):
     """One place on the table where a tower may stand."""
 
     place: tuple[int, int]
-    """World x and y [block edges]."""
+    """World x and y [cells]."""
     faces: tuple[tuple[int, int], ...]
     """(elevation, column) of every plane it stands in: two at a corner of a 3x3 footprint."""
     inside: np.ndarray
@@ -49,26 +52,26 @@ class _Limit(NamedTuple):
     high: int
 
 
-def needed_cells(design: Design) -> tuple[dict[Cell, int], ...]:
+def needed_cells(design: Design, terms: Terms = TOUCHING) -> tuple[dict[Cell, int], ...]:
     """Per elevation, the cells whose face holds mask pixels, with their number.
 
     Pixels that show the table are covered from the start and belong to no cell. A pixel sees a
     point up to 7.8 mm below the one its mask bit stands for (protocol 3.5), so the cell under an
     overhang may hold one row of pixels.
     """
-    counts = [np.bitwise_count(face_pixels() & m).sum((-1, -2)) for m in design.masks()]
+    counts = [np.bitwise_count(face_pixels(terms) & m).sum((-1, -2)) for m in design.masks()]
     return tuple(
         {Cell(int(i) - MAX_COLUMN, int(n)): int(count[i, n]) for i, n in np.argwhere(count)}
         for count in counts
     )
 
 
-def inside_cells(design: Design) -> tuple[frozenset[Cell], ...]:
+def inside_cells(design: Design, terms: Terms = TOUCHING) -> tuple[frozenset[Cell], ...]:
     """Per elevation, the cells where a block stands inside the outline (more than 1 % of its face).
 
     With ``supports`` off, every block stands in such a cell of at least one elevation.
     """
-    k = np.arange(-MAX_COLUMN, MAX_COLUMN + 1)[:, None] * EDGE
+    k = np.arange(-MAX_COLUMN, MAX_COLUMN + 1)[:, None] * terms.pitch
     z = np.arange(NUM_LEVELS)[None, :] * EDGE
     faces = shapely.box(k - EDGE / 2, z, k + EDGE / 2, z + EDGE)
     result = []
@@ -79,15 +82,15 @@ def inside_cells(design: Design) -> tuple[frozenset[Cell], ...]:
     return tuple(result)
 
 
-def unsupported_cells(design: Design) -> tuple[tuple[Cell, ...], ...]:
+def unsupported_cells(design: Design, terms: Terms = TOUCHING) -> tuple[tuple[Cell, ...], ...]:
     """Per elevation, the needed cells inside its outline with a cell below them that is not.
 
     "Not" means inside no elevation. No cube can bridge such a gap, so these cells need blocks
     outside the outlines to carry them. Sorted by column, then level.
     """
-    needed, inside = needed_cells(design), inside_cells(design)
+    needed, inside = needed_cells(design, terms), inside_cells(design, terms)
     result: list[list[Cell]] = [[] for _ in design.elevations]
-    for tower in _towers(design):
+    for tower in _towers(design, terms):
         height = _solid_height(tower)
         for side, column in tower.faces:
             cells = (Cell(column, level) for level in range(height, NUM_LEVELS))
@@ -95,7 +98,17 @@ def unsupported_cells(design: Design) -> tuple[tuple[Cell, ...], ...]:
     return tuple(tuple(sorted(cells)) for cells in result)
 
 
-def minimum_blocks(design: Design) -> int:
+def required_share(design: Design, terms: Terms = TOUCHING) -> float:
+    """F_co that must be exceeded: where blocks stand apart, the design's share of what they can
+    cover, as nobody can fill the gaps between them."""
+    if not terms.of_coverable:
+        return design.success_threshold
+    free = dataclasses.replace(design, supports=True)
+    most = _most_pixels(free, _limits(free, terms), terms)
+    return design.success_threshold * float(_share(free, most, terms)[-1])
+
+
+def minimum_blocks(design: Design, terms: Terms = TOUCHING) -> int:
     """The fewest blocks, the first one included, with which F_co exceeds the threshold.
 
     Exact over all sets of towers that stand in the planes of the elevations, by dynamic
@@ -106,68 +119,74 @@ def minimum_blocks(design: Design) -> int:
     Raises:
         InputError: where ``supports`` is off and no number of blocks suffices.
     """
-    best = _most_pixels(design, _limits(design))
-    enough = np.flatnonzero(_share(design, best) > design.success_threshold)
+    best = _most_pixels(design, _limits(design, terms), terms)
+    enough = np.flatnonzero(_share(design, best, terms) > required_share(design, terms))
     if len(enough) == 0:
-        reason = explain_refusal(design) or "out of reach"
+        reason = explain_refusal(design, terms) or "out of reach"
         raise InputError("supports", design.supports, f"true, because {reason}")
     return int(enough[0])
 
 
-def explain_refusal(design: Design) -> str | None:
+def explain_refusal(design: Design, terms: Terms = TOUCHING) -> str | None:
     """Why the design cannot be built, in one sentence without a full stop, or None."""
     if not design.supports:
-        reason = _explain_overhang(design)
+        reason = _explain_overhang(design, terms)
         if reason is not None:
             return reason
-    least = minimum_blocks(design)
+    least = minimum_blocks(design, terms)
     if design.num_blocks is not None and design.num_blocks < least:
         return f"needs at least {least} blocks, the design gives {design.num_blocks}"
     return None
 
 
-def _explain_overhang(design: Design) -> str | None:
+def _explain_overhang(design: Design, terms: Terms) -> str | None:
     """Why it cannot be built from blocks inside the outlines alone, or None where it can."""
-    if Cell(0, 0) not in inside_cells(design)[design.first_elevation]:
+    if Cell(0, 0) not in inside_cells(design, terms)[design.first_elevation]:
         name = design.elevations[design.first_elevation].name
         return (
             f"the first block stands at the bottom centre of elevation {name!r}, outside its "
             "outline, and supports are off"
         )
-    share = _share(design, _most_pixels(design, _limits(design)))[-1]
-    if share > design.success_threshold:
+    share = _share(design, _most_pixels(design, _limits(design, terms), terms), terms)[-1]
+    if share > required_share(design, terms):
         return None
     tail = (
         f"and supports are off: the rest is {100 * share:.1f} % of what the first block leaves, "
-        f"more than {100 * design.success_threshold:g} % are asked for"
+        f"more than {100 * required_share(design, terms):g} % are asked for"
     )
-    for elevation, cells in zip(design.elevations, unsupported_cells(design), strict=True):
+    for elevation, cells in zip(design.elevations, unsupported_cells(design, terms), strict=True):
         if cells:
             listed = ", ".join(f"(column {c.column}, level {c.level})" for c in cells[:4])
             more = f" and {len(cells) - 4} more" if len(cells) > 4 else ""
             name = elevation.name
             return f"elevation {name!r} overhangs at {listed}{more}, no cube can bridge it, {tail}"
-    towers = _towers(design)
+    towers = _towers(design, terms)
     reached = _connected(towers, _first(design, towers).place)
     if any(tower.inside[0] and tower.place not in reached for tower in towers):
         return f"parts of it stand apart from the first block, {tail}"
     return f"the outlines only graze some of the cells they need, {tail}"
 
 
-def _share(design: Design, pixels: np.ndarray) -> np.ndarray:
+def _share(design: Design, pixels: np.ndarray, terms: Terms) -> np.ndarray:
     """F_co for a number of pixels filled after the first block (protocol 3.4)."""
-    return pixels / count_pixels(design.masks() & ~design.first_cover())
+    masks = design.masks()
+    left = count_pixels(masks & ~design.first_cover(terms))
+    if terms.from_first:
+        return pixels / left
+    total = count_pixels(masks)
+    return (pixels + total - left) / total
 
 
-def _towers(design: Design) -> list[_Tower]:
+def _towers(design: Design, terms: Terms) -> list[_Tower]:
     """Every place in the planes of the elevations, in the order of elevation and column."""
-    inside, frames = inside_cells(design), side_frames(design.num_sides)
+    inside, pitch = inside_cells(design, terms), terms.pitch
+    frames = side_frames(design.num_sides, pitch, terms.aisle)
     span = MAX_COLUMN if design.num_sides < 3 else 1
     faces: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for side, frame in enumerate(frames):
         for column in range(-span, span + 1):
-            x, y, _ = to_world(frame, np.array(EDGE * column), np.array(0.0), np.array(0.0))
-            faces.setdefault((round(x / EDGE), round(y / EDGE)), []).append((side, column))
+            x, y, _ = to_world(frame, np.array(pitch * column), np.array(0.0), np.array(0.0))
+            faces.setdefault((round(x / pitch), round(y / pitch)), []).append((side, column))
     return [
         _Tower(
             place,
@@ -201,9 +220,9 @@ def _connected(towers: list[_Tower], start: tuple[int, int]) -> set[tuple[int, i
     return reached
 
 
-def _limits(design: Design) -> list[_Limit]:
+def _limits(design: Design, terms: Terms) -> list[_Limit]:
     """The towers worth building and how high they may be; the first block is always there."""
-    needed, towers = needed_cells(design), _towers(design)
+    needed, towers = needed_cells(design, terms), _towers(design, terms)
     first = _first(design, towers)
     # A block is put next to a placed one, and every tower begins on the table.
     reached = _connected(towers, first.place)
@@ -219,20 +238,20 @@ def _limits(design: Design) -> list[_Limit]:
     return limits
 
 
-def _most_pixels(design: Design, limits: list[_Limit]) -> np.ndarray:
+def _most_pixels(design: Design, limits: list[_Limit], terms: Terms) -> np.ndarray:
     """Most mask pixels that ``b`` blocks in towers add to the first block's: ``int64[B + 1]``.
 
     Towers of one elevation share pixels only with their neighbours (those that see their common
     edge), so the height of the tower before is all a tower has to know. Entry 0 is 0, and the
     array never falls.
     """
-    target = design.masks() & ~design.first_cover()
+    target = design.masks() & ~design.first_cover(terms)
     most = np.array([[0]])  # [height of the tower before, blocks used]; -1 is impossible
     before = np.zeros((1, *target.shape), np.uint64)
     for tower, low, high in limits:
         towers = np.zeros((high - low + 1, *target.shape), np.uint64)
         for side, column in tower.faces:
-            pixels = tower_pixels()[column + MAX_COLUMN, low : high + 1]
+            pixels = tower_pixels(terms)[column + MAX_COLUMN, low : high + 1]
             towers[:, side] = pixels & target[side]
         new = np.full((len(towers), most.shape[1] + high), -1)
         for k, tower_image in enumerate(towers):

@@ -17,6 +17,8 @@ from learn2assemble.geometry.mask import polygon_mask
 from learn2assemble.world.blocks import EDGE
 from learn2assemble.world.design_pixels import (
     MAX_COLUMN,
+    TOUCHING,
+    Terms,
     cell_pixels,
     count_pixels,
     table_pixels,
@@ -161,11 +163,11 @@ class Design:
         """Mask pixels of every elevation, ``uint64[S, ROWS, WORDS]``; see :class:`Elevation`."""
         return np.stack([elevation.mask() for elevation in self.elevations])
 
-    def first_cover(self) -> np.ndarray:
+    def first_cover(self, terms: Terms = TOUCHING) -> np.ndarray:
         """What the table and the first block fill, ``uint64[S, ROWS, WORDS]`` (protocol 1.3)."""
-        table, _ = table_pixels()
+        table, _ = table_pixels(terms)
         cover = np.repeat(table[None], self.num_sides, axis=0)
-        cover[self.first_elevation] |= cell_pixels()[MAX_COLUMN, 0]
+        cover[self.first_elevation] |= cell_pixels(terms)[MAX_COLUMN, 0]
         return cover
 
 

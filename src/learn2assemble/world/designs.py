@@ -18,17 +18,17 @@ from learn2assemble.world.design_bounds import (
     inside_cells,
     minimum_blocks,
     needed_cells,
+    required_share,
     unsupported_cells,
 )
 from learn2assemble.world.design_model import Design, Elevation
 from learn2assemble.world.design_pixels import Cell
 from learn2assemble.world.design_schema import (
     FORMAT,
-    MAX_BYTES,
     VERSION,
     design_from,
-    load_json,
 )
+from learn2assemble.world.json_input import load_json, printable, read_text
 
 __all__ = [
     "Cell",
@@ -41,6 +41,7 @@ __all__ = [
     "needed_cells",
     "parse_design",
     "read_design",
+    "required_share",
     "unsupported_cells",
     "write_design",
 ]
@@ -56,8 +57,8 @@ def parse_design(text_or_obj: str | Mapping[str, Any], source: str) -> Design:
     Raises:
         InputError: one line that names ``source`` and the JSON path of the fault.
     """
-    source = _printable(source)
-    value = load_json(text_or_obj, source) if isinstance(text_or_obj, str) else text_or_obj
+    source = printable(source)
+    value = load_json(text_or_obj, source, FORMAT) if isinstance(text_or_obj, str) else text_or_obj
     return design_from(value, source)
 
 
@@ -68,27 +69,7 @@ def read_design(path: Path) -> Design:
         InputError: for a file that is missing, unreadable, larger than 1 MB or not UTF-8, and
             for everything :func:`parse_design` refuses.
     """
-    path = Path(path)
-    source = _printable(str(path))
-    try:
-        if path.is_dir():
-            raise InputError(source, "a directory", "a design file")
-        if not path.exists():
-            raise InputError(source, "no such file", "a design file")
-        if not path.is_file():  # opening a pipe would wait for ever
-            raise InputError(source, "something that is not a plain file", "a design file")
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        reason = error.strerror or type(error).__name__
-        raise InputError(source, reason, "a readable design file") from None
-    if len(content) > MAX_BYTES:
-        raise InputError(source, f"more than {MAX_BYTES} bytes", "a design file of at most 1 MB")
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        got = f"byte 0x{content[error.start]:02x} at offset {error.start}"
-        raise InputError(source, got, "UTF-8 text") from None
+    text, source = read_text(path, "design file")
     return parse_design(text, source)
 
 
@@ -122,17 +103,12 @@ def write_design(design: Design, path: Path) -> None:
         with path.open("x", encoding="utf-8", newline="\n") as file:
             file.write(dump_design(design))
     except FileExistsError:
-        raise InputError(_printable(str(path)), "an existing file", "a new file name") from None
+        raise InputError(printable(str(path)), "an existing file", "a new file name") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         expected = "a file name that can be written"
-        raise InputError(_printable(str(path)), reason, expected) from None
+        raise InputError(printable(str(path)), reason, expected) from None
 
 
 def _json(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False, allow_nan=False)
-
-
-def _printable(source: str) -> str:
-    """A file name fit for a one-line message: line breaks and undecodable bytes are escaped."""
-    return source if source.isprintable() else ascii(source)

@@ -120,6 +120,8 @@ def move_cell(state, row, source, reference, x, y, z):
     for k in range(source, placed, -1):
         for axis in range(3):
             state.position[row, k, axis] = state.position[row, k - 1, axis]
+        for n in range(4):
+            state.quaternion[row, k, n] = state.quaternion[row, k - 1, n]
         state.object_id[row, k] = state.object_id[row, k - 1]
     state.object_id[row, placed] = moved
     state.position[row, placed, 0] = x

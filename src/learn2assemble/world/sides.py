@@ -13,11 +13,12 @@ from learn2assemble.world.blocks import EDGE
 _ANGLES = {1: (0,), 2: (0, 180), 3: (0, 180, 90), 4: (0, 180, 90, -90)}
 
 
-def side_frames(num_sides: int, spacing: float = EDGE) -> np.ndarray:
+def side_frames(num_sides: int, spacing: float = EDGE, aisle: int = 0) -> np.ndarray:
     """Frames of the sides as rows ``(cos, sin, t_x, t_y)``: ``float64[S, 4]``.
 
-    Two sides are two touching parallel walls; three and four are faces of a footprint of 3x3
-    cells centred at ``(0, spacing)``. ``spacing`` [m] is the block pitch.
+    Two sides are two parallel walls with ``aisle`` empty rows of cells between them, touching
+    without; three and four are faces of a footprint of 3x3 cells centred at ``(0, spacing)``.
+    ``spacing`` [m] is the block pitch.
 
     Raises:
         InputError: for a number of sides outside 1..4.
@@ -27,7 +28,7 @@ def side_frames(num_sides: int, spacing: float = EDGE) -> np.ndarray:
     d = spacing
     offsets = {
         1: ((0, 0),),
-        2: ((0, 0), (0, d)),
+        2: ((0, 0), (0, d * (1 + aisle))),
         3: ((0, 0), (0, 2 * d), (d, d)),
         4: ((0, 0), (0, 2 * d), (d, d), (-d, d)),
     }[num_sides]

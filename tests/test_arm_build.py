@@ -1,0 +1,353 @@
+"""The main job with an arm: waiting places, planning, real execution, replanning."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from learn2assemble.cli.arm_files import write_arm_files
+from learn2assemble.errors import InputError
+from learn2assemble.networks.agent import Agent, load_agent
+from learn2assemble.planning.arm_build import build_with_arm, real_cell
+from learn2assemble.planning.problem import Problem
+from learn2assemble.planning.reality import RealCell, replan_from
+from learn2assemble.planning.site import set_out
+from learn2assemble.planning.sources import design_problem
+from learn2assemble.robot.arm import get_arm
+from learn2assemble.robot.attempt import Attempt
+from learn2assemble.robot.dynamic import DynamicCell
+from learn2assemble.robot.grasps import get_grasps
+from learn2assemble.robot.kinematic import KinematicCell
+from learn2assemble.robot.outcome import Outcome
+from learn2assemble.robot.record import BuildRecord
+from learn2assemble.robot.record_check import find_fault
+from learn2assemble.robot.replay import replay
+from learn2assemble.robot.scene import Move, Scene
+from learn2assemble.robot.waiting import supply_places, taking_order
+from learn2assemble.viewer import write_page
+from learn2assemble.viewer.playback import Playback
+from learn2assemble.world.designs import parse_design, required_share
+from learn2assemble.world.layout_file import Layout, read_layout
+
+PANDA = get_arm("panda")
+WALL = [[-0.075, 0], [-0.075, 0.1], [0.075, 0.1], [0.075, 0]]
+KINEMATIC = KinematicCell(PANDA, 40)
+
+
+def problem(*outlines: list[list[float]], arm: str = "panda", **fields: object) -> Problem:
+    text = json.dumps({
+        "format": "learn2assemble-design", "version": 1, "name": "wall",
+        "elevations": [{"outline": outline} for outline in outlines or (WALL,)], **fields,
+    })  # fmt: skip
+    return design_problem(parse_design(text, "test"), arm)
+
+
+@pytest.fixture(scope="module")
+def agent() -> Agent:
+    return load_agent("relational-two-sided-s0")
+
+
+class Clumsy(DynamicCell):
+    """Does chosen attempts with fingers too weak to hold a block, and everything else well."""
+
+    def __init__(self, weak: set[int], force: float = 0.1) -> None:
+        super().__init__(PANDA, recover=True)
+        gripper = dataclasses.replace(PANDA.gripper, force=force)
+        self.other = DynamicCell(dataclasses.replace(PANDA, gripper=gripper), recover=True)
+        self.weak, self.count = weak, 0
+
+    def attempt(self, scene: Scene, move: Move, **more: object) -> Attempt:  # type: ignore[override]
+        self.count += 1
+        cell = self.other if self.count in self.weak else super()
+        return cell.attempt(scene, move, **more)  # type: ignore[arg-type]
+
+
+class Keeping(DynamicCell):
+    """Keeps what it was asked and what came of it."""
+
+    def __init__(self, *args: object, **kwargs: object) -> None:
+        super().__init__(*args, **kwargs)  # type: ignore[arg-type]
+        self.kept: list[tuple[Scene, Attempt]] = []
+
+    def attempt(self, scene: Scene, move: Move, **more: object) -> Attempt:  # type: ignore[override]
+        found = super().attempt(scene, move, **more)  # type: ignore[arg-type]
+        self.kept.append((scene, found))
+        return found
+
+
+# ---------------------------------------------------------------- waiting places
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5e"])
+def test_blocks_are_set_out_where_the_arm_takes_them(name: str) -> None:
+    cell = KinematicCell(get_arm(name), 40)
+    out = set_out(problem(WALL, WALL, arm=name), cell)
+    placed, count = int(out.state.num_placed[0]), int(out.state.num_blocks[0])
+    waiting = out.state.position[0, placed:count]
+    apart = np.linalg.norm(waiting[:, None, :2] - waiting[None, :, :2], axis=-1)
+    assert (apart + np.eye(len(waiting)) >= 0.09 - 1e-9).all()
+    far = np.abs(waiting[:, None, :2] - out.ground[None]).max(-1)
+    assert far.min() > 0.11
+    assert sorted(out.state.object_id[0, :count].tolist()) == list(range(count))
+
+
+def test_more_blocks_than_an_arm_reaches_are_refused() -> None:
+    with pytest.raises(InputError, match=r"waiting blocks: got 300, expected at most \d+, what"):
+        supply_places(PANDA, 300, np.zeros((1, 2)))
+
+
+def line(count: int) -> np.ndarray:
+    return np.array([[0.09 * k - 0.34, -0.27, 0.0] for k in range(count)])
+
+
+BAD_PLACES = {
+    "far away": ([0.6, -0.4, 0.0], r"positions\[2\].*a place panda can reach .*out of reach"),
+    "off the table": ([0.0, -0.6, 0.0], r"positions\[2\].*a place on the table"),
+    "overlapping": ([-0.31, -0.27, 0.0], r"positions\[2\].*does not overlap positions\[0\]"),
+    "overlapping askew": ([-0.34, -0.325, 0.8], r"positions\[2\].*does not overlap positions\[0\]"),
+    "on the site": ([0.06, 0.01, 0.0], r"positions\[2\].*outside the building site"),
+    "on the first block": ([0.0, 0.03, 0.0], r"positions\[2\].*outside the building site"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_PLACES)
+def test_places_blocks_cannot_wait_at_are_refused(name: str) -> None:
+    place, message = BAD_PLACES[name]
+    wall = problem()
+    places = line(int(wall.state.num_blocks[0]) - 1)
+    places[2] = place
+    with pytest.raises(InputError, match=message) as caught:
+        set_out(wall, KINEMATIC, Layout(places, "here.json"))
+    assert str(caught.value).startswith("here.json: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_block_walled_in_on_both_axes_is_refused_and_an_open_order_is_found() -> None:
+    x, y = np.meshgrid([-0.06, 0.0, 0.06], [-0.36, -0.3, -0.24])
+    full = np.stack([x.ravel(), y.ravel(), np.full(9, 0.025)], -1)
+    for missing, possible in (((), False), ((1, 7), True)):
+        kept = [k for k in range(9) if k not in missing]
+        position = np.vstack([[0.0, 0.0, 0.025], full[kept]])
+        scene = Scene(position, np.zeros(len(position)), np.arange(len(position)), 1)
+        order, stuck = taking_order(KINEMATIC, get_grasps("paper"), scene)
+        assert (not stuck) == possible
+        assert sorted([*order, *stuck]) == list(range(1, len(position)))
+
+
+def test_too_few_places_are_refused_and_more_are_left_empty() -> None:
+    wall = problem(blocks=8)
+    with pytest.raises(InputError, match="got '6 places', expected 7"):
+        set_out(wall, KINEMATIC, Layout(line(6), "here.json"))
+    out = set_out(wall, KINEMATIC, Layout(line(7), "here.json"))
+    np.testing.assert_array_equal(out.state.position[0, 1:8, :2], line(7)[:, :2])
+
+
+LAYOUT = {"format": "learn2assemble-layout", "version": 1, "positions": [[0.1, -0.2], [0, -0.3, 1]]}
+BAD_LAYOUTS = {
+    "not json": ("{", "expected JSON"),
+    "foreign": ({**LAYOUT, "format": "other"}, "format: got 'other'"),
+    "no positions": ({k: v for k, v in LAYOUT.items() if k != "positions"}, "'positions'"),
+    "none": ({**LAYOUT, "positions": []}, "got '0 places'"),
+    "one number": ({**LAYOUT, "positions": [[1]]}, r"positions\[0\]: got \[1\]"),
+    "text": ({**LAYOUT, "positions": [[0, "x"]]}, r"positions\[0\]: got 'x'"),
+    "infinite": (
+        '{"format":"learn2assemble-layout","version":1,"positions":[[1e999,0]]}',
+        "finite",
+    ),
+    "typo": ({**LAYOUT, "position": []}, "did you mean 'positions'"),
+    "inches": ({**LAYOUT, "units": "in"}, "units"),
+    "new": ({**LAYOUT, "version": 2}, "version: got 2"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_LAYOUTS)
+def test_a_bad_layout_file_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
+    content, message = BAD_LAYOUTS[name]
+    path = tmp_path / "layout.json"
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
+    with pytest.raises(InputError, match=message) as caught:
+        read_layout(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_layout_file_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "layout.json"
+    path.write_text(json.dumps(LAYOUT))
+    np.testing.assert_array_equal(read_layout(path).places, [[0.1, -0.2, 0], [0, -0.3, 1]])
+
+
+# ---------------------------------------------------------------- the problem
+
+
+def test_the_threshold_is_a_share_of_what_blocks_apart_can_cover() -> None:
+    wall = problem(WALL, WALL, success_threshold=0.9)
+    assert 0.7 < wall.task.success_threshold < 0.9
+    assert wall.task.aisle == 1
+    assert wall.state.initial_pixels[0] == 0
+    text = {"format": "learn2assemble-design", "version": 1, "name": "x",
+            "elevations": [{"outline": WALL}]}  # fmt: skip
+    assert required_share(parse_design(text, "test")) == 0.975
+
+
+# ---------------------------------------------------------------- building
+
+
+@pytest.fixture(scope="module")
+def walls(agent: Agent) -> tuple[dict, BuildRecord]:
+    out = set_out(problem(WALL, WALL), KINEMATIC)
+    return build_with_arm(out, agent, "test", real_cell(PANDA))
+
+
+def test_two_walls_are_built(walls: tuple) -> None:
+    plan, record = walls
+    assert plan["status"] == "complete", plan["reason"]
+    assert [step["outcome"] for step in plan["steps"]] == ["reached"] * len(plan["steps"])
+    assert plan["coverage"] > plan["design"]["success_threshold"]
+    reached = [s for s in record.steps if s.outcome == Outcome.REACHED]
+    assert [s.plan_step for s in reached] == list(range(1, len(plan["steps"]) + 1))
+    assert max(s.error for s in reached) < 2e-3
+    assert plan["arm"]["attempts"] == len(record.steps)
+    assert find_fault(record) is None
+
+
+def test_the_files_of_a_build_open(walls: tuple, tmp_path: Path) -> None:
+    plan, record = walls
+    write_page(plan, tmp_path / "view.html", record)
+    files = write_arm_files(plan, record, tmp_path, video=False)
+    assert set(files) == {"trajectory", "trajectory table"}
+    playback = Playback(record, json.loads(json.dumps(plan)))
+    assert playback.duration == pytest.approx(plan["arm"]["seconds"], abs=0.1)
+
+
+def test_the_same_seed_gives_the_same_build(agent: Agent) -> None:
+    def made() -> tuple:
+        out = set_out(problem(), KINEMATIC)
+        plan, record = build_with_arm(out, agent, "test", real_cell(PANDA), seed=3)
+        return plan["steps"], record.joined()[0].joints
+
+    (steps, joints), (again, same) = made(), made()
+    assert steps == again
+    np.testing.assert_array_equal(joints, same)
+
+
+@pytest.mark.parametrize("force", [0.1])
+def test_a_build_interrupted_by_lost_blocks_is_replanned_and_finished(
+    agent: Agent, force: float
+) -> None:
+    out = set_out(problem(blocks=14), KINEMATIC)
+    plan, record = build_with_arm(out, agent, "test", Clumsy({2, 4}, force))
+    failed = [step for step in record.steps if step.outcome != Outcome.REACHED]
+    assert failed
+    assert next(s.number for s in failed) == 2
+    assert {s.outcome for s in failed} <= {Outcome.GRASP_LOST, Outcome.DROPPED}
+    assert all(step.replanned for step in failed)
+    assert all(step.plan_step is None for step in failed)
+    assert plan["status"] == "complete", plan["reason"]
+    assert len(plan["arm"]["failures"]) == len(failed)
+    # No block is lost silently: every one is somewhere, at rest, and the page can show it.
+    assert np.isfinite(record.steps[-1].after).all()
+    assert (record.steps[-1].after[:, 2] > 0.02).all()
+    Playback(record, plan)
+    assert find_fault(record) is None
+
+
+def test_a_block_that_lies_askew_is_turned_while_it_is_built(agent: Agent) -> None:
+    wall = problem(blocks=7)
+    places = line(6)
+    places[:, 2] = [0.5, -0.5, 0.7, 1.2, -0.3, 3.0]
+    out = set_out(wall, KINEMATIC, Layout(places, "here.json"))
+    plan, record = build_with_arm(out, agent, "test", real_cell(PANDA))
+    assert plan["status"] == "complete", plan["reason"]
+    for step in record.steps:
+        if step.outcome == Outcome.REACHED:
+            w, x, y, z = step.after[step.cells[0], 3:]
+            yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+            assert abs(math.sin(2 * yaw)) < 0.05
+
+
+def test_what_cannot_be_filled_ends_incomplete(agent: Agent) -> None:
+    out = set_out(problem(blocks=7), KINEMATIC)
+    state = out.state.copy()
+    state.num_blocks[0] = 3
+    short = dataclasses.replace(out, state=state)
+    plan, record = build_with_arm(short, agent, "test", real_cell(PANDA), seconds=1)
+    assert plan["status"] == "incomplete"
+    assert "is needed" in plan["reason"]
+    assert len(record.steps) == len(plan["steps"])
+
+
+def test_a_refused_design_moves_nothing(agent: Agent) -> None:
+    refused = problem(blocks=3)
+    assert refused.refusal is not None
+    plan, record = build_with_arm(refused, agent, "test", real_cell(PANDA))
+    assert plan["status"] == "refused"
+    assert not record.steps
+
+
+# ---------------------------------------------------------------- what is left after a failure
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    x=st.floats(-0.25, 0.2), y=st.floats(-0.4, -0.15), turn=st.floats(-3, 3),
+    flip=st.sampled_from([0, 1, 2, 3]),
+)  # fmt: skip
+def test_a_fallen_block_waits_where_it_lies(x: float, y: float, turn: float, flip: int) -> None:
+    """On whichever face it fell, and whatever its turn: nothing is lost, and its yaw is known."""
+    out = set_out(problem(blocks=8), KINEMATIC)
+    real = RealCell(real_cell(PANDA), out.state)
+    half = np.array([math.cos(flip * math.pi / 4), math.sin(flip * math.pi / 4), 0, 0])
+    c, s = math.cos(turn / 2), math.sin(turn / 2)
+    moved = int(out.state.object_id[0, 1])
+    real.poses[moved] = [x, y, 0.025, c * half[0], c * half[1], s * half[1], s * half[0]]
+    target = np.array([0.06, 0.0, 0.025])
+    left = replan_from(out, out.state, target, np.array([0, 0, 8]), real.poses, KINEMATIC)
+    state = left.state
+    assert int(state.num_placed[0]) == 1
+    assert sorted(state.object_id[0, :8].tolist()) == list(range(8))
+    row = int(np.flatnonzero(state.object_id[0, :8] == moved)[0])
+    np.testing.assert_allclose(state.position[0, row, :2], [x, y])
+    yaw = 2 * math.atan2(state.quaternion[0, row, 3], state.quaternion[0, row, 0])
+    assert abs(yaw) <= math.pi / 4 + 1e-6
+    assert abs(math.sin(2 * (yaw - turn))) < 1e-6
+    assert not left.allows(state, np.array([0, 0, 8]))
+    assert left.allows(state, np.array([0, 0, 9]))
+
+
+def test_what_stands_stays_and_what_was_knocked_over_waits() -> None:
+    out = set_out(problem(blocks=8), KINEMATIC)
+    state = out.state.copy()
+    state.num_placed[0] = 3
+    real = RealCell(real_cell(PANDA), state)
+    ids = state.object_id[0, :8].tolist()
+    state.position[0, 1], state.position[0, 2] = [0.06, 0, 0.025], [0.06, 0, 0.075]
+    real.poses[ids[1], :3], real.poses[ids[2], :3] = [0.061, 0, 0.025], [0.2, -0.2, 0.025]
+    target = np.array([0.0, 0.0, 0.075])
+    left = replan_from(out, state, target, np.array([0, 0, 0]), real.poses, KINEMATIC)
+    assert int(left.state.num_placed[0]) == 2
+    assert left.state.object_id[0, :2].tolist() == ids[:2]
+    assert left.state.complete_pixels[0] > 0
+
+
+def test_open_loop_motions_give_the_same_structure(agent: Agent) -> None:
+    """The recorded motions alone, sent to a fresh cell without looking, build the same."""
+    out = set_out(problem(blocks=8), KINEMATIC)
+    keeping = Keeping(PANDA, recover=True)
+    plan, record = build_with_arm(out, agent, "test", keeping)
+    assert plan["status"] == "complete"
+    poses, blind = record.steps[0].before.copy(), DynamicCell(PANDA)
+    for scene, attempt in keeping.kept:
+        ids = scene.object_id
+        assert attempt.trajectory is not None
+        now = scene._replace(position=poses[ids, :3])
+        after, turns = replay(blind, now, attempt.trajectory, poses[ids, 3:])
+        poses[ids] = np.hstack([after.position, turns])
+    end = record.steps[-1].after
+    assert np.linalg.norm(poses[:, :3] - end[:, :3], axis=1).max() < 1e-3
