@@ -61,6 +61,11 @@ def build(*words: str) -> list[str]:
     ]  # fmt: skip
 
 
+def arm_build(*words: str) -> list[str]:
+    """The same with an arm and an agent that knows it."""
+    return build("--arm", "panda", "--agent", "relational-two-sided-s0", *words)
+
+
 def prepare(folder: Path, agent: Path, run: Path, design: Path, log: Path) -> None:
     """Fill ``folder`` with what the calls name.
 
@@ -75,6 +80,12 @@ def prepare(folder: Path, agent: Path, run: Path, design: Path, log: Path) -> No
     shutil.copy(design, folder / "design.json")
     shutil.copy(log, folder / "log.jsonl")
     (folder / "file.txt").write_text("mine")
+    for name, second in (("layout", [0.1, -0.3]), ("far", [0.1, -0.3]), ("overlap", [0.04, -0.3])):
+        places = [[0.7 if name == "far" else 0.0, -0.3], second]
+        places += [[0.1 * (k % 5) - 0.3, -0.42 + 0.84 * (k // 5)] for k in range(10)]
+        places += [[-0.3, -0.32], [-0.2, -0.32], [-0.3, 0.32], [-0.2, 0.32]]
+        layout = {"format": "learn2assemble-layout", "version": 1, "positions": places}
+        (folder / f"{name}.json").write_text(json.dumps(layout))
     (folder / "full").mkdir()
     (folder / "full" / "keep.txt").write_text("mine")
     for name in ("bad_agent", "half_agent"):
@@ -130,6 +141,20 @@ BAD = [
     BadCall("build for negative time", build("--seconds", "-5"), "a positive number"),
     BadCall("build for nan seconds", build("--seconds", "nan"), "a positive number"),
     BadCall("build for ever", build("--seconds", "inf"), "a positive number"),
+    BadCall("unknown arm", build("--arm", "pandas"), "arm: got 'pandas', expected one of panda"),
+    BadCall("agent of another kind for an arm", build("--arm", "panda"), "network.num_actions"),
+    BadCall("arm for a task without", ["build", TASK, *build()[2:], "--arm", "panda"],
+            "a task with a robot"),
+    BadCall("layout without an arm", build("--layout", "{d}/layout.json"), "--arm"),
+    BadCall("layout for a preset", ["build", "robot-two-sided-3x3-10-14", *build()[2:], "--layout",
+                                    "{d}/layout.json"], "a design"),
+    BadCall("missing layout", build("--arm", "panda", "--layout", "{d}/no.json"), "no such file"),
+    BadCall("layout that is a design", build("--arm", "panda", "--layout", "{d}/design.json"),
+            "learn2assemble-layout"),
+    BadCall("layout out of reach", arm_build("--layout", "{d}/far.json"),
+            "positions[0]"),
+    BadCall("layout with an overlap", arm_build("--layout", "{d}/overlap.json"),
+            "does not overlap positions[0]"),
     BadCall("negative seed", build("--seed", "-1"), "a whole number"),
     BadCall("half a seed", build("--seed", "1.5"), "a whole number"),
     BadCall("unknown agent", build("--agent", "nobody"), "agent"),

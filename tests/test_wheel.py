@@ -32,8 +32,9 @@ def test_the_wheel_builds_a_design_elsewhere(tmp_path: Path) -> None:
         assert any(name.startswith(f"{folder}/meshes/") for name in names)
     design = ROOT / "examples" / "designs" / "stepped_tower.json"
     done = subprocess.run(
-        [sys.executable, "-m", "learn2assemble", "build", str(design), "--out", "out", "--json"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False,
+        [sys.executable, "-m", "learn2assemble", "build", str(design), "--out", "out", "--json",
+         "--seconds", "200"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=900, check=False,
         env={**os.environ, "PYTHONPATH": str(installed)},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

@@ -24,6 +24,7 @@ from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.record import BuildRecord
 from learn2assemble.robot.registry import ARMS
+from learn2assemble.task import check_actions
 from learn2assemble.viewer import write_page, write_progress
 from learn2assemble.viewer.video import require_video
 from learn2assemble.world.designs import read_design
@@ -42,6 +43,8 @@ def run(options: argparse.Namespace) -> int:
     layout = read_layout(options.layout) if options.layout else None
     problem, source = _problem(options, layout)
     agent = load_agent(options.agent or default_agent(_agent_task(problem)))
+    network = agent.network.config
+    check_actions(network.num_actions, network.attitudes, problem.task)
     how = {"seed": options.seed, "seconds": options.seconds, "progress": output.progress}
     record = None
     if problem.task.has_arm:
