@@ -55,12 +55,16 @@ CLOSE: dict[str, Any] = {"rtol": 0.0, "atol": 2e-4}
 """Single precision: relations are float32."""
 
 
-def network(task: Task, seed: int, rounds: int = 2, width: int = 16) -> PlacementNetwork:
-    """A random one whose outputs are of the size of 1 and which uses every layer."""
+def network(
+    task: Task, seed: int, rounds: int = 2, width: int = 16, hand: bool | None = None
+) -> PlacementNetwork:
+    """A random one whose outputs are of the size of 1 and which uses every layer; with a gripper
+    it looks around the hand unless told otherwise."""
     torch.manual_seed(seed)
     config = NetworkConfig(
         encoder="relational", width=width, rounds=rounds, num_actions=task.num_actions,
         attitudes=task.attitudes, pitch=task.pitch,
+        hand=task.attitudes == "grips" if hand is None else hand,
     )  # fmt: skip
     net = make_network(config)
     assert isinstance(net, PlacementNetwork)
@@ -116,6 +120,10 @@ def test_number_of_parameters(rounds: int, expected: int, num_actions: int) -> N
     if num_actions == 20:
         gripped = make_network(dataclasses.replace(config, attitudes="grips"))
         assert sum(p.numel() for p in gripped.parameters()) == expected + 4 * f
+        armed = make_network(dataclasses.replace(config, attitudes="grips", hand=True))
+        hand = (3 * OFFSETS + 1) * f + linear(6, f) + 4 * f  # around it, where, by which grip
+        hand += linear(f, 2 * f) + linear(2 * f, f)
+        assert sum(p.numel() for p in armed.parameters()) == expected + 4 * f + hand
 
 
 @some_graphs
@@ -168,8 +176,11 @@ def test_negative_maxima_are_treated_alike() -> None:
 @some_graphs
 @few
 def test_order_of_nodes_carries_no_meaning(name: str, seed: int, rounds: int) -> None:
-    """Placed blocks and waiting objects listed in another order: the same Q for every result."""
-    net, graph = network(TASKS[name], seed, rounds), graphs(name, seed, 3)
+    """Placed blocks and waiting objects listed in another order: the same Q for every result.
+
+    A hand gets another one of like objects then, which waits elsewhere.
+    """
+    net, graph = network(TASKS[name], seed, rounds, hand=False), graphs(name, seed, 3)
     rng = np.random.default_rng(seed)
     nodes, object_id = graph.nodes.copy(), graph.object_id.copy()
     for row in range(3):
@@ -281,7 +292,7 @@ def test_best_and_select_are_those_of_q(name: str, seed: int, rounds: int) -> No
 @pytest.mark.parametrize("name", ["gripped", "gripped-set-26"])
 def test_q_knows_the_grip(name: str) -> None:
     """The same cells by another grip have another Q, unless the network knows no difference."""
-    net, graph = network(TASKS[name], 0), graphs(name, 0)
+    net, graph = network(TASKS[name], 0, hand=False), graphs(name, 0)
     values = evaluate(net, graph)
     found = values.cells.placements
     assert net.grip is not None
@@ -290,10 +301,10 @@ def test_q_knows_the_grip(name: str) -> None:
     alike = evaluate(net, graph)
     compared = 0
     for row in range(len(graph.num_nodes)):
-        filled: dict[frozenset[int], list[int]] = {}
+        filled: dict[tuple[int, frozenset[int]], list[int]] = {}
         for n in range(int(found.count[row])):
-            cells = frozenset(found.members[row, n][found.members[row, n] >= 0].tolist())
-            filled.setdefault(cells, []).append(n)
+            cells = found.members[row, n][found.members[row, n] >= 0].tolist()
+            filled.setdefault((cells[0], frozenset(cells)), []).append(n)
         for same in filled.values():
             grips = found.action[row, same, 2] % 4
             assert len(set(grips.tolist())) == len(same), "each grip once"
@@ -341,6 +352,8 @@ def test_a_network_for_other_actions_is_refused() -> None:
         NetworkConfig(attitudes="grip")
     with pytest.raises(InputError, match="pitch"):
         NetworkConfig(pitch=0.0)
+    with pytest.raises(InputError, match="hand: got True, expected false unless"):
+        NetworkConfig(hand=True)
 
 
 def test_without_a_placement_q_is_far_below() -> None:

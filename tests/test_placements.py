@@ -19,12 +19,13 @@ from learn2assemble.world.blocks import HALF
 from learn2assemble.world.state import State
 from learning_data import advance, look_ahead
 
+PITCH = 0.06
 _OBJECTS = Task(
     "set-26", num_sides=2, grid=3, num_nodes=20, objects="set-26", rotations=4, reward="scaled",
     success_threshold=0.75,
 )  # fmt: skip
 _GRIPPED = Task(
-    "gripped", num_sides=2, grid=3, num_nodes=18, rotations=4, attitudes="grips", pitch=0.06,
+    "gripped", num_sides=2, grid=3, num_nodes=18, rotations=4, attitudes="grips", pitch=PITCH,
     layout="slanted-rows", success_threshold=0.75, cover_filter="wide", normalise_initial=False,
     max_initial_cover=0.6,
 )  # fmt: skip
@@ -52,8 +53,9 @@ some_state = given(
 )
 
 Cells = frozenset[tuple[int, int, int]]
-Result = tuple[Cells, int]
-"""The cells an action fills and the grip by which it does; without a gripper always 0."""
+Result = tuple[Cells, int, tuple[int, int, int] | None]
+"""The cells an action fills, the grip by which it does and the one of them that the hand holds;
+without a gripper always 0 and none."""
 
 
 def whole(positions: np.ndarray) -> list[tuple[int, int, int]]:
@@ -87,10 +89,27 @@ def try_everything(simulator: Simulator, state: State, row: int) -> Tried:
     cells = [frozenset(one) for one in filled]
     gripped = simulator.task.attitudes == "grips"
     grips = (actions[:, 2] % simulator.task.rotations * gripped).tolist()
+    first = [one[0] for one in filled]
+    held = first if gripped else [None] * len(first)
     return Tried(
-        actions, cells, list(zip(cells, grips, strict=True)), [cells[0] for cells in filled],
+        actions, cells, list(zip(cells, grips, held, strict=True)), first,
         step.reward, step.terminated, step.verdict == 0, many.plane_coverage - before,
     )  # fmt: skip
+
+
+def in_the_way(simulator: Simulator, graph: Graph, row: int, action: np.ndarray) -> int:
+    """Waiting cells that the hand would come down on: beside the chosen one along the way its
+    fingers close (y for grasp A, x for B), higher, and not of its object."""
+    if simulator.task.attitudes != "grips":
+        return 0
+    first = int(graph.num_targets[row] + graph.num_placed[row])
+    nodes = graph.nodes[row, first : graph.num_nodes[row], :3].astype(float)
+    object_id = graph.object_id[row, first : graph.num_nodes[row]]
+    away = np.abs(nodes[:, :2] - nodes[action[0], :2])
+    along = 1 if "AABB"[action[2] % 4] == "A" else 0
+    beside = (away[:, along] < 2.5 * PITCH) & (away[:, 1 - along] < 0.5 * PITCH)
+    higher = nodes[:, 2] > nodes[action[0], 2] + HALF
+    return int((beside & higher & (object_id != object_id[action[0]])).sum())
 
 
 def some_worlds(name: str, seed: int, steps: int, count: int = 2) -> tuple[Simulator, State]:
@@ -103,8 +122,8 @@ def some_worlds(name: str, seed: int, steps: int, count: int = 2) -> tuple[Simul
 @some_state
 @settings(max_examples=40, deadline=None)
 def test_placements_are_what_the_actions_can_make(name: str, seed: int, steps: int) -> None:
-    """One placement for every set of cells that some action fills by some grip, the first action
-    that does."""
+    """One placement for every set of cells that some action fills by some grip of one of them: the
+    first action that does, or with a gripper the first with the fewest in the way of the hand."""
     simulator, state = some_worlds(name, seed, steps)
     graph = simulator.observe(state)
     found = distinct_placements(graph, simulator.ways)
@@ -112,12 +131,14 @@ def test_placements_are_what_the_actions_can_make(name: str, seed: int, steps: i
     for row in range(state.batch_size):
         tried = try_everything(simulator, state, row)
         known: dict[Result, int] = {}
+        room = [in_the_way(simulator, graph, row, action) for action in tried.actions]
         for number, result in enumerate(tried.result):
-            known.setdefault(result, number)
+            if room[number] < room[known.setdefault(result, number)]:
+                known[result] = number
         count = int(found.count[row])
         assert local[row, :count].tolist() == tried.actions[list(known.values())].tolist()
         assert found.used[row].sum() == count == len(known)
-        for n, ((cells, _), number) in enumerate(known.items()):
+        for n, ((cells, *_), number) in enumerate(known.items()):
             members = [int(m) for m in found.members[row, n] if m >= 0]
             there = whole(found.cells[row, members])
             assert len(there) == len(cells)
@@ -126,7 +147,7 @@ def test_placements_are_what_the_actions_can_make(name: str, seed: int, steps: i
         # Cells: all that can be filled, then what only placed blocks fill; each once.
         every = whole(found.cells[row, : found.num_cells[row]])
         assert len(set(every)) == len(every)
-        fillable = set().union(*(cells for cells, _ in known))
+        fillable = set().union(*(cells for cells, *_ in known))
         assert set(every[: len(fillable)]) == fillable
         placed = set(whole(state.position[row, : state.num_placed[row]]))
         assert set(every[len(fillable) :]) == placed - fillable

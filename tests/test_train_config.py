@@ -12,11 +12,12 @@ import torch
 
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.graph.batch import to_tensors
-from learn2assemble.learning.config import CONFIGS, TrainConfig, get_config, override
+from learn2assemble.learning.config import CONFIGS, TrainConfig, fit_to, get_config, override
 from learn2assemble.learning.explore import epsilon_greedy, to_local
 from learn2assemble.learning.run import choose_device
 from learn2assemble.learning.trainer import Trainer
 from learn2assemble.networks.config import NetworkConfig
+from learn2assemble.presets import get_task
 from learn2assemble.simulator import Simulator
 from learning_data import RELATIONAL, SMALL, TINY, network
 
@@ -189,6 +190,23 @@ def test_from_dict_refuses_unknown_names() -> None:
         TrainConfig.from_dict(values | {"network": {"head": 3}})
     with pytest.raises(UnknownNameError, match="did you mean 'paper'"):
         get_config("papre")
+
+
+def test_with_an_arm_our_network_looks_around_the_hand() -> None:
+    """Unless it is told not to; the published networks and tasks without a robot have no hand."""
+    robot = get_task("robot-four-sided-3x3-10-18")
+    for name, task, expected in (
+        ("relational", robot, True),
+        ("relational-objects", get_task("robot-objects-two-sided-5x5-20-24"), True),
+        ("relational", robot.replace(arm="none"), False),
+        ("relational", get_task("two-sided-3x3-20-24"), False),
+        ("published", robot, False),
+    ):
+        fitted = fit_to(get_config(name), task)
+        assert fitted.network.hand == expected, (name, task.name)
+        assert override(fitted, ["network.hand=false"]).network.hand is False
+    older = {k: v for k, v in dataclasses.asdict(RELATIONAL).items() if k != "hand"}
+    assert TrainConfig.from_dict({"network": older}).network.hand is False
 
 
 def test_devices() -> None:

@@ -9,6 +9,7 @@ import torch
 
 from learn2assemble.graph.batch import GraphTensors
 from learn2assemble.graph.features import Graph
+from learn2assemble.graph.hands import look_around
 from learn2assemble.graph.placements import Placements, distinct_placements, locate
 from learn2assemble.graph.relations import relate
 from learn2assemble.world.actions import Ways
@@ -45,7 +46,9 @@ class CellTensors(NamedTuple):
     action: torch.Tensor
     """int64[B, P, 3]: node action of each placement."""
     grip: torch.Tensor
-    """int64[m]: grip by which each of the m cells is placed, see :class:`Ways`."""
+    """int64[p]: grip of each of the ``p`` legal placements, see :class:`Ways`."""
+    hands: HandTensors | None
+    """What the hand meets there, if it was asked for."""
     placements: Placements
     graph: Graph
     ways: Ways
@@ -56,11 +59,21 @@ class CellTensors(NamedTuple):
         return torch.from_numpy(found).to(action.device)
 
 
-def cell_tensors(graph: GraphTensors, ways: Ways) -> CellTensors:
+class HandTensors(NamedTuple):
+    """:class:`Hands` of the ``p`` legal placements."""
+
+    around: torch.Tensor
+    """int64[p, L]."""
+    place: torch.Tensor
+    """float32[p, 6]."""
+
+
+def cell_tensors(graph: GraphTensors, ways: Ways, hand: bool = False) -> CellTensors:
     """Enumerate placements and relate their cells to the graph, on the device of ``graph``.
 
     Args:
         ways: what the actions mean, :attr:`Task.ways`.
+        hand: whether to look around the hand, too.
     """
     plain = Graph(*[t.cpu().numpy() for t in graph])
     placements = distinct_placements(plain, ways)
@@ -71,12 +84,17 @@ def cell_tensors(graph: GraphTensors, ways: Ways) -> CellTensors:
     unplaced = plain.num_nodes - plain.num_targets - plain.num_placed
     area = np.maximum(relations.area, 0.1)
     summary = np.stack([unplaced / 20, plain.num_placed / 20, area / 10, 1 / area], -1)
-    way = placements.action[..., 2][placements.used] % len(ways.turns)
+    legal = placements.used
+    way = placements.action[..., 2][legal] % len(ways.turns)
     cell, part_of, lever = _parts(placements, np.cumsum(placements.num_cells))
 
     def put(array: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.ascontiguousarray(array)).to(device)
 
+    hands = None
+    if hand:
+        found = look_around(plain, placements, ways)
+        hands = HandTensors(put(found.around[legal]), put(found.place[legal]))
     return CellTensors(
         row=put(row),
         used=put(used),
@@ -87,9 +105,10 @@ def cell_tensors(graph: GraphTensors, ways: Ways) -> CellTensors:
         cell=put(cell),
         part_of=put(part_of),
         lever=put(lever),
-        legal=put(placements.used),
+        legal=put(legal),
         action=put(placements.action),
-        grip=put(ways.grips[way[part_of]]),
+        grip=put(ways.grips[way]),
+        hands=hands,
         placements=placements,
         graph=plain,
         ways=ways,

@@ -2,8 +2,9 @@
 
 Many actions (block, reference, relation) put like objects into the same cells. Of |U| x |P| x Na
 actions a structure of cubes has only a few dozen distinct ones. With a gripper, what fills the same
-cells by another grip is another placement. They are read from the graph alone: no rule, no physics,
-so placements that are blocked or float are among them.
+cells by another grip is another placement, and so is what the hand holds by another cell; of like
+objects it takes one that it can get at. They are read from the graph alone: no rule, no physics, so
+placements that are blocked or float are among them.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from learn2assemble.world.rules import waiting_level
 
 MAX_CELLS = 4
 """Cells of the largest object."""
+HAND_REACH = 2.5
+"""Half the width of a hand along the way its fingers close, and room to spare [pitches]."""
 
 
 class Placements(NamedTuple):
@@ -82,16 +85,24 @@ def _offsets(nodes, object_id, block, first, used, ways, out):
 
 
 @njit(cache=True)
-def _fill(nodes, reference, relation, turns, grip, pitch, offsets, count, lift, cells):
-    """Cells filled by a placement; gives its key (the same for the same set of cells and grip)."""
-    key = np.uint64(grip) * np.uint64(0xD6E8FEB86659FD93)
+def _fill(nodes, reference, relation, way, ways, offsets, count, lift, cells):
+    """Cells filled by a placement; gives its key.
+
+    It is the same for the same set of cells and, where a hand holds the object, the same grip on
+    the same of its cells: what one cell leaves no room for may be easy by another.
+    """
+    turns, pitch = ways.turns[way], ways.pitch
+    key = np.uint64(ways.grips[way]) * np.uint64(0xD6E8FEB86659FD93)
     for k in range(count):
         a, b = quarter_turn(offsets[k, 0], offsets[k, 1], turns)
         cells[k, 0] = nodes[reference, 0] + pitch * (DIRECTIONS[relation, 0] + a)
         cells[k, 1] = nodes[reference, 1] + pitch * (DIRECTIONS[relation, 1] + b)
         up = EDGE * (DIRECTIONS[relation, 2] + offsets[k, 2])
         cells[k, 2] = nodes[reference, 2] + lift + up
-        key += _cell_key(cells[k, 0], cells[k, 1], cells[k, 2])
+        cell = _cell_key(cells[k, 0], cells[k, 1], cells[k, 2])
+        key += cell
+        if k == 0 and count > 1 and ways.level:
+            key += _mix(cell)
     return key
 
 
@@ -112,6 +123,50 @@ def _enter(table, stamp, stamps, keys, key, number):
 
 
 @njit(cache=True)
+def in_the_way(nodes, object_id, block, other, turns, pitch):
+    """Whether a waiting cell stands where a hand's width comes down that grasps ``block``: higher
+    than it, of another object, beside it along the way the fingers close."""
+    if object_id[other] == object_id[block] or nodes[other, 2] - nodes[block, 2] < 0.5 * EDGE:
+        return False
+    x, y = nodes[other, 0] - nodes[block, 0], nodes[other, 1] - nodes[block, 1]
+    x, y = quarter_turn(x, y, -turns % 4)
+    return abs(x) < 0.5 * pitch and abs(y) < HAND_REACH * pitch
+
+
+@njit(cache=True)
+def _choose(nodes, object_id, first, used, ways, table, stamps, keys, stamp, offsets, best):
+    """Tell shapes of waiting objects, seen from one of their cells, apart; their number.
+
+    Of like ones each way gets the first, or for a hand the first that the fewest are in the way of.
+
+    Args:
+        best: int64[N, R], written: cell to choose for each shape and way.
+    """
+    shapes = 0
+    rotations = len(ways.turns)
+    fewest = np.empty((used - first, rotations), np.int64)
+    for block in range(first, used):
+        size = _offsets(nodes, object_id, block, first, used, ways, offsets)
+        key = np.uint64(0)
+        for k in range(size):
+            key += _cell_key(EDGE * offsets[k, 0], EDGE * offsets[k, 1], EDGE * offsets[k, 2])
+        shape = _enter(table, stamp, stamps, keys, key, shapes)
+        new = shape == shapes
+        shapes += new
+        if not (new or ways.level):
+            continue
+        for way in range(rotations):
+            crowd = 0
+            if ways.level:
+                for other in range(first, used):
+                    turns = ways.hands[way, 0]
+                    crowd += in_the_way(nodes, object_id, block, other, turns, ways.pitch)
+            if new or crowd < fewest[shape, way]:
+                best[shape, way], fewest[shape, way] = block, crowd
+    return shapes
+
+
+@njit(cache=True)
 def _enumerate(
     nodes, object_id, num_targets, num_placed, num_nodes, ways,
     out_cells, num_cells, out_action, out_members, count, out_key,
@@ -121,36 +176,40 @@ def _enumerate(
     tables = np.empty((3, slots), np.int64)
     stamps = np.full((3, slots), -1, np.int64)
     keys = np.empty((3, slots), np.uint64)
-    offsets = np.empty((MAX_CELLS, 3))
+    grips, rotations = ways.grips, len(ways.turns)
+    best = np.empty((nodes.shape[1], rotations), np.int64)
+    offsets = np.empty((rotations, MAX_CELLS, 3))
     cells = np.empty((MAX_CELLS, 3))
-    turns, grips, rotations = ways.turns, ways.grips, len(ways.turns)
     for row in range(len(num_targets)):
         first = num_targets[row] + num_placed[row]
-        shapes = 0
-        for block in range(first, num_nodes[row]):
-            size = _offsets(nodes[row], object_id[row], block, first, num_nodes[row], ways, offsets)
-            lift = waiting_level(nodes[row, block, 2]) if ways.level else 0.0
-            shape = np.uint64(0)
-            for k in range(size):
-                shape += _cell_key(EDGE * offsets[k, 0], EDGE * offsets[k, 1], EDGE * offsets[k, 2])
-            if _enter(tables[0], row, stamps[0], keys[0], shape, shapes) != shapes:
-                continue
-            shapes += 1
+        shapes = _choose(
+            nodes[row], object_id[row], first, num_nodes[row], ways, tables[0], stamps[0], keys[0],
+            row, offsets[0], best,
+        )  # fmt: skip
+        for shape in range(shapes):
+            lift, size = 0.0, 0
+            for way in range(rotations):
+                block = best[shape, way]
+                size = _offsets(
+                    nodes[row], object_id[row], block, first, num_nodes[row], ways, offsets[way]
+                )
+                # Like objects stand alike.
+                lift = waiting_level(nodes[row, block, 2]) if ways.level else 0.0
             for reference in range(num_targets[row], first):
                 for relation in range(len(DIRECTIONS)):
                     for way in range(rotations):
                         if way > 0 and size == 1 and grips[way] == grips[way - 1]:
                             continue  # A turned cube is the same cube.
                         key = _fill(
-                            nodes[row], reference, relation, turns[way], grips[way], ways.pitch,
-                            offsets, size, lift, cells,
+                            nodes[row], reference, relation, way, ways, offsets[way], size, lift,
+                            cells,
                         )  # fmt: skip
                         n = count[row]
                         if _enter(tables[1], row, stamps[1], keys[1], key, n) != n:
                             continue
                         if n >= out_action.shape[1]:
                             return False
-                        out_action[row, n, 0] = block
+                        out_action[row, n, 0] = best[shape, way]
                         out_action[row, n, 1] = reference
                         out_action[row, n, 2] = relation * rotations + way
                         out_key[row, n] = key
@@ -220,10 +279,7 @@ def _locate(nodes, object_id, num_targets, num_placed, num_nodes, ways, action, 
         )
         relation, way = divmod(action[row, 2], len(ways.turns))
         lift = waiting_level(nodes[row, action[row, 0], 2]) if ways.level else 0.0
-        key = _fill(
-            nodes[row], action[row, 1], relation, ways.turns[way], ways.grips[way], ways.pitch,
-            offsets, size, lift, cells,
-        )  # fmt: skip
+        key = _fill(nodes[row], action[row, 1], relation, way, ways, offsets, size, lift, cells)
         for n in range(count[row]):
             if keys[row, n] == key:
                 out[row] = n
@@ -254,9 +310,8 @@ def _keys(nodes, object_id, targets, first, used, ways, out):
             for k in range(out.shape[2]):
                 relation, way = divmod(k, len(ways.turns))
                 out[i, j, k] = _fill(
-                    nodes, targets + j, relation, ways.turns[way], ways.grips[way], ways.pitch,
-                    offsets, size, lift, cells,
-                )  # fmt: skip
+                    nodes, targets + j, relation, way, ways, offsets, size, lift, cells
+                )
 
 
 def action_keys(graph: Graph, row: int, ways: Ways) -> np.ndarray:

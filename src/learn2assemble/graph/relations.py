@@ -75,7 +75,7 @@ def _line(a, b, turn, x, z, out):
 
 
 @njit(cache=True)
-def _offset_number(right, out, up, pitch):
+def offset_number(right, out, up, pitch):
     """Number of an offset [m] to the right, outward and up, in whole cells up to ``REACH``."""
     i = int(_clip(np.rint(right / pitch), REACH)) + REACH
     j = int(_clip(np.rint(out / pitch), REACH)) + REACH
@@ -131,7 +131,7 @@ def _relate(
                 for b in range(placed):
                     node = nodes[row, targets + b]
                     dx, dy = node[0] - cells[row, c, 0], node[1] - cells[row, c, 1]
-                    offsets[row, c, side, b] = _offset_number(
+                    offsets[row, c, side, b] = offset_number(
                         dx * right_x + dy * right_y, dx * out_x + dy * out_y, node[2] - z, pitch
                     )
             first = last

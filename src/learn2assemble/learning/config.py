@@ -206,11 +206,12 @@ CONFIGS: dict[str, TrainConfig] = {
 
 
 def fit_to(config: TrainConfig, task: Task) -> TrainConfig:
-    """The configuration with what the task decides: its actions and lattice, and no symmetries that
-    only cubes without a robot have."""
+    """The configuration with what the task decides: its actions and lattice, whether there is a
+    hand to look around, and no symmetries that only cubes without a robot have."""
     network = dataclasses.replace(
-        config.network, num_actions=task.num_actions, attitudes=task.attitudes, pitch=task.pitch
-    )
+        config.network, num_actions=task.num_actions, attitudes=task.attitudes, pitch=task.pitch,
+        hand=task.has_arm and config.network.encoder == "relational",
+    )  # fmt: skip
     augment = config.augment and task.objects == "cubes" and task.touching
     return dataclasses.replace(config, network=network, augment=augment)
 

@@ -56,6 +56,9 @@ _BARS, _OBJECTS = "bars-one-sided-5x5-25-27", "objects-two-sided-5x5-20-24"
 
 _FULL = "network.connectivity=full"
 _SHORTER = "num_samples=160000"
+_SHORT = "num_samples=60000"
+_NO_HAND = "network.hand=false"
+"""Of two sides a hand needs no view of its own: both show which way its fingers close."""
 _AGAIN = ("learning_rate=0.001", "final_learning_rate=0.00003", "epsilon_samples=1")
 
 
@@ -95,10 +98,10 @@ _ALL = (
     _published("robot-one-sided", "robot-one-sided-5x5-15-17", _SHORTER),
     _published("one-sided", "one-sided-5x5-15-17", _SHORTER),
     Recipe("relational-cubes", _LARGE, (Stage("relational", ("num_samples=120000",)),)),
-    Recipe("relational-bars", _BARS, (Stage("relational", ("num_samples=60000",)),)),
+    Recipe("relational-bars", _BARS, (Stage("relational", (_SHORT,)),)),
     Recipe("relational-objects", _OBJECTS, (Stage("relational-objects"),)),
-    Recipe("relational-two-sided", _ROBOT_TWO, (Stage("relational", ("num_samples=60000",)),)),
-    Recipe("relational-four-sided", _ROBOT_FOUR, (Stage("relational", ("num_samples=60000",)),)),
+    Recipe("relational-two-sided", _ROBOT_TWO, (Stage("relational", (_SHORT, _NO_HAND)),)),
+    Recipe("relational-four-sided", _ROBOT_FOUR, (Stage("relational"),)),
     Recipe("relational-robot-objects", _ROBOT_OBJECTS, (Stage("relational-objects"),)),
     _ablation("full"),
     _ablation("no-dense-labels", "dense_weight=0"),

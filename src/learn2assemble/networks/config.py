@@ -33,6 +33,8 @@ class NetworkConfig:
         attitudes: what the ways of an action are, :attr:`Task.attitudes`; counts for
             ``relational`` only, like ``pitch``.
         pitch: horizontal distance of neighbouring blocks of the task [m].
+        hand: whether a placement also knows what is around the hand, and where in the world it is
+            (:mod:`learn2assemble.graph.hands`); for ``relational``, where an arm builds.
         position_scale: positions are divided by this [m] (1.025 in the published code).
         rotary: rotate queries and keys by the node positions, so that attention scores depend on
             offsets between nodes instead of absolute positions (deviation D5).
@@ -46,6 +48,7 @@ class NetworkConfig:
     num_actions: int = 5
     attitudes: str = "turns"
     pitch: float = EDGE
+    hand: bool = False
     position_scale: float = 1.025
     rotary: bool = False
     encoder: str = "attention"
@@ -70,6 +73,8 @@ class NetworkConfig:
             raise UnknownNameError("attitudes", self.attitudes, ATTITUDES)
         if not 0 < self.pitch < math.inf:
             raise InputError("pitch", self.pitch, "a positive length [m]")
+        if self.hand and self.encoder != "relational":
+            raise InputError("hand", self.hand, "false unless encoder is relational")
         if self.rounds < 1:
             raise InputError("rounds", self.rounds, "at least 1")
         if not 0 < self.position_scale < math.inf:

@@ -5,7 +5,8 @@ embeds every cell that could be filled. A cell looks at the edges of each outlin
 blocks around it in the viewer's frame of that side, so its embedding depends neither on where the
 structure stands, nor on which of its sides comes first, nor on how large the target is. A
 placement is the sum over the cells it fills; like placements are one placement. With a gripper,
-every cell also knows the grip it would be placed with.
+every cell also knows the grip it would be placed with, and where an arm builds, a placement knows
+what is around the hand, seen by the hand, and where in the world it is.
 """
 
 from __future__ import annotations
@@ -18,10 +19,14 @@ from torch.nn import functional as F
 
 from learn2assemble.graph.batch import GraphTensors
 from learn2assemble.graph.cells import NUM_SUMMARY, CellTensors, cell_tensors
+from learn2assemble.graph.hands import AROUND, PLACE_FEATURES
 from learn2assemble.graph.relations import EDGE_FEATURES, OFFSETS
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import NEGATIVE
 from learn2assemble.world.actions import RELATIONS, get_ways
+
+REACH_OF_ARM = 0.5
+"""Positions in the world are divided by this [m]."""
 
 
 class PlacementValues(NamedTuple):
@@ -47,7 +52,8 @@ class PlacementNetwork(nn.Module):
     """Relational encoder of cells and read-out of placements.
 
     Args:
-        config: its ``width``, ``rounds``, ``num_actions``, ``attitudes`` and ``pitch`` count.
+        config: its ``width``, ``rounds``, ``num_actions``, ``attitudes``, ``pitch`` and ``hand``
+            count.
     """
 
     def __init__(self, config: NetworkConfig) -> None:
@@ -69,19 +75,22 @@ class PlacementNetwork(nn.Module):
         self.readout = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 2))
         grips = get_ways(config.attitudes, config.num_actions // len(RELATIONS)).num_grips
         self.grip = nn.Embedding(grips, width) if grips > 1 else None
+        self.hand = Hand(width, grips) if config.hand else None
 
     def forward(self, graph: GraphTensors) -> PlacementValues:
         """Q-values of every distinct placement."""
         config = self.config
         ways = get_ways(config.attitudes, config.num_actions // len(RELATIONS), config.pitch)
-        cells = cell_tensors(graph, ways)
+        cells = cell_tensors(graph, ways, config.hand)
         x, context = self.encode(cells)
         parts = F.embedding(cells.cell, self.member(x)) + self.lever(cells.lever)
         if self.grip is not None:
-            parts = parts + self.grip(cells.grip)
+            parts = parts + self.grip(cells.grip)[cells.part_of]
         parts = F.relu(parts)
         row = cells.legal.nonzero()[:, 0]
         placed = self.context(context)[row].index_add(0, cells.part_of, parts)
+        if self.hand is not None:
+            placed = placed + self.hand(cells)
         values = x.new_full((*cells.legal.shape, 2), NEGATIVE)
         values[cells.legal] = self.readout(placed)
         reward, rest = values.unbind(-1)
@@ -103,6 +112,31 @@ class PlacementNetwork(nn.Module):
             context = F.relu(context + pool(torch.cat([grid.sum(1) / 10, largest], -1)))
             x = x + layer(torch.cat([x, context[cells.row]], -1))
         return F.relu(x), context
+
+
+class Hand(nn.Module):
+    """Embeds what the hand meets at every placement.
+
+    Args:
+        width: F.
+        grips: how many there are.
+    """
+
+    def __init__(self, width: int, grips: int) -> None:
+        super().__init__()
+        self.around = nn.EmbeddingBag(AROUND + 1, width, mode="sum", padding_idx=AROUND)
+        nn.init.normal_(self.around.weight, std=0.1)
+        with torch.no_grad():
+            self.around.weight[AROUND] = 0
+        self.place = nn.Linear(PLACE_FEATURES, width)
+        self.grip = nn.Embedding(grips, width)
+        self.out = _two_layers(width, width)
+
+    def forward(self, cells: CellTensors) -> torch.Tensor:
+        """float[p, F] of the legal placements."""
+        assert cells.hands is not None
+        place = self.place(cells.hands.place / REACH_OF_ARM)
+        return self.out(F.relu(self.around(cells.hands.around) + place + self.grip(cells.grip)))
 
 
 def _two_layers(inputs: int, width: int) -> nn.Module:

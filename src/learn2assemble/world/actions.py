@@ -26,13 +26,14 @@ ROTATIONS = (1, 4)
 """Numbers of ways a task may offer in each relation."""
 
 ATTITUDES = {
-    "turns": ((0, 1, 2, 3), False),
-    "grips": ((0, 3, 1, 0), True),
+    "turns": (((0, 0), (0, 1), (0, 2), (0, 3)), False),
+    "grips": (((0, 0), (0, 3), (3, 0), (3, 3)), True),
 }
-"""What the ways are: the quarter turns they make, and whether a gripper makes them. ``turns`` are
-quarter turns, any number of which may fill the same cells. ``grips`` are the (grasp, place) yaws
-AA, AB, BA, BB of the gripper: two of them fill the same cells and are different actions all the
-same, as the fingers stand elsewhere."""
+"""What the ways are: the quarter turns of the hand over the place where it picks and over the one
+where it places, and whether it is a gripper. ``turns`` turn the object in a hand that nothing is in
+the way of; any number of them may fill the same cells. ``grips`` are the (grasp, place) yaws AA,
+AB, BA, BB: two of them fill the same cells and are different actions all the same, as the fingers
+stand elsewhere."""
 
 
 class Ways(NamedTuple):
@@ -44,6 +45,9 @@ class Ways(NamedTuple):
     """int64[R]: quarter turns the object makes in each way."""
     grips: np.ndarray
     """int64[R]: ways with different numbers are different even where the cells are the same."""
+    hands: np.ndarray
+    """int64[R, 2]: quarter turns of the hand where it picks and where it places; the object turns
+    by their difference."""
     level: bool
     """The object's lowest cell comes to the level of the reference, not the chosen cell."""
 
@@ -67,11 +71,12 @@ def get_ways(attitudes: str = "turns", rotations: int = 1, pitch: float = EDGE) 
     """
     if attitudes not in ATTITUDES:
         raise UnknownNameError("attitudes", attitudes, ATTITUDES)
-    turns, gripped = ATTITUDES[attitudes]
+    pairs, gripped = ATTITUDES[attitudes]
     if rotations not in ROTATIONS:
         raise InputError("rotations", rotations, "1 or 4")
     grips = np.arange(rotations) if gripped else np.zeros(rotations, np.int64)
-    return Ways(float(pitch), np.array(turns[:rotations]), grips, gripped)
+    hands = np.array(pairs[:rotations])
+    return Ways(float(pitch), (hands[:, 1] - hands[:, 0]) % 4, grips, hands, gripped)
 
 
 def step_sizes(pitch: float) -> np.ndarray:
