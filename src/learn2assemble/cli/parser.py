@@ -15,7 +15,18 @@ from learn2assemble import __version__
 from learn2assemble.search.named import SEARCHES
 
 ARM_HELP = "panda, ur5e or none; the task's own"
-COMMANDS = ("build", "train", "eval", "table", "curves", "replay", "bench", "tasks", "view")
+COMMANDS = (
+    "build",
+    "train",
+    "eval",
+    "table",
+    "curves",
+    "replay",
+    "fidelities",
+    "bench",
+    "tasks",
+    "view",
+)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -212,6 +223,19 @@ def make_parser() -> argparse.ArgumentParser:
         "l2a replay tests/data/transitions_sample.jsonl",
     )  # fmt: skip
     replay.add_argument("files", metavar="FILE", nargs="+", type=Path)
+
+    fidelities = command(
+        "fidelities", "fidelities", "the kinematic cell of an arm against the dynamic one",
+        "l2a fidelities robot-two-sided-3x3-10-14 robot-four-sided-3x3-10-18 --actions 250",
+    )  # fmt: skip
+    fidelities.add_argument("tasks", metavar="TASK", nargs="+")
+    fidelities.add_argument("--actions", type=_count, default=100, help="moves of every task")
+    fidelities.add_argument(
+        "--agent", default=None, help="who builds what the moves are drawn from"
+    )
+    fidelities.add_argument("--arm", default=None, help=ARM_HELP)
+    fidelities.add_argument("--seed", type=_natural, default=0)
+    fidelities.add_argument("--out", type=Path, default=None, help="new file for the result")
 
     bench = command("bench", "bench", "measure the speed of this machine", "l2a bench --seconds 2")
     bench.add_argument("--seconds", type=_positive, default=2.0, help="per measurement")
