@@ -87,7 +87,9 @@ def test_surroundings_written_out(name: str, seed: int) -> None:
             expected += [OFFSETS + k for k in numbers(cells[1:] - cells[0], place, PITCH)]
             away = nodes[first:] - nodes[block]
             across, along = np.abs(away @ turn(grasp))[:, :2].T
-            way = (across < PITCH / 2) & (along < 2.5 * PITCH) & (away[:, 2] > EDGE / 2)
+            levels = np.rint(away[:, 2] / EDGE)
+            way = (across < 0.75 * PITCH) & (levels >= 0)
+            way &= along < np.where(levels > 0, 2.25, 1.25) * PITCH
             way &= object_id[first : len(nodes)] != object_id[block]
             expected += [2 * OFFSETS + k for k in numbers(away[way], grasp, PITCH)]
             seen = found.around[row, n].tolist()

@@ -15,7 +15,7 @@ from learn2assemble.graph.placements import action_keys, distinct_placements, lo
 from learn2assemble.simulator import Simulator
 from learn2assemble.task import Task
 from learn2assemble.world.actions import get_ways
-from learn2assemble.world.blocks import HALF
+from learn2assemble.world.blocks import EDGE, HALF
 from learn2assemble.world.state import State
 from learning_data import advance, look_ahead
 
@@ -98,8 +98,8 @@ def try_everything(simulator: Simulator, state: State, row: int) -> Tried:
 
 
 def in_the_way(simulator: Simulator, graph: Graph, row: int, action: np.ndarray) -> int:
-    """Waiting cells that the hand would come down on: beside the chosen one along the way its
-    fingers close (y for grasp A, x for B), higher, and not of its object."""
+    """Waiting cells of other objects that the hand would come down on, beside the chosen one along
+    the way its fingers close (y for grasp A, x for B): higher ones, or level ones that are near."""
     if simulator.task.attitudes != "grips":
         return 0
     first = int(graph.num_targets[row] + graph.num_placed[row])
@@ -107,9 +107,10 @@ def in_the_way(simulator: Simulator, graph: Graph, row: int, action: np.ndarray)
     object_id = graph.object_id[row, first : graph.num_nodes[row]]
     away = np.abs(nodes[:, :2] - nodes[action[0], :2])
     along = 1 if "AABB"[action[2] % 4] == "A" else 0
-    beside = (away[:, along] < 2.5 * PITCH) & (away[:, 1 - along] < 0.5 * PITCH)
-    higher = nodes[:, 2] > nodes[action[0], 2] + HALF
-    return int((beside & higher & (object_id != object_id[action[0]])).sum())
+    levels = np.rint((nodes[:, 2] - nodes[action[0], 2]) / EDGE)
+    reach = np.where(levels > 0, 2.25, 1.25) * PITCH
+    beside = (away[:, along] < reach) & (away[:, 1 - along] < 0.75 * PITCH) & (levels >= 0)
+    return int((beside & (object_id != object_id[action[0]])).sum())
 
 
 def some_worlds(name: str, seed: int, steps: int, count: int = 2) -> tuple[Simulator, State]:

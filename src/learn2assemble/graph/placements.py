@@ -21,8 +21,9 @@ from learn2assemble.world.rules import waiting_level
 
 MAX_CELLS = 4
 """Cells of the largest object."""
-HAND_REACH = 2.5
-"""Half the width of a hand along the way its fingers close, and room to spare [pitches]."""
+HAND_REACH, FINGER_REACH = 2.25, 1.25
+"""How far from the grasped cell other ones may hinder a hand along the way its fingers close, above
+that cell and beside it [pitches]."""
 
 
 class Placements(NamedTuple):
@@ -124,13 +125,18 @@ def _enter(table, stamp, stamps, keys, key, number):
 
 @njit(cache=True)
 def in_the_way(nodes, object_id, block, other, turns, pitch):
-    """Whether a waiting cell stands where a hand's width comes down that grasps ``block``: higher
-    than it, of another object, beside it along the way the fingers close."""
-    if object_id[other] == object_id[block] or nodes[other, 2] - nodes[block, 2] < 0.5 * EDGE:
+    """Whether a waiting cell of another object is where a hand comes down that grasps ``block``.
+
+    Beside it along the way the fingers close, that is what the fingers meet or, a level higher,
+    what the width of the hand does.
+    """
+    up = nodes[other, 2] - nodes[block, 2]
+    if object_id[other] == object_id[block] or up < -0.5 * EDGE:
         return False
     x, y = nodes[other, 0] - nodes[block, 0], nodes[other, 1] - nodes[block, 1]
     x, y = quarter_turn(x, y, -turns % 4)
-    return abs(x) < 0.5 * pitch and abs(y) < HAND_REACH * pitch
+    reach = HAND_REACH if up > 0.5 * EDGE else FINGER_REACH
+    return abs(x) < 0.75 * pitch and abs(y) < reach * pitch
 
 
 @njit(cache=True)
