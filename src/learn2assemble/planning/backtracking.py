@@ -80,6 +80,8 @@ def _candidates(
     return [action for *_, action in sorted(ranked, key=lambda item: (-item[0], -item[1]))]
 
 
+Place = tuple[int, int, int]
+"""A cell of the lattice: x, y and level."""
 Rank = Callable[[np.ndarray, float], float]
 """How good it is to fill the cell with this centre [m], which gains that much coverage."""
 
@@ -100,35 +102,51 @@ def _rank_by_share(problem: Problem, state: State) -> Rank:
 
 def _rank_by_level(problem: Problem, state: State) -> Rank:
     """With an arm: level by level and the farthest first, so that nothing tall stands between the
-    arm and what is left; on a level what gains, then what leads to cells still to be filled."""
+    arm and what is left; on a level what gains, then what leads to cells still to be filled, and
+    last what would leave no way in to such a cell for the fingers."""
     pitch, open_cells = problem.task.pitch, _open_cells(problem, state)
     base = get_arm(problem.task.arm).base_position
     filled = _filled(problem, state)
 
     def rank(cell: np.ndarray, gain: float) -> float:
-        level = round((cell[2] - HALF) / EDGE)
-        wanted = {(x, y) for x, y, z in open_cells if z >= level and (x, y, level) not in filled}
-        x, y = cell[:2] / pitch
+        x, y, level = _place(cell, pitch)
+        wanted = {
+            (a, b)
+            for a, b, z in open_cells
+            if z >= level and (a, b, level) not in filled and not _shut(filled, (a, b, level))
+        }
         away = min((abs(x - a) + abs(y - b) for a, b in wanted), default=np.inf)
         if gain <= 0 and not np.isfinite(away):
             return -np.inf
+        after = {*filled, (x, y, level)}
+        shuts = sum(_shut(after, (a, b, level)) for a, b in wanted - {(x, y)})
         toward = 0.0 if gain > 0 else 1.0 + away
-        return -1000.0 * level - 50.0 * toward + float(np.hypot(*(cell[:2] - base[:2]))) / pitch
+        far = float(np.hypot(*(cell[:2] - base[:2]))) / pitch
+        return -1000.0 * level - 200.0 * shuts - 50.0 * toward + far
 
     return rank
 
 
-def _filled(problem: Problem, state: State) -> set[tuple[int, int, int]]:
-    """Cells (x, y in cells, level) in which a block stands."""
-    pitch = problem.task.pitch
-    return {
-        (round(x / pitch), round(y / pitch), round((z - HALF) / EDGE))
-        for x, y, z in state.position[0, : state.num_placed[0]]
-    }
+def _shut(filled: set[Place], place: Place) -> bool:
+    """Whether blocks beside a cell, on both axes, keep the fingers out."""
+    x, y, z = place
+    beside = (x - 1, y, z) in filled or (x + 1, y, z) in filled
+    before = (x, y - 1, z) in filled or (x, y + 1, z) in filled
+    return beside and before
 
 
-def _open_cells(problem: Problem, state: State) -> set[tuple[int, int, int]]:
-    """Needed cells (x, y in cells, level) that are not yet filled."""
+def _place(centre: np.ndarray, pitch: float) -> Place:
+    return round(centre[0] / pitch), round(centre[1] / pitch), round((centre[2] - HALF) / EDGE)
+
+
+def _filled(problem: Problem, state: State) -> set[Place]:
+    """Cells in which a block stands."""
+    placed = state.position[0, : state.num_placed[0]]
+    return {_place(centre, problem.task.pitch) for centre in placed}
+
+
+def _open_cells(problem: Problem, state: State) -> set[Place]:
+    """Needed cells that are not yet filled."""
     pitch, needed = problem.task.pitch, set()
     for frame, cells in zip(problem.frames, problem.needed, strict=True):
         c, s, tx, ty = frame
