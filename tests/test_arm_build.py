@@ -100,7 +100,7 @@ def test_blocks_are_set_out_where_the_arm_takes_them(name: str) -> None:
 
 def test_more_blocks_than_an_arm_reaches_are_refused() -> None:
     with pytest.raises(InputError, match=r"waiting blocks: got 300, expected at most \d+, what"):
-        supply_places(PANDA, 300, np.zeros((1, 2)))
+        supply_places(KINEMATIC, 300, np.zeros((1, 2)), np.array([0.0, 0.0, 0.025]))
 
 
 def line(count: int) -> np.ndarray:

@@ -140,7 +140,7 @@ def _summary(data: TableData, measured: int, files: dict[str, Path]) -> dict[str
     for row, entries in zip(data.table.rows, data.entries, strict=True):
         for column, entry in zip(data.table.columns, entries, strict=True):
             rows.append({
-                "task": column.task, "method": row.name, "state": entry.state or "measured",
+                "task": column.name, "method": row.name, "state": entry.state or "measured",
                 "paper": entry.paper and dataclasses.asdict(entry.paper),
                 "ours": [
                     {**dataclasses.asdict(condition), **dataclasses.asdict(summary)}

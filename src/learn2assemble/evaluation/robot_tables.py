@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from learn2assemble.evaluation.table_spec import (
     KNOWS,
     LOOK_AHEAD,
@@ -63,6 +65,8 @@ _ONE_SIDED = (
 _ROBOT_OBJECTS = {"experiment": "multi_object_robot"}
 _TWO, _FOUR, _MORE = "robot-two-sided", "robot-four-sided", "robot-objects"
 
+_TRANSFER = "robot-two-sided-3x3-10-14"
+
 ROBOT_TABLES = (
     Table(
         "T3", "Four sides with a robot (main Table 3)",
@@ -81,6 +85,16 @@ ROBOT_TABLES = (
         _two_sided("random-", False), _rows(_TWO, "relational-two-sided"),
         {"source_table": "main_T4", "experiment": "robot_2_sided_random_layout"}, FIDELITIES,
         notes=(*_SEARCHES, "The agents were trained with blocks waiting in rows."),
+        trainings=(_TWO, "relational-two-sided"),
+    ),
+    Table(
+        "transfer", "Agents trained with the Panda, with another arm",
+        tuple(Column(task, not arm and task == _TRANSFER, arm=arm)
+              for task in (_TRANSFER, "robot-two-sided-5x5-14-18") for arm in ("", "ur5e")),
+        tuple(replace(row, paper={}) for row in _rows(_TWO, "relational-two-sided")),
+        conditions=FIDELITIES[1:],
+        notes=(*_SEARCHES, "Nothing is trained for the UR5e; its cell knows its own reach and "
+               "shape, which decide what is valid, and the agents do not."),
         trainings=(_TWO, "relational-two-sided"),
     ),
     Table(

@@ -74,7 +74,7 @@ def load_table(table: Table, root: Path, quick: bool = False) -> TableData:
     for row in table.rows:
         line = []
         for number, column in enumerate(table.columns):
-            agents = row.pick(measured_agents(root, column.task)) if row.agents else []
+            agents = row.pick(measured_agents(root, column.name)) if row.agents else []
             cells = row_cells(table, row, number, agents)
             results = {}
             for condition in table.conditions:

@@ -51,15 +51,25 @@ class Column:
         task: name of the preset.
         star: the agents were trained on it; what is not so is said in the notes.
         paper: fields of ``published.csv`` that pick the column.
+        arm: builds in place of the task's own.
     """
 
     task: str
     star: bool = False
     paper: dict[str, str] = field(default_factory=dict)
+    arm: str = ""
+
+    @property
+    def name(self) -> str:
+        """The task, with the arm where it is another one."""
+        return f"{self.task}@{self.arm}" if self.arm else self.task
 
     @property
     def preset(self) -> Task | None:
-        return PRESETS.get(self.task)
+        task = PRESETS.get(self.task)
+        if task is None or not self.arm:
+            return task
+        return task.replace(name=self.name, arm=self.arm)
 
 
 @dataclass(frozen=True)

@@ -175,7 +175,7 @@ def _escape(text: str) -> str:
 
 def _title(data: TableData, number: int) -> str:
     column = data.table.columns[number]
-    return f"{column.task}{'*' if column.star else ''}"
+    return f"{column.name}{'*' if column.star else ''}"
 
 
 def _names(data: TableData, condition: Condition, brief: bool) -> list[str]:

@@ -32,7 +32,10 @@ def set_out(problem: Problem, cell: KinematicCell, layout: Layout | None = None)
     first, count = int(problem.state.num_placed[0]), int(problem.state.num_blocks[0])
     waiting = count - first
     if layout is None:
-        layout = Layout(supply_places(cell.arm, waiting, problem.ground), NEAREST_FIRST)
+        layout = Layout(
+            supply_places(cell, waiting, problem.ground, problem.state.position[0, 0]),
+            NEAREST_FIRST,
+        )
     places, source = layout
     if len(places) < waiting:
         what = f"{source}: positions"

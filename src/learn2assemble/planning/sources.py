@@ -28,8 +28,8 @@ MIN_SPARE = 4
 PROBLEM_STREAM = 3
 """First word of the seed of a preset's problem: neither training's nor evaluation's stream."""
 
-ARM_SPARE_SHARE = 0.25
-"""The same with an arm, whose table is small."""
+MOST_WITH_ARM = 40
+"""Spare blocks are offered up to this many blocks with an arm, whose table is small."""
 
 
 def design_task(design: Design, arm: str | None = None) -> Task:
@@ -70,8 +70,9 @@ def design_problem(
         blocks = num_waiting + 1
     least = minimum_blocks(design, terms) if refusal is None else 2
     if blocks is None:
-        spare = SPARE_SHARE if arm is None else ARM_SPARE_SHARE
-        blocks = least + max(MIN_SPARE, round(spare * least))
+        blocks = least + max(MIN_SPARE, round(SPARE_SHARE * least))
+        if arm is not None:
+            blocks = max(least, min(blocks, MOST_WITH_ARM))
     elif refusal is None and blocks < least:
         refusal = f"needs at least {least} blocks, and there are {blocks}"
     counts = [len(elevation.outline) for elevation in design.elevations]

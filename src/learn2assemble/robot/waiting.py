@@ -12,7 +12,6 @@ import numpy as np
 import shapely
 
 from learn2assemble.errors import InputError
-from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.attempt import Attempt
 from learn2assemble.robot.collision import TABLE
 from learn2assemble.robot.columns import Columns
@@ -30,12 +29,16 @@ LIFT = 0.40
 """Height a tool must be able to reach over a waiting block [m]."""
 
 
-def supply_places(arm: Arm, count: int, site: np.ndarray) -> np.ndarray:
+def supply_places(
+    cell: KinematicCell, count: int, site: np.ndarray, first: np.ndarray
+) -> np.ndarray:
     """Places around a building site from which an arm can take blocks with either attitude.
 
     Args:
+        cell: of the arm.
         count: how many.
         site: float64[n, 2], centres of the cells on the table that may be built on [m].
+        first: float64[3]: centre of the first block [m].
 
     Returns:
         float64[count, 3]: x, y [m] and yaw of each block, the nearest to the site first.
@@ -54,14 +57,18 @@ def supply_places(arm: Arm, count: int, site: np.ndarray) -> np.ndarray:
     places = np.vstack(sheets)
     places = places[(np.abs(places) < np.array(TABLE[:2]) - EDGE).all(1)]
     order = np.argsort(np.linalg.norm(places - middle, axis=1), kind="stable")
-    columns, found = Columns(arm), []
+    found: list[tuple[float, float, float]] = []
     for x, y in places[order].tolist():
         if len(found) == count:
             break
-        if all(_reached(columns, x, y, yaw) is None for yaw in (0.0, -math.pi / 2)):
+        alone = Scene(np.array([first, [x, y, HALF]]), np.zeros(2), np.arange(2), 1)
+        if all(
+            _reached(cell.columns, x, y, yaw) is None and _pick(cell, alone, Attitude(yaw)).reached
+            for yaw in (0.0, -math.pi / 2)
+        ):
             found.append((x, y, 0.0))
     if len(found) < count:
-        can = f"at most {len(found)}, what {arm.name} can reach on the table"
+        can = f"at most {len(found)}, what {cell.arm.name} can reach on the table"
         raise InputError("waiting blocks", count, can)
     return np.array(found).reshape(-1, 3)
 

@@ -29,6 +29,8 @@ from learn2assemble.world.design_pixels import (
 )
 from learn2assemble.world.sides import side_frames, to_world
 
+BESIDE = 0.001
+"""How far beside its place a block may stand that an arm has put down [m]."""
 INSIDE_SHARE = 0.01
 """A cell is inside an outline when more than this share of its face is."""
 
@@ -99,11 +101,15 @@ def unsupported_cells(design: Design, terms: Terms = TOUCHING) -> tuple[tuple[Ce
 
 
 def required_share(design: Design, terms: Terms = TOUCHING) -> float:
-    """F_co that must be exceeded: where blocks stand apart, the design's share of what they can
-    cover, as nobody can fill the gaps between them."""
+    """F_co that must be exceeded.
+
+    Where blocks stand apart, it is the design's share of what they can cover, as nobody can fill
+    the gaps between them. They may stand a little beside their places then, so pixels that see the
+    very edge of a block do not count.
+    """
     if not terms.of_coverable:
         return design.success_threshold
-    free = dataclasses.replace(design, supports=True)
+    free, terms = dataclasses.replace(design, supports=True), terms._replace(margin=BESIDE)
     most = _most_pixels(free, _limits(free, terms), terms)
     return design.success_threshold * float(_share(free, most, terms)[-1])
 

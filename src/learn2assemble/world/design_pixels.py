@@ -16,7 +16,7 @@ import numpy as np
 
 from learn2assemble.geometry.bits import ROWS, WORDS
 from learn2assemble.geometry.camera import CAMERA_Z
-from learn2assemble.geometry.coverage import FILTERS, add_box, clear_to_ground
+from learn2assemble.geometry.coverage import FILTERS, DepthFilter, add_box, clear_to_ground
 from learn2assemble.world.blocks import EDGE, HALF
 
 MAX_COLUMN = 7
@@ -49,6 +49,14 @@ class Terms(NamedTuple):
     """Coverage counts what the first block leaves open; else all of the outlines."""
     of_coverable: bool = False
     """A design's threshold is a share of what such blocks can cover; else of everything."""
+    margin: float = 0.0
+    """How much smaller than it is every block is taken to be, on each side [m]."""
+
+    @property
+    def depths(self) -> DepthFilter:
+        """The camera."""
+        depths = FILTERS[self.cover_filter]
+        return depths._replace(margin=depths.margin + self.margin)
 
 
 TOUCHING = Terms()
@@ -69,7 +77,7 @@ def _frozen(array: np.ndarray) -> np.ndarray:
 def table_pixels(terms: Terms = TOUCHING) -> tuple[np.ndarray, np.ndarray]:
     """``(covered, occluded)`` of the empty table: ``uint64[ROWS, WORDS]`` each, read-only."""
     covered, occluded = np.zeros((2, ROWS, WORDS), np.uint64)
-    clear_to_ground(covered, occluded, FILTERS[terms.cover_filter])
+    clear_to_ground(covered, occluded, terms.depths)
     return _frozen(covered), _frozen(occluded)
 
 
@@ -86,7 +94,7 @@ def cell_pixels(terms: Terms = TOUCHING) -> np.ndarray:
     for index in range(NUM_COLUMNS):
         for level in range(NUM_LEVELS):
             x, z = terms.pitch * (index - MAX_COLUMN), HALF + EDGE * level
-            add_box(cells[index, level], unused, x, 0.0, z, HALF, FILTERS[terms.cover_filter])
+            add_box(cells[index, level], unused, x, 0.0, z, HALF, terms.depths)
     return _frozen(cells & ~table)
 
 
