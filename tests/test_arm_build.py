@@ -16,10 +16,12 @@ from learn2assemble.cli.arm_files import write_arm_files
 from learn2assemble.errors import InputError
 from learn2assemble.networks.agent import Agent, load_agent
 from learn2assemble.planning.arm_build import build_with_arm, real_cell
+from learn2assemble.planning.backtracking import depth_first
 from learn2assemble.planning.problem import Problem
 from learn2assemble.planning.reality import RealCell, replan_from
 from learn2assemble.planning.site import set_out
 from learn2assemble.planning.sources import design_problem
+from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.attempt import Attempt
 from learn2assemble.robot.dynamic import DynamicCell
@@ -31,6 +33,7 @@ from learn2assemble.robot.record_check import find_fault
 from learn2assemble.robot.replay import replay
 from learn2assemble.robot.scene import Move, Scene
 from learn2assemble.robot.waiting import supply_places, taking_order
+from learn2assemble.simulator import Simulator
 from learn2assemble.viewer import write_page
 from learn2assemble.viewer.playback import Playback
 from learn2assemble.world.designs import parse_design, required_share
@@ -196,6 +199,17 @@ def test_the_threshold_is_a_share_of_what_blocks_apart_can_cover() -> None:
     assert required_share(parse_design(text, "test")) == 0.975
 
 
+def test_corners_are_filled_while_the_fingers_get_in(agent: Agent) -> None:
+    """Four walls on 3x3 cells: greedy by level alone shuts a corner, and there is no way back."""
+    walls = set_out(problem(*[WALL] * 4), KINEMATIC)
+    simulator = Simulator(walls.task)
+    model = WorldModel(simulator, load_agent("relational-four-sided-s0").network)
+    placements, success, backtracks = depth_first(walls, simulator, model, 30.0)
+    assert success
+    assert backtracks == 0
+    assert len(placements) >= 11
+
+
 # ---------------------------------------------------------------- building
 
 
@@ -237,12 +251,9 @@ def test_the_same_seed_gives_the_same_build(agent: Agent) -> None:
     np.testing.assert_array_equal(joints, same)
 
 
-@pytest.mark.parametrize("force", [0.1])
-def test_a_build_interrupted_by_lost_blocks_is_replanned_and_finished(
-    agent: Agent, force: float
-) -> None:
+def test_a_build_interrupted_by_lost_blocks_is_replanned_and_finished(agent: Agent) -> None:
     out = set_out(problem(blocks=14), KINEMATIC)
-    plan, record = build_with_arm(out, agent, "test", Clumsy({2, 4}, force))
+    plan, record = build_with_arm(out, agent, "test", Clumsy({2, 4}))
     failed = [step for step in record.steps if step.outcome != Outcome.REACHED]
     assert failed
     assert next(s.number for s in failed) == 2
