@@ -80,6 +80,8 @@ def report(
             "block": 0,
             "position": state.position[0, 0].tolist(),
             "quaternion": state.quaternion[0, 0].tolist(),
+            "coverage": round(float(state.complete_coverage[0]), 6),
+            "plane_coverage": round(float(state.plane_coverage[0]), 6),
         },
         "steps": [
             _step(number, step, problem.task.rotations)

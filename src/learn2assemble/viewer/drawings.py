@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.viewer.scene import Placed, Scene, Seen
-from learn2assemble.viewer.words import percent
+from learn2assemble.viewer.words import first_share, percent
 
 _MARGIN = 12.0
 _CHART_WIDTH, _CHART_HEIGHT = 480, 230
@@ -81,8 +81,8 @@ def chart_svg(plan: Mapping[str, Any]) -> str:
     if not steps:
         return ""
     threshold = plan["design"]["success_threshold"]
-    complete = [0.0, *(step["coverage"] for step in steps)]
-    plane = [0.0, *(step["plane_coverage"] for step in steps)]
+    complete = [first_share(plan), *(step["coverage"] for step in steps)]
+    plane = [first_share(plan, "plane_coverage"), *(step["plane_coverage"] for step in steps)]
     parts = [
         f'<svg class="chart" viewBox="0 0 {_CHART_WIDTH} {_CHART_HEIGHT}" role="img" '
         f'aria-label="Coverage after each of {len(steps)} steps, '

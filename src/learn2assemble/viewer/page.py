@@ -24,7 +24,14 @@ from learn2assemble.viewer.arm_words import arm_summary
 from learn2assemble.viewer.drawings import chart_svg, elevation_svg, kind
 from learn2assemble.viewer.playback import Playback
 from learn2assemble.viewer.scene import Scene, read_scene
-from learn2assemble.viewer.words import STATUS_WORDS, caption, percent, placement, summary
+from learn2assemble.viewer.words import (
+    STATUS_WORDS,
+    caption,
+    first_share,
+    percent,
+    placement,
+    summary,
+)
 
 _SCRIPTS = ("three.bundle.js", "stage.js", "timeline.js")
 _ARM_SCRIPT = "arm.js"
@@ -81,6 +88,7 @@ def _render(plan: Mapping[str, Any], scene: Scene, playback: Playback | None) ->
         "sides": str(len(scene.elevations)),
         "tray_note": _TRAY_NOTE if scene.rearranged and playback is None else "",
         "chart": (chart := chart_svg(plan)),
+        "counted": "" if first_share(plan) else ", counted from the first block",
         "plane_note": _PLANE_NOTE if 'class="plane"' in chart else "",
         "steps": _steps(plan),
         "attempts": _attempts(plan),

@@ -43,7 +43,7 @@ from learn2assemble.viewer.paint import (
     write,
 )
 from learn2assemble.viewer.scene import Placed, Scene, hull, read_scene
-from learn2assemble.viewer.words import STATUS_WORDS, percent, placement
+from learn2assemble.viewer.words import STATUS_WORDS, first_share, percent, placement
 
 WIDTH = 1600
 """Width of the picture [px]."""
@@ -195,7 +195,7 @@ def _draw_head(axes: Axes, plan: Mapping[str, Any]) -> None:
 def _draw_caption(axes: Axes, plan: Mapping[str, Any], number: int) -> None:
     axes.set_xlim(0, 1)
     axes.set_ylim(0, 1)
-    share, words = 0.0, "the first block"
+    share, words = first_share(plan), "the first block"
     if number:
         step = plan["steps"][number - 1]
         share, words = step["coverage"], placement(step)
@@ -259,7 +259,7 @@ def _draw_elevation(axes: Axes, scene: Scene, side: int) -> None:
 
 
 def _draw_chart(axes: Axes, plan: Mapping[str, Any]) -> None:
-    shares = [0.0, *(step["coverage"] for step in plan["steps"])]
+    shares = [first_share(plan), *(step["coverage"] for step in plan["steps"])]
     last, threshold = len(shares) - 1, plan["design"]["success_threshold"]
     axes.set_xlim(-0.01 * last, 1.03 * last)
     axes.set_ylim(-0.02, 1.06)

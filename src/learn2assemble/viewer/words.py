@@ -62,12 +62,18 @@ def summary(plan: Mapping[str, Any]) -> str:
     )
 
 
+def first_share(plan: Mapping[str, Any], key: str = "coverage") -> float:
+    """Coverage before the first step: 0 where it counts from the first block."""
+    return float((plan.get("first_block") or {}).get(key, 0.0))
+
+
 def caption(plan: Mapping[str, Any], number: int) -> str:
     """What happens in step ``number``; 0 is the start."""
     if number == 0:
         if not plan.get("first_block"):
             return "Start: the table is empty."
-        return "Start: only the first block stands. Coverage is counted from here."
+        counted = "" if first_share(plan) else " Coverage is counted from here."
+        return f"Start: only the first block stands.{counted}"
     step = plan["steps"][number - 1]
     support = " It stands outside every outline, as a support." if step.get("outside") else ""
     unstable = "" if step["stable"] else " The structure does not stay stable."
