@@ -21,7 +21,7 @@ install: $(STAMP)
 
 demo: $(STAMP)
 	rm -rf out/demo
-	$(BIN)/l2a build examples/designs/gabled_house.json --out out/demo
+	$(BIN)/l2a build examples/designs/gabled_house.json --arm panda --out out/demo
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -107,6 +107,8 @@ def _agent_task(problem: Problem) -> str:
     """A task whose agent knows problems like this one."""
     if not problem.task.has_arm:
         return DEFAULT_AGENT_TASK
+    if problem.inside is None:
+        return problem.task.name
     return DEFAULT_ARM_TASKS[problem.task.num_sides > 2]
 
 
