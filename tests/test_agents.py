@@ -208,7 +208,12 @@ def test_default_agent_prefers_the_task(tmp_path: Path, monkeypatch: pytest.Monk
 
 @pytest.mark.parametrize(
     "task",
-    ["robot-four-sided-3x3-10-18", "robot-two-sided-3x3-10-14", "objects-two-sided-5x5-20-24"],
+    [
+        "robot-four-sided-3x3-10-18",
+        "robot-two-sided-3x3-10-14",
+        "robot-objects-two-sided-5x5-20-24",
+        "objects-two-sided-5x5-20-24",
+    ],
 )
 def test_shipped_defaults_were_trained_on_such_tasks(task: str) -> None:
     assert agent_info(default_agent(task))["task"] == task
