@@ -48,6 +48,7 @@ def agent_info(name: str) -> dict[str, Any]:
 
 DEFAULTS = {
     "robot-four": "relational-four-sided-s0",
+    "robot-one": "robot-one-sided-s0",
     "robot-objects": "relational-robot-objects-s0",
     "robot": "relational-two-sided-s0",
     "objects": "relational-objects-s0",
