@@ -14,6 +14,10 @@ def run(options: argparse.Namespace) -> int:
     for name, measure in MEASUREMENTS.items():
         output.progress(f"measuring {name}")
         results[name] = measure(options.seconds)
-    output.table("speed", ("measurement", "value"), [(k, f"{v:,.1f}") for k, v in results.items()])
+    output.table(
+        "speed",
+        ("measurement", "value"),
+        [(k, f"{v:,.3g}" if v < 10 else f"{v:,.1f}") for k, v in results.items()],
+    )
     output.finish({**results, "seconds": options.seconds, **machine()})
     return 0

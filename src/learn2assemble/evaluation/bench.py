@@ -23,6 +23,9 @@ from learn2assemble.physics.rigid import RigidPhysics
 from learn2assemble.planning.lookahead import lookahead_actions
 from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.presets import get_task
+from learn2assemble.robot.arm import get_arm
+from learn2assemble.robot.benchmark import build_wall
+from learn2assemble.robot.dynamic import DynamicCell
 from learn2assemble.search.config import SearchConfig
 from learn2assemble.search.mcts import search
 from learn2assemble.simulator import Simulator
@@ -104,6 +107,15 @@ def kinematic_actions_per_s(seconds: float) -> float:
     return _rate(step, seconds)
 
 
+def dynamic_move_s(seconds: float) -> float:
+    """Processor time of one pick and place of the Panda, simulated whole: a wall of cubes."""
+    cell, spent = DynamicCell(get_arm("panda")), []
+    build_wall(cell, 1, 1)  # compiles
+    while sum(spent) < seconds:
+        spent += build_wall(cell, 3, 2).seconds.tolist()
+    return float(np.mean(spent))
+
+
 def decision_ms(seconds: float) -> float:
     """One decision of our own network with budget 10 on N = 30 nodes, a single world."""
     return 1000 / _decisions("relational", 1, seconds)
@@ -156,6 +168,7 @@ MEASUREMENTS: dict[str, Callable[[float], float]] = {
     "static_single_steps_per_s": static_single_steps_per_s,
     "rigid_actions_per_s": rigid_actions_per_s,
     "kinematic_actions_per_s": kinematic_actions_per_s,
+    "dynamic_move_s": dynamic_move_s,
     "objects_batch_actions_per_s": objects_batch_actions_per_s,
     "decision_ms": decision_ms,
     "decisions_per_s": decisions_per_s("relational"),
