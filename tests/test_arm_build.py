@@ -72,6 +72,20 @@ class Clumsy(DynamicCell):
         return cell.attempt(scene, move, **more)  # type: ignore[arg-type]
 
 
+class Careless(DynamicCell):
+    """Lets go of chosen blocks beside and above their places."""
+
+    def __init__(self, early: set[int], beside: tuple[float, float, float]) -> None:
+        super().__init__(PANDA, recover=True)
+        self.early, self.beside, self.count = early, np.array(beside), 0
+
+    def attempt(self, scene: Scene, move: Move, **more: object) -> Attempt:  # type: ignore[override]
+        self.count += 1
+        if self.count in self.early:
+            move = move._replace(target=move.target + self.beside)
+        return super().attempt(scene, move, **more)  # type: ignore[arg-type]
+
+
 class Keeping(DynamicCell):
     """Keeps what it was asked and what came of it."""
 
@@ -267,6 +281,31 @@ def test_a_build_interrupted_by_lost_blocks_is_replanned_and_finished(agent: Age
     assert (record.steps[-1].after[:, 2] > 0.02).all()
     Playback(record, plan)
     assert find_fault(record) is None
+
+
+@pytest.mark.parametrize("beside", [(0.03, -0.09, 0.1), (0.0, 0.0, 0.1)])
+def test_a_build_interrupted_by_a_dropped_block_is_replanned_and_finished(
+    agent: Agent, beside: tuple[float, float, float]
+) -> None:
+    """One falls beside the wall and has to be fetched; the other happens to fall into its place,
+    where it stays, a failure all the same."""
+    out = set_out(problem(blocks=14), KINEMATIC)
+    plan, record = build_with_arm(out, agent, "test", Careless({2}, beside))
+    failed = [step for step in record.steps if step.outcome != Outcome.REACHED]
+    assert failed[0].number == 2
+    assert failed[0].outcome == Outcome.DROPPED
+    assert all(step.replanned for step in failed)
+    assert plan["status"] == "complete", plan["reason"]
+    in_place = beside[0] == 0.0
+    assert (failed[0].plan_step is not None) == in_place
+    assert ("dropped" in [step["outcome"] for step in plan["steps"]]) == in_place
+    used = {step["block"] for step in plan["steps"]} | {0}
+    assert plan["blocks"]["used"] == len(used) == len(plan["steps"]) + 1
+    for step in plan["steps"]:
+        pose = record.steps[-1].after[step["block"], :3]
+        assert np.linalg.norm(pose - step["position"]) < 5e-3
+    assert find_fault(record) is None
+    Playback(record, plan)
 
 
 def test_a_block_that_lies_askew_is_turned_while_it_is_built(agent: Agent) -> None:

@@ -36,7 +36,7 @@ CLOSING = ("along x", "along y")
 
 @dataclass
 class _Done:
-    """A placement that succeeded."""
+    """A placement whose block stands where it should."""
 
     attempt: int
     """Number of the attempt, from 0."""
@@ -110,7 +110,12 @@ def build_with_arm(
                 problem = replan_from(
                     problem, before, target, _action(before, placement), real.poses, kinematic
                 )
-                done = [d for d in done if d.step.placement.block in _placed(problem.state)]
+                standing = _placed(problem.state)
+                done = [d for d in done if d.step.placement.block in standing]
+                if placement.block in standing:
+                    # It fell, or others moved, but it stands where it should.
+                    step = _verified(problem, problem.state, placement)
+                    done.append(_Done(len(real.log.steps) - 1, reference, step))
                 failed = True
                 break
             step = _verified(problem, state, placement)
@@ -170,16 +175,17 @@ def _verified(problem: Problem, state: State, placement: Placement) -> VerifiedS
     """The step that has just been made, as it really stands."""
     count = int(state.num_placed[0])
     centres = state.position[0, :count]
+    row = int(np.flatnonzero(state.object_id[0, :count] == placement.block)[0])
     return VerifiedStep(
         placement=placement,
-        position=centres[-1].copy(),
-        quaternion=state.quaternion[0, count - 1].copy(),
+        position=centres[row].copy(),
+        quaternion=state.quaternion[0, row].copy(),
         coverage=float(state.complete_coverage[0]),
         plane_coverage=float(state.plane_coverage[0]),
         stability_margin=stability_margin(centres, state.object_id[0, :count]),
         speed_sum=float("inf"),
         stable=True,
-        outside=problem.is_outside(centres[-1]),
+        outside=problem.is_outside(centres[row]),
     )
 
 
@@ -208,17 +214,17 @@ def _with_arm(
 ) -> dict[str, Any]:
     """The plan with what concerns the arm (``docs/plan.md``)."""
     pairs = get_grasps(problem.task.grasps)
+    attempts = {s.plan_step: s.outcome for s in real.log.steps if s.plan_step is not None}
     for entry, step in zip(plan["steps"], steps, strict=True):
         pair = pairs[step.placement.action % len(pairs)]
-        entry["outcome"] = Outcome.REACHED.label
+        entry["outcome"] = attempts[entry["step"]].label
         entry["grasp"], entry["place"] = (
             CLOSING[int(abs(np.cos(attitude.yaw)) > 0.5)] for attitude in pair
         )
-    attempts = [step.outcome for step in real.log.steps]
     plan["arm"] = {
         "name": real.cell.arm.name,
         "pitch": problem.task.pitch,
-        "attempts": len(attempts),
+        "attempts": len(real.log.steps),
         "failures": [
             {"attempt": step.number, "outcome": step.outcome.label, "detail": step.detail,
              "replanned": step.replanned}
