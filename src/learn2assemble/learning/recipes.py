@@ -93,7 +93,7 @@ _ALL = (
         ),
     ),
     _published("robot-two-sided", _ROBOT_TWO),
-    _published("robot-four-sided", _ROBOT_FOUR),
+    _published("robot-four-sided", _ROBOT_FOUR, again=("num_samples=240000",)),
     _published("robot-objects", _ROBOT_OBJECTS),
     _published("robot-one-sided", "robot-one-sided-5x5-15-17", _SHORTER),
     _published("one-sided", "one-sided-5x5-15-17", _SHORTER),
