@@ -1,4 +1,4 @@
-"""The paper's tasks by name. Adding one is one line.
+"""The paper's tasks by name, and one of ours. Adding one is one line.
 
 The label "a-b blocks" fixes the number of nodes: N = a + 5 S = b + 3 S for S sides (protocol 0).
 The worlds of the robot cell begin with ``robot``; an arm builds in them. The same worlds without
@@ -78,6 +78,11 @@ _ALL = (
     ROBOT.replace(name="robot-random-two-sided-3x3-10-14", layout="random"),
     _ROBOT_MORE.replace(name="robot-random-two-sided-3x3-14-18", layout="random"),
     _ROBOT_MORE.replace(name="robot-random-two-sided-5x5-14-18", layout="random", grid=5),
+    # Ours, for building designs: walls with an aisle for the fingers, filled as far as gaps allow.
+    ROBOT.replace(
+        name="robot-walls-two-sided-5x5-26-30", grid=5, num_nodes=36, aisle=1, layout="around",
+        success_threshold=0.85,
+    ),
     ROBOT.replace(name="robot-four-sided-3x3-10-18", num_sides=4, num_nodes=30),
     _ROBOT_MORE.replace(name="robot-four-sided-3x3-16-24", num_sides=4, num_nodes=36),
     _ROBOT_OBJECTS.replace(name="robot-objects-two-sided-5x5-20-24"),

@@ -51,6 +51,7 @@ class Recipe:
 _CUBES, _LARGE = "two-sided-3x3-20-24", "two-sided-5x5-40-44"
 _ROBOT_TWO, _ROBOT_FOUR = "robot-two-sided-3x3-10-14", "robot-four-sided-3x3-10-18"
 _ROBOT_OBJECTS = "robot-objects-two-sided-5x5-20-24"
+_WALLS = "robot-walls-two-sided-5x5-26-30"
 _BARS, _OBJECTS = "bars-one-sided-5x5-25-27", "objects-two-sided-5x5-20-24"
 
 
@@ -102,6 +103,7 @@ _ALL = (
     Recipe("relational-objects", _OBJECTS, (Stage("relational-objects"),)),
     Recipe("relational-two-sided", _ROBOT_TWO, (Stage("relational", (_SHORT, _NO_HAND)),)),
     Recipe("relational-four-sided", _ROBOT_FOUR, (Stage("relational"),)),
+    Recipe("relational-walls", _WALLS, (Stage("relational", (_SHORT,)),)),
     Recipe("relational-robot-objects", _ROBOT_OBJECTS, (Stage("relational-objects"),)),
     _ablation("full"),
     _ablation("no-dense-labels", "dense_weight=0"),

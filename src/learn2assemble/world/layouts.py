@@ -45,6 +45,14 @@ def _slanted_rows(count: int) -> np.ndarray:
     return np.stack([x, y, np.full(count, HALF)], -1)
 
 
+def _around(count: int) -> np.ndarray:
+    """Rows of five, in turn before and behind two walls with an aisle, the nearest first."""
+    k = np.arange(count)
+    row, behind = k // 10, (k // 5) % 2 == 1
+    y = np.where(behind, 0.26, -0.14) + 0.09 * row * np.where(behind, 1, -1)
+    return np.stack([0.09 * (k % 5) - 0.27, y, np.full(count, HALF)], -1)
+
+
 def _columns(count: int) -> np.ndarray:
     # The published code counts heights from the table here, not from the centres of cells.
     return np.stack([_six(count), np.full(count, -0.15), np.zeros(count)], -1)
@@ -61,6 +69,7 @@ LAYOUTS = {
     "field": (_line, OBJECTS_APART),
     "narrow-field": (_short_line, OBJECTS_APART),
     "slanted-rows": (_slanted_rows, 0.0),
+    "around": (_around, 0.0),
     "columns": (_columns, OBJECTS_APART),
     "random": (_rows, CUBES_APART),
 }
@@ -89,7 +98,8 @@ def waiting_places(layout: str, count: int) -> Waiting:
     of six (the one-sided robot cell and its twin). ``field`` (bars) and ``narrow-field`` (objects)
     start on a line, too, and move objects of several cells apart. With a robot, ``slanted-rows``
     are rows of six each a little to the left of the one before, ``columns`` (objects) start at six
-    places of one row, and ``random`` scatters cubes before and behind the structure. The published
+    places of one row, ``around`` (ours) keeps to what an arm can reach beside walls five cells
+    wide, and ``random`` scatters cubes before and behind the structure. The published
     code drops some of these for ten simulation steps and draws again where something moved;
     waiting objects are positions only here, so nothing can move (D18).
 
