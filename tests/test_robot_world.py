@@ -84,10 +84,10 @@ def test_the_papers_robot_tasks() -> None:
     found = {
         name: (t.num_sides, t.grid, t.num_nodes, t.block_range, t.num_actions, t.pitch, t.layout,
                t.reward, t.discount)
-        for name, t in ROBOTS.items()
+        for name, t in ROBOTS.items() if not t.aisle
     }  # fmt: skip
     assert found == wanted
-    for task in ROBOTS.values():
+    for task in [task for task in ROBOTS.values() if not task.aisle]:
         assert (task.success_threshold, task.max_initial_cover) == (0.75, 0.6)
         assert (task.cover_filter, task.normalise_initial, task.touching) == ("wide", False, False)
         assert task.objects == ("set-26" if "objects" in task.name else "cubes")
