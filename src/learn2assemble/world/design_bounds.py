@@ -105,13 +105,18 @@ def required_share(design: Design, terms: Terms = TOUCHING) -> float:
 
     Where blocks stand apart, it is the design's share of what they can cover, as nobody can fill
     the gaps between them. They may stand a little beside their places then, so pixels that see the
-    very edge of a block do not count.
+    very edge of a block count half.
     """
     if not terms.of_coverable:
         return design.success_threshold
-    free, terms = dataclasses.replace(design, supports=True), terms._replace(margin=BESIDE)
-    most = _most_pixels(free, _limits(free, terms), terms)
-    return design.success_threshold * float(_share(free, most, terms)[-1])
+    free = dataclasses.replace(design, supports=True)
+    most = [_most_share(free, terms._replace(margin=margin)) for margin in (0.0, BESIDE)]
+    return design.success_threshold * sum(most) / len(most)
+
+
+def _most_share(design: Design, terms: Terms) -> float:
+    """F_co with as many blocks as there is room for."""
+    return float(_share(design, _most_pixels(design, _limits(design, terms), terms), terms)[-1])
 
 
 def minimum_blocks(design: Design, terms: Terms = TOUCHING) -> int:
