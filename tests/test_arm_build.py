@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -36,7 +38,7 @@ from learn2assemble.robot.waiting import supply_places, taking_order
 from learn2assemble.simulator import Simulator
 from learn2assemble.viewer import write_page
 from learn2assemble.viewer.playback import Playback
-from learn2assemble.world.designs import parse_design, required_share
+from learn2assemble.world.designs import parse_design, read_design, required_share
 from learn2assemble.world.layout_file import Layout, read_layout
 
 PANDA = get_arm("panda")
@@ -50,6 +52,15 @@ def problem(*outlines: list[list[float]], arm: str = "panda", **fields: object) 
         "elevations": [{"outline": outline} for outline in outlines or (WALL,)], **fields,
     })  # fmt: skip
     return design_problem(parse_design(text, "test"), arm)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread() -> Iterator[None]:
+    """As in ``l2a build``: small batches lose more by sharing than they gain."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
 
 
 @pytest.fixture(scope="module")
@@ -331,6 +342,19 @@ def test_what_cannot_be_filled_ends_incomplete(agent: Agent) -> None:
     assert plan["status"] == "incomplete"
     assert "is needed" in plan["reason"]
     assert len(record.steps) == len(plan["steps"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "arm"), [("pavilion", "panda"), ("skyline", "ur5e")])
+def test_examples_are_built(agent: Agent, name: str, arm: str) -> None:
+    """The second runs into a tower on its way home, backs off and goes on."""
+    design = read_design(Path(__file__).parent.parent / "examples" / "designs" / f"{name}.json")
+    cell = real_cell(get_arm(arm))
+    out = set_out(design_problem(design, arm), KinematicCell(cell.arm, 60))
+    plan, record = build_with_arm(out, agent, name, cell)
+    assert plan["status"] == "complete", plan["reason"]
+    assert find_fault(record) is None
+    Playback(record, plan)
 
 
 def test_a_refused_design_moves_nothing(agent: Agent) -> None:

@@ -65,6 +65,11 @@ class Recorder:
         """float64[b, 7]: of the objects at the beginning."""
         return self._poses[0]
 
+    @property
+    def joints(self) -> np.ndarray:
+        """float64[T, n]: joint positions so far [rad]."""
+        return np.array([row[1] for row in self._rows])
+
     def trajectory(self, owner: np.ndarray, offset: np.ndarray) -> Trajectory:
         """All samples; cell c of object ``owner[c]`` lies at ``offset[c]`` in its frame [m]."""
         time, joints, velocity, width, command, payload, stage = (

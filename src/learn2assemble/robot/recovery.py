@@ -12,6 +12,8 @@ from learn2assemble.robot.prepare import Failure, rest_pose
 from learn2assemble.robot.transit import Surroundings, Touch, straight_or_tree
 from learn2assemble.world.blocks import EDGE
 
+BACK_STRIDE = 25
+"""Samples between the corners of a way back."""
 HOLDS = 0.5
 """Both fingers press what is in the hand with this much at least [N]: half a block's weight."""
 
@@ -78,7 +80,20 @@ def _leave(run: Execution) -> None:
     run.rise("retreat", BLIND)
     around = Surroundings(sim.arm, sim.world, sim.poses.copy(), run.order.names)
     around.empty(OPENING)
+    if around.touch(sim.joints) is not None:
+        _back_off(run, around)
     way = straight_or_tree(around, sim.joints, rest_pose(sim.arm, around))
     if isinstance(way, Touch):
         raise Failure(Outcome.UNREACHABLE, "home", f"no free way: {way.words}")
     run.travel(way, "home", BLIND)
+
+
+def _back_off(run: Execution, around: Surroundings) -> None:
+    """Back the way the arm has come, to where it last touched nothing, if it ever did."""
+    past = run.sim.recorder.joints[::-1]
+    free = next((k for k, joints in enumerate(past) if around.touch(joints) is None), None)
+    if free is None:
+        return
+    way = past[: free + 1]
+    corners = np.unique(np.r_[0:free:BACK_STRIDE, free])
+    run.travel(np.vstack([run.sim.joints, way[corners][1:]]), "retreat", BLIND)
