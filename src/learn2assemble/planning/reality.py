@@ -10,9 +10,11 @@ from learn2assemble.geometry.coverage import FILTERS
 from learn2assemble.planning.problem import Problem, placement_key
 from learn2assemble.robot.attempt import Attempt
 from learn2assemble.robot.dynamic import DynamicCell
-from learn2assemble.robot.grasps import get_grasps
+from learn2assemble.robot.grasps import QUARTER, get_grasps
+from learn2assemble.robot.judge import scene_of
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.logbook import Logbook
+from learn2assemble.robot.mjcf import matrix
 from learn2assemble.robot.motion import OPENING
 from learn2assemble.robot.scene import Move, Scene
 from learn2assemble.robot.waiting import taking_order
@@ -26,7 +28,6 @@ ON_TABLE = 0.01
 """Nor is a block whose centre is this much higher than on the table on the table [m]."""
 UPRIGHT = np.cos(np.deg2rad(5.0))
 """Cosine of the largest lean of a block that stands."""
-QUARTER = np.pi / 2
 
 
 class RealCell:
@@ -114,22 +115,14 @@ def _on_table(pose: np.ndarray) -> bool:
 
 def _lean(pose: np.ndarray) -> float:
     """Cosine of the angle between the vertical and the nearest axis of a cube."""
-    w, x, y, z = pose[3:]
-    up = [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
-    return float(np.abs(up).max())
+    return float(np.abs(matrix(pose[3:])[2]).max())
 
 
 def _yaw(pose: np.ndarray) -> float:
     """Turn about the vertical of a cube, on whichever face it lies, within an eighth."""
-    w, x, y, z = pose[3:]
-    rows = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        ]
-    )
-    flat = np.argmax(np.linalg.norm(rows, axis=0))
-    yaw = np.arctan2(rows[1, flat], rows[0, flat])
+    axes = matrix(pose[3:])
+    flat = np.argmin(np.abs(axes[2]))
+    yaw = np.arctan2(axes[1, flat], axes[0, flat])
     return float(yaw - QUARTER * np.rint(yaw / QUARTER))
 
 
@@ -156,8 +149,7 @@ def _state(
 def _taking(state: State, cell: KinematicCell, grasps: str) -> list[int]:
     """Numbers of the waiting blocks in an order the arm can take them; the stuck ones last."""
     count, placed = int(state.num_blocks[0]), int(state.num_placed[0])
-    yaw = 2 * np.arctan2(state.quaternion[0, :count, 3], state.quaternion[0, :count, 0])
     numbers = state.object_id[0, :count]
-    scene = Scene(state.position[0, :count], yaw, numbers, placed)
+    scene = scene_of(state.position[0, :count], state.quaternion[0, :count], numbers, placed)
     order, stuck = taking_order(cell, get_grasps(grasps), scene)
     return [int(numbers[k]) for k in [*order, *stuck]]

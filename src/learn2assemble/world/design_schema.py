@@ -17,6 +17,7 @@ from learn2assemble.world.json_input import (
     integer,
     mapping,
     number,
+    read_head,
     sequence,
     text,
     too_deep,
@@ -43,16 +44,7 @@ def design_from(value: Any, source: str) -> Design:
 
 
 def _design(value: Any, source: str) -> Design:
-    root = mapping(value, source)
-    # The format comes first: a foreign file should say that it is foreign.
-    if "format" in root and root["format"] != FORMAT:
-        raise InputError(f"{source}: format", root["format"], repr(FORMAT))
-    check_keys(root, source, "", _KEYS, _REQUIRED)
-    version = integer(root["version"], f"{source}: version")
-    if version != VERSION:
-        raise InputError(f"{source}: version", version, f"{VERSION}")
-    if root.get("units", "m") != "m":
-        raise InputError(f"{source}: units", root["units"], "'m'; all lengths are metres")
+    root = read_head(value, source, FORMAT, VERSION, _KEYS, _REQUIRED)
     sides = sequence(root["elevations"], f"{source}: elevations", "1 to 4 elevations")
     if not 1 <= len(sides) <= len(DEFAULT_NAMES):
         raise InputError(f"{source}: elevations", f"{len(sides)} of them", "1 to 4 elevations")

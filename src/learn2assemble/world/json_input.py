@@ -106,6 +106,23 @@ def check_keys(
             raise InputError(f"{source}: {path}" if path else source, sorted(given), wanted)
 
 
+def read_head(
+    value: Any, source: str, form: str, version: int, valid: tuple[str, ...], need: tuple[str, ...]
+) -> Mapping[str, Any]:
+    """The JSON object of a file in metres, once its format, keys and version are as they should."""
+    root = mapping(value, source)
+    # The format comes first: a foreign file should say that it is foreign.
+    if "format" in root and root["format"] != form:
+        raise InputError(f"{source}: format", root["format"], repr(form))
+    check_keys(root, source, "", valid, need)
+    given = integer(root["version"], f"{source}: version")
+    if given != version:
+        raise InputError(f"{source}: version", given, f"{version}")
+    if root.get("units", "m") != "m":
+        raise InputError(f"{source}: units", root["units"], "'m'; all lengths are metres")
+    return root
+
+
 def mapping(value: Any, where: str) -> Mapping[str, Any]:
     """``value`` where it is a JSON object."""
     if not isinstance(value, Mapping):

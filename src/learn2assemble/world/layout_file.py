@@ -9,11 +9,9 @@ import numpy as np
 
 from learn2assemble.errors import InputError
 from learn2assemble.world.json_input import (
-    check_keys,
-    integer,
     load_json,
-    mapping,
     number,
+    read_head,
     read_text,
     sequence,
     too_deep,
@@ -49,15 +47,7 @@ def read_layout(path: Path) -> Layout:
 
 
 def _places(value: Any, source: str) -> np.ndarray:
-    root = mapping(value, source)
-    if "format" in root and root["format"] != FORMAT:
-        raise InputError(f"{source}: format", root["format"], repr(FORMAT))
-    check_keys(root, source, "", _KEYS, _REQUIRED)
-    version = integer(root["version"], f"{source}: version")
-    if version != VERSION:
-        raise InputError(f"{source}: version", version, f"{VERSION}")
-    if root.get("units", "m") != "m":
-        raise InputError(f"{source}: units", root["units"], "'m'; all lengths are metres")
+    root = read_head(value, source, FORMAT, VERSION, _KEYS, _REQUIRED)
     where = f"{source}: positions"
     expected = f"a list of 1 to {MAX_PLACES} places"
     places = sequence(root["positions"], where, expected)
