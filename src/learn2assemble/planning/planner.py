@@ -26,6 +26,11 @@ from learn2assemble.world.state import State
 
 BUDGETS = (10, 40)
 """Search budgets of the agent's attempts, in order, before every placement is tried."""
+STAGES = (
+    *(f"agent with search, budget {budget}" for budget in BUDGETS),
+    "every legal placement, with backtracking",
+)
+"""What is tried, in order of rising effort."""
 PATIENCE = 6
 """Placements in a row that fill nothing after which an attempt of the agent is given up."""
 
@@ -100,15 +105,14 @@ def plan_sequences(
     simulator = Simulator(problem.task)
     model = _AllowedModel(problem, simulator, network)
     attempts: list[Attempt] = []
-    for budget in BUDGETS:
+    for stage, budget in zip(STAGES[:-1], BUDGETS, strict=True):
         started = time.perf_counter()
-        stage = f"agent with search, budget {budget}"
         progress(stage)
         config = SearchConfig(budget=budget, epsilon=0.0, distinct=True)
         placements, success = _play(problem, simulator, model, config, seed)
         yield _finish(problem, simulator, placements, success, stage, budget, attempts, started, 0)
     started = time.perf_counter()
-    stage = "every legal placement, with backtracking"
+    stage = STAGES[-1]
     progress(stage)
     placements, success, backtracks = depth_first(problem, simulator, model, seconds)
     yield _finish(problem, simulator, placements, success, stage, 0, attempts, started, backtracks)
