@@ -28,22 +28,10 @@ from learn2assemble.robot.recording import STAGES, Trajectory
 from learn2assemble.robot.replay import replay
 from learn2assemble.robot.resting import ONE_SIDED, ShiftRule, check_rest
 from learn2assemble.robot.scene import Move, Scene, put_down
+from robot_scenes import GROUND, PITCH, cell, scene
 
 AA, AB, BA, BB = get_grasps("paper")
-PITCH, GROUND = 0.06, 0.025
 PANDA = get_arm("panda")
-
-
-def scene(placed: list[tuple], waiting: list[tuple], objects: list[int] | None = None) -> Scene:
-    """Cells on the lattice of the robot cell: (x, y, z) [pitches; levels above the ground]."""
-    cells = np.array([*placed, *waiting], float)
-    position = cells * [PITCH, PITCH, 0.05] + [0.0, 0.0, GROUND]
-    ids = np.arange(len(cells)) if objects is None else np.array(objects)
-    return Scene(position, np.zeros(len(cells)), ids, len(placed))
-
-
-def cell(x: float, y: float, z: float) -> np.ndarray:
-    return np.array([x * PITCH, y * PITCH, z * 0.05 + GROUND])
 
 
 ONE = scene([(0, 0, 0)], [(0, -4, 0)])

@@ -20,22 +20,9 @@ from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.motion import OPENING, column, crossing_height
 from learn2assemble.robot.outcome import Outcome
 from learn2assemble.robot.scene import Move, Scene, carried, fillers, put_down
+from robot_scenes import GROUND, cell, scene
 
 AA, AB, BA, BB = get_grasps("paper")
-GROUND = 0.025
-PITCH = 0.06
-
-
-def scene(placed: list[tuple], waiting: list[tuple], objects: list[int] | None = None) -> Scene:
-    """Cells on the lattice of the robot cell: (x, y, z) [pitches; levels above the ground]."""
-    cells = np.array([*placed, *waiting], float)
-    position = cells * [PITCH, PITCH, 0.05] + [0.0, 0.0, GROUND]
-    ids = np.arange(len(cells)) if objects is None else np.array(objects)
-    return Scene(position, np.zeros(len(cells)), ids, len(placed))
-
-
-def cell(x: float, y: float, z: float) -> np.ndarray:
-    return np.array([x * PITCH, y * PITCH, z * 0.05 + GROUND])
 
 
 @pytest.fixture(scope="module")
