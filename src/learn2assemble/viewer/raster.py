@@ -77,44 +77,62 @@ def _inner(u, v, u_step, v_step, count):
     return max(int(low) - 1, 0), min(int(high) + 1, count - 1)
 
 
+@njit(cache=True, inline="always", error_model="numpy")
+def _area(a, b, c):
+    """Twice the signed area of a triangle in the picture."""
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+@njit(cache=True, error_model="numpy")
+def _cover(a, b, c, area, nearest, marks, mark):
+    """Enter a triangle where it is nearer than anything before it; ``marks`` it, unless negative.
+
+    Args:
+        a, b, c: float32[3]: its corners, right, down and near.
+        area: see :func:`_area`; of either sign.
+    """
+    ax, ay, az = a[0], a[1], a[2]
+    bx, by, bz = b[0], b[1], b[2]
+    cx, cy, cz = c[0], c[1], c[2]
+    height, width = nearest.shape
+    x0, x1 = _span(min(ax, bx, cx), max(ax, bx, cx), width)
+    y0, y1 = _span(min(ay, by, cy), max(ay, by, cy), height)
+    over = np.float32(1.0 / area)
+    u_step, v_step = (by - cy) * over, (cy - ay) * over
+    px = np.float32(x0 + 0.5)
+    for y in range(y0, y1 + 1):
+        py = np.float32(y + 0.5)
+        u = ((cx - bx) * (py - by) - (cy - by) * (px - bx)) * over
+        v = ((ax - cx) * (py - cy) - (ay - cy) * (px - cx)) * over
+        first, last = 0, x1 - x0
+        if last > _WIDE:
+            first, last = _inner(u, v, u_step, v_step, last + 1)
+            u += np.float32(first) * u_step
+            v += np.float32(first) * v_step
+        for x in range(x0 + first, x0 + last + 1):
+            w = np.float32(1.0) - u - v
+            if u >= 0 and v >= 0 and w >= 0:
+                near = u * az + v * bz + w * cz
+                if near > nearest[y, x]:
+                    nearest[y, x] = near
+                    if mark >= 0:
+                        marks[y, x] = mark
+            u += u_step
+            v += v_step
+
+
 @njit(cache=True, error_model="numpy")
 def fill(screen, faces, body, shown, depth, seen):
     """Which triangle each sample sees; triangles turned away are left out."""
-    height, width = depth.shape
     for f in range(faces.shape[0]):
         i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
         if not shown[body[i]]:
             continue
-        ax, ay, az = screen[i, 0], screen[i, 1], screen[i, 2]
-        bx, by, bz = screen[j, 0], screen[j, 1], screen[j, 2]
-        cx, cy, cz = screen[k, 0], screen[k, 1], screen[k, 2]
         # Down is positive in the picture, so what faces the camera has a negative area.
-        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-        if area > -1e-6 or az <= 0 or bz <= 0 or cz <= 0:
+        area = _area(screen[i], screen[j], screen[k])
+        if area > -1e-6 or screen[i, 2] <= 0 or screen[j, 2] <= 0 or screen[k, 2] <= 0:
             continue
-        x0, x1 = _span(min(ax, bx, cx), max(ax, bx, cx), width)
-        y0, y1 = _span(min(ay, by, cy), max(ay, by, cy), height)
-        over = np.float32(1.0 / area)
-        u_step, v_step = (by - cy) * over, (cy - ay) * over
-        px = np.float32(x0 + 0.5)
-        for y in range(y0, y1 + 1):
-            py = np.float32(y + 0.5)
-            u = ((cx - bx) * (py - by) - (cy - by) * (px - bx)) * over
-            v = ((ax - cx) * (py - cy) - (ay - cy) * (px - cx)) * over
-            first, last = 0, x1 - x0
-            if last > _WIDE:
-                first, last = _inner(u, v, u_step, v_step, last + 1)
-                u += np.float32(first) * u_step
-                v += np.float32(first) * v_step
-            for x in range(x0 + first, x0 + last + 1):
-                w = np.float32(1.0) - u - v
-                if u >= 0 and v >= 0 and w >= 0:
-                    near = u * az + v * bz + w * cz
-                    if near > depth[y, x]:
-                        depth[y, x] = near
-                        seen[y, x] = f
-                u += u_step
-                v += v_step
+        _cover(screen[i], screen[j], screen[k], area, depth, seen, f)
 
 
 @njit(cache=True, error_model="numpy")
@@ -123,39 +141,15 @@ def fill_shadow(screen, faces, kind, body, shown, height_of):
 
     Surfaces turned away from the sun are left out: one turned to it lies nearer.
     """
-    size = height_of.shape[0]
+    unused = np.empty((1, 1), np.int32)
     for f in range(faces.shape[0]):
         i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
         if kind[f] == PLAIN or kind[f] == GROUND or not shown[body[i]]:
             continue
-        ax, ay, az = screen[i, 0], screen[i, 1], screen[i, 2]
-        bx, by, bz = screen[j, 0], screen[j, 1], screen[j, 2]
-        cx, cy, cz = screen[k, 0], screen[k, 1], screen[k, 2]
-        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        area = _area(screen[i], screen[j], screen[k])
         if area < 1e-6:
             continue
-        x0, x1 = _span(min(ax, bx, cx), max(ax, bx, cx), size)
-        y0, y1 = _span(min(ay, by, cy), max(ay, by, cy), size)
-        over = np.float32(1.0 / area)
-        u_step, v_step = (by - cy) * over, (cy - ay) * over
-        px = np.float32(x0 + 0.5)
-        for y in range(y0, y1 + 1):
-            py = np.float32(y + 0.5)
-            u = ((cx - bx) * (py - by) - (cy - by) * (px - bx)) * over
-            v = ((ax - cx) * (py - cy) - (ay - cy) * (px - cx)) * over
-            first, last = 0, x1 - x0
-            if last > _WIDE:
-                first, last = _inner(u, v, u_step, v_step, last + 1)
-                u += np.float32(first) * u_step
-                v += np.float32(first) * v_step
-            for x in range(x0 + first, x0 + last + 1):
-                w = np.float32(1.0) - u - v
-                if u >= 0 and v >= 0 and w >= 0:
-                    near = u * az + v * bz + w * cz
-                    if near > height_of[y, x]:
-                        height_of[y, x] = near
-                u += u_step
-                v += v_step
+        _cover(screen[i], screen[j], screen[k], area, height_of, unused, -1)
 
 
 @njit(cache=True, error_model="numpy")
