@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.graph.batch import GraphTensors, to_tensors
 from learn2assemble.graph.features import Graph
-from learn2assemble.graph.placements import MAX_CELLS, distinct_placements
+from learn2assemble.graph.placement_keys import MAX_CELLS
+from learn2assemble.graph.placements import distinct_placements
 from learn2assemble.graph.relations import EDGE_FEATURES, OFFSETS
 from learn2assemble.learning.explore import random_actions
 from learn2assemble.networks.build import at_pitch, make_network

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 import learn2assemble.physics.static as static_module
 from learn2assemble.graph.features import Graph, node_offset
-from learn2assemble.graph.placements import action_keys, distinct_placements, locate
+from learn2assemble.graph.placement_keys import action_keys
+from learn2assemble.graph.placements import distinct_placements, locate
 from learn2assemble.simulator import Simulator
 from learn2assemble.task import Task
 from learn2assemble.world.actions import get_ways

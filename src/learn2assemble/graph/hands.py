@@ -14,8 +14,9 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.graph.features import Graph
-from learn2assemble.graph.placements import Placements, in_the_way
+from learn2assemble.graph.placements import Placements
 from learn2assemble.graph.relations import OFFSETS, offset_number
+from learn2assemble.graph.representatives import in_the_way
 from learn2assemble.world.actions import Ways, quarter_turn
 
 KINDS = 3

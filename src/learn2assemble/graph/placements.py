@@ -15,15 +15,16 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.graph.features import Graph
-from learn2assemble.world.actions import DIRECTIONS, Ways, quarter_turn
-from learn2assemble.world.blocks import EDGE
+from learn2assemble.graph.placement_keys import (
+    MAX_CELLS,
+    cell_key,
+    enter,
+    fill_cells,
+    object_offsets,
+)
+from learn2assemble.graph.representatives import choose
+from learn2assemble.world.actions import DIRECTIONS, Ways
 from learn2assemble.world.rules import waiting_level
-
-MAX_CELLS = 4
-"""Cells of the largest object."""
-HAND_REACH, FINGER_REACH = 2.25, 1.25
-"""How far from the grasped cell other ones may hinder a hand along the way its fingers close, above
-that cell and beside it [pitches]."""
 
 
 class Placements(NamedTuple):
@@ -54,122 +55,16 @@ class Placements(NamedTuple):
 
 
 @njit(cache=True, inline="always")
-def _mix(value):
-    value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return value ^ (value >> np.uint64(31))
-
-
-@njit(cache=True, inline="always")
-def _cell_key(x, y, z):
-    # In units of a tenth of a block: finer than a lattice, coarser than what settling moves. A
-    # gripper may leave blocks beside their places by more, then like placements may look different.
-    unit = 10.0 / EDGE
-    a = np.uint64(int(np.rint(x * unit)) + (1 << 20))
-    b = np.uint64(int(np.rint(y * unit)) + (1 << 20))
-    c = np.uint64(int(np.rint(z * unit)) + (1 << 20))
-    return _mix((a << np.uint64(42)) ^ (b << np.uint64(21)) ^ c ^ np.uint64(0x9E3779B97F4A7C15))
-
-
-@njit(cache=True)
-def _offsets(nodes, object_id, block, first, used, ways, out):
-    """Cells of the block's object relative to it in whole cells, itself first; their number."""
-    out[0, 0], out[0, 1], out[0, 2] = 0, 0, 0
-    count = 1
-    for other in range(first, used):
-        if other != block and object_id[other] == object_id[block]:
-            for axis in range(3):
-                step = ways.pitch if axis < 2 else EDGE
-                out[count, axis] = np.rint((nodes[other, axis] - nodes[block, axis]) / step)
-            count += 1
-    return count
-
-
-@njit(cache=True)
-def _fill(nodes, reference, relation, way, ways, offsets, count, lift, cells):
-    """Cells filled by a placement; gives its key.
-
-    It is the same for the same set of cells and, where a hand holds the object, the same grip on
-    the same of its cells: what one cell leaves no room for may be easy by another.
-    """
-    turns, pitch = ways.turns[way], ways.pitch
-    key = np.uint64(ways.grips[way]) * np.uint64(0xD6E8FEB86659FD93)
-    for k in range(count):
-        a, b = quarter_turn(offsets[k, 0], offsets[k, 1], turns)
-        cells[k, 0] = nodes[reference, 0] + pitch * (DIRECTIONS[relation, 0] + a)
-        cells[k, 1] = nodes[reference, 1] + pitch * (DIRECTIONS[relation, 1] + b)
-        up = EDGE * (DIRECTIONS[relation, 2] + offsets[k, 2])
-        cells[k, 2] = nodes[reference, 2] + lift + up
-        cell = _cell_key(cells[k, 0], cells[k, 1], cells[k, 2])
-        key += cell
-        if k == 0 and count > 1 and ways.level:
-            key += _mix(cell)
-    return key
-
-
-@njit(cache=True)
-def _enter(table, stamp, stamps, keys, key, number):
-    """Number under which ``key`` is known; enters it as ``number`` where it is new.
-
-    The tables are a power of two long and never full.
-    """
-    last = len(table) - 1
-    slot = np.int64(key & np.uint64(last))
-    while stamps[slot] == stamp:
-        if keys[slot] == key:
-            return table[slot]
-        slot = (slot + 1) & last
-    stamps[slot], keys[slot], table[slot] = stamp, key, number
+def _enter_cell(table, stamp, stamps, keys, cell, cells, count):
+    """Number of a cell among ``cells`` float32[K, 3], ``count`` of which are known; a new one is
+    entered as the next. -1 where there is no room."""
+    number = enter(table, stamp, stamps, keys, cell_key(cell[0], cell[1], cell[2]), count)
+    if number == count:
+        if number >= len(cells):
+            return -1
+        for axis in range(3):
+            cells[number, axis] = cell[axis]
     return number
-
-
-@njit(cache=True)
-def in_the_way(nodes, object_id, block, other, turns, pitch):
-    """Whether a waiting cell of another object is where a hand comes down that grasps ``block``.
-
-    Beside it along the way the fingers close, that is what the fingers meet or, a level higher,
-    what the width of the hand does.
-    """
-    up = nodes[other, 2] - nodes[block, 2]
-    if object_id[other] == object_id[block] or up < -0.5 * EDGE:
-        return False
-    x, y = nodes[other, 0] - nodes[block, 0], nodes[other, 1] - nodes[block, 1]
-    x, y = quarter_turn(x, y, -turns % 4)
-    reach = HAND_REACH if up > 0.5 * EDGE else FINGER_REACH
-    return abs(x) < 0.75 * pitch and abs(y) < reach * pitch
-
-
-@njit(cache=True)
-def _choose(nodes, object_id, first, used, ways, table, stamps, keys, stamp, offsets, best):
-    """Tell shapes of waiting objects, seen from one of their cells, apart; their number.
-
-    Of like ones each way gets the first, or for a hand the first that the fewest are in the way of.
-
-    Args:
-        best: int64[N, R], written: cell to choose for each shape and way.
-    """
-    shapes = 0
-    rotations = len(ways.turns)
-    fewest = np.empty((used - first, rotations), np.int64)
-    for block in range(first, used):
-        size = _offsets(nodes, object_id, block, first, used, ways, offsets)
-        key = np.uint64(0)
-        for k in range(size):
-            key += _cell_key(EDGE * offsets[k, 0], EDGE * offsets[k, 1], EDGE * offsets[k, 2])
-        shape = _enter(table, stamp, stamps, keys, key, shapes)
-        new = shape == shapes
-        shapes += new
-        if not (new or ways.level):
-            continue
-        for way in range(rotations):
-            crowd = 0
-            if ways.level:
-                for other in range(first, used):
-                    turns = ways.hands[way, 0]
-                    crowd += in_the_way(nodes, object_id, block, other, turns, ways.pitch)
-            if new or crowd < fewest[shape, way]:
-                best[shape, way], fewest[shape, way] = block, crowd
-    return shapes
 
 
 @njit(cache=True)
@@ -188,7 +83,7 @@ def _enumerate(
     cells = np.empty((MAX_CELLS, 3))
     for row in range(len(num_targets)):
         first = num_targets[row] + num_placed[row]
-        shapes = _choose(
+        shapes = choose(
             nodes[row], object_id[row], first, num_nodes[row], ways, tables[0], stamps[0], keys[0],
             row, offsets[0], best,
         )  # fmt: skip
@@ -196,7 +91,7 @@ def _enumerate(
             lift, size = 0.0, 0
             for way in range(rotations):
                 block = best[shape, way]
-                size = _offsets(
+                size = object_offsets(
                     nodes[row], object_id[row], block, first, num_nodes[row], ways, offsets[way]
                 )
                 # Like objects stand alike.
@@ -206,12 +101,12 @@ def _enumerate(
                     for way in range(rotations):
                         if way > 0 and size == 1 and grips[way] == grips[way - 1]:
                             continue  # A turned cube is the same cube.
-                        key = _fill(
+                        key = fill_cells(
                             nodes[row], reference, relation, way, ways, offsets[way], size, lift,
                             cells,
                         )  # fmt: skip
                         n = count[row]
-                        if _enter(tables[1], row, stamps[1], keys[1], key, n) != n:
+                        if enter(tables[1], row, stamps[1], keys[1], key, n) != n:
                             continue
                         if n >= out_action.shape[1]:
                             return False
@@ -220,26 +115,23 @@ def _enumerate(
                         out_action[row, n, 2] = relation * rotations + way
                         out_key[row, n] = key
                         for k in range(size):
-                            c = num_cells[row]
-                            cell = _cell_key(cells[k, 0], cells[k, 1], cells[k, 2])
-                            c = _enter(tables[2], row, stamps[2], keys[2], cell, c)
-                            if c == num_cells[row]:
-                                if c >= out_cells.shape[1]:
-                                    return False
-                                for axis in range(3):
-                                    out_cells[row, c, axis] = cells[k, axis]
-                                num_cells[row] += 1
+                            c = _enter_cell(
+                                tables[2], row, stamps[2], keys[2], cells[k], out_cells[row],
+                                num_cells[row],
+                            )  # fmt: skip
+                            if c < 0:
+                                return False
+                            num_cells[row] = max(num_cells[row], c + 1)
                             out_members[row, n, k] = c
                         count[row] += 1
         for block in range(num_targets[row], first):
-            node, c = nodes[row, block], num_cells[row]
-            cell = _cell_key(node[0], node[1], node[2])
-            if _enter(tables[2], row, stamps[2], keys[2], cell, c) == c:
-                if c >= out_cells.shape[1]:
-                    return False
-                for axis in range(3):
-                    out_cells[row, c, axis] = node[axis]
-                num_cells[row] += 1
+            c = _enter_cell(
+                tables[2], row, stamps[2], keys[2], nodes[row, block], out_cells[row],
+                num_cells[row],
+            )  # fmt: skip
+            if c < 0:
+                return False
+            num_cells[row] = max(num_cells[row], c + 1)
     return True
 
 
@@ -280,12 +172,14 @@ def _locate(nodes, object_id, num_targets, num_placed, num_nodes, ways, action, 
     cells = np.empty((MAX_CELLS, 3))
     for row in range(len(action)):
         first = num_targets[row] + num_placed[row]
-        size = _offsets(
+        size = object_offsets(
             nodes[row], object_id[row], action[row, 0], first, num_nodes[row], ways, offsets
         )
         relation, way = divmod(action[row, 2], len(ways.turns))
         lift = waiting_level(nodes[row, action[row, 0], 2]) if ways.level else 0.0
-        key = _fill(nodes[row], action[row, 1], relation, way, ways, offsets, size, lift, cells)
+        key = fill_cells(
+            nodes[row], action[row, 1], relation, way, ways, offsets, size, lift, cells
+        )
         for n in range(count[row]):
             if keys[row, n] == key:
                 out[row] = n
@@ -302,29 +196,4 @@ def locate(placements: Placements, graph: Graph, action: np.ndarray, ways: Ways)
         graph.nodes, graph.object_id, graph.num_targets, graph.num_placed, graph.num_nodes,
         ways, action, placements.count, placements.key, out,
     )  # fmt: skip
-    return out
-
-
-@njit(cache=True)
-def _keys(nodes, object_id, targets, first, used, ways, out):
-    offsets = np.empty((MAX_CELLS, 3))
-    cells = np.empty((MAX_CELLS, 3))
-    for i in range(used - first):
-        size = _offsets(nodes, object_id, first + i, first, used, ways, offsets)
-        lift = waiting_level(nodes[first + i, 2]) if ways.level else 0.0
-        for j in range(first - targets):
-            for k in range(out.shape[2]):
-                relation, way = divmod(k, len(ways.turns))
-                out[i, j, k] = _fill(
-                    nodes, targets + j, relation, way, ways, offsets, size, lift, cells
-                )
-
-
-def action_keys(graph: Graph, row: int, ways: Ways) -> np.ndarray:
-    """Number of the result of every legal action of a row: uint64[U, P, Na]."""
-    targets, first = graph.num_targets[row], graph.num_targets[row] + graph.num_placed[row]
-    used = graph.num_nodes[row]
-    num_actions = len(DIRECTIONS) * len(ways.turns)
-    out = np.empty((used - first, first - targets, num_actions), np.uint64)
-    _keys(graph.nodes[row], graph.object_id[row], targets, first, used, ways, out)
     return out

@@ -7,7 +7,7 @@ import torch
 
 from learn2assemble.graph.batch import GraphTensors, to_tensors
 from learn2assemble.graph.features import Graph, node_offset
-from learn2assemble.graph.placements import action_keys
+from learn2assemble.graph.placement_keys import action_keys
 from learn2assemble.networks.build import Network, at_pitch
 from learn2assemble.networks.placement import PlacementValues
 from learn2assemble.networks.qnetwork import QFactors
