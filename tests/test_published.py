@@ -29,22 +29,9 @@ from learn2assemble.robot.outcome import Outcome
 from learn2assemble.robot.published import OPENING, PublishedCell
 from learn2assemble.robot.published_arm import HOME, TIMESTEP, MotorArm
 from learn2assemble.robot.scene import Move, Scene
+from robot_scenes import cell, scene
 
 AA, AB, BA, BB = get_grasps("paper")
-PITCH, GROUND = 0.06, 0.025
-
-
-def cell(x: float, y: float, z: float) -> np.ndarray:
-    """Centre of a cell of the lattice: pitches, and levels above the table."""
-    return np.array([x * PITCH, y * PITCH, z * 0.05 + GROUND])
-
-
-def scene(placed: list[tuple], waiting: list[tuple], objects: list[int] | None = None) -> Scene:
-    position = np.array([cell(*one) for one in [*placed, *waiting]])
-    ids = np.arange(len(position)) if objects is None else np.array(objects)
-    return Scene(position, np.zeros(len(position)), ids, len(placed))
-
-
 WAITING = [(-1.5, -3, 0), (1, -4, 0)]
 
 

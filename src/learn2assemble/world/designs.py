@@ -2,7 +2,8 @@
 
 The file format is documented in ``docs/designs.md``. This module reads and writes it; the value
 itself is in :mod:`~learn2assemble.world.design_model` and what it asks of the blocks in
-:mod:`~learn2assemble.world.design_bounds`.
+:mod:`~learn2assemble.world.design_bounds` and
+:mod:`~learn2assemble.world.design_towers`.
 """
 
 from __future__ import annotations
@@ -15,9 +16,7 @@ from typing import Any
 from learn2assemble.errors import InputError
 from learn2assemble.world.design_bounds import (
     explain_refusal,
-    inside_cells,
     minimum_blocks,
-    needed_cells,
     required_share,
     unsupported_cells,
 )
@@ -28,6 +27,7 @@ from learn2assemble.world.design_schema import (
     VERSION,
     design_from,
 )
+from learn2assemble.world.design_towers import inside_cells, needed_cells
 from learn2assemble.world.json_input import load_json, printable, read_text
 
 __all__ = [
