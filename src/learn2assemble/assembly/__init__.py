@@ -1,0 +1,1 @@
+"""Assemblies of blocks: kits, blocks as polyhedra, their contacts, files."""
