@@ -1,0 +1,411 @@
+"""Blocks as closed polyhedra, and assemblies of them with the order in which they are placed.
+
+Lengths are metres in the world frame, z up. Values are validated when they are made, so whatever
+reaches a solver is finite, closed and has a volume.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from learn2assemble.errors import InputError
+
+MAX_VERTICES = 20_000
+"""Of one block; also the limit of its faces."""
+MAX_BLOCKS = 10_000
+LARGEST, THINNEST = 1e6, 1e-9
+"""Largest coordinate, and volume of a block against the cube of its extent."""
+MAX_RATIO = 1e4
+"""Of the extents of the largest and the smallest block of one assembly."""
+MAX_PARTS = 200
+"""Convex parts of one block."""
+_FLAT = 1e-6
+"""How far a vertex may stand over a face of a convex block, in extents of the block."""
+
+_BOX_FACES = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5))
+"""Of a box whose vertex number has bit 0 for x, bit 1 for y and bit 2 for z."""
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """A closed polyhedron of one density.
+
+    It may be convex, not convex, or several closed shells that touch; see :func:`convex_parts`.
+
+    Args:
+        id: unique in an assembly.
+        vertices: float64[V, 3] [m, world].
+        faces: vertex indices of each face, counter-clockwise seen from outside.
+        kind: the kind of a kit it is of, or "".
+        density: [kg/m³].
+        support: it is fixed to the ground, or part of it.
+        prop: it is temporary.
+        colour: red, green, blue, 0..255.
+
+    Raises:
+        InputError: naming the block, where it is open, flat, inside out, or not finite.
+    """
+
+    id: str
+    vertices: np.ndarray
+    faces: tuple[tuple[int, ...], ...]
+    kind: str = ""
+    density: float = 1000.0
+    support: bool = False
+    prop: bool = False
+    colour: tuple[int, int, int] | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.id, str) or not 0 < len(self.id) <= 200:
+            raise InputError("block id", self.id, "a text of 1 to 200 characters")
+        where = f"block {self.id!r}"
+        if not (np.isfinite(self.density) and 0 < self.density <= LARGEST):
+            raise InputError(f"{where}: density", self.density, "a number in (0, 1e6] [kg/m3]")
+        vertices = _vertices(self.vertices, where)
+        faces = tuple(tuple(int(k) for k in face) for face in self.faces)
+        _check_faces(faces, len(vertices), where)
+        vertices.setflags(write=False)
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "faces", faces)
+        size = float(np.ptp(vertices, axis=0).max())
+        if not self.volume > THINNEST * size**3:
+            inside_out = self.volume < -THINNEST * size**3
+            expected = "faces counter-clockwise from outside" if inside_out else "more than 0"
+            raise InputError(f"{where}: volume", self.volume, expected)
+
+    @cached_property
+    def _moments(self) -> tuple[float, np.ndarray]:
+        """Volume and centroid from the tetrahedra between a vertex and every face."""
+        origin = self.vertices[0]
+        corners = fan_triangles(self.vertices - origin, self.faces)
+        six = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+        total = six.sum()
+        if abs(total) < 1e-300:
+            return 0.0, origin
+        return float(total) / 6, origin + six @ corners.sum(1) / (4 * total)
+
+    @property
+    def volume(self) -> float:
+        """[m³]."""
+        return self._moments[0]
+
+    @property
+    def centroid(self) -> np.ndarray:
+        """float64[3]: centre of mass [m]."""
+        return self._moments[1]
+
+    @property
+    def mass(self) -> float:
+        """[kg]."""
+        return self.volume * self.density
+
+    @cached_property
+    def is_convex(self) -> bool:
+        """Whether no vertex stands over any face."""
+        corners = fan_triangles(self.vertices, self.faces)
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        length = np.linalg.norm(normal, axis=1)
+        solid = length > 1e-12 * length.max()
+        normal, foot = normal[solid] / length[solid, None], corners[solid, 0]
+        over = self.vertices @ normal.T - np.einsum("ij,ij->i", normal, foot)
+        return bool(over.max() <= _FLAT * np.ptp(self.vertices, axis=0).max())
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of building: exactly one of the two ids is given."""
+
+    place: str | None = None
+    remove: str | None = None
+
+    def __post_init__(self) -> None:
+        if (self.place is None) == (self.remove is None):
+            raise InputError("step", (self.place, self.remove), "either a block to place or remove")
+
+
+@dataclass(frozen=True, eq=False)
+class Assembly:
+    """Blocks where they stand when all are placed, and the steps in which they are.
+
+    Args:
+        blocks: with distinct ids.
+        steps: in order; empty where it is not known. Props are removed again by a step.
+        friction: Coulomb coefficient of every contact.
+
+    Raises:
+        InputError: for ids that repeat, steps that place or remove what they cannot, a friction
+            that is not a number >= 0, or blocks of absurdly different sizes.
+    """
+
+    blocks: tuple[Block, ...]
+    steps: tuple[Step, ...] = ()
+    friction: float = 0.5
+    name: str = ""
+    _index: dict[str, int] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "blocks", tuple(self.blocks))
+        object.__setattr__(self, "steps", tuple(self.steps))
+        if not 0 < len(self.blocks) <= MAX_BLOCKS:
+            raise InputError("blocks", len(self.blocks), f"1 to {MAX_BLOCKS} blocks")
+        check_friction(self.friction)
+        index = {block.id: k for k, block in enumerate(self.blocks)}
+        if len(index) < len(self.blocks):
+            twice = Counter(block.id for block in self.blocks).most_common(1)[0][0]
+            raise InputError("block id", twice, "every id once")
+        object.__setattr__(self, "_index", index)
+        sizes = [float(np.ptp(block.vertices, axis=0).max()) for block in self.blocks]
+        if max(sizes) > MAX_RATIO * min(sizes):
+            small = self.blocks[int(np.argmin(sizes))].id
+            raise InputError(
+                f"block {small!r}: size", min(sizes), f"at least 1/{MAX_RATIO:.0f} of the largest"
+            )
+        standing: set[str] = set()
+        for number, step in enumerate(self.steps):
+            where, id_ = f"steps[{number}]", step.place if step.remove is None else step.remove
+            if id_ not in index:
+                raise InputError(where, id_, "the id of a block")
+            if (id_ in standing) == (step.remove is None):
+                raise InputError(where, id_, "a block in its place" if step.remove else "a new one")
+            standing ^= {id_}
+
+    def block(self, id_: str) -> Block:
+        """The block called ``id_``."""
+        return self.blocks[self.index(id_)]
+
+    def index(self, id_: str) -> int:
+        """Where in ``blocks`` the block called ``id_`` is."""
+        if id_ not in self._index:
+            raise InputError("block id", id_, "the id of a block of the assembly")
+        return self._index[id_]
+
+    @cached_property
+    def finished(self) -> Assembly:
+        """What stands after the last step: without removed blocks, and without steps.
+
+        Without steps, every block stands but the props.
+        """
+        removed = {step.remove for step in self.steps}
+        gone = removed if self.steps else {block.id for block in self.blocks if block.prop}
+        if not gone:
+            return replace(self, steps=()) if self.steps else self
+        return replace(self, blocks=tuple(b for b in self.blocks if b.id not in gone), steps=())
+
+
+def box_block(id: str, lower: Sequence[float], upper: Sequence[float], **kwargs) -> Block:
+    """An axis-aligned box as a block.
+
+    Args:
+        id: of the block.
+        lower: smallest x, y, z [m].
+        upper: largest x, y, z [m].
+        kwargs: further fields of :class:`Block`.
+    """
+    bounds = np.array([lower, upper], float)
+    if bounds.shape != (2, 3) or not (bounds[1] > bounds[0]).all():
+        raise InputError(f"block {id!r}: box", bounds.tolist(), "lower < upper in x, y and z")
+    number = np.arange(8)
+    corners = [bounds[(number >> k) & 1, k] for k in range(3)]
+    return Block(id, np.stack(corners, -1), _BOX_FACES, **kwargs)
+
+
+def volume(block: Block) -> float:
+    """Volume of any closed polyhedron [m³]."""
+    return block.volume
+
+
+def centroid(block: Block) -> np.ndarray:
+    """float64[3]: centre of mass of any closed polyhedron of one density [m]."""
+    return block.centroid
+
+
+def check_friction(friction: float) -> None:
+    """Refuse what is no Coulomb coefficient."""
+    number = isinstance(friction, int | float | np.floating) and not isinstance(friction, bool)
+    if not number or not 0 <= friction <= 10:
+        raise InputError("friction", friction, "a number from 0 to 10")
+
+
+def fan_triangles(vertices: np.ndarray, faces: Sequence[Sequence[int]]) -> np.ndarray:
+    """float64[T, 3, 3]: triangles from the first corner of each face.
+
+    Their signed sums are right for any face; as surface they serve only where faces are convex.
+    """
+    index = [(f[0], f[k], f[k + 1]) for f in faces for k in range(1, len(f) - 1)]
+    return vertices[np.array(index)]
+
+
+def shells(block: Block) -> list[Block]:
+    """The closed shells of a block, each as a block of its own.
+
+    Faces belong to one shell when they share an edge in opposite directions; where two shells
+    share an edge, the pairing is by the order of the faces.
+    """
+    open_edges: dict[tuple[int, int], list[int]] = {}
+    parent = list(range(len(block.faces)))
+
+    def root(k: int) -> int:
+        while parent[k] != k:
+            parent[k] = k = parent[parent[k]]
+        return k
+
+    for number, face in enumerate(block.faces):
+        for start, end in zip(face, (*face[1:], face[0]), strict=True):
+            partner = open_edges.get((end, start))
+            if partner:
+                parent[root(partner.pop(0))] = root(number)
+            else:
+                open_edges.setdefault((start, end), []).append(number)
+    groups: dict[int, list[tuple[int, ...]]] = {}
+    for number, face in enumerate(block.faces):
+        groups.setdefault(root(number), []).append(face)
+    if len(groups) == 1:
+        return [block]
+    return [_part(block, f"{block.id}/{k}", faces) for k, faces in enumerate(groups.values())]
+
+
+def convex_parts(block: Block) -> tuple[Block, ...]:
+    """The block as convex blocks that fill it without overlap.
+
+    Shells are taken apart first; one that is not convex is cut along planes of its faces.
+
+    Raises:
+        InputError: where that takes more than MAX_PARTS parts.
+    """
+    parts: list[Block] = []
+    for shell in shells(block):
+        if shell.is_convex:
+            parts.append(shell)
+            continue
+        pieces = _cut(shell, MAX_PARTS - len(parts))
+        parts += [replace(piece, id=f"{shell.id}/{k}") for k, piece in enumerate(pieces)]
+    return (block,) if len(parts) == 1 and parts[0] is block else tuple(parts)
+
+
+def to_manifold(block: Block):
+    """The block as solid of the library ``manifold3d``, in the world frame.
+
+    Raises:
+        InputError: where its surface is no manifold.
+    """
+    import manifold3d
+
+    total = manifold3d.Manifold()
+    for shell in shells(block):
+        triangles = [t for face in shell.faces for t in _triangulate(shell.vertices, face)]
+        mesh = manifold3d.Mesh64(shell.vertices.copy(), np.array(triangles, np.uint64))
+        solid = manifold3d.Manifold(mesh)
+        if solid.status() != manifold3d.Error.NoError:
+            raise InputError(f"block {block.id!r}", solid.status().name, "a closed simple surface")
+        total += solid
+    return total
+
+
+def _vertices(vertices: np.ndarray, where: str) -> np.ndarray:
+    try:
+        array = np.array(vertices, np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{where}: vertices", vertices, "numbers of shape (V, 3)") from None
+    if array.ndim != 2 or array.shape[1] != 3 or not 4 <= len(array) <= MAX_VERTICES:
+        raise InputError(f"{where}: vertices", array.shape, f"shape (4..{MAX_VERTICES}, 3)")
+    if not np.isfinite(array).all():
+        raise InputError(f"{where}: vertices", "NaN or infinity", "finite coordinates")
+    if np.abs(array).max() > LARGEST:
+        raise InputError(f"{where}: vertices", float(np.abs(array).max()), "at most 1e6 [m]")
+    return array
+
+
+def _check_faces(faces: tuple[tuple[int, ...], ...], count: int, where: str) -> None:
+    if not 4 <= len(faces) <= MAX_VERTICES:
+        raise InputError(f"{where}: faces", len(faces), f"4 to {MAX_VERTICES} faces")
+    edges: Counter[tuple[int, int]] = Counter()
+    for number, face in enumerate(faces):
+        if len(face) < 3 or min(face) < 0 or max(face) >= count:
+            expected = f"3 or more vertex numbers in 0..{count - 1}"
+            raise InputError(f"{where}: faces[{number}]", face, expected)
+        edges.update(zip(face, (*face[1:], face[0]), strict=True))
+    for (start, end), times in edges.items():
+        if start == end or edges[end, start] != times:
+            raise InputError(
+                f"{where}: edge between vertices", (start, end), "a closed surface, "
+                "every edge once in each direction",
+            )  # fmt: skip
+
+
+def _part(block: Block, id_: str, faces: Sequence[tuple[int, ...]]) -> Block:
+    """Some faces of a block with the vertices they use."""
+    used = sorted({k for face in faces for k in face})
+    number = {old: new for new, old in enumerate(used)}
+    renamed = tuple(tuple(number[k] for k in face) for face in faces)
+    return replace(block, id=id_, vertices=block.vertices[used], faces=renamed)
+
+
+def _triangulate(vertices: np.ndarray, face: tuple[int, ...]) -> list[tuple[int, int, int]]:
+    """A face as triangles; a face that is not convex is triangulated in its plane."""
+    if len(face) == 3:
+        return [(face[0], face[1], face[2])]
+    corners = vertices[list(face)] - vertices[face[0]]
+    ahead = np.roll(corners, -1, 0)
+    normal = np.cross(corners, ahead).sum(0)
+    turns = np.cross(ahead - corners, np.roll(ahead, -1, 0) - ahead) @ normal
+    if (turns >= -1e-12 * normal @ normal).all():
+        return [(face[0], face[k], face[k + 1]) for k in range(1, len(face) - 1)]
+    import manifold3d
+
+    axis = int(np.argmax(np.abs(normal)))
+    u, v = (axis + 1) % 3, (axis + 2) % 3
+    flat = corners[:, [u, v] if normal[axis] > 0 else [v, u]]
+    # Mirrored coordinates of a face that looks down keep it counter-clockwise.
+    return [(face[a], face[b], face[c]) for a, b, c in manifold3d.triangulate([flat]).tolist()]
+
+
+def _cut(shell: Block, most: int) -> list[Block]:
+    """Convex pieces of one shell, cut recursively along planes of its faces.
+
+    A piece is convex when its hull is hardly larger; the hull is what is returned. Slivers, which
+    rounding leaves beside a cut, are dropped.
+    """
+    sliver = _FLAT * shell.volume
+    left, done = [to_manifold(shell)], []
+    while left:
+        solid = left.pop()
+        hull = solid.hull()
+        if hull.volume() - solid.volume() <= sliver:
+            done.append(_from_mesh(shell, hull.to_mesh64()))
+            continue
+        if len(left) + len(done) >= most:
+            raise InputError(f"block {shell.id!r}", "a shape", f"at most {MAX_PARTS} convex parts")
+        pieces = _split(solid, sliver)
+        left += [part for part in pieces if part.volume() > sliver]
+    return done
+
+
+def _split(solid, sliver: float) -> list:
+    """The solid cut by the plane of the face over which it stands farthest out."""
+    points, triangles = _arrays(solid.to_mesh64())
+    corners = points[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+    offset = np.einsum("ij,ij->i", normal, corners[:, 0])
+    over = (points @ normal.T - offset).max(0)
+    for k in np.argsort(-over)[:MAX_PARTS]:
+        pieces = solid.split_by_plane(normal[k].tolist(), float(offset[k]))
+        # A plane along which rounding leaves one side empty would be cut for ever.
+        if all(piece.volume() > sliver for piece in pieces):
+            return [part for piece in pieces for part in piece.decompose()]
+    return [solid.hull()]
+
+
+def _arrays(mesh) -> tuple[np.ndarray, np.ndarray]:
+    return np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts)
+
+
+def _from_mesh(block: Block, mesh) -> Block:
+    """A block of the same kind with another surface."""
+    points, triangles = _arrays(mesh)
+    return replace(block, vertices=points, faces=tuple(map(tuple, triangles.tolist())))

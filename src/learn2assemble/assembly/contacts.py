@@ -1,0 +1,344 @@
+"""Contact patches between blocks: where facets of opposite normals lie on one plane.
+
+Blocks whose boxes meet are paired, then their facets by normal and distance, and the polygons of
+the facets are intersected in their common plane. What two blocks share on one plane is one patch:
+the convex hull of it, because forces at the corners of the hull produce exactly the wrenches that
+a pressure on the patch with friction can.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+
+from learn2assemble.assembly.blocks import Assembly, Block, to_manifold
+from learn2assemble.errors import InputError
+
+GROUND = -1
+TOLERANCE = 5e-3
+"""Width of a gap that counts as contact, in the edge of a cube of the median volume."""
+_ANGLE = 1e-2
+"""Between normals of two facets in contact [rad]; warped facets have more."""
+_MOST_PAIRS = 4_000_000
+"""Of facets looked at together."""
+
+
+class Contacts(NamedTuple):
+    """Patches of contact and the corners at which their forces act.
+
+    P patches, C corners; corner ``k`` belongs to patch ``patch[k]``, and the corners of a patch
+    follow each other round it.
+    """
+
+    a: np.ndarray
+    """int64[P]: index of the block that pushes back, or GROUND."""
+    b: np.ndarray
+    """int64[P]: index of the block that is pushed along the normal; a < b."""
+    normal: np.ndarray
+    """float64[P, 3]: unit, from ``a`` to ``b``."""
+    area: np.ndarray
+    """float64[P]: of what is in contact [m²]."""
+    points: np.ndarray
+    """float64[C, 3]: corners of the hulls [m, world]."""
+    patch: np.ndarray
+    """int64[C]."""
+
+    @property
+    def start(self) -> np.ndarray:
+        """int64[P + 1]: the first corner of each patch, then C."""
+        return np.searchsorted(self.patch, np.arange(len(self.a) + 1))
+
+    def only(self, keep: np.ndarray) -> Contacts:
+        """The patches where ``keep`` (bool[P]) is true."""
+        corner = keep[self.patch]
+        number = np.cumsum(keep) - 1
+        return Contacts(
+            self.a[keep], self.b[keep], self.normal[keep], self.area[keep],
+            self.points[corner], number[self.patch[corner]],
+        )  # fmt: skip
+
+
+class _Facets(NamedTuple):
+    """All faces of all blocks; face f has corners ``xyz[start[f]:start[f + 1]]``."""
+
+    block: np.ndarray
+    normal: np.ndarray
+    centre: np.ndarray
+    warp: np.ndarray
+    """Largest distance of a corner from the plane."""
+    area: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    start: np.ndarray
+    xyz: np.ndarray
+
+
+def contact_tolerance(blocks: Sequence[Block]) -> float:
+    """The default width [m] of a gap that counts as contact between such blocks."""
+    return TOLERANCE * float(np.median([block.volume for block in blocks])) ** (1 / 3)
+
+
+def find_contacts(assembly: Assembly, tolerance: float | None = None) -> Contacts:
+    """Contact patches between the blocks of an assembly, and with the ground.
+
+    Without any support block, the plane z = 0 is the ground: what stands on it touches it.
+    Patches between two supports are left out, and so are strips thinner than the tolerance.
+
+    Args:
+        assembly: the blocks where they stand.
+        tolerance: widest gap, and deepest overlap, of a contact [m]; by default
+            :func:`contact_tolerance`.
+
+    Raises:
+        InputError: where the tolerance is not a positive number.
+    """
+    tolerance = _width(assembly, tolerance)
+    facets = _facets(assembly.blocks)
+    lower, upper = _bounds(facets, len(assembly.blocks))
+    pairs = near_pairs(lower, upper, tolerance)
+    support = np.array([block.support for block in assembly.blocks])
+    pairs = pairs[~(support[pairs[:, 0]] & support[pairs[:, 1]])]
+    first, second = _opposite(facets, pairs, lower, upper, tolerance)
+    between = _patches(facets, first, second, tolerance)
+    if support.any():
+        return between
+    ground = _on_ground(facets, tolerance)
+    ground = ground._replace(patch=ground.patch + len(between.a))
+    return Contacts(*[np.concatenate(two) for two in zip(between, ground, strict=True)])
+
+
+def check_overlaps(assembly: Assembly, tolerance: float | None = None) -> None:
+    """Refuse blocks that share a volume.
+
+    Two blocks that a plane of a facet separates do not; what is left is intersected as solids.
+    The thickness of the intersection, twice its volume over its surface, is what counts.
+
+    Args:
+        assembly: the blocks where they stand.
+        tolerance: as in :func:`find_contacts`.
+
+    Raises:
+        InputError: naming two blocks that overlap by more.
+    """
+    tolerance = _width(assembly, tolerance)
+    blocks, facets = assembly.blocks, _facets(assembly.blocks)
+    lower, upper = _bounds(facets, len(blocks))
+    first = np.searchsorted(facets.block, np.arange(len(blocks) + 1))
+    warp = np.maximum.reduceat(facets.warp, first[:-1])
+    solids: dict[int, object] = {}
+    for i, j in near_pairs(lower, upper, -tolerance).tolist():
+        if any(_separates(facets, slice(first[p], first[p + 1]), blocks[p], blocks[q], tolerance)
+               for p, q in ((i, j), (j, i))):  # fmt: skip
+            continue
+        for k in (i, j):
+            if k not in solids:
+                solids[k] = to_manifold(blocks[k])
+        common = solids[i] ^ solids[j]  # type: ignore[operator]
+        surface = common.surface_area()
+        if 2 * common.volume() > (tolerance + warp[i] + warp[j]) * surface:
+            names = f"{blocks[i].id!r} and {blocks[j].id!r}"
+            share = common.volume() / min(blocks[i].volume, blocks[j].volume)
+            raise InputError(f"blocks {names}", f"{share:.1%} overlap", "blocks that only touch")
+
+
+def near_pairs(lower: np.ndarray, upper: np.ndarray, tolerance: float) -> np.ndarray:
+    """int64[N, 2]: pairs i < j of boxes whose gap is at most the tolerance along every axis.
+
+    Args:
+        lower: float64[B, 3].
+        upper: float64[B, 3].
+        tolerance: [m]; negative asks for overlap.
+    """
+    spread = upper.max(0) - lower.min(0)
+    w, u, v = np.argsort(spread)
+    half = tolerance / 2
+    low, high = lower - half, upper + half
+    boxes = shapely.box(low[:, u], low[:, v], high[:, u], high[:, v])
+    pairs = shapely.STRtree(boxes).query(boxes).T
+    pairs = pairs[pairs[:, 0] < pairs[:, 1]]
+    i, j = pairs.T
+    meet = (low[i] <= high[j]) & (low[j] <= high[i])
+    pairs = pairs[meet.all(1) & meet[:, w]]
+    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+
+
+def _width(assembly: Assembly, tolerance: float | None) -> float:
+    if tolerance is None:
+        return contact_tolerance(assembly.blocks)
+    if not (np.isfinite(tolerance) and tolerance > 0):
+        raise InputError("tolerance", tolerance, "a length > 0 [m]")
+    return float(tolerance)
+
+
+def _facets(blocks: Sequence[Block]) -> _Facets:
+    index = [np.fromiter((k for f in block.faces for k in f), np.int64) for block in blocks]
+    sizes = np.array([len(face) for block in blocks for face in block.faces])
+    xyz = np.concatenate([b.vertices[k] for b, k in zip(blocks, index, strict=True)])
+    start = np.concatenate([[0], np.cumsum(sizes)])
+    begin, face = start[:-1], np.repeat(np.arange(len(sizes)), sizes)
+    centre = np.add.reduceat(xyz, begin) / sizes[:, None]
+    arm = xyz - centre[face]
+    ahead = np.arange(len(xyz)) + 1
+    ahead[start[1:] - 1] = begin
+    normal = np.add.reduceat(np.cross(arm, arm[ahead]), begin) / 2
+    area = np.linalg.norm(normal, axis=1)
+    normal /= np.maximum(area, 1e-300)[:, None]
+    warp = np.maximum.reduceat(np.abs(np.einsum("ij,ij->i", arm, normal[face])), begin)
+    owner = np.repeat(np.arange(len(blocks)), [len(block.faces) for block in blocks])
+    lower, upper = np.minimum.reduceat(xyz, begin), np.maximum.reduceat(xyz, begin)
+    return _Facets(owner, normal, centre, warp, area, lower, upper, start, xyz)
+
+
+def _bounds(facets: _Facets, count: int) -> tuple[np.ndarray, np.ndarray]:
+    first = np.searchsorted(facets.block, np.arange(count))
+    return np.minimum.reduceat(facets.lower, first), np.maximum.reduceat(facets.upper, first)
+
+
+def _ranges(start: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of ranges ``start[k] .. start[k] + count[k]``, all their members, and whose each is."""
+    owner = np.repeat(np.arange(len(count)), count)
+    first = np.cumsum(count) - count
+    return start[owner] + np.arange(len(owner)) - first[owner], owner
+
+
+def _opposite(
+    facets: _Facets, pairs: np.ndarray, lower: np.ndarray, upper: np.ndarray, tolerance: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Facets that may touch: those of ``first`` are of the first block of a pair."""
+    begin = np.searchsorted(facets.block, np.arange(len(lower) + 1))
+    count = np.diff(begin)
+    most = max(1, int(count.max(initial=1)) ** 2)
+    found: list[tuple[np.ndarray, np.ndarray]] = []
+    for chunk in np.array_split(pairs, max(1, -(-len(pairs) * most // _MOST_PAIRS))):
+        near = []
+        for side, other in ((chunk[:, 0], chunk[:, 1]), (chunk[:, 1], chunk[:, 0])):
+            face, pair = _ranges(begin[side], count[side])
+            box = other[pair]
+            meet = (facets.lower[face] <= upper[box] + tolerance) & (
+                facets.upper[face] >= lower[box] - tolerance
+            )
+            keep = meet.all(1) & (facets.area[face] > tolerance**2)
+            number = np.bincount(pair[keep], minlength=len(chunk))
+            near.append((face[keep], np.cumsum(number) - number, number))
+        (left, left_start, left_count), (right, right_start, right_count) = near
+        member, pair = _ranges(left_start, left_count)
+        inner, outer = _ranges(right_start[pair], right_count[pair])
+        found.append(_touching(facets, left[member[outer]], right[inner], tolerance))
+    return np.concatenate([f for f, _ in found]), np.concatenate([s for _, s in found])
+
+
+def _touching(
+    facets: _Facets, first: np.ndarray, second: np.ndarray, tolerance: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Those pairs of facets whose normals are opposite and whose planes are one."""
+    warp = facets.warp[first] + facets.warp[second]
+    # The plane of the larger facet is known better; the smaller one lies on it or does not.
+    swap = facets.area[first] < facets.area[second]
+    large, small = np.where(swap, second, first), np.where(swap, first, second)
+    limit = _ANGLE + 2 * warp / np.sqrt(facets.area[small])
+    cosine = np.einsum("ij,ij->i", facets.normal[first], facets.normal[second])
+    keep = cosine < -np.cos(np.minimum(limit, 0.5))
+    arm = facets.centre[small] - facets.centre[large]
+    distance = np.abs(np.einsum("ij,ij->i", arm, facets.normal[large]))
+    keep &= distance <= tolerance + warp
+    keep &= (facets.lower[first] <= facets.upper[second] + tolerance).all(1)
+    keep &= (facets.lower[second] <= facets.upper[first] + tolerance).all(1)
+    return first[keep], second[keep]
+
+
+def _basis(normal: np.ndarray) -> np.ndarray:
+    """float64[n, 2, 3]: two unit vectors across each unit normal."""
+    axis = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
+    u = np.cross(axis, normal)
+    u /= np.linalg.norm(u, axis=1)[:, None]
+    return np.stack([u, np.cross(normal, u)], 1)
+
+
+def _polygons(facets: _Facets, face: np.ndarray, basis: np.ndarray, foot: np.ndarray) -> np.ndarray:
+    """The facets in the coordinates ``basis`` about ``foot``, as valid shapely geometries."""
+    corner, owner = _ranges(facets.start[face], facets.start[face + 1] - facets.start[face])
+    flat = np.einsum("kij,kj->ki", basis[owner], facets.xyz[corner] - foot[owner])
+    shapes = np.asarray(shapely.polygons(shapely.linearrings(flat, indices=owner)))
+    bad = ~shapely.is_valid(shapes)
+    shapes[bad] = shapely.make_valid(shapes[bad])
+    return shapes
+
+
+def _patches(facets: _Facets, first: np.ndarray, second: np.ndarray, tolerance: float) -> Contacts:
+    """Intersect pairs of facets and unite what two blocks share on one plane."""
+    normal = facets.normal[first] - facets.normal[second]
+    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+    foot = (facets.centre[first] + facets.centre[second]) / 2
+    basis = _basis(normal)
+    shapes = shapely.intersection(
+        _polygons(facets, first, basis, foot), _polygons(facets, second, basis, foot)
+    )
+    area = shapely.area(shapes)
+    # Twice the area over the perimeter is the width of a strip.
+    wide = 2 * area > tolerance * shapely.length(shapes)
+    shapes, area = shapes[wide], area[wide]
+    normal, foot, basis = normal[wide], foot[wide], basis[wide]
+    block_a, block_b = facets.block[first[wide]], facets.block[second[wide]]
+    leader = _same_plane(block_a, block_b, normal, foot, tolerance)
+    order = np.argsort(leader, kind="stable")
+    heads, start = np.unique(leader[order], return_index=True)
+    # Corners of all intersections of a patch, in the plane of its first one.
+    flat, owner = shapely.get_coordinates(shapes[order], return_index=True)
+    piece = order[owner]
+    points = foot[piece] + np.einsum("ki,kij->kj", flat, basis[piece])
+    head = leader[piece]
+    local = np.einsum("kij,kj->ki", basis[head], points - foot[head])
+    clouds = shapely.multipoints(local, indices=np.searchsorted(heads, head))
+    hulls = shapely.simplify(shapely.convex_hull(clouds), tolerance / 100)
+    rings, patch = shapely.get_coordinates(hulls, return_index=True)
+    last = np.append(patch[1:] != patch[:-1], True) if len(patch) else np.empty(0, bool)
+    rings, patch = rings[~last], patch[~last]
+    total = np.add.reduceat(area[order], start) if len(start) else area
+    corners = foot[heads[patch]] + np.einsum("ki,kij->kj", rings, basis[heads[patch]])
+    return Contacts(block_a[heads], block_b[heads], normal[heads], total, corners, patch)
+
+
+def _same_plane(
+    a: np.ndarray, b: np.ndarray, normal: np.ndarray, foot: np.ndarray, tolerance: float
+) -> np.ndarray:
+    """int64[n]: for each intersection the first one of the same two blocks and plane."""
+    pair = np.unique(np.stack([a, b], 1), axis=0, return_inverse=True)[1].reshape(-1)
+    leader = np.full(len(a), -1)
+    left = np.arange(len(a))
+    while len(left):
+        names, where = np.unique(pair[left], return_index=True)
+        head = left[where][np.searchsorted(names, pair[left])]
+        same = np.einsum("ij,ij->i", normal[left], normal[head]) > np.cos(_ANGLE)
+        arm = np.einsum("ij,ij->i", foot[left] - foot[head], normal[head])
+        same &= np.abs(arm) <= tolerance
+        leader[left[same]] = head[same]
+        left = left[~same]
+    return leader
+
+
+def _on_ground(facets: _Facets, tolerance: float) -> Contacts:
+    """Patches between facets that look down and the plane z = 0."""
+    down = (facets.normal[:, 2] < -np.cos(_ANGLE)) & (np.abs(facets.centre[:, 2]) <= tolerance)
+    face = np.flatnonzero(down & (facets.area > tolerance**2))
+    corner, owner = _ranges(facets.start[face], facets.start[face + 1] - facets.start[face])
+    block, patch = np.unique(facets.block[face], return_inverse=True)
+    clouds = shapely.multipoints(facets.xyz[corner, :2], indices=np.sort(patch[owner]))
+    hulls = shapely.simplify(shapely.convex_hull(clouds), tolerance / 100)
+    flat, owner = shapely.get_coordinates(hulls, return_index=True)
+    last = np.append(owner[1:] != owner[:-1], True) if len(owner) else np.empty(0, bool)
+    points = np.column_stack([flat[~last], np.zeros((~last).sum())])
+    up = np.tile([0.0, 0.0, 1.0], (len(block), 1))
+    area = np.bincount(patch, facets.area[face], minlength=len(block))
+    return Contacts(np.full(len(block), GROUND), block, up, area, points, owner[~last])
+
+
+def _separates(facets: _Facets, faces: slice, block: Block, other: Block, tolerance: float) -> bool:
+    """Whether the plane of a facet of a block has the block behind it and the other before it."""
+    normal, foot = facets.normal[faces], facets.centre[faces]
+    offset = np.einsum("ij,ij->i", normal, foot)
+    behind = (block.vertices @ normal.T).max(0) <= offset + facets.warp[faces] + tolerance
+    before = (other.vertices @ normal.T).min(0) >= offset - facets.warp[faces] - tolerance
+    return bool((behind & before).any())
