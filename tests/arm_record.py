@@ -11,13 +11,10 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from learn2assemble.robot.arm import Arm, get_arm
-from learn2assemble.robot.grasps import get_grasps
-from learn2assemble.robot.kinematic import KinematicCell
-from learn2assemble.robot.logbook import Logbook, upright
-from learn2assemble.robot.motion import OPENING
-from learn2assemble.robot.outcome import Outcome
+from learn2assemble.robot.kinematic.cell import KinematicCell
+from learn2assemble.robot.moves import OPENING, Move, Outcome, Scene, get_grasps
 from learn2assemble.robot.record import RATE, BuildRecord, Stage
-from learn2assemble.robot.scene import Move, Scene
+from learn2assemble.robot.recorder import Logbook, upright
 from learn2assemble.world.layouts import sobol
 
 EDGE, PITCH = 0.05, 0.06

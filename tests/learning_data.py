@@ -13,12 +13,12 @@ from safetensors import safe_open
 from learn2assemble.graph.features import Graph, node_offset
 from learn2assemble.graph.placements import Placements, distinct_placements
 from learn2assemble.learning.config import TrainConfig
-from learn2assemble.learning.explore import random_actions, to_local
 from learn2assemble.learning.replay import Batch
-from learn2assemble.networks.build import Network, make_network
+from learn2assemble.learning.trainer import random_actions, to_local
+from learn2assemble.networks.agent import Network, make_network
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.simulator import Simulator
-from learn2assemble.task import Task
+from learn2assemble.tasks import Task
 from learn2assemble.world.outcomes import Outcomes
 from learn2assemble.world.state import State
 

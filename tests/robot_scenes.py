@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from learn2assemble.robot.scene import Scene
+from learn2assemble.robot.moves import Scene
 
 PITCH, GROUND = 0.06, 0.025
 

@@ -9,8 +9,7 @@ import torch
 
 from learn2assemble.search.config import SearchConfig
 from learn2assemble.search.mcts import Decision, search
-from learn2assemble.search.model import ActionValues, StepResult
-from learn2assemble.search.tree import Node
+from learn2assemble.search.tree import ActionValues, Node, StepResult
 
 torch.set_num_threads(1)
 

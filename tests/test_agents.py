@@ -22,14 +22,14 @@ from learn2assemble.networks.agent import (
     agent_info,
     default_agent,
     load_agent,
+    make_network,
     pretrained_names,
     save_agent,
 )
-from learn2assemble.networks.build import make_network
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.placement import PlacementNetwork, PlacementValues
-from learn2assemble.presets import PRESETS, get_task
 from learn2assemble.simulator import Simulator
+from learn2assemble.tasks import PRESETS, get_task
 
 torch.set_num_threads(1)
 

@@ -17,31 +17,26 @@ from hypothesis import strategies as st
 from learn2assemble.cli.arm_files import write_arm_files
 from learn2assemble.errors import InputError
 from learn2assemble.networks.agent import Agent, load_agent
-from learn2assemble.planning.arm_build import build_with_arm, real_cell
-from learn2assemble.planning.arm_course import ArmBuild
-from learn2assemble.planning.backtracking import depth_first
-from learn2assemble.planning.planner import STAGES, Sequence, plan_sequences
-from learn2assemble.planning.problem import Problem
-from learn2assemble.planning.reality import RealCell, replan_from
-from learn2assemble.planning.site import set_out
-from learn2assemble.planning.sources import design_problem
+from learn2assemble.planning.discover import STAGES, Sequence, depth_first, plan_sequences
+from learn2assemble.planning.execute import (
+    ArmBuild,
+    RealCell,
+    build_with_arm,
+    real_cell,
+    replan_from,
+)
+from learn2assemble.planning.problem import Problem, design_problem
+from learn2assemble.planning.supply import Layout, read_layout, set_out, supply_places, taking_order
 from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.attempt import Attempt
-from learn2assemble.robot.dynamic import DynamicCell
-from learn2assemble.robot.grasps import get_grasps
-from learn2assemble.robot.kinematic import KinematicCell
-from learn2assemble.robot.outcome import Outcome
-from learn2assemble.robot.record import BuildRecord
-from learn2assemble.robot.record_check import find_fault
-from learn2assemble.robot.replay import replay
-from learn2assemble.robot.scene import Move, Scene
-from learn2assemble.robot.waiting import supply_places, taking_order
+from learn2assemble.robot.dynamic.cell import DynamicCell, replay
+from learn2assemble.robot.kinematic.cell import KinematicCell
+from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene, get_grasps
+from learn2assemble.robot.record import BuildRecord, find_fault
 from learn2assemble.simulator import Simulator
 from learn2assemble.viewer import write_page
 from learn2assemble.viewer.playback import Playback
-from learn2assemble.world.designs import parse_design, read_design, required_share
-from learn2assemble.world.layout_file import Layout, read_layout
+from learn2assemble.world.design_bounds import parse_design, read_design, required_share
 
 Array = np.ndarray | None
 PANDA = get_arm("panda")

@@ -21,16 +21,21 @@ from arm_record import arm_plan, arm_record
 from headless import SPATIAL, browse, pixels, shoot
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.robot import shape as shapes
-from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.meshes import Mesh, box, capsule, shaded
-from learn2assemble.robot.model import arm_model
-from learn2assemble.robot.outcome import Outcome
+from learn2assemble.robot.arm import arm_model, get_arm
+from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.record import BuildRecord, Stage
-from learn2assemble.robot.shape import arm_shape
-from learn2assemble.viewer import arm_words
+from learn2assemble.robot.shape import Mesh, arm_shape, box, capsule, shaded
+from learn2assemble.viewer import words as arm_words
 from learn2assemble.viewer.page import render_page, write_page
-from learn2assemble.viewer.playback import PAUSE, Playback, split
-from learn2assemble.viewer.turns import blend, product, quaternion_of, rotation_of
+from learn2assemble.viewer.playback import (
+    PAUSE,
+    Playback,
+    blend,
+    product,
+    quaternion_of,
+    rotation_of,
+    split,
+)
 
 EDGE = 0.05
 COUNT = 6

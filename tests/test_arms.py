@@ -10,10 +10,18 @@ import numpy as np
 import pytest
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.robot.arm import ARMS, Arm, get_arm, load_arm
+from learn2assemble.robot.arm import (
+    ARMS,
+    COLLISION_GROUP,
+    PICTURE_GROUP,
+    Arm,
+    arm_model,
+    arm_spec,
+    get_arm,
+    load_arm,
+)
 from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.model import COLLISION_GROUP, PICTURE_GROUP, arm_model, arm_spec
-from learn2assemble.robot.outcome import Outcome
+from learn2assemble.robot.moves import Outcome
 
 BOX, CAPSULE = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE
 

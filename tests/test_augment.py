@@ -7,14 +7,13 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from learn2assemble.geometry.mask import paper_mask
-from learn2assemble.learning.augment import EXCHANGE, MIRROR, random_symmetry
-from learn2assemble.learning.explore import random_actions, to_local
-from learn2assemble.learning.replay import Searched
+from learn2assemble.geometry.images import paper_mask
+from learn2assemble.learning.replay import EXCHANGE, MIRROR, Searched, random_symmetry
+from learn2assemble.learning.trainer import random_actions, to_local
 from learn2assemble.simulator import Simulator
 from learn2assemble.world.blocks import EDGE, HALF
+from learn2assemble.world.layouts import to_world
 from learn2assemble.world.rules import count_row, recover_all
-from learn2assemble.world.sides import to_world
 from learn2assemble.world.state import State
 from learning_data import TASKS, Recorded, rows_of
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from learn2assemble.evaluation.bounds import open_cells, return_bound
 from learn2assemble.evaluation.episodes import run_episodes
-from learn2assemble.planning.lookahead import lookahead_actions
-from learn2assemble.presets import get_task
+from learn2assemble.planning.world_model import lookahead_actions
+from learn2assemble.reproduction.bounds import open_cells, return_bound
 from learn2assemble.simulator import Simulator
+from learn2assemble.tasks import get_task
 
 
 def test_no_play_exceeds_the_bound() -> None:

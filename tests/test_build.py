@@ -11,16 +11,13 @@ import pytest
 from learn2assemble.networks.agent import Agent, default_agent, load_agent
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QNetwork
-from learn2assemble.planning.build import build
-from learn2assemble.planning.planner import plan_sequences
-from learn2assemble.planning.problem import Problem
-from learn2assemble.planning.sequence import Placement, replay, strip
-from learn2assemble.planning.sources import design_problem, preset_problem
-from learn2assemble.planning.verify import verify
-from learn2assemble.presets import PRESETS
+from learn2assemble.planning.build import build, verify
+from learn2assemble.planning.discover import Placement, plan_sequences, replay, strip
+from learn2assemble.planning.problem import Problem, design_problem, preset_problem
 from learn2assemble.simulator import Simulator
-from learn2assemble.world.actions import RELATIONS
-from learn2assemble.world.designs import parse_design, read_design
+from learn2assemble.tasks import PRESETS
+from learn2assemble.world.blocks import RELATIONS
+from learn2assemble.world.design_bounds import parse_design, read_design
 
 ROOT = Path(__file__).parent.parent
 DESIGNS = sorted((ROOT / "examples" / "designs").glob("*.json"))

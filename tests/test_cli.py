@@ -24,8 +24,8 @@ from learn2assemble.cli.parser import COMMANDS, make_parser
 from learn2assemble.networks.agent import Agent, load_agent, pretrained_names, save_agent
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QNetwork
-from learn2assemble.presets import PRESETS
-from learn2assemble.search.named import SEARCHES
+from learn2assemble.search.config import SEARCHES
+from learn2assemble.tasks import PRESETS
 
 torch.set_num_threads(1)
 

@@ -16,11 +16,10 @@ from hypothesis import strategies as st
 
 from bad_designs import BAD, BOX, GOOD, BadDesign
 from learn2assemble.errors import InputError
-from learn2assemble.geometry.bits import ROWS, to_pixels
-from learn2assemble.geometry.camera import HALF_EXTENT, IMAGE_SIZE, unproject
+from learn2assemble.geometry.images import HALF_EXTENT, IMAGE_SIZE, ROWS, to_pixels, unproject
 from learn2assemble.world.blocks import EDGE, HALF
-from learn2assemble.world.design_pixels import NUM_LEVELS
-from learn2assemble.world.designs import (
+from learn2assemble.world.design import NUM_LEVELS
+from learn2assemble.world.design_bounds import (
     Cell,
     Design,
     Elevation,
@@ -34,8 +33,8 @@ from learn2assemble.world.designs import (
     unsupported_cells,
     write_design,
 )
+from learn2assemble.world.layouts import side_frames, to_world
 from learn2assemble.world.rules import count_row, recover_all
-from learn2assemble.world.sides import side_frames, to_world
 from learn2assemble.world.state import State, empty_state
 
 EXAMPLES = sorted((Path(__file__).parent.parent / "examples" / "designs").glob("*.json"))

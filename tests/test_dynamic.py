@@ -12,22 +12,25 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.errors import InputError
+from learn2assemble.evaluation.bench import build_wall
 from learn2assemble.robot.arm import Arm, get_arm
-from learn2assemble.robot.attempt import Attempt
-from learn2assemble.robot.benchmark import build_wall
-from learn2assemble.robot.diverged import SimulationDivergedError
-from learn2assemble.robot.drives import Drives
-from learn2assemble.robot.dynamic import DynamicCell
-from learn2assemble.robot.grasps import Attitude, get_grasps
-from learn2assemble.robot.mjcf import TIMESTEP, about_z, heading, matrix
-from learn2assemble.robot.motion import OPENING
-from learn2assemble.robot.order import take_order
-from learn2assemble.robot.outcome import Outcome
-from learn2assemble.robot.prepare import Failure
-from learn2assemble.robot.recording import STAGES, Trajectory
-from learn2assemble.robot.replay import replay
-from learn2assemble.robot.resting import ONE_SIDED, ShiftRule, check_rest
-from learn2assemble.robot.scene import Move, Scene, put_down
+from learn2assemble.robot.dynamic.cell import DynamicCell, replay
+from learn2assemble.robot.dynamic.execution import ONE_SIDED, ShiftRule, check_rest
+from learn2assemble.robot.dynamic.model import TIMESTEP, about_z, heading, matrix, take_order
+from learn2assemble.robot.dynamic.prepare import Failure
+from learn2assemble.robot.dynamic.simulation import Drives, SimulationDivergedError
+from learn2assemble.robot.moves import (
+    OPENING,
+    STAGES,
+    Attempt,
+    Attitude,
+    Move,
+    Outcome,
+    Scene,
+    Trajectory,
+    get_grasps,
+    put_down,
+)
 from robot_scenes import GROUND, PITCH, cell, scene
 
 AA, AB, BA, BB = get_grasps("paper")

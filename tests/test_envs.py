@@ -23,17 +23,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.envs import env_id, register_all, spaces
-from learn2assemble.envs.render import COLOURS, SCALE
 from learn2assemble.envs.single import AssemblyEnv
 from learn2assemble.envs.vector import AssemblyVectorEnv
+from learn2assemble.envs.worlds import COLOURS, SCALE
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.graph.features import Graph, connectivity
 from learn2assemble.physics.protocol import Verdict
 from learn2assemble.physics.static import StaticPhysics
-from learn2assemble.presets import PRESETS, get_task
 from learn2assemble.simulator import Simulator
-from learn2assemble.world.actions import DIRECTIONS, RELATIONS
-from learn2assemble.world.blocks import EDGE
+from learn2assemble.tasks import PRESETS, get_task
+from learn2assemble.world.blocks import DIRECTIONS, EDGE, RELATIONS
 
 DATA = Path(__file__).parent / "data"
 SMALL = "two-sided-3x3-20-24"

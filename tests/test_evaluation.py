@@ -24,12 +24,11 @@ from learn2assemble.learning.trainer import TRAINING_STREAM, Trainer
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QNetwork
 from learn2assemble.physics.rigid import RigidPhysics
-from learn2assemble.planning.sources import preset_problem
+from learn2assemble.planning.problem import preset_problem
 from learn2assemble.planning.world_model import WorldModel
-from learn2assemble.presets import get_task
 from learn2assemble.search.config import SearchConfig
 from learn2assemble.simulator import Simulator
-from learn2assemble.task import Task
+from learn2assemble.tasks import Task, get_task
 from learn2assemble.world.state import State
 
 torch.set_num_threads(1)

@@ -10,31 +10,32 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.errors import InputError, Learn2AssembleError
-from learn2assemble.evaluation.bounds import return_bound
-from learn2assemble.evaluation.exact import exact_return, replay_actions
-from learn2assemble.evaluation.object_bounds import (
-    object_return_bound,
-    state_inventory,
-    state_lattice,
+from learn2assemble.geometry.coverage import add_box
+from learn2assemble.geometry.images import ROWS, WORDS, from_pixels, to_pixels
+from learn2assemble.graph.features import node_offset
+from learn2assemble.planning.world_model import lookahead_actions
+from learn2assemble.reproduction.bounds import (
+    exact_return,
+    find_towers,
+    replay_actions,
+    return_bound,
+    tower_bound,
 )
-from learn2assemble.evaluation.packing import (
+from learn2assemble.reproduction.packing import (
     Inventory,
     Lattice,
     discounted_bound,
     gaining_poses,
     most_pixels,
+    object_return_bound,
+    state_inventory,
+    state_lattice,
     turned,
 )
-from learn2assemble.evaluation.towers import find_towers, tower_bound
-from learn2assemble.geometry.bits import ROWS, WORDS, from_pixels, to_pixels
-from learn2assemble.geometry.coverage import add_box
-from learn2assemble.graph.features import node_offset
-from learn2assemble.planning.lookahead import lookahead_actions
-from learn2assemble.presets import get_task
 from learn2assemble.simulator import Simulator
-from learn2assemble.task import Task
+from learn2assemble.tasks import Task, get_task
 from learn2assemble.world.blocks import EDGE, HALF
-from learn2assemble.world.design_pixels import (
+from learn2assemble.world.design import (
     MAX_COLUMN,
     cell_pixels,
     face_pixels,

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from learn2assemble.evaluation.fidelities import compare
 from learn2assemble.networks.agent import load_agent
-from learn2assemble.presets import get_task
-from learn2assemble.robot.attempt import Attempt
-from learn2assemble.robot.kinematic import KinematicCell
-from learn2assemble.robot.outcome import Outcome
+from learn2assemble.robot.kinematic.cell import KinematicCell
+from learn2assemble.robot.moves import Attempt, Outcome
+from learn2assemble.tasks import get_task
 
 TASK = get_task("robot-two-sided-3x3-10-14")
 

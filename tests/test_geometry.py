@@ -12,15 +12,6 @@ import shapely
 from hypothesis import Phase, assume, example, given, settings
 from hypothesis import strategies as st
 
-from learn2assemble.geometry.bits import (
-    ROWS,
-    WORDS,
-    from_pixels,
-    popcount,
-    span_word,
-    to_pixels,
-)
-from learn2assemble.geometry.camera import HALF_EXTENT, IMAGE_SIZE, project, unproject
 from learn2assemble.geometry.coverage import (
     NARROW,
     WIDE,
@@ -29,7 +20,20 @@ from learn2assemble.geometry.coverage import (
     clear_to_ground,
     count_cover,
 )
-from learn2assemble.geometry.mask import paper_mask, polygon_mask
+from learn2assemble.geometry.images import (
+    HALF_EXTENT,
+    IMAGE_SIZE,
+    ROWS,
+    WORDS,
+    from_pixels,
+    paper_mask,
+    polygon_mask,
+    popcount,
+    project,
+    span_word,
+    to_pixels,
+    unproject,
+)
 from learn2assemble.world.sampling import sample_outline
 
 HALF = 0.025

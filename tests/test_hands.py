@@ -11,16 +11,14 @@ from hypothesis import strategies as st
 
 from learn2assemble.graph.batch import to_tensors
 from learn2assemble.graph.features import Graph, node_offset
-from learn2assemble.graph.hands import AROUND, look_around
 from learn2assemble.graph.placements import Placements, distinct_placements
-from learn2assemble.graph.relations import OFFSETS, REACH, WINDOW
-from learn2assemble.networks.build import make_network
+from learn2assemble.graph.relations import AROUND, OFFSETS, REACH, WINDOW, look_around
+from learn2assemble.networks.agent import make_network
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.placement import PlacementNetwork
-from learn2assemble.robot.grasps import get_grasps, turn
-from learn2assemble.robot.outcome import Outcome
+from learn2assemble.robot.moves import Outcome, get_grasps, turn
 from learn2assemble.simulator import Simulator
-from learn2assemble.task import Task
+from learn2assemble.tasks import Task
 from learn2assemble.world.blocks import EDGE
 from learn2assemble.world.state import State
 from learning_data import advance

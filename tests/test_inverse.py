@@ -10,11 +10,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.robot.arm import ARMS, Arm, get_arm
-from learn2assemble.robot.attempts import SINGULAR_VALUE, TOLERANCE
-from learn2assemble.robot.inverse import IKFailure, solve, solve_many
+from learn2assemble.robot.arm import ARMS, Arm, arm_model, get_arm
+from learn2assemble.robot.inverse import SINGULAR_VALUE, TOLERANCE, IKFailure, solve, solve_many
 from learn2assemble.robot.kinematics import forward, forward_many, get_chain, jacobian
-from learn2assemble.robot.model import arm_model
 
 
 @pytest.fixture(params=ARMS)

@@ -12,14 +12,25 @@ from hypothesis import strategies as st
 
 from learn2assemble.errors import UnknownNameError
 from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.collision import CollisionModel
-from learn2assemble.robot.columns import Columns
-from learn2assemble.robot.grasps import GRASP_SETS, Attitude, get_grasps, turn
-from learn2assemble.robot.kinematic import Attempt, KinematicCell
+from learn2assemble.robot.kinematic.cell import Attempt, KinematicCell
+from learn2assemble.robot.kinematic.collision import CollisionModel
+from learn2assemble.robot.kinematic.columns import Columns
 from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.motion import OPENING, column, crossing_height
-from learn2assemble.robot.outcome import Outcome
-from learn2assemble.robot.scene import Move, Scene, carried, fillers, put_down
+from learn2assemble.robot.moves import (
+    GRASP_SETS,
+    OPENING,
+    Attitude,
+    Move,
+    Outcome,
+    Scene,
+    carried,
+    column,
+    crossing_height,
+    fillers,
+    get_grasps,
+    put_down,
+    turn,
+)
 from robot_scenes import GROUND, cell, scene
 
 AA, AB, BA, BB = get_grasps("paper")

@@ -10,16 +10,17 @@ import numpy as np
 import pytest
 
 from learn2assemble.errors import InputError
-from learn2assemble.robot.arm import ARMS, Arm, get_arm, load_arm
+from learn2assemble.robot.arm import ARMS, Arm, arm_model, get_arm, load_arm
 from learn2assemble.robot.kinematics import (
     forward,
     forward_many,
     get_chain,
     jacobian,
     link_frames,
+    logarithm,
+    rotation_vector,
+    smallest_singular_value,
 )
-from learn2assemble.robot.model import arm_model
-from learn2assemble.robot.rotations import logarithm, rotation_vector, smallest_singular_value
 
 
 @pytest.fixture(params=ARMS)

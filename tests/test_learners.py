@@ -16,19 +16,17 @@ from learn2assemble.evaluation.episodes import greedy_policy, make_policy, run_e
 from learn2assemble.graph.batch import to_tensors
 from learn2assemble.graph.features import node_offset
 from learn2assemble.learning.config import TrainConfig, get_config, override
-from learn2assemble.learning.explore import to_local
-from learn2assemble.learning.loss import q_loss, td_targets
+from learn2assemble.learning.loss import q_loss, search_cross_entropy, td_targets
 from learn2assemble.learning.replay import Searched
 from learn2assemble.learning.run import train
-from learn2assemble.learning.search_term import search_cross_entropy
-from learn2assemble.learning.trainer import Trainer
+from learn2assemble.learning.trainer import Trainer, to_local
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QFactors
 from learn2assemble.planning.world_model import WorldModel
-from learn2assemble.presets import get_task
+from learn2assemble.search.config import training_search
 from learn2assemble.search.mcts import search
-from learn2assemble.search.named import training_search
 from learn2assemble.simulator import Simulator
+from learn2assemble.tasks import get_task
 from learn2assemble.world.state import State
 from learning_data import RELATIONAL, SMALL, TINY, look_ahead
 

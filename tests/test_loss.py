@@ -13,7 +13,7 @@ from learn2assemble.graph.features import Graph, node_offset
 from learn2assemble.learning.config import TrainConfig
 from learn2assemble.learning.loss import dense_error, q_loss, td_targets
 from learn2assemble.learning.replay import Batch
-from learn2assemble.networks.build import Network
+from learn2assemble.networks.agent import Network
 from learn2assemble.networks.placement import PlacementValues
 from learn2assemble.networks.qnetwork import NEGATIVE, QFactors
 from learn2assemble.world.outcomes import Outcomes

@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 from learn2assemble.errors import InputError
 from learn2assemble.graph.batch import GraphTensors, to_tensors
 from learn2assemble.graph.features import Graph, connectivity
-from learn2assemble.networks.attention import ROTARY, AttentionRound, Rotation
 from learn2assemble.networks.config import NetworkConfig
-from learn2assemble.networks.qnetwork import QFactors, QNetwork
+from learn2assemble.networks.qnetwork import ROTARY, AttentionRound, QFactors, QNetwork, Rotation
 
 torch.set_num_threads(1)
 

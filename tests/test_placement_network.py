@@ -14,19 +14,17 @@ from hypothesis import strategies as st
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.graph.batch import GraphTensors, to_tensors
 from learn2assemble.graph.features import Graph
-from learn2assemble.graph.placement_keys import MAX_CELLS
-from learn2assemble.graph.placements import distinct_placements
+from learn2assemble.graph.placements import MAX_CELLS, distinct_placements
 from learn2assemble.graph.relations import EDGE_FEATURES, OFFSETS
-from learn2assemble.learning.explore import random_actions
-from learn2assemble.networks.build import at_pitch, make_network
+from learn2assemble.learning.trainer import random_actions
+from learn2assemble.networks.agent import at_pitch, make_network
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.placement import PlacementNetwork, PlacementValues
 from learn2assemble.networks.qnetwork import QNetwork
 from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.simulator import Simulator
-from learn2assemble.task import Task
-from learn2assemble.world.actions import get_ways
-from learn2assemble.world.blocks import EDGE
+from learn2assemble.tasks import Task
+from learn2assemble.world.blocks import EDGE, get_ways
 from learn2assemble.world.state import State
 from learning_data import advance
 from turned import turned_graph

@@ -11,12 +11,10 @@ from hypothesis import strategies as st
 
 import learn2assemble.physics.static as static_module
 from learn2assemble.graph.features import Graph, node_offset
-from learn2assemble.graph.placement_keys import action_keys
-from learn2assemble.graph.placements import distinct_placements, locate
+from learn2assemble.graph.placements import action_keys, distinct_placements, locate
 from learn2assemble.simulator import Simulator
-from learn2assemble.task import Task
-from learn2assemble.world.actions import get_ways
-from learn2assemble.world.blocks import EDGE, HALF
+from learn2assemble.tasks import Task
+from learn2assemble.world.blocks import EDGE, HALF, get_ways
 from learn2assemble.world.state import State
 from learning_data import advance, look_ahead
 

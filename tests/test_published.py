@@ -8,27 +8,34 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from learn2assemble.checkers import resolve_judge
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.evaluation.recorded import Log, read_lines
-from learn2assemble.evaluation.robot_replay import (
+from learn2assemble.reproduction.bullet.cell import OPENING, PublishedCell, published_rules
+from learn2assemble.reproduction.bullet.contacts import (
+    BREAKING,
+    FIRST,
+    REST,
+    accelerate,
+    empty,
+    move,
+    points,
+    rotations,
+    touching,
+    update,
+    wake,
+)
+from learn2assemble.reproduction.bullet.world import HOME, TIMESTEP, HandWorld, MotorArm, hand_parts
+from learn2assemble.reproduction.recordings import Log, read_lines
+from learn2assemble.reproduction.robot_replay import (
     CLASSES,
     kinematic,
     recorded_order,
     replay_robot_file,
     simple_rule,
 )
-from learn2assemble.judges import published_rules, resolve_judge
-from learn2assemble.presets import get_task
 from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.freebodies import FIRST, REST, accelerate, move, rotations, wake
-from learn2assemble.robot.grasps import get_grasps
-from learn2assemble.robot.handshapes import hand_parts
-from learn2assemble.robot.handworld import HandWorld
-from learn2assemble.robot.manifolds import BREAKING, empty, points, touching, update
-from learn2assemble.robot.outcome import Outcome
-from learn2assemble.robot.published import OPENING, PublishedCell
-from learn2assemble.robot.published_arm import HOME, TIMESTEP, MotorArm
-from learn2assemble.robot.scene import Move, Scene
+from learn2assemble.robot.moves import Move, Outcome, Scene, get_grasps
+from learn2assemble.tasks import get_task
 from robot_scenes import cell, scene
 
 AA, AB, BA, BB = get_grasps("paper")

@@ -17,23 +17,27 @@ from hypothesis import strategies as st
 from arm_record import arm_record
 from learn2assemble.errors import InputError
 from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.dynamic import DynamicCell
-from learn2assemble.robot.grasps import get_grasps
+from learn2assemble.robot.dynamic.cell import DynamicCell
 from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.logbook import LOST, Logbook, holding, stages_of, upright
-from learn2assemble.robot.motion import OPENING
-from learn2assemble.robot.outcome import Outcome
-from learn2assemble.robot.record import BuildRecord, Samples, Stage, StepRecord
-from learn2assemble.robot.record_check import find_fault, require_sound
-from learn2assemble.robot.record_csv import csv_header, read_csv, write_csv
+from learn2assemble.robot.moves import OPENING, STAGES, Move, Outcome, Scene, Trajectory, get_grasps
+from learn2assemble.robot.record import (
+    BuildRecord,
+    Samples,
+    Stage,
+    StepRecord,
+    find_fault,
+    require_sound,
+)
 from learn2assemble.robot.record_files import (
+    csv_header,
+    read_csv,
     read_record,
     record_data,
     record_from,
+    write_csv,
     write_record,
 )
-from learn2assemble.robot.recording import STAGES, Trajectory
-from learn2assemble.robot.scene import Move, Scene
+from learn2assemble.robot.recorder import LOST, Logbook, holding, stages_of, upright
 
 
 @pytest.fixture(scope="module")

@@ -8,13 +8,12 @@ import shapely
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from learn2assemble.geometry.camera import unproject
-from learn2assemble.geometry.mask import pixel_vertex
+from learn2assemble.geometry.images import pixel_vertex, unproject
 from learn2assemble.graph.features import Graph
 from learn2assemble.graph.placements import Placements, distinct_placements
 from learn2assemble.graph.relations import OFFSETS, REACH, WINDOW, relate
 from learn2assemble.simulator import Simulator
-from learn2assemble.task import Task
+from learn2assemble.tasks import Task
 from learn2assemble.world.blocks import EDGE, HALF
 from learn2assemble.world.state import State
 from learning_data import advance

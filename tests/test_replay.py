@@ -14,11 +14,10 @@ import numpy as np
 import pytest
 
 from learn2assemble.errors import InputError
-from learn2assemble.evaluation.recorded import fit_tilt, read_lines
-from learn2assemble.evaluation.replay import ReplayReport, replay_file, replay_files
 from learn2assemble.physics.rigid import RigidPhysics
-from learn2assemble.world.actions import DIRECTIONS
-from learn2assemble.world.blocks import EDGE
+from learn2assemble.reproduction.recordings import fit_tilt, read_lines
+from learn2assemble.reproduction.replay import ReplayReport, replay_file, replay_files
+from learn2assemble.world.blocks import DIRECTIONS, EDGE
 
 MIXED = ["2wo_g3_n30", "2wo_g4_n40", "2wo_g5_n50", "4wo_g3_n30", "4wo_g5_n50", "1mimic_g3_n27"]
 SUPPORTED = ["2wo_g5_n50_supported", "4wo_g5_n50_supported"]
@@ -366,7 +365,7 @@ def test_indices_out_of_range_are_refused(tmp_path: Path, line: dict[str, Any]) 
         paths.append(str(_write(folder, {**line, **change(line)})))
     script = (
         "import sys; from pathlib import Path; from learn2assemble.errors import InputError\n"
-        "from learn2assemble.evaluation.replay import replay_file\n"
+        "from learn2assemble.reproduction.replay import replay_file\n"
         "for path in sys.argv[1:]:\n"
         "    try: replay_file(Path(path))\n"
         "    except InputError: pass\n"

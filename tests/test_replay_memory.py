@@ -16,7 +16,7 @@ from learn2assemble.learning.config import TrainConfig
 from learn2assemble.learning.replay import Batch, Replay
 from learn2assemble.learning.trainer import Trainer
 from learn2assemble.simulator import Simulator
-from learn2assemble.world.actions import get_ways
+from learn2assemble.world.blocks import get_ways
 from learn2assemble.world.outcomes import Outcomes
 from learning_data import RELATIONAL, TINY
 

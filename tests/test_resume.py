@@ -154,7 +154,7 @@ import torch
 torch.set_num_threads(1)
 import learn2assemble.learning.run as run
 from learn2assemble.learning.config import TrainConfig
-from learn2assemble.task import Task
+from learn2assemble.tasks import Task
 run.CHECKPOINT_SECONDS = 0.2
 run.LOG_SECONDS = 0.05
 import json

@@ -12,14 +12,19 @@ from hypothesis import strategies as st
 
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.physics.equilibrium import is_stable
-from learn2assemble.physics.mjcf import SHRINK, build_spec, compile_model, group_cells
 from learn2assemble.physics.protocol import Physics, Verdict
-from learn2assemble.physics.rigid import RULES, RigidPhysics
+from learn2assemble.physics.rigid import (
+    RULES,
+    SHRINK,
+    RigidPhysics,
+    build_spec,
+    compile_model,
+    group_cells,
+)
 from learn2assemble.physics.static import StaticPhysics
-from learn2assemble.presets import get_task
 from learn2assemble.simulator import Simulator
-from learn2assemble.world.actions import DIRECTIONS
-from learn2assemble.world.blocks import EDGE, HALF, MASS
+from learn2assemble.tasks import get_task
+from learn2assemble.world.blocks import DIRECTIONS, EDGE, HALF, MASS
 from learn2assemble.world.state import State, empty_state
 
 SEEDS = st.integers(0, 2**32 - 1)

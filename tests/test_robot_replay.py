@@ -14,13 +14,11 @@ import numpy as np
 import pytest
 
 from learn2assemble.errors import InputError
-from learn2assemble.evaluation.recorded import VARIANTS, drifted, read_lines
-from learn2assemble.evaluation.replay import replay_file
-from learn2assemble.evaluation.replay_report import ReplayReport
 from learn2assemble.physics.rigid import RigidPhysics
-from learn2assemble.presets import get_task
-from learn2assemble.world.actions import DIRECTIONS
-from learn2assemble.world.blocks import EDGE
+from learn2assemble.reproduction.recordings import VARIANTS, drifted, read_lines
+from learn2assemble.reproduction.replay import ReplayReport, replay_file
+from learn2assemble.tasks import get_task
+from learn2assemble.world.blocks import DIRECTIONS, EDGE
 
 FILES = {
     # Lines, lines at which the arm did not fail, blocks that fell, least share of exact views.

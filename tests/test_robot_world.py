@@ -14,31 +14,33 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from learn2assemble.checkers import resolve_physics
 from learn2assemble.errors import InputError, Learn2AssembleError, UnknownNameError
-from learn2assemble.evaluation.perfect import has_bound
-from learn2assemble.geometry.boxes import FLOATING, STABLE, UNSTABLE, classify_cube
-from learn2assemble.geometry.support import classify_object, find_fillers
+from learn2assemble.geometry.support import (
+    FLOATING,
+    STABLE,
+    UNSTABLE,
+    classify_cube,
+    classify_object,
+    find_fillers,
+)
 from learn2assemble.learning.config import fit_to, get_config
 from learn2assemble.learning.trainer import Trainer
-from learn2assemble.networks.build import make_network
+from learn2assemble.networks.agent import make_network
 from learn2assemble.physics.equilibrium import is_stable
-from learn2assemble.physics.mjcf import compile_model, object_parts
-from learn2assemble.physics.named import resolve_physics
 from learn2assemble.physics.protocol import Verdict
-from learn2assemble.physics.rigid import RigidPhysics
+from learn2assemble.physics.rigid import RigidPhysics, compile_model, object_parts
 from learn2assemble.physics.static import StaticPhysics
-from learn2assemble.planning.legacy import LegacyModel
-from learn2assemble.planning.sources import preset_problem
+from learn2assemble.planning.problem import preset_problem
 from learn2assemble.planning.world_model import WorldModel
-from learn2assemble.presets import PRESETS, get_task
+from learn2assemble.reproduction.bounds import has_bound
+from learn2assemble.reproduction.restore_faults import LegacyModel
 from learn2assemble.search.config import SearchConfig
 from learn2assemble.search.mcts import search
 from learn2assemble.simulator import Simulator
-from learn2assemble.task import Task
-from learn2assemble.world.actions import DIRECTIONS, get_ways, quarter_turn
-from learn2assemble.world.blocks import EDGE, HALF, MASS
-from learn2assemble.world.layouts import waiting_places
-from learn2assemble.world.objects import SHAPES
+from learn2assemble.tasks import PRESETS, Task, get_task
+from learn2assemble.world.blocks import DIRECTIONS, EDGE, HALF, MASS, SHAPES, get_ways, quarter_turn
+from learn2assemble.world.layouts import side_frames, waiting_places
 from learn2assemble.world.rules import (
     last_object,
     move_block,
@@ -47,7 +49,6 @@ from learn2assemble.world.rules import (
     waiting_level,
 )
 from learn2assemble.world.sampling import scatter
-from learn2assemble.world.sides import side_frames
 from learn2assemble.world.state import State, empty_state
 
 SEEDS = st.integers(0, 2**32 - 1)

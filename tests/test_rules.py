@@ -7,12 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from learn2assemble.geometry.bits import IMAGE_SIZE, ROWS, from_pixels
-from learn2assemble.presets import PRESETS, get_task
+from learn2assemble.geometry.images import IMAGE_SIZE, ROWS, from_pixels
 from learn2assemble.simulator import Simulator
-from learn2assemble.task import Task
-from learn2assemble.world.actions import DIRECTIONS, RELATIONS
-from learn2assemble.world.blocks import EDGE, HALF
+from learn2assemble.tasks import PRESETS, Task, get_task
+from learn2assemble.world.blocks import DIRECTIONS, EDGE, HALF, RELATIONS
+from learn2assemble.world.layouts import side_frames
 from learn2assemble.world.rules import (
     DISCRETE,
     SCALED,
@@ -25,7 +24,6 @@ from learn2assemble.world.rules import (
     recover_all,
     target_cell,
 )
-from learn2assemble.world.sides import side_frames
 from learn2assemble.world.state import State, empty_state
 
 SEEDS = st.integers(0, 2**32 - 1)

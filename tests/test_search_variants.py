@@ -12,11 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.search.config import TO_THE_END, GumbelConfig, SearchConfig
-from learn2assemble.search.gumbel import completed_policy, scores
+from learn2assemble.search.config import (
+    SEARCHES,
+    TO_THE_END,
+    GumbelConfig,
+    SearchConfig,
+    get_search,
+    training_search,
+)
 from learn2assemble.search.mcts import search
-from learn2assemble.search.named import SEARCHES, get_search, training_search
-from learn2assemble.search.rules import final_key
+from learn2assemble.search.rules import completed_policy, final_key, gumbel_scores
 from learn2assemble.search.tree import Node
 from search_data import Edge, TreeModel, best_return, decide, explored, random_tree, root, size
 
@@ -268,7 +273,7 @@ def test_gumbel_scores_by_hand() -> None:
     decision = search(model, root(), config, np.random.default_rng(0))[0]
     # Considered are Q = 1 and Q = 0.5; completed Q: 0, 0 (never simulated), 9.
     expected = np.array([0.5, 0.0, 0.25]) + (4 + 1) * 0.1 * np.array([0.0, 0.0, 1.0])
-    np.testing.assert_allclose(scores(decision.root, config), expected)
+    np.testing.assert_allclose(gumbel_scores(decision.root, config), expected)
     np.testing.assert_allclose(
         completed_policy(decision.root, config), np.exp(expected) / np.exp(expected).sum()
     )

@@ -15,12 +15,10 @@ from learn2assemble.cli import main
 from learn2assemble.cli.table import _insert as insert
 from learn2assemble.cli.table import markers
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.evaluation import curves as curves_module
-from learn2assemble.evaluation.curves import FIGURES, get_figure, load_curves, read_log
-from learn2assemble.evaluation.table_report import load_table
-from learn2assemble.evaluation.table_text import QUICK, compact_markdown
-from learn2assemble.evaluation.tables import TABLES, get_table
-from learn2assemble.learning.recipes import (
+from learn2assemble.networks.agent import load_agent
+from learn2assemble.reproduction import curves as curves_module
+from learn2assemble.reproduction.curves import FIGURES, get_figure, load_curves, read_log
+from learn2assemble.reproduction.recipes import (
     RECIPES,
     Recipe,
     Stage,
@@ -29,8 +27,9 @@ from learn2assemble.learning.recipes import (
     stage_folder,
     train_recipes,
 )
-from learn2assemble.networks.agent import load_agent
-from learn2assemble.presets import PRESETS
+from learn2assemble.reproduction.report import QUICK, compact_markdown, load_table
+from learn2assemble.reproduction.tables import TABLES, get_table
+from learn2assemble.tasks import PRESETS
 from test_tables import NAME, SMALL, save_tiny
 
 torch.set_num_threads(1)

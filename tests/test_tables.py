@@ -14,47 +14,56 @@ import pytest
 import torch
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.evaluation import published as published_module
-from learn2assemble.evaluation.bounds import return_bound
-from learn2assemble.evaluation.cells import BOUND, Cell, measure
 from learn2assemble.evaluation.episodes import episode_generators, make_policy, run_episodes
-from learn2assemble.evaluation.exact import exact_return
-from learn2assemble.evaluation.published import Published, published
-from learn2assemble.evaluation.results_store import (
+from learn2assemble.networks.agent import Agent, load_agent, save_agent
+from learn2assemble.networks.config import NetworkConfig
+from learn2assemble.networks.qnetwork import QNetwork
+from learn2assemble.reproduction import report as published_module
+from learn2assemble.reproduction.bounds import exact_return, return_bound
+from learn2assemble.reproduction.cells import (
+    BOUND,
+    Cell,
+    Job,
     agent_hash,
     find_agents,
     is_current,
+    jobs,
+    measure,
     read_result,
+    row_cells,
+    run_jobs,
+    stale,
     write_result,
 )
-from learn2assemble.evaluation.table_report import (
+from learn2assemble.reproduction.recipes import RECIPES
+from learn2assemble.reproduction.report import (
     NOT_AVAILABLE,
     NOT_MEASURED,
     NOT_TRAINED,
+    QUICK,
+    Published,
     Summary,
     below_paper,
+    compact_markdown,
     fails_more,
     load_table,
+    markdown,
+    published,
 )
-from learn2assemble.evaluation.table_run import Job, jobs, row_cells, run_jobs, stale
-from learn2assemble.evaluation.table_spec import (
+from learn2assemble.reproduction.tables import (
     LOOK_AHEAD,
+    TABLES,
     UNTRAINED,
     Column,
     Condition,
     Row,
     Table,
     agent_seed,
+    get_table,
 )
-from learn2assemble.evaluation.table_text import QUICK, compact_markdown, markdown
-from learn2assemble.evaluation.tables import TABLES, get_table
-from learn2assemble.learning.recipes import RECIPES
-from learn2assemble.networks.agent import Agent, load_agent, save_agent
-from learn2assemble.networks.config import NetworkConfig
-from learn2assemble.networks.qnetwork import QNetwork
-from learn2assemble.presets import get_task
 from learn2assemble.search.config import TO_THE_END, SearchConfig
 from learn2assemble.simulator import Simulator
+from learn2assemble.tasks import get_task
 
 torch.set_num_threads(1)
 

@@ -13,12 +13,11 @@ import torch
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.graph.batch import to_tensors
 from learn2assemble.learning.config import CONFIGS, TrainConfig, fit_to, get_config, override
-from learn2assemble.learning.explore import epsilon_greedy, to_local
 from learn2assemble.learning.run import choose_device
-from learn2assemble.learning.trainer import Trainer
+from learn2assemble.learning.trainer import Trainer, epsilon_greedy, to_local
 from learn2assemble.networks.config import NetworkConfig
-from learn2assemble.presets import get_task
 from learn2assemble.simulator import Simulator
+from learn2assemble.tasks import get_task
 from learning_data import RELATIONAL, SMALL, TINY, network
 
 

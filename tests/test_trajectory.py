@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.errors import InputError
-from learn2assemble.robot.trajectory import (
+from learn2assemble.robot.dynamic.trajectory import (
     JointPath,
     Leg,
     Limits,
@@ -149,7 +149,7 @@ def test_numbers_must_be_finite() -> None:
 def test_without_ruckig_the_extra_is_named() -> None:
     done = subprocess.run(
         [sys.executable, "-c", "import sys; sys.modules['ruckig'] = None\n"
-         "import learn2assemble.robot.dynamic"],
+         "import learn2assemble.robot.dynamic.cell"],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode != 0

@@ -9,17 +9,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from learn2assemble.robot.approach import JUMP, SPACING, JointColumn, joint_column, joint_columns
 from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.grasps import Attitude, get_grasps
+from learn2assemble.robot.dynamic.model import compile_world, take_order
+from learn2assemble.robot.dynamic.prepare import (
+    JUMP,
+    PRESS,
+    SPACING,
+    Failure,
+    JointColumn,
+    joint_column,
+    joint_columns,
+    prepare,
+)
+from learn2assemble.robot.dynamic.transit import Surroundings, Touch, straight_or_tree
 from learn2assemble.robot.inverse import solve
 from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.mjcf import compile_world
-from learn2assemble.robot.motion import OPENING
-from learn2assemble.robot.order import take_order
-from learn2assemble.robot.prepare import PRESS, Failure, prepare
-from learn2assemble.robot.scene import Move, Scene
-from learn2assemble.robot.transit import Surroundings, Touch, straight_or_tree
+from learn2assemble.robot.moves import OPENING, Attitude, Move, Scene, get_grasps
 
 PANDA = get_arm("panda")
 AA = get_grasps("along-y")[0]
@@ -151,7 +156,7 @@ def test_where_no_way_is_free_the_target_is_unreachable(monkeypatch: pytest.Monk
     def nowhere(*_: object) -> Touch:
         return Touch("link5 touches block 0", True)
 
-    monkeypatch.setattr("learn2assemble.robot.prepare.straight_or_tree", nowhere)
+    monkeypatch.setattr("learn2assemble.robot.dynamic.prepare.straight_or_tree", nowhere)
     order = take_order(tower(1), Move(1, np.array([0.0, 0.15, 0.025]), *AA))
     world = compile_world(PANDA, order.objects.shape, 1.0)
     with pytest.raises(Failure, match=r"unreachable \(cross\): no free way: link5 touches"):

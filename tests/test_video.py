@@ -18,13 +18,22 @@ from arm_record import arm_plan, arm_record
 from learn2assemble.cli import view
 from learn2assemble.cli.arm_files import write_arm_files
 from learn2assemble.errors import InputError, MissingExtraError
-from learn2assemble.robot.meshes import box
 from learn2assemble.robot.record_files import write_record
-from learn2assemble.viewer.film import Film, ears
-from learn2assemble.viewer.lettering import fill_box, lettering, number_picture, rgb, write
-from learn2assemble.viewer.raster import GROUND, LIT, SAMPLES, blend_film, fill
-from learn2assemble.viewer.render import Buffers, Camera, Light, Triangles, render
-from learn2assemble.viewer.video import FRAMES_PER_SECOND, moments, write_video
+from learn2assemble.robot.shape import box
+from learn2assemble.viewer.cell_model import fill_box, lettering, number_picture, rgb, write
+from learn2assemble.viewer.renderer import (
+    GROUND,
+    LIT,
+    SAMPLES,
+    Buffers,
+    Camera,
+    Light,
+    Triangles,
+    blend_film,
+    fill,
+    render,
+)
+from learn2assemble.viewer.video import FRAMES_PER_SECOND, Film, ears, moments, write_video
 
 COUNT = 3
 SIZE = 64

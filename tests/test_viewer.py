@@ -23,14 +23,14 @@ from matplotlib.image import imread
 
 from headless import FLAT, SPATIAL, browse, pixels, shoot
 from learn2assemble.errors import InputError
-from learn2assemble.viewer import isometric, serve, write_page, write_progress
+from learn2assemble.viewer import picture as isometric
+from learn2assemble.viewer import serve, write_page, write_progress
 from learn2assemble.viewer.page import _json, render_page
 from learn2assemble.viewer.picture import moments, side_normal
 from learn2assemble.viewer.scene import hull, read_scene
 from learn2assemble.viewer.serve import open_server
 from learn2assemble.viewer.words import percent, summary
-from learn2assemble.world.layouts import waiting_places
-from learn2assemble.world.sides import side_frames
+from learn2assemble.world.layouts import side_frames, waiting_places
 
 EDGE = 0.05
 EXAMPLE = Path(__file__).parent / "data" / "example_plan.json"

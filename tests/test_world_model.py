@@ -9,12 +9,12 @@ import torch
 from learn2assemble.graph.features import node_offset
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QNetwork
-from learn2assemble.planning.legacy import LegacyModel
 from learn2assemble.planning.world_model import WorldModel
+from learn2assemble.reproduction.restore_faults import LegacyModel
 from learn2assemble.search.config import TO_THE_END, SearchConfig
 from learn2assemble.search.mcts import search
 from learn2assemble.simulator import Simulator
-from learn2assemble.task import Task
+from learn2assemble.tasks import Task
 from learn2assemble.world.state import State
 from learning_data import advance, look_ahead
 

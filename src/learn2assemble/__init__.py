@@ -8,7 +8,11 @@ from __future__ import annotations
 
 import importlib.util
 
+from learn2assemble.registry import add_plugin
+
 __version__ = "0.1.0"
+
+add_plugin("learn2assemble.reproduction")
 
 if importlib.util.find_spec("gymnasium") is not None:
     from learn2assemble.envs import register_all

@@ -11,17 +11,17 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from learn2assemble.checkers import resolve_judge
 from learn2assemble.errors import Learn2AssembleError
-from learn2assemble.geometry.boxes import STABLE
 from learn2assemble.geometry.coverage import FILTERS
+from learn2assemble.geometry.support import STABLE
 from learn2assemble.graph.features import Graph, build_graph, node_offset
 from learn2assemble.graph.placements import Placements
-from learn2assemble.judges import resolve_judge
 from learn2assemble.physics.protocol import Physics
 from learn2assemble.physics.static import survey, survey_objects
-from learn2assemble.task import MAX_VERTICES, Task
-from learn2assemble.world.layouts import waiting_places
-from learn2assemble.world.objects import inventory
+from learn2assemble.tasks import MAX_VERTICES, Task
+from learn2assemble.world.blocks import inventory
+from learn2assemble.world.layouts import side_frames, waiting_places
 from learn2assemble.world.outcomes import Outcomes, outcomes
 from learn2assemble.world.rules import (
     REWARDS,
@@ -36,7 +36,6 @@ from learn2assemble.world.rules import (
     waiting_level,
 )
 from learn2assemble.world.sampling import Problems, sample_problem
-from learn2assemble.world.sides import side_frames
 from learn2assemble.world.state import State, empty_state
 
 
@@ -113,7 +112,7 @@ class Simulator:
 
     Args:
         task: the problem distribution.
-        physics: the judge of placements, or its name, see :mod:`learn2assemble.judges`; static
+        physics: the judge of placements, or its name, see :mod:`learn2assemble.checkers`; static
             equilibrium by default, and the kinematic cell where the task has an arm.
 
     Raises:

@@ -6,10 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from learn2assemble.robot.record import BuildRecord
-from learn2assemble.robot.record_check import require_sound
-from learn2assemble.robot.record_csv import write_csv
-from learn2assemble.robot.record_files import write_record
+from learn2assemble.robot.record import BuildRecord, require_sound
+from learn2assemble.robot.record_files import write_csv, write_record
 from learn2assemble.viewer.video import write_video
 
 

@@ -14,21 +14,18 @@ from learn2assemble.cli.arm_files import write_arm_files
 from learn2assemble.cli.output import Output
 from learn2assemble.errors import InputError, UnknownNameError, look_up
 from learn2assemble.networks.agent import default_agent, load_agent
-from learn2assemble.planning.arm_build import build_with_arm, real_cell
 from learn2assemble.planning.build import build
-from learn2assemble.planning.problem import Problem
-from learn2assemble.planning.site import set_out
-from learn2assemble.planning.sources import design_problem, preset_problem
-from learn2assemble.presets import PRESETS
+from learn2assemble.planning.execute import build_with_arm, real_cell
+from learn2assemble.planning.problem import Problem, design_problem, preset_problem
+from learn2assemble.planning.supply import Layout, read_layout, set_out
 from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.kinematic import KinematicCell
+from learn2assemble.robot.kinematic.cell import KinematicCell
 from learn2assemble.robot.record import BuildRecord
 from learn2assemble.robot.registry import ARMS
-from learn2assemble.task import check_actions
+from learn2assemble.tasks import PRESETS, check_actions
 from learn2assemble.viewer import write_page, write_progress
 from learn2assemble.viewer.video import require_video
-from learn2assemble.world.designs import read_design
-from learn2assemble.world.layout_file import Layout, read_layout
+from learn2assemble.world.design_bounds import read_design
 
 DEFAULT_AGENT_TASK = "two-sided-3x3-20-24"
 DEFAULT_ARM_TASKS = ("robot-two-sided-3x3-10-14", "robot-four-sided-3x3-10-18")

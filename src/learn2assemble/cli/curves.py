@@ -7,8 +7,8 @@ from pathlib import Path
 
 from learn2assemble.cli.output import Output
 from learn2assemble.errors import InputError
-from learn2assemble.evaluation.curves import get_figure, load_curves
-from learn2assemble.viewer.curves import Line, write_curves
+from learn2assemble.reproduction.curves import get_figure, load_curves
+from learn2assemble.reproduction.pictures import Line, write_curves
 
 
 def run(options: argparse.Namespace) -> int:

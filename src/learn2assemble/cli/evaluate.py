@@ -11,15 +11,15 @@ from typing import Any
 import torch
 from tqdm import tqdm
 
+from learn2assemble.checkers import resolve_judge
 from learn2assemble.cli.output import Output
 from learn2assemble.errors import InputError
 from learn2assemble.evaluation.episodes import make_policy, run_episodes
-from learn2assemble.judges import resolve_judge
 from learn2assemble.learning.run import provenance
 from learn2assemble.networks.agent import default_agent, load_agent
-from learn2assemble.presets import get_task
-from learn2assemble.search.config import SearchConfig
-from learn2assemble.search.named import get_search
+from learn2assemble.reproduction.restore_faults import with_restore_faults
+from learn2assemble.search.config import SearchConfig, get_search
+from learn2assemble.tasks import get_task
 
 
 def _advance(bar: tqdm, done: int) -> None:
@@ -66,7 +66,8 @@ def run(options: argparse.Namespace) -> int:
     # One thread: small batches lose more by sharing than they gain.
     torch.set_num_threads(1)
     config = search_config(options)
-    policy = make_policy(task, agent.network, config, options.epsilon, legacy=options.legacy)
+    model = with_restore_faults if options.legacy else lambda exact: exact
+    policy = make_policy(task, agent.network, config, options.epsilon, search_model=model)
     with tqdm(total=options.episodes, unit=" episodes", desc=task.name) as bar:
         metrics = run_episodes(
             task, policy, options.episodes, options.seed, physics,

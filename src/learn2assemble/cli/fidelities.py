@@ -12,7 +12,7 @@ from learn2assemble.cli.output import Output
 from learn2assemble.errors import InputError
 from learn2assemble.evaluation.fidelities import Comparison, compare
 from learn2assemble.networks.agent import default_agent, load_agent
-from learn2assemble.presets import get_task
+from learn2assemble.tasks import get_task
 
 COLUMNS = (
     "task", "arm", "actions", "agree", "same outcome", "kinematic [ms]", "dynamic [ms]",

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from learn2assemble import __version__
-from learn2assemble.search.named import SEARCHES
+from learn2assemble.search.config import SEARCHES
 
 ARM_HELP = "panda, ur5e or none; the task's own"
 COMMANDS = (

@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 
 from learn2assemble.cli.output import Output
-from learn2assemble.evaluation.recorded import read_lines
-from learn2assemble.evaluation.replay import replay_file
-from learn2assemble.evaluation.robot_replay import is_robot_line, replay_robot_file
 from learn2assemble.physics.rigid import RigidPhysics
+from learn2assemble.reproduction.recordings import read_lines
+from learn2assemble.reproduction.replay import replay_file
+from learn2assemble.reproduction.robot_replay import is_robot_line, replay_robot_file
 
 COLUMNS = (
     "file", "lines", "mask_exact", "plane_exact", "complete_exact", "max_px_diff",

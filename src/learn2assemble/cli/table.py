@@ -12,21 +12,20 @@ from tqdm import tqdm
 
 from learn2assemble.cli.output import Output
 from learn2assemble.errors import InputError
-from learn2assemble.evaluation.results_store import find_agents
-from learn2assemble.evaluation.table_report import TableData, load_table
-from learn2assemble.evaluation.table_run import Job, jobs, run_jobs, stale
-from learn2assemble.evaluation.table_spec import Table
-from learn2assemble.evaluation.table_text import (
+from learn2assemble.reproduction.cells import Job, find_agents, jobs, run_jobs, stale
+from learn2assemble.reproduction.pictures import Block, write_table
+from learn2assemble.reproduction.recipes import copy_logs, get_recipe, train_recipes
+from learn2assemble.reproduction.report import (
     QUICK,
+    TableData,
     compact_markdown,
     headings,
+    load_table,
     markdown,
     notes,
     sections,
 )
-from learn2assemble.evaluation.tables import get_table
-from learn2assemble.learning.recipes import copy_logs, get_recipe, train_recipes
-from learn2assemble.viewer.table_picture import Block, write_table
+from learn2assemble.reproduction.tables import Table, get_table
 
 EPISODES, QUICK_EPISODES = 100, 50
 

@@ -6,7 +6,7 @@ import argparse
 
 from learn2assemble.cli.output import Output
 from learn2assemble.networks.agent import agent_info, pretrained_names
-from learn2assemble.presets import PRESETS
+from learn2assemble.tasks import PRESETS
 
 
 def run(options: argparse.Namespace) -> int:

@@ -13,8 +13,7 @@ from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.learning.config import METHODS, TrainConfig, fit_to, get_config, override
 from learn2assemble.learning.run import train
 from learn2assemble.networks.agent import load_agent
-from learn2assemble.presets import get_task
-from learn2assemble.task import NO_ARM
+from learn2assemble.tasks import NO_ARM, get_task
 
 
 def run(options: argparse.Namespace) -> int:

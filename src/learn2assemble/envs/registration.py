@@ -10,7 +10,7 @@ from __future__ import annotations
 import gymnasium
 from gymnasium.envs.registration import registry
 
-from learn2assemble.presets import PRESETS, get_task
+from learn2assemble.tasks import PRESETS, get_task
 
 NAMESPACE = "learn2assemble"
 VERSION = 0

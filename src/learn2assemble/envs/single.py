@@ -11,7 +11,7 @@ from gymnasium.error import ResetNeeded
 from learn2assemble.envs import spaces
 from learn2assemble.envs.worlds import RENDER_MODES, Worlds, check_render_mode
 from learn2assemble.physics.protocol import Physics
-from learn2assemble.task import Task
+from learn2assemble.tasks import Task
 
 
 class AssemblyEnv(gymnasium.Env[dict[str, Any], np.int64]):

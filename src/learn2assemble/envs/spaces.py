@@ -11,7 +11,7 @@ from gymnasium import spaces
 from numba import njit
 
 from learn2assemble.graph.features import NUM_FEATURES, POSITION, Graph
-from learn2assemble.task import Task
+from learn2assemble.tasks import Task
 from learn2assemble.world.state import State
 
 WAITING_REACH = 1.25

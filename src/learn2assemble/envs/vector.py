@@ -17,7 +17,7 @@ from learn2assemble.envs.worlds import RENDER_MODES, Worlds, check_render_mode
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.physics.protocol import Physics
 from learn2assemble.simulator import Transition
-from learn2assemble.task import Task
+from learn2assemble.tasks import Task
 
 
 class AssemblyVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):

@@ -1,4 +1,6 @@
-"""How fast this machine runs the pieces; each measurement is one function.
+"""A wall of twenty cubes, built by the dynamic cell: how well and how fast.
+
+How fast this machine runs the pieces; each measurement is one function.
 
 Timings are of one core: PyTorch is held to one thread. Ratios within one run are more
 trustworthy than the numbers themselves.
@@ -9,26 +11,76 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
 import torch
 
 from learn2assemble.learning.config import TrainConfig, get_config
-from learn2assemble.learning.explore import random_actions, to_local
-from learn2assemble.learning.trainer import Trainer
-from learn2assemble.networks.build import make_network
+from learn2assemble.learning.trainer import Trainer, random_actions, to_local
+from learn2assemble.networks.agent import make_network
 from learn2assemble.physics.rigid import RigidPhysics
-from learn2assemble.planning.lookahead import lookahead_actions
-from learn2assemble.planning.world_model import WorldModel
-from learn2assemble.presets import get_task
+from learn2assemble.planning.world_model import WorldModel, lookahead_actions
 from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.benchmark import build_wall
-from learn2assemble.robot.dynamic import DynamicCell
+from learn2assemble.robot.dynamic.cell import DynamicCell
+from learn2assemble.robot.moves import GAP, Attempt, Move, Scene, get_grasps
 from learn2assemble.search.config import SearchConfig
 from learn2assemble.search.mcts import search
 from learn2assemble.simulator import Simulator
+from learn2assemble.tasks import get_task
+from learn2assemble.world.blocks import EDGE, HALF
+from learn2assemble.world.layouts import waiting_places
+
+PITCH = EDGE + GAP
+
+
+class WallReport(NamedTuple):
+    """One wall."""
+
+    attempts: list[Attempt]
+    """One per cube, in order; the last one is the first that failed, if any."""
+    seconds: np.ndarray
+    """float64[k]: processor time of each [s]."""
+    target: np.ndarray
+    """float64[k, 3]: where the cubes should be [m]."""
+
+    @property
+    def errors(self) -> np.ndarray:
+        """float64[k]: distance of each cube from its target once everything stands [m]."""
+        last = self.attempts[-1].after
+        assert last is not None
+        return np.linalg.norm(last.position[: len(self.target)] - self.target, axis=1)
+
+
+def build_wall(cell: DynamicCell, columns: int = 5, rows: int = 4) -> WallReport:
+    """Build a wall along x from cubes that wait in the paper's rows (protocol 1.4), the farthest
+    first; every attempt begins with what the one before left behind."""
+    count = columns * rows
+    waiting = waiting_places("slanted-rows", count).position[::-1]
+    scene = Scene(waiting.copy(), np.zeros(count), np.arange(count), 0)
+    pair = get_grasps("along-y")[0]
+    report = WallReport([], np.empty(0), np.empty((0, 3)))
+    joints = quaternion = None
+    for k in range(count):
+        target = np.array(
+            [((k % columns) - columns // 2) * PITCH, 0.0, HALF + EDGE * (k // columns)]
+        )
+        begun = time.process_time()
+        done = cell.attempt(
+            scene, Move(k, target, *pair), joints=joints, quaternion=quaternion
+        )  # fmt: skip
+        report = WallReport(
+            [*report.attempts, done],
+            np.append(report.seconds, time.process_time() - begun),
+            np.vstack([report.target, target]),
+        )
+        if not done.reached:
+            break
+        assert done.after is not None
+        scene, quaternion, joints = done.after, done.quaternion, done.joints
+    return report
+
 
 TASK = "two-sided-3x3-20-24"
 OBJECTS = "objects-two-sided-5x5-20-24"

@@ -10,16 +10,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.networks.build import Network
+from learn2assemble.networks.agent import Network
 from learn2assemble.physics.protocol import Physics, Verdict
-from learn2assemble.planning.legacy import LegacyModel
-from learn2assemble.planning.lookahead import lookahead_actions
-from learn2assemble.planning.world_model import WorldModel
+from learn2assemble.planning.world_model import WorldModel, lookahead_actions
 from learn2assemble.search.config import SearchConfig
 from learn2assemble.search.mcts import search
-from learn2assemble.search.model import SearchModel
+from learn2assemble.search.tree import SearchModel
 from learn2assemble.simulator import Simulator
-from learn2assemble.task import Task
+from learn2assemble.tasks import Task
 from learn2assemble.world.state import State
 
 EVALUATION_STREAM = 2
@@ -133,17 +131,17 @@ def make_policy(
     config: SearchConfig | None,
     epsilon: float,
     *,
-    legacy: bool = False,
+    search_model: Callable[[WorldModel], SearchModel] = lambda model: model,
 ) -> Policy:
     """The policy of an agent: plain Q without ``config``, with search otherwise.
 
-    The search always looks ahead with static physics, whatever judges the episode; with
-    ``legacy`` it does so in copies with the published restore faults (protocol 11.6).
+    The search always looks ahead with static physics, whatever judges the episode.
+    ``search_model`` may put another model of the world around the exact one.
     """
     model = WorldModel(Simulator(task), network)
     if config is None or config.budget == 0:
         return greedy_policy(model, epsilon, task.num_actions)
-    return search_policy(LegacyModel(model, np.random.default_rng(0)) if legacy else model, config)
+    return search_policy(search_model(model), config)
 
 
 def episode_generators(seed: int) -> tuple[np.random.Generator, np.random.Generator]:

@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from learn2assemble.judges import resolve_judge
+from learn2assemble.checkers import resolve_judge
 from learn2assemble.learning.run import provenance
 from learn2assemble.networks.agent import Agent
 from learn2assemble.physics.static import StaticPhysics
 from learn2assemble.planning.world_model import WorldModel
-from learn2assemble.robot.judge import ArmPhysics
+from learn2assemble.robot.checker import ArmPhysics
 from learn2assemble.simulator import Simulator
-from learn2assemble.task import Task
+from learn2assemble.tasks import Task
 from learn2assemble.world.state import State
 
 EPSILON = 0.3

@@ -20,15 +20,18 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from learn2assemble.geometry.bits import ROWS, WORDS, popcount, span_word
-from learn2assemble.geometry.camera import (
+from learn2assemble.geometry.images import (
     CAMERA_Y,
     CAMERA_Z,
     CENTRE,
     FAR_CLIP,
     IMAGE_SIZE,
     NEAR_CLIP,
+    ROWS,
     TAN_HALF_FOV,
+    WORDS,
+    popcount,
+    span_word,
 )
 
 PLANE_NEAR, PLANE_FAR = 0.224, 0.226

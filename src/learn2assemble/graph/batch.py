@@ -1,12 +1,19 @@
-"""Graphs as tensors. PyTorch begins here."""
+"""Graphs as tensors. PyTorch begins here.
+
+The cells of a batch of graphs and their relations as tensors, for the placement network.
+"""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
 import torch
 
 from learn2assemble.graph.features import Graph
+from learn2assemble.graph.placements import Placements, distinct_placements, locate
+from learn2assemble.graph.relations import look_around, relate
+from learn2assemble.world.blocks import EDGE, Ways
 
 
 class GraphTensors(NamedTuple):
@@ -67,3 +74,115 @@ class GraphTensors(NamedTuple):
 def to_tensors(graph: Graph, device: torch.device | str = "cpu") -> GraphTensors:
     """Copy a graph to ``device``."""
     return GraphTensors(*[torch.from_numpy(field) for field in graph]).to(device)
+
+
+NUM_SUMMARY = 4
+"""Numbers that describe a whole graph, see :class:`CellTensors`."""
+
+
+class CellTensors(NamedTuple):
+    """``n`` cells in all ``B`` graphs, ``K`` a graph at most, ``P`` placements a graph at most,
+    ``m`` cells of all placements."""
+
+    row: torch.Tensor
+    """int64[n]: graph of each cell."""
+    used: torch.Tensor
+    """bool[B, K]: where the n cells belong in a padded array, row by row."""
+    edges: torch.Tensor
+    """float32[n, S, E, F] of :mod:`learn2assemble.graph.relations`."""
+    edge_used: torch.Tensor
+    """bool[n, S, E]."""
+    offsets: torch.Tensor
+    """int64[n, S, M]."""
+    summary: torch.Tensor
+    """float32[B, 4]: unplaced and placed blocks, area of the outlines and its inverse."""
+    cell: torch.Tensor
+    """int64[m]: number of each cell of each placement among the n."""
+    part_of: torch.Tensor
+    """int64[m]: placement it belongs to, counted over the ``legal`` ones, row by row."""
+    lever: torch.Tensor
+    """float32[m, 3]: its offset from the centre of the placement [edges]."""
+    legal: torch.Tensor
+    """bool[B, P]."""
+    action: torch.Tensor
+    """int64[B, P, 3]: node action of each placement."""
+    grip: torch.Tensor
+    """int64[p]: grip of each of the ``p`` legal placements, see :class:`Ways`."""
+    hands: HandTensors | None
+    """What the hand meets there, if it was asked for."""
+    placements: Placements
+    graph: Graph
+    ways: Ways
+
+    def locate(self, action: torch.Tensor) -> torch.Tensor:
+        """Number of the placement with the result of each node action int64[B, 3]: int64[B]."""
+        found = locate(self.placements, self.graph, action.cpu().numpy(), self.ways)
+        return torch.from_numpy(found).to(action.device)
+
+
+class HandTensors(NamedTuple):
+    """:class:`Hands` of the ``p`` legal placements."""
+
+    around: torch.Tensor
+    """int64[p, L]."""
+    place: torch.Tensor
+    """float32[p, 6]."""
+
+
+def cell_tensors(graph: GraphTensors, ways: Ways, hand: bool = False) -> CellTensors:
+    """Enumerate placements and relate their cells to the graph, on the device of ``graph``.
+
+    Args:
+        ways: what the actions mean, :attr:`Task.ways`.
+        hand: whether to look around the hand, too.
+    """
+    plain = Graph(*[t.cpu().numpy() for t in graph])
+    placements = distinct_placements(plain, ways)
+    relations = relate(plain, placements, ways.pitch)
+    device = graph.nodes.device
+    used = np.arange(placements.cells.shape[1]) < placements.num_cells[:, None]
+    row = used.nonzero()[0]
+    unplaced = plain.num_nodes - plain.num_targets - plain.num_placed
+    area = np.maximum(relations.area, 0.1)
+    summary = np.stack([unplaced / 20, plain.num_placed / 20, area / 10, 1 / area], -1)
+    legal = placements.used
+    way = placements.action[..., 2][legal] % len(ways.turns)
+    cell, part_of, lever = _parts(placements, np.cumsum(placements.num_cells))
+
+    def put(array: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(np.ascontiguousarray(array)).to(device)
+
+    hands = None
+    if hand:
+        found = look_around(plain, placements, ways)
+        hands = HandTensors(put(found.around[legal]), put(found.place[legal]))
+    return CellTensors(
+        row=put(row),
+        used=put(used),
+        edges=put(relations.edges[used]),
+        edge_used=put(relations.edge_used[row]),
+        offsets=put(relations.offsets[used]),
+        summary=put(summary.astype(np.float32)),
+        cell=put(cell),
+        part_of=put(part_of),
+        lever=put(lever),
+        legal=put(legal),
+        action=put(placements.action),
+        grip=put(ways.grips[way]),
+        hands=hands,
+        placements=placements,
+        graph=plain,
+        ways=ways,
+    )
+
+
+def _parts(placements: Placements, ends: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Cells of all placements one after the other; ``ends`` are those of the rows' cells."""
+    legal = placements.used
+    row = legal.nonzero()[0]
+    members = placements.members[legal]
+    present = members >= 0
+    at = placements.cells[row[:, None], members] * present[..., None]
+    lever = (at - (at.sum(1) / present.sum(1, keepdims=True))[:, None]) / EDGE
+    flat = members + (ends - placements.num_cells)[row][:, None]
+    return flat[present], present.nonzero()[0], lever[present].astype(np.float32)

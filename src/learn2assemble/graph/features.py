@@ -44,7 +44,7 @@ def build_graph(state: State, frames: np.ndarray, num_nodes: int) -> Graph:
     """Graphs of all rows, padded to ``num_nodes`` nodes.
 
     Args:
-        frames: float64[S, 4] of :func:`learn2assemble.world.sides.side_frames`.
+        frames: float64[S, 4] of :func:`learn2assemble.world.layouts.side_frames`.
     """
     batch = state.batch_size
     nodes = np.empty((batch, num_nodes, NUM_FEATURES), np.float32)

@@ -11,7 +11,7 @@ from typing import Any
 
 from learn2assemble.errors import InputError, UnknownNameError, look_up
 from learn2assemble.networks.config import NetworkConfig
-from learn2assemble.task import Task
+from learn2assemble.tasks import Task
 
 
 @dataclass(frozen=True)

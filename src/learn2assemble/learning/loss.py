@@ -1,4 +1,7 @@
-"""The loss: TD (protocol 10.3), the search term (10.4), a model's labels (deviation D6)."""
+"""The search-regularised part of the loss of Q-MCTS and epsilon-MCTS (protocol 10.4).
+
+The loss: TD (protocol 10.3), the search term (10.4), a model's labels (deviation D6).
+"""
 
 from __future__ import annotations
 
@@ -8,11 +11,34 @@ from torch.nn import functional as F
 
 from learn2assemble.graph.batch import to_tensors
 from learn2assemble.learning.config import TrainConfig
-from learn2assemble.learning.replay import Batch
-from learn2assemble.learning.search_term import search_cross_entropy
-from learn2assemble.networks.build import Network
+from learn2assemble.learning.replay import Batch, Searched
+from learn2assemble.networks.agent import Network, Values
 from learn2assemble.networks.placement import PlacementValues
+from learn2assemble.networks.qnetwork import NEGATIVE
 from learn2assemble.world.outcomes import Outcomes
+
+
+def search_cross_entropy(values: Values, searched: Searched, taken: torch.Tensor) -> torch.Tensor:
+    """``-(1/B) sum_s sum_e softmax_e(Q_S(s, a_e)) log softmax_e(Q(s, a_e))``, a scalar.
+
+    The softmax runs over the explored actions e of each state at temperature 1; the stored search
+    values Q_S are constants. States without a search add 0 and still count in the divisor B.
+
+    Args:
+        taken: int64[B, 3]: the actions taken; they stand in where fewer were explored.
+    """
+    device = taken.device
+    actions = torch.from_numpy(searched.action).to(device)
+    count = torch.from_numpy(searched.count).to(device)
+    explored = torch.arange(actions.shape[1], device=device) < count[:, None]
+    actions = torch.where(explored[..., None], actions, taken[:, None])
+    q = torch.stack([values.select(action) for action in actions.unbind(1)], 1)
+    stored = torch.from_numpy(searched.value).to(device)
+    # A finite stand-in for minus infinity keeps rows without any search free of NaN.
+    log_policy = q.masked_fill(~explored, NEGATIVE).log_softmax(1)
+    goal = stored.masked_fill(~explored, NEGATIVE).softmax(1)
+    terms = torch.where(explored, goal * log_policy, 0.0)
+    return -terms.sum() / len(terms)
 
 
 def q_loss(
@@ -21,7 +47,7 @@ def q_loss(
     """Loss of one batch and numbers to log.
 
     The TD part is the paper's smooth L1; where the batch carries searches, it is weighed against
-    the cross-entropy to their values (:mod:`~learn2assemble.learning.search_term`).
+    the cross-entropy to their values (:mod:`~learn2assemble.learning.loss`).
     ``dense_weight`` adds :func:`dense_error`.
     """
     values = online(to_tensors(batch.graph, device))

@@ -24,7 +24,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.learning.config import TrainConfig
 from learn2assemble.learning.trainer import Trainer
 from learn2assemble.networks.agent import Agent, save_agent
-from learn2assemble.task import Task
+from learn2assemble.tasks import Task
 
 LOG_SECONDS = 10.0
 CHECKPOINT_SECONDS = 45.0

@@ -1,4 +1,6 @@
-"""A trained agent: network weights and what they were trained for.
+"""A Q-network from its configuration.
+
+A trained agent: network weights and what they were trained for.
 
 An agent is two files: ``NAME.safetensors`` (weights) and ``NAME.json`` (architecture, task,
 training configuration, counters). Agents shipped with the package lie in ``pretrained/``.
@@ -6,6 +8,7 @@ training configuration, counters). Agents shipped with the package lie in ``pret
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import json
 from dataclasses import dataclass, field
@@ -17,8 +20,30 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.networks.build import Network, make_network
 from learn2assemble.networks.config import NetworkConfig
+from learn2assemble.networks.placement import PlacementNetwork, PlacementValues
+from learn2assemble.networks.qnetwork import QFactors, QNetwork
+
+Network = QNetwork | PlacementNetwork
+Values = QFactors | PlacementValues
+
+
+def make_network(config: NetworkConfig) -> Network:
+    """The published networks, or the placement network for the encoder ``relational``."""
+    return PlacementNetwork(config) if config.encoder == "relational" else QNetwork(config)
+
+
+def at_pitch(network: Network, pitch: float) -> Network:
+    """The network for blocks at another distance [m]; weights are shared.
+
+    What it has learned in block edges may hold on another lattice, too.
+    """
+    if network.config.pitch == pitch:
+        return network
+    other = copy.copy(network)
+    other.config = dataclasses.replace(network.config, pitch=pitch)
+    return other
+
 
 FORMAT = "learn2assemble-agent"
 PRETRAINED = Path(__file__).parent.parent / "pretrained"

@@ -6,8 +6,7 @@ import math
 from dataclasses import dataclass
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.world.actions import ATTITUDES
-from learn2assemble.world.blocks import EDGE
+from learn2assemble.world.blocks import ATTITUDES, EDGE
 
 FEED_FORWARDS = ("light", "wide", "none")
 CONNECTIVITIES = ("partial", "full")
@@ -34,7 +33,7 @@ class NetworkConfig:
             ``relational`` only, like ``pitch``.
         pitch: horizontal distance of neighbouring blocks of the task [m].
         hand: whether a placement also knows what is around the hand, and where in the world it is
-            (:mod:`learn2assemble.graph.hands`); for ``relational``, where an arm builds.
+            (:mod:`learn2assemble.graph.relations`); for ``relational``, where an arm builds.
         position_scale: positions are divided by this [m] (1.025 in the published code).
         rotary: rotate queries and keys by the node positions, so that attention scores depend on
             offsets between nodes instead of absolute positions (deviation D5).

@@ -17,13 +17,11 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from learn2assemble.graph.batch import GraphTensors
-from learn2assemble.graph.cells import NUM_SUMMARY, CellTensors, cell_tensors
-from learn2assemble.graph.hands import AROUND, PLACE_FEATURES
-from learn2assemble.graph.relations import EDGE_FEATURES, OFFSETS
+from learn2assemble.graph.batch import NUM_SUMMARY, CellTensors, GraphTensors, cell_tensors
+from learn2assemble.graph.relations import AROUND, EDGE_FEATURES, OFFSETS, PLACE_FEATURES
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import NEGATIVE
-from learn2assemble.world.actions import RELATIONS, get_ways
+from learn2assemble.world.blocks import RELATIONS, get_ways
 
 REACH_OF_ARM = 0.5
 """Positions in the world are divided by this [m]."""

@@ -1,4 +1,12 @@
-"""The Q-network: encoder and a read-out in O(N) (paper equations 1 to 5, protocol 9).
+"""One round of message passing by attention (paper equations 2 to 4, protocol 9).
+
+Message passing by neighbourhood means: Structure2Vec (paper's baseline encoder, protocol 9).
+
+The published form runs a layer on the input ``[A_ij, x_j]`` of every ordered pair, zeroed where
+``A_ij`` is 0. ``A_ij`` is 0 or 1, so where it counts the input is ``[1, x_j]`` and depends on j
+alone: one vector a node, then a product with the adjacency.
+
+The Q-network: encoder and a read-out in O(N) (paper equations 1 to 5, protocol 9).
 
 The published read-out is ``Q(i, j, :) = W_o ReLU([p, h_i, h_j]) + b`` with p the pooled embedding.
 Its single linear layer comes after the ReLU, so the same function is a sum of three terms, one per
@@ -16,9 +24,130 @@ from torch.nn import functional as F
 
 from learn2assemble.graph.batch import GraphTensors
 from learn2assemble.graph.features import NUM_FEATURES, POSITION
-from learn2assemble.networks.attention import AttentionRound, Rotation
 from learn2assemble.networks.config import NetworkConfig
-from learn2assemble.networks.structure2vec import EdgeSummary, Structure2VecRound
+
+ROTARY = tuple((axis, period) for period in (0.1, 0.2, 0.05, 0.4) for axis in (0, 2, 1))
+"""Axis and period [m] of each rotated pair of query and key entries, in order of use.
+
+Multiples of the block edge tell lattice neighbours apart, the edge itself where an outline cuts."""
+
+
+class Rotation(NamedTuple):
+    """Cosine and sine of every node's phases: float[B, 1, N, pairs]."""
+
+    cos: torch.Tensor
+    sin: torch.Tensor
+
+    @staticmethod
+    def of(position: torch.Tensor, head_size: int) -> Rotation:
+        """Phases of positions float[B, N, 3] [m] for heads of ``head_size`` entries."""
+        pairs = ROTARY[: head_size // 2]
+        waves = position.new_tensor([2 * math.pi / period for _, period in pairs])
+        phase = position[..., [axis for axis, _ in pairs]] * waves
+        return Rotation(phase.cos()[:, None], phase.sin()[:, None])
+
+    def __call__(self, x: torch.Tensor) -> torch.Tensor:
+        """Rotate float[B, H, N, D]; entries beyond the pairs pass unchanged."""
+        pairs = self.cos.shape[-1]
+        a, b = x[..., :pairs], x[..., pairs : 2 * pairs]
+        turned = [a * self.cos - b * self.sin, a * self.sin + b * self.cos, x[..., 2 * pairs :]]
+        return torch.cat(turned, -1)
+
+
+class AttentionRound(nn.Module):
+    """``x + MHA(x)``, then ``x + FF(x)``; no normalisation, no dropout, no attention biases.
+
+    Args:
+        width: embedding size.
+        heads: number of heads.
+        feed_forward: ``light``, ``wide`` or ``none``.
+    """
+
+    def __init__(self, width: int, heads: int, feed_forward: str) -> None:
+        super().__init__()
+        self.heads, self.head_size = heads, width // heads
+        self.query_key_value = nn.Linear(width, 3 * width, bias=False)
+        self.merge = nn.Linear(width, width, bias=False)
+        # Published initialisation: U(+-1/sqrt(s)), s the last dimension of the per-head tensors.
+        bound = 1 / math.sqrt(self.head_size)
+        nn.init.uniform_(self.query_key_value.weight, -bound, bound)
+        bound = 1 / math.sqrt(width)
+        nn.init.uniform_(self.merge.weight, -bound, bound)
+        self.feed_forward: nn.Module | None = None
+        if feed_forward == "light":
+            self.feed_forward = nn.Sequential(nn.Linear(width, width), nn.ReLU())
+        elif feed_forward == "wide":
+            self.feed_forward = nn.Sequential(
+                nn.Linear(width, 8 * width), nn.ReLU(), nn.Linear(8 * width, width)
+            )
+
+    def forward(
+        self, x: torch.Tensor, adjacency: torch.Tensor, rotation: Rotation | None = None
+    ) -> torch.Tensor:
+        """``x`` float[B, N, F], ``adjacency`` bool[B, 1, N, N] to float[B, N, F].
+
+        ``rotation`` makes the score of i and j depend on their offset (deviation D5).
+        """
+        batch, nodes, width = x.shape
+        qkv = self.query_key_value(x).view(batch, nodes, 3, self.heads, self.head_size)
+        q, k, v = qkv.permute(2, 0, 3, 1, 4)
+        if rotation is not None:
+            q, k = rotation(q), rotation(k)
+        message = F.scaled_dot_product_attention(q, k, v, attn_mask=adjacency)
+        x = x + self.merge(message.transpose(1, 2).reshape(batch, nodes, width))
+        return x if self.feed_forward is None else x + self.feed_forward(x)
+
+
+class Neighbourhood(NamedTuple):
+    """What all rounds share."""
+
+    mean: torch.Tensor
+    """float[B, N, N]: ``A_ij / c_i``; c_i counts the entries of *column* i, as published."""
+    edges: torch.Tensor
+    """float[B, N, F]: e_i, the summary of the edges of node i."""
+
+
+class EdgeSummary(nn.Module):
+    """``e_i = ReLU(W_2 [1/c_i sum_j A_ij ReLU(W_1 [A_ij, x_j]), c_i / max c])``, no biases.
+
+    Args:
+        features: numbers of a node's input.
+        width: embedding size F; W_1 has F - 1 rows, W_2 is square.
+    """
+
+    def __init__(self, features: int, width: int) -> None:
+        super().__init__()
+        self.pair = nn.Linear(1 + features, width - 1, bias=False)
+        self.merge = nn.Linear(width, width, bias=False)
+
+    def forward(self, x: torch.Tensor, adjacency: torch.Tensor) -> Neighbourhood:
+        """``x`` float[B, N, features] scaled node inputs, ``adjacency`` bool[B, N, N]."""
+        connected = adjacency.to(x.dtype)
+        count = connected.sum(1)
+        mean = connected / count[..., None]
+        pairs = F.relu(self.pair(torch.cat([torch.ones_like(x[..., :1]), x], -1)))
+        degree = count / count.amax(1, keepdim=True)
+        edges = F.relu(self.merge(torch.cat([mean @ pairs, degree[..., None]], -1)))
+        return Neighbourhood(mean, edges)
+
+
+class Structure2VecRound(nn.Module):
+    """``m = ReLU(W [A h / c, e])``, then ``ReLU(W' [h, m])``; no biases, no residuals.
+
+    Args:
+        width: embedding size F.
+    """
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.message = nn.Linear(2 * width, width, bias=False)
+        self.update = nn.Linear(2 * width, width, bias=False)
+
+    def forward(self, h: torch.Tensor, near: Neighbourhood) -> torch.Tensor:
+        """``h`` float[B, N, F] to float[B, N, F]."""
+        message = F.relu(self.message(torch.cat([near.mean @ h, near.edges], -1)))
+        return F.relu(self.update(torch.cat([h, message], -1)))
+
 
 NEGATIVE = -1e9
 

@@ -27,8 +27,7 @@ import highspy
 import numpy as np
 
 from learn2assemble.errors import InputError, Learn2AssembleError
-from learn2assemble.geometry.boxes import CONTACT_TOLERANCE, OVERLAP_TOLERANCE
-from learn2assemble.geometry.support import find_fillers
+from learn2assemble.geometry.support import CONTACT_TOLERANCE, OVERLAP_TOLERANCE, find_fillers
 from learn2assemble.world.blocks import EDGE, FRICTION, HALF
 
 GROUND = -1

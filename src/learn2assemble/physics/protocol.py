@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from learn2assemble.geometry import boxes
+from learn2assemble.geometry import support
 from learn2assemble.world.state import State
 
 ARM = 16
@@ -17,17 +17,17 @@ ARM = 16
 class Verdict(IntEnum):
     """Outcome of one placement. Only STABLE is valid."""
 
-    STABLE = boxes.STABLE
-    OVERLAP = boxes.OVERLAP
-    BELOW_GROUND = boxes.BELOW_GROUND
-    FLOATING = boxes.FLOATING
-    UNDECIDED = boxes.UNDECIDED
+    STABLE = support.STABLE
+    OVERLAP = support.OVERLAP
+    BELOW_GROUND = support.BELOW_GROUND
+    FLOATING = support.FLOATING
+    UNDECIDED = support.UNDECIDED
     """Internal: the compiled rule cannot tell; never returned by :meth:`Physics.settle`."""
-    UNSTABLE = boxes.UNSTABLE
+    UNSTABLE = support.UNSTABLE
     """In contact, but not in equilibrium (static) or moving too much (rigid)."""
     UNREACHABLE = ARM + 1
     """This and the following: what became of the arm's attempt, see
-    :class:`learn2assemble.robot.outcome.Outcome`."""
+    :class:`learn2assemble.robot.moves.Outcome`."""
     GRASP_COLLISION = ARM + 2
     PLACE_COLLISION = ARM + 3
     GRASP_LOST = ARM + 4

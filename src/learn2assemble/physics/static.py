@@ -12,11 +12,14 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from learn2assemble.geometry.boxes import UNDECIDED, classify_cube
-from learn2assemble.geometry.support import BALANCE_TOLERANCE, classify_object
+from learn2assemble.geometry.support import (
+    BALANCE_TOLERANCE,
+    UNDECIDED,
+    classify_cube,
+    classify_object,
+)
 from learn2assemble.physics.protocol import Verdict
-from learn2assemble.world.actions import DIRECTIONS, Ways
-from learn2assemble.world.blocks import EDGE, HALF
+from learn2assemble.world.blocks import DIRECTIONS, EDGE, HALF, Ways
 from learn2assemble.world.rules import (
     last_object,
     lay_object,

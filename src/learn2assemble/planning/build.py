@@ -1,15 +1,212 @@
-"""The main job: plan, verify, widen until it holds, and say what it took."""
+"""Proving a plan step by step by rigid-body simulation, and its margin of stability.
+
+What came of planning, as the content of ``plan.json`` (``docs/plan.md``).
+
+The main job: plan, verify, widen until it holds, and say what it took.
+"""
 
 from __future__ import annotations
 
+import math
 import time
+from dataclasses import dataclass
 from typing import Any
 
+import mujoco
+import numpy as np
+
 from learn2assemble.networks.agent import Agent
-from learn2assemble.planning.planner import Progress, Sequence, plan_sequences
+from learn2assemble.physics.equilibrium import stability_margin
+from learn2assemble.physics.rigid import SETTLE_STEPS, RigidPhysics
+from learn2assemble.planning.discover import Placement, Progress, Sequence, make, plan_sequences
 from learn2assemble.planning.problem import Problem
-from learn2assemble.planning.report import report
-from learn2assemble.planning.verify import Proof, verify
+from learn2assemble.simulator import Simulator
+from learn2assemble.world.blocks import EDGE, RELATIONS
+
+
+@dataclass(frozen=True)
+class VerifiedStep:
+    """One placement as the simulation left it."""
+
+    placement: Placement
+    position: np.ndarray
+    """float64[3]: block centre after settling [m]."""
+    quaternion: np.ndarray
+    """float64[4]: (w, x, y, z)."""
+    coverage: float
+    """F_co."""
+    plane_coverage: float
+    """F_pl."""
+    stability_margin: float
+    """Smallest horizontal acceleration, in g, that would move something."""
+    speed_sum: float
+    """V_b of the fastest block, see :class:`RigidPhysics` [m/s]."""
+    stable: bool
+    outside: bool
+    """Whether the block stands outside every outline."""
+
+
+@dataclass(frozen=True)
+class Proof:
+    """The verified steps, up to the first that did not hold."""
+
+    steps: list[VerifiedStep]
+    filled: bool
+    """Whether the target counts as filled after the last step."""
+
+    @property
+    def stable(self) -> bool:
+        return all(step.stable for step in self.steps)
+
+
+def method() -> str:
+    """One line on how steps are verified."""
+    return f"MuJoCo {mujoco.__version__}, {SETTLE_STEPS} steps of 4 ms after every placement"
+
+
+def verify(problem: Problem, placements: list[Placement]) -> Proof:
+    """Make every placement in rigid-body simulation, on what the ones before have become."""
+    physics = RigidPhysics(problem.task.stability, pitch=problem.task.pitch)
+    simulator = Simulator(problem.task, physics)
+    state = problem.state.copy()
+    steps: list[VerifiedStep] = []
+    filled = False
+    for placement in placements:
+        filled, held = make(simulator, state, placement)
+        filled = filled and problem.accepts(state)
+        count = int(state.num_placed[0])
+        speeds = physics.last_speed_sums[0]
+        centres = state.position[0, :count]
+        steps.append(
+            VerifiedStep(
+                placement=placement,
+                position=centres[-1].copy(),
+                quaternion=state.quaternion[0, count - 1].copy(),
+                coverage=float(state.complete_coverage[0]),
+                plane_coverage=float(state.plane_coverage[0]),
+                stability_margin=stability_margin(centres, state.object_id[0, :count])
+                if held
+                else 0.0,
+                speed_sum=float(speeds.max()) if len(speeds) else float("inf"),
+                stable=held,
+                outside=problem.is_outside(centres[-1]),
+            )
+        )
+        if not held:
+            break
+    return Proof(steps, filled)
+
+
+FORMAT, VERSION = "learn2assemble-plan", 1
+
+
+def report(
+    problem: Problem,
+    agent: Agent,
+    source: str,
+    sequence: Sequence,
+    proof: Proof,
+    started: float,
+    verified_by: str | None = None,
+) -> dict[str, Any]:
+    """What ``plan.json`` holds.
+
+    Args:
+        proof: its steps refer to one another by number, 0 is the first block.
+        started: :func:`time.perf_counter` when planning began.
+        verified_by: by default :func:`~.verify.method`.
+    """
+    state = problem.state
+    count = int(state.num_blocks[0])
+    waiting = np.empty((count, 3))
+    waiting[state.object_id[0, :count]] = state.position[0, :count]
+    held = [step for step in proof.steps if step.stable]
+    status = "complete" if proof.stable and proof.filled else "incomplete"
+    if problem.refusal is not None:
+        status = "refused"
+    coverage = held[-1].coverage if held else 0.0
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "design": {
+            "name": problem.name,
+            "source": source,
+            "num_sides": problem.task.num_sides,
+            "frames": problem.frames.tolist(),
+            "elevations": [
+                {"name": name, "outline": outline.tolist()}
+                for name, outline in zip(problem.elevation_names, problem.outlines, strict=True)
+            ],
+            "success_threshold": problem.task.success_threshold,
+            "block_edge": EDGE,
+        },
+        "agent": agent.name,
+        "status": status,
+        "reason": _reason(problem, status, proof, coverage, count),
+        "search": {
+            "needed": sequence.stage,
+            "budget": sequence.budget,
+            "attempts": [
+                {"stage": a.stage, "result": a.result, "seconds": round(a.seconds, 3)}
+                for a in sequence.attempts
+            ],
+            "backtracks": sequence.backtracks,
+            "dropped": sequence.dropped,
+        },
+        "blocks": {
+            "available": count,
+            "used": len(held) + 1,
+            "waiting": waiting.tolist(),
+        },
+        "first_block": {
+            "block": 0,
+            "position": state.position[0, 0].tolist(),
+            "quaternion": state.quaternion[0, 0].tolist(),
+            "coverage": round(float(state.complete_coverage[0]), 6),
+            "plane_coverage": round(float(state.plane_coverage[0]), 6),
+        },
+        "steps": [
+            _step(number, step, problem.task.rotations)
+            for number, step in enumerate(proof.steps, 1)
+        ],
+        "coverage": coverage,
+        "verified_by": verified_by or method(),
+        "seconds": round(time.perf_counter() - started, 3),
+    }
+
+
+def _step(number: int, step: VerifiedStep, ways: int) -> dict[str, Any]:
+    return {
+        "step": number,
+        "block": step.placement.block,
+        "reference": step.placement.reference,
+        "relation": RELATIONS[step.placement.action // ways],
+        "position": np.round(step.position, 6).tolist(),
+        "quaternion": np.round(step.quaternion, 6).tolist(),
+        "coverage": round(step.coverage, 6),
+        "plane_coverage": round(step.plane_coverage, 6),
+        "stability_margin": round(step.stability_margin, 4),
+        "speed_sum": round(step.speed_sum, 6) if math.isfinite(step.speed_sum) else None,
+        "stable": step.stable,
+        "outside": step.outside,
+    }
+
+
+def _reason(
+    problem: Problem, status: str, proof: Proof, coverage: float, available: int
+) -> str | None:
+    """What is missing, in one sentence."""
+    if status == "complete":
+        return None
+    if problem.refusal is not None:
+        return problem.refusal
+    threshold = problem.task.success_threshold
+    text = f"filled {coverage:.1%} of the target, more than {threshold:.1%} is needed"
+    if not proof.stable:
+        return f"step {len(proof.steps)} does not hold in rigid-body simulation; {text}"
+    if len(proof.steps) + 1 >= available:
+        text += f"; all {available} blocks are used"
+    return text
 
 
 def build(

@@ -1,6 +1,10 @@
-"""Arms are data: an MJCF and an ``arm.toml`` beside it. A third one is a file and a line."""
+"""Reading the MJCF of an arm.
 
-# The compiled module has no stubs that pyright finds.
+Arms are data: an MJCF and an ``arm.toml`` beside it. A third one is a file and a line.
+
+The MuJoCo model of an arm at its place in the world (table top z = 0).
+"""
+
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
@@ -15,7 +19,37 @@ import numpy as np
 
 from learn2assemble.errors import InputError, look_up
 from learn2assemble.robot.registry import ARMS
-from learn2assemble.robot.spec import read_spec
+
+PICTURE_GROUP, COLLISION_GROUP = 2, 3
+"""Geom groups of every vendored arm."""
+
+
+def read_spec(mjcf: Path, position: np.ndarray, yaw: float, pictures: bool) -> mujoco.MjSpec:
+    """The arm's MJCF, its root bodies moved to the base pose.
+
+    Args:
+        mjcf: file of the arm.
+        position: float64[3] of the base [m, world].
+        yaw: turn of the base about z [rad].
+        pictures: keep the geoms without contact, which only pictures need; loading is faster
+            without them.
+    """
+    spec = mujoco.MjSpec.from_file(str(mjcf))
+    turn = np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
+    for body in spec.worldbody.bodies:
+        moved, turned, rotated = np.empty(3), np.empty(4), np.empty(3)
+        own = np.asarray(body.quat) / np.linalg.norm(body.quat)
+        mujoco.mju_rotVecQuat(rotated, np.asarray(body.pos), turn)
+        mujoco.mju_mulQuat(turned, turn, own)
+        np.add(position, rotated, out=moved)
+        body.pos, body.quat = moved, turned
+    if not pictures:
+        for geom in list(spec.geoms):
+            if geom.group == PICTURE_GROUP:
+                spec.delete(geom)
+        for mesh in list(spec.meshes):
+            spec.delete(mesh)
+    return spec
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,3 +266,17 @@ def _joint_range(model: mujoco.MjModel, name: str, where: str) -> np.ndarray:
     if joint.type[0] != mujoco.mjtJoint.mjJNT_HINGE or not model.jnt_limited[joint.id]:
         raise InputError(f"{where}, joints", name, "hinge joints with a range")
     return joint.range
+
+
+__all__ = ["COLLISION_GROUP", "PICTURE_GROUP", "arm_model", "arm_spec"]
+
+
+def arm_spec(arm: Arm, pictures: bool = False) -> mujoco.MjSpec:
+    """An editable model of the arm at its base pose, for adding a table and blocks."""
+    return read_spec(arm.mjcf, arm.base_position, arm.base_yaw, pictures)
+
+
+@lru_cache(maxsize=16)
+def arm_model(arm: Arm, pictures: bool = False) -> mujoco.MjModel:
+    """The compiled arm alone; shared between callers, so do not change it."""
+    return arm_spec(arm, pictures).compile()

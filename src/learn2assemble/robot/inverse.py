@@ -1,27 +1,457 @@
-"""Inverse kinematics within joint limits; a failure says which one.
+"""Compiled core of the inverse kinematics: damped least squares from one start.
 
-One descent (:mod:`learn2assemble.robot.descent`) starts where the caller says, so that the answer
-stays near; where that leads nowhere, others follow (:mod:`learn2assemble.robot.attempts`).
+Per iteration, with e the error of the tool (position [m] and rotation vector [rad], world axes),
+J the Jacobian and d the pull towards the preferred posture,
+
+    dq = d + J^T (J J^T + lambda I)^-1 (e - J d),
+
+where lambda falls with the square of e (Sugihara 2011), so that the last steps are Newton's. A
+joint that would leave its limits is stopped there and the step is solved again without it.
+
+Several starts for one pose, and the reason where none leads there. Compiled.
+
+The first start is the caller's; the next ones come from a table of fixed configurations, those
+whose tool is nearest to the target first. Nothing is random: the same question has the same answer.
+
+Inverse kinematics within joint limits; a failure says which one.
+
+One descent (:mod:`learn2assemble.robot.inverse`) starts where the caller says, so that the answer
+stays near; where that leads nowhere, others follow (:mod:`learn2assemble.robot.inverse`).
 """
 
 from __future__ import annotations
 
+from enum import IntEnum
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from learn2assemble.errors import InputError, look_up
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.attempts import (
-    MAX_ITERATIONS,
-    PUBLISHED_ITERATIONS,
-    RESTARTS,
-    IKFailure,
-    seeds,
-    solve_all,
-    solve_published,
+from learn2assemble.robot.kinematics import (
+    factorise,
+    fill_jacobian,
+    forward_many,
+    get_chain,
+    jacobian,
+    logarithm,
+    rotation_vector,
+    smallest_singular_value,
+    solve_factorised,
+    tool_and_frames,
 )
-from learn2assemble.robot.kinematics import get_chain
+
+CONVERGED, STALLED, OUT_OF_STEPS = 0, 1, 2
+
+MAX_SHIFT, MAX_TURN = 0.25, 0.9
+"""Largest error a single iteration tries to remove [m], [rad]."""
+MAX_STEP = 0.7
+"""Largest change of a joint in one iteration [rad]."""
+DAMPING, MIN_DAMPING = 0.02, 1e-9
+POSTURE_GAIN, POSTURE_FADE = 0.35, 0.15
+"""Share of the way to the preferred posture per iteration, and the error below which it fades."""
+PATIENCE = 8
+"""Iterations without progress before a start is given up."""
+
+
+@njit(cache=True)
+def descend(
+    chain, lower, upper, posture, target_position, target_rotation, rows, tolerance,
+    max_iterations, q,
+):  # fmt: skip
+    """Improves q, float64[n] [rad], in place.
+
+    Args:
+        chain: see :class:`~learn2assemble.robot.kinematics.Chain`.
+        lower, upper: float64[n] [rad]; q must be within them.
+        posture: float64[n] [rad], approached as far as the pose leaves freedom.
+        target_position: float64[3] [m, world].
+        target_rotation: float64[3, 3], T_world_tool.
+        rows: 6, or 3 where only the position matters.
+        tolerance: on position [m] and rotation [rad] alike.
+        max_iterations: steps at most.
+
+    Returns:
+        One of the states above, the error (m + rad) at the q left behind, the iterations taken.
+    """
+    n = q.shape[0]
+    positions, rotations = np.empty((n, 3)), np.empty((n, 3, 3))
+    position, rotation = np.empty(3), np.empty((3, 3))
+    jac, gram = np.empty((6, n)), np.empty((6, 6))
+    error, rest = np.zeros(6), np.zeros(6)
+    step, pull = np.zeros(n), np.zeros(n)
+    free = np.ones(n, np.bool_)
+    best, since = np.inf, 0
+    total = np.inf
+    for iteration in range(max_iterations + 1):
+        tool_and_frames(chain, q, positions, rotations, position, rotation)
+        for i in range(3):
+            error[i] = target_position[i] - position[i]
+        shift = np.sqrt(error[0] ** 2 + error[1] ** 2 + error[2] ** 2)
+        turn = 0.0
+        if rows == 6:
+            rotation_vector(rotation, target_rotation, error[3:])
+            turn = np.sqrt(error[3] ** 2 + error[4] ** 2 + error[5] ** 2)
+        total = shift + turn
+        if shift < tolerance and turn < tolerance:
+            return CONVERGED, total, iteration
+        if iteration == max_iterations:
+            break
+        since += 1
+        if total < 0.95 * best:
+            best, since = total, 0
+        elif since > PATIENCE:
+            return STALLED, total, iteration
+        if shift > MAX_SHIFT:
+            for i in range(3):
+                error[i] *= MAX_SHIFT / shift
+        if turn > MAX_TURN:
+            for i in range(3, 6):
+                error[i] *= MAX_TURN / turn
+        fill_jacobian(positions, rotations, position, jac)
+        damping = DAMPING * min(total * total, 1.0) + MIN_DAMPING
+        gain = POSTURE_GAIN * min(1.0, total / POSTURE_FADE) if n > rows else 0.0
+        for k in range(n):
+            pull[k] = gain * (posture[k] - q[k])
+            free[k] = True
+        if not _bounded_step(
+            jac, error, rows, damping, pull, q, lower, upper, free, gram, rest, step
+        ):
+            return STALLED, total, iteration
+        largest = 0.0
+        for k in range(n):
+            largest = max(largest, abs(step[k]))
+        scale = min(1.0, MAX_STEP / largest) if largest > 0 else 1.0
+        for k in range(n):
+            q[k] = min(max(q[k] + scale * step[k], lower[k]), upper[k])
+    return OUT_OF_STEPS, total, max_iterations
+
+
+@njit(cache=True)
+def _bounded_step(jac, error, rows, damping, pull, q, lower, upper, free, gram, rest, step):
+    """Fills ``step``: the formula above over the joints that do not run into a limit."""
+    n = q.shape[0]
+    for _ in range(n):
+        for i in range(rows):
+            rest[i] = error[i]
+            for k in range(n):
+                rest[i] -= jac[i, k] * (pull[k] if free[k] else step[k])
+            for j in range(i + 1):
+                total = 0.0
+                for k in range(n):
+                    if free[k]:
+                        total += jac[i, k] * jac[j, k]
+                gram[i, j] = total
+            gram[i, i] += damping
+        if not factorise(gram, rows):
+            return False
+        solve_factorised(gram, rows, rest)
+        stopped = False
+        for k in range(n):
+            if not free[k]:
+                continue
+            total = pull[k]
+            for i in range(rows):
+                total += jac[i, k] * rest[i]
+            step[k] = total
+            if q[k] + total < lower[k]:
+                step[k], stopped, free[k] = lower[k] - q[k], True, False
+            elif q[k] + total > upper[k]:
+                step[k], stopped, free[k] = upper[k] - q[k], True, False
+        if not stopped:
+            break
+    return True
+
+
+@njit(cache=True)
+def descend_published(chain, target_position, target_rotation, rows, tolerance, max_iterations, q):
+    """The published solver (protocol 8.1), improving q in place, without joint limits.
+
+    error = log6(T_target^-1 T(q)), dq = -0.1 J^T (J J^T + 1e-12 I)^-1 error with J in the tool's
+    own axes; done when the norm of the error, its first three entries for position only, is below
+    the tolerance. These three depend on ``target_rotation``, too. Returns as :func:`descend` does.
+    """
+    n = q.shape[0]
+    positions, rotations = np.empty((n, 3)), np.empty((n, 3, 3))
+    position, rotation = np.empty(3), np.empty((3, 3))
+    world, jac, gram = np.empty((6, n)), np.empty((6, n)), np.empty((6, 6))
+    relative, turn, error = np.empty(3), np.empty((3, 3)), np.zeros(6)
+    size = np.inf
+    for iteration in range(max_iterations + 1):
+        tool_and_frames(chain, q, positions, rotations, position, rotation)
+        for i in range(3):
+            relative[i] = 0.0
+            for k in range(3):
+                relative[i] += target_rotation[k, i] * (position[k] - target_position[k])
+            for j in range(3):
+                turn[i, j] = 0.0
+                for k in range(3):
+                    turn[i, j] += target_rotation[k, i] * rotation[k, j]
+        logarithm(relative, turn, error)
+        size = 0.0
+        for i in range(rows):
+            size += error[i] * error[i]
+        size = np.sqrt(size)
+        if size < tolerance:
+            return CONVERGED, size, iteration
+        if iteration == max_iterations:
+            break
+        fill_jacobian(positions, rotations, position, world)
+        for k in range(n):
+            for i in range(3):
+                jac[i, k] = jac[3 + i, k] = 0.0
+                for j in range(3):
+                    jac[i, k] += rotation[j, i] * world[j, k]
+                    jac[3 + i, k] += rotation[j, i] * world[3 + j, k]
+        for i in range(rows):
+            for j in range(i + 1):
+                gram[i, j] = 0.0
+                for k in range(n):
+                    gram[i, j] += jac[i, k] * jac[j, k]
+            gram[i, i] += 1e-12
+        if not factorise(gram, rows):
+            return STALLED, size, iteration
+        solve_factorised(gram, rows, error)
+        for k in range(n):
+            for i in range(rows):
+                q[k] -= 0.1 * jac[i, k] * error[i]
+    return OUT_OF_STEPS, size, max_iterations
+
+
+TOLERANCE = 1e-6
+"""Largest error of a solution in position [m] and in rotation [rad]."""
+SINGULAR_VALUE = 0.005
+"""Below this smallest singular value of the Jacobian a configuration counts as singular: there is
+a direction in which 5 mm/s of the tool (or 5 mrad/s) cost a joint 1 rad/s."""
+MAX_ITERATIONS, PUBLISHED_ITERATIONS = 60, 1000
+RESTARTS = 16
+SINGULAR_RESTARTS = 4
+"""How many more starts are tried once a singular solution is known."""
+NUM_SEEDS = 1024
+METRES_PER_RADIAN = 0.3
+"""How a rotation compares with a shift when seeds are ranked."""
+
+
+class IKFailure(IntEnum):
+    """Why there is no solution; stored as int8."""
+
+    NONE = 0
+    """There is one."""
+    OUT_OF_REACH = 1
+    """A gap is left even where joint limits do not count."""
+    JOINT_LIMIT = 2
+    """There is one beyond the limits; within them none was found."""
+    SINGULAR = 3
+    """Found only with the arm in a singular configuration (:data:`SINGULAR_VALUE`), which it could
+    not leave in every direction at bounded joint speed. The joints are those of this solution."""
+    NO_CONVERGENCE = 4
+    """Not found in the iterations allowed; nothing is proven."""
+
+
+_NONE, _FAR, _LIMIT, _SINGULAR, _OPEN = (int(failure) for failure in IKFailure)
+
+
+class Seeds(NamedTuple):
+    """Configurations and the tool poses they give."""
+
+    joints: np.ndarray
+    """float64[k, n] [rad]."""
+    position: np.ndarray
+    """float64[k, 3] [m, world]."""
+    rotation: np.ndarray
+    """float64[k, 3, 3]."""
+
+
+@lru_cache(maxsize=32)
+def seeds(arm: Arm, branch: str | None = None) -> Seeds:
+    """Fixed configurations spread evenly over a branch, at most a turn around the home pose."""
+    lower, upper = arm.limits(branch)
+    lower, upper = np.maximum(lower, arm.home - np.pi), np.minimum(upper, arm.home + np.pi)
+    # The additive recurrence of the generalised golden ratio: even in any dimension.
+    n = len(lower)
+    ratio = 2.0
+    for _ in range(60):
+        ratio = (1 + ratio) ** (1 / (n + 1))
+    share = np.outer(np.arange(1, NUM_SEEDS + 1), ratio ** -np.arange(1.0, n + 1)) % 1
+    joints = lower + share * (upper - lower)
+    return Seeds(joints, *forward_many(get_chain(arm), joints))
+
+
+# ---------------------------------------------------------------- compiled
+
+
+@njit(cache=True)
+def solve_published(
+    chain, position, rotation, rows, max_iterations, joints, failure, error, iterations
+):
+    for k in range(position.shape[0]):
+        state, error[k], iterations[k] = descend_published(
+            chain, position[k], rotation[k], rows, TOLERANCE, max_iterations, joints[k]
+        )
+        failure[k] = _NONE if state == CONVERGED else _OPEN
+
+
+@njit(cache=True)
+def solve_all(
+    chain, lower, upper, posture, table, position, rotation, rows, max_iterations, restarts,
+    joints, failure, error, iterations,
+):  # fmt: skip
+    for k in range(position.shape[0]):
+        failure[k], error[k], iterations[k] = _solve_one(
+            chain, lower, upper, posture, table, position[k], rotation[k], rows, max_iterations,
+            restarts, joints[k],
+        )  # fmt: skip
+
+
+@njit(cache=True)
+def _solve_one(
+    chain, lower, upper, posture, table, position, rotation, rows, max_iterations, restarts, q
+):
+    """Leaves the solution in q, which holds the start."""
+    n = q.shape[0]
+    start = q.copy()
+    trial, singular = np.empty(n), np.empty(n)
+    best, spent, is_singular, open_end = np.inf, 0, False, False
+    ranks = np.empty(0)
+    last, left_singular = restarts, 0.0
+    reach = _reach(chain)
+    away = 0.0
+    for i in range(3):
+        away += (position[i] - chain.offset[0, i]) ** 2
+    if np.sqrt(away) > reach:
+        _clip(q, lower, upper)
+        return _FAR, np.sqrt(away) - reach, 0
+    attempt = -1
+    while attempt < last:
+        attempt += 1
+        if attempt == 0:
+            _copy(start, trial)
+        else:
+            if attempt == 1:
+                ranks = _ranks(table, position, rotation, rows)
+            nearest = 0
+            for k in range(ranks.shape[0]):
+                if ranks[k] < ranks[nearest]:
+                    nearest = k
+            ranks[nearest] = np.inf
+            _copy(table.joints[nearest], trial)
+        _clip(trial, lower, upper)
+        state, left, taken = descend(
+            chain, lower, upper, posture, position, rotation, rows, TOLERANCE, max_iterations,
+            trial,
+        )  # fmt: skip
+        spent += taken
+        if state == CONVERGED:
+            _unwind(trial, start, lower, upper)
+            if smallest_singular_value(jacobian(chain, trial), rows) >= SINGULAR_VALUE:
+                _copy(trial, q)
+                return _NONE, left, spent
+            if last > attempt + SINGULAR_RESTARTS:
+                last = attempt + SINGULAR_RESTARTS
+            if not is_singular:
+                is_singular = True
+                _copy(trial, singular)
+                left_singular = left
+        open_end |= state == OUT_OF_STEPS
+        if left < best:
+            best = left
+            _copy(trial, q)
+    if is_singular:
+        _copy(singular, q)
+        return _SINGULAR, left_singular, spent
+    # Which of the others: the same without limits, from the best that was found and from the start.
+    below, above = np.empty(n), np.empty(n)
+    for k in range(n):
+        below[k], above[k] = -1e3, 1e3
+    for attempt in range(2):
+        _copy(q if attempt == 0 else start, trial)
+        state, left, taken = descend(
+            chain, below, above, posture, position, rotation, rows, TOLERANCE, max_iterations,
+            trial,
+        )  # fmt: skip
+        spent += taken
+        if state == CONVERGED:
+            _unwind(trial, start, lower, upper)
+            if not _inside(trial, lower, upper):
+                return _LIMIT, best, spent
+            _copy(trial, q)
+            if smallest_singular_value(jacobian(chain, q), rows) < SINGULAR_VALUE:
+                return _SINGULAR, left, spent
+            return _NONE, left, spent
+        open_end |= state == OUT_OF_STEPS
+    return (_OPEN if open_end else _FAR), best, spent
+
+
+@njit(cache=True)
+def _reach(chain):
+    """An upper bound of how far the tool can be from the first joint [m]."""
+    total = _length(chain.tool_offset)
+    for k in range(1, chain.offset.shape[0]):
+        total += _length(chain.offset[k])
+    return total
+
+
+@njit(cache=True)
+def _length(vector):
+    return np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
+
+
+@njit(cache=True)
+def _copy(source, target):
+    # Slices would say the same, but take seconds to compile.
+    for k in range(source.shape[0]):
+        target[k] = source[k]
+
+
+@njit(cache=True)
+def _ranks(table, position, rotation, rows):
+    """Distances of the table's tool poses from the target [m], rotations counted as metres."""
+    count = table.joints.shape[0]
+    out = np.empty(count)
+    for k in range(count):
+        square = 0.0
+        for i in range(3):
+            square += (table.position[k, i] - position[i]) ** 2
+        if rows == 6:
+            trace = 0.0
+            for i in range(3):
+                for j in range(3):
+                    trace += table.rotation[k, i, j] * rotation[i, j]
+            angle = np.arccos(min(max(0.5 * (trace - 1), -1.0), 1.0))
+            square += (METRES_PER_RADIAN * angle) ** 2
+        out[k] = square
+    return out
+
+
+@njit(cache=True)
+def _clip(q, lower, upper):
+    for k in range(q.shape[0]):
+        q[k] = min(max(q[k], lower[k]), upper[k])
+
+
+@njit(cache=True)
+def _unwind(q, start, lower, upper):
+    """Takes off whole turns of joints where that brings them nearer to the start, or inside."""
+    turn = 2 * np.pi
+    for k in range(q.shape[0]):
+        wanted = q[k] - turn * np.floor((q[k] - start[k]) / turn + 0.5)
+        while wanted < lower[k]:
+            wanted += turn
+        while wanted > upper[k]:
+            wanted -= turn
+        if lower[k] <= wanted <= upper[k]:
+            q[k] = wanted
+
+
+@njit(cache=True)
+def _inside(q, lower, upper):
+    for k in range(q.shape[0]):  # noqa: SIM110 (compiled)
+        if q[k] < lower[k] or q[k] > upper[k]:
+            return False
+    return True
+
 
 __all__ = ["IKFailure", "Solution", "Solutions", "solve", "solve_many"]
 

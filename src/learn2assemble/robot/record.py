@@ -3,17 +3,23 @@
 One sequence of samples at a fixed rate, cut into steps; a step is one attempt to pick up an object
 and to put it down. Cells are numbered as the blocks of the plan, for the whole build. Times count
 from the beginning of the build. The fields are described in ``docs/trajectory.md``.
+
+Is a record sound: within the limits of the arm, continuous, and free of contradictions?
+
+The rules hold for the whole build as one sequence, so also where one step follows another.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from learn2assemble.errors import InputError
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.outcome import Outcome
+from learn2assemble.robot.moves import Outcome
 
 RATE = 50.0
 """Samples per second."""
@@ -165,3 +171,172 @@ def arm_facts(arm: Arm) -> ArmFacts:
         arm.name, arm.joints, arm.lower, arm.upper, arm.velocity, arm.acceleration,
         arm.base_position, arm.base_yaw, arm.tool, arm.gripper.max_width,
     )  # fmt: skip
+
+
+GRAIN = 1e-6
+"""Numbers are rounded to this, which is all the slack the limits get [rad], [rad/s], [m]."""
+WIDTH_SPEED = 1.0
+"""No opening between pads changes faster; what does is a jump in the record [m/s]."""
+
+
+def require_sound(record: BuildRecord) -> None:
+    """Refuse a record that is not sound.
+
+    Raises:
+        InputError: saying what is wrong, in one line.
+    """
+    fault = find_fault(record)
+    if fault is not None:
+        raise InputError("trajectory", fault, "a motion within the limits, without jumps")
+
+
+def find_fault(record: BuildRecord) -> str | None:
+    """The first thing that is wrong with a record, in one line; None where nothing is."""
+    for check in (_structure, _times, _limits, _motion, _steps):
+        for fault in check(record):
+            return fault
+    return None
+
+
+def _structure(record: BuildRecord) -> Iterator[str]:
+    cells = sorted(cell for cells in record.objects for cell in cells)
+    if cells != list(range(len(cells))):
+        yield f"objects: cells {cells} are not 0 to {len(cells) - 1}, each once"
+    if not record.rate > 0:
+        yield f"rate: {record.rate:g} samples per second"
+    n, arm = len(record.arm.joints), record.arm
+    for what in ("lower", "upper", "velocity", "acceleration"):
+        if getattr(arm, what).shape != (n,):
+            yield f"arm.{what}: {len(getattr(arm, what))} numbers for {n} joints"
+    for k, step in enumerate(record.steps, 1):
+        if step.number != k:
+            yield f"step {step.number}: should have number {k}"
+        own = [set(c) for c in record.objects]
+        if not step.cells or set(step.cells) not in own or len(set(step.cells)) < len(step.cells):
+            yield f"step {k}: cells {list(step.cells)} are no object of the build"
+        for what in ("before", "after"):
+            poses = getattr(step, what)
+            if poses.shape != (len(cells), 7):
+                yield f"step {k}: {what} does not hold 7 numbers for each of {len(cells)} cells"
+            elif np.abs(np.linalg.norm(poses[:, 3:], axis=1) - 1).max(initial=0.0) > 1e-4:
+                yield f"step {k}: {what} holds a quaternion that is not of length 1"
+        samples, count = step.samples, len(step.samples.time)
+        if not (
+            samples.joints.shape == samples.velocity.shape == (count, n)
+            and samples.width.shape == (count,)
+        ):
+            yield f"step {k}: its samples differ in number"
+        everything = (samples.joints, samples.velocity, samples.width, step.before, step.after,
+                      step.target, samples.time)  # fmt: skip
+        if not all(np.isfinite(array).all() for array in everything):
+            yield f"step {k}: a number is not finite"
+
+
+def _times(record: BuildRecord) -> Iterator[str]:
+    samples, number = record.joined()
+    wanted = np.arange(len(samples.time)) / record.rate
+    wrong = np.abs(samples.time - wanted) > 2 * GRAIN
+    for i in np.flatnonzero(wrong).tolist():
+        yield (
+            f"step {number[i]}: sample {i} of the build is at {samples.time[i]:.6g} s, at "
+            f"{record.rate:g} per second it should be at {wanted[i]:.6g} s"
+        )
+    for step, (start, end) in zip(record.steps, record.spans(), strict=True):
+        before = start
+        for stage in step.stages:
+            if not (before - GRAIN <= stage.start <= stage.end <= end + GRAIN):
+                yield (
+                    f"step {step.number}: stage {stage.name} from {stage.start:g} to "
+                    f"{stage.end:g} s lies outside {before:g} to {end:g} s"
+                )
+            before = stage.end
+
+
+def _limits(record: BuildRecord) -> Iterator[str]:
+    samples, number = record.joined()
+    arm, rate = record.arm, record.rate
+    q, v = samples.joints, samples.velocity
+    place = (q < arm.lower - GRAIN) | (q > arm.upper + GRAIN)
+    for i, j in np.argwhere(place).tolist():
+        yield (
+            f"{_where(samples, number, i)}: {arm.joints[j]} is at {q[i, j]:.4f} rad, limits "
+            f"{arm.lower[j]:.4f} to {arm.upper[j]:.4f}"
+        )
+    # Mean over a sample, too, which the commanded velocity at its ends does not show.
+    mean = np.abs(np.diff(q, axis=0)) * rate
+    fast = np.maximum(np.abs(v), np.vstack([np.zeros((min(len(v), 1), v.shape[1])), mean]))
+    for i, j in np.argwhere(fast > arm.velocity + GRAIN * (1 + 2 * rate)).tolist():
+        yield (
+            f"{_where(samples, number, i)}: {arm.joints[j]} moves at {fast[i, j]:.4f} rad/s, "
+            f"limit {arm.velocity[j]:.4f}"
+        )
+    if len(v):
+        rest = np.zeros((1, v.shape[1]))  # before the first sample and after the last
+        change = np.abs(np.diff(np.vstack([rest, v, rest]), axis=0)) * rate
+        for i, j in np.argwhere(change > arm.acceleration + 2 * GRAIN * rate).tolist():
+            yield (
+                f"{_where(samples, number, min(i, len(v) - 1))}: {arm.joints[j]} accelerates at "
+                f"{change[i, j]:.4f} rad/s^2, limit {arm.acceleration[j]:.4f}"
+            )
+    wide = (samples.width < -GRAIN) | (samples.width > arm.max_width + GRAIN)
+    for i in np.flatnonzero(wide).tolist():
+        yield (
+            f"{_where(samples, number, i)}: the gripper is open {1000 * samples.width[i]:.3f} mm, "
+            f"limits 0 to {1000 * arm.max_width:g}"
+        )
+
+
+def _motion(record: BuildRecord) -> Iterator[str]:
+    """Positions follow from velocities; what the limits on acceleration cannot explain is a
+    jump."""
+    samples, number = record.joined()
+    arm, period = record.arm, 1 / record.rate
+    q, v = samples.joints, samples.velocity
+    gap = np.abs(np.diff(q, axis=0) - period * (v[1:] + v[:-1]) / 2)
+    slack = arm.acceleration * period**2 / 4 + GRAIN * (1 + period)
+    for i, j in np.argwhere(gap > slack).tolist():
+        yield (
+            f"{_where(samples, number, i + 1)}: {arm.joints[j]} jumps by {gap[i, j]:.4f} rad "
+            "against its velocity"
+        )
+    for i in np.flatnonzero(np.abs(np.diff(samples.width)) > WIDTH_SPEED * period + GRAIN).tolist():
+        yield (
+            f"{_where(samples, number, i + 1)}: the gripper jumps by "
+            f"{1000 * abs(samples.width[i + 1] - samples.width[i]):.1f} mm"
+        )
+
+
+def _steps(record: BuildRecord) -> Iterator[str]:
+    last = None
+    for step, (start, end) in zip(record.steps, record.spans(), strict=True):
+        yield from _held(step, start, end)
+        if step.outcome != Outcome.REACHED and not step.detail:
+            yield f"step {step.number}: {step.outcome.label} without a reason"
+        if last is not None and not np.allclose(last.after, step.before, rtol=0, atol=2 * GRAIN):
+            cell = int(np.abs(last.after - step.before).max(1).argmax())
+            yield (
+                f"step {step.number}: cell {cell} does not begin where step {last.number} has "
+                "left it"
+            )
+        last = step
+
+
+def _held(step: StepRecord, start: float, end: float) -> Iterator[str]:
+    k = step.number
+    if step.outcome == Outcome.REACHED and (step.grip is None or step.release is None):
+        yield f"step {k}: reached, but the object is never held and released"
+    if step.grip is None and step.release is not None:
+        yield f"step {k}: released at {step.release:g} s, but never held"
+    if step.grip is not None:
+        release = end if step.release is None else step.release
+        if not start - GRAIN <= step.grip <= release <= end + GRAIN:
+            yield (
+                f"step {k}: held from {step.grip:g} to {release:g} s, outside "
+                f"{start:g} to {end:g} s"
+            )
+        if not len(step.samples.time):
+            yield f"step {k}: holds an object without a motion"
+
+
+def _where(samples: Samples, number: np.ndarray, i: int) -> str:
+    return f"step {number[i]}, t = {samples.time[i]:.2f} s"

@@ -1,11 +1,14 @@
-"""Arguments of a search; every variant is the same function with other arguments."""
+"""Arguments of a search; every variant is the same function with other arguments.
+
+Searches by name: the published ones and ours. Adding one is one line.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.errors import InputError, UnknownNameError, look_up
 
 TO_THE_END = 10_000
 """Rollout depth that no episode reaches: play every rollout to termination."""
@@ -62,7 +65,7 @@ class SearchConfig:
         expansion: how the next action of a node is picked. ``epsilon-greedy``: untried ones by Q,
             some at random (11.2). ``uct``: largest ``mean + c sqrt(ln n(node) / n(child))``
             (11.4); untried ones by Q with the prior, at random without. ``gumbel``: sequential
-            halving at the root, the completed policy below (:mod:`~learn2assemble.search.gumbel`).
+            halving at the root, the completed policy below (:mod:`~learn2assemble.search.rules`).
         exploration: c of ``uct``.
         repeats: a walk may enter an explored child before its siblings have been tried, and the
             end of a walk may be simulated again; without it every edge is simulated once.
@@ -118,3 +121,39 @@ class SearchConfig:
     def uses_q(self) -> bool:
         """Whether the choice among untried actions looks at Q."""
         return self.budget == 0 or self.prior or self.expansion != "uct" or self.backup == "max"
+
+
+SEARCHES: dict[str, SearchConfig] = {
+    # Published (protocol 11.5). The first two are one search with differently trained agents.
+    "dqn-mcts": SearchConfig(),
+    "q-mcts": SearchConfig(),
+    "eps-mcts": SearchConfig(expansion="uct", random_first=True),
+    # Plain UCT (protocol 13.20): nothing learned takes part in it.
+    "uct": SearchConfig(
+        budget=1000, expansion="uct", prior=False, repeats=True, rollout=TO_THE_END,
+        rollout_policy="random",
+    ),
+    # Ours.
+    "distinct": SearchConfig(distinct=True),
+    "widening": SearchConfig(
+        distinct=True, expansion="uct", widening=0.8, exploration=0.2, backup="max"
+    ),
+    "gumbel": SearchConfig(
+        distinct=True, expansion="gumbel", repeats=True, final="gumbel", backup="max",
+        gumbel=GumbelConfig(considered=8),
+    ),
+}  # fmt: skip
+
+
+def get_search(name: str) -> SearchConfig:
+    """The search called ``name``.
+
+    Raises:
+        UnknownNameError: naming the nearest one.
+    """
+    return look_up("search", name, SEARCHES)
+
+
+def training_search(method: str, budget: int, epsilon: float) -> SearchConfig:
+    """The search of a learner during training: one step, epsilon by its schedule."""
+    return replace(get_search(method), budget=budget, epsilon=epsilon)

@@ -1,4 +1,10 @@
-"""Which action a walk takes, and which one is played in the end (protocol 11.2 to 11.4)."""
+"""Gumbel root selection with sequential halving and completed Q-values (Danihelka et al. 2022).
+
+A Q-network takes the place of policy and value: the logits are Q / temperature, and the completed
+Q-value of an action that was not simulated is its Q (the original fills in a mixed state value).
+
+Which action a walk takes, and which one is played in the end (protocol 11.2 to 11.4).
+"""
 
 from __future__ import annotations
 
@@ -7,9 +13,60 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from learn2assemble.search import gumbel
 from learn2assemble.search.config import SearchConfig
 from learn2assemble.search.tree import Node
+
+
+def gumbel_waves(root: Node, config: SearchConfig, rng: np.random.Generator) -> Iterator[list[int]]:
+    """Waves of root actions: all that are still considered, in every phase half as many."""
+    logits = _logits(root, config)
+    if config.gumbel.noise:
+        root.noise = rng.gumbel(size=len(logits))
+        logits = logits + root.noise
+    count = max(1, min(config.gumbel.considered, len(logits), config.budget))
+    phases = max(1, math.ceil(math.log2(count)))
+    alive = np.argsort(-logits, kind="stable")[:count].tolist()
+    left = config.budget
+    while left > 0:
+        for _ in range(max(1, config.budget // (phases * len(alive)))):
+            wave = alive[:left]
+            if not wave:
+                return
+            left -= len(wave)
+            yield wave
+        score = gumbel_scores(root, config)
+        alive.sort(key=lambda key: -score[key])
+        alive = alive[: max(2, len(alive) // 2)]
+
+
+def gumbel_scores(root: Node, config: SearchConfig) -> np.ndarray:
+    """``g + logits + sigma(completed Q)`` of every root action: float64[A]."""
+    noise = 0.0 if root.noise is None else root.noise
+    return noise + _logits(root, config) + _sigma(root, config)
+
+
+def completed_policy(node: Node, config: SearchConfig) -> np.ndarray:
+    """The improved policy ``softmax(logits + sigma(completed Q))``: float64[A]."""
+    logits = _logits(node, config) + _sigma(node, config)
+    weights = np.exp(logits - logits.max())
+    return weights / weights.sum()
+
+
+def gumbel_interior(node: Node, config: SearchConfig) -> int:
+    """Below the root: where the visits lag most behind the improved policy; no chance."""
+    share = node.simulated / (1 + node.simulated.sum())
+    return int(np.argmax(completed_policy(node, config) - share))
+
+
+def _logits(node: Node, config: SearchConfig) -> np.ndarray:
+    return node.actions.values / config.gumbel.temperature
+
+
+def _sigma(node: Node, config: SearchConfig) -> np.ndarray:
+    """The monotone transform of completed Q-values, which search results sharpen."""
+    low, high = node.estimates.min(), node.estimates.max()
+    scaled = (node.estimates - low) / max(high - low, 1e-8)
+    return (config.gumbel.visit_offset + node.simulated.max()) * config.gumbel.value_scale * scaled
 
 
 def root_waves(root: Node, config: SearchConfig, rng: np.random.Generator) -> Iterator[list[int]]:
@@ -18,7 +75,7 @@ def root_waves(root: Node, config: SearchConfig, rng: np.random.Generator) -> It
     The actions of one wave can be simulated together: none depends on the outcome of another.
     """
     if config.expansion == "gumbel":
-        yield from gumbel.halving(root, config, rng)
+        yield from gumbel_waves(root, config, rng)
         return
     left = config.budget
     while left > 0:
@@ -42,7 +99,7 @@ def _blind(config: SearchConfig) -> bool:
 def choose(node: Node, config: SearchConfig, rng: np.random.Generator) -> int | None:
     """The action a walk takes at ``node``; ``None`` where nothing is left to try."""
     if config.expansion == "gumbel":
-        return gumbel.interior(node, config)
+        return gumbel_interior(node, config)
     room = not node.fully_expanded and len(node.children) < math.ceil(
         (node.below + 1) ** config.widening - 1e-9
     )
@@ -131,7 +188,7 @@ def final_key(root: Node, config: SearchConfig, rng: np.random.Generator) -> int
         most = max(root.children[key].visits for key in keys)
         keys = [key for key in keys if root.children[key].visits == most]
     if config.final == "gumbel":
-        return keys[largest(gumbel.scores(root, config)[keys], rng)]
+        return keys[largest(gumbel_scores(root, config)[keys], rng)]
     return keys[largest([root.children[key].value for key in keys], rng)]
 
 

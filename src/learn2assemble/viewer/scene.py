@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.viewer.turns import rotation_of
-from learn2assemble.world.actions import RELATIONS
+from learn2assemble.viewer.playback import rotation_of
+from learn2assemble.world.blocks import RELATIONS
 
 FORMAT, VERSION = "learn2assemble-plan", 1
 STATUSES = ("complete", "incomplete", "refused")

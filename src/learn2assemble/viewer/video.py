@@ -1,4 +1,9 @@
-"""The video of a build by an arm: MP4 (H.264), drawn and encoded on the processor alone."""
+"""Words and rectangles in a picture of numbers, with the font that comes with matplotlib.
+
+Frames of the video of a build: the cell from one place, and below it what happens.
+
+The video of a build by an arm: MP4 (H.264), drawn and encoded on the processor alone.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +16,235 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.errors import InputError, MissingExtraError
+from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.record import BuildRecord
-from learn2assemble.viewer.film import HEIGHT, WIDTH, Film
+from learn2assemble.viewer.cell_model import body_poses, cell_model, fill_box, rgb, write
+from learn2assemble.viewer.drawings import kind
+from learn2assemble.viewer.picture import ACCENT, COLOURS, INK, LINE, PAPER, RIM, SOFT
+from learn2assemble.viewer.playback import Playback, Segment, extent
+from learn2assemble.viewer.renderer import Buffers, Camera, Light, blend_film, project, render
+from learn2assemble.viewer.scene import read_scene
+from learn2assemble.viewer.words import block_names, clock_words, stage_words
+
+WIDTH, HEIGHT = 800, 544
+_FOOT = 92
+"""Height of the words under the picture [px]."""
+SKY, TABLE, WAITING = rgb("#f1efea"), np.array([228, 223, 213], np.float32), rgb("#e9ddc7")
+_BAD = rgb("#a3261c")
+_GOOD = rgb("#17663c")
+_FROM = np.array([0.5, -1.0, 0.6])
+"""Direction from the structure to the camera, world frame."""
+_SUN = np.array([-0.9, -1.9, 2.5])
+_FIELD = 16.0
+"""Angle of view, up and down [degrees]."""
+
+
+class Film:
+    """The pictures of one record; ``note`` stands behind the name of the arm.
+
+    Raises:
+        InputError: where the record does not fit the plan.
+    """
+
+    def __init__(
+        self, plan: Mapping[str, Any], record: BuildRecord, width: int = WIDTH,
+        height: int = HEIGHT, note: str = "",
+    ) -> None:  # fmt: skip
+        self.plan, self.playback = plan, Playback(record, plan)
+        self.width, self.height, self.note = width, height, note
+        self.scene = read_scene(plan)
+        self.numbers = {int(s["block"]): k for k, s in enumerate(plan["steps"], 1)}
+        if plan.get("first_block"):
+            self.numbers[int(plan["first_block"]["block"])] = 0
+        self.kinds = {block.number: kind(block) for block in self.scene.blocks}
+        self.model = cell_model(self.playback, self.scene, self.numbers)
+        self.placed_by = {
+            cell: step.number for step in record.steps if step.outcome == Outcome.REACHED
+            for cell in step.cells
+        }  # fmt: skip
+        self.buffers = Buffers(self.model.triangles, width, height - _FOOT)
+        self.camera = self._camera()
+        self.light = self._light()
+        self.films = self._films()
+        self.ribbons = self._ribbons()
+        self.names = block_names(plan)
+
+    def frame(self, clock: float) -> np.ndarray:
+        """uint8[height, width, 3] at a time of the replay [s]."""
+        image = np.empty((self.height, self.width, 3), np.uint8)
+        image[:-_FOOT] = self._picture(clock)
+        image[-_FOOT:] = rgb(PAPER).astype(np.uint8)
+        self._words(image, clock)
+        return image
+
+    def _picture(self, clock: float) -> np.ndarray:
+        model, segment = self.model, self.playback.segment_at(clock)
+        shown = np.ones(model.count, bool)
+        release = segment.step.release
+        done = release is not None and clock > release + segment.delay
+        shown[model.goal] = 0 < clock < self.playback.duration and not done
+        picture = render(
+            model.triangles, self.buffers, self.camera, self.light,
+            *body_poses(model, self.playback, clock), shown, self._colours(segment, clock),
+            SKY, rgb(RIM), model.numbers,
+        )  # fmt: skip
+        for corners in self.films:
+            blend_film(corners, rgb(ACCENT), 0.2, self.buffers.depth, picture)
+        return picture
+
+    def _films(self) -> list[np.ndarray]:
+        """The targets as triangles in the picture, a hair behind the faces of the blocks."""
+        edge, camera, found = self.playback.record.block_edge, self.camera, []
+        for side in self.scene.elevations:
+            corners = side.face(edge)
+            blocks = [block.position for block in self.scene.blocks] or [corners.mean(0)]
+            normal = area_vector(corners)
+            normal /= max(float(np.linalg.norm(normal)), 1e-12)
+            inward = normal if (np.mean(blocks, 0) - corners[0]) @ normal > 0 else -normal
+            screen = np.empty((len(corners), 3), np.float32)
+            points = (corners + edge / 50 * inward).astype(np.float32)
+            project(points, camera.position, camera.axes, camera.focal, camera.centre, screen)
+            found += [screen[list(ear)] for ear in ears(corners)]
+        return found
+
+    def _ribbons(self) -> tuple[np.ndarray, np.ndarray]:
+        """All attempts side by side, as they look when done and before: uint8[8, width, 3]."""
+        paper = np.tile(rgb(PAPER).astype(np.uint8), (8, self.width, 1))
+        done, ahead = paper.copy(), paper
+        scale = (self.width - 48) / max(self.playback.duration, 1e-9)
+        for s in self.playback.segments:
+            good = s.step.outcome == Outcome.REACHED
+            x0 = 24 + s.start * scale
+            x1 = max(24 + s.end * scale - 1.5, x0 + 1)
+            fill_box(done, x0, 0, x1, 8, rgb(ACCENT) if good else _BAD)
+            fill_box(ahead, x0, 0, x1, 8, rgb(LINE) if good else 0.35 * _BAD + 0.65 * rgb(PAPER))
+        return done, ahead
+
+    def _colours(self, segment: Segment, clock: float) -> np.ndarray:
+        model = self.model
+        colour = np.tile(WAITING, (model.count, 1))
+        colour[model.outline], colour[model.table] = rgb(ACCENT), TABLE
+        colour[model.places] = 0.5 * (TABLE + rgb(SOFT))
+        colour[model.goal] = rgb(COLOURS["current"])
+        for k, part in enumerate(self.playback.shape.parts):
+            colour[model.arm + k] = 255 * np.array(part.colour)
+        for cell in range(self.playback.record.num_cells):
+            number = self.numbers.get(cell)
+            own = rgb(COLOURS[self.kinds.get(number if number is not None else -1, "wall")])
+            if number == 0 or self.placed_by.get(cell, np.inf) < segment.step.number:
+                colour[model.cells + cell] = own
+            if cell in segment.step.cells and 0 < clock < self.playback.duration:
+                colour[model.cells + cell] = rgb(COLOURS["current"])
+            elif cell in segment.step.cells and clock and cell in self.placed_by:
+                colour[model.cells + cell] = own
+        last = model.cells + self.playback.record.num_cells
+        for k, (a, _) in enumerate(model.fillers.tolist(), last):
+            colour[k] = colour[model.cells + a]
+        return colour
+
+    def _words(self, image: np.ndarray, clock: float) -> None:
+        playback, record = self.playback, self.playback.record
+        segment, top = playback.segment_at(clock), self.height - _FOOT
+        ink, soft = rgb(INK), rgb(SOFT)
+        title = " ".join(str(self.plan["design"]["name"]).split())
+        write(image, title, 24, 42, 24, ink, bold=True)
+        write(image, f"arm {record.arm.name}{self.note}", 24, 66, 14, soft)
+        now = 24 + round((self.width - 48) * clock / max(playback.duration, 1e-9))
+        for strip, columns in zip(self.ribbons, (slice(0, now), slice(now, None)), strict=True):
+            image[top + 12 : top + 20, columns] = strip[:, columns]
+        good = segment.step.outcome == Outcome.REACHED
+        write(image, self.doing(clock), 24, top + 50, 19, ink, bold=True)
+        spent = f"{clock_words(clock)} / {clock_words(playback.duration)}"
+        write(image, spent, self.width - 24, top + 50, 19, soft, align="right")
+        if clock > 0:
+            total = len(playback.segments)
+            x = write(image, f"attempt {segment.step.number} of {total}: ", 24, top + 77, 15, soft)
+            words = segment.step.outcome.label
+            x = write(image, words, x + 7, top + 77, 15, _GOOD if good else _BAD, bold=True)
+            if segment.step.detail:
+                write(image, segment.step.detail, x + 10, top + 77, 15, soft)
+
+    def doing(self, clock: float) -> str:
+        """What the arm does at a time of the replay, as a sentence."""
+        segment = self.playback.segment_at(clock)
+        step = segment.step
+        if clock <= 0:
+            return "The arm waits."
+        if clock >= self.playback.duration:
+            return "The build is over."
+        if not len(step.samples.time):
+            return f"The arm cannot move: {step.outcome.label}."
+        for stage in step.stages:
+            if stage.start - 1e-6 <= clock - segment.delay <= stage.end + 1e-6:
+                block = self.names.get(step.cells[0], "a waiting block")
+                return f"The arm {stage_words(step, stage, block)}."
+        return "The arm stands still."
+
+    def _points(self) -> np.ndarray:
+        record = self.playback.record
+        cells = [record.steps[0].before[:, :3], record.steps[-1].after[:, :3]]
+        faces = [side.face(record.block_edge) for side in self.scene.elevations]
+        return np.concatenate([*cells, *faces, extent(self.playback)])
+
+    def _camera(self) -> Camera:
+        """As near as shows everything, as the page does."""
+        points, width, height = self._points(), self.width, self.height - _FOOT
+        pad = 0.75 * self.playback.record.block_edge
+        corners = pad * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+        cloud = (points[:, None] + corners).reshape(-1, 3)
+        back = _FROM / np.linalg.norm(_FROM)
+        right = np.cross([0.0, 0.0, 1.0], back)
+        right /= np.linalg.norm(right)
+        axes = np.stack([right, np.cross(right, back), -back])
+        focal = height / 2 / np.tan(np.radians(_FIELD / 2))
+        centre, distance = cloud.mean(0), 6 * float(np.ptp(cloud, axis=0).max())
+        for _ in range(16):
+            seen = (cloud - centre - distance * back) @ axes.T
+            xy = focal * seen[:, :2] / seen[:, 2:]
+            low, high = xy.min(0), xy.max(0)
+            centre = centre + (low + high) / 2 * distance / focal @ axes[:2]
+            fit = (high - low) / (0.94 * width, 0.92 * height)
+            distance *= min(max(float(fit.max()), 0.5), 2.0)
+        eye = centre + distance * back
+        return Camera(eye, axes, float(focal), np.array([width / 2, height / 2]))
+
+    def _light(self) -> Light:
+        sun = _SUN / np.linalg.norm(_SUN)
+        right = np.cross([0.0, 0.0, 1.0], sun)
+        right /= np.linalg.norm(right)
+        axes = np.stack([right, np.cross(sun, right), sun])
+        seen = self._points() @ axes[:2].T
+        low, high = seen.min(0) - 0.12, seen.max(0) + 0.12
+        return Light(axes, low, float((high - low).max()))
+
+
+def area_vector(corners: np.ndarray) -> np.ndarray:
+    """float64[3]: twice the area of a plane polygon, float64[v, 3], along its normal."""
+    return np.cross(corners, np.roll(corners, -1, 0)).sum(0)
+
+
+def ears(corners: np.ndarray) -> list[tuple[int, int, int]]:
+    """A plane simple polygon, float64[v, 3], as triangles of its corners."""
+    normal = area_vector(corners)
+    left, found = list(range(len(corners))), []
+
+    def turn(a: int, b: int, c: int) -> float:
+        return float(np.cross(corners[b] - corners[a], corners[c] - corners[b]) @ normal)
+
+    def inside(p: int, a: int, b: int, c: int) -> bool:
+        return min(turn(a, b, p), turn(b, c, p), turn(c, a, p)) > 0
+
+    while len(left) > 2:
+        for k in range(len(left)):
+            a, b, c = left[k - 1], left[k], left[(k + 1) % len(left)]
+            if turn(a, b, c) >= 0 and not any(inside(p, a, b, c) for p in left):
+                break
+        else:  # Only outlines that cross themselves get here.
+            break
+        found.append((a, b, c))
+        left.remove(b)
+    return found
+
 
 FRAMES_PER_SECOND = 25
 SPEED, LONGEST = 4.0, 45.0

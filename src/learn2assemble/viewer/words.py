@@ -1,9 +1,16 @@
-"""The sentences of a build report: what a plan says, in plain words."""
+"""The sentences of a build report: what a plan says, in plain words.
+
+The sentences about an arm: what it does in a stage, and what became of a step.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
+
+from learn2assemble.robot.moves import Outcome
+from learn2assemble.robot.record import BuildRecord, Stage, StepRecord
 
 _RELATIONS = {
     "top": "on top of",
@@ -86,3 +93,76 @@ def caption(plan: Mapping[str, Any], number: int) -> str:
 def _sides(plan: Mapping[str, Any]) -> str:
     count = len(plan["design"]["elevations"])
     return "one side" if count == 1 else f"{count} sides"
+
+
+STAGE_WORDS = {
+    "approach": ("moves to above {block}", "moves on"),
+    "pick": ("goes down and grasps {block}", "goes down to {block}"),
+    "lift": ("lifts {block}", "goes up without a block"),
+    "cross": ("carries {block} across", "moves across without a block"),
+    "place": ("lowers {block} into its place", "goes down without a block"),
+    "release": ("opens the fingers", "opens the fingers"),
+    "retreat": ("leaves {block} and goes up", "goes up without a block"),
+    "home": ("moves back to where it waits", "moves back to where it waits"),
+}
+"""Of every stage: as it should go, and with an empty hand that should not be empty."""
+OUTCOME_WORDS = {
+    Outcome.REACHED: "the block stands where it should, and nothing else has moved",
+    Outcome.UNREACHABLE: "there is no way for the arm's joints; it does not move",
+    Outcome.GRASP_COLLISION: "something would be or was touched on the way to the block",
+    Outcome.PLACE_COLLISION: "something would be or was touched on the way to its place",
+    Outcome.GRASP_LOST: "the fingers closed on nothing, or the block slipped out at once",
+    Outcome.DISTURBED_STRUCTURE: "a block that stood before has moved",
+    Outcome.UNSTABLE: "the block did not stay where it was released",
+    Outcome.DROPPED: "the block was lost on the way",
+}
+_CARRYING = ("lift", "cross", "place")
+
+
+def stage_words(step: StepRecord, stage: Stage, block: str) -> str:
+    """What the arm does, e.g. ``"lifts block 7"``; ``block`` is how the object is called."""
+    as_planned, empty = STAGE_WORDS[stage.name]
+    middle = (stage.start + stage.end) / 2
+    release = math.inf if step.release is None else step.release
+    held = step.grip is not None and step.grip <= middle <= release
+    lost = stage.name in _CARRYING and not held
+    lost |= stage.name in ("pick", "retreat") and step.grip is None
+    return (empty if lost else as_planned).format(block=block)
+
+
+def block_names(plan: Mapping[str, Any]) -> dict[int, str]:
+    """How cells are called: by the number that stands on them; others are waiting blocks."""
+    names = {int(step["block"]): f"block {number}" for number, step in enumerate(plan["steps"], 1)}
+    first = plan.get("first_block")
+    return {int(first["block"]): "the first block", **names} if first else names
+
+
+def arm_caption(plan: Mapping[str, Any], step: StepRecord) -> str:
+    """What a step comes to, in one or two sentences."""
+    if step.outcome == Outcome.REACHED and step.plan_step is not None:
+        return caption(plan, step.plan_step)
+    block = block_names(plan).get(step.cells[0], "a waiting block")
+    text = f"{block[0].upper()}{block[1:]}: {step.outcome.label}. {sentence(step.detail)}"
+    if step.replanned:
+        text += " The rest of the build is planned anew from where the blocks are now."
+    return text
+
+
+def sentence(text: str) -> str:
+    """With a capital letter and a full stop; empty stays empty."""
+    text = text.strip().rstrip(".")
+    return f"{text[0].upper()}{text[1:]}." if text else ""
+
+
+def clock_words(seconds: float) -> str:
+    """``83.4`` as ``1:23``."""
+    return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"
+
+
+def arm_summary(record: BuildRecord) -> str:
+    """Outcomes in short, e.g. ``"20 of 22 attempts reached in 2:43 of robot time"``."""
+    reached = sum(step.outcome == Outcome.REACHED for step in record.steps)
+    spent = record.spans()[-1][1] if record.steps else 0.0
+    return (
+        f"{reached} of {len(record.steps)} attempts reached in {clock_words(spent)} of robot time"
+    )

@@ -13,11 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from learn2assemble.geometry.boxes import STABLE, UNDECIDED, classify_cube
 from learn2assemble.geometry.coverage import NARROW, DepthFilter, add_box, count_cover
-from learn2assemble.geometry.support import classify_object
-from learn2assemble.world.actions import Ways
-from learn2assemble.world.blocks import HALF
+from learn2assemble.geometry.support import STABLE, UNDECIDED, classify_cube, classify_object
+from learn2assemble.world.blocks import HALF, Ways
 from learn2assemble.world.rules import (
     REWARDS,
     judge_counts,

@@ -10,8 +10,7 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.geometry.coverage import NARROW, add_box, clear_to_ground, count_cover
-from learn2assemble.world.actions import DIRECTIONS, quarter_turn
-from learn2assemble.world.blocks import EDGE, HALF
+from learn2assemble.world.blocks import DIRECTIONS, EDGE, HALF, quarter_turn
 
 DISCRETE, SCALED = 0, 1
 REWARDS = {"discrete": DISCRETE, "scaled": SCALED}

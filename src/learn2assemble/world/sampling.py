@@ -7,9 +7,8 @@ from typing import NamedTuple
 from numba import njit
 
 from learn2assemble.geometry.coverage import NARROW, DepthFilter
-from learn2assemble.geometry.mask import paper_mask
-from learn2assemble.world.blocks import EDGE, HALF
-from learn2assemble.world.objects import draw_objects
+from learn2assemble.geometry.images import paper_mask
+from learn2assemble.world.blocks import EDGE, HALF, draw_objects
 from learn2assemble.world.rules import count_row, recover_all
 
 MAX_DRAWS = 100_000

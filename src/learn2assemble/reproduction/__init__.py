@@ -1,0 +1,26 @@
+"""The paper's laboratory: tables, bounds, recordings, the published cell, recipes of the agents.
+
+It plugs into the product's tables of names; nothing in the product imports it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from learn2assemble.physics.protocol import Physics
+    from learn2assemble.tasks import Task
+
+
+def register() -> None:
+    """Add the published cell to the placement checkers."""
+    from learn2assemble.checkers import CELLS
+
+    CELLS.register("published", _published)
+
+
+def _published(task: Task) -> Physics:
+    # MuJoCo is loaded only by those who ask for it.
+    from learn2assemble.reproduction.bullet.cell import published_physics
+
+    return published_physics(task)

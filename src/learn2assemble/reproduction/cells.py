@@ -1,0 +1,401 @@
+"""A cell: one policy on one task under one condition, measured over whole episodes.
+
+Result files: one per cell, written whole or not at all, with everything needed to repeat it.
+
+Measure the cells of a table that are missing or stale, on all cores.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from learn2assemble.checkers import checker_names
+from learn2assemble.errors import InputError
+from learn2assemble.evaluation.episodes import (
+    DISCOUNTS,
+    Policy,
+    episode_generators,
+    lookahead_policy,
+    make_policy,
+    play_episodes,
+    random_policy,
+)
+from learn2assemble.learning.run import provenance
+from learn2assemble.networks.agent import PRETRAINED, load_agent
+from learn2assemble.networks.config import NetworkConfig
+from learn2assemble.networks.qnetwork import QNetwork
+from learn2assemble.reproduction.bounds import best_returns, has_bound
+from learn2assemble.reproduction.tables import AGENT, LOOK_AHEAD, RANDOM, Row, Table, agent_seed
+from learn2assemble.search.config import SearchConfig
+from learn2assemble.simulator import Simulator
+from learn2assemble.tasks import Task
+
+BOUND = "bound"
+"""The policy that does not play: upper bounds on the returns of the problems."""
+DIGITS = 6
+"""Decimals kept of returns and coverages."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What is measured.
+
+    Args:
+        task: the problems.
+        policy: ``agent``, ``look-ahead``, ``untrained``, ``random`` or ``bound``.
+        agent: name of the agent; empty without one.
+        search: what precedes every decision.
+        epsilon: chance of a random action.
+        physics: judge of the episodes.
+        seed: of problems and policy.
+    """
+
+    task: Task
+    policy: str
+    agent: str = ""
+    search: SearchConfig | None = None
+    epsilon: float = 0.0
+    physics: str = "static"
+    seed: int = 0
+
+    @property
+    def path(self) -> str:
+        """Its file below the folder of results."""
+        if self.policy == BOUND:
+            return f"cells/{self.task.name}/{BOUND}.s{self.seed}.json"
+        parts = [self.agent or self.policy, _slug(self.search), f"eps{self.epsilon:g}"]
+        if self.physics != "static":
+            parts.append(self.physics)
+        return f"cells/{self.task.name}/{'.'.join(parts)}.json"
+
+    def to_dict(self) -> dict[str, Any]:
+        return dataclasses.asdict(self)
+
+    @staticmethod
+    def from_dict(values: dict[str, Any]) -> Cell:
+        """Inverse of :meth:`to_dict`; fields that came later get their defaults.
+
+        Raises:
+            TypeError, KeyError, ValueError: for what is no cell.
+        """
+        search = values["search"]
+        return Cell(
+            **{
+                **values,
+                "task": Task(**values["task"]),
+                "search": None if search is None else _rebuild(SearchConfig(), search),
+            }
+        )
+
+
+def _rebuild(default: Any, values: dict[str, Any]) -> Any:
+    """A configuration from its dictionary, other configurations inside it too."""
+    inner = {
+        name: _rebuild(getattr(default, name), value)
+        for name, value in values.items()
+        if dataclasses.is_dataclass(getattr(default, name, None))
+    }
+    return type(default)(**{**values, **inner})
+
+
+def _slug(search: SearchConfig | None) -> str:
+    """Budget and every setting that is not the default one, for file names."""
+    if search is None:
+        return "none"
+    return "-".join([f"b{search.budget}", *_changes(search, SearchConfig(), "")])
+
+
+def _changes(config: Any, default: Any, prefix: str) -> list[str]:
+    words = []
+    for f in dataclasses.fields(config):
+        value, usual = getattr(config, f.name), getattr(default, f.name)
+        if f.name in ("budget", "epsilon") or value == usual:
+            continue
+        if dataclasses.is_dataclass(usual):
+            words += _changes(value, usual, f"{f.name}.")
+        else:
+            words.append(f"{prefix}{f.name}={value}")
+    return words
+
+
+def measurable(cell: Cell) -> bool:
+    """Whether this version can play it."""
+    if cell.policy == BOUND:
+        return has_bound(cell.task)
+    return cell.physics in checker_names()
+
+
+def measure(cell: Cell, agent_file: str | None, episodes: int) -> dict[str, Any]:
+    """Play ``episodes`` episodes; the numbers of each, with versions, hardware and seconds.
+
+    Args:
+        agent_file: weights of the agent, for cells with one.
+    """
+    started, cpu = time.perf_counter(), time.process_time()
+    if cell.policy == BOUND:
+        rng, _ = episode_generators(cell.seed)
+        arrays = {"returns": _rounded(best_returns(Simulator(cell.task), episodes, rng))}
+    else:
+        simulator = Simulator(cell.task, cell.physics)
+        played = play_episodes(simulator, _policy(cell, agent_file), episodes, cell.seed)
+        arrays = {
+            "returns": _rounded(played.returns),
+            **{
+                f"returns_at_{gamma:g}": _rounded(column)
+                for gamma, column in zip(DISCOUNTS, played.returns_at.T, strict=True)
+                if gamma != cell.task.discount
+            },
+            "actions": played.actions.tolist(),
+            "failed": played.failed.astype(int).tolist(),
+            "success": played.success.astype(int).tolist(),
+            "coverage": _rounded(played.coverage),
+        }
+    times = {
+        "seconds": round(time.perf_counter() - started, 2),
+        "cpu_seconds": round(time.process_time() - cpu, 2),
+    }
+    return {**provenance("cpu"), **times, "episodes": episodes, **arrays}
+
+
+def _policy(cell: Cell, agent_file: str | None) -> Policy:
+    if cell.policy == LOOK_AHEAD:
+        return lookahead_policy(cell.task, cell.epsilon)
+    if cell.policy == RANDOM:
+        return random_policy(cell.task.num_actions)
+    if cell.policy == AGENT:
+        assert agent_file is not None
+        network = load_agent(str(Path(agent_file))).network
+    else:
+        # Its values are never asked for: without a prior and with rollouts to the end.
+        task = cell.task
+        config = NetworkConfig(
+            width=8, heads=1, rounds=1, num_actions=task.num_actions, attitudes=task.attitudes
+        )
+        torch.manual_seed(0)
+        network = QNetwork(config)
+    return make_policy(cell.task, network.eval(), cell.search, cell.epsilon)
+
+
+def _rounded(values: Any) -> list[float]:
+    return [round(float(value), DIGITS) for value in values]
+
+
+FORMAT, VERSION = "learn2assemble-cell", 1
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a result file says."""
+
+    cell: Cell
+    agent_hash: str | None
+    data: dict[str, Any]
+
+    @property
+    def episodes(self) -> int:
+        return int(self.data["episodes"])
+
+    def array(self, name: str) -> np.ndarray:
+        """One number an episode: float64[E]."""
+        return np.asarray(self.data[name], float)
+
+
+def write_result(root: Path, cell: Cell, agent_hash: str | None, data: dict[str, Any]) -> Path:
+    """Write the file of ``cell`` below ``root``; a kill leaves the old one or the new one.
+
+    Raises:
+        InputError: where it cannot be written.
+    """
+    file = root / cell.path
+    head = {
+        "format": FORMAT, "version": VERSION, "cell": cell.to_dict(), "agent_hash": agent_hash,
+    }  # fmt: skip
+    lines = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in {**head, **data}.items()]
+    part = file.with_suffix(f".{os.getpid()}.part")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        part.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+        part.replace(file)
+    except OSError as error:
+        raise InputError(
+            "--out", str(root), f"a writable folder ({error.strerror or 'unwritable'})"
+        ) from None
+    return file
+
+
+def read_result(file: Path) -> Result | None:
+    """A result file; ``None`` where it is absent, damaged or of another version."""
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+        if (data.pop("format"), data.pop("version")) != (FORMAT, VERSION):
+            return None
+        result = Result(Cell.from_dict(data.pop("cell")), data.pop("agent_hash"), data)
+        counts = {len(v) for v in data.values() if isinstance(v, list)}
+        return result if counts == {result.episodes} else None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
+def is_current(root: Path, cell: Cell, agent_hash: str | None, episodes: int) -> bool:
+    """Whether ``cell`` has been measured as it is now, with at least ``episodes`` episodes."""
+    result = read_result(root / cell.path)
+    return (
+        result is not None
+        and (result.cell, result.agent_hash) == (cell, agent_hash)
+        and result.episodes >= episodes
+    )
+
+
+def measured_agents(root: Path, task: str) -> set[str]:
+    """Names of the agents with results on ``task``."""
+    found = set()
+    for file in (root / "cells" / task).glob("*.json"):
+        result = read_result(file)
+        if result is not None and result.cell.agent:
+            found.add(result.cell.agent)
+    return found
+
+
+def find_agents(folder: Path | None) -> dict[str, Path]:
+    """Name and weights of the agents in ``folder``; of the shipped ones without it.
+
+    An agent is ``NAME.safetensors`` or a run folder ``NAME``.
+
+    Raises:
+        InputError: where the folder does not exist.
+    """
+    if folder is None:
+        folder = PRETRAINED
+    elif not folder.is_dir():
+        raise InputError("--agents", str(folder), "an existing folder")
+    runs = {f.parent.name: f for f in folder.glob("*/agent.safetensors")}
+    files = {f.stem: f for f in folder.glob("*.safetensors")}
+    return {name: f for name, f in sorted({**runs, **files}.items()) if _info(f).is_file()}
+
+
+def agent_hash(weights: Path) -> str:
+    """16 hexadecimal digits that change with the weights or the architecture of an agent."""
+    try:
+        network = json.loads(_info(weights).read_text(encoding="utf-8"))["network"]
+        digest = hashlib.sha256(weights.read_bytes())
+    except (OSError, ValueError, KeyError, TypeError):
+        raise InputError("agent", str(weights), "a trained agent") from None
+    digest.update(json.dumps(network, sort_keys=True).encode())
+    return digest.hexdigest()[:16]
+
+
+def _info(weights: Path) -> Path:
+    return weights.with_suffix(".json")
+
+
+@dataclass(frozen=True)
+class Job:
+    """A cell to measure."""
+
+    cell: Cell
+    agent_file: str | None
+    agent_hash: str | None
+    episodes: int
+
+    @property
+    def cost(self) -> float:
+        """Rough share of the time, to start long jobs first."""
+        search = self.cell.search
+        work = 1.0 if search is None else 1.0 + search.budget * min(search.rollout, 10)
+        slow = 2.0 if self.cell.physics != "static" else 1.0
+        return work * slow * self.cell.task.num_nodes**2 * self.episodes
+
+
+def row_cells(table: Table, row: Row, column: int, agents: list[str]) -> list[Cell]:
+    """The cells of one row in one column, for all conditions and the given agents."""
+    task = table.columns[column].preset
+    played = row.columns is None or column in row.columns
+    if task is None or not row.known or not played:
+        return []
+    names = agents if row.policy == AGENT else [""]
+    cells = [
+        Cell(task, row.policy, name, row.search_config(condition.epsilon), condition.epsilon,
+             condition.physics, agent_seed(name))
+        for condition in table.conditions for name in names
+    ]  # fmt: skip
+    return [cell for cell in cells if measurable(cell)]
+
+
+def jobs(
+    table: Table, agents: dict[str, Path], episodes: int, max_agents: int | None = None
+) -> list[Job]:
+    """Everything a table is made of, every cell once.
+
+    Args:
+        agents: name and weights of the agents there are.
+        max_agents: at most so many of a row, the lowest numbers.
+    """
+    cells: dict[str, Cell] = {}
+    for row in table.rows:
+        names = row.pick(agents)[:max_agents]
+        for column in range(len(table.columns)):
+            for cell in row_cells(table, row, column, names):
+                cells[cell.path] = cell
+    for cell in list(cells.values()):
+        bound = Cell(cell.task, BOUND, seed=cell.seed)
+        if measurable(bound):
+            cells.setdefault(bound.path, bound)
+    hashes = {name: agent_hash(agents[name]) for name in {c.agent for c in cells.values()} if name}
+    return [
+        Job(cell, str(agents[cell.agent]) if cell.agent else None, hashes.get(cell.agent), episodes)
+        for cell in cells.values()
+    ]
+
+
+def stale(root: Path, wanted: list[Job]) -> list[Job]:
+    """Those without a current result below ``root``, the longest first."""
+    left = [j for j in wanted if not is_current(root, j.cell, j.agent_hash, j.episodes)]
+    return sorted(left, key=lambda job: -job.cost)
+
+
+def run_jobs(
+    root: Path, todo: list[Job], workers: int, progress: Callable[[Job], None] | None = None
+) -> None:
+    """Measure and write every job; those done before an interruption stay.
+
+    Args:
+        workers: processes; 1 works in this one.
+        progress: called after each.
+    """
+    for job, data in _results(todo, min(workers, len(todo))):
+        write_result(root, job.cell, job.agent_hash, data)
+        if progress is not None:
+            progress(job)
+
+
+def _results(todo: list[Job], workers: int) -> Iterator[tuple[Job, dict[str, Any]]]:
+    if workers <= 1:
+        # One thread: small batches lose more by sharing than they gain.
+        torch.set_num_threads(1)
+        yield from map(_do, todo)
+        return
+    with multiprocessing.get_context("spawn").Pool(workers, _begin) as pool:
+        yield from pool.imap_unordered(_do, todo)
+
+
+def _begin() -> None:
+    torch.set_num_threads(1)
+    # The parent answers Ctrl-C and ends its workers.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _do(job: Job) -> tuple[Job, dict[str, Any]]:
+    return job, measure(job.cell, job.agent_file, job.episodes)

@@ -1,0 +1,325 @@
+"""Agreement of one file of recorded transitions, and how it is counted.
+
+Replay of recorded transitions of the published simulator, step by step.
+
+Each line restores the recorded state before the step, repeats the action here, and compares. The
+two pixel counts are compared on the recorded poses (before and after), so they test the camera
+and nothing else; validity, reward and end are compared on our own outcome of the action.
+
+Probes were made on a restored copy of the recorded world, which has lost the joints between the
+cells of objects (protocol 11.6 c). So where blocks come in objects, only real steps are compared.
+
+With a robot, what fails fails by the arm. Of such steps the world before them is compared; of the
+others all is: whether static physics lets it stand where the block was commanded to, and what it
+pays where the arm has left it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from learn2assemble.errors import InputError
+from learn2assemble.physics.protocol import Physics, Verdict
+from learn2assemble.physics.static import StaticPhysics
+from learn2assemble.reproduction.recordings import (
+    UNEXPLAINED,
+    VARIANTS,
+    Line,
+    Log,
+    Scene,
+    drifted,
+    explain,
+    is_real,
+    starts_or_ends_on_edge,
+    waiting_rows,
+)
+from learn2assemble.tasks import Task, get_task
+from learn2assemble.world.blocks import HALF
+from learn2assemble.world.rules import (
+    REWARDS,
+    count_row,
+    cover_block,
+    judge,
+    last_object,
+    move_block,
+    recover_all,
+    target_cell,
+    waiting_level,
+)
+
+
+@dataclass
+class ReplayReport:
+    """Agreement of one file; fractions, except the counts and ``max_px_diff``."""
+
+    file: str
+    lines: int = 0
+    mask_exact: float = 1.0
+    plane_exact: float = 1.0
+    complete_exact: float = 1.0
+    max_px_diff: int = 0
+    valid_static: float = 1.0
+    valid_rigid: float | None = None
+    reward: float = 1.0
+    done: float = 1.0
+    views: int = 0
+    tilted_views: int = 0
+    """Views left out because blocks stand where the log does not say."""
+    masks_within_rounding: int = 0
+    """Masks that agree only for vertices moved by the rounding of the log; counted as exact."""
+    real_lines: int = 0
+    judged_lines: int = 0
+    """Lines whose validity was compared: all of cubes, the real ones of objects, and those with a
+    robot at which the arm did not fail."""
+    edge_lines: int = 0
+    """Those of objects that balance on an edge, see :func:`starts_or_ends_on_edge`."""
+    valid_static_firm: float = 1.0
+    """``valid_static`` without them."""
+    valid_rigid_firm: float | None = None
+    disagreements: list[dict[str, Any]] = field(default_factory=list)
+    """Per line and physics that differ in validity; ``why`` is the class of :func:`explain`."""
+
+    def to_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+class Tally:
+    """Running agreement of one quantity."""
+
+    def __init__(self) -> None:
+        self.good, self.all = 0, 0
+
+    def add(self, agrees: bool) -> bool:
+        self.good += int(agrees)
+        self.all += 1
+        return agrees
+
+    @property
+    def fraction(self) -> float:
+        return self.good / self.all if self.all else 1.0
+
+
+TILT_LIMIT = 2e-3
+"""Structures with a block tilted by more than this [rad] are excepted from the pixel comparison:
+the logs hold positions only, and at this tilt an edge of a block is off by 0.1 mm."""
+REWARD_TOLERANCE = 1e-9
+
+
+def replay_file(path: Path, rigid: Callable[[str], Physics] | None = None) -> ReplayReport:
+    """Replay one file.
+
+    Args:
+        path: ``transitions_*`` of a variant in :data:`VARIANTS`, in the format of the reference.
+        rigid: makes a second physics from the rule of stability (``RigidPhysics``); its validity
+            is reported as ``valid_rigid``.
+
+    Raises:
+        InputError: for a file that is not such a log.
+    """
+    report = ReplayReport(file=path.name)
+    names = (
+        "mask", "plane", "complete", "static", "rigid", "static_firm", "rigid_firm", "reward",
+        "done",
+    )  # fmt: skip
+    tallies = {name: Tally() for name in names}
+    log = Log(path)
+    try:
+        log.index()
+        judges: dict[str, Physics] = {}
+        for line in log.lines:
+            report.lines += 1
+            task = _task(line, report)
+            if rigid is not None and task.stability not in judges:
+                judges[task.stability] = rigid(task.stability)
+            _replay_line(line, task, log, report, tallies, judges.get(task.stability))
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        if isinstance(error, InputError):
+            raise
+        got = f"no field {error}" if isinstance(error, KeyError) else str(error)
+        where = f"{path.name} line {max(report.lines, 1)}"
+        raise InputError(where, got, "a recorded transition") from None
+    report.mask_exact = tallies["mask"].fraction
+    report.plane_exact = tallies["plane"].fraction
+    report.complete_exact = tallies["complete"].fraction
+    report.valid_static = tallies["static"].fraction
+    report.valid_static_firm = tallies["static_firm"].fraction
+    if tallies["rigid"].all:
+        report.valid_rigid = tallies["rigid"].fraction
+        report.valid_rigid_firm = tallies["rigid_firm"].fraction
+    report.reward, report.done = tallies["reward"].fraction, tallies["done"].fraction
+    return report
+
+
+def replay_files(
+    paths: Iterable[Path], rigid: Callable[[str], Physics] | None = None
+) -> list[ReplayReport]:
+    """One report per file."""
+    return [replay_file(path, rigid) for path in paths]
+
+
+def _task(line: Line, report: ReplayReport) -> Task:
+    name = line["variant"]
+    if name not in VARIANTS:
+        raise InputError(f"{report.file} variant", name, f"one of {', '.join(VARIANTS)}")
+    return get_task(VARIANTS[name])
+
+
+def _replay_line(
+    line: Line,
+    task: Task,
+    log: Log,
+    report: ReplayReport,
+    tallies: dict[str, Tally],
+    rigid: Physics | None,
+) -> None:
+    real, robot, several = is_real(line), not task.touching, task.objects != "cubes"
+    key = (line["ep"], line["t"])
+    if key not in log.problems:
+        raise InputError(f"{report.file} line {report.lines}", key, "a step with a real line")
+    if several and not real:
+        return
+    problem = log.problems[key]
+    unplaced = waiting_rows(problem, task)
+    _check_indices(line, len(unplaced), task.num_actions)
+    scene = Scene(problem, task)
+    if real:
+        for side, theirs in enumerate(line["mask_px"]):
+            exact = scene.mask_px[side] == theirs
+            if not exact and scene.rounding_explains(side, theirs):
+                exact = True
+                report.masks_within_rounding += 1
+            tallies["mask"].add(exact)
+    _compare_pixels(line, log, scene, report, tallies)
+    if robot and line["invalid"]:
+        return
+
+    objects = log.placed_objects(problem) if several else None
+    report.judged_lines += 1
+    note = {name: line[name] for name in (("ep", "t") if robot else ("ep", "t", "accv"))}
+    speeds = [] if robot else line["accv_obj"]
+    edge = None
+    for physics in (StaticPhysics(), None if robot else rigid):
+        if physics is None:
+            continue
+        outcome = _repeat(scene, line, unplaced, objects, physics)
+        agrees = tallies[physics.name].add(outcome.valid == (not line["invalid"]))
+        if edge is None:
+            edge = several and not robot and starts_or_ends_on_edge(*outcome.structure)
+            report.edge_lines += int(edge)
+        if not edge:
+            tallies[f"{physics.name}_firm"].add(agrees)
+        if not agrees:
+            if robot:
+                why = _why_not_here(line, outcome)
+            else:
+                why = explain(*outcome.structure, line["invalid"], speeds)
+            report.disagreements.append(
+                {"line": report.lines, **note, "recorded_invalid": line["invalid"],
+                 "physics": physics.name, "why": why}
+            )  # fmt: skip
+        if real and physics.name == "static":
+            report.real_lines += 1
+            tallies["reward"].add(abs(outcome.reward - line["reward"]) <= REWARD_TOLERANCE)
+            tallies["done"].add(outcome.done == line["done"])
+
+
+def _why_not_here(line: Line, outcome: _Outcome) -> str:
+    """Why static physics refuses what an arm has done: what it drops in mid-air may fall softly."""
+    drop = outcome.centres[outcome.new, 2] - line["placed_after"][outcome.new][2]
+    return "fell" if drop > HALF else UNEXPLAINED
+
+
+def _compare_pixels(
+    line: Line, log: Log, scene: Scene, report: ReplayReport, tallies: dict[str, Tally]
+) -> None:
+    """Both covers on the recorded poses before and after the step."""
+    robot = not scene.task.touching
+    earlier = log.problems.get((line["ep"], line["t"] - 1))
+    # A probe starts from a restored state, upright by construction.
+    tilt = {"before": 0.0, "after": 0.0}
+    if not robot:
+        tilt["after"] = line["tilt_after"]
+        if is_real(line) and earlier is not None:
+            tilt["before"] = earlier["tilt_after"]
+    views = len(scene.mask_px)
+    for when, blocks in (("before", line["placed"]), ("after", line["placed_after"])):
+        if robot and when == "after" and line["invalid"]:
+            continue
+        if tilt[when] > TILT_LIMIT or (robot and drifted(blocks, scene.task.pitch)):
+            report.tilted_views += views
+            continue
+        scene.place(blocks, 0)
+        for name, mine in zip(("plane", "complete"), scene.counts(), strict=True):
+            theirs = line[f"px_{'plane' if name == 'plane' else 'comp'}_{when}"]
+            for a, b in zip(mine, theirs, strict=True):
+                tallies[name].add(a == b)
+                report.max_px_diff = max(report.max_px_diff, abs(a - b))
+        report.views += views
+
+
+def _check_indices(line: Line, num_unplaced: int, num_actions: int) -> None:
+    """Refuse what compiled code would read beyond its arrays."""
+    limits = {"blk": num_unplaced, "ref": len(line["placed"])}
+    values = {name: line[name] for name in limits} | {"u[2]": line["u"][2]}
+    for name, value in values.items():
+        limit = limits.get(name, num_actions)
+        if type(value) is not int or not 0 <= value < limit:
+            raise ValueError(f"{name} is {value!r}, not an index below {limit}")
+
+
+class _Outcome(NamedTuple):
+    valid: bool
+    reward: float
+    done: bool
+    centres: np.ndarray
+    """float64[n, 3]: the placed blocks with the new object where it was commanded [m]."""
+    object_id: np.ndarray
+    """int64[n]."""
+    new: int
+    """First cell of the new object."""
+
+    @property
+    def structure(self) -> tuple[np.ndarray, np.ndarray, int]:
+        return self.centres, self.object_id, self.new
+
+
+def _repeat(
+    scene: Scene,
+    line: Line,
+    unplaced: list[list[float]],
+    objects: list[int] | None,
+    physics: Physics,
+) -> _Outcome:
+    """Our outcome of the recorded action from the recorded state."""
+    task, ways = scene.task, scene.task.ways
+    state = scene.place(line["placed"], len(unplaced))
+    if objects is not None:
+        scene.group(objects, unplaced)
+    state.initial_pixels[0] = line["px_init"] if task.normalise_initial else 0
+    previous = int(state.plane_pixels[0])
+    relation, way = divmod(line["u"][2], task.rotations)
+    x, y, z = target_cell(state, 0, line["ref"], relation, task.pitch)
+    if ways.level:
+        z += waiting_level(state.position[0, state.num_placed[0] + line["blk"], 2])
+    move_block(state, 0, line["blk"], line["ref"], x, y, z, int(ways.turns[way]), task.pitch)
+    count, new = int(state.num_placed[0]), last_object(state, 0)
+    centres, object_id = state.position[0, :count].copy(), state.object_id[0, :count].copy()
+    verdict = physics.settle(state, np.array([0]))[0]
+    if not task.touching:
+        # An arm leaves blocks some tenths of a millimetre beside their places.
+        state.position[0, :count] = line["placed_after"]
+    if physics.moves_blocks or not task.touching:
+        recover_all(state, 0, scene.frames, scene.depths)
+    else:
+        for block in range(new, count):
+            cover_block(state, 0, scene.frames, block, scene.depths)
+    count_row(state, 0)
+    valid = bool(verdict == Verdict.STABLE)
+    reward, done, _ = judge(state, 0, previous, valid, REWARDS[task.reward], task.success_threshold)
+    state.quaternion[0] = (1.0, 0.0, 0.0, 0.0)
+    return _Outcome(valid, reward, done, centres, object_id, new)

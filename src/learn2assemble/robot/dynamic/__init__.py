@@ -1,0 +1,1 @@
+"""The dynamic cell: every pick and place is simulated in MuJoCo."""

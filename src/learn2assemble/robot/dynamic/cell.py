@@ -1,0 +1,226 @@
+"""The arm for real: every pick and place is simulated, blocks are held by friction alone.
+
+Open loop: the same commands to the same cell, without looking.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from pathlib import Path
+
+import numpy as np
+
+from learn2assemble.errors import InputError
+from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.dynamic.execution import (
+    BLIND,
+    REST_TIME,
+    Execution,
+    ShiftRule,
+    abandon,
+    check_rest,
+)
+from learn2assemble.robot.dynamic.model import (
+    TIMESTEP,
+    Objects,
+    Order,
+    World,
+    compile_world,
+    rigid_objects,
+    take_order,
+)
+from learn2assemble.robot.dynamic.prepare import Failure, prepare
+from learn2assemble.robot.dynamic.simulation import Simulation
+from learn2assemble.robot.dynamic.trajectory import Limits, Motion
+from learn2assemble.robot.moves import OPENING, Attempt, Move, Outcome, Scene, Trajectory
+from learn2assemble.world.blocks import FRICTION
+
+_MAX_WORLDS = 32
+
+
+class DynamicCell:
+    """Picks and places with one arm, in MuJoCo.
+
+    Args:
+        arm: the robot.
+        speed: share of the arm's speed that is used with an empty hand (acceleration and jerk
+            follow).
+        loaded_speed: the same while the hand holds something.
+        correct: look where the object sits in the hand before lowering it, and correct the target
+            by that, as the published integral term does (protocol 8.4).
+        finish: ``home`` (or above it where something stands there), or ``above``: stay over the
+            target.
+        recover: after a failure on the way, bring what is held back to where it was, and the arm
+            home; else it stops, holding it.
+        precheck: report an occupied target without moving; else the motion has to find it.
+        skip_free_motion: let only the time pass while the empty hand travels far from everything.
+        shift_rule: how far other blocks may be moved.
+        friction: between blocks, and of blocks on the table.
+        sample_steps: simulation steps of 2 ms between samples of the trajectory.
+        dump: folder for model and state should the simulation diverge; a new one by default.
+
+    Attempts depend on their arguments only. One instance serves one thread.
+
+    Raises:
+        InputError: for a value out of range.
+    """
+
+    name = "dynamic"
+
+    def __init__(
+        self,
+        arm: Arm,
+        *,
+        speed: float = 0.8,
+        loaded_speed: float = 0.6,
+        correct: bool = True,
+        finish: str = "home",
+        recover: bool = False,
+        precheck: bool = True,
+        skip_free_motion: bool = False,
+        shift_rule: ShiftRule | None = None,
+        friction: float = FRICTION,
+        sample_steps: int = 10,
+        dump: Path | None = None,
+    ) -> None:
+        for what, value in (("speed", speed), ("loaded_speed", loaded_speed)):
+            if not 0 < value <= 1:
+                raise InputError(what, value, "a share, above 0 and at most 1")
+        if finish not in ("home", "above"):
+            raise InputError("finish", finish, "home or above")
+        if sample_steps < 1:
+            raise InputError("sample_steps", sample_steps, "1 or more")
+        self.arm = arm
+        full = Limits(arm.velocity, arm.acceleration, arm.jerk)
+        self.limits, self.loaded = full.scaled(speed), full.scaled(loaded_speed)
+        self.correct, self.finish, self.recover = correct, finish, recover
+        self.precheck, self.skip_free_motion = precheck, skip_free_motion
+        self.shift_rule = shift_rule or ShiftRule()
+        self.friction, self.sample_steps, self.dump = friction, sample_steps, dump
+        self._worlds: OrderedDict[object, World] = OrderedDict()
+
+    def attempt(
+        self,
+        scene: Scene,
+        move: Move,
+        *,
+        joints: np.ndarray | None = None,
+        quaternion: np.ndarray | None = None,
+    ) -> Attempt:
+        """Carry out a move; the scene is left alone.
+
+        Args:
+            scene: as things are.
+            move: the order; the fingers may be exchanged.
+            joints: float64[n] where the arm begins [rad]; by default at home, or above it where
+                something stands there.
+            quaternion: float64[n, 4] orientations of the cells where not all stand upright.
+
+        Raises:
+            InputError: for a cell that is not waiting, or numbers that are not finite.
+            SimulationDivergedError: where the simulation left the numbers.
+        """
+        order = take_order(scene, move, quaternion)
+        if joints is not None:
+            joints = np.array(joints, float)
+            if joints.shape != self.arm.home.shape or not self.arm.inside_limits(joints):
+                within = f"{len(self.arm.joints)} angles within the limits"
+                raise InputError("joints", joints.tolist(), within)
+        world = self.world(order.objects)
+        try:
+            course = prepare(
+                self.arm, world, order, joints, self.finish == "home", self.precheck
+            )  # fmt: skip
+        except Failure as failure:
+            return _report(order, order.poses, self.arm.home if joints is None else joints, failure)
+        sim = Simulation(
+            self.arm, world, order.poses, order.names, order.target, course.there[0], OPENING,
+            self.sample_steps, self.dump,
+        )  # fmt: skip
+        run = Execution(sim, order, course, self.limits, self.loaded)
+        run.correct, run.skip_free = self.correct, self.skip_free_motion
+        failure = None
+        try:
+            run.go()
+            speed = sim.speed(order.target)
+            check_rest(order, sim.poses, speed, run.landed, self.shift_rule)
+        except Failure as found:
+            failure = abandon(run, found, self.recover)
+        trajectory = sim.recorder.trajectory(order.objects.owner, order.objects.offset)
+        found = _report(order, sim.poses, sim.joints.copy(), failure)
+        return found._replace(held=run.holding, trajectory=trajectory)
+
+    def world(self, objects: Objects) -> World:
+        """The compiled cell for these objects; remembered."""
+        world = self._worlds.get(objects.shape)
+        if world is None:
+            world = compile_world(self.arm, objects.shape, self.friction)
+            self._worlds[objects.shape] = world
+            if len(self._worlds) > _MAX_WORLDS:
+                self._worlds.popitem(last=False)
+        return world
+
+
+def _report(
+    order: Order, poses: np.ndarray, joints: np.ndarray, failure: Failure | None
+) -> Attempt:
+    after, quaternion = order.after(poses)
+    error = np.linalg.norm(after.position[order.scene.num_placed] - order.move.target)
+    return Attempt(
+        Outcome.REACHED if failure is None else failure.outcome,
+        "" if failure is None else failure.stage, "" if failure is None else failure.detail,
+        after=after, quaternion=quaternion, error=float(error), joints=joints,
+    )  # fmt: skip
+
+
+def replay(
+    cell: DynamicCell, scene: Scene, recorded: Trajectory, quaternion: np.ndarray | None = None
+) -> tuple[Scene, np.ndarray]:
+    """Send recorded joint positions, velocities and gripper commands to the drives again.
+
+    Between two samples the joints follow the cubic that has their positions and velocities.
+
+    Args:
+        cell: the cell of the recording.
+        scene: as things were before it.
+        recorded: of an attempt.
+        quaternion: float64[n, 4] orientations of the cells where not all stand upright.
+
+    Returns:
+        the scene as it is afterwards, in the order it has before, and float64[n, 4] orientations
+        of its cells.
+
+    Raises:
+        InputError: where the recording has fewer than two samples.
+    """
+    if len(recorded.time) < 2:
+        raise InputError("trajectory", len(recorded.time), "two samples or more")
+    objects, poses, names = rigid_objects(scene, quaternion)
+    world = cell.world(objects)
+    sim = Simulation(
+        cell.arm, world, poses, names, 0, recorded.joints[0], float(recorded.width[0]),
+        cell.sample_steps, cell.dump,
+    )  # fmt: skip
+    motion, widths, payloads = _every_step(recorded)
+    sim.run(motion, widths, "approach", BLIND, payloads)
+    sim.wait(round(REST_TIME / TIMESTEP), "home", BLIND._replace(until=sim.asleep))
+    position, turns, yaw = objects.cells(sim.poses)
+    return scene._replace(position=position, yaw=yaw), turns
+
+
+def _every_step(recorded: Trajectory) -> tuple[Motion, np.ndarray, np.ndarray]:
+    """Samples one simulation step apart, openings [m] and payloads [kg]."""
+    t = recorded.time
+    now = np.arange(1, round((t[-1] - t[0]) / TIMESTEP) + 1) * TIMESTEP + t[0]
+    k = np.clip(np.searchsorted(t, now - 1e-9) - 1, 0, len(t) - 2)
+    h = (t[k + 1] - t[k])[:, None]
+    u = (now - t[k])[:, None] / h
+    p, q = recorded.joints[k], recorded.joints[k + 1]
+    v, w = recorded.velocity[k] * h, recorded.velocity[k + 1] * h
+    # Cubic Hermite polynomial of positions p, q and slopes v, w.
+    c2, c3 = 3 * (q - p) - 2 * v - w, 2 * (p - q) + v + w
+    position = p + u * (v + u * (c2 + u * c3))
+    velocity = (v + u * (2 * c2 + u * 3 * c3)) / h
+    acceleration = (2 * c2 + u * 6 * c3) / h**2
+    widths, payloads = (np.interp(now, t, told) for told in (recorded.command, recorded.payload))
+    return Motion(np.zeros((len(now), 3)), position, velocity, acceleration), widths, payloads

@@ -1,0 +1,396 @@
+"""One pick and place in the simulation, stage by stage; the first thing that goes wrong ends it.
+
+After a failure: the arm leaves, and what it holds goes back to where it came from.
+
+Once the arm is done: does everything stand where it should? (protocol 6.2)
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from learn2assemble.robot.dynamic.model import TIMESTEP, Order, matrix
+from learn2assemble.robot.dynamic.prepare import (
+    PRESS,
+    Course,
+    Failure,
+    JointColumn,
+    joint_column,
+    rest_pose,
+)
+from learn2assemble.robot.dynamic.simulation import PUSH, TOUCH, Event, Rules, Simulation, Watch
+from learn2assemble.robot.dynamic.trajectory import Limits, joint_path, pace_of, slowing
+from learn2assemble.robot.dynamic.transit import Surroundings, Touch, straight_or_tree
+from learn2assemble.robot.moves import OPENING, Outcome, carried
+from learn2assemble.world.blocks import EDGE
+
+LOOSE = 0.005
+"""What is held may touch others while it is so near to where it stood or shall stand [m]."""
+CAREFUL = 0.06
+"""So near to the contact the hand comes down slower [m] ..."""
+CAREFUL_SPEED = 0.2
+"""... at most at this speed of the tool [m/s] ..."""
+SOFT = 0.01
+"""... and what it holds is lowered the last bit [m] ..."""
+SOFT_SPEED = 0.02
+"""... at this speed of the tool [m/s]."""
+LANDED = 1.0
+"""What rests presses so hard on others [N]: as much as a block weighs."""
+GRIPPED = 0.8
+"""The grasp holds when both fingers press with this share of their force ..."""
+GRIP_TIME = 0.2
+"""... within this time after they were told to [s]."""
+LOAD_TIME = 0.1
+"""In which the controller learns of what the hand holds, and forgets it again [s]: at once, the
+arm would jump."""
+REST_TIME = 1.0
+"""Longest time to wait for rest [s]."""
+EMPTY = Watch(Rules(TOUCH, PUSH, None))
+LOADED = Watch(Rules(TOUCH, None, TOUCH))
+NEAR = Watch(Rules(TOUCH, None, None))
+BLIND = Watch(Rules(None, None, None))
+"""What is looked for with an empty hand, a loaded one, near the contact, and after a failure."""
+
+
+class Execution:
+    """Carries out a course in a simulation.
+
+    Args:
+        sim: at the beginning of the attempt.
+        order: what is asked.
+        course: how.
+        limits: of the joints while the hand is empty.
+        loaded: of the joints while it holds something.
+    """
+
+    correct = True
+    """Look where the object sits in the hand before lowering it."""
+    skip_free = False
+    """Let time pass instead of simulating what the arm does far from everything."""
+
+    def __init__(
+        self, sim: Simulation, order: Order, course: Course, limits: Limits, loaded: Limits
+    ) -> None:
+        self.sim, self.order, self.course = sim, order, course
+        self.limits, self.loaded = limits, loaded
+        self.place = course.plan.place
+        """The column over the target that is used."""
+        self.inside: JointColumn | None = None
+        """The column the hand is in; None where it travels."""
+        self.legs = 0
+        """How many straight parts of the way across are done."""
+        self.holding = False
+        """Whether the object is in the hand."""
+        self.landed = False
+        """Whether it rested on something before the hand let go of it."""
+
+    def go(self) -> None:
+        """The whole of it.
+
+        Raises:
+            Failure: at the first thing that goes wrong; the arm has stopped.
+        """
+        course, sim = self.course, self.sim
+        self.settle("approach")
+        self.travel(course.there, "approach")
+        self.grasp(course.plan.pick)
+        self.carry(course.across)
+        if self.correct:
+            self.place = self.corrected()
+        self.lower(self.place, "place", LOADED, NEAR)
+        self.release("release", NEAR)
+        self.rise("retreat", NEAR)
+        if course.home is not None:
+            self.travel(np.vstack([sim.joints, course.home[1:]]), "home")
+        self.settle(sim.stage)
+
+    def settle(self, stage: str) -> None:
+        """Wait until every object rests."""
+        self.sim.wait(_steps(REST_TIME), stage, BLIND._replace(until=self.sim.asleep))
+
+    def travel(self, way: np.ndarray, stage: str, watch: Watch = EMPTY) -> None:
+        """Move the empty hand along straight lines of the joints."""
+        self.inside = None
+        outcome = Outcome.GRASP_COLLISION if stage == "approach" else Outcome.PLACE_COLLISION
+        for start, end in pairwise(way):
+            path = joint_path(np.array([start, end]), self.limits)
+            pace = pace_of(path, self.limits)
+            if self.skip_free:
+                self.sim.skip(path, pace, stage)
+            else:
+                _check(self.sim.follow(path, pace, stage, (watch,)), outcome, stage)
+
+    def grasp(self, column: JointColumn) -> None:
+        """Down, close, up."""
+        sim, gripper = self.sim, self.sim.arm.gripper
+        touch, self.inside = Outcome.GRASP_COLLISION, column
+        above = column.rise >= 0
+        joints, rise = column.joints[above], column.rise[above]
+        path = joint_path(joints[::-1], self.limits)
+        pace = pace_of(path, self.limits)
+        legs = slowing(path, rise[::-1], ((CAREFUL, CAREFUL_SPEED),), pace)
+        _check(sim.follow(path, pace, "pick", (EMPTY,), legs), touch, "pick")
+        pressing = EDGE - gripper.force / gripper.stiffness
+        enough = GRIPPED * gripper.force
+        _check(sim.squeeze(_ramp(sim.width, pressing, gripper.speed), "pick", NEAR), touch, "pick")
+        watch = NEAR._replace(until=lambda: self.grip() >= enough)
+        event = sim.wait(_steps(GRIP_TIME), "pick", watch)
+        if event is None:
+            detail = f"the fingers press with {self.grip():.1f} N at {1e3 * sim.opening:.0f} mm"
+            raise Failure(Outcome.GRASP_LOST, "pick", detail)
+        _check(event, touch, "pick")
+        sim.hold()
+        self.holding = True
+        mass = sim.mass(self.order.target)
+        _check(sim.load(mass, _steps(LOAD_TIME), "pick", NEAR), touch, "pick")
+        path = joint_path(joints, self.loaded)
+        off = float(np.interp(LOOSE, rise, path.knots))
+        watches = (NEAR, LOADED._replace(start=off))
+        _check(sim.follow(path, pace_of(path, self.loaded), "lift", watches), touch, "lift")
+
+    def grip(self) -> float:
+        """What the weaker finger presses with [N]."""
+        return self.sim.contacts.grip(self.sim.arm.gripper.pads)
+
+    def carry(self, way: np.ndarray, watch: Watch = LOADED) -> None:
+        """Across, along straight lines of the joints."""
+        self.inside = None
+        for start, end in pairwise(way):
+            path = joint_path(np.array([start, end]), self.loaded)
+            event = self.sim.follow(path, pace_of(path, self.loaded), "cross", (watch,))
+            _check(event, Outcome.PLACE_COLLISION, "cross")
+            self.legs += 1
+
+    def corrected(self) -> JointColumn:
+        """The column over the target for the hand that holds the object as it does."""
+        sim, plan, order = self.sim, self.course.plan, self.order
+        position, rotation = sim.tool()
+        cell = order.objects.cells(sim.poses)[0][order.move.cell]
+        place, target = plan.move.place, order.move.target
+        tool = target - place.rotation() @ rotation.T @ (cell - position)
+        centre = tool + target - place.tool_point(target)
+        found = joint_column(sim.arm, centre, place, plan.height, PRESS, plan.place.joints[0])
+        if isinstance(found, str):
+            raise Failure(Outcome.UNREACHABLE, "place", found)
+        return found
+
+    def lower(self, column: JointColumn, stage: str, before: Watch, near: Watch) -> None:
+        """Down, the last part slowly, until the object rests or the column ends.
+
+        Args:
+            column: over the place, from below it.
+            stage: for the recording.
+            before: what is looked for on the way ...
+            near: ... and within :data:`LOOSE` of the place.
+        """
+        sim, self.inside = self.sim, column
+        now = _nearest(column, sim.joints)
+        path = joint_path(np.vstack([sim.joints, column.joints[:now][::-1]]), self.loaded)
+        pace = pace_of(path, self.loaded)
+        rise = column.rise[: now + 1][::-1]
+        legs = slowing(path, rise, ((CAREFUL, CAREFUL_SPEED), (SOFT, SOFT_SPEED)), pace)
+        loose = float(np.interp(-LOOSE, -rise, path.knots))
+        until = near._replace(start=loose, until=lambda: sim.contacts.support() >= LANDED)
+        event = sim.follow(path, pace, stage, (before, until), legs)
+        self.landed = event is not None and event.what == "until"
+        _check(event, Outcome.PLACE_COLLISION, stage)
+
+    def release(self, stage: str, watch: Watch) -> None:
+        """Open no further than needed."""
+        sim = self.sim
+        _check(sim.load(0.0, _steps(LOAD_TIME), stage, watch), Outcome.PLACE_COLLISION, stage)
+        sim.let_go()
+        self.holding = False
+        widths = _ramp(sim.width, OPENING, sim.arm.gripper.speed)
+        _check(sim.squeeze(widths, stage, watch), Outcome.PLACE_COLLISION, stage)
+
+    def rise(self, stage: str, watch: Watch) -> None:
+        """Up from wherever the hand is in a column; it may travel then."""
+        column = self.inside
+        if column is None:
+            return
+        sim, limits = self.sim, self.loaded if self.holding else self.limits
+        above = column.joints[_nearest(column, sim.joints) + 1 :]
+        path = joint_path(np.vstack([sim.joints, above]), limits)
+        event = sim.follow(path, pace_of(path, limits), stage, (watch,))
+        _check(event, Outcome.PLACE_COLLISION, stage)
+        self.inside = None
+
+
+def _check(event: Event | None, outcome: Outcome, stage: str) -> None:
+    if event is not None and event.what != "until":
+        lost = event.what == "lost"
+        raise Failure(Outcome.GRASP_LOST if lost else outcome, stage, event.detail)
+
+
+def _nearest(column: JointColumn, joints: np.ndarray) -> int:
+    return int(np.argmin(np.abs(column.joints - joints).max(1)))
+
+
+def _steps(time: float) -> int:
+    return round(time / TIMESTEP)
+
+
+def _ramp(start: float, end: float, speed: float) -> np.ndarray:
+    """Openings [m], one per step, from one to another at a speed [m/s]."""
+    count = max(1, int(np.ceil(abs(end - start) / (speed * TIMESTEP))))
+    return start + (end - start) * np.arange(1, count + 1) / count
+
+
+BACK_STRIDE = 25
+"""Samples between the corners of a way back."""
+HOLDS = 0.5
+"""Both fingers press what is in the hand with this much at least [N]: half a block's weight."""
+
+
+def abandon(run: Execution, failure: Failure, recover: bool) -> Failure:
+    """End an attempt that failed; every object comes to rest.
+
+    Args:
+        run: the attempt; its arm has stopped.
+        failure: why.
+        recover: put what is held back and bring the arm home; else it stays where it is.
+
+    Returns:
+        the failure, with a word on what became of what was held.
+    """
+    sim = run.sim
+    sim.let_go()
+    _settle(run)
+    words = ""
+    if recover and failure.stage != "rest":
+        words = "the arm is home"
+        try:
+            if run.holding:
+                sim.hold()
+                _put_back(run)
+                words = "put back"
+            _leave(run)
+        except Failure as second:
+            words = f"then {second.stage}: {second.detail}"
+            sim.let_go()
+        _settle(run)
+    words = "still in the hand" if run.holding else words
+    detail = f"{failure.detail}; {words}" if words else failure.detail
+    return Failure(failure.outcome, failure.stage, detail)
+
+
+def _settle(run: Execution) -> None:
+    """Wait until everything rests but what both fingers hold, whatever was meant."""
+    sim = run.sim
+
+    def in_hand() -> bool:
+        return sim.width < EDGE and run.grip() >= HOLDS
+
+    watch = BLIND._replace(until=lambda: sim.asleep(besides=in_hand()))
+    sim.wait(round(REST_TIME / TIMESTEP), sim.stage, watch)
+    run.holding = in_hand()
+    if not run.holding:
+        sim.load(0.0, round(LOAD_TIME / TIMESTEP), sim.stage, BLIND)
+
+
+def _put_back(run: Execution) -> None:
+    """The way here backwards, and down where the object came from."""
+    pick, across = run.course.plan.pick, run.course.across
+    if run.inside is not pick:
+        run.rise("place", BLIND)
+        run.carry(np.vstack([run.sim.joints, across[: run.legs + 1][-2::-1]]), BLIND)
+    run.lower(pick, "place", BLIND, BLIND)
+    run.release("release", BLIND)
+
+
+def _leave(run: Execution) -> None:
+    """Up, and home if there is a free way."""
+    sim = run.sim
+    run.rise("retreat", BLIND)
+    around = Surroundings(sim.arm, sim.world, sim.poses.copy(), run.order.names)
+    around.empty(OPENING)
+    if around.touch(sim.joints) is not None:
+        _back_off(run, around)
+    way = straight_or_tree(around, sim.joints, rest_pose(sim.arm, around))
+    if isinstance(way, Touch):
+        raise Failure(Outcome.UNREACHABLE, "home", f"no free way: {way.words}")
+    run.travel(way, "home", BLIND)
+
+
+def _back_off(run: Execution, around: Surroundings) -> None:
+    """Back the way the arm has come, to where it last touched nothing, if it ever did."""
+    past = run.sim.recorder.joints[::-1]
+    free = next((k for k, joints in enumerate(past) if around.touch(joints) is None), None)
+    if free is None:
+        return
+    way = past[: free + 1]
+    corners = np.unique(np.r_[0:free:BACK_STRIDE, free])
+    run.travel(np.vstack([run.sim.joints, way[corners][1:]]), "retreat", BLIND)
+
+
+PLACE_LIMIT = 0.01
+"""The object was dropped when a cell ends so far from where it was ordered [m]."""
+HEIGHT_LIMIT = 1e-3
+"""Cells of an object keep their heights, relative to each other [m] (protocol 6.2)."""
+TILT_LIMIT = 0.05
+"""An object that leans more [rad] has tipped."""
+STILL = 0.02
+"""An object that is faster at the end keeps moving [m/s]."""
+
+
+class ShiftRule(NamedTuple):
+    """How far other blocks may be moved (protocol 6.2), waiting ones included."""
+
+    limit: float = 0.01
+    """[m]"""
+    axes: int = 2
+    """2: in x and y; 3: in space."""
+
+
+ONE_SIDED = ShiftRule(0.035, 3)
+"""The rule of the one-sided cell."""
+
+
+def check_rest(
+    order: Order, poses: np.ndarray, speed: float, landed: bool, rule: ShiftRule
+) -> None:
+    """Look at how things are after a motion that went as planned.
+
+    Args:
+        order: what was asked.
+        poses: float64[b, 7] of the objects now.
+        speed: of the moved object [m/s].
+        landed: whether it rested on something before the hand let go of it.
+        rule: for the others.
+
+    Raises:
+        Failure: DISTURBED_STRUCTURE where another block was moved; DROPPED where the object ended
+            elsewhere, UNSTABLE where it tipped or has not come to rest. An object that rested and
+            then tipped over is UNSTABLE wherever it lies, one that was let go in the air DROPPED.
+    """
+    position, quaternion, _ = order.objects.cells(poses)
+    shift = np.linalg.norm((position - order.scene.position)[:, : rule.axes], axis=1)
+    shift[order.objects.owner == order.target] = 0.0
+    if not shift.max() < rule.limit:
+        k = int(np.argmax(shift))
+        detail = f"block {k} was moved by {1e3 * shift[k]:.0f} mm"
+        raise Failure(Outcome.DISTURBED_STRUCTURE, "rest", detail)
+    members = order.scene.members(order.move.cell)
+    ordered, _ = carried(order.scene, order.move, members)
+    sunk = position[members, 2] - ordered[:, 2]
+    lean = _lean(order.quaternion[order.move.cell], quaternion[order.move.cell])
+    tipped = np.ptp(sunk) > HEIGHT_LIMIT or lean > TILT_LIMIT
+    missed = np.linalg.norm(position[members] - ordered, axis=1).max()
+    name = order.names[order.target]
+    if not missed <= PLACE_LIMIT and not (tipped and landed):
+        detail = f"{name} ended {1e3 * missed:.0f} mm from its place"
+        raise Failure(Outcome.DROPPED, "rest", detail)
+    if tipped:
+        detail = f"{name} leans by {np.degrees(lean):.1f} degrees"
+        raise Failure(Outcome.UNSTABLE, "rest", detail)
+    if speed > STILL:
+        raise Failure(Outcome.UNSTABLE, "rest", f"{name} still moves at {speed:.2f} m/s")
+
+
+def _lean(before: np.ndarray, after: np.ndarray) -> float:
+    """Angle [rad] by which a body with quaternions before and after has turned off the vertical."""
+    return float(np.arccos(np.clip(matrix(before)[2] @ matrix(after)[2], -1.0, 1.0)))

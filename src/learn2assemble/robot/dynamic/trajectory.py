@@ -1,0 +1,262 @@
+"""Joint paths and their time laws: never faster than the arm's limits allow.
+
+A path is a cubic spline through joint positions over a parameter s, so that velocity and
+acceleration are continuous. Along it, s(t) is a time-optimal, jerk-limited profile (ruckig) under
+constant limits on its derivatives that keep every joint within its own:
+
+    |q'| s' <= v,   |q'| s'' + |q''| s'^2 <= a,   |q'| s''' + 3 |q''| s' s'' + |q'''| s'^3 <= j
+
+Slower near the contact.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from learn2assemble.errors import InputError, MissingExtraError
+
+try:
+    import ruckig
+except ImportError as error:  # pragma: no cover - depends on the installation
+    raise MissingExtraError("ruckig", "robot") from error
+
+_SAME = 1e-9
+"""Joint positions nearer than this, as a share of a second at full speed, are one."""
+_BENT = 0.6
+"""Share of acceleration and jerk that the bends of a path may use."""
+
+
+class Limits(NamedTuple):
+    """Largest magnitudes per joint, each float64[n]: [rad/s], [rad/s^2], [rad/s^3]."""
+
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    jerk: np.ndarray
+
+    def scaled(self, speed: float) -> Limits:
+        """Limits of the same motion played at ``speed`` times its pace."""
+        return Limits(self.velocity * speed, self.acceleration * speed**2, self.jerk * speed**3)
+
+
+class JointPath(NamedTuple):
+    """A cubic spline with natural ends; s counts seconds at the full speed of the fastest joint."""
+
+    knots: np.ndarray
+    """float64[k], increasing from 0 [s]."""
+    joints: np.ndarray
+    """float64[k, n] [rad]."""
+    bend: np.ndarray
+    """float64[k, n]: second derivative at the knots [rad/s^2]."""
+
+    @property
+    def length(self) -> float:
+        """Where the path ends [s]."""
+        return float(self.knots[-1])
+
+    def at(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Position, first and second derivative by s, each float64[m, n], at s float64[m]."""
+        if len(self.knots) == 1:
+            still = np.zeros((len(s), self.joints.shape[1]))
+            return still + self.joints[0], still, still
+        piece = np.clip(np.searchsorted(self.knots, s, "right") - 1, 0, len(self.knots) - 2)
+        h = np.diff(self.knots)[piece][:, None]
+        u = np.asarray(s)[:, None] - self.knots[piece][:, None]
+        q, m0, m1 = self.joints[piece], self.bend[piece], self.bend[piece + 1]
+        slope = (self.joints[piece + 1] - q) / h - h * (2 * m0 + m1) / 6
+        third = (m1 - m0) / h
+        return (
+            q + u * (slope + u * (m0 / 2 + u * third / 6)),
+            slope + u * (m0 + u * third / 2),
+            m0 + u * third,
+        )
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Upper bounds of the first three derivatives' magnitudes per piece, float64[k-1, n]."""
+        h = np.diff(self.knots)[:, None]
+        m0, m1 = self.bend[:-1], self.bend[1:]
+        mean = np.diff(self.joints, axis=0) / h
+        left, right = mean - h * (2 * m0 + m1) / 6, mean + h * (m0 + 2 * m1) / 6
+        # The control polygon of the derivative, a parabola, contains it.
+        first = np.max(np.abs([left, left + m0 * h / 2, right]), axis=0)
+        return first, np.maximum(np.abs(m0), np.abs(m1)), np.abs(m1 - m0) / h
+
+
+def joint_path(joints: np.ndarray, limits: Limits) -> JointPath:
+    """The path through joint positions float64[k, n] [rad]; repeated ones count once.
+
+    Raises:
+        InputError: where a number is not finite.
+    """
+    joints = np.atleast_2d(np.asarray(joints, float))
+    if not np.isfinite(joints).all():
+        raise InputError("joints", joints.tolist(), "finite numbers")
+    gap = np.max(np.abs(np.diff(joints, axis=0)) / limits.velocity, axis=1)
+    kept = np.concatenate([[True], gap > _SAME])
+    joints = joints[kept].copy()
+    knots = np.concatenate([[0.0], np.cumsum(gap[kept[1:]])])
+    return JointPath(knots, joints, _bends(knots, joints))
+
+
+def _bends(knots: np.ndarray, joints: np.ndarray) -> np.ndarray:
+    """Second derivatives at the knots that make the first ones continuous, 0 at both ends."""
+    bend = np.zeros_like(joints)
+    if len(knots) > 2:
+        h = np.diff(knots)
+        mean = np.diff(joints, axis=0) / h[:, None]
+        inner = np.diag(2 * (h[:-1] + h[1:])) + np.diag(h[1:-1], 1) + np.diag(h[1:-1], -1)
+        bend[1:-1] = np.linalg.solve(inner, 6 * np.diff(mean, axis=0))
+    return bend
+
+
+class Pace(NamedTuple):
+    """Limits on the derivatives of s: speed, acceleration [1/s], jerk [1/s^2]."""
+
+    speed: float
+    acceleration: float
+    jerk: float
+
+
+def pace_of(path: JointPath, limits: Limits) -> Pace:
+    """Constant limits on s(t) that keep every joint of the path within ``limits``."""
+    if path.length == 0:
+        return Pace(1.0, 1.0, 1.0)
+    first, second, third = (np.maximum(bound, 1e-12) for bound in path.bounds())
+    v, a, j = limits
+    speed = min(
+        np.min(v / first),
+        np.sqrt(np.min(_BENT * a / second)),
+        np.cbrt(np.min(_BENT / 2 * j / third)),
+    )
+    acceleration = min(
+        np.min((a - second * speed**2) / first), np.min(_BENT / 2 * j / (3 * second * speed))
+    )
+    jerk = np.min((j - 3 * second * speed * acceleration - third * speed**3) / first)
+    return Pace(float(speed), float(acceleration), float(jerk))
+
+
+def reachable_speed(speed: float, way: float, pace: Pace) -> float:
+    """A speed that can be reached from another one, without acceleration at both ends, on a way;
+    no lower than that."""
+    # The acceleration rises and falls at full jerk; on average it is at least half its peak.
+    peak = min(pace.acceleration, np.cbrt(pace.jerk**2 * way / 2))
+    return float(np.sqrt(speed**2 + peak * way))
+
+
+class Motion(NamedTuple):
+    """Where the joints shall be at equal steps of time; the first sample is one step after now."""
+
+    progress: np.ndarray
+    """float64[m, 3]: s and its two derivatives."""
+    position: np.ndarray
+    """float64[m, n] [rad]."""
+    velocity: np.ndarray
+    """float64[m, n] [rad/s]."""
+    acceleration: np.ndarray
+    """float64[m, n] [rad/s^2]."""
+
+
+class Leg(NamedTuple):
+    """A part of a motion along a path."""
+
+    end: float
+    """s where it ends."""
+    end_speed: float = 0.0
+    """Derivative of s there."""
+    top_speed: float = math.inf
+    """Largest derivative of s on the way."""
+
+
+REST = (0.0, 0.0, 0.0)
+
+
+def motion(
+    path: JointPath,
+    pace: Pace,
+    step: float,
+    legs: tuple[Leg, ...] = (),
+    start: tuple[float, float, float] = REST,
+) -> Motion:
+    """Move along a path, by default from rest at its beginning to rest at its end.
+
+    Args:
+        path: where to.
+        pace: how fast; from :func:`pace_of`, or slower.
+        step: time between samples [s].
+        legs: one after the other, each from where the one before ended.
+        start: s with two derivatives, now.
+    """
+    found = []
+    for leg in legs or (Leg(path.length),):
+        wanted = ruckig.InputParameter(1)
+        wanted.target_position, wanted.target_velocity = [leg.end], [leg.end_speed]
+        found.append(_solve(wanted, pace._replace(speed=min(pace.speed, leg.top_speed)), start))
+        start = (leg.end, leg.end_speed, 0.0)
+    return _sample(path, found, step)
+
+
+def stop(path: JointPath, pace: Pace, step: float, start: tuple[float, float, float]) -> Motion:
+    """Come to rest on the path as soon as possible; ``start`` is s with two derivatives, now."""
+    wanted = ruckig.InputParameter(1)
+    wanted.control_interface = ruckig.ControlInterface.Velocity
+    wanted.target_velocity = [0.0]
+    return _sample(path, [_solve(wanted, pace, start)], step)
+
+
+def _solve(
+    wanted: ruckig.InputParameter, pace: Pace, start: tuple[float, float, float]
+) -> ruckig.Trajectory:
+    now = ([start[0]], [start[1]], [start[2]])
+    wanted.current_position, wanted.current_velocity, wanted.current_acceleration = now
+    wanted.max_velocity, wanted.max_acceleration = [pace.speed], [pace.acceleration]
+    wanted.max_jerk = [pace.jerk]
+    found = ruckig.Trajectory(1)
+    if ruckig.Ruckig(1).calculate(wanted, found) != ruckig.Result.Working:
+        raise InputError("motion", str(wanted), "a motion within the limits of the path")
+    return found
+
+
+def _sample(path: JointPath, parts: list[ruckig.Trajectory], step: float) -> Motion:
+    progress, begun = [], 0.0
+    for part in parts:
+        first = len(progress) + 1
+        last = math.floor((begun + part.duration) / step + 1e-9)
+        progress += [_now(part, k * step - begun) for k in range(first, last + 1)]
+        begun += part.duration
+    if len(progress) * step < begun - 1e-9:
+        progress.append(_now(parts[-1], math.inf))
+    sampled = np.array(progress).reshape(-1, 3)
+    s, rate, change = sampled[:, 0], sampled[:, 1:2], sampled[:, 2:]
+    q, slope, bend = path.at(np.clip(s, 0.0, path.length))
+    return Motion(sampled, q, slope * rate, slope * change + bend * rate**2)
+
+
+def _now(part: ruckig.Trajectory, time: float) -> tuple[float, float, float]:
+    position, velocity, acceleration = part.at_time(min(time, part.duration))[:3]
+    return position[0], velocity[0], acceleration[0]
+
+
+def slowing(
+    path: JointPath, rise: np.ndarray, zones: tuple[tuple[float, float], ...], pace: Pace
+) -> tuple[Leg, ...]:
+    """Legs of a way down that enter zones near the contact at lower speeds.
+
+    Args:
+        path: down a column.
+        rise: float64[k] of the tool at its knots [m], falling.
+        zones: height above the contact [m] and largest speed there [m/s], downwards.
+        pace: of the path.
+    """
+    legs, top, begun, speed = [], pace.speed, 0.0, 0.0
+    for height, slowly in zones:
+        s = float(np.interp(-height, -rise, path.knots))
+        # Within a zone, s and the way of the tool are all but proportional.
+        limit = min(top, slowly * (path.length - s) / (height - rise[-1]))
+        if s > begun:
+            speed = min(limit, reachable_speed(speed, s - begun, pace))
+            legs.append(Leg(s, speed, top))
+            begun = s
+        top = limit
+    return (*legs, Leg(path.length, 0.0, top))

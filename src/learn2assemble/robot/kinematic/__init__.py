@@ -1,0 +1,1 @@
+"""The kinematic cell: inverse kinematics and collision checks, no dynamics."""

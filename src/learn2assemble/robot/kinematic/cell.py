@@ -1,0 +1,153 @@
+"""The arm without dynamics: can it reach, and does it touch anything on the way?
+
+The cheap fidelity, for training and search. It moves nothing and decides nothing about balance;
+:mod:`learn2assemble.physics` does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.kinematic.collision import CollisionModel, Touch
+from learn2assemble.robot.kinematic.columns import Columns
+from learn2assemble.robot.moves import (
+    OPENING,
+    RISE,
+    Attempt,
+    Move,
+    Outcome,
+    Scene,
+    carried,
+    crossing_height,
+)
+from learn2assemble.world.blocks import EDGE
+
+STRIDE = 0.25
+"""Largest step of a joint between two checks of a free motion [rad]."""
+DETOUR = 0.10
+"""How much higher the tool crosses where the straight way is blocked [m]."""
+STAGES = ("pick", "lift", "place", "cross", "release", "retreat")
+
+
+class KinematicCell:
+    """Reach, joint limits and collisions of one arm, for scenes of at most ``num_cells`` cells.
+
+    Joint solutions over a place are remembered, so repeated places cost collision checks only.
+    A move is tried as ordered and with the fingers exchanged. One instance serves one thread.
+    """
+
+    name = "kinematic"
+
+    def __init__(self, arm: Arm, num_cells: int = 40) -> None:
+        self.arm = arm
+        self.columns = Columns(arm)
+        self.collisions = CollisionModel(arm, num_cells)
+
+    def attempt(self, scene: Scene, move: Move) -> Attempt:
+        """Outcome of a move; the scene is left alone."""
+        flipped = move._replace(grasp=move.grasp.flipped(), place=move.place.flipped())
+        first = self._attempt(scene, move)
+        if first.reached or (first.outcome != Outcome.UNREACHABLE and not first.by_link):
+            # Exchanging the fingers moves the wrist, not what is at its end.
+            return first
+        second = self._attempt(scene, flipped)
+        return second if _further(second) > _further(first) else first
+
+    def attempt_many(self, orders: Iterable[tuple[Scene, Move]]) -> list[Attempt]:
+        """One attempt after the other."""
+        return [self.attempt(scene, move) for scene, move in orders]
+
+    def pick(self, scene: Scene, move: Move) -> Attempt:
+        """The first half of a move: what lies at its target does not matter, its height does."""
+        height = crossing_height(scene, move)
+        pick = self.columns.solve(scene.position[move.cell], move.grasp, height)
+        if isinstance(pick, str):
+            return Attempt(Outcome.UNREACHABLE, "pick", pick)
+        self.collisions.place(scene)
+        self._open_hand()
+        hit = self._first(pick, OPENING) or self._first(between(self.arm.home, pick[-1]), OPENING)
+        if hit:
+            return self._hit(Outcome.GRASP_COLLISION, "pick", hit)
+        self._grip(scene, move, scene.members(move.cell))
+        hit = self._first(pick[1:], EDGE)
+        if hit:
+            return self._hit(Outcome.GRASP_COLLISION, "lift", hit)
+        return Attempt(Outcome.REACHED, pick=pick)
+
+    def _attempt(self, scene: Scene, move: Move) -> Attempt:
+        picked = self.pick(scene, move)
+        pick, height = picked.pick, crossing_height(scene, move)
+        if pick is None:
+            return picked
+        members = scene.members(move.cell)
+        place = self.columns.solve(move.target, move.place, height)
+        if isinstance(place, str):
+            return Attempt(Outcome.UNREACHABLE, "place", place)
+        hit = self._first(place, EDGE)
+        if hit:
+            return self._hit(Outcome.PLACE_COLLISION, "place", hit)
+        hit = self._first(between(pick[-1], place[-1]), EDGE)
+        if hit:
+            over = self._detour(scene, move, height)
+            if over is None:
+                return self._hit(Outcome.UNREACHABLE, "cross", hit)
+            pick, place = over
+        # The object now stands at its target and is in the way like all others.
+        self.collisions.put(members, *carried(scene, move, members))
+        self._open_hand()
+        hit = self._first(place[: len(RISE)], OPENING)
+        if hit:
+            return self._hit(Outcome.PLACE_COLLISION, "release", hit)
+        hit = self._first(between(place[-1], self.arm.home), OPENING)
+        if hit:
+            return self._hit(Outcome.PLACE_COLLISION, "retreat", hit)
+        return Attempt(Outcome.REACHED, pick=pick, place=place)
+
+    def _detour(
+        self, scene: Scene, move: Move, height: float
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """Columns whose tops are joined by a free motion, higher up."""
+        pick = self.columns.solve(scene.position[move.cell], move.grasp, height + DETOUR)
+        place = self.columns.solve(move.target, move.place, height + DETOUR)
+        if isinstance(pick, str) or isinstance(place, str):
+            return None
+        way = [pick[len(RISE) :], place[len(RISE) :], *between(pick[-1], place[-1])]
+        return None if self._first(np.vstack(way), EDGE) else (pick, place)
+
+    def _open_hand(self) -> None:
+        self.collisions.carry(np.empty((0, 3)), np.empty(0, np.int64))
+
+    def _grip(self, scene: Scene, move: Move, members: np.ndarray) -> None:
+        """The object hangs from the hand instead of standing in the scene."""
+        rotation = move.grasp.rotation()
+        offset = scene.position[members] - move.grasp.tool_point(scene.position[move.cell])
+        self.collisions.take(members)
+        self.collisions.carry(offset @ rotation, scene.object_id[members])
+
+    def _hit(self, outcome: Outcome, stage: str, hit: Touch) -> Attempt:
+        gripper = self.arm.gripper
+        at_end = {gripper.hand, *gripper.fingers, "carried"}
+        by_link = hit.part.split()[0] not in at_end
+        return Attempt(outcome, stage, f"{hit.part} touches {hit.other}", by_link=by_link)
+
+    def _first(self, joints: Iterable[np.ndarray], opening: float) -> Touch | None:
+        for q in joints:
+            hit = self.collisions.touch(q, opening)
+            if hit is not None:
+                return hit
+        return None
+
+
+def between(start: np.ndarray, end: np.ndarray) -> Iterator[np.ndarray]:
+    """Joint positions strictly between two, at most a stride apart."""
+    steps = math.ceil(np.abs(end - start).max() / STRIDE)
+    for k in range(1, steps):
+        yield start + (end - start) * (k / steps)
+
+
+def _further(attempt: Attempt) -> int:
+    return len(STAGES) if attempt.reached else STAGES.index(attempt.stage)

@@ -1,0 +1,172 @@
+"""Does the arm, or what it carries, touch anything? MuJoCo's collision detection, no dynamics."""
+
+# pyright: reportAttributeAccessIssue=false
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from learn2assemble.robot.arm import Arm, arm_spec
+from learn2assemble.robot.moves import GAP, Scene, fillers
+from learn2assemble.world.blocks import HALF
+
+SHRINK = 0.001
+"""What is carried counts as this much smaller on every side [m], so that resting on a block or
+standing beside it is no collision."""
+TABLE = (0.75, 0.5, 0.01)
+"""Half extents of the table, its top at z = 0 [m] (protocol 1.1)."""
+MAX_CARRIED = 4
+"""Cells of the largest object."""
+_CELL, _FILLER = (HALF, HALF, HALF), (GAP / 2, HALF, HALF)
+_ARM, _CARRIED, _THING = 1, 2, 4
+_FAR = (0.0, 0.0, -50.0)
+
+
+class Touch(NamedTuple):
+    """Two things that meet, by the names of their bodies: parts of the arm, ``table``,
+    ``block N`` of the scene, ``filler``, and ``carried``."""
+
+    part: str
+    other: str
+
+
+class CollisionModel:
+    """The arm, a table, and boxes that are put where a scene says.
+
+    Args:
+        arm: the robot.
+        num_cells: cells a scene has at most.
+
+    One instance serves one thread.
+    """
+
+    def __init__(self, arm: Arm, num_cells: int) -> None:
+        self.arm, self.num_cells = arm, num_cells
+        self.model = m = _compile(arm, num_cells)
+        self.data = mujoco.MjData(m)
+        self._joints = np.array([m.joint(name).qposadr[0] for name in arm.joints])
+        self._fingers = np.array([m.joint(name).qposadr[0] for name in arm.gripper.joints])
+        self._carried = np.array([m.body(f"carried {k}").id for k in range(MAX_CARRIED)])
+        self._carried_fillers = np.array([m.body(f"carried f{k}").id for k in range(MAX_CARRIED)])
+        self._names = [m.body(k).name for k in range(m.nbody)]
+        self._pairs = np.empty((0, 2), np.int64)
+        site, turn = m.site(arm.tool), np.empty(9)
+        mujoco.mju_quat2Mat(turn, site.quat)
+        self._tool_position, self._tool_rotation = site.pos.copy(), turn.reshape(3, 3)
+
+    def place(self, scene: Scene) -> None:
+        """Put the boxes where the cells of ``scene`` are."""
+        n, d = len(scene.position), self.data
+        self._pairs = fillers(scene.position, scene.object_id)
+        d.mocap_pos[n : self.num_cells] = _FAR
+        d.mocap_pos[self.num_cells + len(self._pairs) :] = _FAR
+        self.put(np.arange(n), scene.position, scene.yaw)
+
+    def put(self, cells: np.ndarray, position: np.ndarray, yaw: np.ndarray) -> None:
+        """Move whole objects of the scene.
+
+        Args:
+            cells: int64[c] of the scene.
+            position: float64[c, 3], their centres [m].
+            yaw: float64[c] [rad].
+        """
+        d = self.data
+        d.mocap_pos[cells], d.mocap_quat[cells] = position, _about_z(yaw)
+        if len(self._pairs):
+            numbers = np.flatnonzero(np.isin(self._pairs[:, 0], cells))
+            where, angle = _between(d.mocap_pos, self._pairs[numbers])
+            d.mocap_pos[self.num_cells + numbers] = where
+            d.mocap_quat[self.num_cells + numbers] = _about_z(angle)
+
+    def take(self, cells: np.ndarray) -> None:
+        """Take whole objects out of the scene."""
+        self.put(cells, np.tile(_FAR, (len(cells), 1)), np.zeros(len(cells)))
+
+    def carry(self, position: np.ndarray, object_id: np.ndarray) -> None:
+        """Fix the cells of an object to the hand; no cells: the hand is empty.
+
+        Args:
+            position: float64[c, 3] centres in the tool frame [m]; their sides are parallel to its
+                axes.
+            object_id: int64[c].
+        """
+        m = self.model
+        pairs = fillers(position, object_id)
+        m.body_pos[self._carried], m.body_pos[self._carried_fillers] = _FAR, _FAR
+        m.body_pos[self._carried[: len(position)]] = self._in_hand(position)
+        where, angle = _between(position, pairs)
+        bodies = self._carried_fillers[: len(pairs)]
+        m.body_pos[bodies] = self._in_hand(where)
+        m.body_quat[bodies] = _about_z(angle)  # the tool's z is the hand's
+
+    def touch(self, joints: np.ndarray, opening: float) -> Touch | None:
+        """The first collision at these joint positions, or None.
+
+        Args:
+            joints: float64[n] [rad].
+            opening: between the pads [m].
+        """
+        m, d = self.model, self.data
+        d.qpos[self._joints] = joints
+        d.qpos[self._fingers] = opening / len(self._fingers)
+        mujoco.mj_kinematics(m, d)
+        mujoco.mj_collision(m, d)
+        if not d.ncon:
+            return None
+        first, second = (self._names[m.geom_bodyid[g]] for g in d.contact.geom[0])
+        return Touch(*((second, first) if first.split()[0] in _THINGS else (first, second)))
+
+    def _in_hand(self, points: np.ndarray) -> np.ndarray:
+        """float64[k, 3]: points of the tool frame in the frame of its body [m]."""
+        return self._tool_position + points @ self._tool_rotation.T
+
+
+_THINGS = ("table", "block", "filler")
+
+
+def _compile(arm: Arm, num_cells: int) -> mujoco.MjModel:
+    spec = arm_spec(arm)
+    mounted = [body.name for body in spec.worldbody.bodies]
+    for geom in spec.geoms:
+        solid = geom.contype or geom.conaffinity
+        geom.contype, geom.conaffinity = (_ARM, _ARM | _THING) if solid else (0, 0)
+        if solid and geom.parent.name in mounted:
+            geom.contype |= _THING  # what is carried must not meet the base either
+    world, hand = spec.worldbody, spec.site(arm.tool).parent
+    table = world.add_body(name="table")
+    size = list(TABLE)
+    _box(table, size, _THING, 0).pos = [0.0, 0.0, -TABLE[2]]
+    for base in mounted:
+        spec.add_exclude(bodyname1="table", bodyname2=base)
+    names = [(f"block {k}", _CELL) for k in range(num_cells)]
+    names += [(f"filler {k}", _FILLER) for k in range(num_cells)]
+    for name, half in names:
+        _box(world.add_body(name=name, mocap=True, pos=_FAR), list(half), _THING, 0)
+    carried = [(f"carried {k}", _CELL) for k in range(MAX_CARRIED)]
+    carried += [(f"carried f{k}", _FILLER) for k in range(MAX_CARRIED)]
+    for name, half in carried:
+        body = hand.add_body(name=name, pos=_FAR)
+        _box(body, [side - SHRINK for side in half], _CARRIED, _THING)
+    return spec.compile()
+
+
+def _box(body: mujoco.MjsBody, half: list[float], contype: int, conaffinity: int) -> mujoco.MjsGeom:
+    return body.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX, size=half, contype=contype, conaffinity=conaffinity,
+        mass=0.01,
+    )  # fmt: skip
+
+
+def _about_z(yaw: np.ndarray) -> np.ndarray:
+    """float64[n, 4]: quaternions (w, x, y, z)."""
+    quaternion = np.zeros((len(yaw), 4))
+    quaternion[:, 0], quaternion[:, 3] = np.cos(yaw / 2), np.sin(yaw / 2)
+    return quaternion
+
+
+def _between(position: np.ndarray, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Centres of fillers float64[f, 3] [m] and the direction float64[f] of their thin side."""
+    gap = position[pairs[:, 1]] - position[pairs[:, 0]]
+    return position[pairs].mean(1), np.arctan2(gap[:, 1], gap[:, 0])

@@ -1,0 +1,383 @@
+"""What an attempt of the arm comes to, the same for every cell (kinematic, dynamic, published).
+
+Attitudes of the hand at a cell, and the sets of them a task offers (protocol 5, 8.3).
+
+The world as the robot sees it: cubes on a table, rigid objects made of them, and one order.
+
+Where the tool goes in a pick and place, the same for every fidelity of the arm.
+
+    home - above the block - down, close, up - across - down, open, up - home
+
+Down and up follow the approach axis of the attitude near the block, then the vertical.
+
+What the arm was told and did during a pick and place, at equal steps of time.
+
+What every robot cell reports of a move.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from learn2assemble.errors import look_up
+from learn2assemble.world.blocks import EDGE, HALF
+
+
+class Outcome(IntEnum):
+    """Result of one pick and place; stored as int8. Everything but ``REACHED`` is a failure."""
+
+    REACHED = 0
+    """The block stands where it should and nothing else moved."""
+    UNREACHABLE = 1
+    """No joint configuration for a pose on the way (:class:`~.inverse.IKFailure` says why)."""
+    GRASP_COLLISION = 2
+    """Something is touched while approaching, grasping or lifting."""
+    PLACE_COLLISION = 3
+    """Something is touched by arm or held object on the way, while placing or retreating."""
+    GRASP_LOST = 4
+    """The fingers closed on nothing, or the block slipped out before it was lifted."""
+    DISTURBED_STRUCTURE = 5
+    """A block that was there before has moved."""
+    UNSTABLE = 6
+    """The placed object did not stay where it was released."""
+    DROPPED = 7
+    """The block left the hand between lifting and release."""
+
+    @property
+    def label(self) -> str:
+        """The name as it is shown, e.g. ``"grasp-collision"``."""
+        return self.name.lower().replace("_", "-")
+
+
+QUARTER = math.pi / 2
+
+
+class Attitude(NamedTuple):
+    """How the hand meets a cell. The tool's z axis points out of the hand, the fingers close
+    along its y axis; without a tilt z points straight down."""
+
+    yaw: float = 0.0
+    """Of the hand about the vertical [rad]; at 0 the fingers close along the world's y."""
+    tilt: float = 0.0
+    """Lean of the hand about the closing axis [rad]; positive: the wrist moves towards the tool's
+    negative x."""
+    depth: float = 0.0
+    """How far above the cell's centre the tool point stays, along the approach [m]."""
+
+    def rotation(self) -> np.ndarray:
+        """float64[3, 3]: the tool's axes as columns, world frame."""
+        c, s = math.cos(self.tilt), math.sin(self.tilt)
+        # Half a turn about x points the tool down; the tilt is about the tool's own y axis.
+        down = np.array([[c, 0.0, s], [0.0, -1.0, 0.0], [s, 0.0, -c]])
+        return turn(self.yaw) @ down
+
+    def tool_point(self, centre: np.ndarray) -> np.ndarray:
+        """float64[3]: where the tool point is when the hand holds a cell with this centre [m]."""
+        return centre - self.depth * self.rotation()[:, 2]
+
+    def flipped(self) -> Attitude:
+        """The same grasp with the fingers exchanged."""
+        return self._replace(yaw=self.yaw + math.pi)
+
+
+def along(grasp: Attitude, yaw: float) -> Attitude:
+    """An attitude meant for an upright object, for one that is turned by ``yaw`` [rad]: turned
+    with it by at most an eighth, as a quarter makes no difference to a cube."""
+    turned = yaw - QUARTER * round(yaw / QUARTER)
+    return grasp._replace(yaw=grasp.yaw + turned) if turned else grasp
+
+
+def turn(yaw: float) -> np.ndarray:
+    """float64[3, 3]: rotation about z; exact for quarter turns."""
+    quarters = yaw / (math.pi / 2)
+    if abs(quarters - round(quarters)) < 1e-9:
+        c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[round(quarters) % 4]
+    else:
+        c, s = math.cos(yaw), math.sin(yaw)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+class GraspPair(NamedTuple):
+    """Attitudes for picking up and for putting down; an object turns by the difference in yaw."""
+
+    grasp: Attitude
+    place: Attitude
+
+
+_A, _B = Attitude(), Attitude(yaw=-math.pi / 2)
+_YAWS = tuple(Attitude(yaw=-k * math.pi / 2) for k in range(4))
+_LEANS = tuple(
+    Attitude(yaw, tilt, depth)
+    for yaw in (0.0, -math.pi / 2, math.pi / 2, math.pi)
+    for tilt in (-math.pi / 6, 0.0, math.pi / 6)
+    for depth in (0.0, 0.012)
+)
+
+GRASP_SETS: dict[str, tuple[GraspPair, ...]] = {
+    # One-sided cell: the fingers always close along y.
+    "along-y": (GraspPair(_A, _A),),
+    # Protocol 5, action k mod 4: net turns of 0, -90, 90 and 0 degrees.
+    "paper": (GraspPair(_A, _A), GraspPair(_A, _B), GraspPair(_B, _A), GraspPair(_B, _B)),
+    "four-yaws": tuple(GraspPair(a, b) for a in _YAWS for b in _YAWS),
+    # 6-D grasps: the lean and the depth a block is picked with are those it is placed with.
+    "rich": tuple(
+        GraspPair(a, b) for a in _LEANS for b in _LEANS if (a.tilt, a.depth) == (b.tilt, b.depth)
+    ),
+}
+"""Named sets of (grasp, place) attitudes. The paper names 6-D grasps as future work."""
+
+
+def get_grasps(name: str) -> tuple[GraspPair, ...]:
+    """The grasp set called ``name``.
+
+    Raises:
+        UnknownNameError: naming the nearest one.
+    """
+    return look_up("grasp set", name, GRASP_SETS)
+
+
+GAP = 0.01
+"""Between horizontal neighbours on the lattice of the robot cell [m] (protocol 7)."""
+
+
+class Scene(NamedTuple):
+    """Cubes on the table, in the world frame; the placed ones first.
+
+    Objects of several cells are rigid; where two of their cells are horizontal neighbours the gap
+    between them is filled (protocol 7).
+    """
+
+    position: np.ndarray
+    """float64[n, 3]: cell centres [m]."""
+    yaw: np.ndarray
+    """float64[n]: rotation of each cell about z [rad]."""
+    object_id: np.ndarray
+    """int64[n]: cells with one number are one rigid object."""
+    num_placed: int
+
+    def members(self, cell: int) -> np.ndarray:
+        """int64[m]: the cells of the object of ``cell``, that cell first."""
+        others = np.flatnonzero(self.object_id == self.object_id[cell])
+        return np.concatenate([[cell], others[others != cell]])
+
+
+class Move(NamedTuple):
+    """Pick up the object of a waiting cell and put that cell somewhere else."""
+
+    cell: int
+    """Index of the grasped cell in the scene."""
+    target: np.ndarray
+    """float64[3]: centre the grasped cell shall have [m]."""
+    grasp: Attitude
+    place: Attitude
+
+    @property
+    def turn(self) -> float:
+        """Rotation of the object about z between picking and placing [rad]."""
+        return self.place.yaw - self.grasp.yaw
+
+
+def put_down(scene: Scene, move: Move) -> Scene:
+    """The scene after a move that went as ordered: the object's cells are the last placed ones,
+    the grasped one first."""
+    members = scene.members(move.cell)
+    position, yaw = carried(scene, move, members)
+    rest = np.setdiff1d(np.arange(scene.num_placed, len(scene.position)), members)
+    order = np.concatenate([np.arange(scene.num_placed), members, rest])
+    after = Scene(
+        scene.position[order], scene.yaw[order], scene.object_id[order],
+        scene.num_placed + len(members),
+    )  # fmt: skip
+    after.position[scene.num_placed : after.num_placed] = position
+    after.yaw[scene.num_placed : after.num_placed] = yaw
+    return after
+
+
+def carried(scene: Scene, move: Move, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where a move takes cells of the object: centres float64[m, 3] [m] and yaw float64[m]."""
+    offset = scene.position[members] - scene.position[move.cell]
+    return move.target + offset @ turn(move.turn).T, scene.yaw[members] + move.turn
+
+
+def fillers(position: np.ndarray, object_id: np.ndarray) -> np.ndarray:
+    """Pairs of horizontal neighbours of one object; the gap between them is filled (protocol 7).
+
+    Args:
+        position: float64[n, 3] cell centres [m].
+        object_id: int64[n].
+
+    Returns:
+        int64[f, 2].
+    """
+    same = object_id[:, None] == object_id
+    if same.sum() == len(object_id):
+        return np.empty((0, 2), np.int64)
+    a, b = np.nonzero(np.triu(same, 1))
+    gap = np.abs(position[b] - position[a])
+    near = (gap[:, 2] < HALF) & (np.hypot(gap[:, 0], gap[:, 1]) < 3 * HALF)
+    return np.stack([a, b], -1)[near]
+
+
+OPENING = EDGE + 0.008
+"""Opening between the pads while approaching, after releasing and while retreating [m]: wide
+enough for a millimetre or two of error, narrow enough to leave neighbours alone."""
+AXIAL = 0.06
+"""The tool moves along its approach axis within this distance of a grasp [m]."""
+CLEARANCE = 0.06
+"""Between what is carried and everything below it while crossing [m]."""
+LEVEL = 0.05
+"""Heights of crossing are multiples of this, so that paths repeat [m]."""
+RISE = (0.0, 0.008, 0.03, AXIAL)
+"""Distances from the contact at which poses of a column lie, close where things are near [m]."""
+
+
+class Column(NamedTuple):
+    """Poses of the tool over a place where it grasps or releases, from the contact upwards."""
+
+    position: np.ndarray
+    """float64[k, 3]: tool point [m]."""
+    rotation: np.ndarray
+    """float64[3, 3]: of all of them."""
+
+
+def column(centre: np.ndarray, attitude: Attitude, height: float) -> Column:
+    """Poses over a cell with this centre, up to tool height ``height`` or just clear of it."""
+    rotation, contact = attitude.rotation(), attitude.tool_point(centre)
+    near = contact - np.outer(RISE, rotation[:, 2])
+    top = max(height - near[-1, 2], 0.0)
+    steps = np.linspace(0.0, top, 1 + math.ceil(top / (2 * LEVEL) - 1e-9))[1:]
+    return Column(np.vstack([near, near[-1] + np.outer(steps, [0.0, 0.0, 1.0])]), rotation)
+
+
+def crossing_height(scene: Scene, move: Move) -> float:
+    """Height of the tool between picking and placing [m].
+
+    What hangs below the grasped cell, and the fingertips, pass above everything else.
+    """
+    members = scene.members(move.cell)
+    others = np.setdiff1d(np.arange(len(scene.position)), members)
+    highest = max(scene.position[others, 2], default=-HALF) + HALF
+    hanging = scene.position[move.cell, 2] - scene.position[members, 2].min() + HALF
+    height = max(highest, move.target[2] - hanging) + CLEARANCE + hanging
+    return LEVEL * math.ceil(height / LEVEL - 1e-9)
+
+
+STAGES = ("approach", "pick", "lift", "cross", "place", "release", "retreat", "home")
+"""Parts of a pick and place, in order; ``retreat`` ends above the target."""
+
+
+class Trajectory(NamedTuple):
+    """Samples of one attempt."""
+
+    time: np.ndarray
+    """float64[t]: from the beginning of the attempt [s]."""
+    joints: np.ndarray
+    """float64[t, n]: commanded [rad]."""
+    velocity: np.ndarray
+    """float64[t, n]: commanded [rad/s]."""
+    width: np.ndarray
+    """float64[t]: opening between the pads [m], as it was."""
+    command: np.ndarray
+    """float64[t]: opening the gripper was told [m]; less than what it holds where it presses."""
+    payload: np.ndarray
+    """float64[t]: mass at the tool point the controller was told of [kg]."""
+    stage: np.ndarray
+    """int8[t]: index into :data:`STAGES`."""
+    pose: np.ndarray
+    """float64[t, c, 7]: centre [m] and quaternion (w, x, y, z) of every cell of the scene before
+    the move, in its order (world)."""
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return float(self.time[-1]) if len(self.time) else 0.0
+
+
+class Recorder:
+    """Collects samples; one attempt each."""
+
+    def __init__(self) -> None:
+        self._rows: list[tuple[float, np.ndarray, np.ndarray, float, float, float, int]] = []
+        self._poses: list[np.ndarray] = []
+
+    def add(
+        self,
+        time: float,
+        joints: np.ndarray,
+        velocity: np.ndarray,
+        width: float,
+        command: float,
+        payload: float,
+        stage: str,
+        poses: np.ndarray,
+    ) -> None:
+        """Append a sample; ``poses`` float64[b, 7] are those of the objects."""
+        number = STAGES.index(stage)
+        row = (time, joints.copy(), velocity.copy(), width, command, payload, number)
+        self._rows.append(row)
+        self._poses.append(poses.copy())
+
+    def first_poses(self) -> np.ndarray:
+        """float64[b, 7]: of the objects at the beginning."""
+        return self._poses[0]
+
+    @property
+    def joints(self) -> np.ndarray:
+        """float64[T, n]: joint positions so far [rad]."""
+        return np.array([row[1] for row in self._rows])
+
+    def trajectory(self, owner: np.ndarray, offset: np.ndarray) -> Trajectory:
+        """All samples; cell c of object ``owner[c]`` lies at ``offset[c]`` in its frame [m]."""
+        time, joints, velocity, width, command, payload, stage = (
+            np.array(column) for column in zip(*self._rows, strict=True)
+        )
+        poses = np.array(self._poses)[:, owner]
+        poses[..., :3] += rotated(poses[..., 3:], offset)
+        return Trajectory(
+            time, joints, velocity, width, command, payload, stage.astype(np.int8), poses
+        )
+
+
+def rotated(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Vectors float64[..., 3] turned by quaternions float64[..., 4] (w, x, y, z)."""
+    w, axis = quaternion[..., :1], quaternion[..., 1:]
+    across = 2 * np.cross(axis, vector)
+    return vector + w * across + np.cross(axis, across)
+
+
+class Attempt(NamedTuple):
+    """What became of a move."""
+
+    outcome: Outcome
+    stage: str = ""
+    """Where it failed; empty for a success."""
+    detail: str = ""
+    """Why, in one line."""
+    pick: np.ndarray | None = None
+    """float64[k, n]: joint positions over the picked cell, from the contact upwards [rad]."""
+    place: np.ndarray | None = None
+    """The same over the target."""
+    after: Scene | None = None
+    """Where everything is then, where that was simulated, also after a failure; the moved object
+    listed as :func:`learn2assemble.robot.moves.put_down` does."""
+    by_link: bool = False
+    """A link of the arm, not its hand, was in the way."""
+
+    quaternion: np.ndarray | None = None
+    """float64[n, 4]: orientations (w, x, y, z) of the cells of ``after``, where simulated."""
+    error: float = np.nan
+    """Distance of the grasped cell from its target then [m], where simulated."""
+    held: bool = False
+    """The object is still in the hand, which has stopped."""
+    joints: np.ndarray | None = None
+    """float64[n]: where the arm is then [rad]."""
+    trajectory: Trajectory | None = None
+    """What the arm did, where something was moved in a simulation."""
+
+    @property
+    def reached(self) -> bool:
+        return self.outcome == Outcome.REACHED

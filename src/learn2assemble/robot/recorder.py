@@ -1,0 +1,201 @@
+"""Making a record while a build goes on: attempts come in with times of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.dynamic.model import about_z
+from learn2assemble.robot.kinematics import forward_many, get_chain
+from learn2assemble.robot.moves import STAGES, Attempt, Move, Outcome, Scene, Trajectory
+from learn2assemble.robot.record import RATE, BuildRecord, Samples, Stage, StepRecord, arm_facts
+from learn2assemble.world.blocks import EDGE
+
+LOST = 0.008
+"""What has moved so far in the hand is not drawn as held any more [m]."""
+
+
+class Logbook:
+    """Appends steps to a record and puts them on its clock.
+
+    Args:
+        arm: it stands still at ``joints`` with its gripper open by ``width`` when the build begins.
+        poses: float64[C, 7] of every cell at the beginning, as in
+            :class:`~.record.StepRecord`.
+        objects: cells of every rigid object.
+        simulated_by: what the outcomes come from, in words.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        joints: np.ndarray,
+        width: float,
+        poses: np.ndarray,
+        objects: Sequence[Sequence[int]],
+        simulated_by: str,
+    ) -> None:
+        self.arm, self.poses = arm, np.array(poses, float)
+        self.objects = tuple(tuple(cells) for cells in objects)
+        self.simulated_by = simulated_by
+        self.steps: list[StepRecord] = []
+        self._first = np.array(joints, float), float(width)
+        self._count = 0
+
+    @property
+    def now(self) -> float:
+        """Time of the record at which the next step begins [s]."""
+        return max(self._count - 1, 0) / RATE
+
+    def add(
+        self,
+        *,
+        plan_step: int | None,
+        cells: Sequence[int],
+        target: np.ndarray,
+        outcome: Outcome,
+        detail: str = "",
+        joints: np.ndarray | None = None,
+        velocity: np.ndarray | None = None,
+        width: np.ndarray | None = None,
+        stages: Sequence[Stage] = (),
+        grip: float | None = None,
+        release: float | None = None,
+        after: np.ndarray | None = None,
+    ) -> None:
+        """Append a step; fields as in :class:`~.record.StepRecord`, times from its beginning.
+
+        Args:
+            joints: float64[T, n], the first one a period (1 / 50 s) after the last of the step
+                before; None where the arm does not move.
+            velocity: float64[T, n].
+            width: float64[T].
+            after: float64[C, 7]; None where nothing has moved.
+        """
+        n, start = len(self.arm.joints), self.now
+        count = 0 if joints is None else len(joints)
+        q = np.array([] if joints is None else joints, float).reshape(count, n)
+        v = np.array([] if velocity is None else velocity, float).reshape(count, n)
+        w = np.array([] if width is None else width, float).reshape(count)
+        if not self._count and count:
+            q = np.vstack([self._first[0], q])
+            v = np.vstack([np.zeros(n), v])
+            w = np.concatenate([[self._first[1]], w])
+        time = (self._count + np.arange(len(q))) / RATE
+        self._count += len(q)
+        end = self.poses if after is None else np.array(after, float)
+        self.steps.append(
+            StepRecord(
+                number=len(self.steps) + 1,
+                plan_step=plan_step,
+                cells=tuple(map(int, cells)),
+                target=np.array(target, float),
+                outcome=outcome,
+                detail=detail,
+                replanned=False,
+                stages=tuple(Stage(s.name, s.start + start, s.end + start) for s in stages),
+                grip=None if grip is None else grip + start,
+                release=None if release is None else release + start,
+                samples=Samples(time, q, v, w),
+                before=self.poses,
+                after=end,
+            )
+        )
+        self.poses = end
+
+    def add_attempt(
+        self,
+        attempt: Attempt,
+        scene: Scene,
+        move: Move,
+        numbers: np.ndarray,
+        plan_step: int | None = None,
+    ) -> np.ndarray:
+        """Append what a cell reports of a move.
+
+        Args:
+            attempt: the report.
+            scene: as things were before it.
+            move: the order.
+            numbers: int64[n], which cell of the build each row of ``scene`` is.
+            plan_step: as in :class:`~.record.StepRecord`.
+
+        Returns:
+            int64[n]: which cell of the build each row of ``attempt.after`` is.
+        """
+        members = scene.members(move.cell)
+        rest = np.setdiff1d(np.arange(scene.num_placed, len(scene.position)), members)
+        order = numbers[np.concatenate([np.arange(scene.num_placed), members, rest])]
+        turn = about_z(scene.yaw[[move.cell]] + move.turn)[0]
+        after = None
+        if attempt.after is not None and attempt.quaternion is not None:
+            after = self.poses.copy()
+            after[order] = np.hstack([attempt.after.position, attempt.quaternion])
+        done = attempt.trajectory
+        moved = done is not None and len(done.time) > 1
+        grip, release = holding(self.arm, done, move.cell) if done and moved else (None, None)
+        self.add(
+            plan_step=plan_step, cells=numbers[members].tolist(),
+            target=np.array([*move.target, *turn]), outcome=attempt.outcome, detail=attempt.detail,
+            joints=done.joints[1:] if done and moved else None,
+            velocity=done.velocity[1:] if done and moved else None,
+            width=done.width[1:].clip(0, self.arm.gripper.max_width) if done and moved else None,
+            stages=stages_of(done) if done and moved else (), grip=grip, release=release,
+            after=after,
+        )  # fmt: skip
+        return order
+
+    def replanned(self) -> None:
+        """The rest of the build has been planned anew after the last step."""
+        self.steps[-1] = replace(self.steps[-1], replanned=True)
+
+    def number_steps(self, plan_steps: Sequence[int | None]) -> None:
+        """Say which step of the finished plan each step of the record carries out."""
+        self.steps = [
+            replace(step, plan_step=number)
+            for step, number in zip(self.steps, plan_steps, strict=True)
+        ]
+
+    def record(self) -> BuildRecord:
+        """The record so far."""
+        return BuildRecord(
+            arm_facts(self.arm), RATE, EDGE, self.objects, self.simulated_by, tuple(self.steps)
+        )
+
+
+def upright(position: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+    """Poses float64[n, 7] of cells at centres float64[n, 3] [m], turned about z by float64[n]."""
+    return np.hstack([position, about_z(np.asarray(yaw, float))])
+
+
+def stages_of(trajectory: Trajectory) -> list[Stage]:
+    """The stages one after the other; a sample ends the time that led to it."""
+    changes = np.flatnonzero(np.diff(trajectory.stage[1:])) + 1
+    ends = [*changes.tolist(), len(trajectory.time) - 1]
+    starts = [0, *changes.tolist()]
+    return [
+        Stage(STAGES[trajectory.stage[b]], float(trajectory.time[a]), float(trajectory.time[b]))
+        for a, b in zip(starts, ends, strict=True)
+    ]
+
+
+def holding(arm: Arm, trajectory: Trajectory, cell: int) -> tuple[float | None, float | None]:
+    """When a cell begins to follow the hand and when it ceases to [s].
+
+    It does from the moment it is lifted, until the fingers open or it has moved in the hand by
+    more than :data:`LOST`.
+    """
+    lifted = np.flatnonzero(trajectory.stage == STAGES.index("lift"))
+    if not len(lifted):
+        return None, None
+    grip = int(lifted[0]) - 1
+    where, turn = forward_many(get_chain(arm), np.ascontiguousarray(trajectory.joints))
+    inside = np.einsum("tji,tj->ti", turn, trajectory.pose[:, cell, :3] - where)
+    gone = np.linalg.norm(inside - inside[grip], axis=1) > LOST
+    gone |= trajectory.stage == STAGES.index("release")
+    gone[: grip + 1] = False
+    first = int(np.argmax(gone))
+    return float(trajectory.time[grip]), float(trajectory.time[first - 1]) if gone.any() else None

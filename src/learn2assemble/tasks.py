@@ -1,0 +1,270 @@
+"""A task is a value: everything that tells one environment from another.
+
+The paper's tasks by name, and one of ours. Adding one is one line.
+
+The label "a-b blocks" fixes the number of nodes: N = a + 5 S = b + 3 S for S sides (protocol 0).
+The worlds of the robot cell begin with ``robot``; an arm builds in them. The same worlds without
+one: ``get_task(NAME).replace(arm="none")``.
+
+Cube tasks whose grid or number of blocks is larger than in training draw only unseen shapes, as
+the paper's text says (protocol 13.8): outlines that meet the published bound on the 3x3 box. Where
+the grid is 3x3 itself, that leaves four- and five-sided ones with high left shoulders. Object tasks
+do not: their agents are trained on 5x5, and the published bound knows no other box than 3x3
+(protocol 2).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+from learn2assemble.errors import InputError, UnknownNameError, look_up
+from learn2assemble.geometry.coverage import FILTERS
+from learn2assemble.robot.registry import ARMS
+from learn2assemble.world.blocks import EDGE, OBJECT_SETS, RELATIONS, Ways, get_ways
+from learn2assemble.world.layouts import LAYOUTS, RANDOM
+from learn2assemble.world.rules import REWARDS, STABILITY
+
+MIN_VERTICES, MAX_VERTICES = 3, 5
+NO_ARM = "none"
+MAX_PITCH = 0.07
+"""Cells farther apart [m] would need other rules for what fills the gaps of objects."""
+
+
+def check_actions(num_actions: int, attitudes: str, task: Task) -> None:
+    """Refuse a network whose actions are not the task's.
+
+    Raises:
+        InputError: naming what differs.
+    """
+    if num_actions != task.num_actions:
+        raise InputError(
+            "network.num_actions", num_actions, f"{task.num_actions}, the actions of {task.name}"
+        )
+    if attitudes != task.attitudes:
+        raise InputError("network.attitudes", attitudes, f"{task.attitudes}, those of {task.name}")
+
+
+@dataclass(frozen=True)
+class Task:
+    """One assembly problem distribution.
+
+    Args:
+        name: how presets, agents and results refer to it.
+        num_sides: 1, 2, 3 or 4 target elevations (protocol 1.2).
+        grid: width and height of the box targets are drawn from, in block edges.
+        num_nodes: N, nodes of the graph; the number of blocks is N minus the target vertices.
+        objects: the set objects are drawn from, see :mod:`learn2assemble.world.blocks`.
+        rotations: ways to place an object in each relation, 1 or 4.
+        attitudes: what these are, see ``ATTITUDES`` in :mod:`learn2assemble.world.blocks`.
+        pitch: horizontal distance of the centres of neighbouring blocks [m]; more than a block's
+            edge leaves room for the fingers of a gripper.
+        aisle: empty rows of cells between the two walls of a two-sided structure.
+        layout: where unplaced objects wait, see :mod:`learn2assemble.world.layouts`.
+        reward: ``discrete`` (cubes) or ``scaled`` (objects), protocol 6.3.
+        discount: gamma of the returns.
+        success_threshold: Delta; the target is filled when F_co exceeds it.
+        cover_filter: which depths count as covered, see ``FILTERS`` in
+            :mod:`learn2assemble.geometry.coverage`.
+        normalise_initial: F counts from the cover of the first object on; without it from nothing.
+        arm: which arm builds, see :mod:`learn2assemble.robot.registry`; ``none``: objects appear
+            at their places.
+        stability: rule of a simulated placement, see ``STABILITY`` in
+            :mod:`learn2assemble.world.rules`.
+        min_mask_pixels: fewer mask pixels than this and the shapes are redrawn.
+        max_initial_cover: more than this share covered by the first block: redrawn.
+        unseen_shapes_only: every outline leaves the 3x3 box agents are trained on.
+
+    Raises:
+        InputError: for a value outside its range.
+    """
+
+    name: str
+    num_sides: int
+    grid: int
+    num_nodes: int
+    objects: str = "cubes"
+    rotations: int = 1
+    attitudes: str = "turns"
+    pitch: float = EDGE
+    aisle: int = 0
+    layout: str = "line"
+    reward: str = "discrete"
+    discount: float = 0.8
+    success_threshold: float = 0.975
+    cover_filter: str = "narrow"
+    normalise_initial: bool = True
+    arm: str = "none"
+    stability: str = "block"
+    min_mask_pixels: int = 50
+    max_initial_cover: float = 0.95
+    unseen_shapes_only: bool = False
+
+    def __post_init__(self) -> None:
+        if self.num_sides not in (1, 2, 3, 4):
+            raise InputError("num_sides", self.num_sides, "1, 2, 3 or 4")
+        if not 1 <= self.grid <= 6:
+            raise InputError("grid", self.grid, "1 to 6 block edges")
+        if self.num_nodes <= MAX_VERTICES * self.num_sides + 1:
+            raise InputError(
+                "num_nodes", self.num_nodes, f"more than {MAX_VERTICES * self.num_sides + 1}"
+            )
+        if self.objects not in OBJECT_SETS:
+            raise UnknownNameError("object set", self.objects, OBJECT_SETS)
+        get_ways(self.attitudes, self.rotations, self.pitch)
+        if not EDGE <= self.pitch <= MAX_PITCH:
+            raise InputError("pitch", self.pitch, f"{EDGE} to {MAX_PITCH} m")
+        if self.aisle not in ((0, 1, 2) if self.num_sides == 2 else (0,)):
+            raise InputError("aisle", self.aisle, "0 to 2 rows between two walls, else 0")
+        if self.cover_filter not in FILTERS:
+            raise UnknownNameError("cover filter", self.cover_filter, FILTERS)
+        if self.stability not in STABILITY:
+            raise UnknownNameError("stability rule", self.stability, STABILITY)
+        if self.arm not in (NO_ARM, *ARMS):
+            raise UnknownNameError("arm", self.arm, (NO_ARM, *ARMS))
+        if self.layout not in LAYOUTS:
+            raise UnknownNameError("layout", self.layout, LAYOUTS)
+        if self.layout == RANDOM and self.objects != "cubes":
+            raise InputError("layout", self.layout, "one for objects of several cells")
+        if self.reward not in REWARDS:
+            raise UnknownNameError("reward", self.reward, REWARDS)
+        if not 0 < self.discount <= 1:
+            raise InputError("discount", self.discount, "0 < gamma <= 1")
+        if not 0 < self.success_threshold < 1:
+            raise InputError("success_threshold", self.success_threshold, "0 < Delta < 1")
+
+    @property
+    def num_actions(self) -> int:
+        """Na, ways to place a block against another: relations times rotations."""
+        return len(RELATIONS) * self.rotations
+
+    @property
+    def ways(self) -> Ways:
+        """What the actions mean, beside the relation."""
+        return get_ways(self.attitudes, self.rotations, self.pitch)
+
+    @property
+    def grasps(self) -> str:
+        """The grasp set an arm uses, see :mod:`learn2assemble.robot.moves`: one attitude where
+        there is one way, else the four pairs of the paper."""
+        return "along-y" if self.rotations == 1 else "paper"
+
+    @property
+    def has_arm(self) -> bool:
+        """Whether an arm builds."""
+        return self.arm != NO_ARM
+
+    @property
+    def touching(self) -> bool:
+        """Whether blocks side by side touch; else they leave room for the fingers of a gripper."""
+        return self.pitch == EDGE
+
+    @property
+    def max_blocks(self) -> int:
+        """Blocks of the problem with the fewest target vertices."""
+        return self.num_nodes - MIN_VERTICES * self.num_sides
+
+    @property
+    def block_range(self) -> tuple[int, int]:
+        """Fewest and most blocks, the first one included (the "a-b blocks" label of the paper)."""
+        return self.num_nodes - MAX_VERTICES * self.num_sides, self.max_blocks
+
+    def replace(self, **changes: Any) -> Task:
+        """A copy with some fields changed."""
+        return dataclasses.replace(self, **changes)
+
+
+_OBJECTS = Task(
+    "objects", num_sides=2, grid=5, num_nodes=30, objects="set-26", rotations=4,
+    layout="narrow-field", reward="scaled", discount=0.95, success_threshold=0.75,
+    stability="object",
+)  # fmt: skip
+_BARS = Task(
+    "bars", num_sides=1, grid=5, num_nodes=30, objects="bars", layout="field", reward="scaled",
+)  # fmt: skip
+
+# Shared by all cells with a robot: room for the fingers, a tolerant camera, coverage of the whole
+# target (protocol 0, 1.2, 2, 3.4). One side has five actions, all by one grip.
+ROBOT = Task(
+    "robot", num_sides=2, grid=3, num_nodes=20, rotations=4, attitudes="grips", pitch=0.06,
+    layout="slanted-rows", success_threshold=0.75, cover_filter="wide", normalise_initial=False,
+    max_initial_cover=0.6, arm="panda",
+)  # fmt: skip
+"""What all cells with a robot share, also those that build a user's design."""
+_ROBOT_MORE = ROBOT.replace(num_nodes=24, unseen_shapes_only=True)
+_ROBOT_ONE_SIDED = ROBOT.replace(
+    num_sides=1, grid=5, rotations=1, attitudes="turns", pitch=0.055, layout="rows"
+)
+_ROBOT_OBJECTS = ROBOT.replace(
+    grid=5, num_nodes=30, objects="set-26", layout="columns", reward="scaled", discount=0.95,
+    stability="object",
+)  # fmt: skip
+
+_ALL = (
+    Task("two-sided-3x3-20-24", num_sides=2, grid=3, num_nodes=30),
+    Task("two-sided-3x3-30-34", num_sides=2, grid=3, num_nodes=40, unseen_shapes_only=True),
+    Task("two-sided-4x4-20-24", num_sides=2, grid=4, num_nodes=30, unseen_shapes_only=True),
+    Task("two-sided-4x4-30-34", num_sides=2, grid=4, num_nodes=40, unseen_shapes_only=True),
+    Task("two-sided-5x5-40-44", num_sides=2, grid=5, num_nodes=50, unseen_shapes_only=True),
+    Task("two-sided-6x6-50-54", num_sides=2, grid=6, num_nodes=60, unseen_shapes_only=True),
+    Task("one-sided-3x3-22-24", num_sides=1, grid=3, num_nodes=27, layout="rows"),
+    # The twin of the one-sided robot cell for agents trained without a robot (appendix table 5).
+    Task("one-sided-5x5-15-17", num_sides=1, grid=5, num_nodes=20, layout="rows"),
+    Task("four-sided-3x3-10-18", num_sides=4, grid=3, num_nodes=30),
+    Task("four-sided-5x5-30-38", num_sides=4, grid=5, num_nodes=50, unseen_shapes_only=True),
+    # The paper's four shapes: cube, standing pair, L, S (table 5, appendix table 6).
+    _OBJECTS.replace(name="objects-two-sided-5x5-20-24"),
+    _OBJECTS.replace(name="objects-two-sided-5x5-30-34", num_nodes=40),
+    _OBJECTS.replace(name="objects-two-sided-6x6-30-34", num_nodes=40, grid=6),
+    # The set the released environment without a robot draws from.
+    _OBJECTS.replace(name="objects21-two-sided-5x5-20-24", objects="set-21"),
+    _OBJECTS.replace(name="objects21-two-sided-6x6-30-34", objects="set-21", num_nodes=40, grid=6),
+    # Cubes, bars and standing pairs (appendix table 3).
+    _BARS.replace(name="bars-one-sided-5x5-25-27"),
+    _BARS.replace(name="bars-one-sided-5x5-35-37", num_nodes=40),
+    _BARS.replace(name="bars-one-sided-6x6-35-37", num_nodes=40, grid=6),
+    # "Different types of objects" in the same table; which ones is not said. Our reading: set 21.
+    _BARS.replace(
+        name="other-bars-one-sided-5x5-25-27", objects="set-21", stability="object",
+    ),
+    # With a robot: appendix table 5, table 4 (blocks in rows, at random places), table 3, table 5.
+    _ROBOT_ONE_SIDED.replace(name="robot-one-sided-5x5-15-17"),
+    _ROBOT_ONE_SIDED.replace(name="robot-one-sided-6x6-16-18", grid=6, num_nodes=21),
+    ROBOT.replace(name="robot-two-sided-3x3-10-14"),
+    _ROBOT_MORE.replace(name="robot-two-sided-3x3-14-18"),
+    _ROBOT_MORE.replace(name="robot-two-sided-5x5-14-18", grid=5),
+    ROBOT.replace(name="robot-random-two-sided-3x3-10-14", layout="random"),
+    _ROBOT_MORE.replace(name="robot-random-two-sided-3x3-14-18", layout="random"),
+    _ROBOT_MORE.replace(name="robot-random-two-sided-5x5-14-18", layout="random", grid=5),
+    # Ours, for building designs: walls with an aisle for the fingers, filled as far as gaps allow.
+    ROBOT.replace(
+        name="robot-walls-two-sided-5x5-26-30", grid=5, num_nodes=36, aisle=1, layout="around",
+        success_threshold=0.85,
+    ),
+    ROBOT.replace(name="robot-four-sided-3x3-10-18", num_sides=4, num_nodes=30),
+    _ROBOT_MORE.replace(name="robot-four-sided-3x3-16-24", num_sides=4, num_nodes=36),
+    _ROBOT_OBJECTS.replace(name="robot-objects-two-sided-5x5-20-24"),
+    _ROBOT_OBJECTS.replace(name="robot-objects-two-sided-5x5-30-34", num_nodes=40),
+    _ROBOT_OBJECTS.replace(name="robot-objects-two-sided-6x6-30-34", num_nodes=40, grid=6),
+)  # fmt: skip
+
+PRESETS: dict[str, Task] = {task.name: task for task in _ALL}
+
+
+def get_task(name: str, arm: str | None = None) -> Task:
+    """The preset called ``name``.
+
+    Args:
+        arm: builds in place of the task's own, or ``none``; for tasks with a robot.
+
+    Raises:
+        UnknownNameError: naming the nearest preset or arm.
+        InputError: for an arm where the task has no robot.
+    """
+    task = look_up("task", name, PRESETS)
+    if arm is None:
+        return task
+    if not task.has_arm:
+        raise InputError("arm", arm, f"a task with a robot ({name} has none)")
+    return task.replace(arm=arm)

@@ -1,0 +1,427 @@
+"""Which triangle is seen where: projection and depth buffers as compiled functions.
+
+Visibility is kept for 2 x 2 samples per pixel. Depths are inverse distances along the view axis,
+so that they are linear in the picture and larger is nearer.
+
+The colour of every pixel: sunlight with soft shadows, rims and numbers of blocks.
+
+A small renderer: triangles with shadows into an image, on the processor, without any GL.
+
+The same triangles give the same picture on every machine.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+SAMPLES = 2
+"""Samples per pixel along each axis."""
+SHADOW_SIZE = 768
+"""Places along a side of the map of shadows."""
+LIT, PLAIN, BLOCK, GROUND = 0, 1, 2, 3
+"""Kinds of triangles: shaded; in its colour as it is; shaded, with a rim and a number; shaded, but
+with nothing below that it could cast a shadow on."""
+_WIDE = 12
+"""Rows with more samples are cut to what lies inside the triangle before they are walked."""
+
+
+@njit(cache=True, error_model="numpy")
+def place(vertices, normals, body, position, rotation, world, turned):
+    for i in range(vertices.shape[0]):
+        b = body[i]
+        for k in range(3):
+            x, y, z = rotation[b, k, 0], rotation[b, k, 1], rotation[b, k, 2]
+            world[i, k] = (
+                position[b, k] + x * vertices[i, 0] + y * vertices[i, 1] + z * vertices[i, 2]
+            )
+            turned[i, k] = x * normals[i, 0] + y * normals[i, 1] + z * normals[i, 2]
+
+
+@njit(cache=True, error_model="numpy")
+def project(world, eye, axes, focal, centre, screen):
+    """Samples right and down, and inverse distance."""
+    for i in range(world.shape[0]):
+        x, y, z = world[i, 0] - eye[0], world[i, 1] - eye[1], world[i, 2] - eye[2]
+        inverse = 1.0 / (axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z)
+        right = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
+        down = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
+        screen[i, 0] = SAMPLES * (centre[0] + focal * right * inverse)
+        screen[i, 1] = SAMPLES * (centre[1] + focal * down * inverse)
+        screen[i, 2] = inverse
+
+
+@njit(cache=True, error_model="numpy")
+def project_light(world, axes, low, size, screen):
+    scale = SHADOW_SIZE / size
+    for i in range(world.shape[0]):
+        x, y, z = world[i, 0], world[i, 1], world[i, 2]
+        screen[i, 0] = (axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z - low[0]) * scale
+        screen[i, 1] = (axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z - low[1]) * scale
+        screen[i, 2] = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _span(low, high, limit):
+    """First and last sample whose centre lies between ``low`` and ``high``."""
+    return max(int(np.ceil(low - 0.5)), 0), min(int(np.floor(high - 0.5)), limit - 1)
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _inner(u, v, u_step, v_step, count):
+    """First and last of ``count`` samples in a row whose weights are all positive, and one more
+    on either side against rounding."""
+    low, high = np.float32(0), np.float32(count - 1)
+    w, w_step = np.float32(1.0) - u - v, -u_step - v_step
+    for value, step in ((u, u_step), (v, v_step), (w, w_step)):
+        if step > 0:
+            low = max(low, -value / step)
+        elif step < 0:
+            high = min(high, -value / step)
+        elif value < 0:
+            return 0, -1
+    return max(int(low) - 1, 0), min(int(high) + 1, count - 1)
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _area(a, b, c):
+    """Twice the signed area of a triangle in the picture."""
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+@njit(cache=True, error_model="numpy")
+def _cover(a, b, c, area, nearest, marks, mark):
+    """Enter a triangle where it is nearer than anything before it; ``marks`` it, unless negative.
+
+    Args:
+        a, b, c: float32[3]: its corners, right, down and near.
+        area: see :func:`_area`; of either sign.
+    """
+    ax, ay, az = a[0], a[1], a[2]
+    bx, by, bz = b[0], b[1], b[2]
+    cx, cy, cz = c[0], c[1], c[2]
+    height, width = nearest.shape
+    x0, x1 = _span(min(ax, bx, cx), max(ax, bx, cx), width)
+    y0, y1 = _span(min(ay, by, cy), max(ay, by, cy), height)
+    over = np.float32(1.0 / area)
+    u_step, v_step = (by - cy) * over, (cy - ay) * over
+    px = np.float32(x0 + 0.5)
+    for y in range(y0, y1 + 1):
+        py = np.float32(y + 0.5)
+        u = ((cx - bx) * (py - by) - (cy - by) * (px - bx)) * over
+        v = ((ax - cx) * (py - cy) - (ay - cy) * (px - cx)) * over
+        first, last = 0, x1 - x0
+        if last > _WIDE:
+            first, last = _inner(u, v, u_step, v_step, last + 1)
+            u += np.float32(first) * u_step
+            v += np.float32(first) * v_step
+        for x in range(x0 + first, x0 + last + 1):
+            w = np.float32(1.0) - u - v
+            if u >= 0 and v >= 0 and w >= 0:
+                near = u * az + v * bz + w * cz
+                if near > nearest[y, x]:
+                    nearest[y, x] = near
+                    if mark >= 0:
+                        marks[y, x] = mark
+            u += u_step
+            v += v_step
+
+
+@njit(cache=True, error_model="numpy")
+def fill(screen, faces, body, shown, depth, seen):
+    """Which triangle each sample sees; triangles turned away are left out."""
+    for f in range(faces.shape[0]):
+        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+        if not shown[body[i]]:
+            continue
+        # Down is positive in the picture, so what faces the camera has a negative area.
+        area = _area(screen[i], screen[j], screen[k])
+        if area > -1e-6 or screen[i, 2] <= 0 or screen[j, 2] <= 0 or screen[k, 2] <= 0:
+            continue
+        _cover(screen[i], screen[j], screen[k], area, depth, seen, f)
+
+
+@njit(cache=True, error_model="numpy")
+def fill_shadow(screen, faces, kind, body, shown, height_of):
+    """How near to the sun the nearest thing is, for every place of the map.
+
+    Surfaces turned away from the sun are left out: one turned to it lies nearer.
+    """
+    unused = np.empty((1, 1), np.int32)
+    for f in range(faces.shape[0]):
+        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+        if kind[f] == PLAIN or kind[f] == GROUND or not shown[body[i]]:
+            continue
+        area = _area(screen[i], screen[j], screen[k])
+        if area < 1e-6:
+            continue
+        _cover(screen[i], screen[j], screen[k], area, height_of, unused, -1)
+
+
+@njit(cache=True, error_model="numpy")
+def blend_film(corners, colour, share, depth, image):
+    """A thin transparent triangle over a finished picture, hidden where something is nearer.
+
+    Args:
+        corners: float64[3, 3], projected: samples right and down, inverse distance.
+        colour: float32[3], 0 to 255.
+        share: opacity.
+        depth: of the picture's samples; changed nowhere.
+    """
+    a, b, c = corners[0], corners[1], corners[2]
+    area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+    if abs(area) < 1e-6:
+        return
+    over = 1.0 / area
+    height, width = image.shape[:2]
+    x0, x1 = _span(min(a[0], b[0], c[0]), max(a[0], b[0], c[0]), depth.shape[1])
+    y0, y1 = _span(min(a[1], b[1], c[1]), max(a[1], b[1], c[1]), depth.shape[0])
+    for y in range(y0 // SAMPLES, min(y1 // SAMPLES + 1, height)):
+        for x in range(x0 // SAMPLES, min(x1 // SAMPLES + 1, width)):
+            hits = 0
+            for n in range(SAMPLES * SAMPLES):
+                i, j = SAMPLES * x + n % SAMPLES, SAMPLES * y + n // SAMPLES
+                px, py = i + 0.5, j + 0.5
+                u = ((c[0] - b[0]) * (py - b[1]) - (c[1] - b[1]) * (px - b[0])) * over
+                v = ((a[0] - c[0]) * (py - c[1]) - (a[1] - c[1]) * (px - c[0])) * over
+                w = 1.0 - u - v
+                near = u * a[2] + v * b[2] + w * c[2]
+                if u >= 0 and v >= 0 and w >= 0 and near > depth[j, i]:
+                    hits += 1
+            part = share * hits / (SAMPLES * SAMPLES)
+            for channel in range(3):
+                old = image[y, x, channel]
+                image[y, x, channel] = np.uint8(old + part * (colour[channel] - old) + 0.5)
+
+
+NUMBER_SIZE = 32
+"""Texels along a side of the picture of a number."""
+
+
+AMBIENT, UPWARD, DIRECT = 0.6, 0.08, 0.42
+"""Light from everywhere, more of it from above, and from the sun."""
+BIAS = 0.002
+"""What lies this much deeper than the map of shadows says is not in the shade [m]."""
+VALUES = 9
+"""What is interpolated over a triangle: 1, the normal, where it lies in the map of shadows and how
+near to the sun, and the place on the face of a block; all of them times the inverse distance,
+which makes them linear in the picture."""
+
+
+@njit(cache=True, error_model="numpy")
+def slopes(screen, world, normals, faces, body, shown, marks, axes, low, scale, out):
+    """The values of each triangle that is turned to the camera, as linear functions.
+
+    Args:
+        out: float32[f, 2 + 3 * VALUES], filled: the first corner in the picture, then every value
+            there and its change per sample to the right and down.
+    """
+    value = np.empty((3, VALUES))
+    for f in range(faces.shape[0]):
+        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+        bx, by = screen[j, 0] - screen[i, 0], screen[j, 1] - screen[i, 1]
+        cx, cy = screen[k, 0] - screen[i, 0], screen[k, 1] - screen[i, 1]
+        area = bx * cy - by * cx
+        if area > -1e-6 or not shown[body[i]]:
+            continue
+        for corner in range(3):
+            v = faces[f, corner]
+            x, y, z = world[v, 0], world[v, 1], world[v, 2]
+            value[corner, 0] = 1.0
+            for n in range(3):
+                value[corner, 1 + n] = normals[v, n]
+                value[corner, 4 + n] = axes[n, 0] * x + axes[n, 1] * y + axes[n, 2] * z
+            value[corner, 4] = (value[corner, 4] - low[0]) * scale - 0.5
+            value[corner, 5] = (value[corner, 5] - low[1]) * scale - 0.5
+            value[corner, 7], value[corner, 8] = marks[v, 0], marks[v, 1]
+            for n in range(VALUES):
+                value[corner, n] *= screen[v, 2]
+        out[f, 0], out[f, 1] = screen[i, 0], screen[i, 1]
+        for n in range(VALUES):
+            b, c = value[1, n] - value[0, n], value[2, n] - value[0, n]
+            out[f, 2 + 3 * n] = value[0, n]
+            out[f, 3 + 3 * n] = (b * cy - c * by) / area
+            out[f, 4 + 3 * n] = (c * bx - b * cx) / area
+
+
+@njit(cache=True, error_model="numpy")
+def shade(
+    seen, slope, body_of, kind, number, colour, numbers, rim_colour, sky, sun, shadow, focal, image
+):
+    """Fill ``image``; a pixel whose four samples see one triangle is shaded once."""
+    # One long function: calls with arrays cost more here than what they would do.
+    last = NUMBER_SIZE - 1.001
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            f = seen[2 * y, 2 * x]
+            same = (
+                seen[2 * y, 2 * x + 1] == f
+                and seen[2 * y + 1, 2 * x] == f
+                and seen[2 * y + 1, 2 * x + 1] == f
+            )
+            if same and f < 0:
+                for channel in range(3):
+                    image[y, x, channel] = sky[channel]
+                continue
+            red = green = blue = 0.0
+            for n in range(1 if same else 4):
+                sx, sy = 2 * x + 1.0, 2 * y + 1.0
+                if not same:
+                    sx, sy = 2 * x + (n & 1) + 0.5, 2 * y + (n >> 1) + 0.5
+                    f = seen[2 * y + (n >> 1), 2 * x + (n & 1)]
+                    if f < 0:
+                        red, green, blue = red + sky[0], green + sky[1], blue + sky[2]
+                        continue
+                b = body_of[f]
+                if kind[f] == PLAIN:
+                    red, green, blue = red + colour[b, 0], green + colour[b, 1], blue + colour[b, 2]
+                    continue
+                sx -= slope[f, 0]
+                sy -= slope[f, 1]
+                near = slope[f, 2] + slope[f, 3] * sx + slope[f, 4] * sy
+                nx = slope[f, 5] + slope[f, 6] * sx + slope[f, 7] * sy
+                ny = slope[f, 8] + slope[f, 9] * sx + slope[f, 10] * sy
+                nz = slope[f, 11] + slope[f, 12] * sx + slope[f, 13] * sy
+                length = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + 1e-12)
+                facing = (nx * sun[0] + ny * sun[1] + nz * sun[2]) * length
+                light = AMBIENT + UPWARD * nz * length
+                whole = 1.0 / near
+                if facing > 0:
+                    right = (slope[f, 14] + slope[f, 15] * sx + slope[f, 16] * sy) * whole
+                    up = (slope[f, 17] + slope[f, 18] * sx + slope[f, 19] * sy) * whole
+                    high = (slope[f, 20] + slope[f, 21] * sx + slope[f, 22] * sy) * whole
+                    high += BIAS * (3.0 - 2.0 * facing)
+                    i, j = int(right), int(up)
+                    lit = 1.0
+                    if right > 0 and up > 0 and i < SHADOW_SIZE - 1 and j < SHADOW_SIZE - 1:
+                        # Between the four nearest places of the map.
+                        s, t, lit = right - i, up - j, 0.0
+                        if high >= shadow[j, i]:
+                            lit += (1.0 - s) * (1.0 - t)
+                        if high >= shadow[j, i + 1]:
+                            lit += s * (1.0 - t)
+                        if high >= shadow[j + 1, i]:
+                            lit += (1.0 - s) * t
+                        if high >= shadow[j + 1, i + 1]:
+                            lit += s * t
+                    light += DIRECT * facing * lit
+                r, g, h = colour[b, 0] * light, colour[b, 1] * light, colour[b, 2] * light
+                if kind[f] == BLOCK:
+                    u = (slope[f, 23] + slope[f, 24] * sx + slope[f, 25] * sy) * whole
+                    v = (slope[f, 26] + slope[f, 27] * sx + slope[f, 28] * sy) * whole
+                    blur = 20.0 / (near * focal)  # about a pixel, as a share of a block's edge
+                    edge = min(u, v, 1.0 - u, 1.0 - v)
+                    rim = min(max((0.022 + blur / 2 - edge) / blur, 0.0), 1.0)
+                    u = min(max(u * NUMBER_SIZE - 0.5, 0.0), last)
+                    v = min(max((1.0 - v) * NUMBER_SIZE - 0.5, 0.0), last)
+                    i, j, k = int(u), int(v), number[f]
+                    s, t = u - i, v - j
+                    ink = 0.85 * (
+                        (1 - t) * ((1 - s) * numbers[k, j, i] + s * numbers[k, j, i + 1])
+                        + t * ((1 - s) * numbers[k, j + 1, i] + s * numbers[k, j + 1, i + 1])
+                    )
+                    r = (r + rim * (rim_colour[0] - r)) * (1.0 - ink) + 33.0 * ink
+                    g = (g + rim * (rim_colour[1] - g)) * (1.0 - ink) + 33.0 * ink
+                    h = (h + rim * (rim_colour[2] - h)) * (1.0 - ink) + 33.0 * ink
+                red, green, blue = red + r, green + g, blue + h
+            share = 1.0 if same else 0.25
+            image[y, x, 0] = np.uint8(min(red * share + 0.5, 255.0))
+            image[y, x, 1] = np.uint8(min(green * share + 0.5, 255.0))
+            image[y, x, 2] = np.uint8(min(blue * share + 0.5, 255.0))
+
+
+class Camera(NamedTuple):
+    """A pinhole camera."""
+
+    position: np.ndarray
+    """float64[3] [m, world]."""
+    axes: np.ndarray
+    """float64[3, 3]: rows right, down and forward, world frame."""
+    focal: float
+    """Focal length [px]."""
+    centre: np.ndarray
+    """float64[2]: where the view axis meets the picture [px]."""
+
+
+class Light(NamedTuple):
+    """Sunlight and the square in which it casts shadows."""
+
+    axes: np.ndarray
+    """float64[3, 3]: rows right, up and towards the sun, world frame."""
+    low: np.ndarray
+    """float64[2]: lower corner of the square, along right and up [m]."""
+    size: float
+    """Side of the square [m]."""
+
+
+class Triangles(NamedTuple):
+    """All triangles of a scene, on bodies that move."""
+
+    vertices: np.ndarray
+    """float32[v, 3]: in the frame of their body [m]."""
+    normals: np.ndarray
+    """float32[v, 3]."""
+    marks: np.ndarray
+    """float32[v, 2]: place on the face of a block, 0 to 1."""
+    body: np.ndarray
+    """int32[v]."""
+    faces: np.ndarray
+    """int32[f, 3]."""
+    kind: np.ndarray
+    """uint8[f]."""
+    number: np.ndarray
+    """int32[f]: which picture of a number a block's face carries; -1: none."""
+
+
+class Buffers:
+    """Memory of one picture size, used again for every frame."""
+
+    def __init__(self, triangles: Triangles, width: int, height: int) -> None:
+        count = len(triangles.vertices)
+        self.world = np.empty((count, 3), np.float32)
+        self.normals = np.empty((count, 3), np.float32)
+        self.screen = np.empty((count, 3), np.float32)
+        self.depth = np.empty((height * SAMPLES, width * SAMPLES), np.float32)
+        self.seen = np.empty((height * SAMPLES, width * SAMPLES), np.int32)
+        self.shadow = np.empty((SHADOW_SIZE, SHADOW_SIZE), np.float32)
+        self.slope = np.zeros((len(triangles.faces), 2 + 3 * VALUES), np.float32)
+        self.owner = triangles.body[triangles.faces[:, 0]]
+        self.image = np.empty((height, width, 3), np.uint8)
+
+
+def render(
+    triangles: Triangles, buffers: Buffers, camera: Camera, light: Light, position: np.ndarray,
+    rotation: np.ndarray, shown: np.ndarray, colour: np.ndarray, sky: np.ndarray, rim: np.ndarray,
+    numbers: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """One picture: uint8[height, width, 3], valid until the next call with these buffers.
+
+    Args:
+        position: float64[b, 3] of the bodies [m, world].
+        rotation: float64[b, 3, 3].
+        shown: bool[b].
+        colour: float32[b, 3] of the bodies, 0 to 255; likewise ``sky`` and ``rim``, float32[3].
+        numbers: float32[n, NUMBER_SIZE, NUMBER_SIZE], how much ink, 0 to 1.
+    """
+    b = buffers
+    place(triangles.vertices, triangles.normals, triangles.body, position, rotation, b.world,
+           b.normals)  # fmt: skip
+    project_light(b.world, light.axes, light.low, light.size, b.screen)
+    b.shadow.fill(-1e9)
+    fill_shadow(b.screen, triangles.faces, triangles.kind, triangles.body, shown, b.shadow)
+    project(b.world, camera.position, camera.axes, camera.focal, camera.centre, b.screen)
+    b.depth.fill(0.0)
+    b.seen.fill(-1)
+    fill(b.screen, triangles.faces, triangles.body, shown, b.depth, b.seen)
+    slopes(
+        b.screen, b.world, b.normals, triangles.faces, triangles.body, shown, triangles.marks,
+        light.axes, light.low, SHADOW_SIZE / light.size, b.slope,
+    )  # fmt: skip
+    shade(
+        b.seen, b.slope, b.owner, triangles.kind, triangles.number, colour, numbers, rim,
+        sky.astype(np.uint8), light.axes[2], b.shadow, camera.focal, b.image,
+    )  # fmt: skip
+    return b.image
