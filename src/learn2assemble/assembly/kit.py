@@ -35,7 +35,7 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.errors import InputError, look_up
-from learn2assemble.world.json_input import (
+from learn2assemble.files import (
     check_keys,
     integer,
     number,
