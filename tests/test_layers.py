@@ -24,6 +24,7 @@ ALLOWED: dict[str, set[str]] = {
     "geometry": set(),
     "world": {"errors", "files", "geometry"},
     "assembly": _WORLD,
+    "design": {"errors", "files", "assembly"},
     "physics": _WORLD | {"assembly"},
     "robot": _WORLD | {"physics"},
     "tasks": _WORLD | {"robot"},
@@ -179,6 +180,9 @@ def test_parts_that_know_few_libraries(part: str) -> None:
     [
         ("mujoco", {"physics", "planning", "robot", "reproduction"}),
         ("ruckig", {"robot"}),
+        ("svgelements", {"design"}),
+        ("ezdxf", {"design"}),
+        ("rhino3dm", {"design"}),
         ("av", {"viewer"}),
         ("highspy", {"physics", "evaluation", "planning", "reproduction"}),
         ("gymnasium", {"envs", "evaluation", "reproduction"}),

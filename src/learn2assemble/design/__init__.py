@@ -1,0 +1,1 @@
+"""What people draw, as cells to fill and cells to leave empty."""

@@ -1,0 +1,513 @@
+"""A design as cells to fill and cells to leave empty, read from whatever file people have.
+
+``docs/design_files.md`` lists the kinds of files and their options.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from learn2assemble.design import drawings, solids
+from learn2assemble.design.drawings import SIDES, UNITS, Drawing
+from learn2assemble.design.lattice import HALF, MAX_CELLS, fit
+from learn2assemble.design.solids import Solid, Voxels
+from learn2assemble.errors import InputError, look_up
+from learn2assemble.files import printable
+
+if TYPE_CHECKING:
+    from learn2assemble.assembly.blocks import Assembly
+
+DEFAULT_CELL = (0.05, 0.05, 0.05)
+"""Edges of a cell where neither the caller nor a kit says [m]."""
+MAX_FILE = 64_000_000
+"""Largest file [bytes]; most kinds have a smaller limit of their own."""
+_LENGTHS = 1e-4, 100.0
+"""Shortest and longest length an option may give [m]."""
+
+Lengths = tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class CellDesign:
+    """What is to be built.
+
+    Args:
+        name: one line.
+        wanted: ``bool[X, Y, Z]``, cells to fill; all others stay empty. Cell (i, j, k) is centred
+            at ``((i + 0.5 - X/2) dx, (j + 0.5 - Y/2) dy, (k + 0.5) dz)``; the table is z = 0.
+        cell: (dx, dy, dz) [m].
+        colours: ``uint8[X, Y, Z, 3]``, or None.
+        volume_error: (volume of the cells - volume drawn) / volume drawn.
+        iou: volume of the intersection of cells and drawing by that of their union; None where
+            cells were given as such.
+        source: the file, as messages call it.
+        kit: the kit that caller or file name.
+    """
+
+    name: str
+    wanted: np.ndarray
+    cell: Lengths
+    colours: np.ndarray | None
+    volume_error: float
+    iou: float | None
+    source: str
+    kit: str | None
+
+    def __post_init__(self) -> None:
+        for array in (self.wanted, self.colours):
+            if array is not None:
+                array.setflags(write=False)
+
+
+@dataclass(frozen=True)
+class _Options:
+    unit: str | None
+    cell: float | Sequence[float] | None
+    size: float | None
+    up: str | None
+    depth: float | None
+    cells_wide: int | None
+    kit: str | None
+
+
+_DRAWING = frozenset({"unit", "size", "cells_wide", "cell", "depth", "kit"})
+_MESH = frozenset({"unit", "size", "cells_wide", "up", "cell", "kit"})
+_CELLS = frozenset({"size", "up", "cell", "kit"})
+_READ = {
+    "json": _DRAWING - {"unit", "size", "cells_wide"},
+    "svg": _DRAWING,
+    "dxf": _DRAWING,
+    "png": _DRAWING - {"unit"},
+    **dict.fromkeys(("stl", "obj", "ply", "glb", "3dm"), _MESH),
+    **dict.fromkeys(("npy", "npz"), _CELLS),
+}
+"""Options that mean something for a kind of file; others are refused."""
+
+
+def read_design(
+    path: str | Path,
+    *,
+    unit: str | None = None,
+    cell: float | Sequence[float] | None = None,
+    size: float | None = None,
+    up: str | None = None,
+    depth: float | None = None,
+    cells_wide: int | None = None,
+    kit: str | None = None,
+) -> CellDesign | Assembly:
+    """The design in a file, whose kind is found by content.
+
+    Args:
+        unit: "mm", "cm", "m" or "in": what a unit of the file is; before what the file says.
+        cell: edges of a cell [m], one number or three. Without it, the pitch of the kit.
+        size: largest side or height of the design [m]; instead of a unit.
+        up: "y" or "z", the axis that points up. Without it, y in GLB and z elsewhere.
+        depth: thickness of the walls of a drawing [m]. Without it, one cell.
+        cells_wide: number of cells across a drawing, picture or mesh; instead of a unit.
+        kit: name or file of a kit; before what the file says.
+
+    Returns:
+        The cells; an :class:`~learn2assemble.assembly.blocks.Assembly` where the file gives
+        blocks (our assembly JSON, COMPAS).
+
+    Raises:
+        InputError: one line, for everything that cannot be used or would float.
+        MissingExtraError: for 3DM without rhino3dm.
+    """
+    path = Path(path)
+    content, source = _read(path)
+    kind = kind_of(content, source)
+    given = _Options(unit, cell, size, up, depth, cells_wide, kit)
+    if kind == "assembly":
+        from learn2assemble.assembly.files import read_assembly
+
+        return read_assembly(path)
+    _check(given, kind)
+    name = path.stem or "design"
+    if kind == "json":
+        drawing = drawings.read_elevations(content, source)
+        return _from_drawing(drawing, given, drawing.name or name, source)
+    if kind in ("svg", "dxf"):
+        reader = drawings.read_svg if kind == "svg" else drawings.read_dxf
+        return _from_drawing(reader(content, source), given, name, source)
+    if kind == "png":
+        return _from_picture(content, given, name, source)
+    if kind in ("npy", "npz"):
+        reader = solids.read_npy if kind == "npy" else solids.read_npz
+        return _from_voxels(reader(content, source, MAX_CELLS), given, name, source)
+    return _from_solid(solids.read_mesh(content, kind, source), given, name, source)
+
+
+def kind_of(content: bytes, source: str) -> str:
+    """The kind of a file: a key of the table of options, or ``"assembly"``.
+
+    Raises:
+        InputError: for content of no known kind.
+    """
+    for magic, kind in (
+        (b"\x89PNG\r\n\x1a\n", "png"), (b"\x93NUMPY", "npy"), (b"PK\x03\x04", "npz"),
+        (b"glTF", "glb"), (b"3D Geometry File Format", "3dm"), (b"ply\n", "ply"),
+        (b"ply\r", "ply"), (b"AutoCAD Binary DXF", "dxf"),
+    ):  # fmt: skip
+        if content.startswith(magic):
+            return kind
+    facets = int.from_bytes(content[80:84], "little")
+    if len(content) >= 84 and len(content) == 84 + 50 * facets:
+        return "stl"
+    start = content[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
+    if start[:1] in (b"{", b"["):
+        ours = re.search(rb'"format"\s*:\s*"learn2assemble-assembly"', content)
+        compas = re.search(rb'"dtype"\s*:\s*"compas', content)
+        return "assembly" if ours or compas else "json"
+    if start[:1] == b"<" and b"<svg" in content:
+        return "svg"
+    if re.match(rb"(999[^\n]*\n[^\n]*\n\s*)*0[ \t]*\r?\n\s*SECTION", start):
+        return "dxf"
+    if start.startswith(b"solid") and re.search(rb"\bfacet\b", content):
+        return "stl"
+    if re.search(rb"^v\s+[-+.\d]", content, re.MULTILINE) and b"\0" not in start:
+        return "obj"
+    got = f"{len(content)} bytes that begin with {content[:12]!r}" if content else "an empty file"
+    if content.startswith(b"\x1f\x8b"):
+        got = "a file packed with gzip"
+    elif Path(source).suffix.casefold() == ".stl":
+        got = f"{got}; its header says {facets} triangles"
+    raise InputError(
+        source, got,
+        "a whole file of elevation JSON, SVG, DXF, PNG, STL, OBJ, PLY, GLB, 3DM, NPY, NPZ or "
+        "assembly JSON",
+    )  # fmt: skip
+
+
+def _read(path: Path) -> tuple[bytes, str]:
+    """Content of a file, and what messages call it."""
+    source = printable(str(path))
+    try:
+        if not path.exists():
+            raise InputError(source, "no such file", "a design file")
+        if not path.is_file():  # opening a pipe would wait for ever
+            raise InputError(source, "something that is not a plain file", "a design file")
+        with path.open("rb") as file:
+            content = file.read(MAX_FILE + 1)
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        raise InputError(source, reason, "a readable design file") from None
+    except ValueError:  # a zero byte in the name
+        raise InputError(source, "no file name", "a design file") from None
+    if len(content) > MAX_FILE:
+        raise InputError(source, f"more than {MAX_FILE} bytes", f"at most {MAX_FILE} bytes")
+    return content, source
+
+
+# ---------------------------------------------------------------- options
+
+
+def _check(given: _Options, kind: str) -> None:
+    for name, value in vars(given).items():
+        if value is not None and name not in _READ[kind]:
+            raise InputError(name, value, f"no such option for {kind.upper()}")
+    if given.unit is not None:
+        look_up("unit", given.unit, UNITS)
+    if given.up is not None:
+        look_up("up", given.up, {"y": 1, "z": 2})
+    for name in ("size", "depth"):
+        if getattr(given, name) is not None:
+            _length(getattr(given, name), name)
+    wide = given.cells_wide
+    if wide is not None and (type(wide) is not int or not 1 <= wide <= MAX_CELLS):
+        raise InputError("cells_wide", wide, f"a whole number from 1 to {MAX_CELLS}")
+    if given.size is not None and wide is not None and kind != "png":
+        raise InputError("size", given.size, "either size or cells_wide")
+
+
+def _length(value: Any, where: str) -> float:
+    low, high = _LENGTHS
+    usable = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if not usable or not low <= float(value) <= high:
+        raise InputError(where, value, f"a length from {low:g} to {high:g} m")
+    return float(value)
+
+
+def _cell(given: _Options, kit: str | None, own: Lengths | None = None) -> Lengths:
+    """Edges of a cell: as the caller says, else the file (``own``), else the kit."""
+    if given.cell is not None:
+        edges = np.atleast_1d(np.asarray(given.cell, dtype=object)).tolist()
+    elif own is not None:
+        edges = list(own)
+    elif kit is not None:
+        from learn2assemble.assembly.kit import load_kit
+
+        edges = list(load_kit(kit).pitch)
+    else:
+        edges = list(DEFAULT_CELL)
+    if len(edges) not in (1, 3):
+        raise InputError("cell", given.cell, "one length or three [m]")
+    x, y, z = (_length(edge, "cell") for edge in (edges * 3)[:3])
+    return x, y, z
+
+
+def _scale(
+    given: _Options, metres: float | None, extent: np.ndarray, width: float, source: str
+) -> float:
+    """Length of a unit of a file [m].
+
+    Args:
+        metres: what the file says.
+        extent: edges of the box around everything, in units.
+        width: what ``cells_wide`` cells are to span [m].
+    """
+    if given.cells_wide is not None:
+        return width / float(extent[0])
+    if given.size is not None:
+        return given.size / float(extent.max())
+    if given.unit is not None:
+        return UNITS[given.unit]
+    if metres is None:
+        expected = "unit (mm, cm, m, in), or size in metres"
+        raise InputError(f"{source}: unit", "no unit in the file", expected)
+    return metres
+
+
+def _check_extent(cells: np.ndarray, cell: Lengths, source: str) -> None:
+    """Refuse what is larger than the limits before anything of that size is made."""
+    if not (cells <= MAX_CELLS + 1e-6).all():
+        got = " x ".join(f"{math.ceil(n - 1e-6):.6g}" for n in cells)
+        edges = " x ".join(f"{edge:g}" for edge in cell)
+        expected = f"at most {MAX_CELLS} each way (another unit, size or cell?)"
+        raise InputError(source, f"{got} cells of {edges} m", expected)
+
+
+# ---------------------------------------------------------------- from each kind to cells
+
+
+def _from_drawing(drawing: Drawing, given: _Options, name: str, source: str) -> CellDesign:
+    """Walls where the sides stand.
+
+    Front and back face each other, and so do right and left; where there are both pairs, they are
+    the faces of a box as wide as the wider of front and back and as deep as the wider of right and
+    left. Each wall is ``depth`` thick. Walls of a placed drawing keep their distance from the
+    middle of the table, on the lattice.
+    """
+    kit = given.kit or drawing.kit
+    cell = _cell(given, kit)
+    points = {side: np.concatenate(contours) for side, contours in drawing.sides.items()}
+    boxes = {side: np.stack([p.min(0), p.max(0)]) for side, p in points.items()}
+    extents = np.array([box[1] - box[0] for box in boxes.values()]).max(0)
+    across = cell[0] if "front" in boxes or "back" in boxes else cell[1]
+    wide = (given.cells_wide or 0) * across
+    scale = _scale(given, drawing.metres, extents, wide, source)
+    origins = _origins(boxes, drawing.placed)
+    pairs = []
+    for axis, (one, other) in enumerate((SIDES[:2], SIDES[2:])):
+        names = [side for side in (one, other) if side in boxes]
+        # Seen from the right and from the front, x of the viewer runs along y and x; from the
+        # other two sides it runs against them.
+        walls = []
+        for k, side in enumerate(names):
+            contours = [
+                (c - origins[side]) * scale / (cell[axis], cell[2]) for c in drawing.sides[side]
+            ]
+            if side == other:
+                contours = [(c * (-1, 1))[::-1] for c in contours]
+            walls += [_prism(contour, k) for contour in contours]
+        if walls:
+            triangles = np.concatenate(walls)
+            points_ = triangles.reshape(-1, 3)
+            ends = np.abs(points_[:, 0]).max() * 2 if drawing.placed else np.ptp(points_[:, 0])
+            _check_extent(np.array([ends, 1, points_[:, 2].max()]), cell, source)
+            pairs.append((axis, names, *fit(triangles, (0,))))
+    least = 3 if drawing.placed and len(boxes) > 2 else 1
+    share = _footprint(pairs, given, cell, least, drawing.placed)
+    thick = given.depth / (cell[1] * max(1, round(given.depth / cell[1]))) if given.depth else 1.0
+    return _design(share, given, cell, name, source, kit, thickness=thick, trim=not drawing.placed)
+
+
+def _origins(boxes: dict[str, np.ndarray], placed: bool) -> dict[str, np.ndarray]:
+    """Where the middle of each side is on the table, in coordinates of the drawing.
+
+    Sides that are all drawn over one another share it; sides drawn apart have their own.
+    """
+    if placed:
+        return dict.fromkeys(boxes, np.zeros(2))
+    low = np.array([box[0] for box in boxes.values()])
+    high = np.array([box[1] for box in boxes.values()])
+    if (low.max(0) < high.min(0)).all():
+        shared = np.array([(low.min(0)[0] + high.max(0)[0]) / 2, low.min(0)[1]])
+        return dict.fromkeys(boxes, shared)
+    return {side: np.array([box[:, 0].mean(), box[0, 1]]) for side, box in boxes.items()}
+
+
+def _prism(contour: np.ndarray, place: int) -> np.ndarray:
+    """Walls of a contour (x, z) that is extruded from y = place to place + 1."""
+    start, end = contour, np.roll(contour, -1, axis=0)
+
+    def at(points: np.ndarray, y: int) -> np.ndarray:
+        return np.column_stack([points[:, 0], np.full(len(points), float(y)), points[:, 1]])
+
+    a, b = at(start, place), at(end, place)
+    c, d = at(end, place + 1), at(start, place + 1)
+    return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])[:, ::-1]
+
+
+def _footprint(
+    pairs: list[tuple[int, list[str], np.ndarray, np.ndarray]],
+    given: _Options, cell: Lengths, least: int, placed: bool,
+) -> np.ndarray:  # fmt: skip
+    """Shares of the cells of all walls together, ``float64[X, Y, Z]``."""
+    thick = [max(1, round((given.depth or edge) / edge)) for edge in cell]
+    walls: dict[str, np.ndarray] = {}
+    spans = [0, 0]
+    for axis, names, share, origin in pairs:
+        below = int(origin[2])
+        across = sum(len(other[1]) for other in pairs if other[0] != axis)
+        room = max(least, thick[axis] * across)  # for the walls of the other pair
+        low = round(2 * float(origin[0])) / 2 if placed else -len(share) / 2
+        half = max(-low, low + len(share), room / 2)
+        if (2 * half) % 1 or (half + low) % 1:
+            half += 0.5
+        before = round(half + low)
+        after = round(2 * half) - before - len(share)
+        share = np.pad(share, ((before, after), (0, 0), (below, 0)))
+        spans[axis] = len(share)
+        walls |= {name: share[:, k] for k, name in enumerate(names)}
+    for axis, pair in enumerate((SIDES[2:], SIDES[:2])):
+        # Without the other pair, walls stand back to back.
+        spans[axis] = max(spans[axis], thick[axis] * sum(side in walls for side in pair))
+    high = max(wall.shape[1] for wall in walls.values())
+    made = np.zeros((*spans, high))
+    for name, wall in walls.items():
+        axis = 1 if name in ("front", "back") else 0
+        line = slice(0, thick[axis]) if name in ("front", "left") else slice(-thick[axis], None)
+        part = made[:, line] if axis == 1 else made[line].swapaxes(0, 1)
+        np.maximum(part[:, :, : wall.shape[1]], wall[:, None], out=part[:, :, : wall.shape[1]])
+    return made
+
+
+def _from_picture(content: bytes, given: _Options, name: str, source: str) -> CellDesign:
+    cell = _cell(given, given.kit)
+    share, colours = drawings.read_png(
+        content, source, given.cells_wide, MAX_CELLS, cell[0] / cell[2]
+    )
+    thick = max(1, round((given.depth or cell[1]) / cell[1]))
+    shape = (len(share), thick, share.shape[1])
+    share = np.broadcast_to(share[:, None, :], shape)
+    colours = np.broadcast_to(colours[:, None], (*shape, 3))
+    cell = _sized(given, cell, shape)
+    return _design(share, given, cell, name, source, given.kit, colours=colours)
+
+
+def _from_voxels(voxels: Voxels, given: _Options, name: str, source: str) -> CellDesign:
+    wanted, colours = voxels.wanted, voxels.colours
+    if given.up == "y":  # (x, y, z) -> (x, -z, y)
+        wanted = wanted.transpose(0, 2, 1)[:, ::-1]
+        colours = None if colours is None else colours.transpose(0, 2, 1, 3)[:, ::-1]
+    cell = _sized(given, _cell(given, given.kit, voxels.cell), wanted.shape)
+    _check_extent(np.array(wanted.shape), cell, source)
+    return _design(
+        wanted, given, cell, name, source, given.kit, colours=colours, exact=True, trim=False
+    )
+
+
+def _sized(given: _Options, cell: Lengths, shape: Sequence[int]) -> Lengths:
+    """The cell, made as large as ``size`` asks for."""
+    if given.size is None:
+        return cell
+    if given.cell is not None:
+        raise InputError("size", given.size, "either size or cell: the number of cells is fixed")
+    factor = given.size / max(n * edge for n, edge in zip(shape, cell, strict=True))
+    x, y, z = (_length(edge * factor, "size") for edge in cell)
+    return x, y, z
+
+
+def _from_solid(solid: Solid, given: _Options, name: str, source: str) -> CellDesign:
+    cell = _cell(given, given.kit)
+    triangles = solid.triangles
+    if (given.up or solid.up) == "y":
+        triangles = triangles[:, :, [0, 2, 1]] * (1, -1, 1)
+    points = triangles.reshape(-1, 3)
+    extent = np.ptp(points, axis=0)
+    scale = _scale(given, solid.metres, extent, (given.cells_wide or 0) * cell[0], source)
+    _check_extent(extent * scale / cell, cell, source)
+    lowest = float(points[:, 2].min()) * scale
+    if lowest >= cell[2] / 2:
+        _floating(lowest, cell, source)
+    share, _ = fit((triangles - points.min(0)) * scale / cell, (0, 1))
+    if share.min() < -1e-3 or share.max() > 1 + 1e-3:
+        got = "parts that overlap, or are inside out"
+        raise InputError(source, got, "a mesh with one inside, all faces outward")
+    return _design(np.clip(share, 0, 1), given, cell, name, source, given.kit)
+
+
+def _design(
+    share: np.ndarray, given: _Options, cell: Lengths, name: str, source: str, kit: str | None, *,
+    colours: np.ndarray | None = None, thickness: float = 1.0, exact: bool = False,
+    trim: bool = True,
+) -> CellDesign:  # fmt: skip
+    """Cells from shares of cells.
+
+    Args:
+        thickness: thickness drawn by that of the cells, for walls.
+        exact: whether the shares are cells as such.
+        trim: whether empty margins at the sides are left out; without it x = y = 0 stays.
+    """
+    wanted = np.asarray(share >= HALF)
+    if not wanted.any():
+        edges = " x ".join(f"{edge:g}" for edge in cell)
+        raise InputError(source, f"a design of which no cell of {edges} m is half full",
+                         "something to build (a smaller cell, a larger size?)")  # fmt: skip
+    drawn, filled = float(share.sum()) * thickness, int(wanted.sum())
+    common = float(share[wanted].sum()) * min(thickness, 1.0)
+    if trim:
+        window = tuple(
+            slice(int(used[0]), int(used[-1]) + 1)
+            for used in (np.flatnonzero(wanted.any((1, 2))), np.flatnonzero(wanted.any((0, 2))))
+        )
+        wanted, colours = wanted[window], None if colours is None else colours[window]
+    if not exact:
+        high = int(np.flatnonzero(wanted.any((0, 1)))[-1]) + 1
+        wanted, colours = wanted[:, :, :high], None if colours is None else colours[:, :, :high]
+    _check_extent(np.array(wanted.shape), cell, source)
+    _check_carried(wanted, cell, source)
+    error = 0.0 if exact else filled / drawn - 1
+    iou = None if exact else common / (drawn + filled - common)
+    wanted = np.ascontiguousarray(wanted)
+    colours = None if colours is None else np.ascontiguousarray(colours)
+    return CellDesign(name, wanted, cell, colours, error, iou, source, kit)
+
+
+def _check_carried(wanted: np.ndarray, cell: Lengths, source: str) -> None:
+    """Refuse cells that are joined to the table by no chain of cells with common faces."""
+    if not wanted[:, :, 0].any():
+        _floating(float(np.flatnonzero(wanted.any((0, 1)))[0]) * cell[2], cell, source)
+    padded = np.pad(wanted, 1)
+    strides = (padded.shape[1] * padded.shape[2], padded.shape[2], 1)
+    left = bytearray(padded.tobytes())
+    ground = np.zeros_like(padded)
+    ground[:, :, 1] = padded[:, :, 1]
+    queue = np.flatnonzero(ground).tolist()
+    for index in queue:
+        left[index] = 0
+    while queue:
+        index = queue.pop()
+        for stride in strides:
+            for near in (index - stride, index + stride):
+                if left[near]:
+                    left[near] = 0
+                    queue.append(near)
+    rest = np.frombuffer(left, bool).reshape(padded.shape)
+    if rest.any():
+        level = int(np.flatnonzero(rest.any((0, 1)))[0]) - 1
+        _floating(level * cell[2], cell, source)
+
+
+def _floating(height: float, cell: Lengths, source: str) -> None:
+    level = round(height / cell[2])
+    got = f"a part that floats: its lowest level is {level}, {height:.4g} m above the table"
+    raise InputError(source, got, "every part to reach the table (level 0, z = 0)")

@@ -1,0 +1,549 @@
+"""Drawings of sides: our elevation JSON, SVG and DXF as regions, PNG as shares of cells.
+
+Everything here is bounded before a library expands it, so that no file takes long to refuse.
+"""
+
+from __future__ import annotations
+
+import io
+import logging
+import re
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.files import check_keys, load_json, mapping, number, sequence, text
+
+if TYPE_CHECKING:
+    from manifold3d import CrossSection
+
+SIDES = ("front", "back", "right", "left")
+"""Names of sides, in the order in which the elevations of a JSON design stand."""
+UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
+"""Names of units and their lengths [m]."""
+MAX_ENTITIES = 5000
+"""Most entities of a drawing, references expanded."""
+MAX_DRAWN = 1_500_000
+"""Most characters of a drawing, references expanded."""
+MAX_DEPTH = 60
+"""Deepest nesting of groups or blocks."""
+_SPAN = 1000.0
+"""Drawings are scaled to about this before they are clipped, whatever their unit."""
+_CURVE = np.linspace(0, 1, 49)
+"""Where curves are sampled; a quarter of a circle so loses 2e-4 of its area."""
+
+Contours = list[np.ndarray]
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """Outlines by side, as its viewer sees it.
+
+    Args:
+        sides: name of a side to its contours, ``float64[V, 2]`` (x right, z up) in units of the
+            drawing; counter-clockwise around material, clockwise around holes.
+        metres: length of a unit [m]; None where the file does not say.
+        placed: whether coordinates count from the middle of the table. Otherwise the drawing
+            stands on its lowest point, wherever it was drawn.
+    """
+
+    sides: dict[str, Contours]
+    metres: float | None
+    placed: bool = False
+    name: str | None = None
+    kit: str | None = None
+
+
+# ---------------------------------------------------------------- elevation JSON
+
+_FORMAT = "learn2assemble-design"
+_KEYS = ("format", "version", "name", "description", "units", "elevations", "kit",
+         "blocks", "first_block", "success_threshold", "supports")  # fmt: skip
+
+
+def read_elevations(content: bytes, source: str) -> Drawing:
+    """The elevation JSON of ``docs/designs.md``; its two format keys may be missing."""
+    try:
+        root = mapping(load_json(content.decode("utf-8-sig"), source, _FORMAT), source)
+    except UnicodeDecodeError as error:
+        raise InputError(source, f"a bad byte at offset {error.start}", "UTF-8 text") from None
+    if root.get("format", _FORMAT) != _FORMAT:
+        raise InputError(f"{source}: format", root["format"], repr(_FORMAT))
+    check_keys(root, source, "", _KEYS, ("elevations",))
+    for key, only in (("version", 1), ("units", "m")):
+        if root.get(key, only) != only or isinstance(root.get(key), bool):
+            raise InputError(f"{source}: {key}", root[key], repr(only))
+    given = sequence(root["elevations"], f"{source}: elevations", "1 to 4 elevations")
+    if not 1 <= len(given) <= len(SIDES):
+        raise InputError(f"{source}: elevations", f"{len(given)} of them", "1 to 4 elevations")
+    sides = {
+        side: _outline(elevation, source, f"elevations[{k}]")
+        for k, (side, elevation) in enumerate(zip(SIDES, given, strict=False))
+    }
+    name, kit = (
+        None if key not in root else text(root[key], f"{source}: {key}") for key in ("name", "kit")
+    )
+    return Drawing(sides, 1.0, True, name, kit)
+
+
+def _outline(elevation: Any, source: str, path: str) -> Contours:
+    import shapely
+
+    given = mapping(elevation, f"{source}: {path}")
+    check_keys(given, source, path, ("name", "outline"), ("outline",))
+    where, expected = f"{source}: {path}.outline", "[x, z], two numbers in metres"
+    points = []
+    for k, vertex in enumerate(sequence(given["outline"], where, "a list of [x, z] vertices")):
+        pair = sequence(vertex, f"{where}[{k}]", expected)
+        if len(pair) != 2:
+            raise InputError(f"{where}[{k}]", vertex, expected)
+        points.append([number(value, f"{where}[{k}]") for value in pair])
+        if points[-1][1] < -1e-9:
+            raise InputError(f"{where}[{k}]", vertex, "z >= 0: nothing is below the table")
+    if not 3 <= len(points) <= MAX_ENTITIES:
+        raise InputError(where, f"{len(points)} vertices", f"3 to {MAX_ENTITIES} vertices")
+    polygon = shapely.Polygon(points)
+    if not polygon.is_valid or polygon.area == 0:
+        reason = shapely.is_valid_reason(polygon) if polygon.area else "zero area"
+        raise InputError(where, reason, "an outline that neither crosses nor touches itself")
+    return [np.array(shapely.orient_polygons(polygon).exterior.coords[:-1])]
+
+
+# ---------------------------------------------------------------- regions
+
+
+@dataclass
+class _Layer:
+    """What is drawn on one layer, in the order of drawing."""
+
+    filled: list[tuple[Contours, bool, bool]] = field(default_factory=list)
+    """Contours of a filled shape, whether by the even-odd rule, and whether it is paper."""
+    lines: Contours = field(default_factory=list)
+    """Closed outlines that are only drawn as lines: those inside others are holes."""
+
+    def region(self, scale: float) -> CrossSection:
+        """The material of the layer; even-odd among lines, filled shapes painted over another."""
+        from manifold3d import CrossSection, FillRule
+
+        made = CrossSection()
+        for contours, even_odd, paper in self.filled:
+            rule = FillRule.EvenOdd if even_odd else FillRule.NonZero
+            shape = CrossSection([contour * scale for contour in contours], rule)
+            made = made - shape if paper else made + shape
+        return made + CrossSection([line * scale for line in self.lines], FillRule.EvenOdd)
+
+
+def _drawing(
+    layers: Mapping[str | None, _Layer], metres: float | None, source: str, hint: str
+) -> Drawing:
+    """Regions of the layers as sides. ``None`` is what is drawn on no named layer."""
+    drawn = {name: layer for name, layer in layers.items() if layer.filled or layer.lines}
+    points = [p for layer in drawn.values() for p in (*layer.lines, *_contours(layer.filled))]
+    if not points:
+        raise InputError(source, "no closed outline", f"at least one closed outline ({hint})")
+    everything = np.concatenate(points)
+    if not np.isfinite(everything).all() or np.abs(everything).max() > 1e9:
+        raise InputError(source, "coordinates that are not numbers or beyond 1e9", "a drawing")
+    span = float(np.ptp(everything, axis=0).max())
+    if not span > 0:
+        raise InputError(source, "outlines of no extent", "outlines with an area")
+    sides: dict[str, Contours] = {}
+    for name, layer in drawn.items():
+        side = "front"
+        if len(drawn) > 1 or (name or "").casefold() in SIDES:
+            side = (name or "").casefold()
+            if side not in SIDES:
+                raise UnknownNameError(f"{source}: layer", name or "(none)", SIDES)
+        region = layer.region(_SPAN / span)
+        if not region.is_empty():
+            sides.setdefault(side, []).extend(p * (span / _SPAN) for p in region.to_polygons())
+    if not sides:
+        raise InputError(source, "outlines without an area", "material inside closed outlines")
+    return Drawing(dict(sorted(sides.items(), key=lambda item: SIDES.index(item[0]))), metres)
+
+
+def _contours(filled: Iterable[tuple[Contours, bool, bool]]) -> Iterator[np.ndarray]:
+    for contours, _, _ in filled:
+        yield from contours
+
+
+def _expanded(
+    start: Any, parts: Callable[[Any], Iterable[tuple[Any, int]]],
+    weight: Callable[[Any], tuple[int, int]], source: str,
+) -> None:  # fmt: skip
+    """Refuse what grows too large when references are followed, without following them twice.
+
+    Args:
+        parts: items inside an item or named by it, and how often.
+        weight: entities and characters of an item itself.
+    """
+    known: dict[Any, tuple[int, int]] = {}
+    open_items: set[Any] = set()
+
+    def total(item: Any, depth: int) -> tuple[int, int]:
+        if item in open_items:
+            raise InputError(source, "a reference to itself", "references without a circle")
+        if depth > MAX_DEPTH:
+            raise InputError(source, "groups nested too deeply", f"at most {MAX_DEPTH} levels")
+        if item not in known:
+            open_items.add(item)
+            entities, drawn = weight(item)
+            for part, times in parts(item):
+                more = total(part, depth + 1)
+                entities, drawn = entities + times * more[0], drawn + times * more[1]
+            open_items.discard(item)
+            known[item] = entities, drawn
+        return known[item]
+
+    entities, drawn = total(start, 0)
+    if entities > MAX_ENTITIES or drawn > MAX_DRAWN:
+        got = f"a drawing of {entities} entities and {drawn} characters, references expanded"
+        raise InputError(source, got, f"at most {MAX_ENTITIES} and {MAX_DRAWN}")
+
+
+# ---------------------------------------------------------------- SVG
+
+_LENGTH = re.compile(r"\s*([0-9.eE+-]+)\s*(mm|cm|in|pt|pc)\s*$")
+_POINTS = {"pt": 0.0254 / 72, "pc": 0.0254 / 6}
+_PIXEL = 0.0254 / 96
+_ENTITY = re.compile(rb"""<!ENTITY\s+([\w.:-]+)\s+(?:"([^"]*)"|'([^']*)')\s*>""")
+_LABEL = "{http://www.inkscape.org/namespaces/inkscape}label"
+_LAYER = "{http://www.inkscape.org/namespaces/inkscape}groupmode"
+_HREF = "{http://www.w3.org/1999/xlink}href"
+_AUTOMATIC = re.compile(r"(g|group|path|svg|layer|layer_|layer )[\W_\d]*$", re.IGNORECASE)
+
+
+def read_svg(content: bytes, source: str) -> Drawing:
+    """Closed outlines of an SVG drawing, references and transforms followed."""
+    from svgelements import SVG
+
+    root = _svg_root(content, source)
+    metres = _svg_unit(root)
+    for key in ("width", "height", "viewBox", "preserveAspectRatio"):
+        root.attrib.pop(key, None)
+    layers: dict[str | None, _Layer] = {}
+    try:
+        parsed = SVG.parse(io.BytesIO(ElementTree.tostring(root)), reify=True, ppi=96.0)
+        for name, shape in _svg_shapes(parsed, root):
+            _add_svg_shape(layers.setdefault(name, _Layer()), shape, source)
+    except InputError:
+        raise
+    except Exception as error:  # noqa: BLE001  the library trusts its input
+        reason = f"{type(error).__name__} while reading it"
+        raise InputError(source, reason, "a valid SVG drawing") from None
+    return _drawing(layers, metres, source, "a rect, circle, polygon, or a path that ends in Z")
+
+
+def _svg_root(content: bytes, source: str) -> ElementTree.Element:
+    """The tree of the file, once it is known to stay small."""
+    entities = [(name, (a or b)) for name, a, b in _ENTITY.findall(content)]
+    grown = sum(len(value) * content.count(b"&" + name + b";") for name, value in entities)
+    nested = any(b"&" in value or b"%" in value for _, value in entities)
+    if nested or grown > MAX_DRAWN or content.count(b"<!ENTITY") != len(entities):
+        raise InputError(source, "XML entities made of entities", "a plain SVG drawing")
+    if len(content) > MAX_DRAWN:
+        got = f"{len(content)} bytes"
+        raise InputError(source, got, f"an SVG drawing of at most {MAX_DRAWN} bytes")
+    try:
+        root = ElementTree.fromstring(content)
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise InputError(source, f"XML that cannot be read ({error})", "a valid SVG drawing") from (
+            None
+        )
+    named = {e.get("id"): e for e in root.iter() if e.get("id")}
+
+    def parts(element: ElementTree.Element) -> Iterator[tuple[ElementTree.Element, int]]:
+        yield from ((child, 1) for child in element)
+        target = element.get("href") or element.get(_HREF) or ""
+        if element.tag.endswith("}use") and target[1:] in named:
+            yield named[target[1:]], 1
+
+    def weight(element: ElementTree.Element) -> tuple[int, int]:
+        return 1, sum(map(len, element.attrib.values())) + len(element.text or "")
+
+    _expanded(root, parts, weight, source)
+    return root
+
+
+def _svg_unit(root: ElementTree.Element) -> float | None:
+    """Length of a user unit [m], where width or height are given in a unit of the real world."""
+    box = re.findall(r"[-+0-9.eE]+", root.get("viewBox", ""))
+    for key, index in (("width", 2), ("height", 3)):
+        given = _LENGTH.match(root.get(key, ""))
+        try:
+            if given:
+                length = float(given[1]) * {**UNITS, **_POINTS}[given[2]]
+                inside = float(box[index]) if len(box) == 4 else length / _PIXEL
+                return length / inside if length > 0 and inside > 0 else None
+        except ValueError:
+            return None
+    return None
+
+
+def _svg_shapes(parsed: Any, root: ElementTree.Element) -> Iterator[tuple[str | None, Any]]:
+    """Visible shapes with the layer they are on.
+
+    A layer is a group that an editor marked as one, or one at the top that somebody named.
+    """
+    from svgelements import Group, Path, Shape, Use
+
+    marked = {e.get("id") for e in root.iter() if e.get(_LAYER) == "layer"}
+
+    def walk(items: Any, layer: str | None, depth: int) -> Iterator[tuple[str | None, Any]]:
+        for item in items:
+            values = getattr(item, "values", {})
+            if isinstance(item, Group | Use):
+                own = getattr(item, "id", None)
+                name = values.get(_LABEL) if own in marked else own
+                named = bool(name) and not (own not in marked and _AUTOMATIC.match(name))
+                is_layer = named and (own in marked or depth == 0 or str(name).casefold() in SIDES)
+                yield from walk(item, name if is_layer else layer, depth + 1)
+            elif isinstance(item, Shape) and values.get("visibility") not in ("hidden", "collapse"):
+                yield layer, Path(item)
+
+    yield from walk(parsed, None, 0)
+
+
+def _add_svg_shape(layer: _Layer, path: Any, source: str) -> None:
+    """Sort a path into filled shapes, paper, and outlines that are only lines."""
+    filled, stroked = _visible(path.fill), _visible(path.stroke)
+    if not (filled or stroked):
+        return
+    paper = filled and min(path.fill.red, path.fill.green, path.fill.blue) >= 250
+    closed, is_open = [], False
+    for part in path.as_subpaths():
+        points = _svg_points(part)
+        reach = np.ptp(points, axis=0).max() if len(points) else 0.0
+        if len(points) < 3 or not reach > 0:
+            continue
+        if (
+            type(part[-1]).__name__ != "Close"
+            and np.abs(points[0] - points[-1]).max() > 1e-3 * reach
+        ):
+            is_open = True
+        else:
+            closed.append(points * (1, -1))  # z up
+    if is_open and filled and not paper:
+        name = f" {path.id!r}" if path.id else ""
+        raise InputError(source, f"a filled path{name} that is open", "closed outlines (end in Z)")
+    if closed and filled and not (paper and stroked):
+        layer.filled.append((closed, path.values.get("fill-rule") == "evenodd", paper))
+    elif closed:
+        layer.lines.extend(closed)
+
+
+def _visible(colour: Any) -> bool:
+    return colour is not None and colour.value is not None and colour.alpha > 0
+
+
+def _svg_points(part: Any) -> np.ndarray:
+    """Vertices of a subpath, curves sampled."""
+    points: list[np.ndarray] = []
+    for segment in part:
+        kind = type(segment).__name__
+        if kind in ("Line", "Close", "Move"):
+            if segment.end is not None:
+                points.append(np.array([[segment.end.x, segment.end.y]]))
+        else:
+            points.append(np.array([[p[0], p[1]] for p in segment.npoint(_CURVE)]))
+    return np.concatenate(points) if points else np.zeros((0, 2))
+
+
+# ---------------------------------------------------------------- DXF
+
+_DXF_UNITS = {1: 0.0254, 2: 0.3048, 4: 1e-3, 5: 1e-2, 6: 1.0, 14: 0.1}
+_DXF_LINES = {"LINE", "ARC", "CIRCLE", "ELLIPSE", "LWPOLYLINE", "POLYLINE", "SPLINE"}
+_DXF_FILLED = {"HATCH", "MPOLYGON", "SOLID", "TRACE"}
+MAX_DXF = 6_000_000
+"""Largest DXF drawing [bytes]."""
+
+
+def read_dxf(content: bytes, source: str) -> Drawing:
+    """Closed outlines of the model space of an ASCII DXF drawing, blocks expanded.
+
+    Lines and arcs that meet end to end are outlines, too. Texts, dimensions and points are not
+    read.
+    """
+    import ezdxf
+
+    if content.startswith(b"AutoCAD Binary DXF"):
+        raise InputError(source, "a binary DXF drawing", "one saved as ASCII DXF")
+    entities = len(re.findall(rb"^[ \t]*0[ \t]*\r?$", content, re.MULTILINE))
+    if len(content) > MAX_DXF or entities > 8 * MAX_ENTITIES:
+        got = f"{len(content)} bytes, about {entities} entities"
+        raise InputError(source, got, f"at most {MAX_DXF} bytes and {MAX_ENTITIES} entities")
+    logging.getLogger("ezdxf").addHandler(logging.NullHandler())
+    chains: dict[str | None, list[np.ndarray]] = {}
+    layers: dict[str | None, _Layer] = {}
+    try:
+        document = ezdxf.read(io.StringIO(content.decode("utf-8", "replace")))  # type: ignore[attr-defined]
+        _dxf_bounded(document, source)
+        for name, entity in _dxf_entities(document.modelspace(), "0"):
+            layer = layers.setdefault(name, _Layer())
+            for points, filled in _dxf_points(entity):
+                if filled:
+                    layer.filled.append(([points], True, False))
+                else:
+                    chains.setdefault(name, []).append(points)
+    except InputError:
+        raise
+    except Exception as error:  # noqa: BLE001  the library trusts its input
+        reason = f"{type(error).__name__} while reading it"
+        raise InputError(source, reason, "a valid DXF drawing") from None
+    for name, lines in chains.items():
+        layers[name].lines.extend(_closed(lines))
+    metres = _DXF_UNITS.get(int(document.header.get("$INSUNITS", 0)))
+    return _drawing(layers, metres, source, "a closed polyline, a circle, lines end to end")
+
+
+def _dxf_bounded(document: Any, source: str) -> None:
+    """Refuse blocks that expand to too much, before they are expanded."""
+
+    def parts(name: str | None) -> Iterator[tuple[str, int]]:
+        for entity in document.modelspace() if name is None else document.blocks.get(name) or ():
+            if entity.dxftype() == "INSERT":
+                yield entity.dxf.name, max(entity.mcount, 1)
+
+    def weight(name: str | None) -> tuple[int, int]:
+        return len(document.modelspace() if name is None else document.blocks.get(name) or ()), 0
+
+    _expanded(None, parts, weight, source)
+
+
+def _dxf_entities(entities: Iterable[Any], inherited: str) -> Iterator[tuple[str, Any]]:
+    """Entities with the layer they are drawn on; layer 0 in a block is that of the block."""
+    for entity in entities:
+        own = entity.dxf.get("layer", "0")
+        layer = inherited if own == "0" else own
+        if entity.dxftype() != "INSERT":
+            yield layer, entity
+        elif entity.mcount > 1:
+            yield from _dxf_entities(entity.multi_insert(), layer)
+        else:
+            yield from _dxf_entities(entity.virtual_entities(), layer)
+
+
+def _dxf_points(entity: Any) -> Iterator[tuple[np.ndarray, bool]]:
+    """Vertices of what an entity draws in x and y, and whether it is filled."""
+    from ezdxf import path
+
+    kind = entity.dxftype()
+    if kind in ("HATCH", "MPOLYGON"):
+        paths = list(path.from_hatch(entity))
+    elif kind in _DXF_LINES | _DXF_FILLED:
+        paths = [path.make_path(entity)]
+    else:
+        return
+    for made in paths:
+        box = np.array([(v.x, v.y) for v in made.control_vertices()])
+        if not np.isfinite(box).all():
+            raise ValueError
+        # Flattening to 1e-4 of the size, with no more than so many pieces a curve.
+        reach = float(np.ptp(box, axis=0).max()) if len(box) else 0.0
+        if reach > 0:
+            flat = made.flattening(1e-4 * reach, segments=8)
+            points = np.array([(v.x, v.y) for v in flat])
+            if kind in _DXF_FILLED or getattr(entity, "is_closed", False):
+                points = np.concatenate([points, points[:1]])
+            yield points, kind in _DXF_FILLED
+
+
+def _closed(chains: list[np.ndarray]) -> Contours:
+    """Closed loops of chains of points that meet end to end."""
+    import shapely
+
+    everything = np.concatenate(chains)
+    if not np.isfinite(everything).all():
+        return chains  # refused with the rest
+    grid = 1e-6 * max(float(np.ptp(everything, axis=0).max()), 1e-12)
+    lines = [shapely.LineString(np.round(c / grid) * grid) for c in chains if len(c) > 1]
+    loops = [line for line in lines if line.is_closed]
+    merged = shapely.line_merge(shapely.MultiLineString([x for x in lines if not x.is_closed]))
+    loops += [line for line in shapely.get_parts(merged) if line.is_closed]
+    return [np.array(line.coords[:-1]) for line in loops if len(line.coords) > 3]
+
+
+# ---------------------------------------------------------------- PNG
+
+MAX_PIXELS = 16_000_000
+"""Most pixels of a picture."""
+
+
+def read_png(
+    content: bytes, source: str, wide: int | None, limit: int, aspect: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """A picture on cells, the margin around its material left out.
+
+    Where some pixels are transparent, the others are material. In an opaque picture dark ones are
+    (luminance below one half), and strongly coloured ones.
+
+    Args:
+        wide: cells across; None is one pixel one cell.
+        limit: largest number of cells each way.
+        aspect: width of a cell by its height.
+
+    Returns:
+        share of material ``float64[X, Z]`` and mean colour of the material ``uint8[X, Z, 3]``,
+        z up.
+    """
+    pixels = _pixels(content, source).astype(np.float64)
+    colour, alpha = pixels[:, :, :3], pixels[:, :, 3]
+    material = alpha >= 128
+    if material.all():
+        luminance = colour @ (0.299, 0.587, 0.114)
+        material = (luminance < 128) | (np.ptp(colour, axis=2) >= 96)
+    if not material.any():
+        raise InputError(source, "no opaque or dark pixel", "a picture of something")
+    rows, columns = np.flatnonzero(material.any(1)), np.flatnonzero(material.any(0))
+    window = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
+    material, colour = material[window][::-1].T, colour[window][::-1].transpose(1, 0, 2)
+    if wide is None:
+        if max(material.shape) > limit:
+            got = f"{material.shape[0]} x {material.shape[1]} pixels of material"
+            raise InputError(f"{source}: cells_wide", got, f"a number up to {limit} for so many")
+        return material.astype(np.float64), colour.astype(np.uint8)
+    per_cell = len(material) / wide
+    high = int(np.ceil(material.shape[1] / (per_cell / aspect) - 1e-9))
+    if high > limit:
+        raise InputError(f"{source}: cells_wide", wide, f"fewer: it would be {high} cells high")
+    edges = (np.arange(wide + 1) * per_cell, np.arange(high + 1) * (per_cell / aspect))
+    size = edges[0][1] * edges[1][1]
+    share = _sums(material, edges)
+    tint = np.stack([_sums(material * colour[:, :, k], edges) for k in range(3)], -1)
+    mean = tint / np.maximum(share, 1e-9)[:, :, None]
+    return share / size, np.clip(np.round(mean), 0, 255).astype(np.uint8)
+
+
+def _sums(values: np.ndarray, edges: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Integral of pixels over the rectangles between the edges [pixels]."""
+    for axis, edge in enumerate(edges):
+        total = np.cumsum(values, axis=axis, dtype=np.float64)
+        total = np.concatenate([np.zeros_like(total.take([0], axis)), total], axis)
+        low = np.minimum(edge.astype(np.int64), values.shape[axis] - 1)
+        share = np.minimum(edge - low, 1.0).reshape((-1, 1) if axis == 0 else (1, -1))
+        at = total.take(low, axis) * (1 - share) + total.take(low + 1, axis) * share
+        values = np.diff(at, axis=axis)
+    return values
+
+
+def _pixels(content: bytes, source: str) -> np.ndarray:
+    """``uint8[H, W, 4]``, red to alpha."""
+    from PIL import Image
+
+    expected = f"a whole PNG picture of at most {MAX_PIXELS} pixels"
+    width, height = (int.from_bytes(content[k : k + 4], "big") for k in (16, 20))
+    if not 0 < width * height <= MAX_PIXELS:
+        raise InputError(source, f"{width} x {height} pixels", expected)
+    try:
+        with Image.open(io.BytesIO(content), formats=["PNG"]) as image:
+            image.load()
+            if image.mode.startswith("I"):
+                image = Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
+            return np.asarray(image.convert("RGBA"))
+    except Exception as error:  # noqa: BLE001  damaged pictures raise a dozen kinds of errors
+        reason = f"{type(error).__name__} while reading it"
+        raise InputError(source, reason, expected) from None
