@@ -208,7 +208,8 @@ def _rhino(content: bytes, source: str) -> tuple[list[Mesh], float | None]:
         elif isinstance(shape, rhino3dm.Extrusion):
             meshes = [shape.GetMesh(rhino3dm.MeshType.Any)]
         elif isinstance(shape, rhino3dm.Brep):
-            meshes = [face.GetMesh(rhino3dm.MeshType.Any) for face in list(shape.Faces)]
+            faces = shape.Faces
+            meshes = [faces[k].GetMesh(rhino3dm.MeshType.Any) for k in range(len(faces))]
         else:
             continue  # curves, points, texts
         if not meshes or any(mesh is None for mesh in meshes):
