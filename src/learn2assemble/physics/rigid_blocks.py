@@ -1,0 +1,515 @@
+r"""Equilibrium of any assembly of rigid polyhedral blocks that touch with dry friction.
+
+Forces :math:`f_p` at the corners of the contact patches and a wrench :math:`s_b` with which a hand
+would have to hold every block balance the weight of all blocks:
+
+.. math:: \sum_{p \in C_b} \pm (f_p,\; (x_p - c_b) \times f_p) + s_b + (m_b g, 0) = 0.
+
+Rigid-block equilibrium (RBE) asks for the least :math:`\sum_b |s_b|` with :math:`f_p` in the round
+Coulomb cone. Where it is above zero the assembly falls, and the multipliers of the balance are the
+motion in which it starts to. Where it is zero forces *can* balance, not that they *will*: friction
+may squeeze itself, as in a bar pinched between two posts. The coupled analysis (CRA, Kao et al.
+2022) refuses those. It is reproduced here with elastic joints: the energy
+:math:`\sum f_n^2/k_n + |f_t|^2/k_t` is least subject to :math:`|f_t| \le r_p`, where :math:`r_p` is
+friction times the normal force of the round before (non-associated friction by fixed point,
+Haslinger 1983). The assembly stands where a fixed point without holding force is found.
+
+Inside, lengths are in edges of a median block and forces in mean weights of a block.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import clarabel
+import numpy as np
+import scipy.sparse as sp
+
+from learn2assemble.assembly.blocks import Assembly, check_friction
+from learn2assemble.assembly.contacts import Contacts, check_overlaps, find_contacts
+from learn2assemble.errors import InputError, Learn2AssembleError
+
+_conic: Any = clarabel
+"""A compiled module without types."""
+
+Verdict = Literal["stands", "stands only with tight joints", "falls"]
+STANDS: Verdict = "stands"
+TIGHT: Verdict = "stands only with tight joints"
+FALLS: Verdict = "falls"
+
+GRAVITY = 9.81
+"""[m/s²]."""
+SIDE = 0.02
+"""A patch is a side face when the vertical part of its normal is at most this."""
+HELD, HELD_BLOCK = 5e-4, 1e-2
+"""Holding forces taken for rounding: all, in the whole weight; of one block, in its weight."""
+SLIP = 1e-3
+"""Violation of Coulomb's law at a block taken for rounding, in its normal forces."""
+_ROUNDS = 40
+_STIFFNESS = (1.0, 0.2)
+"""Tangential over normal stiffness of a joint; a fixed point with either one is one."""
+_FIRM = 1e-7
+"""Of the ground spring that holds a block during the rounds: its compliance is 1 / this."""
+_EXACT = 1e4
+"""Price of a holding force against elastic energy; the largest displacement that is not a fall."""
+_MOVES = 0.1
+"""A block moves where its part of the motion is this share of the largest."""
+MOST_G = 10.0
+"""Margins are cut here [g]."""
+_MARGIN_GAP = 0.01
+_LOADS = (4, 24, 30_000)
+"""Of a margin: fewest and most directions, and corners times directions in between."""
+
+
+class Equilibrium(NamedTuple):
+    """What :func:`solve` found."""
+
+    stands: bool
+    method: Literal["frictionless", "rbe", "cra"]
+    """What decided: forces without friction, RBE, or the coupled analysis."""
+    holding_force: float
+    """Least sum over blocks of force, or moment over radius, that would hold it [N]."""
+    moving: np.ndarray
+    """int64[M]: indices of the blocks that start to move; empty where it stands."""
+    forces: np.ndarray
+    """float64[C, 3]: on block ``b`` of the patch of each corner [N, world]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Check:
+    """The answer of :func:`check`.
+
+    Attributes:
+        verdict: ``stands`` on its bed faces alone, ``stands only with tight joints`` where it also
+            needs vertical faces to press, or ``falls``.
+        margin_g: sideways acceleration [g] it withstands in every direction; 0 where it falls.
+        tilt: inclination of the ground it withstands in every direction [deg].
+        holding_force: least force that would hold it, 0 where it stands; see
+            :class:`Equilibrium` [N].
+        moving: ids of the blocks that move first; empty where it stands.
+        blocks: how many there are, supports included.
+        contacts: all patches; ``only(bed)`` are those that carry where it ``stands``.
+        forces: float64[C, 3], at the corners of ``contacts`` on block ``b`` [N, world].
+        method: what decided; see :class:`Equilibrium`.
+        seconds: the check took.
+    """
+
+    verdict: Verdict
+    margin_g: float
+    tilt: float
+    holding_force: float
+    moving: tuple[str, ...]
+    blocks: int
+    contacts: Contacts
+    forces: np.ndarray
+    method: str
+    seconds: float
+
+
+def check(
+    assembly: Assembly, *, friction: float | None = None, tolerance: float | None = None
+) -> Check:
+    """Whether what stands after the last step of an assembly stands.
+
+    Args:
+        assembly: blocks, steps and friction.
+        friction: Coulomb coefficient instead of the assembly's.
+        tolerance: gap that counts as contact [m]; see
+            :func:`~learn2assemble.assembly.contacts.find_contacts`.
+
+    Raises:
+        InputError: for blocks that overlap, or where nothing stands on a support or the ground.
+    """
+    started = time.perf_counter()
+    friction = assembly.friction if friction is None else friction
+    check_friction(friction)
+    standing = assembly.finished
+    check_overlaps(standing, tolerance)
+    contacts = find_contacts(standing, tolerance)
+    _check_supported(standing, contacts)
+    bed = bed_patches(contacts)
+    used, keep, verdict = contacts.only(bed), bed, STANDS
+    result = solve(standing, used, friction)
+    if not result.stands and not bed.all():
+        used, keep, verdict = contacts, np.ones_like(bed), TIGHT
+        result = solve(standing, used, friction)
+    if not result.stands:
+        verdict = FALLS
+    margin_g = margin(standing, used, friction) if result.stands else 0.0
+    forces = np.zeros_like(contacts.points)
+    forces[keep[contacts.patch]] = result.forces
+    return Check(
+        verdict=verdict,
+        margin_g=margin_g,
+        tilt=float(np.degrees(np.arctan(margin_g))),
+        holding_force=result.holding_force,
+        moving=tuple(standing.blocks[k].id for k in result.moving.tolist()),
+        blocks=len(standing.blocks),
+        contacts=contacts,
+        forces=forces,
+        method=result.method,
+        seconds=time.perf_counter() - started,
+    )
+
+
+def bed_patches(contacts: Contacts) -> np.ndarray:
+    """bool[P]: patches that are not vertical, so that weight closes them without tight joints."""
+    return np.abs(contacts.normal[:, 2]) > SIDE
+
+
+def solve(
+    assembly: Assembly,
+    contacts: Contacts,
+    friction: float | None = None,
+    *,
+    present: np.ndarray | None = None,
+    coupled: bool = True,
+) -> Equilibrium:
+    """Whether the blocks stand on some patches of contact.
+
+    Args:
+        assembly: blocks where they stand.
+        contacts: of that assembly; those of absent blocks are ignored.
+        friction: Coulomb coefficient instead of the assembly's.
+        present: bool[B], the blocks that are there; all by default.
+        coupled: False answers by RBE alone, which refutes but cannot prove.
+
+    Raises:
+        Learn2AssembleError: where the solver fails.
+    """
+    friction = assembly.friction if friction is None else friction
+    check_friction(friction)
+    system = _System(assembly, contacts, present)
+    if system.count == 0:
+        return Equilibrium(True, "frictionless", 0.0, np.empty(0, np.int64), system.newtons(None))
+    if system.upright:
+        # Forces that need no friction are a fixed point, and cost a third.
+        still = system.frictionless()
+        if still is not None:
+            return Equilibrium(True, "frictionless", 0.0, np.empty(0, np.int64), still)
+    forces, held, motion = system.least_holding(friction)
+    if not system.is_small(held):
+        return system.fall("rbe", forces, held, motion)
+    if not coupled:
+        return Equilibrium(True, "rbe", 0.0, np.empty(0, np.int64), system.newtons(forces))
+    best = None
+    for stiffness in _STIFFNESS:
+        fixed, forces_at, held, motion = system.coupled(friction, forces, stiffness)
+        if fixed:
+            nothing = np.empty(0, np.int64)
+            return Equilibrium(True, "cra", 0.0, nothing, system.newtons(forces_at))
+        if best is None or held.sum() < best[1].sum():
+            best = forces_at, held, motion
+    assert best is not None
+    return system.fall("cra", *best)
+
+
+def margin(
+    assembly: Assembly,
+    contacts: Contacts,
+    friction: float | None = None,
+    *,
+    present: np.ndarray | None = None,
+) -> float:
+    """Sideways acceleration [g] that RBE withstands in every direction, from below.
+
+    The accelerations that contact forces can balance are a convex set. Each program gives a point
+    of its border and a line that it does not cross, so the largest circle about zero is known from
+    both sides; directions are added until these agree to 1 % or as many as the size allows were
+    tried. Arguments as :func:`solve`.
+    """
+    friction = assembly.friction if friction is None else friction
+    check_friction(friction)
+    system = _System(assembly, contacts, present)
+    if system.count == 0:
+        return min(friction, MOST_G)
+    fewest, most, work = _LOADS
+    tries = int(np.clip(work // max(system.corners, 1), fewest, most))
+    program = system.load_program(friction)
+    angles, points, below, above = [], [], 0.0, np.inf
+    queue = [0.0, np.pi / 2, np.pi, -np.pi / 2]
+    while queue:
+        angle = queue.pop(0)
+        direction = np.array([np.cos(angle), np.sin(angle)])
+        reach, line = program(direction)
+        angles.append(angle)
+        points.append(reach * direction)
+        above = min(above, line)
+        if queue:
+            continue
+        if min(np.hypot(*point) for point in points) > 0.99 * MOST_G:
+            return MOST_G
+        below, angle = _inner_radius(np.array(points))
+        repeated = min(abs(np.angle(np.exp(1j * (angle - a)))) for a in angles) < 1e-3
+        if len(angles) < tries and below < (1 - _MARGIN_GAP) * above and not repeated:
+            queue.append(angle)
+    return float(max(0.0, min(below, above)))
+
+
+def _inner_radius(points: np.ndarray) -> tuple[float, float]:
+    """Of the hull of points round zero: distance of its nearest edge, and that edge's angle."""
+    order = np.argsort(np.arctan2(points[:, 1], points[:, 0]))
+    start = points[order]
+    edge = np.roll(start, -1, 0) - start
+    length = np.linalg.norm(edge, axis=1)
+    if (length < 1e-12).any():
+        return 0.0, 0.0
+    out = np.stack([edge[:, 1], -edge[:, 0]], 1) / length[:, None]
+    distance = np.einsum("ij,ij->i", out, start)
+    nearest = int(np.argmin(distance))
+    return float(distance[nearest]), float(np.arctan2(out[nearest, 1], out[nearest, 0]))
+
+
+def _check_supported(assembly: Assembly, contacts: Contacts) -> None:
+    """Refuse an assembly that has nothing to stand on, or that reaches below the ground."""
+    if any(block.support for block in assembly.blocks):
+        return
+    lows = [float(block.vertices[:, 2].min()) for block in assembly.blocks]
+    lowest = assembly.blocks[int(np.argmin(lows))]
+    reaches_below = min(lows) < -0.01 * float(np.ptp(lowest.vertices[:, 2]))
+    if reaches_below or not (contacts.a < 0).any():
+        where = f"block {lowest.id!r}: lowest point"
+        raise InputError(where, min(lows), "a block with a face on z = 0, or a support block")
+
+
+class _System:
+    """The balance of all free blocks as sparse matrices, in units of a median block."""
+
+    def __init__(self, assembly: Assembly, contacts: Contacts, present: np.ndarray | None) -> None:
+        blocks = assembly.blocks
+        there = np.ones(len(blocks), bool) if present is None else np.asarray(present, bool)
+        if there.shape != (len(blocks),):
+            raise InputError("present", there.shape, f"shape ({len(blocks)},)")
+        on = there[contacts.b] & ((contacts.a < 0) | there[contacts.a])
+        self._on = on[contacts.patch]
+        contacts = contacts if on.all() else contacts.only(on)
+        free = there & ~np.array([block.support for block in blocks])
+        self.free = np.flatnonzero(free)
+        self.count, self.corners = len(self.free), len(contacts.points)
+        number = np.cumsum(free) - 1
+        self._length = float(np.median([block.volume for block in blocks])) ** (1 / 3)
+        mass = np.array([blocks[k].mass for k in self.free])
+        self._newton = GRAVITY * float(mass.mean()) if self.count else 1.0
+        self.mass = mass / mass.mean() if self.count else mass
+        centre = np.array([blocks[k].centroid for k in self.free]).reshape(-1, 3)
+        reach = [np.linalg.norm(blocks[k].vertices - c, axis=1).max()
+                 for k, c in zip(self.free, centre, strict=True)]  # fmt: skip
+        self._radius = np.array(reach) / self._length
+        normal = contacts.normal[contacts.patch]
+        axis = np.eye(3)[np.argmin(np.abs(contacts.normal), axis=1)]
+        first = np.cross(axis, contacts.normal)
+        first /= np.linalg.norm(first, axis=1)[:, None]
+        second = np.cross(contacts.normal, first)
+        self._frame = np.stack([normal, first[contacts.patch], second[contacts.patch]], 1)
+        self.upright = bool((np.abs(contacts.normal[:, 2]) > 1 - 1e-6).all())
+        share = np.maximum(np.bincount(contacts.patch, minlength=len(contacts.a)), 1)
+        area = (contacts.area / share)[contacts.patch] / self._length**2
+        self._soft = 1 / np.maximum(area, 1e-4)
+        self._bodies = [
+            np.where((body >= 0) & free[body], number[body], -1)[contacts.patch]
+            for body in (contacts.a, contacts.b)
+        ]
+        self.balance = self._balance(contacts.points, centre)
+        weight = np.zeros((self.count, 6))
+        weight[:, 2] = self.mass
+        self.weight = weight.reshape(-1)
+
+    def _balance(self, points: np.ndarray, centre: np.ndarray) -> sp.csc_matrix:
+        """Wrench [6 count] of the corner forces in their frames; column 3 p is a normal force."""
+        rows, columns, values = [], [], []
+        for body, sign in zip(self._bodies, (-1.0, 1.0), strict=True):
+            corner = np.flatnonzero(body >= 0)
+            of = body[corner]
+            arm = (points[corner] - centre[of]) / self._length
+            force = sign * self._frame[corner]
+            moment = np.cross(arm[:, None], force) / self._radius[of, None, None]
+            wrench = np.concatenate([force, moment], -1)
+            row = 6 * of[:, None, None] + np.arange(6)
+            column = 3 * corner[:, None, None] + np.arange(3)[:, None]
+            rows.append(np.broadcast_to(row, wrench.shape).ravel())
+            columns.append(np.broadcast_to(column, wrench.shape).ravel())
+            values.append(wrench.ravel())
+        index = np.concatenate(rows), np.concatenate(columns)
+        shape = 6 * self.count, 3 * self.corners
+        return sp.csc_matrix((np.concatenate(values), index), shape)
+
+    def is_small(self, held: np.ndarray) -> bool:
+        """Whether holding forces float64[count] are rounding."""
+        total = held.sum() <= HELD * self.mass.sum()
+        return bool(total and (held <= HELD_BLOCK * self.mass).all())
+
+    def newtons(self, forces: np.ndarray | None) -> np.ndarray:
+        """Forces in their frames as forces in the world [N], zero at corners of absent blocks."""
+        result = np.zeros((len(self._on), 3))
+        if forces is not None:
+            result[self._on] = self._newton * np.einsum("pk,pkj->pj", forces, self._frame)
+        return result
+
+    def fall(
+        self, method: Literal["rbe", "cra"], forces: np.ndarray, held: np.ndarray,
+        motion: np.ndarray,
+    ) -> Equilibrium:  # fmt: skip
+        """The answer where holding forces are needed."""
+        size = np.linalg.norm(motion, axis=1)
+        moving = self.free[size >= _MOVES * size.max()]
+        total = float(held.sum()) * self._newton
+        return Equilibrium(False, method, total, moving, self.newtons(forces))
+
+    def frictionless(self) -> np.ndarray | None:
+        """Normal forces [N] that balance everything without friction, or None."""
+        normal = self.balance[:, ::3]
+        rows = np.unique(normal.indices)
+        zero = np.setdiff1d(np.arange(6 * self.count), rows)
+        if np.abs(self.weight[zero]).any():
+            return None
+        count = self.corners
+        matrix = sp.vstack([normal[rows], -sp.identity(count)]).tocsc()
+        bound = np.concatenate([self.weight[rows], np.zeros(count)])
+        cones = [_conic.ZeroConeT(len(rows)), _conic.NonnegativeConeT(count)]
+        answer = _run(sp.diags(self._soft), np.zeros(count), matrix, bound, cones)
+        if answer is None:
+            return None
+        forces = np.zeros((count, 3))
+        forces[:, 0] = np.maximum(answer.x, 0)
+        rest = (self.weight - self.balance @ forces.reshape(-1)).reshape(-1, 6)
+        small = self.is_small(np.linalg.norm(rest, axis=1))
+        return self.newtons(forces) if small else None
+
+    def least_holding(self, friction: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """RBE: forces [corners, 3], holding forces [count], motion [count, 6]."""
+        corners = 3 * self.corners
+        cone = -sp.diags(np.tile([friction, 1.0, 1.0], self.corners))
+        parts = [_conic.SecondOrderConeT(3)] * self.corners
+        # A little elastic energy chooses among the forces where there are many.
+        soft = 1e-6 * np.repeat(self._soft, 3)
+        return self._with_holding(soft, 1.0, cone, np.zeros(corners), parts)
+
+    def coupled(
+        self, friction: float, forces: np.ndarray, stiffness: float
+    ) -> tuple[bool, np.ndarray, np.ndarray, np.ndarray]:
+        """CRA from the forces of RBE: whether a fixed point stands, and as least_holding."""
+        soft = self._soft[:, None] * [1.0, 1 / stiffness, 1 / stiffness]
+        soft = soft.reshape(-1)
+        count, corners = 6 * self.count, self.corners
+        energy = sp.diags(np.concatenate([soft, np.full(count, 1 / _FIRM)]))
+        disc = sp.diags(np.tile([0.0, -1.0, -1.0], corners))
+        pick = sp.csc_matrix((-np.ones(corners), (np.arange(corners), 3 * np.arange(corners))),
+                             (corners, 3 * corners))  # fmt: skip
+        signs = sp.vstack([pick, disc])
+        matrix = sp.vstack(
+            [
+                sp.hstack([self.balance, sp.identity(count)]),
+                sp.hstack([signs, sp.csc_matrix((4 * corners, count))]),
+            ]
+        ).tocsc()
+        discs = [_conic.SecondOrderConeT(3)] * corners
+        cones = [_conic.ZeroConeT(count), _conic.NonnegativeConeT(corners), *discs]
+        radius = friction * np.maximum(forces[:, 0], 0)
+        step, last = 1.0, np.inf
+        for _ in range(_ROUNDS):
+            disc_bound = np.stack([radius, 0 * radius, 0 * radius], 1).reshape(-1)
+            limits = np.concatenate([np.zeros(corners), disc_bound])
+            bound = np.concatenate([self.weight, limits])
+            answer = _run(energy, np.zeros(3 * corners + count), matrix, bound, cones, 1e-6)
+            if answer is None:
+                break
+            forces = np.array(answer.x[: 3 * corners]).reshape(-1, 3)
+            slip = self._slip(forces, friction)
+            if slip <= SLIP:
+                break
+            if slip > 0.7 * last:
+                step = 0.5
+            last = slip
+            radius = (1 - step) * radius + step * friction * np.maximum(forces[:, 0], 0)
+        parts = [_conic.NonnegativeConeT(corners), *discs]
+        disc_bound = np.stack([radius, 0 * radius, 0 * radius], 1).reshape(-1)
+        limits = np.concatenate([np.zeros(corners), disc_bound])
+        forces, held, motion = self._with_holding(soft, _EXACT, signs, limits, parts)
+        fixed = self.is_small(held) and self._slip(forces, friction) <= 2 * SLIP
+        return fixed, forces, held, motion
+
+    def _slip(self, forces: np.ndarray, friction: float) -> float:
+        """Largest violation of Coulomb's law at a block, in its normal forces or its weight."""
+        excess = np.hypot(forces[:, 1], forces[:, 2]) - friction * forces[:, 0]
+        sums = []
+        for value in (np.maximum(excess, 0), np.maximum(forces[:, 0], 0)):
+            at = [np.bincount(body[body >= 0], value[body >= 0], self.count)
+                  for body in self._bodies]  # fmt: skip
+            sums.append(at[0] + at[1])
+        return float((sums[0] / np.maximum(sums[1], self.mass)).max())
+
+    def _with_holding(
+        self, soft: np.ndarray, price: float, signs: Any, limits: np.ndarray, parts: list
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Least elastic energy plus price times the norm of the holding force of every block.
+
+        Args:
+            soft: float64[3 corners], compliance.
+            price: of a holding force.
+            signs: of the constraint ``limits - signs @ forces`` in the cones ``parts``.
+        """
+        count, corners = self.count, 3 * self.corners
+        energy = sp.diags(np.concatenate([soft, np.zeros(7 * count)]))
+        cost = np.concatenate([np.zeros(corners + 6 * count), np.full(count, price)])
+        held = sp.kron(sp.identity(count), -np.eye(7, 6, -1))
+        norm = sp.kron(sp.identity(count), -np.eye(7, 1))
+        rows = [
+            [self.balance, sp.identity(6 * count), None],
+            [signs, None, None],
+            [None, held, norm],
+        ]
+        matrix = sp.bmat(rows).tocsc()
+        bound = np.concatenate([self.weight, limits, np.zeros(7 * count)])
+        cones = [_conic.ZeroConeT(6 * count), *parts]
+        cones += [_conic.SecondOrderConeT(7)] * count
+        answer = _run(energy, cost, matrix, bound, cones)
+        if answer is None:
+            raise Learn2AssembleError("equilibrium program: the solver stopped without a solution")
+        x = np.array(answer.x)
+        slack = x[corners : corners + 6 * count].reshape(-1, 6)
+        motion = np.array(answer.z[: 6 * count]).reshape(-1, 6)
+        return x[:corners].reshape(-1, 3), np.linalg.norm(slack, axis=1), motion
+
+    def load_program(self, friction: float):
+        """A function of a horizontal direction float64[2]: how far a load goes along it [g], and
+        how far from zero the line is that no load crosses there."""
+        corners, count = 3 * self.corners, 6 * self.count
+        cone = -sp.diags(np.tile([friction, 1.0, 1.0], self.corners))
+        cones = [_conic.ZeroConeT(count), _conic.NonnegativeConeT(1)]
+        cones += [_conic.SecondOrderConeT(3)] * self.corners
+        bound = np.concatenate([self.weight, [MOST_G], np.zeros(corners)])
+        cost = np.zeros(corners + 1)
+        cost[corners] = -1.0
+        energy = sp.csc_matrix((corners + 1, corners + 1))
+
+        def run(direction: np.ndarray) -> tuple[float, float]:
+            load = np.zeros((self.count, 6))
+            load[:, :2] = self.mass[:, None] * direction
+            column = sp.csc_matrix(load.reshape(-1, 1))
+            matrix = sp.bmat([[self.balance, column], [None, np.eye(1)], [cone, None]]).tocsc()
+            answer = _run(energy, cost, matrix, bound, cones, 1e-6)
+            if answer is None:
+                return 0.0, 0.0
+            reach = float(answer.x[corners])
+            pull = np.array(answer.z[:count]).reshape(-1, 6)[:, :2].T @ self.mass
+            steep = float(np.linalg.norm(pull))
+            return reach, reach / max(steep, 1.0) if reach < 0.99 * MOST_G else reach
+
+        return run
+
+
+def _run(
+    energy: Any, cost: np.ndarray, matrix: Any, bound: np.ndarray, cones: list,
+    tolerance: float = 1e-8,
+):  # fmt: skip
+    """Solve one cone program; None where it is infeasible or the solver cannot tell."""
+    settings = _conic.DefaultSettings()
+    settings.verbose = False
+    settings.max_threads = 1
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
+    solver = _conic.DefaultSolver(sp.csc_matrix(energy), cost, matrix, bound, cones, settings)
+    answer = solver.solve()
+    good = {_conic.SolverStatus.Solved, _conic.SolverStatus.AlmostSolved}
+    return answer if answer.status in good else None
