@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 
 from learn2assemble.errors import InputError
 from learn2assemble.evaluation.bench import build_wall
+from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.dynamic.cell import DynamicCell, replay
 from learn2assemble.robot.dynamic.execution import ONE_SIDED, ShiftRule, check_rest
-from learn2assemble.robot.dynamic.model import TIMESTEP, about_z, heading, matrix, take_order
+from learn2assemble.robot.dynamic.model import TIMESTEP, take_order
 from learn2assemble.robot.dynamic.prepare import Failure
 from learn2assemble.robot.dynamic.simulation import Drives, SimulationDivergedError
 from learn2assemble.robot.moves import (
@@ -351,7 +352,7 @@ def test_skipping_free_motion_changes_nothing_that_rests(moved: Attempt) -> None
 def test_a_recording_played_open_loop_builds_the_same(panda: DynamicCell) -> None:
     report = build_wall(panda, columns=2, rows=2)
     world = take_wall(report.attempts)
-    turns = about_z(world.yaw)
+    turns = yaw_quaternion(world.yaw)
     for done in report.attempts:
         assert done.trajectory is not None
         assert done.after is not None
@@ -433,13 +434,3 @@ def test_bad_settings_are_refused(bad: dict) -> None:
 
 def test_a_step_is_what_the_samples_count() -> None:
     assert pytest.approx(0.02) == TIMESTEP * 10
-
-
-@given(st.floats(-3.1, 3.1), st.integers(0, 3))
-@settings(max_examples=50, deadline=None)
-def test_headings_are_those_of_cubes(yaw: float, rolls: int) -> None:
-    """Rolled over onto another face a cube still has sides, whose direction is its heading."""
-    about_x = np.array([np.cos(rolls * np.pi / 4), np.sin(rolls * np.pi / 4), 0, 0])
-    quaternion = np.empty(4)
-    mujoco.mju_mulQuat(quaternion, about_z(np.array(yaw)), about_x)
-    assert np.cos(4 * (heading(matrix(quaternion)) - yaw)) == pytest.approx(1)

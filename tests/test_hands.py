@@ -9,6 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from learn2assemble.geometry.rotations import yaw_matrix
 from learn2assemble.graph.batch import to_tensors
 from learn2assemble.graph.features import Graph, node_offset
 from learn2assemble.graph.placements import Placements, distinct_placements
@@ -16,7 +17,7 @@ from learn2assemble.graph.relations import AROUND, OFFSETS, REACH, WINDOW, look_
 from learn2assemble.networks.agent import make_network
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.placement import PlacementNetwork
-from learn2assemble.robot.moves import Outcome, get_grasps, turn
+from learn2assemble.robot.moves import Outcome, get_grasps
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import Task
 from learn2assemble.world.blocks import EDGE
@@ -54,7 +55,7 @@ def some_graph(simulator: Simulator, seed: int, count: int = 2) -> tuple[State, 
 
 def numbers(away: np.ndarray, yaw: float, pitch: float) -> list[int]:
     """Numbers of offsets float[n, 3] [m] as a hand at ``yaw`` sees them."""
-    mine = away @ turn(yaw)  # Columns of the matrix are the hand's axes.
+    mine = away @ yaw_matrix(yaw)  # Columns of the matrix are the hand's axes.
     steps = np.rint(mine * [1, -1, 1] / [pitch, pitch, EDGE]).astype(int)
     i, j, k = (np.clip(steps, -REACH, REACH) + REACH).T
     return ((i * WINDOW + j) * WINDOW + k).tolist()
@@ -84,7 +85,7 @@ def test_surroundings_written_out(name: str, seed: int) -> None:
             expected = numbers(nodes[targets:first] - cells[0], place, PITCH)
             expected += [OFFSETS + k for k in numbers(cells[1:] - cells[0], place, PITCH)]
             away = nodes[first:] - nodes[block]
-            across, along = np.abs(away @ turn(grasp))[:, :2].T
+            across, along = np.abs(away @ yaw_matrix(grasp))[:, :2].T
             levels = np.rint(away[:, 2] / EDGE)
             way = (across < 0.75 * PITCH) & (levels >= 0)
             way &= along < np.where(levels > 0, 2.25, 1.25) * PITCH

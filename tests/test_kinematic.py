@@ -29,7 +29,6 @@ from learn2assemble.robot.moves import (
     fillers,
     get_grasps,
     put_down,
-    turn,
 )
 from robot_scenes import GROUND, cell, scene
 
@@ -303,8 +302,3 @@ def test_an_attempt_leaves_the_scene_alone_and_forgets_the_last(panda: Kinematic
     assert [outcome(a) for a in fresh.attempt_many(orders)] == [outcome(a) for a in first]
     for field, old in zip(world, before, strict=True):
         np.testing.assert_array_equal(field, old)
-
-
-def test_turns_are_exact_for_quarters() -> None:
-    np.testing.assert_array_equal(turn(-math.pi / 2) @ [1, 0, 0], [0, -1, 0])
-    np.testing.assert_array_equal(turn(5 * math.pi / 2), turn(math.pi / 2))

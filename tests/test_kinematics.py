@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from learn2assemble.errors import InputError
+from learn2assemble.geometry.rotations import rotation_vector
 from learn2assemble.robot.arm import ARMS, Arm, arm_model, get_arm, load_arm
 from learn2assemble.robot.kinematics import (
     forward,
@@ -18,7 +19,6 @@ from learn2assemble.robot.kinematics import (
     jacobian,
     link_frames,
     logarithm,
-    rotation_vector,
     smallest_singular_value,
 )
 
@@ -92,20 +92,6 @@ def turned(axis: np.ndarray, angle: float) -> np.ndarray:
     x, y, z = axis / np.linalg.norm(axis)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 1.0, 3.0, np.pi - 1e-4, np.pi - 1e-9])
-def test_rotation_vectors_turn_one_rotation_into_the_other(angle: float) -> None:
-    rng, out = np.random.default_rng(3), np.empty(3)
-    for axis in (*np.eye(3), *-np.eye(3), *rng.normal(size=(20, 3))):
-        first = turned(rng.normal(size=3), rng.uniform(0, 3))
-        second = turned(axis, angle) @ first
-        rotation_vector(first, second, out)
-        size = np.linalg.norm(out)
-        assert size == pytest.approx(angle, abs=1e-8)
-        if angle:
-            # In half a turn the sense of the axis is not defined.
-            np.testing.assert_allclose(turned(out, size) @ first, second, atol=1e-7)
 
 
 def test_logarithms_of_rigid_transforms() -> None:

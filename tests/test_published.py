@@ -10,6 +10,7 @@ import pytest
 
 from learn2assemble.checkers import resolve_judge
 from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.geometry.rotations import quaternion_matrices
 from learn2assemble.reproduction.bullet.cell import OPENING, PublishedCell, published_rules
 from learn2assemble.reproduction.bullet.contacts import (
     BREAKING,
@@ -19,7 +20,6 @@ from learn2assemble.reproduction.bullet.contacts import (
     empty,
     move,
     points,
-    rotations,
     touching,
     update,
     wake,
@@ -264,7 +264,7 @@ def test_spinning_bodies_turn_and_sleep_when_still() -> None:
     twist[FIRST, 5] = 1.0
     for _ in range(250):
         move(position, quaternion, twist, awake, still, TIMESTEP)
-    rotation = rotations(quaternion)[FIRST]
+    rotation = quaternion_matrices(quaternion)[FIRST]
     assert np.arctan2(rotation[1, 0], rotation[0, 0]) == pytest.approx(1.0)
     assert still[FIRST] == 0
     twist[:] = 0

@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 
 from learn2assemble.geometry.coverage import FILTERS
+from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.networks.agent import Agent
 from learn2assemble.physics.equilibrium import stability_margin
 from learn2assemble.planning.build import Proof, VerifiedStep, report
@@ -159,9 +160,7 @@ def _state(
     count = len(order)
     state.object_id[0, :count] = order
     state.position[0, :count] = poses[order, :3]
-    state.quaternion[0, :count] = 0.0
-    state.quaternion[0, :count, 0] = np.cos(yaw / 2)
-    state.quaternion[0, :count, 3] = np.sin(yaw / 2)
+    state.quaternion[0, :count] = yaw_quaternion(yaw)
     state.num_placed[0] = len(placed)
     state.terminated[0] = False
     recover_all(state, 0, problem.frames, FILTERS[problem.task.cover_filter])

@@ -20,6 +20,7 @@ import shapely
 
 from learn2assemble.errors import InputError
 from learn2assemble.files import load_json, number, read_head, read_text, sequence, too_deep
+from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.planning.problem import Problem
 from learn2assemble.robot.kinematic.cell import KinematicCell
 from learn2assemble.robot.kinematic.collision import TABLE
@@ -288,7 +289,5 @@ def set_out(problem: Problem, cell: KinematicCell, layout: Layout | None = None)
     state.position[0, first:count] = np.column_stack([chosen[:, :2], np.full(waiting, HALF)])
     # A block keeps its number; the list is in an order in which all can be taken.
     state.object_id[0, first:count] = state.object_id[0, first:count][order]
-    state.quaternion[0, first:count] = 0.0
-    state.quaternion[0, first:count, 0] = np.cos(chosen[:, 2] / 2)
-    state.quaternion[0, first:count, 3] = np.sin(chosen[:, 2] / 2)
+    state.quaternion[0, first:count] = yaw_quaternion(chosen[:, 2])
     return dataclasses.replace(problem, state=state)

@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 
 from learn2assemble.errors import InputError, look_up
+from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.robot.registry import ARMS
 
 PICTURE_GROUP, COLLISION_GROUP = 2, 3
@@ -35,7 +36,7 @@ def read_spec(mjcf: Path, position: np.ndarray, yaw: float, pictures: bool) -> m
             without them.
     """
     spec = mujoco.MjSpec.from_file(str(mjcf))
-    turn = np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
+    turn = yaw_quaternion(yaw)
     for body in spec.worldbody.bodies:
         moved, turned, rotated = np.empty(3), np.empty(4), np.empty(3)
         own = np.asarray(body.quat) / np.linalg.norm(body.quat)

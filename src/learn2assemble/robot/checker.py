@@ -9,6 +9,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.physics.protocol import ARM, Physics, Verdict
 from learn2assemble.robot.moves import (
     QUARTER,
@@ -143,6 +144,4 @@ def _write(state: State, row: int, meant: Scene, real: Scene) -> None:
     state.position[row, placed:count] += real.position[placed:] - meant.position[placed:]
     # A cube turned by a quarter is the same cube, and directions are those of its frame.
     yaw = real.yaw[:placed] - np.rint(real.yaw[:placed] / QUARTER) * QUARTER
-    state.quaternion[row, :placed] = 0.0
-    state.quaternion[row, :placed, 0] = np.cos(yaw / 2)
-    state.quaternion[row, :placed, 3] = np.sin(yaw / 2)
+    state.quaternion[row, :placed] = yaw_quaternion(yaw)

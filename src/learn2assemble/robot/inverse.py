@@ -29,6 +29,7 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.errors import InputError, look_up
+from learn2assemble.geometry.rotations import rotation_vector
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import (
     factorise,
@@ -37,7 +38,6 @@ from learn2assemble.robot.kinematics import (
     get_chain,
     jacobian,
     logarithm,
-    rotation_vector,
     smallest_singular_value,
     solve_factorised,
     tool_and_frames,

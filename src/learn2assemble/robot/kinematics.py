@@ -17,43 +17,8 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.errors import InputError
+from learn2assemble.geometry.rotations import rotation_vector
 from learn2assemble.robot.arm import Arm, arm_model
-
-
-@njit(cache=True)
-def rotation_vector(a, b, out):
-    """Fills out[3] with the vector [rad, world axes] that turns rotation ``a`` into ``b``."""
-    # R = b a^T
-    xx = yy = zz = xy = yx = xz = zx = yz = zy = 0.0
-    for k in range(3):
-        xx += b[0, k] * a[0, k]
-        yy += b[1, k] * a[1, k]
-        zz += b[2, k] * a[2, k]
-        xy += b[0, k] * a[1, k]
-        yx += b[1, k] * a[0, k]
-        xz += b[0, k] * a[2, k]
-        zx += b[2, k] * a[0, k]
-        yz += b[1, k] * a[2, k]
-        zy += b[2, k] * a[1, k]
-    x, y, z = 0.5 * (zy - yz), 0.5 * (xz - zx), 0.5 * (yx - xy)
-    sine = np.sqrt(x * x + y * y + z * z)
-    cosine = 0.5 * (xx + yy + zz - 1.0)
-    angle = np.arctan2(sine, cosine)
-    if sine > 1e-6:
-        factor = angle / sine
-        out[0], out[1], out[2] = factor * x, factor * y, factor * z
-    elif cosine > 0:
-        out[0], out[1], out[2] = x, y, z
-    else:
-        # Half a turn: R + 1 = 2 u u^T, whose longest column gives the axis u.
-        if xx >= yy and xx >= zz:
-            x, y, z = xx + 1, 0.5 * (xy + yx), 0.5 * (xz + zx)
-        elif yy >= zz:
-            x, y, z = 0.5 * (xy + yx), yy + 1, 0.5 * (yz + zy)
-        else:
-            x, y, z = 0.5 * (xz + zx), 0.5 * (yz + zy), zz + 1
-        factor = angle / np.sqrt(x * x + y * y + z * z)
-        out[0], out[1], out[2] = factor * x, factor * y, factor * z
 
 
 @njit(cache=True)

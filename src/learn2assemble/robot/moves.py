@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from learn2assemble.errors import look_up
+from learn2assemble.geometry.rotations import rotate_vectors, yaw_matrix
 from learn2assemble.world.blocks import EDGE, HALF
 
 
@@ -73,7 +74,7 @@ class Attitude(NamedTuple):
         c, s = math.cos(self.tilt), math.sin(self.tilt)
         # Half a turn about x points the tool down; the tilt is about the tool's own y axis.
         down = np.array([[c, 0.0, s], [0.0, -1.0, 0.0], [s, 0.0, -c]])
-        return turn(self.yaw) @ down
+        return yaw_matrix(self.yaw) @ down
 
     def tool_point(self, centre: np.ndarray) -> np.ndarray:
         """float64[3]: where the tool point is when the hand holds a cell with this centre [m]."""
@@ -89,16 +90,6 @@ def along(grasp: Attitude, yaw: float) -> Attitude:
     with it by at most an eighth, as a quarter makes no difference to a cube."""
     turned = yaw - QUARTER * round(yaw / QUARTER)
     return grasp._replace(yaw=grasp.yaw + turned) if turned else grasp
-
-
-def turn(yaw: float) -> np.ndarray:
-    """float64[3, 3]: rotation about z; exact for quarter turns."""
-    quarters = yaw / (math.pi / 2)
-    if abs(quarters - round(quarters)) < 1e-9:
-        c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[round(quarters) % 4]
-    else:
-        c, s = math.cos(yaw), math.sin(yaw)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 class GraspPair(NamedTuple):
@@ -200,7 +191,7 @@ def put_down(scene: Scene, move: Move) -> Scene:
 def carried(scene: Scene, move: Move, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where a move takes cells of the object: centres float64[m, 3] [m] and yaw float64[m]."""
     offset = scene.position[members] - scene.position[move.cell]
-    return move.target + offset @ turn(move.turn).T, scene.yaw[members] + move.turn
+    return move.target + offset @ yaw_matrix(move.turn).T, scene.yaw[members] + move.turn
 
 
 def fillers(position: np.ndarray, object_id: np.ndarray) -> np.ndarray:
@@ -336,17 +327,10 @@ class Recorder:
             np.array(column) for column in zip(*self._rows, strict=True)
         )
         poses = np.array(self._poses)[:, owner]
-        poses[..., :3] += rotated(poses[..., 3:], offset)
+        poses[..., :3] += rotate_vectors(poses[..., 3:], offset)
         return Trajectory(
             time, joints, velocity, width, command, payload, stage.astype(np.int8), poses
         )
-
-
-def rotated(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Vectors float64[..., 3] turned by quaternions float64[..., 4] (w, x, y, z)."""
-    w, axis = quaternion[..., :1], quaternion[..., 1:]
-    across = 2 * np.cross(axis, vector)
-    return vector + w * across + np.cross(axis, across)
 
 
 class Attempt(NamedTuple):

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.dynamic.model import about_z
 from learn2assemble.robot.kinematics import forward_many, get_chain
 from learn2assemble.robot.moves import STAGES, Attempt, Move, Outcome, Scene, Trajectory
 from learn2assemble.robot.record import RATE, BuildRecord, Samples, Stage, StepRecord, arm_facts
@@ -129,7 +129,7 @@ class Logbook:
         members = scene.members(move.cell)
         rest = np.setdiff1d(np.arange(scene.num_placed, len(scene.position)), members)
         order = numbers[np.concatenate([np.arange(scene.num_placed), members, rest])]
-        turn = about_z(scene.yaw[[move.cell]] + move.turn)[0]
+        turn = yaw_quaternion(scene.yaw[[move.cell]] + move.turn)[0]
         after = None
         if attempt.after is not None and attempt.quaternion is not None:
             after = self.poses.copy()
@@ -168,7 +168,7 @@ class Logbook:
 
 def upright(position: np.ndarray, yaw: np.ndarray) -> np.ndarray:
     """Poses float64[n, 7] of cells at centres float64[n, 3] [m], turned about z by float64[n]."""
-    return np.hstack([position, about_z(np.asarray(yaw, float))])
+    return np.hstack([position, yaw_quaternion(yaw)])
 
 
 def stages_of(trajectory: Trajectory) -> list[Stage]:

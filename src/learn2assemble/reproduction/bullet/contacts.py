@@ -38,18 +38,6 @@ FIRST = 2
 
 
 @njit(cache=True)
-def rotations(quaternion):
-    """float64[b, 3, 3] of quaternions float64[b, 4] (w, x, y, z)."""
-    out = np.empty((len(quaternion), 3, 3))
-    for b in range(len(quaternion)):
-        w, x, y, z = quaternion[b]
-        out[b, 0] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-        out[b, 1] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-        out[b, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
-    return out
-
-
-@njit(cache=True)
 def wake(still, touching, held):
     """bool[b]: bodies that are in motion, held or touched by what is.
 

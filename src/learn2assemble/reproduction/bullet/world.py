@@ -16,6 +16,12 @@ import mujoco
 import numpy as np
 
 from learn2assemble.errors import InputError
+from learn2assemble.geometry.rotations import (
+    quaternion_matrices,
+    rotation_vector,
+    yaw_matrix,
+    yaw_quaternion,
+)
 from learn2assemble.reproduction.bullet.contacts import (
     BREAKING,
     FIRST,
@@ -29,15 +35,14 @@ from learn2assemble.reproduction.bullet.contacts import (
     move,
     points,
     resolve,
-    rotations,
     touching,
     update,
     wake,
     yields,
 )
 from learn2assemble.robot.arm import PICTURE_GROUP, Arm, arm_model, arm_spec
-from learn2assemble.robot.kinematics import forward, get_chain, jacobian, rotation_vector
-from learn2assemble.robot.moves import GAP, Attitude, Scene, fillers, turn
+from learn2assemble.robot.kinematics import forward, get_chain, jacobian
+from learn2assemble.robot.moves import GAP, Attitude, Scene, fillers
 from learn2assemble.world.blocks import GRAVITY, HALF, MASS
 
 TIMESTEP = 0.004
@@ -325,8 +330,8 @@ class HandWorld:
         count = len(s.centre)
         self._position, self._quaternion = np.zeros((count, 3)), np.zeros((count, 4))
         self._quaternion[:, 0] = 1
-        self._quaternion[FIRST:, 0], self._quaternion[FIRST:, 3] = np.cos(yaw / 2), np.sin(yaw / 2)
-        self._rotation = rotations(self._quaternion)
+        self._quaternion[FIRST:] = yaw_quaternion(yaw)
+        self._rotation = quaternion_matrices(self._quaternion)
         self._position[FIRST:] = origin
         self._position += np.einsum("bij,bj->bi", self._rotation, s.centre)
         self._twist = np.zeros((count, 6))
@@ -358,7 +363,7 @@ class HandWorld:
         move(self._position, self._quaternion, self._twist, awake, self._still, TIMESTEP)
         motors.joints = motors.joints + TIMESTEP * motors.rates
         self._follow()
-        self._rotation = rotations(self._quaternion)
+        self._rotation = quaternion_matrices(self._quaternion)
 
     def grip(self, cell: int) -> None:
         """Fix the object of a cell to the hand: the cell's centre to the tool point, axes kept."""
@@ -432,7 +437,7 @@ class HandWorld:
         groups = []
         for number in np.unique(scene.object_id):
             cells = np.flatnonzero(scene.object_id == number)
-            axes = turn(float(scene.yaw[cells[0]]))
+            axes = yaw_matrix(float(scene.yaw[cells[0]]))
             offset = (scene.position[cells] - scene.position[cells[0]]) @ axes
             offset = GRAIN * np.rint(offset / GRAIN)
             origin = (scene.position[cells] - offset @ axes.T).mean(0)

@@ -23,8 +23,9 @@ import mujoco
 import numpy as np
 
 from learn2assemble.errors import InputError
+from learn2assemble.geometry.rotations import cube_yaw, rotate_vectors, yaw_quaternion
 from learn2assemble.robot.arm import Arm, arm_spec
-from learn2assemble.robot.moves import Attitude, Move, Scene, fillers, put_down, rotated
+from learn2assemble.robot.moves import Attitude, Move, Scene, fillers, put_down
 from learn2assemble.world.blocks import GRAVITY, HALF, MASS
 
 TIMESTEP = 0.002
@@ -64,8 +65,8 @@ class Objects(NamedTuple):
         """Centres float64[n, 3] [m], quaternions float64[n, 4] and yaws float64[n] [rad] of the
         cells of objects at ``poses`` float64[b, 7]."""
         pose = poses[self.owner]
-        yaw = np.array([heading(matrix(turn)) for turn in pose[:, 3:]])
-        return pose[:, :3] + rotated(pose[:, 3:], self.offset), pose[:, 3:].copy(), yaw
+        yaw = np.array([cube_yaw(matrix(turn)) for turn in pose[:, 3:]])
+        return pose[:, :3] + rotate_vectors(pose[:, 3:], self.offset), pose[:, 3:].copy(), yaw
 
 
 def group(scene: Scene, quaternion: np.ndarray) -> Objects:
@@ -101,21 +102,6 @@ def matrix(quaternion: np.ndarray) -> np.ndarray:
     flat = np.empty(9)
     mujoco.mju_quat2Mat(flat, np.ascontiguousarray(quaternion, float))
     return flat.reshape(3, 3)
-
-
-def about_z(yaw: np.ndarray) -> np.ndarray:
-    """float64[..., 4]: quaternions (w, x, y, z) of turns about z [rad]."""
-    yaw = np.asarray(yaw, float)
-    none = np.zeros_like(yaw)
-    return np.stack([np.cos(yaw / 2), none, none, np.sin(yaw / 2)], -1)
-
-
-def heading(rotation: np.ndarray) -> float:
-    """Yaw [rad] of the cube a body float64[3, 3] is: of whichever face normal lies flattest."""
-    axis = int(np.argmin(np.abs(rotation[2, :2])))
-    x, y = rotation[:2, axis]
-    yaw = np.arctan2(y, x) - axis * np.pi / 2
-    return float((yaw + np.pi) % (2 * np.pi) - np.pi)
 
 
 class World(NamedTuple):
@@ -312,7 +298,7 @@ def rigid_objects(
     Raises:
         InputError: for numbers that are not finite.
     """
-    turns = about_z(scene.yaw) if quaternion is None else np.asarray(quaternion, float)
+    turns = yaw_quaternion(scene.yaw) if quaternion is None else np.asarray(quaternion, float)
     for array in (scene.position, turns):
         if not np.isfinite(array).all():
             raise InputError("scene", array.tolist(), "finite numbers")

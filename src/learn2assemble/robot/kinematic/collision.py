@@ -8,6 +8,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.robot.arm import Arm, arm_spec
 from learn2assemble.robot.moves import GAP, Scene, fillers
 from learn2assemble.world.blocks import HALF
@@ -73,12 +74,12 @@ class CollisionModel:
             yaw: float64[c] [rad].
         """
         d = self.data
-        d.mocap_pos[cells], d.mocap_quat[cells] = position, _about_z(yaw)
+        d.mocap_pos[cells], d.mocap_quat[cells] = position, yaw_quaternion(yaw)
         if len(self._pairs):
             numbers = np.flatnonzero(np.isin(self._pairs[:, 0], cells))
             where, angle = _between(d.mocap_pos, self._pairs[numbers])
             d.mocap_pos[self.num_cells + numbers] = where
-            d.mocap_quat[self.num_cells + numbers] = _about_z(angle)
+            d.mocap_quat[self.num_cells + numbers] = yaw_quaternion(angle)
 
     def take(self, cells: np.ndarray) -> None:
         """Take whole objects out of the scene."""
@@ -99,7 +100,7 @@ class CollisionModel:
         where, angle = _between(position, pairs)
         bodies = self._carried_fillers[: len(pairs)]
         m.body_pos[bodies] = self._in_hand(where)
-        m.body_quat[bodies] = _about_z(angle)  # the tool's z is the hand's
+        m.body_quat[bodies] = yaw_quaternion(angle)  # the tool's z is the hand's
 
     def touch(self, joints: np.ndarray, opening: float) -> Touch | None:
         """The first collision at these joint positions, or None.
@@ -157,13 +158,6 @@ def _box(body: mujoco.MjsBody, half: list[float], contype: int, conaffinity: int
         type=mujoco.mjtGeom.mjGEOM_BOX, size=half, contype=contype, conaffinity=conaffinity,
         mass=0.01,
     )  # fmt: skip
-
-
-def _about_z(yaw: np.ndarray) -> np.ndarray:
-    """float64[n, 4]: quaternions (w, x, y, z)."""
-    quaternion = np.zeros((len(yaw), 4))
-    quaternion[:, 0], quaternion[:, 3] = np.cos(yaw / 2), np.sin(yaw / 2)
-    return quaternion
 
 
 def _between(position: np.ndarray, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
