@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.files import check_keys, load_json, mapping, number, sequence, text
+from learn2assemble.files import MAX_BYTES, check_keys, load_json, mapping, number, sequence, text
 
 if TYPE_CHECKING:
     from manifold3d import CrossSection
@@ -67,6 +67,8 @@ _KEYS = ("format", "version", "name", "description", "units", "elevations", "kit
 
 def read_elevations(content: bytes, source: str) -> Drawing:
     """The elevation JSON of ``docs/designs.md``; its two format keys may be missing."""
+    if len(content) > MAX_BYTES:
+        raise InputError(source, f"{len(content)} bytes", f"at most {MAX_BYTES} bytes")
     try:
         root = mapping(load_json(content.decode("utf-8-sig"), source, _FORMAT), source)
     except UnicodeDecodeError as error:
@@ -181,25 +183,27 @@ def _expanded(
         parts: items inside an item or named by it, and how often.
         weight: entities and characters of an item itself.
     """
-    known: dict[Any, tuple[int, int]] = {}
+    known: dict[Any, tuple[int, int, int]] = {}
     open_items: set[Any] = set()
 
-    def total(item: Any, depth: int) -> tuple[int, int]:
+    def total(item: Any) -> tuple[int, int, int]:
         if item in open_items:
             raise InputError(source, "a reference to itself", "references without a circle")
-        if depth > MAX_DEPTH:
-            raise InputError(source, "groups nested too deeply", f"at most {MAX_DEPTH} levels")
         if item not in known:
             open_items.add(item)
-            entities, drawn = weight(item)
-            for part, times in parts(item):
-                more = total(part, depth + 1)
+            (entities, drawn), depth = weight(item), len(open_items)
+            inside = 0
+            for part, times in parts(item) if depth <= MAX_DEPTH else ():
+                more = total(part)
                 entities, drawn = entities + times * more[0], drawn + times * more[1]
+                inside = max(inside, more[2])
+            if max(depth, inside + 1) > MAX_DEPTH:
+                raise InputError(source, "groups nested too deeply", f"at most {MAX_DEPTH} levels")
             open_items.discard(item)
-            known[item] = entities, drawn
+            known[item] = entities, drawn, inside + 1
         return known[item]
 
-    entities, drawn = total(start, 0)
+    entities, drawn, _ = total(start)
     if entities > MAX_ENTITIES or drawn > MAX_DRAWN:
         got = f"a drawing of {entities} entities and {drawn} characters, references expanded"
         raise InputError(source, got, f"at most {MAX_ENTITIES} and {MAX_DRAWN}")
@@ -453,18 +457,26 @@ def _dxf_points(entity: Any) -> Iterator[tuple[np.ndarray, bool]]:
 
 
 def _closed(chains: list[np.ndarray]) -> Contours:
-    """Closed loops of chains of points that meet end to end."""
+    """Closed loops of chains of points that meet end to end, to 1e-5 of their extent."""
     import shapely
 
     everything = np.concatenate(chains)
     if not np.isfinite(everything).all():
         return chains  # refused with the rest
-    grid = 1e-6 * max(float(np.ptp(everything, axis=0).max()), 1e-12)
-    lines = [shapely.LineString(np.round(c / grid) * grid) for c in chains if len(c) > 1]
-    loops = [line for line in lines if line.is_closed]
-    merged = shapely.line_merge(shapely.MultiLineString([x for x in lines if not x.is_closed]))
-    loops += [line for line in shapely.get_parts(merged) if line.is_closed]
-    return [np.array(line.coords[:-1]) for line in loops if len(line.coords) > 3]
+    ends = np.array([(chain[0], chain[-1]) for chain in chains]).reshape(-1, 2)
+    points: Any = shapely.points(ends)
+    near = 1e-5 * float(np.ptp(everything, axis=0).max())
+    one, other = shapely.STRtree(points).query(points, predicate="dwithin", distance=near)
+    first = np.arange(len(ends))
+    np.minimum.at(first, one, other)
+    same = ends[first].reshape(-1, 2, 2)
+    met = [
+        shapely.LineString([start, *chain[1:-1], end])
+        for chain, (start, end) in zip(chains, same, strict=True)
+    ]
+    merged = shapely.line_merge(shapely.MultiLineString([x for x in met if not x.is_closed]))
+    loops = [*(x for x in met if x.is_closed), *shapely.get_parts(merged)]
+    return [np.array(x.coords[:-1]) for x in loops if x.is_closed and len(x.coords) > 3]
 
 
 # ---------------------------------------------------------------- PNG

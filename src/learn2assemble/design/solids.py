@@ -78,7 +78,9 @@ def read_mesh(content: bytes, kind: str, source: str) -> Solid:
     count = sum(len(f) for _, f in meshes)
     if not 0 < count <= MAX_TRIANGLES:
         raise InputError(source, f"{count} triangles", f"1 to {MAX_TRIANGLES} triangles")
-    for vertices, _ in meshes:
+    for vertices, faces in meshes:
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            raise InputError(source, "a face of vertices that are not there", "a whole mesh file")
         if not np.isfinite(vertices).all() or np.abs(vertices).max() > 1e9:
             raise InputError(source, "coordinates that are not numbers or beyond 1e9", "a mesh")
     welded = [_welded(*mesh) for mesh in meshes]
@@ -208,7 +210,7 @@ def _rhino(content: bytes, source: str) -> tuple[list[Mesh], float | None]:
         elif isinstance(shape, rhino3dm.Extrusion):
             meshes = [shape.GetMesh(rhino3dm.MeshType.Any)]
         elif isinstance(shape, rhino3dm.Brep):
-            faces = shape.Faces
+            faces: Any = shape.Faces
             meshes = [faces[k].GetMesh(rhino3dm.MeshType.Any) for k in range(len(faces))]
         else:
             continue  # curves, points, texts
