@@ -14,7 +14,6 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from learn2assemble.cli.arm_files import write_arm_files
 from learn2assemble.errors import InputError
 from learn2assemble.networks.agent import Agent, load_agent
 from learn2assemble.planning.discover import STAGES, Sequence, depth_first, plan_sequences
@@ -25,6 +24,7 @@ from learn2assemble.planning.execute import (
     real_cell,
     replan_from,
 )
+from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.problem import Problem, design_problem
 from learn2assemble.planning.supply import Layout, read_layout, set_out, supply_places, taking_order
 from learn2assemble.planning.world_model import WorldModel
@@ -34,7 +34,6 @@ from learn2assemble.robot.kinematic.cell import KinematicCell
 from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene, get_grasps
 from learn2assemble.robot.record import BuildRecord, find_fault
 from learn2assemble.simulator import Simulator
-from learn2assemble.viewer import write_page
 from learn2assemble.viewer.playback import Playback
 from learn2assemble.world.design_bounds import parse_design, read_design, required_share
 
@@ -243,37 +242,39 @@ def test_corners_are_filled_while_the_fingers_get_in(agent: Agent) -> None:
 
 
 @pytest.fixture(scope="module")
-def walls(agent: Agent) -> tuple[dict, BuildRecord]:
+def walls(agent: Agent) -> tuple[Plan, BuildRecord | None]:
     out = set_out(problem(WALL, WALL), KINEMATIC)
-    return build_with_arm(out, agent, "test", real_cell(PANDA))
+    plan = build_with_arm(out, agent, "test", real_cell(PANDA))
+    return plan, plan.record
 
 
 def test_two_walls_are_built(walls: tuple) -> None:
     plan, record = walls
-    assert plan["status"] == "complete", plan["reason"]
-    assert [step["outcome"] for step in plan["steps"]] == ["reached"] * len(plan["steps"])
-    assert plan["coverage"] > plan["design"]["success_threshold"]
+    assert plan.status == "complete", plan.reason
+    assert [step.outcome for step in plan.steps] == ["reached"] * len(plan.steps)
+    assert plan.coverage > plan.design.success_threshold
     reached = [s for s in record.steps if s.outcome == Outcome.REACHED]
-    assert [s.plan_step for s in reached] == list(range(1, len(plan["steps"]) + 1))
+    assert [s.plan_step for s in reached] == list(range(1, len(plan.steps) + 1))
     assert max(s.error for s in reached) < 2e-3
-    assert plan["arm"]["attempts"] == len(record.steps)
+    assert plan.arm.attempts == len(record.steps)
     assert find_fault(record) is None
 
 
 def test_the_files_of_a_build_open(walls: tuple, tmp_path: Path) -> None:
     plan, record = walls
-    write_page(plan, tmp_path / "view.html", record)
-    files = write_arm_files(plan, record, tmp_path, video=False)
-    assert set(files) == {"trajectory", "trajectory table"}
-    playback = Playback(record, json.loads(json.dumps(plan)))
-    assert playback.duration == pytest.approx(plan["arm"]["seconds"], abs=0.1)
+    files = plan.save(tmp_path)
+    assert set(files) == {"plan", "page", "picture", "trajectory", "trajectory table"}
+    assert Plan.load(tmp_path) == plan
+    playback = Playback(record, plan.to_dict())
+    assert playback.duration == pytest.approx(plan.arm.seconds, abs=0.1)
 
 
 def test_the_same_seed_gives_the_same_build(agent: Agent) -> None:
     def made() -> tuple:
         out = set_out(problem(), KINEMATIC)
-        plan, record = build_with_arm(out, agent, "test", real_cell(PANDA), seed=3)
-        return plan["steps"], record.joined()[0].joints
+        plan = build_with_arm(out, agent, "test", real_cell(PANDA), seed=3)
+        record = plan.record
+        return plan.steps, record.joined()[0].joints
 
     (steps, joints), (again, same) = made(), made()
     assert steps == again
@@ -282,19 +283,20 @@ def test_the_same_seed_gives_the_same_build(agent: Agent) -> None:
 
 def test_a_build_interrupted_by_lost_blocks_is_replanned_and_finished(agent: Agent) -> None:
     out = set_out(problem(blocks=14), KINEMATIC)
-    plan, record = build_with_arm(out, agent, "test", Clumsy({2, 4}))
+    plan = build_with_arm(out, agent, "test", Clumsy({2, 4}))
+    record = plan.record
     failed = [step for step in record.steps if step.outcome != Outcome.REACHED]
     assert failed
     assert next(s.number for s in failed) == 2
     assert {s.outcome for s in failed} <= {Outcome.GRASP_LOST, Outcome.DROPPED}
     assert all(step.replanned for step in failed)
     assert all(step.plan_step is None for step in failed)
-    assert plan["status"] == "complete", plan["reason"]
-    assert len(plan["arm"]["failures"]) == len(failed)
+    assert plan.status == "complete", plan.reason
+    assert len(plan.arm.failures) == len(failed)
     # No block is lost silently: every one is somewhere, at rest, and the page can show it.
     assert np.isfinite(record.steps[-1].after).all()
     assert (record.steps[-1].after[:, 2] > 0.02).all()
-    Playback(record, plan)
+    Playback(record, plan.to_dict())
     assert find_fault(record) is None
 
 
@@ -305,22 +307,23 @@ def test_a_build_interrupted_by_a_dropped_block_is_replanned_and_finished(
     """One falls beside the wall and has to be fetched; the other happens to fall into its place,
     where it stays, a failure all the same."""
     out = set_out(problem(blocks=14), KINEMATIC)
-    plan, record = build_with_arm(out, agent, "test", Careless({2}, beside))
+    plan = build_with_arm(out, agent, "test", Careless({2}, beside))
+    record = plan.record
     failed = [step for step in record.steps if step.outcome != Outcome.REACHED]
     assert failed[0].number == 2
     assert failed[0].outcome == Outcome.DROPPED
     assert all(step.replanned for step in failed)
-    assert plan["status"] == "complete", plan["reason"]
+    assert plan.status == "complete", plan.reason
     in_place = beside[0] == 0.0
     assert (failed[0].plan_step is not None) == in_place
-    assert ("dropped" in [step["outcome"] for step in plan["steps"]]) == in_place
-    used = {step["block"] for step in plan["steps"]} | {0}
-    assert plan["blocks"]["used"] == len(used) == len(plan["steps"]) + 1
-    for step in plan["steps"]:
-        pose = record.steps[-1].after[step["block"], :3]
-        assert np.linalg.norm(pose - step["position"]) < 5e-3
+    assert ("dropped" in [step.outcome for step in plan.steps]) == in_place
+    used = {step.block for step in plan.steps} | {0}
+    assert plan.blocks.used == len(used) == len(plan.steps) + 1
+    for step in plan.steps:
+        pose = record.steps[-1].after[step.block, :3]
+        assert np.linalg.norm(pose - step.position) < 5e-3
     assert find_fault(record) is None
-    Playback(record, plan)
+    Playback(record, plan.to_dict())
 
 
 def test_a_block_that_lies_askew_is_turned_while_it_is_built(agent: Agent) -> None:
@@ -328,8 +331,9 @@ def test_a_block_that_lies_askew_is_turned_while_it_is_built(agent: Agent) -> No
     places = line(6)
     places[:, 2] = [0.5, -0.5, 0.7, 1.2, -0.3, 3.0]
     out = set_out(wall, KINEMATIC, Layout(places, "here.json"))
-    plan, record = build_with_arm(out, agent, "test", real_cell(PANDA))
-    assert plan["status"] == "complete", plan["reason"]
+    plan = build_with_arm(out, agent, "test", real_cell(PANDA))
+    record = plan.record
+    assert plan.status == "complete", plan.reason
     for step in record.steps:
         if step.outcome == Outcome.REACHED:
             w, x, y, z = step.after[step.cells[0], 3:]
@@ -342,10 +346,11 @@ def test_what_cannot_be_filled_ends_incomplete(agent: Agent) -> None:
     state = out.state.copy()
     state.num_blocks[0] = 3
     short = dataclasses.replace(out, state=state)
-    plan, record = build_with_arm(short, agent, "test", real_cell(PANDA), seconds=1)
-    assert plan["status"] == "incomplete"
-    assert "is needed" in plan["reason"]
-    assert len(record.steps) == len(plan["steps"])
+    plan = build_with_arm(short, agent, "test", real_cell(PANDA), seconds=1)
+    record = plan.record
+    assert plan.status == "incomplete"
+    assert "is needed" in plan.reason
+    assert len(record.steps) == len(plan.steps)
 
 
 @pytest.mark.slow
@@ -355,10 +360,11 @@ def test_examples_are_built(agent: Agent, name: str, arm: str) -> None:
     design = read_design(Path(__file__).parent.parent / "examples" / "designs" / f"{name}.json")
     cell = real_cell(get_arm(arm))
     out = set_out(design_problem(design, arm), KinematicCell(cell.arm, 60))
-    plan, record = build_with_arm(out, agent, name, cell)
-    assert plan["status"] == "complete", plan["reason"]
+    plan = build_with_arm(out, agent, name, cell)
+    record = plan.record
+    assert plan.status == "complete", plan.reason
     assert find_fault(record) is None
-    Playback(record, plan)
+    Playback(record, plan.to_dict())
 
 
 def test_a_plan_goes_on_where_only_the_camera_is_satisfied(
@@ -386,8 +392,9 @@ def test_what_it_needed_is_the_widest_search_of_all_plans() -> None:
 def test_a_refused_design_moves_nothing(agent: Agent) -> None:
     refused = problem(blocks=3)
     assert refused.refusal is not None
-    plan, record = build_with_arm(refused, agent, "test", real_cell(PANDA))
-    assert plan["status"] == "refused"
+    plan = build_with_arm(refused, agent, "test", real_cell(PANDA))
+    record = plan.record
+    assert plan.status == "refused"
     assert not record.steps
 
 
@@ -440,8 +447,9 @@ def test_open_loop_motions_give_the_same_structure(agent: Agent) -> None:
     """The recorded motions alone, sent to a fresh cell without looking, build the same."""
     out = set_out(problem(blocks=8), KINEMATIC)
     keeping = Keeping()
-    plan, record = build_with_arm(out, agent, "test", keeping)
-    assert plan["status"] == "complete"
+    plan = build_with_arm(out, agent, "test", keeping)
+    record = plan.record
+    assert plan.status == "complete"
     poses, blind = record.steps[0].before.copy(), DynamicCell(PANDA)
     for scene, attempt in keeping.kept:
         ids = scene.object_id

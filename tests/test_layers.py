@@ -37,7 +37,7 @@ ALLOWED: dict[str, set[str]] = {
     "planning": _TASK | {"networks", "search", "assembly"},
     "evaluation": _TASK | {"networks", "search", "learning", "planning"},
     "envs": _TASK,
-    "viewer": _WORLD | {"robot"},
+    "viewer": _WORLD | {"robot", "planning"},
     "reproduction": _TASK | {"networks", "search", "learning", "planning", "evaluation", "viewer"},
     "cli": _TASK
     | {

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 
 from arm_record import arm_plan, arm_record
 from learn2assemble.cli import view
-from learn2assemble.cli.arm_files import write_arm_files
 from learn2assemble.errors import InputError, MissingExtraError
+from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.record_files import write_record
 from learn2assemble.robot.shape import box
 from learn2assemble.viewer.cell_model import fill_box, lettering, number_picture, rgb, write
@@ -277,21 +277,21 @@ def test_the_files_of_a_build_and_an_unsound_one(
 ) -> None:
     drawn: list[Path] = []
     monkeypatch.setattr(
-        "learn2assemble.cli.arm_files.write_video", lambda plan, record, path: drawn.append(path)
+        "learn2assemble.viewer.video.write_video", lambda plan, record, path: drawn.append(path)
     )
-    plan, record = arm_plan(COUNT), arm_record("panda", COUNT)
-    files = write_arm_files(plan, record, tmp_path)
+    record = arm_record("panda", COUNT)
+    plan = replace(Plan.from_dict(arm_plan(COUNT)), record=record)
+    files = plan.save(tmp_path, video=True, page=False)
     assert [path.name for path in files.values()] == [
-        "trajectory.json", "trajectory.csv", "build.mp4",
+        "plan.json", "trajectory.json", "trajectory.csv", "build.mp4",
     ]  # fmt: skip
     assert drawn == [tmp_path / "build.mp4"]
     slow = replace(record, arm=replace(record.arm, velocity=record.arm.velocity / 5))
     with pytest.raises(InputError, match=r"rad/s, limit"):
-        write_arm_files(plan, slow, tmp_path)
+        replace(plan, record=slow).save(tmp_path, video=True, page=False)
     assert len(drawn) == 1
-    assert set(write_arm_files(plan, replace(record, steps=()), tmp_path)) == {
-        "trajectory", "trajectory table",
-    }  # fmt: skip
+    still = replace(plan, record=replace(record, steps=()))
+    assert "video" not in still.save(tmp_path, video=True, page=False)
 
 
 def test_view_shows_the_arm_of_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

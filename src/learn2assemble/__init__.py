@@ -12,7 +12,8 @@ from learn2assemble.registry import add_plugin
 
 __version__ = "0.1.0"
 
-add_plugin("learn2assemble.reproduction")
+add_plugin("learn2assemble.reproduction", "physics")
+add_plugin("learn2assemble.viewer", "export")
 
 if importlib.util.find_spec("gymnasium") is not None:
     from learn2assemble.envs import register_all

@@ -1,64 +1,125 @@
-"""JSON from a user: reading files and checking structure, with the path of whatever is wrong."""
+"""Files of a user: bounded reading of JSON, values by their type, writing all or nothing.
+
+Every fault is an :class:`~learn2assemble.errors.InputError` of one line that names the file and the
+JSON path of whatever is wrong.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import gzip
 import json
-from collections.abc import Mapping
+import math
+import os
+import re
+import sys
+import types
+import typing
+import zlib
+from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union
 
 from learn2assemble.errors import InputError, UnknownNameError
 
+T = TypeVar("T")
 MAX_BYTES = 1_000_000
-"""Largest file [bytes]."""
+"""Largest file a person writes [bytes]."""
+MAX_GENERATED = 100_000_000
+"""Largest file a program writes: plans, trajectories, logs, recordings [bytes, unpacked]."""
+MAX_DEPTH = 32
+"""Brackets within brackets."""
+_TOKENS = re.compile(r'"(?:[^"\\]|\\.)*"|[\[{]|[\]}]')
+_SUSPICIOUS = re.compile(r"NaN|Infinity|[eE]\+?0*[1-9][0-9]{2}|[0-9]{309}")
+"""Occurs in every number that is not finite in float64."""
 
 
-class _Object(dict[str, Any]):
-    """A JSON object that remembers a key it was given twice."""
-
-    repeated: str | None = None
-
-
-def _object(pairs: list[tuple[str, Any]]) -> _Object:
-    made = _Object()
-    for key, value in pairs:
-        if key in made:
-            made.repeated = key
-        made[key] = value
-    return made
+# ---------------------------------------------------------------- reading
 
 
 def load_json(text: str, source: str, form: str) -> Any:
     """The value in JSON text of the format ``form``.
 
-    It is ``json.loads`` that keeps track of repeated keys; every fault is an :class:`InputError`.
+    Raises:
+        InputError: for text that is no JSON, brackets nested deeper than ``MAX_DEPTH``, a key given
+            twice, and numbers that are not finite.
     """
     if not text.strip():
         raise InputError(source, "an empty file", f"a JSON object of format {form!r}")
+    if text.count("[") + text.count("{") > MAX_DEPTH:
+        _check_depth(text, source)
+
+    suspicious = bool(_SUSPICIOUS.search(text))
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        nonlocal suspicious
+        made = dict(pairs)
+        if len(made) == len(pairs):
+            return made
+        suspicious = True
+        seen = [key for key, _ in pairs]
+        return _Repeating(made, key=next(key for key in seen if seen.count(key) > 1))
+
     try:
-        return json.loads(text, object_pairs_hook=_object)
+        value = json.loads(text, object_pairs_hook=once)
     except json.JSONDecodeError as error:
         where = f"{source}: line {error.lineno} column {error.colno}"
         raise InputError(where, error.msg, "JSON") from None
     except ValueError:  # Python's limit on the digits of an integer
         got = "an integer of thousands of digits"
         raise InputError(source, got, "numbers of ordinary size") from None
-    except RecursionError:
-        raise too_deep(source) from None
+    if suspicious:
+        _check_tree(value, source, "")
+    return value
+
+
+class _Repeating(dict[str, Any]):
+    """A JSON object that was given a key twice."""
+
+    def __init__(self, values: Mapping[str, Any], key: str) -> None:
+        super().__init__(values)
+        self.key = key
+
+
+def _check_tree(value: Any, source: str, path: str) -> None:
+    """Refuse a repeated key and a number that is not finite, wherever they are."""
+    where = f"{source}: {path}" if path else source
+    if isinstance(value, _Repeating):
+        raise InputError(
+            f"{source}: key of {path}" if path else f"{source}: key", value.key, "every key once"
+        )
+    if isinstance(value, dict):
+        for key, item in value.items():
+            _check_tree(item, source, f"{path}.{key}" if path else printable(key))
+    elif isinstance(value, list):
+        for k, item in enumerate(value):
+            _check_tree(item, source, f"{path}[{k}]")
+    elif isinstance(value, float):
+        number(value, where)
+
+
+def _check_depth(text: str, source: str) -> None:
+    depth = 0
+    for token in _TOKENS.finditer(text):
+        depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(token[0], 0)
+        if depth > MAX_DEPTH:
+            raise too_deep(source)
 
 
 def too_deep(source: str) -> InputError:
-    """The error for JSON that is nested deeper than Python likes."""
+    """The error for JSON whose brackets are nested too deeply."""
     return InputError(source, "brackets nested too deeply", "a few levels")
 
 
-def read_text(path: Path, kind: str) -> tuple[str, str]:
-    """The text of a file of the ``kind`` (``"design file"``), and what messages call it.
+def read_bytes(path: Path, kind: str, limit: int = MAX_BYTES) -> tuple[bytes, str]:
+    """The content of a file of the ``kind`` (``"design file"``), and what messages call it.
+
+    Args:
+        limit: most bytes it may have; a file ``*.gz`` is unpacked and may have as many unpacked.
 
     Raises:
-        InputError: for a file that is missing, unreadable, larger than 1 MB or not UTF-8.
+        InputError: for a file that is missing, unreadable or too large.
     """
     path = Path(path)
     source = printable(str(path))
@@ -69,19 +130,44 @@ def read_text(path: Path, kind: str) -> tuple[str, str]:
             raise InputError(source, "no such file", f"a {kind}")
         if not path.is_file():  # opening a pipe would wait for ever
             raise InputError(source, "something that is not a plain file", f"a {kind}")
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        reason = error.strerror or type(error).__name__
+        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+            content = file.read(limit + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise InputError(source, reason, f"a readable {kind}") from None
-    if len(content) > MAX_BYTES:
-        raise InputError(source, f"more than {MAX_BYTES} bytes", f"a {kind} of at most 1 MB")
+    if len(content) > limit:
+        size = f"at most {limit // 1_000_000} MB"
+        raise InputError(source, f"more than {limit} bytes", f"a {kind} of {size}")
+    return content, source
+
+
+def read_text(path: Path, kind: str, limit: int = MAX_BYTES) -> tuple[str, str]:
+    """The text of a file, see :func:`read_bytes`.
+
+    Raises:
+        InputError: also for what is not UTF-8.
+    """
+    content, source = read_bytes(path, kind, limit)
     try:
-        text = content.decode("utf-8-sig")
+        return content.decode("utf-8-sig"), source
     except UnicodeDecodeError as error:
         got = f"byte 0x{content[error.start]:02x} at offset {error.start}"
         raise InputError(source, got, "UTF-8 text") from None
-    return text, source
+
+
+def read_json(path: Path, kind: str, limit: int = MAX_GENERATED) -> tuple[Any, str]:
+    """The value in a JSON file, and what messages call the file."""
+    text, source = read_text(path, kind, limit)
+    return load_json(text, source, kind), source
+
+
+def read_json_lines(path: Path, kind: str) -> Iterator[tuple[Mapping[str, Any], str]]:
+    """The JSON objects in the lines of a file, each with what messages call it."""
+    text, source = read_text(path, kind, MAX_GENERATED)
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.strip():
+            where = f"{source}: line {number}"
+            yield mapping(load_json(line, where, kind), where), where
 
 
 def printable(source: str) -> str:
@@ -92,11 +178,8 @@ def printable(source: str) -> str:
 def check_keys(
     given: Mapping[str, Any], source: str, path: str, valid: tuple[str, ...], need: tuple[str, ...]
 ) -> None:
-    """Refuse keys given twice, unknown ones, and the lack of needed ones."""
+    """Refuse unknown keys, and the lack of needed ones."""
     where = f"{source}: key of {path}" if path else f"{source}: key"
-    repeated = getattr(given, "repeated", None)
-    if repeated is not None:
-        raise InputError(where, repeated, "every key once")
     for key in given:
         if key not in valid:
             raise UnknownNameError(where, key, valid)
@@ -151,6 +234,13 @@ def integer(value: Any, where: str) -> int:
     return value
 
 
+def boolean(value: Any, where: str) -> bool:
+    """``value`` where it is true or false."""
+    if not isinstance(value, bool):
+        raise InputError(where, value, "true or false")
+    return value
+
+
 def number(value: Any, where: str) -> float:
     """``value`` where it is a finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -159,6 +249,126 @@ def number(value: Any, where: str) -> float:
         number = float(value)
     except OverflowError:
         raise InputError(where, "a number beyond 1e308", "a finite number") from None
-    if not np.isfinite(number):
+    if not math.isfinite(number):
         raise InputError(where, value, "a finite number")
     return number
+
+
+# ---------------------------------------------------------------- values by their type
+
+
+class Range(NamedTuple):
+    """Bounds of a number, in an ``Annotated`` type."""
+
+    low: float
+    high: float
+
+
+def to_plain(value: Any) -> Any:
+    """A dataclass as a JSON value: the opposite of :func:`from_plain`.
+
+    Fields that may be absent and are ``None`` are left out, and those with the metadata
+    ``{"file": False}``.
+    """
+    if dataclasses.is_dataclass(value):
+        return {
+            item.name: to_plain(found)
+            for item in dataclasses.fields(value)
+            if item.metadata.get("file", True)
+            and ((found := getattr(value, item.name)) is not None or item.default is not None)
+        }
+    return [to_plain(item) for item in value] if isinstance(value, tuple) else value
+
+
+def from_plain(kind: Any, value: Any, source: str, path: str = "") -> Any:
+    """A JSON value as the type ``kind``.
+
+    Args:
+        kind: a dataclass of such types; bool, int, float, str; tuples; ``Literal``; a union with
+            ``None``; ``Annotated`` with a :class:`Range`.
+        source: what messages call the file.
+        path: of the value in the file.
+
+    Raises:
+        InputError: naming the file and the path of what is wrong.
+    """
+    where = f"{source}: {path}" if path else source
+    origin, inside = typing.get_origin(kind), typing.get_args(kind)
+    if origin is Annotated:
+        made = from_plain(inside[0], value, source, path)
+        for low, high in (bound for bound in inside[1:] if isinstance(bound, Range)):
+            if made is not None and not low <= made <= high:
+                raise InputError(where, value, f"{low:g} to {high:g}")
+        return made
+    if origin in (Union, types.UnionType):
+        (other,) = (item for item in inside if item is not types.NoneType)
+        return None if value is None else from_plain(other, value, source, path)
+    if origin is Literal:
+        if value not in inside:
+            raise UnknownNameError(where, value, map(str, inside))
+        return value
+    if origin is tuple:
+        many = len(inside) == 2 and inside[1] is Ellipsis
+        words = "a list" if many else f"a list of {len(inside)} values"
+        items = sequence(value, where, words)
+        if not many and len(items) != len(inside):
+            raise InputError(where, value, words)
+        kinds = [inside[0]] * len(items) if many else inside
+        return tuple(
+            from_plain(one, item, source, f"{path}[{k}]")
+            for k, (one, item) in enumerate(zip(kinds, items, strict=True))
+        )
+    if dataclasses.is_dataclass(kind):
+        fields = _fields(kind)
+        given = mapping(value, where)
+        need = tuple(name for name, (_, needed) in fields.items() if needed)
+        check_keys(given, source, path, tuple(fields), need)
+        prefix = f"{path}." if path else ""
+        return kind(**{  # pyright: ignore[reportCallIssue]
+            name: from_plain(fields[name][0], item, source, prefix + name)
+            for name, item in given.items()
+        })  # fmt: skip
+    return {bool: boolean, int: integer, float: number, str: text}[kind](value, where)
+
+
+@cache
+def _fields(kind: Any) -> dict[str, tuple[Any, bool]]:
+    """Type of every field that is in a file, and whether it must be there."""
+    fields = [item for item in dataclasses.fields(kind) if item.metadata.get("file", True)]
+    named = types.SimpleNamespace(__annotations__={item.name: item.type for item in fields})
+    hints = typing.get_type_hints(named, vars(sys.modules[kind.__module__]), include_extras=True)
+    missing = dataclasses.MISSING
+    return {
+        item.name: (hints[item.name], item.default is missing and item.default_factory is missing)
+        for item in fields
+    }
+
+
+# ---------------------------------------------------------------- writing
+
+
+def write_file(path: Path, content: str | bytes, what: str) -> None:
+    """Write a file all or nothing: under another name first, which then takes its place.
+
+    Args:
+        what: the thing that is written, for messages.
+
+    Raises:
+        InputError: where it cannot be written, saying why.
+    """
+    path = Path(path)
+    part = path.with_name(f".{path.name}.part")
+    try:
+        try:
+            part.write_bytes(content.encode() if isinstance(content, str) else content)
+            os.replace(part, path)
+        finally:
+            part.unlink(missing_ok=True)
+    except OSError as error:
+        raise unwritable(what, path, error) from None
+
+
+def unwritable(what: str, path: Path, error: OSError) -> InputError:
+    """The error for a file or folder that cannot be written: a full disk, no right, no folder."""
+    reason = error.strerror or type(error).__name__
+    return InputError(what, printable(str(path)), f"a place that can be written ({reason})")

@@ -9,26 +9,25 @@ from typing import TypeVar
 from learn2assemble.errors import InputError, UnknownNameError
 
 T = TypeVar("T")
-_pending: list[str] = []
+_plugins: dict[str, list[str]] = {}
+"""Modules that add values of a kind, and are not imported yet."""
 
 
-def add_plugin(module: str) -> None:
-    """Name a module whose ``register()`` adds entries; it is imported only when a name is needed
-    that no table holds yet, or when all names are listed."""
-    _pending.append(module)
+def add_plugin(module: str, *kinds: str) -> None:
+    """Name a module whose ``register_KIND(table)`` adds values to the tables of these kinds.
 
-
-def load_plugins() -> None:
-    """Import the plug-ins named so far and let each add its entries."""
-    while _pending:
-        importlib.import_module(_pending.pop(0)).register()
+    It is imported only when a name is needed that its table does not hold yet, or when all names
+    are listed.
+    """
+    for kind in kinds:
+        _plugins.setdefault(kind, []).append(module)
 
 
 class Registry(Mapping[str, T]):
     """Named values of one kind.
 
     Args:
-        kind: what the values are, for error messages, e.g. ``"task"``.
+        kind: what the values are, for error messages and plug-ins, e.g. ``"task"``.
         entries: the package's own.
     """
 
@@ -42,9 +41,16 @@ class Registry(Mapping[str, T]):
         Raises:
             InputError: for a name that is taken, unless ``replace`` is given.
         """
-        if name in self._entries and not replace:
+        if not isinstance(name, str) or not name:
+            raise InputError(f"{self.kind} name", name, "a word")
+        if name in self and not replace:
             raise InputError(f"{self.kind} name", name, "a name that is not taken")
         self._entries[name] = value
+
+    def _load_plugins(self) -> None:
+        for module in _plugins.pop(self.kind, []):
+            register = f"register_{self.kind.replace(' ', '_')}"
+            getattr(importlib.import_module(module), register)(self)
 
     def __getitem__(self, name: str) -> T:
         if name not in self:
@@ -53,13 +59,13 @@ class Registry(Mapping[str, T]):
 
     def __contains__(self, name: object) -> bool:
         if name not in self._entries:
-            load_plugins()
+            self._load_plugins()
         return name in self._entries
 
     def __iter__(self) -> Iterator[str]:
-        load_plugins()
+        self._load_plugins()
         return iter(self._entries)
 
     def __len__(self) -> int:
-        load_plugins()
+        self._load_plugins()
         return len(self._entries)

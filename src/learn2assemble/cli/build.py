@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 import argparse
-import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from learn2assemble.cli.arm_files import write_arm_files
 from learn2assemble.cli.output import Output
 from learn2assemble.errors import InputError, UnknownNameError, look_up
+from learn2assemble.files import to_plain
 from learn2assemble.networks.agent import default_agent, load_agent
 from learn2assemble.planning.build import build
 from learn2assemble.planning.execute import build_with_arm, real_cell
+from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.problem import Problem, design_problem, preset_problem
 from learn2assemble.planning.supply import Layout, read_layout, set_out
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.kinematic.cell import KinematicCell
-from learn2assemble.robot.record import BuildRecord
 from learn2assemble.robot.registry import ARMS
 from learn2assemble.tasks import PRESETS, check_actions
-from learn2assemble.viewer import write_page, write_progress
 from learn2assemble.viewer.video import require_video
 from learn2assemble.world.design_bounds import read_design
 
@@ -43,7 +40,7 @@ def run(options: argparse.Namespace) -> int:
     network = agent.network.config
     check_actions(network.num_actions, network.attitudes, problem.task)
     how = {"seed": options.seed, "seconds": options.seconds, "progress": output.progress}
-    record = None
+    video = False
     if problem.task.has_arm:
         arm = get_arm(problem.task.arm)
         # What is missing shows before the work, not after it.
@@ -52,14 +49,14 @@ def run(options: argparse.Namespace) -> int:
             blocks = int(problem.state.num_blocks[0])
             problem = set_out(problem, KinematicCell(arm, blocks), layout)
         prepare_folder(options.out)
-        plan, record = build_with_arm(problem, agent, source, cell, **how)
+        plan = build_with_arm(problem, agent, source, cell, **how)
     else:
         prepare_folder(options.out)
-        plan, video = build(problem, agent, source, **how), False
-    files = _write(plan, options.out, record, output.progress, video)
+        plan = build(problem, agent, source, **how)
+    files = plan.save(options.out, video=video, progress=output.progress)
     _report(output, plan, files)
     output.finish({**_summary(plan), "files": {k: str(v) for k, v in files.items()}})
-    return 0 if plan["status"] == "complete" else 1
+    return 0 if plan.complete else 1
 
 
 def prepare_folder(folder: Path) -> None:
@@ -109,72 +106,50 @@ def _agent_task(problem: Problem) -> str:
     return DEFAULT_ARM_TASKS[problem.task.num_sides > 2]
 
 
-def _write(
-    plan: dict[str, Any],
-    folder: Path,
-    record: BuildRecord | None,
-    progress: Callable[[str], None],
-    video: bool,
-) -> dict[str, Path]:
-    files = {"plan": folder / "plan.json", "page": folder / "view.html"}
-    files["plan"].write_text(json.dumps(plan, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    write_page(plan, files["page"], record)
-    files["picture"] = folder / "progress.png"
-    write_progress(plan, files["picture"])
-    if record is not None:
-        files |= write_arm_files(plan, record, folder, progress, video)
-    return files
-
-
-def _summary(plan: dict[str, Any]) -> dict[str, Any]:
-    steps = plan["steps"]
+def _summary(plan: Plan) -> dict[str, Any]:
     return {
-        "design": plan["design"]["name"],
-        "status": plan["status"],
-        "reason": plan["reason"],
-        "steps": len(steps),
-        "blocks_used": plan["blocks"]["used"],
-        "blocks_available": plan["blocks"]["available"],
-        "coverage": plan["coverage"],
-        "stable": all(step["stable"] for step in steps),
-        "smallest_margin": min((step["stability_margin"] for step in steps), default=None),
-        "needed": plan["search"]["needed"],
-        "backtracks": plan["search"]["backtracks"],
-        "agent": plan["agent"],
-        "seconds": plan["seconds"],
-        **({"arm": plan["arm"]} if "arm" in plan else {}),
+        "design": plan.design.name,
+        "status": plan.status,
+        "reason": plan.reason,
+        "steps": len(plan.steps),
+        "blocks_used": plan.blocks.used,
+        "blocks_available": plan.blocks.available,
+        "coverage": plan.coverage,
+        "stable": all(step.stable for step in plan.steps),
+        "smallest_margin": plan.margin_g,
+        "needed": plan.search.needed if plan.search else None,
+        "backtracks": plan.search.backtracks if plan.search else 0,
+        "agent": plan.agent,
+        "seconds": plan.seconds,
+        **({"arm": to_plain(plan.arm)} if plan.arm else {}),
     }
 
 
-def _report(output: Output, plan: dict[str, Any], files: dict[str, Path]) -> None:
-    by_arm = "arm" in plan
-    how = ("grasped", "put down", "outcome") if by_arm else ("stable",)
+def _report(output: Output, plan: Plan, files: dict[str, Path]) -> None:
+    how = ("grasped", "put down", "outcome") if plan.arm else ("stable",)
     output.table(
-        plan["design"]["name"],
+        plan.design.name,
         ("step", "block", "placed", "against", "coverage", "margin [g]", *how),
         [
             (
-                step["step"], step["block"], step["relation"],
-                "first block" if step["reference"] == 0 else f"step {step['reference']}",
-                f"{step['coverage']:.1%}", step["stability_margin"],
-                *((step["grasp"], step["place"], step["outcome"]) if by_arm else (step["stable"],)),
+                step.step, step.block, step.relation,
+                "first block" if step.reference == 0 else f"step {step.reference}",
+                f"{step.coverage:.1%}", step.margin_g,
+                *((step.grasp, step.place, step.outcome) if plan.arm else (step.stable,)),
             )
-            for step in plan["steps"]
+            for step in plan.steps
         ],
     )  # fmt: skip
-    for failure in plan["arm"]["failures"] if by_arm else ():
-        after = "; the rest was planned anew" if failure["replanned"] else ""
-        output.say(
-            f"attempt {failure['attempt']}: {failure['outcome']} ({failure['detail']}){after}"
-        )
-    summary = _summary(plan)
-    head = f"{summary['status']}: {summary['blocks_used']} of {summary['blocks_available']} blocks"
+    for failure in plan.arm.failures if plan.arm else ():
+        after = "; the rest was planned anew" if failure.replanned else ""
+        output.say(f"attempt {failure.attempt}: {failure.outcome} ({failure.detail}){after}")
+    needed = plan.search.needed if plan.search else "none"
     output.say(
-        f"{head}, coverage {summary['coverage']:.1%}, needed {summary['needed']}, "
-        f"{summary['seconds']:.1f} s"
+        f"{plan.status}: {plan.blocks.used} of {plan.blocks.available} blocks, "
+        f"coverage {plan.coverage:.1%}, needed {needed}, {plan.seconds:.1f} s"
     )
-    if plan["reason"]:
-        output.say(f"why: {plan['reason']}")
+    if plan.reason:
+        output.say(f"why: {plan.reason}")
     for what in ("page", "video", "trajectory", "trajectory table"):
         if what in files:
             output.say(f"{what}: {files[what]}")

@@ -1,7 +1,5 @@
 """Proving a plan step by step by rigid-body simulation, and its margin of stability.
 
-What came of planning, as the content of ``plan.json`` (``docs/plan.md``).
-
 The main job: plan, verify, widen until it holds, and say what it took.
 """
 
@@ -19,6 +17,16 @@ from learn2assemble.networks.agent import Agent
 from learn2assemble.physics.equilibrium import stability_margin
 from learn2assemble.physics.rigid import SETTLE_STEPS, RigidPhysics
 from learn2assemble.planning.discover import Placement, Progress, Sequence, make, plan_sequences
+from learn2assemble.planning.plan import (
+    BlockSupply,
+    FirstBlock,
+    Plan,
+    PlanDesign,
+    PlanElevation,
+    SearchReport,
+    SearchStage,
+    Step,
+)
 from learn2assemble.planning.problem import Problem
 from learn2assemble.simulator import Simulator
 from learn2assemble.world.blocks import EDGE, RELATIONS
@@ -97,10 +105,7 @@ def verify(problem: Problem, placements: list[Placement]) -> Proof:
     return Proof(steps, filled)
 
 
-FORMAT, VERSION = "learn2assemble-plan", 1
-
-
-def report(
+def make_plan(
     problem: Problem,
     agent: Agent,
     source: str,
@@ -108,15 +113,15 @@ def report(
     proof: Proof,
     started: float,
     verified_by: str | None = None,
-) -> dict[str, Any]:
-    """What ``plan.json`` holds.
+) -> Plan:
+    """What came of planning.
 
     Args:
         proof: its steps refer to one another by number, 0 is the first block.
         started: :func:`time.perf_counter` when planning began.
-        verified_by: by default :func:`~.verify.method`.
+        verified_by: by default :func:`method`.
     """
-    state = problem.state
+    state, task = problem.state, problem.task
     count = int(state.num_blocks[0])
     waiting = np.empty((count, 3))
     waiting[state.object_id[0, :count]] = state.position[0, :count]
@@ -125,71 +130,61 @@ def report(
     if problem.refusal is not None:
         status = "refused"
     coverage = held[-1].coverage if held else 0.0
-    return {
-        "format": FORMAT,
-        "version": VERSION,
-        "design": {
-            "name": problem.name,
-            "source": source,
-            "num_sides": problem.task.num_sides,
-            "frames": problem.frames.tolist(),
-            "elevations": [
-                {"name": name, "outline": outline.tolist()}
+    return Plan(
+        design=PlanDesign(
+            problem.name, source, task.num_sides, _rows(problem.frames),
+            tuple(
+                PlanElevation(name, _rows(outline))
                 for name, outline in zip(problem.elevation_names, problem.outlines, strict=True)
-            ],
-            "success_threshold": problem.task.success_threshold,
-            "block_edge": EDGE,
-        },
-        "agent": agent.name,
-        "status": status,
-        "reason": _reason(problem, status, proof, coverage, count),
-        "search": {
-            "needed": sequence.stage,
-            "budget": sequence.budget,
-            "attempts": [
-                {"stage": a.stage, "result": a.result, "seconds": round(a.seconds, 3)}
-                for a in sequence.attempts
-            ],
-            "backtracks": sequence.backtracks,
-            "dropped": sequence.dropped,
-        },
-        "blocks": {
-            "available": count,
-            "used": len(held) + 1,
-            "waiting": waiting.tolist(),
-        },
-        "first_block": {
-            "block": 0,
-            "position": state.position[0, 0].tolist(),
-            "quaternion": state.quaternion[0, 0].tolist(),
-            "coverage": round(float(state.complete_coverage[0]), 6),
-            "plane_coverage": round(float(state.plane_coverage[0]), 6),
-        },
-        "steps": [
-            _step(number, step, problem.task.rotations)
-            for number, step in enumerate(proof.steps, 1)
-        ],
-        "coverage": coverage,
-        "verified_by": verified_by or method(),
-        "seconds": round(time.perf_counter() - started, 3),
-    }
+            ),
+            task.success_threshold, EDGE,
+        ),
+        status=status,
+        reason=_reason(problem, status, proof, coverage, count),
+        blocks=BlockSupply(count, len(held) + 1, _rows(waiting)),
+        steps=tuple(
+            _step(number, step, task.rotations) for number, step in enumerate(proof.steps, 1)
+        ),
+        coverage=coverage,
+        seconds=round(time.perf_counter() - started, 3),
+        agent=agent.name,
+        planner="agent",
+        search=SearchReport(
+            sequence.stage, sequence.budget,
+            tuple(SearchStage(a.stage, a.result, round(a.seconds, 3)) for a in sequence.attempts),
+            sequence.backtracks, sequence.dropped,
+        ),
+        first_block=FirstBlock(
+            0, _row(state.position[0, 0]), _row(state.quaternion[0, 0]),
+            round(float(state.complete_coverage[0]), 6), round(float(state.plane_coverage[0]), 6),
+        ),
+        verified_by=verified_by or method(),
+    )  # fmt: skip
 
 
-def _step(number: int, step: VerifiedStep, ways: int) -> dict[str, Any]:
-    return {
-        "step": number,
-        "block": step.placement.block,
-        "reference": step.placement.reference,
-        "relation": RELATIONS[step.placement.action // ways],
-        "position": np.round(step.position, 6).tolist(),
-        "quaternion": np.round(step.quaternion, 6).tolist(),
-        "coverage": round(step.coverage, 6),
-        "plane_coverage": round(step.plane_coverage, 6),
-        "stability_margin": round(step.stability_margin, 4),
-        "speed_sum": round(step.speed_sum, 6) if math.isfinite(step.speed_sum) else None,
-        "stable": step.stable,
-        "outside": step.outside,
-    }
+def _row(values: np.ndarray) -> Any:
+    """An array[n] as n numbers."""
+    return tuple(values.tolist())
+
+
+def _rows(values: np.ndarray) -> Any:
+    return tuple(map(_row, values))
+
+
+def _step(number: int, step: VerifiedStep, rotations: int) -> Step:
+    return Step(
+        number, step.placement.block, _row(np.round(step.position, 6)),
+        _row(np.round(step.quaternion, 6)),
+        reference=step.placement.reference,
+        relation=RELATIONS[step.placement.action // rotations],
+        coverage=round(step.coverage, 6),
+        plane_coverage=round(step.plane_coverage, 6),
+        margin_g=round(step.stability_margin, 4),
+        proof="rigid",
+        speed_sum=round(step.speed_sum, 6) if math.isfinite(step.speed_sum) else None,
+        stable=step.stable,
+        outside=step.outside,
+    )  # fmt: skip
 
 
 def _reason(
@@ -217,8 +212,8 @@ def build(
     seed: int = 0,
     seconds: float = 20.0,
     progress: Progress = lambda text: None,
-) -> dict[str, Any]:
-    """The plan of a problem as the content of ``plan.json`` (``docs/plan.md``).
+) -> Plan:
+    """The plan of a problem.
 
     Args:
         source: where the problem comes from, for the report.
@@ -228,7 +223,7 @@ def build(
     started = time.perf_counter()
     if problem.refusal is not None:
         nothing = Sequence([], False, "none: refused before planning", 0)
-        return report(problem, agent, source, nothing, Proof([], False), started)
+        return make_plan(problem, agent, source, nothing, Proof([], False), started)
     best: tuple[Sequence, Proof] | None = None
     for sequence in plan_sequences(problem, agent.network, seed, seconds, progress):
         progress("verifying by rigid-body simulation")
@@ -242,7 +237,7 @@ def build(
         if proof.stable and proof.filled:
             break
     assert best is not None
-    return report(problem, agent, source, *best, started)
+    return make_plan(problem, agent, source, *best, started)
 
 
 def _rank(proof: Proof) -> tuple[bool, float]:

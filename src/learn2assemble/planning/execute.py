@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 import time
 from dataclasses import dataclass, replace
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -20,7 +19,7 @@ from learn2assemble.geometry.coverage import FILTERS
 from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.networks.agent import Agent
 from learn2assemble.physics.equilibrium import stability_margin
-from learn2assemble.planning.build import Proof, VerifiedStep, report
+from learn2assemble.planning.build import Proof, VerifiedStep, make_plan
 from learn2assemble.planning.discover import (
     STAGES,
     Placement,
@@ -31,6 +30,7 @@ from learn2assemble.planning.discover import (
     plan_sequences,
     replay,
 )
+from learn2assemble.planning.plan import ArmFailure, ArmReport, Plan
 from learn2assemble.planning.problem import Problem, placement_key
 from learn2assemble.planning.supply import taking_order
 from learn2assemble.robot.arm import Arm
@@ -39,7 +39,6 @@ from learn2assemble.robot.dynamic.cell import DynamicCell
 from learn2assemble.robot.dynamic.model import matrix
 from learn2assemble.robot.kinematic.cell import KinematicCell
 from learn2assemble.robot.moves import OPENING, QUARTER, Attempt, Move, Outcome, Scene, get_grasps
-from learn2assemble.robot.record import BuildRecord
 from learn2assemble.robot.recorder import Logbook
 from learn2assemble.simulator import Simulator
 from learn2assemble.world.blocks import HALF
@@ -361,14 +360,15 @@ def build_with_arm(
     seed: int = 0,
     seconds: float = 20.0,
     progress: Progress = lambda text: None,
-) -> tuple[dict[str, Any], BuildRecord]:
-    """Build with an arm; the content of ``plan.json`` and what the arm did.
+) -> Plan:
+    """The plan of a build by an arm, with the record of what the arm did.
 
     Every step is an attempt of the cell. After one that fails, the rest is planned anew from where
     arm and blocks really are, without the placement that failed.
 
     Args:
-        problem: its blocks wait where the arm can take them, see :mod:`~.site`.
+        problem: its blocks wait where the arm can take them, see
+            :func:`learn2assemble.planning.supply.set_out`.
         source: where the problem comes from, for the report.
         cell: carries the plan out.
         seconds: limit of the last, widest search of each plan.
@@ -380,32 +380,30 @@ def build_with_arm(
         build.carry_out(agent, seed, seconds, progress)
     steps, real = build.steps(), build.real
     real.log.number_steps(build.step_numbers())
-    words = build.summary(steps)
-    plan = report(problem, agent, source, words, Proof(steps, build.filled), started, method())
-    return _with_arm(plan, problem, steps, real), real.log.record()
+    found, proof = build.summary(steps), Proof(steps, build.filled)
+    plan = make_plan(problem, agent, source, found, proof, started, method())
+    return _with_arm(plan, problem, steps, real)
 
 
-def _with_arm(
-    plan: dict[str, Any], problem: Problem, steps: list[VerifiedStep], real: RealCell
-) -> dict[str, Any]:
-    """The plan with what concerns the arm (``docs/plan.md``)."""
+def _with_arm(plan: Plan, problem: Problem, steps: list[VerifiedStep], real: RealCell) -> Plan:
+    """The plan with what concerns the arm."""
     pairs = get_grasps(problem.task.grasps)
     attempts = {s.plan_step: s.outcome for s in real.log.steps if s.plan_step is not None}
-    for entry, step in zip(plan["steps"], steps, strict=True):
-        pair = pairs[step.placement.action % len(pairs)]
-        entry["outcome"] = attempts[entry["step"]].label
-        entry["grasp"], entry["place"] = (
-            CLOSING[int(abs(np.cos(attitude.yaw)) > 0.5)] for attitude in pair
+    made = []
+    for entry, step in zip(plan.steps, steps, strict=True):
+        grasp, place = (
+            CLOSING[int(abs(np.cos(attitude.yaw)) > 0.5)]
+            for attitude in pairs[step.placement.action % len(pairs)]
         )
-    plan["arm"] = {
-        "name": real.cell.arm.name,
-        "pitch": problem.task.pitch,
-        "attempts": len(real.log.steps),
-        "failures": [
-            {"attempt": step.number, "outcome": step.outcome.label, "detail": step.detail,
-             "replanned": step.replanned}
-            for step in real.log.steps if step.outcome != Outcome.REACHED
-        ],
-        "seconds": round(real.log.now, 2),
-    }  # fmt: skip
-    return plan
+        outcome = attempts[entry.step].label
+        made.append(replace(entry, outcome=outcome, grasp=grasp, place=place, proof="arm"))
+    failures = tuple(
+        ArmFailure(step.number, step.outcome.label, step.detail, step.replanned)
+        for step in real.log.steps
+        if step.outcome != Outcome.REACHED
+    )
+    arm = ArmReport(
+        real.cell.arm.name, problem.task.pitch, len(real.log.steps), failures,
+        round(real.log.now, 2),
+    )  # fmt: skip
+    return replace(plan, steps=tuple(made), arm=arm, record=real.log.record())

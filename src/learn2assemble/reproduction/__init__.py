@@ -8,15 +8,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from learn2assemble.physics.protocol import Physics
+    from learn2assemble.registry import Registry
     from learn2assemble.tasks import Task
 
 
-def register() -> None:
+def register_physics(table: Registry[Callable[[Task], Physics]]) -> None:
     """Add the published cell to the placement checkers."""
-    from learn2assemble.checkers import CELLS
-
-    CELLS.register("published", _published)
+    table.register("published", _published)
 
 
 def _published(task: Task) -> Physics:

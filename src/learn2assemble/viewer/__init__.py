@@ -1,7 +1,38 @@
-"""Reports of a finished build plan: the page, the picture, the video, and a small server."""
+"""Reports of a finished build plan: the page, the picture, the video, and a small server.
 
+They plug into :meth:`learn2assemble.planning.plan.Plan.save`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from learn2assemble.planning.plan import Exporter, Plan
+from learn2assemble.registry import Registry
 from learn2assemble.viewer.page import write_page
-from learn2assemble.viewer.picture import write_progress
 from learn2assemble.viewer.serve import serve
 
-__all__ = ["serve", "write_page", "write_progress"]
+__all__ = ["register_export", "serve", "write_page"]
+
+
+def register_export(exports: Registry[Exporter]) -> None:
+    """Add page and video to what a plan can be saved as."""
+    exports.register("page", _page)
+    exports.register("video", _video)
+
+
+def _page(plan: Plan, folder: Path) -> dict[str, Path]:
+    from learn2assemble.viewer.picture import write_progress
+
+    page, picture, data = folder / "view.html", folder / "progress.png", plan.to_dict()
+    write_page(data, page, plan.record)
+    write_progress(data, picture)
+    return {"page": page, "picture": picture}
+
+
+def _video(plan: Plan, folder: Path) -> dict[str, Path]:
+    from learn2assemble.viewer.video import write_video
+
+    assert plan.record is not None
+    write_video(plan.to_dict(), plan.record, folder / "build.mp4")
+    return {"video": folder / "build.mp4"}

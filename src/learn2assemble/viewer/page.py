@@ -347,7 +347,7 @@ def _elevations(scene: Scene) -> str:
 def _steps(plan: Mapping[str, Any]) -> str:
     rows = []
     for number, step in enumerate(plan["steps"], 1):
-        margin, stable = step["stability_margin"], step["stable"]
+        margin, stable = step.get("margin_g", step.get("stability_margin")), step["stable"]
         support = ' <span class="tag">support</span>' if step.get("outside") else ""
         rows.append(
             f'<tr data-step="{number}"><td><button type="button" data-step="{number}" '

@@ -17,7 +17,7 @@ from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.viewer.playback import rotation_of
 from learn2assemble.world.blocks import RELATIONS
 
-FORMAT, VERSION = "learn2assemble-plan", 1
+FORMAT, VERSIONS = "learn2assemble-plan", (1, 2)
 STATUSES = ("complete", "incomplete", "refused")
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
 _TOLERANCE = 0.002
@@ -131,9 +131,9 @@ def read_scene(plan: Mapping[str, Any]) -> Scene:
         InputError: for something that is not such a plan.
         UnknownNameError: for a status or relation that does not exist.
     """
-    if plan.get("format") != FORMAT or plan.get("version") != VERSION:
+    if plan.get("format") != FORMAT or plan.get("version") not in VERSIONS:
         got = f"{plan.get('format')} version {plan.get('version')}"
-        raise InputError("plan", got, f"{FORMAT} version {VERSION}")
+        raise InputError("plan", got, f"{FORMAT} version 1 or 2")
     if plan.get("status") not in STATUSES:
         raise UnknownNameError("plan status", plan.get("status"), STATUSES)
     try:

@@ -1,0 +1,361 @@
+"""What came of planning: a value with typed steps, and the one schema of ``plan.json``.
+
+The fields are the keys of the file (``docs/plan.md``). Lengths are metres in the world frame, z up;
+quaternions are (w, x, y, z).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from learn2assemble.errors import InputError
+from learn2assemble.files import (
+    MAX_GENERATED,
+    Range,
+    from_plain,
+    integer,
+    mapping,
+    read_json,
+    to_plain,
+    write_file,
+)
+from learn2assemble.registry import Registry
+
+if TYPE_CHECKING:
+    from learn2assemble.robot.record import BuildRecord
+
+FORMAT, VERSION = "learn2assemble-plan", 2
+Metre = Annotated[float, Range(-1e3, 1e3)]
+Seconds = Annotated[float, Range(0, 1e9)]
+Share = Annotated[float, Range(-100, 1.001)]
+Count = Annotated[int, Range(0, 1e6)]
+Unit = Annotated[float, Range(-1.001, 1.001)]
+Point = tuple[Metre, Metre, Metre]
+Quaternion = tuple[Unit, Unit, Unit, Unit]
+Status = Literal["complete", "incomplete", "refused"]
+Relation = Literal["top", "left", "right", "front", "behind"]
+
+
+@dataclass(frozen=True)
+class PlanElevation:
+    """One outline of the target."""
+
+    name: str
+    outline: tuple[tuple[Metre, Metre], ...]
+    """Corners in local (x, z)."""
+
+
+@dataclass(frozen=True)
+class PlanDesign:
+    """What was to be built."""
+
+    name: str
+    source: str
+    """The file or preset it came from."""
+    num_sides: Count
+    frames: tuple[tuple[Unit, Unit, Metre, Metre], ...]
+    """(cos, sin, t_x, t_y) of every side: p_world = R_z p_local + t."""
+    elevations: tuple[PlanElevation, ...]
+    success_threshold: Share
+    """Delta: the target is filled when the coverage exceeds it."""
+    block_edge: Annotated[float, Range(1e-4, 10)]
+
+    def __post_init__(self) -> None:
+        if len(self.frames) != len(self.elevations):
+            raise InputError(
+                "design.frames", len(self.frames), f"{len(self.elevations)}, one per elevation"
+            )
+
+
+@dataclass(frozen=True)
+class SearchStage:
+    """One thing the planner tried."""
+
+    stage: str
+    result: str
+    seconds: Seconds
+
+
+@dataclass(frozen=True)
+class SearchReport:
+    """What it took to find the plan."""
+
+    needed: str
+    """The stage that found it."""
+    budget: Count
+    attempts: tuple[SearchStage, ...] = ()
+    backtracks: Count = 0
+    """Steps taken back."""
+    dropped: Count = 0
+    """Blocks left out in the end, because nothing needed them."""
+
+
+@dataclass(frozen=True)
+class BlockSupply:
+    """The blocks there are."""
+
+    available: Count
+    """How many, the first block included."""
+    used: Count
+    waiting: tuple[Point, ...]
+    """Where each waits before the first step, by number."""
+
+
+@dataclass(frozen=True)
+class FirstBlock:
+    """The block that stands before the first step."""
+
+    block: Count
+    position: Point
+    quaternion: Quaternion
+    coverage: Share = 0.0
+    plane_coverage: Share = 0.0
+
+
+@dataclass(frozen=True)
+class Step:
+    """One block is placed, or a prop taken away."""
+
+    step: Count
+    """From 1."""
+    block: Count
+    """Number of the block, an index of :attr:`BlockSupply.waiting`."""
+    position: Point
+    """Centre of the block after it has settled."""
+    quaternion: Quaternion
+    action: Literal["place", "remove"] = "place"
+    kind: str | None = None
+    """Kind of the block in the kit."""
+    prop: bool = False
+    """Whether it is temporary."""
+    reference: Count | None = None
+    """The step whose block it goes next to; 0 is the first block."""
+    relation: Relation | None = None
+    """Where: on top of that block or at which side."""
+    coverage: Share = 0.0
+    """F_co of the paper after the step."""
+    plane_coverage: Share = 0.0
+    """F_pl of the paper after the step."""
+    margin_g: Annotated[float, Range(-1e6, 1e6)] | None = None
+    """Smallest horizontal acceleration that static equilibrium does not withstand [g]."""
+    tilt_deg: Annotated[float, Range(-180, 180)] | None = None
+    """Smallest tilt of the table that it does not withstand [deg]."""
+    proof: str | None = None
+    """What proves that everything stands after the step."""
+    speed_sum: Annotated[float, Range(0, 1e9)] | None = None
+    """Sum of the fastest block's speed over the settle steps of the simulation [m/s]."""
+    stable: bool = True
+    outside: bool = False
+    """Whether it stands outside every outline."""
+    outcome: str | None = None
+    """With an arm: what came of the attempt that placed it."""
+    grasp: str | None = None
+    """With an arm: axis along which the fingers closed."""
+    place: str | None = None
+    """With an arm: axis along which the fingers opened."""
+
+
+@dataclass(frozen=True)
+class ArmFailure:
+    """An attempt of the arm that failed."""
+
+    attempt: Count
+    outcome: str
+    detail: str
+    replanned: bool
+
+
+@dataclass(frozen=True)
+class ArmReport:
+    """What the arm did."""
+
+    name: str
+    pitch: Metre
+    """Horizontal distance of neighbouring blocks."""
+    attempts: Count
+    failures: tuple[ArmFailure, ...]
+    seconds: Seconds
+    """How long the arm took."""
+
+
+@dataclass(frozen=True)
+class CellCount:
+    """The drawing as cells of the kit's lattice."""
+
+    wanted: Count
+    missing: Count
+    """Wanted and not filled."""
+    outside: Count
+    """Filled and not wanted."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a design is built, step by step, and the proof that every step holds.
+
+    Raises:
+        InputError: for steps that contradict one another.
+    """
+
+    design: PlanDesign
+    status: Status
+    """``refused``: known before planning to be impossible."""
+    reason: str | None
+    """What is missing, in one sentence."""
+    blocks: BlockSupply
+    steps: tuple[Step, ...]
+    coverage: Share
+    """F_co at the end."""
+    seconds: Seconds
+    """Wall time of planning and proof."""
+    agent: str | None = None
+    planner: str | None = None
+    kit: str | None = None
+    search: SearchReport | None = None
+    first_block: FirstBlock | None = None
+    cells: CellCount | None = None
+    verified_by: str | None = None
+    arm: ArmReport | None = None
+    record: BuildRecord | None = field(
+        default=None, compare=False, repr=False, metadata={"file": False}
+    )
+    """With an arm: its motion, which ``trajectory.json`` holds."""
+
+    def __post_init__(self) -> None:
+        for number, step in enumerate(self.steps, 1):
+            where = f"steps[{number - 1}]"
+            if step.step != number:
+                raise InputError(f"{where}.step", step.step, str(number))
+            if step.reference is not None and step.reference >= number:
+                raise InputError(f"{where}.reference", step.reference, f"0 to {number - 1}")
+            if self.blocks.waiting and step.block >= len(self.blocks.waiting):
+                last = len(self.blocks.waiting) - 1
+                raise InputError(f"{where}.block", step.block, f"0 to {last}")
+        placed = [self.first_block, *self.steps] if self.first_block else self.steps
+        for number, block in enumerate(placed, 0 if self.first_block else 1):
+            if abs(sum(q * q for q in block.quaternion) - 1) > 1e-2:
+                where = f"quaternion of block {number}"
+                raise InputError(where, block.quaternion, "(w, x, y, z) of length 1")
+
+    @property
+    def complete(self) -> bool:
+        """Whether the target is filled and every step holds."""
+        return self.status == "complete"
+
+    @property
+    def margin_g(self) -> float | None:
+        """Smallest margin of all steps [g]."""
+        return min((s.margin_g for s in self.steps if s.margin_g is not None), default=None)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The content of ``plan.json``."""
+        return {"format": FORMAT, "version": VERSION, **to_plain(self)}
+
+    @classmethod
+    def from_dict(cls, data: Any, source: str = "plan") -> Plan:
+        """The plan that a parsed ``plan.json`` of this or an earlier version holds.
+
+        Raises:
+            InputError: naming ``source`` and the path of what is wrong.
+        """
+        root = dict(mapping(data, source))
+        form, version = root.pop("format", None), root.pop("version", None)
+        if form != FORMAT:
+            raise InputError(f"{source}: format", form, repr(FORMAT))
+        if not 1 <= integer(version, f"{source}: version") <= VERSION:
+            raise InputError(f"{source}: version", version, f"1 to {VERSION}")
+        if version == 1:
+            root = _from_version_1(root)
+        try:
+            return from_plain(cls, root, source)
+        except InputError as error:
+            if error.what.startswith(source):
+                raise
+            raise InputError(f"{source}: {error.what}", error.got, error.expected) from None
+
+    @classmethod
+    def load(cls, path: str | Path) -> Plan:
+        """The plan in a ``plan.json`` or its folder, with the trajectory beside it if any.
+
+        Raises:
+            InputError: one line that names the file and the JSON path of the fault.
+        """
+        file = Path(path) / "plan.json" if Path(path).is_dir() else Path(path)
+        plan = cls.from_dict(*read_json(file, "plan.json or its folder", MAX_GENERATED))
+        trajectory = file.with_name("trajectory.json")
+        if not trajectory.exists():
+            return plan
+        from learn2assemble.robot.record_files import read_record
+
+        return dataclasses.replace(plan, record=read_record(trajectory))
+
+    def save(
+        self,
+        folder: str | Path,
+        video: bool = False,
+        page: bool = True,
+        progress: Callable[[str], None] = lambda text: None,
+    ) -> dict[str, Path]:
+        """Write ``plan.json``, with an arm its trajectory, and what else is asked for.
+
+        Args:
+            folder: made where it does not exist; files in it are replaced.
+            video: also ``build.mp4``, of a plan with an arm; needs the extra ``video``.
+            page: also ``view.html`` and ``progress.png``.
+            progress: told what takes long.
+
+        Returns:
+            Which file is what.
+
+        Raises:
+            InputError: where something cannot be written, and for a trajectory that breaks a limit
+                of the arm; it is written before it is checked, so that it can be looked at.
+        """
+        folder = Path(folder)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            reason = error.strerror or type(error).__name__
+            raise InputError("folder", str(folder), f"one that can be made ({reason})") from None
+        files = {"plan": folder / "plan.json"}
+        text = json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
+        write_file(files["plan"], text, "plan")
+        if page:
+            files |= EXPORTS["page"](self, folder)
+        if self.record is not None:
+            from learn2assemble.robot.record import require_sound
+            from learn2assemble.robot.record_files import write_csv, write_record
+
+            files["trajectory"] = folder / "trajectory.json"
+            files["trajectory table"] = folder / "trajectory.csv"
+            write_record(self.record, files["trajectory"])
+            write_csv(self.record, files["trajectory table"])
+            require_sound(self.record)
+            if video and self.record.steps:
+                progress("drawing the video")
+                files |= EXPORTS["video"](self, folder)
+        return files
+
+
+Exporter = Callable[[Plan, Path], dict[str, Path]]
+"""Writes something of a plan into a folder; returns which file is what."""
+EXPORTS: Registry[Exporter] = Registry("export", {})
+"""What can be written of a plan, besides itself."""
+
+
+def _from_version_1(root: Mapping[str, Any]) -> dict[str, Any]:
+    """Version 1 called the margin ``stability_margin``."""
+    steps = root.get("steps")
+    if not isinstance(steps, list):
+        return dict(root)
+    renamed = [
+        {"margin_g" if key == "stability_margin" else key: item for key, item in step.items()}
+        if isinstance(step, Mapping) else step
+        for step in steps
+    ]  # fmt: skip
+    return {**root, "steps": renamed}
