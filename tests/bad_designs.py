@@ -211,7 +211,7 @@ BAD = [
     BadDesign("vertex is text", at(3, ["0.05", 0]), "outline[3]: got '0.05'"),
     BadDesign("vertex is true", at(0, [True, 0]), "outline[0]: got True"),
     BadDesign("vertex is null", at(0, [None, 0]), "a number"),
-    BadDesign("vertex is NaN", at(1, [float("nan"), 0.1]), "outline[1]: got nan"),
+    BadDesign("vertex is NaN", at(1, [float("nan"), 0.1]), "outline[1][0]: got nan"),
     BadDesign("vertex is infinite", at(1, [-0.05, float("inf")]), "a finite number"),
     BadDesign("vertex overflows", text("0.05", "1e999"), "a finite number"),
     BadDesign("vertex beyond floats", text("0.05", "1" + "0" * 400), "a finite number"),
