@@ -47,10 +47,12 @@ HELD, HELD_BLOCK = 5e-4, 1e-2
 """Holding forces taken for rounding: all, in the whole weight; of one block, in its weight."""
 SLIP = 1e-3
 """Violation of Coulomb's law at a block taken for rounding, in its normal forces."""
-_ROUNDS = 40
+_ROUNDS = 30
 _STIFFNESS = (1.0, 0.2)
 """Tangential over normal stiffness of a joint; a fixed point with either one is one."""
-_FIRM = 1e-7
+_STEP, _MIX = 0.5, (-3.0, 0.5)
+"""Damping of the fixed point, and bounds of how the round before is mixed in (Anderson 1965)."""
+_FIRM = 1e-8
 """Of the ground spring that holds a block during the rounds: its compliance is 1 / this."""
 _EXACT = 1e4
 """Price of a holding force against elastic energy; the largest displacement that is not a fall."""
@@ -407,28 +409,36 @@ class _System:
         discs = [_conic.SecondOrderConeT(3)] * corners
         cones = [_conic.ZeroConeT(count), _conic.NonnegativeConeT(corners), *discs]
         radius = friction * np.maximum(forces[:, 0], 0)
-        step, last = 1.0, np.inf
+        solver, before = None, None
         for _ in range(_ROUNDS):
-            disc_bound = np.stack([radius, 0 * radius, 0 * radius], 1).reshape(-1)
-            limits = np.concatenate([np.zeros(corners), disc_bound])
+            limits = np.zeros(4 * corners)
+            limits[corners::3] = radius
             bound = np.concatenate([self.weight, limits])
-            answer = _run(energy, np.zeros(3 * corners + count), matrix, bound, cones, 1e-6)
+            if solver is None:
+                cost = np.zeros(3 * corners + count)
+                solver = _solver(energy, cost, matrix, bound, cones, 1e-6)
+            else:
+                solver.update(b=bound)
+            answer = _answer(solver)
             if answer is None:
                 break
-            forces = np.array(answer.x[: 3 * corners]).reshape(-1, 3)
-            slip = self._slip(forces, friction)
-            if slip <= SLIP:
+            x = np.array(answer.x)
+            forces = x[: 3 * corners].reshape(-1, 3)
+            if self._slip(forces, friction) <= SLIP:
+                held = np.linalg.norm(x[3 * corners :].reshape(-1, 6), axis=1)
+                if self.is_small(held):
+                    return True, forces, held, np.zeros((self.count, 6))
                 break
-            if slip > 0.7 * last:
-                step = 0.5
-            last = slip
-            radius = (1 - step) * radius + step * friction * np.maximum(forces[:, 0], 0)
+            change = friction * np.maximum(forces[:, 0], 0) - radius
+            ahead, mix = radius + _STEP * change, 0.0
+            if before is not None:
+                turn = change - before[1]
+                mix = float(np.clip(change @ turn / max(turn @ turn, 1e-300), *_MIX))
+            before_ahead = before[0] if before is not None else ahead
+            before = ahead, change
+            radius = np.maximum((1 - mix) * ahead + mix * before_ahead, 0)
         parts = [_conic.NonnegativeConeT(corners), *discs]
-        disc_bound = np.stack([radius, 0 * radius, 0 * radius], 1).reshape(-1)
-        limits = np.concatenate([np.zeros(corners), disc_bound])
-        forces, held, motion = self._with_holding(soft, _EXACT, signs, limits, parts)
-        fixed = self.is_small(held) and self._slip(forces, friction) <= 2 * SLIP
-        return fixed, forces, held, motion
+        return False, *self._with_holding(soft, _EXACT, signs, limits, parts)
 
     def _slip(self, forces: np.ndarray, friction: float) -> float:
         """Largest violation of Coulomb's law at a block, in its normal forces or its weight."""
@@ -503,13 +513,24 @@ class _System:
 def _run(
     energy: Any, cost: np.ndarray, matrix: Any, bound: np.ndarray, cones: list,
     tolerance: float = 1e-8,
-):  # fmt: skip
+) -> Any:  # fmt: skip
     """Solve one cone program; None where it is infeasible or the solver cannot tell."""
+    return _answer(_solver(energy, cost, matrix, bound, cones, tolerance))
+
+
+def _solver(
+    energy: Any, cost: np.ndarray, matrix: Any, bound: np.ndarray, cones: list, tolerance: float
+) -> Any:
+    """A solver of: least x energy x / 2 + cost x where bound - matrix x is in the cones."""
     settings = _conic.DefaultSettings()
     settings.verbose = False
     settings.max_threads = 1
+    settings.presolve_enable = False  # it would refuse a new bound
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
-    solver = _conic.DefaultSolver(sp.csc_matrix(energy), cost, matrix, bound, cones, settings)
+    return _conic.DefaultSolver(sp.csc_matrix(energy), cost, matrix, bound, cones, settings)
+
+
+def _answer(solver: Any) -> Any:
     answer = solver.solve()
     good = {_conic.SolverStatus.Solved, _conic.SolverStatus.AlmostSolved}
     return answer if answer.status in good else None
