@@ -18,12 +18,13 @@ from learn2assemble.robot.dynamic.prepare import (
     Course,
     Failure,
     JointColumn,
+    free_way,
     joint_column,
     rest_pose,
 )
 from learn2assemble.robot.dynamic.simulation import PUSH, TOUCH, Event, Rules, Simulation, Watch
 from learn2assemble.robot.dynamic.trajectory import Limits, joint_path, pace_of, slowing
-from learn2assemble.robot.dynamic.transit import Surroundings, Touch, straight_or_tree
+from learn2assemble.robot.dynamic.transit import Surroundings
 from learn2assemble.robot.moves import OPENING, Outcome, carried
 from learn2assemble.world.blocks import EDGE
 
@@ -97,15 +98,32 @@ class Execution:
         self.settle("approach")
         self.travel(course.there, "approach")
         self.grasp(course.plan.pick)
-        self.carry(course.across)
+        self.carry(self.checked(course.across, "cross"))
         if self.correct:
             self.place = self.corrected()
         self.lower(self.place, "place", LOADED, NEAR)
         self.release("release", NEAR)
         self.rise("retreat", NEAR)
         if course.home is not None:
-            self.travel(np.vstack([sim.joints, course.home[1:]]), "home")
+            self.travel(self.checked(course.home, "home"), "home")
         self.settle(sim.stage)
+
+    def checked(self, way: np.ndarray, stage: str) -> np.ndarray:
+        """A planned way from where the arm is; another one where things are not as planned and
+        something is in the way now."""
+        sim = self.sim
+        around = Surroundings(sim.arm, sim.world, sim.poses.copy(), self.order.names)
+        if self.holding:
+            position, rotation = sim.tool()
+            pose = sim.poses[sim.target]
+            turned = rotation.T @ matrix(pose[3:])
+            around.carry(sim.target, rotation.T @ (pose[:3] - position), turned, EDGE)
+        else:
+            around.empty(OPENING)
+        planned = np.vstack([sim.joints, way[1:]])
+        if all(around.blocked(start, end) is None for start, end in pairwise(planned)):
+            return planned
+        return free_way(around, sim.joints, way[-1], stage)
 
     def settle(self, stage: str) -> None:
         """Wait until every object rests."""
@@ -310,10 +328,7 @@ def _leave(run: Execution) -> None:
     around.empty(OPENING)
     if around.touch(sim.joints) is not None:
         _back_off(run, around)
-    way = straight_or_tree(around, sim.joints, rest_pose(sim.arm, around))
-    if isinstance(way, Touch):
-        raise Failure(Outcome.UNREACHABLE, "home", f"no free way: {way.words}")
-    run.travel(way, "home", BLIND)
+    run.travel(free_way(around, sim.joints, rest_pose(sim.arm, around), "home"), "home", BLIND)
 
 
 def _back_off(run: Execution, around: Surroundings) -> None:

@@ -39,6 +39,8 @@ GRAIN = 1e-3
 """Places of cells in their object are multiples of this [m]."""
 PLAN_MARGIN = 0.005
 """The arm keeps this distance from everything on planned ways [m]."""
+LOOK = 0.02
+"""Distances up to this are measured when ways are planned [m]."""
 TABLE, ARM, PAD = -1, -2, -3
 """Kinds of geoms in :attr:`World.kind` that belong to no object."""
 
@@ -145,7 +147,7 @@ def compile_world(arm: Arm, shape: tuple[tuple[Box, ...], ...], friction: float)
     _set_options(spec)
     arm_parts = [geom for geom in spec.geoms if geom.contype or geom.conaffinity]
     for part in arm_parts:
-        part.margin = PLAN_MARGIN
+        part.margin = LOOK
     table = spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
     _set_contact(table, friction)
     for number, boxes in enumerate(shape):
@@ -176,7 +178,9 @@ def set_held(world: World, held: int | None) -> None:
     model.geom_contype[kind >= 0], model.geom_conaffinity[kind >= 0] = (
         _THING_BIT, _ARM_BIT | _HELD_BIT
     )  # fmt: skip
+    model.geom_margin[kind >= 0] = 0.0
     if held is not None:
+        model.geom_margin[kind == held] = LOOK
         model.geom_contype[kind == held], model.geom_conaffinity[kind == held] = _HELD_BIT, 0
 
 

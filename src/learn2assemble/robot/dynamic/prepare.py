@@ -202,12 +202,12 @@ def prepare(
     plan, across = _across(arm, around, order, plan)
     around.empty(OPENING)
     start = rest_pose(arm, around) if joints is None else joints
-    there = _way(around, start, plan.pick.joints[-1], "approach")
+    there = free_way(around, start, plan.pick.joints[-1], "approach")
     home = None
     if go_home:
         pose = order.in_world(plan.move.grasp, plan.move.place)
         around.put(order.target, *pose, OPENING)
-        home = _way(around, plan.place.joints[-1], rest_pose(arm, around), "home")
+        home = free_way(around, plan.place.joints[-1], rest_pose(arm, around), "home")
     return Course(plan, there, across, home)
 
 
@@ -283,7 +283,7 @@ def _across(arm: Arm, around: Surroundings, order: Order, plan: Plan) -> tuple[P
         ends = higher.pick.joints[-1], higher.place.joints[-1]
         if around.blocked(*ends) is None:
             return higher, np.array(ends)
-    return plan, _way(around, plan.pick.joints[-1], plan.place.joints[-1], "cross")
+    return plan, free_way(around, plan.pick.joints[-1], plan.place.joints[-1], "cross")
 
 
 def _raised(arm: Arm, order: Order, plan: Plan, levels: int) -> Plan | None:
@@ -297,7 +297,12 @@ def _raised(arm: Arm, order: Order, plan: Plan, levels: int) -> Plan | None:
     return Plan(pick, place, move, height)
 
 
-def _way(around: Surroundings, start: np.ndarray, end: np.ndarray, stage: str) -> np.ndarray:
+def free_way(around: Surroundings, start: np.ndarray, end: np.ndarray, stage: str) -> np.ndarray:
+    """As :func:`straight_or_tree`.
+
+    Raises:
+        Failure: where there is none.
+    """
     way = straight_or_tree(around, start, end)
     if isinstance(way, Touch):
         raise Failure(Outcome.UNREACHABLE, stage, f"no free way: {way.words}")

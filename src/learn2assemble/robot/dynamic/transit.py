@@ -3,14 +3,16 @@
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
-import math
+from collections import deque
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.dynamic.model import ARM, PAD, PLAN_MARGIN, TABLE, World, set_held
+from learn2assemble.robot.dynamic.model import ARM, LOOK, PAD, PLAN_MARGIN, TABLE, World, set_held
+from learn2assemble.robot.inverse import solve
+from learn2assemble.robot.kinematics import forward, get_chain
 
 DEPTH = 0.001
 """What is held may be so deep in other things [m], as it is where it rests on them."""
@@ -18,9 +20,14 @@ SELF_MARGIN = 0.002
 """Distance the arm keeps from itself on planned ways and in columns [m]."""
 STRIDE = 0.05
 """Largest step of a joint between two checks of a way [rad]."""
+KEEP = 0.003
+"""Distance that is certain between two checks [m]: more than the arm strays from what it is told
+(the tool by 2.4 mm at most, measured), less than :data:`~.model.PLAN_MARGIN`."""
 _GROW = 0.4
 """Largest step of a joint when a tree grows [rad]."""
 _TRIES, _SHORTCUTS = 600, 40
+_UP, _MOST_UP = np.array([0.0, 0.0, 0.01]), 15
+"""Steps [m] in which the tool leaves what it is too near to, and how many at most."""
 
 
 class Touch(NamedTuple):
@@ -50,6 +57,7 @@ class Surroundings:
         self._is_arm = (world.kind == ARM) | (world.kind == PAD)
         bodies = [m.body(name).id for name in (arm.gripper.hand, *arm.gripper.fingers)]
         self._is_link = self._is_arm & ~np.isin(m.geom_bodyid, bodies)
+        self._arm_reach = _reaches(m, world)
         self._width = 0.0
         self._held: tuple[int, np.ndarray, np.ndarray] | None = None
         self.empty(0.0)
@@ -91,9 +99,42 @@ class Surroundings:
 
         Args:
             joints: of the arm.
-            margin: distance the arm keeps [m], at most :data:`PLAN_MARGIN`.
+            margin: distance the arm keeps [m], at most :data:`~.model.LOOK`.
             besides: an object it may touch.
         """
+        return self.near(joints, margin, besides)[0]
+
+    def blocked(self, start: np.ndarray, end: np.ndarray) -> Touch | None:
+        """What is nearer than :data:`KEEP` on the straight way between joints, or nearer than
+        :data:`~.model.PLAN_MARGIN` where it was looked at, both ends included; None if nothing.
+
+        No point of the arm moves farther than ``sum |dq_j| reach_j`` between two positions, so the
+        way between them is free where their distances from everything say so; else it is halved.
+        """
+        move = np.abs(end - start)
+        way, stride = float(move @ self._reach()), float(move.max())
+        known: dict[float, float] = {}
+        parts = deque([(0.0, 1.0)])
+        while parts:
+            part = parts.popleft()
+            for share in part:
+                if share not in known:
+                    hit, known[share] = self.near(start + (end - start) * share, PLAN_MARGIN)
+                    if hit is not None:
+                        return hit
+            low, high = part
+            size = high - low
+            free = (known[low] + known[high] - size * way) / 2
+            if free < KEEP or size * stride > STRIDE:
+                middle = (low + high) / 2
+                parts += [(low, middle), (middle, high)]
+        return None
+
+    def near(
+        self, joints: np.ndarray, margin: float, besides: int | None = None
+    ) -> tuple[Touch | None, float]:
+        """What touches what, and the distance of the arm and of what it holds from everything else
+        [m], at most :data:`~.model.LOOK`."""
         m, d, w = self.model, self.data, self.world
         d.qpos[w.joint] = joints
         d.qpos[w.finger] = self._width / len(w.finger)
@@ -105,31 +146,29 @@ class Surroundings:
             mujoco.mju_mat2Quat(self._poses[target, 3:], (tool @ rotation).ravel())
             mujoco.mj_kinematics(m, d)
         mujoco.mj_collision(m, d)
-        for pair, distance in zip(d.contact.geom, d.contact.dist, strict=True) if d.ncon else ():
-            hit = self._collision(pair, distance, margin)
-            if hit is not None and besides not in self.world.kind[pair].tolist():
-                return hit
-        return None
+        if not d.ncon:
+            return None, LOOK
+        pairs, distance = d.contact.geom, d.contact.dist
+        if besides is not None:
+            others = (w.kind[pairs] != besides).all(1)
+            pairs, distance = pairs[others], distance[others]
+        own = self._is_arm[pairs]
+        by_arm, itself = own.any(1), own.all(1)
+        itself_free = (w.kind[pairs] == PAD).all(1)
+        least = np.where(itself, np.where(itself_free, -np.inf, SELF_MARGIN), margin)
+        least[~by_arm] = margin - DEPTH
+        hits = np.flatnonzero(distance < least)
+        hit = self._say(pairs[hits[0]]) if len(hits) else None
+        return hit, float(np.min(distance[~itself], initial=LOOK))
 
-    def blocked(self, start: np.ndarray, end: np.ndarray) -> Touch | None:
-        """What is touched on the straight way between joints, both ends included, or None."""
-        count = max(1, math.ceil(np.abs(end - start).max() / STRIDE))
-        # From the middle outwards finds what is in the way sooner than from one end.
-        for k in sorted(range(count + 1), key=lambda k: abs(2 * k - count)):
-            hit = self.touch(start + (end - start) * (k / count))
-            if hit is not None:
-                return hit
-        return None
-
-    def _collision(self, pair: np.ndarray, distance: float, margin: float) -> Touch | None:
-        kind = self.world.kind[pair]
-        own = self._is_arm[pair]
-        if own.all():
-            near = distance < SELF_MARGIN and not (kind == PAD).all()
-            return self._say(pair) if near else None
-        if not own.any():
-            return self._say(pair) if distance <= -DEPTH else None
-        return self._say(pair) if distance < margin else None
+    def _reach(self) -> np.ndarray:
+        """float64[n]: no point of what a joint moves is farther from its axis [m]."""
+        held = 0.0
+        if self._held is not None:
+            target, position, _ = self._held
+            size = self.model.geom_rbound + np.linalg.norm(self.model.geom_pos, axis=1)
+            held = np.linalg.norm(position) + size[self.world.kind == target].max()
+        return self._arm_reach + held
 
     def _say(self, pair: np.ndarray) -> Touch:
         first, second = sorted(pair, key=lambda g: not self._is_arm[g])
@@ -143,22 +182,61 @@ class Surroundings:
         return "table" if kind == TABLE else self.model.body(self.model.geom_bodyid[geom]).name
 
 
+def _reaches(model: mujoco.MjModel, world: World) -> np.ndarray:
+    """float64[n]: bounds of the distances of the arm's points from its joints' axes [m]."""
+    first = model.jnt_bodyid[world.joint]
+    length = np.linalg.norm(model.body_pos, axis=1)
+    length[model.jnt_bodyid[world.finger]] += model.jnt_range[world.finger, 1]
+    away = np.linalg.norm(model.geom_pos, axis=1) + model.geom_rbound
+    out = np.zeros(len(first))
+    parts = [(int(model.geom_bodyid[g]), away[g]) for g in np.flatnonzero(world.kind < TABLE)]
+    parts.append((int(model.site_bodyid[world.tool]), np.linalg.norm(model.site_pos[world.tool])))
+    for body, reach in parts:
+        while body:
+            out[first == body] = np.maximum(out[first == body], reach)
+            reach += length[body]
+            body = int(model.body_parentid[body])
+    return out
+
+
 def straight_or_tree(
     around: Surroundings, start: np.ndarray, end: np.ndarray, seed: int = 0
 ) -> np.ndarray | Touch:
     """Joint positions float64[k, n] whose straight connections are free, or what is in the way.
 
-    Two trees grow towards each other (RRT-Connect) where the straight line is blocked.
+    An arm that stands too near to something first leaves it upwards. Two trees grow towards each
+    other (RRT-Connect) where the straight line is blocked.
     """
-    hit = around.blocked(start, end)
+    leaving = _leaving(around, start)
+    if isinstance(leaving, Touch):
+        return leaving
+    free = leaving[-1]
+    hit = around.blocked(free, end)
     if hit is None:
-        return np.array([start, end])
-    for joints in (start, end):
-        at_end = around.touch(joints)
-        if at_end is not None:
-            return at_end
-    way = _connect(around, start, end, np.random.default_rng(seed))
-    return hit if way is None else _shortened(around, way, np.random.default_rng(seed))
+        return np.array([*leaving, end])
+    at_end = around.touch(end)
+    if at_end is not None:
+        return at_end
+    way = _connect(around, free, end, np.random.default_rng(seed))
+    if way is None:
+        return hit
+    return np.vstack([*leaving[:-1], _shortened(around, way, np.random.default_rng(seed))])
+
+
+def _leaving(around: Surroundings, start: np.ndarray) -> list[np.ndarray] | Touch:
+    """From a start that may be too near to something, straight up to where nothing is near and
+    nothing gets nearer on the way; or what is in the way."""
+    way = [start]
+    hit, distance = around.near(start, PLAN_MARGIN)
+    least = distance - DEPTH
+    position, rotation = forward(get_chain(around.arm), start)
+    while hit is not None:
+        found = solve(around.arm, position + len(way) * _UP, rotation, way[-1], restarts=0)
+        if len(way) > _MOST_UP or not found.ok or distance < least:
+            return hit
+        way.append(found.joints)
+        hit, distance = around.near(found.joints, PLAN_MARGIN)
+    return way
 
 
 def _connect(
