@@ -38,6 +38,8 @@ NAMES = (
 """The examples that can be built."""
 SMALLEST, LARGEST = 1e-6, 1e-3
 """Amplitudes of the disturbances [m]."""
+SECONDS = 600.0
+"""Limit of a search: so long that a busy machine does not change what is found."""
 
 
 def disturbed(problem: Problem, amplitude: float, rng: np.random.Generator) -> Problem:
@@ -66,7 +68,7 @@ def disturbed_build(name: str, arm: str, run: int) -> dict[str, Any]:
     sides = "four-sided-3x3-10-18" if problem.task.num_sides > 2 else "two-sided-3x3-10-14"
     agent = load_agent(default_agent(f"robot-{sides}"))
     started = time.perf_counter()
-    plan, _ = build_with_arm(problem, agent, name, cell)
+    plan = build_with_arm(problem, agent, name, cell, seconds=SECONDS).to_dict()
     return {
         "design": name, "arm": arm, "run": run, "amplitude": amplitude,
         "status": plan["status"], "reason": plan["reason"],
@@ -76,7 +78,7 @@ def disturbed_build(name: str, arm: str, run: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def missing(runs: int, out: Path) -> Iterator[tuple[str, str, int]]:
+def left_to_do(runs: int, out: Path) -> Iterator[tuple[str, str, int]]:
     """What is not in the file yet."""
     lines = out.read_text(encoding="utf-8").splitlines() if out.exists() else []
     done = {(row["design"], row["arm"], row["run"]) for row in map(json.loads, lines)}
@@ -93,7 +95,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="one JSON line per build")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    for name, arm, run in missing(options.runs, options.out):
+    for name, arm, run in left_to_do(options.runs, options.out):
         row = disturbed_build(name, arm, run)
         with options.out.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import pairwise
 from pathlib import Path
 
 import mujoco
@@ -16,10 +17,17 @@ from learn2assemble.evaluation.bench import build_wall
 from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.dynamic.cell import DynamicCell, replay
-from learn2assemble.robot.dynamic.execution import ONE_SIDED, ShiftRule, check_rest
+from learn2assemble.robot.dynamic.execution import (
+    ONE_SIDED,
+    Execution,
+    ShiftRule,
+    check_rest,
+)
 from learn2assemble.robot.dynamic.model import TIMESTEP, take_order
-from learn2assemble.robot.dynamic.prepare import Failure
-from learn2assemble.robot.dynamic.simulation import Drives, SimulationDivergedError
+from learn2assemble.robot.dynamic.prepare import Failure, prepare
+from learn2assemble.robot.dynamic.simulation import Drives, Simulation, SimulationDivergedError
+from learn2assemble.robot.dynamic.transit import Surroundings
+from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import (
     OPENING,
     STAGES,
@@ -71,6 +79,29 @@ def assert_within_limits(arm: Arm, run: Trajectory) -> None:
     for found, limit in pairs:
         assert (np.abs(found) <= limit * (1 + 1e-4)).all()
     assert arm.inside_limits(run.joints).all()
+
+
+# ---------------------------------------------------------------- ways
+
+
+def test_a_way_home_is_sought_anew_where_a_block_is_in_it(panda: DynamicCell) -> None:
+    far = scene([(0, 0, 0)], [(0, -4, 0), (0, 6, 0)])
+    order = take_order(far, Move(1, cell(2, 0, 0), *AA))
+    world = panda.world(order.objects)
+    course = prepare(PANDA, world, order, None, True, True)
+    assert course.home is not None
+    above = course.home[0]
+    sim = Simulation(PANDA, world, order.poses, order.names, order.target, above, OPENING, 10)
+    run = Execution(sim, order, course, panda.limits, panda.loaded)
+    np.testing.assert_array_equal(run.checked(course.home, "home"), course.home)
+    middle = forward(get_chain(PANDA), (course.home[0] + course.home[-1]) / 2)[0]
+    sim.poses[2, :3] = middle
+    there = Surroundings(PANDA, world, sim.poses.copy(), order.names)
+    there.empty(OPENING)
+    assert there.blocked(course.home[0], course.home[-1]) is not None
+    way = run.checked(course.home, "home")
+    np.testing.assert_array_equal(way[[0, -1]], course.home[[0, -1]])
+    assert all(there.blocked(start, end) is None for start, end in pairwise(way))
 
 
 # ---------------------------------------------------------------- success

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from learn2assemble.robot.arm import get_arm
+from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.dynamic.model import compile_world, take_order
 from learn2assemble.robot.dynamic.prepare import (
     JUMP,
@@ -21,7 +21,13 @@ from learn2assemble.robot.dynamic.prepare import (
     joint_columns,
     prepare,
 )
-from learn2assemble.robot.dynamic.transit import Surroundings, Touch, straight_or_tree
+from learn2assemble.robot.dynamic.transit import (
+    KEEP,
+    STRIDE,
+    Surroundings,
+    Touch,
+    straight_or_tree,
+)
 from learn2assemble.robot.inverse import solve
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import OPENING, Attitude, Move, Scene, get_grasps
@@ -37,17 +43,17 @@ def tower(levels: int) -> Scene:
     return Scene(position, np.zeros(levels + 1), np.arange(levels + 1), levels)
 
 
-def around(scene: Scene) -> Surroundings:
+def around(scene: Scene, arm: Arm = PANDA) -> Surroundings:
     order = take_order(scene, Move(scene.num_placed, np.array([0.0, 0.25, 0.025]), *AA))
     found = Surroundings(
-        PANDA, compile_world(PANDA, order.objects.shape, 1.0), order.poses, order.names
+        arm, compile_world(arm, order.objects.shape, 1.0), order.poses, order.names
     )
     found.empty(OPENING)
     return found
 
 
-def over(y: float, z: float = 0.15) -> np.ndarray:
-    found = solve(PANDA, np.array([0.0, y, z]), Attitude().rotation())
+def over(y: float, z: float = 0.15, x: float = 0.0, arm: Arm = PANDA) -> np.ndarray:
+    found = solve(arm, np.array([x, y, z]), Attitude().rotation())
     assert found.ok
     return found.joints
 
@@ -118,6 +124,72 @@ def test_a_tower_is_gone_round() -> None:
         for share in np.linspace(0, 1, 40):
             assert there.touch(a + share * (b - a), 0.0) is None
     np.testing.assert_array_equal(straight_or_tree(around(tower(6)), start, end), way)
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5e"])
+def test_a_free_way_is_free_between_checks(name: str) -> None:
+    """Also past corners that a finger passes within one stride of the joints."""
+    arm, rng = get_arm(name), np.random.default_rng(5)
+    there = around(tower(5), arm)
+    free = clipped = 0
+    for _ in range(60):
+        x, y, z = rng.uniform([-0.12, -0.12, 0.22], [0.12, 0.12, 0.3], (2, 3)).T
+        start, end = (over(y[k], z[k], x[k], arm) for k in range(2))
+        nearest = [
+            there.near(start + share * (end - start), 0.0)[1] for share in np.linspace(0, 1, 400)
+        ]
+        if there.blocked(start, end) is None:
+            free += 1
+            assert min(nearest) >= KEEP - 1e-4
+        else:
+            count = int(np.ceil(np.abs(end - start).max() / STRIDE))
+            shares = np.arange(count + 1) / count
+            clipped += all(there.touch(start + k * (end - start)) is None for k in shares)
+    assert free > 5
+    assert clipped > 0
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5e"])
+def test_no_point_moves_farther_than_reach_says(name: str) -> None:
+    arm, rng = get_arm(name), np.random.default_rng(1)
+    there = around(tower(1), arm)
+    there.carry(1, np.array([0.01, 0.0, 0.02]), np.eye(3), 0.05)
+    m, d = there.model, there.data
+    moving = np.flatnonzero((m.body_weldid[m.geom_bodyid] > 0) & (there.world.kind != 0))
+
+    def corners(joints: np.ndarray) -> np.ndarray:
+        there.near(joints, 0.0)
+        out = [
+            d.geom_xpos[g] + d.geom_xmat[g].reshape(3, 3) @ (sign * m.geom_size[g])
+            for g in moving
+            for sign in np.array(list(product([-1, 1], repeat=3)))
+        ]
+        return np.array(out)
+
+    for _ in range(50):
+        start = rng.uniform(*arm.limits())
+        end = start + rng.normal(0, 0.2, len(start)) * (rng.random(len(start)) < 0.5)
+        far = np.linalg.norm(corners(end) - corners(start), axis=1).max()
+        assert far <= np.abs(end - start) @ there.reach() + 1e-9
+
+
+@pytest.mark.parametrize("away", [0.001, -0.004])
+def test_an_arm_that_stands_near_a_block_leaves_it_upwards(away: float) -> None:
+    """It touches it, or keeps less distance than on its ways: no reason to stay there for ever."""
+    width = OPENING / 2 - 0.025
+    there = around(tower(3))
+    start = over(width - away, 0.125)
+    hit = there.touch(start)
+    assert hit is not None
+    assert "finger" in hit.words
+    way = straight_or_tree(there, start, over(0.25))
+    assert isinstance(way, np.ndarray)
+    np.testing.assert_array_equal(way[0], start)
+    tools = [forward(get_chain(PANDA), q)[0] for q in way]
+    assert tools[1][2] == pytest.approx(tools[0][2] + 0.01, abs=1e-5)
+    np.testing.assert_allclose(tools[1][:2], tools[0][:2], atol=1e-5)
+    free = next(k for k, q in enumerate(way) if there.touch(q) is None)
+    assert all(there.blocked(a, b) is None for a, b in pairwise(way[free:]))
 
 
 def test_an_end_inside_a_block_cannot_be_reached() -> None:

@@ -112,7 +112,7 @@ class Surroundings:
         way between them is free where their distances from everything say so; else it is halved.
         """
         move = np.abs(end - start)
-        way, stride = float(move @ self._reach()), float(move.max())
+        way, stride = float(move @ self.reach()), float(move.max())
         known: dict[float, float] = {}
         parts = deque([(0.0, 1.0)])
         while parts:
@@ -161,7 +161,7 @@ class Surroundings:
         hit = self._say(pairs[hits[0]]) if len(hits) else None
         return hit, float(np.min(distance[~itself], initial=LOOK))
 
-    def _reach(self) -> np.ndarray:
+    def reach(self) -> np.ndarray:
         """float64[n]: no point of what a joint moves is farther from its axis [m]."""
         held = 0.0
         if self._held is not None:
