@@ -1,0 +1,200 @@
+"""An assembly as files: bill of blocks, step cards, GLB, COMPAS, MJCF and our own JSON.
+
+Every writer makes the whole file before anything is replaced on disk.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from learn2assemble.assembly.blocks import Assembly, Block, convex_parts, fan_triangles
+from learn2assemble.export.cards import step_cards
+from learn2assemble.registry import Registry
+
+GREY = (176, 176, 176)
+"""Of blocks without a colour."""
+
+
+def bill_of_blocks(assembly: Assembly) -> str:
+    """The kinds an assembly needs, as CSV: how many are built in, how many serve as props only.
+
+    A prop that is removed again may be used again, so ``props`` is the largest number of a kind
+    that stands at one time.
+    """
+    built = Counter(_kind(b) for b in assembly.blocks if not b.prop and not b.support)
+    peak: Counter[str] = Counter()
+    standing: Counter[str] = Counter()
+    for step in assembly.steps:
+        block = assembly.block(step.place or step.remove or "")
+        if block.prop:
+            standing[_kind(block)] += 1 if step.place else -1
+            peak |= standing
+    if not assembly.steps:
+        peak = Counter(_kind(b) for b in assembly.blocks if b.prop)
+    first = {_kind(b): b for b in reversed(assembly.blocks)}
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    head = ("kind", "built_in", "props", "total", "length_m", "width_m", "height_m", "mass_kg")
+    writer.writerow(head)
+    for kind in sorted(built | peak):
+        block = first[kind]
+        size = sorted(np.ptp(block.vertices, axis=0)[:2], reverse=True)
+        numbers = (*size, float(np.ptp(block.vertices[:, 2])), block.mass)
+        row = [kind, built[kind], peak[kind], built[kind] + peak[kind]]
+        writer.writerow([*row, *(f"{number:.6g}" for number in numbers)])
+    return out.getvalue()
+
+
+def write_bill(assembly: Assembly, path: Path) -> None:
+    """:func:`bill_of_blocks` as a file."""
+    _replace(path, bill_of_blocks(assembly).encode())
+
+
+def write_cards(assembly: Assembly, path: Path) -> None:
+    """:func:`~.cards.step_cards` as a file."""
+    _replace(path, step_cards(assembly).encode())
+
+
+def write_glb(assembly: Assembly, path: Path) -> None:
+    """The finished structure as binary glTF, one named node a block, z up turned to y up."""
+    import trimesh
+
+    scene = trimesh.Scene()
+    for block in assembly.finished.blocks:
+        triangles = np.concatenate(
+            [fan_triangles(part.vertices, part.faces) for part in convex_parts(block)]
+        )
+        mesh = trimesh.Trimesh(
+            triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3), process=False
+        )
+        mesh.visual.face_colors = (*(block.colour or GREY), 255)  # type: ignore[union-attr]
+        scene.add_geometry(mesh, node_name=block.id, geom_name=block.id)
+    # glTF has y up.
+    scene.apply_transform(np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]]))
+    _replace(path, bytes(scene.export(file_type="glb")))
+
+
+def write_mjcf(assembly: Assembly, path: Path) -> None:
+    """The finished structure as a MuJoCo model: every block a free body on a plane at z = 0.
+
+    Convex parts of a block are geoms of one body; blocks that are supports do not move. Contact
+    settings are those under which stacks of blocks rest without drift (elliptic cone).
+    """
+    root = ElementTree.Element("mujoco", model=assembly.name or "assembly")
+    ElementTree.SubElement(
+        root, "option", timestep="0.002", cone="elliptic", impratio="10", gravity="0 0 -9.81"
+    )
+    default = ElementTree.SubElement(root, "default")
+    friction = f"{assembly.friction:g} 0.005 0.0001"
+    ElementTree.SubElement(
+        default, "geom", friction=friction, solref="0.01 1", solimp="0.95 0.99 0.001"
+    )
+    asset = ElementTree.SubElement(root, "asset")
+    world = ElementTree.SubElement(root, "worldbody")
+    ElementTree.SubElement(world, "light", pos="0 0 3")
+    ElementTree.SubElement(world, "geom", name="table", type="plane", size="0 0 0.05")
+    for block in assembly.finished.blocks:
+        centre = block.centroid
+        body = ElementTree.SubElement(world, "body", name=block.id, pos=_numbers(centre))
+        if not block.support:
+            ElementTree.SubElement(body, "freejoint")
+        colour = " ".join(f"{c / 255:.3f}" for c in block.colour or GREY) + " 1"
+        for number, part in enumerate(convex_parts(block)):
+            attributes = {"density": f"{block.density:g}", "rgba": colour}
+            low, high = part.vertices.min(0), part.vertices.max(0)
+            if is_box(part):
+                attributes |= {
+                    "type": "box", "size": _numbers((high - low) / 2),
+                    "pos": _numbers((low + high) / 2 - centre),
+                }  # fmt: skip
+            else:
+                mesh = f"{block.id}/{number}"
+                # MuJoCo centres a mesh on its own; inertia "exact" and pos keep it in place.
+                points = _numbers((part.vertices - centre).ravel())
+                ElementTree.SubElement(asset, "mesh", name=mesh, vertex=points)
+                attributes |= {"type": "mesh", "mesh": mesh}
+            ElementTree.SubElement(body, "geom", attributes)
+    ElementTree.indent(root)
+    _replace(path, ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def is_box(block: Block) -> bool:
+    """Whether a convex block is a box with edges along x, y and z."""
+    low, high = block.vertices.min(0), block.vertices.max(0)
+    size = high - low
+    near = np.minimum(block.vertices - low, high - block.vertices) <= 1e-9 * size.max()
+    return bool(near.all()) and abs(size.prod() - block.volume) <= 1e-6 * size.prod()
+
+
+def _write_assembly(assembly: Assembly, path: Path) -> None:
+    from learn2assemble.assembly.files import write_assembly
+
+    write_assembly(assembly, path)
+
+
+def _write_compas(assembly: Assembly, path: Path) -> None:
+    from learn2assemble.assembly.files import write_compas
+
+    write_compas(assembly.finished, path)
+
+
+FORMATS: Registry[tuple[str, Callable[[Assembly, Path], None]]] = Registry(
+    "format",
+    {
+        "assembly": ("assembly.json", _write_assembly),
+        "bill": ("bill.csv", write_bill),
+        "cards": ("cards.html", write_cards),
+        "compas": ("compas.json", _write_compas),
+        "glb": ("structure.glb", write_glb),
+        "mjcf": ("structure.xml", write_mjcf),
+    },
+)
+"""Usual file name and writer of every format."""
+
+
+def export(assembly: Assembly, format: str, path: str | Path) -> Path:
+    """Write ``assembly`` in a format by name.
+
+    Args:
+        assembly: blocks where they stand, with steps where the format tells of them.
+        format: a name of :data:`FORMATS`.
+        path: the file, or a folder that gets a file of the usual name.
+
+    Returns:
+        The file written.
+
+    Raises:
+        UnknownNameError: naming the nearest format.
+    """
+    name, write = FORMATS[format]
+    file = Path(path)
+    if file.is_dir():
+        file = file / name
+    write(assembly, file)
+    return file
+
+
+def _kind(block: Block) -> str:
+    return block.kind or "block"
+
+
+def _numbers(values: np.ndarray) -> str:
+    return " ".join(f"{value:.9g}" for value in values)
+
+
+def _replace(path: Path, data: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_bytes(data)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
