@@ -1,0 +1,162 @@
+"""Linear and integer programs for HiGHS, which trusts its input: every matrix is checked first.
+
+.. math:: \\min c^T x \\quad \\text{s.t.} \\quad r_l \\le A x \\le r_u, \\quad x_l \\le x \\le x_u
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import highspy
+import numpy as np
+
+from learn2assemble.errors import Learn2AssembleError
+
+INF = math.inf
+_COLUMNWISE = int(highspy.MatrixFormat.kColwise)
+_MINIMIZE = int(highspy.ObjSense.kMinimize)
+
+
+@dataclass(frozen=True)
+class Program:
+    """Columns of a sparse program. Every array is checked when it is built."""
+
+    cost: np.ndarray
+    """float64[n], finite."""
+    lower: np.ndarray
+    upper: np.ndarray
+    """float64[n]: bounds of the columns."""
+    row_lower: np.ndarray
+    row_upper: np.ndarray
+    """float64[m]: bounds of the rows."""
+    start: np.ndarray
+    """int[n + 1]: column k has the entries ``start[k]:start[k + 1]``."""
+    index: np.ndarray
+    """int[e]: rows of the entries, each at most once a column."""
+    value: np.ndarray
+    """float64[e], finite."""
+    integer: bool = False
+    """Whether all columns are integers."""
+
+    def __post_init__(self) -> None:
+        n, m, e = len(self.cost), len(self.row_lower), len(self.index)
+        start, index = np.asarray(self.start), np.asarray(self.index)
+        sound = (
+            len(self.lower) == len(self.upper) == n
+            and len(self.row_upper) == m
+            and len(self.value) == e
+            and len(start) == n + 1
+            and start[0] == 0
+            and start[-1] == e
+            and bool((np.diff(start) >= 0).all())
+            and (e == 0 or (index.min() >= 0 and index.max() < m))
+            and bool(np.isfinite(self.cost).all() and np.isfinite(self.value).all())
+            and bool((self.lower <= self.upper).all() and (self.row_lower <= self.row_upper).all())
+        )
+        if sound and e:
+            key = np.repeat(np.arange(n), np.diff(start)) * np.int64(m) + index
+            sound = len(np.unique(key)) == e
+        if not sound:
+            raise Learn2AssembleError("program: malformed matrix, bounds or costs")
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a solver found."""
+
+    status: str
+    """``"optimal"``, ``"infeasible"`` or ``"time"`` (then ``x`` is the best found, if any)."""
+    x: np.ndarray | None
+    """float64[n]."""
+    objective: float
+    bound: float
+    """No solution is better than this."""
+
+
+def columns(
+    rows: Sequence[np.ndarray], values: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """``start, index, value`` of a matrix given column by column."""
+    start = np.concatenate([[0], np.cumsum([len(row) for row in rows], dtype=np.int64)])
+    if not len(rows):
+        return start, np.empty(0, np.int64), np.empty(0)
+    return start, np.concatenate(rows), np.concatenate(values)
+
+
+def solve(program: Program, seconds: float = INF, *, method: str = "choose") -> Answer:
+    """The optimum of ``program`` (gap 0), on one thread and the same every time.
+
+    Args:
+        seconds: wall-clock limit.
+        method: of HiGHS for linear programs: ``"choose"``, ``"simplex"`` or ``"ipm"``.
+
+    Raises:
+        Learn2AssembleError: where the solver fails.
+    """
+    n, m = len(program.cost), len(program.row_lower)
+    if n == 0:
+        fits = bool(((program.row_lower <= 0) & (program.row_upper >= 0)).all())
+        return Answer("optimal" if fits else "infeasible", np.empty(0) if fits else None, 0.0, 0.0)
+    if seconds <= 0:
+        return Answer("time", None, INF, -INF)
+    solver = highspy.Highs()
+    solver.setOptionValue("output_flag", False)
+    solver.setOptionValue("threads", 1)
+    solver.setOptionValue("random_seed", 0)
+    solver.setOptionValue("mip_rel_gap", 0.0)
+    solver.setOptionValue("mip_abs_gap", 1e-6)
+    solver.setOptionValue("solver", method)
+    if math.isfinite(seconds):
+        solver.setOptionValue("time_limit", float(seconds))
+    status = solver.passModel(
+        n, m, len(program.value), _COLUMNWISE, _MINIMIZE, 0.0,
+        np.ascontiguousarray(program.cost, float),
+        np.ascontiguousarray(program.lower, float), np.ascontiguousarray(program.upper, float),
+        np.ascontiguousarray(program.row_lower, float),
+        np.ascontiguousarray(program.row_upper, float),
+        np.ascontiguousarray(program.start, np.int32),
+        np.ascontiguousarray(program.index, np.int32),
+        np.ascontiguousarray(program.value, float),
+        np.full(n, int(program.integer), np.int32),
+    )  # fmt: skip
+    if status == highspy.HighsStatus.kError:
+        raise Learn2AssembleError("program: the solver refused the matrix")
+    solver.run()
+    found, info = solver.getModelStatus(), solver.getInfo()
+    known = highspy.HighsModelStatus
+    if found == known.kInfeasible:
+        return Answer("infeasible", None, INF, INF)
+    solution = solver.getSolution()
+    feasible = info.primal_solution_status == int(highspy.SolutionStatus.kSolutionStatusFeasible)
+    x = np.array(solution.col_value) if feasible else None
+    objective = float(info.objective_function_value) if feasible else INF
+    if found == known.kOptimal:
+        return Answer("optimal", x, objective, objective)
+    if found in (known.kTimeLimit, known.kIterationLimit, known.kSolutionLimit):
+        bound = float(info.mip_dual_bound) if program.integer else -INF
+        return Answer("time", x, objective, bound)
+    if method != "ipm" and not program.integer:
+        # On the border of feasibility the simplex method may give up.
+        return solve(program, seconds, method="ipm")
+    raise Learn2AssembleError(f"program: the solver stopped with {found}")
+
+
+class Clock:
+    """How much of a limit of seconds is left."""
+
+    def __init__(self, seconds: float) -> None:
+        self.limit = float(seconds)
+        self._start = time.monotonic()
+
+    @property
+    def spent(self) -> float:
+        """Wall-clock seconds since the start."""
+        return time.monotonic() - self._start
+
+    @property
+    def left(self) -> float:
+        """Seconds left, not below 0."""
+        return max(0.0, self.limit - self.spent)

@@ -1,0 +1,447 @@
+r"""Whether a stack of lattice blocks stands on its bed faces: a compiled proof, a program behind it.
+
+Only horizontal joints carry force, so nothing depends on how tight the vertical ones are. A state
+is *proven* where normal forces :math:`N_p \ge 0` at the corners of the contact patches balance
+every block :math:`b` of weight :math:`w_b` and centre :math:`c_b`:
+
+.. math::
+
+    \sum_{p \text{ below } b} N_p\,(1, x_p, y_p) - \sum_{p \text{ above } b} N_p\,(1, x_p, y_p)
+        = w_b\,(1, c_{bx}, c_{by}) .
+
+Such forces need no friction, hence hold for every coefficient of friction: forces that balance
+mean that no motion lowers the centre of mass, and friction can only take energy away.
+
+**Sideways acceleration.** Where gravity is joined by a horizontal acceleration ``a`` along ``d``,
+let every force point along :math:`(a d, 1)`: the same equations with :math:`x` replaced by
+:math:`x - a z d` for points and centres. A solution is a proof for every friction of at least
+``a``; tilting the table by :math:`\arctan a` is the same load. Such forces are one family among
+all that friction allows, so the acceleration found is a lower bound of what the stack withstands.
+
+**Local proof.** A new block's load is passed down, block by block: its bed faces answer with the
+smallest change of their forces that balances it and stays non-negative (a linear pressure where
+nothing is at zero yet), a quadratic program in three multipliers solved by Newton's method. Only
+what lies below is touched. Where that fails, a linear program decides: first over what lies below
+with the loads of all else held, then over all blocks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from learn2assemble.assembly.kit import Kit
+from learn2assemble.planning.programs import INF, Program, solve
+from learn2assemble.planning.tiling import BlockPlacement, convex_hull, owners, placement_cells
+
+GROUND = -1
+EDGE_INSET = 1e-3
+"""Support polygons are smaller than bed faces by this share of the pitch on every side, besides
+half the joint gap: what is balanced right on an edge is not called standing."""
+TOLERANCE = 1e-7
+"""Largest imbalance of a proof, in weights of the heaviest block (and of the pitch)."""
+_ITERATIONS = 40
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Blocks and the corners of the bed joints between them."""
+
+    weight: np.ndarray
+    """float64[n] [kg]."""
+    centre: np.ndarray
+    """float64[n, 3] [m]."""
+    point: np.ndarray
+    """float64[P, 3] [m], sorted by ``upper``."""
+    upper: np.ndarray
+    """int64[P]: the block that rests on the point."""
+    lower: np.ndarray
+    """int64[P]: the block that bears it, -1 for the table."""
+    share: np.ndarray
+    """float64[P]: area that belongs to the point [m2]."""
+    start: np.ndarray
+    """int64[n + 1]: block b rests on the points ``start[b]:start[b + 1]``."""
+    rank: np.ndarray
+    """int64[n]: every block has a larger rank than those it rests on."""
+    pitch: float
+    """Unit of length of the solver [m]."""
+
+    def __len__(self) -> int:
+        return len(self.weight)
+
+    def below(self, block: int) -> np.ndarray:
+        """Blocks that ``block`` rests on, sorted, without the table."""
+        found = np.unique(self.lower[self.start[block] : self.start[block + 1]])
+        return found[found >= 0]
+
+
+def find_stack(
+    placements: tuple[BlockPlacement, ...], kit: Kit, shape: tuple[int, ...],
+    gap: float | None = None,
+) -> Stack:  # fmt: skip
+    """The blocks of a tiling, props included, and their bed joints.
+
+    Args:
+        shape: X, Y, Z of the lattice.
+        gap: width of the vertical joints [m]; that of the kit without it. Weights stay those of
+            the kit, so a wider gap only makes support polygons smaller.
+    """
+    gap = kit.joint_gap if gap is None else gap
+    dx, dy, dz = pitch = np.array(kit.pitch)
+    middle = np.array([shape[0] / 2, shape[1] / 2, 0.0])
+    owner = owners(placements, kit, shape)
+    padded = np.pad(owner, ((1, 1), (1, 1), (1, 0)), constant_values=-1)
+    # Cells whose lower face rests on another block or on the table.
+    under = padded[1:-1, 1:-1, :-1]
+    on_table = np.zeros_like(owner, bool)
+    on_table[:, :, 0] = True
+    cells = np.argwhere((owner >= 0) & (owner != under) & ((under >= 0) | on_table))
+    x, y, z = cells.T
+    top, base = owner[x, y, z], under[x, y, z]
+    inset = gap / 2 + EDGE_INSET * min(dx, dy)
+    sides = []
+    for u, v in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+        ends = padded[x + 1 + u, y + 1 + v, z + 1] != top
+        ends |= (base >= 0) & (padded[x + 1 + u, y + 1 + v, z] != base)
+        sides.append(np.where(ends, inset, 0.0))
+    low = np.stack([x * dx + sides[0], y * dy + sides[2]], -1) - middle[:2] * pitch[:2]
+    high = np.stack([(x + 1) * dx - sides[1], (y + 1) * dy - sides[3]], -1) - middle[:2] * pitch[:2]
+    order = np.lexsort((z, base, top))
+    same = np.diff(np.stack([top, base, z])[:, order], axis=1).any(0)
+    patches = np.split(order, np.flatnonzero(same) + 1) if len(order) else []
+    points, upper, lower, share = [], [], [], []
+    for patch in patches:
+        a, b = low[patch].min(0), high[patch].max(0)
+        area = float(np.prod(high[patch] - low[patch], axis=1).sum())
+        corners = np.array([[a[0], a[1]], [b[0], a[1]], [b[0], b[1]], [a[0], b[1]]])
+        if len(patch) > 1 and area < 0.999 * np.prod(b - a):
+            c, d = low[patch], high[patch]
+            corners = convex_hull(
+                np.concatenate([c, d, np.stack([c[:, 0], d[:, 1]], -1),
+                                np.stack([d[:, 0], c[:, 1]], -1)])  # fmt: skip
+            )
+        height = np.full((len(corners), 1), z[patch[0]] * dz)
+        points.append(np.concatenate([corners, height], 1))
+        upper += [top[patch[0]]] * len(corners)
+        lower += [base[patch[0]]] * len(corners)
+        share += [area / len(corners)] * len(corners)
+    weight, centre = _masses(placements, kit, pitch, middle)
+    tops = np.array(upper, np.int64)
+    start = np.searchsorted(tops, np.arange(len(placements) + 1))
+    stack = Stack(
+        weight, centre, np.concatenate(points), tops, np.array(lower, np.int64), np.array(share),
+        start, np.zeros(len(placements), np.int64), float(min(dx, dy)),
+    )  # fmt: skip
+    stack.rank[:] = _ranks(stack)
+    return stack
+
+
+def _masses(
+    placements: tuple[BlockPlacement, ...], kit: Kit, pitch: np.ndarray, middle: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Weights [kg] and centres [m] of blocks whose sides lie half a joint inside their cells."""
+    kinds = {kind.name: kind for kind in kit.kinds}
+    known: dict[tuple[str, int], tuple[float, np.ndarray]] = {}
+    weight, centre = np.empty(len(placements)), np.empty((len(placements), 3))
+    for number, block in enumerate(placements):
+        key = block.kind, block.turn
+        if key not in known:
+            cells = placement_cells(block, kit) - block.origin
+            own = {tuple(cell) for cell in cells.tolist()}
+            low, high = cells * pitch, (cells + 1) * pitch
+            for axis, (u, v) in enumerate(((1, 0), (0, 1))):
+                for k, (a, b, c) in enumerate(cells.tolist()):
+                    low[k, axis] += kit.joint_gap / 2 * ((a - u, b - v, c) not in own)
+                    high[k, axis] -= kit.joint_gap / 2 * ((a + u, b + v, c) not in own)
+            volume = np.prod(high - low, axis=1)
+            density = kinds[block.kind].density or kit.density
+            middle_of = ((low + high) / 2 * volume[:, None]).sum(0) / volume.sum()
+            known[key] = density * float(volume.sum()), middle_of
+        weight[number] = known[key][0]
+        centre[number] = known[key][1] + (block.origin - middle) * pitch
+    return weight, centre
+
+
+def _ranks(stack: Stack) -> np.ndarray:
+    """int64[n]: longest way down to the table; -1 for blocks that rest on one another in a ring."""
+    rank = np.full(len(stack), -1)
+    below = [stack.below(block) for block in range(len(stack))]
+    above: list[list[int]] = [[] for _ in range(len(stack))]
+    for block, bases in enumerate(below):
+        for base in bases:
+            above[base].append(block)
+    left = np.array([len(bases) for bases in below])
+    ready = np.flatnonzero(left == 0).tolist()
+    rank[ready] = 0
+    for block in ready:
+        for top in above[block]:
+            left[top] -= 1
+            rank[top] = max(rank[top], rank[block] + 1)
+            if left[top] == 0:
+                ready.append(top)
+    rank[left > 0] = -1
+    return rank
+
+
+# ---------------------------------------------------------------- compiled
+
+
+@njit(cache=True)
+def _answer(force, xs, ys, share, target, cx, cy, unit, scale, trial):
+    """Smallest change of ``force`` (float64[k], in place) that balances ``target`` about (cx, cy).
+
+    ``target`` is (force, moments) in the units of ``force`` and of ``unit`` [m]. Returns whether
+    it was found; ``trial`` is float64[k] to work in.
+    """
+    count = len(force)
+    mean = 0.0
+    for p in range(count):
+        mean += share[p]
+    if mean <= 0.0:
+        return False
+    mean /= count
+    l0 = l1 = l2 = 0.0
+    for p in range(count):
+        trial[p] = force[p]
+    r0, r1, r2 = target[0], target[1], target[2]
+    for p in range(count):
+        u, v = (xs[p] - cx) / unit, (ys[p] - cy) / unit
+        r0 -= trial[p]
+        r1 -= trial[p] * u
+        r2 -= trial[p] * v
+    size = abs(r0) + abs(r1) + abs(r2)
+    for _ in range(_ITERATIONS):
+        if size <= 1e-9 * scale:
+            for p in range(count):
+                force[p] = trial[p]
+            return True
+        h00 = h01 = h02 = h11 = h12 = h22 = 0.0
+        for p in range(count):
+            u, v, w = (xs[p] - cx) / unit, (ys[p] - cy) / unit, share[p] / mean
+            if force[p] + w * (l0 + l1 * u + l2 * v) >= 0.0:
+                h00 += w
+                h01 += w * u
+                h02 += w * v
+                h11 += w * u * u
+                h12 += w * u * v
+                h22 += w * v * v
+        damp = 1e-10 * (h00 + h11 + h22) + 1e-14
+        h00 += damp
+        h11 += damp
+        h22 += damp
+        c00 = h11 * h22 - h12 * h12
+        c01 = h02 * h12 - h01 * h22
+        c02 = h01 * h12 - h02 * h11
+        c11 = h00 * h22 - h02 * h02
+        c12 = h01 * h02 - h00 * h12
+        c22 = h00 * h11 - h01 * h01
+        det = h00 * c00 + h01 * c01 + h02 * c02
+        if det <= 0.0:
+            return False
+        s0 = (c00 * r0 + c01 * r1 + c02 * r2) / det
+        s1 = (c01 * r0 + c11 * r1 + c12 * r2) / det
+        s2 = (c02 * r0 + c12 * r1 + c22 * r2) / det
+        step, better = 1.0, False
+        for _ in range(12):
+            t0, t1, t2 = target[0], target[1], target[2]
+            m0, m1, m2 = l0 + step * s0, l1 + step * s1, l2 + step * s2
+            for p in range(count):
+                u, v = (xs[p] - cx) / unit, (ys[p] - cy) / unit
+                trial[p] = max(0.0, force[p] + share[p] / mean * (m0 + m1 * u + m2 * v))
+                t0 -= trial[p]
+                t1 -= trial[p] * u
+                t2 -= trial[p] * v
+            found = abs(t0) + abs(t1) + abs(t2)
+            if found < size * (1.0 - 1e-3 * step):
+                l0, l1, l2, r0, r1, r2, size = m0, m1, m2, t0, t1, t2, found
+                better = True
+                break
+            step /= 2
+        if not better:
+            return False
+    return False
+
+
+@njit(cache=True)
+def _settle(force, px, py, cx, cy, weight, share, start, lower, rank, placed, dirty, unit, above,
+            above_start):  # fmt: skip
+    """Balance every block that is ``dirty``, from above; True where all could be.
+
+    Args:
+        force: float64[P], changed in place also where it fails.
+        px, py, cx, cy: float64: points and centres, sheared by the load.
+        placed, dirty: bool[n]; ``dirty`` is all False afterwards.
+        above: int64: points that rest on each block, at ``above_start[b]:above_start[b + 1]``.
+    """
+    trial = np.empty(256)
+    target = np.empty(3)
+    heap = np.empty(len(rank) + 1, np.int64)
+    count = 0
+    queued = np.flatnonzero(dirty)
+    for b in queued:
+        heap[count] = b
+        count += 1
+    sound = True
+    while count > 0:
+        best = 0
+        for k in range(1, count):
+            if rank[heap[k]] > rank[heap[best]]:
+                best = k
+        b = heap[best]
+        count -= 1
+        heap[best] = heap[count]
+        dirty[b] = False
+        if not sound:
+            continue
+        first, last = start[b], start[b + 1]
+        if last - first > 256 or rank[b] < 0:
+            sound = False
+            continue
+        target[0], target[1], target[2] = weight[b], 0.0, 0.0
+        for k in range(above_start[b], above_start[b + 1]):
+            p = above[k]
+            if force[p] > 0.0:
+                target[0] += force[p]
+                target[1] += force[p] * (px[p] - cx[b]) / unit
+                target[2] += force[p] * (py[p] - cy[b]) / unit
+        before = force[first:last].copy()
+        if not _answer(force[first:last], px[first:last], py[first:last], share[first:last],
+                       target, cx[b], cy[b], unit, target[0], trial[: last - first]):  # fmt: skip
+            sound = False
+            continue
+        for p in range(first, last):
+            a = lower[p]
+            if a >= 0 and abs(force[p] - before[p - first]) > 1e-12 * target[0] and not dirty[a]:
+                dirty[a] = True
+                heap[count] = a
+                count += 1
+    return sound
+
+
+# ---------------------------------------------------------------- states
+
+
+class Proof:
+    """Forces that prove a growing stack under one load.
+
+    Args:
+        acceleration: (ax, ay), sideways [g].
+    """
+
+    def __init__(self, stack: Stack, acceleration: tuple[float, float] = (0.0, 0.0)) -> None:
+        self.stack = stack
+        ax, ay = acceleration
+        self.px = stack.point[:, 0] - ax * stack.point[:, 2]
+        self.py = stack.point[:, 1] - ay * stack.point[:, 2]
+        self.cx = stack.centre[:, 0] - ax * stack.centre[:, 2]
+        self.cy = stack.centre[:, 1] - ay * stack.centre[:, 2]
+        order = np.argsort(stack.lower, kind="stable")
+        self._above = order[np.searchsorted(stack.lower[order], 0) :]
+        self._above_start = np.searchsorted(stack.lower[self._above], np.arange(len(stack) + 1))
+        self.force = np.zeros(len(stack.point))
+        self.placed = np.zeros(len(stack), bool)
+
+    def settle(self, dirty: np.ndarray, placed: np.ndarray) -> bool:
+        """Balance locally what is ``dirty`` (bool[n]) where ``placed`` stands; False: unchanged."""
+        s, before = self.stack, self.force.copy()
+        # Joints of blocks that are not there carry nothing.
+        gone = ~placed[s.upper] | ((s.lower >= 0) & ~placed[np.maximum(s.lower, 0)])
+        self.force[gone] = 0.0
+        share = np.where(gone, 0.0, s.share)
+        sound = _settle(self.force, self.px, self.py, self.cx, self.cy, s.weight, share, s.start,
+                        s.lower, s.rank, placed, dirty.copy(), s.pitch, self._above,
+                        self._above_start)  # fmt: skip
+        if sound:
+            self.placed = placed.copy()
+        else:
+            self.force = before
+        return bool(sound)
+
+    def program(self, placed: np.ndarray, changing: np.ndarray, seconds: float = INF) -> bool | None:
+        """The linear program over the bed forces of the blocks ``changing`` (bool[n]).
+
+        All other blocks keep their forces. Returns whether it is feasible, None where time ran
+        out; where it is, its forces are taken.
+        """
+        s = self.stack
+        live = placed[s.upper] & ((s.lower < 0) | placed[np.maximum(s.lower, 0)])
+        free = np.flatnonzero(live & changing[s.upper])
+        blocks = np.flatnonzero(changing & placed)
+        row = np.full(len(s), -1)
+        row[blocks] = np.arange(len(blocks))
+        held = np.flatnonzero(live & ~changing[s.upper] & (s.lower >= 0))
+        held = held[row[s.lower[held]] >= 0]
+        unit = s.weight[blocks].max()
+        load = np.zeros((len(blocks), 3))
+        load[:, 0] = s.weight[blocks]
+        base, f = s.lower[held], self.force[held]
+        for k, lever in enumerate(_levers(self, held, base)):
+            np.add.at(load[:, k], row[base], f * lever)
+        index, value = [], []
+        own = _levers(self, free, s.upper[free])
+        bears = s.lower[free] >= 0
+        bears &= row[np.maximum(s.lower[free], 0)] >= 0
+        other = _levers(self, free, np.where(bears, s.lower[free], s.upper[free]))
+        for k in range(3):
+            index.append(3 * row[s.upper[free]] + k)
+            value.append(own[k])
+            index.append(np.where(bears, 3 * row[np.maximum(s.lower[free], 0)] + k, -1))
+            value.append(-other[k])
+        rows, values = np.stack(index, 1), np.stack(value, 1)
+        keep = (rows >= 0) & (values != 0)
+        start = np.concatenate([[0], np.cumsum(keep.sum(1))])
+        right = load.reshape(-1) / unit
+        n = len(free)
+        # Pressures as even as possible: forces stay away from zero.
+        cost = np.zeros(n)
+        program = Program(cost, np.zeros(n), np.full(n, INF), right, right, start,
+                          rows[keep], values[keep])  # fmt: skip
+        answer = solve(program, seconds)
+        if answer.status == "time":
+            return None
+        if answer.x is None:
+            return False
+        self.force[~live] = 0.0
+        self.force[free] = np.maximum(answer.x, 0.0) * unit
+        self.placed = placed.copy()
+        return True
+
+    def imbalance(self) -> float:
+        """Largest force or moment left over, in weights of the heaviest block and of the pitch."""
+        s = self.stack
+        rest = np.zeros((len(s), 3))
+        rest[:, 0] = -s.weight
+        live = self.force > 0
+        for k, lever in enumerate(_levers(self, np.arange(len(s.point)), s.upper)):
+            np.add.at(rest[:, k], s.upper, np.where(live, self.force * lever, 0.0))
+        bears = np.flatnonzero(s.lower >= 0)
+        for k, lever in enumerate(_levers(self, bears, s.lower[bears])):
+            np.add.at(rest[:, k], s.lower[bears], -self.force[bears] * lever)
+        if not self.placed.any():
+            return 0.0
+        return float(np.abs(rest[self.placed]).max() / s.weight[self.placed].max())
+
+
+def _levers(proof: Proof, points: np.ndarray, block: np.ndarray) -> tuple[np.ndarray, ...]:
+    """1 and the two lever arms of points about the centres of blocks [pitch]."""
+    unit = proof.stack.pitch
+    return (
+        np.ones(len(points)),
+        (proof.px[points] - proof.cx[block]) / unit,
+        (proof.py[points] - proof.cy[block]) / unit,
+    )
+
+
+def lies_below(stack: Stack, block: int, placed: np.ndarray) -> np.ndarray:
+    """bool[n]: ``block`` and all placed blocks that carry it."""
+    found = np.zeros(len(stack), bool)
+    found[block] = True
+    queue = [block]
+    for top in queue:
+        for base in stack.below(top):
+            if placed[base] and not found[base]:
+                found[base] = True
+                queue.append(int(base))
+    return found
