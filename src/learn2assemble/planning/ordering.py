@@ -1,0 +1,324 @@
+"""In which order blocks are put down, and props taken away, so that every state is proven to stand.
+
+Blocks go from below, each on what carries it in the finished building; one that does not stand yet
+waits until others have been placed. Every state is proven by :mod:`step_proof`: on bed faces
+alone, without friction, so for every coefficient of friction and however open the vertical joints
+are. What the sideways acceleration and the tilt of a state are worth is proven the same way.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from learn2assemble.assembly.blocks import Assembly, Block, Step, box_block
+from learn2assemble.assembly.kit import Cell, Kit
+from learn2assemble.errors import InputError
+from learn2assemble.planning.programs import INF, Clock
+from learn2assemble.planning.step_proof import Proof, Stack, find_stack, lies_below
+from learn2assemble.planning.tiling import (
+    TIME_OPTION,
+    BlockPlacement,
+    Tiling,
+    placement_cells,
+)
+
+LOCAL, PROGRAM = "bed faces, local", "bed faces, program"
+"""How a step was proven: by passing its load down, or by the linear program."""
+_DIRECTIONS = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
+_LEAST, _PRECISION = 2e-3, 0.02
+"""Smallest sideways acceleration looked for [g], and how exactly it is found (relative)."""
+_GAP_TRIALS = 7
+
+
+@dataclass(frozen=True)
+class OrderedStep:
+    """One step of building and what is proven about the state after it."""
+
+    place: int | None
+    remove: int | None
+    """Index into ``Tiling.placements``; exactly one of the two is given."""
+    proof: str
+    """``LOCAL`` or ``PROGRAM``."""
+    margin_g: float
+    """Sideways acceleration along +-x and +-y that the state at least withstands [g]."""
+
+    @property
+    def tilt_deg(self) -> float:
+        """Tilt of the table that the state at least withstands [deg]."""
+        return math.degrees(math.atan(self.margin_g))
+
+
+@dataclass(frozen=True)
+class Ordering:
+    """The order of building a tiling."""
+
+    steps: tuple[OrderedStep, ...]
+    status: str
+    """``"complete"``, ``"refused"`` or ``"time"``."""
+    reason: str = ""
+    """Why it is not complete, in one line."""
+    margin_g: float = 0.0
+    """Of the weakest step [g]."""
+    friction_range: tuple[float, float] = (0.0, INF)
+    """Coefficients of friction for which every step is proven to stand. (Margins need a friction of
+    at least their own size.)"""
+    gap_range: tuple[float, float] = (0.0, 0.0)
+    """Widths of vertical joints for which every step is proven to stand [m]."""
+    stuck: tuple[int, ...] = ()
+    """Placements that could not be placed, or props that could not be removed."""
+    falls: tuple[int, ...] = ()
+    """Placements that would move if the next one were placed."""
+    seconds: float = 0.0
+
+
+class _Site:
+    """What stands, and the forces that prove it under gravity and under sideways acceleration."""
+
+    def __init__(self, stack: Stack, friction: float, clock: Clock) -> None:
+        self.stack, self.friction, self.clock = stack, friction, clock
+        self.placed = np.zeros(len(stack), bool)
+        self.proof = Proof(stack)
+        self.sideways = [_Sideways(stack, way, friction) for way in _DIRECTIONS]
+        self.timed_out = False
+
+    def change(self, block: int, place: bool) -> str | None:
+        """Place or remove a block; how the new state is proven, None (and no change) if it falls."""
+        placed, dirty = self.placed.copy(), np.zeros_like(self.placed)
+        placed[block] = place
+        if place:
+            dirty[block] = True
+        else:
+            s = self.stack
+            dirty[s.upper[(s.lower == block) & self.placed[s.upper]]] = True
+            dirty[self.stack.below(block)] = True
+            dirty &= placed
+        method = LOCAL if self.proof.settle(dirty, placed) else self._by_program(placed, dirty)
+        if method is not None:
+            self.placed = placed
+            for load in self.sideways:
+                load.follow(dirty, placed)
+        return method
+
+    def _by_program(self, placed: np.ndarray, dirty: np.ndarray) -> str | None:
+        changing = np.zeros_like(placed)
+        for block in np.flatnonzero(dirty):
+            alone = np.zeros_like(placed)
+            alone[block] = True
+            # With nothing on it, a block that its own bed faces cannot balance falls for sure.
+            free = not (placed[self.stack.upper] & (self.stack.lower == block)).any()
+            if free and self.proof.program(placed, alone, self.clock.left) is False:
+                return None
+            changing |= lies_below(self.stack, int(block), placed)
+        for blocks in (changing, placed):
+            found = self.proof.program(placed, blocks, self.clock.left)
+            if found:
+                return PROGRAM
+            self.timed_out |= found is None
+        return None
+
+    def margin(self) -> float:
+        """Sideways acceleration the state at least withstands [g]."""
+        return min(load.level for load in self.sideways)
+
+    def raise_margins(self) -> None:
+        """Look for larger margins than those that have come down from states before."""
+        for load in self.sideways:
+            load.search(self.placed)
+
+
+class _Sideways:
+    """The largest acceleration along one direction for which a proof is at hand."""
+
+    def __init__(self, stack: Stack, way: tuple[float, float], most: float) -> None:
+        self.stack, self.way, self.most = stack, way, most
+        self.level = most
+        self.proof = self._fresh(most)
+
+    def _fresh(self, level: float) -> Proof:
+        return Proof(self.stack, (level * self.way[0], level * self.way[1]))
+
+    def follow(self, dirty: np.ndarray, placed: np.ndarray) -> None:
+        """The state has changed to ``placed``; keep the level where it holds, or find a lower."""
+        if self.level <= 0 or not self.proof.settle(dirty, placed):
+            before = self.level
+            self.level = 0.0
+            if before > 0:
+                self.search(placed, before)
+
+    def search(self, placed: np.ndarray, most: float | None = None) -> None:
+        """The highest level above the present one, up to ``most``, that a fresh proof reaches."""
+        low, high = self.level, self.most if most is None else most
+        for trial in (high, max(low, _LEAST)):
+            if trial > low and self._try(trial, placed):
+                low = trial
+            if trial == low == high:
+                return
+        if low <= 0:
+            return
+        while high - low > max(_PRECISION * low, _LEAST / 4):
+            middle = math.sqrt(low * high)
+            if self._try(middle, placed):
+                low = middle
+            else:
+                high = middle
+
+    def _try(self, level: float, placed: np.ndarray) -> bool:
+        proof = self._fresh(level)
+        if not proof.settle(placed.copy(), placed):
+            return False
+        self.level, self.proof = level, proof
+        return True
+
+
+def order(
+    tiling: Tiling, kit: Kit, *, friction: float | tuple[float, float] | None = None,
+    gap: float | tuple[float, float] | None = None, seconds: float = 60.0,
+) -> Ordering:  # fmt: skip
+    """The order of building ``tiling``, every state proven before the next.
+
+    Args:
+        friction: coefficient, or the range (smallest, largest) to prove it for; that of the kit
+            without it. It bounds the margins; standing itself needs none.
+        gap: width of vertical joints [m], or the range to prove it for; that of the kit without it.
+        seconds: wall-clock limit.
+    """
+    clock = Clock(seconds)
+    mu = _range(friction, kit.friction, "friction")[0]
+    widest = _range(gap, kit.joint_gap, "gap")[1]
+    limit = min(kit.pitch[:2]) / 2
+    if widest >= limit:
+        raise InputError("gap", widest, f"less than half the pitch, {limit:g} m")
+    blocks, shape = tiling.placements, tiling.wanted.shape
+    stack = find_stack(blocks, kit, shape, widest)
+    site = _Site(stack, mu, clock)
+    steps: list[OrderedStep] = []
+    stuck, status = _place_all(site, blocks, kit, tiling.wanted, steps)
+    if not stuck and status == "complete":
+        stuck, status = _remove_props(site, blocks, steps)
+    falls, reason = (), ""
+    if status == "time":
+        reason = (f"time ran out after {seconds:g} s with {len(steps)} steps proven; "
+                  f"{TIME_OPTION} gives more")  # fmt: skip
+    elif stuck:
+        status = "refused"
+        falls = _moving(site, blocks, stuck[0])
+        block = blocks[stuck[0]]
+        what = "cannot be taken away" if block.prop else "does not stand"
+        reason = f"block {block.kind} at {block.origin} {what}: nothing balances it on bed faces"
+    margin = min((step.margin_g for step in steps), default=0.0)
+    gaps = (0.0, widest)
+    if status == "complete":
+        gaps = 0.0, _widest_gap(tiling, kit, steps, widest, clock)
+    return Ordering(tuple(steps), status, reason, margin, (0.0, INF), gaps, stuck, falls,
+                    clock.spent)  # fmt: skip
+
+
+def _range(given: float | tuple[float, float] | None, default: float, what: str):
+    low, high = given if isinstance(given, tuple) else (given, given)
+    low, high = default if low is None else low, default if high is None else high
+    if not (math.isfinite(low) and math.isfinite(high) and 0 <= low <= high):
+        raise InputError(what, given, "a number >= 0, or a range of them")
+    return float(low), float(high)
+
+
+def _place_all(
+    site: _Site, blocks: tuple[BlockPlacement, ...], kit: Kit, wanted: np.ndarray,
+    steps: list[OrderedStep],
+) -> tuple[tuple[int, ...], str]:  # fmt: skip
+    """Place everything; what is stuck, and ``"complete"`` or ``"time"``."""
+    below = [site.stack.below(b) for b in range(len(blocks))]
+    left = deque(sorted(range(len(blocks)), key=lambda b: (blocks[b].origin[::-1], b)))
+    waiting: list[int] = []
+    level = 0
+    while left or waiting:
+        progress = False
+        for b in range(len(left)):
+            if site.clock.left <= 0 or site.timed_out:
+                return (), "time"
+            b = left.popleft()
+            if not site.placed[below[b]].all():
+                waiting.append(b)
+                continue
+            method = site.change(b, True)
+            if method is None:
+                waiting.append(b)
+                continue
+            progress = True
+            if blocks[b].origin[2] > level:
+                level = blocks[b].origin[2]
+                site.raise_margins()
+            steps.append(OrderedStep(b, None, method, site.margin()))
+            if waiting and not left:
+                break
+        left = deque(sorted([*left, *waiting], key=lambda b: (blocks[b].origin[::-1], b)))
+        waiting = []
+        if left and not progress:
+            return tuple(b for b in left if site.placed[below[b]].all()), "complete"
+    return (), "complete"
+
+
+def _remove_props(
+    site: _Site, blocks: tuple[BlockPlacement, ...], steps: list[OrderedStep]
+) -> tuple[tuple[int, ...], str]:
+    """Take all props away, from above; as :func:`_place_all`."""
+    props = sorted((b for b in range(len(blocks)) if blocks[b].prop),
+                   key=lambda b: (-blocks[b].origin[2], blocks[b].origin))  # fmt: skip
+    while props:
+        for b in props:
+            if site.clock.left <= 0 or site.timed_out:
+                return (), "time"
+            on_it = site.stack.upper[site.stack.lower == b]
+            if any(site.placed[a] and blocks[a].prop for a in on_it):
+                continue
+            method = site.change(b, False)
+            if method is not None:
+                site.raise_margins()
+                steps.append(OrderedStep(None, b, method, site.margin()))
+                props.remove(b)
+                break
+        else:
+            return tuple(props), "complete"
+    return (), "complete"
+
+
+def _moving(site: _Site, blocks: tuple[BlockPlacement, ...], stuck: int) -> tuple[int, ...]:
+    return (stuck,)
+
+
+def _widest_gap(
+    tiling: Tiling, kit: Kit, steps: list[OrderedStep], proven: float, clock: Clock
+) -> float:
+    """The widest vertical joint for which the local proof holds at every step [m]."""
+    low, high = proven, min(kit.pitch[:2]) / 2
+    for _ in range(_GAP_TRIALS):
+        if clock.left <= 0:
+            break
+        middle = (low + high) / 2
+        if _holds(tiling, kit, steps, middle):
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+def _holds(tiling: Tiling, kit: Kit, steps: list[OrderedStep], gap: float) -> bool:
+    """Whether the local proof holds at every step with vertical joints of another width."""
+    proof = Proof(find_stack(tiling.placements, kit, tiling.wanted.shape, gap))
+    placed = np.zeros(len(proof.stack), bool)
+    for step in steps:
+        dirty = np.zeros_like(placed)
+        s = proof.stack
+        if step.place is not None:
+            placed[step.place] = dirty[step.place] = True
+        else:
+            dirty[s.upper[(s.lower == step.remove) & placed[s.upper]]] = True
+            dirty[s.below(step.remove)] = True  # type: ignore[arg-type]
+            placed[step.remove] = False
+            dirty &= placed
+        if not proof.settle(dirty, placed):
+            return False
+    return True
