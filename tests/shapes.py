@@ -1,4 +1,4 @@
-"""Shapes as people draw them, as cells: walls, houses, towers, stairs, bridges, arches, domes, blobs."""
+"""Shapes as people draw them, as cells: walls, houses, towers, stairs, bridges, arches, domes."""
 
 from __future__ import annotations
 
@@ -94,8 +94,8 @@ def bridge(spans: int, gap: int, pier: int, height: int, width: int, deck: int =
 
 def arch(span: int, side: int, springing: int, thick: int, top: int = 2) -> Cells:
     """A wall with a round opening of ``span`` cells, its half circle from level ``springing``."""
-    x, z = np.meshgrid(np.arange(span + 2 * side) + 0.5, np.arange(springing + span // 2 + top) + 0.5,
-                       indexing="ij")  # fmt: skip
+    levels = springing + span // 2 + top
+    x, z = np.meshgrid(np.arange(span + 2 * side) + 0.5, np.arange(levels) + 0.5, indexing="ij")
     dx, dz = x - (side + span / 2), z - springing
     opening = (np.abs(dx) < span / 2) & ((dz < 0) | (dx**2 + dz**2 < (span / 2) ** 2))
     return np.repeat(~opening[:, None, :], thick, 1)

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly, Block, Step, box_block
-from learn2assemble.assembly.kit import Cell, Kit
+from learn2assemble.assembly.blocks import Assembly, Block, Step
+from learn2assemble.assembly.kit import Kit
 from learn2assemble.errors import InputError
 from learn2assemble.planning.programs import INF, Clock
 from learn2assemble.planning.step_proof import Proof, Stack, find_stack, lies_below
@@ -86,7 +86,7 @@ class _Site:
         self.timed_out = False
 
     def change(self, block: int, place: bool) -> str | None:
-        """Place or remove a block; how the new state is proven, None (and no change) if it falls."""
+        """Place or remove a block; how the state is proven, None (and no change) if it falls."""
         placed, dirty = self.placed.copy(), np.zeros_like(self.placed)
         placed[block] = place
         if place:
@@ -100,7 +100,7 @@ class _Site:
         if method is not None:
             self.placed = placed
             for load in self.sideways:
-                load.follow(dirty, placed)
+                load.follow(dirty, placed, self.proof.force)
         return method
 
     def _by_program(self, placed: np.ndarray, dirty: np.ndarray) -> str | None:
@@ -127,7 +127,7 @@ class _Site:
     def raise_margins(self) -> None:
         """Look for larger margins than those that have come down from states before."""
         for load in self.sideways:
-            load.search(self.placed)
+            load.search(self.placed, self.proof.force)
 
 
 class _Sideways:
@@ -141,37 +141,43 @@ class _Sideways:
     def _fresh(self, level: float) -> Proof:
         return Proof(self.stack, (level * self.way[0], level * self.way[1]))
 
-    def follow(self, dirty: np.ndarray, placed: np.ndarray) -> None:
-        """The state has changed to ``placed``; keep the level where it holds, or find a lower."""
+    def follow(self, dirty: np.ndarray, placed: np.ndarray, upright: np.ndarray) -> None:
+        """The state has changed to ``placed``; keep the level where it holds, or find a lower.
+
+        Args:
+            upright: float64[P], forces that balance it without acceleration.
+        """
         if self.level <= 0 or not self.proof.settle(dirty, placed):
             before = self.level
             self.level = 0.0
             if before > 0:
-                self.search(placed, before)
+                self.search(placed, upright, before)
 
-    def search(self, placed: np.ndarray, most: float | None = None) -> None:
+    def search(self, placed: np.ndarray, upright: np.ndarray, most: float | None = None) -> None:
         """The highest level above the present one, up to ``most``, that a fresh proof reaches."""
         low, high = self.level, self.most if most is None else most
-        for trial in (high, max(low, _LEAST)):
-            if trial > low and self._try(trial, placed):
-                low = trial
-            if trial == low == high:
-                return
-        if low <= 0:
+        if high <= low or self._try(high, placed, upright):
             return
+        if low <= 0 and not self._try(_LEAST, placed, upright):
+            return
+        low = self.level
         while high - low > max(_PRECISION * low, _LEAST / 4):
             middle = math.sqrt(low * high)
-            if self._try(middle, placed):
+            if self._try(middle, placed, upright):
                 low = middle
             else:
                 high = middle
 
-    def _try(self, level: float, placed: np.ndarray) -> bool:
-        proof = self._fresh(level)
-        if not proof.settle(placed.copy(), placed):
-            return False
-        self.level, self.proof = level, proof
-        return True
+    def _try(self, level: float, placed: np.ndarray, upright: np.ndarray) -> bool:
+        # Linear pressures from nothing are smoothest; else the forces of the upright state guide.
+        for start in (None, upright):
+            proof = self._fresh(level)
+            if start is not None:
+                proof.force = start.copy()
+            if proof.settle(placed, placed):
+                self.level, self.proof = level, proof
+                return True
+        return False
 
 
 def order(
@@ -205,7 +211,7 @@ def order(
                   f"{TIME_OPTION} gives more")  # fmt: skip
     elif stuck:
         status = "refused"
-        falls = _moving(site, blocks, stuck[0])
+        falls = _moving(site, stuck[0]) if not blocks[stuck[0]].prop else ()
         block = blocks[stuck[0]]
         what = "cannot be taken away" if block.prop else "does not stand"
         reason = f"block {block.kind} at {block.origin} {what}: nothing balances it on bed faces"
@@ -285,28 +291,34 @@ def _remove_props(
     return (), "complete"
 
 
-def _moving(site: _Site, blocks: tuple[BlockPlacement, ...], stuck: int) -> tuple[int, ...]:
-    return (stuck,)
+def _moving(site: _Site, stuck: int) -> tuple[int, ...]:
+    """Blocks that would have to be held if ``stuck`` were placed."""
+    placed = site.placed.copy()
+    placed[stuck] = True
+    return tuple(site.proof.held(placed, site.clock.left))
 
 
 def _widest_gap(
     tiling: Tiling, kit: Kit, steps: list[OrderedStep], proven: float, clock: Clock
 ) -> float:
-    """The widest vertical joint for which the local proof holds at every step [m]."""
-    low, high = proven, min(kit.pitch[:2]) / 2
-    for _ in range(_GAP_TRIALS):
+    """The widest vertical joint, up to a quarter of the pitch, with a proof of every step [m]."""
+    low, high = proven, min(kit.pitch[:2]) / 4
+    trial = high
+    for _ in range(_GAP_TRIALS if high > low else 0):
         if clock.left <= 0:
             break
-        middle = (low + high) / 2
-        if _holds(tiling, kit, steps, middle):
-            low = middle
+        if _holds(tiling, kit, steps, trial, clock):
+            low = trial
         else:
-            high = middle
+            high = trial
+        if low == high:
+            break
+        trial = (low + high) / 2
     return low
 
 
-def _holds(tiling: Tiling, kit: Kit, steps: list[OrderedStep], gap: float) -> bool:
-    """Whether the local proof holds at every step with vertical joints of another width."""
+def _holds(tiling: Tiling, kit: Kit, steps: list[OrderedStep], gap: float, clock: Clock) -> bool:
+    """Whether every step is proven with vertical joints of another width."""
     proof = Proof(find_stack(tiling.placements, kit, tiling.wanted.shape, gap))
     placed = np.zeros(len(proof.stack), bool)
     for step in steps:
@@ -319,6 +331,91 @@ def _holds(tiling: Tiling, kit: Kit, steps: list[OrderedStep], gap: float) -> bo
             dirty[s.below(step.remove)] = True  # type: ignore[arg-type]
             placed[step.remove] = False
             dirty &= placed
-        if not proof.settle(dirty, placed):
+        if not proof.settle(dirty, placed) and not proof.program(placed, placed, clock.left):
             return False
     return True
+
+
+# ---------------------------------------------------------------- as an assembly
+
+
+def to_assembly(
+    tiling: Tiling, ordering: Ordering | None, kit: Kit, *, name: str = "",
+    friction: float | None = None, gap: float | None = None,
+) -> Assembly:  # fmt: skip
+    """Blocks as polyhedra where they stand, with the steps of the ordering.
+
+    Cell (i, j, k) of X x Y x Z is centred at ((i + 0.5 - X/2) dx, (j + 0.5 - Y/2) dy,
+    (k + 0.5) dz); the sides of blocks lie inside their cells by half the joint gap.
+
+    Args:
+        gap: width of vertical joints [m]; that of the kit without it.
+    """
+    gap = kit.joint_gap if gap is None else gap
+    kinds = {kind.name: kind for kind in kit.kinds}
+    shapes: dict[tuple[str, int], tuple[np.ndarray, tuple[tuple[int, ...], ...]]] = {}
+    middle = np.array([tiling.wanted.shape[0] / 2, tiling.wanted.shape[1] / 2, 0.0])
+    blocks, ids = [], []
+    for number, block in enumerate(tiling.placements):
+        key = block.kind, block.turn
+        if key not in shapes:
+            shapes[key] = polycube(placement_cells(block, kit) - block.origin, kit, gap)
+        vertices, faces = shapes[key]
+        kind = kinds[block.kind]
+        ids.append(f"{'prop' if block.prop else 'block'}-{number + 1}")
+        moved = vertices + (np.array(block.origin) - middle) * kit.pitch
+        density = kit.density if kind.density is None else kind.density
+        blocks.append(Block(ids[-1], moved, faces, block.kind, density, prop=block.prop,
+                            colour=kind.colour))  # fmt: skip
+    steps = []
+    for step in ordering.steps if ordering else ():
+        if step.place is not None:
+            steps.append(Step(place=ids[step.place]))
+        elif step.remove is not None:
+            steps.append(Step(remove=ids[step.remove]))
+    friction = kit.friction if friction is None else friction
+    return Assembly(tuple(blocks), tuple(steps), friction, name)
+
+
+_SQUARE = {
+    (axis, side): [
+        [side if k == axis else (u if k == (axis + 1) % 3 else v) for k in range(3)]
+        for u, v in (((0, 0), (1, 0), (1, 1), (0, 1)) if side else ((0, 0), (0, 1), (1, 1), (1, 0)))
+    ]
+    for axis in range(3)
+    for side in (0, 1)
+}
+"""Corners of the faces of a unit cell, counter-clockwise from outside."""
+
+
+def polycube(
+    cells: np.ndarray, kit: Kit, gap: float
+) -> tuple[np.ndarray, tuple[tuple[int, ...], ...]]:
+    """Vertices float64[V, 3] [m] and faces of cells (int[m, 3]) glued together.
+
+    A box has six faces; any other set of cells a square for every open face of a cell.
+    """
+    extent = cells.max(0) + 1
+    if len(cells) == int(np.prod(extent)):
+        corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+        vertices = corners * extent * kit.pitch
+        vertices[:, :2] += np.where(corners[:, :2] == 0, gap / 2, -gap / 2)
+        index = {tuple(corner): k for k, corner in enumerate(corners.tolist())}
+        return vertices, tuple(tuple(index[tuple(c)] for c in face) for face in _SQUARE.values())
+    own = {tuple(cell) for cell in cells.tolist()}
+    shift: dict[tuple[int, ...], list[float]] = {}
+    faces = []
+    for cell in sorted(own):
+        for (axis, side), face in _SQUARE.items():
+            near = tuple(c + (2 * side - 1) * (k == axis) for k, c in enumerate(cell))
+            if near in own:
+                continue
+            corners = [tuple(c + d for c, d in zip(cell, corner, strict=True)) for corner in face]
+            for corner in corners:
+                moved = shift.setdefault(corner, [0.0, 0.0])
+                if axis < 2:
+                    moved[axis] = (1 - 2 * side) * gap / 2
+            faces.append(corners)
+    number = {corner: k for k, corner in enumerate(sorted(shift))}
+    vertices = np.array([np.array(corner) * kit.pitch + [*shift[corner], 0.0] for corner in number])
+    return vertices, tuple(tuple(number[corner] for corner in face) for face in faces)

@@ -74,16 +74,18 @@ class Answer:
     objective: float
     bound: float
     """No solution is better than this."""
+    dual: np.ndarray | None = None
+    """float64[m]: prices of the rows, of an optimal linear program."""
 
 
-def columns(
-    rows: Sequence[np.ndarray], values: Sequence[np.ndarray]
+def by_column(
+    rows: Sequence[np.ndarray], columns: Sequence[np.ndarray], values: Sequence[np.ndarray], n: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """``start, index, value`` of a matrix given column by column."""
-    start = np.concatenate([[0], np.cumsum([len(row) for row in rows], dtype=np.int64)])
-    if not len(rows):
-        return start, np.empty(0, np.int64), np.empty(0)
-    return start, np.concatenate(rows), np.concatenate(values)
+    """``start, index, value`` of a matrix of ``n`` columns from groups of entries."""
+    row, column, value = np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
+    order = np.lexsort((row, column))
+    start = np.searchsorted(column[order], np.arange(n + 1))
+    return start, row[order], value[order]
 
 
 def solve(program: Program, seconds: float = INF, *, method: str = "choose") -> Answer:
@@ -134,7 +136,8 @@ def solve(program: Program, seconds: float = INF, *, method: str = "choose") -> 
     x = np.array(solution.col_value) if feasible else None
     objective = float(info.objective_function_value) if feasible else INF
     if found == known.kOptimal:
-        return Answer("optimal", x, objective, objective)
+        dual = None if program.integer else np.array(solution.row_dual)
+        return Answer("optimal", x, objective, objective, dual)
     if found in (known.kTimeLimit, known.kIterationLimit, known.kSolutionLimit):
         bound = float(info.mip_dual_bound) if program.integer else -INF
         return Answer("time", x, objective, bound)

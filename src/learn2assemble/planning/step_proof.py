@@ -1,4 +1,4 @@
-r"""Whether a stack of lattice blocks stands on its bed faces: a compiled proof, a program behind it.
+r"""Whether a stack of lattice blocks stands on its bed faces: a compiled proof and a program.
 
 Only horizontal joints carry force, so nothing depends on how tight the vertical ones are. A state
 is *proven* where normal forces :math:`N_p \ge 0` at the corners of the contact patches balance
@@ -65,8 +65,13 @@ class Stack:
     """int64[n + 1]: block b rests on the points ``start[b]:start[b + 1]``."""
     rank: np.ndarray
     """int64[n]: every block has a larger rank than those it rests on."""
-    pitch: float
-    """Unit of length of the solver [m]."""
+    cell: np.ndarray
+    """float64[2]: width and depth of a lattice cell [m]."""
+
+    @property
+    def pitch(self) -> float:
+        """Unit of length of the solver [m]."""
+        return float(self.cell.min())
 
     def __len__(self) -> int:
         return len(self.weight)
@@ -119,8 +124,9 @@ def find_stack(
         if len(patch) > 1 and area < 0.999 * np.prod(b - a):
             c, d = low[patch], high[patch]
             corners = convex_hull(
-                np.concatenate([c, d, np.stack([c[:, 0], d[:, 1]], -1),
-                                np.stack([d[:, 0], c[:, 1]], -1)])  # fmt: skip
+                np.concatenate(
+                    [c, d, np.stack([c[:, 0], d[:, 1]], -1), np.stack([d[:, 0], c[:, 1]], -1)]
+                )
             )
         height = np.full((len(corners), 1), z[patch[0]] * dz)
         points.append(np.concatenate([corners, height], 1))
@@ -132,7 +138,7 @@ def find_stack(
     start = np.searchsorted(tops, np.arange(len(placements) + 1))
     stack = Stack(
         weight, centre, np.concatenate(points), tops, np.array(lower, np.int64), np.array(share),
-        start, np.zeros(len(placements), np.int64), float(min(dx, dy)),
+        start, np.zeros(len(placements), np.int64), pitch[:2],
     )  # fmt: skip
     stack.rank[:] = _ranks(stack)
     return stack
@@ -359,54 +365,79 @@ class Proof:
             self.force = before
         return bool(sound)
 
-    def program(self, placed: np.ndarray, changing: np.ndarray, seconds: float = INF) -> bool | None:
+    def program(
+        self, placed: np.ndarray, changing: np.ndarray, seconds: float = INF
+    ) -> bool | None:
         """The linear program over the bed forces of the blocks ``changing`` (bool[n]).
 
         All other blocks keep their forces. Returns whether it is feasible, None where time ran
         out; where it is, its forces are taken.
         """
+        free, _, program = self._equations(placed, changing)
+        answer = solve(program, seconds)
+        if answer.status == "time":
+            return None
+        if answer.x is None:
+            return False
+        unit = self.stack.weight[changing & placed].max()
+        self.force[~self._live(placed)] = 0.0
+        self.force[free] = np.maximum(answer.x, 0.0) * unit
+        self.placed = placed.copy()
+        return True
+
+    def held(self, placed: np.ndarray, seconds: float = INF) -> list[int]:
+        """Blocks that the least forces and moments would hold, were ``placed`` to stand."""
+        free, blocks, program = self._equations(placed, placed)
+        n, m = len(free), len(program.row_lower)
+        rows = np.arange(m)
+        held = Program(
+            np.concatenate([np.zeros(n), np.ones(2 * m)]), np.zeros(n + 2 * m),
+            np.full(n + 2 * m, INF), program.row_lower, program.row_upper,
+            np.concatenate([program.start, program.start[-1] + 1 + np.arange(2 * m)]),
+            np.concatenate([program.index, rows, rows]),
+            np.concatenate([program.value, np.ones(m), -np.ones(m)]),
+        )  # fmt: skip
+        answer = solve(held, seconds)
+        if answer.x is None:
+            return []
+        force = answer.x[n : n + m] + answer.x[n + m :]
+        return blocks[force.reshape(-1, 3).max(1) > 1e-6].tolist()
+
+    def _live(self, placed: np.ndarray) -> np.ndarray:
+        """bool[P]: points between blocks that are there."""
         s = self.stack
-        live = placed[s.upper] & ((s.lower < 0) | placed[np.maximum(s.lower, 0)])
+        return placed[s.upper] & ((s.lower < 0) | placed[np.maximum(s.lower, 0)])
+
+    def _equations(
+        self, placed: np.ndarray, changing: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, Program]:
+        """Free points, changing blocks, and their balance in units of the heaviest of them."""
+        s, live = self.stack, self._live(placed)
         free = np.flatnonzero(live & changing[s.upper])
         blocks = np.flatnonzero(changing & placed)
         row = np.full(len(s), -1)
         row[blocks] = np.arange(len(blocks))
         held = np.flatnonzero(live & ~changing[s.upper] & (s.lower >= 0))
         held = held[row[s.lower[held]] >= 0]
-        unit = s.weight[blocks].max()
-        load = np.zeros((len(blocks), 3))
-        load[:, 0] = s.weight[blocks]
-        base, f = s.lower[held], self.force[held]
-        for k, lever in enumerate(_levers(self, held, base)):
-            np.add.at(load[:, k], row[base], f * lever)
-        index, value = [], []
-        own = _levers(self, free, s.upper[free])
-        bears = s.lower[free] >= 0
-        bears &= row[np.maximum(s.lower[free], 0)] >= 0
-        other = _levers(self, free, np.where(bears, s.lower[free], s.upper[free]))
-        for k in range(3):
-            index.append(3 * row[s.upper[free]] + k)
-            value.append(own[k])
-            index.append(np.where(bears, 3 * row[np.maximum(s.lower[free], 0)] + k, -1))
-            value.append(-other[k])
-        rows, values = np.stack(index, 1), np.stack(value, 1)
-        keep = (rows >= 0) & (values != 0)
+        load = np.zeros((len(s), 3))
+        load[:, 0] = s.weight
+        for k, lever in enumerate(self._levers(held, s.lower[held])):
+            np.add.at(load[:, k], s.lower[held], self.force[held] * lever)
+        right = load[blocks].reshape(-1) / s.weight[blocks].max()
+        base = np.maximum(s.lower[free], 0)
+        bears = (s.lower[free] >= 0) & (row[base] >= 0)
+        own = np.stack(self._levers(free, s.upper[free]), 1)
+        other = -np.stack(self._levers(free, base), 1)
+        rows = np.concatenate(
+            [3 * row[s.upper[free], None] + np.arange(3), 3 * row[base, None] + np.arange(3)], 1
+        )
+        values = np.concatenate([own, np.where(bears[:, None], other, 0.0)], 1)
+        keep = values != 0
         start = np.concatenate([[0], np.cumsum(keep.sum(1))])
-        right = load.reshape(-1) / unit
         n = len(free)
-        # Pressures as even as possible: forces stay away from zero.
-        cost = np.zeros(n)
-        program = Program(cost, np.zeros(n), np.full(n, INF), right, right, start,
+        program = Program(np.zeros(n), np.zeros(n), np.full(n, INF), right, right, start,
                           rows[keep], values[keep])  # fmt: skip
-        answer = solve(program, seconds)
-        if answer.status == "time":
-            return None
-        if answer.x is None:
-            return False
-        self.force[~live] = 0.0
-        self.force[free] = np.maximum(answer.x, 0.0) * unit
-        self.placed = placed.copy()
-        return True
+        return free, blocks, program
 
     def imbalance(self) -> float:
         """Largest force or moment left over, in weights of the heaviest block and of the pitch."""
@@ -414,24 +445,23 @@ class Proof:
         rest = np.zeros((len(s), 3))
         rest[:, 0] = -s.weight
         live = self.force > 0
-        for k, lever in enumerate(_levers(self, np.arange(len(s.point)), s.upper)):
+        for k, lever in enumerate(self._levers(np.arange(len(s.point)), s.upper)):
             np.add.at(rest[:, k], s.upper, np.where(live, self.force * lever, 0.0))
         bears = np.flatnonzero(s.lower >= 0)
-        for k, lever in enumerate(_levers(self, bears, s.lower[bears])):
+        for k, lever in enumerate(self._levers(bears, s.lower[bears])):
             np.add.at(rest[:, k], s.lower[bears], -self.force[bears] * lever)
         if not self.placed.any():
             return 0.0
         return float(np.abs(rest[self.placed]).max() / s.weight[self.placed].max())
 
-
-def _levers(proof: Proof, points: np.ndarray, block: np.ndarray) -> tuple[np.ndarray, ...]:
-    """1 and the two lever arms of points about the centres of blocks [pitch]."""
-    unit = proof.stack.pitch
-    return (
-        np.ones(len(points)),
-        (proof.px[points] - proof.cx[block]) / unit,
-        (proof.py[points] - proof.cy[block]) / unit,
-    )
+    def _levers(self, points: np.ndarray, block: np.ndarray) -> tuple[np.ndarray, ...]:
+        """1 and the two lever arms of points about the centres of blocks [pitch]."""
+        unit = self.stack.pitch
+        return (
+            np.ones(len(points)),
+            (self.px[points] - self.cx[block]) / unit,
+            (self.py[points] - self.cy[block]) / unit,
+        )
 
 
 def lies_below(stack: Stack, block: int, placed: np.ndarray) -> np.ndarray:

@@ -19,13 +19,14 @@ limited heap the layers are then bonded again, each with the blocks that program
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from learn2assemble.assembly.kit import Cell, Kit, Orientation, orientations
 from learn2assemble.errors import InputError
-from learn2assemble.planning.programs import INF, Answer, Clock, Program, solve
+from learn2assemble.planning.programs import INF, Answer, Clock, Program, by_column, solve
 
 MAX_EXTENT, MAX_CELLS = 64, 64 * 64 * 64
 STRIP = 240
@@ -48,6 +49,9 @@ class Costs:
     """For a block that cannot be put down without a prop."""
     open_cell: float = 2000.0
     """For a cell left open, or a block that the heap does not have."""
+
+
+COSTS = Costs()
 
 
 @dataclass(frozen=True)
@@ -250,24 +254,24 @@ def standing_cost(candidates: Candidates, costs: Costs) -> np.ndarray:
     )
 
 
-def bridged_seams(candidates: Candidates, seams: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """float64[n]: seams of the layer below that every flat candidate bridges.
+def glued(candidates: Candidates, edges: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """float64[n]: how many of the given pairs of neighbouring cells every candidate fills both.
 
     Args:
-        seams: bool[X - 1, Y] and bool[X, Y - 1] as :func:`find_seams` gives them.
+        edges: bool[X - 1, Y, Z] and bool[X, Y - 1, Z]: pairs of neighbours in x, and in y.
     """
-    count = np.zeros(len(candidates))
+    worth = np.zeros(len(candidates))
     for number, way in enumerate(candidates.ways):
         chosen = np.flatnonzero(candidates.way == number)
         if not len(chosen):
             continue
-        own, origin = set(way.cells), candidates.origin[chosen]
-        for x, y, z in way.cells:
-            if (x + 1, y, z) in own:
-                count[chosen] += seams[0][origin[:, 0] + x, origin[:, 1] + y]
-            if (x, y + 1, z) in own:
-                count[chosen] += seams[1][origin[:, 0] + x, origin[:, 1] + y]
-    return count
+        own, (x, y, z) = set(way.cells), candidates.origin[chosen].T
+        for u, v, w in way.cells:
+            if (u + 1, v, w) in own:
+                worth[chosen] += edges[0][x + u, y + v, z + w]
+            if (u, v + 1, w) in own:
+                worth[chosen] += edges[1][x + u, y + v, z + w]
+    return worth
 
 
 def find_seams(owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -313,8 +317,8 @@ def seams_bridged(tiling: Tiling, kit: Kit) -> tuple[int, int]:
 def cover(
     candidates: Candidates, cost: np.ndarray, must: np.ndarray, *, may: np.ndarray | None = None,
     kit: Kit, counts: dict[int, int] | None = None, exact: bool = False, open_cost: float = 0.0,
-    seconds: float = INF,
-) -> tuple[Answer, np.ndarray, np.ndarray, dict[int, int]]:
+    cuts: Sequence[np.ndarray] = (), seconds: float = INF,
+) -> tuple[Answer, np.ndarray, np.ndarray, dict[int, int]]:  # fmt: skip
     """The cheapest choice of candidates that covers cells.
 
     Args:
@@ -323,6 +327,7 @@ def cover(
         counts: how many blocks there are of the kinds with these indices.
         exact: use exactly so many.
         open_cost: where positive, a cell may stay open and a heap may be exceeded at this price.
+        cuts: int64 each: of these candidates at least one is chosen.
 
     Returns:
         the solver's answer; the chosen candidates; cells of ``must`` left open; blocks that the
@@ -332,36 +337,34 @@ def cover(
     counts = counts or {}
     limits = sorted(counts)
     n, cells = len(candidates), np.concatenate([must, may])
-    order = np.argsort(cells, kind="stable")
-    entry = order[np.searchsorted(cells, candidates.cell, sorter=order)]
+    row_of_cell = np.full(int(cells.max(initial=0)) + 1, -1)
+    row_of_cell[cells] = np.arange(len(cells))
     kinds = np.array([way.kind for way in candidates.ways])[candidates.way]
-    row_of = np.full(len(kit.kinds), -1)
-    row_of[limits] = len(cells) + np.arange(len(limits))
-    counted = row_of[kinds] >= 0
-    # Entries of a column: its cells, then its kind's row where that is limited.
-    size = candidates.size() + counted
-    start = np.concatenate([[0], np.cumsum(size)])
-    index = np.empty(start[-1], np.int64)
-    last = start[1:][counted] - 1
-    inner = np.ones(start[-1], bool)
-    inner[last] = False
-    index[inner], index[last] = entry, row_of[kinds[counted]]
-    value = np.ones(len(index))
-    upper, price = np.ones(n), cost
+    row_of_kind = np.full(len(kit.kinds), -1)
+    row_of_kind[limits] = len(cells) + np.arange(len(limits))
+    counted = np.flatnonzero(row_of_kind[kinds] >= 0)
+    rows = [row_of_cell[candidates.cell], row_of_kind[kinds[counted]]]
+    columns = [np.repeat(np.arange(n), candidates.size()), counted]
+    first = len(cells) + len(limits)
+    for number, cut in enumerate(cuts):
+        rows.append(np.full(len(cut), first + number))
+        columns.append(cut)
+    price, upper = cost, np.ones(n)
+    signs = [np.ones(len(row)) for row in rows]
     if open_cost > 0:
+        sizes = np.array([len(kit.kinds[k].cells) for k in limits])
         spare = np.concatenate([np.arange(len(must)), len(cells) + np.arange(len(limits))])
-        sign = np.concatenate([np.ones(len(must)), -np.ones(len(limits))])
-        sizes = [len(kit.kinds[k].cells) for k in limits]
-        price = np.concatenate([cost, np.full(len(must), open_cost), open_cost * np.array(sizes)])
-        start = np.concatenate([start, start[-1] + 1 + np.arange(len(spare))])
-        index, value = np.concatenate([index, spare]), np.concatenate([value, sign])
+        rows.append(spare)
+        columns.append(n + np.arange(len(spare)))
+        signs += [np.ones(len(must)), -np.ones(len(limits))]
+        price = np.concatenate([cost, np.full(len(must), open_cost), open_cost * sizes])
         upper = np.concatenate([upper, np.ones(len(must)), np.full(len(limits), 1e5)])
     number = np.array([counts[k] for k in limits], float)
-    row_lower = np.concatenate([np.ones(len(must)), np.zeros(len(may)),
-                                number if exact else np.full(len(limits), -INF)])  # fmt: skip
-    row_upper = np.concatenate([np.ones(len(cells)), number])
-    program = Program(price, np.zeros(len(price)), upper, row_lower, row_upper, start, index, value,
-                      integer=True)  # fmt: skip
+    lower = number if exact else np.full(len(limits), -INF)
+    row_lower = np.concatenate([np.ones(len(must)), np.zeros(len(may)), lower, np.ones(len(cuts))])
+    row_upper = np.concatenate([np.ones(len(cells)), number, np.full(len(cuts), INF)])
+    program = Program(price, np.zeros(len(price)), upper, row_lower, row_upper,
+                      *by_column(rows, columns, signs, len(price)), integer=True)  # fmt: skip
     answer = solve(program, seconds)
     if answer.x is None:
         return answer, np.empty(0, np.int64), must, {}
@@ -379,7 +382,7 @@ def components(mask: np.ndarray) -> list[np.ndarray]:
     """bool[X, Y] each: parts of ``mask`` that hang together by edges of cells."""
     label = np.zeros(mask.shape, np.int64)
     found = []
-    for seed in zip(*np.nonzero(mask), strict=True):
+    for seed in map(tuple, np.argwhere(mask).tolist()):
         if label[seed]:
             continue
         label[seed] = len(found) + 1
@@ -397,10 +400,8 @@ def components(mask: np.ndarray) -> list[np.ndarray]:
 class _Layers:
     """Tiles a building layer by layer and remembers layers it has seen."""
 
-    def __init__(self, wanted: np.ndarray, kit: Kit, costs: Costs, clock: Clock,
-                 avoid: dict[tuple[int, Cell], float]) -> None:  # fmt: skip
+    def __init__(self, wanted: np.ndarray, kit: Kit, costs: Costs, clock: Clock) -> None:
         self.wanted, self.kit, self.costs, self.clock = wanted, kit, costs, clock
-        self.avoid = avoid
         self.known: dict[bytes, list[tuple[int, int, int]]] = {}
         self.fills_any = any(kind.cells == ((0, 0, 0),) for kind in kit.kinds)
         self.timed_out = False
@@ -419,12 +420,12 @@ class _Layers:
             for part in parts:
                 heap = heaps[z] if heaps else None
                 for way, x, y in self._part(part, below, seams, z, heap):
-                    cells = np.array(orientations(self.kit)[way].cells) + (x, y, 0)
-                    owner[cells[:, 0], cells[:, 1]] = len(chosen)
+                    cells = np.array(orientations(self.kit)[way].cells, np.int64)
+                    owner[cells[:, 0] + x, cells[:, 1] + y] = len(chosen)
                     chosen.append((way, (x, y, z)))
         return chosen
 
-    def _part(self, part: np.ndarray, below: np.ndarray, seams: tuple[np.ndarray, np.ndarray],
+    def _part(self, part: np.ndarray, below: np.ndarray, seams: tuple[np.ndarray, ...],
               z: int, heap: dict[int, int] | None) -> list[tuple[int, int, int]]:  # fmt: skip
         """``way, x, y`` of the blocks of one part of the layer at level ``z``."""
         if not part.any():
@@ -432,22 +433,20 @@ class _Layers:
         x0, y0 = (int(np.flatnonzero(part.any(axis))[0]) for axis in (1, 0))
         x1, y1 = (int(np.flatnonzero(part.any(axis))[-1]) + 1 for axis in (1, 0))
         mask, under = part[x0:x1, y0:y1], (below & part)[x0:x1, y0:y1]
-        near = (seams[0][x0 : x1 - 1, y0:y1], seams[1][x0:x1, y0 : y1 - 1])
-        extra = {(way, (x - x0, y - y0)): price for (way, (x, y, level)), price in
-                 self.avoid.items() if level == z}  # fmt: skip
-        key = b"|".join([repr((mask.shape, heap, sorted(extra.items()))).encode(), mask.tobytes(),
-                         under.tobytes(), near[0].tobytes(), near[1].tobytes()])  # fmt: skip
+        near = seams[0][x0 : x1 - 1, y0:y1], seams[1][x0:x1, y0 : y1 - 1]
+        key = b"|".join([repr((mask.shape, heap)).encode(), mask.tobytes(), under.tobytes(),
+                         near[0].tobytes(), near[1].tobytes()])  # fmt: skip
         if key not in self.known:
-            self.known[key] = self._solve(mask, under, near, extra, heap, (x0, y0, z))
+            self.known[key] = self._solve(mask, under, near, heap, (x0, y0, z))
         return [(way, x + x0, y + y0) for way, x, y in self.known[key]]
 
-    def _solve(self, mask: np.ndarray, under: np.ndarray, seams: tuple[np.ndarray, np.ndarray],
-               extra: dict, heap: dict[int, int] | None,
-               corner: Cell) -> list[tuple[int, int, int]]:  # fmt: skip
+    def _solve(
+        self, mask: np.ndarray, under: np.ndarray, seams: tuple[np.ndarray, np.ndarray],
+        heap: dict[int, int] | None, corner: Cell,
+    ) -> list[tuple[int, int, int]]:  # fmt: skip
         found = find_candidates(mask[:, :, None], self.kit, under, flat_only=True)
-        cost = standing_cost(found, self.costs) - self.costs.seam * bridged_seams(found, seams)
-        for (way, (x, y)), price in extra.items():
-            cost[(found.way == way) & (found.origin[:, :2] == (x, y)).all(1)] += price
+        joints = seams[0][:, :, None], seams[1][:, :, None]
+        cost = standing_cost(found, self.costs) - self.costs.seam * glued(found, joints)
         along = int(mask.shape[0] < mask.shape[1])
         width = max(4, STRIP // max(1, int(mask.sum(1 - along).max())))
         whole = heap is not None or not self.fills_any or mask.sum() <= 1.5 * STRIP
@@ -488,16 +487,13 @@ class _Layers:
 
 
 def tile(
-    wanted: np.ndarray, kit: Kit, *, seconds: float = 60.0, costs: Costs = Costs(),  # noqa: B008
-    avoid: dict[tuple[int, Cell], float] | None = None,
+    wanted: np.ndarray, kit: Kit, *, seconds: float = 60.0, costs: Costs = COSTS,
 ) -> Tiling:  # fmt: skip
     """Fill the cells of ``wanted``, and no others, with blocks of ``kit``.
 
     Args:
         wanted: bool[X, Y, Z], z up from the table.
         seconds: wall-clock limit.
-        avoid: extra costs of single placements, keyed by the index of the way
-            (:func:`learn2assemble.assembly.kit.orientations`) and its origin.
 
     Raises:
         InputError: for cells that cannot be used, see :func:`check_cells`.
@@ -505,13 +501,13 @@ def tile(
     wanted = check_cells(wanted)
     clock, ways = Clock(seconds), orientations(kit)
     flat = all(cell[2] == 0 for way in ways for cell in way.cells)
-    layers = _Layers(wanted, kit, costs, clock, avoid or {})
+    layers = _Layers(wanted, kit, costs, clock)
     heap = {k: kind.count for k, kind in enumerate(kit.kinds) if kind.count is not None}
     short: dict[int, int] = {}
     if flat and not heap:
         chosen, left = layers.run(), layers.left
     else:
-        chosen, left, short, done = _whole(wanted, kit, costs, clock, avoid or {}, heap)
+        chosen, left, short, done = _whole(wanted, kit, costs, clock, heap)
         layers.timed_out |= not done
         if flat and chosen and not left and not short and clock.left > 0:
             used = [Counter(ways[way].kind for way, o in chosen if o[2] == z)
@@ -520,33 +516,40 @@ def tile(
             bonded = layers.run([{k: counter[k] for k in kinds} for counter in used])
             if not layers.left:
                 chosen = bonded
-    placements = tuple(
-        BlockPlacement(kit.kinds[ways[way].kind].name, ways[way].turn, origin)
-        for way, origin in sorted(chosen, key=lambda block: block[1][::-1])
+    made = Tiling(
+        to_placements(chosen, kit), wanted, missing=tuple(sorted(left)), seconds=clock.spent
     )
-    made = Tiling(placements, wanted, missing=tuple(sorted(left)), seconds=clock.spent)
     return _judged(made, kit, layers.timed_out, short, seconds)
 
 
+def to_placements(chosen: list[tuple[int, Cell]], kit: Kit) -> tuple[BlockPlacement, ...]:
+    """Blocks from ways and origins, from below."""
+    ways = orientations(kit)
+    return tuple(
+        BlockPlacement(kit.kinds[ways[way].kind].name, ways[way].turn, origin)
+        for way, origin in sorted(chosen, key=lambda block: block[1][::-1])
+    )
+
+
+def chosen_blocks(candidates: Candidates, picked: np.ndarray) -> list[tuple[int, Cell]]:
+    """Ways and origins of the candidates ``picked``."""
+    return [(int(candidates.way[p]), (int(x), int(y), int(z)))
+            for p, (x, y, z) in zip(picked, candidates.origin[picked], strict=True)]  # fmt: skip
+
+
 def _whole(
-    wanted: np.ndarray, kit: Kit, costs: Costs, clock: Clock, avoid: dict[tuple[int, Cell], float],
-    heap: dict[int, int],
+    wanted: np.ndarray, kit: Kit, costs: Costs, clock: Clock, heap: dict[int, int]
 ) -> tuple[list[tuple[int, Cell]], list[Cell], dict[int, int], bool]:  # fmt: skip
     """One program over the whole building: blocks, open cells, what the heap lacks, in time."""
     found = find_candidates(wanted, kit)
     cost = standing_cost(found, costs)
-    for (way, origin), price in avoid.items():
-        cost[(found.way == way) & (found.origin == origin).all(1)] += price
     must = np.flatnonzero(wanted.reshape(-1))
     answer, picked, left, short = cover(
         found, cost, must, kit=kit, counts=heap, open_cost=costs.open_cell, seconds=clock.left
     )
-    used = found.take(picked)
-    chosen = [(int(way), (int(o[0]), int(o[1]), int(o[2])))
-              for way, o in zip(used.way, used.origin, strict=True)]  # fmt: skip
     at = np.stack(np.unravel_index(left, wanted.shape), -1)
     cells = [(int(x), int(y), int(z)) for x, y, z in at]
-    return chosen, cells, short, answer.status != "time"
+    return chosen_blocks(found, picked), cells, short, answer.status != "time"
 
 
 def _judged(

@@ -1,0 +1,331 @@
+"""The exact planner: a design and a kit in, blocks in a proven order out.
+
+Tile; if the finished building would fall, rule that mechanism out and tile again, until it stands
+or no tiling does (:mod:`learn2assemble.planning.mechanisms`); prop up what cannot be put down on
+its own; order, with more props where the order gets stuck. Where nothing helps, say which cells
+are not carried and what would carry them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from learn2assemble.assembly.kit import Cell, Kit, kit_names, load_kit, orientations
+from learn2assemble.planning.mechanisms import Retiling, find_mechanisms, mirrored
+from learn2assemble.planning.ordering import Ordering, order
+from learn2assemble.planning.programs import INF, Clock, Program, by_column, solve
+from learn2assemble.planning.step_proof import Proof, find_stack
+from learn2assemble.planning.tiling import (
+    TIME_OPTION,
+    BlockPlacement,
+    Tiling,
+    components,
+    find_candidates,
+    owners,
+    placement_cells,
+    support_margin,
+    tile,
+)
+
+MAX_ROUNDS = 200
+"""Of tiling again, and of adding props."""
+_FIRM = 1e-9
+"""How far inside its support a centroid has to be [cells]."""
+
+
+def plan_exact(
+    wanted: np.ndarray, kit: Kit, *, seconds: float = 60.0,
+    friction: float | tuple[float, float] | None = None,
+    gap: float | tuple[float, float] | None = None, props_allowed: bool = True,
+) -> tuple[Tiling, Ordering | None]:  # fmt: skip
+    """Blocks of ``kit`` that fill ``wanted`` exactly, and an order in which every state stands.
+
+    Args:
+        wanted: bool[X, Y, Z].
+        seconds: wall-clock limit for everything.
+        friction, gap: as for :func:`learn2assemble.planning.ordering.order`.
+        props_allowed: whether temporary blocks may be used.
+
+    Returns:
+        the tiling with its props; the order, None where there was nothing to order. Status and
+        reason of the last of the two say how it went.
+    """
+    clock = Clock(seconds)
+    tiling = tile(wanted, kit, seconds=seconds)
+    if tiling.status != "complete":
+        return tiling, None
+    tiling = stand(tiling, kit, clock)
+    if tiling.status != "complete":
+        return tiling, None
+    hanging = unsupported(tiling, kit)
+    if hanging and not props_allowed:
+        cells = uncarried_cells(wanted, kit)
+        if not len(cells):
+            cells = np.concatenate([placement_cells(tiling.placements[b], kit) for b in hanging])
+        reason = f"{describe_lack(wanted, kit, cells)}, and props are not allowed"
+        return replace(tiling, status="refused", reason=reason), None
+    structure, demands = tiling, {block: frozenset((block,)) for block in hanging}
+    ordering = None
+    for _ in range(MAX_ROUNDS):
+        if demands:
+            props = choose_props(structure, kit, demands, clock.left)
+            if props is None:
+                cells = placement_cells(structure.placements[max(demands)], kit)
+                reason = f"{describe_lack(wanted, kit, cells)}, and no prop reaches them"
+                return replace(structure, status="refused", reason=reason), None
+            tiling = replace(structure, placements=structure.placements + tuple(props))
+        ordering = order(tiling, kit, friction=friction, gap=gap, seconds=clock.left)
+        if ordering.status != "refused" or not props_allowed:
+            break
+        stuck = [b for b in ordering.stuck if b < len(structure.placements)]
+        if not stuck or all(b in demands for b in stuck):
+            break
+        b = next(b for b in stuck if b not in demands)
+        demands[b] = frozenset((*ordering.falls, b))
+    assert ordering is not None
+    return replace(tiling, seconds=clock.spent - ordering.seconds), ordering
+
+
+# ---------------------------------------------------------------- the finished building
+
+
+def stand(tiling: Tiling, kit: Kit, clock: Clock) -> Tiling:
+    """The tiling, changed as little as it takes for the finished building to stand.
+
+    The answer is exact: where its status is ``"refused"``, every tiling of these cells with this
+    kit falls as long as bed faces alone carry it.
+    """
+    again: Retiling | None = None
+    wanted, shape = tiling.wanted, tiling.wanted.shape
+    square = bool(np.isclose(kit.pitch[0], kit.pitch[1]))
+    for _ in range(MAX_ROUNDS):
+        stack = find_stack(tiling.placements, kit, shape)
+        proof, everything = Proof(stack), np.ones(len(stack), bool)
+        if proof.settle(everything, everything) or proof.program(
+            everything, everything, clock.left
+        ):
+            return tiling
+        owner = owners(tiling.placements, kit, shape)
+        found = find_mechanisms(stack, owner, seconds=clock.left)
+        if clock.left <= 0:
+            break
+        again = again or Retiling(tiling, kit)
+        new = [again.add(cut) for edges in found for cut in mirrored(edges, wanted, square)]
+        rigid = any(not (x.any() or y.any()) for x, y in found)
+        better = None if rigid or not any(new) else again.solve(clock.left)
+        if better is None:
+            moving = sorted({int(b) for edges in found for b in _opened(edges, owner)})
+            cells = uncarried_cells(wanted, kit)
+            if not len(cells):
+                blocks = moving or range(len(stack))
+                cells = np.concatenate([placement_cells(tiling.placements[b], kit) for b in blocks])
+            reason = f"{describe_lack(wanted, kit, cells)}; the finished building would fall"
+            return replace(tiling, status="refused", reason=reason)
+        if better.status != "complete":
+            break
+        tiling = better
+    reason = (f"time ran out after {clock.limit:g} s while looking for blocks that stand; "
+              f"{TIME_OPTION} gives more")  # fmt: skip
+    return replace(tiling, status="time", reason=reason)
+
+
+def _opened(edges: tuple[np.ndarray, np.ndarray], owner: np.ndarray) -> np.ndarray:
+    """Blocks at joints that open."""
+    x, y = edges
+    return np.unique(
+        np.concatenate([owner[:-1][x], owner[1:][x], owner[:, :-1][y], owner[:, 1:][y]])
+    )
+
+
+# ---------------------------------------------------------------- what is not carried
+
+
+def unsupported(tiling: Tiling, kit: Kit) -> list[int]:
+    """Blocks whose centroid is not above what carries them: they need a prop to be put down."""
+    found = []
+    for number, block in enumerate(tiling.placements):
+        cells, carried = _carried(tiling, kit, block)
+        if not block.prop and support_margin(cells, carried, kit) <= _FIRM:
+            found.append(number)
+    return found
+
+
+def _carried(tiling: Tiling, kit: Kit, block: BlockPlacement) -> tuple[np.ndarray, np.ndarray]:
+    """Cells of a block, and which of them rest on the design or the table."""
+    cells = placement_cells(block, kit)
+    own = {tuple(cell) for cell in cells.tolist()}
+    carried = [
+        z == 0 or ((x, y, z - 1) not in own and bool(tiling.wanted[x, y, z - 1]))
+        for x, y, z in cells.tolist()
+    ]
+    return cells, np.array(carried)
+
+
+def uncarried_cells(wanted: np.ndarray, kit: Kit) -> np.ndarray:
+    """int64[n, 3]: cells in no block of ``kit`` whose centroid is above what carries it."""
+    found = find_candidates(wanted, kit)
+    good = found.take(np.flatnonzero(found.support > _FIRM))
+    carried = np.zeros(wanted.size, bool)
+    carried[good.cell] = True
+    return np.argwhere(wanted & ~carried.reshape(wanted.shape))
+
+
+def describe_lack(wanted: np.ndarray, kit: Kit, cells: np.ndarray) -> str:
+    """Which cells no block of ``kit`` carries, and which built-in kit has one that does.
+
+    Args:
+        cells: int[n, 3], not carried; the lowest group of neighbours is named.
+    """
+    level = int(cells[:, 2].min())
+    mask = np.zeros(wanted.shape[:2], bool)
+    mask[tuple(cells[cells[:, 2] == level, :2].T)] = True
+    group = components(mask)[0]
+    at = np.argwhere(group)
+    run = int(max(group.sum(0).max(), group.sum(1).max()))
+    first = (int(at[0, 0]), int(at[0, 1]), level)
+    what = f"{run} cells at level {level}" if run > 1 else f"the cell {first}"
+    text = f"no block of kit `{kit.name}` spans {what}"
+    if run > 1:
+        text += f" (the first is {first})"
+    remedy = _remedy(wanted, kit, group, level)
+    return f"{text}; {remedy} does" if remedy else text
+
+
+def _remedy(wanted: np.ndarray, kit: Kit, group: np.ndarray, level: int) -> str:
+    """The smallest block of a built-in kit that carries most of a group of cells, in words."""
+    cells = np.zeros(wanted.shape, bool)
+    cells[:, :, level] = group
+    low = max(0, level - 1)
+    part = wanted[:, :, low : level + 1]
+    best: tuple[int, int, str] | None = None
+    for name in kit_names():
+        other = load_kit(name)
+        if name == kit.name:
+            continue
+        found = find_candidates(part, other, None if level else np.ones(group.shape, bool), True)
+        good = np.flatnonzero((found.support > _FIRM) & (found.origin[:, 2] == level - low))
+        if not len(good):
+            continue
+        good_ones = found.take(good)
+        flat = cells[:, :, low : level + 1].reshape(-1)
+        covers = np.add.reduceat(flat[good_ones.cell].astype(int), good_ones.start[:-1])
+        for p in np.flatnonzero(covers > 0):
+            kind = other.kinds[good_ones.ways[good_ones.way[p]].kind]
+            key = (-int(covers[p]), len(kind.cells), f"`{name}` with {kind.name}")
+            best = min(best, key) if best else key
+    return best[2] if best else ""
+
+
+# ---------------------------------------------------------------- props
+
+
+def choose_props(
+    tiling: Tiling, kit: Kit, demands: dict[int, frozenset[int]], seconds: float = INF
+) -> list[BlockPlacement] | None:
+    """The fewest temporary blocks under blocks that cannot be put down on their own.
+
+    A prop is a stack of like blocks from the table, or from the top of the structure, up to the
+    underside of what it carries. Which stacks to use is a set-cover program.
+
+    Args:
+        tiling: without props.
+        demands: which blocks need one; any block of the value will do as the one propped up.
+
+    Returns:
+        blocks from below; None where no stack reaches some demand or the heap has too few.
+    """
+    wanted, blocks = tiling.wanted, tiling.placements
+    heap = {kind.name: kind.count for kind in kit.kinds if kind.count is not None}
+    for block in blocks:
+        if block.kind in heap:
+            heap[block.kind] -= 1
+    stacks: dict[tuple[int, int, int, int], int] = {}
+    serves: list[tuple[int, int]] = []
+    ways = orientations(kit)
+    need = sorted(demands)
+    for row, demand in enumerate(need):
+        for number in sorted(demands[demand]):
+            cells, carried = _carried(tiling, kit, blocks[number])
+            own = {tuple(cell) for cell in cells.tolist()}
+            under = np.array([(x, y, z - 1) not in own for x, y, z in cells.tolist()])
+            firm = support_margin(cells, carried, kit) > _FIRM
+            for stack in _stacks_below(wanted, kit, cells[under]):
+                way, x, y, z = stack
+                foot = {(x + u, y + v, z) for u, v, _ in ways[way].cells}
+                held = carried | np.array([tuple(cell) in foot for cell in cells.tolist()])
+                if firm or support_margin(cells, held & under, kit) > _FIRM:
+                    serves.append((row, stacks.setdefault(stack, len(stacks))))
+    if {row for row, _ in serves} != set(range(len(need))):
+        return None
+    listed = list(stacks)
+    bottoms = [_base(wanted, kit, ways[way].cells, x, y, z) for way, x, y, z in listed]
+    # Of equally many blocks, the widest stack stands best.
+    height = np.array(
+        [z - (b or 0) for (_, _, _, z), b in zip(listed, bottoms, strict=True)], float
+    )
+    width = np.array([len(ways[way].cells) for way, *_ in listed])
+    row, column = np.array(sorted(set(serves))).T
+    rows, columns = [row], [column]
+    cell_rows: dict[Cell, int] = {}
+    for number, ((way, x, y, z), base) in enumerate(zip(listed, bottoms, strict=True)):
+        taken = [(x + u, y + v, w) for u, v, _ in ways[way].cells for w in range(base or 0, z)]
+        rows.append(np.array([len(need) + cell_rows.setdefault(c, len(cell_rows)) for c in taken]))
+        columns.append(np.full(len(taken), number))
+    limits = sorted(heap)
+    first = len(need) + len(cell_rows)
+    kinds = [kit.kinds[ways[way].kind].name for way, *_ in listed]
+    for k, name in enumerate(limits):
+        mine = np.array([j for j, kind in enumerate(kinds) if kind == name], np.int64)
+        rows.append(np.full(len(mine), first + k))
+        columns.append(mine)
+    values = [np.ones(len(r)) for r in rows]
+    for k in range(len(limits)):
+        values[len(values) - len(limits) + k] = height[columns[len(columns) - len(limits) + k]]
+    n = len(listed)
+    upper = np.concatenate([np.full(len(need), INF), np.ones(len(cell_rows)),
+                            [float(heap[name]) for name in limits]])  # fmt: skip
+    lower = np.concatenate([np.ones(len(need)), np.full(len(upper) - len(need), -INF)])
+    answer = solve(Program(height - 1e-3 * width / width.max(), np.zeros(n), np.ones(n), lower,
+                           np.maximum(upper, 0.0), *by_column(rows, columns, values, n),
+                           integer=True), seconds)  # fmt: skip
+    if answer.x is None:
+        return None
+    made = []
+    for number in np.flatnonzero(answer.x > 0.5):
+        way, x, y, z = listed[number]
+        made += [BlockPlacement(kinds[number], ways[way].turn, (x, y, w), True)
+                 for w in range(bottoms[number] or 0, z)]  # fmt: skip
+    return sorted(made, key=lambda block: block.origin[::-1])
+
+
+def _stacks_below(
+    wanted: np.ndarray, kit: Kit, under: np.ndarray
+) -> list[tuple[int, int, int, int]]:
+    """``way, x, y, z`` of flat stacks with their top at ``z`` under one of the cells ``under``."""
+    found = []
+    for number, way in enumerate(orientations(kit)):
+        if any(cell[2] for cell in way.cells):
+            continue
+        places = {(x - u, y - v, z) for x, y, z in under.tolist() if z for u, v, _ in way.cells}
+        for x, y, z in sorted(places):
+            if _base(wanted, kit, way.cells, x, y, z) is not None:
+                found.append((number, x, y, z))
+    return found
+
+
+def _base(
+    wanted: np.ndarray, kit: Kit, cells: tuple[Cell, ...], x: int, y: int, z: int
+) -> int | None:
+    """Lowest level of a stack of flat blocks up to ``z``; None where it cannot stand there."""
+    at = np.array(cells, np.int64)[:, :2] + np.array((x, y))
+    if (at < 0).any() or (at >= wanted.shape[:2]).any():
+        return None
+    column = wanted[at[:, 0], at[:, 1], :z]
+    filled = np.flatnonzero(column.any(0))
+    base = int(filled[-1]) + 1 if len(filled) else 0
+    if base >= z:
+        return None
+    carried = np.ones(len(at), bool) if base == 0 else wanted[at[:, 0], at[:, 1], base - 1]
+    return base if support_margin(np.array(cells), carried, kit) > _FIRM else None

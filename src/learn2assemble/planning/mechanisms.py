@@ -1,0 +1,221 @@
+"""How a finished building would fall, and tilings that rule it out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from learn2assemble.assembly.kit import Kit
+from learn2assemble.planning.programs import INF, Clock, Program, by_column, solve
+from learn2assemble.planning.step_proof import Stack
+from learn2assemble.planning.tiling import (
+    COSTS,
+    TIME_OPTION,
+    Costs,
+    Tiling,
+    chosen_blocks,
+    components,
+    cover,
+    find_candidates,
+    find_seams,
+    glued,
+    owners,
+    placement_cells,
+    standing_cost,
+    to_placements,
+)
+
+
+def find_mechanisms(
+    stack: Stack, owner: np.ndarray, most: int = 12, seconds: float = INF
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Ways in which a stack falls down, as the joints that would have to be glued.
+
+    A mechanism is a virtual motion of the blocks, each along z and tilting about x and y, that
+    presses nothing into anything and lowers the centre of mass. It exists exactly where no bed
+    forces balance the blocks (Farkas). Of all of them a linear program takes one that opens the
+    vertical joints least. **Cut:** any tiling of the same cells in which no block bridges one of
+    the joints that open can move in the same way, so it falls, too.
+
+    Args:
+        owner: int64[X, Y, Z]: which block fills each cell, -1 for none.
+        most: how many mechanisms without a common joint are looked for.
+
+    Returns:
+        bool[X - 1, Y, Z] and bool[X, Y - 1, Z] for each: joints that open.
+    """
+    joints = []
+    for axis in (0, 1):
+        low = owner[:-1] if axis == 0 else owner[:, :-1]
+        high = owner[1:] if axis == 0 else owner[:, 1:]
+        at = np.argwhere((low >= 0) & (high >= 0) & (low != high))
+        index = tuple(at.T)
+        joints.append(np.column_stack([low[index], high[index], np.full(len(at), axis), at]))
+    joint = np.concatenate(joints)
+    n, m, unit = len(stack), len(joint), stack.pitch
+    axis, at = joint[:, 2], joint[:, 3:5]
+    size = stack.cell
+    foot = (
+        at + np.stack([1 - axis / 2, 0.5 + axis / 2], -1) - np.array(owner.shape[:2]) / 2
+    ) * size
+    rows, columns, values = [], [], []
+
+    def motion(row: np.ndarray, block: np.ndarray, xy: np.ndarray, sign: float) -> None:
+        """Velocity along z of points of blocks."""
+        lever = (xy - stack.centre[block, :2]) / unit
+        for k, value in enumerate((np.ones(len(row)), lever[:, 0], lever[:, 1])):
+            rows.append(row)
+            columns.append(3 * block + k)
+            values.append(sign * value)
+
+    count = len(stack.point)
+    point = np.arange(count)
+    motion(point, stack.upper, stack.point[:, :2], 1.0)
+    bears = np.flatnonzero(stack.lower >= 0)
+    motion(bears, stack.lower[bears], stack.point[bears, :2], -1.0)
+    rows.append(np.full(n, count))
+    columns.append(3 * np.arange(n))
+    values.append(-stack.weight / stack.weight.mean())
+    number = count + 1 + 3 * np.arange(m)
+    motion(number, joint[:, 0], foot, 1.0)
+    motion(number, joint[:, 1], foot, -1.0)
+    for k in (1, 2):
+        for side, sign in ((0, 1.0), (1, -1.0)):
+            rows.append(number + k)
+            columns.append(3 * joint[:, side] + k)
+            values.append(np.full(m, sign))
+    jump = np.arange(3 * m)
+    for first, sign in ((3 * n, -1.0), (3 * n + 3 * m, 1.0)):
+        rows.append(count + 1 + jump)
+        columns.append(first + jump)
+        values.append(np.full(3 * m, sign))
+    total = 3 * n + 6 * m
+    matrix = by_column(rows, columns, values, total)
+    lower = np.where(np.arange(total) < 3 * n, -INF, 0.0)
+    cost = np.where(np.arange(total) < 3 * n, 0.0, 1.0)
+    row_lower = np.zeros(count + 1 + 3 * m)
+    row_lower[count] = 1.0
+    row_upper = np.concatenate([np.full(count, INF), [1.0], np.zeros(3 * m)])
+    closed = np.zeros(m, bool)
+    found = []
+    clock = Clock(seconds)
+    while len(found) < most:
+        opens = np.tile(np.repeat(~closed, 3), 2)
+        upper = np.concatenate([np.full(3 * n, INF), np.where(opens, INF, 0.0)])
+        answer = solve(Program(cost, lower, upper, row_lower, row_upper, *matrix), clock.left)
+        if answer.x is None:
+            break
+        gap = np.abs(answer.x[3 * n : 3 * n + 3 * m] - answer.x[3 * n + 3 * m :])
+        gap = gap.reshape(-1, 3).max(1)
+        opened = gap > 1e-7 * max(1.0, gap.max(initial=0.0))
+        x, y, z = owner.shape
+        edges = np.zeros((x - 1, y, z), bool), np.zeros((x, y - 1, z), bool)
+        for a in (0, 1):
+            edges[a][tuple(joint[opened & (axis == a), 3:].T)] = True
+        found.append(edges)
+        if not opened.any():
+            break
+        closed |= opened
+    return found
+
+
+def mirrored(
+    edges: tuple[np.ndarray, np.ndarray], wanted: np.ndarray, square: bool
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """A cut under all symmetries of the design, itself among them.
+
+    Args:
+        square: whether cells are as wide as deep, so that x and y may be exchanged.
+    """
+    found = []
+    for swap in (False, True) if square and wanted.shape[0] == wanted.shape[1] else (False,):
+        for flip_x in (1, -1):
+            for flip_y in (1, -1):
+
+                def turn(a: np.ndarray, s: bool = swap, u: int = flip_x, v: int = flip_y):
+                    return (a.transpose(1, 0, 2) if s else a)[::u, ::v]
+
+                if np.array_equal(turn(wanted), wanted):
+                    x, y = turn(edges[0]), turn(edges[1])
+                    found.append((y, x) if swap else (x, y))
+    return found
+
+
+class Retiling:
+    """A tiling whose layers are decided again together, under conditions that cross them.
+
+    A *cut* is a set of pairs of neighbouring cells of which at least one has to be filled by one
+    block, see :func:`find_mechanisms`. Only parts of layers
+    that a cut touches are decided again, by one program; the others stay as they were.
+    """
+
+    def __init__(self, tiling: Tiling, kit: Kit, costs: Costs = COSTS) -> None:
+        self.tiling, self.kit = tiling, kit
+        self.found = find_candidates(tiling.wanted, kit)
+        self.cuts: dict[bytes, np.ndarray] = {}
+        owner = owners(tiling.placements, kit, tiling.wanted.shape)
+        seams = [find_seams(owner[:, :, z]) for z in range(owner.shape[2])]
+        # Joints of the layer below, as they were, are worth bridging; none are below the lowest.
+        below = tuple(
+            np.stack([np.zeros_like(seams[0][axis]), *[joint[axis] for joint in seams[:-1]]], -1)
+            for axis in (0, 1)
+        )
+        self.cost = standing_cost(self.found, costs)
+        self.cost = self.cost - costs.seam * glued(self.found, (below[0], below[1]))
+        self.part = self._parts()
+        self.active = np.zeros(self.part.max() + 1, bool)
+
+    def _parts(self) -> np.ndarray:
+        """int64[cells of the lattice]: the part of its layer each cell belongs to."""
+        wanted, limited = self.tiling.wanted, self.kit.limited
+        part = np.zeros(wanted.shape, np.int64)
+        if limited or any(cell[2] for way in self.found.ways for cell in way.cells):
+            return part.reshape(-1)
+        number = 0
+        for z in range(wanted.shape[2]):
+            for mask in components(wanted[:, :, z]):
+                number += 1
+                part[:, :, z][mask] = number
+        return part.reshape(-1)
+
+    def add(self, edges: tuple[np.ndarray, np.ndarray]) -> bool:
+        """Add a cut (bool[X - 1, Y, Z], bool[X, Y - 1, Z]); whether it is a new one."""
+        key = edges[0].tobytes() + edges[1].tobytes()
+        if key in self.cuts:
+            return False
+        self.cuts[key] = np.flatnonzero(glued(self.found, edges) > 0)
+        shape = self.tiling.wanted.shape
+        for axis, edge in enumerate(edges):
+            at = np.argwhere(edge)
+            self.active[self.part[np.ravel_multi_index(tuple(at.T), shape)]] = True
+            at[:, axis] += 1
+            self.active[self.part[np.ravel_multi_index(tuple(at.T), shape)]] = True
+        return True
+
+    def solve(self, seconds: float) -> Tiling | None:
+        """The cheapest tiling that meets all cuts, None where there is none.
+
+        Its status is ``"time"`` where time ran out; then it may violate cuts.
+        """
+        clock, kit, old = Clock(seconds), self.kit, self.tiling
+        live = self.active[self.part]
+        keep = np.flatnonzero(live[self.found.cell[self.found.start[:-1]]])
+        number = np.full(len(self.found), -1)
+        number[keep] = np.arange(len(keep))
+        cuts = [number[cut][number[cut] >= 0] for cut in self.cuts.values()]
+        must = np.flatnonzero(live & old.wanted.reshape(-1))
+        heap = {k: kind.count for k, kind in enumerate(kit.kinds) if kind.count is not None}
+        answer, picked, _, _ = cover(self.found.take(keep), self.cost[keep], must, kit=kit,
+                                     counts=heap, cuts=cuts, seconds=clock.left)  # fmt: skip
+        if answer.status == "infeasible":
+            return None
+        if answer.status == "time":
+            reason = f"time ran out after {seconds:g} s; {TIME_OPTION} gives more"
+            return replace(old, status="time", reason=reason)
+        first = [placement_cells(block, kit)[0] for block in old.placements]
+        again = live[np.ravel_multi_index(tuple(np.array(first).T), old.wanted.shape)]
+        stays = [block for block, anew in zip(old.placements, again, strict=True) if not anew]
+        blocks = [*stays, *to_placements(chosen_blocks(self.found, keep[picked]), kit)]
+        blocks.sort(key=lambda block: block.origin[::-1])
+        return replace(old, placements=tuple(blocks))
