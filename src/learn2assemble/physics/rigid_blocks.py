@@ -61,7 +61,7 @@ _MOVES = 0.1
 MOST_G = 10.0
 """Margins are cut here [g]."""
 _MARGIN_GAP = 0.01
-_LOADS = (4, 24, 30_000)
+_LOADS = (4, 40, 30_000)
 """Of a margin: fewest and most directions, and corners times directions in between."""
 
 
