@@ -286,7 +286,7 @@ def test_the_page_is_small_and_needs_nothing(tmp_path: Path) -> None:
     policy = re.search(r'Security-Policy" content="([^"]*)"', text)
     assert policy
     assert "default-src 'none'" in policy[1]
-    assert policy[1].count("sha256-") == 5
+    assert policy[1].count("sha256-") == 6
 
 
 def test_the_page_without_a_record_knows_no_arm() -> None:
@@ -369,7 +369,9 @@ def test_the_browser_computes_the_same_places(browser: str, tmp_path: Path, name
     playback = Playback(record, plan)
     times = np.linspace(0, playback.duration, 120).round(3)
     assets = resources.files("learn2assemble.viewer") / "assets"
-    scripts = [(assets / n).read_text(encoding="utf-8") for n in ("three.bundle.js", "arm.js")]
+    scripts = [
+        (assets / n).read_text(encoding="utf-8") for n in ("three.bundle.js", "view.js", "arm.js")
+    ]
     scripts.append(f"const TIMES = {json.dumps(times.tolist())};{HARNESS}")
     data = json.dumps(page_data(render_page(plan, record)))
     (tmp_path / "test.html").write_text(

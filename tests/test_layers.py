@@ -38,7 +38,7 @@ ALLOWED: dict[str, set[str]] = {
     "planning": _TASK | {"networks", "search", "assembly"},
     "evaluation": _TASK | {"networks", "search", "learning", "planning"},
     "envs": _TASK,
-    "viewer": _WORLD | {"robot", "planning"},
+    "viewer": _WORLD | {"robot", "planning", "assembly"},
     "reproduction": _TASK | {"networks", "search", "learning", "planning", "evaluation", "viewer"},
     "cli": _TASK
     | {

@@ -6,7 +6,8 @@ import argparse
 
 from learn2assemble.cli.output import Output
 from learn2assemble.planning.plan import Plan
-from learn2assemble.viewer import serve, write_page
+from learn2assemble.viewer.page import write_page
+from learn2assemble.viewer.server import serve
 
 
 def run(options: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""Reports of a finished build plan: the page, the picture, the video, and a small server.
+"""Reports of a build: pages, pictures, the video, and a small server.
 
 They plug into :meth:`learn2assemble.planning.plan.Plan.save`.
 """
@@ -6,13 +6,13 @@ They plug into :meth:`learn2assemble.planning.plan.Plan.save`.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from learn2assemble.planning.plan import Exporter, Plan
-from learn2assemble.registry import Registry
-from learn2assemble.viewer.page import write_page
-from learn2assemble.viewer.serve import serve
+if TYPE_CHECKING:
+    from learn2assemble.planning.plan import Exporter, Plan
+    from learn2assemble.registry import Registry
 
-__all__ = ["register_export", "serve", "write_page"]
+__all__ = ["register_export"]
 
 
 def register_export(exports: Registry[Exporter]) -> None:
@@ -22,6 +22,7 @@ def register_export(exports: Registry[Exporter]) -> None:
 
 
 def _page(plan: Plan, folder: Path) -> dict[str, Path]:
+    from learn2assemble.viewer.page import write_page
     from learn2assemble.viewer.picture import write_progress
 
     page, picture, data = folder / "view.html", folder / "progress.png", plan.to_dict()

@@ -1,20 +1,9 @@
-"""What a page says about an arm: timeline, outcomes of the steps, how to read them.
-
-The build report as one stand-alone HTML file.
-
-Everything is inside the file: no request leaves it, and its content security policy allows only
-the scripts and the style whose hashes it names, so text from a plan can never run.
-"""
+"""The report of a build as one stand-alone HTML file, with the arm where one built it."""
 
 from __future__ import annotations
 
-import base64
-import hashlib
-import json
-import re
 from collections.abc import Mapping
 from html import escape
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +11,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.record import BuildRecord, StepRecord
 from learn2assemble.viewer.drawings import chart_svg, elevation_svg, kind
+from learn2assemble.viewer.html import fact_list, fill, speed_options, stand_alone
 from learn2assemble.viewer.playback import Playback, arm_data
 from learn2assemble.viewer.scene import Scene, read_scene
 from learn2assemble.viewer.words import (
@@ -42,33 +32,26 @@ _SPEEDS = (1, 2, 4, 8, 16)
 _SPEED = 4
 
 
-def arm_values(plan: Mapping[str, Any], playback: Playback) -> dict[str, str]:
-    """What stands in the places of the page that only a page with an arm fills."""
+def arm_values(playback: Playback) -> dict[str, str]:
+    """What a page with an arm says in places of its own, or otherwise than one without."""
     end = f"{playback.duration:.2f}"
     return {
         "body": "movable with-arm",
-        "near_view": '<button type="button" id="near-view">Near view</button>',
+        "views": '<button type="button" id="near-view">Near view</button>',
         "ribbon": ribbon(playback),
         "slider_last": end,
         "slider_step": "any",
         "slider_name": "Time",
         "count": f"{clock_words(playback.duration)} / {clock_words(playback.duration)}",
-        "speeds": "".join(
-            f'<option value="{value}"{" selected" if value == _SPEED else ""}>{value}×</option>'
-            for value in _SPEEDS
-        ),
+        "speeds": speed_options(_SPEEDS, _SPEED),
         "doing": (
             '<p class="doing" id="doing"><span id="doing-words">The build is over.</span>'
             '<span class="chip good" id="outcome">end</span></p>'
         ),
-        "legend": (
-            '<li><i class="waiting"></i>waiting block</li>'
-            '<li><i class="goal"></i>where this step puts it</li>'
-        ),
+        "legend": _LEGEND + '<li><i class="waiting"></i>waiting block</li>'
+        '<li><i class="goal"></i>where this step puts it</li>',
         "keys_note": " At speed 1× the clock is the arm's own. "
         "The bar above the slider shows every attempt; red ones failed.",
-        "arm_section": _section(plan, playback),
-        "reading": _READING + f"<dd>{outcome_list()}.</dd>",
     }
 
 
@@ -144,8 +127,13 @@ def outcome_list() -> str:
     return "; ".join(f"<b>{o.label}</b>: {escape(words)}" for o, words in OUTCOME_WORDS.items())
 
 
-_SCRIPTS = ("three.bundle.js", "stage.js", "timeline.js")
-_ARM_SCRIPT = "arm.js"
+_SCRIPTS = ("three.bundle.js", "view.js", "stage.js")
+_LEGEND = (
+    '<li><i class="first"></i>first block</li><li><i class="wall"></i>placed block</li>'
+    '<li><i class="current"></i>block of this step</li>'
+    '<li><i class="support"></i>support outside the outline</li>'
+    '<li><i class="target"></i>target outline</li>'
+)
 
 
 def write_page(plan: Mapping[str, Any], path: Path, record: BuildRecord | None = None) -> None:
@@ -179,58 +167,44 @@ def render_page(plan: Mapping[str, Any], record: BuildRecord | None = None) -> s
 
 
 def _render(plan: Mapping[str, Any], scene: Scene, playback: Playback | None) -> str:
-    names = _SCRIPTS if playback is None else (*_SCRIPTS[:-1], _ARM_SCRIPT, _SCRIPTS[-1])
-    scripts = [_asset(name).strip() + "\n" for name in names]
-    style = _asset("page.css")
-    policy = (
-        "default-src 'none'; img-src data: blob:; base-uri 'none'; form-action 'none'; "
-        f"style-src {_hash(style)}; script-src {' '.join(map(_hash, scripts))}"
-    )
-    values = {
-        "policy": policy,
-        "style": style,
-        "title": escape(plan["design"]["name"]),
-        "status": plan["status"],
-        "status_word": STATUS_WORDS[plan["status"]],
-        "summary": escape(summary(plan)) + _arm_words(playback),
-        "reason": _reason(plan),
-        "facts": _facts(plan),
+    arm = playback is not None
+    chart = chart_svg(plan)
+    sections = {
         "elevations": _elevations(scene),
         "sides": str(len(scene.elevations)),
-        "tray_note": _TRAY_NOTE if scene.rearranged and playback is None else "",
-        "chart": (chart := chart_svg(plan)),
+        "chart": chart,
         "counted": "" if first_share(plan) else ", counted from the first block",
         "plane_note": _PLANE_NOTE if 'class="plane"' in chart else "",
         "steps": _steps(plan),
         "attempts": _attempts(plan),
-        "caption": escape(caption(plan, scene.num_steps)),
-        "source": escape(str(plan["design"]["source"])),
-        "data": _json(_data(plan, scene, playback)),
-        "scripts": "\n".join(f"<script>{text}</script>" for text in scripts),
-        **_no_arm(scene),
+        "arm_section": _section(plan, playback) if arm else "",
+        "reading": _READING + f"<dd>{outcome_list()}.</dd>" if arm else "",
     }
-    if playback is not None:
-        values |= arm_values(plan, playback)
-    # One pass, so that a value that holds braces is never filled in again.
-    return re.sub(r"\{\{(\w+)\}\}", lambda match: values[match[1]], _asset("page.html"))
-
-
-def _no_arm(scene: Scene) -> dict[str, str]:
-    """What a page without an arm says where :func:`arm_values` says something else."""
     last = str(scene.num_steps)
-    speeds = ((0.5, "½×"), (1, "1×"), (2, "2×"), (4, "4×"))
-    empty = ("near_view", "ribbon", "doing", "legend", "keys_note", "arm_section", "reading")
-    return dict.fromkeys(empty, "") | {
+    values = {
+        "what": "build plan",
+        "title": escape(plan["design"]["name"]),
+        "eyebrow": f'Build plan <span class="status {plan["status"]}">'
+        f"{STATUS_WORDS[plan['status']]}</span>",
+        "summary": escape(summary(plan)) + _arm_words(playback),
+        "reason": _reason(plan),
+        "facts": _facts(plan),
         "body": "movable" if scene.num_steps else "fixed",
+        "shown": "the structure, the target outlines and the waiting blocks",
         "slider_last": last,
         "slider_step": "1",
         "slider_name": "Step",
         "count": f"{last} / {last}",
-        "speeds": "".join(
-            f'<option value="{value}"{" selected" if value == 1 else ""}>{name}</option>'
-            for value, name in speeds
-        ),
+        "speeds": speed_options((0.5, 1, 2, 4), 1),
+        "caption": escape(caption(plan, scene.num_steps)),
+        "legend": _LEGEND,
+        "view_note": _TRAY_NOTE if scene.rearranged and not arm else "",
+        "sections": fill("plan.html", sections),
+        "source": f"Design file: {escape(str(plan['design']['source']))}.",
+        **(arm_values(playback) if playback is not None else {}),
     }
+    scripts = (*_SCRIPTS, *["arm.js"] * arm, "timeline.js")
+    return stand_alone(values, _data(plan, scene, playback), scripts)
 
 
 def _arm_words(playback: Playback | None) -> str:
@@ -245,21 +219,6 @@ _TRAY_NOTE = (
     "structure."
 )
 _PLANE_NOTE = " Dotted: without what stands in front of a side's face plane."
-
-
-def _asset(name: str) -> str:
-    return (resources.files("learn2assemble.viewer") / "assets" / name).read_text(encoding="utf-8")
-
-
-def _hash(text: str) -> str:
-    digest = hashlib.sha256(text.encode("utf-8")).digest()
-    return f"'sha256-{base64.b64encode(digest).decode()}'"
-
-
-def _json(value: Any) -> str:
-    """JSON that cannot end the script element it stands in."""
-    text = json.dumps(value, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def _data(plan: Mapping[str, Any], scene: Scene, playback: Playback | None) -> dict[str, Any]:
@@ -301,13 +260,13 @@ def _reason(plan: Mapping[str, Any]) -> str:
 def _facts(plan: Mapping[str, Any]) -> str:
     search, blocks = plan["search"], plan["blocks"]
     back = search["backtracks"]
-    facts = [
+    facts: list[tuple[str, str, str]] = [
         (
             "Coverage",
             percent(plan["coverage"]),
             f"{percent(plan['design']['success_threshold'])} needed",
         ),
-        ("Blocks", f"{blocks['used']}", f"of {blocks['available']} available"),
+        ("Blocks", str(blocks["used"]), f"of {blocks['available']} available"),
         (
             "Search",
             search["needed"] or "none",
@@ -320,20 +279,11 @@ def _facts(plan: Mapping[str, Any]) -> str:
         ),
         ("Agent", plan["agent"] or "none", f"planned in {_seconds(plan['seconds'])}"),
     ]
-    return "".join(
-        f"<div><dt>{escape(name)}</dt><dd>{_fact(str(value))}"
-        f"<small>{escape(note)}</small></dd></div>"
-        for name, value, note in facts
-    )
+    return fact_list(facts)
 
 
 def _seconds(seconds: float) -> str:
     return "less than 0.1 s" if seconds < 0.1 else f"{seconds:.1f} s"
-
-
-def _fact(value: str) -> str:
-    size = "figure" if len(value) < 9 else "words"
-    return f'<span class="{size}">{escape(value)}</span>'
 
 
 def _elevations(scene: Scene) -> str:

@@ -11,7 +11,6 @@ What the script of a page needs to move an arm: meshes, chain, samples and steps
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -23,6 +22,7 @@ from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.moves import Outcome, fillers
 from learn2assemble.robot.record import BuildRecord, Samples, StepRecord
 from learn2assemble.robot.shape import Part, Shape, arm_shape
+from learn2assemble.viewer.html import packed, to_base64
 from learn2assemble.viewer.words import arm_caption, block_names, caption, stage_words
 
 
@@ -295,7 +295,7 @@ def arm_data(plan: Mapping[str, Any], playback: Playback, kinds: Mapping[int, st
             for f in shape.fingers
         ],
         "parts": [_part(part) for part in shape.parts],
-        "samples": _packed(np.column_stack([samples.joints, samples.width]), np.uint16),
+        "samples": packed(np.column_stack([samples.joints, samples.width]), np.uint16),
         "cells": [
             {"number": numbers.get(cell), "kind": kinds.get(numbers.get(cell, -1), "wall"),
              "position": position, "quaternion": quaternion}
@@ -374,33 +374,15 @@ def extent(playback: Playback) -> np.ndarray:
 
 
 def _part(part: Part) -> dict[str, Any]:
+    wide = len(part.mesh.vertices) >= 65536
     return {
         "frame": part.frame,
         "colour": list(part.colour),
-        "vertices": _packed(part.mesh.vertices, np.uint16),
-        "normals": _packed(part.mesh.normals, np.uint8, (-1.0, 1.0)),
-        "faces": _text(part.mesh.faces.astype("<u2" if len(part.mesh.vertices) < 65536 else "<u4")),
-        "wide": len(part.mesh.vertices) >= 65536,
+        "vertices": packed(part.mesh.vertices, np.uint16),
+        "normals": packed(part.mesh.normals, np.uint8, (-1.0, 1.0)),
+        "faces": to_base64(part.mesh.faces.astype(np.uint32 if wide else np.uint16)),
+        "wide": wide,
     }
-
-
-def _packed(
-    values: np.ndarray, kind: type[np.unsignedinteger], limits: tuple[float, float] | None = None
-) -> dict[str, Any]:
-    """Columns as whole numbers from their smallest to their largest value, base64."""
-    low, high = limits or (values.min(0), values.max(0))
-    low, high = (np.broadcast_to(np.asarray(v, float), values.shape[1:]) for v in (low, high))
-    levels = np.iinfo(kind).max
-    scale = np.maximum(high - low, 1e-9) / levels
-    whole = np.round((values - low) / scale).clip(0, levels).astype(kind)
-    return {
-        "low": [float(f"{v:.9g}") for v in low], "scale": [float(f"{v:.9g}") for v in scale],
-        "bytes": kind(0).nbytes, "data": _text(whole.astype(whole.dtype.newbyteorder("<"))),
-    }  # fmt: skip
-
-
-def _text(array: np.ndarray) -> str:
-    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()
 
 
 def _list(values: np.ndarray) -> list[Any]:

@@ -189,11 +189,4 @@ function createArm(data, tools) {
     made.castShadow = made.receiveShadow = true;
     return made;
   }
-
-  function bytes(text) { return Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)); }
-
-  function unpack({ low, scale, bytes: size, data: text }) {
-    const raw = bytes(text), whole = size === 1 ? raw : new Uint16Array(raw.buffer);
-    return Float32Array.from(whole, (value, k) => low[k % low.length] + value * scale[k % low.length]);
-  }
 }

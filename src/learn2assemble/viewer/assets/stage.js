@@ -1,68 +1,34 @@
 "use strict";
-/* The 3-D view. World frame, z up, metres; time is counted in steps: at time k step k is done,
-   between k - 1 and k its block is on the way. With an arm it is counted in seconds (arm.js).
+/* The 3-D view of a plan of cubes: time is counted in steps, at time k step k is done, between k - 1
+   and k its block is on the way. With an arm it is counted in seconds (arm.js).
 
    Whatever moves is an actor: {group, update(time)}. */
 function createStage(canvas, data) {
-  const theme = () => {
-    const style = getComputedStyle(document.documentElement);
-    const names = ["sky", "table", "edge", "accent", "first", "wall", "current", "support", "waiting", "soft"];
-    return Object.fromEntries(names.map((name) => [name, style.getPropertyValue("--" + name).trim()]));
-  };
-  let colours = theme();
-  const renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
-  renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
-  renderer.shadowMap.enabled = true;
-  renderer.shadowMap.type = THREE.PCFShadowMap;
-  const scene = new THREE.Scene();
-  const camera = new THREE.PerspectiveCamera(16, 1, 0.05, 60);
-  camera.up.set(0, 0, 1);
-  const edge = data.edge;
-  const actors = [];
-  const painted = [];
-
-  // Extent of what has to be seen; near: without the arm.
+  const edge = data.edge, actors = [];
+  // Near: without the arm.
   const near = [
     ...(data.arm ? data.arm.cells.map((cell) => cell.position)
       : [...data.blocks.map((b) => b.position), ...data.waiting.filter(Boolean)]),
     ...data.faces.flat(),
   ];
   const points = data.arm ? [...near, ...data.arm.extent] : near;
-  const low = [0, 1, 2].map((k) => Math.min(...points.map((p) => p[k])) - (k < 2 ? edge / 2 : 0));
-  const high = [0, 1, 2].map((k) => Math.max(...points.map((p) => p[k])) + edge / 2);
-  low[2] = 0;
-  const middle = [0, 1].map((k) => (low[k] + high[k]) / 2);
-  const reach = Math.hypot(high[0] - low[0], high[1] - low[1], high[2]) / 2;
+  const view = createView(canvas, { points, edge, fromRight: Boolean(data.arm) });
+  const { scene, coloured, colours } = view;
   const built = [...data.blocks.map((b) => b.position[2]), ...data.faces.flat().map((p) => p[2])];
   const roof = Math.max(edge, ...built) + edge / 2;
 
-  addLights();
-  addTable();
   for (const face of data.faces) addTarget(face);
   if (data.arm) {
-    actors.push(createArm(data, { edge, cube, coloured, addPlace, colours: () => colours }));
+    actors.push(createArm(data, { edge, cube, coloured, addPlace, colours }));
   } else {
     addBlocks();
   }
   for (const actor of actors) scene.add(actor.group);
-
-  const controls = new THREE.OrbitControls(camera, canvas);
-  controls.maxPolarAngle = 1.54;
-  controls.zoomToCursor = true;
-  controls.addEventListener("change", draw);
-  let touched = false, shown = points;
-  controls.addEventListener("start", () => { touched = true; });
   let time = data.arm ? data.arm.duration : data.steps;
-  paint();
-  resize();
-  new ResizeObserver(resize).observe(canvas.parentElement);
-  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
-    colours = theme();
-    paint();
-    update(time);
-  });
+  view.whenRepainted(() => update(time));
+  view.start();
 
-  return { update, resetView: () => resetView(points), nearView: () => resetView(near) };
+  return { update, resetView: () => view.look(), nearView: () => view.look(near) };
 
   function addBlocks() {
     const used = new Map();
@@ -80,96 +46,8 @@ function createStage(canvas, data) {
   function update(now) {
     time = now;
     for (const actor of actors) actor.update(now);
-    draw();
-  }
-
-  function draw() { renderer.render(scene, camera); }
-
-  function resize() {
-    const { clientWidth: width, clientHeight: height } = canvas.parentElement;
-    if (!width || !height) return;
-    renderer.setSize(width, height, false);
-    camera.aspect = width / height;
-    camera.updateProjectionMatrix();
-    if (touched) draw(); else resetView(shown);
-  }
-
-  /* Look from the front and above, as near as shows all these points: from the left, but from the
-     right where an arm stands on the left. */
-  function resetView(wanted) {
-    touched = false;
-    shown = wanted;
-    const direction = new THREE.Vector3(data.arm ? 0.5 : -0.5, -1, 0.6).normalize();
-    const target = new THREE.Vector3(middle[0], middle[1], 0);
-    const right = new THREE.Vector3(), up = new THREE.Vector3(), seen = new THREE.Vector3();
-    const half = edge * 0.75;
-    let distance = 6 * reach;
-    for (let round = 0; round < 12; round++) {
-      camera.position.copy(target).addScaledVector(direction, distance);
-      camera.lookAt(target);
-      camera.updateMatrixWorld();
-      const xs = [], ys = [];
-      for (const [x, y, z] of wanted) {
-        for (const [a, b, c] of [[-1, -1, -1], [1, -1, -1], [-1, 1, -1], [1, 1, -1], [-1, -1, 1], [1, -1, 1], [-1, 1, 1], [1, 1, 1]]) {
-          seen.set(x + a * half, y + b * half, z + c * half).project(camera);
-          xs.push(seen.x);
-          ys.push(seen.y);
-        }
-      }
-      const [x0, x1, y0, y1] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
-      const height = distance * Math.tan(camera.fov * Math.PI / 360);
-      right.setFromMatrixColumn(camera.matrixWorld, 0);
-      up.setFromMatrixColumn(camera.matrixWorld, 1);
-      target.addScaledVector(right, (x0 + x1) / 2 * height * camera.aspect);
-      target.addScaledVector(up, (y0 + y1) / 2 * height);
-      distance *= Math.min(Math.max((x1 - x0) / 1.9, (y1 - y0) / 1.86, 0.5), 2);
-    }
-    controls.target.copy(target);
-    controls.minDistance = edge * 4;
-    controls.maxDistance = distance * 3;
-    controls.update();
-    draw();
-  }
-
-  function paint() {
-    scene.background = new THREE.Color(colours.sky);
-    for (const [material, name] of painted) material.color.set(colours[name]);
-  }
-
-  function coloured(material, name) {
-    painted.push([material, name]);
-    return material;
-  }
-
-  function addLights() {
-    scene.add(new THREE.HemisphereLight(0xffffff, 0xd8d2c6, 2.2));
-    const sun = new THREE.DirectionalLight(0xffffff, 1.9);
-    sun.position.set(middle[0] - 0.9 * reach, middle[1] - 1.9 * reach, 2.5 * reach);
-    sun.target.position.set(middle[0], middle[1], 0);
-    sun.castShadow = true;
-    sun.shadow.mapSize.set(2048, 2048);
-    const box = sun.shadow.camera;
-    box.left = box.bottom = -1.4 * reach;
-    box.right = box.top = 1.4 * reach;
-    box.far = 8 * reach;
-    sun.shadow.normalBias = edge / 50;
-    sun.shadow.radius = 3;
-    scene.add(sun, sun.target);
-  }
-
-  function addTable() {
-    const pad = 1.6 * edge, r = edge;
-    const [x0, y0, x1, y1] = [low[0] - pad, low[1] - pad, high[0] + pad, high[1] + pad];
-    const shape = new THREE.Shape();
-    shape.moveTo(x0 + r, y0).lineTo(x1 - r, y0).absarc(x1 - r, y0 + r, r, -Math.PI / 2, 0)
-      .lineTo(x1, y1 - r).absarc(x1 - r, y1 - r, r, 0, Math.PI / 2)
-      .lineTo(x0 + r, y1).absarc(x0 + r, y1 - r, r, Math.PI / 2, Math.PI)
-      .lineTo(x0, y0 + r).absarc(x0 + r, y0 + r, r, Math.PI, 1.5 * Math.PI);
-    const top = new THREE.Mesh(
-      new THREE.ShapeGeometry(shape, 12), coloured(new THREE.MeshLambertMaterial(), "table"));
-    top.position.z = -0.0004;
-    top.receiveShadow = true;
-    scene.add(top);
+    view.moved();
+    view.draw();
   }
 
   function addTarget(face) {
@@ -295,7 +173,7 @@ function createStage(canvas, data) {
         }
         group.quaternion.identity().slerp(goalTurn, across);
         const current = block.number > 0 && Math.ceil(now) === block.number;
-        material.color.set(colours[current ? "current" : share > 0 ? block.kind : "waiting"]);
+        material.color.set(colours()[current ? "current" : share > 0 ? block.kind : "waiting"]);
       },
     };
   }

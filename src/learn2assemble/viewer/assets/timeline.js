@@ -10,7 +10,9 @@
   const clock = data.arm ? armClock(data) : stepClock();
   const last = clock.last;
   const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
-  const marked = [...document.querySelectorAll(".block, .label, .dot, #rows tr[data-step]")];
+  const marked = [...document.querySelectorAll(".block, .label, .dot, #rows tr[data-step]")].map((item) => (
+    { item, number: Number(item.dataset.step), dot: item.classList.contains("dot"), state: "" }));
+  const rows = document.querySelector(".scroll.tall");
   const cursor = document.querySelector(".cursor");
   const dots = [...document.querySelectorAll(".dot")];
   const playButton = find("play");
@@ -18,6 +20,7 @@
   let time = last, shown = "", told = "", playing = false, before = 0;
 
   const stage = openStage();
+  const layers = typeof createLayers === "function" ? createLayers(data, stage) : null;
 
   /* Time in steps: between k - 1 and k the block of step k is on the way. */
   function stepClock() {
@@ -63,12 +66,19 @@
   /* Everything that changes only from step to step. */
   function showStep({ step, current, segment, caption }) {
     root.dataset.step = String(step);
-    for (const item of marked) {
-      const number = Number(item.dataset.step);
+    for (const mark of marked) {
+      const { item, number } = mark, now = number === (mark.dot ? step : current);
+      const state = `${now} ${number > step}`;
+      if (state === mark.state) continue;
+      mark.state = state;
       item.classList.toggle("future", number > step);
       item.classList.toggle("done", number <= step);
-      item.classList.toggle("current", number === (item.classList.contains("dot") ? step : current));
+      item.classList.toggle("current", now);
+      if (now && rows?.contains(item)) {
+        rows.scrollTop += item.getBoundingClientRect().top - rows.getBoundingClientRect().top - rows.clientHeight / 2;
+      }
     }
+    layers?.showStep(step);
     for (const item of attempts) {
       const number = Number(item.dataset.segment);
       item.classList.toggle("current", number === segment);

@@ -1,0 +1,448 @@
+"""The page of an assembly: blocks of any shape step by step, layer by layer, with their joints.
+
+It holds thousands of blocks: in the 3-D view they are one mesh, and equal shapes are stored once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Collection, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from learn2assemble.assembly.blocks import Assembly, Block, fan_triangles, to_manifold
+from learn2assemble.assembly.contacts import Contacts
+from learn2assemble.errors import InputError
+from learn2assemble.files import write_file
+from learn2assemble.viewer.html import (
+    fact_list,
+    fill,
+    packed,
+    speed_options,
+    stand_alone,
+    to_base64,
+)
+
+PALETTE = (
+    "#c96f4a", "#ecca90", "#8fae7a", "#b98bb0", "#d8a13f", "#7f9fa3", "#a88468", "#c7cf8b",
+    "#d99a94", "#8d8fb5", "#6f9a86", "#b7b2a6",
+)  # fmt: skip
+"""Colours of kinds, in the order in which they first appear."""
+TONES = {"complete": "good", "stands": "good", "incomplete": "warn", "refused": "bad",
+         "stands only with tight joints": "warn", "falls": "bad"}  # fmt: skip
+_SPEEDS = (0.5, 1, 2, 4, 8, 16, 32, 64)
+_LONGEST = 60.0
+"""The chosen speed shows all steps within this time [s]."""
+_SECONDS_PER_STEP = 1.1
+_SCRIPTS = ("three.bundle.js", "view.js", "blocks.js", "timeline.js")
+
+
+class StepNote(NamedTuple):
+    """What is known about the state after a step."""
+
+    proof: str = ""
+    """How it was proven to stand."""
+    margin_g: float | None = None
+    """Sideways acceleration it withstands [g]."""
+
+
+class _Part(NamedTuple):
+    """A block as the page knows it."""
+
+    block: Block
+    shape: int
+    origin: np.ndarray
+    """float64[3]: lower corner of its bounding box [m]."""
+    kind: str
+    layer: int
+    placed: int
+    """The step that places it; 0: it stands from the start."""
+    removed: int
+    """The step that removes it again, or 0."""
+
+
+def write_assembly_page(
+    path: Path,
+    assembly: Assembly,
+    *,
+    title: str,
+    facts: Sequence[tuple[str, str]] = (),
+    step_notes: Sequence[StepNote | tuple[str, float | None]] = (),
+    forces: tuple[Contacts, np.ndarray | None] | None = None,
+    moving: Collection[str] = (),
+    status: str = "",
+    reason: str = "",
+) -> None:
+    """Write the page of an assembly to ``path``, a stand-alone HTML file.
+
+    ``#step=5`` behind its address opens it at step 5; without it the finished structure shows.
+
+    Args:
+        assembly: blocks and steps; blocks that no step places stand from the start.
+        title: of the page.
+        facts: name and value of each, for its head.
+        step_notes: of every step of the assembly, or none.
+        forces: contacts between the blocks of ``assembly.finished``, and float64[C, 3], the
+            forces at their corners [N, world], where they are known.
+        moving: ids of blocks that start to move; they are marked.
+        status: shown beside the title, e.g. ``complete`` or ``stands only with tight joints``.
+        reason: why it is not complete, or does not stand.
+
+    Raises:
+        InputError: where the notes do not fit the steps, or ``path`` cannot be written.
+    """
+    text = render_assembly_page(
+        assembly, title=title, facts=facts, step_notes=step_notes, forces=forces, moving=moving,
+        status=status, reason=reason,
+    )  # fmt: skip
+    write_file(path, text, "page")
+
+
+def render_assembly_page(
+    assembly: Assembly,
+    *,
+    title: str,
+    facts: Sequence[tuple[str, str]] = (),
+    step_notes: Sequence[StepNote | tuple[str, float | None]] = (),
+    forces: tuple[Contacts, np.ndarray | None] | None = None,
+    moving: Collection[str] = (),
+    status: str = "",
+    reason: str = "",
+) -> str:
+    """The HTML text of :func:`write_assembly_page`."""
+    steps = assembly.steps
+    if step_notes and len(step_notes) != len(steps):
+        raise InputError("step_notes", len(step_notes), f"one for each of {len(steps)} steps")
+    notes = [StepNote(*note) for note in step_notes] or [StepNote()] * len(steps)
+    parts, shapes, layers = _parts(assembly)
+    by_id = {part.block.id: part for part in parts}
+    stepped = [by_id[str(step.place or step.remove)] for step in steps]
+    captions = [_start(parts), *map(_caption, range(1, len(steps) + 1), stepped, notes)]
+    colours = _colours(parts, set(moving))
+    kinds = list(dict.fromkeys(part.kind for part in parts))
+    size = _typical_size(assembly)
+    data = {
+        "edge": size,
+        "floor": _round(min(part.origin[2] for part in parts)),
+        "steps": len(steps),
+        "captions": captions,
+        "kinds": kinds,
+        "colours": list(dict.fromkeys(colours)),
+        "layers": _layer_words(parts, layers),
+        "shapes": _shape_data(shapes),
+        "blocks": _block_data(parts, kinds, colours),
+        "joints": _joints(forces) if forces is not None else None,
+    }
+    low, high = _extent([part.block for part in parts])
+    values = {
+        "layer_box": _view_box(low, high, size),
+        "layers": str(len(layers)),
+        "last_layer": escape(data["layers"][-1]),
+        "bill": _bill(parts),
+        "steps": _rows(stepped, steps, notes),
+    }
+    count = str(len(steps))
+    wanted = _SECONDS_PER_STEP * len(steps) / _LONGEST
+    tone = TONES.get(status, "warn")
+    page = {
+        "what": "assembly",
+        "title": escape(title),
+        "eyebrow": f'Assembly <span class="status {tone}">{escape(status)}</span>'
+        if status else "Assembly",
+        "reason": f'<div class="reason" role="alert"><p>{escape(reason)}</p></div>'
+        if reason else "",
+        "summary": escape(_summary(assembly, parts, low, high)),
+        "facts": fact_list((name, value, "") for name, value in facts),
+        "body": "movable assembly" if steps else "fixed assembly",
+        "shown": "the assembly",
+        "views": '<button type="button" id="from-above">From above</button>',
+        "slider_last": count,
+        "slider_step": "1",
+        "slider_name": "Step",
+        "count": f"{count} / {count}",
+        "speeds": speed_options(_SPEEDS, next((s for s in _SPEEDS if s >= max(wanted, 1)), 64)),
+        "caption": escape(captions[-1]),
+        "legend": _legend(parts, colours),
+        "under_legend": _toggles(data["joints"]),
+        "view_note": "A click on a block names it.",
+        "sections": fill("assembly.html", values),
+    }  # fmt: skip
+    return stand_alone(page, data, _SCRIPTS)
+
+
+def _parts(assembly: Assembly) -> tuple[list[_Part], list[Block], list[float]]:
+    """The blocks, one block of every shape, and the heights at which layers begin [m]."""
+    placed, removed = {}, {}
+    for number, step in enumerate(assembly.steps, 1):
+        if step.place is not None:
+            placed[step.place] = number
+            removed.pop(step.place, None)
+        else:
+            removed[str(step.remove)] = number
+    bottoms = np.array([block.vertices[:, 2].min() for block in assembly.blocks])
+    layers = _layers(bottoms, [float(np.ptp(block.vertices[:, 2])) for block in assembly.blocks])
+    numbers: dict[Any, int] = {}
+    shapes: list[Block] = []
+    parts = []
+    level = np.searchsorted(layers, bottoms, side="right") - 1
+    for block, layer in zip(assembly.blocks, level.tolist(), strict=True):
+        origin = block.vertices.min(0)
+        relative = block.vertices - origin
+        key = ((1e6 * relative).round().astype(np.int64).tobytes(), block.faces)
+        if key not in numbers:
+            numbers[key] = len(shapes)
+            shapes.append(block)
+        parts.append(
+            _Part(block, numbers[key], origin, block.kind or _size_words(block), layer,
+                  placed.get(block.id, 0), removed.get(block.id, 0))
+        )  # fmt: skip
+    return parts, shapes, layers
+
+
+def _layers(bottoms: np.ndarray, heights: list[float]) -> list[float]:
+    """Heights at which layers begin; in steps of a block where nearly every block has its own."""
+    height = float(np.median(heights))
+    levels = [float(bottoms.min())]
+    for bottom in np.sort(bottoms).tolist():
+        if bottom > levels[-1] + 0.02 * height:
+            levels.append(bottom)
+    count = max(math.ceil(float(np.ptp(bottoms)) / height), 1)
+    if len(levels) > 4 * count:
+        levels = (float(bottoms.min()) + height * np.arange(count + 1)).tolist()
+    used = np.unique(np.searchsorted(np.array(levels) - 1e-9, bottoms, side="right") - 1)
+    return [levels[k] - 1e-9 for k in used.tolist()]
+
+
+def _typical_size(assembly: Assembly) -> float:
+    """Edge of the cube with the volume of a median block [m]."""
+    return _round(float(np.median([block.volume for block in assembly.blocks])) ** (1 / 3))
+
+
+def _extent(blocks: list[Block]) -> tuple[np.ndarray, np.ndarray]:
+    low = np.min([block.vertices.min(0) for block in blocks], 0)
+    return low, np.max([block.vertices.max(0) for block in blocks], 0)
+
+
+def _size_words(block: Block) -> str:
+    """Bounding box in millimetres, e.g. ``100 × 50 × 50 mm``."""
+    return " × ".join(f"{1000 * v:.4g}" for v in np.ptp(block.vertices, axis=0)) + " mm"
+
+
+def _colours(parts: list[_Part], moving: set[str]) -> list[str]:
+    """Of every block: ``#rrggbb``, or the name of a colour of the style sheet."""
+    plain = [p.kind for p in parts if not (p.block.prop or p.block.support or p.block.colour)]
+    of_kind = {kind: PALETTE[k % len(PALETTE)] for k, kind in enumerate(dict.fromkeys(plain))}
+
+    def colour(part: _Part) -> str:
+        block = part.block
+        if block.id in moving:
+            return "bad"
+        if block.prop or block.support:
+            return "prop" if block.prop else "support"
+        own = block.colour and "#{:02x}{:02x}{:02x}".format(*block.colour)
+        return own or of_kind[part.kind]
+
+    return [colour(part) for part in parts]
+
+
+def _shape_data(shapes: list[Block]) -> dict[str, Any]:
+    """Vertices and triangles of all shapes, one after the other, and their outlines from above."""
+    vertices, triangles = [], []
+    for block in shapes:
+        points, faces = _triangles(block)
+        vertices.append(points - block.vertices.min(0))
+        triangles.append(faces)
+    wide = max(map(len, vertices)) >= 65536
+    outlines = [_outline(block) for block in shapes]
+    boxes = [np.ptp(block.vertices[:, :2], axis=0) for block in shapes]
+    return {
+        "vertices": packed(np.concatenate(vertices), np.uint16),
+        "triangles": to_base64(np.concatenate(triangles).astype(np.uint32 if wide else np.uint16)),
+        "wide": wide,
+        "first": np.cumsum([0, *map(len, vertices)]).tolist(),
+        "faces": np.cumsum([0, *map(len, triangles)]).tolist(),
+        "outlines": [rings for rings, _ in outlines],
+        "middles": [middle for _, middle in outlines],
+        "widths": [_round(float(size.min())) for size in boxes],
+    }
+
+
+def _triangles(block: Block) -> tuple[np.ndarray, np.ndarray]:
+    """Surface as vertices float64[v, 3] [m] and triangles int[f, 3]."""
+    if block.is_convex:
+        corners = fan_triangles(block.vertices, block.faces).reshape(-1, 3)
+        points, index = np.unique(corners, axis=0, return_inverse=True)
+        return points, index.reshape(-1, 3)
+    mesh = to_manifold(block).to_mesh64()
+    return np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts)
+
+
+def _outline(block: Block) -> tuple[list[list[list[float]]], list[float]]:
+    """What a shape covers seen from above, as rings, and a point on it for its number [m].
+
+    Both are from the lower corner of the bounding box.
+    """
+    from shapely import Polygon, unary_union
+
+    points, faces = _triangles(block)
+    corners = points[faces] - block.vertices.min(0)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    up = normal[:, 2] > 1e-3 * np.linalg.norm(normal, axis=1)
+    # A hair wider and back, so that seams between triangles close.
+    hair = 1e-4 * float(np.ptp(corners[..., :2]))
+    area = unary_union([Polygon(t[:, :2]).buffer(hair, join_style="mitre") for t in corners[up]])
+    area = area.buffer(-hair, join_style="mitre").simplify(hair)
+    rings = [r for p in getattr(area, "geoms", [area]) for r in (p.exterior, *p.interiors)]
+    centre = area.centroid
+    middle = centre if area.contains(centre) else area.representative_point()
+    outline = [[[_round(x), _round(y)] for x, y in ring.coords[:-1]] for ring in rings]
+    return outline, [_round(middle.x), _round(middle.y)]
+
+
+def _block_data(parts: list[_Part], kinds: list[str], colours: list[str]) -> list[list[Any]]:
+    kind = {name: k for k, name in enumerate(kinds)}
+    colour = {name: k for k, name in enumerate(dict.fromkeys(colours))}
+    return [
+        [part.shape, *map(_round, part.origin), kind[part.kind], colour[own], part.layer,
+         part.placed, part.removed, part.block.id]
+        for part, own in zip(parts, colours, strict=True)
+    ]  # fmt: skip
+
+
+def _joints(forces: tuple[Contacts, np.ndarray | None]) -> dict[str, Any] | None:
+    contacts, vectors = forces
+    if not len(contacts.points):
+        return None
+    found: dict[str, Any] = {
+        "points": packed(contacts.points, np.uint16), "start": contacts.start.tolist()
+    }  # fmt: skip
+    if vectors is not None and (largest := float(np.linalg.norm(vectors, axis=1).max())) > 0:
+        found |= {"forces": packed(vectors, np.uint16), "largest": largest}
+    return found
+
+
+def _summary(assembly: Assembly, parts: list[_Part], low: np.ndarray, high: np.ndarray) -> str:
+    props = sum(part.block.prop for part in parts)
+    supports = sum(part.block.support for part in parts)
+    size = " × ".join(f"{v:.3g}" for v in high - low)
+    words = [f"{len(parts) - props - supports} blocks", f"{size} m"]
+    words += [f"{props} props that are removed again"] if props else []
+    words += [f"{supports} fixed supports"] if supports else []
+    words += [f"{len(assembly.steps)} steps"] if assembly.steps else []
+    return ", ".join([*words, f"friction {assembly.friction:g}"]) + "."
+
+
+def _start(parts: list[_Part]) -> str:
+    standing = sum(not part.placed for part in parts)
+    return f"Start: {standing or 'no'} block{'' if standing == 1 else 's'} stand."
+
+
+def _action(number: int, part: _Part) -> str:
+    return "remove" if part.removed == number else "place"
+
+
+def _caption(number: int, part: _Part, note: StepNote) -> str:
+    prop = "prop " if part.block.prop else ""
+    text = f"{_action(number, part).capitalize()} {prop}{part.block.id} ({part.kind})"
+    text += f", layer {part.layer + 1}."
+    if note.proof:
+        text += f" Stands: {note.proof}."
+    if note.margin_g is not None:
+        text += f" Withstands {note.margin_g:.2f} g sideways or a tilt of {_tilt(note.margin_g)}°."
+    return text
+
+
+def _tilt(margin_g: float) -> str:
+    """Tilt [deg] with the same ratio of sideways to downward acceleration."""
+    return f"{math.degrees(math.atan(margin_g)):.1f}"
+
+
+def _rows(stepped: list[_Part], steps: Sequence[Any], notes: list[StepNote]) -> str:
+    rows = []
+    for number, (part, note) in enumerate(zip(stepped, notes, strict=True), 1):
+        tag = ' <span class="tag">prop</span>' if part.block.prop else ""
+        margin = "–" if note.margin_g is None else f"{note.margin_g:.2f}"
+        tilt = "–" if note.margin_g is None else _tilt(note.margin_g)
+        rows.append(
+            f'<tr data-step="{number}"><td><button type="button" data-step="{number}" '
+            f'aria-label="Show step {number}">{number}</button></td>'
+            f"<td>{_action(number, part)}</td><td>{escape(part.block.id)}{tag}</td>"
+            f'<td>{escape(part.kind)}</td><td class="number">{part.layer + 1}</td>'
+            f'<td>{escape(note.proof) or "–"}</td><td class="number">{margin}</td>'
+            f'<td class="number">{tilt}</td></tr>'
+        )  # fmt: skip
+    return "".join(rows) or '<tr><td colspan="8">The order of building is not given.</td></tr>'
+
+
+def _bill(parts: list[_Part]) -> str:
+    """Bill of blocks: how many of each kind, size and mass."""
+    groups: dict[tuple[str, str], list[_Part]] = {}
+    for part in parts:
+        use = "support" if part.block.support else "prop" if part.block.prop else "block"
+        groups.setdefault((part.kind, use), []).append(part)
+    rows = []
+    for (kind, use), members in sorted(groups.items()):
+        sizes = {_size_words(part.block) for part in members}
+        size = sizes.pop() if len(sizes) == 1 else "several sizes"
+        mass = sum(part.block.mass for part in members)
+        rows.append(
+            f'<tr><td>{escape(kind)}</td><td>{use}</td><td class="number">{len(members)}</td>'
+            f'<td>{size}</td><td class="number">{mass:.3g} kg</td></tr>'
+        )
+    return "".join(rows)
+
+
+def _layer_words(parts: list[_Part], layers: list[float]) -> list[str]:
+    """What belongs to every layer, e.g. ``Layer 2 of 9, from 50 mm: 4 of 2x4, 1 of 1x2``."""
+    counts = [Counter(part.kind for part in parts if part.layer == k) for k in range(len(layers))]
+    return [
+        f"Layer {k + 1} of {len(layers)}, from {1000 * (height - layers[0]):.4g} mm: "
+        + ", ".join(f"{number} of {kind}" for kind, number in counts[k].most_common())
+        for k, height in enumerate(layers)
+    ]
+
+
+def _view_box(low: np.ndarray, high: np.ndarray, size: float) -> str:
+    pad = 300 * size
+    width, height = 1000 * (high - low)[:2] + 2 * pad
+    return f"{1000 * low[0] - pad:.1f} {-1000 * high[1] - pad:.1f} {width:.1f} {height:.1f}"
+
+
+def _legend(parts: list[_Part], colours: list[str]) -> str:
+    """Kinds by colour; the swatches are SVG, whose colours need no style sheet."""
+    named: dict[str, list[str]] = {}
+    for part, colour in zip(parts, colours, strict=True):
+        words = {"prop": "prop, removed again", "support": "fixed support", "bad": "starts to move"}
+        kinds = named.setdefault(colour, [])
+        if (word := words.get(colour, part.kind)) not in kinds:
+            kinds.append(word)
+    rows = [
+        (colour, ", ".join(kinds[:3]) + (", …" if len(kinds) > 3 else ""))
+        for colour, kinds in list(named.items())[:16]
+    ]
+    swatch = '<svg class="swatch" viewBox="0 0 14 14"><rect width="14" height="14" {}/></svg>'
+    return '<li><i class="current"></i>block of this step</li>' + "".join(
+        f"<li>{swatch.format(_paint(colour))}{escape(words)}</li>" for colour, words in rows
+    )
+
+
+def _paint(colour: str) -> str:
+    return f'fill="{colour}"' if colour.startswith("#") else f'class="{colour}"'
+
+
+def _toggles(joints: dict[str, Any] | None) -> str:
+    names = ["joints", "forces"] if joints and "forces" in joints else ["joints"] * bool(joints)
+    boxes = "".join(
+        f'<label><input type="checkbox" id="show-{name}"> {name}</label>' for name in names
+    )
+    note = " of the finished structure" if boxes else ""
+    return f'<p class="toggles">{boxes}{note}</p><p class="picked" id="picked" role="status"></p>'
+
+
+def _round(value: float) -> float:
+    """To a micrometre."""
+    return round(float(value), 6) + 0.0

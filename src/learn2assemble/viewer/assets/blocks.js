@@ -1,0 +1,310 @@
+"use strict";
+/* The 3-D view of an assembly. All blocks are one mesh and all their edges one set of lines, so that
+   thousands are drawn in two calls; a block that does not stand is shrunk to a point. */
+function createStage(canvas, data) {
+  const edge = data.edge, blocks = readBlocks(data), shapes = readShapes(data.shapes);
+  const points = blocks.flatMap(({ shape, at }) => {
+    const { low, high } = shapes[shape];
+    return [at.map((v, k) => v + low[k]), at.map((v, k) => v + high[k])];
+  });
+  const view = createView(canvas, { points, edge, floor: data.floor });
+  const roof = points.reduce((most, p) => Math.max(most, p[2]), -Infinity);
+
+  let corners = 0, ends = 0;
+  for (const block of blocks) {
+    const shape = shapes[block.shape];
+    Object.assign(block, { corner: corners, end: ends, state: "" });
+    corners += shape.corners.length;
+    ends += shape.edges.length;
+  }
+  const skin = geometry(corners, true), lines = geometry(ends, false);
+  const material = new THREE.MeshLambertMaterial({
+    vertexColors: true, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 2,
+  });
+  const rim = view.coloured(new THREE.LineBasicMaterial(), "edge");
+  const mesh = new THREE.Mesh(skin, material), edges = new THREE.LineSegments(lines, rim);
+  mesh.castShadow = mesh.receiveShadow = true;
+  mesh.frustumCulled = edges.frustumCulled = false;
+  view.scene.add(mesh, edges);
+  for (const block of blocks) turnOutwards(block);
+  const overlays = { joints: addJoints(), forces: addForces() };
+
+  let time = data.steps, cut = null;
+  view.whenRepainted(() => { for (const block of blocks) block.state = ""; update(time); });
+  view.start();
+  canvas.addEventListener("pointerdown", (event) => { canvas.pressed = [event.clientX, event.clientY]; });
+  canvas.addEventListener("pointerup", (event) => {
+    const [x, y] = canvas.pressed ?? [Infinity, Infinity];
+    if (Math.hypot(event.clientX - x, event.clientY - y) < 4) tellPicked(event);
+  });
+  for (const name of ["joints", "forces"]) {
+    document.getElementById("show-" + name)?.addEventListener("change", () => update(time));
+  }
+  document.getElementById("from-above").addEventListener("click", () => view.look(points, [0, -0.001, 1]));
+
+  return {
+    update(now) { cut = null; update(now); },
+    showLayer(layer) { cut = layer; update(time); },
+    resetView: () => view.look(),
+    nearView() {},
+  };
+
+  function update(now) {
+    time = now;
+    const colours = view.colours(), moved = [];
+    for (const block of blocks) {
+      const { lift, colour } = cut === null ? atTime(block, now) : inLayer(block);
+      const state = colour === null ? "" : `${colour} ${lift}`;
+      if (state === block.state) continue;
+      block.state = state;
+      moved.push(block);
+      write(block, colour === null ? null : lift, colour === null ? "" : shade(colour, colours));
+    }
+    refresh(moved);
+    const whole = cut === null && now >= data.steps;
+    let glass = false;
+    for (const [name, group] of Object.entries(overlays)) {
+      group.visible = whole && Boolean(document.getElementById("show-" + name)?.checked);
+      glass ||= group.visible;
+    }
+    if (material.transparent !== glass) {
+      Object.assign(material, { transparent: glass, opacity: glass ? 0.25 : 1, depthWrite: !glass, needsUpdate: true });
+      mesh.castShadow = !glass;
+    }
+    if (moved.length) view.moved();
+    view.draw();
+  }
+
+  /* How far above its place a block is, and its colour; null where it is not there. */
+  function atTime({ placed, removed, colour }, now) {
+    const there = placed ? now - placed + 1 : 1, gone = removed ? now - removed + 1 : 0;
+    if (there <= 0 || gone >= 1) return { lift: 0, colour: null };
+    const share = gone > 0 ? gone : 1 - Math.min(there, 1);
+    const step = Math.ceil(now), current = step > 0 && (step === placed || step === removed);
+    return { lift: Math.round(1000 * share * share) / 1000, colour: current ? "current" : colour };
+  }
+
+  function inLayer({ layer, colour }) {
+    return { lift: 0, colour: layer > cut ? null : layer < cut ? `faded ${colour}` : colour };
+  }
+
+  function shade(name, colours) {
+    const faded = name.startsWith("faded ");
+    const own = faded ? name.slice(6) : name;
+    const colour = new THREE.Color(colours[own] ?? own);
+    return faded ? colour.lerp(new THREE.Color(colours.table), 0.6) : colour;
+  }
+
+  function write(block, lift, colour) {
+    const shape = shapes[block.shape], [x, y, z] = block.at;
+    const up = lift === null ? 0 : lift * Math.max(2.5 * edge, 0.35 * (roof - data.floor));
+    for (const [target, from, source] of [
+      [skin.attributes.position.array, block.corner, shape.corners],
+      [lines.attributes.position.array, block.end, shape.edges],
+    ]) {
+      if (lift === null) { target.fill(0, from, from + source.length); continue; }
+      for (let k = 0; k < source.length; k += 3) {
+        target[from + k] = source[k] + x;
+        target[from + k + 1] = source[k + 1] + y;
+        target[from + k + 2] = source[k + 2] + z + up;
+      }
+    }
+    if (lift === null) return;
+    const paint = skin.attributes.color.array;
+    for (let k = block.corner; k < block.corner + shape.corners.length; k += 3) {
+      paint[k] = colour.r; paint[k + 1] = colour.g; paint[k + 2] = colour.b;
+    }
+  }
+
+  /* Send what has changed, and only that where it is little. */
+  function refresh(moved) {
+    if (!moved.length) return;
+    const few = moved.length <= 24;
+    for (const [name, attribute] of [...Object.entries(skin.attributes), ["line", lines.attributes.position]]) {
+      if (name === "normal") continue;
+      attribute.clearUpdateRanges();
+      if (few) {
+        for (const block of moved) {
+          const shape = shapes[block.shape];
+          if (name === "line") attribute.addUpdateRange(block.end, shape.edges.length);
+          else attribute.addUpdateRange(block.corner, shape.corners.length);
+        }
+      }
+      attribute.needsUpdate = true;
+    }
+  }
+
+  function geometry(size, shaded) {
+    const made = new THREE.BufferGeometry();
+    for (const name of shaded ? ["position", "normal", "color"] : ["position"]) {
+      made.setAttribute(name, new THREE.Float32BufferAttribute(new Float32Array(size), 3));
+    }
+    return made;
+  }
+
+  function turnOutwards({ shape, corner }) {
+    skin.attributes.normal.array.set(shapes[shape].normals, corner);
+  }
+
+  function addJoints() {
+    const group = new THREE.Group();
+    if (data.joints) {
+      const { points: packed, start } = data.joints, at = unpack(packed), ends = [];
+      start.slice(0, -1).forEach((first, patch) => {
+        for (let k = first; k < start[patch + 1]; k++) {
+          const next = k + 1 < start[patch + 1] ? k + 1 : first;
+          ends.push(...at.slice(3 * k, 3 * k + 3), ...at.slice(3 * next, 3 * next + 3));
+        }
+      });
+      group.add(bundle(ends, "soft"));
+    }
+    view.scene.add(group);
+    return group;
+  }
+
+  /* Arrows at the corners of the joints, the largest two blocks long. */
+  function addForces() {
+    const group = new THREE.Group();
+    if (data.joints?.forces) {
+      const at = unpack(data.joints.points), force = unpack(data.joints.forces), ends = [];
+      const from = new THREE.Vector3(), along = new THREE.Vector3(), side = new THREE.Vector3();
+      const scale = 2 * edge / data.joints.largest;
+      for (let k = 0; k < at.length; k += 3) {
+        along.set(force[k], force[k + 1], force[k + 2]).multiplyScalar(scale);
+        if (along.length() < 0.01 * edge) continue;
+        from.set(at[k], at[k + 1], at[k + 2]);
+        const tip = from.clone().add(along);
+        side.crossVectors(along, Math.abs(along.z) < 0.9 * along.length() ? new THREE.Vector3(0, 0, 1) : new THREE.Vector3(1, 0, 0));
+        side.setLength(0.08 * along.length());
+        ends.push(...from, ...tip);
+        for (const sign of [1, -1]) {
+          const barb = tip.clone().addScaledVector(along, -0.18).addScaledVector(side, sign);
+          ends.push(...tip, ...barb);
+        }
+      }
+      group.add(bundle(ends, "accent"));
+    }
+    view.scene.add(group);
+    return group;
+  }
+
+  function bundle(ends, colour) {
+    const made = new THREE.BufferGeometry();
+    made.setAttribute("position", new THREE.Float32BufferAttribute(ends, 3));
+    return new THREE.LineSegments(made, view.coloured(new THREE.LineBasicMaterial(), colour));
+  }
+
+  /* The nearest standing block whose bounding box is under the pointer. */
+  function tellPicked(event) {
+    const frame = canvas.getBoundingClientRect();
+    const x = 2 * (event.clientX - frame.left) / frame.width - 1, y = 1 - 2 * (event.clientY - frame.top) / frame.height;
+    const from = view.camera.position.toArray();
+    const ray = new THREE.Vector3(x, y, 0.5).unproject(view.camera).sub(view.camera.position).toArray();
+    let nearest = Infinity, picked = null;
+    for (const block of blocks) {
+      if (!block.state) continue;
+      const { low, high } = shapes[block.shape];
+      let enter = 0, leave = Infinity;
+      for (let k = 0; k < 3; k++) {
+        const ends = [low[k], high[k]].map((v) => (v + block.at[k] - from[k]) / ray[k]);
+        enter = Math.max(enter, Math.min(...ends));
+        leave = Math.min(leave, Math.max(...ends));
+      }
+      if (enter < leave && enter < nearest) { nearest = enter; picked = block; }
+    }
+    document.getElementById("picked").textContent = picked ? picked.words : "";
+  }
+}
+
+/* Blocks of the page with names for their fields. */
+function readBlocks(data) {
+  return data.blocks.map(([shape, x, y, z, kind, colour, layer, placed, removed, name], number) => {
+    const history = [placed && `placed in step ${placed}`, removed && `removed in step ${removed}`];
+    return {
+      number, shape, at: [x, y, z], colour: data.colours[colour], layer, placed, removed, kind, name,
+      words: [name, data.kinds[kind], `layer ${layer + 1}`, ...history].filter(Boolean).join(", "),
+    };
+  });
+}
+
+/* Of every shape: triangles with their normals, edges, and the bounding box. */
+function readShapes({ vertices, triangles, wide, first, faces }) {
+  const all = unpack(vertices), raw = bytes(triangles).buffer;
+  const index = wide ? new Uint32Array(raw) : new Uint16Array(raw);
+  return first.slice(0, -1).map((start, shape) => {
+    const own = all.subarray(3 * start, 3 * first[shape + 1]);
+    const picks = index.subarray(3 * faces[shape], 3 * faces[shape + 1]);
+    const corners = new Float32Array(3 * picks.length);
+    picks.forEach((vertex, k) => corners.set(own.subarray(3 * vertex, 3 * vertex + 3), 3 * k));
+    const made = new THREE.BufferGeometry();
+    made.setAttribute("position", new THREE.Float32BufferAttribute(corners, 3));
+    made.computeVertexNormals(); // Corners are not shared, so every face is flat.
+    const extent = (pick, begin) => [0, 1, 2].map((k) =>
+      own.reduce((value, v, place) => (place % 3 === k ? pick(value, v) : value), begin));
+    return {
+      corners, normals: made.attributes.normal.array,
+      edges: new THREE.EdgesGeometry(made, 20).attributes.position.array,
+      low: extent(Math.min, Infinity), high: extent(Math.max, -Infinity),
+    };
+  });
+}
+
+/* The plan of one layer seen from above, with the blocks of the layer below as dashed outlines. */
+function createLayers(data, stage) {
+  const blocks = readBlocks(data), find = (id) => document.getElementById(id);
+  const slider = find("layer"), plan = find("layer-plan");
+  const byLayer = data.layers.map(() => []);
+  for (const block of blocks) byLayer[block.layer].push(block);
+  const order = [];
+  for (const block of blocks) {
+    if (block.placed) order[block.placed] = block;
+    if (block.removed) order[block.removed] = block;
+  }
+  let shown = -1, step = data.steps;
+  slider.addEventListener("input", () => {
+    show(Number(slider.value) - 1, Infinity);
+    stage.showLayer?.(Number(slider.value) - 1);
+  });
+  return { showStep(now) { show(order[now]?.layer ?? (now ? data.layers.length - 1 : 0), now); } };
+
+  function show(layer, now) {
+    slider.value = String(layer + 1);
+    find("layer-words").textContent = data.layers[layer];
+    if (layer !== shown) draw(layer);
+    shown = layer;
+    step = now;
+    for (const item of plan.querySelectorAll("[data-step]")) {
+      const placed = Number(item.dataset.step), removed = Number(item.dataset.removed) || Infinity;
+      item.classList.toggle("current", step > 0 && (placed === step || removed === step));
+      item.classList.toggle("future", placed > step || removed < step);
+    }
+  }
+
+  function draw(layer) {
+    const made = (name, attributes, text) => {
+      const item = document.createElementNS("http://www.w3.org/2000/svg", name);
+      for (const [key, value] of Object.entries(attributes)) item.setAttribute(key, value);
+      if (text !== undefined) item.textContent = text;
+      return item;
+    };
+    const path = ({ shape, at }) => data.shapes.outlines[shape].map((ring) => "M" + ring
+      .map(([x, y]) => `${(1000 * (x + at[0])).toFixed(1)},${(-1000 * (y + at[1])).toFixed(1)}`).join("L") + "Z").join("");
+    const items = (byLayer[layer - 1] ?? []).map((block) => made("path", { class: "below", d: path(block) }));
+    for (const block of byLayer[layer]) {
+      const steps = { "data-step": block.placed, ...(block.removed ? { "data-removed": block.removed } : {}) };
+      const named = block.colour.startsWith("#") ? "" : ` ${block.colour}`;
+      const item = made("path", { class: "block" + named, d: path(block), ...steps });
+      if (!named) item.setAttribute("fill", block.colour);
+      item.append(made("title", {}, block.words));
+      const [x, y] = data.shapes.middles[block.shape], size = Math.min(420 * data.edge, data.shapes.widths[block.shape] * 450);
+      items.push(item);
+      if (block.placed) {
+        items.push(made("text", {
+          class: "label", x: (1000 * (x + block.at[0])).toFixed(1), "font-size": size.toFixed(1), ...steps,
+          y: (-1000 * (y + block.at[1]) + 0.36 * size).toFixed(1),
+        }, block.placed));
+      }
+    }
+    plan.replaceChildren(...items);
+  }
+}

@@ -1,0 +1,99 @@
+"""Stand-alone HTML pages: one file that asks for nothing, and runs only its own scripts."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from collections.abc import Iterable, Mapping
+from html import escape
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+
+def fill(template: str, values: Mapping[str, str]) -> str:
+    """An asset with its ``{{places}}`` filled in, in one pass: braces in a value stay."""
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: values[match[1]], asset(template))
+
+
+def stand_alone(values: Mapping[str, str], data: Mapping[str, Any], scripts: Iterable[str]) -> str:
+    """The text of a page.
+
+    Its content security policy allows only the scripts and the style whose hashes it names, so
+    text from a file can never run.
+
+    Args:
+        values: HTML for the places of ``page.html``; places without a value stay empty.
+        data: what the scripts find in the element ``data``.
+        scripts: names of assets, in order.
+    """
+    texts = [asset(name).strip() + "\n" for name in scripts]
+    style = asset("page.css")
+    policy = (
+        "default-src 'none'; img-src data: blob:; base-uri 'none'; form-action 'none'; "
+        f"style-src {_hash(style)}; script-src {' '.join(map(_hash, texts))}"
+    )
+    empty = dict.fromkeys(re.findall(r"\{\{(\w+)\}\}", asset("page.html")), "")
+    fixed = {
+        "policy": policy,
+        "style": style,
+        "data": to_json(data),
+        "scripts": "\n".join(f"<script>{text}</script>" for text in texts),
+    }
+    return fill("page.html", {**empty, **values, **fixed})
+
+
+def asset(name: str) -> str:
+    return (resources.files("learn2assemble.viewer") / "assets" / name).read_text(encoding="utf-8")
+
+
+def _hash(text: str) -> str:
+    digest = hashlib.sha256(text.encode("utf-8")).digest()
+    return f"'sha256-{base64.b64encode(digest).decode()}'"
+
+
+def to_json(value: Any) -> str:
+    """JSON that cannot end the script element it stands in."""
+    text = json.dumps(value, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def fact_list(facts: Iterable[tuple[str, str, str]]) -> str:
+    """Name, value and small print of each fact, for the head of a page."""
+    return "".join(
+        f'<div><dt>{escape(name)}</dt><dd><span class="{"figure" if len(value) < 9 else "words"}">'
+        f"{escape(value)}</span><small>{escape(note)}</small></dd></div>"
+        for name, value, note in facts
+    )
+
+
+def speed_options(speeds: Iterable[float], chosen: float) -> str:
+    """The speeds of the timeline as options of a select."""
+    return "".join(
+        f'<option value="{speed:g}"{" selected" if speed == chosen else ""}>'
+        f"{'½' if speed == 0.5 else f'{speed:g}'}×</option>"
+        for speed in speeds
+    )
+
+
+def packed(
+    values: np.ndarray, kind: type[np.unsignedinteger], limits: tuple[float, float] | None = None
+) -> dict[str, Any]:
+    """Columns as whole numbers from their smallest to their largest value, base64."""
+    low, high = limits or (values.min(0), values.max(0))
+    low, high = (np.broadcast_to(np.asarray(v, float), values.shape[1:]) for v in (low, high))
+    levels = np.iinfo(kind).max
+    scale = np.maximum(high - low, 1e-9) / levels
+    whole = np.round((values - low) / scale).clip(0, levels).astype(kind)
+    return {
+        "low": [float(f"{v:.9g}") for v in low], "scale": [float(f"{v:.9g}") for v in scale],
+        "bytes": kind(0).nbytes, "data": to_base64(whole),
+    }  # fmt: skip
+
+
+def to_base64(array: np.ndarray) -> str:
+    """Its bytes in little-endian order."""
+    return base64.b64encode(array.astype(array.dtype.newbyteorder("<")).tobytes()).decode()

@@ -1,0 +1,234 @@
+"""The page of an assembly: what it holds is the assembly, whatever the shapes of its blocks."""
+
+from __future__ import annotations
+
+import base64
+import html
+import itertools
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from headless import FLAT, SPATIAL, browse, pixels, shoot
+from learn2assemble.assembly.blocks import Assembly, Block, Step, box_block
+from learn2assemble.assembly.contacts import find_contacts
+from learn2assemble.errors import InputError
+from learn2assemble.viewer.assembly_page import (
+    PALETTE,
+    StepNote,
+    render_assembly_page,
+    write_assembly_page,
+)
+
+EDGE = 0.05
+
+
+def wall(length: int, height: int) -> Assembly:
+    """Bricks of two cells in bond, one cell at the ends, one behind the other in two rows."""
+    blocks = []
+    for z in range(height):
+        for y in range(2):
+            ends = sorted({0, *range(z % 2, length, 2), length})
+            for a, b in itertools.pairwise(ends):
+                low, high = EDGE * np.array([a, y, z]), EDGE * np.array([b, y + 1, z + 1])
+                blocks.append(
+                    box_block(f"b{len(blocks)}", low.tolist(), high.tolist(), kind=f"1x{b - a}")
+                )
+    return Assembly(tuple(blocks), tuple(Step(place=block.id) for block in blocks))
+
+
+def corner(id_: str, at: tuple[float, float, float]) -> Block:
+    """An L of three cells, which is not convex."""
+    flat = [(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]
+    points = [(x, y, z) for z in (0, 1) for x, y in flat]
+    sides = tuple((k, (k + 1) % 6, (k + 1) % 6 + 6, k + 6) for k in range(6))
+    faces = (tuple(range(5, -1, -1)), tuple(range(6, 12)), *sides)
+    return Block(id_, EDGE * np.array(points) + at, faces, kind="corner")
+
+
+def with_prop() -> Assembly:
+    base = box_block("plate", (0, 0, -0.02), (0.5, 0.2, 0), support=True)
+    post = box_block("post", (0, 0, 0), (EDGE, EDGE, EDGE), colour=(10, 200, 30))
+    prop = box_block("prop", (0.2, 0, 0), (0.25, EDGE, EDGE), prop=True)
+    steps = (Step("post"), Step("prop"), Step("L"), Step(remove="prop"))
+    return Assembly((base, post, prop, corner("L", (0, 0, EDGE))), steps)
+
+
+def page_data(text: str) -> dict[str, Any]:
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', text)
+    assert found
+    return json.loads(found[1])
+
+
+def unpacked(field: dict[str, Any]) -> np.ndarray:
+    raw = np.frombuffer(base64.b64decode(field["data"]), "<u2").reshape(-1, len(field["low"]))
+    return np.array(field["low"]) + raw * np.array(field["scale"])
+
+
+def solid(data: dict[str, Any], number: int) -> np.ndarray:
+    """float64[t, 3, 3]: triangles of a block as the page draws them."""
+    shapes, (shape, *at) = data["shapes"], data["blocks"][number][:4]
+    kind = "<u4" if shapes["wide"] else "<u2"
+    triangles = np.frombuffer(base64.b64decode(shapes["triangles"]), kind).reshape(-1, 3)
+    points = unpacked(shapes["vertices"])[shapes["first"][shape] : shapes["first"][shape + 1]]
+    return points[triangles[shapes["faces"][shape] : shapes["faces"][shape + 1]]] + at
+
+
+def area(ring: list[list[float]]) -> float:
+    x, y = np.array(ring).T
+    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
+
+
+@pytest.mark.parametrize("assembly", [wall(5, 3), with_prop()])
+def test_the_page_draws_the_solids_of_the_assembly(assembly: Assembly) -> None:
+    data = page_data(render_assembly_page(assembly, title="x"))
+    for number, block in enumerate(assembly.blocks):
+        corners = solid(data, number)
+        for end in (np.min, np.max):
+            drawn = end(corners.reshape(-1, 3), 0)
+            np.testing.assert_allclose(drawn, end(block.vertices, 0), atol=2e-5)
+        volume = np.einsum("ti,ti->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
+        assert volume == pytest.approx(block.volume, rel=2e-3), "closed, faces outward"
+        rings = data["shapes"]["outlines"][data["blocks"][number][0]]
+        covered = abs(sum(map(area, rings)))
+        height = np.ptp(block.vertices[:, 2])
+        assert covered == pytest.approx(block.volume / height, rel=2e-3), "these are all prisms"
+
+
+def test_equal_shapes_are_stored_once() -> None:
+    assembly = wall(6, 5)
+    data = page_data(render_assembly_page(assembly, title="x"))
+    assert len(data["shapes"]["outlines"]) == 2
+    assert [row[-1] for row in data["blocks"]] == [block.id for block in assembly.blocks]
+    assert len(data["layers"]) == 5
+    layers = [row[-4] for row in data["blocks"]]
+    bottoms = [round(block.vertices[:, 2].min() / EDGE) for block in assembly.blocks]
+    assert layers == bottoms
+
+
+@given(st.lists(st.floats(0, 3), min_size=1, max_size=60))
+@settings(max_examples=40, deadline=None)
+def test_layers_are_few_and_follow_the_heights(heights: list[float]) -> None:
+    blocks = [box_block(f"b{k}", (k, 0, z), (k + 1, 1, z + 1)) for k, z in enumerate(heights)]
+    data = page_data(render_assembly_page(Assembly(tuple(blocks)), title="x"))
+    layers = np.array([row[-4] for row in data["blocks"]])
+    assert len(data["layers"]) <= 4 * max(np.ceil(np.ptp(heights)), 1) + 1
+    assert set(layers) == set(range(len(data["layers"]))), "none is empty"
+    order = np.argsort(heights, kind="stable")
+    assert (np.diff(layers[order]) >= 0).all()
+
+
+def test_steps_of_props_and_supports() -> None:
+    text = render_assembly_page(with_prop(), title="x", status="complete")
+    data = page_data(text)
+    history = {row[-1]: (data["colours"][row[5]], *row[-3:-1]) for row in data["blocks"]}
+    assert history == {
+        "plate": ("support", 0, 0), "post": ("#0ac81e", 1, 0), "prop": ("prop", 2, 4),
+        "L": (PALETTE[0], 3, 0),
+    }  # fmt: skip
+    assert data["captions"][4].startswith("Remove prop prop")
+    rows = re.findall(r'<tr data-step="(\d)">.*?<td>(place|remove)</td>', text)
+    assert rows == [("1", "place"), ("2", "place"), ("3", "place"), ("4", "remove")]
+    bill = text.split("Bill of blocks")[1].split("</table>")[0]
+    assert re.findall(r"<td>(block|prop|support)</td>", bill).count("block") == 2
+
+
+def test_notes_joints_and_forces_are_those_given() -> None:
+    assembly = wall(4, 2)
+    contacts = find_contacts(assembly.finished)
+    forces = np.random.default_rng(0).normal(size=contacts.points.shape)
+    notes = [StepNote("local certificate", 0.25)] * (len(assembly.steps) - 1) + [("program", None)]
+    text = render_assembly_page(
+        assembly, title="x", step_notes=notes, forces=(contacts, forces), moving=["b1"]
+    )
+    data = page_data(text)
+    np.testing.assert_allclose(unpacked(data["joints"]["points"]), contacts.points, atol=1e-5)
+    np.testing.assert_allclose(unpacked(data["joints"]["forces"]), forces, atol=1e-3)
+    assert data["joints"]["start"] == contacts.start.tolist()
+    assert text.count("<td>local certificate</td>") == len(notes) - 1
+    assert "Withstands 0.25 g sideways or a tilt of 14.0°" in data["captions"][1]
+    assert data["colours"][data["blocks"][1][5]] == "bad"
+    plain = render_assembly_page(assembly, title="x", forces=(contacts, None))
+    assert 'id="show-joints"' in plain
+    assert 'id="show-forces"' not in plain
+    with pytest.raises(InputError, match="step_notes"):
+        render_assembly_page(assembly, title="x", step_notes=notes[1:])
+
+
+@pytest.mark.parametrize(
+    "evil", ["</script><script>alert(1)</script>", '"><img src=x onerror=a()>']
+)
+def test_text_of_an_assembly_never_becomes_markup(evil: str) -> None:
+    def render(text: str) -> str:
+        block = box_block(text, (0, 0, 0), (1, 1, 1), kind=text)
+        assembly = Assembly((block,), (Step(place=text),))
+        return render_assembly_page(assembly, title=text, facts=[(text, text)], status=text,
+                                    reason=text, step_notes=[(text, 1.0)])  # fmt: skip
+
+    clean, page = render("plain"), render(evil)
+    assert page.count("<script") == clean.count("<script")
+    assert "<img" not in page
+    assert html.escape(evil) in page
+    policy = re.search(r'Security-Policy" content="([^"]*)"', page)
+    assert policy
+    assert "unsafe" not in policy[1]
+
+
+def test_two_thousand_blocks_are_a_small_page(tmp_path: Path) -> None:
+    assembly = wall(40, 50)
+    assert len(assembly.blocks) > 2000
+    contacts = find_contacts(assembly)
+    write_assembly_page(
+        tmp_path / "view.html", assembly, title="large",
+        step_notes=[StepNote("local certificate", 0.3)] * len(assembly.steps),
+        forces=(contacts, np.ones_like(contacts.points)),
+    )  # fmt: skip
+    assert (tmp_path / "view.html").stat().st_size < 5_000_000
+    with pytest.raises(InputError, match="page"):
+        write_assembly_page(tmp_path / "none" / "view.html", wall(2, 1), title="x")
+
+
+@pytest.mark.browser
+def test_blocks_and_layers_follow_the_timeline(browser: str, tmp_path: Path) -> None:
+    assembly = wall(6, 4)
+    for name in ("flat", "spatial"):
+        (tmp_path / name).mkdir()
+        path = tmp_path / name / "view.html"
+        write_assembly_page(path, assembly, title="wall", status="complete")
+    half = len(assembly.steps) // 2
+    anchors = ("step=0", f"step={half}", f"step={len(assembly.steps)}")
+    flat, log = shoot(browser, tmp_path / "flat", anchors, (1000, 900), *FLAT)
+    assert "CONSOLE" not in log, log
+    assert len({image.tobytes() for image in flat}) == 3, "the plan of the layer changes"
+    images, log = shoot(browser, tmp_path / "spatial", anchors, (1000, 900), *SPATIAL)
+    assert "Uncaught" not in log, log
+    stage = [image[240:680, 40:560] for image in images]
+    if pixels(stage[0], "#f1efea") > 0.95 * stage[0][..., 0].size:
+        pytest.skip("this browser has no software WebGL")
+    red = [(image[..., 0] > 1.5 * image[..., 2]).mean() for image in stage]
+    assert red[0] + 0.02 < red[1] < red[2] - 0.02, red
+
+
+@pytest.mark.browser
+def test_the_page_runs_without_an_error(browser: str, tmp_path: Path) -> None:
+    write_assembly_page(tmp_path / "view.html", with_prop(), title="prop")
+    dom, log = browse(
+        browser, tmp_path / "run", f"{(tmp_path / 'view.html').as_uri()}#step=4", *SPATIAL,
+        "--dump-dom", "--window-size=500,600",
+    )  # fmt: skip
+    root = re.search(r"<html[^>]*>", dom)
+    assert root, log
+    assert 'data-ready="yes"' in root[0], log
+    assert "data-error" not in root[0]
+    assert "Uncaught" not in log
+    assert "Content Security Policy" not in log
+    assert re.findall(r'<tr data-step="(\d+)" class="[^"]*current', dom) == ["4"]
+    layer = re.search(r'id="layer-words"[^>]*>([^<]*)', dom)
+    assert layer
+    assert layer[1].startswith("Layer 2 of 3"), "the layer of the prop that is removed"
