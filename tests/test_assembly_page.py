@@ -36,10 +36,8 @@ def wall(length: int, height: int) -> Assembly:
         for y in range(2):
             ends = sorted({0, *range(z % 2, length, 2), length})
             for a, b in itertools.pairwise(ends):
-                low, high = EDGE * np.array([a, y, z]), EDGE * np.array([b, y + 1, z + 1])
-                blocks.append(
-                    box_block(f"b{len(blocks)}", low.tolist(), high.tolist(), kind=f"1x{b - a}")
-                )
+                box = EDGE * np.array([(a, y, z), (b, y + 1, z + 1)])
+                blocks.append(box_block(f"b{len(blocks)}", *box.tolist(), kind=f"1x{b - a}"))
     return Assembly(tuple(blocks), tuple(Step(place=block.id) for block in blocks))
 
 
