@@ -393,12 +393,15 @@ def _split(solid, sliver: float) -> list:
     normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
     offset = np.einsum("ij,ij->i", normal, corners[:, 0])
     over = (points @ normal.T - offset).max(0)
-    for k in np.argsort(-over)[:MAX_PARTS]:
-        pieces = solid.split_by_plane(normal[k].tolist(), float(offset[k]))
-        # A plane along which rounding leaves one side empty would be cut for ever.
-        if all(piece.volume() > sliver for piece in pieces):
-            return [part for piece in pieces for part in piece.decompose()]
-    return [solid.hull()]
+    core = solid.hull()
+    for k in np.argsort(-over):
+        ahead, behind = solid.split_by_plane(normal[k].tolist(), float(offset[k]))
+        if min(ahead.volume(), behind.volume()) > sliver:
+            return [*ahead.decompose(), *behind.decompose()]
+        if ahead.volume() <= sliver:
+            core = core.trim_by_plane((-normal[k]).tolist(), float(-offset[k]))
+    # No plane cuts it: it is convex but for fins without thickness, which earlier cuts leave.
+    return [core.hull()]
 
 
 def _arrays(mesh) -> tuple[np.ndarray, np.ndarray]:
