@@ -57,7 +57,6 @@ ROBOTS = {
 """With a robot, the first steps of recorded episodes are what is known of resets."""
 RESETS = list(RECORDED)
 RECORDED |= ROBOTS
-SAMPLED = [name for name in RECORDED if name != "2robo_g5_n24_b"]
 LARGER_GRID = [name for name in RESETS if RECORDED[name].unseen_shapes_only]
 OBJECTS = [name for name, task in RECORDED.items() if task.objects != "cubes"]
 NUM_TESTS = 7 * len(RECORDED)
@@ -166,14 +165,6 @@ def first_steps(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
-def sampled(folder: Path, name: str) -> list[dict[str, Any]]:
-    variant, grid, nodes, *_ = name.split("_")
-    wanted = (variant, int(grid[1:]), int(nodes[1:]))
-    lines = read(folder / "resets_sample.jsonl")
-    lines += first_steps(read(folder / "transitions_robot.jsonl"))
-    return [x for x in lines if (x["variant"], x["grid"], x["nodes"]) == wanted]
-
-
 # ---------------------------------------------------------------- distributions
 
 
@@ -182,16 +173,6 @@ def test_resets_are_distributed_as_recorded(reference: Path, name: str) -> None:
     task = RECORDED[name].replace(unseen_shapes_only=False)
     lines = recorded(reference, name)
     assert len(lines) == 150 if name in RESETS else 10 <= len(lines) <= 40
-    found = p_values(our_draws(task), recorded_draws(lines, task))
-    assert min(found.values()) > LEVEL / NUM_TESTS, found
-
-
-@pytest.mark.parametrize("name", [n for n in RESETS if n != "2wo_g3_n40"])
-def test_resets_are_distributed_as_the_sample(data: Path, name: str) -> None:
-    """The same with the few lines the project carries; they can only tell what is far off."""
-    task = RECORDED[name].replace(unseen_shapes_only=False)
-    lines = sampled(data, name)
-    assert len(lines) >= 9
     found = p_values(our_draws(task), recorded_draws(lines, task))
     assert min(found.values()) > LEVEL / NUM_TESTS, found
 
@@ -368,11 +349,6 @@ def test_recorded_problems_have_our_masks_and_initial_cover(reference: Path, nam
     assert covers == 1.0
 
 
-def test_sampled_problems_have_our_masks_and_initial_cover(data: Path) -> None:
-    for name in SAMPLED:
-        assert _restored_counts(sampled(data, name), RECORDED[name]) == (1.0, 1.0)
-
-
 # ---------------------------------------------------------------- waiting blocks
 
 
@@ -432,14 +408,6 @@ def _kinds(cells: np.ndarray, ids: np.ndarray) -> list[tuple[tuple[int, ...], ..
 @pytest.mark.parametrize("name", RECORDED)
 def test_blocks_wait_where_they_were_recorded_to(reference: Path, name: str) -> None:
     for line in recorded(reference, name):
-        _check_layout(line, RECORDED[name])
-
-
-@pytest.mark.parametrize("name", SAMPLED)
-def test_blocks_wait_where_the_sample_says(data: Path, name: str) -> None:
-    lines = sampled(data, name)
-    assert lines
-    for line in lines:
         _check_layout(line, RECORDED[name])
 
 
