@@ -129,6 +129,15 @@ def without_a_tensor(folder: Path) -> None:
     save_file(tensors, folder / "agent.safetensors")
 
 
+def with_a_weight(number: float) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        tensors = load_file(folder / "agent.safetensors")
+        tensors["readout.bias"][0] = number
+        save_file(tensors, folder / "agent.safetensors")
+
+    return change
+
+
 def remove(name: str) -> Callable[[Path], None]:
     def change(folder: Path) -> None:
         (folder / name).unlink()
@@ -143,6 +152,8 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "weights are text": write("agent.safetensors", b"weights" * 50),
     "weights cut off": cut,
     "a tensor is missing": without_a_tensor,
+    "a weight is not a number": with_a_weight(float("nan")),
+    "a weight is infinite": with_a_weight(float("inf")),
     "description is not JSON": write("agent.json", b"{"),
     "description is a list": write("agent.json", b"[]"),
     "description is binary": write("agent.json", b"\xff\xfe\x00"),
@@ -154,6 +165,7 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "network has an unknown field": change_network(depth=3),
     "network has an unknown choice": change_network(feed_forward="wyde"),
     "network width is a word": change_network(width="wide"),
+    "network is too wide": change_network(width=10**9),
 }
 
 
@@ -194,14 +206,18 @@ def test_unknown_agents(tmp_path: Path) -> None:
 
 def test_default_agent_prefers_the_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(agent_module, "PRETRAINED", tmp_path)
-    with pytest.raises(InputError, match="none is shipped"):
+    monkeypatch.setattr(agent_module, "REPOSITORY", tmp_path / "none")
+    with pytest.raises(InputError, match="folder agents of the source repository"):
         default_agent(TASK)
     for name, task in (("a", "two-sided-3x3-20-24"), ("b", TASK)):
         save_agent(Agent(name, random_agent().network, task), tmp_path)
     assert pretrained_names() == ["a", "b"]
     assert default_agent(TASK) == "b"
-    assert default_agent("four-sided-3x3-10-18") == "a"
     assert load_agent("b").task == TASK
+    for ask in (lambda: load_agent("bb"), lambda: default_agent("four-sided-3x3-10-18")):
+        with pytest.raises(InputError, match="one of a, b; all others lie in the folder agents"):
+            ask()
+    monkeypatch.setattr(agent_module, "REPOSITORY", tmp_path)
     with pytest.raises(UnknownNameError, match="did you mean"):
         load_agent("bb")
 
@@ -226,11 +242,15 @@ def test_an_agent_is_shipped() -> None:
     assert pretrained_names(), "no agent in src/learn2assemble/pretrained: l2a build cannot work"
 
 
-@pytest.mark.parametrize("name", pretrained_names() or [None])
-def test_shipped_agent_is_complete(name: str | None) -> None:
+def test_the_package_carries_only_defaults() -> None:
+    carried = {path.stem for path in agent_module.PRETRAINED.iterdir()}
+    assert carried < set(agent_module.DEFAULTS.values()) <= set(pretrained_names())
+    assert not carried & {path.stem for path in agent_module.REPOSITORY.iterdir()}
+
+
+@pytest.mark.parametrize("name", pretrained_names())
+def test_shipped_agent_is_complete(name: str) -> None:
     """It loads, knows its task and how it came about, and runs on that task."""
-    if name is None:
-        pytest.skip("no agent is shipped")
     agent, info = load_agent(name), agent_info(name)
     assert agent.name == name
     assert agent.task in PRESETS

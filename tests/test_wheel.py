@@ -20,7 +20,7 @@ def test_the_wheel_builds_a_design_elsewhere(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "-w", str(tmp_path)]
     subprocess.run([*command, str(ROOT)], check=True, capture_output=True, timeout=300)
     (wheel,) = tmp_path.glob("learn2assemble-*.whl")
-    assert wheel.stat().st_size < 25_000_000
+    assert wheel.stat().st_size <= 4_000_000
     installed = tmp_path / "installed"
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(installed)
@@ -42,6 +42,15 @@ def test_the_wheel_builds_a_design_elsewhere(tmp_path: Path) -> None:
     assert result["status"] == "complete"
     for name in ("plan.json", "view.html", "progress.png"):
         assert (tmp_path / "out" / name).stat().st_size > 1000
+    absent = subprocess.run(
+        [sys.executable, "-m", "learn2assemble", "eval", "bars-one-sided-5x5-25-27"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+        env={**os.environ, "PYTHONPATH": str(installed)},
+    )  # fmt: skip
+    assert absent.returncode == 2
+    (line,) = absent.stderr.splitlines()
+    assert "relational-bars-s0" in line
+    assert "in the folder agents of the source repository" in line
     where = subprocess.run(
         [sys.executable, "-c", "import learn2assemble; print(learn2assemble.__file__)"],
         cwd=tmp_path, capture_output=True, text=True, check=True,

@@ -1,9 +1,8 @@
-"""A Q-network from its configuration.
-
-A trained agent: network weights and what they were trained for.
+"""Trained agents: a Q-network, and what it was trained for.
 
 An agent is two files: ``NAME.safetensors`` (weights) and ``NAME.json`` (architecture, task,
-training configuration, counters). Agents shipped with the package lie in ``pretrained/``.
+training configuration, counters). The package carries those that most tasks need by default, in
+``pretrained/``; a checkout finds all the others by name in its folder ``agents/``.
 """
 
 from __future__ import annotations
@@ -47,6 +46,8 @@ def at_pitch(network: Network, pitch: float) -> Network:
 
 FORMAT = "learn2assemble-agent"
 PRETRAINED = Path(__file__).parent.parent / "pretrained"
+REPOSITORY = Path(__file__).parents[3] / "agents"
+"""Where a checkout holds the agents that are not installed with the package."""
 
 
 @dataclass(frozen=True)
@@ -61,14 +62,43 @@ class Agent:
     """Training configuration, seed, samples, gradient steps, seconds, commit, hardware."""
 
 
+def agent_files() -> dict[str, Path]:
+    """Name and weights of the agents there are by name: those of the package, and of a checkout
+    all others."""
+    files = [f for folder in (REPOSITORY, PRETRAINED) for f in folder.glob("*.safetensors")]
+    return {f.stem: f for f in sorted(files, key=lambda f: f.stem) if _info_file(f).is_file()}
+
+
 def pretrained_names() -> list[str]:
-    """Names of the shipped agents."""
-    return sorted(path.stem for path in PRETRAINED.glob("*.json"))
+    """Names of the agents there are by name."""
+    return list(agent_files())
 
 
 def agent_info(name: str) -> dict[str, Any]:
-    """The JSON part of a shipped agent."""
-    return json.loads((PRETRAINED / f"{name}.json").read_text(encoding="utf-8"))
+    """The JSON part of an agent by name.
+
+    Raises:
+        UnknownNameError: for a name there is no agent of.
+    """
+    return json.loads(_info_file(_named(name)).read_text(encoding="utf-8"))
+
+
+def _named(name: str) -> Path:
+    """Weights of the agent called ``name``."""
+    files = agent_files()
+    if name in files:
+        return files[name]
+    if REPOSITORY.is_dir():
+        raise UnknownNameError("agent", name, files)
+    known = ", ".join(files) or "none"
+    raise InputError(
+        "agent", name, f"one of {known}; all others lie in the folder agents of the source "
+        "repository: give the path of the .safetensors file",
+    )  # fmt: skip
+
+
+def _info_file(weights: Path) -> Path:
+    return weights.with_suffix(".json")
 
 
 DEFAULTS = {
@@ -85,21 +115,17 @@ DEFAULTS = {
 
 
 def default_agent(task: str) -> str:
-    """Our shipped agent for tasks like ``task``, else one trained on it, else the first.
+    """Our agent for tasks like ``task``, else one trained on it.
 
     Raises:
-        InputError: where no agent is shipped.
+        InputError: where there is neither.
     """
+    wanted = next(name for start, name in DEFAULTS.items() if task.startswith(start))
     names = pretrained_names()
-    if not names:
-        raise InputError("agent", None, "a trained agent (none is shipped)")
-    for start, name in DEFAULTS.items():
-        if task.startswith(start) and name in names:
-            return name
-    for name in names:
-        if agent_info(name)["task"] == task:
-            return name
-    return names[0]
+    if wanted in names:
+        return wanted
+    trained = [name for name in names if agent_info(name)["task"] == task]
+    return trained[0] if trained else _named(wanted).stem
 
 
 def save_agent(agent: Agent, folder: Path) -> Path:
@@ -120,28 +146,30 @@ def save_agent(agent: Agent, folder: Path) -> Path:
 
 
 def load_agent(name_or_path: str, device: torch.device | str = "cpu") -> Agent:
-    """A shipped agent by name, or one from a ``.safetensors`` file or a run folder.
+    """An agent by name, or one from a ``.safetensors`` file or a run folder.
 
     Raises:
-        UnknownNameError: for a name that is neither shipped nor a path.
+        UnknownNameError: for a name that is neither an agent's nor a path.
         InputError: for files that are damaged or do not belong together.
     """
     path = Path(name_or_path)
     if path.is_dir():
         path = path / "agent.safetensors"
     if path.suffix != ".safetensors":
-        if name_or_path not in pretrained_names():
-            raise UnknownNameError("agent", name_or_path, pretrained_names())
-        path = PRETRAINED / f"{name_or_path}.safetensors"
-    for file in (path, path.with_suffix(".json")):
+        path = _named(name_or_path)
+    for file in (path, _info_file(path)):
         if not file.is_file():
             raise InputError("agent", str(file), "an existing file")
     try:
-        info = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+        info = json.loads(_info_file(path).read_text(encoding="utf-8"))
         if info["format"] != FORMAT:
             raise ValueError(f"format {info['format']!r}")
         network = make_network(NetworkConfig(**info["network"]))
-        network.load_state_dict(load_file(path))
+        weights = load_file(path)
+        for key, value in weights.items():
+            if not value.isfinite().all():
+                raise ValueError(f"{key} holds numbers that are not finite")
+        network.load_state_dict(weights)
         name, task, origin = info["name"], info["task"], info.get("origin", {})
     except (SafetensorError, OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
         reason = " ".join(str(error).split())

@@ -34,7 +34,7 @@ from learn2assemble.evaluation.episodes import (
     random_policy,
 )
 from learn2assemble.learning.run import provenance
-from learn2assemble.networks.agent import PRETRAINED, load_agent
+from learn2assemble.networks.agent import agent_files, load_agent
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QNetwork
 from learn2assemble.reproduction.bounds import best_returns, has_bound
@@ -270,7 +270,7 @@ def measured_agents(root: Path, task: str) -> set[str]:
 
 
 def find_agents(folder: Path | None) -> dict[str, Path]:
-    """Name and weights of the agents in ``folder``; of the shipped ones without it.
+    """Name and weights of the agents in ``folder``; without it of all there are by name.
 
     An agent is ``NAME.safetensors`` or a run folder ``NAME``.
 
@@ -278,8 +278,8 @@ def find_agents(folder: Path | None) -> dict[str, Path]:
         InputError: where the folder does not exist.
     """
     if folder is None:
-        folder = PRETRAINED
-    elif not folder.is_dir():
+        return agent_files()
+    if not folder.is_dir():
         raise InputError("--agents", str(folder), "an existing folder")
     runs = {f.parent.name: f for f in folder.glob("*/agent.safetensors")}
     files = {f.stem: f for f in folder.glob("*.safetensors")}
