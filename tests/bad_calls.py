@@ -222,6 +222,9 @@ BAD = [
     BadCall("resume with another task", resume("{d}/run", task="two-sided-3x3-20-24"),
             "the task of the run"),
     BadCall("resume with --set", resume("{d}/run", "--set", "batch_size=8"), "own configuration"),
+    BadCall("resume with --seed", resume("{d}/run", "--seed", "0"), "own configuration"),
+    BadCall("a network of gigabytes", train("--set", "network.width=1000000"), "1 to 4096"),
+    BadCall("a memory of terabytes", train("--set", "replay_size=1000000000000"), "1 to 10000000"),
     BadCall("resume with --samples", resume("{d}/run", "--samples", "99"), "own configuration"),
     # table and curves
     BadCall("no table", ["table"], "NAME"),

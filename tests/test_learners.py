@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from learn2assemble.evaluation.episodes import greedy_policy, make_policy, run_episodes
+from learn2assemble.evaluation.episodes import make_policy, random_policy, run_episodes
 from learn2assemble.graph.batch import to_tensors
 from learn2assemble.graph.features import node_offset
 from learn2assemble.learning.config import TrainConfig, get_config, override
@@ -182,7 +182,8 @@ LEARNERS = {
         ["network.feed_forward=none", "network.position_scale=0.1", "steps_per_round=5",
          "updates_per_round=10", "learning_rate=2e-3", "final_learning_rate=2e-3"],
     ),
-    "dqn": ("published", 4000, 0.65, TINY_PUBLISHED),
+    "dqn": ("published", 4000, 0.65,
+            [*TINY_PUBLISHED, "updates_per_round=8", "learning_rate=2e-3"]),
     "q-mcts": ("published", 4000, 0.5, [*TINY_PUBLISHED, "method=q-mcts"]),
     "eps-mcts": ("published", 4000, 0.65, [*TINY_PUBLISHED, "method=eps-mcts"]),
     "s2v": ("published", 4000, 0.4, [*TINY_PUBLISHED, *FULL, "network.encoder=s2v"]),
@@ -196,6 +197,8 @@ def test_learner_solves_a_tiny_task(name: str) -> None:
     """A few seconds of training bring the greedy policy near to a one-step oracle (R = 2.1).
 
     The published learner gets less far in the time; it must still leave random play far behind.
+    Another processor rounds otherwise and so trains another network, so what is asked for is the
+    median over three seeds; where the first two agree it is decided.
     """
     base, samples, share, changes = LEARNERS[name]
     config = override(
@@ -203,19 +206,22 @@ def test_learner_solves_a_tiny_task(name: str) -> None:
         ["network.width=32", "network.rounds=2", f"num_samples={samples}", "initial_samples=400",
          "epsilon_samples=2000", "replay_size=10000", "target_period=100", "num_envs=16", *changes],
     )  # fmt: skip
-    trainer = Trainer(TINY, config, 0)
-    while not trainer.finished:
-        trainer.round()
 
     def score(policy: Any) -> float:
         return run_episodes(TINY, policy, 200, seed=0).R
 
-    simulator = Simulator(TINY)
-    best = score(play_well(simulator))
-    chance = score(greedy_policy(WorldModel(simulator, trainer.agent_network), 1.0))
-    learned = score(make_policy(TINY, trainer.agent_network.eval(), None, 0.0))
+    def learned(seed: int) -> float:
+        trainer = Trainer(TINY, config, seed)
+        while not trainer.finished:
+            trainer.round()
+        return score(make_policy(TINY, trainer.agent_network.eval(), None, 0.0))
+
+    best, chance = score(play_well(Simulator(TINY))), score(random_policy(TINY.num_actions))
     assert chance < 0.25 * best
-    assert learned > share * best, (chance, learned, best)
+    found = [learned(seed) for seed in range(2)]
+    if len({value > share * best for value in found}) == 2:
+        found.append(learned(2))
+    assert np.median(found) > share * best, (chance, found, best)
 
 
 @pytest.mark.parametrize("name", ["published", "relational"])

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 
@@ -257,26 +260,127 @@ def test_output_folder_must_be_new(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
 
 
-@pytest.mark.parametrize("damage", ["empty", "junk", "cut", "no counters", "missing tensor"])
-def test_damaged_state_is_refused_in_one_line(tmp_path: Path, damage: str) -> None:
-    file = tmp_path / "state.safetensors"
-    trainer = Trainer(TINY, QUICK, 0)
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """State of a training that has begun to learn."""
+    file = tmp_path_factory.mktemp("saved") / "state.safetensors"
+    trainer = Trainer(TINY, dataclasses.replace(QUICK, **OWN), 0)
+    while not trainer.updates:
+        trainer.round()
     trainer.save(file)
+    return file
+
+
+def read_state(file: Path) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
     with safe_open(file, "pt") as stream:
-        counters = stream.metadata()
-        tensors = {key: stream.get_tensor(key) for key in stream.keys()}  # noqa: SIM118
-    whole = file.read_bytes()
-    if damage == "empty":
-        file.write_bytes(b"")
-    elif damage == "junk":
-        file.write_bytes(b"junk" * 100)
-    elif damage == "cut":
-        file.write_bytes(whole[: len(whole) // 2])
-    elif damage == "no counters":
-        save_file(tensors, file)
-    else:
-        tensors.pop("running_return")
-        save_file(tensors, file, metadata=counters)
+        counters = json.loads(stream.metadata()["counters"])
+        return counters, {key: stream.get_tensor(key) for key in stream.keys()}  # noqa: SIM118
+
+
+@functools.cache
+def another_trainer() -> Trainer:
+    """Refuses states, which leave it unchanged."""
+    return Trainer(TINY, dataclasses.replace(QUICK, **OWN), 0)
+
+
+def refused(file: Path) -> str:
+    """What the refusal of a state file says."""
     with pytest.raises(InputError) as caught:
-        trainer.load(file)
+        another_trainer().load(file)
     assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"junk" * 100, None], ids=["empty", "junk", "cut"])
+def test_damaged_state_is_refused_in_one_line(
+    saved: Path, tmp_path: Path, content: bytes | None
+) -> None:
+    file = tmp_path / "state.safetensors"
+    whole = saved.read_bytes()
+    file.write_bytes(whole[: len(whole) // 2] if content is None else content)
+    refused(file)
+
+
+def test_every_tensor_of_a_state_is_checked(saved: Path, tmp_path: Path) -> None:
+    """Absent, of another shape or kind, or with numbers that are not finite."""
+    file = tmp_path / "state.safetensors"
+    counters, tensors = read_state(saved)
+    metadata = {"counters": json.dumps(counters)}
+    assert any(key.startswith("adam.") for key in tensors)
+    for number, (key, value) in enumerate(tensors.items()):
+        bad = [torch.zeros(3, 5, 7), value.to(torch.complex64)]
+        if value.ndim:
+            bad += [value[..., :0], torch.cat([value, value], -1)]
+        if value.is_floating_point():
+            bad.append(torch.full_like(value, float("nan")))
+        changed = bad[number % len(bad)]
+        if key.startswith("replay.outcome.") and changed.shape[-1:] == (128,):
+            changed = bad[0]  # memories of outcomes grow like this
+        save_file({**tensors, key: changed.contiguous()}, file, metadata=metadata)
+        assert key in refused(file) or "replay" in key
+    for key in ("running_return", "recent", "online.readout.0.bias", "replay.action"):
+        save_file({k: v for k, v in tensors.items() if k != key}, file, metadata=metadata)
+        refused(file)
+    extra = {**tensors, "adam.99.exp_avg": torch.zeros(3)}
+    save_file(extra, file, metadata=metadata)
+    refused(file)
+    placed = tensors["state.num_placed"]
+    for count in (-placed - 1, placed + 10**6):
+        save_file({**tensors, "state.num_placed": count}, file, metadata=metadata)
+        assert "num_placed" in refused(file)
+
+
+def test_every_counter_of_a_state_is_checked(saved: Path, tmp_path: Path) -> None:
+    file = tmp_path / "state.safetensors"
+    counters, tensors = read_state(saved)
+    for key in ("seed", "samples", "updates", "episodes", "cursor", "seconds"):
+        for value in (-1, 10**9 if key == "cursor" else "many", None, [1]):
+            changed = {**counters, key: value}
+            save_file(tensors, file, metadata={"counters": json.dumps(changed)})
+            assert key in refused(file) or value in (None, [1], "many")
+    for changed in ([], 3, {**counters, "rng": {}}, {**counters, "config": 3}, {}):
+        save_file(tensors, file, metadata={"counters": json.dumps(changed)})
+        refused(file)
+    save_file(tensors, file)
+    refused(file)
+
+
+@pytest.mark.parametrize("line", [b"[1]", b"3", b"{}", b'{"samples": "many"}', b'"\xc3\xa9"'])
+def test_a_log_of_something_else_is_refused(tmp_path: Path, line: bytes) -> None:
+    train(TINY, QUICK, tmp_path / "a", device="cpu", quiet=True)
+    log = tmp_path / "a" / "log.jsonl"
+    content = log.read_bytes() + line + b"\n"
+    log.write_bytes(content)
+    with pytest.raises(InputError, match=r"log\.jsonl line") as caught:
+        train(TINY, QUICK, tmp_path / "a", device="cpu", quiet=True, resume=True)
+    assert "\n" not in str(caught.value)
+    assert log.read_bytes() == content
+
+
+def test_a_resumed_run_has_its_own_seed(tmp_path: Path) -> None:
+    train(TINY, QUICK, tmp_path / "a", seed=4, device="cpu", quiet=True)
+    with pytest.raises(InputError, match="--seed"):
+        train(TINY, QUICK, tmp_path / "a", seed=5, device="cpu", quiet=True, resume=True)
+    for seed in (None, 4):
+        train(TINY, QUICK, tmp_path / "a", seed=seed, device="cpu", quiet=True, resume=True)
+
+
+def test_a_run_records_the_commit_of_its_own_checkout(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Installed below another repository, the package records its version."""
+    git = ["git", "-c", "user.name=a", "-c", "user.email=a@b.c"]
+    subprocess.run([*git, "init", "-q"], cwd=tmp_path, check=True)
+    subprocess.run([*git, "commit", "-q", "--allow-empty", "-m", "x"], cwd=tmp_path, check=True)
+    here = tmp_path / "installed" / "run.py"
+    here.parent.mkdir()
+    here.touch()
+    monkeypatch.setattr(run_module, "__file__", str(here))
+    assert run_module.provenance("cpu")["commit"] == f"version {version('learn2assemble')}"
+    subprocess.run([*git, "add", "installed/run.py"], cwd=tmp_path, check=True)
+    head = subprocess.run(
+        [*git, "rev-parse", "HEAD"], cwd=tmp_path, check=True, capture_output=True, text=True
+    )
+    commit = run_module.provenance("cpu")["commit"]
+    assert len(commit) >= 7
+    assert head.stdout.startswith(commit)

@@ -137,7 +137,7 @@ def make_parser() -> argparse.ArgumentParser:
     length = train.add_mutually_exclusive_group()
     length.add_argument("--minutes", type=_positive, default=None)
     length.add_argument("--samples", type=_count, default=None)
-    train.add_argument("--seed", type=_natural, default=0)
+    train.add_argument("--seed", type=_natural, default=None, help="0 by default")
     train.add_argument("--device", default="auto", help="auto, cpu or cuda")
     train.add_argument("--threads", type=_count, default=None, help="CPU threads of PyTorch")
     train.add_argument("--arm", default=None, help=ARM_HELP)

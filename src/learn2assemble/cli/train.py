@@ -50,7 +50,7 @@ def _settings(
         config = override(config, [*method, *options.set])
         if options.samples is not None:
             config = dataclasses.replace(config, num_samples=options.samples)
-        return config, options.seed, options.minutes, options.arm
+        return config, options.seed or 0, options.minutes, options.arm
     file = options.out / "config.json"
     try:
         saved = json.loads(file.read_text(encoding="utf-8"))
@@ -61,7 +61,10 @@ def _settings(
         raise InputError("--resume", str(options.out), "the folder of a training run") from None
     if task != options.task:
         raise InputError("TASK", options.task, f"{task}, the task of the run to resume")
-    if options.set or options.samples is not None or options.arm is not None:
-        raise InputError("--resume", "--set, --samples or --arm", "the run's own configuration")
+    given = (options.samples, options.arm, options.seed)
+    if options.set or any(value is not None for value in given):
+        raise InputError(
+            "--resume", "--set, --samples, --arm or --seed", "the run's own configuration"
+        )
     minutes = options.minutes if options.minutes is not None else minutes
     return config, seed, minutes, arm if get_task(task).has_arm else None

@@ -13,6 +13,12 @@ from learn2assemble.errors import InputError, UnknownNameError, look_up
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.tasks import Task
 
+LARGEST = {
+    "num_envs": 10**5, "batch_size": 10**5, "replay_size": 10**7, "steps": 1000,
+    "steps_per_round": 10**6, "updates_per_round": 10**6, "search_budget": 10**5,
+}  # fmt: skip
+"""Beyond these a training would not fit into any machine's memory or time."""
+
 
 @dataclass(frozen=True)
 class TrainConfig:
@@ -77,8 +83,9 @@ class TrainConfig:
         for name in ("num_samples", "num_envs", "steps_per_round", "updates_per_round",
                      "batch_size", "replay_size", "initial_samples", "epsilon_samples",
                      "target_period", "steps", "search_budget"):  # fmt: skip
-            if getattr(self, name) < 1:
-                raise InputError(name, getattr(self, name), "a positive whole number")
+            most = LARGEST.get(name, 10**12)
+            if not 1 <= getattr(self, name) <= most:
+                raise InputError(name, getattr(self, name), f"a whole number from 1 to {most}")
         for name in ("learning_rate", "final_learning_rate"):
             if not 0 < getattr(self, name) < 1:
                 raise InputError(name, getattr(self, name), "a rate between 0 and 1")

@@ -8,6 +8,7 @@ on), ``agent.safetensors`` and ``agent.json`` (the network so far).
 from __future__ import annotations
 
 import dataclasses
+import importlib.metadata
 import importlib.util
 import json
 import os
@@ -45,23 +46,36 @@ def choose_device(name: str) -> str:
     return "cuda" if name != "cpu" and available else "cpu"
 
 
+def _commit() -> str:
+    """Commit of the checkout that holds this package; its version where none tracks it."""
+    here = Path(__file__)
+    # Variables of git that a hook sets would point to another repository.
+    env = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
+    found = ""
+    try:
+        for words in (["ls-files", "--error-unmatch", here.name], ["rev-parse", "--short", "HEAD"]):
+            done = subprocess.run(
+                ["git", *words], cwd=here.parent, env=env, capture_output=True, text=True,
+                check=True, timeout=5,
+            )  # fmt: skip
+            found = done.stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        found = ""
+    if found:
+        return found
+    try:
+        return f"version {importlib.metadata.version('learn2assemble')}"
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"
+
+
 def provenance(device: str) -> dict[str, Any]:
     """Versions, hardware and commit, for run files and results."""
-    here = Path(__file__).parent
-    commit = None
-    try:
-        done = subprocess.run(
-            ["git", "rev-parse", "--short", "HEAD"],
-            cwd=here, capture_output=True, text=True, check=False, timeout=5,
-        )  # fmt: skip
-        commit = done.stdout.strip() or None
-    except OSError:
-        pass
     hardware = f"{os.cpu_count()} CPU cores ({platform.machine()})"
     if device == "cuda":
         hardware += f", {torch.cuda.get_device_name()}"
     return {
-        "commit": commit,
+        "commit": _commit(),
         "python": platform.python_version(),
         "torch": torch.__version__,
         "hardware": hardware,
@@ -101,17 +115,27 @@ class _Logs:
 
 
 def _drop_lines_after(file: Path, samples: int) -> None:
-    """A resumed run repeats what came after its checkpoint; so must its log."""
+    """A resumed run repeats what came after its checkpoint; so must its log.
+
+    Raises:
+        InputError: for a file that is no such log.
+    """
     if not file.exists():
         return
     kept = []
-    for line in file.read_text(encoding="utf-8").splitlines():
+    for number, line in enumerate(file.read_bytes().splitlines(), 1):
         try:
-            if json.loads(line)["samples"] <= samples:
-                kept.append(line + "\n")
-        except ValueError:
+            values = json.loads(line)
+        except (ValueError, RecursionError):
             continue  # A line cut off by the kill.
-    file.write_text("".join(kept), encoding="utf-8")
+        if not isinstance(values, dict) or type(values.get("samples")) is not int:
+            got = line.decode(errors="replace")
+            raise InputError(f"{file} line {number}", got, "a JSON object with samples")
+        if values["samples"] <= samples:
+            kept.append(line + b"\n")
+    part = file.with_suffix(".part")
+    part.write_bytes(b"".join(kept))
+    part.replace(file)
 
 
 def train(
@@ -119,7 +143,7 @@ def train(
     config: TrainConfig,
     out: Path,
     *,
-    seed: int = 0,
+    seed: int | None = None,
     minutes: float | None = None,
     device: str = "auto",
     resume: bool = False,
@@ -129,6 +153,7 @@ def train(
     """Train, or continue a training, in the folder ``out``; returns the last metrics.
 
     Args:
+        seed: of everything random, 0 by default; a resumed run has its own.
         minutes: stop after this many minutes of training in all, resumed parts counted in;
             ``None``: run to ``config.num_samples``.
         init: start from the weights of this agent instead of random ones.
@@ -140,7 +165,7 @@ def train(
     device = choose_device(device)
     state_file = out / "state.safetensors"
     # First what can be refused without leaving a folder behind.
-    trainer = Trainer(task, config, seed, device)
+    trainer = Trainer(task, config, seed or 0, device)
     started_from = None
     if init is not None:
         trainer.start_from(init.network)
@@ -148,10 +173,12 @@ def train(
     _prepare_folder(out, state_file, resume)
     if resume:
         trainer.load(state_file)
-        started_from = json.loads((out / "config.json").read_text(encoding="utf-8")).get("init")
+        if seed not in (None, trainer.seed):
+            raise InputError("--resume --seed", seed, f"the run's own: {trainer.seed}")
+        started_from = _started_from(out / "config.json")
     else:
         run = {
-            "task": dataclasses.asdict(task), "seed": seed, "minutes": minutes,
+            "task": dataclasses.asdict(task), "seed": trainer.seed, "minutes": minutes,
             "init": started_from,
             "config": config.to_dict(), **provenance(device),
         }  # fmt: skip
@@ -191,6 +218,14 @@ def train(
         logs.close()
         bar.close()
     return trainer.metrics()
+
+
+def _started_from(file: Path) -> dict[str, Any] | None:
+    """The agent whose weights the run in ``config.json`` began with."""
+    try:
+        return json.loads(file.read_text(encoding="utf-8")).get("init")
+    except (OSError, ValueError, AttributeError, RecursionError):
+        raise InputError("--resume", str(file), "the configuration of a run") from None
 
 
 def _save(

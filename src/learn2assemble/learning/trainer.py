@@ -264,14 +264,7 @@ class Trainer:
 
     def save(self, path: Path) -> None:
         """Write the whole training state to one file, atomically."""
-        arrays: dict[str, np.ndarray] = {f"state.{k}": v for k, v in self.state._asdict().items()}
-        arrays |= self.replay.state()
-        arrays["running_return"] = self.running_return
-        arrays["running_discount"] = self.running_discount
-        arrays["recent"] = np.asarray(self.recent, float).reshape(-1, 3)
-        tensors = {k: torch.from_numpy(np.ascontiguousarray(v)) for k, v in arrays.items()}
-        for prefix, network in (("online", self.online), ("target", self.target)):
-            tensors |= {f"{prefix}.{k}": v.cpu() for k, v in network.state_dict().items()}
+        tensors = self._tensors()
         for number, slots in self.optimizer.state_dict()["state"].items():
             tensors |= {f"adam.{number}.{k}": v.cpu() for k, v in slots.items()}
         counters = {
@@ -289,6 +282,18 @@ class Trainer:
         save_file(tensors, partial, metadata={"counters": json.dumps(counters)})
         os.replace(partial, path)
 
+    def _tensors(self) -> dict[str, torch.Tensor]:
+        """Everything but the counters and the optimiser's moments, by its name in a state file."""
+        arrays: dict[str, np.ndarray] = {f"state.{k}": v for k, v in self.state._asdict().items()}
+        arrays |= self.replay.state()
+        arrays["running_return"] = self.running_return
+        arrays["running_discount"] = self.running_discount
+        arrays["recent"] = np.asarray(self.recent, float).reshape(-1, 3)
+        tensors = {k: torch.from_numpy(np.ascontiguousarray(v)) for k, v in arrays.items()}
+        for prefix, network in (("online", self.online), ("target", self.target)):
+            tensors |= {f"{prefix}.{k}": v.cpu() for k, v in network.state_dict().items()}
+        return tensors
+
     def load(self, path: Path) -> None:
         """Continue exactly where :meth:`save` was called.
 
@@ -300,11 +305,43 @@ class Trainer:
                 counters: dict[str, Any] = json.loads(file.metadata()["counters"])
                 tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
             self._restore(counters, tensors)
-        except (SafetensorError, OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
+        except (
+            SafetensorError, OSError, LookupError, ValueError, TypeError, RuntimeError,
+            AttributeError,
+        ) as error:  # fmt: skip
             if isinstance(error, InputError):
                 raise
             reason = " ".join(str(error).split())[:120]
             raise InputError("--resume", str(path), f"an undamaged state ({reason})") from None
+
+    def _check_tensors(self, tensors: dict[str, torch.Tensor]) -> None:
+        """ValueError for a tensor of another shape or kind, or with numbers that are not finite."""
+        parameters = [p for group in self.optimizer.param_groups for p in group["params"]]
+        expected = self._tensors()
+        for key in tensors:
+            if key.startswith("adam."):
+                _, number, slot = key.split(".")
+                parameter = parameters[int(number)].detach()
+                expected[key] = torch.zeros(()) if slot == "step" else parameter
+        length = len(tensors["replay.reward"])
+        if length > self.replay.size:
+            raise ValueError(f"{length} transitions in a memory of {self.replay.size}")
+        for key, mine in expected.items():
+            given, shape = tensors[key], list(mine.shape)
+            if key.startswith("replay."):
+                shape[0] = length
+                if key.startswith("replay.outcome."):  # these grow by doubling
+                    shape[1] = max(shape[1], given.shape[-1])
+            elif key == "recent":
+                shape[0] = min(len(given), EPISODES_AVERAGED)
+            if list(given.shape) != shape or given.dtype != mine.dtype:
+                raise ValueError(f"{key} is {given.dtype}{list(given.shape)}, not {shape}")
+            if given.is_floating_point() and not given.isfinite().all():
+                raise ValueError(f"{key} holds numbers that are not finite")
+        placed, blocks = tensors["state.num_placed"], tensors["state.num_blocks"]
+        most = self.state.position.shape[1]
+        if not ((placed >= 0) & (placed <= blocks) & (blocks <= most)).all():
+            raise ValueError("state.num_placed and state.num_blocks are no counts of blocks")
 
     def _restore(self, counters: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
         mine = {"task": self.task.name, "config": self.config}
@@ -313,6 +350,8 @@ class Trainer:
         for key, value in mine.items():
             if theirs[key] != value:
                 raise InputError(f"--resume {key}", value, f"the run's own: {theirs[key]}")
+        _check_counters(counters, self.config.replay_size)
+        self._check_tensors(tensors)
         arrays = {k: v.numpy() for k, v in tensors.items() if not k.startswith("adam.")}
         for name, field in self.state._asdict().items():
             field[:] = arrays[f"state.{name}"]
@@ -333,3 +372,14 @@ class Trainer:
         self.samples, self.updates = counters["samples"], counters["updates"]
         self.episodes, self.seconds = counters["episodes"], counters["seconds"]
         self.rng.bit_generator.state = counters["rng"]
+
+
+def _check_counters(counters: dict[str, Any], replay_size: int) -> None:
+    """ValueError for counters that no training can have."""
+    for name in ("seed", "samples", "updates", "episodes", "cursor"):
+        if type(counters[name]) is not int or counters[name] < 0:
+            raise ValueError(f"{name} is {counters[name]!r}")
+    if counters["cursor"] >= replay_size:
+        raise ValueError(f"cursor is {counters['cursor']} of {replay_size}")
+    if not 0 <= counters["seconds"] < math.inf:
+        raise ValueError(f"seconds is {counters['seconds']!r}")

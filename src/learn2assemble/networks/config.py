@@ -59,9 +59,14 @@ class NetworkConfig:
             raise UnknownNameError("encoder", self.encoder, ENCODERS)
         if self.connectivity not in CONNECTIVITIES:
             raise UnknownNameError("connectivity", self.connectivity, CONNECTIVITIES)
-        for name in ("width", "heads", "num_actions"):
-            if getattr(self, name) < 1:
-                raise InputError(name, getattr(self, name), "a positive whole number")
+        for name, most in (
+            ("width", 4096),
+            ("heads", 4096),
+            ("rounds", 100),
+            ("num_actions", 1000),
+        ):
+            if not 1 <= getattr(self, name) <= most:
+                raise InputError(name, getattr(self, name), f"a whole number from 1 to {most}")
         if self.width % self.heads:
             raise InputError("heads", self.heads, f"a divisor of width {self.width}")
         if self.encoder == "s2v" and self.width < 2:
@@ -74,7 +79,5 @@ class NetworkConfig:
             raise InputError("pitch", self.pitch, "a positive length [m]")
         if self.hand and self.encoder != "relational":
             raise InputError("hand", self.hand, "false unless encoder is relational")
-        if self.rounds < 1:
-            raise InputError("rounds", self.rounds, "at least 1")
         if not 0 < self.position_scale < math.inf:
             raise InputError("position_scale", self.position_scale, "a positive length [m]")
