@@ -10,8 +10,9 @@ import json
 import re
 import socket
 import threading
-import urllib.request
+from collections.abc import Iterator
 from html.parser import HTMLParser
+from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from learn2assemble.viewer.html import to_json
 from learn2assemble.viewer.page import render_page, write_page
 from learn2assemble.viewer.picture import moments, side_normal, write_progress
 from learn2assemble.viewer.scene import hull, read_scene
-from learn2assemble.viewer.server import open_server, serve
+from learn2assemble.viewer.server import PageServer, open_server, serve
 from learn2assemble.viewer.words import percent, summary
 from learn2assemble.world.layouts import side_frames, waiting_places
 
@@ -464,19 +465,56 @@ def _page_in(folder: Path) -> Path:
     return path
 
 
-def test_server_answers_on_this_machine_only(tmp_path: Path) -> None:
-    server, address = open_server(_page_in(tmp_path))
-    assert address.startswith("http://127.0.0.1:")
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
-    thread.start()
+def _ask(server: PageServer, target: str, method: str = "GET", **headers: str) -> tuple[int, bytes]:
+    """Status and body; the request line is sent as it is."""
+    connection = HTTPConnection("127.0.0.1", server.server_port, timeout=10)
     try:
-        opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
-        with opener.open(address, timeout=10) as answer:
-            assert answer.read() == b"hello"
+        connection.putrequest(method, target, skip_host=True)
+        for name, value in {"Host": f"127.0.0.1:{server.server_port}", **headers}.items():
+            if value:
+                connection.putheader(name, value)
+        connection.endheaders()
+        answer = connection.getresponse()
+        return answer.status, answer.read()
     finally:
+        connection.close()
+
+
+@pytest.fixture
+def running(tmp_path: Path) -> Iterator[PageServer]:
+    with open_server(_page_in(tmp_path)) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+        thread.start()
+        yield server
         server.shutdown()
         thread.join()
-        server.server_close()
+
+
+def test_server_gives_the_page_and_nothing_else(running: PageServer, tmp_path: Path) -> None:
+    assert running.address == f"http://127.0.0.1:{running.server_port}/my%20view.html"
+    (tmp_path / "plan.json").write_text("{}")
+    (tmp_path / ".secret").write_text("secret")
+    (tmp_path / "link.html").symlink_to(tmp_path / ".secret")
+    assert _ask(running, "/my%20view.html") == (200, b"hello")
+    assert _ask(running, "/")[1] == b"hello"
+    assert _ask(running, "/my%20view.html", "HEAD") == (200, b"")
+    for target in ("/plan.json", "/.secret", "/link.html", "/../", "/..%2f.secret", "//etc/passwd",
+                   "/my%20view.html/", "/%00", "*"):  # fmt: skip
+        assert _ask(running, target)[0] in (400, 404), target
+    assert _ask(running, "/", "POST")[0] == 501
+
+
+def test_server_refuses_other_names_and_links(running: PageServer, tmp_path: Path) -> None:
+    port = running.server_port
+    assert _ask(running, "/", Host=f"localhost:{port}")[0] == 200
+    for host in (f"evil.example:{port}", f"127.0.0.1.evil:{port}", f"127.0.0.1:{port + 1}", ""):
+        assert _ask(running, "/", Host=host)[0] == 403, host
+    page = tmp_path / "my view.html"
+    page.rename(tmp_path / "moved.html")
+    page.symlink_to(tmp_path / "moved.html")
+    assert _ask(running, "/")[0] == 404
+    with pytest.raises(InputError, match="not a link"):
+        open_server(page)
 
 
 def test_serve_reports_the_address_and_ends_when_interrupted(
@@ -486,7 +524,7 @@ def test_serve_reports_the_address_and_ends_when_interrupted(
         raise KeyboardInterrupt
 
     opened: list[str] = []
-    monkeypatch.setattr("http.server.ThreadingHTTPServer.serve_forever", interrupt)
+    monkeypatch.setattr(PageServer, "serve_forever", interrupt)
     monkeypatch.setattr("webbrowser.open", opened.append)
     told: list[str] = []
     address = serve(_page_in(tmp_path), report=told.append)

@@ -329,16 +329,20 @@ def _summary(assembly: Assembly, parts: list[_Part], low: np.ndarray, high: np.n
     props = sum(part.block.prop for part in parts)
     supports = sum(part.block.support for part in parts)
     size = " × ".join(f"{v:.3g}" for v in high - low)
-    words = [f"{len(parts) - props - supports} blocks", f"{size} m"]
-    words += [f"{props} props that are removed again"] if props else []
-    words += [f"{supports} fixed supports"] if supports else []
-    words += [f"{len(assembly.steps)} steps"] if assembly.steps else []
+    words = [_count(len(parts) - props - supports, "block"), f"{size} m"]
+    words += [_count(props, "prop")] if props else []
+    words += [_count(supports, "fixed support")] if supports else []
+    words += [_count(len(assembly.steps), "step")] if assembly.steps else []
     return ", ".join([*words, f"friction {assembly.friction:g}"]) + "."
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def _start(parts: list[_Part]) -> str:
     standing = sum(not part.placed for part in parts)
-    return f"Start: {standing or 'no'} block{'' if standing == 1 else 's'} stand."
+    return f"Start: {_count(standing, 'block')} in place."
 
 
 def _action(number: int, part: _Part) -> str:

@@ -1,44 +1,86 @@
-"""Show a report in the browser through a server that only this machine can reach."""
+"""Show a page in the browser through a server that only this machine can reach."""
 
 from __future__ import annotations
 
 import webbrowser
 from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 from learn2assemble.errors import InputError
 
 HOST = "127.0.0.1"
+_NAMES = (HOST, "localhost")
 
 
-class _Quiet(SimpleHTTPRequestHandler):
-    """Serves files without writing a line for every request."""
+class PageServer(ThreadingHTTPServer):
+    """Serves one file, and only to requests that name this machine.
+
+    The name is checked because any web page can have its own name resolve to this machine and
+    read what a server there answers (DNS rebinding).
+    """
+
+    daemon_threads = True
+
+    def __init__(self, page: Path, port: int) -> None:
+        super().__init__((HOST, port), _Handler)
+        self.page = page
+        self.address = f"http://{HOST}:{self.server_port}/{quote(page.name)}"
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: PageServer  # pyright: ignore[reportIncompatibleVariableOverride]
+    timeout = 30
+
+    def do_GET(self) -> None:
+        hosts = {f"{name}:{self.server.server_port}" for name in _NAMES}
+        if self.headers.get("Host", "").lower() not in hosts:
+            self.send_error(HTTPStatus.FORBIDDEN, "Only for this machine")
+        elif urlsplit(self.path).path not in ("/", "/" + quote(self.server.page.name)):
+            self.send_error(HTTPStatus.NOT_FOUND)
+        else:
+            self._send_page()
+
+    do_HEAD = do_GET
+
+    def _send_page(self) -> None:
+        page = self.server.page
+        try:
+            content = None if page.is_symlink() else page.read_bytes()
+        except OSError:
+            content = None
+        if content is None:
+            self.send_error(HTTPStatus.NOT_FOUND)
+            return
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Content-Type", "text/html; charset=utf-8")
+        self.send_header("Content-Length", str(len(content)))
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.end_headers()
+        if self.command != "HEAD":
+            self.wfile.write(content)
 
     def log_message(self, format: str, *args: object) -> None:
-        pass
+        """No line for every request."""
 
 
-def open_server(path: Path, port: int = 0) -> tuple[ThreadingHTTPServer, str]:
-    """A server of the folder of ``path``, not yet running, and the address of the page.
+def open_server(path: Path, port: int = 0) -> PageServer:
+    """A server of the page ``path`` alone, not yet running.
 
     Raises:
-        InputError: for a page that does not exist or a port that cannot be used.
+        InputError: for a page that does not exist or is a link, or a port that cannot be used.
     """
-    path = path.resolve()
-    if not path.is_file():
-        raise InputError("page", str(path), "an existing view.html")
+    if path.is_symlink() or not path.is_file():
+        raise InputError("page", str(path), "an existing view.html that is not a link")
     if not 0 <= port <= 65535:
         raise InputError("port", port, "0 (any free port) to 65535")
-    handler = partial(_Quiet, directory=str(path.parent))
     try:
-        server = ThreadingHTTPServer((HOST, port), handler)
+        return PageServer(path.resolve(), port)
     except OSError as error:
         raise InputError("port", port, f"a free port ({error.strerror})") from None
-    return server, f"http://{HOST}:{server.server_address[1]}/{quote(path.name)}"
 
 
 def serve(
@@ -47,7 +89,7 @@ def serve(
     open_browser: bool = True,
     report: Callable[[str], object] | None = None,
 ) -> str:
-    """Serve the folder of ``path`` on 127.0.0.1 until interrupted, and return the address.
+    """Serve the page ``path`` on 127.0.0.1 until interrupted, and return the address.
 
     Args:
         path: the page, e.g. ``view.html``.
@@ -56,14 +98,13 @@ def serve(
         report: called once with the address, before the first request is answered.
 
     Raises:
-        InputError: for a page that does not exist or a port that cannot be used.
+        InputError: for a page that does not exist or is a link, or a port that cannot be used.
     """
-    server, address = open_server(path, port)
-    with server:
+    with open_server(path, port) as server:
         if report is not None:
-            report(address)
+            report(server.address)
         if open_browser:
-            webbrowser.open(address)
+            webbrowser.open(server.address)
         with suppress(KeyboardInterrupt):  # The way to stop it.
             server.serve_forever()
-    return address
+    return server.address

@@ -69,6 +69,7 @@ function createStage(canvas, data) {
     }
     if (material.transparent !== glass) {
       Object.assign(material, { transparent: glass, opacity: glass ? 0.25 : 1, depthWrite: !glass, needsUpdate: true });
+      Object.assign(rim, { transparent: glass, opacity: glass ? 0.3 : 1, needsUpdate: true });
       mesh.castShadow = !glass;
     }
     if (moved.length) view.moved();
