@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +15,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, Block, convex_parts, fan_triangles
+from learn2assemble.assembly.files import write_assembly
 from learn2assemble.export.cards import step_cards
+from learn2assemble.files import write_file
 from learn2assemble.registry import Registry
 
 GREY = (176, 176, 176)
@@ -55,12 +56,12 @@ def bill_of_blocks(assembly: Assembly) -> str:
 
 def write_bill(assembly: Assembly, path: Path) -> None:
     """:func:`bill_of_blocks` as a file."""
-    _replace(path, bill_of_blocks(assembly).encode())
+    write_file(path, bill_of_blocks(assembly), "bill of blocks")
 
 
 def write_cards(assembly: Assembly, path: Path) -> None:
     """:func:`~.cards.step_cards` as a file."""
-    _replace(path, step_cards(assembly).encode())
+    write_file(path, step_cards(assembly), "step cards")
 
 
 def write_glb(assembly: Assembly, path: Path) -> None:
@@ -79,7 +80,7 @@ def write_glb(assembly: Assembly, path: Path) -> None:
         scene.add_geometry(mesh, node_name=block.id, geom_name=block.id)
     # glTF has y up.
     scene.apply_transform(np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]]))
-    _replace(path, bytes(scene.export(file_type="glb")))
+    write_file(path, bytes(scene.export(file_type="glb")), "GLB file")
 
 
 def write_mjcf(assembly: Assembly, path: Path) -> None:
@@ -123,7 +124,8 @@ def write_mjcf(assembly: Assembly, path: Path) -> None:
                 attributes |= {"type": "mesh", "mesh": mesh}
             ElementTree.SubElement(body, "geom", attributes)
     ElementTree.indent(root)
-    _replace(path, ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
+    text = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+    write_file(path, text, "MJCF file")
 
 
 def is_box(block: Block) -> bool:
@@ -134,22 +136,14 @@ def is_box(block: Block) -> bool:
     return bool(near.all()) and abs(size.prod() - block.volume) <= 1e-6 * size.prod()
 
 
-def _write_assembly(assembly: Assembly, path: Path) -> None:
-    from learn2assemble.assembly.files import write_assembly
-
-    write_assembly(assembly, path)
-
-
 def _write_compas(assembly: Assembly, path: Path) -> None:
-    from learn2assemble.assembly.files import write_compas
-
-    write_compas(assembly.finished, path)
+    write_assembly(assembly.finished, path, form="compas")
 
 
 FORMATS: Registry[tuple[str, Callable[[Assembly, Path], None]]] = Registry(
     "format",
     {
-        "assembly": ("assembly.json", _write_assembly),
+        "assembly": ("assembly.json", write_assembly),
         "bill": ("bill.csv", write_bill),
         "cards": ("cards.html", write_cards),
         "compas": ("compas.json", _write_compas),
@@ -188,13 +182,3 @@ def _kind(block: Block) -> str:
 
 def _numbers(values: np.ndarray) -> str:
     return " ".join(f"{value:.9g}" for value in values)
-
-
-def _replace(path: Path, data: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_bytes(data)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)

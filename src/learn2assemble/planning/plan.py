@@ -27,6 +27,7 @@ from learn2assemble.files import (
 from learn2assemble.registry import Registry
 
 if TYPE_CHECKING:
+    from learn2assemble.assembly.blocks import Assembly
     from learn2assemble.robot.record import BuildRecord
 
 FORMAT, VERSION = "learn2assemble-plan", 2
@@ -34,6 +35,7 @@ Metre = Annotated[float, Range(-1e3, 1e3)]
 Seconds = Annotated[float, Range(0, 1e9)]
 Share = Annotated[float, Range(-100, 1.001)]
 Count = Annotated[int, Range(0, 1e6)]
+Bound = Annotated[float, Range(0, 1e6)]
 Unit = Annotated[float, Range(-1.001, 1.001)]
 Point = tuple[Metre, Metre, Metre]
 Quaternion = tuple[Unit, Unit, Unit, Unit]
@@ -57,13 +59,20 @@ class PlanDesign:
     name: str
     source: str
     """The file or preset it came from."""
-    num_sides: Count
-    frames: tuple[tuple[Unit, Unit, Metre, Metre], ...]
-    """(cos, sin, t_x, t_y) of every side: p_world = R_z p_local + t."""
-    elevations: tuple[PlanElevation, ...]
-    success_threshold: Share
-    """Delta: the target is filled when the coverage exceeds it."""
     block_edge: Annotated[float, Range(1e-4, 10)]
+    """Height of a block of one cell."""
+    num_sides: Count = 0
+    frames: tuple[tuple[Unit, Unit, Metre, Metre], ...] = ()
+    """(cos, sin, t_x, t_y) of every side: p_world = R_z p_local + t."""
+    elevations: tuple[PlanElevation, ...] = ()
+    success_threshold: Share = 1.0
+    """Delta: the target is filled when the coverage exceeds it."""
+    shape: tuple[Count, Count, Count] | None = None
+    """Cells of the kit's lattice along x, y and z."""
+    iou: Share | None = None
+    """Intersection over union of drawing and wanted cells."""
+    volume_error: Annotated[float, Range(-1e6, 1e6)] | None = None
+    """Volume of the wanted cells less that of the drawing, as a share of the latter."""
 
     def __post_init__(self) -> None:
         if len(self.frames) != len(self.elevations):
@@ -220,11 +229,23 @@ class Plan:
     first_block: FirstBlock | None = None
     cells: CellCount | None = None
     verified_by: str | None = None
+    planning_s: Seconds | None = None
+    """Of :attr:`seconds`, what choosing the blocks took."""
+    proof_s: Seconds | None = None
+    """Of :attr:`seconds`, what order and proof took."""
+    friction_range: tuple[Bound, Bound] | None = None
+    """Coefficients of friction for which every step is proven to stand."""
+    gap_range: tuple[Metre, Metre] | None = None
+    """Widths of vertical joints for which every step is proven to stand."""
     arm: ArmReport | None = None
     record: BuildRecord | None = field(
         default=None, compare=False, repr=False, metadata={"file": False}
     )
     """With an arm: its motion, which ``trajectory.json`` holds."""
+    assembly: Assembly | None = field(
+        default=None, compare=False, repr=False, metadata={"file": False}
+    )
+    """The blocks as polyhedra, with the steps; ``assembly.json`` holds them."""
 
     def __post_init__(self) -> None:
         for number, step in enumerate(self.steps, 1):
@@ -288,11 +309,16 @@ class Plan:
         file = Path(path) / "plan.json" if Path(path).is_dir() else Path(path)
         plan = cls.from_dict(*read_json(file, "plan.json or its folder", MAX_GENERATED))
         trajectory = file.with_name("trajectory.json")
-        if not trajectory.exists():
-            return plan
-        from learn2assemble.robot.record_files import read_record
+        if trajectory.exists():
+            from learn2assemble.robot.record_files import read_record
 
-        return dataclasses.replace(plan, record=read_record(trajectory))
+            plan = dataclasses.replace(plan, record=read_record(trajectory))
+        blocks = file.with_name("assembly.json")
+        if blocks.exists():
+            from learn2assemble.assembly.files import read_assembly
+
+            plan = dataclasses.replace(plan, assembly=read_assembly(blocks))
+        return plan
 
     def save(
         self,
@@ -325,6 +351,8 @@ class Plan:
         files = {"plan": folder / "plan.json"}
         text = json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
         write_file(files["plan"], text, "plan")
+        if self.assembly is not None:
+            files |= EXPORTS["assembly"](self, folder)
         if page:
             files |= EXPORTS["page"](self, folder)
         if self.record is not None:

@@ -1,0 +1,262 @@
+"""Exact planning: a design of cells becomes blocks of a kit, an order, and a proof of every step.
+
+Nothing here is learned: :mod:`.tiling` chooses the blocks, :mod:`.ordering` the order, and what is
+called complete fills every wanted cell and no other. An assembly whose blocks are given only needs
+an order and the proof.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from learn2assemble.assembly.blocks import Assembly, Step
+from learn2assemble.assembly.contacts import check_overlaps, find_contacts
+from learn2assemble.assembly.kit import Kit, load_kit
+from learn2assemble.design.cells import CellDesign
+from learn2assemble.planning import plan as plans
+from learn2assemble.planning.ordering import order, to_assembly
+from learn2assemble.planning.plan import Plan, PlanDesign
+from learn2assemble.planning.tiling import placement_cells, tile
+
+DEFAULT_KIT = "bricks-lintels"
+EXACT = "exact"
+_UPRIGHT = (1.0, 0.0, 0.0, 0.0)
+_MARGIN = 1e3
+"""Margins are written up to this [g]."""
+BED, TIGHT = "bed faces", "tight joints"
+"""Proofs of a step of a given assembly: without vertical joints, or only if they press."""
+
+
+def plan_cells(
+    design: CellDesign,
+    kit: Kit | str | None = None,
+    *,
+    friction: float | tuple[float, float] | None = None,
+    gap: float | tuple[float, float] | None = None,
+    props: bool = True,
+    seconds: float = 60.0,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Plan:
+    """Blocks, order and proof for a design of cells.
+
+    Args:
+        kit: a kit, or the name or file of one; by default the one the design names, else
+            ``bricks-lintels``.
+        friction: Coulomb coefficient, or the range to prove every step for; that of the kit
+            without it.
+        gap: width of vertical joints [m], or the range to prove every step for.
+        props: whether temporary blocks may be used.
+        seconds: wall-clock limit of tiling, and again of ordering.
+        progress: told what is being done.
+
+    Returns:
+        The plan, with the assembly in :attr:`~.plan.Plan.assembly`.
+
+    Raises:
+        InputError: for a kit that does not exist, and for limits that make no sense.
+    """
+    started = time.perf_counter()
+    kit = kit if isinstance(kit, Kit) else load_kit(kit or design.kit or DEFAULT_KIT)
+    progress("choosing blocks")
+    tiling = tile(design.wanted, kit, seconds=seconds, props=props)
+    planned = time.perf_counter()
+    progress(f"proving the order of {len(tiling.placements)} blocks")
+    ordering = order(tiling, kit, friction=friction, gap=gap, seconds=seconds)
+    proven = time.perf_counter()
+    standing: set[int] = set()
+    for step in ordering.steps:
+        standing = standing - {step.remove} if step.place is None else standing | {step.place}
+    filled = np.zeros_like(design.wanted, dtype=bool)
+    outside = 0
+    for number in standing:
+        i, j, k = placement_cells(tiling.placements[number], kit).T
+        inside = (i >= 0) & (j >= 0) & (k >= 0)
+        inside &= (i < filled.shape[0]) & (j < filled.shape[1]) & (k < filled.shape[2])
+        outside += int((~inside).sum())
+        filled[i[inside], j[inside], k[inside]] = True
+    wanted = int(design.wanted.sum())
+    missing = int((design.wanted & ~filled).sum())
+    outside += int((filled & ~design.wanted).sum())
+    done = tiling.status == ordering.status == "complete" and not missing and not outside
+    reason = None if done else tiling.reason or ordering.reason or f"{missing} cells are open"
+    refused = "refused" in (tiling.status, ordering.status)
+    assembly = _coloured(to_assembly(tiling, ordering, kit, name=design.name), design)
+    steps, covered = [], 0
+    for number, step in enumerate(ordering.steps, 1):
+        index = step.remove if step.place is None else step.place
+        assert index is not None
+        placement, block = tiling.placements[index], assembly.blocks[index]
+        if step.place is not None and not placement.prop:
+            covered += len(placement_cells(placement, kit))
+        steps.append(
+            plans.Step(
+                step=number, block=index, position=_point(block.centroid), quaternion=_UPRIGHT,
+                action="remove" if step.place is None else "place", kind=placement.kind,
+                prop=placement.prop, margin_g=_bounded(step.margin_g),
+                tilt_deg=round(step.tilt_deg, 3), proof=step.proof,
+                coverage=round(covered / max(wanted, 1), 6),
+            )
+        )  # fmt: skip
+    low, high = ordering.friction_range
+    return Plan(
+        design=PlanDesign(
+            name=design.name,
+            source=design.source,
+            block_edge=kit.pitch[2],
+            shape=_shape(design.wanted),
+            iou=None if design.iou is None else round(float(design.iou), 6),
+            volume_error=round(float(design.volume_error), 6),
+        ),
+        status="complete" if done else "refused" if refused else "incomplete",
+        reason=reason,
+        blocks=plans.BlockSupply(len(tiling.placements), len(standing), ()),
+        steps=tuple(steps),
+        coverage=round((wanted - missing) / max(wanted, 1), 6),
+        seconds=round(time.perf_counter() - started, 3),
+        planning_s=round(planned - started, 3),
+        proof_s=round(proven - planned, 3),
+        planner=EXACT,
+        kit=kit.name,
+        cells=plans.CellCount(wanted, missing, outside),
+        verified_by="static equilibrium of every step",
+        friction_range=(round(low, 6), _bounded(high)),
+        gap_range=ordering.gap_range,
+        assembly=assembly,
+    )
+
+
+def plan_assembly(
+    assembly: Assembly,
+    *,
+    friction: float | None = None,
+    seconds: float = 60.0,
+    progress: Callable[[str], None] = lambda text: None,
+    source: str = "",
+) -> Plan:
+    """Order and proof for blocks that are given where they stand.
+
+    The order of the file is kept where it has one; else blocks go from below, each after the
+    blocks it lies on, and one that would fall waits. Every state is proven by the coupled
+    analysis of :func:`learn2assemble.physics.rigid_blocks.solve`, on bed faces alone where that
+    holds, else with vertical joints that press, and the step says which.
+
+    Args:
+        friction: Coulomb coefficient instead of the assembly's.
+        seconds: wall-clock limit; the steps proven until then are kept.
+
+    Raises:
+        InputError: for blocks that overlap, or where nothing stands on a support or the ground.
+    """
+    from learn2assemble.physics.rigid_blocks import bed_patches, margin, solve
+
+    started = time.perf_counter()
+    check_overlaps(assembly)
+    contacts = find_contacts(assembly)
+    bed = bed_patches(contacts)
+    lying = contacts.only(bed)
+    count = len(assembly.blocks)
+    support = np.array([block.support for block in assembly.blocks])
+    below: list[set[int]] = [set() for _ in range(count)]
+    for a, b, normal in zip(lying.a.tolist(), lying.b.tolist(), lying.normal, strict=True):
+        lower, upper = (a, b) if normal[2] > 0 else (b, a)
+        if upper >= 0 and lower >= 0 and not support[lower]:
+            below[upper].add(lower)
+    given = [(s.place, s.remove) for s in assembly.steps]
+    queue = [assembly.index(p or r or "") for p, r in given]
+    if not given:
+        heights = [float(block.vertices[:, 2].min()) for block in assembly.blocks]
+        queue = [k for k in sorted(range(count), key=lambda k: (heights[k], k)) if not support[k]]
+    present = support.copy()
+    steps: list[plans.Step] = []
+    made: list[Step] = []
+    reason = None
+    while queue and reason is None:
+        if time.perf_counter() - started > seconds:
+            reason = f"time ran out after {seconds:g} s with {len(steps)} steps proven; "
+            reason += "--seconds gives more"
+            break
+        ready = queue[:1] if given else [k for k in queue if all(present[n] for n in below[k])]
+        for index in ready:
+            removing = bool(present[index])
+            present[index] = not removing
+            used, proof = lying, BED
+            result = solve(assembly, used, friction, present=present)
+            if not result.stands and len(lying.a) < len(contacts.a):
+                used, proof = contacts, TIGHT
+                result = solve(assembly, used, friction, present=present)
+            if result.stands:
+                break
+            present[index] = removing
+        else:
+            stuck = ready or queue
+            names = ", ".join(assembly.blocks[k].id for k in stuck[:3])
+            reason = f"no order found: step {len(steps) + 1} falls with any of {names}"
+            break
+        queue.remove(index)
+        block, number = assembly.blocks[index], len(steps) + 1
+        progress(f"step {number}: {block.id}")
+        worth = margin(assembly, used, friction, present=present)
+        made.append(Step(remove=block.id) if removing else Step(place=block.id))
+        steps.append(
+            plans.Step(
+                step=number, block=index, position=_point(block.centroid), quaternion=_UPRIGHT,
+                action="remove" if removing else "place", kind=block.kind or None,
+                prop=block.prop, margin_g=_bounded(worth),
+                tilt_deg=round(math.degrees(math.atan(worth)), 3), proof=proof,
+                coverage=round(float((present & ~support).sum()) / max((~support).sum(), 1), 6),
+            )
+        )  # fmt: skip
+    wanted = sum(not (b.prop or b.support) for b in assembly.blocks)
+    used_blocks = sum(bool(present[k]) and not b.support for k, b in enumerate(assembly.blocks))
+    done = reason is None
+    return Plan(
+        design=PlanDesign(name=assembly.name or "assembly", source=source, block_edge=1.0),
+        status="complete" if done else "incomplete",
+        reason=reason,
+        blocks=plans.BlockSupply(wanted, used_blocks, ()),
+        steps=tuple(steps),
+        coverage=steps[-1].coverage if steps else 0.0,
+        seconds=round(time.perf_counter() - started, 3),
+        planner=EXACT,
+        verified_by="rigid-block equilibrium of every step",
+        assembly=Assembly(assembly.blocks, tuple(made), assembly.friction, assembly.name),
+    )
+
+
+def _coloured(assembly: Assembly, design: CellDesign) -> Assembly:
+    """Blocks in the mean colour of their cells, where the design has colours."""
+    if design.colours is None:
+        return assembly
+    size = np.array(design.cell)
+    middle = np.array([design.wanted.shape[0] / 2, design.wanted.shape[1] / 2, 0.0])
+    blocks = []
+    for block in assembly.blocks:
+        low = np.rint(block.vertices.min(0) / size + middle).astype(int)
+        high = np.rint(block.vertices.max(0) / size + middle).astype(int)
+        box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+        seen = design.colours[box][design.wanted[box]]
+        if block.prop or not len(seen):
+            blocks.append(block)
+            continue
+        red, green, blue = (int(c) for c in np.rint(seen.mean(0)))
+        blocks.append(replace(block, colour=(red, green, blue)))
+    return replace(assembly, blocks=tuple(blocks))
+
+
+def _shape(wanted: np.ndarray) -> tuple[int, int, int]:
+    x, y, z = wanted.shape
+    return x, y, z
+
+
+def _point(xyz: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = (round(float(c), 6) for c in xyz)
+    return x, y, z
+
+
+def _bounded(value: float) -> float:
+    return round(min(float(value), _MARGIN), 6)
