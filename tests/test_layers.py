@@ -35,7 +35,7 @@ ALLOWED: dict[str, set[str]] = {
     "networks": {"errors", "graph", "world"},
     "search": {"errors"},
     "learning": _TASK | {"networks", "search", "planning"},
-    "planning": _TASK | {"networks", "search", "assembly"},
+    "planning": _TASK | {"networks", "search", "assembly", "design"},
     "evaluation": _TASK | {"networks", "search", "learning", "planning"},
     "envs": _TASK,
     "viewer": _WORLD | {"robot", "planning", "assembly"},

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, Block, convex_parts, fan_triangles
-from learn2assemble.assembly.files import write_assembly
+from learn2assemble.assembly.files import write_assembly, write_compas
 from learn2assemble.export.cards import step_cards
 from learn2assemble.files import write_file
 from learn2assemble.registry import Registry
@@ -80,7 +80,9 @@ def write_glb(assembly: Assembly, path: Path) -> None:
         scene.add_geometry(mesh, node_name=block.id, geom_name=block.id)
     # glTF has y up.
     scene.apply_transform(np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]]))
-    write_file(path, bytes(scene.export(file_type="glb")), "GLB file")
+    data = scene.export(file_type="glb")
+    assert isinstance(data, bytes)
+    write_file(path, data, "GLB file")
 
 
 def write_mjcf(assembly: Assembly, path: Path) -> None:
@@ -137,7 +139,7 @@ def is_box(block: Block) -> bool:
 
 
 def _write_compas(assembly: Assembly, path: Path) -> None:
-    write_assembly(assembly.finished, path, form="compas")
+    write_compas(assembly.finished, path)
 
 
 FORMATS: Registry[tuple[str, Callable[[Assembly, Path], None]]] = Registry(

@@ -19,9 +19,10 @@ from learn2assemble.assembly.contacts import check_overlaps, find_contacts
 from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.planning import plan as plans
-from learn2assemble.planning.ordering import order, to_assembly
+from learn2assemble.planning.exact import plan_exact
+from learn2assemble.planning.ordering import Ordering, to_assembly
 from learn2assemble.planning.plan import Plan, PlanDesign
-from learn2assemble.planning.tiling import placement_cells, tile
+from learn2assemble.planning.tiling import placement_cells
 
 DEFAULT_KIT = "bricks-lintels"
 EXACT = "exact"
@@ -51,7 +52,7 @@ def plan_cells(
             without it.
         gap: width of vertical joints [m], or the range to prove every step for.
         props: whether temporary blocks may be used.
-        seconds: wall-clock limit of tiling, and again of ordering.
+        seconds: wall-clock limit of planning and proof.
         progress: told what is being done.
 
     Returns:
@@ -62,14 +63,14 @@ def plan_cells(
     """
     started = time.perf_counter()
     kit = kit if isinstance(kit, Kit) else load_kit(kit or design.kit or DEFAULT_KIT)
-    progress("choosing blocks")
-    tiling = tile(design.wanted, kit, seconds=seconds, props=props)
-    planned = time.perf_counter()
-    progress(f"proving the order of {len(tiling.placements)} blocks")
-    ordering = order(tiling, kit, friction=friction, gap=gap, seconds=seconds)
-    proven = time.perf_counter()
+    progress("choosing blocks and proving their order")
+    tiling, ordering = plan_exact(
+        design.wanted, kit, seconds=seconds, friction=friction, gap=gap, props_allowed=props
+    )
+    ordered = ordering or Ordering((), tiling.status, tiling.reason)
+    planned = time.perf_counter() - started
     standing: set[int] = set()
-    for step in ordering.steps:
+    for step in ordered.steps:
         standing = standing - {step.remove} if step.place is None else standing | {step.place}
     filled = np.zeros_like(design.wanted, dtype=bool)
     outside = 0
@@ -82,14 +83,17 @@ def plan_cells(
     wanted = int(design.wanted.sum())
     missing = int((design.wanted & ~filled).sum())
     outside += int((filled & ~design.wanted).sum())
-    done = tiling.status == ordering.status == "complete" and not missing and not outside
-    reason = None if done else tiling.reason or ordering.reason or f"{missing} cells are open"
-    refused = "refused" in (tiling.status, ordering.status)
-    assembly = _coloured(to_assembly(tiling, ordering, kit, name=design.name), design)
+    done = tiling.status == ordered.status == "complete" and not missing and not outside
+    reason = None if done else ordered.reason or tiling.reason or f"{missing} cells are open"
+    refused = "refused" in (tiling.status, ordered.status)
+    assembly = None
+    if tiling.placements:
+        assembly = _coloured(to_assembly(tiling, ordering, kit, name=design.name), design)
     steps, covered = [], 0
-    for number, step in enumerate(ordering.steps, 1):
+    for number, step in enumerate(ordered.steps, 1):
         index = step.remove if step.place is None else step.place
         assert index is not None
+        assert assembly is not None
         placement, block = tiling.placements[index], assembly.blocks[index]
         if step.place is not None and not placement.prop:
             covered += len(placement_cells(placement, kit))
@@ -102,7 +106,7 @@ def plan_cells(
                 coverage=round(covered / max(wanted, 1), 6),
             )
         )  # fmt: skip
-    low, high = ordering.friction_range
+    low, high = ordered.friction_range
     return Plan(
         design=PlanDesign(
             name=design.name,
@@ -118,14 +122,14 @@ def plan_cells(
         steps=tuple(steps),
         coverage=round((wanted - missing) / max(wanted, 1), 6),
         seconds=round(time.perf_counter() - started, 3),
-        planning_s=round(planned - started, 3),
-        proof_s=round(proven - planned, 3),
+        planning_s=round(max(planned - ordered.seconds, 0.0), 3),
+        proof_s=round(ordered.seconds, 3),
         planner=EXACT,
         kit=kit.name,
         cells=plans.CellCount(wanted, missing, outside),
         verified_by="static equilibrium of every step",
         friction_range=(round(low, 6), _bounded(high)),
-        gap_range=ordering.gap_range,
+        gap_range=ordered.gap_range,
         assembly=assembly,
     )
 

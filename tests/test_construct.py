@@ -1,0 +1,105 @@
+"""The exact planner on what people draw: as drawn, proven, and a plan that can be written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from learn2assemble.assembly.blocks import Assembly, Step, box_block
+from learn2assemble.design.cells import CellDesign, read_design
+from learn2assemble.planning.construct import plan_assembly, plan_cells
+from learn2assemble.planning.plan import Plan
+
+DESIGNS = Path(__file__).resolve().parents[1] / "examples" / "designs"
+DRAWN = ("gate.svg", "t.svg", "h.svg", "arch.svg", "two_towers.svg", "circle.svg", "figure.png",
+         "free/off_centre_tower.json")  # fmt: skip
+
+
+def filled(plan: Plan, design: CellDesign) -> np.ndarray:
+    """bool[X, Y, Z]: cells whose centre lies in a block that stands in the end."""
+    assert plan.assembly is not None
+    size = np.array(design.cell)
+    index = np.stack(np.meshgrid(*map(np.arange, design.wanted.shape), indexing="ij"), -1)
+    shift = np.array([design.wanted.shape[0] / 2, design.wanted.shape[1] / 2, 0])
+    centres = (index + 0.5 - shift) * size
+    found = np.zeros(design.wanted.shape, int)
+    for block in plan.assembly.finished.blocks:
+        low, high = block.vertices.min(0), block.vertices.max(0)
+        found += ((centres > low) & (centres < high)).all(-1)
+    assert found.max() <= 1
+    return found.astype(bool)
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_drawings_are_built_as_drawn(name: str) -> None:
+    design = read_design(DESIGNS / name)
+    assert isinstance(design, CellDesign)
+    plan = plan_cells(design, "bricks-lintels")
+    assert plan.complete, plan.reason
+    assert plan.cells is not None
+    assert (plan.cells.missing, plan.cells.outside) == (0, 0)
+    assert (filled(plan, design) == design.wanted).all()
+    assert all(step.proof and step.margin_g is not None for step in plan.steps)
+    assert Plan.from_dict(plan.to_dict()) == plan
+
+
+def test_colours_of_a_picture_go_to_the_blocks() -> None:
+    design = read_design(DESIGNS / "figure.png")
+    assert isinstance(design, CellDesign)
+    assert design.colours is not None
+    plan = plan_cells(design)
+    assert plan.assembly is not None
+    colours = {block.colour for block in plan.assembly.blocks if not block.prop}
+    assert len(colours) > 1
+
+
+def test_a_span_the_kit_has_no_block_for_is_refused_and_says_so() -> None:
+    """A table of cubes: the span needs a lintel, which cubes are not."""
+    wanted = np.zeros((5, 1, 2), bool)
+    wanted[:, :, 1] = True
+    wanted[[0, 4], :, 0] = True
+    design = CellDesign("table", wanted, (0.05, 0.05, 0.05), None, 0.0, None, "test", None)
+    plan = plan_cells(design, "cubes")
+    assert plan.status == "refused"
+    assert plan.reason is not None
+    assert "cubes" in plan.reason
+    assert plan_cells(design, "bricks-lintels").complete
+
+
+def bridge(*steps: Step) -> Assembly:
+    return Assembly(
+        (
+            box_block("lintel", (0, 0, 1), (3, 1, 2)),
+            box_block("left", (0, 0, 0), (1, 1, 1)),
+            box_block("right", (2, 0, 0), (3, 1, 1)),
+        ),
+        steps,
+    )
+
+
+def test_given_blocks_get_an_order_from_below() -> None:
+    plan = plan_assembly(bridge())
+    assert plan.complete
+    assert plan.assembly is not None
+    assert [step.place for step in plan.assembly.steps] == ["left", "right", "lintel"]
+    assert {step.proof for step in plan.steps} == {"bed faces"}
+    assert plan.steps[-1].coverage == 1
+
+
+def test_a_given_order_is_kept_and_its_first_falling_state_named() -> None:
+    plan = plan_assembly(bridge(Step(place="left"), Step(place="lintel"), Step(place="right")))
+    assert not plan.complete
+    assert plan.reason is not None
+    assert "lintel" in plan.reason
+    assert len(plan.steps) == 1
+
+
+def test_blocks_that_fall_are_not_called_complete() -> None:
+    leaning = Assembly(
+        (box_block("low", (0, 0, 0), (1, 1, 1)), box_block("high", (0.7, 0, 1), (1.7, 1, 2)))
+    )
+    plan = plan_assembly(leaning)
+    assert plan.status == "incomplete"
+    assert [step.block for step in plan.steps] == [0]
