@@ -52,7 +52,11 @@ DIGITS = 9
 MESH_SUFFIXES = (".stl", ".obj", ".ply", ".glb", ".off")
 _BLOCK_KEYS = ("id", "kind", "density", "support", "prop", "vertices", "faces")
 _KEYS = ("format", "version", "units", "friction", "blocks", "steps")
-_COMPAS_ASSEMBLY = "compas_assembly.datastructures/Assembly"
+_COMPAS_ASSEMBLIES = (
+    "compas_cra.datastructures/CRA_Assembly",
+    "compas_assembly.datastructures/Assembly",
+)
+"""The class that is written, and the one to use where compas_cra is not installed."""
 _COMPAS_BLOCK = "compas_assembly.datastructures/Block"
 
 
@@ -210,11 +214,12 @@ def to_compas(assembly: Assembly) -> dict[str, Any]:
         "steps": _steps_json(assembly),
     }  # fmt: skip
     return {
-        "dtype": _COMPAS_ASSEMBLY,
+        "dtype": _COMPAS_ASSEMBLIES[0],
         "data": {
             "attributes": attributes,
             "graph": {"dtype": "compas.datastructures/Graph", "data": graph},
         },
+        "inheritance": list(_COMPAS_ASSEMBLIES[1:]),
         "guid": str(uuid5(NAMESPACE_URL, assembly.name)),
     }
 
