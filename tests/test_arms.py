@@ -250,6 +250,6 @@ def test_the_gripper_presses_with_its_force(arm: Arm) -> None:
 def test_outcomes_have_the_names_of_the_contract() -> None:
     assert [outcome.label for outcome in Outcome] == [
         "reached", "unreachable", "grasp-collision", "place-collision", "grasp-lost",
-        "disturbed-structure", "unstable", "dropped",
+        "disturbed-structure", "toppled", "dropped",
     ]  # fmt: skip
     assert Outcome.REACHED == 0

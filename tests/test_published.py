@@ -160,7 +160,7 @@ def test_an_object_that_tips_is_a_failure(objects: PublishedCell) -> None:
     """A lying bar on one block, its centre of mass beyond the edge."""
     start = scene([(0, 0, 0)], [(0, -4, 0), (-1, -4, 0)], [0, 1, 1])
     attempt = objects.attempt(start, Move(1, cell(0, 0, 1), AA.grasp, AA.place), top=True)
-    assert (attempt.outcome, attempt.stage) == (Outcome.UNSTABLE, "tilted")
+    assert (attempt.outcome, attempt.stage) == (Outcome.TOPPLED, "tilted")
 
 
 def test_a_floating_cube_may_fall(cubes: PublishedCell) -> None:

@@ -287,7 +287,7 @@ def faulty(record: BuildRecord) -> dict[str, tuple[BuildRecord, str]]:
                     "but never held"),
         "held too long": (stepped(record, 2, release=1e3), "outside"),
         "held backwards": (stepped(record, 2, release=grip - 0.5), "outside"),
-        "no reason": (stepped(record, 2, outcome=Outcome.UNSTABLE), "without a reason"),
+        "no reason": (stepped(record, 2, outcome=Outcome.TOPPLED), "without a reason"),
         "moved by nobody": (
             stepped(record, 1, after=added(last.after, (4, 0), 0.01)), "cell 4 does not begin",
         ),

@@ -149,8 +149,12 @@ def test_numbers_must_be_finite() -> None:
 def test_without_ruckig_the_extra_is_named() -> None:
     done = subprocess.run(
         [sys.executable, "-c", "import sys; sys.modules['ruckig'] = None\n"
-         "import learn2assemble.robot.dynamic.cell"],
+         "from learn2assemble.robot.arm import get_arm\n"
+         "from learn2assemble.robot.dynamic.cell import DynamicCell\n"
+         "import learn2assemble.evaluation.bench, learn2assemble.cli.build\n"
+         "print('imported')\nDynamicCell(get_arm('panda'))"],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
+    assert "imported" in done.stdout
     assert done.returncode != 0
     assert "pip install 'learn2assemble[robot]'" in done.stderr

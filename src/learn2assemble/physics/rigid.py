@@ -28,7 +28,14 @@ import numpy as np
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.geometry.support import classify_cube, find_fillers
 from learn2assemble.physics.protocol import Verdict
-from learn2assemble.world.blocks import EDGE, FRICTION, GRAVITY, HALF, MASS
+from learn2assemble.physics.scene import (
+    Surface,
+    add_ground,
+    add_object,
+    rotation_matrix,
+    set_options,
+)
+from learn2assemble.world.blocks import EDGE, HALF
 from learn2assemble.world.rules import STABILITY
 from learn2assemble.world.state import State
 
@@ -38,12 +45,9 @@ Layout = tuple[tuple[tuple[int, int, int], ...], ...]
 TIMESTEP = 0.004
 SHRINK = 1.5e-4
 """How much thinner a box is on each side in x and y [m]."""
-CONTACT_MARGIN = 1e-5
-"""Margin of a geom [m]: a pair pushes at the sum of both (at the larger before MuJoCo 3.5).
-MuJoCo 3.3 ignores it between boxes, so tall columns fail there."""
-SOLREF = (0.01, 1.0)
-SOLIMP = (0.998, 0.9998, 0.001, 0.5, 2.0)
-IMPRATIO = 10.0
+SURFACE = Surface(margin=1e-5)
+"""A pair pushes at the sum of both margins (at the larger before MuJoCo 3.5). MuJoCo 3.3 ignores
+them between boxes, so tall columns fail there."""
 DAMPING = 10.0
 """Linear and angular velocity decay [1/s]."""
 CELL_TOLERANCE = 1e-3
@@ -113,7 +117,7 @@ def group_cells(
     layout, spacing = [], np.array([pitch, pitch, EDGE])
     for number, head in enumerate(lead):
         cells = np.flatnonzero(body == number)
-        relative = (position[cells] - position[head]) @ rotation(quaternion[head])
+        relative = (position[cells] - position[head]) @ rotation_matrix(quaternion[head])
         lattice = np.rint(relative / spacing)
         if np.abs(relative - spacing * lattice).max() > CELL_TOLERANCE:
             raise InputError(
@@ -125,13 +129,6 @@ def group_cells(
     return Grouping(tuple(layout), body, offset, lead)
 
 
-def rotation(quaternion: np.ndarray) -> np.ndarray:
-    """R_world_body, float64[3, 3], of a quaternion (w, x, y, z)."""
-    matrix = np.empty(9)
-    mujoco.mju_quat2Mat(matrix, quaternion)
-    return matrix.reshape(3, 3)
-
-
 def build_spec(layout: Layout, timestep: float = TIMESTEP, pitch: float = EDGE) -> mujoco.MjSpec:
     """An editable scene: the ground and one free body ``object<k>`` per object.
 
@@ -141,38 +138,15 @@ def build_spec(layout: Layout, timestep: float = TIMESTEP, pitch: float = EDGE) 
         pitch: horizontal distance of neighbouring cells of an object [m].
     """
     spec = mujoco.MjSpec()
-    option = spec.option
-    option.timestep = timestep
-    option.gravity = [0, 0, -GRAVITY]
-    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    option.impratio = IMPRATIO
-    # A diverged world must be reported, not silently put back to its start.
-    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    if hasattr(mujoco.mjtEnableBit, "mjENBL_SLEEP"):
-        option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
-    ground = spec.worldbody.add_geom(
-        name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1]
-    )
-    _set_contact(ground)
+    set_options(spec, timestep, mujoco.mjtIntegrator.mjINT_EULER)
+    add_ground(spec, "ground", SURFACE)
     for number, cells in enumerate(layout):
         parts = object_parts(cells, pitch)
         cube = np.array([[HALF - SHRINK, HALF - SHRINK, HALF]])
         places = np.concatenate([parts.cells, parts.fillers])
         sizes = np.concatenate([cube.repeat(len(parts.cells), 0), parts.sizes])
-        body = spec.worldbody.add_body(name=f"object{number}")
-        body.add_freejoint()
-        for place, size in zip(places, sizes, strict=True):
-            box = body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=place, size=size, mass=MASS)
-            _set_contact(box)
+        add_object(spec, f"object{number}", zip(places, sizes, strict=True), SURFACE)
     return spec
-
-
-def _set_contact(geom: mujoco.MjsGeom) -> None:
-    geom.friction[0] = FRICTION
-    geom.solref = SOLREF
-    geom.solimp = SOLIMP
-    geom.margin = CONTACT_MARGIN
 
 
 @lru_cache(maxsize=256)
@@ -307,7 +281,7 @@ class RigidPhysics:
         several = len(group.lead) < len(group.body)
         if several:
             for number, head in enumerate(group.lead):
-                pose[number, :3] -= rotation(quaternion[head]) @ group.offset[head]
+                pose[number, :3] -= rotation_matrix(quaternion[head]) @ group.offset[head]
         velocity = np.empty((self.settle_steps, len(pose), 6))
         turn = np.empty((self.settle_steps, len(pose), 3, 3)) if several else None
         flat_velocity, now = velocity.reshape(self.settle_steps, -1), data.qvel
@@ -328,7 +302,7 @@ class RigidPhysics:
             swing = np.cross(velocity[:, group.body, 3:], group.offset)
             speed = speed + np.einsum("kcij,kcj->kci", turn[:, group.body], swing)
             for cell, number in enumerate(group.body):
-                position[cell] += rotation(pose[number, 3:]) @ group.offset[cell]
+                position[cell] += rotation_matrix(pose[number, 3:]) @ group.offset[cell]
         return np.abs(speed).sum((0, 2)) * (self.timestep / TIMESTEP)
 
     def _world(self, group: Grouping) -> mujoco.MjData:

@@ -19,6 +19,7 @@ from learn2assemble.geometry.coverage import FILTERS
 from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.networks.agent import Agent
 from learn2assemble.physics.equilibrium import stability_margin
+from learn2assemble.physics.scene import rotation_matrix
 from learn2assemble.planning.build import Proof, VerifiedStep, make_plan
 from learn2assemble.planning.discover import (
     STAGES,
@@ -36,7 +37,6 @@ from learn2assemble.planning.supply import taking_order
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.checker import ArmPhysics, scene_of
 from learn2assemble.robot.dynamic.cell import DynamicCell
-from learn2assemble.robot.dynamic.model import matrix
 from learn2assemble.robot.kinematic.cell import KinematicCell
 from learn2assemble.robot.moves import OPENING, QUARTER, Attempt, Move, Outcome, Scene, get_grasps
 from learn2assemble.robot.recorder import Logbook
@@ -138,12 +138,12 @@ def _on_table(pose: np.ndarray) -> bool:
 
 def _lean(pose: np.ndarray) -> float:
     """Cosine of the angle between the vertical and the nearest axis of a cube."""
-    return float(np.abs(matrix(pose[3:])[2]).max())
+    return float(np.abs(rotation_matrix(pose[3:])[2]).max())
 
 
 def _yaw(pose: np.ndarray) -> float:
     """Turn about the vertical of a cube, on whichever face it lies, within an eighth."""
-    axes = matrix(pose[3:])
+    axes = rotation_matrix(pose[3:])
     flat = np.argmin(np.abs(axes[2]))
     yaw = np.arctan2(axes[1, flat], axes[0, flat])
     return float(yaw - QUARTER * np.rint(yaw / QUARTER))

@@ -19,6 +19,7 @@ import numpy as np
 
 from learn2assemble.errors import InputError, look_up
 from learn2assemble.geometry.rotations import yaw_quaternion
+from learn2assemble.physics import scene as _  # noqa: F401 (MuJoCo's warnings)
 from learn2assemble.robot.registry import ARMS
 
 PICTURE_GROUP, COLLISION_GROUP = 2, 3

@@ -43,7 +43,7 @@ class Outcome(IntEnum):
     """The fingers closed on nothing, or the block slipped out before it was lifted."""
     DISTURBED_STRUCTURE = 5
     """A block that was there before has moved."""
-    UNSTABLE = 6
+    TOPPLED = 6
     """The placed object did not stay where it was released."""
     DROPPED = 7
     """The block left the hand between lifting and release."""
@@ -211,6 +211,29 @@ def fillers(position: np.ndarray, object_id: np.ndarray) -> np.ndarray:
     gap = np.abs(position[b] - position[a])
     near = (gap[:, 2] < HALF) & (np.hypot(gap[:, 0], gap[:, 1]) < 3 * HALF)
     return np.stack([a, b], -1)[near]
+
+
+def object_boxes(
+    cells: np.ndarray, half: np.ndarray, filler: float | None = None
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The boxes an object is made of: its cells, then the fillers between them.
+
+    Args:
+        cells: float64[n, 3] centres in the object's frame, whose axes are those of the cells [m].
+        half: float64[3], half extents of a cell's box [m].
+        filler: half thickness of a filler [m]; by default what the boxes leave free.
+
+    Returns:
+        centre and half extents of every box [m].
+    """
+    boxes = [(cell, half) for cell in cells]
+    for a, b in fillers(cells, np.zeros(len(cells), np.int64)):
+        gap = np.abs(cells[b] - cells[a])
+        size, axis = half.copy(), int(np.argmax(gap))
+        size[axis] = gap[axis] / 2 - size[axis] if filler is None else filler
+        if size[axis] > 0:
+            boxes.append(((cells[a] + cells[b]) / 2, size))
+    return boxes
 
 
 OPENING = EDGE + 0.008

@@ -23,7 +23,8 @@ from learn2assemble.robot.record import ArmFacts, BuildRecord, Samples, Stage, S
 
 FORMAT, VERSION = "learn2assemble-trajectory", 1
 DECIMALS = 6
-OUTCOMES = {outcome.label: outcome for outcome in Outcome}
+OUTCOMES = {outcome.label: outcome for outcome in Outcome} | {"unstable": Outcome.TOPPLED}
+"""By label; ``unstable`` is what older files call toppled."""
 
 
 def write_record(record: BuildRecord, path: Path) -> None:

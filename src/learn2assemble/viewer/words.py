@@ -113,7 +113,7 @@ OUTCOME_WORDS = {
     Outcome.PLACE_COLLISION: "something would be or was touched on the way to its place",
     Outcome.GRASP_LOST: "the fingers closed on nothing, or the block slipped out at once",
     Outcome.DISTURBED_STRUCTURE: "a block that stood before has moved",
-    Outcome.UNSTABLE: "the block did not stay where it was released",
+    Outcome.TOPPLED: "the block did not stay where it was released",
     Outcome.DROPPED: "the block was lost on the way",
 }
 _CARRYING = ("lift", "cross", "place")

@@ -196,7 +196,7 @@ class PublishedCell:
         if not far < rules.limit:
             raise _FailedError(Outcome.DISTURBED_STRUCTURE, "moved", f"{1e3 * far:.1f} mm")
         if rules.objects and not np.ptp(shift[members, 2]) <= HEIGHT_LIMIT:
-            raise _FailedError(Outcome.UNSTABLE, "tilted")
+            raise _FailedError(Outcome.TOPPLED, "tilted")
 
     def _after(self) -> Scene:
         """Where everything is, the moved object listed as the last placed one."""

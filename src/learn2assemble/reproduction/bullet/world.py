@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -22,6 +22,7 @@ from learn2assemble.geometry.rotations import (
     yaw_matrix,
     yaw_quaternion,
 )
+from learn2assemble.physics.scene import add_ground, add_object, rotation_matrix
 from learn2assemble.reproduction.bullet.contacts import (
     BREAKING,
     FIRST,
@@ -42,7 +43,7 @@ from learn2assemble.reproduction.bullet.contacts import (
 )
 from learn2assemble.robot.arm import PICTURE_GROUP, Arm, arm_model, arm_spec
 from learn2assemble.robot.kinematics import forward, get_chain, jacobian
-from learn2assemble.robot.moves import GAP, Attitude, Scene, fillers
+from learn2assemble.robot.moves import GAP, Attitude, Scene, object_boxes
 from learn2assemble.world.blocks import GRAVITY, HALF, MASS
 
 TIMESTEP = 0.004
@@ -236,12 +237,9 @@ def compile_shapes(parts: tuple[np.ndarray, ...], objects: tuple[Cells, ...]) ->
     """
     spec = mujoco.MjSpec()
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    world = spec.worldbody
-    world.add_geom(
-        name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], margin=BREAKING,
-        contype=THING_SHAPE, conaffinity=THING_SHAPE,
-    )  # fmt: skip
-    hand = world.add_body(name="hand", mass=1, inertia=[1, 1, 1], explicitinertial=True)
+    things: dict[str, Any] = {"contype": THING_SHAPE, "conaffinity": THING_SHAPE}
+    add_ground(spec, "table", None, margin=BREAKING, **things)
+    hand = spec.worldbody.add_body(name="hand", mass=1, inertia=[1, 1, 1], explicitinertial=True)
     hand.add_freejoint()
     for number, corners in enumerate(parts):
         mesh = spec.add_mesh(name=f"part {number}", uservert=corners.ravel())
@@ -251,19 +249,8 @@ def compile_shapes(parts: tuple[np.ndarray, ...], objects: tuple[Cells, ...]) ->
             contype=HAND_SHAPE, conaffinity=THING_SHAPE, margin=SKIN + BREAKING,
         )  # fmt: skip
     for number, cells in enumerate(objects):
-        body = world.add_body(name=f"object {number}")
-        body.add_freejoint()
-        centres = np.array(cells)
-        boxes = [(centre, np.full(3, HALF)) for centre in centres]
-        for a, b in fillers(centres, np.zeros(len(centres), np.int64)):
-            half = np.full(3, HALF)
-            half[np.argmax(abs(centres[a] - centres[b]))] = GAP / 2
-            boxes.append(((centres[a] + centres[b]) / 2, half))
-        for centre, half in boxes:
-            body.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_BOX, pos=centre, size=half, mass=MASS,
-                contype=THING_SHAPE, conaffinity=THING_SHAPE,
-            )  # fmt: skip
+        boxes = object_boxes(np.array(cells), np.full(3, HALF), GAP / 2)
+        add_object(spec, f"object {number}", boxes, None, **things)
     return spec.compile()
 
 
@@ -271,9 +258,7 @@ def inverse_inertia(model: mujoco.MjModel) -> np.ndarray:
     """float64[b, 3, 3]: about the centre of mass of every body, in its frame; 0 for the first."""
     out = np.zeros((model.nbody, 3, 3))
     for b in range(FIRST, model.nbody):
-        turn = np.empty(9)
-        mujoco.mju_quat2Mat(turn, model.body_iquat[b])
-        axes = turn.reshape(3, 3)
+        axes = rotation_matrix(model.body_iquat[b])
         inertia = axes @ np.diag(model.body_inertia[b]) @ axes.T
         # What the boxes' own moments are short of.
         for geom in np.flatnonzero(model.geom_bodyid == b):

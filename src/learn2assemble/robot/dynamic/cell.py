@@ -31,7 +31,7 @@ from learn2assemble.robot.dynamic.model import (
 )
 from learn2assemble.robot.dynamic.prepare import Failure, prepare
 from learn2assemble.robot.dynamic.simulation import Simulation
-from learn2assemble.robot.dynamic.trajectory import Limits, Motion
+from learn2assemble.robot.dynamic.trajectory import Limits, Motion, load_ruckig
 from learn2assemble.robot.moves import OPENING, Attempt, Move, Outcome, Scene, Trajectory
 from learn2assemble.world.blocks import FRICTION
 
@@ -63,6 +63,7 @@ class DynamicCell:
 
     Raises:
         InputError: for a value out of range.
+        MissingExtraError: without the extra ``robot``.
     """
 
     name = "dynamic"
@@ -90,6 +91,7 @@ class DynamicCell:
             raise InputError("finish", finish, "home or above")
         if sample_steps < 1:
             raise InputError("sample_steps", sample_steps, "1 or more")
+        load_ruckig()
         self.arm = arm
         full = Limits(arm.velocity, arm.acceleration, arm.jerk)
         self.limits, self.loaded = full.scaled(speed), full.scaled(loaded_speed)

@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from learn2assemble.robot.dynamic.model import TIMESTEP, Order, matrix
+from learn2assemble.physics.scene import rotation_matrix
+from learn2assemble.robot.dynamic.model import TIMESTEP, Order
 from learn2assemble.robot.dynamic.prepare import (
     PRESS,
     Course,
@@ -116,7 +117,7 @@ class Execution:
         if self.holding:
             position, rotation = sim.tool()
             pose = sim.poses[sim.target]
-            turned = rotation.T @ matrix(pose[3:])
+            turned = rotation.T @ rotation_matrix(pose[3:])
             around.carry(sim.target, rotation.T @ (pose[:3] - position), turned, EDGE)
         else:
             around.empty(OPENING)
@@ -379,8 +380,8 @@ def check_rest(
 
     Raises:
         Failure: DISTURBED_STRUCTURE where another block was moved; DROPPED where the object ended
-            elsewhere, UNSTABLE where it tipped or has not come to rest. An object that rested and
-            then tipped over is UNSTABLE wherever it lies, one that was let go in the air DROPPED.
+            elsewhere, TOPPLED where it tipped or has not come to rest. An object that rested and
+            then tipped over is TOPPLED wherever it lies, one that was let go in the air DROPPED.
     """
     position, quaternion, _ = order.objects.cells(poses)
     shift = np.linalg.norm((position - order.scene.position)[:, : rule.axes], axis=1)
@@ -401,11 +402,13 @@ def check_rest(
         raise Failure(Outcome.DROPPED, "rest", detail)
     if tipped:
         detail = f"{name} leans by {np.degrees(lean):.1f} degrees"
-        raise Failure(Outcome.UNSTABLE, "rest", detail)
+        raise Failure(Outcome.TOPPLED, "rest", detail)
     if speed > STILL:
-        raise Failure(Outcome.UNSTABLE, "rest", f"{name} still moves at {speed:.2f} m/s")
+        raise Failure(Outcome.TOPPLED, "rest", f"{name} still moves at {speed:.2f} m/s")
 
 
 def _lean(before: np.ndarray, after: np.ndarray) -> float:
     """Angle [rad] by which a body with quaternions before and after has turned off the vertical."""
-    return float(np.arccos(np.clip(matrix(before)[2] @ matrix(after)[2], -1.0, 1.0)))
+    return float(
+        np.arccos(np.clip(rotation_matrix(before)[2] @ rotation_matrix(after)[2], -1.0, 1.0))
+    )

@@ -24,17 +24,21 @@ import numpy as np
 
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import cube_yaw, rotate_vectors, yaw_quaternion
+from learn2assemble.physics.scene import (
+    Surface,
+    add_ground,
+    add_object,
+    rotation_matrix,
+    set_options,
+)
 from learn2assemble.robot.arm import Arm, arm_spec
-from learn2assemble.robot.moves import Attitude, Move, Scene, fillers, put_down
-from learn2assemble.world.blocks import GRAVITY, HALF, MASS
+from learn2assemble.robot.moves import Attitude, Move, Scene, object_boxes, put_down
+from learn2assemble.world.blocks import HALF
 
 TIMESTEP = 0.002
 """[s]; with 4 ms the grasp fails."""
 SHRINK = 2.5e-4
 """How much thinner a box is on each side in x and y [m]."""
-IMPRATIO = 10.0
-SOLREF = (0.01, 1.0)
-SOLIMP = (0.998, 0.9998, 0.001, 0.5, 2.0)
 GRAIN = 1e-3
 """Places of cells in their object are multiples of this [m]."""
 PLAN_MARGIN = 0.005
@@ -46,8 +50,8 @@ TABLE, ARM, PAD = -1, -2, -3
 
 _ARM_BIT, _THING_BIT, _HELD_BIT = 1, 2, 4
 
-Box = tuple[tuple[float, ...], tuple[float, ...], float]
-"""Centre and half extents in the object's frame [m], mass [kg]."""
+Box = tuple[tuple[float, ...], tuple[float, ...]]
+"""Centre and half extents in the object's frame [m]."""
 
 
 class Objects(NamedTuple):
@@ -67,7 +71,7 @@ class Objects(NamedTuple):
         """Centres float64[n, 3] [m], quaternions float64[n, 4] and yaws float64[n] [rad] of the
         cells of objects at ``poses`` float64[b, 7]."""
         pose = poses[self.owner]
-        yaw = np.array([cube_yaw(matrix(turn)) for turn in pose[:, 3:]])
+        yaw = np.array([cube_yaw(rotation_matrix(turn)) for turn in pose[:, 3:]])
         return pose[:, :3] + rotate_vectors(pose[:, 3:], self.offset), pose[:, 3:].copy(), yaw
 
 
@@ -80,30 +84,16 @@ def group(scene: Scene, quaternion: np.ndarray) -> Objects:
     shape = []
     for number, first in enumerate(lead):
         cells = np.flatnonzero(owner == number)
-        relative = (scene.position[cells] - scene.position[first]) @ matrix(quaternion[first])
+        relative = (scene.position[cells] - scene.position[first]) @ rotation_matrix(
+            quaternion[first]
+        )
         offset[cells] = GRAIN * np.rint(relative / GRAIN)
-        shape.append(tuple(_boxes(offset[cells])))
+        half = np.array([HALF - SHRINK, HALF - SHRINK, HALF])
+        boxes = object_boxes(offset[cells], half)
+        shape.append(
+            tuple((tuple(centre.tolist()), tuple(size.tolist())) for centre, size in boxes)
+        )
     return Objects(tuple(shape), owner, offset, lead)
-
-
-def _boxes(cells: np.ndarray) -> list[Box]:
-    half = (HALF - SHRINK, HALF - SHRINK, HALF)
-    boxes: list[Box] = [(tuple(cell.tolist()), half, MASS) for cell in cells]
-    for a, b in fillers(cells, np.zeros(len(cells), np.int64)):
-        gap = np.abs(cells[b] - cells[a])
-        size = np.array(half)
-        axis = int(np.argmax(gap))
-        size[axis] = gap[axis] / 2 - size[axis]
-        if size[axis] > 0:
-            boxes.append((tuple(((cells[a] + cells[b]) / 2).tolist()), tuple(size.tolist()), MASS))
-    return boxes
-
-
-def matrix(quaternion: np.ndarray) -> np.ndarray:
-    """float64[3, 3] of a quaternion (w, x, y, z)."""
-    flat = np.empty(9)
-    mujoco.mju_quat2Mat(flat, np.ascontiguousarray(quaternion, float))
-    return flat.reshape(3, 3)
 
 
 class World(NamedTuple):
@@ -144,20 +134,17 @@ def compile_world(arm: Arm, shape: tuple[tuple[Box, ...], ...], friction: float)
         friction: between blocks, and of blocks on the table.
     """
     spec = arm_spec(arm)
-    _set_options(spec)
+    set_options(spec, TIMESTEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+    spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    # The feed-forward of a drive may ask for more than the joint's range.
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
+    surface = Surface(friction)
     arm_parts = [geom for geom in spec.geoms if geom.contype or geom.conaffinity]
     for part in arm_parts:
         part.margin = LOOK
-    table = spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
-    _set_contact(table, friction)
+    add_ground(spec, "table", surface)
     for number, boxes in enumerate(shape):
-        body = spec.worldbody.add_body(name=f"object{number}")
-        body.add_freejoint()
-        for centre, half, mass in boxes:
-            box = body.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_BOX, pos=list(centre), size=list(half), mass=mass
-            )
-            _set_contact(box, friction)
+        add_object(spec, f"object{number}", boxes, surface)
     plan = spec.compile()
     plan.opt.enableflags = 0
     for part in arm_parts:
@@ -210,28 +197,6 @@ def _drive_of(model: mujoco.MjModel, joint: str) -> int:
     return int(np.flatnonzero(turned & on_joint)[0])
 
 
-def _set_options(spec: mujoco.MjSpec) -> None:
-    option = spec.option
-    option.timestep = TIMESTEP
-    option.gravity = [0, 0, -GRAVITY]
-    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    option.solver = mujoco.mjtSolver.mjSOL_NEWTON
-    option.impratio = IMPRATIO
-    # A diverged world must be reported, not silently put back to its start.
-    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    # The feed-forward of a drive may ask for more than the joint's range.
-    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
-    if hasattr(mujoco.mjtEnableBit, "mjENBL_SLEEP"):
-        option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
-
-
-def _set_contact(geom: mujoco.MjsGeom, friction: float) -> None:
-    geom.friction[0] = friction
-    geom.solref = SOLREF
-    geom.solimp = SOLIMP
-
-
 class Order(NamedTuple):
     """What is asked of the arm, and where."""
 
@@ -251,7 +216,7 @@ class Order(NamedTuple):
         """Pose of the object in the tool frame once it is grasped so: float64[3] [m] and [3, 3]."""
         tool, pose = grasp.rotation(), self.poses[self.target]
         contact = grasp.tool_point(self.scene.position[self.move.cell])
-        return tool.T @ (pose[:3] - contact), tool.T @ matrix(pose[3:])
+        return tool.T @ (pose[:3] - contact), tool.T @ rotation_matrix(pose[3:])
 
     def in_world(self, grasp: Attitude, place: Attitude) -> tuple[np.ndarray, np.ndarray]:
         """Pose of the object once it is placed: float64[3] [m] and float64[3, 3]."""

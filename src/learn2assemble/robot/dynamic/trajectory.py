@@ -12,21 +12,32 @@ Slower near the contact.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from learn2assemble.errors import InputError, MissingExtraError
 
-try:
+if TYPE_CHECKING:
     import ruckig
-except ImportError as error:  # pragma: no cover - depends on the installation
-    raise MissingExtraError("ruckig", "robot") from error
 
 _SAME = 1e-9
 """Joint positions nearer than this, as a share of a second at full speed, are one."""
 _BENT = 0.6
 """Share of acceleration and jerk that the bends of a path may use."""
+
+
+def load_ruckig() -> Any:
+    """The library of time-optimal profiles; only simulated motions need it.
+
+    Raises:
+        MissingExtraError: where it is not installed.
+    """
+    try:
+        import ruckig
+    except ImportError as error:  # pragma: no cover - depends on the installation
+        raise MissingExtraError("ruckig", "robot") from error
+    return ruckig
 
 
 class Limits(NamedTuple):
@@ -190,24 +201,28 @@ def motion(
     """
     found = []
     for leg in legs or (Leg(path.length),):
-        wanted = ruckig.InputParameter(1)
-        wanted.target_position, wanted.target_velocity = [leg.end], [leg.end_speed]
-        found.append(_solve(wanted, pace._replace(speed=min(pace.speed, leg.top_speed)), start))
+        capped = pace._replace(speed=min(pace.speed, leg.top_speed))
+        found.append(_profile(capped, start, (leg.end, leg.end_speed)))
         start = (leg.end, leg.end_speed, 0.0)
     return _sample(path, found, step)
 
 
 def stop(path: JointPath, pace: Pace, step: float, start: tuple[float, float, float]) -> Motion:
     """Come to rest on the path as soon as possible; ``start`` is s with two derivatives, now."""
-    wanted = ruckig.InputParameter(1)
-    wanted.control_interface = ruckig.ControlInterface.Velocity
-    wanted.target_velocity = [0.0]
-    return _sample(path, [_solve(wanted, pace, start)], step)
+    return _sample(path, [_profile(pace, start, None)], step)
 
 
-def _solve(
-    wanted: ruckig.InputParameter, pace: Pace, start: tuple[float, float, float]
+def _profile(
+    pace: Pace, start: tuple[float, float, float], end: tuple[float, float] | None
 ) -> ruckig.Trajectory:
+    """The fastest s(t) within ``pace`` to s and its derivative at the end, or None to rest."""
+    ruckig = load_ruckig()
+    wanted = ruckig.InputParameter(1)
+    if end is None:
+        wanted.control_interface = ruckig.ControlInterface.Velocity
+        wanted.target_velocity = [0.0]
+    else:
+        wanted.target_position, wanted.target_velocity = [end[0]], [end[1]]
     now = ([start[0]], [start[1]], [start[2]])
     wanted.current_position, wanted.current_velocity, wanted.current_acceleration = now
     wanted.max_velocity, wanted.max_acceleration = [pace.speed], [pace.acceleration]

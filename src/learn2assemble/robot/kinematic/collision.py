@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from learn2assemble.geometry.rotations import yaw_quaternion
+from learn2assemble.physics.scene import rotation_matrix
 from learn2assemble.robot.arm import Arm, arm_spec
 from learn2assemble.robot.moves import GAP, Scene, fillers
 from learn2assemble.world.blocks import HALF
@@ -53,9 +54,8 @@ class CollisionModel:
         self._carried_fillers = np.array([m.body(f"carried f{k}").id for k in range(MAX_CARRIED)])
         self._names = [m.body(k).name for k in range(m.nbody)]
         self._pairs = np.empty((0, 2), np.int64)
-        site, turn = m.site(arm.tool), np.empty(9)
-        mujoco.mju_quat2Mat(turn, site.quat)
-        self._tool_position, self._tool_rotation = site.pos.copy(), turn.reshape(3, 3)
+        site = m.site(arm.tool)
+        self._tool_position, self._tool_rotation = site.pos.copy(), rotation_matrix(site.quat)
 
     def place(self, scene: Scene) -> None:
         """Put the boxes where the cells of ``scene`` are."""
