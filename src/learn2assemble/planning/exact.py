@@ -185,10 +185,10 @@ def describe_lack(wanted: np.ndarray, kit: Kit, cells: np.ndarray) -> str:
     at = np.argwhere(group)
     run = int(max(group.sum(0).max(), group.sum(1).max()))
     first = (int(at[0, 0]), int(at[0, 1]), level)
-    what = f"{run} cells at level {level}" if run > 1 else f"the cell {first}"
-    text = f"no block of kit `{kit.name}` spans {what}"
+    text = f"no block of kit `{kit.name}` carries the cell {first}"
     if run > 1:
-        text += f" (the first is {first})"
+        text = (f"no block of kit `{kit.name}` spans {run} cells at level {level} "
+                f"(the first is {first})")  # fmt: skip
     remedy = _remedy(wanted, kit, group, level)
     return f"{text}; {remedy} does" if remedy else text
 

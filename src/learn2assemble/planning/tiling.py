@@ -48,7 +48,7 @@ class Costs:
     prop: float = 40.0
     """For a block that cannot be put down without a prop."""
     open_cell: float = 2000.0
-    """For a cell left open, or a block that the heap does not have."""
+    """For a cell left open, and half of it for a cell of a block that the heap does not have."""
 
 
 COSTS = Costs()
@@ -352,7 +352,8 @@ def cover(
     price, upper = cost, np.ones(n)
     signs = [np.ones(len(row)) for row in rows]
     if open_cost > 0:
-        sizes = np.array([len(kit.kinds[k].cells) for k in limits])
+        # A block that the heap lacks is a better answer than cells left open.
+        sizes = 0.5 * np.array([len(kit.kinds[k].cells) for k in limits])
         spare = np.concatenate([np.arange(len(must)), len(cells) + np.arange(len(limits))])
         rows.append(spare)
         columns.append(n + np.arange(len(spare)))
@@ -402,7 +403,7 @@ class _Layers:
 
     def __init__(self, wanted: np.ndarray, kit: Kit, costs: Costs, clock: Clock) -> None:
         self.wanted, self.kit, self.costs, self.clock = wanted, kit, costs, clock
-        self.known: dict[bytes, list[tuple[int, int, int]]] = {}
+        self.known: dict[bytes, tuple[list[tuple[int, int, int]], list[tuple[int, int]]]] = {}
         self.fills_any = any(kind.cells == ((0, 0, 0),) for kind in kit.kinds)
         self.timed_out = False
         self.left: list[Cell] = []
@@ -437,20 +438,23 @@ class _Layers:
         key = b"|".join([repr((mask.shape, heap)).encode(), mask.tobytes(), under.tobytes(),
                          near[0].tobytes(), near[1].tobytes()])  # fmt: skip
         if key not in self.known:
-            self.known[key] = self._solve(mask, under, near, heap, (x0, y0, z))
-        return [(way, x + x0, y + y0) for way, x, y in self.known[key]]
+            self.known[key] = self._solve(mask, under, near, heap)
+        blocks, left = self.known[key]
+        self.left += [(x + x0, y + y0, z) for x, y in left]
+        return [(way, x + x0, y + y0) for way, x, y in blocks]
 
     def _solve(
         self, mask: np.ndarray, under: np.ndarray, seams: tuple[np.ndarray, np.ndarray],
-        heap: dict[int, int] | None, corner: Cell,
-    ) -> list[tuple[int, int, int]]:  # fmt: skip
+        heap: dict[int, int] | None,
+    ) -> tuple[list[tuple[int, int, int]], list[tuple[int, int]]]:  # fmt: skip
+        """Blocks and open cells of a mask, about its corner."""
         found = find_candidates(mask[:, :, None], self.kit, under, flat_only=True)
         joints = seams[0][:, :, None], seams[1][:, :, None]
         cost = standing_cost(found, self.costs) - self.costs.seam * glued(found, joints)
         along = int(mask.shape[0] < mask.shape[1])
         width = max(4, STRIP // max(1, int(mask.sum(1 - along).max())))
         whole = heap is not None or not self.fills_any or mask.sum() <= 1.5 * STRIP
-        chosen, open_cells = [], np.flatnonzero(mask.reshape(-1))
+        chosen, open_, open_cells = [], [], np.flatnonzero(mask.reshape(-1))
         while len(open_cells):
             at = open_cells // mask.shape[1] if along == 0 else open_cells % mask.shape[1]
             inside = np.ones(len(open_cells), bool) if whole else at < at.min() + width
@@ -473,14 +477,12 @@ class _Layers:
             )  # fmt: skip
             if answer.status == "time":
                 self.timed_out = True
-            x, y = np.divmod(left, mask.shape[1])
-            self.left += [(int(u) + corner[0], int(v) + corner[1], corner[2])
-                          for u, v in zip(x, y, strict=True)]  # fmt: skip
+            open_ += [(int(c) // mask.shape[1], int(c) % mask.shape[1]) for c in left]
             used = part.take(picked)
             chosen += [(int(way), int(o[0]), int(o[1]))
                        for way, o in zip(used.way, used.origin, strict=True)]  # fmt: skip
             open_cells = np.setdiff1d(may, used.cell)
-        return sorted(chosen, key=lambda block: block[1:])
+        return sorted(chosen, key=lambda block: block[1:]), open_
 
 
 # ---------------------------------------------------------------- the building

@@ -1,0 +1,291 @@
+"""Tilings: exact covers, their bond and their heap against brute force, and what is refused."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import shapes
+from learn2assemble.assembly.kit import Kind, Kit, load_kit, orientations
+from learn2assemble.errors import InputError, Learn2AssembleError
+from learn2assemble.planning.programs import Program, solve
+from learn2assemble.planning.tiling import (
+    COSTS,
+    BlockPlacement,
+    Tiling,
+    convex_hull,
+    find_candidates,
+    find_seams,
+    owners,
+    seams_bridged,
+    support_margin,
+    tile,
+)
+
+LINTELS = load_kit("bricks-lintels")
+SMALL = Kit("small", tuple(Kind(f"1x{n}", tuple((k, 0, 0) for k in range(n))) for n in (1, 2, 3)))
+PIECES = st.sampled_from(["cubes", "bricks", "bricks-lintels"])
+
+
+@st.composite
+def designs(draw: st.DrawFn, most: tuple[int, int, int] = (6, 4, 3)) -> np.ndarray:
+    """Any cells, at least one of them on the table."""
+    shape = [draw(st.integers(1, n)) for n in most]
+    bits = draw(st.lists(st.booleans(), min_size=int(np.prod(shape)), max_size=int(np.prod(shape))))
+    cells = np.array(bits).reshape(shape)
+    cells[0, 0, 0] = True
+    return cells
+
+
+def covers(wanted: np.ndarray, kit: Kit) -> Iterator[list[int]]:
+    """All ways to fill ``wanted`` exactly, as candidates of :func:`find_candidates`."""
+    found = find_candidates(wanted, kit)
+    cells = [set(found.cell[a:b]) for a, b in zip(found.start, found.start[1:], strict=False)]
+    by_cell: dict[int, list[int]] = {}
+    for p, own in enumerate(cells):
+        by_cell.setdefault(min(own), []).append(p)
+
+    def fill(left: set[int]) -> Iterator[list[int]]:
+        if not left:
+            yield []
+            return
+        for p in by_cell.get(min(left), ()):
+            if cells[p] <= left:
+                for rest in fill(left - cells[p]):
+                    yield [p, *rest]
+
+    yield from fill(set(np.flatnonzero(wanted.reshape(-1)).tolist()))
+
+
+def blocks_of(wanted: np.ndarray, kit: Kit, picked: list[int]) -> tuple[BlockPlacement, ...]:
+    found, ways = find_candidates(wanted, kit), orientations(kit)
+    return tuple(
+        BlockPlacement(
+            kit.kinds[ways[found.way[p]].kind].name,
+            ways[found.way[p]].turn,
+            tuple(found.origin[p].tolist()),
+        )
+        for p in picked
+    )
+
+
+# ---------------------------------------------------------------- exact covers
+
+
+def check_cover(tiling: Tiling, kit: Kit) -> None:
+    count = np.zeros(tiling.wanted.shape, int)
+    cells = {(kit.kinds[way.kind].name, way.turn): way.cells for way in orientations(kit)}
+    for block in tiling.placements:
+        for cell in cells[block.kind, block.turn]:
+            count[tuple(np.add(cell, block.origin))] += 1
+    assert (count == tiling.wanted).all()
+
+
+@settings(max_examples=60, deadline=None)
+@given(wanted=designs(), name=PIECES)
+def test_every_cell_is_filled_once_and_no_other(wanted: np.ndarray, name: str) -> None:
+    kit = load_kit(name)
+    tiling = tile(wanted, kit)
+    assert (tiling.status, tiling.missing) == ("complete", ())
+    check_cover(tiling, kit)
+
+
+@pytest.mark.parametrize("name", ["wall-window", "house-small", "arch-8", "dome-8", "blob-1"])
+def test_shapes_are_filled_the_same_every_time(name: str) -> None:
+    wanted = shapes.SHAPES[name]()
+    tiling = tile(wanted, LINTELS)
+    check_cover(tiling, LINTELS)
+    assert tile(wanted, LINTELS).placements == tiling.placements
+
+
+def test_wide_layers_are_cut_into_strips_and_still_filled() -> None:
+    wanted = np.ones((30, 28, 2), bool)
+    tiling = tile(wanted, LINTELS)
+    check_cover(tiling, LINTELS)
+    assert len(tiling.placements) < 2 * 30 * 28 / 10
+    bridged, total = seams_bridged(tiling, LINTELS)
+    assert bridged / total > 0.8
+
+
+def test_blocks_taller_than_a_layer_and_blocks_on_their_side() -> None:
+    kit = load_kit("planks")
+    tiling = tile(np.ones((15, 3, 3), bool), kit)
+    check_cover(tiling, kit)
+    assert len(tiling.placements) == 3
+    tall = Kit("tall", (Kind("post", ((0, 0, 0), (0, 0, 1))), Kind("cube", ((0, 0, 0),))))
+    tiling = tile(np.ones((2, 1, 3), bool), tall)
+    check_cover(tiling, tall)
+    assert len(tiling.placements) == 4
+
+
+# ---------------------------------------------------------------- against brute force
+
+
+@settings(max_examples=25, deadline=None)
+@given(bits=st.lists(st.booleans(), min_size=10, max_size=10), deep=st.booleans())
+def test_a_layer_has_the_fewest_blocks(bits: list[bool], deep: bool) -> None:
+    wanted = np.array([True, *bits, True]).reshape((6, 2, 1) if deep else (12, 1, 1))
+    fewest = min(len(picked) for picked in covers(wanted, SMALL))
+    assert len(tile(wanted, SMALL).placements) == fewest
+
+
+@settings(max_examples=25, deadline=None)
+@given(length=st.integers(2, 9), wide=st.booleans())
+def test_a_second_layer_pays_least_for_its_bond(length: int, wide: bool) -> None:
+    wanted = np.ones((length if not wide else 4, 1 + wide, 2), bool)
+    tiling = tile(wanted, SMALL)
+    owner = owners(tiling.placements, SMALL, wanted.shape)
+    below = find_seams(owner[:, :, 0])
+    second = tuple(b for b in tiling.placements if b.origin[2] == 1)
+
+    def price(blocks: tuple[BlockPlacement, ...]) -> float:
+        above = owners(tuple(replace(b, origin=(*b.origin[:2], 0)) for b in blocks), SMALL,
+                       (*wanted.shape[:2], 1))  # fmt: skip
+        kept = [int((a & b).sum()) for a, b in zip(below, find_seams(above[:, :, 0]), strict=True)]
+        return len(blocks) - COSTS.seam * (sum(int(b.sum()) for b in below) - sum(kept))
+
+    layer = wanted[:, :, :1]
+    best = min(price(blocks_of(layer, SMALL, picked)) for picked in covers(layer, SMALL))
+    assert price(second) == pytest.approx(best)
+
+
+@settings(max_examples=40, deadline=None)
+@given(counts=st.tuples(*[st.integers(0, 4)] * 3), height=st.integers(1, 2))
+def test_a_heap_is_enough_exactly_where_some_cover_fits_it(
+    counts: tuple[int, int, int], height: int
+) -> None:
+    wanted = np.ones((4, 1, height), bool)
+    kit = replace(
+        SMALL, kinds=tuple(replace(k, count=n) for k, n in zip(SMALL.kinds, counts, strict=True))
+    )
+    fits = False
+    for picked in covers(wanted, kit):
+        used = Counter(block.kind for block in blocks_of(wanted, kit, picked))
+        fits |= all(used[kind.name] <= (kind.count or 0) for kind in kit.kinds)
+    tiling = tile(wanted, kit)
+    assert (tiling.status == "complete") == fits
+    if fits:
+        check_cover(tiling, kit)
+        used = Counter(block.kind for block in tiling.placements)
+        assert all(used[kind.name] <= (kind.count or 0) for kind in kit.kinds)
+    else:
+        assert "lacks" in tiling.reason
+
+
+@pytest.mark.parametrize("name", ["wall", "house-flat", "bridge", "arch-4", "dome"])
+def test_the_blocks_of_a_tiling_are_enough_for_another(name: str) -> None:
+    wanted = shapes.SHAPES[name]()
+    heap = Counter(block.kind for block in tile(wanted, LINTELS).placements)
+    kinds = tuple(replace(kind, count=heap[kind.name]) for kind in LINTELS.kinds)
+    tiling = tile(wanted, replace(LINTELS, kinds=kinds))
+    assert tiling.status == "complete"
+    check_cover(tiling, LINTELS)
+    assert Counter(block.kind for block in tiling.placements) == heap
+
+
+@pytest.mark.parametrize("name", ["wall", "wall-window", "house-small", "tower-slim"])
+def test_joints_of_walls_and_houses_are_bridged(name: str) -> None:
+    bridged, total = seams_bridged(tile(shapes.SHAPES[name](), LINTELS), LINTELS)
+    assert bridged >= 0.9 * total
+
+
+# ---------------------------------------------------------------- support
+
+
+def test_support_is_the_distance_inside_the_hull() -> None:
+    kit = replace(LINTELS, joint_gap=0.0)
+    bar = np.array([(k, 0, 0) for k in range(6)])
+    held = np.zeros(6, bool)
+    assert support_margin(bar, held, kit) == -np.inf
+    held[0] = True
+    assert support_margin(bar, held, kit) == pytest.approx(-2)
+    held[5] = True
+    assert support_margin(bar, held, kit) == pytest.approx(0.5)
+    held[:] = [True, True, True, False, False, False]
+    assert support_margin(bar, held, kit) == pytest.approx(0)
+    assert support_margin(bar, held, replace(kit, joint_gap=0.01)) == pytest.approx(-0.1)
+
+
+def test_hull_of_points() -> None:
+    points = np.array([[0, 0], [2, 0], [1, 0], [2, 2], [0, 2], [1, 1], [0, 0]], float)
+    assert convex_hull(points).tolist() == [[0, 0], [2, 0], [2, 2], [0, 2]]
+
+
+def test_lintels_span_what_they_can() -> None:
+    """A gate of four cells: a bar with one cell on either post carries the rest."""
+    tiling = tile(shapes.wall(8, 1, 6, (2, 6, 0, 4)), LINTELS)
+    assert "1x6" in {b.kind for b in tiling.placements if b.origin[2] == 4} or any(
+        b.kind == "1x8" for b in tiling.placements if b.origin[2] == 4
+    )
+
+
+# ---------------------------------------------------------------- refusals
+
+
+@pytest.mark.parametrize(
+    ("cells", "named"),
+    [
+        (np.ones((2, 2)), "X, Y, Z"),
+        (np.ones((2, 2, 2)), "bool"),
+        (np.zeros((2, 2, 2), bool), "at least one"),
+        (np.ones((65, 1, 1), bool), "64"),
+        (np.ones((0, 1, 1), bool), "64"),
+        (np.stack([np.zeros((2, 2), bool), np.ones((2, 2), bool)], -1), "table"),
+    ],
+)
+def test_cells_that_cannot_be_used_are_refused(cells: np.ndarray, named: str) -> None:
+    with pytest.raises(InputError, match=named):
+        tile(cells, LINTELS)
+
+
+def test_what_does_not_fit_is_named() -> None:
+    tiling = tile(np.ones((5, 1, 2), bool), load_kit("tetrominoes"))
+    assert tiling.status == "refused"
+    assert len(tiling.missing) == 2
+    assert "`tetrominoes`" in tiling.reason
+    kinds = tuple(replace(kind, count=1) for kind in SMALL.kinds)
+    tiling = tile(np.ones((9, 1, 1), bool), replace(SMALL, kinds=kinds))
+    assert tiling.reason == "the heap of kit `small` lacks 1 x 1x3"
+
+
+def test_time_that_ran_out_is_called_so() -> None:
+    tiling = tile(shapes.big_house(), LINTELS, seconds=0.0)
+    assert tiling.status == "time"
+    assert "time ran out after 0 s" in tiling.reason
+    assert "--seconds" in tiling.reason
+
+
+def program(**changes: object) -> Program:
+    fields: dict = {
+        "cost": np.ones(2), "lower": np.zeros(2), "upper": np.ones(2), "row_lower": np.ones(1),
+        "row_upper": np.ones(1), "start": np.array([0, 1, 2]), "index": np.array([0, 0]),
+        "value": np.ones(2), "integer": True,
+    }  # fmt: skip
+    return Program(**{**fields, **changes})
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"cost": np.array([1.0, np.nan])},
+        {"cost": np.ones(3)},
+        {"value": np.array([1.0, np.inf])},
+        {"index": np.array([0, 1])},
+        {"index": np.array([0, -1])},
+        {"start": np.array([0, 2, 1])},
+        {"start": np.array([0, 2, 2]), "index": np.array([0, 0])},
+        {"start": np.array([0, 1, 3])},
+        {"lower": np.array([0.0, 2.0])},
+        {"row_lower": np.array([np.nan])},
+    ],
+)
+def test_solvers_are_given_valid_programs_only(changes: dict) -> None:
+    assert solve(program()).objective == 1.0
+    with pytest.raises(Learn2AssembleError, match="malformed"):
+        program(**changes)
