@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.errors import UnknownNameError
+from learn2assemble.robot.approach import ApproachCache, tool_path
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.kinematic.cell import Attempt, KinematicCell
 from learn2assemble.robot.kinematic.collision import CollisionModel
-from learn2assemble.robot.kinematic.columns import Columns
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import (
     GRASP_SETS,
@@ -24,7 +24,6 @@ from learn2assemble.robot.moves import (
     Outcome,
     Scene,
     carried,
-    column,
     crossing_height,
     fillers,
     get_grasps,
@@ -81,7 +80,7 @@ def test_the_hand_leans_and_keeps_off_along_its_approach(
 ) -> None:
     attitude = Attitude(yaw, tilt, depth)
     centre = np.array([0.1, -0.2, 0.3])
-    poses = column(centre, attitude, 0.5)
+    poses = tool_path(centre, attitude, 0.5)
     away = poses.position[0] - centre
     np.testing.assert_allclose(away, -depth * poses.rotation[:, 2], atol=1e-12)
     near = np.diff(poses.position[:4], axis=0)
@@ -94,19 +93,19 @@ def test_the_hand_leans_and_keeps_off_along_its_approach(
 @pytest.mark.parametrize("name", ["panda", "ur5e"])
 def test_columns_reach_their_poses_on_one_branch(name: str) -> None:
     arm = get_arm(name)
-    columns = Columns(arm)
+    approaches = ApproachCache(arm)
     for x, y in ((0.0, 0.0), (0.1, 0.12), (-0.15, -0.2)):
         centre = np.array([x, y, GROUND])
-        joints = columns.solve(centre, AA.grasp, 0.3)
+        joints = approaches.solve(centre, AA.grasp, 0.3)
         assert not isinstance(joints, str), joints
         assert arm.inside_limits(joints).all()
-        poses = column(centre, AA.grasp, 0.3)
+        poses = tool_path(centre, AA.grasp, 0.3)
         for q, position in zip(joints, poses.position, strict=True):
             where, rotation = forward(get_chain(arm), q)
             np.testing.assert_allclose(where, position, atol=1e-5)
             np.testing.assert_allclose(rotation, poses.rotation, atol=1e-5)
         assert abs(np.diff(joints, axis=0)).max() < 0.6
-        assert columns.solve(centre, AA.grasp, 0.3) is joints
+        assert approaches.solve(centre, AA.grasp, 0.3) is joints
 
 
 # ---------------------------------------------------------------- scenes

@@ -22,9 +22,9 @@ from learn2assemble.errors import InputError
 from learn2assemble.files import load_json, number, read_head, read_text, sequence, too_deep
 from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.planning.problem import Problem
+from learn2assemble.robot.approach import ApproachCache
 from learn2assemble.robot.kinematic.cell import KinematicCell
 from learn2assemble.robot.kinematic.collision import TABLE
-from learn2assemble.robot.kinematic.columns import Columns
 from learn2assemble.robot.moves import (
     Attempt,
     Attitude,
@@ -125,7 +125,8 @@ def supply_places(
             break
         alone = Scene(np.array([first, [x, y, HALF]]), np.zeros(2), np.arange(2), 1)
         if all(
-            _reached(cell.columns, x, y, yaw) is None and _pick(cell, alone, Attitude(yaw)).reached
+            _reached(cell.approaches, x, y, yaw) is None
+            and _pick(cell, alone, Attitude(yaw)).reached
             for yaw in (0.0, -math.pi / 2)
         ):
             found.append((x, y, 0.0))
@@ -174,7 +175,7 @@ def check_places(
         if face.intersection(needed).area > 1e-9:
             raise InputError(what, at, "a place outside the building site")
         x, y, yaw = at
-        why = [_reached(cell.columns, x, y, yaw + turn) for turn in (0.0, -math.pi / 2)]
+        why = [_reached(cell.approaches, x, y, yaw + turn) for turn in (0.0, -math.pi / 2)]
         if None not in why:
             raise InputError(what, at, f"a place {cell.arm.name} can reach ({why[0]})")
     ground = np.column_stack([places[:, :2], np.full(len(places), HALF)])
@@ -243,11 +244,11 @@ def _face(x: float, y: float, yaw: float) -> shapely.Polygon:
     return shapely.Polygon(corners @ np.array([[c, s], [-s, c]]) + [x, y])
 
 
-def _reached(columns: Columns, x: float, y: float, yaw: float) -> str | None:
+def _reached(approaches: ApproachCache, x: float, y: float, yaw: float) -> str | None:
     """Why an arm cannot take a block from there at this yaw of the hand; None where it can."""
     found: np.ndarray | str = ""
     for attitude in (Attitude(yaw), Attitude(yaw).flipped()):
-        found = columns.solve(np.array([x, y, HALF]), attitude, LIFT)
+        found = approaches.solve(np.array([x, y, HALF]), attitude, LIFT)
         if not isinstance(found, str):
             return None
     return str(found)

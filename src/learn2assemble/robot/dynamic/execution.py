@@ -13,16 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from learn2assemble.physics.scene import rotation_matrix
+from learn2assemble.robot.approach import ApproachPath, approach_path
 from learn2assemble.robot.dynamic.model import TIMESTEP, Order
-from learn2assemble.robot.dynamic.prepare import (
-    PRESS,
-    Course,
-    Failure,
-    JointColumn,
-    free_way,
-    joint_column,
-    rest_pose,
-)
+from learn2assemble.robot.dynamic.prepare import PRESS, Course, Failure, free_way, rest_pose
 from learn2assemble.robot.dynamic.simulation import PUSH, TOUCH, Event, Rules, Simulation, Watch
 from learn2assemble.robot.dynamic.trajectory import Limits, joint_path, pace_of, slowing
 from learn2assemble.robot.dynamic.transit import Surroundings
@@ -80,7 +73,7 @@ class Execution:
         self.limits, self.loaded = limits, loaded
         self.place = course.plan.place
         """The column over the target that is used."""
-        self.inside: JointColumn | None = None
+        self.inside: ApproachPath | None = None
         """The column the hand is in; None where it travels."""
         self.legs = 0
         """How many straight parts of the way across are done."""
@@ -142,7 +135,7 @@ class Execution:
             else:
                 _check(self.sim.follow(path, pace, stage, (watch,)), outcome, stage)
 
-    def grasp(self, column: JointColumn) -> None:
+    def grasp(self, column: ApproachPath) -> None:
         """Down, close, up."""
         sim, gripper = self.sim, self.sim.arm.gripper
         touch, self.inside = Outcome.GRASP_COLLISION, column
@@ -183,7 +176,7 @@ class Execution:
             _check(event, Outcome.PLACE_COLLISION, "cross")
             self.legs += 1
 
-    def corrected(self) -> JointColumn:
+    def corrected(self) -> ApproachPath:
         """The column over the target for the hand that holds the object as it does."""
         sim, plan, order = self.sim, self.course.plan, self.order
         position, rotation = sim.tool()
@@ -191,12 +184,12 @@ class Execution:
         place, target = plan.move.place, order.move.target
         tool = target - place.rotation() @ rotation.T @ (cell - position)
         centre = tool + target - place.tool_point(target)
-        found = joint_column(sim.arm, centre, place, plan.height, PRESS, plan.place.joints[0])
+        found = approach_path(sim.arm, centre, place, plan.height, PRESS, plan.place.joints[0])
         if isinstance(found, str):
             raise Failure(Outcome.UNREACHABLE, "place", found)
         return found
 
-    def lower(self, column: JointColumn, stage: str, before: Watch, near: Watch) -> None:
+    def lower(self, column: ApproachPath, stage: str, before: Watch, near: Watch) -> None:
         """Down, the last part slowly, until the object rests or the column ends.
 
         Args:
@@ -245,7 +238,7 @@ def _check(event: Event | None, outcome: Outcome, stage: str) -> None:
         raise Failure(Outcome.GRASP_LOST if lost else outcome, stage, event.detail)
 
 
-def _nearest(column: JointColumn, joints: np.ndarray) -> int:
+def _nearest(column: ApproachPath, joints: np.ndarray) -> int:
     return int(np.argmin(np.abs(column.joints - joints).max(1)))
 
 

@@ -11,12 +11,11 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from learn2assemble.robot.approach import RISE, ApproachCache
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematic.collision import CollisionModel, Touch
-from learn2assemble.robot.kinematic.columns import Columns
 from learn2assemble.robot.moves import (
     OPENING,
-    RISE,
     Attempt,
     Move,
     Outcome,
@@ -44,7 +43,7 @@ class KinematicCell:
 
     def __init__(self, arm: Arm, num_cells: int = 40) -> None:
         self.arm = arm
-        self.columns = Columns(arm)
+        self.approaches = ApproachCache(arm)
         self.collisions = CollisionModel(arm, num_cells)
 
     def attempt(self, scene: Scene, move: Move) -> Attempt:
@@ -64,7 +63,7 @@ class KinematicCell:
     def pick(self, scene: Scene, move: Move) -> Attempt:
         """The first half of a move: what lies at its target does not matter, its height does."""
         height = crossing_height(scene, move)
-        pick = self.columns.solve(scene.position[move.cell], move.grasp, height)
+        pick = self.approaches.solve(scene.position[move.cell], move.grasp, height)
         if isinstance(pick, str):
             return Attempt(Outcome.UNREACHABLE, "pick", pick)
         self.collisions.place(scene)
@@ -84,7 +83,7 @@ class KinematicCell:
         if pick is None:
             return picked
         members = scene.members(move.cell)
-        place = self.columns.solve(move.target, move.place, height)
+        place = self.approaches.solve(move.target, move.place, height)
         if isinstance(place, str):
             return Attempt(Outcome.UNREACHABLE, "place", place)
         hit = self._first(place, EDGE)
@@ -111,8 +110,8 @@ class KinematicCell:
         self, scene: Scene, move: Move, height: float
     ) -> tuple[np.ndarray, np.ndarray] | None:
         """Columns whose tops are joined by a free motion, higher up."""
-        pick = self.columns.solve(scene.position[move.cell], move.grasp, height + DETOUR)
-        place = self.columns.solve(move.target, move.place, height + DETOUR)
+        pick = self.approaches.solve(scene.position[move.cell], move.grasp, height + DETOUR)
+        place = self.approaches.solve(move.target, move.place, height + DETOUR)
         if isinstance(pick, str) or isinstance(place, str):
             return None
         way = [pick[len(RISE) :], place[len(RISE) :], *between(pick[-1], place[-1])]

@@ -1,0 +1,202 @@
+"""Approach paths: joint positions of the arm over a place where it grasps or releases.
+
+A path begins at the contact (or below it) and leads upwards, first along the approach axis of the
+hand, then along the vertical. Every solution of the inverse kinematics starts from its neighbour,
+so a path stays on one branch of solutions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.inverse import METRES_PER_RADIAN, RESTARTS, seeds, solve
+from learn2assemble.robot.moves import LEVEL, Attitude
+
+RISE = (0.0, 0.008, 0.03, 0.06)
+"""Distances of poses from the contact along the approach axis [m], close where things are near."""
+SPACING = 0.02
+"""Largest distance between poses of an :class:`ApproachPath` [m]."""
+JUMP = 0.5
+"""Neighbouring poses whose joints differ by more [rad] are on different branches."""
+STARTS = 16
+"""How many other configurations a path is sought from."""
+
+
+class ToolPath(NamedTuple):
+    """Poses of the tool over a place, from the contact upwards."""
+
+    position: np.ndarray
+    """float64[k, 3]: tool point [m]."""
+    rotation: np.ndarray
+    """float64[3, 3]: of all of them."""
+
+
+def tool_path(centre: np.ndarray, attitude: Attitude, height: float) -> ToolPath:
+    """Tool poses over a cell.
+
+    Args:
+        centre: float64[3] of the cell [m].
+        attitude: of the hand.
+        height: of the last tool point, or that just clear of the cell if that is higher [m].
+    """
+    rotation, contact = attitude.rotation(), attitude.tool_point(centre)
+    near = contact - np.outer(RISE, rotation[:, 2])
+    top = max(height - near[-1, 2], 0.0)
+    steps = np.linspace(0.0, top, 1 + math.ceil(top / (2 * LEVEL) - 1e-9))[1:]
+    return ToolPath(np.vstack([near, near[-1] + np.outer(steps, [0.0, 0.0, 1.0])]), rotation)
+
+
+def follow_poses(
+    arm: Arm,
+    points: np.ndarray,
+    rotation: np.ndarray,
+    start: np.ndarray,
+    restarts: int = 0,
+    jump: float = math.inf,
+) -> np.ndarray | str:
+    """Joint positions for one tool pose after the other.
+
+    Args:
+        arm: the robot.
+        points: float64[k, 3], tool points [m].
+        rotation: float64[3, 3] of all poses.
+        start: float64[n] where the first solution is sought [rad].
+        restarts: other starts for the first pose; further up, they would leave the branch.
+        jump: largest change of a joint between neighbours [rad].
+
+    Returns:
+        float64[k, n] [rad], or in words which pose has no solution and why.
+    """
+    joints: list[np.ndarray] = []
+    for point in points:
+        found = solve(arm, point, rotation, joints[-1] if joints else start,
+                      restarts=0 if joints else restarts)  # fmt: skip
+        reason = "" if found.ok else found.failure.name.lower().replace("_", " ")
+        if not reason and joints and np.abs(found.joints - joints[-1]).max() > jump:
+            reason = "no steady way there"
+        if reason:
+            return "tool at ({:.3f}, {:.3f}, {:.3f}): {}".format(*point, reason)
+        joints.append(found.joints)
+    return np.array(joints)
+
+
+class ApproachCache:
+    """Joint positions for the poses of :func:`tool_path`, remembered.
+
+    Places that differ by less than ``grain`` [m] are one.
+
+    Args:
+        arm: the robot.
+        size: paths kept; the least recently used go first.
+    """
+
+    def __init__(self, arm: Arm, size: int = 20_000, grain: float = 1e-4) -> None:
+        self.arm, self.size, self.grain = arm, size, grain
+        self._known: OrderedDict[tuple[object, ...], np.ndarray | str] = OrderedDict()
+
+    def solve(self, centre: np.ndarray, attitude: Attitude, height: float) -> np.ndarray | str:
+        """float64[k, n] [rad], or in words why there are none; arguments of :func:`tool_path`."""
+        grain = self.grain
+        key = (*(round(float(c) / grain) for c in centre), attitude, round(height / grain))
+        found = self._known.get(key)
+        if found is None:
+            poses = tool_path(centre, attitude, height)
+            found = follow_poses(self.arm, *poses, self.arm.home, RESTARTS)
+            self._known[key] = found
+            if len(self._known) > self.size:
+                self._known.popitem(last=False)
+        else:
+            self._known.move_to_end(key)
+        return found
+
+
+class ApproachPath(NamedTuple):
+    """Joint positions over a place, from the contact (or below it) upwards, close together."""
+
+    joints: np.ndarray
+    """float64[k, n] [rad]."""
+    rise: np.ndarray
+    """float64[k]: way of the tool from the contact [m]."""
+
+
+def approach_path(
+    arm: Arm,
+    centre: np.ndarray,
+    attitude: Attitude,
+    height: float,
+    below: float = 0.0,
+    start: np.ndarray | None = None,
+) -> ApproachPath | str:
+    """The first of :func:`approach_paths`, or in words which pose is out of reach and why."""
+    reason = ""
+    for found in approach_paths(arm, centre, attitude, height, below, start):
+        if not isinstance(found, str):
+            return found
+        reason = reason or found
+    return reason
+
+
+def approach_paths(
+    arm: Arm,
+    centre: np.ndarray,
+    attitude: Attitude,
+    height: float,
+    below: float = 0.0,
+    start: np.ndarray | None = None,
+) -> Iterator[ApproachPath | str]:
+    """Approach paths on different branches of the inverse kinematics.
+
+    The first is sought from ``start`` at the lower end, then at the upper end, then from fixed
+    configurations with the tool near the contact.
+
+    Args:
+        arm: the robot.
+        centre, attitude, height: see :func:`tool_path`.
+        below: how far under the contact the path begins [m].
+        start: float64[n] [rad], by default the home pose.
+
+    Yields:
+        paths, and between them, in words, which pose was out of reach.
+    """
+    poses = tool_path(centre, attitude, height)
+    points = [poses.position[:1] + below * poses.rotation[:, 2]] if below else []
+    for begin, end in zip(poses.position[:-1], poses.position[1:], strict=True):
+        count = math.ceil(np.linalg.norm(end - begin) / SPACING - 1e-9)
+        points.append(begin + np.outer(np.arange(count) / count, end - begin))
+    points.append(poses.position[-1:])
+    tool = np.vstack(points)
+    way = np.linalg.norm(np.diff(tool, axis=0), axis=1)
+    rise = np.concatenate([[0.0], np.cumsum(way)]) - below
+
+    def follow(points: np.ndarray, start: np.ndarray) -> np.ndarray | str:
+        return follow_poses(arm, points, poses.rotation, start, jump=JUMP)
+
+    first = arm.home if start is None else start
+    found = follow(tool, first)
+    yield found if isinstance(found, str) else ApproachPath(found, rise)
+    found = follow(tool[::-1], first)
+    yield found if isinstance(found, str) else ApproachPath(found[::-1].copy(), rise)
+    others = [follow(tool, q) for q in _near(arm, tool[0], poses.rotation)]
+    paths = [path for path in others if not isinstance(path, str)]
+    for path in sorted(paths, key=lambda way: travel_time(arm, [*way, arm.home])):
+        yield ApproachPath(path, rise)
+
+
+def _near(arm: Arm, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """float64[k, n]: fixed configurations whose tool is nearest to a pose."""
+    table = seeds(arm)
+    trace = np.einsum("kij,ij->k", table.rotation, rotation)
+    angle = np.arccos(np.clip((trace - 1) / 2, -1.0, 1.0))
+    away = np.sum((table.position - position) ** 2, axis=1) + (METRES_PER_RADIAN * angle) ** 2
+    return table.joints[np.argsort(away, kind="stable")[:STARTS]]
+
+
+def travel_time(arm: Arm, way: Sequence[np.ndarray]) -> float:
+    """Time from one joint position to the next, the slowest joint at full speed [s]."""
+    return float(np.sum(np.max(np.abs(np.diff(way, axis=0)) / arm.velocity, axis=1)))
