@@ -384,6 +384,12 @@ def test_numbers_of_a_row_by_hand(tmp_path: Path) -> None:
     assert data.episodes == (2, 2)
 
 
+def test_intervals_over_agents_are_those_of_student() -> None:
+    """Against a printed table; from ten agents on, too."""
+    printed = {2: 12.706, 5: 2.776, 9: 2.306, 10: 2.262, 20: 2.093, 31: 2.042}
+    assert {count: student(count) for count in printed} == printed
+
+
 def test_interval_of_one_agent_is_over_episodes(tmp_path: Path) -> None:
     cell = Cell(TASK, "agent", "tiny-s0", None, 0.0)
     fake(tmp_path, cell, [1.0, 2.0, 3.0, 6.0], [0] * 4)

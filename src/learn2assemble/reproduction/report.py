@@ -81,8 +81,6 @@ def published(table: Table, row: Row, column: Column) -> Published | None:
     return Published(**number)
 
 
-STUDENT = {2: 12.706, 3: 4.303, 4: 3.182, 5: 2.776, 6: 2.571, 7: 2.447, 8: 2.365, 9: 2.306}
-"""97.5 % point of Student's t for a mean over so many agents."""
 NOT_AVAILABLE, NOT_TRAINED, NOT_MEASURED = "not available", "not trained", "not measured"
 
 
@@ -92,7 +90,7 @@ class Summary:
 
     R: float
     R_ci95: float
-    """Half width of the 95 % interval: Student's over agents, else normal over episodes."""
+    """Half width of the 95 % interval: Student's over agents, of one agent normal over episodes."""
     a: float
     b: float
     f: float
@@ -190,7 +188,7 @@ def _summary(table: Table, condition: Condition, results: list[Result], root: Pa
     if condition == Condition(0.0):
         share = _share(results, root)
     return Summary(
-        R=float(means.mean()), R_ci95=_interval(returns, means),
+        R=float(means.mean()), R_ci95=_half_width(returns, means),
         a=_mean([r.array("actions") for r in results]) or 0.0,
         b=_mean([(1 - f) * (1 - s) for f, s in zip(failed, success, strict=True)]) or 0.0,
         f=_mean(failed) or 0.0, success=_mean(success) or 0.0,
@@ -203,12 +201,18 @@ def _mean(arrays: list[np.ndarray]) -> float | None:
     return float(np.mean([array.mean() for array in arrays])) if arrays else None
 
 
-def _interval(returns: list[np.ndarray], means: np.ndarray) -> float:
+def _half_width(returns: list[np.ndarray], means: np.ndarray) -> float:
     """Half width of the 95 % interval of R."""
-    if len(means) >= 2:
-        return STUDENT.get(len(means), 1.96) * float(means.std(ddof=1)) / math.sqrt(len(means))
-    sample = returns[0]
-    return 1.96 * float(sample.std(ddof=1)) / math.sqrt(len(sample)) if len(sample) > 1 else 0.0
+    sample, factor = (means, student(len(means))) if len(means) >= 2 else (returns[0], 1.96)
+    count = len(sample)
+    return factor * float(sample.std(ddof=1)) / math.sqrt(count) if count > 1 else 0.0
+
+
+def student(count: int) -> float:
+    """97.5 % point of Student's t for the mean of ``count`` values, as tables print it."""
+    from scipy.special import stdtrit
+
+    return round(float(stdtrit(count - 1, 0.975)), 3)
 
 
 def _share(results: list[Result], root: Path) -> float | None:
