@@ -49,6 +49,7 @@ from learn2assemble.reproduction.report import (
     load_table,
     markdown,
     published,
+    student,
 )
 from learn2assemble.reproduction.tables import (
     LOOK_AHEAD,

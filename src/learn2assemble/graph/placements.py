@@ -19,11 +19,8 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.graph.features import Graph
-from learn2assemble.world.blocks import DIRECTIONS, EDGE, Ways, quarter_turn
+from learn2assemble.world.blocks import DIRECTIONS, EDGE, MAX_CELLS, Ways, quarter_turn
 from learn2assemble.world.rules import waiting_level
-
-MAX_CELLS = 4
-"""Cells of the largest object."""
 
 
 @njit(cache=True, inline="always")

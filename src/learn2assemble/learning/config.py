@@ -4,13 +4,17 @@ our schedule) and ``relational`` (our own method)."""
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import typing
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 from learn2assemble.errors import InputError, UnknownNameError, look_up
 from learn2assemble.networks.config import NetworkConfig
+from learn2assemble.registry import Registry
+from learn2assemble.search.config import SearchConfig, training_search
 from learn2assemble.tasks import Task
 
 LARGEST = {
@@ -97,16 +101,16 @@ class TrainConfig:
             raise InputError("epsilon_final", self.epsilon_final, "0 <= epsilon <= 1")
         if not 0 <= self.dense_weight < math.inf:
             raise InputError("dense_weight", self.dense_weight, "a weight of at least 0")
-        relational = self.network.encoder == "relational"
+        relational, encoder = self.network.values_placements, self.network.encoder
         if self.dense_weight and not relational:
             raise InputError("dense_weight", self.dense_weight, "0 unless encoder is relational")
         if self.augment and relational:
-            raise InputError("augment", self.augment, "false for the encoder relational")
+            raise InputError("augment", self.augment, f"false for the encoder {encoder}")
 
     @property
     def searches(self) -> bool:
         """Whether a search chooses the actions of training."""
-        return self.method != "dqn"
+        return METHODS[self.method].search is not None
 
     def to_dict(self) -> dict[str, Any]:
         return dataclasses.asdict(self)
@@ -159,7 +163,35 @@ def _parse(key: str, text: str, current: Any) -> Any:
         raise InputError(f"--set {key}", text, f"a value like {current!r}") from None
 
 
-METHODS = ("dqn", "q-mcts", "eps-mcts")
+@dataclass(frozen=True)
+class Learner:
+    """A method of learning.
+
+    Args:
+        search: the search that chooses the actions of training, from the number of expansions and
+            the exploration rate; ``None``: epsilon-greedy on Q.
+        loss: loss of one batch and numbers to log; arguments and result as those of
+            :func:`learn2assemble.learning.loss.q_loss`, which is the default.
+    """
+
+    search: Callable[[int, float], SearchConfig] | None = None
+    loss: Callable[..., tuple[Any, dict[str, float]]] | None = None
+
+
+METHODS: Registry[Learner] = Registry("method", {
+    "dqn": Learner(), "q-mcts": Learner(functools.partial(training_search, "q-mcts")),
+    "eps-mcts": Learner(functools.partial(training_search, "eps-mcts")),
+})  # fmt: skip
+
+
+def register_learner(name: str, learner: Learner) -> None:
+    """Make a method of learning known as ``method`` of :class:`TrainConfig`.
+
+    Raises:
+        InputError: for a name that is taken.
+    """
+    METHODS.register(name, learner)
+
 
 CONFIGS: dict[str, TrainConfig] = {
     "paper": TrainConfig(

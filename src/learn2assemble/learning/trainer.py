@@ -21,12 +21,12 @@ from learn2assemble.errors import InputError
 from learn2assemble.graph.batch import to_tensors
 from learn2assemble.graph.features import Graph, node_offset
 from learn2assemble.graph.placements import distinct_placements
-from learn2assemble.learning.config import TrainConfig
+from learn2assemble.learning.config import METHODS, TrainConfig
 from learn2assemble.learning.loss import q_loss
 from learn2assemble.learning.replay import Batch, Replay, Searched, random_symmetry
 from learn2assemble.networks.agent import Network, at_pitch, make_network
 from learn2assemble.planning.world_model import WorldModel
-from learn2assemble.search.config import SearchConfig, training_search
+from learn2assemble.search.config import SearchConfig
 from learn2assemble.search.mcts import search
 from learn2assemble.search.tree import SearchModel
 from learn2assemble.simulator import Simulator
@@ -111,6 +111,7 @@ class Trainer:
     def __init__(self, task: Task, config: TrainConfig, seed: int, device: str = "cpu") -> None:
         check_actions(config.network.num_actions, config.network.attitudes, task)
         self.task, self.config, self.seed, self.device = task, config, seed, device
+        self.learner = METHODS[config.method]
         self.simulator = Simulator(task)
         self.rng = np.random.default_rng([TRAINING_STREAM, seed])
         torch.manual_seed(seed)
@@ -189,8 +190,8 @@ class Trainer:
         if self.config.dense_weight:
             placements = distinct_placements(graph, self.task.ways)
             outcomes = self.simulator.outcomes(state, graph, placements)
-        if self.config.searches:
-            how = training_search(self.config.method, self.config.search_budget, self.epsilon)
+        if self.learner.search is not None:
+            how = self.learner.search(self.config.search_budget, self.epsilon)
             action, greedy, searched = searching(self.model, state, graph, how, self.rng)
         else:
             action, greedy = epsilon_greedy(self.online, graph, self.epsilon, self.rng, self.device)
@@ -231,7 +232,8 @@ class Trainer:
         batch = self.replay.sample(config.batch_size, self.rng, config.steps)
         if config.augment:
             batch = random_symmetry(batch, self.task.num_sides, self.rng)
-        loss, self.logs = q_loss(self.online, self.target, batch, config, self.device)
+        loss_of = self.learner.loss or q_loss
+        loss, self.logs = loss_of(self.online, self.target, batch, config, self.device)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         self.optimizer.step()

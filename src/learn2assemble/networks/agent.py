@@ -19,7 +19,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.networks.config import NetworkConfig
+from learn2assemble.networks.config import NETWORKS, NetworkConfig
 from learn2assemble.networks.placement import PlacementNetwork, PlacementValues
 from learn2assemble.networks.qnetwork import QFactors, QNetwork
 
@@ -28,8 +28,8 @@ Values = QFactors | PlacementValues
 
 
 def make_network(config: NetworkConfig) -> Network:
-    """The published networks, or the placement network for the encoder ``relational``."""
-    return PlacementNetwork(config) if config.encoder == "relational" else QNetwork(config)
+    """An untrained network of the kind that the configuration names."""
+    return NETWORKS[config.encoder].make(config)
 
 
 def at_pitch(network: Network, pitch: float) -> Network:

@@ -1,17 +1,19 @@
-"""What a Q-network is made of."""
+"""What a Q-network is made of, and the kinds of networks by name."""
 
 from __future__ import annotations
 
+import importlib
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.registry import Registry
 from learn2assemble.world.blocks import ATTITUDES, EDGE
 
 FEED_FORWARDS = ("light", "wide", "none")
 CONNECTIVITIES = ("partial", "full")
-ENCODERS = ("attention", "s2v", "relational")
-"""``relational`` is the placement network, our own (:mod:`learn2assemble.networks.placement`)."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +22,8 @@ class NetworkConfig:
 
     Args:
         width: F, embedding size.
-        encoder: ``attention``, ``s2v`` (Structure2Vec) or ``relational`` (ours); ``heads``,
+        encoder: name of the kind of network, see :data:`NETWORKS`: ``attention``, ``s2v``
+            (Structure2Vec), ``relational`` (ours) or a registered one; ``heads``,
             ``feed_forward`` and ``rotary`` belong to ``attention``, ``connectivity`` and
             ``position_scale`` to the first two.
         heads: attention heads; key and value size is ``width / heads``.
@@ -55,8 +58,8 @@ class NetworkConfig:
     def __post_init__(self) -> None:
         if self.feed_forward not in FEED_FORWARDS:
             raise UnknownNameError("feed_forward", self.feed_forward, FEED_FORWARDS)
-        if self.encoder not in ENCODERS:
-            raise UnknownNameError("encoder", self.encoder, ENCODERS)
+        if self.encoder not in NETWORKS:
+            raise UnknownNameError("encoder", self.encoder, NETWORKS)
         if self.connectivity not in CONNECTIVITIES:
             raise UnknownNameError("connectivity", self.connectivity, CONNECTIVITIES)
         for name, most in (
@@ -81,3 +84,53 @@ class NetworkConfig:
             raise InputError("hand", self.hand, "false unless encoder is relational")
         if not 0 < self.position_scale < math.inf:
             raise InputError("position_scale", self.position_scale, "a positive length [m]")
+
+    @property
+    def values_placements(self) -> bool:
+        """Whether the network values distinct placements instead of pairs of nodes."""
+        return NETWORKS[self.encoder].values_placements
+
+
+@dataclass(frozen=True)
+class NetworkKind:
+    """A kind of Q-network.
+
+    Args:
+        make: an untrained network of a configuration: a ``torch.nn.Module`` that keeps it as
+            ``config`` and maps :class:`~learn2assemble.graph.batch.GraphTensors` to
+            :class:`~learn2assemble.networks.qnetwork.QFactors`, or to
+            :class:`~learn2assemble.networks.placement.PlacementValues`.
+        values_placements: it is the latter; such networks can learn from a model's labels.
+    """
+
+    make: Callable[[NetworkConfig], Any]
+    values_placements: bool = False
+
+
+def _imported(module: str, name: str) -> Callable[[NetworkConfig], Any]:
+    """Makes networks of a class; PyTorch is loaded only by those who ask for one."""
+    return lambda config: getattr(importlib.import_module(module), name)(config)
+
+
+_published = NetworkKind(_imported("learn2assemble.networks.qnetwork", "QNetwork"))
+_relational = _imported("learn2assemble.networks.placement", "PlacementNetwork")
+NETWORKS: Registry[NetworkKind] = Registry("network", {
+    "attention": _published, "s2v": _published,
+    "relational": NetworkKind(_relational, values_placements=True),
+})  # fmt: skip
+
+
+def register_network(
+    name: str, make: Callable[[NetworkConfig], Any], *, values_placements: bool = False
+) -> None:
+    """Make a kind of network known as ``encoder`` of :class:`NetworkConfig`.
+
+    Agents that were saved with it can be loaded once it is registered.
+
+    Args:
+        make, values_placements: see :class:`NetworkKind`.
+
+    Raises:
+        InputError: for a name that is taken.
+    """
+    NETWORKS.register(name, NetworkKind(make, values_placements))

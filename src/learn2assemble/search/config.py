@@ -1,6 +1,6 @@
 """Arguments of a search; every variant is the same function with other arguments.
 
-Searches by name: the published ones and ours. Adding one is one line.
+Searches by name: the published ones, ours, and those that are registered from outside.
 """
 
 from __future__ import annotations
@@ -8,7 +8,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from learn2assemble.errors import InputError, UnknownNameError, look_up
+from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.registry import Registry
 
 TO_THE_END = 10_000
 """Rollout depth that no episode reaches: play every rollout to termination."""
@@ -123,7 +124,7 @@ class SearchConfig:
         return self.budget == 0 or self.prior or self.expansion != "uct" or self.backup == "max"
 
 
-SEARCHES: dict[str, SearchConfig] = {
+SEARCHES: Registry[SearchConfig] = Registry("search", {
     # Published (protocol 11.5). The first two are one search with differently trained agents.
     "dqn-mcts": SearchConfig(),
     "q-mcts": SearchConfig(),
@@ -142,7 +143,16 @@ SEARCHES: dict[str, SearchConfig] = {
         distinct=True, expansion="gumbel", repeats=True, final="gumbel", backup="max",
         gumbel=GumbelConfig(considered=8),
     ),
-}  # fmt: skip
+})  # fmt: skip
+
+
+def register_search(name: str, search: SearchConfig) -> None:
+    """Make a search known by name, to :func:`get_search` and every command that takes one.
+
+    Raises:
+        InputError: for a name that is taken.
+    """
+    SEARCHES.register(name, search)
 
 
 def get_search(name: str) -> SearchConfig:
@@ -151,7 +161,7 @@ def get_search(name: str) -> SearchConfig:
     Raises:
         UnknownNameError: naming the nearest one.
     """
-    return look_up("search", name, SEARCHES)
+    return SEARCHES[name]
 
 
 def training_search(method: str, budget: int, epsilon: float) -> SearchConfig:

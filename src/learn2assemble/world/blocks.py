@@ -14,6 +14,7 @@ are drawn in list order; their cells are nodes in the order of the shape.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -21,6 +22,7 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.registry import Registry
 
 EDGE = 0.05
 """Edge of a block [m]."""
@@ -140,7 +142,8 @@ SHAPES: dict[str, Shape] = {
 
 _CUBE, _UP, _L = ("cube",), ("vertical-2",), ("l-up", "l-ground")
 _SET_26 = (_CUBE, _UP, ("cube", "vertical-2"), ("cube", "vertical-2"), ("l-up",), ("s",))
-_GROUPS: dict[str, tuple[tuple[str, ...], ...]] = {
+Groups = tuple[tuple[str, ...], ...]
+OBJECT_SETS: Registry[Groups] = Registry("object set", {
     "cubes": (_CUBE,),
     "bars": (_CUBE, ("bar",), _UP),
     "set-20": (
@@ -154,13 +157,56 @@ _GROUPS: dict[str, tuple[tuple[str, ...], ...]] = {
     "set-25": (_CUBE, _UP, ("cube", "vertical-2"), ("l-up",)),
     "set-26": _SET_26,
     "paper-four": _SET_26,
-}
+})  # fmt: skip
 """Per set its groups: an object is drawn from a group, the group uniformly from the set. The
 numbers are those of the published code, whose sets 22 and 24 the protocol does not describe.
-``bars`` is drawn by counts instead, so its groups only list the shapes."""
+``bars`` is drawn by counts instead, so its groups only list the shapes. ``paper-four`` is set 26,
+the four shapes the paper shows."""
+MAX_CELLS = 4
+"""Most cells of an object."""
 
-OBJECT_SETS = tuple(_GROUPS)
-"""Names of the object sets. ``paper-four`` is set 26, the four shapes the paper shows."""
+
+def register_object_set(
+    name: str, groups: Sequence[Sequence[str]], shapes: Mapping[str, Shape] | None = None
+) -> None:
+    """Make a set of objects known as ``objects`` of a task.
+
+    Args:
+        groups: names of the shapes of each group; an object is drawn from a group, the group
+            uniformly from the set. The first shape of the first group is ``cube``.
+        shapes: shapes of the caller's by name, beside those of :data:`SHAPES`.
+
+    Raises:
+        InputError: for a name that is taken, a shape that is unknown or has more than
+            ``MAX_CELLS`` cells, or cells that are not one piece.
+    """
+    own = dict(shapes or {})
+    for key, shape in own.items():
+        cells = [tuple(cell) for cell in shape.cells]
+        if key in SHAPES and SHAPES[key] != shape:
+            raise InputError("shape name", key, "a name that is not taken")
+        if not 1 <= len(cells) <= MAX_CELLS or len(set(cells)) < len(cells):
+            raise InputError(f"cells of {key}", cells, f"1 to {MAX_CELLS} different cells")
+        if min(z for _, _, z in cells) != 0:
+            raise InputError(f"cells of {key}", cells, "a lowest cell at height 0")
+        reached = {cells[0]}
+        for _ in cells:
+            reached |= {c for c in cells if any(_adjacent(c, other) for other in reached)}
+        if len(reached) < len(cells):
+            raise InputError(f"cells of {key}", cells, "cells that hang together")
+    known = {**SHAPES, **own}
+    for shape in (shape for group in groups for shape in group):
+        if shape not in known:
+            raise UnknownNameError("shape", shape, known)
+    if not groups or not all(groups) or groups[0][0] != "cube":
+        raise InputError(f"groups of {name}", groups, "groups of shapes, the cube first")
+    OBJECT_SETS.register(name, tuple(tuple(group) for group in groups))
+    SHAPES.update(own)
+
+
+def _adjacent(a: tuple[int, ...], b: tuple[int, ...]) -> bool:
+    return sum(abs(p - q) for p, q in zip(a, b, strict=True)) == 1
+
 
 CUBES, BARS, GROUPS = 0, 1, 2
 
@@ -191,9 +237,7 @@ def inventory(name: str) -> Inventory:
     Raises:
         UnknownNameError: naming the nearest set.
     """
-    if name not in _GROUPS:
-        raise UnknownNameError("object set", name, OBJECT_SETS)
-    groups = _GROUPS[name]
+    groups = OBJECT_SETS[name]
     names = list(dict.fromkeys(shape for group in groups for shape in group))
     shapes = [SHAPES[shape] for shape in names]
     cells = np.zeros((len(shapes), max(len(shape.cells) for shape in shapes), 3), np.int64)

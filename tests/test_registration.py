@@ -1,0 +1,161 @@
+"""What code outside the package adds by name: a search, a learner, a network, a set of objects."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.evaluation.episodes import make_policy, run_episodes
+from learn2assemble.graph.batch import GraphTensors
+from learn2assemble.graph.features import NUM_FEATURES
+from learn2assemble.learning.config import METHODS, Learner, TrainConfig, register_learner
+from learn2assemble.learning.loss import q_loss
+from learn2assemble.learning.run import train
+from learn2assemble.learning.trainer import Trainer
+from learn2assemble.networks.agent import load_agent
+from learn2assemble.networks.config import NETWORKS, NetworkConfig, register_network
+from learn2assemble.networks.qnetwork import QFactors
+from learn2assemble.registry import Registry
+from learn2assemble.search.config import SEARCHES, SearchConfig, get_search, register_search
+from learn2assemble.simulator import Simulator
+from learn2assemble.tasks import Task
+from learn2assemble.world.blocks import OBJECT_SETS, SHAPES, Shape, inventory, register_object_set
+from learning_data import QUICK, TINY
+
+TABLES: tuple[Registry, ...] = (SEARCHES, METHODS, NETWORKS, OBJECT_SETS)
+
+
+@pytest.fixture(autouse=True)
+def tables() -> Iterator[None]:
+    """Every test leaves the tables as they were."""
+    before, shapes = [dict(table) for table in TABLES], dict(SHAPES)
+    yield
+    for table, entries in zip(TABLES, before, strict=True):
+        table._entries.clear()
+        table._entries.update(entries)
+    SHAPES.clear()
+    SHAPES.update(shapes)
+    inventory.cache_clear()
+
+
+class PerNode(nn.Module):
+    """A Q-network that looks at every node alone."""
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.block = nn.Linear(NUM_FEATURES, config.num_actions)
+        self.reference = nn.Linear(NUM_FEATURES, config.num_actions)
+
+    def forward(self, graph: GraphTensors) -> QFactors:
+        context = graph.nodes.new_zeros(len(graph.nodes), self.config.num_actions)
+        return QFactors(self.block(graph.nodes), self.reference(graph.nodes), context)
+
+
+def test_a_network_of_ones_own_is_trained_saved_and_plays(tmp_path: Path) -> None:
+    register_network("per-node", PerNode)
+    config = dataclasses.replace(QUICK, network=NetworkConfig(encoder="per-node"))
+    metrics = train(TINY, config, tmp_path / "run", device="cpu", quiet=True)
+    assert metrics["updates"] > 10
+    agent = load_agent(str(tmp_path / "run"))
+    assert isinstance(agent.network, PerNode)
+    for search in (None, SearchConfig(budget=2)):
+        assert run_episodes(TINY, make_policy(TINY, agent.network, search, 0.0), 4, 0).episodes == 4
+    with pytest.raises(InputError, match="dense_weight"):
+        dataclasses.replace(config, augment=False, dense_weight=1.0)
+
+
+def test_a_learner_of_ones_own_chooses_search_and_loss() -> None:
+    budgets, losses = [], []
+
+    def search(budget: int, epsilon: float) -> SearchConfig:
+        budgets.append(budget)
+        return SearchConfig(budget=budget, epsilon=epsilon, expansion="uct")
+
+    def loss(*arguments: object) -> tuple[torch.Tensor, dict[str, float]]:
+        value, logs = q_loss(*arguments)  # pyright: ignore[reportArgumentType]
+        losses.append(float(value.detach()))
+        return 2 * value, {**logs, "mine": 1.0}
+
+    register_learner("mine", Learner(search, loss))
+    config = dataclasses.replace(QUICK, method="mine", search_budget=3)
+    assert config.searches
+    assert TrainConfig.from_dict(config.to_dict()) == config
+    trainer = Trainer(TINY, config, 0)
+    while not trainer.updates:
+        trainer.round()
+    assert set(budgets) == {3}
+    assert len(losses) == trainer.updates
+    assert trainer.metrics()["batch_mine"] == 1.0
+    assert trainer.replay.arrays["searched.count"].max() == 3
+
+
+def test_a_search_of_ones_own_has_a_name() -> None:
+    mine = SearchConfig(budget=7, widening=0.5)
+    register_search("mine", mine)
+    assert get_search("mine") == mine
+
+
+def test_objects_of_ones_own_are_drawn_and_built() -> None:
+    bent = Shape(((0, 0, 0), (1, 0, 0), (1, 1, 0), (1, 1, 1)), turned=True)
+    register_object_set("bent", (("cube",), ("bent", "vertical-2")), {"bent": bent})
+    task = Task("mine", num_sides=2, grid=4, num_nodes=30, objects="bent", rotations=4,
+                layout="narrow-field", stability="object")  # fmt: skip
+    simulator, rng = Simulator(task), np.random.default_rng(0)
+    state = simulator.new(64, rng)
+    sizes = {int((row == number).sum()) for row in state.object_id for number in row}
+    assert sizes == {1, 2, 4}
+    counts = np.stack([state.num_unplaced, state.num_placed, np.full(64, task.num_actions)], -1)
+    simulator.step(state, (rng.random((64, 3)) * counts).astype(np.int64))
+    assert (state.num_placed >= 1).all()
+
+
+BAD: dict[str, tuple[Callable[[], None], str]] = {
+    "taken search": (lambda: register_search("uct", SearchConfig()), "uct"),
+    "taken learner": (lambda: register_learner("dqn", Learner()), "dqn"),
+    "taken network": (lambda: register_network("s2v", PerNode), "s2v"),
+    "taken set": (lambda: register_object_set("cubes", (("cube",),)), "cubes"),
+    "no name": (lambda: register_search("", SearchConfig()), "a word"),
+    "unknown shape": (lambda: register_object_set("a", (("cube",), ("cub",))), "did you mean"),
+    "no cube": (lambda: register_object_set("a", (("bar",),)), "the cube first"),
+    "no groups": (lambda: register_object_set("a", ()), "the cube first"),
+    "taken shape": (
+        lambda: register_object_set("a", (("cube",),), {"bar": Shape(((0, 0, 0),))}), "bar"),
+    "in pieces": (
+        lambda: register_object_set("a", (("cube",),), {"b": Shape(((0, 0, 0), (2, 0, 0)))}),
+        "hang together"),
+    "too large": (
+        lambda: register_object_set(
+            "a", (("cube",),), {"b": Shape(tuple((k, 0, 0) for k in range(5)))}), "1 to 4"),
+    "in the air": (
+        lambda: register_object_set("a", (("cube",),), {"b": Shape(((0, 0, 1),))}), "height 0"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_refused(name: str) -> None:
+    call, words = BAD[name]
+    before, shapes = [dict(table) for table in TABLES], dict(SHAPES)
+    with pytest.raises(InputError, match=words):
+        call()
+    assert [dict(table) for table in TABLES] == before
+    assert shapes == SHAPES
+
+
+def test_what_is_not_registered_is_unknown() -> None:
+    for make in (
+        lambda: NetworkConfig(encoder="per-node"),
+        lambda: TrainConfig(method="mine"),
+        lambda: get_search("mine"),
+        lambda: inventory("bent"),
+        lambda: Task("t", num_sides=1, grid=3, num_nodes=20, objects="bent"),
+    ):
+        with pytest.raises(UnknownNameError):
+            make()
