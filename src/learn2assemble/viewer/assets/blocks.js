@@ -17,19 +17,19 @@ function createStage(canvas, data) {
     corners += shape.corners.length;
     ends += shape.edges.length;
   }
-  const skin = geometry(corners, true), lines = geometry(ends, false);
-  const material = new THREE.MeshLambertMaterial({
+  const skin = geometry(corners, ["position", "color"]), lines = geometry(ends, ["position"]);
+  // Blocks do not turn, so the light on their faces is part of their colours.
+  const material = new THREE.MeshBasicMaterial({
     vertexColors: true, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 2,
   });
   const rim = view.coloured(new THREE.LineBasicMaterial(), "edge");
   const mesh = new THREE.Mesh(skin, material), edges = new THREE.LineSegments(lines, rim);
-  mesh.castShadow = mesh.receiveShadow = true;
+  mesh.castShadow = true;
   mesh.frustumCulled = edges.frustumCulled = false;
   view.scene.add(mesh, edges);
-  for (const block of blocks) turnOutwards(block);
   const overlays = { joints: addJoints(), forces: addForces() };
 
-  let time = data.steps, cut = null;
+  let time = data.steps, cut = null, standing = -1;
   view.whenRepainted(() => { for (const block of blocks) block.state = ""; update(time); });
   view.start();
   canvas.addEventListener("pointerdown", (event) => { canvas.pressed = [event.clientX, event.clientY]; });
@@ -52,8 +52,10 @@ function createStage(canvas, data) {
   function update(now) {
     time = now;
     const colours = view.colours(), moved = [];
+    let count = 0;
     for (const block of blocks) {
       const { lift, colour } = cut === null ? atTime(block, now) : inLayer(block);
+      if (colour !== null && !lift) count += 1;
       const state = colour === null ? "" : `${colour} ${lift}`;
       if (state === block.state) continue;
       block.state = state;
@@ -72,7 +74,8 @@ function createStage(canvas, data) {
       Object.assign(rim, { transparent: glass, opacity: glass ? 0.3 : 1, needsUpdate: true });
       mesh.castShadow = !glass;
     }
-    if (moved.length) view.moved();
+    if (count !== standing) view.castShadows(); // Not for every place a block passes on its way.
+    standing = count;
     view.draw();
   }
 
@@ -112,8 +115,9 @@ function createStage(canvas, data) {
     }
     if (lift === null) return;
     const paint = skin.attributes.color.array;
-    for (let k = block.corner; k < block.corner + shape.corners.length; k += 3) {
-      paint[k] = colour.r; paint[k + 1] = colour.g; paint[k + 2] = colour.b;
+    for (let k = 0; k < shape.corners.length; k += 3) {
+      const light = shape.light[k / 3], to = block.corner + k;
+      paint[to] = light * colour.r; paint[to + 1] = light * colour.g; paint[to + 2] = light * colour.b;
     }
   }
 
@@ -122,7 +126,6 @@ function createStage(canvas, data) {
     if (!moved.length) return;
     const few = moved.length <= 24;
     for (const [name, attribute] of [...Object.entries(skin.attributes), ["line", lines.attributes.position]]) {
-      if (name === "normal") continue;
       attribute.clearUpdateRanges();
       if (few) {
         for (const block of moved) {
@@ -135,16 +138,12 @@ function createStage(canvas, data) {
     }
   }
 
-  function geometry(size, shaded) {
+  function geometry(size, names) {
     const made = new THREE.BufferGeometry();
-    for (const name of shaded ? ["position", "normal", "color"] : ["position"]) {
+    for (const name of names) {
       made.setAttribute(name, new THREE.Float32BufferAttribute(new Float32Array(size), 3));
     }
     return made;
-  }
-
-  function turnOutwards({ shape, corner }) {
-    skin.attributes.normal.array.set(shapes[shape].normals, corner);
   }
 
   function addJoints() {
@@ -240,10 +239,15 @@ function readShapes({ vertices, triangles, wide, first, faces }) {
     const made = new THREE.BufferGeometry();
     made.setAttribute("position", new THREE.Float32BufferAttribute(corners, 3));
     made.computeVertexNormals(); // Corners are not shared, so every face is flat.
+    const normal = made.attributes.normal.array, sun = [-0.27, -0.57, 0.76];
+    const light = Float32Array.from({ length: picks.length }, (_, k) => {
+      const facing = sun.reduce((sum, v, axis) => sum + v * normal[3 * k + axis], 0);
+      return Math.min(0.62 + 0.1 * normal[3 * k + 2] + 0.36 * Math.max(facing, 0), 1);
+    });
     const extent = (pick, begin) => [0, 1, 2].map((k) =>
       own.reduce((value, v, place) => (place % 3 === k ? pick(value, v) : value), begin));
     return {
-      corners, normals: made.attributes.normal.array,
+      corners, light,
       edges: new THREE.EdgesGeometry(made, 20).attributes.position.array,
       low: extent(Math.min, Infinity), high: extent(Math.max, -Infinity),
     };

@@ -46,7 +46,7 @@ function createStage(canvas, data) {
   function update(now) {
     time = now;
     for (const actor of actors) actor.update(now);
-    view.moved();
+    view.castShadows();
     view.draw();
   }
 

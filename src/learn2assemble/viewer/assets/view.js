@@ -8,8 +8,10 @@ function createView(canvas, { points, edge, floor = 0, fromRight = false }) {
     return Object.fromEntries(names.map((name) => [name, style.getPropertyValue("--" + name).trim()]));
   };
   let colours = theme();
-  const renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
-  renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
+  // Where the processor draws, moving pictures are coarse, and the last one is drawn again finely.
+  const slow = drawnByProcessor(), ratio = Math.min(window.devicePixelRatio || 1, 2);
+  const renderer = new THREE.WebGLRenderer({ canvas, antialias: !slow });
+  renderer.setPixelRatio(slow ? 2 : ratio);
   renderer.shadowMap.enabled = true;
   renderer.shadowMap.autoUpdate = false;
   renderer.shadowMap.type = THREE.PCFShadowMap;
@@ -32,7 +34,7 @@ function createView(canvas, { points, edge, floor = 0, fromRight = false }) {
   controls.maxPolarAngle = 1.54;
   controls.zoomToCursor = true;
   controls.addEventListener("change", draw);
-  let touched = false, last = [points, front], ready = false;
+  let touched = false, last = [points, front], ready = false, drawn = 0, still = 0;
   controls.addEventListener("start", () => { touched = true; });
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
     colours = theme();
@@ -46,7 +48,7 @@ function createView(canvas, { points, edge, floor = 0, fromRight = false }) {
     scene, camera, draw, coloured, look, edge,
     colours: () => colours,
     whenRepainted: (action) => repaint.push(action),
-    moved: () => { renderer.shadowMap.needsUpdate = true; },
+    castShadows: () => { renderer.shadowMap.needsUpdate = true; },
     /* After everything is in the scene. */
     start() {
       ready = true;
@@ -56,7 +58,24 @@ function createView(canvas, { points, edge, floor = 0, fromRight = false }) {
     },
   };
 
-  function draw() { if (ready) renderer.render(scene, camera); }
+  function draw() {
+    if (!ready) return;
+    if (slow) {
+      clearTimeout(still);
+      if (drawn && performance.now() - drawn < 300) sharpen(0.7);
+      still = setTimeout(() => { sharpen(2); render(); }, 400);
+    }
+    render();
+  }
+
+  function render() {
+    renderer.render(scene, camera);
+    drawn = performance.now();
+  }
+
+  function sharpen(wanted) {
+    if (renderer.getPixelRatio() !== wanted) renderer.setPixelRatio(wanted);
+  }
 
   function resize() {
     const { clientWidth: width, clientHeight: height } = canvas.parentElement;
@@ -128,12 +147,13 @@ function createView(canvas, { points, edge, floor = 0, fromRight = false }) {
   function takePicture() {
     const print = document.getElementById("print-view"), paper = scene.background;
     scene.background = new THREE.Color("#ffffff");
-    draw();
+    if (slow) sharpen(2);
+    render();
     print.width = canvas.width;
     print.height = canvas.height;
     print.getContext("2d").drawImage(canvas, 0, 0);
     scene.background = paper;
-    draw();
+    render();
   }
 
   function paint() {
@@ -176,6 +196,15 @@ function createView(canvas, { points, edge, floor = 0, fromRight = false }) {
     top.receiveShadow = true;
     scene.add(top);
   }
+}
+
+/* Whether WebGL has no graphics card behind it. */
+function drawnByProcessor() {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const info = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
 }
 
 /* Numbers as the page carries them: whole numbers from the smallest to the largest, base64. */
