@@ -57,6 +57,10 @@ class Surroundings:
         self._is_arm = (world.kind == ARM) | (world.kind == PAD)
         bodies = [m.body(name).id for name in (arm.gripper.hand, *arm.gripper.fingers)]
         self._is_link = self._is_arm & ~np.isin(m.geom_bodyid, bodies)
+        pads = world.kind == PAD
+        self._sort = np.add.outer(self._is_arm, self._is_arm, dtype=np.int8)
+        self._sort[np.ix_(pads, pads)] = 3
+        """int8[g, g]: of two geoms: none is the arm's (0), one (1), both (2), both are pads (3)."""
         self._arm_reach = _reaches(m, world)
         self._width = 0.0
         self._held: tuple[int, np.ndarray, np.ndarray] | None = None
@@ -152,14 +156,11 @@ class Surroundings:
         if besides is not None:
             others = (w.kind[pairs] != besides).all(1)
             pairs, distance = pairs[others], distance[others]
-        own = self._is_arm[pairs]
-        by_arm, itself = own.any(1), own.all(1)
-        itself_free = (w.kind[pairs] == PAD).all(1)
-        least = np.where(itself, np.where(itself_free, -np.inf, SELF_MARGIN), margin)
-        least[~by_arm] = margin - DEPTH
+        sort = self._sort[pairs[:, 0], pairs[:, 1]]
+        least = np.array([margin - DEPTH, margin, SELF_MARGIN, -np.inf])[sort]
         hits = np.flatnonzero(distance < least)
         hit = self._say(pairs[hits[0]]) if len(hits) else None
-        return hit, float(np.min(distance[~itself], initial=LOOK))
+        return hit, float(np.min(distance[sort < 2], initial=LOOK))
 
     def reach(self) -> np.ndarray:
         """float64[n]: no point of what a joint moves is farther from its axis [m]."""
