@@ -24,6 +24,7 @@ from disturbed_builds import (
 )
 from learn2assemble.errors import InputError
 from learn2assemble.networks.agent import Agent, load_agent
+from learn2assemble.planning import discover
 from learn2assemble.planning.discover import STAGES, Sequence, depth_first, plan_sequences
 from learn2assemble.planning.execute import (
     ArmBuild,
@@ -347,6 +348,32 @@ def test_a_block_that_lies_askew_is_turned_while_it_is_built(agent: Agent) -> No
             w, x, y, z = step.after[step.cells[0], 3:]
             yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
             assert abs(math.sin(2 * yaw)) < 0.05
+
+
+TOWER = [[-0.025, 0], [-0.025, 0.1], [0.025, 0.1], [0.025, 0]]
+
+
+def test_what_failed_is_tried_again_where_nothing_else_is_left(agent: Agent) -> None:
+    """One cell is missing, and every way of filling it fails the first time."""
+    out = set_out(problem(TOWER, blocks=4, supports=False), KINEMATIC)
+    plan = build_with_arm(out, agent, "test", Clumsy({1, 2, 3, 4}))
+    assert plan.arm is not None
+    assert len(plan.arm.failures) == 4
+    assert plan.status == "complete", plan.reason
+
+
+@pytest.mark.parametrize("levels", [(0, 1, 2), (1, 2)])
+def test_no_plan_holds_a_placement_that_failed(agent: Agent, levels: tuple[int, ...]) -> None:
+    out = set_out(problem(blocks=8), KINEMATIC)
+    near, ways = range(-30, 31), range(out.task.rotations)
+    avoid = {(x, y, 1 + 2 * z, way) for x in near for y in near for z in levels for way in ways}
+    kept = dataclasses.replace(out, avoid=frozenset(avoid))
+    for plan in plan_sequences(kept, agent.network, seconds=1.0):
+        assert not plan.success
+        state, *_ = discover.replay(kept, Simulator(kept.task), plan.placements)
+        heights = state.position[0, : state.num_placed[0], 2]
+        assert heights.max() < 0.03
+        assert len(heights) == 1 or 0 not in levels
 
 
 def test_what_cannot_be_filled_ends_incomplete(agent: Agent) -> None:

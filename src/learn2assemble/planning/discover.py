@@ -329,7 +329,8 @@ class _AllowedModel(WorldModel):
         one = states.take(np.array([row]))
         keep = np.array([self.problem.allows(one, action) for action in values.actions])
         if not keep.any():
-            return values
+            # A search needs something to choose from, but there is nothing to be had any more.
+            return ActionValues(values.actions, np.zeros_like(values.values), values.group)
         return ActionValues(values.actions[keep], values.values[keep], values.group[keep])
 
 
@@ -393,16 +394,15 @@ def _play(
     placements: list[Placement] = []
     idle = 0
     while not state.terminated[0] and idle < PATIENCE:
-        before = state.copy()
         action = search(model, state, config, rng)[0].action
+        if not problem.allows(state, action):
+            return placements, False
         block = block_of(state, action)
         step = simulator.step(state, action[None])
         if step.verdict[0] != 0:
             return placements, False
         placements.append(Placement(block, int(action[1]), int(action[2])))
         idle = idle + 1 if step.reward[0] <= 0 else 0
-        if problem.is_outside(state.position[0, before.num_placed[0]]) and not problem.supports:
-            return placements[:-1], False
         if step.success[0]:
             return placements, problem.accepts(state)
     return placements, False

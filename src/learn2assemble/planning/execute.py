@@ -297,7 +297,22 @@ class ArmBuild:
 def _plan(
     problem: Problem, agent: Agent, seed: int, seconds: float, progress: Progress
 ) -> Sequence:
-    """The first plan that fills the target, else the one that fills most."""
+    """The first plan that fills the target, else the one that fills most.
+
+    What failed once may succeed with the blocks where they are now: where nothing else leads to a
+    full target, it is tried again.
+    """
+    plan = _best_plan(problem, agent, seed, seconds, progress)
+    if plan.success or not problem.avoid:
+        return plan
+    again = _best_plan(replace(problem, avoid=frozenset()), agent, seed, seconds, progress)
+    again.attempts = [*plan.attempts, *again.attempts]
+    return again if again.success else plan
+
+
+def _best_plan(
+    problem: Problem, agent: Agent, seed: int, seconds: float, progress: Progress
+) -> Sequence:
     simulator = Simulator(problem.task)
     best: Sequence | None = None
     most = -1.0
