@@ -9,6 +9,7 @@ bytes, and reading and writing a file again changes nothing.
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import json
 from collections.abc import Mapping
@@ -18,11 +19,14 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.files import MAX_GENERATED, read_json, read_text, write_file
 from learn2assemble.robot.moves import STAGES, Outcome
 from learn2assemble.robot.record import ArmFacts, BuildRecord, Samples, Stage, StepRecord
 
 FORMAT, VERSION = "learn2assemble-trajectory", 1
 DECIMALS = 6
+MOST, MOST_JOINT = 1e6, 100.0
+"""Largest magnitudes of numbers and of joint angles [rad] in a file."""
 OUTCOMES = {outcome.label: outcome for outcome in Outcome} | {"unstable": Outcome.TOPPLED}
 """By label; ``unstable`` is what older files call toppled."""
 
@@ -33,65 +37,27 @@ def write_record(record: BuildRecord, path: Path) -> None:
     Raises:
         InputError: where ``path`` cannot be written, or the record holds no finite number.
     """
-    write_text(_text(record_data(record)) + "\n", "trajectory", path)
+    write_file(path, _text(record_data(record)) + "\n", "trajectory")
 
 
 def read_record(path: Path) -> BuildRecord:
     """Read what :func:`write_record` has written.
 
     Raises:
-        InputError: where it is no such file; :func:`~.record_check.find_fault` looks further.
+        InputError: where it is no such file; :func:`~.record.find_fault` looks further.
     """
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or "not JSON"
-        raise InputError("trajectory", str(path), f"a trajectory.json ({reason})") from None
+    data, _ = read_json(path, "trajectory.json")
     return record_from(data)
 
 
 def record_data(record: BuildRecord) -> dict[str, Any]:
     """The content of ``trajectory.json``: plain numbers, words and lists."""
-    arm = record.arm
-    return {
-        "format": FORMAT,
-        "version": VERSION,
-        "units": "s, m, rad; world frame, z up",
-        "arm": {
-            "name": arm.name, "joints": list(arm.joints),
-            "lower": _plain(arm.lower), "upper": _plain(arm.upper),
-            "velocity": _plain(arm.velocity), "acceleration": _plain(arm.acceleration),
-            "base_position": _plain(arm.base_position), "base_yaw": _plain(arm.base_yaw),
-            "tool": arm.tool, "max_width": _plain(arm.max_width),
-        },
-        "rate": _plain(record.rate),
-        "block_edge": _plain(record.block_edge),
-        "objects": [list(map(int, cells)) for cells in record.objects],
-        "simulated_by": record.simulated_by,
-        "steps": [_step_data(step) for step in record.steps],
-    }  # fmt: skip
-
-
-def _step_data(step: StepRecord) -> dict[str, Any]:
-    samples = step.samples
-    return {
-        "step": step.number,
-        "plan_step": step.plan_step,
-        "cells": list(map(int, step.cells)),
-        "target": _plain(step.target),
-        "outcome": step.outcome.label,
-        "detail": step.detail,
-        "replanned": step.replanned,
-        "stages": [[s.name, _plain(s.start), _plain(s.end)] for s in step.stages],
-        "grip": None if step.grip is None else _plain(step.grip),
-        "release": None if step.release is None else _plain(step.release),
-        "before": _plain(step.before),
-        "after": _plain(step.after),
-        "time": _plain(samples.time),
-        "joints": _plain(samples.joints),
-        "velocity": _plain(samples.velocity),
-        "width": _plain(samples.width),
-    }
+    head = {"format": FORMAT, "version": VERSION, "units": "s, m, rad; world frame, z up"}
+    steps = []
+    for step in map(_plain, record.steps):
+        samples = step.pop("samples")
+        steps.append({"step": step.pop("number"), **step, **samples})
+    return {**head, **_plain(dataclasses.replace(record, steps=())), "steps": steps}
 
 
 def record_from(data: Any) -> BuildRecord:
@@ -106,21 +72,17 @@ def record_from(data: Any) -> BuildRecord:
         raise InputError("trajectory.version", data.get("version"), str(VERSION))
     where = "trajectory"
     try:
-        facts = _arm_from(data["arm"])
+        arm = _arm_from(data["arm"])
         objects = tuple(tuple(int(c) for c in cells) for cells in data["objects"])
         count, steps = sum(map(len, objects)), []
         for k, item in enumerate(data["steps"]):
             where = f"trajectory.steps[{k}]"
-            steps.append(_step_from(item, where, len(facts.joints), count))
+            steps.append(_step_from(item, where, len(arm.joints), count))
         where = "trajectory"
         return BuildRecord(
-            arm=facts,
-            rate=_number("rate", data["rate"]),
-            block_edge=_number("block_edge", data["block_edge"]),
-            objects=objects,
-            simulated_by=str(data["simulated_by"]),
-            steps=tuple(steps),
-        )
+            arm, _number("rate", data["rate"]), _number("block_edge", data["block_edge"]),
+            objects, str(data["simulated_by"]), tuple(steps),
+        )  # fmt: skip
     except KeyError as error:
         raise InputError(where, f"no field {error}", f"every field of a {FORMAT} file") from None
     except (TypeError, AttributeError, ValueError) as error:
@@ -131,22 +93,16 @@ def record_from(data: Any) -> BuildRecord:
 
 def _arm_from(data: Mapping[str, Any]) -> ArmFacts:
     joints = tuple(map(str, data["joints"]))
-
-    def per_joint(key: str) -> np.ndarray:
-        return array_of(f"arm.{key}", data[key], (len(joints),))
-
+    limits = [
+        _array(f"arm.{key}", data[key], (len(joints),))
+        for key in ("lower", "upper", "velocity", "acceleration")
+    ]
     return ArmFacts(
-        name=str(data["name"]),
-        joints=joints,
-        lower=per_joint("lower"),
-        upper=per_joint("upper"),
-        velocity=per_joint("velocity"),
-        acceleration=per_joint("acceleration"),
-        base_position=array_of("arm.base_position", data["base_position"], (3,)),
+        str(data["name"]), joints, *limits,
+        base_position=_array("arm.base_position", data["base_position"], (3,)),
         base_yaw=_number("arm.base_yaw", data["base_yaw"]),
-        tool=str(data["tool"]),
-        max_width=_number("arm.max_width", data["max_width"]),
-    )
+        tool=str(data["tool"]), max_width=_number("arm.max_width", data["max_width"]),
+    )  # fmt: skip
 
 
 def _step_from(item: Mapping[str, Any], where: str, n: int, cells: int) -> StepRecord:
@@ -157,8 +113,11 @@ def _step_from(item: Mapping[str, Any], where: str, n: int, cells: int) -> StepR
         if name not in STAGES:
             raise UnknownNameError(f"{where}.stages", name, STAGES)
 
-    def array(key: str, *shape: int) -> np.ndarray:
-        return array_of(f"{where}.{key}", item[key], shape)
+    def array(key: str, *shape: int, most: float = MOST) -> np.ndarray:
+        return _array(f"{where}.{key}", item[key], shape, most)
+
+    def time(key: str) -> float | None:
+        return None if item[key] is None else float(array(key))
 
     return StepRecord(
         number=int(item["step"]),
@@ -169,30 +128,18 @@ def _step_from(item: Mapping[str, Any], where: str, n: int, cells: int) -> StepR
         detail=str(item["detail"]),
         replanned=bool(item["replanned"]),
         stages=tuple(
-            Stage(str(name), *array_of(f"{where}.stages", times, (2,)).tolist())
+            Stage(str(name), *_array(f"{where}.stages", times, (2,)).tolist())
             for name, *times in item["stages"]
         ),
-        grip=_time(f"{where}.grip", item["grip"]),
-        release=_time(f"{where}.release", item["release"]),
+        grip=time("grip"),
+        release=time("release"),
         samples=Samples(
-            array("time", times), array("joints", times, n), array("velocity", times, n),
-            array("width", times),
+            array("time", times), array("joints", times, n, most=MOST_JOINT),
+            array("velocity", times, n), array("width", times),
         ),
         before=array("before", cells, 7),
         after=array("after", cells, 7),
     )  # fmt: skip
-
-
-def write_text(text: str, what: str, path: Path) -> None:
-    """Write a file.
-
-    Raises:
-        InputError: where ``path`` cannot be written.
-    """
-    try:
-        path.write_text(text, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise InputError(what, str(path), f"a writable file ({error.strerror})") from None
 
 
 def rounded(values: np.ndarray) -> np.ndarray:
@@ -201,6 +148,15 @@ def rounded(values: np.ndarray) -> np.ndarray:
 
 
 def _plain(value: Any) -> Any:
+    """Dataclasses, tuples, outcomes and rounded numbers as JSON values."""
+    if dataclasses.is_dataclass(value):
+        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, Outcome):
+        return value.label
+    if isinstance(value, tuple):
+        return [_plain(item) for item in value]
+    if value is None or isinstance(value, str | bool | int):
+        return value
     array = np.asarray(value, float)
     if not np.isfinite(array).all():
         raise InputError("trajectory", array.tolist(), "finite numbers")
@@ -208,24 +164,21 @@ def _plain(value: Any) -> Any:
 
 
 def _number(what: str, value: Any) -> float:
-    return float(array_of(what, value, ()))
+    return float(_array(what, value, ()))
 
 
-def _time(what: str, value: Any) -> float | None:
-    return None if value is None else _number(what, value)
-
-
-def array_of(what: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """Plain numbers as float64 of this shape, finite, or an InputError."""
+def _array(what: str, value: Any, shape: tuple[int, ...], most: float = MOST) -> np.ndarray:
+    """Plain numbers as float64 of this shape, of at most this magnitude, or an InputError."""
     try:
         array = np.array(value, float)
     except (TypeError, ValueError):
         array = np.full((1,) * (len(shape) + 1), np.nan)
     if array.size == 0 and 0 in shape:
         return np.empty(shape)
-    if array.shape != shape or not np.isfinite(array).all():
+    if array.shape != shape or not (np.abs(array) <= most).all():
         size = " x ".join(map(str, shape))
-        raise InputError(what, value, f"{size} finite numbers" if shape else "a finite number")
+        words = f"{size} finite numbers" if shape else "a finite number"
+        raise InputError(what, value, f"{words}, at most {most:g}")
     return array
 
 
@@ -267,7 +220,7 @@ def write_csv(record: BuildRecord, path: Path) -> None:
         for time, row in zip(samples.time.tolist(), rounded(numbers).tolist(), strict=True):
             cells = (f"{value:.{DECIMALS}f}" for value in row)
             writer.writerow([step.number, step.stage_at(time), *cells])
-    write_text(out.getvalue(), "trajectory table", path)
+    write_file(path, out.getvalue(), "trajectory table")
 
 
 def read_csv(path: Path) -> tuple[tuple[str, ...], np.ndarray, list[str], Samples]:
@@ -276,16 +229,14 @@ def read_csv(path: Path) -> tuple[tuple[str, ...], np.ndarray, list[str], Sample
     Raises:
         InputError: where it is none.
     """
+    text, _ = read_text(path, "trajectory.csv", MAX_GENERATED)
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            head, *rows = list(csv.reader(file)) or [[]]
+        head, *rows = list(csv.reader(io.StringIO(text, newline=""))) or [[]]
         joints = tuple(name.removesuffix(" [rad]") for name in head if name.endswith(" [rad]"))
         if head != csv_header(joints):
             raise InputError("trajectory table", ",".join(head), "its header")
         values = np.array([row[2:] for row in rows], float).reshape(len(rows), len(head) - 2)
         steps = np.array([int(row[0]) for row in rows], np.int64)
-    except OSError as error:
-        raise InputError("trajectory table", str(path), f"a file ({error.strerror})") from None
     except (ValueError, IndexError) as error:
         if isinstance(error, InputError):
             raise
