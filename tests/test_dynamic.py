@@ -26,7 +26,7 @@ from learn2assemble.robot.dynamic.execution import (
 from learn2assemble.robot.dynamic.model import TIMESTEP, take_order
 from learn2assemble.robot.dynamic.prepare import Failure, prepare
 from learn2assemble.robot.dynamic.simulation import Drives, Simulation, SimulationDivergedError
-from learn2assemble.robot.dynamic.transit import Surroundings
+from learn2assemble.robot.dynamic.transit import WorldChecker
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import (
     OPENING,
@@ -96,7 +96,7 @@ def test_a_way_home_is_sought_anew_where_a_block_is_in_it(panda: DynamicCell) ->
     np.testing.assert_array_equal(run.checked(course.home, "home"), course.home)
     middle = forward(get_chain(PANDA), (course.home[0] + course.home[-1]) / 2)[0]
     sim.poses[2, :3] = middle
-    there = Surroundings(PANDA, world, sim.poses.copy(), order.names)
+    there = WorldChecker(PANDA, world, sim.poses.copy(), order.names)
     there.empty(OPENING)
     assert there.blocked(course.home[0], course.home[-1]) is not None
     way = run.checked(course.home, "home")

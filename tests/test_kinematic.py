@@ -14,7 +14,7 @@ from learn2assemble.errors import UnknownNameError
 from learn2assemble.robot.approach import ApproachCache, tool_path
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.kinematic.cell import Attempt, KinematicCell
-from learn2assemble.robot.kinematic.collision import CollisionModel
+from learn2assemble.robot.kinematic.collision import BoxChecker
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import (
     GRASP_SETS,
@@ -166,12 +166,13 @@ def test_collisions_agree_with_distances_of_all_pairs(seed: int) -> None:
     """The verdict of broad phase, masks and exclusions against every pair of geoms by itself."""
     rng = np.random.default_rng(seed)
     arm = get_arm("panda")
-    model = CollisionModel(arm, 4)
+    model = BoxChecker(arm, 4)
     position = rng.uniform([-0.4, -0.3, 0.0], [0.2, 0.3, 0.5], (4, 3))
     model.place(Scene(position, rng.uniform(-3, 3, 4), np.array([0, 1, 2, 2]), 1))
     model.carry(np.array([[0.0, 0.0, 0.0]]), np.zeros(1, np.int64))
     joints = rng.uniform(arm.lower, arm.upper)
-    hit = model.touch(joints, OPENING)
+    model.opening = OPENING
+    hit = model.check(joints)
     m, d = model.model, model.data
     mujoco.mj_kinematics(m, d)
 
@@ -268,15 +269,16 @@ def test_objects_are_grasped_by_any_cell_the_hand_can_get_at(panda: KinematicCel
 
 def test_what_is_carried_does_not_meet_the_base() -> None:
     arm = get_arm("panda")
-    model = CollisionModel(arm, 1)
+    model = BoxChecker(arm, 1)
     joints = arm.home
     position, rotation = forward(get_chain(arm), joints)
     model.place(Scene(np.array([[0.5, 0.4, 0.025]]), np.zeros(1), np.zeros(1, int), 1))
-    assert model.touch(joints, OPENING) is None
+    model.opening = OPENING
+    assert model.check(joints) is None
     # A long object that reaches from the hand into the base.
     base = (arm.base_position + np.array([0.0, 0.0, 0.06]) - position) @ rotation
     model.carry(base[None], np.zeros(1, np.int64))
-    assert model.touch(joints, OPENING) is not None
+    assert model.check(joints) is not None
 
 
 def test_what_hangs_from_the_hand_collides(panda: KinematicCell) -> None:

@@ -16,11 +16,11 @@ from learn2assemble.robot.dynamic.prepare import PRESS, Failure, prepare
 from learn2assemble.robot.dynamic.transit import (
     KEEP,
     STRIDE,
-    Surroundings,
-    Touch,
+    WorldChecker,
     straight_or_tree,
 )
 from learn2assemble.robot.inverse import solve
+from learn2assemble.robot.kinematic.collision import Collision
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import OPENING, Attitude, Move, Scene, get_grasps
 
@@ -35,9 +35,9 @@ def tower(levels: int) -> Scene:
     return Scene(position, np.zeros(levels + 1), np.arange(levels + 1), levels)
 
 
-def around(scene: Scene, arm: Arm = PANDA) -> Surroundings:
+def around(scene: Scene, arm: Arm = PANDA) -> WorldChecker:
     order = take_order(scene, Move(scene.num_placed, np.array([0.0, 0.25, 0.025]), *AA))
-    found = Surroundings(
+    found = WorldChecker(
         arm, compile_world(arm, order.objects.shape, 1.0), order.poses, order.names
     )
     found.empty(OPENING)
@@ -114,7 +114,7 @@ def test_a_tower_is_gone_round() -> None:
     np.testing.assert_array_equal(way[-1], end)
     for a, b in pairwise(way):
         for share in np.linspace(0, 1, 40):
-            assert there.touch(a + share * (b - a), 0.0) is None
+            assert there.near(a + share * (b - a), 0.0)[0] is None
     np.testing.assert_array_equal(straight_or_tree(around(tower(6)), start, end), way)
 
 
@@ -136,7 +136,7 @@ def test_a_free_way_is_free_between_checks(name: str) -> None:
         else:
             count = int(np.ceil(np.abs(end - start).max() / STRIDE))
             shares = np.arange(count + 1) / count
-            clipped += all(there.touch(start + k * (end - start)) is None for k in shares)
+            clipped += all(there.check(start + k * (end - start)) is None for k in shares)
     assert free > 5
     assert clipped > 0
 
@@ -171,23 +171,23 @@ def test_an_arm_that_stands_near_a_block_leaves_it_upwards(away: float) -> None:
     width = OPENING / 2 - 0.025
     there = around(tower(3))
     start = over(width - away, 0.125)
-    hit = there.touch(start)
+    hit = there.check(start)
     assert hit is not None
-    assert "finger" in hit.words
+    assert "finger" in str(hit)
     way = straight_or_tree(there, start, over(0.25))
     assert isinstance(way, np.ndarray)
     np.testing.assert_array_equal(way[0], start)
     tools = [forward(get_chain(PANDA), q)[0] for q in way]
     assert tools[1][2] == pytest.approx(tools[0][2] + 0.01, abs=1e-5)
     np.testing.assert_allclose(tools[1][:2], tools[0][:2], atol=1e-5)
-    free = next(k for k, q in enumerate(way) if there.touch(q) is None)
+    free = next(k for k, q in enumerate(way) if there.check(q) is None)
     assert all(there.blocked(a, b) is None for a, b in pairwise(way[free:]))
 
 
 def test_an_end_inside_a_block_cannot_be_reached() -> None:
     inside = straight_or_tree(around(tower(3)), over(-0.25), over(0.0, 0.1))
-    assert isinstance(inside, Touch)
-    assert "block" in inside.words
+    assert isinstance(inside, Collision)
+    assert "block" in str(inside)
 
 
 def test_what_is_carried_counts() -> None:
@@ -198,7 +198,7 @@ def test_what_is_carried_counts() -> None:
     there.carry(3, hanging, np.diag([1.0, -1.0, -1.0]), 0.05)
     hit = there.blocked(clear, end)
     assert hit is not None
-    assert "block 3" in hit.words
+    assert "block 3" in str(hit)
     assert not hit.by_link
     there.empty(OPENING)
     assert there.blocked(clear, end) is None
@@ -217,8 +217,8 @@ def test_a_course_crosses_above_everything(height: int) -> None:
 
 
 def test_where_no_way_is_free_the_target_is_unreachable(monkeypatch: pytest.MonkeyPatch) -> None:
-    def nowhere(*_: object) -> Touch:
-        return Touch("link5 touches block 0", True)
+    def nowhere(*_: object) -> Collision:
+        return Collision("link5", "block 0", True)
 
     monkeypatch.setattr("learn2assemble.robot.dynamic.prepare.straight_or_tree", nowhere)
     order = take_order(tower(1), Move(1, np.array([0.0, 0.15, 0.025]), *AA))

@@ -18,7 +18,7 @@ from learn2assemble.robot.dynamic.model import TIMESTEP, Order
 from learn2assemble.robot.dynamic.prepare import PRESS, Course, Failure, free_way, rest_pose
 from learn2assemble.robot.dynamic.simulation import PUSH, TOUCH, Event, Rules, Simulation, Watch
 from learn2assemble.robot.dynamic.trajectory import Limits, joint_path, pace_of, slowing
-from learn2assemble.robot.dynamic.transit import Surroundings
+from learn2assemble.robot.dynamic.transit import WorldChecker
 from learn2assemble.robot.moves import OPENING, Outcome, carried
 from learn2assemble.world.blocks import EDGE
 
@@ -106,7 +106,7 @@ class Execution:
         """A planned way from where the arm is; another one where things are not as planned and
         something is in the way now."""
         sim = self.sim
-        around = Surroundings(sim.arm, sim.world, sim.poses.copy(), self.order.names)
+        around = WorldChecker(sim.arm, sim.world, sim.poses.copy(), self.order.names)
         if self.holding:
             position, rotation = sim.tool()
             pose = sim.poses[sim.target]
@@ -318,17 +318,17 @@ def _leave(run: Execution) -> None:
     """Up, and home if there is a free way."""
     sim = run.sim
     run.rise("retreat", BLIND)
-    around = Surroundings(sim.arm, sim.world, sim.poses.copy(), run.order.names)
+    around = WorldChecker(sim.arm, sim.world, sim.poses.copy(), run.order.names)
     around.empty(OPENING)
-    if around.touch(sim.joints) is not None:
+    if around.check(sim.joints) is not None:
         _back_off(run, around)
     run.travel(free_way(around, sim.joints, rest_pose(sim.arm, around), "home"), "home", BLIND)
 
 
-def _back_off(run: Execution, around: Surroundings) -> None:
+def _back_off(run: Execution, around: WorldChecker) -> None:
     """Back the way the arm has come, to where it last touched nothing, if it ever did."""
     past = run.sim.recorder.joints[::-1]
-    free = next((k for k, joints in enumerate(past) if around.touch(joints) is None), None)
+    free = next((k for k, joints in enumerate(past) if around.check(joints) is None), None)
     if free is None:
         return
     way = past[: free + 1]

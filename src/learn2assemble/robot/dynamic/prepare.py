@@ -10,8 +10,9 @@ import numpy as np
 from learn2assemble.robot.approach import ApproachPath, approach_path, approach_paths, travel_time
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.dynamic.model import Order, World
-from learn2assemble.robot.dynamic.transit import Surroundings, Touch, straight_or_tree
+from learn2assemble.robot.dynamic.transit import WorldChecker, straight_or_tree
 from learn2assemble.robot.inverse import solve
+from learn2assemble.robot.kinematic.collision import Collision
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import (
     LEVEL,
@@ -85,7 +86,7 @@ def prepare(
     Raises:
         Failure: where there is none.
     """
-    around = Surroundings(arm, world, order.poses, order.names)
+    around = WorldChecker(arm, world, order.poses, order.names)
     plan = _plan(arm, around, order)
     if precheck:
         around.put(order.target, *order.in_world(plan.move.grasp, plan.move.place), OPENING)
@@ -105,18 +106,18 @@ def prepare(
     return Course(plan, there, across, home)
 
 
-def rest_pose(arm: Arm, around: Surroundings) -> np.ndarray:
+def rest_pose(arm: Arm, around: WorldChecker) -> np.ndarray:
     """Where the arm waits, float64[n] [rad]: at home, or above it where something stands there."""
     position, rotation = forward(get_chain(arm), arm.home)
     for level in range(_MAX_LIFTS):
         found = solve(arm, position + level * _UP, rotation, arm.home)
         joints = arm.home if level == 0 else found.joints
-        if found.ok and around.touch(joints) is None:
+        if found.ok and around.check(joints) is None:
             return joints
     return arm.home
 
 
-def _plan(arm: Arm, around: Surroundings, order: Order) -> Plan:
+def _plan(arm: Arm, around: WorldChecker, order: Order) -> Plan:
     """As ordered or with the fingers exchanged: whatever meets less, then what turns less."""
     height = crossing_height(order.scene, order.move)
     given = order.move
@@ -146,7 +147,7 @@ def _plan(arm: Arm, around: Surroundings, order: Order) -> Plan:
 
 
 def _choose(
-    around: Surroundings, columns: Iterator[ApproachPath | str], besides: int | None
+    around: WorldChecker, columns: Iterator[ApproachPath | str], besides: int | None
 ) -> tuple[ApproachPath, int] | str:
     """The first column that meets nothing but perhaps the object ``besides``, and 0; else the
     first one, and 1: the motion will tell. If there is none, why."""
@@ -155,7 +156,7 @@ def _choose(
         if isinstance(found, str):
             reason = reason or found
             continue
-        hits = (around.touch(q, 0.0, besides) for q in found.joints[1:])
+        hits = (around.near(q, 0.0, besides)[0] for q in found.joints[1:])
         hit = next((hit for hit in hits if hit), None)
         if hit is None:
             return found, 0
@@ -166,7 +167,7 @@ def _choose(
     return reason if first is None else (first, 1)
 
 
-def _across(arm: Arm, around: Surroundings, order: Order, plan: Plan) -> tuple[Plan, np.ndarray]:
+def _across(arm: Arm, around: WorldChecker, order: Order, plan: Plan) -> tuple[Plan, np.ndarray]:
     """The plan, higher where that gives a straight free way, and the way."""
     around.carry(order.target, *order.in_hand(plan.move.grasp), EDGE)
     hit = around.blocked(plan.pick.joints[-1], plan.place.joints[-1])
@@ -191,13 +192,13 @@ def _raised(arm: Arm, order: Order, plan: Plan, levels: int) -> Plan | None:
     return Plan(pick, place, move, height)
 
 
-def free_way(around: Surroundings, start: np.ndarray, end: np.ndarray, stage: str) -> np.ndarray:
+def free_way(around: WorldChecker, start: np.ndarray, end: np.ndarray, stage: str) -> np.ndarray:
     """As :func:`straight_or_tree`.
 
     Raises:
         Failure: where there is none.
     """
     way = straight_or_tree(around, start, end)
-    if isinstance(way, Touch):
-        raise Failure(Outcome.UNREACHABLE, stage, f"no free way: {way.words}")
+    if isinstance(way, Collision):
+        raise Failure(Outcome.UNREACHABLE, stage, f"no free way: {way}")
     return way

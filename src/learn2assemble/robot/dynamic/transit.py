@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -12,6 +11,7 @@ import numpy as np
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.dynamic.model import ARM, LOOK, PAD, PLAN_MARGIN, TABLE, World, set_held
 from learn2assemble.robot.inverse import solve
+from learn2assemble.robot.kinematic.collision import Collision, CollisionChecker
 from learn2assemble.robot.kinematics import forward, get_chain
 
 DEPTH = 0.001
@@ -30,15 +30,7 @@ _UP, _MOST_UP = np.array([0.0, 0.0, 0.01]), 15
 """Steps [m] in which the tool leaves what it is too near to, and how many at most."""
 
 
-class Touch(NamedTuple):
-    """Two things that meet."""
-
-    words: str
-    by_link: bool
-    """A link of the arm is one of them, not its hand."""
-
-
-class Surroundings:
+class WorldChecker(CollisionChecker):
     """Answers whether the arm, and what it holds, is free at given joints.
 
     Args:
@@ -49,10 +41,9 @@ class Surroundings:
     """
 
     def __init__(self, arm: Arm, world: World, poses: np.ndarray, names: list[str]) -> None:
-        self.arm, self.world, self.names = arm, world, names
-        self.model = m = world.plan
-        self.data = d = mujoco.MjData(m)
-        self._poses = d.qpos[world.pose :].reshape(-1, 7)
+        super().__init__(arm, world.plan)
+        self.world, self.names, m = world, names, self.model
+        self._poses = self.data.qpos[world.pose :].reshape(-1, 7)
         self._begin = poses
         self._is_arm = (world.kind == ARM) | (world.kind == PAD)
         bodies = [m.body(name).id for name in (arm.gripper.hand, *arm.gripper.fingers)]
@@ -62,20 +53,19 @@ class Surroundings:
         self._sort[np.ix_(pads, pads)] = 3
         """int8[g, g]: of two geoms: none is the arm's (0), one (1), both (2), both are pads (3)."""
         self._arm_reach = _reaches(m, world)
-        self._width = 0.0
         self._held: tuple[int, np.ndarray, np.ndarray] | None = None
         self.empty(0.0)
 
     def empty(self, width: float) -> None:
         """The hand is empty, its opening ``width`` [m], and all objects are where they began."""
-        self._width, self._held = width, None
+        self.opening, self._held = width, None
         self._poses[:] = self._begin
         set_held(self.world, None)
 
     def carry(self, target: int, position: np.ndarray, rotation: np.ndarray, width: float) -> None:
         """The hand holds an object, at this pose in the tool frame: float64[3] [m] and
         float64[3, 3]."""
-        self._width, self._held = width, (target, position, rotation)
+        self.opening, self._held = width, (target, position, rotation)
         set_held(self.world, target)
 
     def put(self, target: int, position: np.ndarray, rotation: np.ndarray, width: float) -> None:
@@ -96,19 +86,11 @@ class Surroundings:
                 return self._name(pair[1] if own else pair[0])
         return None
 
-    def touch(
-        self, joints: np.ndarray, margin: float = PLAN_MARGIN, besides: int | None = None
-    ) -> Touch | None:
-        """What touches what at joints float64[n] [rad], or None where everything is free.
+    def check(self, joints: np.ndarray) -> Collision | None:
+        """See :class:`CollisionChecker`; the arm keeps :data:`~.model.PLAN_MARGIN`."""
+        return self.near(joints, PLAN_MARGIN)[0]
 
-        Args:
-            joints: of the arm.
-            margin: distance the arm keeps [m], at most :data:`~.model.LOOK`.
-            besides: an object it may touch.
-        """
-        return self.near(joints, margin, besides)[0]
-
-    def blocked(self, start: np.ndarray, end: np.ndarray) -> Touch | None:
+    def blocked(self, start: np.ndarray, end: np.ndarray) -> Collision | None:
         """What is nearer than :data:`KEEP` on the straight way between joints, or nearer than
         :data:`~.model.PLAN_MARGIN` where it was looked at, both ends included; None if nothing.
 
@@ -136,13 +118,11 @@ class Surroundings:
 
     def near(
         self, joints: np.ndarray, margin: float, besides: int | None = None
-    ) -> tuple[Touch | None, float]:
+    ) -> tuple[Collision | None, float]:
         """What touches what, and the distance of the arm and of what it holds from everything else
         [m], at most :data:`~.model.LOOK`."""
         m, d, w = self.model, self.data, self.world
-        d.qpos[w.joint] = joints
-        d.qpos[w.finger] = self._width / len(w.finger)
-        mujoco.mj_kinematics(m, d)
+        self.move_arm(joints)
         if self._held is not None:
             target, position, rotation = self._held
             tool = d.site_xmat[w.tool].reshape(3, 3)
@@ -171,10 +151,9 @@ class Surroundings:
             held = np.linalg.norm(position) + size[self.world.kind == target].max()
         return self._arm_reach + held
 
-    def _say(self, pair: np.ndarray) -> Touch:
+    def _say(self, pair: np.ndarray) -> Collision:
         first, second = sorted(pair, key=lambda g: not self._is_arm[g])
-        by_link = bool(self._is_link[pair].any())
-        return Touch(f"{self._name(first)} touches {self._name(second)}", by_link)
+        return Collision(self._name(first), self._name(second), bool(self._is_link[pair].any()))
 
     def _name(self, geom: int) -> str:
         kind = int(self.world.kind[geom])
@@ -201,21 +180,21 @@ def _reaches(model: mujoco.MjModel, world: World) -> np.ndarray:
 
 
 def straight_or_tree(
-    around: Surroundings, start: np.ndarray, end: np.ndarray, seed: int = 0
-) -> np.ndarray | Touch:
+    around: WorldChecker, start: np.ndarray, end: np.ndarray, seed: int = 0
+) -> np.ndarray | Collision:
     """Joint positions float64[k, n] whose straight connections are free, or what is in the way.
 
     An arm that stands too near to something first leaves it upwards. Two trees grow towards each
     other (RRT-Connect) where the straight line is blocked.
     """
     leaving = _leaving(around, start)
-    if isinstance(leaving, Touch):
+    if isinstance(leaving, Collision):
         return leaving
     free = leaving[-1]
     hit = around.blocked(free, end)
     if hit is None:
         return np.array([*leaving, end])
-    at_end = around.touch(end)
+    at_end = around.check(end)
     if at_end is not None:
         return at_end
     way = _connect(around, free, end, np.random.default_rng(seed))
@@ -224,7 +203,7 @@ def straight_or_tree(
     return np.vstack([*leaving[:-1], _shortened(around, way, np.random.default_rng(seed))])
 
 
-def _leaving(around: Surroundings, start: np.ndarray) -> list[np.ndarray] | Touch:
+def _leaving(around: WorldChecker, start: np.ndarray) -> list[np.ndarray] | Collision:
     """From a start that may be too near to something, straight up to where nothing is near and
     nothing gets nearer on the way; or what is in the way."""
     way = [start]
@@ -241,7 +220,7 @@ def _leaving(around: Surroundings, start: np.ndarray) -> list[np.ndarray] | Touc
 
 
 def _connect(
-    around: Surroundings, start: np.ndarray, end: np.ndarray, rng: np.random.Generator
+    around: WorldChecker, start: np.ndarray, end: np.ndarray, rng: np.random.Generator
 ) -> list[np.ndarray] | None:
     lower, upper = around.arm.limits()
     trees = [([start], [0]), ([end], [0])]
@@ -262,7 +241,7 @@ def _connect(
 
 
 def _extend(
-    around: Surroundings, tree: tuple[list[np.ndarray], list[int]], aim: np.ndarray
+    around: WorldChecker, tree: tuple[list[np.ndarray], list[int]], aim: np.ndarray
 ) -> int | None:
     """A new leaf towards ``aim``, or None where something is in the way."""
     nodes, parents = tree
@@ -289,7 +268,7 @@ def _back(tree: tuple[list[np.ndarray], list[int]], leaf: int) -> list[np.ndarra
     return way
 
 
-def _shortened(around: Surroundings, way: list[np.ndarray], rng: np.random.Generator) -> np.ndarray:
+def _shortened(around: WorldChecker, way: list[np.ndarray], rng: np.random.Generator) -> np.ndarray:
     """The way without corners that can be cut."""
     for _ in range(_SHORTCUTS):
         if len(way) < 3:

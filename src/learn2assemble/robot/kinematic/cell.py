@@ -13,7 +13,7 @@ import numpy as np
 
 from learn2assemble.robot.approach import RISE, ApproachCache
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.kinematic.collision import CollisionModel, Touch
+from learn2assemble.robot.kinematic.collision import BoxChecker, Collision
 from learn2assemble.robot.moves import (
     OPENING,
     Attempt,
@@ -44,7 +44,7 @@ class KinematicCell:
     def __init__(self, arm: Arm, num_cells: int = 40) -> None:
         self.arm = arm
         self.approaches = ApproachCache(arm)
-        self.collisions = CollisionModel(arm, num_cells)
+        self.collisions = BoxChecker(arm, num_cells)
 
     def attempt(self, scene: Scene, move: Move) -> Attempt:
         """Outcome of a move; the scene is left alone."""
@@ -70,11 +70,11 @@ class KinematicCell:
         self._open_hand()
         hit = self._first(pick, OPENING) or self._first(between(self.arm.home, pick[-1]), OPENING)
         if hit:
-            return self._hit(Outcome.GRASP_COLLISION, "pick", hit)
+            return _failed(Outcome.GRASP_COLLISION, "pick", hit)
         self._grip(scene, move, scene.members(move.cell))
         hit = self._first(pick[1:], EDGE)
         if hit:
-            return self._hit(Outcome.GRASP_COLLISION, "lift", hit)
+            return _failed(Outcome.GRASP_COLLISION, "lift", hit)
         return Attempt(Outcome.REACHED, pick=pick)
 
     def _attempt(self, scene: Scene, move: Move) -> Attempt:
@@ -88,22 +88,22 @@ class KinematicCell:
             return Attempt(Outcome.UNREACHABLE, "place", place)
         hit = self._first(place, EDGE)
         if hit:
-            return self._hit(Outcome.PLACE_COLLISION, "place", hit)
+            return _failed(Outcome.PLACE_COLLISION, "place", hit)
         hit = self._first(between(pick[-1], place[-1]), EDGE)
         if hit:
             over = self._detour(scene, move, height)
             if over is None:
-                return self._hit(Outcome.UNREACHABLE, "cross", hit)
+                return _failed(Outcome.UNREACHABLE, "cross", hit)
             pick, place = over
         # The object now stands at its target and is in the way like all others.
         self.collisions.put(members, *carried(scene, move, members))
         self._open_hand()
         hit = self._first(place[: len(RISE)], OPENING)
         if hit:
-            return self._hit(Outcome.PLACE_COLLISION, "release", hit)
+            return _failed(Outcome.PLACE_COLLISION, "release", hit)
         hit = self._first(between(place[-1], self.arm.home), OPENING)
         if hit:
-            return self._hit(Outcome.PLACE_COLLISION, "retreat", hit)
+            return _failed(Outcome.PLACE_COLLISION, "retreat", hit)
         return Attempt(Outcome.REACHED, pick=pick, place=place)
 
     def _detour(
@@ -127,15 +127,10 @@ class KinematicCell:
         self.collisions.take(members)
         self.collisions.carry(offset @ rotation, scene.object_id[members])
 
-    def _hit(self, outcome: Outcome, stage: str, hit: Touch) -> Attempt:
-        gripper = self.arm.gripper
-        at_end = {gripper.hand, *gripper.fingers, "carried"}
-        by_link = hit.part.split()[0] not in at_end
-        return Attempt(outcome, stage, f"{hit.part} touches {hit.other}", by_link=by_link)
-
-    def _first(self, joints: Iterable[np.ndarray], opening: float) -> Touch | None:
+    def _first(self, joints: Iterable[np.ndarray], opening: float) -> Collision | None:
+        self.collisions.opening = opening
         for q in joints:
-            hit = self.collisions.touch(q, opening)
+            hit = self.collisions.check(q)
             if hit is not None:
                 return hit
         return None
@@ -146,6 +141,10 @@ def between(start: np.ndarray, end: np.ndarray) -> Iterator[np.ndarray]:
     steps = math.ceil(np.abs(end - start).max() / STRIDE)
     for k in range(1, steps):
         yield start + (end - start) * (k / steps)
+
+
+def _failed(outcome: Outcome, stage: str, hit: Collision) -> Attempt:
+    return Attempt(outcome, stage, str(hit), by_link=hit.by_link)
 
 
 def _further(attempt: Attempt) -> int:

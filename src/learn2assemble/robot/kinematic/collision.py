@@ -26,15 +26,46 @@ _ARM, _CARRIED, _THING = 1, 2, 4
 _FAR = (0.0, 0.0, -50.0)
 
 
-class Touch(NamedTuple):
-    """Two things that meet, by the names of their bodies: parts of the arm, ``table``,
-    ``block N`` of the scene, ``filler``, and ``carried``."""
+class Collision(NamedTuple):
+    """Two things that meet, by name: parts of the arm, ``table``, blocks, what is carried."""
 
     part: str
     other: str
+    by_link: bool
+    """A link of the arm is in the way, not its hand or what it holds."""
+
+    def __str__(self) -> str:
+        return f"{self.part} touches {self.other}"
 
 
-class CollisionModel:
+class CollisionChecker:
+    """A model whose arm can be put anywhere.
+
+    Args:
+        arm: the robot.
+        model: has the arm in it.
+    """
+
+    def __init__(self, arm: Arm, model: mujoco.MjModel) -> None:
+        self.arm, self.model, self.data = arm, model, mujoco.MjData(model)
+        self._joints = np.array([model.joint(name).qposadr[0] for name in arm.joints])
+        self._fingers = np.array([model.joint(name).qposadr[0] for name in arm.gripper.joints])
+
+        self.opening = 0.0
+        """Between the pads [m]."""
+
+    def check(self, joints: np.ndarray) -> Collision | None:
+        """The first collision at joints float64[n] [rad], or None."""
+        raise NotImplementedError
+
+    def move_arm(self, joints: np.ndarray) -> None:
+        """Put the arm at joints float64[n] [rad]."""
+        self.data.qpos[self._joints] = joints
+        self.data.qpos[self._fingers] = self.opening / len(self._fingers)
+        mujoco.mj_kinematics(self.model, self.data)
+
+
+class BoxChecker(CollisionChecker):
     """The arm, a table, and boxes that are put where a scene says.
 
     Args:
@@ -45,11 +76,9 @@ class CollisionModel:
     """
 
     def __init__(self, arm: Arm, num_cells: int) -> None:
-        self.arm, self.num_cells = arm, num_cells
-        self.model = m = _compile(arm, num_cells)
-        self.data = mujoco.MjData(m)
-        self._joints = np.array([m.joint(name).qposadr[0] for name in arm.joints])
-        self._fingers = np.array([m.joint(name).qposadr[0] for name in arm.gripper.joints])
+        super().__init__(arm, _compile(arm, num_cells))
+        self.num_cells, m = num_cells, self.model
+        self._hand = {arm.gripper.hand, *arm.gripper.fingers, "carried"}
         self._carried = np.array([m.body(f"carried {k}").id for k in range(MAX_CARRIED)])
         self._carried_fillers = np.array([m.body(f"carried f{k}").id for k in range(MAX_CARRIED)])
         self._names = [m.body(k).name for k in range(m.nbody)]
@@ -102,22 +131,18 @@ class CollisionModel:
         m.body_pos[bodies] = self._in_hand(where)
         m.body_quat[bodies] = yaw_quaternion(angle)  # the tool's z is the hand's
 
-    def touch(self, joints: np.ndarray, opening: float) -> Touch | None:
-        """The first collision at these joint positions, or None.
-
-        Args:
-            joints: float64[n] [rad].
-            opening: between the pads [m].
-        """
-        m, d = self.model, self.data
-        d.qpos[self._joints] = joints
-        d.qpos[self._fingers] = opening / len(self._fingers)
-        mujoco.mj_kinematics(m, d)
-        mujoco.mj_collision(m, d)
-        if not d.ncon:
+    def check(self, joints: np.ndarray) -> Collision | None:
+        """See :class:`CollisionChecker`; blocks are called ``block N``, ``filler N`` and
+        ``carried N``."""
+        self.move_arm(joints)
+        mujoco.mj_collision(self.model, self.data)
+        if not self.data.ncon:
             return None
-        first, second = (self._names[m.geom_bodyid[g]] for g in d.contact.geom[0])
-        return Touch(*((second, first) if first.split()[0] in _THINGS else (first, second)))
+        pair = self.data.contact.geom[0]
+        part, other = (self._names[self.model.geom_bodyid[geom]] for geom in pair)
+        if part.split()[0] in _THINGS:
+            part, other = other, part
+        return Collision(part, other, part.split()[0] not in self._hand)
 
     def _in_hand(self, points: np.ndarray) -> np.ndarray:
         """float64[k, 3]: points of the tool frame in the frame of its body [m]."""
