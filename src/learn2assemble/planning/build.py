@@ -132,12 +132,16 @@ def make_plan(
     coverage = held[-1].coverage if held else 0.0
     return Plan(
         design=PlanDesign(
-            problem.name, source, task.num_sides, _rows(problem.frames),
-            tuple(
+            name=problem.name,
+            source=source,
+            block_edge=EDGE,
+            num_sides=task.num_sides,
+            frames=_rows(problem.frames),
+            elevations=tuple(
                 PlanElevation(name, _rows(outline))
                 for name, outline in zip(problem.elevation_names, problem.outlines, strict=True)
             ),
-            task.success_threshold, EDGE,
+            success_threshold=task.success_threshold,
         ),
         status=status,
         reason=_reason(problem, status, proof, coverage, count),
