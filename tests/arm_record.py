@@ -32,7 +32,7 @@ def wall(count: int) -> list[np.ndarray]:
 
 
 def waiting(count: int) -> np.ndarray:
-    """Rows of six in front of the wall (protocol 1.4): float64[count, 3] [m]."""
+    """Rows of six in front of the wall: float64[count, 3] [m]."""
     k = np.arange(count)
     x = (2 * sobol(6)[k % 6] - 1) * 0.384375 - 0.076875 - 0.025 * (k // 6)
     return np.stack([x, -0.15 - 0.1 * (k // 6), np.full(count, EDGE / 2)], -1)

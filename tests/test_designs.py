@@ -406,7 +406,7 @@ def test_needed_cells_fill_the_design_and_hold_every_pixel_once(made: Design) ->
     assert state.complete_coverage[0] == 1
     for s, held in enumerate(needed):
         rows, columns = np.nonzero(to_pixels(made.masks()[s])[:81])  # below, the table shows
-        x, z = np.array(unproject(columns, rows + 1))  # protocol 3.5
+        x, z = np.array(unproject(columns, rows + 1))
         # Row 49 looks exactly along the edge of levels 4 and 5; the lower one holds it.
         cells_seen = zip(np.rint(x / EDGE), np.ceil(z / EDGE - 1e-9) - 1, strict=True)
         assert held == Counter(Cell(int(k), int(n)) for k, n in cells_seen)

@@ -59,7 +59,7 @@ TOP, LEFT, RIGHT = 0, 1, 2
 
 
 def by_hand(task: Task, policy: Policy, count: int, seed: int) -> dict[str, Any]:
-    """The same problems, one world at a time, with the definitions of protocol 12.1."""
+    """The same problems, one world at a time, with the definitions of the paper's metrics."""
     simulator = Simulator(task)
     stream = np.random.SeedSequence([EVALUATION_STREAM, seed]).spawn(2)[0]
     rng, worlds = np.random.default_rng(stream), []
@@ -192,7 +192,7 @@ class FirstIsBest:
 
 @pytest.mark.parametrize("epsilon", [0.0, 0.05, 0.5, 1.0])
 def test_epsilon_greedy_rate(epsilon: float) -> None:
-    """Uniform over all legal actions with probability epsilon (protocol 11.5)."""
+    """Uniform over all legal actions with probability epsilon."""
     simulator, rng = Simulator(FEW), np.random.default_rng(0)
     state = simulator.new(4000, rng)
     simulator.step(state, np.tile([0, 0, TOP], (4000, 1)))

@@ -105,7 +105,7 @@ def test_projection_has_the_published_numbers() -> None:
 
 
 def brute_mask(outline: np.ndarray) -> np.ndarray:
-    """Protocol 3.2 and 3.3 pixel by pixel: bool[100, 100]."""
+    """The published mask pixel by pixel: bool[100, 100]."""
     scale = 0.225 * TAN
     corners = []
     for x, z in outline.tolist():
@@ -177,7 +177,7 @@ def test_mask_of_five_vertices(
     lb, lt, rt, rb = -half[0], -half[1], half[2], half[3]
     m = lt + middle * (rt - lt)
     points = [(lb, 0.0), (lt, height[0]), (m, height[1]), (rt, height[2]), (rb, 0.0)]
-    # M lies between the walls, as the sampler draws it (protocol 2).
+    # M lies between the walls, as the sampler draws it.
     assume(_left_of(points[4], points[3], points[2]) and not _left_of(*points[:3]))
     check_mask(np.array(points))
 
@@ -250,8 +250,8 @@ def test_polygon_mask_is_point_in_polygon(outline: np.ndarray) -> None:
 def brute_depth(x: float, y: float, z: float, half: float) -> np.ndarray:
     """Depth [m] at which the ray of every pixel meets a cube, inf where it does not: [100, 100].
 
-    The camera of protocol 3.1 sees nothing before 0.05 m or behind 1 m; what is cut by the first
-    plane is seen there. Pixel (r, c) looks through the image point (c, r + 1) (protocol 3.5).
+    The camera sees nothing before 0.05 m or behind 1 m; what is cut by the first
+    plane is seen there. Pixel (r, c) looks through the image point (c, r + 1).
     """
     slope_x = (np.arange(SIZE) - 50.0)[None, :] / 50 * TAN
     slope_z = (50.0 - (np.arange(SIZE) + 1))[:, None] / 50 * TAN

@@ -245,7 +245,7 @@ def test_wrong_questions_are_refused(arm: Arm) -> None:
 
 
 def reference_step(chain, q: np.ndarray, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """One iteration of protocol 8.1 in matrices, with a numeric derivative of the error's twist."""
+    """One iteration of the published solver in matrices, with a numeric derivative of the twist."""
     here, turn = forward(chain, q)
     relative = np.eye(4)
     relative[:3, :3], relative[:3, 3] = rotation.T @ turn, rotation.T @ (here - position)

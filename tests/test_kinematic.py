@@ -52,7 +52,7 @@ def test_attitudes_close_along_the_axes_of_the_paper() -> None:
     np.testing.assert_array_equal(abs(BB.grasp.rotation()[:, 1]), [1, 0, 0])
     for pair in (AA, AB, BA, BB):
         np.testing.assert_array_equal(pair.grasp.rotation()[:, 2], [0, 0, -1])
-    # Protocol 5: net turns of 0, -90, 90 and 0 degrees.
+    # Net turns of 0, -90, 90 and 0 degrees.
     turns = [pair.place.yaw - pair.grasp.yaw for pair in (AA, AB, BA, BB)]
     np.testing.assert_allclose(np.degrees(turns), [0, -90, 90, 0])
 

@@ -43,7 +43,7 @@ def play_well(simulator: Simulator) -> Callable[[State, np.random.Generator], np
     return act
 
 
-# The search term (protocol 10.4).
+# The search term.
 
 
 def test_cross_entropy_by_hand() -> None:
@@ -154,7 +154,7 @@ def test_stored_searches_are_what_the_search_found(method: str) -> None:
 
 
 def test_eps_mcts_searches_at_the_rate_of_its_schedule() -> None:
-    """Protocol 11.5: at random without a search with probability epsilon, else top-B by Q."""
+    """At random without a search with probability epsilon, else top-B by Q."""
     trainer = searcher("eps-mcts", epsilon_samples=1, epsilon_final=0.25, replay_size=2000)
     collect(trainer, 1)
     start = trainer.replay.cursor

@@ -31,7 +31,7 @@ class Fixed:
 
 
 def test_td_target_by_hand() -> None:
-    """``y = r + gamma (1 - end) Q_T(s', a*)``: two worlds, two relations (protocol 10.3).
+    """``y = r + gamma (1 - end) Q_T(s', a*)``: two worlds, two relations.
 
     Three targets, one placed (node 3), two unplaced blocks (nodes 4 and 5). The reference and the
     context terms are 0 but for an illegal reference that would win if it were allowed.

@@ -81,7 +81,7 @@ few = settings(max_examples=15, deadline=None)
     ],
 )
 def test_number_of_parameters(changes: dict[str, Any], expected: int) -> None:
-    """Protocol 9, parameter counts (F = 64, L = 3)."""
+    """Parameter counts (F = 64, L = 3)."""
     net = QNetwork(NetworkConfig(**changes))
     assert sum(p.numel() for p in net.parameters()) == expected
 
@@ -98,7 +98,7 @@ def test_no_parameter_is_dead(changes: dict[str, Any]) -> None:
 
 
 def test_initialisation_of_the_attention() -> None:
-    """Protocol 9: U(+-1/sqrt(head size)) for Q, K, V and U(+-1/sqrt(F)) for the output."""
+    """U(+-1/sqrt(head size)) for Q, K, V and U(+-1/sqrt(F)) for the output."""
     torch.manual_seed(0)
     layer = AttentionRound(64, 4, "none")
     for parameter, bound in ((layer.query_key_value.weight, 1 / 4), (layer.merge.weight, 1 / 8)):
@@ -204,7 +204,7 @@ def test_best_without_a_legal_action_is_far_below() -> None:
 
 @pytest.mark.parametrize("changes", VARIANTS, ids=str)
 def test_read_out_is_the_published_form(changes: dict[str, Any]) -> None:
-    """``Q(i, j, :) = W_o ReLU([p, h_i, h_j]) + b`` formed naively (equation 5, protocol 9)."""
+    """``Q(i, j, :) = W_o ReLU([p, h_i, h_j]) + b`` formed naively (equation 5)."""
     net = network(3, **changes)
     counts = [(3, 2, 2), (4, 1, 3)]
     graph = tensors(random_graph(counts, 9, 1))
@@ -254,7 +254,7 @@ def test_attention_round_written_out(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["partial", "full"])
 def test_structure2vec_written_out(kind: str) -> None:
-    """Protocol 9, S2V, pair by pair and without the shortcut that A_ij is 0 or 1."""
+    """Structure2Vec, pair by pair and without the shortcut that A_ij is 0 or 1."""
     net = network(5, encoder="s2v", connectivity=kind)
     (t, p, u), used = (3, 2, 4), 9
     raw = random_graph([(t, p, u)], 11, 6)
@@ -300,7 +300,7 @@ def test_adjacency_of_tensors_is_the_one_of_arrays(
 
 
 def test_connectivity_written_out() -> None:
-    """Protocol 4: an unplaced block sees targets, placed blocks and its own object.
+    """An unplaced block sees targets, placed blocks and its own object.
 
     The protocol calls this asymmetric; by its own rule for every row it is not, because targets
     and placed blocks attend to unplaced ones as well. The rows count. Three targets, one placed
@@ -383,7 +383,7 @@ def test_rotary_attention_ignores_a_common_shift() -> None:
 
 
 def test_positions_are_divided_by_the_scale() -> None:
-    """Protocol 4, normalisation: scaled positions with an unscaled network are the same."""
+    """Normalisation: scaled positions with an unscaled network are the same."""
     a, b = network(position_scale=0.25), network(position_scale=1.0)
     b.load_state_dict(a.state_dict())
     graph = tensors(random_graph([(3, 2, 2)], 7, 4))

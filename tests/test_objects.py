@@ -79,7 +79,7 @@ def turns_of(cells: np.ndarray, shape: Cells, ordered: bool = False) -> list[int
     return found
 
 
-# ---------------------------------------------------------------- sets (protocol 7)
+# ---------------------------------------------------------------- sets
 
 
 def test_shapes_are_connected_and_have_no_cell_twice() -> None:
@@ -127,7 +127,7 @@ def inventory_names(name: str) -> list[set[str]]:
 
 
 def test_the_papers_four_shapes_are_drawn_as_published() -> None:
-    """Protocol 7, set 26: cube 1/3, pair 1/3, L 1/6, S 1/6; 2.17 cells on average."""
+    """Set 26: cube 1/3, pair 1/3, L 1/6, S 1/6; 2.17 cells on average."""
     shares = {"cube": 1 / 3, "vertical-2": 1 / 3, "l-up": 1 / 6, "s": 1 / 6}
     # Long lists: the corrections concern the first and the last few objects only.
     objects = [cells for seed in range(3) for cells in draw("paper-four", 2000, seed)[1:-3]]
@@ -166,7 +166,7 @@ def test_turned_objects_face_every_way_alike(shape: str) -> None:
 
 
 def test_bars_are_drawn_by_their_number() -> None:
-    """Protocol 7: for 27 blocks, 0 to 6 bars and 0 to 6 pairs, uniformly; bars lie along x."""
+    """For 27 blocks, 0 to 6 bars and 0 to 6 pairs, uniformly; bars lie along x."""
     bars, pairs, first, order = Counter(), Counter(), Counter(), Counter()
     for seed in range(420):
         objects = draw("bars", 27, seed)
@@ -550,7 +550,7 @@ def test_episodes_use_objects_up_and_sum_to_the_coverage(task: Task) -> None:
 
 
 def test_directions_of_actions_with_turns() -> None:
-    """q = k div 4, r = k mod 4 (protocol 5)."""
+    """q = k div 4, r = k mod 4."""
     sim = Simulator(PAPER)
     start = sim.new(1, np.random.default_rng(2))
     ids = start.object_id[0, 1:].tolist()

@@ -85,7 +85,7 @@ def test_attempts_depend_on_scene_and_move_alone(cubes: PublishedCell) -> None:
 
 
 def test_objects_turn_with_the_hand(objects: PublishedCell) -> None:
-    """Grip A, placed with B: a quarter turn clockwise about the grasped cell (protocol 5)."""
+    """Grip A, placed with B: a quarter turn clockwise about the grasped cell."""
     start = scene([(0, 0, 0)], [(-3, -4, 0), (-2, -4, 0)], [0, 1, 1])
     attempt = objects.attempt(start, Move(1, cell(0, 1, 0), AB.grasp, AB.place))
     # The other cell goes where the fingers do not reach and the first block is.
@@ -141,7 +141,7 @@ def test_a_tower_is_knocked_over(cubes: PublishedCell) -> None:
 
 
 def test_waiting_objects_are_not_to_be_touched(objects: PublishedCell) -> None:
-    """A lower cell beside a higher object: the hand is in it. Cubes do not ask (protocol 8.3)."""
+    """A lower cell beside a higher object: the hand is in it. Cubes do not ask."""
     start = scene([(0, 0, 0)], [(0, -4, 0), (0, -2.5, 0), (0, -2.5, 1)], [0, 1, 2, 2])
     order = Move(1, cell(0, 1, 0), AA.grasp, BB.place)
     assert failure(objects, start, order) == (Outcome.GRASP_COLLISION, "grasp contact")
@@ -164,7 +164,7 @@ def test_an_object_that_tips_is_a_failure(objects: PublishedCell) -> None:
 
 
 def test_a_floating_cube_may_fall(cubes: PublishedCell) -> None:
-    """Only the others are checked (protocol 6.2)."""
+    """Only the others are checked."""
     attempt = cubes.attempt(
         scene([(0, 0, 0), (0, 0, 1)], WAITING), Move(2, cell(0, 1, 1), BB.grasp, BB.place)
     )
@@ -246,7 +246,7 @@ def test_the_hand_has_three_parts_and_the_opening_between_the_fingers() -> None:
 
 
 def test_falling_bodies_reach_the_terminal_speed() -> None:
-    """10 v + 10 v^2 = 10 (protocol 1.1)."""
+    """10 v + 10 v^2 = 10."""
     twist, awake = np.zeros((FIRST + 1, 6)), np.array([False, False, True])
     position, quaternion = np.zeros((FIRST + 1, 3)), np.tile([1.0, 0, 0, 0], (FIRST + 1, 1))
     still = np.zeros(FIRST + 1, np.int64)

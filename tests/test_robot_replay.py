@@ -79,7 +79,7 @@ def test_before_the_first_step_all_pixels_agree(reference: Path, name: str, tmp_
 
 def test_what_fell_was_dropped_in_mid_air(reference: Path) -> None:
     """A robot may set an object on nothing, or on too little to hold it: it drops by one level, and
-    only the *other* blocks must stay (protocol 6.2)."""
+    only the *other* blocks must stay."""
     fell = 0
     for name in FILES:
         lines = lines_of(reference, name)

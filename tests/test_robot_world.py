@@ -60,7 +60,7 @@ RANDOM = get_task("robot-random-two-sided-3x3-10-14").replace(arm="none")
 each_robot = pytest.mark.parametrize("task", ROBOTS.values(), ids=lambda task: task.name)
 
 
-# ---------------------------------------------------------------- what the tasks are (protocol 0)
+# ---------------------------------------------------------------- what the tasks are
 
 
 def test_the_papers_robot_tasks() -> None:
@@ -142,7 +142,7 @@ def test_neighbours_are_a_pitch_apart_and_blocks_touch_above(
 
 
 def test_sides_stand_where_the_lattice_has_its_cells() -> None:
-    """Protocol 1.2 with d = 0.06: bottom centres of two and of four sides."""
+    """With d = 0.06: bottom centres of two and of four sides."""
     assert side_frames(2, 0.06)[:, 2:].tolist() == [[0, 0], [0, 0.06]]
     assert side_frames(4, 0.06)[:, 2:].tolist() == [[0, 0], [0, 0.12], [0.06, 0.06], [-0.06, 0.06]]
     for task in ROBOTS.values():
@@ -203,7 +203,7 @@ def test_the_legacy_search_keeps_a_cover_that_was_never_normalised() -> None:
     assert (after.initial_pixels == 0).all()
 
 
-# ---------------------------------------------------------------- random places (protocol 1.4)
+# ---------------------------------------------------------------- random places
 
 
 def test_cubes_at_random_places_keep_room_for_the_fingers() -> None:
@@ -255,7 +255,7 @@ def test_a_place_for_too_many_cubes_is_not_searched_for_ever() -> None:
 
 
 def test_rows_and_columns_of_the_robot_cells() -> None:
-    """Protocol 1.4, the first numbers written out; see also the recorded first steps."""
+    """The first numbers written out; see also the recorded first steps."""
     x = 0.384375 * np.array([0, 0.5, -0.5, -0.25, 0.75, 0.25]) - 0.076875
     rows = waiting_places("slanted-rows", 13).position
     assert rows[:6] == pytest.approx(np.stack([x, 0 * x - 0.15, 0 * x + HALF], -1))
@@ -267,7 +267,7 @@ def test_rows_and_columns_of_the_robot_cells() -> None:
     assert columns.position[6] == pytest.approx(columns.position[0])
 
 
-# ---------------------------------------------------------------- actions (protocol 5, 7)
+# ---------------------------------------------------------------- actions
 
 
 def test_grips_turn_objects_as_the_protocol_says() -> None:

@@ -65,7 +65,7 @@ def random_actions(task: Task, state: State, rng: np.random.Generator) -> np.nda
     return rng.integers(np.maximum(limits, 1))
 
 
-# ---------------------------------------------------------------- placements (protocol 4, 5)
+# ---------------------------------------------------------------- placements
 
 
 def test_relations_point_where_their_names_say() -> None:
@@ -213,7 +213,7 @@ def test_a_block_in_front_lowers_the_plane_filter_only() -> None:
     assert state.complete_coverage[0] >= 0.0
     assert judge(state, 0, previous, True, DISCRETE, 0.975) == (0.0, False, False)
     assert judge(state, 0, previous, True, SCALED, 0.975) == (0.0, False, False)
-    # The next gain counts from the lowered value (protocol 6.3).
+    # The next gain counts from the lowered value.
     lowered = int(state.plane_pixels[0])
     assert lowered < previous
     move_block(state, 0, 0, 0, *target_cell(state, 0, 0, RELATIONS.index("right")))

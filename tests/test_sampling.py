@@ -1,7 +1,7 @@
 """Fresh problems against those the published environments were recorded to draw.
 
 Two-sample tests at a fixed seed of ours, so their outcome never changes; the level is 0.001 over
-all of them together. The lower bound on unseen shapes (protocol 2) was off in every recording.
+all of them together. The lower bound on unseen shapes was off in every recording.
 """
 
 # The results of scipy.stats have no stubs that pyright finds.
@@ -239,7 +239,7 @@ def _outlines(line: dict[str, Any], frames: np.ndarray) -> list[np.ndarray]:
 
 @pytest.mark.parametrize("grid", [3, 5])
 def test_outlines_are_drawn_as_the_protocol_says(grid: int) -> None:
-    """Protocol 2: the number of vertices, ranges, and marginals that are uniform."""
+    """The number of vertices, ranges, and marginals that are uniform."""
     rng, a, height = np.random.default_rng(grid), 0.025 * grid, 0.05 * grid
     shapes: dict[int, list[np.ndarray]] = {3: [], 4: [], 5: []}
     for _ in range(3000):

@@ -62,7 +62,7 @@ from search_data import (
 def test_golden_values_of_depth_one(
     arguments: dict[str, Any], expected: dict[int, tuple[float, int]], choice: int
 ) -> None:
-    """Visits and values computed by hand (protocol 11.1)."""
+    """Visits and values computed by hand."""
     decision = decide(THREE, **arguments)
     assert explored(decision) == expected
     assert decision.action.tolist() == [7 + choice, 0, 0]
@@ -88,7 +88,7 @@ TWO_LEVELS = TreeModel(
 def test_golden_tree_of_depth_two(
     prior: bool, children: dict[int, Any], below: dict[int, Any], total: float
 ) -> None:
-    """Once every root action is tried, one expansion at a time goes below (protocol 11.1)."""
+    """Once every root action is tried, one expansion at a time goes below."""
     decision = decide(TWO_LEVELS, budget=4, prior=prior)
     assert explored(decision) == children
     deeper = decision.root.children[0].children
@@ -244,7 +244,7 @@ def test_same_seed_same_search_and_states_stay(seed: int) -> None:
 
 
 def test_final_choice_is_random_with_epsilon_one() -> None:
-    """A uniform *explored* child (protocol 11.3)."""
+    """A uniform *explored* child."""
     counts = Counter(
         int(decide(THREE, seed, budget=2, epsilon=1.0).action[0]) - 7 for seed in range(600)
     )
@@ -254,7 +254,7 @@ def test_final_choice_is_random_with_epsilon_one() -> None:
 
 
 def test_equal_values_are_chosen_at_random() -> None:
-    """Protocol 11.3, ties random."""
+    """Ties at random."""
     node = Node(None, legal=ActionValues(np.zeros((3, 3), np.int64), np.zeros(3), np.arange(3)))
     for key, total in enumerate((2.0, 2.0, 1.0)):
         node.children[key] = Node(None, visits=2, total=total)
@@ -278,7 +278,7 @@ values_and_tried = st.integers(1, 12).flatmap(
 @given(values_and_tried)
 @settings(max_examples=150, deadline=None)
 def test_expansions_never_repeat(drawn: tuple[Any, set[int], int, float, int]) -> None:
-    """Protocol 11.2: untried actions only, as many as asked for or left; with epsilon 0 the
+    """Untried actions only, as many as asked for or left; with epsilon 0 the
     best by Q, in order."""
     order, tried, count, epsilon, seed = drawn
     values, given_set = np.array(order, float), set(tried)

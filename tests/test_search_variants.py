@@ -51,7 +51,7 @@ BANDIT = TreeModel(
     ],
 )
 def test_golden_tree_of_plain_uct(budget: int, expected: dict[int, tuple[float, int]]) -> None:
-    """Protocol 11.4: mean + c sqrt(ln n(root) / n(child)); ends count again."""
+    """Mean + c sqrt(ln n(root) / n(child)); ends count again."""
     decision = decide(BANDIT, budget=budget, exploration=1.0, **UCT)
     assert explored(decision) == expected
     assert decision.root.visits == budget
@@ -84,7 +84,7 @@ def test_uct_with_prior_goes_deep_before_all_is_tried() -> None:
 @given(seed=st.integers(0, 10_000), budget=st.integers(1, 3), epsilon=st.sampled_from([0.0, 1.0]))
 @settings(max_examples=40, deadline=None)
 def test_eps_mcts_expands_the_best_by_q(seed: int, budget: int, epsilon: float) -> None:
-    """Protocol 11.4 without repeats: the deterministic top B by Q, whatever epsilon is."""
+    """UCT without repeats: the deterministic top B by Q, whatever epsilon is."""
     model = random_tree(seed)
     q = [edge.q for edge in model.edges["root"]]
     config = dataclasses.replace(
@@ -98,7 +98,7 @@ def test_eps_mcts_expands_the_best_by_q(seed: int, budget: int, epsilon: float) 
 
 
 def test_random_first_acts_without_search() -> None:
-    """Protocol 11.5, eps-MCTS: at the rate epsilon a uniform action and nothing explored."""
+    """Eps-MCTS: at the rate epsilon a uniform action and nothing explored."""
     model = random_tree(3)
     width = len(model.edges["root"])
     assert width > 1
@@ -362,7 +362,7 @@ def test_final_choices() -> None:
 
 
 def test_named_searches() -> None:
-    """Protocol 11.5 and 13.20."""
+    """The published searches by name."""
     assert get_search("dqn-mcts") == get_search("q-mcts") == SearchConfig()
     uct = get_search("uct")
     assert (uct.budget, uct.exploration, uct.prior, uct.repeats) == (1000, 2.0, False, True)

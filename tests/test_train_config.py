@@ -42,7 +42,7 @@ def test_epsilon_greedy_rate_and_legality(config: NetworkConfig) -> None:
 
 
 def test_schedules() -> None:
-    """Protocol 10.1: epsilon linear in the samples, then constant; cosine learning rate."""
+    """Epsilon linear in the samples, then constant; cosine learning rate."""
     config = TrainConfig(
         network=SMALL, epsilon_final=0.1, epsilon_samples=1000, num_samples=2000,
         learning_rate=1e-3, final_learning_rate=1e-4, num_envs=2, replay_size=10,
@@ -60,7 +60,7 @@ def test_schedules() -> None:
 
 @pytest.mark.parametrize("rate", [0.0, 0.25])
 def test_target_network_follows(rate: float) -> None:
-    """A hard copy every ``target_period`` updates (protocol 10.1), or a running average."""
+    """A hard copy every ``target_period`` updates, or a running average."""
     config = TrainConfig(
         network=SMALL, num_envs=4, replay_size=100, target_period=3, target_rate=rate,
         batch_size=4, learning_rate=1e-2,

@@ -156,7 +156,7 @@ def valid_with_most(model: WorldModel, state: State, worth: str | None) -> np.nd
 
 
 def test_legacy_takes_the_initial_cover_from_the_restored_state() -> None:
-    """Fault (a), protocol 11.6: scaled rewards grow by (A - c0) / (A - c_root), and it is harder
+    """Fault (a): scaled rewards grow by (A - c0) / (A - c_root), and it is harder
     to fill the target; only the first step of a walk restores."""
     task = TINY.replace(num_sides=2, num_nodes=20, grid=3, reward="scaled", max_initial_cover=1.0)
     model, state = walls(task)
@@ -200,7 +200,7 @@ def test_legacy_ends_later() -> None:
 
 
 def test_legacy_simulates_another_problem_where_much_is_covered() -> None:
-    """Fault (b), protocol 11.6: another random problem each time; the rest is as it was."""
+    """Fault (b): another random problem each time; the rest is as it was."""
     task = TINY.replace(num_sides=2, num_nodes=20, grid=3)
     model, state = walls(task)
     share = state.plane_pixels / state.mask_pixels
@@ -223,7 +223,7 @@ def test_legacy_simulates_another_problem_where_much_is_covered() -> None:
 
 
 def test_legacy_takes_objects_apart() -> None:
-    """Fault (c), protocol 11.6: an S that stands falls in the copy, and only chains stay whole."""
+    """Fault (c): an S that stands falls in the copy, and only chains stay whole."""
     task = TINY.replace(objects="set-26", num_nodes=20, stability="object")
     model, _ = walls(task, 1)
     state = model.simulator.new(2, np.random.default_rng(0))

@@ -1,9 +1,7 @@
-"""A wall of twenty cubes, built by the dynamic cell: how well and how fast.
+"""How fast this machine runs the pieces; each measurement is one function.
 
-How fast this machine runs the pieces; each measurement is one function.
-
-Timings are of one core: PyTorch is held to one thread. Ratios within one run are more
-trustworthy than the numbers themselves.
+Timings are of one core: PyTorch is held to one thread. Ratios within one run are more trustworthy
+than the numbers themselves.
 """
 
 from __future__ import annotations
@@ -54,7 +52,7 @@ class WallReport(NamedTuple):
 
 
 def build_wall(cell: DynamicCell, columns: int = 5, rows: int = 4) -> WallReport:
-    """Build a wall along x from cubes that wait in the paper's rows (protocol 1.4), the farthest
+    """Build a wall along x from cubes that wait in the paper's rows, the farthest
     first; every attempt begins with what the one before left behind."""
     count = columns * rows
     waiting = waiting_places("slanted-rows", count).position[::-1]

@@ -1,4 +1,4 @@
-"""Whole evaluation episodes and the paper's metrics (protocol 12.1)."""
+"""Whole evaluation episodes and the paper's metrics."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ EVALUATION_STREAM = 2
 BATCH = 50
 """Episodes played side by side."""
 DISCOUNTS = (0.8, 0.95)
-"""Returns are also counted at these: the published code's discount and the paper's (13.4)."""
+"""Returns are also counted at these: the published code's discount and the paper's."""
 
 Policy = Callable[[State, np.random.Generator], np.ndarray]
 """Actions int64[B, 3] (local indices) for every row of a state."""
@@ -76,7 +76,7 @@ class Metrics:
 
 
 def greedy_policy(model: WorldModel, epsilon: float, num_actions: int = 5) -> Policy:
-    """The Q-policy, with a uniform legal action at the rate ``epsilon`` (protocol 11.5, DQN)."""
+    """The Q-policy, with a uniform legal action at the rate ``epsilon`` (the paper's DQN)."""
 
     def act(state: State, rng: np.random.Generator) -> np.ndarray:
         _, actions = model.best(state)
@@ -117,7 +117,7 @@ def random_policy(num_actions: int) -> Policy:
 
 
 def search_policy(model: SearchModel, config: SearchConfig) -> Policy:
-    """A search before every action (protocol 11.5)."""
+    """A search before every action."""
 
     def act(state: State, rng: np.random.Generator) -> np.ndarray:
         return np.stack([decision.action for decision in search(model, state, config, rng)])

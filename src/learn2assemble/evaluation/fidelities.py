@@ -1,7 +1,4 @@
-"""The kinematic cell against the dynamic one: the same moves in the same scenes.
-
-The cheap cell earns its place in training and search by agreeing with the one that simulates.
-"""
+"""Agreement of the kinematic cell with the dynamic one: the same moves in the same scenes."""
 
 from __future__ import annotations
 

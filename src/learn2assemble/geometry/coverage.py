@@ -1,4 +1,4 @@
-"""Which pixels a box fills, from ray casting in closed form (protocol 3.4, 3.5).
+"""Which pixels a box fills, from ray casting in closed form.
 
 For one image row the rays lie in a plane, and the part of a box nearer than some depth is convex,
 so the pixels it covers are one interval. Two pixel sets per side are enough for both coverages of
@@ -41,7 +41,7 @@ WIDE_NEAR, WIDE_FAR = 0.21, 0.25
 
 
 class DepthFilter(NamedTuple):
-    """Which depths count as standing in the plane of a side (protocol 3.4)."""
+    """Which depths count as standing in the plane of a side."""
 
     hiding: float
     """Greatest depth at which something hides the plane [m]."""
@@ -72,7 +72,7 @@ def _add_box(image, x, y, z, half, depth_limit):
         return
     z0, z1 = z - half - CAMERA_Z, z + half - CAMERA_Z
     x0, x1 = x - half, x + half
-    # Pixel row r looks along (50 - (r + 1)) / 50 * tan 60 (protocol 3.5).
+    # Pixel row r looks along (50 - (r + 1)) / 50 * tan 60.
     high_slope = z1 / d0 if z1 > 0 else z1 / d1
     low_slope = z0 / d1 if z0 > 0 else z0 / d0
     first = max(int(math.ceil(CENTRE - 1 - high_slope * CENTRE / TAN_HALF_FOV)), 0)

@@ -1,18 +1,13 @@
-"""The depth camera that looks at one side of a structure (protocol 3.1, 3.2, 3.5).
+"""The depth camera that looks at one side of a structure, and target masks as its images.
 
 Local frame of a side: x right, y away from the viewer, z up [m]. The camera stands at
 ``(0, -0.25, 0.25)`` and looks along +y; its image has 100x100 pixels and a field of view of
 120 degrees both ways. The face plane of the side is ``y = -0.025``, at depth 0.225 m.
 
-Binary images as rows of 64-bit words: a pixel set, its union and its count, without pixels.
+A binary image is ``uint64[ROWS, WORDS]``; bit ``c % 64`` of word ``c // 64`` is column ``c``.
 
-An image is ``uint64[ROWS, WORDS]``; bit ``c % 64`` of word ``c // 64`` is column ``c``.
-
-Target outline to mask pixels, exactly as the published environment does it (protocol 3.2, 3.3).
-
-The published rule intersects half-planes, so it is exact for convex outlines with at most five
-vertices and says something else for others. :func:`polygon_mask` is the general rule (even-odd on
-the same pixel points) that designs use; it is deviation D3 in ``docs/deviations.md``.
+The published mask intersects half-planes, so it is exact for convex outlines with at most five
+vertices only; :func:`polygon_mask` is the general rule that designs use (deviation D3).
 """
 
 from __future__ import annotations
@@ -37,7 +32,7 @@ HALF_EXTENT = FACE_DEPTH * TAN_HALF_FOV
 
 
 def project(x: float, z: float) -> tuple[float, float]:
-    """Image point ``(u, v)`` [px, v down] of ``(x, z)`` [m] in the face plane (protocol 3.2)."""
+    """Image point ``(u, v)`` [px, v down] of ``(x, z)`` [m] in the face plane."""
     return CENTRE * (1 + x / HALF_EXTENT), CENTRE * (1 - (z - CAMERA_Z) / HALF_EXTENT)
 
 
@@ -123,7 +118,7 @@ def paper_mask(vertices, count, mask):
 
     Args:
         vertices: ``float64[V, 2]`` local (x, z) [m], clockwise as seen, ``count`` of them used.
-        count: 3, 4 or 5; with 5 the third vertex is the roof vertex M of protocol section 2.
+        count: 3, 4 or 5; with 5 the third vertex is the roof vertex M.
         mask: ``uint64[ROWS, WORDS]``, overwritten.
     """
     us = np.empty(count, np.int64)

@@ -1,22 +1,17 @@
-"""Contact between equal axis-aligned cubes: overlap, support, and the column rule.
+"""Contact between equal axis-aligned cubes, and whether an object made of them stands on others.
 
-Whether a rigid object of equal axis-aligned cubes stands on the others: a quick exact answer.
+Two sufficient conditions decide nearly always without the equilibrium program. Both assume that
+the structure without the new object is in equilibrium.
 
-Two proofs spare the equilibrium program nearly always. They take the structure without the new
-object to be in equilibrium.
+*It stands* where its centre of mass lies above the hull of its contacts with the ground and with
+cubes whose column is unbroken down to the ground: such a column passes a vertical force at any
+point of its top to the ground and leaves every other force as it was.
 
-*It stands.* A cube whose column is unbroken down to the ground passes a vertical force at any
-point of its top straight through to the ground, and every other force stays as it was. So an
-object is in equilibrium where its centre of mass lies above the hull of its contacts with the
-ground and with such columns.
+*It falls* where all its contacts lie at one height and face up and its centre of mass is outside
+their hull: friction has no moment about a horizontal axis in that plane.
 
-*It falls.* Where all contacts of an object lie at one height and face up, friction in them has no
-moment about a horizontal axis in their plane, and the object must tip where its centre of mass is
-outside their hull.
-
-Objects on a lattice with gaps are held together by fillers, see :func:`find_fillers`. They count
-for the centre of mass only: all that a filler can rest on is a filler between two cubes on which
-the cubes at both its ends rest, too.
+Objects on a lattice with gaps are held together by fillers, see :func:`find_fillers`, which count
+for the centre of mass only.
 """
 
 from __future__ import annotations
@@ -95,7 +90,7 @@ def find_fillers(position, first, count, half, centre):
     """Fillers of the object with cells ``position[first:count]``; returns their number.
 
     Where two of its cells are horizontal neighbours with a gap between them, the gap is filled with
-    a body as heavy as a cube (protocol 7).
+    a body as heavy as a cube.
 
     Args:
         centre: float64[2 * (count - first), 3], written: their centres [m].

@@ -1,7 +1,4 @@
-"""Graphs as tensors. PyTorch begins here.
-
-The cells of a batch of graphs and their relations as tensors, for the placement network.
-"""
+"""Graphs as tensors, and for the placement network their cells and relations."""
 
 from __future__ import annotations
 

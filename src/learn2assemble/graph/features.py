@@ -1,4 +1,4 @@
-"""Node features of a batch of states as plain arrays (protocol 4; paper 2.1, appendix A.2)."""
+"""Node features of a batch of states as plain arrays (paper section 2.1, appendix A.2)."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def node_offset(graph: Graph) -> np.ndarray:
 
 
 def connectivity(graph: Graph, kind: str = "partial") -> np.ndarray:
-    """Adjacency bool[B, N, N]; row i lists the nodes that node i attends to (protocol 4).
+    """Adjacency bool[B, N, N]; row i lists the nodes that node i attends to.
 
     ``full``: everyone. ``partial``: targets and placed blocks attend to everyone, an unplaced
     block to targets, placed blocks, itself and the cells of its own object.

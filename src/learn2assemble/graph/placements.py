@@ -1,14 +1,9 @@
-"""When two placements are the same: numbers of the cells they fill and of the grip they need.
+"""The distinct placements of a graph: one representative action for every resulting structure.
 
-Which of like waiting objects stands for all of them, and by which of its cells it is taken.
-
-The distinct placements of a graph: one representative action for every resulting structure.
-
-Many actions (block, reference, relation) put like objects into the same cells. Of |U| x |P| x Na
-actions a structure of cubes has only a few dozen distinct ones. With a gripper, what fills the same
-cells by another grip is another placement, and so is what the hand holds by another cell; of like
-objects it takes one that it can get at. They are read from the graph alone: no rule, no physics, so
-placements that are blocked or float are among them.
+Many actions (block, reference, relation) put like objects into the same cells; of |U| x |P| x Na
+actions a structure of cubes has only a few dozen distinct ones. With a gripper, placements that
+differ by the grip or by the cell the hand holds are distinct; of like objects one that it can
+reach is taken. No rule and no physics is asked, so blocked and floating placements are included.
 """
 
 from __future__ import annotations

@@ -1,15 +1,11 @@
-"""How a cell lies to the outlines and to the placed blocks, seen from each side (deviation D23).
+"""How cells lie to outlines and blocks, seen from each side, and what is around the hand that
+places an object there (deviation D23).
 
-Everything is expressed in the viewer's frame of a side (x right, depth towards the viewer, z up)
-relative to the cell, so it does not change when the structure is turned with its sides. Read from
-the graph alone, whose vertices carry the number of their side.
+Relations to a side are in its viewer's frame (x right, depth towards the viewer, z up) relative to
+the cell, so they do not change when the structure is turned with its sides.
 
-What is around the hand that would place an object, seen by the hand (deviation D23).
-
-Whether a gripper has room is decided by what stands along the way its fingers close. The viewer's
-frames of the sides cannot say: which of them is which carries no meaning, so four sides a quarter
-turn apart leave no axis. Here everything is in the frame of the hand over the target, relative to
-the cell it holds, so it does not change when the world is turned together with the hand.
+Whether a gripper has room depends on the axis its fingers close along, so what is around the hand
+is in the frame of the hand over the target, relative to the cell it holds.
 """
 
 from __future__ import annotations
@@ -57,7 +53,7 @@ def _clip(value, limit):
 
 @njit(cache=True)
 def _pixel_corner(x, z):
-    """A vertex where the mask has it: moved to its image point (protocol 3.2)."""
+    """A vertex where the mask has it: moved to its image point."""
     u, v = pixel_vertex(x, z)
     return (u / CENTRE - 1) * HALF_EXTENT, (1 - v / CENTRE) * HALF_EXTENT + CAMERA_Z
 

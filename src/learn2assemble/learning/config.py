@@ -26,11 +26,11 @@ LARGEST = {
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Everything that defines a training besides the task and the seed (protocol 10.1).
+    """Everything that defines a training besides the task and the seed.
 
     Args:
         method: the learner: ``dqn``, or a search before every step of training, ``q-mcts`` and
-            ``eps-mcts`` (protocol 11.5), whose values regularise the loss (protocol 10.4).
+            ``eps-mcts``, whose values regularise the loss.
         network: the Q-network.
         num_samples: environment steps of the whole training.
         num_envs: worlds stepped at once.

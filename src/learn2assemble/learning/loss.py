@@ -1,7 +1,5 @@
-"""The search-regularised part of the loss of Q-MCTS and epsilon-MCTS (protocol 10.4).
-
-The loss: TD (protocol 10.3), the search term (10.4), a model's labels (deviation D6).
-"""
+"""Losses: temporal difference, cross-entropy to search values (Q-MCTS, epsilon-MCTS), and labels of
+a one-step model (deviation D6)."""
 
 from __future__ import annotations
 

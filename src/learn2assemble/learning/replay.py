@@ -1,9 +1,7 @@
-"""Replay memory: a ring of transitions as plain arrays (protocol 10.1).
+"""Replay memory: a ring of transitions as plain arrays, and the symmetries applied to them.
 
-Symmetries of the task without a robot: mirror images and exchanged sides (deviation D7).
-
-They act on targets and placed blocks only. Waiting blocks are a heap in front of side 1 whichever
-way the structure is turned, and nothing about them changes what is valid or covered.
+Without a robot, mirror images and exchanged sides are equivalent (deviation D7). They act on
+targets and placed blocks only: where blocks wait changes nothing about what is valid or covered.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ _COUNTS = ("num_targets", "num_placed", "num_nodes")
 
 
 class Searched(NamedTuple):
-    """What the searches before the actions found at their roots (protocol 10.4)."""
+    """What the searches before the actions found at their roots."""
 
     action: np.ndarray
     """int64[B, E, 3]: explored root actions as node indices; zeros beyond ``count``."""

@@ -1,7 +1,4 @@
-"""Choosing actions while collecting: epsilon-greedy, or a search first (protocol 11.5).
-
-Everything a training is, as one object that can be stepped, saved and restored.
-"""
+"""One training: collecting with the learner's policy, updates, and its state saved and restored."""
 
 from __future__ import annotations
 
@@ -151,7 +148,7 @@ class Trainer:
 
     @property
     def epsilon(self) -> float:
-        """Exploration rate now: linear in the samples (protocol 10.1)."""
+        """Exploration rate now: linear in the samples."""
         c = self.config
         return max(c.epsilon_final, 1 - (1 - c.epsilon_final) * self.samples / c.epsilon_samples)
 

@@ -18,7 +18,7 @@ CONNECTIVITIES = ("partial", "full")
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """Architecture of a Q-network (protocol 9).
+    """Architecture of a Q-network.
 
     Args:
         width: F, embedding size.
@@ -30,7 +30,7 @@ class NetworkConfig:
         rounds: L, rounds of message passing with their own weights.
         feed_forward: ``light`` is the paper's 64->64 layer with ReLU (equation 2), ``wide`` the
             published 64->512->64, ``none`` leaves it out.
-        connectivity: ``partial`` or ``full`` (protocol 4).
+        connectivity: ``partial`` or ``full``.
         num_actions: Na.
         attitudes: what the ways of an action are, :attr:`Task.attitudes`; counts for
             ``relational`` only, like ``pitch``.

@@ -1,16 +1,12 @@
-"""One round of message passing by attention (paper equations 2 to 4, protocol 9).
+"""The published Q-network: encoder and read-out (paper equations 1 to 5).
 
-Message passing by neighbourhood means: Structure2Vec (paper's baseline encoder, protocol 9).
+The encoder is attention (equations 2 to 4) or Structure2Vec. Structure2Vec runs a layer on
+``[A_ij, x_j]`` of every ordered pair, zeroed where ``A_ij`` is 0; where it counts, ``A_ij`` is 1,
+so it is computed once a node, then multiplied by the adjacency.
 
-The published form runs a layer on the input ``[A_ij, x_j]`` of every ordered pair, zeroed where
-``A_ij`` is 0. ``A_ij`` is 0 or 1, so where it counts the input is ``[1, x_j]`` and depends on j
-alone: one vector a node, then a product with the adjacency.
-
-The Q-network: encoder and a read-out in O(N) (paper equations 1 to 5, protocol 9).
-
-The published read-out is ``Q(i, j, :) = W_o ReLU([p, h_i, h_j]) + b`` with p the pooled embedding.
-Its single linear layer comes after the ReLU, so the same function is a sum of three terms, one per
-input, and Q over all (i, j, k) never has to be formed to know its maximum.
+The read-out is ``Q(i, j, :) = W_o ReLU([p, h_i, h_j]) + b`` with p the pooled embedding. Its single
+linear layer comes after the ReLU, so it is a sum of three terms, one per input, and the maximum
+over all (i, j, k) is found in O(N).
 """
 
 from __future__ import annotations

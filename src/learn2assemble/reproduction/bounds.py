@@ -1,44 +1,29 @@
-r"""What perfect play could score: an upper bound on the return of a problem with cubes.
+r"""Upper bounds on the return of problems with cubes (discrete reward).
 
-With the discrete reward a step is worth 1 when the plane-filtered cover grows, and a cell of the
-face planes can make it grow only once, when it is filled. With k cells whose faces show mask
-pixels that the first block leaves open, at most k steps are rewarded, so
-``R <= 1 + gamma + ... + gamma^(k-1)``. The bound ignores that the episode ends at the success
-threshold and that supports cost steps, so it need not be reachable;
-:mod:`learn2assemble.reproduction.bounds` does count them, on one and two sides.
+**Quick.** A step is worth 1 when the plane-filtered cover grows, and a cell of the face planes can
+make it grow only once. With k cells whose faces show mask pixels that the first block leaves open,
+``R <= 1 + gamma + ... + gamma^(k-1)``.
 
-A problem with cubes as towers in the face planes: the rules of that game and a quick bound.
-
-A structure is the list ``heights`` (int64[n], blocks on every place). It grows by one block on a
-tower, or on the table beside one (protocol 5: a cube is valid on the table or on a cube, next to
-a placed one). What it shows is a sum over towers and pairs of neighbours, because a ray meets the
-cubes of two places of a side at most.
-
-The best discounted return of a problem with cubes, proven, and a plan that earns it.
-
-Discrete reward (protocol 6.3), one or two sides, fresh problems. The state is the list of tower
-heights :math:`h`; how many blocks stand tells the time.
-With :math:`c(h)` the mask pixels shown,
+**Towers**, on one or two sides. A structure is the list of tower heights :math:`h` (int64[n]) in
+the face planes. It grows by one block on a tower, or on the table beside one. What it shows is a
+sum over towers and pairs of neighbours, because a ray meets the cubes of two places of a side at
+most. With :math:`c(h)` the mask pixels shown, all heights are swept once for
 
 .. math::  V(h) = \max_n\ [c(h + e_n) > c(h)] + \gamma V(h + e_n),
 
-and :math:`V = 0` where the episode has ended. All heights are swept once.
+and :math:`V = 0` where the episode has ended.
 
-**Proven**, for physics that moves no blocks. On the lattice only a block in a face plane can raise
-the plane cover (``tests/test_exact.py`` tries all others). Take any sequence of blocks and delete
-those outside the towers: every gain stays and comes no later, and success comes no earlier, since
-less is covered. What is lost is only how a place was reached. A block outside touches one place at
-most, and two that touch each other belong to the same or to neighbouring places, so a place none
-of whose neighbours stands takes a detour of three blocks or more. ``upper`` lets such a place be
-used for the price of three steps, paid once: a relaxation, hence a bound on every play.
+This bounds every play under physics that moves no blocks. On the lattice only a block in a face
+plane can raise the plane cover (``tests/test_exact.py`` tries all others). Delete the blocks
+outside the towers from any sequence: every gain stays and comes no later, and success comes no
+earlier. What is lost is only how a place was reached. A block outside touches one place at most,
+and two that touch each other belong to the same or to neighbouring places, so a place none of
+whose neighbours stands takes a detour of three blocks or more; ``upper`` lets it be used for the
+price of three steps, paid once.
 
-**Carried by proof.** ``feasible`` is what ``actions`` earn in the simulator, replayed step by
-step. They may stop before the episode ends: the blocks that are left can be stacked without loss.
-
-**Heuristic.** Beyond ``max_structures`` the plan comes from a beam search and ``upper`` is
-:func:`~learn2assemble.reproduction.bounds.tower_bound`, proven too, but possibly out of reach.
-
-What perfect play could score on fresh problems of a task: the tightest proven upper bounds.
+``feasible`` is what ``actions`` earn in the simulator, replayed step by step. Beyond
+``max_structures`` the plan comes from a beam search and ``upper`` is :func:`tower_bound`, which
+may be out of reach.
 """
 
 from __future__ import annotations
@@ -99,7 +84,7 @@ class Towers(NamedTuple):
     shared: np.ndarray
     """int64[n, H + 1, H + 1]: of these, shown by the place before it (second index) as well."""
     counts: np.ndarray
-    """int64[4]: A, c0, c_co at the start (protocol 3.4), number of blocks."""
+    """int64[4]: A, c0, c_co at the start, number of blocks."""
     threshold: float
     """Delta."""
 
@@ -178,7 +163,7 @@ def _neighbours(place: np.ndarray) -> np.ndarray:
 
 @njit(cache=True)
 def has_ended(towers, heights):
-    """Whether the episode is over: success, or no blocks left (protocol 6.4)."""
+    """Whether the episode is over: success, or no blocks left."""
     if heights.sum() >= towers.counts[3]:
         return True
     complete = towers.counts[2]

@@ -1,8 +1,7 @@
-"""A cell: one policy on one task under one condition, measured over whole episodes.
+"""Table entries: one policy on one task under one condition, measured over whole episodes.
 
-Result files: one per cell, written whole or not at all, with everything needed to repeat it.
-
-Measure the cells of a table that are missing or stale, on all cores.
+Every entry has a result file, written whole or not at all, with everything needed to repeat it;
+those that are missing or stale are measured on all cores.
 """
 
 from __future__ import annotations

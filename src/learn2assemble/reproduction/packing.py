@@ -1,4 +1,4 @@
-"""What perfect play could score with objects of several cells: a packing bound.
+r"""Upper bound on the return with objects of several cells: a packing bound.
 
 On plain arrays: cells of a lattice, mask pixels each cell shows or hides, shapes as integer
 offsets, how many objects of each shape there are. With :math:`x_p` a shape at a pose, :math:`y_j`
@@ -6,15 +6,15 @@ a group of pixels of weight :math:`w_j`, the most pixels that :math:`t` objects 
 
 .. math::
 
-    F(t) = \\max \textstyle\\sum_j w_j y_j \\quad \text{s.t.}\\quad
-    & y_j \\le \textstyle\\sum_{p \text{ gains } j} x_p, \\quad
-      \textstyle\\sum_{p \ni c} x_p \\le 1 \\;\forall c, \\
-    & \textstyle\\sum_{p \\in s} x_p \\le n_s \\;\forall s, \\quad
-      \textstyle\\sum_p x_p \\le t, \\quad x_p \\in \\{0, 1\\},\\ 0 \\le y_j \\le 1 .
+    F(t) = \max \textstyle\sum_j w_j y_j \quad \text{s.t.}\quad
+    & y_j \le \textstyle\sum_{p \text{ gains } j} x_p, \quad
+      \textstyle\sum_{p \ni c} x_p \le 1 \;\forall c, \\
+    & \textstyle\sum_{p \in s} x_p \le n_s \;\forall s, \quad
+      \textstyle\sum_p x_p \le t, \quad x_p \in \{0, 1\},\ 0 \le y_j \le 1 .
 
 **Proven**, for physics that moves no blocks. A pixel enters the plane cover once at most, when it
 is first covered, and not where the same object hides it. So after ``t`` steps of any play at most
-``F(t)`` pixels have been gained, and the scaled reward (protocol 6.3) is bounded by
+``F(t)`` pixels have been gained, and the scaled reward is bounded by
 :func:`discounted_bound`. Where the solver stops early, its own bound takes the place of the
 optimum, so ``F`` stays an upper bound.
 
@@ -22,10 +22,8 @@ optimum, so ``F`` stays an upper bound.
 blocks that hide pixels, and that one order has to be best at every ``t`` at once. There is no
 feasible plan here.
 
-The packing bound of a state: lattice, inventory and bound on the scaled return.
-
 All cells lie at the first block plus whole block edges, because placements are relative and turns
-are quarter turns (protocol 5, 7).
+are quarter turns.
 """
 
 from __future__ import annotations
@@ -153,7 +151,7 @@ def discounted_bound(
     gain: float = 3.0,
     bonus: float = 1.0,
 ) -> float:
-    r"""Upper bound on the discounted scaled return (protocol 6.3, 6.4).
+    r"""Upper bound on the discounted scaled return.
 
     With :math:`C_t \le F(t)` the share gained by step ``t`` and the episode over after ``s``,
 
@@ -165,7 +163,7 @@ def discounted_bound(
 
     Args:
         most: int64[T + 1], F of :func:`most_pixels`.
-        span: A - c0, mask pixels that count (protocol 3.4).
+        span: A - c0, mask pixels that count.
         gain: c1 of the scaled reward.
         bonus: reward of success.
     """
@@ -327,7 +325,7 @@ def _cell_images(frames: tuple[tuple[float, ...], ...]) -> tuple[np.ndarray, np.
 def state_inventory(state: State, row: int, rotations: int = 4) -> Inventory:
     """The unplaced objects; with ``rotations`` those equal after quarter turns count as one shape.
 
-    Their waiting positions show their shapes (protocol 1.4).
+    Their waiting positions show their shapes.
     """
     waiting = slice(int(state.num_placed[row]), int(state.num_blocks[row]))
     position, number = state.position[row, waiting], state.object_id[row, waiting]

@@ -1,7 +1,5 @@
-"""Recorded transitions of the published simulator: reading them, and worlds restored from them.
-
-Why a recorded step and its repetition differ: the known limits of either simulation.
-"""
+"""Recorded transitions of the published simulator: reading them, restoring worlds from them, and
+why a step may differ when repeated."""
 
 from __future__ import annotations
 

@@ -1,17 +1,14 @@
-"""Agreement of one file of recorded transitions, and how it is counted.
-
-Replay of recorded transitions of the published simulator, step by step.
+"""Replay of recorded transitions of the published simulator, step by step.
 
 Each line restores the recorded state before the step, repeats the action here, and compares. The
 two pixel counts are compared on the recorded poses (before and after), so they test the camera
-and nothing else; validity, reward and end are compared on our own outcome of the action.
+only; validity, reward and end are compared on our own outcome of the action.
 
 Probes were made on a restored copy of the recorded world, which has lost the joints between the
-cells of objects (protocol 11.6 c). So where blocks come in objects, only real steps are compared.
+cells of objects; so where blocks come in objects, only real steps are compared.
 
-With a robot, what fails fails by the arm. Of such steps the world before them is compared; of the
-others all is: whether static physics lets it stand where the block was commanded to, and what it
-pays where the arm has left it.
+With a robot, only what is before a failed step is compared. Of the others all is: whether static
+physics lets it stand where the block was commanded to, and what it pays where the arm has left it.
 """
 
 from __future__ import annotations

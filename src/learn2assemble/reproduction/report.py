@@ -1,10 +1,6 @@
-"""The published numbers (``published.csv``, typed once from the paper; protocol 12.2).
+"""From result files to the numbers of a table, and to its text; the same files give the same bytes.
 
-From result files to the numbers of a table.
-
-The numbers of a table as words: sections for a page or a picture, and markdown.
-
-Byte-stable: the same result files give the same text.
+The published numbers are in ``published.csv``, typed once from the paper.
 """
 
 from __future__ import annotations

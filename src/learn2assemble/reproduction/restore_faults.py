@@ -1,13 +1,12 @@
-"""The published restore faults as a model of the world, for comparison (protocol 11.6).
+"""The restore faults of the published search as a model of the world (deviation D4).
 
-The published search did not copy the world: before every simulation it rebuilt one from the
-observation, and two steps of an ordinary reset ran along.
+Before every simulation the published search rebuilt the world from the observation, and two steps
+of an ordinary reset ran along:
 
 * (a) The initial cover c0 is taken from the restored state, so coverage and the success threshold
   refer to what is still open (where coverage is normalised: without a robot).
 * (b) Where the structure already covers more than the share at which a reset redraws the problem,
   or the masks are too small, the simulation silently runs in a random new problem.
-
 * (c) The cells of placed objects are not joined again, so an overhanging cell falls and every
   action looks invalid; waiting objects are put together from cells that follow each other in the
   list and touch, which splits those that are no chains (W, bars listed middle first).
@@ -28,9 +27,9 @@ from learn2assemble.world.blocks import EDGE, HALF
 from learn2assemble.world.state import State
 
 OBSERVED_SCALE = 1.025
-"""Positions are divided by it in the published observation [m] (protocol 4)."""
+"""Positions are divided by it in the published observation [m]."""
 TOUCH_TOLERANCE = 1e-3
-"""Cells of waiting objects are taken to touch up to this [m] (protocol 11.6)."""
+"""Cells of waiting objects are taken to touch up to this [m]."""
 
 
 class Copies(NamedTuple):
@@ -102,7 +101,7 @@ class LegacyModel:
         if not len(rows):
             return start, actions, fell
         fell[rows] = False
-        # The action names nodes; in the other problem they are clipped to its ranges (protocol 5).
+        # The action names nodes; in the other problem they are clipped to its ranges.
         nodes = actions[rows] + _first_nodes(start, rows)
         self.model.simulator.reset(start, rows, self.rng)
         counts = np.stack([start.num_unplaced[rows], start.num_placed[rows]], -1)

@@ -136,7 +136,7 @@ def recorded_order(line: Line, log: Log) -> Order:
         planned = line["unplaced_info"]
         number[:count] = log.placed_objects(line)
         number[count:] = [count + n for n in waiting_objects(planned)]
-        # An object's bottom goes to the reference's level (protocol 7).
+        # An object's bottom goes to the reference's level.
         level = planned[line["blk"]][2]
     relation = line["place_dir"]
     step = task.pitch * DIRECTIONS[relation] if relation else np.array([0.0, 0.0, EDGE])

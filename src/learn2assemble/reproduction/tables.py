@@ -1,11 +1,4 @@
-"""What a table is: rows of methods, columns of tasks, and where its published numbers stand.
-
-The paper's tables with a robot, as data (protocol 12.2).
-
-The paper's tables without a robot, and the one of the README, as data (protocol 12.2).
-
-Those with a robot are in :mod:`learn2assemble.reproduction.tables`.
-"""
+"""The tables as data: rows of methods, columns of tasks, where the published numbers stand."""
 
 from __future__ import annotations
 
@@ -45,7 +38,7 @@ class Condition:
 
 
 PAPER_PROTOCOL = Condition(0.05)
-"""Test exploration of the published numbers (protocol 12.1)."""
+"""Test exploration of the published numbers."""
 CONDITIONS = (PAPER_PROTOCOL, Condition(0.0))
 
 

@@ -52,7 +52,7 @@ class GumbelConfig:
 
 @dataclass(frozen=True)
 class SearchConfig:
-    """How a search expands, simulates and decides (protocol 11).
+    """How a search expands, simulates and decides.
 
     Args:
         budget: B, simulations per decision; 0 plays the Q-policy.
@@ -64,8 +64,8 @@ class SearchConfig:
         distinct: expand only the best of several actions that lead to the same structure, such as
             like blocks put into the same cell (deviation D14).
         expansion: how the next action of a node is picked. ``epsilon-greedy``: untried ones by Q,
-            some at random (11.2). ``uct``: largest ``mean + c sqrt(ln n(node) / n(child))``
-            (11.4); untried ones by Q with the prior, at random without. ``gumbel``: sequential
+            some at random. ``uct``: largest ``mean + c sqrt(ln n(node) / n(child))``;
+            untried ones by Q with the prior, at random without. ``gumbel``: sequential
             halving at the root, the completed policy below (:mod:`~learn2assemble.search.rules`).
         exploration: c of ``uct``.
         repeats: a walk may enter an explored child before its siblings have been tried, and the
@@ -74,7 +74,7 @@ class SearchConfig:
             children; 1: every action is tried before a walk goes deeper.
         depth: levels of the tree at most.
         rollout_policy: ``greedy`` (epsilon-greedy on Q) or uniformly ``random``.
-        backup: ``mean`` of the returns through a node (11.1), or ``max``: reward and the largest
+        backup: ``mean`` of the returns through a node, or ``max``: reward and the largest
             value among what was tried below and Q of what was not.
         final: ``best-mean``, ``most-visits`` (ties by mean) or ``gumbel`` (the survivor).
         random_first: with probability ``epsilon`` act at random without any search (epsilon-MCTS).
@@ -125,11 +125,11 @@ class SearchConfig:
 
 
 SEARCHES: Registry[SearchConfig] = Registry("search", {
-    # Published (protocol 11.5). The first two are one search with differently trained agents.
+    # Published. The first two are one search with differently trained agents.
     "dqn-mcts": SearchConfig(),
     "q-mcts": SearchConfig(),
     "eps-mcts": SearchConfig(expansion="uct", random_first=True),
-    # Plain UCT (protocol 13.20): nothing learned takes part in it.
+    # Plain UCT: nothing learned takes part in it.
     "uct": SearchConfig(
         budget=1000, expansion="uct", prior=False, repeats=True, rollout=TO_THE_END,
         rollout_policy="random",

@@ -1,11 +1,9 @@
-"""What a leaf is worth: a rollout, then the largest Q (protocol 11.1).
-
-Batched small-budget Monte-Carlo tree search (paper 2.2, protocol 11).
+"""Batched Monte-Carlo tree search with a small budget (paper section 2.2).
 
 One decision for each of several roots. In every round each root names a wave of root actions, all
 waves walk down their trees in lockstep, and all leaves of all roots are simulated in one batched
-step and valued in one batched network evaluation. How a variant differs is said by the rules
-(:mod:`~learn2assemble.search.rules`, :mod:`~learn2assemble.search.rules`), never here.
+step and valued in one batched network evaluation. Variants differ only in the rules
+(:mod:`~learn2assemble.search.rules`).
 """
 
 from __future__ import annotations

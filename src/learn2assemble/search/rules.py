@@ -1,9 +1,8 @@
-"""Gumbel root selection with sequential halving and completed Q-values (Danihelka et al. 2022).
+"""Which action a walk takes, and which one is played in the end.
 
-A Q-network takes the place of policy and value: the logits are Q / temperature, and the completed
-Q-value of an action that was not simulated is its Q (the original fills in a mixed state value).
-
-Which action a walk takes, and which one is played in the end (protocol 11.2 to 11.4).
+Includes Gumbel root selection with sequential halving and completed Q-values (Danihelka et al.
+2022). A Q-network takes the place of policy and value: the logits are Q / temperature, and the
+completed Q-value of an action that was not simulated is its Q.
 """
 
 from __future__ import annotations
@@ -128,7 +127,7 @@ def _anything(node: Node, room: bool, config: SearchConfig, rng: np.random.Gener
 
 
 def uct_scores(node: Node, keys: list[int], config: SearchConfig) -> np.ndarray:
-    """``mean + c sqrt(ln n(node) / n(child))`` of some actions (protocol 11.4).
+    """``mean + c sqrt(ln n(node) / n(child))`` of some actions.
 
     An untried action has visit count 1 and mean Q with the prior, an infinite score without.
     """
@@ -145,7 +144,7 @@ def _untried(node: Node, count: int, config: SearchConfig, rng: np.random.Genera
     values = node.actions.values
     if config.expansion == "epsilon-greedy":
         return epsilon_greedy_expansions(values, set(node.children), count, config.epsilon, rng)
-    # All untried children of a node have the same bonus, so Q decides (protocol 11.4).
+    # All untried children of a node have the same bonus, so Q decides.
     order = rng.permutation(len(values))
     if config.prior:
         order = order[np.argsort(-values[order], kind="stable")]
@@ -155,7 +154,7 @@ def _untried(node: Node, count: int, config: SearchConfig, rng: np.random.Genera
 def epsilon_greedy_expansions(
     values: np.ndarray, tried: set[int], count: int, epsilon: float, rng: np.random.Generator
 ) -> list[int]:
-    """Numbers of the next ``count`` untried actions to expand (protocol 11.2).
+    """Numbers of the next ``count`` untried actions to expand.
 
     Each draw is a uniform action with probability ``epsilon``, else the best by Q; one that has
     been tried is rejected for good and the draw repeated. The rule does not look at simulated
@@ -182,7 +181,7 @@ def epsilon_greedy_expansions(
 
 
 def final_key(root: Node, config: SearchConfig, rng: np.random.Generator) -> int:
-    """Number of the explored root action to play, chance aside (protocol 11.3)."""
+    """Number of the explored root action to play, chance aside."""
     keys = list(root.children)
     if config.final != "best-mean":
         most = max(root.children[key].visits for key in keys)

@@ -1,7 +1,4 @@
-"""What a search needs to know about the world it searches.
-
-The search tree of one decision (protocol 11).
-"""
+"""The search tree of one decision, and what a search needs to know about the world."""
 
 from __future__ import annotations
 

@@ -1,15 +1,10 @@
-"""The primitive block (protocol 1.1).
+"""Blocks, what actions mean, and the sets of objects that problems draw from.
 
-Placements: which unplaced block, against which placed block, in which way (protocol 5).
+An action ``k`` is relation ``k div R`` to a placed block in way ``k mod R``. Without a robot the
+way is a number of quarter turns of the object about the vertical axis through the chosen block:
+5 actions for R = 1, 20 for R = 4. With a robot it is a pair of gripper orientations.
 
-An action ``k`` is relation ``k div R`` in way ``k mod R``. Without a robot the way is a number of
-quarter turns of the object about the vertical axis through the chosen block: 5 actions for R = 1,
-20 for R = 4. With a robot it is a pair of gripper attitudes.
-
-Objects of several cells, and the sets problems draw them from (protocol 7).
-
-A cell is one primitive block, its place counted in cells from the object's origin. Objects
-are drawn in list order; their cells are nodes in the order of the shape.
+An object is a list of lattice cells, counted from its origin; its cells are nodes in that order.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
-"""Where the sides of a structure stand (protocol 1.2).
+"""Where the sides of a structure stand, and where unplaced objects wait.
 
 Side ``i`` is the image of side 1 under ``p_world = R_z(angle) p_local + t``.
-
-Where unplaced objects wait (protocol 1.4): positions of the graph's unplaced nodes.
 """
 
 from __future__ import annotations

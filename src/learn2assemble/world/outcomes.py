@@ -1,9 +1,7 @@
-"""What placements of a state would bring, without making them: a one-step look-ahead.
+"""What every placement of a state would bring: a one-step look-ahead without making any.
 
-The exact model is cheap without a robot, so all distinct placements can be tried: validity by
-static physics, reward and end by the same rules as a real step. Learning uses it for labels of
-actions that were not taken, planning to find what a policy overlooks. It is help that the
-paper's agent does not have; whoever uses it says so.
+Validity by static physics, reward and end by the rules of a real step. Learning uses it for labels
+of actions that were not taken, planning for what a policy overlooks.
 """
 
 from __future__ import annotations

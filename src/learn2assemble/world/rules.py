@@ -1,8 +1,5 @@
-"""The rules of the world as compiled functions on one row of a :class:`State`.
-
-Placement geometry (protocol 5), coverage (3.4), reward (6.3) and termination (6.4) each have
-exactly one definition, here; physics only adds the verdict on stability.
-"""
+"""The rules of the world as compiled functions on one row of a :class:`State`: placement geometry,
+coverage, reward and end of an episode, each defined here and nowhere else."""
 
 from __future__ import annotations
 
@@ -17,7 +14,7 @@ REWARDS = {"discrete": DISCRETE, "scaled": SCALED}
 STABILITY = {"block": 0.5, "sum": 1.0, "object": 0.5}
 """Rules by which a simulated placement holds, with their published limits on V [m/s]: of the
 fastest block, of all blocks together (cubes), of the fastest block while objects keep their
-attitude and nothing shifts (objects of several cells), protocol 6.1."""
+attitude and nothing shifts (objects of several cells)."""
 SCALED_GAIN = 3.0
 """c1 of the scaled reward (paper, equation 6 of the appendix)."""
 
@@ -75,7 +72,7 @@ def waiting_level(z):
 
 @njit(cache=True)
 def lay_object(state, row, unplaced, reference, x, y, z, turns, cells, pitch=EDGE):
-    """Where the cells of a waiting object would go (protocol 7).
+    """Where the cells of a waiting object would go.
 
     Unplaced block number ``unplaced`` goes to (x, y, z) [m]. The other cells of its object keep
     their places relative to it after ``turns`` quarter turns about its vertical axis, in the
@@ -133,7 +130,7 @@ def move_cell(state, row, source, reference, x, y, z):
 
 @njit(cache=True)
 def move_block(state, row, unplaced, reference, x, y, z, turns=0, pitch=EDGE):
-    """Move the object of unplaced block ``unplaced``, that block to (x, y, z) (protocol 4, 7).
+    """Move the object of unplaced block ``unplaced``, that block to (x, y, z).
 
     Its cells become the last placed ones, the chosen one first, see :func:`lay_object`, and take
     the orientation of ``reference``; the unplaced blocks before them shift.
@@ -195,7 +192,7 @@ def count_row(state, row):
 def judge_counts(
     mask_pixels, initial_pixels, previous_plane, plane, complete, valid, reward_kind, threshold
 ):
-    """Reward and success of a step from pixel counts (protocol 6.3): ``(reward, success)``."""
+    """Reward and success of a step from pixel counts: ``(reward, success)``."""
     span = mask_pixels - initial_pixels
     gain = (plane - previous_plane) / span
     success = valid and (complete - initial_pixels) / span > threshold
@@ -210,7 +207,7 @@ def judge_counts(
 
 @njit(cache=True)
 def judge(state, row, previous_plane, valid, reward_kind, threshold):
-    """Reward and end of the step that led to the current row (protocol 6.3, 6.4).
+    """Reward and end of the step that led to the current row.
 
     ``previous_plane`` is c_pl before the step. Returns ``(reward, terminated, success)``.
     """
@@ -224,7 +221,7 @@ def judge(state, row, previous_plane, valid, reward_kind, threshold):
 
 @njit(cache=True)
 def observe_row(state, row, frames, nodes, object_id):
-    """Write the node features of a row (protocol 4): x, y, z [m], placed flag, target flag.
+    """Write the node features of a row: x, y, z [m], placed flag, target flag.
 
     Also writes the object number of every node: -1 - s for vertices of side s. Returns the number
     of nodes.

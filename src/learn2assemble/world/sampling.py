@@ -1,4 +1,4 @@
-"""Random target shapes and fresh problems, compiled (protocol 1.3, 2)."""
+"""Random target shapes and fresh problems, compiled."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TRAINING_BOX = (0.075, 0.15)
 FREE_STRIP = 0.075
 """Objects that are kept apart also wait at least this far in front of the structure [m]."""
 RANDOM_X, RANDOM_Y = (-0.07, 0.28828), (0.15, 0.35)
-"""Random places: middle and half width in x, distance from the x axis in y [m] (protocol 1.4)."""
+"""Random places: middle and half width in x, distance from the x axis in y [m]."""
 
 
 class Problems(NamedTuple):
@@ -69,7 +69,7 @@ def sample_outline(rng, grid, vertices):
 
 @njit(cache=True)
 def leaves_training_box(rng, vertices, count):
-    """Whether an outline has a vertex outside the 3x3 training box (protocol 2, lower bound)."""
+    """Whether an outline has a vertex outside the 3x3 training box : that of unseen shapes."""
     half, height = TRAINING_BOX
     low = height * rng.random()
     if vertices[0, 0] < -half or vertices[count - 1, 0] > half:
@@ -106,7 +106,7 @@ def _step_back(position, first, start, stop, apart):
 
 @njit(cache=True)
 def scatter(rng, position, apart):
-    """Draw random places for cubes before and behind the structure (protocol 1.4).
+    """Draw random places for cubes before and behind the structure.
 
     Args:
         position: float64[n, 3], written: centres [m].
@@ -193,7 +193,7 @@ def sample_problem(state, row, rng, frames, stock, waiting, problems):
     """Draw a fresh problem into a row; returns the number of draws, 0 where it gave up.
 
     Shapes and objects are redrawn while the masks hold fewer than ``min_pixels`` pixels or
-    the first object covers more than ``max_initial`` of them (protocol 2, rejection at reset).
+    the first object covers more than ``max_initial`` of them (such problems are drawn again).
 
     Args:
         stock: the :class:`Inventory`.

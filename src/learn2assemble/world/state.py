@@ -68,7 +68,7 @@ class State(NamedTuple):
 
     @property
     def plane_coverage(self) -> np.ndarray:
-        """F_pl, float64[B], relative to the initial cover (protocol 3.4)."""
+        """F_pl, float64[B], relative to the initial cover."""
         return _relative(self.plane_pixels, self)
 
     @property
