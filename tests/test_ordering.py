@@ -17,7 +17,7 @@ from learn2assemble.assembly.kit import Kind, Kit, load_kit
 from learn2assemble.errors import InputError
 from learn2assemble.planning.exact import plan_exact, uncarried_cells, unsupported
 from learn2assemble.planning.mechanisms import find_mechanisms, mirrored
-from learn2assemble.planning.ordering import LOCAL, Ordering, order, to_assembly
+from learn2assemble.planning.ordering import LOCAL, Ordering, order, to_assembly, way_out
 from learn2assemble.planning.step_proof import TOLERANCE, Proof, find_stack
 from learn2assemble.planning.tiling import BlockPlacement, Tiling, owners, tile
 from test_tiling import LINTELS, SMALL, blocks_of, covers, designs
@@ -208,6 +208,18 @@ def test_a_lintel_without_its_bearing_needs_props_that_are_removed_again() -> No
     assert "props are not allowed" in refused.reason
 
 
+def test_ways_out() -> None:
+    box = np.ones((5, 5, 4), bool)
+    box[1:4, 1:4, :3] = False
+    inside = np.array([(2, 2, 0)])
+    assert not way_out(box, inside)
+    box[0, 2, 0] = False
+    assert way_out(box, inside)
+    # A bar leaves lengthwise through a hole that is as wide as it is, and not across.
+    assert way_out(box, np.array([(1, 2, 0), (2, 2, 0), (3, 2, 0)]))
+    assert not way_out(box, np.array([(2, 1, 0), (2, 2, 0), (2, 3, 0)]))
+
+
 def test_props_obey_the_heap() -> None:
     wanted = shapes.SHAPES["bridge-long"]()
     free, _ = plan_exact(wanted, LINTELS)
@@ -215,6 +227,49 @@ def test_props_obey_the_heap() -> None:
     kinds = tuple(replace(kind, count=used.count(kind.name)) for kind in LINTELS.kinds)
     tiling, _ = plan_exact(wanted, replace(LINTELS, kinds=kinds))
     assert tiling.status == "refused"
+
+
+@pytest.mark.parametrize("name", ["bridge-long", "arch-corbel", "letter-h"])
+def test_states_stand_in_simulation_with_open_joints(name: str) -> None:
+    """Two random states and the last, one second with joints of 0.1 mm."""
+    tiling, ordering = plan_exact(shapes.SHAPES[name](), LINTELS)
+    assert ordering is not None
+    assert LINTELS.joint_gap == 1e-4
+    some = states(to_assembly(tiling, ordering, LINTELS))
+    rng = np.random.default_rng(1)
+    for k in (*rng.integers(len(some), size=2), len(some) - 1):
+        assert largest_move(some[k]) < 0.1 * LINTELS.pitch[2]
+
+
+def test_the_simulation_sees_what_falls() -> None:
+    wanted = np.zeros((4, 1, 2), bool)
+    wanted[:1, :, 0] = wanted[:, :, 1] = True
+    blocks = (BlockPlacement("1x1", 0, (0, 0, 0)), BlockPlacement("1x4", 0, (0, 0, 1)))
+    assert largest_move(to_assembly(Tiling(blocks, wanted), None, LINTELS)) > 0.01
+
+
+def largest_move(assembly: Assembly, seconds: float = 1.0) -> float:
+    """How far any box of an assembly gets along an axis in rigid-body simulation [m]."""
+    import mujoco
+
+    boxes = []
+    for block in assembly.blocks:
+        low, high = block.vertices.min(0), block.vertices.max(0)
+        place, half = " ".join(map(str, (low + high) / 2)), " ".join(map(str, (high - low) / 2))
+        shape = f'<geom type="box" size="{half}" density="{block.density}"/>'
+        boxes.append(f'<body pos="{place}"><freejoint/>{shape}</body>')
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><option timestep="0.002" cone="elliptic" impratio="10"/>'
+        f'<default><geom friction="{assembly.friction} 0.005 0.0001" solref="0.01 1" '
+        'solimp="0.95 0.99 0.001"/></default><worldbody><geom type="plane" size="9 9 0.1"/>'
+        + "".join(boxes)
+        + "</worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    before = data.qpos.reshape(-1, 7)[:, :3].copy()
+    for _ in range(int(seconds / 0.002)):
+        mujoco.mj_step(model, data)
+    return float(np.abs(data.qpos.reshape(-1, 7)[:, :3] - before).max())
 
 
 # ---------------------------------------------------------------- what cannot stand

@@ -126,8 +126,11 @@ def stand(tiling: Tiling, kit: Kit, clock: Clock) -> Tiling:
         if better.status != "complete":
             break
         tiling = better
-    reason = (f"time ran out after {clock.limit:g} s while looking for blocks that stand; "
-              f"{TIME_OPTION} gives more")  # fmt: skip
+    cells = uncarried_cells(wanted, kit)
+    reason = f"time ran out after {clock.limit:g} s while looking for blocks that stand"
+    if len(cells):
+        reason += f" ({describe_lack(wanted, kit, cells)})"
+    reason += f"; {TIME_OPTION} gives more"
     return replace(tiling, status="time", reason=reason)
 
 

@@ -9,7 +9,6 @@ are. What the sideways acceleration and the tilt of a state are worth is proven 
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -101,6 +100,8 @@ class _Site:
             self.placed = placed
             for load in self.sideways:
                 load.follow(dirty, placed, self.proof.force)
+            if method == PROGRAM and self.margin() <= 0:
+                self.raise_margins()
         return method
 
     def _by_program(self, placed: np.ndarray, dirty: np.ndarray) -> str | None:
@@ -127,7 +128,7 @@ class _Site:
     def raise_margins(self) -> None:
         """Look for larger margins than those that have come down from states before."""
         for load in self.sideways:
-            load.search(self.placed, self.proof.force)
+            load.search(self.placed, self.proof.force, seconds=self.clock.left)
 
 
 class _Sideways:
@@ -153,12 +154,21 @@ class _Sideways:
             if before > 0:
                 self.search(placed, upright, before)
 
-    def search(self, placed: np.ndarray, upright: np.ndarray, most: float | None = None) -> None:
-        """The highest level above the present one, up to ``most``, that a fresh proof reaches."""
+    def search(
+        self, placed: np.ndarray, upright: np.ndarray, most: float | None = None,
+        seconds: float = 0.0,
+    ) -> None:  # fmt: skip
+        """The highest level above the present one, up to ``most``, that a fresh proof reaches.
+
+        Args:
+            seconds: for programs, where the local proof finds nothing.
+        """
         low, high = self.level, self.most if most is None else most
         if high <= low or self._try(high, placed, upright):
             return
-        if low <= 0 and not self._try(_LEAST, placed, upright):
+        if low <= 0 and not (
+            self._try(_LEAST, placed, upright) or self._by_program(placed, seconds)
+        ):
             return
         low = self.level
         while high - low > max(_PRECISION * low, _LEAST / 4):
@@ -167,6 +177,14 @@ class _Sideways:
                 low = middle
             else:
                 high = middle
+
+    def _by_program(self, placed: np.ndarray, seconds: float) -> bool:
+        for level in (16 * _LEAST, 4 * _LEAST, _LEAST):
+            proof = self._fresh(level)
+            if level < self.most and seconds > 0 and proof.program(placed, placed, seconds):
+                self.level, self.proof = level, proof
+                return True
+        return False
 
     def _try(self, level: float, placed: np.ndarray, upright: np.ndarray) -> bool:
         # Linear pressures from nothing are smoothest; else the forces of the upright state guide.
@@ -202,9 +220,15 @@ def order(
     stack = find_stack(blocks, kit, shape, widest)
     site = _Site(stack, mu, clock)
     steps: list[OrderedStep] = []
-    stuck, status = _place_all(site, blocks, kit, tiling.wanted, steps)
-    if not stuck and status == "complete":
-        stuck, status = _remove_props(site, blocks, steps)
+    stuck, status = _place_all(site, tiling, kit, steps)
+    props = [b for b in range(len(blocks)) if blocks[b].prop and site.placed[b]]
+    if props and not stuck and status == "complete":
+        cells = [placement_cells(block, kit) for block in blocks]
+        filled = tiling.wanted.copy()
+        filled[tuple(np.concatenate([cells[b] for b in props]).T)] = True
+        stuck, status = _remove_props(site, blocks, cells, steps, props, filled)
+        if stuck and status == "time":
+            stuck = ()
     falls, reason = (), ""
     if status == "time":
         reason = (f"time ran out after {seconds:g} s with {len(steps)} steps proven; "
@@ -232,63 +256,118 @@ def _range(given: float | tuple[float, float] | None, default: float, what: str)
 
 
 def _place_all(
-    site: _Site, blocks: tuple[BlockPlacement, ...], kit: Kit, wanted: np.ndarray,
-    steps: list[OrderedStep],
-) -> tuple[tuple[int, ...], str]:  # fmt: skip
-    """Place everything; what is stuck, and ``"complete"`` or ``"time"``."""
+    site: _Site, tiling: Tiling, kit: Kit, steps: list[OrderedStep]
+) -> tuple[tuple[int, ...], str]:
+    """Place everything; what is stuck, and ``"complete"`` or ``"time"``.
+
+    A prop that the finished building encloses is taken away before the block that would close
+    its way out.
+    """
+    blocks = tiling.placements
+    cells = [placement_cells(block, kit) for block in blocks]
     below = [site.stack.below(b) for b in range(len(blocks))]
-    left = deque(sorted(range(len(blocks)), key=lambda b: (blocks[b].origin[::-1], b)))
-    waiting: list[int] = []
-    level = 0
-    while left or waiting:
+    filled = tiling.wanted.copy()
+    enclosed = [b for b in range(len(blocks)) if blocks[b].prop and not way_out(filled, cells[b])]
+    filled[:] = False
+    left = sorted(range(len(blocks)), key=lambda b: (blocks[b].origin[::-1], b))
+    level, progress = 0, True
+    while left and progress:
         progress = False
-        for b in range(len(left)):
+        for b in list(left):
             if site.clock.left <= 0 or site.timed_out:
                 return (), "time"
-            b = left.popleft()
             if not site.placed[below[b]].all():
-                waiting.append(b)
+                continue
+            filled[tuple(cells[b].T)] = True
+            trapped = [p for p in enclosed if site.placed[p] and not _leaves(filled, cells[p])]
+            if trapped and _remove_props(site, blocks, cells, steps, enclosed, filled, b)[0]:
+                filled[tuple(cells[b].T)] = False
                 continue
             method = site.change(b, True)
             if method is None:
-                waiting.append(b)
+                filled[tuple(cells[b].T)] = False
                 continue
+            left.remove(b)
             progress = True
             if blocks[b].origin[2] > level:
                 level = blocks[b].origin[2]
                 site.raise_margins()
             steps.append(OrderedStep(b, None, method, site.margin()))
-            if waiting and not left:
-                break
-        left = deque(sorted([*left, *waiting], key=lambda b: (blocks[b].origin[::-1], b)))
-        waiting = []
-        if left and not progress:
-            return tuple(b for b in left if site.placed[below[b]].all()), "complete"
-    return (), "complete"
+    return tuple(b for b in left if site.placed[below[b]].all()), "complete"
+
+
+def _leaves(filled: np.ndarray, cells: np.ndarray) -> bool:
+    """Whether a block can be moved out from where it stands among the ``filled`` cells."""
+    others = filled.copy()
+    others[tuple(cells.T)] = False
+    return way_out(others, cells)
+
+
+def way_out(filled: np.ndarray, cells: np.ndarray) -> bool:
+    """Whether steps of a cell along the axes, not through the table, lead a block outside.
+
+    Args:
+        filled: bool[X, Y, Z], cells it may not pass.
+        cells: int[m, 3], its own.
+    """
+    corner = cells.min(0)
+    shape, extent = cells - corner, np.ptp(cells, axis=0) + 1
+    room = np.pad(filled, [(int(n), int(n)) for n in extent[:2]] + [(0, int(extent[2]))])
+    places = np.array(room.shape) - extent + 1
+    free = np.ones(places, bool)
+    for x, y, z in shape:
+        free &= ~room[x : x + places[0], y : y + places[1], z : z + places[2]]
+    reached = np.zeros_like(free)
+    reached[0, 0, 0] = True
+    while True:
+        before = int(reached.sum())
+        for axis in range(3):
+            low, high = [slice(None)] * 3, [slice(None)] * 3
+            low[axis], high[axis] = slice(None, -1), slice(1, None)
+            reached[tuple(high)] |= reached[tuple(low)] & free[tuple(high)]
+            reached[tuple(low)] |= reached[tuple(high)] & free[tuple(low)]
+        if reached[corner[0] + extent[0], corner[1] + extent[1], corner[2]]:
+            return True
+        if int(reached.sum()) == before:
+            return False
 
 
 def _remove_props(
-    site: _Site, blocks: tuple[BlockPlacement, ...], steps: list[OrderedStep]
-) -> tuple[tuple[int, ...], str]:
-    """Take all props away, from above; as :func:`_place_all`."""
-    props = sorted((b for b in range(len(blocks)) if blocks[b].prop),
-                   key=lambda b: (-blocks[b].origin[2], blocks[b].origin))  # fmt: skip
-    while props:
-        for b in props:
+    site: _Site, blocks: tuple[BlockPlacement, ...], cells: list[np.ndarray],
+    steps: list[OrderedStep], props: list[int], filled: np.ndarray, closing: int | None = None,
+) -> tuple[tuple[int, ...], str]:  # fmt: skip
+    """Take props away, from above; what cannot be, and ``"complete"`` or ``"time"``.
+
+    Args:
+        filled: bool[X, Y, Z], changed: cells where blocks stand.
+        closing: a block that is marked there and not placed yet.
+    """
+    if closing is not None:
+        filled[tuple(cells[closing].T)] = False
+    left = sorted((b for b in props if site.placed[b]),
+                  key=lambda b: (-blocks[b].origin[2], blocks[b].origin))  # fmt: skip
+    progress = True
+    while left and progress:
+        progress = False
+        for b in list(left):
             if site.clock.left <= 0 or site.timed_out:
-                return (), "time"
+                return tuple(left), "time"
             on_it = site.stack.upper[site.stack.lower == b]
             if any(site.placed[a] and blocks[a].prop for a in on_it):
                 continue
+            if not _leaves(filled, cells[b]):
+                continue
             method = site.change(b, False)
-            if method is not None:
-                site.raise_margins()
-                steps.append(OrderedStep(None, b, method, site.margin()))
-                props.remove(b)
-                break
-        else:
-            return tuple(props), "complete"
-    return (), "complete"
+            if method is None:
+                continue
+            site.raise_margins()
+            steps.append(OrderedStep(None, b, method, site.margin()))
+            filled[tuple(cells[b].T)] = False
+            left.remove(b)
+            progress = True
+    if closing is not None:
+        filled[tuple(cells[closing].T)] = True
+    return tuple(left), "complete"
 
 
 def _moving(site: _Site, stuck: int) -> tuple[int, ...]:
