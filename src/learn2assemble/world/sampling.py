@@ -69,7 +69,7 @@ def sample_outline(rng, grid, vertices):
 
 @njit(cache=True)
 def leaves_training_box(rng, vertices, count):
-    """Whether an outline has a vertex outside the 3x3 training box : that of unseen shapes."""
+    """Whether an outline has a vertex outside the 3x3 training box, as unseen shapes do."""
     half, height = TRAINING_BOX
     low = height * rng.random()
     if vertices[0, 0] < -half or vertices[count - 1, 0] > half:
@@ -193,7 +193,7 @@ def sample_problem(state, row, rng, frames, stock, waiting, problems):
     """Draw a fresh problem into a row; returns the number of draws, 0 where it gave up.
 
     Shapes and objects are redrawn while the masks hold fewer than ``min_pixels`` pixels or
-    the first object covers more than ``max_initial`` of them (such problems are drawn again).
+    the first object covers more than ``max_initial`` of them.
 
     Args:
         stock: the :class:`Inventory`.
