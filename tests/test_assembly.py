@@ -17,6 +17,7 @@ from learn2assemble.assembly.blocks import (
     Block,
     Step,
     box_block,
+    check_simple,
     convex_parts,
     shells,
     to_manifold,
@@ -208,13 +209,20 @@ def test_patch_of_two_cubes(shift: float, angle: float, scale: float) -> None:
 
 
 def test_gaps_and_thin_strips_are_no_contact() -> None:
-    wide = contact_tolerance(two().blocks)
+    wide = contact_tolerance(two().blocks).min()
     assert len(find_contacts(two(gap=0.5 * wide)).a) == 2
     assert len(find_contacts(two(gap=2 * wide)).a) == 1
     assert len(find_contacts(two(gap=2 * wide), tolerance=3 * wide).a) == 2
     assert len(find_contacts(two(shift=1 - 0.5 * wide)).a) == 1
     with pytest.raises(InputError, match="tolerance"):
         find_contacts(two(), tolerance=0.0)
+
+
+def test_a_grain_on_a_slab() -> None:
+    """The tolerance is that of the smaller block."""
+    grain = box_block("grain", (5, 5, 1), (5.01, 5.01, 1.01))
+    contacts = find_contacts(Assembly((box_block("slab", (0, 0, 0), (10, 10, 1)), grain)))
+    assert contacts.area == pytest.approx([1e-4, 100])
 
 
 def test_triangles_of_a_face_give_one_patch() -> None:
@@ -293,6 +301,21 @@ def test_crossing_bars_overlap_though_no_corner_is_inside() -> None:
     bars = (box_block("x", (0, 1, 0), (3, 2, 1)), box_block("y", (1, 0, 0), (2, 3, 1)))
     with pytest.raises(InputError, match="overlap"):
         check_overlaps(Assembly(bars))
+
+
+def test_surfaces_that_cross_themselves_are_refused() -> None:
+    """An L whose free end is bent through its foot; and two shells in one another."""
+    check_simple(ell())
+    bent = ell().vertices.copy()
+    bent[[4, 5, 10, 11], 1] = -1.0
+    bent[[4, 10], 0], bent[[5, 11], 0] = 0.5, 0.4
+    with pytest.raises(InputError, match="cross"):
+        check_simple(Block("bent", bent, ell().faces))
+    a, b = box_block("a", (0, 0, 0), (1, 1, 1)), box_block("b", (0, 0, 0), (1, 1, 1))
+    faces = (*a.faces, *(tuple(k + 8 for k in face) for face in b.faces))
+    twice = Block("twice", np.concatenate([a.vertices, b.vertices]), faces)
+    with pytest.raises(InputError, match="overlap"):
+        check_simple(twice)
 
 
 # ---------------------------------------------------------------- files

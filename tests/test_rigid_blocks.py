@@ -318,6 +318,16 @@ def test_a_wedge_in_a_socket_withstands_any_push() -> None:
     assert check(socket).margin_g == pytest.approx(0.5, rel=0.015), "on its bed alone it slides"
 
 
+def test_without_friction_only_what_needs_none_stands() -> None:
+    column = boxes(*[(0, 0, z, 1, 1, z + 1) for z in range(3)], friction=0.0)
+    answer = check(column)
+    assert (answer.verdict, answer.margin_g) == (STANDS, 0.0)
+    slope = boxes((-2, -2, -1, 2, 2, 0), (-0.5, -0.5, 0, 0.5, 0.5, 1), friction=0.0, support=1)
+    tilted = check(moved(slope, about(0, 0.2)))
+    assert tilted.verdict == FALLS
+    assert tilted.holding_force == pytest.approx(1000 * GRAVITY * np.sin(0.2), rel=0.01)
+
+
 def test_supports_alone_stand() -> None:
     answer = check(boxes((0, 0, 0, 1, 1, 1), (5, 0, 0, 6, 1, 1), support=2))
     assert answer.verdict == STANDS

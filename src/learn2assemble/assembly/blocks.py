@@ -27,6 +27,9 @@ MAX_PARTS = 200
 _FLAT = 1e-6
 """How far a vertex may stand over a face of a convex block, in extents of the block."""
 
+_CROSSING = 0.05
+"""How deep an edge passes through a face of its own block, in extents, to be an error."""
+
 _BOX_FACES = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5))
 """Of a box whose vertex number has bit 0 for x, bit 1 for y and bit 2 for z."""
 
@@ -285,6 +288,60 @@ def convex_parts(block: Block) -> tuple[Block, ...]:
         pieces = _cut(shell, MAX_PARTS - len(parts))
         parts += [replace(piece, id=f"{shell.id}/{k}") for k, piece in enumerate(pieces)]
     return (block,) if len(parts) == 1 and parts[0] is block else tuple(parts)
+
+
+def check_simple(block: Block) -> None:
+    """Refuse a block whose surface crosses itself, or whose shells share a volume.
+
+    Raises:
+        InputError: naming the block.
+    """
+    parts = shells(block)
+    for part in parts:
+        if part.is_convex:
+            continue
+        faces = part.faces
+        triangles = np.array([t for face in faces for t in _triangulate(part.vertices, face)])
+        edges = {(min(e), max(e)) for f in faces for e in zip(f, (*f[1:], f[0]), strict=True)}
+        through = _piercing(part.vertices, np.array(sorted(edges)), triangles)
+        if through is not None:
+            where = part.vertices[through].mean(0).round(6).tolist()
+            got = f"a surface crossing itself near {where}"
+            raise InputError(f"block {block.id!r}", got, "a simple surface")
+    several = len(parts) > 1
+    if several and abs(to_manifold(block).volume() - block.volume) > 1e-3 * block.volume:
+        raise InputError(f"block {block.id!r}", "shells that overlap", "parts that only touch")
+
+
+def _piercing(points: np.ndarray, edges: np.ndarray, triangles: np.ndarray) -> np.ndarray | None:
+    """int64[2]: an edge whose inside passes through a triangle, or None."""
+    import shapely
+
+    corners, ends = points[triangles], points[edges]
+    low, high = corners.min(1), corners.max(1)
+    start, stop = ends.min(1), ends.max(1)
+    boxes = shapely.box(low[:, 0], low[:, 1], high[:, 0], high[:, 1])
+    tree = shapely.STRtree(boxes)
+    e, t = tree.query(shapely.box(start[:, 0], start[:, 1], stop[:, 0], stop[:, 1]))
+    near = (start[e, 2] <= high[t, 2]) & (low[t, 2] <= stop[e, 2])
+    near &= (edges[e][:, :, None] != triangles[t][:, None, :]).all((1, 2))
+    e, t = e[near], t[near]
+    a, ab, ac = corners[t, 0], corners[t, 1] - corners[t, 0], corners[t, 2] - corners[t, 0]
+    along, arm = ends[e, 1] - ends[e, 0], ends[e, 0] - a
+    normal = np.cross(ab, ac)
+    steep = -np.einsum("ij,ij->i", along, normal)
+    size = np.linalg.norm(along, axis=1) * np.linalg.norm(normal, axis=1)
+    crossing = np.abs(steep) > 1e-6 * size
+    safe = np.where(crossing, steep, 1.0)
+    turn = np.cross(arm, along)
+    u = np.einsum("ij,ij->i", ac, turn) / safe
+    v = -np.einsum("ij,ij->i", ab, turn) / safe
+    where = np.einsum("ij,ij->i", arm, normal) / safe
+    inside = np.minimum(np.minimum(u, v), 1 - u - v) > -1e-9
+    # How deep it reaches on the side where it reaches less; warped faces cross a little.
+    depth = np.minimum(where, 1 - where) * np.abs(steep) / np.linalg.norm(normal, axis=1)
+    hit = np.flatnonzero(crossing & inside & (depth > _CROSSING * np.ptp(points, axis=0).max()))
+    return edges[e[hit[0]]] if len(hit) else None
 
 
 def to_manifold(block: Block):

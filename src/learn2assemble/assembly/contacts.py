@@ -14,12 +14,12 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
-from learn2assemble.assembly.blocks import Assembly, Block, to_manifold
+from learn2assemble.assembly.blocks import Assembly, Block, check_simple, to_manifold
 from learn2assemble.errors import InputError
 
 GROUND = -1
 TOLERANCE = 5e-3
-"""Width of a gap that counts as contact, in the edge of a cube of the median volume."""
+"""Width of a gap that counts as contact, in the edge of a cube as large as the smaller block."""
 _ANGLE = 1e-2
 """Between normals of two facets in contact [rad]; warped facets have more."""
 _MOST_PAIRS = 4_000_000
@@ -74,11 +74,13 @@ class _Facets(NamedTuple):
     upper: np.ndarray
     start: np.ndarray
     xyz: np.ndarray
+    width: np.ndarray
+    """Gap that counts as contact, of the block of each face [m]."""
 
 
-def contact_tolerance(blocks: Sequence[Block]) -> float:
-    """The default width [m] of a gap that counts as contact between such blocks."""
-    return TOLERANCE * float(np.median([block.volume for block in blocks])) ** (1 / 3)
+def contact_tolerance(blocks: Sequence[Block]) -> np.ndarray:
+    """float64[B]: the default width [m] of a gap that counts as contact, for each block."""
+    return TOLERANCE * np.cbrt([block.volume for block in blocks])
 
 
 def find_contacts(assembly: Assembly, tolerance: float | None = None) -> Contacts:
@@ -89,29 +91,29 @@ def find_contacts(assembly: Assembly, tolerance: float | None = None) -> Contact
 
     Args:
         assembly: the blocks where they stand.
-        tolerance: widest gap, and deepest overlap, of a contact [m]; by default
-            :func:`contact_tolerance`.
+        tolerance: widest gap, and deepest overlap, of a contact [m]; by default the smaller
+            :func:`contact_tolerance` of the two blocks.
 
     Raises:
         InputError: where the tolerance is not a positive number.
     """
-    tolerance = _width(assembly, tolerance)
-    facets = _facets(assembly.blocks)
+    width = _width(assembly, tolerance)
+    facets = _facets(assembly.blocks, width)
     lower, upper = _bounds(facets, len(assembly.blocks))
-    pairs = near_pairs(lower, upper, tolerance)
+    pairs = near_pairs(lower, upper, float(width.max()))
     support = np.array([block.support for block in assembly.blocks])
     pairs = pairs[~(support[pairs[:, 0]] & support[pairs[:, 1]])]
-    first, second = _opposite(facets, pairs, lower, upper, tolerance)
-    between = _patches(facets, first, second, tolerance)
+    first, second = _opposite(facets, pairs, lower, upper)
+    between = _patches(facets, first, second)
     if support.any():
         return between
-    ground = _on_ground(facets, tolerance)
+    ground = _on_ground(facets)
     ground = ground._replace(patch=ground.patch + len(between.a))
     return Contacts(*[np.concatenate(two) for two in zip(between, ground, strict=True)])
 
 
 def check_overlaps(assembly: Assembly, tolerance: float | None = None) -> None:
-    """Refuse blocks that share a volume.
+    """Refuse blocks that share a volume, and blocks that cross themselves.
 
     Two blocks that a plane of a facet separates do not; what is left is intersected as solids.
     The thickness of the intersection, twice its volume over its surface, is what counts.
@@ -123,14 +125,17 @@ def check_overlaps(assembly: Assembly, tolerance: float | None = None) -> None:
     Raises:
         InputError: naming two blocks that overlap by more.
     """
-    tolerance = _width(assembly, tolerance)
-    blocks, facets = assembly.blocks, _facets(assembly.blocks)
+    width = _width(assembly, tolerance)
+    for block in assembly.blocks:
+        check_simple(block)
+    blocks, facets = assembly.blocks, _facets(assembly.blocks, width)
     lower, upper = _bounds(facets, len(blocks))
     first = np.searchsorted(facets.block, np.arange(len(blocks) + 1))
     warp = np.maximum.reduceat(facets.warp, first[:-1])
     solids: dict[int, object] = {}
-    for i, j in near_pairs(lower, upper, -tolerance).tolist():
-        if any(_separates(facets, slice(first[p], first[p + 1]), blocks[p], blocks[q], tolerance)
+    for i, j in near_pairs(lower, upper, -float(width.min())).tolist():
+        depth = float(min(width[i], width[j]))
+        if any(_separates(facets, slice(first[p], first[p + 1]), blocks[p], blocks[q], depth)
                for p, q in ((i, j), (j, i))):  # fmt: skip
             continue
         for k in (i, j):
@@ -138,7 +143,7 @@ def check_overlaps(assembly: Assembly, tolerance: float | None = None) -> None:
                 solids[k] = to_manifold(blocks[k])
         common = solids[i] ^ solids[j]  # type: ignore[operator]
         surface = common.surface_area()
-        if 2 * common.volume() > (tolerance + warp[i] + warp[j]) * surface:
+        if 2 * common.volume() > (depth + warp[i] + warp[j]) * surface:
             names = f"{blocks[i].id!r} and {blocks[j].id!r}"
             share = common.volume() / min(blocks[i].volume, blocks[j].volume)
             raise InputError(f"blocks {names}", f"{share:.1%} overlap", "blocks that only touch")
@@ -165,15 +170,15 @@ def near_pairs(lower: np.ndarray, upper: np.ndarray, tolerance: float) -> np.nda
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
 
 
-def _width(assembly: Assembly, tolerance: float | None) -> float:
+def _width(assembly: Assembly, tolerance: float | None) -> np.ndarray:
     if tolerance is None:
         return contact_tolerance(assembly.blocks)
     if not (np.isfinite(tolerance) and tolerance > 0):
         raise InputError("tolerance", tolerance, "a length > 0 [m]")
-    return float(tolerance)
+    return np.full(len(assembly.blocks), float(tolerance))
 
 
-def _facets(blocks: Sequence[Block]) -> _Facets:
+def _facets(blocks: Sequence[Block], width: np.ndarray) -> _Facets:
     index = [np.fromiter((k for f in block.faces for k in f), np.int64) for block in blocks]
     sizes = np.array([len(face) for block in blocks for face in block.faces])
     xyz = np.concatenate([b.vertices[k] for b, k in zip(blocks, index, strict=True)])
@@ -189,7 +194,7 @@ def _facets(blocks: Sequence[Block]) -> _Facets:
     warp = np.maximum.reduceat(np.abs(np.einsum("ij,ij->i", arm, normal[face])), begin)
     owner = np.repeat(np.arange(len(blocks)), [len(block.faces) for block in blocks])
     lower, upper = np.minimum.reduceat(xyz, begin), np.maximum.reduceat(xyz, begin)
-    return _Facets(owner, normal, centre, warp, area, lower, upper, start, xyz)
+    return _Facets(owner, normal, centre, warp, area, lower, upper, start, xyz, width[owner])
 
 
 def _bounds(facets: _Facets, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -205,7 +210,7 @@ def _ranges(start: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _opposite(
-    facets: _Facets, pairs: np.ndarray, lower: np.ndarray, upper: np.ndarray, tolerance: float
+    facets: _Facets, pairs: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Facets that may touch: those of ``first`` are of the first block of a pair."""
     begin = np.searchsorted(facets.block, np.arange(len(lower) + 1))
@@ -216,22 +221,21 @@ def _opposite(
         near = []
         for side, other in ((chunk[:, 0], chunk[:, 1]), (chunk[:, 1], chunk[:, 0])):
             face, pair = _ranges(begin[side], count[side])
-            box = other[pair]
-            meet = (facets.lower[face] <= upper[box] + tolerance) & (
-                facets.upper[face] >= lower[box] - tolerance
-            )
-            keep = meet.all(1) & (facets.area[face] > tolerance**2)
+            box, wide = other[pair], facets.width[face]
+            meet = facets.lower[face] <= upper[box] + wide[:, None]
+            meet &= facets.upper[face] >= lower[box] - wide[:, None]
+            keep = meet.all(1) & (facets.area[face] > wide**2)
             number = np.bincount(pair[keep], minlength=len(chunk))
             near.append((face[keep], np.cumsum(number) - number, number))
         (left, left_start, left_count), (right, right_start, right_count) = near
         member, pair = _ranges(left_start, left_count)
         inner, outer = _ranges(right_start[pair], right_count[pair])
-        found.append(_touching(facets, left[member[outer]], right[inner], tolerance))
+        found.append(_touching(facets, left[member[outer]], right[inner]))
     return np.concatenate([f for f, _ in found]), np.concatenate([s for _, s in found])
 
 
 def _touching(
-    facets: _Facets, first: np.ndarray, second: np.ndarray, tolerance: float
+    facets: _Facets, first: np.ndarray, second: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Those pairs of facets whose normals are opposite and whose planes are one."""
     warp = facets.warp[first] + facets.warp[second]
@@ -243,9 +247,10 @@ def _touching(
     keep = cosine < -np.cos(np.minimum(limit, 0.5))
     arm = facets.centre[small] - facets.centre[large]
     distance = np.abs(np.einsum("ij,ij->i", arm, facets.normal[large]))
-    keep &= distance <= tolerance + warp
-    keep &= (facets.lower[first] <= facets.upper[second] + tolerance).all(1)
-    keep &= (facets.lower[second] <= facets.upper[first] + tolerance).all(1)
+    width = np.minimum(facets.width[first], facets.width[second])
+    keep &= distance <= width + warp
+    keep &= (facets.lower[first] <= facets.upper[second] + width[:, None]).all(1)
+    keep &= (facets.lower[second] <= facets.upper[first] + width[:, None]).all(1)
     return first[keep], second[keep]
 
 
@@ -267,7 +272,7 @@ def _polygons(facets: _Facets, face: np.ndarray, basis: np.ndarray, foot: np.nda
     return shapes
 
 
-def _patches(facets: _Facets, first: np.ndarray, second: np.ndarray, tolerance: float) -> Contacts:
+def _patches(facets: _Facets, first: np.ndarray, second: np.ndarray) -> Contacts:
     """Intersect pairs of facets and unite what two blocks share on one plane."""
     normal = facets.normal[first] - facets.normal[second]
     normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
@@ -278,11 +283,12 @@ def _patches(facets: _Facets, first: np.ndarray, second: np.ndarray, tolerance: 
     )
     area = shapely.area(shapes)
     # Twice the area over the perimeter is the width of a strip.
-    wide = 2 * area > tolerance * shapely.length(shapes)
-    shapes, area = shapes[wide], area[wide]
+    width = np.minimum(facets.width[first], facets.width[second])
+    wide = 2 * area > width * shapely.length(shapes)
+    shapes, area, width = shapes[wide], area[wide], width[wide]
     normal, foot, basis = normal[wide], foot[wide], basis[wide]
     block_a, block_b = facets.block[first[wide]], facets.block[second[wide]]
-    leader = _same_plane(block_a, block_b, normal, foot, tolerance)
+    leader = _same_plane(block_a, block_b, normal, foot, width)
     order = np.argsort(leader, kind="stable")
     heads, start = np.unique(leader[order], return_index=True)
     # Corners of all intersections of a patch, in the plane of its first one.
@@ -292,7 +298,7 @@ def _patches(facets: _Facets, first: np.ndarray, second: np.ndarray, tolerance: 
     head = leader[piece]
     local = np.einsum("kij,kj->ki", basis[head], points - foot[head])
     clouds = shapely.multipoints(local, indices=np.searchsorted(heads, head))
-    hulls = shapely.simplify(shapely.convex_hull(clouds), tolerance / 100)
+    hulls = shapely.simplify(shapely.convex_hull(clouds), width[heads] / 100)
     rings, patch = shapely.get_coordinates(hulls, return_index=True)
     last = np.append(patch[1:] != patch[:-1], True) if len(patch) else np.empty(0, bool)
     rings, patch = rings[~last], patch[~last]
@@ -302,7 +308,7 @@ def _patches(facets: _Facets, first: np.ndarray, second: np.ndarray, tolerance: 
 
 
 def _same_plane(
-    a: np.ndarray, b: np.ndarray, normal: np.ndarray, foot: np.ndarray, tolerance: float
+    a: np.ndarray, b: np.ndarray, normal: np.ndarray, foot: np.ndarray, width: np.ndarray
 ) -> np.ndarray:
     """int64[n]: for each intersection the first one of the same two blocks and plane."""
     pair = np.unique(np.stack([a, b], 1), axis=0, return_inverse=True)[1].reshape(-1)
@@ -313,20 +319,21 @@ def _same_plane(
         head = left[where][np.searchsorted(names, pair[left])]
         same = np.einsum("ij,ij->i", normal[left], normal[head]) > np.cos(_ANGLE)
         arm = np.einsum("ij,ij->i", foot[left] - foot[head], normal[head])
-        same &= np.abs(arm) <= tolerance
+        same &= np.abs(arm) <= width[left]
         leader[left[same]] = head[same]
         left = left[~same]
     return leader
 
 
-def _on_ground(facets: _Facets, tolerance: float) -> Contacts:
+def _on_ground(facets: _Facets) -> Contacts:
     """Patches between facets that look down and the plane z = 0."""
-    down = (facets.normal[:, 2] < -np.cos(_ANGLE)) & (np.abs(facets.centre[:, 2]) <= tolerance)
-    face = np.flatnonzero(down & (facets.area > tolerance**2))
+    down = facets.normal[:, 2] < -np.cos(_ANGLE)
+    down &= (np.abs(facets.centre[:, 2]) <= facets.width) & (facets.area > facets.width**2)
+    face = np.flatnonzero(down)
     corner, owner = _ranges(facets.start[face], facets.start[face + 1] - facets.start[face])
     block, patch = np.unique(facets.block[face], return_inverse=True)
     clouds = shapely.multipoints(facets.xyz[corner, :2], indices=np.sort(patch[owner]))
-    hulls = shapely.simplify(shapely.convex_hull(clouds), tolerance / 100)
+    hulls = shapely.simplify(shapely.convex_hull(clouds), facets.width[face].min(initial=1) / 100)
     flat, owner = shapely.get_coordinates(hulls, return_index=True)
     last = np.append(owner[1:] != owner[:-1], True) if len(owner) else np.empty(0, bool)
     points = np.column_stack([flat[~last], np.zeros((~last).sum())])

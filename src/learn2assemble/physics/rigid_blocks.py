@@ -379,14 +379,24 @@ class _System:
         small = self.is_small(np.linalg.norm(rest, axis=1))
         return self.newtons(forces) if small else None
 
+    def _cones(self, friction: float) -> tuple[Any, list]:
+        """Coulomb's law: the negated rows of forces, and the cones they are in."""
+        corners = self.corners
+        if friction > 0:
+            rows = sp.diags(np.tile([friction, 1.0, 1.0], corners))
+            return -rows, [_conic.SecondOrderConeT(3)] * corners
+        # A cone without interior would stall the solver.
+        order = np.arange(3 * corners).reshape(corners, 3)
+        order = np.concatenate([order[:, 0], order[:, 1:].reshape(-1)])
+        parts = [_conic.NonnegativeConeT(corners), _conic.ZeroConeT(2 * corners)]
+        return -sp.csr_matrix(sp.identity(3 * corners))[order], parts
+
     def least_holding(self, friction: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """RBE: forces [corners, 3], holding forces [count], motion [count, 6]."""
-        corners = 3 * self.corners
-        cone = -sp.diags(np.tile([friction, 1.0, 1.0], self.corners))
-        parts = [_conic.SecondOrderConeT(3)] * self.corners
+        cone, parts = self._cones(friction)
         # A little elastic energy chooses among the forces where there are many.
         soft = 1e-6 * np.repeat(self._soft, 3)
-        return self._with_holding(soft, 1.0, cone, np.zeros(corners), parts)
+        return self._with_holding(soft, 1.0, cone, np.zeros(3 * self.corners), parts)
 
     def coupled(
         self, friction: float, forces: np.ndarray, stiffness: float
@@ -486,9 +496,8 @@ class _System:
         """A function of a horizontal direction float64[2]: how far a load goes along it [g], and
         how far from zero the line is that no load crosses there."""
         corners, count = 3 * self.corners, 6 * self.count
-        cone = -sp.diags(np.tile([friction, 1.0, 1.0], self.corners))
-        cones = [_conic.ZeroConeT(count), _conic.NonnegativeConeT(1)]
-        cones += [_conic.SecondOrderConeT(3)] * self.corners
+        cone, parts = self._cones(friction)
+        cones = [_conic.ZeroConeT(count), _conic.NonnegativeConeT(1), *parts]
         bound = np.concatenate([self.weight, [MOST_G], np.zeros(corners)])
         cost = np.zeros(corners + 1)
         cost[corners] = -1.0
