@@ -7,7 +7,6 @@ import io
 import json
 import pickle
 import struct
-import sys
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -411,10 +410,15 @@ def test_rhino_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert model.Write(str(path), 7)
     assert np.array_equal(cells(path).wanted, GATE)
     whole = path.read_bytes()
+    solid = rhino3dm.File3dm()
+    solid.Objects.AddSphere(rhino3dm.Sphere(rhino3dm.Point3d(0, 0, 0), 1))
+    assert solid.Write(str(tmp_path / "solid.3dm"), 7)
+    with pytest.raises(InputError, match="without its mesh"):
+        read_design(tmp_path / "solid.3dm", unit="m")
     for cut in (40, len(whole) // 2):
         with pytest.raises(InputError):
             read_design(write(tmp_path / "cut.3dm", whole[:cut]))
-    monkeypatch.setitem(sys.modules, "rhino3dm", None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=r"learn2assemble\[rhino\]"):
         read_design(path)
 
@@ -574,7 +578,7 @@ BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "promise.ply": (
         mesh(BOX, "ply").replace(b"element vertex 8", b"element vertex 1000000000000"),
         {"unit": "m"},
-        "1000000000000",
+        "1000000000012 vertices",
     ),
     "promise.glb": (
         _glb(accessors=[{"count": 10**12, "componentType": 5126, "type": "VEC3"}] * 2),
@@ -618,6 +622,17 @@ BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
         {},
         "entities",
     ),
+    "star.svg": (
+        svg(f'<path d="M{"L".join(f"{k * k % 977} {k * 313 % 983}" for k in range(9000))}z"/>'),
+        {},
+        "might cross",
+    ),
+    "rings.svg": (
+        svg("".join(f'<circle fill="none" stroke="red" r="{k}"/>' for k in range(1, 900))),
+        {},
+        "might cross",
+    ),
+    "many.obj": ("v 0 0 0\n" * 900_000, {"unit": "m"}, "at most 200000 triangles"),
     "cut.svg": (svg(f'<path d="{SQUARE}"/>')[:-9], {}, "XML"),
     "junk_path.svg": (svg('<path d="M nan inf L 1e999 2 z foo"/>'), {}, "expected"),
     "far.svg": (svg('<path d="M0 0h1e300v1e300z"/>', ""), {"unit": "mm"}, "expected"),
@@ -743,9 +758,9 @@ def test_truncated_files_are_refused_or_read(name: str, tmp_path: Path) -> None:
 def test_garbage_is_refused_under_every_name(ending: str, tmp_path: Path) -> None:
     generator = np.random.default_rng(3)
     starts = [b"", b"\x89PNG\r\n\x1a\n", b"\x93NUMPY", b"PK\x03\x04", b"glTF", b"ply\n", b"{",
-              b"3D Geometry File Format ", b"<svg", b"0\nSECTION\n", b"solid\nfacet ",
+              b"<svg", b"0\nSECTION\n", b"solid\nfacet ",
               b"v 1 "]  # fmt: skip
-    for start in starts:
+    for start in starts if ending != "3dm" else [b"3D Geometry File Format "]:
         path = write(tmp_path / f"x.{ending}", start + generator.bytes(3000))
         with pytest.raises(InputError) as caught:
             read_design(path, **({"unit": "m"} if start in (b"solid\nfacet ", b"v 1 ") else {}))

@@ -6,6 +6,7 @@ Everything here is bounded before a library expands it, so that no file takes lo
 from __future__ import annotations
 
 import io
+import itertools
 import logging
 import re
 import xml.etree.ElementTree as ElementTree
@@ -25,7 +26,7 @@ SIDES = ("front", "back", "right", "left")
 """Names of sides, in the order in which the elevations of a JSON design stand."""
 UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
 """Names of units and their lengths [m]."""
-MAX_ENTITIES = 5000
+MAX_ENTITIES = 3000
 """Most entities of a drawing, references expanded."""
 MAX_DRAWN = 1_500_000
 """Most characters of a drawing, references expanded."""
@@ -33,8 +34,13 @@ MAX_DEPTH = 60
 """Deepest nesting of groups or blocks."""
 _SPAN = 1000.0
 """Drawings are scaled to about this before they are clipped, whatever their unit."""
-_CURVE = np.linspace(0, 1, 49)
-"""Where curves are sampled; a quarter of a circle so loses 2e-4 of its area."""
+_FINE = 5e-5
+"""Largest distance of a curve from the lines that stand for it, as a share of the drawing, where
+there are not too many."""
+MAX_VERTICES = 100_000
+"""Most vertices of a drawing, curves as lines."""
+MAX_OVERLAPS = {"outlines": 300_000, "lines": 1_500_000}
+"""Most pairs of them whose boxes overlap; clipping takes time with their number."""
 
 Contours = list[np.ndarray]
 
@@ -118,25 +124,50 @@ def _outline(elevation: Any, source: str, path: str) -> Contours:
 # ---------------------------------------------------------------- regions
 
 
+_Filled = tuple[Contours, bool, bool]
+
+
 @dataclass
 class _Layer:
     """What is drawn on one layer, in the order of drawing."""
 
-    filled: list[tuple[Contours, bool, bool]] = field(default_factory=list)
+    filled: list[_Filled] = field(default_factory=list)
     """Contours of a filled shape, whether by the even-odd rule, and whether it is paper."""
     lines: Contours = field(default_factory=list)
     """Closed outlines that are only drawn as lines: those inside others are holes."""
 
+    def contours(self) -> Contours:
+        """All contours of the layer."""
+        return [*self.lines, *(c for contours, _, _ in self.filled for c in contours)]
+
+    def simplify(self, tolerance: float) -> None:
+        """Leave out vertices that matter less than ``tolerance``."""
+        self.lines = _simple(self.lines, tolerance)
+        self.filled = [(_simple(c, tolerance), rule, paper) for c, rule, paper in self.filled]
+
     def region(self, scale: float) -> CrossSection:
         """The material of the layer; even-odd among lines, filled shapes painted over another."""
-        from manifold3d import CrossSection, FillRule
+        from manifold3d import CrossSection, FillRule, OpType
 
+        rules = {True: FillRule.EvenOdd, False: FillRule.NonZero}
         made = CrossSection()
-        for contours, even_odd, paper in self.filled:
-            rule = FillRule.EvenOdd if even_odd else FillRule.NonZero
-            shape = CrossSection([contour * scale for contour in contours], rule)
-            made = made - shape if paper else made + shape
-        return made + CrossSection([line * scale for line in self.lines], FillRule.EvenOdd)
+        for paper, shapes in itertools.groupby(self.filled, key=lambda shape: shape[2]):
+            parts = [
+                CrossSection([c * scale for c in contours], rules[even_odd])
+                for contours, even_odd, _ in shapes
+            ]
+            kind = OpType.Subtract if paper else OpType.Add
+            made = CrossSection.batch_boolean([made, *parts], kind)
+        lines = CrossSection([line * scale for line in self.lines], FillRule.EvenOdd)
+        return (made + lines).simplify(_FINE * _SPAN)
+
+
+def _simple(contours: Contours, tolerance: float) -> Contours:
+    import shapely
+
+    closed = (np.concatenate([contour, contour[:1]]) for contour in contours)
+    rings = [shapely.LineString(c).simplify(tolerance, preserve_topology=False) for c in closed]
+    return [np.array(ring.coords[:-1]) for ring in rings if len(ring.coords) > 3]
 
 
 def _drawing(
@@ -144,7 +175,7 @@ def _drawing(
 ) -> Drawing:
     """Regions of the layers as sides. ``None`` is what is drawn on no named layer."""
     drawn = {name: layer for name, layer in layers.items() if layer.filled or layer.lines}
-    points = [p for layer in drawn.values() for p in (*layer.lines, *_contours(layer.filled))]
+    points = [p for layer in drawn.values() for p in layer.contours()]
     if not points:
         raise InputError(source, "no closed outline", f"at least one closed outline ({hint})")
     everything = np.concatenate(points)
@@ -153,6 +184,14 @@ def _drawing(
     span = float(np.ptp(everything, axis=0).max())
     if not span > 0:
         raise InputError(source, "outlines of no extent", "outlines with an area")
+    if len(everything) > MAX_VERTICES:
+        raise InputError(source, "a very fine drawing", f"at most {MAX_VERTICES} vertices")
+    for layer in drawn.values():
+        layer.simplify(_FINE * span)
+    contours = [p for layer in drawn.values() for p in layer.contours()]
+    if not contours:
+        raise InputError(source, "outlines without an area", "material inside closed outlines")
+    _check_overlaps(contours, source)
     sides: dict[str, Contours] = {}
     for name, layer in drawn.items():
         side = "front"
@@ -168,9 +207,23 @@ def _drawing(
     return Drawing(dict(sorted(sides.items(), key=lambda item: SIDES.index(item[0]))), metres)
 
 
-def _contours(filled: Iterable[tuple[Contours, bool, bool]]) -> Iterator[np.ndarray]:
-    for contours, _, _ in filled:
-        yield from contours
+def _check_overlaps(contours: Contours, source: str) -> None:
+    """Refuse contours that cross so often that clipping them would take long."""
+    import shapely
+
+    edges = [np.stack([c, np.roll(c, -1, axis=0)]) for c in contours]
+    boxes = {
+        "outlines": np.array([(*c.min(0), *c.max(0)) for c in contours]).reshape(-1, 4),
+        "lines": np.concatenate([np.hstack([e.min(0), e.max(0)]) for e in edges]),
+    }
+    for what, most in MAX_OVERLAPS.items():
+        shapes: Any = shapely.box(*boxes[what].T)
+        tree, left = shapely.STRtree(shapes), most
+        for start in range(0, len(shapes), 64):
+            left -= tree.query(shapes[start : start + 64]).shape[1]
+            if left < 0:
+                got = f"{what} that overlap or cross too often"
+                raise InputError(source, got, f"at most {most} pairs of {what} that might cross")
 
 
 def _expanded(
@@ -218,6 +271,7 @@ _ENTITY = re.compile(rb"""<!ENTITY\s+([\w.:-]+)\s+(?:"([^"]*)"|'([^']*)')\s*>"""
 _LABEL = "{http://www.inkscape.org/namespaces/inkscape}label"
 _LAYER = "{http://www.inkscape.org/namespaces/inkscape}groupmode"
 _HREF = "{http://www.w3.org/1999/xlink}href"
+_CURVED = {"Arc", "CubicBezier", "QuadraticBezier"}
 _AUTOMATIC = re.compile(r"(g|group|path|svg|layer|layer_|layer )[\W_\d]*$", re.IGNORECASE)
 
 
@@ -232,8 +286,11 @@ def read_svg(content: bytes, source: str) -> Drawing:
     layers: dict[str | None, _Layer] = {}
     try:
         parsed = SVG.parse(io.BytesIO(ElementTree.tostring(root)), reify=True, ppi=96.0)
-        for name, shape in _svg_shapes(parsed, root):
-            _add_svg_shape(layers.setdefault(name, _Layer()), shape, source)
+        shapes = list(_svg_shapes(parsed, root))
+        curves = sum(type(part).__name__ in _CURVED for _, path in shapes for part in path)
+        sampled = np.linspace(0, 1, int(np.clip(MAX_VERTICES // 2 // max(curves, 1), 4, 49)))
+        for name, path in shapes:
+            _add_svg_shape(layers.setdefault(name, _Layer()), path, sampled, source)
     except InputError:
         raise
     except Exception as error:  # noqa: BLE001  the library trusts its input
@@ -312,7 +369,7 @@ def _svg_shapes(parsed: Any, root: ElementTree.Element) -> Iterator[tuple[str | 
     yield from walk(parsed, None, 0)
 
 
-def _add_svg_shape(layer: _Layer, path: Any, source: str) -> None:
+def _add_svg_shape(layer: _Layer, path: Any, sampled: np.ndarray, source: str) -> None:
     """Sort a path into filled shapes, paper, and outlines that are only lines."""
     filled, stroked = _visible(path.fill), _visible(path.stroke)
     if not (filled or stroked):
@@ -320,7 +377,7 @@ def _add_svg_shape(layer: _Layer, path: Any, source: str) -> None:
     paper = filled and min(path.fill.red, path.fill.green, path.fill.blue) >= 250
     closed, is_open = [], False
     for part in path.as_subpaths():
-        points = _svg_points(part)
+        points = _svg_points(part, sampled)
         reach = np.ptp(points, axis=0).max() if len(points) else 0.0
         if len(points) < 3 or not reach > 0:
             continue
@@ -344,16 +401,14 @@ def _visible(colour: Any) -> bool:
     return colour is not None and colour.value is not None and colour.alpha > 0
 
 
-def _svg_points(part: Any) -> np.ndarray:
-    """Vertices of a subpath, curves sampled."""
+def _svg_points(part: Any, sampled: np.ndarray) -> np.ndarray:
+    """Vertices of a subpath, curves ``sampled`` in their parameter."""
     points: list[np.ndarray] = []
     for segment in part:
-        kind = type(segment).__name__
-        if kind in ("Line", "Close", "Move"):
-            if segment.end is not None:
-                points.append(np.array([[segment.end.x, segment.end.y]]))
-        else:
-            points.append(np.array([[p[0], p[1]] for p in segment.npoint(_CURVE)]))
+        if type(segment).__name__ in _CURVED:
+            points.append(np.array([[p[0], p[1]] for p in segment.npoint(sampled)]))
+        elif segment.end is not None:
+            points.append(np.array([[segment.end.x, segment.end.y]]))
     return np.concatenate(points) if points else np.zeros((0, 2))
 
 
@@ -376,6 +431,8 @@ def read_dxf(content: bytes, source: str) -> Drawing:
 
     if content.startswith(b"AutoCAD Binary DXF"):
         raise InputError(source, "a binary DXF drawing", "one saved as ASCII DXF")
+    if b"ENTITIES" not in content:
+        raise InputError(source, "no section of entities", "a whole DXF drawing")
     entities = len(re.findall(rb"^[ \t]*0[ \t]*\r?$", content, re.MULTILINE))
     if len(content) > MAX_DXF or entities > 8 * MAX_ENTITIES:
         got = f"{len(content)} bytes, about {entities} entities"
@@ -386,20 +443,23 @@ def read_dxf(content: bytes, source: str) -> Drawing:
     try:
         document = ezdxf.read(io.StringIO(content.decode("utf-8", "replace")))  # type: ignore[attr-defined]
         _dxf_bounded(document, source)
-        for name, entity in _dxf_entities(document.modelspace(), "0"):
-            layer = layers.setdefault(name, _Layer())
-            for points, filled in _dxf_points(entity):
-                if filled:
-                    layer.filled.append(([points], True, False))
-                else:
-                    chains.setdefault(name, []).append(points)
+        paths = [
+            (name, path, entity.dxftype() in _DXF_FILLED)
+            for name, entity in _dxf_entities(document.modelspace(), "0")
+            for path in _dxf_paths(entity)
+        ]
+        for name, filled, points in _dxf_flat(paths):
+            if filled:
+                layers.setdefault(name, _Layer()).filled.append(([points], True, False))
+            else:
+                chains.setdefault(name, []).append(points)
     except InputError:
         raise
     except Exception as error:  # noqa: BLE001  the library trusts its input
         reason = f"{type(error).__name__} while reading it"
         raise InputError(source, reason, "a valid DXF drawing") from None
     for name, lines in chains.items():
-        layers[name].lines.extend(_closed(lines))
+        layers.setdefault(name, _Layer()).lines.extend(_closed(lines))
     metres = _DXF_UNITS.get(int(document.header.get("$INSUNITS", 0)))
     return _drawing(layers, metres, source, "a closed polyline, a circle, lines end to end")
 
@@ -431,29 +491,37 @@ def _dxf_entities(entities: Iterable[Any], inherited: str) -> Iterator[tuple[str
             yield from _dxf_entities(entity.virtual_entities(), layer)
 
 
-def _dxf_points(entity: Any) -> Iterator[tuple[np.ndarray, bool]]:
-    """Vertices of what an entity draws in x and y, and whether it is filled."""
+def _dxf_paths(entity: Any) -> list[Any]:
+    """What an entity draws, as paths of lines and Bezier curves."""
     from ezdxf import path
 
     kind = entity.dxftype()
     if kind in ("HATCH", "MPOLYGON"):
-        paths = list(path.from_hatch(entity))
-    elif kind in _DXF_LINES | _DXF_FILLED:
-        paths = [path.make_path(entity)]
-    else:
-        return
-    for made in paths:
-        box = np.array([(v.x, v.y) for v in made.control_vertices()])
-        if not np.isfinite(box).all():
-            raise ValueError
-        # Flattening to 1e-4 of the size, with no more than so many pieces a curve.
-        reach = float(np.ptp(box, axis=0).max()) if len(box) else 0.0
-        if reach > 0:
-            flat = made.flattening(1e-4 * reach, segments=8)
-            points = np.array([(v.x, v.y) for v in flat])
-            if kind in _DXF_FILLED or getattr(entity, "is_closed", False):
-                points = np.concatenate([points, points[:1]])
-            yield points, kind in _DXF_FILLED
+        return list(path.from_hatch(entity))
+    if kind not in _DXF_LINES | _DXF_FILLED:
+        return []
+    made = path.make_path(entity)
+    if kind in _DXF_FILLED or getattr(entity, "is_closed", False):
+        made.close()
+    return [made]
+
+
+def _dxf_flat(paths: list[tuple[str, Any, bool]]) -> Iterator[tuple[str, bool, np.ndarray]]:
+    """Vertices ``float64[V, 2]`` of every path, curves as lines."""
+    drawn = [(name, path, filled) for name, path, filled in paths if len(path)]
+    boxes = [np.array([(v.x, v.y) for v in path.control_vertices()]) for _, path, _ in drawn]
+    everything = np.concatenate(boxes) if boxes else np.zeros((1, 2))
+    if not np.isfinite(everything).all():
+        raise ValueError("coordinates that are no numbers")
+    reach = max(float(np.ptp(everything, axis=0).max()), 1e-12)
+    vertices = 0
+    for name, path, filled in drawn:
+        flat = path.flattening(_FINE * reach, segments=2)
+        points = np.array([(v.x, v.y) for v in itertools.islice(flat, MAX_VERTICES)])
+        vertices += len(points)
+        if vertices > MAX_VERTICES:
+            break  # refused for their number
+        yield name, filled, points
 
 
 def _closed(chains: list[np.ndarray]) -> Contours:
@@ -471,7 +539,7 @@ def _closed(chains: list[np.ndarray]) -> Contours:
     np.minimum.at(first, one, other)
     same = ends[first].reshape(-1, 2, 2)
     met = [
-        shapely.LineString([start, *chain[1:-1], end])
+        shapely.LineString(np.concatenate([[start], chain[1:-1], [end]]))
         for chain, (start, end) in zip(chains, same, strict=True)
     ]
     merged = shapely.line_merge(shapely.MultiLineString([x for x in met if not x.is_closed]))

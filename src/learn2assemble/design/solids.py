@@ -6,14 +6,20 @@ Cells are never unpickled, and nothing is read that a header only promises.
 
 from __future__ import annotations
 
+import importlib.util
 import io
 import json
 import logging
+import os
 import re
+import subprocess
+import sys
+import tempfile
 import warnings
 import zipfile
 import zlib
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -79,8 +85,8 @@ def read_mesh(content: bytes, kind: str, source: str) -> Solid:
     if not 0 < count <= MAX_TRIANGLES:
         raise InputError(source, f"{count} triangles", f"1 to {MAX_TRIANGLES} triangles")
     for vertices, faces in meshes:
-        if faces.min() < 0 or faces.max() >= len(vertices):
-            raise InputError(source, "a face of vertices that are not there", "a whole mesh file")
+        if vertices.shape[1] != 3 or faces.min() < 0 or faces.max() >= len(vertices):
+            raise InputError(source, "faces without vertices in space", "a whole mesh file")
         if not np.isfinite(vertices).all() or np.abs(vertices).max() > 1e9:
             raise InputError(source, "coordinates that are not numbers or beyond 1e9", "a mesh")
     welded = [_welded(*mesh) for mesh in meshes]
@@ -92,7 +98,7 @@ def read_mesh(content: bytes, kind: str, source: str) -> Solid:
             raise InputError(source, got, "a closed mesh (watertight, all faces outward)")
     parts = [_outward(vertices[faces]) for vertices, faces in welded]
     for (vertices, faces), part in zip(welded, parts, strict=True):
-        if np.abs(_volume(part)) < 1e-12 * float(np.ptp(vertices, axis=0).max()) ** 3:
+        if np.abs(_volume(part)) <= 1e-12 * float(np.ptp(vertices, axis=0).max()) ** 3:
             raise InputError(source, "a mesh without volume", "a closed mesh with an inside")
         if crossed(vertices, faces):
             raise InputError(source, "a mesh that crosses itself", "a surface without crossings")
@@ -133,13 +139,14 @@ def _promises(content: bytes, kind: str, source: str) -> None:
     promised = 0
     if kind == "ply":
         counts = re.findall(rb"^element\s+\w+\s+(\d{1,40})", content[:10_000], re.MULTILINE)
-        promised = max(map(int, counts), default=0)
+        promised = sum(map(int, counts))
     elif kind == "stl" and content.lstrip()[:5] != b"solid":
         promised = int.from_bytes(content[80:84], "little")
-    if promised > len(content):
-        raise InputError(
-            source, f"{promised} elements in {len(content)} bytes", "a whole mesh file"
-        )
+    elif kind == "obj":
+        promised = content.count(b"\nv ") + content.count(b"\nf ")
+    if promised > min(len(content), 4 * MAX_TRIANGLES):
+        got = f"{promised} vertices and faces in {len(content)} bytes"
+        raise InputError(source, got, f"a whole mesh file, at most {MAX_TRIANGLES} triangles")
 
 
 def _geometry_only(content: bytes, source: str) -> bytes:
@@ -189,21 +196,55 @@ def _primitives(root: dict[str, Any], node: dict[str, Any]) -> int:
 
 
 def _rhino(content: bytes, source: str) -> tuple[list[Mesh], float | None]:
-    """Meshes of a 3DM file, those kept with its surfaces included, and the length of its unit."""
-    try:
-        import rhino3dm
-    except ImportError:
-        raise MissingExtraError("rhino3dm", "rhino") from None
-    model: Any = rhino3dm.File3dm.FromByteArray(content)  # type: ignore[arg-type]
+    """Meshes of a 3DM file, those kept with its surfaces included, and the length of its unit.
+
+    A process of its own reads it: the library may take a damaged file for endless, or crash.
+    """
+    if importlib.util.find_spec("rhino3dm") is None:
+        raise MissingExtraError("rhino3dm", "rhino")
+    expected = "a whole 3DM file"
+    if len(content) not in (int.from_bytes(content[-n:], "little") for n in (4, 8)):
+        raise InputError(source, "3DM that is cut short", expected)
+    with tempfile.TemporaryDirectory() as folder:
+        given, made = Path(folder) / "design.3dm", Path(folder) / "meshes.npz"
+        given.write_bytes(content)
+        command = f"from {__name__} import write_rhino_meshes as run; run({folder!r})"
+        try:
+            done = subprocess.run(
+                [sys.executable, "-c", command],
+                env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+                timeout=5 + len(content) / 1e6,
+                capture_output=True,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            raise InputError(source, "3DM that takes too long to read", expected) from None
+        if done.returncode or not made.exists():
+            raise InputError(source, "3DM that cannot be read", expected)
+        with np.load(made) as arrays:
+            found = dict(arrays)
+    refused = str(found.pop("refused", ""))
+    if refused:
+        raise InputError(source, refused, "a 3DM file of meshes, blocks exploded")
+    metres = float(found.pop("metres", np.nan))
+    meshes = [(found[f"v{k}"], found[f"f{k}"]) for k in range(len(found) // 2)]
+    return meshes, metres if metres > 0 else None
+
+
+def write_rhino_meshes(folder: str) -> None:
+    """Write ``meshes.npz`` from ``design.3dm``, both in ``folder``; nothing where it fails."""
+    import rhino3dm
+
+    model: Any = rhino3dm.File3dm.Read(str(Path(folder) / "design.3dm"))
     if model is None:
-        raise InputError(source, "3DM that cannot be read", "a whole 3DM file")
-    found: list[Mesh] = []
+        return
+    refused, found = "", []
     for item in model.Objects:
         shape: Any = item.Geometry
         if not item.Attributes.Visible:
             continue
         if isinstance(shape, rhino3dm.InstanceReference):
-            raise InputError(source, "blocks (instances)", "a 3DM file with its blocks exploded")
+            refused = "blocks (instances)"
         meshes: list[Any] = []
         if isinstance(shape, rhino3dm.Mesh):
             meshes = [shape]
@@ -212,15 +253,19 @@ def _rhino(content: bytes, source: str) -> tuple[list[Mesh], float | None]:
         elif isinstance(shape, rhino3dm.Brep):
             faces: Any = shape.Faces
             meshes = [faces[k].GetMesh(rhino3dm.MeshType.Any) for k in range(len(faces))]
-        else:
-            continue  # curves, points, texts
-        if not meshes or any(mesh is None for mesh in meshes):
-            raise InputError(source, "a surface saved without its mesh", "3DM saved with meshes")
-        found.append(_joined([_rhino_mesh(mesh) for mesh in meshes]))
+        elif isinstance(shape, rhino3dm.Surface):
+            meshes = [None]
+        if any(mesh is None or not len(mesh.Faces) for mesh in meshes):
+            refused = "a surface saved without its mesh"
+        elif meshes:  # curves, points and texts have none
+            found.append(_joined([_rhino_mesh(mesh) for mesh in meshes]))
     unit = str(model.Settings.ModelUnitSystem).rpartition(".")[2]
     lengths = {"Millimeters": 1e-3, "Centimeters": 1e-2, "Decimeters": 0.1, "Meters": 1.0,
                "Inches": 0.0254, "Feet": 0.3048}  # fmt: skip
-    return found, lengths.get(unit)
+    arrays: dict[str, Any] = {"metres": lengths.get(unit, np.nan), "refused": refused}
+    for k, (vertices, faces) in enumerate(found):
+        arrays |= {f"v{k}": vertices, f"f{k}": faces}
+    np.savez(Path(folder) / "meshes.npz", **arrays)
 
 
 def _rhino_mesh(mesh: Any) -> Mesh:
@@ -264,6 +309,8 @@ def _open_edges(faces: np.ndarray) -> int:
 
 
 def _volume(triangles: np.ndarray) -> float:
+    if not len(triangles):
+        return 0.0
     moved = triangles - triangles.reshape(-1, 3).mean(0)
     return float(np.einsum("ni,ni->n", moved[:, 0], np.cross(moved[:, 1], moved[:, 2])).sum() / 6)
 
