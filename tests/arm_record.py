@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
+from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.kinematic.cell import KinematicCell
 from learn2assemble.robot.moves import OPENING, Move, Outcome, Scene, get_grasps
@@ -38,7 +39,7 @@ def waiting(count: int) -> np.ndarray:
     return np.stack([x, -0.15 - 0.1 * (k // 6), np.full(count, EDGE / 2)], -1)
 
 
-def arm_plan(count: int = 20) -> dict[str, Any]:
+def arm_plan(count: int = 20) -> Plan:
     """The plan of the wall."""
     goals = wall(count)
     steps = []
@@ -58,7 +59,7 @@ def arm_plan(count: int = 20) -> dict[str, Any]:
             "stable": True, "outside": False,
         })  # fmt: skip
     outline = [[-0.145, 0], [-0.145, 0.1], [0.0, 0.25], [0.06, 0.25], [0.205, 0.1], [0.205, 0]]
-    return {
+    return Plan.from_dict({
         "format": "learn2assemble-plan", "version": 1,
         "design": {
             "name": "Gable wall", "source": "gable_wall.json", "num_sides": 1,
@@ -74,7 +75,7 @@ def arm_plan(count: int = 20) -> dict[str, Any]:
         },
         "first_block": {"block": 0, "position": goals[0].tolist(), "quaternion": [1, 0, 0, 0]},
         "steps": steps, "coverage": 1.0, "verified_by": "MuJoCo 4.0.0", "seconds": 12.0,
-    }  # fmt: skip
+    })  # fmt: skip
 
 
 def pose(position: Any, yaw: float) -> np.ndarray:
@@ -84,9 +85,9 @@ def pose(position: Any, yaw: float) -> np.ndarray:
 class Recorder:
     """Appends motions to a recording, sample by sample."""
 
-    def __init__(self, arm: Arm, plan: dict[str, Any]) -> None:
+    def __init__(self, arm: Arm, plan: Plan) -> None:
         self.arm, self.cell = arm, KinematicCell(arm, 40)
-        places = np.array(plan["blocks"]["waiting"], float)
+        places = np.array(plan.blocks.waiting, float)
         self.joints, self.width = arm.home.copy(), OPENING
         self.recording = Logbook(
             arm, self.joints, self.width, upright(places, np.zeros(len(places))),
@@ -213,9 +214,9 @@ def arm_record(name: str = "panda", count: int = 20, failures: bool = True) -> B
     plan = arm_plan(count)
     recorder = Recorder(get_arm(name), plan)
     trouble = {2: Outcome.GRASP_LOST, 4: Outcome.UNREACHABLE, 5: Outcome.DROPPED}
-    for step in plan["steps"]:
-        goal = np.array(step["position"])
-        if failures and step["step"] in trouble:
-            recorder.attempt(step["step"], step["block"], goal, trouble[step["step"]])
-        recorder.attempt(step["step"], step["block"], goal, Outcome.REACHED)
+    for step in plan.steps:
+        goal = np.array(step.position)
+        if failures and step.step in trouble:
+            recorder.attempt(step.step, step.block, goal, trouble[step.step])
+        recorder.attempt(step.step, step.block, goal, Outcome.REACHED)
     return recorder.recording.record()

@@ -274,7 +274,7 @@ def test_the_files_of_a_build_open(walls: tuple, tmp_path: Path) -> None:
     files = plan.save(tmp_path)
     assert set(files) == {"plan", "page", "picture", "trajectory", "trajectory table"}
     assert Plan.load(tmp_path) == plan
-    playback = Playback(record, plan.to_dict())
+    playback = Playback(record, plan)
     assert playback.duration == pytest.approx(plan.arm.seconds, abs=0.1)
 
 
@@ -305,7 +305,7 @@ def test_a_build_interrupted_by_lost_blocks_is_replanned_and_finished(agent: Age
     # No block is lost silently: every one is somewhere, at rest, and the page can show it.
     assert np.isfinite(record.steps[-1].after).all()
     assert (record.steps[-1].after[:, 2] > 0.02).all()
-    Playback(record, plan.to_dict())
+    Playback(record, plan)
     assert find_fault(record) is None
 
 
@@ -332,7 +332,7 @@ def test_a_build_interrupted_by_a_dropped_block_is_replanned_and_finished(
         pose = record.steps[-1].after[step.block, :3]
         assert np.linalg.norm(pose - step.position) < 5e-3
     assert find_fault(record) is None
-    Playback(record, plan.to_dict())
+    Playback(record, plan)
 
 
 def test_a_block_that_lies_askew_is_turned_while_it_is_built(agent: Agent) -> None:
@@ -398,7 +398,7 @@ def test_examples_are_built(agent: Agent, name: str, arm: str) -> None:
     record = plan.record
     assert plan.status == "complete", plan.reason
     assert find_fault(record) is None
-    Playback(record, plan.to_dict())
+    Playback(record, plan)
 
 
 @pytest.mark.parametrize(

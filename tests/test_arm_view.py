@@ -14,31 +14,31 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from arm_record import arm_plan, arm_record
 from headless import SPATIAL, browse, pixels, shoot
 from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.planning.plan import Plan
 from learn2assemble.robot import shape as shapes
 from learn2assemble.robot.arm import arm_model, get_arm
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.record import BuildRecord, Stage
 from learn2assemble.robot.shape import Mesh, arm_shape, box, capsule, shaded
+from learn2assemble.viewer import page as plan_page
 from learn2assemble.viewer import words as arm_words
-from learn2assemble.viewer.page import render_page, write_page
-from learn2assemble.viewer.playback import (
-    PAUSE,
-    Playback,
-    blend,
-    product,
-    quaternion_of,
-    rotation_of,
-    split,
-)
+from learn2assemble.viewer.playback import PAUSE, Playback, split
 
 EDGE = 0.05
 COUNT = 6
+
+
+def render_page(plan: Plan, record: BuildRecord | None = None) -> str:
+    return plan_page.render_page(replace(plan, record=record))
+
+
+def write_page(plan: Plan, path: Path, record: BuildRecord) -> None:
+    plan_page.write_page(replace(plan, record=record), path)
 
 
 @pytest.fixture(scope="module")
@@ -125,24 +125,6 @@ def test_an_arm_without_pictures_is_drawn_by_its_solids(monkeypatch: pytest.Monk
 # ---------------------------------------------------------------- playing it
 
 
-_PARTS = st.floats(-1, 1)
-
-
-@given(st.lists(_PARTS, min_size=8, max_size=8))
-@settings(max_examples=50, deadline=None)
-def test_quaternions_agree_with_rotations(numbers: list[float]) -> None:
-    a, b = np.array(numbers[:4]), np.array(numbers[4:])
-    if min(np.linalg.norm(a), np.linalg.norm(b)) < 0.1:
-        return
-    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
-    np.testing.assert_allclose(
-        rotation_of(product(a, b)), rotation_of(a) @ rotation_of(b), atol=1e-12
-    )
-    np.testing.assert_allclose(abs(quaternion_of(rotation_of(a)) @ a), 1, atol=1e-12)
-    np.testing.assert_allclose(blend(a, b, 0.0), a, atol=1e-12)
-    np.testing.assert_allclose(abs(blend(a, -b, 1.0) @ b), 1, atol=1e-12)
-
-
 def test_the_arm_follows_the_samples(record: BuildRecord, playback: Playback) -> None:
     samples, _ = record.joined()
     for segment in playback.segments:
@@ -175,7 +157,7 @@ def test_a_held_block_keeps_its_place_in_the_hand(playback: Playback) -> None:
                 cells, turns = playback.cells_at(clock)
                 inside.append(
                     [*(rotation.T @ (cells[glide.cell] - tool)),
-                     *(rotation.T @ rotation_of(turns[glide.cell])).ravel()]
+                     *(rotation.T @ quaternion_matrix(turns[glide.cell])).ravel()]
                 )  # fmt: skip
             np.testing.assert_allclose(inside, np.tile(inside[0], (7, 1)), atol=1e-9)
             assert np.linalg.norm(inside[0][:3]) < 0.02, "and that place is between the fingers"

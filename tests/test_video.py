@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 from arm_record import arm_plan, arm_record
 from learn2assemble.cli import view
 from learn2assemble.errors import InputError, MissingExtraError
-from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.record_files import write_record
 from learn2assemble.robot.shape import box
 from learn2assemble.viewer.cell_model import fill_box, lettering, number_picture, rgb, write
@@ -264,7 +263,7 @@ def test_nonsense_is_refused(tmp_path: Path, options: dict[str, Any], words: str
 
 def test_a_path_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("av")
-    with pytest.raises(InputError, match="writable"):
+    with pytest.raises(InputError, match="can be written"):
         write_video(arm_plan(COUNT), arm_record("panda", COUNT), tmp_path / "no" / "a.mp4",
                     speed=100, width=320, height=240)  # fmt: skip
 
@@ -280,7 +279,7 @@ def test_the_files_of_a_build_and_an_unsound_one(
         "learn2assemble.viewer.video.write_video", lambda plan, record, path: drawn.append(path)
     )
     record = arm_record("panda", COUNT)
-    plan = replace(Plan.from_dict(arm_plan(COUNT)), record=record)
+    plan = replace(arm_plan(COUNT), record=record)
     files = plan.save(tmp_path, video=True, page=False)
     assert [path.name for path in files.values()] == [
         "plan.json", "trajectory.json", "trajectory.csv", "build.mp4",
@@ -297,7 +296,7 @@ def test_the_files_of_a_build_and_an_unsound_one(
 def test_view_shows_the_arm_of_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("learn2assemble.cli.view.serve", lambda *_: "")
     options = argparse.Namespace(plan=tmp_path, json=False, port=0, no_browser=True)
-    (tmp_path / "plan.json").write_text(json.dumps(arm_plan(COUNT)))
+    (tmp_path / "plan.json").write_text(json.dumps(arm_plan(COUNT).to_dict()))
     page = tmp_path / "view.html"
     view.run(options)
     assert '<body class="movable">' in page.read_text(encoding="utf-8")

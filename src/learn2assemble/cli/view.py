@@ -16,7 +16,7 @@ def run(options: argparse.Namespace) -> int:
     plan = Plan.load(plan_file)
     page = plan_file.with_name("view.html")
     if not page.exists():
-        write_page(plan.to_dict(), page, plan.record)
+        write_page(plan, page)
 
     def tell(url: str) -> None:
         output.say(f"{url} (Ctrl-C ends it)")

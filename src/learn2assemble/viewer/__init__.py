@@ -25,9 +25,9 @@ def _page(plan: Plan, folder: Path) -> dict[str, Path]:
     from learn2assemble.viewer.page import write_page
     from learn2assemble.viewer.picture import write_progress
 
-    page, picture, data = folder / "view.html", folder / "progress.png", plan.to_dict()
-    write_page(data, page, plan.record)
-    write_progress(data, picture)
+    page, picture = folder / "view.html", folder / "progress.png"
+    write_page(plan, page)
+    write_progress(plan, picture)
     return {"page": page, "picture": picture}
 
 
@@ -35,5 +35,5 @@ def _video(plan: Plan, folder: Path) -> dict[str, Path]:
     from learn2assemble.viewer.video import write_video
 
     assert plan.record is not None
-    write_video(plan.to_dict(), plan.record, folder / "build.mp4")
+    write_video(plan, plan.record, folder / "build.mp4")
     return {"video": folder / "build.mp4"}

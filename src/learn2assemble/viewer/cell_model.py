@@ -15,9 +15,10 @@ import matplotlib
 import numpy as np
 from matplotlib.font_manager import get_font
 
+from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.robot.moves import fillers
 from learn2assemble.robot.shape import Mesh, box
-from learn2assemble.viewer.playback import Playback, rotation_of, split
+from learn2assemble.viewer.playback import Playback, split
 from learn2assemble.viewer.renderer import BLOCK, GROUND, LIT, NUMBER_SIZE, PLAIN, Triangles
 from learn2assemble.viewer.scene import Scene
 
@@ -205,14 +206,14 @@ def body_poses(model: CellModel, playback: Playback, clock: float) -> tuple[np.n
     cells, quaternions = playback.cells_at(clock)
     count = len(cells)
     position[model.cells : model.cells + count] = cells
-    rotation[model.cells : model.cells + count] = rotation_of(quaternions)
+    rotation[model.cells : model.cells + count] = quaternion_matrix(quaternions)
     for k, (a, b) in enumerate(model.fillers.tolist(), model.cells + count):
         position[k] = (cells[a] + cells[b]) / 2
         x = (cells[b] - cells[a]) / np.linalg.norm(cells[b] - cells[a])
         z = rotation[model.cells + a, :, 2]
         rotation[k] = np.stack([x, np.cross(z, x), z], 1)
     target, quaternion = split(playback.segment_at(clock).step.target)
-    position[model.goal], rotation[model.goal] = target, rotation_of(quaternion)
+    position[model.goal], rotation[model.goal] = target, quaternion_matrix(quaternion)
     return position, rotation
 
 

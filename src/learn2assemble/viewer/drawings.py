@@ -6,14 +6,13 @@ style sheet and script decide how a block looks; without a script the finished s
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from html import escape
-from typing import Any
 
 import numpy as np
 
+from learn2assemble.planning.plan import Plan
 from learn2assemble.viewer.scene import Placed, Scene, Seen
-from learn2assemble.viewer.words import first_share, percent
+from learn2assemble.viewer.words import percent, shares
 
 _MARGIN = 12.0
 _CHART_WIDTH, _CHART_HEIGHT = 480, 230
@@ -75,14 +74,13 @@ def _labelled(views: tuple[Seen, ...], edge: float) -> list[Seen]:
     ]
 
 
-def chart_svg(plan: Mapping[str, Any]) -> str:
+def chart_svg(plan: Plan) -> str:
     """Coverage after every step, with the share that is needed; empty for a plan without steps."""
-    steps = plan["steps"]
+    steps = plan.steps
     if not steps:
         return ""
-    threshold = plan["design"]["success_threshold"]
-    complete = [first_share(plan), *(step["coverage"] for step in steps)]
-    plane = [first_share(plan, "plane_coverage"), *(step["plane_coverage"] for step in steps)]
+    threshold = plan.design.success_threshold
+    complete, plane = shares(plan), shares(plan, plane=True)
     parts = [
         f'<svg class="chart" viewBox="0 0 {_CHART_WIDTH} {_CHART_HEIGHT}" role="img" '
         f'aria-label="Coverage after each of {len(steps)} steps, '
@@ -136,9 +134,9 @@ def _points(xz: np.ndarray) -> str:
     return " ".join(f"{1000 * x:.1f},{-1000 * z:.1f}" for x, z in xz.tolist())
 
 
-def _curve(shares: list[float]) -> str:
-    last = len(shares) - 1
-    return " ".join(f"{_chart_x(i, last):.1f},{_chart_y(s):.1f}" for i, s in enumerate(shares))
+def _curve(values: list[float]) -> str:
+    last = len(values) - 1
+    return " ".join(f"{_chart_x(i, last):.1f},{_chart_y(v):.1f}" for i, v in enumerate(values))
 
 
 def _chart_x(number: int, last: int) -> float:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 from typing import Any
 
-from learn2assemble.errors import InputError
+from learn2assemble.files import write_file
+from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.moves import Outcome
-from learn2assemble.robot.record import BuildRecord, StepRecord
+from learn2assemble.robot.record import StepRecord
 from learn2assemble.viewer.drawings import chart_svg, elevation_svg, kind
 from learn2assemble.viewer.html import fact_list, fill, speed_options, stand_alone
 from learn2assemble.viewer.playback import Playback, arm_data
@@ -21,10 +21,11 @@ from learn2assemble.viewer.words import (
     block_names,
     caption,
     clock_words,
-    first_share,
     percent,
     placement,
+    search_needed,
     sentence,
+    shares,
     summary,
 )
 
@@ -65,7 +66,7 @@ _READING = (
 )
 
 
-def _section(plan: Mapping[str, Any], playback: Playback) -> str:
+def _section(plan: Plan, playback: Playback) -> str:
     record = playback.record
     return (
         '<section class="attempts" aria-labelledby="arm-title"><h2 id="arm-title">What the arm '
@@ -77,7 +78,7 @@ def _section(plan: Mapping[str, Any], playback: Playback) -> str:
     )
 
 
-def arm_rows(plan: Mapping[str, Any], playback: Playback) -> str:
+def arm_rows(plan: Plan, playback: Playback) -> str:
     """The table of what became of every step."""
     rows = []
     for k, segment in enumerate(playback.segments):
@@ -136,44 +137,34 @@ _LEGEND = (
 )
 
 
-def write_page(plan: Mapping[str, Any], path: Path, record: BuildRecord | None = None) -> None:
-    """Write the report of a parsed ``plan.json`` to ``path``, a stand-alone HTML file.
+def write_page(plan: Plan, path: Path) -> None:
+    """Write the report of a plan to ``path``, a stand-alone HTML file.
 
     ``#step=5`` behind its address opens it at step 5; without it the finished structure shows.
 
-    Args:
-        record: of the arm that built it; the page then shows the arm, and ``#t=12.5`` behind its
-            address opens it at this second.
+    With an arm the page shows it, and ``#t=12.5`` behind its address opens it at this second.
 
     Raises:
-        InputError: for something that is not such a plan, a record that does not fit it, or a
-            path that cannot be written.
+        InputError: for a record of the arm that does not fit the plan, or a path that cannot be
+            written.
     """
-    text = render_page(plan, record)
-    try:
-        path.write_text(text, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise InputError("page", str(path), f"a writable file ({error.strerror})") from None
+    write_file(path, render_page(plan), "page")
 
 
-def render_page(plan: Mapping[str, Any], record: BuildRecord | None = None) -> str:
+def render_page(plan: Plan) -> str:
     """The HTML text of the report."""
-    scene = read_scene(plan)
-    try:
-        playback = Playback(record, plan) if record is not None and record.steps else None
-        return _render(plan, scene, playback)
-    except KeyError as error:
-        raise InputError("plan", f"no field {error}", "every field of its format") from None
+    playback = Playback(plan.record, plan) if plan.record and plan.record.steps else None
+    return _render(plan, read_scene(plan), playback)
 
 
-def _render(plan: Mapping[str, Any], scene: Scene, playback: Playback | None) -> str:
+def _render(plan: Plan, scene: Scene, playback: Playback | None) -> str:
     arm = playback is not None
     chart = chart_svg(plan)
     sections = {
         "elevations": _elevations(scene),
         "sides": str(len(scene.elevations)),
         "chart": chart,
-        "counted": "" if first_share(plan) else ", counted from the first block",
+        "counted": "" if shares(plan)[0] else ", counted from the first block",
         "plane_note": _PLANE_NOTE if 'class="plane"' in chart else "",
         "steps": _steps(plan),
         "attempts": _attempts(plan),
@@ -183,9 +174,9 @@ def _render(plan: Mapping[str, Any], scene: Scene, playback: Playback | None) ->
     last = str(scene.num_steps)
     values = {
         "what": "build plan",
-        "title": escape(plan["design"]["name"]),
-        "eyebrow": f'Build plan <span class="status {plan["status"]}">'
-        f"{STATUS_WORDS[plan['status']]}</span>",
+        "title": escape(plan.design.name),
+        "eyebrow": f'Build plan <span class="status {plan.status}">'
+        f"{STATUS_WORDS[plan.status]}</span>",
         "summary": escape(summary(plan)) + _arm_words(playback),
         "reason": _reason(plan),
         "facts": _facts(plan),
@@ -200,7 +191,7 @@ def _render(plan: Mapping[str, Any], scene: Scene, playback: Playback | None) ->
         "legend": _LEGEND,
         "view_note": _TRAY_NOTE if scene.rearranged and not arm else "",
         "sections": fill("plan.html", sections),
-        "source": f"Design file: {escape(str(plan['design']['source']))}.",
+        "source": f"Design file: {escape(plan.design.source)}.",
         **(arm_values(playback) if playback is not None else {}),
     }
     scripts = (*_SCRIPTS, *["arm.js"] * arm, "timeline.js")
@@ -221,7 +212,7 @@ _TRAY_NOTE = (
 _PLANE_NOTE = " Dotted: without what stands in front of a side's face plane."
 
 
-def _data(plan: Mapping[str, Any], scene: Scene, playback: Playback | None) -> dict[str, Any]:
+def _data(plan: Plan, scene: Scene, playback: Playback | None) -> dict[str, Any]:
     """What the scripts need: lengths in metres, world frame, quaternions (w, x, y, z)."""
     kinds = {block.number: kind(block) for block in scene.blocks}
     return {
@@ -247,37 +238,36 @@ def _data(plan: Mapping[str, Any], scene: Scene, playback: Playback | None) -> d
     }
 
 
-def _reason(plan: Mapping[str, Any]) -> str:
-    if not plan.get("reason"):
+def _reason(plan: Plan) -> str:
+    if not plan.reason:
         return ""
-    head = "Why there is no build order" if plan["status"] == "refused" else "Why it ends here"
+    head = "Why there is no build order" if plan.status == "refused" else "Why it ends here"
     return (
         f'<div class="reason" role="alert"><strong>{head}</strong>'
-        f"<p>{escape(str(plan['reason']))}</p></div>"
+        f"<p>{escape(plan.reason)}</p></div>"
     )
 
 
-def _facts(plan: Mapping[str, Any]) -> str:
-    search, blocks = plan["search"], plan["blocks"]
-    back = search["backtracks"]
+def _facts(plan: Plan) -> str:
+    back = plan.search.backtracks if plan.search else 0
     facts: list[tuple[str, str, str]] = [
         (
             "Coverage",
-            percent(plan["coverage"]),
-            f"{percent(plan['design']['success_threshold'])} needed",
+            percent(plan.coverage),
+            f"{percent(plan.design.success_threshold)} needed",
         ),
-        ("Blocks", str(blocks["used"]), f"of {blocks['available']} available"),
+        ("Blocks", str(plan.blocks.used), f"of {plan.blocks.available} available"),
         (
             "Search",
-            search["needed"] or "none",
+            search_needed(plan),
             f"{back} step{'' if back == 1 else 's'} taken back",
         ),
         (
-            "Verified by" if plan["status"] == "complete" else "Checked by",
-            (plan["steps"] and plan.get("verified_by")) or "not checked",
+            "Verified by" if plan.complete else "Checked by",
+            (plan.verified_by if plan.steps else None) or "not checked",
             "",
         ),
-        ("Agent", plan["agent"] or "none", f"planned in {_seconds(plan['seconds'])}"),
+        ("Agent", plan.agent or "none", f"planned in {_seconds(plan.seconds)}"),
     ]
     return fact_list(facts)
 
@@ -294,27 +284,27 @@ def _elevations(scene: Scene) -> str:
     )
 
 
-def _steps(plan: Mapping[str, Any]) -> str:
+def _steps(plan: Plan) -> str:
     rows = []
-    for number, step in enumerate(plan["steps"], 1):
-        margin, stable = step.get("margin_g", step.get("stability_margin")), step["stable"]
-        support = ' <span class="tag">support</span>' if step.get("outside") else ""
+    for number, step in enumerate(plan.steps, 1):
+        margin, stable = step.margin_g, step.stable
+        support = ' <span class="tag">support</span>' if step.outside else ""
         rows.append(
             f'<tr data-step="{number}"><td><button type="button" data-step="{number}" '
             f'aria-label="Show step {number}">{number}</button></td>'
             f"<td>{escape(placement(step))}{support}</td>"
-            f'<td class="number">{int(step["block"])}</td>'
-            f'<td class="number">{escape(percent(step["coverage"]))}</td>'
+            f'<td class="number">{step.block}</td>'
+            f'<td class="number">{escape(percent(step.coverage))}</td>'
             f'<td class="number">{"–" if margin is None else f"{margin:.2f}"}</td>'
             f'<td class="{"yes" if stable else "no"}">{"yes" if stable else "no"}</td></tr>'
         )
     return "".join(rows) or '<tr><td colspan="6">This plan has no steps.</td></tr>'
 
 
-def _attempts(plan: Mapping[str, Any]) -> str:
+def _attempts(plan: Plan) -> str:
     rows = "".join(
-        f"<tr><td>{escape(str(item['stage']))}</td><td>{escape(str(item['result']))}</td>"
-        f'<td class="number">{item["seconds"]:.2f} s</td></tr>'
-        for item in plan["search"]["attempts"]
+        f"<tr><td>{escape(item.stage)}</td><td>{escape(item.result)}</td>"
+        f'<td class="number">{item.seconds:.2f} s</td></tr>'
+        for item in (plan.search.attempts if plan.search else ())
     )
     return rows or '<tr><td colspan="3">Nothing was tried.</td></tr>'

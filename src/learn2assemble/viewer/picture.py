@@ -12,7 +12,8 @@ from __future__ import annotations
 import heapq
 import textwrap
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,10 +30,11 @@ from shapely.geometry import Polygon as Area
 from shapely.geometry import box
 from shapely.ops import unary_union
 
-from learn2assemble.errors import InputError
+from learn2assemble.files import write_file
+from learn2assemble.planning.plan import Plan
 from learn2assemble.viewer.drawings import drawing_limits, kind
 from learn2assemble.viewer.scene import Placed, Scene, hull, read_scene
-from learn2assemble.viewer.words import STATUS_WORDS, first_share, percent, placement
+from learn2assemble.viewer.words import STATUS_WORDS, percent, placement, shares
 
 TO_VIEWER = np.array([-0.52, -1.0, 0.62]) / np.linalg.norm([-0.52, -1.0, 0.62])
 """float64[3]: unit direction from the structure to the viewer, world frame."""
@@ -225,10 +227,9 @@ def save(figure: Figure, path: Path, dpi: int) -> None:
     with warnings.catch_warnings():
         # A name in a script the font lacks shows boxes; that is no reason to fail or to warn.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
-        try:
-            figure.savefig(path, format="png", dpi=dpi, metadata={"Software": None})
-        except OSError as error:
-            raise InputError("picture", str(path), f"a writable file ({error.strerror})") from None
+        content = BytesIO()
+        figure.savefig(content, format="png", dpi=dpi, metadata={"Software": None})
+    write_file(path, content.getvalue(), "picture")
 
 
 WIDTH = 1600
@@ -241,18 +242,13 @@ _SIDE = 56
 """Empty border at the left and right [px]."""
 
 
-def write_progress(plan: Mapping[str, Any], path: Path) -> None:
-    """Write the picture of a parsed ``plan.json`` to ``path`` (PNG, 1600 px wide).
+def write_progress(plan: Plan, path: Path) -> None:
+    """Write the picture of a plan to ``path`` (PNG, 1600 px wide).
 
     Raises:
-        InputError: for something that is not such a plan, or a path that cannot be written.
+        InputError: for a path that cannot be written.
     """
-    scene = read_scene(plan)
-    try:
-        figure = draw_progress(plan, scene)
-    except KeyError as error:
-        raise InputError("plan", f"no field {error}", "every field of its format") from None
-    save(figure, path, _DPI)
+    save(draw_progress(plan, read_scene(plan)), path, _DPI)
 
 
 def moments(num_steps: int) -> list[int]:
@@ -261,7 +257,7 @@ def moments(num_steps: int) -> list[int]:
     return np.unique(np.linspace(0, num_steps, count).round().astype(int)).tolist()
 
 
-def draw_progress(plan: Mapping[str, Any], scene: Scene) -> Figure:
+def draw_progress(plan: Plan, scene: Scene) -> Figure:
     """The figure, laid out in pixels from the top left."""
     shown = moments(scene.num_steps)
     columns = len(shown) if len(shown) <= 4 else -(-len(shown) // 2)
@@ -361,30 +357,27 @@ def _draw_block(
         number_on(axes, block.number, face.corners)
 
 
-def _draw_head(axes: Axes, plan: Mapping[str, Any]) -> None:
-    name = textwrap.shorten(" ".join(str(plan["design"]["name"]).split()), 72, placeholder=" …")
+def _draw_head(axes: Axes, plan: Plan) -> None:
+    name = textwrap.shorten(" ".join(plan.design.name.split()), 72, placeholder=" …")
     write(axes, 0, 0.62, name, size=25, weight="bold")
-    blocks = plan["blocks"]
     parts = [
-        STATUS_WORDS[plan["status"]],
-        f"{blocks['used']} of {blocks['available']} blocks",
-        f"{percent(plan['coverage'])} of the target covered",
+        STATUS_WORDS[plan.status],
+        f"{plan.blocks.used} of {plan.blocks.available} blocks",
+        f"{percent(plan.coverage)} of the target covered",
     ]
-    if plan.get("verified_by"):
-        parts.append(f"verified by {plan['verified_by']}")
-    if plan.get("reason"):
-        parts[1:] = [str(plan["reason"])]
+    if plan.verified_by:
+        parts.append(f"verified by {plan.verified_by}")
+    if plan.reason:
+        parts[1:] = [plan.reason]
     line = textwrap.shorten(" · ".join(parts), 150, placeholder=" …")
     write(axes, 0, 0.28, line, size=14, color=SOFT)
 
 
-def _draw_caption(axes: Axes, plan: Mapping[str, Any], number: int) -> None:
+def _draw_caption(axes: Axes, plan: Plan, number: int) -> None:
     axes.set_xlim(0, 1)
     axes.set_ylim(0, 1)
-    share, words = first_share(plan), "the first block"
-    if number:
-        step = plan["steps"][number - 1]
-        share, words = step["coverage"], placement(step)
+    share = shares(plan)[number]
+    words = placement(plan.steps[number - 1]) if number else "the first block"
     head = f"Step {number}" if number else "Start"
     write(axes, 0.08, 0.86, head, size=13, weight="bold")
     write(axes, 0.92, 0.86, percent(share), size=13, weight="bold", ha="right", color=ACCENT)
@@ -395,10 +388,10 @@ def _draw_caption(axes: Axes, plan: Mapping[str, Any], number: int) -> None:
         axes.plot([0.08, end], [0.58, 0.58], color=ACCENT, lw=4, solid_capstyle="round")
 
 
-def _draw_foot(panel: Any, plan: Mapping[str, Any], scene: Scene, top: float) -> None:
+def _draw_foot(panel: Any, plan: Plan, scene: Scene, top: float) -> None:
     """Elevations side by side, then the coverage chart."""
     sides = len(scene.elevations)
-    chart = bool(plan["steps"])
+    chart = bool(plan.steps)
     chart_width = 430 if chart else 0
     room = WIDTH - 2 * _SIDE - chart_width
     width = min(room / sides, 440)
@@ -444,9 +437,9 @@ def _draw_elevation(axes: Axes, scene: Scene, side: int) -> None:
             number_on(axes, seen.number, corner + np.array(square))
 
 
-def _draw_chart(axes: Axes, plan: Mapping[str, Any]) -> None:
-    shares = [first_share(plan), *(step["coverage"] for step in plan["steps"])]
-    last, threshold = len(shares) - 1, plan["design"]["success_threshold"]
+def _draw_chart(axes: Axes, plan: Plan) -> None:
+    values = shares(plan)
+    last, threshold = len(values) - 1, plan.design.success_threshold
     axes.set_xlim(-0.01 * last, 1.03 * last)
     axes.set_ylim(-0.02, 1.06)
     for share in (0, 0.25, 0.5, 0.75, 1):
@@ -458,7 +451,7 @@ def _draw_chart(axes: Axes, plan: Mapping[str, Any]) -> None:
     needed = f"{percent(threshold)} needed"
     write(axes, 0.02 * last, threshold - 0.075, needed, size=10.5, color=GOOD)
     axes.plot(
-        range(last + 1), shares, color=ACCENT, lw=2.2, marker="o", ms=5.5, zorder=3,
+        range(last + 1), values, color=ACCENT, lw=2.2, marker="o", ms=5.5, zorder=3,
         solid_joinstyle="round", clip_on=False,
     )  # fmt: skip
 

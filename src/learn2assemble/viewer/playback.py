@@ -1,6 +1,4 @@
-"""Orientations as quaternions (w, x, y, z).
-
-Playing a record: where the arm and every cell are at any time, for the page and the video.
+"""Playing a record: where the arm and every cell are at any time, for the page and the video.
 
 The clock of a replay is the time of the record, with a pause for steps in which the arm does not
 move, so that they can be read. Between samples joints are interpolated; what is held follows the
@@ -18,50 +16,25 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from learn2assemble.errors import InputError
+from learn2assemble.geometry.rotations import (
+    interpolate_quaternions,
+    matrix_quaternion,
+    quaternion_matrix,
+    quaternion_product,
+)
+from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.moves import Outcome, fillers
 from learn2assemble.robot.record import BuildRecord, Samples, StepRecord
 from learn2assemble.robot.shape import Part, Shape, arm_shape
 from learn2assemble.viewer.html import packed, to_base64
-from learn2assemble.viewer.words import arm_caption, block_names, caption, stage_words
-
-
-def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Of two quaternions: first turn by ``b``, then by ``a``."""
-    w, v = a[0], a[1:]
-    return np.array([w * b[0] - v @ b[1:], *(w * b[1:] + b[0] * v + np.cross(v, b[1:]))])
-
-
-def quaternion_of(rotation: np.ndarray) -> np.ndarray:
-    """float64[4] (w, x, y, z) of a rotation float64[3, 3]."""
-    m = rotation
-    # Of the four ways to write it, the one whose first divisor is largest.
-    all_four = np.array([
-        [1 + m[0, 0] + m[1, 1] + m[2, 2], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
-        [m[2, 1] - m[1, 2], 1 + m[0, 0] - m[1, 1] - m[2, 2], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]],
-        [m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 - m[0, 0] + m[1, 1] - m[2, 2], m[1, 2] + m[2, 1]],
-        [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 - m[0, 0] - m[1, 1] + m[2, 2]],
-    ])  # fmt: skip
-    best = all_four[int(np.argmax(np.diag(all_four)))]
-    return best / np.linalg.norm(best)
-
-
-def blend(a: np.ndarray, b: np.ndarray, share: float) -> np.ndarray:
-    """Between two orientations: the shorter way, normalised."""
-    mixed = (1 - share) * a + share * (b if a @ b >= 0 else -b)
-    return mixed / np.linalg.norm(mixed)
-
-
-def rotation_of(quaternion: np.ndarray) -> np.ndarray:
-    """float64[..., 3, 3] of unit quaternions float64[..., 4]."""
-    w, x, y, z = np.moveaxis(quaternion, -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-
+from learn2assemble.viewer.words import (
+    arm_caption,
+    block_names,
+    block_numbers,
+    caption,
+    stage_words,
+)
 
 PAUSE = 2.5
 """What a step without motion takes in a replay [s]."""
@@ -116,7 +89,7 @@ class Playback:
         InputError: where the record does not fit the arm or the plan.
     """
 
-    def __init__(self, record: BuildRecord, plan: Mapping[str, Any]) -> None:
+    def __init__(self, record: BuildRecord, plan: Plan) -> None:
         arm = get_arm(record.arm.name)
         _fits(record, plan, arm)
         self.record = record
@@ -159,14 +132,16 @@ class Playback:
             if clock < glide.grip:
                 return None
             where, rotation = self.shape.tool(self._arm(clock - segment.delay)[0])
-            return where + rotation @ glide.offset, product(quaternion_of(rotation), glide.turn)
+            return where + rotation @ glide.offset, quaternion_product(
+                matrix_quaternion(rotation), glide.turn
+            )
         share = (clock - glide.release) / max(glide.end - glide.release, 1e-9)
         share = min(max(share, 0.0), 1.0)
         share = share * share if glide.falls else share * share * (3 - 2 * share)
         end, turn = split(segment.step.after[glide.cell])
         return (
             glide.position + share * (end - glide.position),
-            blend(glide.quaternion, turn, share),
+            interpolate_quaternions(glide.quaternion, turn, share),
         )
 
     def _arm(self, time: float) -> tuple[np.ndarray, float]:
@@ -207,9 +182,12 @@ class Playback:
                 let_go = segment.end - delay if step.release is None else step.release
                 tool, rotation = self.shape.tool(self._arm(step.grip)[0])
                 offset = rotation.T @ (where - tool)
-                turn = product(quaternion_of(rotation.T), turned)
+                turn = quaternion_product(matrix_quaternion(rotation.T), turned)
                 tool, rotation = self.shape.tool(self._arm(let_go)[0])
-                where, turned = tool + rotation @ offset, product(quaternion_of(rotation), turn)
+                where, turned = (
+                    tool + rotation @ offset,
+                    quaternion_product(matrix_quaternion(rotation), turn),
+                )
                 grip, release = step.grip + delay, let_go + delay
             drop = float(where[2] - step.after[cell, 2])
             falls = drop > 0.01
@@ -244,31 +222,31 @@ def split(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return poses[..., :3].copy(), poses[..., 3:].copy()
 
 
-def _fits(record: BuildRecord, plan: Mapping[str, Any], arm: Arm) -> None:
+def _fits(record: BuildRecord, plan: Plan, arm: Arm) -> None:
     facts, where = record.arm, f"those of arm {arm.name}"
     if facts.joints != arm.joints:
         raise InputError("trajectory.arm.joints", facts.joints, where)
     base = np.array([*facts.base_position, facts.base_yaw])
     if not np.allclose(base, [*arm.base_position, arm.base_yaw], rtol=0, atol=1e-5):
         raise InputError("trajectory.arm, base", base.tolist(), where)
-    count = len(plan["blocks"]["waiting"])
+    count = len(plan.blocks.waiting)
     if not record.steps:
         raise InputError("trajectory.steps", 0, "at least one step")
     if record.num_cells != count:
         raise InputError("trajectory.objects", record.num_cells, f"the {count} blocks of the plan")
-    last = len(plan["steps"])
+    last = len(plan.steps)
     for step in record.steps:
         if step.plan_step is not None and not 1 <= step.plan_step <= last:
             what = f"trajectory.steps[{step.number - 1}].plan_step"
             raise InputError(what, step.plan_step, f"1 to {last}, the steps of the plan")
         if step.plan_step is not None and step.outcome == Outcome.REACHED:
-            block = plan["steps"][step.plan_step - 1]["block"]
+            block = plan.steps[step.plan_step - 1].block
             if block not in step.cells:
                 what = f"trajectory.steps[{step.number - 1}].cells"
                 raise InputError(what, step.cells, f"block {block}, as in the plan")
 
 
-def arm_data(plan: Mapping[str, Any], playback: Playback, kinds: Mapping[int, str]) -> dict:
+def arm_data(plan: Plan, playback: Playback, kinds: Mapping[int, str]) -> dict:
     """What the scripts need to move the arm: metres, seconds, radians, quaternions (w, x, y, z).
 
     Args:
@@ -276,21 +254,19 @@ def arm_data(plan: Mapping[str, Any], playback: Playback, kinds: Mapping[int, st
     """
     record, shape = playback.record, playback.shape
     chain, samples = shape.chain, playback.samples
-    numbers = {int(step["block"]): number for number, step in enumerate(plan["steps"], 1)}
-    if plan.get("first_block"):
-        numbers[int(plan["first_block"]["block"])] = 0
+    numbers = block_numbers(plan)
     first = record.steps[0].before
-    tool_turn = quaternion_of(chain.tool_turn)
+    tool_turn = matrix_quaternion(chain.tool_turn)
     return {
         "rate": record.rate,
         "duration": _short(playback.duration),
         "joints": [
-            {"offset": _list(offset), "turn": _list(quaternion_of(turn))}
+            {"offset": _list(offset), "turn": _list(matrix_quaternion(turn))}
             for offset, turn in zip(chain.offset, chain.turn, strict=True)
         ],
         "tool": {"offset": _list(chain.tool_offset), "turn": _list(tool_turn)},
         "fingers": [
-            {"offset": _list(f.offset), "turn": _list(quaternion_of(f.turn)),
+            {"offset": _list(f.offset), "turn": _list(matrix_quaternion(f.turn)),
              "travel": _list(f.travel)}
             for f in shape.fingers
         ],
@@ -310,7 +286,7 @@ def arm_data(plan: Mapping[str, Any], playback: Playback, kinds: Mapping[int, st
     }  # fmt: skip
 
 
-def _segment(plan: Mapping[str, Any], segment: Segment) -> dict[str, Any]:
+def _segment(plan: Plan, segment: Segment) -> dict[str, Any]:
     step, delay = segment.step, segment.delay
     block = block_names(plan).get(step.cells[0], "a waiting block")
     return {
@@ -355,7 +331,7 @@ def _fillers(playback: Playback, first: np.ndarray) -> list[dict[str, Any]]:
     found = []
     for a, b in fillers(first[:, :3], owner).tolist():
         gap = first[b, :3] - first[a, :3]
-        x, y, _ = rotation_of(first[a, 3:]).T @ gap
+        x, y, _ = quaternion_matrix(first[a, 3:]).T @ gap
         found.append({"cell": a, "middle": _list(np.array([x / 2, y / 2, 0.0])),
                       "yaw": _short(math.atan2(y, x)),
                       "gap": _short(math.hypot(x, y) - playback.record.block_edge)})  # fmt: skip

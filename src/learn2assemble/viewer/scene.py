@@ -7,18 +7,13 @@ same numbers stand on the blocks in every drawing and in the table of steps.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.viewer.playback import rotation_of
-from learn2assemble.world.blocks import RELATIONS
+from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.planning.plan import FirstBlock, Plan, Step
 
-FORMAT, VERSIONS = "learn2assemble-plan", (1, 2)
-STATUSES = ("complete", "incomplete", "refused")
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
 _TOLERANCE = 0.002
 """Blocks this close to each other [m] count as touching; a robot places within a millimetre."""
@@ -38,13 +33,11 @@ class Placed:
     """float64[4]: unit orientation (w, x, y, z)."""
     outside: bool
     """Stands outside every outline: a support."""
-    step: Mapping[str, Any]
-    """The entry of ``steps`` in the plan; empty for the first block."""
 
     @property
     def rotation(self) -> np.ndarray:
         """R_world_block, float64[3, 3]."""
-        return rotation_of(self.quaternion)
+        return quaternion_matrix(self.quaternion)
 
     def corners(self, edge: float) -> np.ndarray:
         """float64[8, 3] [m, world]."""
@@ -124,43 +117,20 @@ class Scene:
         return tuple(item for _, item in sorted(seen, key=lambda pair: pair[0]))
 
 
-def read_scene(plan: Mapping[str, Any]) -> Scene:
-    """The geometry of a parsed ``plan.json``.
-
-    Raises:
-        InputError: for something that is not such a plan.
-        UnknownNameError: for a status or relation that does not exist.
-    """
-    if plan.get("format") != FORMAT or plan.get("version") not in VERSIONS:
-        got = f"{plan.get('format')} version {plan.get('version')}"
-        raise InputError("plan", got, f"{FORMAT} version 1 or 2")
-    if plan.get("status") not in STATUSES:
-        raise UnknownNameError("plan status", plan.get("status"), STATUSES)
-    try:
-        return _read(plan)
-    except KeyError as error:
-        raise InputError("plan", f"no field {error}", f"a {FORMAT} file") from None
-    except InputError:
-        raise
-    except (TypeError, ValueError, AttributeError) as error:
-        raise InputError("plan", str(error), f"a {FORMAT} file") from None
-
-
-def _read(plan: Mapping[str, Any]) -> Scene:
-    design = plan["design"]
-    edge = float(design["block_edge"])
-    if not 0 < edge < math.inf:
-        raise InputError("design.block_edge", edge, "a positive length in metres")
-    frames = _numbers("design.frames", design["frames"], 4)
-    if len(frames) != len(design["elevations"]) or not len(frames):
-        raise InputError("design.frames", len(frames), f"{len(design['elevations'])} elevations")
+def read_scene(plan: Plan) -> Scene:
+    """The geometry of a plan."""
+    edge = plan.design.block_edge
     elevations = tuple(
-        Elevation(str(item["name"]), frame, _numbers(f"outline {i + 1}", item["outline"], 2))
-        for i, (item, frame) in enumerate(zip(design["elevations"], frames, strict=True))
+        Elevation(side.name, np.array(frame), np.array(side.outline, float).reshape(-1, 2))
+        for side, frame in zip(plan.design.elevations, plan.design.frames, strict=True)
     )
-    waiting = _numbers("blocks.waiting", plan["blocks"]["waiting"], 3)
-    blocks = _blocks(plan, len(waiting))
-    first = _first_row(plan, waiting, blocks, edge)
+    placed = [plan.first_block, *plan.steps] if plan.first_block else plan.steps
+    blocks = tuple(
+        _placed(number, step)
+        for number, step in enumerate(placed, len(plan.steps) - len(placed) + 1)
+    )
+    waiting = np.array(plan.blocks.waiting, float).reshape(-1, 3)
+    first = _first_row(plan, waiting, edge)
     rows = [row for row in range(len(waiting)) if row != first]
     drawn = waiting.copy()
     rearranged = _needs_tray(waiting[rows], blocks, edge)
@@ -169,57 +139,21 @@ def _read(plan: Mapping[str, Any]) -> Scene:
     return Scene(edge, blocks, elevations, drawn, first, rearranged)
 
 
-def _first_row(
-    plan: Mapping[str, Any], waiting: np.ndarray, blocks: tuple[Placed, ...], edge: float
-) -> int | None:
+def _first_row(plan: Plan, waiting: np.ndarray, edge: float) -> int | None:
     """The row of ``waiting`` where the first block already stands, if it has one."""
-    if not plan.get("first_block"):
+    block = plan.first_block
+    if block is None or block.block >= len(waiting) or block.block in {s.block for s in plan.steps}:
         return None
-    row = int(plan["first_block"]["block"])
-    if not 0 <= row < len(waiting) or row in {block.waiting for block in blocks}:
-        return None
-    near = bool(np.abs(waiting[row] - blocks[0].position).max() < edge / 2)
-    return row if near else None
+    near = np.abs(waiting[block.block] - block.position).max() < edge / 2
+    return block.block if near else None
 
 
-def _blocks(plan: Mapping[str, Any], num_waiting: int) -> tuple[Placed, ...]:
-    first, blocks = plan.get("first_block"), []
-    if first:
-        blocks.append(_placed(0, None, first, {}))
-    for number, step in enumerate(plan["steps"], 1):
-        where = f"steps[{number - 1}]"
-        if step["step"] != number:
-            raise InputError(f"{where}.step", step["step"], str(number))
-        if step["relation"] not in RELATIONS:
-            raise UnknownNameError(f"{where}.relation", step["relation"], RELATIONS)
-        if not 0 <= step["reference"] < number:
-            raise InputError(f"{where}.reference", step["reference"], f"0 to {number - 1}")
-        if not 0 <= step["block"] < num_waiting:
-            raise InputError(f"{where}.block", step["block"], f"0 to {num_waiting - 1}")
-        blocks.append(_placed(number, int(step["block"]), step, step))
-    return tuple(blocks)
-
-
-def _placed(
-    number: int, waiting: int | None, pose: Mapping[str, Any], step: Mapping[str, Any]
-) -> Placed:
-    position = _numbers(f"position of block {number}", [pose["position"]], 3)[0]
-    quaternion = _numbers(f"quaternion of block {number}", [pose["quaternion"]], 4)[0]
-    norm = float(np.linalg.norm(quaternion))
-    if norm < 1e-6:
-        raise InputError(f"quaternion of block {number}", pose["quaternion"], "w, x, y, z")
-    outside = bool(step.get("outside", False))
-    return Placed(number, waiting, position, quaternion / norm, outside, step)
-
-
-def _numbers(what: str, rows: Any, width: int) -> np.ndarray:
-    """``rows`` as float64[n, width], finite."""
-    if not len(rows):
-        return np.zeros((0, width))
-    array = np.asarray(rows, np.float64)
-    if array.ndim != 2 or array.shape[1] != width or not np.isfinite(array).all():
-        raise InputError(what, rows, f"rows of {width} finite numbers")
-    return array
+def _placed(number: int, step: Step | FirstBlock) -> Placed:
+    outside = isinstance(step, Step) and step.outside
+    quaternion = np.array(step.quaternion)
+    quaternion /= np.linalg.norm(quaternion)
+    waiting = step.block if number else None
+    return Placed(number, waiting, np.array(step.position), quaternion, outside)
 
 
 def _needs_tray(waiting: np.ndarray, blocks: tuple[Placed, ...], edge: float) -> bool:

@@ -8,14 +8,16 @@ The video of a build by an arm: MP4 (H.264), drawn and encoded on the processor 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 
 from learn2assemble.errors import InputError, MissingExtraError
+from learn2assemble.files import unwritable
+from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.record import BuildRecord
 from learn2assemble.viewer.cell_model import body_poses, cell_model, fill_box, rgb, write
@@ -24,7 +26,7 @@ from learn2assemble.viewer.picture import ACCENT, COLOURS, INK, LINE, PAPER, RIM
 from learn2assemble.viewer.playback import Playback, Segment, extent
 from learn2assemble.viewer.renderer import Buffers, Camera, Light, blend_film, project, render
 from learn2assemble.viewer.scene import read_scene
-from learn2assemble.viewer.words import block_names, clock_words, stage_words
+from learn2assemble.viewer.words import block_names, block_numbers, clock_words, stage_words
 
 WIDTH, HEIGHT = 800, 544
 _FOOT = 92
@@ -47,15 +49,13 @@ class Film:
     """
 
     def __init__(
-        self, plan: Mapping[str, Any], record: BuildRecord, width: int = WIDTH,
+        self, plan: Plan, record: BuildRecord, width: int = WIDTH,
         height: int = HEIGHT, note: str = "",
     ) -> None:  # fmt: skip
         self.plan, self.playback = plan, Playback(record, plan)
         self.width, self.height, self.note = width, height, note
         self.scene = read_scene(plan)
-        self.numbers = {int(s["block"]): k for k, s in enumerate(plan["steps"], 1)}
-        if plan.get("first_block"):
-            self.numbers[int(plan["first_block"]["block"])] = 0
+        self.numbers = block_numbers(plan)
         self.kinds = {block.number: kind(block) for block in self.scene.blocks}
         self.model = cell_model(self.playback, self.scene, self.numbers)
         self.placed_by = {
@@ -146,7 +146,7 @@ class Film:
         playback, record = self.playback, self.playback.record
         segment, top = playback.segment_at(clock), self.height - _FOOT
         ink, soft = rgb(INK), rgb(SOFT)
-        title = " ".join(str(self.plan["design"]["name"]).split())
+        title = " ".join(self.plan.design.name.split())
         write(image, title, 24, 42, 24, ink, bold=True)
         write(image, f"arm {record.arm.name}{self.note}", 24, 66, 14, soft)
         now = 24 + round((self.width - 48) * clock / max(playback.duration, 1e-9))
@@ -267,7 +267,7 @@ def require_video() -> ModuleType:
 
 
 def write_video(
-    plan: Mapping[str, Any],
+    plan: Plan,
     record: BuildRecord,
     path: Path,
     *,
@@ -279,7 +279,7 @@ def write_video(
     """Write ``build.mp4``. The same record gives the same file.
 
     Args:
-        plan: parsed ``plan.json``.
+        plan: that the record fits.
         record: what the arm did.
         speed: how many times faster than the arm it plays; by default :data:`SPEED`, or as much as
             it takes for the video to last no longer than :data:`LONGEST`.
@@ -302,18 +302,21 @@ def write_video(
     note = "" if speed == 1 else f", shown {speed:g} times as fast"
     film = Film(plan, record, width, height, note)
     clocks = moments(film.playback.duration, speed)
-    try:
-        path.write_bytes(b"")  # before the work, not after it
-    except OSError as error:
-        raise InputError("video", str(path), f"a writable file ({error.strerror})") from None
+    part = path.with_name(f".{path.name}.part")
     # One thread: how many there are would change the bytes.
     options = {"crf": "20", "preset": "veryfast", "threads": "1"}
-    with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as file:
-        stream = file.add_stream("libx264", rate=FRAMES_PER_SECOND, options=options)
-        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
-        for picture in _pictures(film, clocks, progress):
-            file.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
-        file.mux(stream.encode())
+    try:
+        with av.open(str(part), "w", format="mp4", options={"movflags": "faststart"}) as file:
+            stream = file.add_stream("libx264", rate=FRAMES_PER_SECOND, options=options)
+            stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+            for picture in _pictures(film, clocks, progress):
+                file.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+            file.mux(stream.encode())
+        os.replace(part, path)
+    except OSError as error:
+        raise unwritable("video", path, error) from None
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def moments(duration: float, speed: float) -> np.ndarray:

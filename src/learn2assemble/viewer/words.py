@@ -1,14 +1,10 @@
-"""The sentences of a build report: what a plan says, in plain words.
-
-The sentences about an arm: what it does in a stage, and what became of a step.
-"""
+"""The sentences of a report: what a plan says, what an arm does, and what became of a step."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
 
+from learn2assemble.planning.plan import Plan, Step
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.record import BuildRecord, Stage, StepRecord
 
@@ -40,59 +36,66 @@ def block_name(number: int) -> str:
     return "the first block" if number == 0 else f"block {number}"
 
 
-def placement(step: Mapping[str, Any]) -> str:
+def placement(step: Step) -> str:
     """Where a step puts its block, e.g. ``on top of block 3``."""
-    return f"{_RELATIONS[step['relation']]} {block_name(step['reference'])}"
+    if step.relation is None or step.reference is None:
+        return "to its place"
+    return f"{_RELATIONS[step.relation]} {block_name(step.reference)}"
 
 
-def summary(plan: Mapping[str, Any]) -> str:
+def summary(plan: Plan) -> str:
     """The report in short: status, blocks, coverage, search, verification."""
-    used, available = plan["blocks"]["used"], plan["blocks"]["available"]
-    needed = percent(plan["design"]["success_threshold"])
-    covered = percent(plan["coverage"])
-    if plan["status"] == "refused":
+    used, available = plan.blocks.used, plan.blocks.available
+    needed = percent(plan.design.success_threshold)
+    if plan.status == "refused":
+        count = len(plan.design.elevations)
         return (
-            f"There is no build order for this design of {_sides(plan)}; "
+            f"There is no build order for this design of {count} side{'s' * (count != 1)}; "
             f"{available} blocks were available."
         )
-    word = "verified" if plan["status"] == "complete" else "checked"
-    verified = f"{word} by {plan['verified_by']}" if plan.get("verified_by") else f"not {word}"
-    found = f"Search needed: {plan['search']['needed'] or 'none'}; {verified}."
-    if plan["status"] == "complete":
+    word = "verified" if plan.complete else "checked"
+    verified = f"{word} by {plan.verified_by}" if plan.verified_by else f"not {word}"
+    found = f"Search needed: {search_needed(plan)}; {verified}."
+    if plan.complete:
         return (
             f"{used} of {available} blocks, placed in an order that stays stable after every "
-            f"step, cover {covered} of the target ({needed} needed). {found}"
+            f"step, cover {percent(plan.coverage)} of the target ({needed} needed). {found}"
         )
     return (
-        f"The best order found places {used} of {available} blocks and covers {covered} of the "
-        f"target, short of the {needed} needed. {found}"
+        f"The best order found places {used} of {available} blocks and covers "
+        f"{percent(plan.coverage)} of the target, short of the {needed} needed. {found}"
     )
 
 
-def first_share(plan: Mapping[str, Any], key: str = "coverage") -> float:
-    """Coverage before the first step: 0 where it counts from the first block."""
-    return float((plan.get("first_block") or {}).get(key, 0.0))
+def search_needed(plan: Plan) -> str:
+    """The stage of the search that found the plan."""
+    return (plan.search.needed if plan.search else "") or "none"
 
 
-def caption(plan: Mapping[str, Any], number: int) -> str:
+def shares(plan: Plan, plane: bool = False) -> list[float]:
+    """Coverage before the first step, 0 where it counts from the first block, and after each.
+
+    Args:
+        plane: only what is not hidden behind the face plane of a side.
+    """
+    states = [plan.first_block, *plan.steps]
+    return [(s.plane_coverage if plane else s.coverage) if s else 0.0 for s in states]
+
+
+def caption(plan: Plan, number: int) -> str:
     """What happens in step ``number``; 0 is the start."""
     if number == 0:
-        if not plan.get("first_block"):
+        if not plan.first_block:
             return "Start: the table is empty."
-        counted = "" if first_share(plan) else " Coverage is counted from here."
+        counted = "" if shares(plan)[0] else " Coverage is counted from here."
         return f"Start: only the first block stands.{counted}"
-    step = plan["steps"][number - 1]
-    support = " It stands outside every outline, as a support." if step.get("outside") else ""
-    unstable = "" if step["stable"] else " The structure does not stay stable."
+    step = plan.steps[number - 1]
+    support = " It stands outside every outline, as a support." if step.outside else ""
+    unstable = "" if step.stable else " The structure does not stay stable."
     return (
-        f"Block {number} goes {placement(step)}; now {percent(step['coverage'])} "
+        f"Block {number} goes {placement(step)}; now {percent(step.coverage)} "
         f"of the target is covered.{support}{unstable}"
     )
-
-
-def _sides(plan: Mapping[str, Any]) -> str:
-    count = len(plan["design"]["elevations"])
-    return "one side" if count == 1 else f"{count} sides"
 
 
 STAGE_WORDS = {
@@ -130,14 +133,18 @@ def stage_words(step: StepRecord, stage: Stage, block: str) -> str:
     return (empty if lost else as_planned).format(block=block)
 
 
-def block_names(plan: Mapping[str, Any]) -> dict[int, str]:
-    """How cells are called: by the number that stands on them; others are waiting blocks."""
-    names = {int(step["block"]): f"block {number}" for number, step in enumerate(plan["steps"], 1)}
-    first = plan.get("first_block")
-    return {int(first["block"]): "the first block", **names} if first else names
+def block_numbers(plan: Plan) -> dict[int, int]:
+    """The numbers that stand on the blocks: 0 on the first, else the step that places it."""
+    first = {} if plan.first_block is None else {plan.first_block.block: 0}
+    return {step.block: number for number, step in enumerate(plan.steps, 1)} | first
 
 
-def arm_caption(plan: Mapping[str, Any], step: StepRecord) -> str:
+def block_names(plan: Plan) -> dict[int, str]:
+    """How blocks are called: by the number that stands on them; others are waiting blocks."""
+    return {block: block_name(number) for block, number in block_numbers(plan).items()}
+
+
+def arm_caption(plan: Plan, step: StepRecord) -> str:
     """What a step comes to, in one or two sentences."""
     if step.outcome == Outcome.REACHED and step.plan_step is not None:
         return caption(plan, step.plan_step)
