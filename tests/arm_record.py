@@ -15,7 +15,7 @@ from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.kinematic.cell import KinematicCell
 from learn2assemble.robot.moves import OPENING, Move, Outcome, Scene, get_grasps
 from learn2assemble.robot.record import RATE, BuildRecord, Stage
-from learn2assemble.robot.recorder import Logbook, upright
+from learn2assemble.robot.recorder import BuildRecorder, upright
 from learn2assemble.world.layouts import sobol
 
 EDGE, PITCH = 0.05, 0.06
@@ -89,7 +89,7 @@ class Recorder:
         self.arm, self.cell = arm, KinematicCell(arm, 40)
         places = np.array(plan.blocks.waiting, float)
         self.joints, self.width = arm.home.copy(), OPENING
-        self.recording = Logbook(
+        self.recording = BuildRecorder(
             arm, self.joints, self.width, upright(places, np.zeros(len(places))),
             [[k] for k in range(len(places))], "a kinematic sketch for tests",
         )  # fmt: skip

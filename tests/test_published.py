@@ -17,14 +17,20 @@ from learn2assemble.reproduction.bullet.contacts import (
     FIRST,
     REST,
     accelerate,
-    empty,
-    move,
-    points,
-    touching,
-    update,
+    contact_points,
+    empty_manifolds,
+    integrate,
+    touching_bodies,
+    update_manifolds,
     wake,
 )
-from learn2assemble.reproduction.bullet.world import HOME, TIMESTEP, HandWorld, MotorArm, hand_parts
+from learn2assemble.reproduction.bullet.world import (
+    HOME,
+    TIMESTEP,
+    BulletWorld,
+    MotorArm,
+    hand_parts,
+)
 from learn2assemble.reproduction.recordings import Log, read_lines
 from learn2assemble.reproduction.robot_replay import (
     CLASSES,
@@ -209,7 +215,7 @@ def test_motors_go_a_twentieth_of_the_way_in_a_step_and_lag_on_a_long_one() -> N
     left = {}
     for way in (0.01, 1.0):
         motors = MotorArm(arm)
-        world = HandWorld(arm, motors, OPENING)
+        world = BulletWorld(arm, motors, OPENING)
         world.place(scene([(0, 0, 0)], []))
         motors.reset()
         goal = HOME + way * np.array([1, 1, 0, 0, 0, 0, 0])
@@ -225,7 +231,7 @@ def test_motors_go_a_twentieth_of_the_way_in_a_step_and_lag_on_a_long_one() -> N
 def test_stops_push_joints_back() -> None:
     arm = get_arm("panda")
     motors = MotorArm(arm)
-    world = HandWorld(arm, motors, OPENING)
+    world = BulletWorld(arm, motors, OPENING)
     world.place(scene([(0, 0, 0)], []))
     beyond = HOME.copy()
     beyond[6] = 2.9671 + 0.1
@@ -252,7 +258,7 @@ def test_falling_bodies_reach_the_terminal_speed() -> None:
     still = np.zeros(FIRST + 1, np.int64)
     for _ in range(500):
         accelerate(twist, awake, TIMESTEP)
-        move(position, quaternion, twist, awake, still, TIMESTEP)
+        integrate(position, quaternion, twist, awake, still, TIMESTEP)
     assert twist[FIRST, 2] == pytest.approx(-0.618, abs=1e-3)
     assert not twist[:FIRST].any()
 
@@ -263,13 +269,13 @@ def test_spinning_bodies_turn_and_sleep_when_still() -> None:
     still = np.zeros(FIRST + 1, np.int64)
     twist[FIRST, 5] = 1.0
     for _ in range(250):
-        move(position, quaternion, twist, awake, still, TIMESTEP)
+        integrate(position, quaternion, twist, awake, still, TIMESTEP)
     rotation = quaternion_matrices(quaternion)[FIRST]
     assert np.arctan2(rotation[1, 0], rotation[0, 0]) == pytest.approx(1.0)
     assert still[FIRST] == 0
     twist[:] = 0
     for _ in range(REST):
-        move(position, quaternion, twist, awake, still, TIMESTEP)
+        integrate(position, quaternion, twist, awake, still, TIMESTEP)
     nothing = np.empty((0, 2), np.int64)
     assert not wake(still, nothing, -1)[FIRST]
     assert wake(still, np.array([[1, FIRST]]), -1)[FIRST]
@@ -279,20 +285,20 @@ def test_spinning_bodies_turn_and_sleep_when_still() -> None:
 def test_contact_points_live_until_they_slide_or_part() -> None:
     body = np.array([0, 2])
     position, rotation = np.zeros((3, 3)), np.tile(np.eye(3), (3, 1, 1))
-    manifolds, awake = empty(2, 4), np.array([False, False, True])
+    manifolds, awake = empty_manifolds(2, 4), np.array([False, False, True])
     normal = np.array([[0.0, 0.0, 1.0]])
 
     def find(step: int, spots: list[list[float]], depth: float = -1e-4) -> np.ndarray:
         count = len(spots)
-        update(
+        update_manifolds(
             manifolds, step, np.tile([0, 1], (count, 1)), body, np.array(spots).reshape(count, 3),
             np.tile(normal, (count, 1)), np.full(count, depth), position, rotation,
         )  # fmt: skip
-        return points(manifolds, body, position, rotation, awake).distance
+        return contact_points(manifolds, body, position, rotation, awake).distance
 
     corners = [[0.0, 0.0, 0.0], [0.05, 0.0, 0.0], [0.0, 0.05, 0.0], [0.05, 0.05, 0.0]]
     assert len(find(1, corners)) == 4
-    assert touching(manifolds, body).tolist() == [[0, 2]]
+    assert touching_bodies(manifolds, body).tolist() == [[0, 2]]
     # A fifth point, in the middle, is worth less area than any corner: one is replaced, four stay.
     assert len(find(2, [[0.025, 0.025, 0.0]])) == 4
     assert len(find(3, [[0.0, 0.0, 1e-5]])) == 4
@@ -300,7 +306,7 @@ def test_contact_points_live_until_they_slide_or_part() -> None:
     assert find(4, []) == pytest.approx(0.5 * BREAKING - 1e-4, abs=2e-5)
     position[2, 0] = 1.1 * BREAKING
     assert len(find(5, [])) == 0
-    assert len(touching(manifolds, body)) == 0
+    assert len(touching_bodies(manifolds, body)) == 0
 
 
 # ---------------------------------------------------------------- recorded steps

@@ -37,7 +37,7 @@ from learn2assemble.robot.record_files import (
     write_csv,
     write_record,
 )
-from learn2assemble.robot.recorder import LOST, Logbook, holding, stages_of, upright
+from learn2assemble.robot.recorder import LOST, BuildRecorder, holding, stages_of, upright
 
 
 @pytest.fixture(scope="module")
@@ -348,7 +348,7 @@ def test_no_limit_is_exceeded_unseen(joint: int, times: float, data: st.DataObje
 def test_steps_are_put_on_one_clock() -> None:
     arm = get_arm("panda")
     poses = upright(np.array([[0, 0, 0.025], [0.2, 0, 0.025]]), np.zeros(2))
-    book = Logbook(arm, arm.home, 0.05, poses, [[0], [1]], "test")
+    book = BuildRecorder(arm, arm.home, 0.05, poses, [[0], [1]], "test")
     still = {"joints": np.tile(arm.home, (10, 1)), "velocity": np.zeros((10, 7)),
              "width": np.full(10, 0.05)}  # fmt: skip
     order: dict[str, Any] = {"plan_step": 1, "cells": [1], "target": poses[1]}
@@ -381,8 +381,8 @@ def test_what_a_cell_reports_becomes_a_record() -> None:
     cell = DynamicCell(arm)
     place = np.array([[0, 0, 0.025], [0, -0.25, 0.025], [0.12, -0.25, 0.025], [0.2, -0.2, 0.025]])
     scene = Scene(place, np.zeros(4), np.arange(4), 1)
-    book = Logbook(arm, arm.home, OPENING, upright(place, np.zeros(4)), [[k] for k in range(4)],
-                   "test")  # fmt: skip
+    poses, objects = upright(place, np.zeros(4)), [[k] for k in range(4)]
+    book = BuildRecorder(arm, arm.home, OPENING, poses, objects, "test")
     pair = get_grasps("paper")[0]
     numbers, joints, quaternion = np.array([0, 1, 2, 3]), None, None
     for row, height in ((2, 0.075), (3, 0.125), (3, 0.3)):

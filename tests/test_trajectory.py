@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from learn2assemble.errors import InputError
 from learn2assemble.robot.dynamic.trajectory import (
     JointPath,
-    Leg,
     Limits,
-    Pace,
+    PathLimits,
+    Segment,
     joint_path,
+    limits_along,
     motion,
-    pace_of,
     reachable_speed,
     stop,
 )
@@ -50,7 +50,7 @@ seeds = st.integers(0, 10**6)
 def test_no_limit_is_exceeded(seed: int, count: int, speed: float) -> None:
     limits = LIMITS.scaled(speed)
     path = joint_path(walks(seed, count), limits)
-    run = motion(path, pace_of(path, limits), STEP)
+    run = motion(path, limits_along(path, limits), STEP)
     positions = np.vstack([path.joints[:1], run.position])
     assert max(shares(positions, limits)) <= 1 + 1e-4
     assert np.max(np.abs(run.velocity) / limits.velocity) <= 1 + 1e-9
@@ -62,7 +62,7 @@ def test_no_limit_is_exceeded(seed: int, count: int, speed: float) -> None:
 def test_straight_lines_use_the_limits_up() -> None:
     """The bounds are not merely safe: the slowest joint is at its limit."""
     path = joint_path(np.array([[0.0, 0, 0], [3.0, 1.0, 4.0]]), LIMITS)
-    run = motion(path, pace_of(path, LIMITS), STEP)
+    run = motion(path, limits_along(path, LIMITS), STEP)
     assert np.max(np.abs(run.velocity) / LIMITS.velocity) == pytest.approx(1)
     assert np.max(np.abs(run.acceleration) / LIMITS.acceleration) == pytest.approx(1)
     # A straight path is straight.
@@ -93,10 +93,10 @@ def test_paths_go_through_their_knots_smoothly(seed: int, count: int) -> None:
 @settings(max_examples=40, deadline=None)
 def test_a_stop_stays_on_the_path_within_the_limits(seed: int, share: float) -> None:
     path = joint_path(walks(seed, 5), LIMITS)
-    pace = pace_of(path, LIMITS)
-    run = motion(path, pace, STEP)
+    bounds = limits_along(path, LIMITS)
+    run = motion(path, bounds, STEP)
     k = int(share * (len(run.position) - 1))
-    rest = stop(path, pace, STEP, tuple(run.progress[k]))
+    rest = stop(path, bounds, STEP, tuple(run.progress[k]))
     joined = np.vstack([path.joints[:1], run.position[: k + 1], rest.position])
     assert max(shares(joined, LIMITS)) <= 1 + 1e-4
     if len(rest.position):
@@ -112,21 +112,21 @@ def test_a_stop_stays_on_the_path_within_the_limits(seed: int, share: float) -> 
 def test_speeds_within_reach_need_no_run_up(
     top: float, acceleration: float, jerk: float, way: float, share: float
 ) -> None:
-    pace = Pace(top, acceleration, jerk)
+    bounds = PathLimits(top, acceleration, jerk)
     path = JointPath(np.array([0.0, way]), np.array([[0.0], [way]]), np.zeros((2, 1)))
     middle = 0.5 * way
-    speed = share * min(top, reachable_speed(0.0, middle, pace))
-    run = motion(path, pace, STEP, (Leg(middle, speed),))
+    speed = share * min(top, reachable_speed(0.0, middle, bounds))
+    run = motion(path, bounds, STEP, (Segment(middle, speed),))
     assert (run.progress[:, 1] >= -1e-9).all()
     assert run.progress[-1, 0] == pytest.approx(middle)
 
 
 def test_legs_change_the_speed_on_the_way() -> None:
     path = joint_path(np.array([[0.0, 0, 0], [1.0, 0, 0]]), LIMITS)
-    pace = pace_of(path, LIMITS)
-    slow = 0.1 * pace.speed
-    legs = (Leg(0.6 * path.length, slow), Leg(path.length, 0.0, slow))
-    run = motion(path, pace, STEP, legs)
+    bounds = limits_along(path, LIMITS)
+    slow = 0.1 * bounds.speed
+    segments = (Segment(0.6 * path.length, slow), Segment(path.length, 0.0, slow))
+    run = motion(path, bounds, STEP, segments)
     s, rate = run.progress[:, 0], run.progress[:, 1]
     assert rate[s < 0.5 * path.length].max() > 3 * slow
     assert rate[s > 0.6 * path.length].max() <= slow + 1e-9
@@ -138,7 +138,7 @@ def test_repeated_positions_count_once_and_a_point_is_a_path() -> None:
     assert len(path.knots) == 2
     point = joint_path(np.zeros((2, 3)), LIMITS)
     assert point.length == 0
-    assert len(motion(point, pace_of(point, LIMITS), STEP).position) == 0
+    assert len(motion(point, limits_along(point, LIMITS), STEP).position) == 0
 
 
 def test_numbers_must_be_finite() -> None:

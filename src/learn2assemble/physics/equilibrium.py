@@ -103,7 +103,7 @@ def is_stable(
 ) -> bool:
     """Whether contact forces inside the friction cones can carry the weight of every object.
 
-    The paper judges stability by simulation (protocol 6.1); this is its static counterpart.
+    The paper judges stability by simulation; this is its static counterpart.
     Every cube weighs the same, so the mass cancels.
 
     Args:

@@ -1,6 +1,6 @@
 """MuJoCo models of blocks on the ground: one free body per object, one box per cell and filler.
 
-The settings (protocol 1.1 for the physical constants) let exact structures rest:
+The settings let exact structures rest:
 
 - boxes are 0.15 mm thinner per side in x and y, so that neighbours do not rub, but not in z; with
   0.25 mm an overhang of exactly one half tips faster than it did in the published logs;
@@ -13,7 +13,7 @@ The settings (protocol 1.1 for the physical constants) let exact structures rest
   in most of the published logs;
 - resting islands sleep where MuJoCo can: half the time, V within 0.002 and no other verdict.
 
-The paper's rule of stability: place, simulate for 0.2 s, look at the speeds (protocol 6.1).
+The paper's rule of stability: place, simulate for 0.2 s, look at the speeds.
 """
 
 # pyright: reportAttributeAccessIssue=false

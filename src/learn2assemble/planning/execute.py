@@ -39,7 +39,7 @@ from learn2assemble.robot.checker import ArmPhysics, scene_of
 from learn2assemble.robot.dynamic.cell import DynamicCell
 from learn2assemble.robot.kinematic.cell import KinematicCell
 from learn2assemble.robot.moves import OPENING, QUARTER, Attempt, Move, Outcome, Scene, get_grasps
-from learn2assemble.robot.recorder import Logbook
+from learn2assemble.robot.recorder import BuildRecorder
 from learn2assemble.simulator import Simulator
 from learn2assemble.world.blocks import HALF
 from learn2assemble.world.rules import count_row, recover_all
@@ -75,7 +75,7 @@ class RealCell:
         )
         words = "dynamic cell: MuJoCo, friction grasp, all collisions"
         objects = [[number] for number in range(count)]
-        self.log = Logbook(cell.arm, self.joints, OPENING, self.poses, objects, words)
+        self.log = BuildRecorder(cell.arm, self.joints, OPENING, self.poses, objects, words)
 
     def attempt(self, scene: Scene, move: Move) -> Attempt:
         """Carry out a move from where the arm is, with the blocks where they are."""

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.inverse import METRES_PER_RADIAN, RESTARTS, seeds, solve
+from learn2assemble.robot.inverse import METRES_PER_RADIAN, RESTARTS, ik_seeds, solve
 from learn2assemble.robot.moves import LEVEL, Attitude
 
 RISE = (0.0, 0.008, 0.03, 0.06)
@@ -190,7 +190,7 @@ def approach_paths(
 
 def _near(arm: Arm, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """float64[k, n]: fixed configurations whose tool is nearest to a pose."""
-    table = seeds(arm)
+    table = ik_seeds(arm)
     trace = np.einsum("kij,ij->k", table.rotation, rotation)
     angle = np.arccos(np.clip((trace - 1) / 2, -1.0, 1.0))
     away = np.sum((table.position - position) ** 2, axis=1) + (METRES_PER_RADIAN * angle) ** 2

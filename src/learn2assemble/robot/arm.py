@@ -1,9 +1,4 @@
-"""Reading the MJCF of an arm.
-
-Arms are data: an MJCF and an ``arm.toml`` beside it. A third one is a file and a line.
-
-The MuJoCo model of an arm at its place in the world (table top z = 0).
-"""
+"""Arms as data: an MJCF and an ``arm.toml`` beside it; their MuJoCo models (table top z = 0)."""
 
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations

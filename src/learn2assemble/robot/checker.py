@@ -56,7 +56,7 @@ class ArmPhysics:
     Args:
         cell: the robot cell.
         grasps: the (grasp, place) attitudes that way r of an action stands for.
-        balance: the judge of stability, or None.
+        balance: the checker of stability, or None.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ def scene_of(
         position: float64[n, 3] [m]; quaternion: float64[n, 4]; object_id: int64[n].
     """
     position = position.copy()
-    # Planned heights of waiting cells need not count from the centre of a cell (protocol 1.4).
+    # Planned heights of waiting cells need not count from the centre of a cell.
     start = num_placed
     while start < len(position):
         stop = start + 1

@@ -1,4 +1,4 @@
-"""Compiled core of the inverse kinematics: damped least squares from one start.
+"""Inverse kinematics within joint limits: damped least squares with restarts, compiled.
 
 Per iteration, with e the error of the tool (position [m] and rotation vector [rad], world axes),
 J the Jacobian and d the pull towards the preferred posture,
@@ -8,15 +8,9 @@ J the Jacobian and d the pull towards the preferred posture,
 where lambda falls with the square of e (Sugihara 2011), so that the last steps are Newton's. A
 joint that would leave its limits is stopped there and the step is solved again without it.
 
-Several starts for one pose, and the reason where none leads there. Compiled.
-
-The first start is the caller's; the next ones come from a table of fixed configurations, those
-whose tool is nearest to the target first. Nothing is random: the same question has the same answer.
-
-Inverse kinematics within joint limits; a failure says which one.
-
-One descent (:mod:`learn2assemble.robot.inverse`) starts where the caller says, so that the answer
-stays near; where that leads nowhere, others follow (:mod:`learn2assemble.robot.inverse`).
+The first start is the caller's, so that the answer stays near; the next ones come from a table of
+fixed configurations, those whose tool is nearest to the target first. Nothing is random. A failure
+says which one.
 """
 
 from __future__ import annotations
@@ -57,7 +51,7 @@ PATIENCE = 8
 
 
 @njit(cache=True)
-def descend(
+def damped_least_squares(
     chain, lower, upper, posture, target_position, target_rotation, rows, tolerance,
     max_iterations, q,
 ):  # fmt: skip
@@ -166,12 +160,15 @@ def _bounded_step(jac, error, rows, damping, pull, q, lower, upper, free, gram, 
 
 
 @njit(cache=True)
-def descend_published(chain, target_position, target_rotation, rows, tolerance, max_iterations, q):
-    """The published solver (protocol 8.1), improving q in place, without joint limits.
+def published_least_squares(
+    chain, target_position, target_rotation, rows, tolerance, max_iterations, q
+):
+    """The solver of the released code, improving q in place, without joint limits.
 
     error = log6(T_target^-1 T(q)), dq = -0.1 J^T (J J^T + 1e-12 I)^-1 error with J in the tool's
     own axes; done when the norm of the error, its first three entries for position only, is below
-    the tolerance. These three depend on ``target_rotation``, too. Returns as :func:`descend` does.
+    the tolerance. These three depend on ``target_rotation``, too. Returns what
+    :func:`damped_least_squares` does.
     """
     n = q.shape[0]
     positions, rotations = np.empty((n, 3)), np.empty((n, 3, 3))
@@ -265,7 +262,7 @@ class Seeds(NamedTuple):
 
 
 @lru_cache(maxsize=32)
-def seeds(arm: Arm, branch: str | None = None) -> Seeds:
+def ik_seeds(arm: Arm, branch: str | None = None) -> Seeds:
     """Fixed configurations spread evenly over a branch, at most a turn around the home pose."""
     lower, upper = arm.limits(branch)
     lower, upper = np.maximum(lower, arm.home - np.pi), np.minimum(upper, arm.home + np.pi)
@@ -287,7 +284,7 @@ def solve_published(
     chain, position, rotation, rows, max_iterations, joints, failure, error, iterations
 ):
     for k in range(position.shape[0]):
-        state, error[k], iterations[k] = descend_published(
+        state, error[k], iterations[k] = published_least_squares(
             chain, position[k], rotation[k], rows, TOLERANCE, max_iterations, joints[k]
         )
         failure[k] = _NONE if state == CONVERGED else _OPEN
@@ -323,13 +320,13 @@ def _solve_one(
     if np.sqrt(away) > reach:
         _clip(q, lower, upper)
         return _FAR, np.sqrt(away) - reach, 0
-    attempt = -1
-    while attempt < last:
-        attempt += 1
-        if attempt == 0:
+    restart = -1
+    while restart < last:
+        restart += 1
+        if restart == 0:
             _copy(start, trial)
         else:
-            if attempt == 1:
+            if restart == 1:
                 ranks = _ranks(table, position, rotation, rows)
             nearest = 0
             for k in range(ranks.shape[0]):
@@ -338,7 +335,7 @@ def _solve_one(
             ranks[nearest] = np.inf
             _copy(table.joints[nearest], trial)
         _clip(trial, lower, upper)
-        state, left, taken = descend(
+        state, left, taken = damped_least_squares(
             chain, lower, upper, posture, position, rotation, rows, TOLERANCE, max_iterations,
             trial,
         )  # fmt: skip
@@ -348,8 +345,8 @@ def _solve_one(
             if smallest_singular_value(jacobian(chain, trial), rows) >= SINGULAR_VALUE:
                 _copy(trial, q)
                 return _NONE, left, spent
-            if last > attempt + SINGULAR_RESTARTS:
-                last = attempt + SINGULAR_RESTARTS
+            if last > restart + SINGULAR_RESTARTS:
+                last = restart + SINGULAR_RESTARTS
             if not is_singular:
                 is_singular = True
                 _copy(trial, singular)
@@ -365,9 +362,9 @@ def _solve_one(
     below, above = np.empty(n), np.empty(n)
     for k in range(n):
         below[k], above[k] = -1e3, 1e3
-    for attempt in range(2):
-        _copy(q if attempt == 0 else start, trial)
-        state, left, taken = descend(
+    for restart in range(2):
+        _copy(q if restart == 0 else start, trial)
+        state, left, taken = damped_least_squares(
             chain, below, above, posture, position, rotation, rows, TOLERANCE, max_iterations,
             trial,
         )  # fmt: skip
@@ -510,7 +507,7 @@ def solve(
         start: float64[n] [rad], tried first; the home pose by default.
         branch: a name of ``arm.branches``, by default the first; ``"any"`` for all the joints'
             range.
-        method: ``"limits"``, or ``"published"``: protocol 8.1, without limits and restarts.
+        method: ``"limits"``, or ``"published"``: the authors', without limits and restarts.
         max_iterations: per start; 60, and 1000 for the published method.
         restarts: how many other starts are tried where the first leads nowhere.
 
@@ -570,7 +567,7 @@ def solve_many(
         # Copies: a read-only array is another type, and would be compiled for anew.
         lower, upper = (limit.copy() for limit in arm.limits(branch))
         solve_all(
-            chain, lower, upper, arm.home.copy(), seeds(arm, branch), position, rotation, rows,
+            chain, lower, upper, arm.home.copy(), ik_seeds(arm, branch), position, rotation, rows,
             MAX_ITERATIONS if max_iterations is None else max_iterations, restarts, *out,
         )  # fmt: skip
     return out

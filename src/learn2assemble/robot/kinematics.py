@@ -1,6 +1,4 @@
-"""Small compiled helpers on rotations and 6x6 systems.
-
-Forward kinematics of an arm as compiled functions on a named tuple of arrays.
+"""Forward kinematics of an arm, and small linear algebra, as compiled functions.
 
 The chain is read from the arm's MJCF once. Every joint is brought to turn about the z axis of its
 own *joint frame*, so that a joint costs two columns of one 3x3 product.

@@ -1,18 +1,8 @@
-"""What an attempt of the arm comes to, the same for every cell (kinematic, dynamic, published).
-
-Attitudes of the hand at a cell, and the sets of them a task offers (protocol 5, 8.3).
-
-The world as the robot sees it: cubes on a table, rigid objects made of them, and one order.
-
-Where the tool goes in a pick and place, the same for every fidelity of the arm.
+"""Pick and place as every robot cell sees it: grasps, scenes, moves, and what came of them.
 
     home - above the block - down, close, up - across - down, open, up - home
 
-Down and up follow the approach axis of the attitude near the block, then the vertical.
-
-What the arm was told and did during a pick and place, at equal steps of time.
-
-What every robot cell reports of a move.
+Down and up follow the approach axis of the hand near the block, then the vertical.
 """
 
 from __future__ import annotations
@@ -111,7 +101,7 @@ _LEANS = tuple(
 GRASP_SETS: dict[str, tuple[GraspPair, ...]] = {
     # One-sided cell: the fingers always close along y.
     "along-y": (GraspPair(_A, _A),),
-    # Protocol 5, action k mod 4: net turns of 0, -90, 90 and 0 degrees.
+    # Action k mod 4: net turns of 0, -90, 90 and 0 degrees.
     "paper": (GraspPair(_A, _A), GraspPair(_A, _B), GraspPair(_B, _A), GraspPair(_B, _B)),
     "four-yaws": tuple(GraspPair(a, b) for a in _YAWS for b in _YAWS),
     # 6-D grasps: the lean and the depth a block is picked with are those it is placed with.
@@ -132,14 +122,14 @@ def get_grasps(name: str) -> tuple[GraspPair, ...]:
 
 
 GAP = 0.01
-"""Between horizontal neighbours on the lattice of the robot cell [m] (protocol 7)."""
+"""Between horizontal neighbours on the lattice of the robot cell [m]."""
 
 
 class Scene(NamedTuple):
     """Cubes on the table, in the world frame; the placed ones first.
 
     Objects of several cells are rigid; where two of their cells are horizontal neighbours the gap
-    between them is filled (protocol 7).
+    between them is filled.
     """
 
     position: np.ndarray
@@ -195,7 +185,7 @@ def carried(scene: Scene, move: Move, members: np.ndarray) -> tuple[np.ndarray, 
 
 
 def fillers(position: np.ndarray, object_id: np.ndarray) -> np.ndarray:
-    """Pairs of horizontal neighbours of one object; the gap between them is filled (protocol 7).
+    """Pairs of horizontal neighbours of one object; the gap between them is filled.
 
     Args:
         position: float64[n, 3] cell centres [m].
@@ -289,7 +279,7 @@ class Trajectory(NamedTuple):
         return float(self.time[-1]) if len(self.time) else 0.0
 
 
-class Recorder:
+class TrajectoryRecorder:
     """Collects samples; one attempt each."""
 
     def __init__(self) -> None:

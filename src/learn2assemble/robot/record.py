@@ -1,12 +1,8 @@
-"""What the arm did in a whole build, as plain data: the content of ``trajectory.json``.
+"""What the arm did in a whole build, and whether such a record is sound.
 
 One sequence of samples at a fixed rate, cut into steps; a step is one attempt to pick up an object
-and to put it down. Cells are numbered as the blocks of the plan, for the whole build. Times count
-from the beginning of the build. The fields are described in ``docs/trajectory.md``.
-
-Is a record sound: within the limits of the arm, continuous, and free of contradictions?
-
-The rules hold for the whole build as one sequence, so also where one step follows another.
+and to put it down. Cells are numbered as the blocks of the plan. Times count from the beginning of
+the build. The fields are described in ``docs/trajectory.md``.
 """
 
 from __future__ import annotations

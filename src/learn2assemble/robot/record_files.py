@@ -1,9 +1,7 @@
-"""``trajectory.json``: everything about what the arm did (``docs/trajectory.md``).
+"""``trajectory.json`` and ``trajectory.csv`` (``docs/trajectory.md``).
 
 Numbers are rounded to six decimals (micrometres, microradians), so the same record gives the same
 bytes, and reading and writing a file again changes nothing.
-
-``trajectory.csv``: the samples of a record, one line each, units in the header.
 """
 
 from __future__ import annotations

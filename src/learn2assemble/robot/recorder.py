@@ -1,4 +1,4 @@
-"""Making a record while a build goes on: attempts come in with times of their own."""
+"""Recording a build while it goes on: attempts come in with times of their own."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LOST = 0.008
 """What has moved so far in the hand is not drawn as held any more [m]."""
 
 
-class Logbook:
+class BuildRecorder:
     """Appends steps to a record and puts them on its clock.
 
     Args:

@@ -1,6 +1,4 @@
-"""Triangle meshes for pictures: simple solids, and normals that keep sharp edges sharp.
-
-How an arm looks: its parts as coloured meshes on the frames of its chain.
+"""How an arm looks: its parts as coloured meshes on the frames of its chain.
 
 Frames are numbered: -1 is the world (what is bolted down), 0 to n - 1 the joint frames of
 :class:`~.kinematics.Chain`, then one for every finger.

@@ -1,7 +1,4 @@
-"""The arm of the released fast mode: joints under motors, and the mass behind the hand.
-
-The released fast mode of the authors' robot cell (protocol 8), to compare with what they
-recorded. Training and search have better cells.
+"""The released fast mode of the authors' robot cell, to compare with what they recorded.
 
 Free motions are teleports, the grasp is a constraint, the links of the arm touch nothing, the
 fingers stay open, and inverse kinematics knows no joint limits and plans no way.
@@ -21,13 +18,13 @@ from learn2assemble.reproduction.bullet.world import (
     HOME,
     PLACE_STARTS,
     TIMESTEP,
-    HandWorld,
+    BulletWorld,
     MotorArm,
     turned,
 )
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.checker import ArmPhysics
-from learn2assemble.robot.inverse import CONVERGED, descend_published, solve
+from learn2assemble.robot.inverse import CONVERGED, published_least_squares, solve
 from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene, get_grasps, put_down
 from learn2assemble.tasks import Task
 from learn2assemble.world.blocks import EDGE, HALF
@@ -35,7 +32,7 @@ from learn2assemble.world.blocks import EDGE, HALF
 OPENING = 0.08
 """Between the pads [m]: the fingers are told to open farther, but their stops hold them."""
 ABOVE, BEFORE, LIFTED = 0.15, 0.05, 0.20
-"""Heights of the tool over the block while approaching and after the grasp [m] (8.3)."""
+"""Heights of the tool over the block while approaching and after the grasp [m]."""
 APPROACH_STEPS, IDLE_STEPS, OPEN_STEPS, WAIT_STEPS = 25, 10, 50, 200
 WAYPOINTS = ((0.25, 50), (0.025, 50), (0.010, 50), (0.005, 100))
 """Heights of the held block over its target [m], and steps to get there (8.4)."""
@@ -45,18 +42,18 @@ AWAY = ((0.0, 0.0, 0.10), (0.0, 0.0, 0.25), (0.0, -0.15, 0.25))
 """Of the retreat, relative to the reference's level [m]; of the last only the position matters."""
 SERVO_GAIN, INTEGRAL_GAIN, NEAR = 0.5, 0.0075, 0.01
 """Share of the way that is commanded, share of the accumulated error, and the error below which
-it accumulates [m] (8.2, 8.4)."""
+it accumulates [m]."""
 WATCH_LIMIT, RELEASE_LIMIT = 1.0, 0.75
 """Largest sum over steps of |vx| + |vy| + |vz| of a waiting cell while the hand comes, and of a
-placed one while the fingers open [m/s] (8.3, 8.4)."""
+placed one while the fingers open [m/s]."""
 STILL_SPEED = 0.1
-"""An object that rises or falls faster [m/s] is waited for (8.4)."""
+"""An object that rises or falls faster [m/s] is waited for."""
 HEIGHT_LIMIT = 1e-3
-"""The cells of the placed object keep their heights, relative to each other [m] (6.2)."""
+"""The cells of the placed object keep their heights, relative to each other [m]."""
 
 
 class Rules(NamedTuple):
-    """What counts as a disturbance (protocol 6.2)."""
+    """What counts as a disturbance."""
 
     limit: float
     """No earlier placed cell may move so far [m] ..."""
@@ -100,7 +97,7 @@ class PublishedCell:
         if not opening > EDGE:
             raise InputError("opening", opening, f"more than the {EDGE} m of a block")
         self.arm, self.motors = arm, MotorArm(arm)
-        self.world = HandWorld(arm, self.motors, opening)
+        self.world = BulletWorld(arm, self.motors, opening)
         self.steps = 0
         """Simulated steps so far."""
 
@@ -222,7 +219,9 @@ class PublishedCell:
     ) -> np.ndarray:
         """Only the position: the first three rows of the error to a pose with that rotation."""
         joints = np.array(start)
-        state, *_ = descend_published(self.motors.chain, point, rotation, 3, 1e-6, 1000, joints)
+        state, *_ = published_least_squares(
+            self.motors.chain, point, rotation, 3, 1e-6, 1000, joints
+        )
         if state != CONVERGED:
             raise _FailedError(Outcome.UNREACHABLE, stage, "no convergence")
         return joints
@@ -269,7 +268,7 @@ def _over(point: np.ndarray, height: float) -> np.ndarray:
 
 
 def published_rules(task: Task) -> str:
-    """Which of the published rules of disturbance are those of a task (protocol 6.2)."""
+    """Which of the published rules of disturbance are those of a task."""
     if task.objects != "cubes":
         return "objects"
     return "one-sided" if task.num_sides == 1 else "cubes"

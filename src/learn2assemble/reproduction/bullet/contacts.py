@@ -1,18 +1,14 @@
-"""Bodies that nothing guides: gravity, drag, sleep and motion (protocol 1.1).
+"""Contact solver of the published cell, after the simulator the authors used.
 
-Body 0 is the world and body 1 the hand; both are moved by others.
+Free bodies have gravity, drag and sleep; body 0 is the world and body 1 the hand, both moved by
+others. At most four contact points for each pair of shapes live on from step to step, with the
+normal they began with: a block that slips off an edge is dragged by them.
 
-Contact points that live on from step to step, at most four for each pair of shapes.
-
-The published simulator keeps a point while its two ends stay together, with the normal it began
-with; a block that slips off an edge is dragged by such points.
-
-Motors, hold and contacts of one step, by sequential impulses as the published simulator does.
-
-Where a block is squeezed between a hand that does not yield and the table, no velocities satisfy
-all constraints. Which of them gives way is decided by their order and by the number of sweeps:
-first motors and hold, then all normals, then all friction, 50 times. A solver that converges, or
-one whose friction lifts what slides, throws blocks that the published simulator only nudges.
+Motors, hold and contacts are solved by sequential impulses. Where a block is squeezed between a
+hand that does not yield and the table, no velocities satisfy all constraints. Which of them gives
+way is decided by their order and by the number of sweeps: first motors and hold, then all normals,
+then all friction, 50 times. A solver that converges, or one whose friction lifts what slides,
+throws blocks that the published simulator only nudges.
 """
 
 from __future__ import annotations
@@ -78,7 +74,7 @@ def accelerate(twist, awake, timestep):
 
 
 @njit(cache=True)
-def yields(inverse_mass, inverse_inertia, rotation, awake):
+def inverse_mass_matrix(inverse_mass, inverse_inertia, rotation, awake):
     """float64[b, 6, 6]: twist per impulse at the centre of mass; 0 for what is not awake.
 
     Args:
@@ -95,7 +91,7 @@ def yields(inverse_mass, inverse_inertia, rotation, awake):
 
 
 @njit(cache=True)
-def move(position, quaternion, twist, awake, still, timestep):
+def integrate(position, quaternion, twist, awake, still, timestep):
     """Poses and stillness after a step, in place."""
     for b in range(FIRST, len(awake)):
         if not awake[b]:
@@ -147,7 +143,7 @@ class Manifolds(NamedTuple):
     """int64[m]: step at which the pair began."""
 
 
-def empty(shapes: int, pairs: int) -> Manifolds:
+def empty_manifolds(shapes: int, pairs: int) -> Manifolds:
     """Room for so many shapes and touching pairs."""
     return Manifolds(
         np.full((shapes, shapes), -1), np.full((pairs, 2), -1), np.zeros(pairs, np.int64),
@@ -202,7 +198,7 @@ def _place_for(one, distance, count, point, depth):
 
 
 @njit(cache=True)
-def update(m, step, shapes, body, point, normal, distance, position, rotation):
+def update_manifolds(m, step, shapes, body, point, normal, distance, position, rotation):
     """Bring the manifolds up to date with the contacts found in this step.
 
     Args:
@@ -264,7 +260,7 @@ def update(m, step, shapes, body, point, normal, distance, position, rotation):
 
 
 @njit(cache=True)
-def touching(m, body):
+def touching_bodies(m, body):
     """int64[k, 2]: bodies of every pair."""
     rows = np.flatnonzero(m.pair[:, 0] >= 0)
     out = np.empty((len(rows), 2), np.int64)
@@ -274,7 +270,7 @@ def touching(m, body):
 
 
 @njit(cache=True)
-def points(m, body, position, rotation, awake):
+def contact_points(m, body, position, rotation, awake):
     """The contacts of bodies that are awake, bool[b], the youngest pairs first, as
     :class:`~.impulses.Contacts`."""
     rows = np.flatnonzero(m.pair[:, 0] >= 0)
@@ -313,13 +309,13 @@ def points(m, body, position, rotation, awake):
 SWEEPS = 50
 CONTACT_SHARE, HOLD_SHARE, STOP_SHARE = 0.08, 0.2, 0.2
 """Shares of a penetration, of an error of the hold and of an angle beyond a stop that go in a
-step (protocol 1.1)."""
+step."""
 MOTOR_SHARE = 0.1
-"""Share of the way to its command that a joint goes in a step (protocol 8.2)."""
+"""Share of the way to its command that a joint goes in a step."""
 SLOP = 1e-5
-"""Penetration that is left alone [m] (protocol 1.1)."""
+"""Penetration that is left alone [m]."""
 RESIDUAL = 1e-7
-"""Squared change of a velocity below which the sweeps end (protocol 1.1)."""
+"""Squared change of a velocity below which the sweeps end."""
 
 
 class Contacts(NamedTuple):
@@ -394,26 +390,26 @@ def _wrench(direction, point, centre, sign, out):
 
 
 @njit(cache=True)
-def resolve(centre, twist, rates, yields, contacts, drive, hold, timestep):
+def resolve(centre, twist, rates, inverse_mass, contacts, drive, hold, timestep):
     """Changes twists and rates in place.
 
     Args:
         centre: float64[b, 3]: centres of mass; of the hand its tool point [m].
         twist: float64[b, 6]: velocity of the centre [m/s] and spin [rad/s].
         rates: float64[n] of the joints [rad/s].
-        yields: float64[b, 6, 6]: twist per impulse; 0 for what does not move. The hand's is
+        inverse_mass: float64[b, 6, 6]: twist per impulse; 0 for what does not move. The hand's is
             filled in here.
         contacts: see :class:`Contacts`; drive: :class:`Drive`; hold: :class:`Hold`.
         timestep: [s].
     """
     count, n = len(contacts.first), len(rates)
     arm = drive.inverse @ drive.jacobian.T
-    yields[HAND] = drive.jacobian @ arm
+    inverse_mass[HAND] = drive.jacobian @ arm
     hand_turn = np.ascontiguousarray(arm)
     # Rows of contacts, then six of the hold: wrenches on both bodies, and what they do.
     total = 3 * count + 6
     one, two = np.zeros((total, 6)), np.zeros((total, 6))
-    give_1, give_2 = np.zeros((total, 6)), np.zeros((total, 6))
+    effect_1, effect_2 = np.zeros((total, 6)), np.zeros((total, 6))
     reach, mass, impulse = np.zeros((total, n)), np.zeros(total), np.zeros(total)
     least = np.empty(count)
     for c in range(count):
@@ -422,8 +418,11 @@ def resolve(centre, twist, rates, yields, contacts, drive, hold, timestep):
             row = 3 * c + k
             _wrench(contacts.frame[c, k], contacts.end_1[c], centre[a], -1.0, one[row])
             _wrench(contacts.frame[c, k], contacts.end_2[c], centre[b], 1.0, two[row])
-            give_1[row], give_2[row] = yields[a] @ one[row], yields[b] @ two[row]
-            mass[row] = 1.0 / (_dot(one[row], give_1[row]) + _dot(two[row], give_2[row]))
+            effect_1[row], effect_2[row] = (
+                inverse_mass[a] @ one[row],
+                inverse_mass[b] @ two[row],
+            )
+            mass[row] = 1.0 / (_dot(one[row], effect_1[row]) + _dot(two[row], effect_2[row]))
             if a == HAND:
                 reach[row] = arm @ one[row]
             elif b == HAND:
@@ -440,9 +439,12 @@ def resolve(centre, twist, rates, yields, contacts, drive, hold, timestep):
                 _wrench(axes[k], hold.point, centre[held], 1.0, two[row])
             else:
                 one[row, k], two[row, k] = -1.0, 1.0
-            give_1[row], give_2[row] = yields[HAND] @ one[row], yields[held] @ two[row]
+            effect_1[row], effect_2[row] = (
+                inverse_mass[HAND] @ one[row],
+                inverse_mass[held] @ two[row],
+            )
             reach[row] = arm @ one[row]
-            mass[row] = 1.0 / (_dot(one[row], give_1[row]) + _dot(two[row], give_2[row]))
+            mass[row] = 1.0 / (_dot(one[row], effect_1[row]) + _dot(two[row], effect_2[row]))
     motor, stop = np.zeros(n), np.zeros(n)
     for sweep in range(SWEEPS):
         change = 0.0
@@ -451,15 +453,15 @@ def resolve(centre, twist, rates, yields, contacts, drive, hold, timestep):
             # Motors, stops, hold, and every other time backwards.
             index = number if sweep % 2 else guided - 1 - number
             if index < 2 * n:
-                moved = _turn(index, drive, rates, twist[HAND], hand_turn, motor, stop, timestep)
+                moved = _joint(index, drive, rates, twist[HAND], hand_turn, motor, stop, timestep)
             else:
                 k = index - 2 * n
                 row = first_hold + k
                 now = _dot(one[row], twist[HAND]) + _dot(two[row], twist[held])
                 moved = HOLD_SHARE * hold.error[k] / timestep - now
                 extra = moved * mass[row]
-                _add(twist[HAND], extra, give_1[row])
-                _add(twist[held], extra, give_2[row])
+                _add(twist[HAND], extra, effect_1[row])
+                _add(twist[held], extra, effect_2[row])
                 _add(rates, extra, reach[row])
             change = max(change, moved * moved)
         for c in range(count):
@@ -469,7 +471,7 @@ def resolve(centre, twist, rates, yields, contacts, drive, hold, timestep):
             extra = new - impulse[row]
             if extra != 0:
                 impulse[row] = new
-                _push(a, b, extra, give_1[row], give_2[row], reach[row], twist, rates)
+                _apply(a, b, extra, effect_1[row], effect_2[row], reach[row], twist, rates)
                 change = max(change, (extra / mass[row]) ** 2)
         for c in range(count):
             row = 3 * c
@@ -489,22 +491,31 @@ def resolve(centre, twist, rates, yields, contacts, drive, hold, timestep):
                 new = x if k == 1 else y
                 extra = new - impulse[row + k]
                 impulse[row + k] = new
-                _push(a, b, extra, give_1[row + k], give_2[row + k], reach[row + k], twist, rates)
+                _apply(
+                    a,
+                    b,
+                    extra,
+                    effect_1[row + k],
+                    effect_2[row + k],
+                    reach[row + k],
+                    twist,
+                    rates,
+                )
                 change = max(change, (extra / mass[row + k]) ** 2)
         if change < RESIDUAL:
             break
 
 
 @njit(cache=True)
-def _push(a, b, extra, give_1, give_2, reach, twist, rates):
-    _add(twist[a], extra, give_1)
-    _add(twist[b], extra, give_2)
+def _apply(a, b, extra, effect_1, effect_2, reach, twist, rates):
+    _add(twist[a], extra, effect_1)
+    _add(twist[b], extra, effect_2)
     if a == HAND or b == HAND:
         _add(rates, extra, reach)
 
 
 @njit(cache=True)
-def _turn(index, drive, rates, hand, hand_turn, motor, stop, timestep):
+def _joint(index, drive, rates, hand, hand_turn, motor, stop, timestep):
     """One motor or stop; returns the change of the joint's rate."""
     n = len(rates)
     i = index % n

@@ -1,6 +1,4 @@
-"""Collision shapes of the published cell as MuJoCo models: table, hand, objects.
-
-Objects on a table, and the hand of an arm among them: the world of the published cell.
+"""Table, blocks, and the hand of an arm among them: the world of the published cell.
 
 MuJoCo finds where shapes touch; :mod:`.contacts` says what comes of it.
 """
@@ -32,14 +30,14 @@ from learn2assemble.reproduction.bullet.contacts import (
     Hold,
     Manifolds,
     accelerate,
-    empty,
-    move,
-    points,
+    contact_points,
+    empty_manifolds,
+    integrate,
+    inverse_mass_matrix,
     resolve,
-    touching,
-    update,
+    touching_bodies,
+    update_manifolds,
     wake,
-    yields,
 )
 from learn2assemble.robot.arm import PICTURE_GROUP, Arm, arm_model, arm_spec
 from learn2assemble.robot.kinematics import forward, get_chain, jacobian
@@ -47,11 +45,11 @@ from learn2assemble.robot.moves import GAP, Attitude, Scene, object_boxes
 from learn2assemble.world.blocks import GRAVITY, HALF, MASS
 
 TIMESTEP = 0.004
-"""[s] (protocol 1.1)."""
+"""[s]."""
 
 
 TORQUE = 500.0
-"""Largest torque of a joint [N m] (protocol 8.2)."""
+"""Largest torque of a joint [N m]."""
 
 
 ARM = "panda"
@@ -59,21 +57,21 @@ ARM = "panda"
 
 
 HOME = np.array([0.0, -0.215, 0.0, -2.57, 0.0, 2.356, 2.356])
-"""Where every solution of a grasp starts [rad] (protocol 8.1)."""
+"""Where every solution of a grasp starts [rad]."""
 
 
 LOWER = np.array([-2.9671, -1.8326, -2.9671, -3.1416, -2.9671, -0.0873, -2.9671])
 
 
 UPPER = np.array([2.9671, 1.8326, 2.9671, 0.0, 2.9671, 3.8223, 2.9671])
-"""Stops that push the joints back [rad]; inverse kinematics does not know them (protocol 8.1)."""
+"""Stops that push the joints back [rad]; inverse kinematics does not know them."""
 
 
 GRASP_STARTS = (
     np.array([0.4904, -0.5005, 0.1023, -2.7084, 0.0610, 2.2092, 1.3292]),
     np.array([0.5402, 0.2053, -0.0501, -2.2307, 0.0150, 2.4366, 2.8357]),
 )
-"""For objects behind the first side, by the attitude of the grasp (A, B) [rad] (protocol 8.5)."""
+"""For objects behind the first side, by the attitude of the grasp (A, B) [rad]."""
 
 
 PLACE_STARTS = (
@@ -82,7 +80,7 @@ PLACE_STARTS = (
     np.array([0.2349, 0.3726, -0.0794, -2.5509, 0.1234, 2.9235, 0.8360]),
     np.array([0.0652, 0.3777, 0.0531, -2.5578, -0.0884, 2.9480, 2.5584]),
 )
-"""For placing objects, by both attitudes (AA, AB, BA, BB) [rad] (protocol 8.5)."""
+"""For placing objects, by both attitudes (AA, AB, BA, BB) [rad]."""
 
 
 LINKS = {
@@ -102,7 +100,7 @@ simulator has them. They matter because motors of limited torque lag where the a
 
 
 def turned(attitude: Attitude) -> bool:
-    """Whether an attitude closes the fingers along x (B) rather than y (A), protocol 5."""
+    """Whether an attitude closes the fingers along x (B) rather than y (A)."""
     return abs(math.sin(attitude.yaw)) > 0.5
 
 
@@ -164,7 +162,7 @@ class MotorArm:
     def spatial(self) -> np.ndarray:
         """float64[3, 7]: velocity of that point of the hand which is at the arm's base.
 
-        The integral term of the published servo (protocol 8.4) uses these rows for those of the
+        The integral term of the published servo uses these rows for those of the
         tool, so errors are corrected in directions a little beside their own.
         """
         jac = self.jacobian()
@@ -189,7 +187,7 @@ class MotorArm:
 SKIN = 1e-3
 """The hand counts as this much thicker on every side [m]: the margin of that engine's hulls."""
 INERTIA = 3.0
-"""The moments of inertia of a block are this many times those of a cube (protocol 1.1)."""
+"""The moments of inertia of a block are this many times those of a cube."""
 HAND_SHAPE, THING_SHAPE = 2, 1
 """Bits of contact: the hand's own parts do not touch each other."""
 
@@ -288,7 +286,7 @@ class _Shapes(NamedTuple):
     """float64[b, 3, 3]."""
 
 
-class HandWorld:
+class BulletWorld:
     """Bodies are the world, the hand and the objects; all start asleep.
 
     One instance serves one thread.
@@ -321,7 +319,7 @@ class HandWorld:
         self._position += np.einsum("bij,bj->bi", self._rotation, s.centre)
         self._twist = np.zeros((count, 6))
         self._still = np.full(count, REST)
-        self._manifolds: Manifolds = empty(len(s.body), 4 * len(s.body))
+        self._manifolds: Manifolds = empty_manifolds(len(s.body), 4 * len(s.body))
         self._touching = np.empty((0, 2), np.int64)
         self._clock, self._held = 0, -1
         self._hold_offset, self._hold_turn = np.zeros(3), np.eye(3)
@@ -331,9 +329,9 @@ class HandWorld:
         motors, s = self.motors, self._shapes
         self._follow()
         self._find_contacts()
-        self._touching = touching(self._manifolds, s.body)
+        self._touching = touching_bodies(self._manifolds, s.body)
         awake = wake(self._still, self._touching, self._held)
-        contacts = points(self._manifolds, s.body, self._position, self._rotation, awake)
+        contacts = contact_points(self._manifolds, s.body, self._position, self._rotation, awake)
         jacobian, inverse = motors.jacobian(), motors.dynamics()
         accelerate(self._twist, awake, TIMESTEP)
         self._twist[HAND] = jacobian @ motors.rates
@@ -342,10 +340,10 @@ class HandWorld:
         )
         resolve(
             self._position, self._twist, motors.rates,
-            yields(s.inverse_mass, s.inverse_inertia, self._rotation, awake),
+            inverse_mass_matrix(s.inverse_mass, s.inverse_inertia, self._rotation, awake),
             contacts, drive, self._hold(), TIMESTEP,
         )  # fmt: skip
-        move(self._position, self._quaternion, self._twist, awake, self._still, TIMESTEP)
+        integrate(self._position, self._quaternion, self._twist, awake, self._still, TIMESTEP)
         motors.joints = motors.joints + TIMESTEP * motors.rates
         self._follow()
         self._rotation = quaternion_matrices(self._quaternion)
@@ -403,7 +401,7 @@ class HandWorld:
         distance = found.dist - SKIN * (body[shapes] == HAND).any(1)
         near = np.flatnonzero(distance < BREAKING)
         self._clock += 1
-        update(
+        update_manifolds(
             self._manifolds, self._clock, shapes[near], body, found.pos[near],
             found.frame[near, :3], distance[near], self._position, self._rotation,
         )  # fmt: skip

@@ -47,7 +47,7 @@ class DynamicCell:
             follow).
         loaded_speed: the same while the hand holds something.
         correct: look where the object sits in the hand before lowering it, and correct the target
-            by that, as the published integral term does (protocol 8.4).
+            by that, as the published integral term does.
         finish: ``home`` (or above it where something stands there), or ``above``: stay over the
             target.
         recover: after a failure on the way, bring what is held back to where it was, and the arm

@@ -1,8 +1,7 @@
 """One pick and place in the simulation, stage by stage; the first thing that goes wrong ends it.
 
-After a failure: the arm leaves, and what it holds goes back to where it came from.
-
-Once the arm is done: does everything stand where it should? (protocol 6.2)
+After a failure the arm leaves, and what it holds goes back; after success the scene is compared
+with what was ordered.
 """
 
 from __future__ import annotations
@@ -17,7 +16,12 @@ from learn2assemble.robot.approach import ApproachPath, approach_path
 from learn2assemble.robot.dynamic.model import TIMESTEP, Order
 from learn2assemble.robot.dynamic.prepare import PRESS, Course, Failure, free_way, rest_pose
 from learn2assemble.robot.dynamic.simulation import PUSH, TOUCH, Event, Rules, Simulation, Watch
-from learn2assemble.robot.dynamic.trajectory import Limits, joint_path, pace_of, slowing
+from learn2assemble.robot.dynamic.trajectory import (
+    Limits,
+    approach_speed_limits,
+    joint_path,
+    limits_along,
+)
 from learn2assemble.robot.dynamic.transit import WorldChecker
 from learn2assemble.robot.moves import OPENING, Outcome, carried
 from learn2assemble.world.blocks import EDGE
@@ -75,7 +79,7 @@ class Execution:
         """The column over the target that is used."""
         self.inside: ApproachPath | None = None
         """The column the hand is in; None where it travels."""
-        self.legs = 0
+        self.segments_done = 0
         """How many straight parts of the way across are done."""
         self.holding = False
         """Whether the object is in the hand."""
@@ -106,18 +110,18 @@ class Execution:
         """A planned way from where the arm is; another one where things are not as planned and
         something is in the way now."""
         sim = self.sim
-        around = WorldChecker(sim.arm, sim.world, sim.poses.copy(), self.order.names)
+        checker = WorldChecker(sim.arm, sim.world, sim.poses.copy(), self.order.names)
         if self.holding:
             position, rotation = sim.tool()
             pose = sim.poses[sim.target]
             turned = rotation.T @ rotation_matrix(pose[3:])
-            around.carry(sim.target, rotation.T @ (pose[:3] - position), turned, EDGE)
+            checker.carry(sim.target, rotation.T @ (pose[:3] - position), turned, EDGE)
         else:
-            around.empty(OPENING)
+            checker.empty(OPENING)
         planned = np.vstack([sim.joints, way[1:]])
-        if all(around.blocked(start, end) is None for start, end in pairwise(planned)):
+        if all(checker.blocked(start, end) is None for start, end in pairwise(planned)):
             return planned
-        return free_way(around, sim.joints, way[-1], stage)
+        return free_way(checker, sim.joints, way[-1], stage)
 
     def settle(self, stage: str) -> None:
         """Wait until every object rests."""
@@ -129,11 +133,11 @@ class Execution:
         outcome = Outcome.GRASP_COLLISION if stage == "approach" else Outcome.PLACE_COLLISION
         for start, end in pairwise(way):
             path = joint_path(np.array([start, end]), self.limits)
-            pace = pace_of(path, self.limits)
+            bounds = limits_along(path, self.limits)
             if self.skip_free:
-                self.sim.skip(path, pace, stage)
+                self.sim.skip(path, bounds, stage)
             else:
-                _check(self.sim.follow(path, pace, stage, (watch,)), outcome, stage)
+                _check(self.sim.follow(path, bounds, stage, (watch,)), outcome, stage)
 
     def grasp(self, column: ApproachPath) -> None:
         """Down, close, up."""
@@ -142,9 +146,9 @@ class Execution:
         above = column.rise >= 0
         joints, rise = column.joints[above], column.rise[above]
         path = joint_path(joints[::-1], self.limits)
-        pace = pace_of(path, self.limits)
-        legs = slowing(path, rise[::-1], ((CAREFUL, CAREFUL_SPEED),), pace)
-        _check(sim.follow(path, pace, "pick", (EMPTY,), legs), touch, "pick")
+        bounds = limits_along(path, self.limits)
+        segments = approach_speed_limits(path, rise[::-1], ((CAREFUL, CAREFUL_SPEED),), bounds)
+        _check(sim.follow(path, bounds, "pick", (EMPTY,), segments), touch, "pick")
         pressing = EDGE - gripper.force / gripper.stiffness
         enough = GRIPPED * gripper.force
         _check(sim.squeeze(_ramp(sim.width, pressing, gripper.speed), "pick", NEAR), touch, "pick")
@@ -161,7 +165,7 @@ class Execution:
         path = joint_path(joints, self.loaded)
         off = float(np.interp(LOOSE, rise, path.knots))
         watches = (NEAR, LOADED._replace(start=off))
-        _check(sim.follow(path, pace_of(path, self.loaded), "lift", watches), touch, "lift")
+        _check(sim.follow(path, limits_along(path, self.loaded), "lift", watches), touch, "lift")
 
     def grip(self) -> float:
         """What the weaker finger presses with [N]."""
@@ -172,9 +176,9 @@ class Execution:
         self.inside = None
         for start, end in pairwise(way):
             path = joint_path(np.array([start, end]), self.loaded)
-            event = self.sim.follow(path, pace_of(path, self.loaded), "cross", (watch,))
+            event = self.sim.follow(path, limits_along(path, self.loaded), "cross", (watch,))
             _check(event, Outcome.PLACE_COLLISION, "cross")
-            self.legs += 1
+            self.segments_done += 1
 
     def corrected(self) -> ApproachPath:
         """The column over the target for the hand that holds the object as it does."""
@@ -201,12 +205,14 @@ class Execution:
         sim, self.inside = self.sim, column
         now = _nearest(column, sim.joints)
         path = joint_path(np.vstack([sim.joints, column.joints[:now][::-1]]), self.loaded)
-        pace = pace_of(path, self.loaded)
+        bounds = limits_along(path, self.loaded)
         rise = column.rise[: now + 1][::-1]
-        legs = slowing(path, rise, ((CAREFUL, CAREFUL_SPEED), (SOFT, SOFT_SPEED)), pace)
+        segments = approach_speed_limits(
+            path, rise, ((CAREFUL, CAREFUL_SPEED), (SOFT, SOFT_SPEED)), bounds
+        )
         loose = float(np.interp(-LOOSE, -rise, path.knots))
         until = near._replace(start=loose, until=lambda: sim.contacts.support() >= LANDED)
-        event = sim.follow(path, pace, stage, (before, until), legs)
+        event = sim.follow(path, bounds, stage, (before, until), segments)
         self.landed = event is not None and event.what == "until"
         _check(event, Outcome.PLACE_COLLISION, stage)
 
@@ -227,7 +233,7 @@ class Execution:
         sim, limits = self.sim, self.loaded if self.holding else self.limits
         above = column.joints[_nearest(column, sim.joints) + 1 :]
         path = joint_path(np.vstack([sim.joints, above]), limits)
-        event = sim.follow(path, pace_of(path, limits), stage, (watch,))
+        event = sim.follow(path, limits_along(path, limits), stage, (watch,))
         _check(event, Outcome.PLACE_COLLISION, stage)
         self.inside = None
 
@@ -309,7 +315,7 @@ def _put_back(run: Execution) -> None:
     pick, across = run.course.plan.pick, run.course.across
     if run.inside is not pick:
         run.rise("place", BLIND)
-        run.carry(np.vstack([run.sim.joints, across[: run.legs + 1][-2::-1]]), BLIND)
+        run.carry(np.vstack([run.sim.joints, across[: run.segments_done + 1][-2::-1]]), BLIND)
     run.lower(pick, "place", BLIND, BLIND)
     run.release("release", BLIND)
 
@@ -318,17 +324,17 @@ def _leave(run: Execution) -> None:
     """Up, and home if there is a free way."""
     sim = run.sim
     run.rise("retreat", BLIND)
-    around = WorldChecker(sim.arm, sim.world, sim.poses.copy(), run.order.names)
-    around.empty(OPENING)
-    if around.check(sim.joints) is not None:
-        _back_off(run, around)
-    run.travel(free_way(around, sim.joints, rest_pose(sim.arm, around), "home"), "home", BLIND)
+    checker = WorldChecker(sim.arm, sim.world, sim.poses.copy(), run.order.names)
+    checker.empty(OPENING)
+    if checker.check(sim.joints) is not None:
+        _back_off(run, checker)
+    run.travel(free_way(checker, sim.joints, rest_pose(sim.arm, checker), "home"), "home", BLIND)
 
 
-def _back_off(run: Execution, around: WorldChecker) -> None:
+def _back_off(run: Execution, checker: WorldChecker) -> None:
     """Back the way the arm has come, to where it last touched nothing, if it ever did."""
     past = run.sim.recorder.joints[::-1]
-    free = next((k for k, joints in enumerate(past) if around.check(joints) is None), None)
+    free = next((k for k, joints in enumerate(past) if checker.check(joints) is None), None)
     if free is None:
         return
     way = past[: free + 1]
@@ -339,7 +345,7 @@ def _back_off(run: Execution, around: WorldChecker) -> None:
 PLACE_LIMIT = 0.01
 """The object was dropped when a cell ends so far from where it was ordered [m]."""
 HEIGHT_LIMIT = 1e-3
-"""Cells of an object keep their heights, relative to each other [m] (protocol 6.2)."""
+"""Cells of an object keep their heights, relative to each other [m]."""
 TILT_LIMIT = 0.05
 """An object that leans more [rad] has tipped."""
 STILL = 0.02
@@ -347,7 +353,7 @@ STILL = 0.02
 
 
 class ShiftRule(NamedTuple):
-    """How far other blocks may be moved (protocol 6.2), waiting ones included."""
+    """How far other blocks may be moved, waiting ones included."""
 
     limit: float = 0.01
     """[m]"""

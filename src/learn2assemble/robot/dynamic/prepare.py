@@ -86,38 +86,38 @@ def prepare(
     Raises:
         Failure: where there is none.
     """
-    around = WorldChecker(arm, world, order.poses, order.names)
-    plan = _plan(arm, around, order)
+    checker = WorldChecker(arm, world, order.poses, order.names)
+    plan = _plan(arm, checker, order)
     if precheck:
-        around.put(order.target, *order.in_world(plan.move.grasp, plan.move.place), OPENING)
-        hit = around.overlap(order.target)
+        checker.put(order.target, *order.in_world(plan.move.grasp, plan.move.place), OPENING)
+        hit = checker.overlap(order.target)
         if hit is not None:
             name = order.names[order.target]
             raise Failure(Outcome.PLACE_COLLISION, "place", f"{name} would overlap {hit}")
-    plan, across = _across(arm, around, order, plan)
-    around.empty(OPENING)
-    start = rest_pose(arm, around) if joints is None else joints
-    there = free_way(around, start, plan.pick.joints[-1], "approach")
+    plan, across = _across(arm, checker, order, plan)
+    checker.empty(OPENING)
+    start = rest_pose(arm, checker) if joints is None else joints
+    there = free_way(checker, start, plan.pick.joints[-1], "approach")
     home = None
     if go_home:
         pose = order.in_world(plan.move.grasp, plan.move.place)
-        around.put(order.target, *pose, OPENING)
-        home = free_way(around, plan.place.joints[-1], rest_pose(arm, around), "home")
+        checker.put(order.target, *pose, OPENING)
+        home = free_way(checker, plan.place.joints[-1], rest_pose(arm, checker), "home")
     return Course(plan, there, across, home)
 
 
-def rest_pose(arm: Arm, around: WorldChecker) -> np.ndarray:
+def rest_pose(arm: Arm, checker: WorldChecker) -> np.ndarray:
     """Where the arm waits, float64[n] [rad]: at home, or above it where something stands there."""
     position, rotation = forward(get_chain(arm), arm.home)
     for level in range(_MAX_LIFTS):
         found = solve(arm, position + level * _UP, rotation, arm.home)
         joints = arm.home if level == 0 else found.joints
-        if found.ok and around.check(joints) is None:
+        if found.ok and checker.check(joints) is None:
             return joints
     return arm.home
 
 
-def _plan(arm: Arm, around: WorldChecker, order: Order) -> Plan:
+def _plan(arm: Arm, checker: WorldChecker, order: Order) -> Plan:
     """As ordered or with the fingers exchanged: whatever meets less, then what turns less."""
     height = crossing_height(order.scene, order.move)
     given = order.move
@@ -126,15 +126,15 @@ def _plan(arm: Arm, around: WorldChecker, order: Order) -> Plan:
     reasons: list[Failure] = []
     for move in (given, flipped):
         centre = order.scene.position[move.cell]
-        around.empty(OPENING)
+        checker.empty(OPENING)
         pick = _choose(
-            around, approach_paths(arm, centre, move.grasp, height, PRESS), order.target
+            checker, approach_paths(arm, centre, move.grasp, height, PRESS), order.target
         )  # fmt: skip
         if isinstance(pick, str):
             reasons.append(Failure(Outcome.UNREACHABLE, "pick", pick))
             continue
-        around.carry(order.target, *order.in_hand(move.grasp), EDGE)
-        place = _choose(around, approach_paths(arm, move.target, move.place, height, PRESS), None)
+        checker.carry(order.target, *order.in_hand(move.grasp), EDGE)
+        place = _choose(checker, approach_paths(arm, move.target, move.place, height, PRESS), None)
         if isinstance(place, str):
             reasons.append(Failure(Outcome.UNREACHABLE, "place", place))
             continue
@@ -147,7 +147,7 @@ def _plan(arm: Arm, around: WorldChecker, order: Order) -> Plan:
 
 
 def _choose(
-    around: WorldChecker, columns: Iterator[ApproachPath | str], besides: int | None
+    checker: WorldChecker, columns: Iterator[ApproachPath | str], besides: int | None
 ) -> tuple[ApproachPath, int] | str:
     """The first column that meets nothing but perhaps the object ``besides``, and 0; else the
     first one, and 1: the motion will tell. If there is none, why."""
@@ -156,7 +156,7 @@ def _choose(
         if isinstance(found, str):
             reason = reason or found
             continue
-        hits = (around.near(q, 0.0, besides)[0] for q in found.joints[1:])
+        hits = (checker.near(q, 0.0, besides)[0] for q in found.joints[1:])
         hit = next((hit for hit in hits if hit), None)
         if hit is None:
             return found, 0
@@ -167,18 +167,18 @@ def _choose(
     return reason if first is None else (first, 1)
 
 
-def _across(arm: Arm, around: WorldChecker, order: Order, plan: Plan) -> tuple[Plan, np.ndarray]:
+def _across(arm: Arm, checker: WorldChecker, order: Order, plan: Plan) -> tuple[Plan, np.ndarray]:
     """The plan, higher where that gives a straight free way, and the way."""
-    around.carry(order.target, *order.in_hand(plan.move.grasp), EDGE)
-    hit = around.blocked(plan.pick.joints[-1], plan.place.joints[-1])
+    checker.carry(order.target, *order.in_hand(plan.move.grasp), EDGE)
+    hit = checker.blocked(plan.pick.joints[-1], plan.place.joints[-1])
     for levels in range(1, MAX_RAISES + 1) if hit else ():
         higher = _raised(arm, order, plan, levels)
         if higher is None:
             break
         ends = higher.pick.joints[-1], higher.place.joints[-1]
-        if around.blocked(*ends) is None:
+        if checker.blocked(*ends) is None:
             return higher, np.array(ends)
-    return plan, free_way(around, plan.pick.joints[-1], plan.place.joints[-1], "cross")
+    return plan, free_way(checker, plan.pick.joints[-1], plan.place.joints[-1], "cross")
 
 
 def _raised(arm: Arm, order: Order, plan: Plan, levels: int) -> Plan | None:
@@ -192,13 +192,13 @@ def _raised(arm: Arm, order: Order, plan: Plan, levels: int) -> Plan | None:
     return Plan(pick, place, move, height)
 
 
-def free_way(around: WorldChecker, start: np.ndarray, end: np.ndarray, stage: str) -> np.ndarray:
+def free_way(checker: WorldChecker, start: np.ndarray, end: np.ndarray, stage: str) -> np.ndarray:
     """As :func:`straight_or_tree`.
 
     Raises:
         Failure: where there is none.
     """
-    way = straight_or_tree(around, start, end)
+    way = straight_or_tree(checker, start, end)
     if isinstance(way, Collision):
         raise Failure(Outcome.UNREACHABLE, stage, f"no free way: {way}")
     return way

@@ -1,11 +1,4 @@
-"""Which contacts are a collision, and with what force.
-
-What the drives are told so that the joints follow a path without lag.
-
-What to do when a simulation leaves the numbers.
-
-The cell in motion: the arm follows joint paths, and every contact is watched.
-"""
+"""The cell in motion: drives follow joint paths, every contact is watched, and NaN ends it."""
 
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
@@ -24,15 +17,15 @@ from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.dynamic.model import ARM, PAD, TABLE, TIMESTEP, CellState, World
 from learn2assemble.robot.dynamic.trajectory import (
     JointPath,
-    Leg,
     Limits,
     Motion,
-    Pace,
+    PathLimits,
+    Segment,
+    limits_along,
     motion,
-    pace_of,
     stop,
 )
-from learn2assemble.robot.moves import Recorder
+from learn2assemble.robot.moves import TrajectoryRecorder
 from learn2assemble.world.blocks import GRAVITY
 
 TOUCH = 0.5
@@ -296,7 +289,7 @@ class Simulation(CellState):
         self.drives = Drives(arm, world, self.data)
         self.contacts = Contacts(world, self.data, names, target)
         self.stage, self.steps, self.sample_steps = "approach", 0, sample_steps
-        self.recorder = Recorder()
+        self.recorder = TrajectoryRecorder()
         self.joints, self.velocity, self.width = joints.copy(), np.zeros_like(joints), width
         self._grip: np.ndarray | None = None
         self._record()
@@ -311,10 +304,10 @@ class Simulation(CellState):
     def follow(
         self,
         path: JointPath,
-        pace: Pace,
+        bounds: PathLimits,
         stage: str,
         watches: tuple[Watch, ...],
-        legs: tuple[Leg, ...] = (),
+        segments: tuple[Segment, ...] = (),
     ) -> Event | None:
         """Move along a path; brakes at a collision, a loss, or where a watch says so.
 
@@ -322,7 +315,7 @@ class Simulation(CellState):
             None where the end was reached.
         """
         self.stage = stage
-        run = motion(path, pace, TIMESTEP, legs)
+        run = motion(path, bounds, TIMESTEP, segments)
         begins = np.searchsorted(run.progress[:, 0], [w.start for w in watches]).tolist()
         for watch, begin, end in zip(
             watches, begins, [*begins[1:], len(run.progress)], strict=True
@@ -330,7 +323,7 @@ class Simulation(CellState):
             event, k = self._play(run, begin, end, watch)
             if event is not None:
                 s, rate, change = run.progress[k]
-                brake = pace_of(path, self.limits)
+                brake = limits_along(path, self.limits)
                 rest = stop(path, brake, TIMESTEP, (s, rate, change))
                 self._play(rest, 0, len(rest.progress), Watch(Rules(None)))
                 return event
@@ -368,10 +361,10 @@ class Simulation(CellState):
         """Stand still for a number of steps, or until the watch ends it."""
         return self.squeeze(np.full(steps, self.width), stage, watch)
 
-    def skip(self, path: JointPath, pace: Pace, stage: str) -> None:
+    def skip(self, path: JointPath, bounds: PathLimits, stage: str) -> None:
         """Let the time of a motion pass for the arm alone: the objects rest and it meets none."""
         self.stage = stage
-        run = motion(path, pace, TIMESTEP)
+        run = motion(path, bounds, TIMESTEP)
         for position, velocity in zip(run.position, run.velocity, strict=True):
             self._count(position, velocity)
         self.put_arm(path.joints[-1])

@@ -5,8 +5,6 @@ acceleration are continuous. Along it, s(t) is a time-optimal, jerk-limited prof
 constant limits on its derivatives that keep every joint within its own:
 
     |q'| s' <= v,   |q'| s'' + |q''| s'^2 <= a,   |q'| s''' + 3 |q''| s' s'' + |q'''| s'^3 <= j
-
-Slower near the contact.
 """
 
 from __future__ import annotations
@@ -48,7 +46,7 @@ class Limits(NamedTuple):
     jerk: np.ndarray
 
     def scaled(self, speed: float) -> Limits:
-        """Limits of the same motion played at ``speed`` times its pace."""
+        """Limits of the same motion played at ``speed`` times its bounds."""
         return Limits(self.velocity * speed, self.acceleration * speed**2, self.jerk * speed**3)
 
 
@@ -122,7 +120,7 @@ def _bends(knots: np.ndarray, joints: np.ndarray) -> np.ndarray:
     return bend
 
 
-class Pace(NamedTuple):
+class PathLimits(NamedTuple):
     """Limits on the derivatives of s: speed, acceleration [1/s], jerk [1/s^2]."""
 
     speed: float
@@ -130,10 +128,10 @@ class Pace(NamedTuple):
     jerk: float
 
 
-def pace_of(path: JointPath, limits: Limits) -> Pace:
+def limits_along(path: JointPath, limits: Limits) -> PathLimits:
     """Constant limits on s(t) that keep every joint of the path within ``limits``."""
     if path.length == 0:
-        return Pace(1.0, 1.0, 1.0)
+        return PathLimits(1.0, 1.0, 1.0)
     first, second, third = (np.maximum(bound, 1e-12) for bound in path.bounds())
     v, a, j = limits
     speed = min(
@@ -145,14 +143,14 @@ def pace_of(path: JointPath, limits: Limits) -> Pace:
         np.min((a - second * speed**2) / first), np.min(_BENT / 2 * j / (3 * second * speed))
     )
     jerk = np.min((j - 3 * second * speed * acceleration - third * speed**3) / first)
-    return Pace(float(speed), float(acceleration), float(jerk))
+    return PathLimits(float(speed), float(acceleration), float(jerk))
 
 
-def reachable_speed(speed: float, way: float, pace: Pace) -> float:
+def reachable_speed(speed: float, way: float, bounds: PathLimits) -> float:
     """A speed that can be reached from another one, without acceleration at both ends, on a way;
     no lower than that."""
     # The acceleration rises and falls at full jerk; on average it is at least half its peak.
-    peak = min(pace.acceleration, np.cbrt(pace.jerk**2 * way / 2))
+    peak = min(bounds.acceleration, np.cbrt(bounds.jerk**2 * way / 2))
     return float(np.sqrt(speed**2 + peak * way))
 
 
@@ -169,7 +167,7 @@ class Motion(NamedTuple):
     """float64[m, n] [rad/s^2]."""
 
 
-class Leg(NamedTuple):
+class Segment(NamedTuple):
     """A part of a motion along a path."""
 
     end: float
@@ -185,37 +183,39 @@ REST = (0.0, 0.0, 0.0)
 
 def motion(
     path: JointPath,
-    pace: Pace,
+    bounds: PathLimits,
     step: float,
-    legs: tuple[Leg, ...] = (),
+    segments: tuple[Segment, ...] = (),
     start: tuple[float, float, float] = REST,
 ) -> Motion:
     """Move along a path, by default from rest at its beginning to rest at its end.
 
     Args:
         path: where to.
-        pace: how fast; from :func:`pace_of`, or slower.
+        bounds: how fast; from :func:`limits_along`, or slower.
         step: time between samples [s].
-        legs: one after the other, each from where the one before ended.
+        segments: one after the other, each from where the one before ended.
         start: s with two derivatives, now.
     """
     found = []
-    for leg in legs or (Leg(path.length),):
-        capped = pace._replace(speed=min(pace.speed, leg.top_speed))
-        found.append(_profile(capped, start, (leg.end, leg.end_speed)))
-        start = (leg.end, leg.end_speed, 0.0)
+    for segment in segments or (Segment(path.length),):
+        capped = bounds._replace(speed=min(bounds.speed, segment.top_speed))
+        found.append(_profile(capped, start, (segment.end, segment.end_speed)))
+        start = (segment.end, segment.end_speed, 0.0)
     return _sample(path, found, step)
 
 
-def stop(path: JointPath, pace: Pace, step: float, start: tuple[float, float, float]) -> Motion:
+def stop(
+    path: JointPath, bounds: PathLimits, step: float, start: tuple[float, float, float]
+) -> Motion:
     """Come to rest on the path as soon as possible; ``start`` is s with two derivatives, now."""
-    return _sample(path, [_profile(pace, start, None)], step)
+    return _sample(path, [_profile(bounds, start, None)], step)
 
 
 def _profile(
-    pace: Pace, start: tuple[float, float, float], end: tuple[float, float] | None
+    bounds: PathLimits, start: tuple[float, float, float], end: tuple[float, float] | None
 ) -> ruckig.Trajectory:
-    """The fastest s(t) within ``pace`` to s and its derivative at the end, or None to rest."""
+    """The fastest s(t) within ``bounds`` to s and its derivative at the end, or None to rest."""
     ruckig = load_ruckig()
     wanted = ruckig.InputParameter(1)
     if end is None:
@@ -225,8 +225,8 @@ def _profile(
         wanted.target_position, wanted.target_velocity = [end[0]], [end[1]]
     now = ([start[0]], [start[1]], [start[2]])
     wanted.current_position, wanted.current_velocity, wanted.current_acceleration = now
-    wanted.max_velocity, wanted.max_acceleration = [pace.speed], [pace.acceleration]
-    wanted.max_jerk = [pace.jerk]
+    wanted.max_velocity, wanted.max_acceleration = [bounds.speed], [bounds.acceleration]
+    wanted.max_jerk = [bounds.jerk]
     found = ruckig.Trajectory(1)
     if ruckig.Ruckig(1).calculate(wanted, found) != ruckig.Result.Working:
         raise InputError("motion", str(wanted), "a motion within the limits of the path")
@@ -253,25 +253,28 @@ def _now(part: ruckig.Trajectory, time: float) -> tuple[float, float, float]:
     return position[0], velocity[0], acceleration[0]
 
 
-def slowing(
-    path: JointPath, rise: np.ndarray, zones: tuple[tuple[float, float], ...], pace: Pace
-) -> tuple[Leg, ...]:
-    """Legs of a way down that enter zones near the contact at lower speeds.
+def approach_speed_limits(
+    path: JointPath,
+    rise: np.ndarray,
+    zones: tuple[tuple[float, float], ...],
+    bounds: PathLimits,
+) -> tuple[Segment, ...]:
+    """Segments of a way down that enter zones near the contact at lower speeds.
 
     Args:
         path: down a column.
         rise: float64[k] of the tool at its knots [m], falling.
         zones: height above the contact [m] and largest speed there [m/s], downwards.
-        pace: of the path.
+        bounds: of the path.
     """
-    legs, top, begun, speed = [], pace.speed, 0.0, 0.0
+    segments, top, begun, speed = [], bounds.speed, 0.0, 0.0
     for height, slowly in zones:
         s = float(np.interp(-height, -rise, path.knots))
         # Within a zone, s and the way of the tool are all but proportional.
         limit = min(top, slowly * (path.length - s) / (height - rise[-1]))
         if s > begun:
-            speed = min(limit, reachable_speed(speed, s - begun, pace))
-            legs.append(Leg(s, speed, top))
+            speed = min(limit, reachable_speed(speed, s - begun, bounds))
+            segments.append(Segment(s, speed, top))
             begun = s
         top = limit
-    return (*legs, Leg(path.length, 0.0, top))
+    return (*segments, Segment(path.length, 0.0, top))

@@ -180,56 +180,56 @@ def _reaches(model: mujoco.MjModel, world: World) -> np.ndarray:
 
 
 def straight_or_tree(
-    around: WorldChecker, start: np.ndarray, end: np.ndarray, seed: int = 0
+    checker: WorldChecker, start: np.ndarray, end: np.ndarray, seed: int = 0
 ) -> np.ndarray | Collision:
     """Joint positions float64[k, n] whose straight connections are free, or what is in the way.
 
     An arm that stands too near to something first leaves it upwards. Two trees grow towards each
     other (RRT-Connect) where the straight line is blocked.
     """
-    leaving = _leaving(around, start)
+    leaving = _leaving(checker, start)
     if isinstance(leaving, Collision):
         return leaving
     free = leaving[-1]
-    hit = around.blocked(free, end)
+    hit = checker.blocked(free, end)
     if hit is None:
         return np.array([*leaving, end])
-    at_end = around.check(end)
+    at_end = checker.check(end)
     if at_end is not None:
         return at_end
-    way = _connect(around, free, end, np.random.default_rng(seed))
+    way = _connect(checker, free, end, np.random.default_rng(seed))
     if way is None:
         return hit
-    return np.vstack([*leaving[:-1], _shortened(around, way, np.random.default_rng(seed))])
+    return np.vstack([*leaving[:-1], _shortened(checker, way, np.random.default_rng(seed))])
 
 
-def _leaving(around: WorldChecker, start: np.ndarray) -> list[np.ndarray] | Collision:
+def _leaving(checker: WorldChecker, start: np.ndarray) -> list[np.ndarray] | Collision:
     """From a start that may be too near to something, straight up to where nothing is near and
     nothing gets nearer on the way; or what is in the way."""
     way = [start]
-    hit, distance = around.near(start, PLAN_MARGIN)
+    hit, distance = checker.near(start, PLAN_MARGIN)
     least = distance - DEPTH
-    position, rotation = forward(get_chain(around.arm), start)
+    position, rotation = forward(get_chain(checker.arm), start)
     while hit is not None:
-        found = solve(around.arm, position + len(way) * _UP, rotation, way[-1], restarts=0)
+        found = solve(checker.arm, position + len(way) * _UP, rotation, way[-1], restarts=0)
         if len(way) > _MOST_UP or not found.ok or distance < least:
             return hit
         way.append(found.joints)
-        hit, distance = around.near(found.joints, PLAN_MARGIN)
+        hit, distance = checker.near(found.joints, PLAN_MARGIN)
     return way
 
 
 def _connect(
-    around: WorldChecker, start: np.ndarray, end: np.ndarray, rng: np.random.Generator
+    checker: WorldChecker, start: np.ndarray, end: np.ndarray, rng: np.random.Generator
 ) -> list[np.ndarray] | None:
-    lower, upper = around.arm.limits()
+    lower, upper = checker.arm.limits()
     trees = [([start], [0]), ([end], [0])]
     for _ in range(_TRIES):
-        grown = _extend(around, trees[0], rng.uniform(lower, upper))
+        grown = _extend(checker, trees[0], rng.uniform(lower, upper))
         if grown is not None:
             aim = trees[0][0][grown]
             while True:
-                met = _extend(around, trees[1], aim)
+                met = _extend(checker, trees[1], aim)
                 if met is None:
                     break
                 if np.array_equal(trees[1][0][met], aim):
@@ -241,7 +241,7 @@ def _connect(
 
 
 def _extend(
-    around: WorldChecker, tree: tuple[list[np.ndarray], list[int]], aim: np.ndarray
+    checker: WorldChecker, tree: tuple[list[np.ndarray], list[int]], aim: np.ndarray
 ) -> int | None:
     """A new leaf towards ``aim``, or None where something is in the way."""
     nodes, parents = tree
@@ -251,7 +251,7 @@ def _extend(
     if size == 0:
         return near
     leaf = aim if size <= _GROW else nodes[near] + step * (_GROW / size)
-    if around.blocked(nodes[near], leaf) is not None:
+    if checker.blocked(nodes[near], leaf) is not None:
         return None
     nodes.append(leaf)
     parents.append(near)
@@ -268,12 +268,14 @@ def _back(tree: tuple[list[np.ndarray], list[int]], leaf: int) -> list[np.ndarra
     return way
 
 
-def _shortened(around: WorldChecker, way: list[np.ndarray], rng: np.random.Generator) -> np.ndarray:
+def _shortened(
+    checker: WorldChecker, way: list[np.ndarray], rng: np.random.Generator
+) -> np.ndarray:
     """The way without corners that can be cut."""
     for _ in range(_SHORTCUTS):
         if len(way) < 3:
             break
         a, b = sorted(rng.integers(0, len(way), 2))
-        if b - a > 1 and around.blocked(way[a], way[b]) is None:
+        if b - a > 1 and checker.blocked(way[a], way[b]) is None:
             way = way[: a + 1] + way[b:]
     return np.array(way)

@@ -18,7 +18,7 @@ SHRINK = 0.001
 """What is carried counts as this much smaller on every side [m], so that resting on a block or
 standing beside it is no collision."""
 TABLE = (0.75, 0.5, 0.01)
-"""Half extents of the table, its top at z = 0 [m] (protocol 1.1)."""
+"""Half extents of the table, its top at z = 0 [m]."""
 MAX_CARRIED = 4
 """Cells of the largest object."""
 _CELL, _FILLER = (HALF, HALF, HALF), (GAP / 2, HALF, HALF)
