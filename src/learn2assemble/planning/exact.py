@@ -205,7 +205,8 @@ def _remedy(wanted: np.ndarray, kit: Kit, group: np.ndarray, level: int) -> str:
     best: tuple[int, int, str] | None = None
     for name in kit_names():
         other = load_kit(name)
-        if name == kit.name:
+        fills_any = any(kind.cells == ((0, 0, 0),) for kind in other.kinds)
+        if name == kit.name or not fills_any:
             continue
         found = find_candidates(part, other, None if level else np.ones(group.shape, bool), True)
         good = np.flatnonzero((found.support > _FIRM) & (found.origin[:, 2] == level - low))

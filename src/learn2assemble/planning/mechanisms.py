@@ -26,6 +26,9 @@ from learn2assemble.planning.tiling import (
     to_placements,
 )
 
+_SPARSER, _SPARSE = 6, 4
+"""How often a mechanism is looked for that opens fewer joints, and how few are enough."""
+
 
 def find_mechanisms(
     stack: Stack, owner: np.ndarray, most: int = 12, seconds: float = INF
@@ -93,7 +96,6 @@ def find_mechanisms(
     total = 3 * n + 6 * m
     matrix = by_column(rows, columns, values, total)
     lower = np.where(np.arange(total) < 3 * n, -INF, 0.0)
-    cost = np.where(np.arange(total) < 3 * n, 0.0, 1.0)
     row_lower = np.zeros(count + 1 + 3 * m)
     row_lower[count] = 1.0
     row_upper = np.concatenate([np.full(count, INF), [1.0], np.zeros(3 * m)])
@@ -103,12 +105,23 @@ def find_mechanisms(
     while len(found) < most:
         opens = np.tile(np.repeat(~closed, 3), 2)
         upper = np.concatenate([np.full(3 * n, INF), np.where(opens, INF, 0.0)])
-        answer = solve(Program(cost, lower, upper, row_lower, row_upper, *matrix), clock.left)
-        if answer.x is None:
+        weight, opened = np.ones(m), None
+        for _ in range(1 + _SPARSER):
+            cost = np.concatenate([np.zeros(3 * n), np.tile(np.repeat(weight, 3), 2)])
+            answer = solve(Program(cost, lower, upper, row_lower, row_upper, *matrix), clock.left)
+            if answer.x is None:
+                break
+            gap = np.abs(answer.x[3 * n : 3 * n + 3 * m] - answer.x[3 * n + 3 * m :])
+            gap = gap.reshape(-1, 3).max(1)
+            now = gap > 1e-7 * max(1.0, gap.max(initial=0.0))
+            if opened is None or now.sum() < opened.sum():
+                opened = now
+            if opened.sum() <= _SPARSE:
+                break
+            # Joints that hardly open cost more: the next motion does without them.
+            weight = 1 / (gap / gap.max() + 1e-3)
+        if opened is None:
             break
-        gap = np.abs(answer.x[3 * n : 3 * n + 3 * m] - answer.x[3 * n + 3 * m :])
-        gap = gap.reshape(-1, 3).max(1)
-        opened = gap > 1e-7 * max(1.0, gap.max(initial=0.0))
         x, y, z = owner.shape
         edges = np.zeros((x - 1, y, z), bool), np.zeros((x, y - 1, z), bool)
         for a in (0, 1):
