@@ -118,7 +118,8 @@ def _outline(elevation: Any, source: str, path: str) -> Contours:
     if not polygon.is_valid or polygon.area == 0:
         reason = shapely.is_valid_reason(polygon) if polygon.area else "zero area"
         raise InputError(where, reason, "an outline that neither crosses nor touches itself")
-    return [np.array(shapely.orient_polygons(polygon).exterior.coords[:-1])]
+    ring = np.array(points)
+    return [ring if polygon.exterior.is_ccw else ring[::-1]]
 
 
 # ---------------------------------------------------------------- regions
