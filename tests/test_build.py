@@ -11,10 +11,11 @@ import pytest
 from learn2assemble.networks.agent import Agent, default_agent, load_agent
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QNetwork
-from learn2assemble.planning.build import build, verify
+from learn2assemble.planning.build import build_problem
 from learn2assemble.planning.discover import Placement, plan_sequences, replay, strip
 from learn2assemble.planning.plan import Step
 from learn2assemble.planning.problem import Problem, design_problem, preset_problem
+from learn2assemble.planning.verify import verify
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import PRESETS
 from learn2assemble.world.blocks import RELATIONS
@@ -60,7 +61,7 @@ def test_known_solution_plays_through_legally_to_success(path: Path) -> None:
 
 @pytest.mark.parametrize("path", BUILDABLE, ids=lambda p: p.stem)
 def test_every_design_is_built(path: Path, agent: Agent) -> None:
-    plan = build(design_problem(read_design(path)), agent, path.name)
+    plan = build_problem(design_problem(read_design(path)), agent, path.name)
     assert plan.status == "complete"
     assert plan.reason is None
     assert plan.coverage > plan.design.success_threshold
@@ -70,7 +71,7 @@ def test_every_design_is_built(path: Path, agent: Agent) -> None:
 
 def test_what_cannot_be_built_is_refused_with_the_reason(agent: Agent) -> None:
     path = ROOT / "examples" / "designs" / "cannot_be_built.json"
-    plan = build(design_problem(read_design(path)), agent, path.name)
+    plan = build_problem(design_problem(read_design(path)), agent, path.name)
     assert plan.status == "refused"
     assert "overhang" in plan.reason
     assert plan.steps == ()
@@ -81,7 +82,7 @@ def test_the_widest_search_finds_a_plan_without_a_trained_agent(
     preset: str, untrained: Agent
 ) -> None:
     """It must not give up where a plan exists: an untrained network is the worst adviser."""
-    plan = build(preset_problem(preset, 0), untrained, preset, seconds=10)
+    plan = build_problem(preset_problem(preset, 0), untrained, preset, seconds=10)
     assert plan.status == "complete", plan.reason
     stages = [attempt.stage for attempt in plan.search.attempts]
     assert plan.search.needed == stages[-1]
@@ -92,7 +93,7 @@ def test_too_few_blocks_end_incomplete_and_say_what_is_missing(untrained: Agent)
     state = problem.state.copy()
     state.num_blocks[0] = 3
     short = Problem(problem.name, problem.task, state, problem.elevation_names, None)
-    plan = build(short, untrained, "test", seconds=2)
+    plan = build_problem(short, untrained, "test", seconds=2)
     assert plan.status == "incomplete"
     assert "is needed" in plan.reason
     assert all(step.stable for step in plan.steps)
@@ -118,7 +119,7 @@ def test_no_block_stands_outside_where_supports_are_forbidden(untrained: Agent) 
         "format": "learn2assemble-design", "version": 1, "name": "wall", "supports": False,
         "elevations": [{"outline": [[-0.125, 0], [-0.125, 0.1], [0.125, 0.1], [0.125, 0]]}],
     })  # fmt: skip
-    plan = build(design_problem(parse_design(text, "test")), untrained, "test")
+    plan = build_problem(design_problem(parse_design(text, "test")), untrained, "test")
     assert plan.status == "complete"
     assert not any(step.outside for step in plan.steps)
 
@@ -147,6 +148,6 @@ def test_every_preset_can_be_a_problem() -> None:
 
 def test_the_plan_is_the_same_for_the_same_seed(untrained: Agent) -> None:
     def made() -> tuple[Step, ...]:
-        return build(preset_problem("two-sided-3x3-20-24", 5), untrained, "x", seed=2).steps
+        return build_problem(preset_problem("two-sided-3x3-20-24", 5), untrained, "x", seed=2).steps
 
     assert made() == made()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import hashlib
 import json
@@ -18,9 +17,8 @@ import torch
 from bad_calls import BAD, TASK, TINY_RUN, BadCall, prepare
 from learn2assemble import __version__
 from learn2assemble.cli import main
-from learn2assemble.cli import view as view_module
-from learn2assemble.cli.evaluate import search_config
 from learn2assemble.cli.parser import COMMANDS, make_parser
+from learn2assemble.evaluation.episodes import search_config
 from learn2assemble.networks.agent import Agent, load_agent, pretrained_names, save_agent
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QNetwork
@@ -136,8 +134,6 @@ def test_help_shows_an_example(l2a: Call, command: str | None) -> None:
 @pytest.mark.parametrize("command", COMMANDS)
 def test_examples_of_the_help_can_be_parsed(command: str, l2a: Call) -> None:
     """The words of every example are accepted, and the files they name are in the repository."""
-    from learn2assemble.cli.parser import make_parser
-
     text = " ".join(l2a(command, "--help").out.split())
     words = text.split("example: l2a ", 1)[1].split()
     options = make_parser().parse_args(words)
@@ -178,18 +174,13 @@ def test_replay(l2a: Call, data: Path) -> None:
 SEARCH = ["--search", "mcts", "--budget", "2", "--rollout", "end"]
 
 
-def options(*words: str) -> argparse.Namespace:
-    return make_parser().parse_args(["eval", TASK, *words])
-
-
-def test_eval_builds_the_named_search() -> None:
-    """A name stands for its whole configuration; options given take the place of its own."""
+def test_a_name_stands_for_its_search_and_arguments_take_the_place_of_its_own() -> None:
     for name in SEARCHES:
-        config = search_config(options("--search", name, "--epsilon", "0.2"))
+        config = search_config(name, 0.2, budget=None)
         assert config == dataclasses.replace(SEARCHES[name], epsilon=0.2)
-    assert search_config(options()) is None
-    assert search_config(options("--search", "mcts")) == SEARCHES["dqn-mcts"]
-    given = search_config(options("--search", "uct", "--budget", "7", "--rollout", "2"))
+    assert search_config("none", 0.2, budget=3) is None
+    assert search_config("mcts", 0.05) == SEARCHES["dqn-mcts"]
+    given = search_config("uct", 0.05, budget=7, rollout=2, distinct=None)
     assert given == dataclasses.replace(SEARCHES["uct"], budget=7, rollout=2)
 
 
@@ -265,7 +256,7 @@ def test_json_of_a_very_short_training(l2a: Call, tmp_path: Path) -> None:
 
 def test_bench(l2a: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     """Measurements are replaced, so that this test does not depend on the machine."""
-    from learn2assemble.cli import bench
+    from learn2assemble.evaluation import bench
 
     monkeypatch.setattr(bench, "MEASUREMENTS", {"fast_things_per_s": lambda seconds: 2 * seconds})
     result = l2a("bench", "--seconds", "1.5", "--json")
@@ -345,7 +336,7 @@ def test_view(
         tell("http://127.0.0.1:1/view.html")
         return ""
 
-    monkeypatch.setattr(view_module, "serve", serve)
+    monkeypatch.setattr("learn2assemble.viewer.server.serve", serve)
     shutil.copy(report / "plan.json", tmp_path / "plan.json")
     plan = tmp_path if by_folder else tmp_path / "plan.json"
     result = l2a("view", plan, "--port", "8123", "--no-browser", "--json")
@@ -375,24 +366,27 @@ def test_view_says_when_the_port_is_taken(l2a: Call, report: Path) -> None:
 # Leaving.
 
 
-def test_interrupt_exits_with_130(l2a: Call, monkeypatch: pytest.MonkeyPatch) -> None:
-    from learn2assemble.cli import tasks
+def replace_command(monkeypatch: pytest.MonkeyPatch, run: Any) -> None:
+    """Make ``l2a tasks`` do something else."""
+    command = dataclasses.replace(COMMANDS["tasks"], run=run)
+    monkeypatch.setitem(COMMANDS._entries, "tasks", command)
 
-    def stop(options: Any) -> int:
+
+def test_interrupt_exits_with_130(l2a: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: Any) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(tasks, "run", stop)
+    replace_command(monkeypatch, stop)
     assert l2a("tasks") == (130, "", "l2a: interrupted\n")
 
 
 def test_errors_of_the_program_are_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
     """Only what a user can cause becomes one line; a fault of ours keeps its traceback."""
-    from learn2assemble.cli import tasks
 
-    def fail(options: Any) -> int:
+    def fail(*_: Any) -> int:
         raise AssertionError("a fault")
 
-    monkeypatch.setattr(tasks, "run", fail)
+    replace_command(monkeypatch, fail)
     with pytest.raises(AssertionError, match="a fault"):
         main(["tasks"])
 

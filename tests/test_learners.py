@@ -18,7 +18,7 @@ from learn2assemble.graph.features import node_offset
 from learn2assemble.learning.config import TrainConfig, get_config, override
 from learn2assemble.learning.loss import q_loss, search_cross_entropy, td_targets
 from learn2assemble.learning.replay import Searched
-from learn2assemble.learning.run import train
+from learn2assemble.learning.run import run_training
 from learn2assemble.learning.trainer import Trainer, to_local
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QFactors
@@ -233,6 +233,6 @@ def test_presets_can_be_trained(name: str, tmp_path: Path) -> None:
          "initial_samples=4", "replay_size=16", "updates_per_round=1"],
     )  # fmt: skip
     for task in ("one-sided-3x3-22-24", "four-sided-5x5-30-38"):
-        metrics = train(get_task(task), config, tmp_path / task, device="cpu", quiet=True)
+        metrics = run_training(get_task(task), config, tmp_path / task, device="cpu", quiet=True)
         assert metrics["updates"] >= 1
         assert math.isfinite(metrics["batch_loss"])

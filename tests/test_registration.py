@@ -17,7 +17,7 @@ from learn2assemble.graph.batch import GraphTensors
 from learn2assemble.graph.features import NUM_FEATURES
 from learn2assemble.learning.config import METHODS, Learner, TrainConfig, register_learner
 from learn2assemble.learning.loss import q_loss
-from learn2assemble.learning.run import train
+from learn2assemble.learning.run import run_training
 from learn2assemble.learning.trainer import Trainer
 from learn2assemble.networks.agent import load_agent
 from learn2assemble.networks.config import NETWORKS, NetworkConfig, register_network
@@ -62,7 +62,7 @@ class PerNode(nn.Module):
 def test_a_network_of_ones_own_is_trained_saved_and_plays(tmp_path: Path) -> None:
     register_network("per-node", PerNode)
     config = dataclasses.replace(QUICK, network=NetworkConfig(encoder="per-node"))
-    metrics = train(TINY, config, tmp_path / "run", device="cpu", quiet=True)
+    metrics = run_training(TINY, config, tmp_path / "run", device="cpu", quiet=True)
     assert metrics["updates"] > 10
     agent = load_agent(str(tmp_path / "run"))
     assert isinstance(agent.network, PerNode)

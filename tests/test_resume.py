@@ -22,7 +22,7 @@ from safetensors.torch import save_file
 import learn2assemble.learning.run as run_module
 from learn2assemble.errors import InputError
 from learn2assemble.graph.features import Graph
-from learn2assemble.learning.run import train
+from learn2assemble.learning.run import run_training
 from learn2assemble.learning.trainer import Trainer
 from learn2assemble.simulator import Simulator
 from learn2assemble.world.state import State
@@ -88,16 +88,18 @@ def test_interrupted_run_goes_on_as_if_nothing_happened(
     """``train`` stopped by Ctrl-C and resumed equals ``train`` in one go, files included."""
     monkeypatch.setattr(run_module, "LOG_SECONDS", 0.02)
     config = dataclasses.replace(QUICK, **changes)
-    train(TINY, config, tmp_path / "a", seed=5, device="cpu", quiet=True)
+    run_training(TINY, config, tmp_path / "a", seed=5, device="cpu", quiet=True)
     with monkeypatch.context() as patch:
         interrupt_after(patch, 30)
         with pytest.raises(KeyboardInterrupt):
-            train(TINY, config, tmp_path / "b", seed=5, device="cpu", quiet=True)
+            run_training(TINY, config, tmp_path / "b", seed=5, device="cpu", quiet=True)
     stopped, _ = contents(tmp_path / "b" / "state.safetensors")
     assert stopped["samples"] == 150
     with (tmp_path / "b" / "log.jsonl").open("a", encoding="utf-8") as stream:
         stream.write('{"samples": 152}\n{"samp')  # Written after the checkpoint, then cut off.
-    metrics = train(TINY, config, tmp_path / "b", seed=5, device="cpu", quiet=True, resume=True)
+    metrics = run_training(
+        TINY, config, tmp_path / "b", seed=5, device="cpu", quiet=True, resume=True
+    )
     assert metrics["samples"] == QUICK.num_samples
     assert_same_training(tmp_path / "a" / "state.safetensors", tmp_path / "b" / "state.safetensors")
     weights = [(tmp_path / name / "agent.safetensors").read_bytes() for name in "ab"]
@@ -122,8 +124,8 @@ def test_log_lines_after_the_checkpoint_are_dropped(tmp_path: Path) -> None:
 def test_log_never_repeats_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """``samples`` strictly increases, also when a finished run is resumed."""
     monkeypatch.setattr(run_module, "LOG_SECONDS", 0.0)
-    train(TINY, QUICK, tmp_path / "a", device="cpu", quiet=True)
-    train(TINY, QUICK, tmp_path / "a", device="cpu", quiet=True, resume=True)
+    run_training(TINY, QUICK, tmp_path / "a", device="cpu", quiet=True)
+    run_training(TINY, QUICK, tmp_path / "a", device="cpu", quiet=True, resume=True)
     log = samples_in_log(tmp_path / "a")
     assert log == sorted(set(log))
 
@@ -142,7 +144,7 @@ def test_interrupt_inside_a_step_leaves_no_dead_world(
     with monkeypatch.context() as patch:
         patch.setattr(Simulator, "observe", observe)
         with pytest.raises(KeyboardInterrupt):
-            train(TINY, QUICK, tmp_path / "a", device="cpu", quiet=True)
+            run_training(TINY, QUICK, tmp_path / "a", device="cpu", quiet=True)
     trainer = Trainer(TINY, QUICK, 0)
     trainer.load(tmp_path / "a" / "state.safetensors")
     for _ in range(20):
@@ -163,7 +165,7 @@ run.LOG_SECONDS = 0.05
 import json
 task = Task(**json.loads(sys.argv[2]))
 config = TrainConfig.from_dict(json.loads(sys.argv[3]))
-run.train(task, config, Path(sys.argv[1]), device="cpu", quiet=True)
+run.run_training(task, config, Path(sys.argv[1]), device="cpu", quiet=True)
 """
 
 
@@ -202,7 +204,7 @@ def test_killed_run_resumes_from_its_last_checkpoint(tmp_path: Path) -> None:
         tensors = {key: stream.get_tensor(key) for key in stream.keys()}  # noqa: SIM118
     counters["config"]["num_samples"] = goal
     save_file(tensors, out / "state.safetensors", metadata={"counters": json.dumps(counters)})
-    metrics = train(
+    metrics = run_training(
         TINY, dataclasses.replace(config, num_samples=goal), out,
         device="cpu", quiet=True, resume=True,
     )  # fmt: skip
@@ -248,15 +250,15 @@ def test_a_run_older_than_a_setting_can_be_resumed(tmp_path: Path) -> None:
 
 def test_resume_of_nothing_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="a folder with a state"):
-        train(TINY, QUICK, tmp_path, device="cpu", quiet=True, resume=True)
+        run_training(TINY, QUICK, tmp_path, device="cpu", quiet=True, resume=True)
 
 
 def test_output_folder_must_be_new(tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("keep")
-    with pytest.raises(InputError, match="--out"):
-        train(TINY, QUICK, tmp_path, device="cpu", quiet=True)
-    with pytest.raises(InputError, match="--out"):
-        train(TINY, QUICK, tmp_path / "mine.txt" / "below", device="cpu", quiet=True)
+    with pytest.raises(InputError, match="out"):
+        run_training(TINY, QUICK, tmp_path, device="cpu", quiet=True)
+    with pytest.raises(InputError, match="out"):
+        run_training(TINY, QUICK, tmp_path / "mine.txt" / "below", device="cpu", quiet=True)
     assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
 
 
@@ -347,22 +349,22 @@ def test_every_counter_of_a_state_is_checked(saved: Path, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("line", [b"[1]", b"3", b"{}", b'{"samples": "many"}', b'"\xc3\xa9"'])
 def test_a_log_of_something_else_is_refused(tmp_path: Path, line: bytes) -> None:
-    train(TINY, QUICK, tmp_path / "a", device="cpu", quiet=True)
+    run_training(TINY, QUICK, tmp_path / "a", device="cpu", quiet=True)
     log = tmp_path / "a" / "log.jsonl"
     content = log.read_bytes() + line + b"\n"
     log.write_bytes(content)
-    with pytest.raises(InputError, match=r"log\.jsonl line") as caught:
-        train(TINY, QUICK, tmp_path / "a", device="cpu", quiet=True, resume=True)
+    with pytest.raises(InputError, match=r"log.jsonl: line") as caught:
+        run_training(TINY, QUICK, tmp_path / "a", device="cpu", quiet=True, resume=True)
     assert "\n" not in str(caught.value)
     assert log.read_bytes() == content
 
 
 def test_a_resumed_run_has_its_own_seed(tmp_path: Path) -> None:
-    train(TINY, QUICK, tmp_path / "a", seed=4, device="cpu", quiet=True)
+    run_training(TINY, QUICK, tmp_path / "a", seed=4, device="cpu", quiet=True)
     with pytest.raises(InputError, match="--seed"):
-        train(TINY, QUICK, tmp_path / "a", seed=5, device="cpu", quiet=True, resume=True)
+        run_training(TINY, QUICK, tmp_path / "a", seed=5, device="cpu", quiet=True, resume=True)
     for seed in (None, 4):
-        train(TINY, QUICK, tmp_path / "a", seed=seed, device="cpu", quiet=True, resume=True)
+        run_training(TINY, QUICK, tmp_path / "a", seed=seed, device="cpu", quiet=True, resume=True)
 
 
 def test_a_run_records_the_commit_of_its_own_checkout(

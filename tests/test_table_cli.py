@@ -12,11 +12,11 @@ import pytest
 import torch
 
 from learn2assemble.cli import main
-from learn2assemble.cli.table import _insert as insert
-from learn2assemble.cli.table import markers
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.networks.agent import load_agent
 from learn2assemble.reproduction import curves as curves_module
+from learn2assemble.reproduction.commands import _insert as insert
+from learn2assemble.reproduction.commands import markers
 from learn2assemble.reproduction.curves import FIGURES, get_figure, load_curves, read_log
 from learn2assemble.reproduction.recipes import (
     RECIPES,

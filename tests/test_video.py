@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from dataclasses import replace
@@ -15,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arm_record import arm_plan, arm_record
-from learn2assemble.cli import view
+from learn2assemble.cli import main
 from learn2assemble.errors import InputError, MissingExtraError
 from learn2assemble.robot.record_files import write_record
 from learn2assemble.robot.shape import box
@@ -294,13 +293,12 @@ def test_the_files_of_a_build_and_an_unsound_one(
 
 
 def test_view_shows_the_arm_of_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("learn2assemble.cli.view.serve", lambda *_: "")
-    options = argparse.Namespace(plan=tmp_path, json=False, port=0, no_browser=True)
+    monkeypatch.setattr("learn2assemble.viewer.server.serve", lambda *_: "")
     (tmp_path / "plan.json").write_text(json.dumps(arm_plan(COUNT).to_dict()))
     page = tmp_path / "view.html"
-    view.run(options)
+    assert main(["view", str(tmp_path), "--no-browser"]) == 0
     assert '<body class="movable">' in page.read_text(encoding="utf-8")
     page.unlink()
     write_record(arm_record("panda", COUNT), tmp_path / "trajectory.json")
-    view.run(options)
+    assert main(["view", str(tmp_path), "--no-browser"]) == 0
     assert '<body class="movable with-arm">' in page.read_text(encoding="utf-8")

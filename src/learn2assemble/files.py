@@ -17,9 +17,10 @@ import types
 import typing
 import zlib
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union
+from typing import IO, Annotated, Any, Literal, NamedTuple, TypeVar, Union
 
 from learn2assemble.errors import InputError, UnknownNameError
 
@@ -372,3 +373,57 @@ def unwritable(what: str, path: Path, error: OSError) -> InputError:
     """The error for a file or folder that cannot be written: a full disk, no right, no folder."""
     reason = error.strerror or type(error).__name__
     return InputError(what, printable(str(path)), f"a place that can be written ({reason})")
+
+
+LOCK = ".lock"
+
+
+@contextmanager
+def claim_folder(
+    folder: Path, resume: bool = False, expected: str = "a new or empty folder"
+) -> Iterator[None]:
+    """Have an output folder to oneself while the block runs.
+
+    Args:
+        folder: new or empty; made where it does not exist.
+        resume: it exists already and holds something.
+        expected: words for what it should be.
+
+    Raises:
+        InputError: where it cannot be used, or another process is writing into it.
+    """
+    what, name, made = "out", printable(str(folder)), False
+    try:
+        if not resume:
+            if folder.exists() and (not folder.is_dir() or _content(folder)):
+                raise InputError(what, name, expected)
+            made = not folder.exists()
+            folder.mkdir(parents=True, exist_ok=True)
+        with (folder / LOCK).open("w") as lock:
+            if not _locked(lock) or (not resume and _content(folder)):
+                raise InputError(what, name, "a folder that nothing else is writing into")
+            try:
+                yield
+            finally:
+                (folder / LOCK).unlink(missing_ok=True)
+                if made and not _content(folder):
+                    folder.rmdir()
+    except OSError as error:
+        raise unwritable(what, folder, error) from None
+
+
+def _content(folder: Path) -> bool:
+    return any(path.name != LOCK for path in folder.iterdir())
+
+
+def _locked(file: IO[str]) -> bool:
+    """Whether the lock could be taken; the system gives it back when the process ends."""
+    try:
+        import fcntl
+    except ImportError:  # not on this system
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator, Mapping
-from typing import TypeVar
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, TypeVar
 
 from learn2assemble.errors import InputError, UnknownNameError
 
@@ -29,11 +29,20 @@ class Registry(Mapping[str, T]):
     Args:
         kind: what the values are, for error messages and plug-ins, e.g. ``"task"``.
         entries: the package's own.
+        make: turns one of these into its value when it is asked for; without it they are values.
     """
 
-    def __init__(self, kind: str, entries: Mapping[str, T]) -> None:
+    def __init__(
+        self,
+        kind: str,
+        entries: Mapping[str, Any],
+        make: Callable[[str, Any], T] | None = None,
+    ) -> None:
         self.kind = kind
-        self._entries: dict[str, T] = dict(entries)
+        self._entries: dict[str, Any] = dict(entries)
+        self._make, self._unmade = make, set(entries) if make else set()
+        self.listeners: list[Callable[[str], None]] = []
+        """Called with every name that is added."""
 
     def register(self, name: str, value: T, *, replace: bool = False) -> None:
         """Add ``value`` under ``name``.
@@ -46,6 +55,9 @@ class Registry(Mapping[str, T]):
         if name in self and not replace:
             raise InputError(f"{self.kind} name", name, "a name that is not taken")
         self._entries[name] = value
+        self._unmade.discard(name)
+        for listener in self.listeners:
+            listener(name)
 
     def _load_plugins(self) -> None:
         for module in _plugins.pop(self.kind, []):
@@ -55,7 +67,13 @@ class Registry(Mapping[str, T]):
     def __getitem__(self, name: str) -> T:
         if name not in self:
             raise UnknownNameError(self.kind, name, self._entries)
+        if self._make is not None and name in self._unmade:
+            self._entries[name] = self._make(name, self._entries[name])
+            self._unmade.discard(name)
         return self._entries[name]
+
+    def get(self, name: str, default: Any = None) -> Any:
+        return self[name] if name in self else default  # noqa: SIM401
 
     def __contains__(self, name: object) -> bool:
         if name not in self._entries:

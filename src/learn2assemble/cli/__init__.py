@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import errno
 import os
+import signal
 import sys
 from collections.abc import Sequence
 
+from learn2assemble.cli.output import Output
 from learn2assemble.cli.parser import make_parser
 from learn2assemble.errors import Learn2AssembleError, one_line
+from learn2assemble.files import unwritable
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -19,7 +21,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     try:
         options = make_parser().parse_args(arguments)
-        return int(options.run(options) or 0)
+        # From here on an interrupt lets the command tidy up.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        return int(options.run(options, Output(options.json)) or 0)
     except Learn2AssembleError as error:
         sys.stderr.write(f"l2a: error: {one_line(error)}\n")
         return 2
@@ -28,9 +32,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
-        if error.errno != errno.ENAMETOOLONG:
+        if error.filename is None:
             raise
-        sys.stderr.write("l2a: error: a file name is too long for this system\n")
+        where = unwritable("file", error.filename, error)
+        sys.stderr.write(f"l2a: error: {one_line(where)}\n")
         return 2
     except KeyboardInterrupt:
         sys.stderr.write("l2a: interrupted\n")

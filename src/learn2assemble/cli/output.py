@@ -8,9 +8,6 @@ import sys
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-
 
 class Output:
     """Standard output and standard error of one command.
@@ -20,6 +17,8 @@ class Output:
     """
 
     def __init__(self, as_json: bool) -> None:
+        from rich.console import Console  # not needed for help and refusals
+
         self.as_json = as_json
         self.console = Console(stderr=as_json, highlight=False, soft_wrap=True)
         if not self.console.is_terminal and "COLUMNS" not in os.environ:
@@ -37,6 +36,8 @@ class Output:
 
     def table(self, title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
         """A table for people."""
+        from rich.table import Table
+
         table = Table(title=title or None, title_justify="left", box=None, pad_edge=False)
         for number, column in enumerate(columns):
             table.add_column(column, justify="right" if number else "left", no_wrap=number == 0)

@@ -1,4 +1,4 @@
-"""Gymnasium environments: single and native vectorised, registered over the presets.
+"""Gymnasium environments: single and native vectorised, registered over the tasks.
 
 Thin skins over :class:`learn2assemble.simulator.Simulator`: no rule of the world lives here.
 Importing this package only registers names; the environments load when one is made.

@@ -1,8 +1,9 @@
-"""One registration over all presets: ``learn2assemble/<preset>-v0``.
+"""One registration over all tasks: ``learn2assemble/<task>-v0``.
 
 Gymnasium 1.0 removed its plugin entry points, so a package registers when it is imported:
-``import learn2assemble`` and ``gymnasium.make("learn2assemble/<preset>-v0")``, or in one go
-``gymnasium.make("learn2assemble:learn2assemble/<preset>-v0")``.
+``import learn2assemble`` and ``gymnasium.make("learn2assemble/<task>-v0")``, or in one go
+``gymnasium.make("learn2assemble:learn2assemble/<task>-v0")``. Where Gymnasium is imported later,
+the registration waits for it (``learn2assemble/__init__.py``).
 """
 
 from __future__ import annotations
@@ -18,25 +19,31 @@ VERSION = 0
 
 
 def env_id(task_name: str) -> str:
-    """The Gymnasium id of a preset.
+    """The Gymnasium id of a task.
 
     Raises:
-        UnknownNameError: naming the nearest preset.
+        UnknownNameError: naming the nearest task.
     """
     return f"{NAMESPACE}/{get_task(task_name).name}-v{VERSION}"
 
 
 def register_all() -> None:
-    """Register every preset that is not registered yet (calling it twice is harmless).
+    """Register every task that is not registered yet, and from now on every new one.
 
     The passive checker is off because a test runs Gymnasium's full checker over every preset;
     ``gymnasium.make(..., disable_env_checker=False)`` turns it on.
     """
     for name in PRESETS:
-        if env_id(name) in registry:
-            continue
+        _register(name)
+    if _register not in PRESETS.listeners:
+        PRESETS.listeners.append(_register)
+
+
+def _register(name: str) -> None:
+    name_in_gymnasium = f"{NAMESPACE}/{name}-v{VERSION}"
+    if name_in_gymnasium not in registry:
         gymnasium.register(
-            env_id(name),
+            name_in_gymnasium,
             entry_point="learn2assemble.envs.single:AssemblyEnv",
             vector_entry_point="learn2assemble.envs.vector:AssemblyVectorEnv",
             disable_env_checker=True,

@@ -5,19 +5,23 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.networks.agent import Network
+from learn2assemble.checkers import resolve_judge
+from learn2assemble.errors import InputError
+from learn2assemble.learning.run import provenance
+from learn2assemble.networks.agent import Agent, Network, default_agent, load_agent, one_thread
 from learn2assemble.physics.protocol import Physics, Verdict
 from learn2assemble.planning.world_model import WorldModel, lookahead_actions
-from learn2assemble.search.config import SearchConfig
+from learn2assemble.registry import Registry
+from learn2assemble.search.config import SearchConfig, get_search
 from learn2assemble.search.mcts import search
 from learn2assemble.search.tree import SearchModel
 from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import Task
+from learn2assemble.tasks import Task, get_task
 from learn2assemble.world.state import State
 
 EVALUATION_STREAM = 2
@@ -227,3 +231,109 @@ def _play(simulator: Simulator, state: State, policy: Policy, rng: np.random.Gen
         going = np.flatnonzero(~step.terminated)
         rows, state = rows[going], state.take(going)
     return Episodes(returns[:, 0], returns[:, 1:], count, failed, success, coverage, verdict)
+
+
+SEARCH_MODELS: Registry[Callable[[WorldModel], SearchModel]] = Registry("search model", {})
+"""Models of the world that may be put around the exact one, for searches."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What an agent achieved, and under which conditions."""
+
+    metrics: Metrics
+    task: str
+    agent: str
+    search: str
+    budget: int
+    """Simulations before every decision; 0 without a search."""
+    rollout: int
+    distinct: bool
+    legacy: bool
+    """Whether the search looked ahead in copies with the published restore faults."""
+    epsilon: float
+    seed: int
+    provenance: dict[str, Any]
+    """Versions, hardware and commit."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The content of a result file."""
+        values = asdict(self)
+        return {**values.pop("metrics"), **values}
+
+
+def search_config(
+    search: str | SearchConfig | None, epsilon: float, **given: int | bool | None
+) -> SearchConfig | None:
+    """The named search with what is given in place of its own arguments; None for ``none``."""
+    if search is None or search == "none":
+        return None
+    if isinstance(search, str):
+        search = get_search("dqn-mcts" if search == "mcts" else search)
+    chosen = {name: value for name, value in given.items() if value is not None}
+    return replace(search, epsilon=epsilon, **chosen)
+
+
+def evaluate(
+    task: str | Task,
+    *,
+    agent: str | Agent | None = None,
+    search: str | SearchConfig | None = None,
+    budget: int | None = None,
+    rollout: int | None = None,
+    distinct: bool | None = None,
+    epsilon: float = 0.05,
+    episodes: int = 100,
+    seed: int = 0,
+    physics: str | Physics | None = None,
+    arm: str | None = None,
+    search_model: Callable[[WorldModel], SearchModel] | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Evaluation:
+    """Let an agent play whole episodes; the paper's metrics.
+
+    Args:
+        task: a task or its name.
+        agent: an agent, a shipped one by name, a ``.safetensors`` file or the folder of a training;
+            by default the shipped one for tasks like this.
+        search: its name, ``mcts`` for the paper's, or its arguments; by default none.
+        budget: simulations before every decision, in place of the search's own.
+        rollout: steps of a simulation, in place of the search's own.
+        distinct: whether to expand only one of several placements that lead to the same structure.
+        epsilon: how often a random action is taken.
+        episodes: how many.
+        seed: of problems and policy; the same seed gives the same problems to every agent.
+        physics: checks the placements: ``static``, ``rigid`` or, with an arm, ``dynamic``.
+        arm: builds in place of the task's own, for tasks with a robot.
+        search_model: puts another model of the world around the exact one, for searches.
+        progress: called with the number of episodes finished.
+
+    Raises:
+        InputError: for names that do not exist and numbers out of range.
+    """
+    task = get_task(task, arm)
+    checker = resolve_judge(physics, task)
+    config = search_config(search, epsilon, budget=budget, rollout=rollout, distinct=distinct)
+    if episodes < 1 or seed < 0 or not 0 <= epsilon <= 1:
+        got = (episodes, seed, epsilon)
+        raise InputError("(episodes, seed, epsilon)", got, ">= 1, >= 0, 0 to 1")
+    if agent is None or isinstance(agent, str):
+        agent = load_agent(agent or default_agent(task.name))
+    with one_thread():
+        policy = make_policy(
+            task, agent.network, config, epsilon, search_model=search_model or (lambda model: model)
+        )
+        metrics = run_episodes(task, policy, episodes, seed, checker, progress)
+        return Evaluation(
+            metrics=metrics,
+            task=task.name,
+            agent=agent.name,
+            search=search if isinstance(search, str) else "custom" if config else "none",
+            budget=config.budget if config else 0,
+            rollout=config.rollout if config else 0,
+            distinct=bool(config and config.distinct),
+            legacy=search_model is not None,
+            epsilon=epsilon,
+            seed=seed,
+            provenance=provenance("cpu"),
+        )

@@ -15,6 +15,8 @@ import os
 import platform
 import subprocess
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +24,22 @@ import torch
 from tqdm import tqdm
 
 from learn2assemble.errors import InputError
-from learn2assemble.learning.config import TrainConfig
+from learn2assemble.files import (
+    MAX_GENERATED,
+    claim_folder,
+    integer,
+    load_json,
+    mapping,
+    number,
+    read_json,
+    read_text,
+    text,
+    write_file,
+)
+from learn2assemble.learning.config import TrainConfig, fit_to, get_config, override
 from learn2assemble.learning.trainer import Trainer
-from learn2assemble.networks.agent import Agent, save_agent
-from learn2assemble.tasks import Task
+from learn2assemble.networks.agent import Agent, load_agent, save_agent
+from learn2assemble.tasks import NO_ARM, Task, get_task
 
 LOG_SECONDS = 10.0
 CHECKPOINT_SECONDS = 45.0
@@ -122,23 +136,122 @@ def _drop_lines_after(file: Path, samples: int) -> None:
     """
     if not file.exists():
         return
-    kept = []
-    for number, line in enumerate(file.read_bytes().splitlines(), 1):
+    kept, (lines, source) = [], read_text(file, "log", MAX_GENERATED)
+    for count, line in enumerate(lines.splitlines(), 1):
+        where = f"{source}: line {count}"
         try:
-            values = json.loads(line)
-        except (ValueError, RecursionError):
+            value = load_json(line, where, "log")
+        except InputError:
             continue  # A line cut off by the kill.
-        if not isinstance(values, dict) or type(values.get("samples")) is not int:
-            got = line.decode(errors="replace")
-            raise InputError(f"{file} line {number}", got, "a JSON object with samples")
-        if values["samples"] <= samples:
-            kept.append(line + b"\n")
-    part = file.with_suffix(".part")
-    part.write_bytes(b"".join(kept))
-    part.replace(file)
+        if integer(mapping(value, where).get("samples"), f"{where}: samples") <= samples:
+            kept.append(line + "\n")
+    write_file(file, "".join(kept), "log")
+
+
+@dataclass(frozen=True)
+class TrainingRun:
+    """A finished training."""
+
+    task: str
+    out: Path
+    """Folder of the run; ``agent.safetensors`` in it is the agent."""
+    config: str
+    """Name of the configuration it began with."""
+    metrics: dict[str, float]
+    """The last numbers of the log."""
+
+    def load_agent(self) -> Agent:
+        """The trained agent."""
+        return load_agent(str(self.out))
 
 
 def train(
+    task: str | Task,
+    out: str | Path,
+    *,
+    minutes: float | None = None,
+    samples: int | None = None,
+    config: str | TrainConfig = "relational",
+    method: str | None = None,
+    settings: Sequence[str] = (),
+    seed: int | None = None,
+    device: str = "auto",
+    threads: int | None = None,
+    arm: str | None = None,
+    init: str | Agent | None = None,
+    resume: bool = False,
+    quiet: bool = False,
+) -> TrainingRun:
+    """Train an agent.
+
+    Args:
+        task: a task or its name.
+        out: new or empty folder of the run; the one to go on with where ``resume`` is given.
+        minutes: stop after so long, resumed parts counted in; by default at the number of samples.
+        samples: environment steps of the whole training, in place of the configuration's.
+        config: a configuration or its name: ``relational``, ``relational-objects`` (ours),
+            ``published`` or ``paper``.
+        method: the learner, in place of the configuration's.
+        settings: changes of the configuration, such as ``"network.heads=1"``.
+        seed: of everything random; 0 by default.
+        device: ``auto``, ``cpu`` or ``cuda``.
+        threads: of PyTorch on the CPU.
+        arm: builds in place of the task's own, for tasks with a robot.
+        init: agent whose weights to start from.
+        resume: go on with the run in ``out``; it keeps its configuration and its seed.
+        quiet: show no progress.
+
+    Raises:
+        InputError: for names that do not exist, values out of range, and folders that cannot be
+            used.
+    """
+    out, task = Path(out), get_task(task, arm)
+    words = config if isinstance(config, str) else "custom"
+    if resume:
+        if init is not None:
+            raise InputError("--init", init, "not together with --resume")
+        if settings or any(value is not None for value in (samples, arm, method, seed)):
+            got = "--set, --samples, --method, --arm or --seed"
+            raise InputError("--resume", got, "the run's own configuration")
+        task, config, seed, saved_minutes = _saved(out, task)
+        minutes = saved_minutes if minutes is None else minutes
+    else:
+        chosen = get_config(config) if isinstance(config, str) else config
+        wanted = [] if method is None else [f"method={method}"]
+        config = override(fit_to(chosen, task), [*wanted, *settings])
+        if samples is not None:
+            config = dataclasses.replace(config, num_samples=samples)
+    if threads is not None:
+        torch.set_num_threads(threads)
+    if isinstance(init, str):
+        init = load_agent(init)
+    metrics = run_training(
+        task, config, out, seed=seed or 0, minutes=minutes, device=device, resume=resume,
+        init=init, quiet=quiet,
+    )  # fmt: skip
+    return TrainingRun(task.name, out, words, metrics)
+
+
+def _saved(out: Path, task: Task) -> tuple[Task, TrainConfig, int, float | None]:
+    """Task, configuration, seed and minutes of the run to resume."""
+    file = out / "config.json"
+    refused = InputError("--resume", str(out), "the folder of a training run")
+    if not file.is_file():
+        raise refused
+    try:
+        saved = mapping(read_json(file, "configuration")[0], str(file))
+        config = TrainConfig.from_dict(saved["config"])
+        name, seed = text(saved["task"]["name"], "task"), integer(saved["seed"], "seed")
+        arm = saved["task"].get("arm", NO_ARM)
+        minutes = None if saved["minutes"] is None else number(saved["minutes"], "minutes")
+    except (KeyError, TypeError, AttributeError, InputError):
+        raise refused from None
+    if name != task.name:
+        raise InputError("TASK", task.name, f"{name}, the task of the run to resume")
+    return get_task(task, arm if task.has_arm else None), config, seed, minutes
+
+
+def run_training(
     task: Task,
     config: TrainConfig,
     out: Path,
@@ -170,7 +283,18 @@ def train(
     if init is not None:
         trainer.start_from(init.network)
         started_from = {"name": init.name, "origin": init.origin}
-    _prepare_folder(out, state_file, resume)
+    if resume and not state_file.is_file():
+        raise InputError("--resume", str(out), "a folder with a state.safetensors")
+    with claim_folder(out, resume, "a new or empty folder, or --resume"):
+        return _run(trainer, out, state_file, seed, minutes, started_from, resume, quiet)
+
+
+def _run(
+    trainer: Trainer, out: Path, state_file: Path, seed: int | None, minutes: float | None,
+    started_from: dict[str, Any] | None, resume: bool, quiet: bool,
+) -> dict[str, float]:  # fmt: skip
+    """Rounds of training in a folder that is ours, until it is finished or time is up."""
+    task, config = trainer.task, trainer.config
     if resume:
         trainer.load(state_file)
         if seed not in (None, trainer.seed):
@@ -180,9 +304,9 @@ def train(
         run = {
             "task": dataclasses.asdict(task), "seed": trainer.seed, "minutes": minutes,
             "init": started_from,
-            "config": config.to_dict(), **provenance(device),
+            "config": config.to_dict(), **provenance(trainer.device),
         }  # fmt: skip
-        (out / "config.json").write_text(json.dumps(run, indent=1) + "\n", encoding="utf-8")
+        write_file(out / "config.json", json.dumps(run, indent=1) + "\n", "configuration")
     logs = _Logs(out, trainer.samples)
     limit = float("inf") if minutes is None else minutes * 60
     bar = tqdm(
@@ -242,19 +366,3 @@ def _save(
         **provenance(trainer.device),
     }
     save_agent(Agent("agent", trainer.agent_network, trainer.task.name, origin), out)
-
-
-def _prepare_folder(out: Path, state_file: Path, resume: bool) -> None:
-    if resume:
-        if not state_file.is_file():
-            raise InputError("--resume", str(out), "a folder with a state.safetensors")
-        return
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError("--out", str(out), "an empty or new folder (or --resume)")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        probe = out / ".write-test"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise InputError("--out", str(out), f"a writable folder ({error.strerror})") from None

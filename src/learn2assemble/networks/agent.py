@@ -10,6 +10,8 @@ from __future__ import annotations
 import copy
 import dataclasses
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -42,6 +44,17 @@ def at_pitch(network: Network, pitch: float) -> Network:
     other = copy.copy(network)
     other.config = dataclasses.replace(network.config, pitch=pitch)
     return other
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Small batches lose more by sharing them among threads than they gain."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 FORMAT = "learn2assemble-agent"

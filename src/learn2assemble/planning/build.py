@@ -1,214 +1,145 @@
-"""Proving a plan step by step by rigid-body simulation, and its margin of stability.
-
-The main job: plan, verify, widen until it holds, and say what it took.
-"""
+"""The main job: from a design to a plan, every step of which is proven or carried out by an arm."""
 
 from __future__ import annotations
 
-import math
 import time
-from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-import mujoco
-import numpy as np
+from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.files import MAX_BYTES, read_json
+from learn2assemble.planning.plan import Plan
+from learn2assemble.robot.registry import ARMS
+from learn2assemble.tasks import PRESETS, check_actions, get_task
 
-from learn2assemble.networks.agent import Agent
-from learn2assemble.physics.equilibrium import stability_margin
-from learn2assemble.physics.rigid import SETTLE_STEPS, RigidPhysics
-from learn2assemble.planning.discover import Placement, Progress, Sequence, make, plan_sequences
-from learn2assemble.planning.plan import (
-    BlockSupply,
-    FirstBlock,
-    Plan,
-    PlanDesign,
-    PlanElevation,
-    SearchReport,
-    SearchStage,
-    Step,
-)
-from learn2assemble.planning.problem import Problem
-from learn2assemble.simulator import Simulator
-from learn2assemble.world.blocks import EDGE, RELATIONS
+if TYPE_CHECKING:
+    from learn2assemble.networks.agent import Agent
+    from learn2assemble.planning.discover import Progress, Sequence
+    from learn2assemble.planning.problem import Problem
+    from learn2assemble.planning.supply import Layout
+    from learn2assemble.planning.verify import Proof
+    from learn2assemble.world.design_bounds import Design
 
-
-@dataclass(frozen=True)
-class VerifiedStep:
-    """One placement as the simulation left it."""
-
-    placement: Placement
-    position: np.ndarray
-    """float64[3]: block centre after settling [m]."""
-    quaternion: np.ndarray
-    """float64[4]: (w, x, y, z)."""
-    coverage: float
-    """F_co."""
-    plane_coverage: float
-    """F_pl."""
-    stability_margin: float
-    """Smallest horizontal acceleration, in g, that would move something."""
-    speed_sum: float
-    """V_b of the fastest block, see :class:`RigidPhysics` [m/s]."""
-    stable: bool
-    outside: bool
-    """Whether the block stands outside every outline."""
-
-
-@dataclass(frozen=True)
-class Proof:
-    """The verified steps, up to the first that did not hold."""
-
-    steps: list[VerifiedStep]
-    filled: bool
-    """Whether the target counts as filled after the last step."""
-
-    @property
-    def stable(self) -> bool:
-        return all(step.stable for step in self.steps)
-
-
-def method() -> str:
-    """One line on how steps are verified."""
-    return f"MuJoCo {mujoco.__version__}, {SETTLE_STEPS} steps of 4 ms after every placement"
-
-
-def verify(problem: Problem, placements: list[Placement]) -> Proof:
-    """Make every placement in rigid-body simulation, on what the ones before have become."""
-    physics = RigidPhysics(problem.task.stability, pitch=problem.task.pitch)
-    simulator = Simulator(problem.task, physics)
-    state = problem.state.copy()
-    steps: list[VerifiedStep] = []
-    filled = False
-    for placement in placements:
-        filled, held = make(simulator, state, placement)
-        filled = filled and problem.accepts(state)
-        count = int(state.num_placed[0])
-        speeds = physics.last_speed_sums[0]
-        centres = state.position[0, :count]
-        steps.append(
-            VerifiedStep(
-                placement=placement,
-                position=centres[-1].copy(),
-                quaternion=state.quaternion[0, count - 1].copy(),
-                coverage=float(state.complete_coverage[0]),
-                plane_coverage=float(state.plane_coverage[0]),
-                stability_margin=stability_margin(centres, state.object_id[0, :count])
-                if held
-                else 0.0,
-                speed_sum=float(speeds.max()) if len(speeds) else float("inf"),
-                stable=held,
-                outside=problem.is_outside(centres[-1]),
-            )
-        )
-        if not held:
-            break
-    return Proof(steps, filled)
-
-
-def make_plan(
-    problem: Problem,
-    agent: Agent,
-    source: str,
-    sequence: Sequence,
-    proof: Proof,
-    started: float,
-    verified_by: str | None = None,
-) -> Plan:
-    """What came of planning.
-
-    Args:
-        proof: its steps refer to one another by number, 0 is the first block.
-        started: :func:`time.perf_counter` when planning began.
-        verified_by: by default :func:`method`.
-    """
-    state, task = problem.state, problem.task
-    count = int(state.num_blocks[0])
-    waiting = np.empty((count, 3))
-    waiting[state.object_id[0, :count]] = state.position[0, :count]
-    held = [step for step in proof.steps if step.stable]
-    status = "complete" if proof.stable and proof.filled else "incomplete"
-    if problem.refusal is not None:
-        status = "refused"
-    coverage = held[-1].coverage if held else 0.0
-    return Plan(
-        design=PlanDesign(
-            name=problem.name,
-            source=source,
-            block_edge=EDGE,
-            num_sides=task.num_sides,
-            frames=_rows(problem.frames),
-            elevations=tuple(
-                PlanElevation(name, _rows(outline))
-                for name, outline in zip(problem.elevation_names, problem.outlines, strict=True)
-            ),
-            success_threshold=task.success_threshold,
-        ),
-        status=status,
-        reason=_reason(problem, status, proof, coverage, count),
-        blocks=BlockSupply(count, len(held) + 1, _rows(waiting)),
-        steps=tuple(
-            _step(number, step, task.rotations) for number, step in enumerate(proof.steps, 1)
-        ),
-        coverage=coverage,
-        seconds=round(time.perf_counter() - started, 3),
-        agent=agent.name,
-        planner="agent",
-        search=SearchReport(
-            sequence.stage, sequence.budget,
-            tuple(SearchStage(a.stage, a.result, round(a.seconds, 3)) for a in sequence.attempts),
-            sequence.backtracks, sequence.dropped,
-        ),
-        first_block=FirstBlock(
-            0, _row(state.position[0, 0]), _row(state.quaternion[0, 0]),
-            round(float(state.complete_coverage[0]), 6), round(float(state.plane_coverage[0]), 6),
-        ),
-        verified_by=verified_by or method(),
-    )  # fmt: skip
-
-
-def _row(values: np.ndarray) -> Any:
-    """An array[n] as n numbers."""
-    return tuple(values.tolist())
-
-
-def _rows(values: np.ndarray) -> Any:
-    return tuple(map(_row, values))
-
-
-def _step(number: int, step: VerifiedStep, rotations: int) -> Step:
-    return Step(
-        number, step.placement.block, _row(np.round(step.position, 6)),
-        _row(np.round(step.quaternion, 6)),
-        reference=step.placement.reference,
-        relation=RELATIONS[step.placement.action // rotations],
-        coverage=round(step.coverage, 6),
-        plane_coverage=round(step.plane_coverage, 6),
-        margin_g=round(step.stability_margin, 4),
-        proof="rigid",
-        speed_sum=round(step.speed_sum, 6) if math.isfinite(step.speed_sum) else None,
-        stable=step.stable,
-        outside=step.outside,
-    )  # fmt: skip
-
-
-def _reason(
-    problem: Problem, status: str, proof: Proof, coverage: float, available: int
-) -> str | None:
-    """What is missing, in one sentence."""
-    if status == "complete":
-        return None
-    if problem.refusal is not None:
-        return problem.refusal
-    threshold = problem.task.success_threshold
-    text = f"filled {coverage:.1%} of the target, more than {threshold:.1%} is needed"
-    if not proof.stable:
-        return f"step {len(proof.steps)} does not hold in rigid-body simulation; {text}"
-    if len(proof.steps) + 1 >= available:
-        text += f"; all {available} blocks are used"
-    return text
+DEFAULT_AGENT_TASK = "two-sided-3x3-20-24"
+DEFAULT_ARM_TASKS = ("robot-two-sided-3x3-10-14", "robot-four-sided-3x3-10-18")
+"""With an arm: walls, and what has more than two sides."""
 
 
 def build(
+    design: str | Path | Design,
+    *,
+    arm: str | None = None,
+    agent: str | Agent | None = None,
+    layout: str | Path | Layout | None = None,
+    seed: int = 0,
+    seconds: float = 20.0,
+    progress: Progress = lambda text: None,
+) -> Plan:
+    """Plan a design and prove every step.
+
+    Without an arm every step is proven by rigid-body simulation. With one, the simulated arm
+    carries the plan out; after an attempt that fails, the rest is planned anew.
+
+    Args:
+        design: a design, its file, or the name of a task, of which a random problem is built.
+        arm: name of the arm that builds; by default none, for a task its own.
+        agent: proposes the placements: an agent, a shipped one by name, a ``.safetensors`` file or
+            the folder of a training; by default one that knows problems like this.
+        layout: where the blocks wait for the arm (``docs/layouts.md``); by default around the
+            building site.
+        seed: of the search, and of the problem of a task.
+        seconds: limit of the widest search [s].
+        progress: called with a line of text for everything that takes long.
+
+    Returns:
+        The plan: complete, incomplete or refused. With an arm, its motion is ``plan.record``.
+
+    Raises:
+        InputError: for a design, arm, agent or layout that cannot be used.
+    """
+    # What can be refused at once comes before the libraries that take seconds to load.
+    _check_names(design, arm, layout)
+    problem, source, places = _problem(design, seed, arm, layout)
+    from learn2assemble.networks.agent import default_agent, load_agent, one_thread
+
+    if agent is None or isinstance(agent, str):
+        agent = load_agent(agent or default_agent(_agent_task(problem)))
+    network = agent.network.config
+    check_actions(network.num_actions, network.attitudes, problem.task)
+    with one_thread():
+        if not problem.task.has_arm:
+            return build_problem(
+                problem, agent, source, seed=seed, seconds=seconds, progress=progress
+            )
+        from learn2assemble.planning.execute import build_with_arm, real_cell
+        from learn2assemble.planning.supply import set_out
+        from learn2assemble.robot.arm import get_arm
+        from learn2assemble.robot.kinematic.cell import KinematicCell
+
+        chosen = get_arm(problem.task.arm)
+        if problem.inside is not None and problem.refusal is None:
+            blocks = int(problem.state.num_blocks[0])
+            problem = set_out(problem, KinematicCell(chosen, blocks), places)
+        return build_with_arm(
+            problem, agent, source, real_cell(chosen), seed=seed, seconds=seconds, progress=progress
+        )
+
+
+def _check_names(design: object, arm: str | None, layout: object) -> None:
+    """Refuse arms, tasks and files that do not exist, and files that are not JSON."""
+    if arm is not None and arm not in ARMS:
+        raise UnknownNameError("arm", arm, ARMS)
+    if isinstance(design, str) and design in PRESETS:
+        if layout is not None:
+            raise InputError("layout", str(layout), "a design (a task has a layout of its own)")
+        return
+    if isinstance(design, str | Path):
+        path = Path(design)
+        if path.suffix == "" and not path.exists():
+            raise UnknownNameError("design", str(design), PRESETS)
+        if path.suffix == ".json":
+            read_json(path, "design file", MAX_BYTES)
+    if layout is not None and arm is None:
+        raise InputError("layout", str(layout), "an arm to take blocks from there (--arm)")
+
+
+def _problem(
+    design: str | Path | Design, seed: int, arm: str | None, layout: str | Path | Layout | None
+) -> tuple[Problem, str, Layout | None]:
+    """What is to be built, where it comes from, and where its blocks wait if that is given."""
+    from learn2assemble.planning.problem import design_problem, preset_problem
+    from learn2assemble.world.design_bounds import read_design
+
+    if isinstance(design, str) and design in PRESETS:
+        return preset_problem(design, seed, arm), f"preset {design}, seed {seed}", None
+    source = None
+    if isinstance(design, str | Path):
+        source, design = Path(design).name, read_design(design)
+    if isinstance(layout, str | Path):
+        from learn2assemble.planning.supply import read_layout
+
+        layout = read_layout(Path(layout))
+    problem = design_problem(design, arm, len(layout.places) if layout else None)
+    return problem, source or design.name, layout
+
+
+def builds_with_arm(design: str | Path | Design, arm: str | None = None) -> bool:
+    """Whether an arm would build this; arguments of :func:`build`."""
+    if isinstance(design, str) and design in PRESETS:
+        return get_task(design, arm).has_arm
+    return arm is not None
+
+
+def _agent_task(problem: Problem) -> str:
+    """A task whose agent knows problems like this one."""
+    if not problem.task.has_arm:
+        return DEFAULT_AGENT_TASK
+    if problem.inside is None:
+        return problem.task.name
+    return DEFAULT_ARM_TASKS[problem.task.num_sides > 2]
+
+
+def build_problem(
     problem: Problem,
     agent: Agent,
     source: str,
@@ -217,13 +148,16 @@ def build(
     seconds: float = 20.0,
     progress: Progress = lambda text: None,
 ) -> Plan:
-    """The plan of a problem.
+    """Plan, verify, widen the search until the plan holds, and say what it took.
 
     Args:
         source: where the problem comes from, for the report.
         seconds: limit of the last, widest search.
         progress: told what is being tried.
     """
+    from learn2assemble.planning.discover import Sequence, plan_sequences
+    from learn2assemble.planning.verify import Proof, make_plan, verify
+
     started = time.perf_counter()
     if problem.refusal is not None:
         nothing = Sequence([], False, "none: refused before planning", 0)
@@ -238,7 +172,7 @@ def build(
         if best is None or _rank(proof) > _rank(best[1]):
             best = sequence, proof
         best[0].attempts = sequence.attempts
-        if proof.stable and proof.filled:
+        if held:
             break
     assert best is not None
     return make_plan(problem, agent, source, *best, started)

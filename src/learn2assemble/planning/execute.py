@@ -20,7 +20,6 @@ from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.networks.agent import Agent
 from learn2assemble.physics.equilibrium import stability_margin
 from learn2assemble.physics.scene import rotation_matrix
-from learn2assemble.planning.build import Proof, VerifiedStep, make_plan
 from learn2assemble.planning.discover import (
     STAGES,
     Placement,
@@ -34,6 +33,7 @@ from learn2assemble.planning.discover import (
 from learn2assemble.planning.plan import ArmFailure, ArmReport, Plan
 from learn2assemble.planning.problem import Problem, placement_key
 from learn2assemble.planning.supply import taking_order
+from learn2assemble.planning.verify import Proof, VerifiedStep, make_plan
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.checker import ArmPhysics, scene_of
 from learn2assemble.robot.dynamic.cell import DynamicCell

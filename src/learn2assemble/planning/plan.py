@@ -354,7 +354,7 @@ class Plan:
         if self.assembly is not None:
             files |= EXPORTS["assembly"](self, folder)
         if page:
-            files |= EXPORTS["page"](self, folder)
+            files |= self.write_page(folder)
         if self.record is not None:
             from learn2assemble.robot.record import require_sound
             from learn2assemble.robot.record_files import write_csv, write_record
@@ -368,6 +368,10 @@ class Plan:
                 progress("drawing the video")
                 files |= EXPORTS["video"](self, folder)
         return files
+
+    def write_page(self, folder: Path) -> dict[str, Path]:
+        """Write ``view.html`` and ``progress.png``; which file is what."""
+        return EXPORTS["page"](self, folder)
 
 
 Exporter = Callable[[Plan, Path], dict[str, Path]]
@@ -387,3 +391,8 @@ def _from_version_1(root: Mapping[str, Any]) -> dict[str, Any]:
         for step in steps
     ]  # fmt: skip
     return {**root, "steps": renamed}
+
+
+def load_plan(path: str | Path) -> Plan:
+    """The plan in a ``plan.json`` or its folder, see :meth:`Plan.load`."""
+    return Plan.load(path)

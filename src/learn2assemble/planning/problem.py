@@ -13,7 +13,7 @@ import numpy as np
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.coverage import FILTERS
 from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import ROBOT, Task, get_task
+from learn2assemble.tasks import Task, get_task, robot_task
 from learn2assemble.world.blocks import EDGE, HALF
 from learn2assemble.world.design import MAX_COLUMN, Cell, Terms, face_pixels
 from learn2assemble.world.design_bounds import (
@@ -151,8 +151,8 @@ def design_task(design: Design, arm: str | None = None) -> Task:
             design.name, design.num_sides, grid=6, num_nodes=5 * design.num_sides + 2,
             success_threshold=design.success_threshold,
         )  # fmt: skip
-    task = ROBOT.replace(
-        name=design.name, num_sides=design.num_sides, grid=6, num_nodes=5 * design.num_sides + 2,
+    task = robot_task(
+        design.name, num_sides=design.num_sides, grid=6, num_nodes=5 * design.num_sides + 2,
         aisle=1 if design.num_sides == 2 else 0, arm=arm,
     )  # fmt: skip
     return task.replace(success_threshold=required_share(design, terms_of(task)))

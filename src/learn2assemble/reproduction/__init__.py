@@ -11,13 +11,22 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from learn2assemble.physics.protocol import Physics
+    from learn2assemble.planning.world_model import WorldModel
     from learn2assemble.registry import Registry
+    from learn2assemble.search.tree import SearchModel
     from learn2assemble.tasks import Task
 
 
 def register_physics(table: Registry[Callable[[Task], Physics]]) -> None:
     """Add the published cell to the placement checkers."""
     table.register("published", _published)
+
+
+def register_search_model(table: Registry[Callable[[WorldModel], SearchModel]]) -> None:
+    """Add the search in copies with the published restore faults."""
+    from learn2assemble.reproduction.restore_faults import with_restore_faults
+
+    table.register("published", with_restore_faults)
 
 
 def _published(task: Task) -> Physics:

@@ -17,7 +17,7 @@ import torch
 
 from learn2assemble.errors import InputError, look_up
 from learn2assemble.learning.config import TrainConfig, fit_to, get_config, override
-from learn2assemble.learning.run import train
+from learn2assemble.learning.run import run_training
 from learn2assemble.networks.agent import load_agent
 from learn2assemble.tasks import get_task
 
@@ -204,7 +204,7 @@ def _train(job: tuple[Recipe, int, Path]) -> str:
     for number, stage in enumerate(recipe.stages):
         folder = stage_folder(recipe, seed, runs, number)
         resume = (folder / "state.safetensors").is_file()
-        metrics = train(
+        metrics = run_training(
             get_task(recipe.task), stage.resolve(recipe.task), folder, seed=seed, device="cpu",
             resume=resume, init=None if resume else init, quiet=True,
         )  # fmt: skip

@@ -18,9 +18,8 @@ from numba import njit
 
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.registry import Registry
+from learn2assemble.world import EDGE
 
-EDGE = 0.05
-"""Edge of a block [m]."""
 HALF = EDGE / 2
 MASS = 0.1
 """Mass of a block [kg]."""

@@ -325,14 +325,14 @@ def parse_design(text_or_obj: str | Mapping[str, Any], source: str) -> Design:
     return design_from(value, source)
 
 
-def read_design(path: Path) -> Design:
+def read_design(path: str | Path) -> Design:
     """The design in the file ``path``.
 
     Raises:
         InputError: for a file that is missing, unreadable, larger than 1 MB or not UTF-8, and
             for everything :func:`parse_design` refuses.
     """
-    text, source = read_text(path, "design file")
+    text, source = read_text(Path(path), "design file")
     return parse_design(text, source)
 
 

@@ -1,0 +1,356 @@
+"""The commands of the product: arguments, a call of the package, what is printed."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from learn2assemble.cli.parser import Command, count, natural, number, positive, share
+from learn2assemble.errors import InputError
+from learn2assemble.files import claim_folder, to_plain, write_file
+from learn2assemble.registry import Registry
+from learn2assemble.robot.registry import ARMS
+from learn2assemble.search.config import SEARCHES
+
+if TYPE_CHECKING:
+    from learn2assemble.cli.output import Output
+    from learn2assemble.planning.plan import Plan
+
+AGENT_HELP = "shipped agent, .safetensors or run folder"
+
+
+def register_command(commands: Registry[Command]) -> None:
+    """Add the commands of the product."""
+    for name, command in _COMMANDS.items():
+        commands.register(name, command)
+
+
+def arm_argument(parser: argparse.ArgumentParser) -> None:
+    """Add ``--arm`` for tasks with a robot."""
+    names = ", ".join(ARMS)
+    parser.add_argument("--arm", default=None, help=f"{names} or none; the task's own")
+
+
+def check_new_file(path: Path | None) -> None:
+    """Refuse a result file that could not be written, before hours of episodes.
+
+    Raises:
+        InputError: where it exists, or its folder does not or cannot be written.
+    """
+    if path is None:
+        return
+    try:
+        if path.exists():
+            raise InputError("--out", str(path), "a new file")
+        path.touch()
+        path.unlink()
+    except OSError as error:
+        reason = error.strerror or "unwritable"
+        raise InputError("--out", str(path), f"a writable file ({reason})") from None
+
+
+def write_result(path: Path | None, result: dict[str, Any]) -> None:
+    """Write a result file where one is asked for."""
+    if path is not None:
+        write_file(path, json.dumps(result, indent=1) + "\n", "--out")
+
+
+# ---------------------------------------------------------------- build
+
+
+def _build_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("design", metavar="DESIGN", help="a design file, or the name of a task")
+    add("--out", type=Path, required=True, help="new or empty folder")
+    add("--arm", default=None, help=f"an arm builds it: {' or '.join(ARMS)}")
+    add(
+        "--layout", type=Path, default=None, metavar="FILE",
+        help="where the blocks wait for the arm (docs/layouts.md); by default around the site",
+    )  # fmt: skip
+    add(
+        "--video", action=argparse.BooleanOptionalAction, default=True,
+        help="of the arm, build.mp4 (needs the extra video)",
+    )  # fmt: skip
+    add("--seed", type=natural, default=0, help="of the search and of a task's problem")
+    add("--agent", default=None, help=AGENT_HELP)
+    add("--seconds", type=positive, default=20.0, help="limit of the widest search [s]")
+
+
+def _build(options: argparse.Namespace, output: Output) -> int:
+    """Exit code 0 for a complete plan, 1 for an incomplete or refused one."""
+    from learn2assemble.planning.build import build, builds_with_arm
+
+    video = options.video and builds_with_arm(options.design, options.arm)
+    if video:
+        from learn2assemble.viewer.video import require_video
+
+        require_video()  # What is missing shows before the work, not after it.
+    with claim_folder(options.out):
+        plan = build(
+            options.design, arm=options.arm, agent=options.agent, layout=options.layout,
+            seed=options.seed, seconds=options.seconds, progress=output.progress,
+        )  # fmt: skip
+        files = plan.save(options.out, video=video, progress=output.progress)
+    _print_plan(output, plan, files)
+    output.finish({**_summary(plan), "files": {k: str(v) for k, v in files.items()}})
+    return 0 if plan.complete else 1
+
+
+def _summary(plan: Plan) -> dict[str, Any]:
+    return {
+        "design": plan.design.name,
+        "status": plan.status,
+        "reason": plan.reason,
+        "steps": len(plan.steps),
+        "blocks_used": plan.blocks.used,
+        "blocks_available": plan.blocks.available,
+        "coverage": plan.coverage,
+        "stable": all(step.stable for step in plan.steps),
+        "smallest_margin": plan.margin_g,
+        "needed": plan.search.needed if plan.search else None,
+        "backtracks": plan.search.backtracks if plan.search else 0,
+        "agent": plan.agent,
+        "seconds": plan.seconds,
+        **({"arm": to_plain(plan.arm)} if plan.arm else {}),
+    }
+
+
+def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
+    how = ("grasped", "put down", "outcome") if plan.arm else ("stable",)
+    output.table(
+        plan.design.name,
+        ("step", "block", "placed", "against", "coverage", "margin [g]", *how),
+        [
+            (
+                step.step, step.block, step.relation,
+                "first block" if step.reference == 0 else f"step {step.reference}",
+                f"{step.coverage:.1%}", step.margin_g,
+                *((step.grasp, step.place, step.outcome) if plan.arm else (step.stable,)),
+            )
+            for step in plan.steps
+        ],
+    )  # fmt: skip
+    for failure in plan.arm.failures if plan.arm else ():
+        after = "; the rest was planned anew" if failure.replanned else ""
+        output.say(f"attempt {failure.attempt}: {failure.outcome} ({failure.detail}){after}")
+    needed = plan.search.needed if plan.search else "none"
+    output.say(
+        f"{plan.status}: {plan.blocks.used} of {plan.blocks.available} blocks, "
+        f"coverage {plan.coverage:.1%}, needed {needed}, {plan.seconds:.1f} s"
+    )
+    if plan.reason:
+        output.say(f"why: {plan.reason}")
+    for what in ("page", "video", "trajectory", "trajectory table"):
+        if what in files:
+            output.say(f"{what}: {files[what]}")
+
+
+# ---------------------------------------------------------------- train
+
+
+def _train_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("task", metavar="TASK")
+    add("--method", default=None, help="learner: dqn, q-mcts or eps-mcts")
+    add(
+        "--config", default="relational",
+        help="relational, relational-objects (ours), published or paper",
+    )  # fmt: skip
+    add("--out", type=Path, required=True, help="new or empty folder, or --resume")
+    length = parser.add_mutually_exclusive_group()
+    length.add_argument("--minutes", type=positive, default=None)
+    length.add_argument("--samples", type=count, default=None)
+    add("--seed", type=natural, default=None, help="of everything random (0)")
+    add("--device", default="auto", help="auto, cpu or cuda")
+    add("--threads", type=count, default=None, help="CPU threads of PyTorch")
+    arm_argument(parser)
+    add("--init", default=None, help="agent whose weights to start from")
+    add("--resume", action="store_true", help="go on with the run in --out")
+    add(
+        "--set", action="append", default=[], metavar="KEY=VALUE",
+        help="change one setting, e.g. learning_rate=1e-3 or network.heads=1",
+    )  # fmt: skip
+
+
+def _train(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.learning.run import train
+
+    run = train(
+        options.task, options.out, minutes=options.minutes, samples=options.samples,
+        config=options.config, method=options.method, settings=options.set, seed=options.seed,
+        device=options.device, threads=options.threads, arm=options.arm, init=options.init,
+        resume=options.resume,
+    )  # fmt: skip
+    output.table(f"{run.task} ({run.config})", ("quantity", "value"), list(run.metrics.items()))
+    output.say(f"agent: {options.out / 'agent.safetensors'}")
+    output.finish({"task": run.task, "out": str(options.out), **run.metrics})
+
+
+# ---------------------------------------------------------------- eval
+
+
+def _rollout(text: str) -> int:
+    return 10_000 if text == "end" else count(text)
+
+
+def _evaluate_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("task", metavar="TASK")
+    add("--agent", default=None, help=AGENT_HELP)
+    names = ("none", *SEARCHES, "mcts")
+    add(
+        "--search", choices=names, default="none",
+        help=f"none, {', '.join(SEARCHES)}, or mcts for dqn-mcts",
+    )  # fmt: skip
+    add("--budget", type=natural, default=None, help="the search's own: mostly 10")
+    add(
+        "--rollout", type=_rollout, default=None, help="steps, or 'end'; the search's own: mostly 1"
+    )
+    add(
+        "--distinct", action="store_true", default=None,
+        help="expand one of several placements that lead to the same structure (ours, D14)",
+    )  # fmt: skip
+    add("--legacy", action="store_true", help="search in copies with the published restore faults")
+    add("--epsilon", type=share, default=0.05)
+    add("--episodes", type=count, default=100)
+    add("--seed", type=natural, default=0)
+    add(
+        "--physics", default=None,
+        help="what checks placements: static or rigid; with an arm these stand for its kinematic "
+        "workcell, and dynamic and published are others",
+    )  # fmt: skip
+    arm_argument(parser)
+    add("--out", type=Path, default=None, help="write the result to this file")
+
+
+def _evaluate(options: argparse.Namespace, output: Output) -> None:
+    from tqdm import tqdm
+
+    from learn2assemble.evaluation.episodes import SEARCH_MODELS, evaluate
+    from learn2assemble.tasks import get_task
+
+    task = get_task(options.task, options.arm)
+    check_new_file(options.out)
+    bar = tqdm(total=options.episodes, unit=" episodes", desc=task.name, delay=1)
+
+    def advance(done: int) -> None:
+        bar.update(done - bar.n)
+
+    try:
+        result = evaluate(
+            task, agent=options.agent, search=options.search, budget=options.budget,
+            rollout=options.rollout, distinct=options.distinct, epsilon=options.epsilon,
+            episodes=options.episodes, seed=options.seed, physics=options.physics,
+            search_model=SEARCH_MODELS["published"] if options.legacy else None, progress=advance,
+        )  # fmt: skip
+    finally:
+        bar.close()
+    write_result(options.out, result.to_dict())
+    output.table(task.name, ("metric", "value"), list(result.metrics.to_dict().items()))
+    output.finish(result.to_dict())
+
+
+# ---------------------------------------------------------------- bench, tasks, view
+
+
+def _bench_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seconds", type=positive, default=2.0, help="per measurement")
+
+
+def _bench(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.errors import MissingExtraError
+    from learn2assemble.evaluation.bench import MEASUREMENTS, machine
+
+    results: dict[str, float] = {}
+    for name, measure in MEASUREMENTS.items():
+        output.progress(f"measuring {name}")
+        try:
+            results[name] = measure(options.seconds)
+        except MissingExtraError as error:
+            output.progress(f"left out: {error}")
+    output.table(
+        "speed",
+        ("measurement", "value"),
+        [(k, f"{v:,.3g}" if v < 10 else f"{v:,.1f}") for k, v in results.items()],
+    )
+    output.finish({**results, "seconds": options.seconds, **machine()})
+
+
+def _tasks(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.networks.agent import agent_info, pretrained_names
+    from learn2assemble.tasks import PRESETS
+
+    agents: dict[str, list[str]] = {}
+    for name in pretrained_names():
+        agents.setdefault(agent_info(name)["task"], []).append(name)
+    rows = []
+    for name, task in PRESETS.items():
+        low, high = task.block_range
+        rows.append({
+            "name": name, "sides": task.num_sides, "grid": task.grid, "nodes": task.num_nodes,
+            "blocks": [low, high], "objects": task.objects, "arm": task.arm,
+            "actions": task.num_actions, "discount": task.discount,
+            "success_threshold": task.success_threshold, "agents": agents.get(name, []),
+        })  # fmt: skip
+    output.table("", ("task", "sides", "grid", "nodes", "blocks", "objects", "arm", "agents"), [
+        (r["name"], r["sides"], f"{r['grid']}x{r['grid']}", r["nodes"],
+         f"{r['blocks'][0]}-{r['blocks'][1]}", r["objects"], r["arm"],
+         ", ".join(r["agents"]) or "-")
+        for r in rows
+    ])  # fmt: skip
+    output.finish({"tasks": rows})
+
+
+def _view_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("plan", metavar="PLAN", type=Path, help="plan.json or its folder")
+    parser.add_argument("--port", type=number(int, 0, 65535, "a port number"), default=0)
+    parser.add_argument("--no-browser", action="store_true", help="only serve the page")
+
+
+def _view(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.planning.plan import Plan
+
+    plan = Plan.load(options.plan)
+    folder = options.plan if options.plan.is_dir() else options.plan.parent
+    page = folder / "view.html"
+    from learn2assemble.viewer.server import serve
+
+    if not page.exists():
+        plan.write_page(folder)
+
+    def tell(url: str) -> None:
+        output.say(f"{url} (Ctrl-C ends it)")
+        output.finish({"url": url, "page": str(page)})
+
+    serve(page, options.port, not options.no_browser, tell)
+
+
+def _nothing(parser: argparse.ArgumentParser) -> None:
+    pass
+
+
+_COMMANDS = {
+    "build": Command(
+        "plan a design, prove every step, write the report",
+        "l2a build examples/designs/gabled_house.json --arm panda --out out/house",
+        _build_arguments, _build,
+    ),
+    "train": Command(
+        "train an agent", "l2a train two-sided-3x3-20-24 --out runs/first --minutes 15",
+        _train_arguments, _train,
+    ),
+    "eval": Command(
+        "play whole episodes and report the paper's metrics",
+        "l2a eval two-sided-3x3-20-24 --search mcts --budget 10 --epsilon 0.05 --episodes 100",
+        _evaluate_arguments, _evaluate,
+    ),
+    "bench": Command(
+        "measure the speed of this machine", "l2a bench --seconds 2", _bench_arguments, _bench
+    ),
+    "tasks": Command("list the tasks and their agents", "l2a tasks", _nothing, _tasks),
+    "view": Command(
+        "open the page of a finished plan", "l2a view out/house", _view_arguments, _view
+    ),
+}  # fmt: skip

@@ -1,0 +1,375 @@
+"""Commands that reproduce the paper: its tables and curves, recordings, the arm's fidelities."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import os
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from learn2assemble.cli.commands import arm_argument, check_new_file, write_result
+from learn2assemble.cli.parser import Command, count, natural
+from learn2assemble.errors import InputError
+from learn2assemble.files import write_file
+from learn2assemble.registry import Registry
+
+if TYPE_CHECKING:
+    from learn2assemble.cli.output import Output
+    from learn2assemble.evaluation.fidelities import Comparison
+    from learn2assemble.reproduction.cells import Job
+    from learn2assemble.reproduction.report import TableData
+    from learn2assemble.reproduction.tables import Table
+
+
+def register_command(commands: Registry[Command]) -> None:
+    """Add the commands of the reproduction."""
+    for name, command in _COMMANDS.items():
+        commands.register(name, command)
+
+
+# ---------------------------------------------------------------- table
+
+EPISODES, QUICK_EPISODES = 100, 50
+
+
+def _table_arguments(parser: argparse.ArgumentParser) -> None:
+    from learn2assemble.reproduction.tables import TABLES
+
+    add = parser.add_argument
+    add("name", metavar="NAME", help=", ".join(TABLES))
+    add("--out", type=Path, default=Path("results"), help="folder of the results")
+    add("--episodes", type=count, default=None, help="of an agent in a cell (100)")
+    add("--workers", type=count, default=None, help="processes (all cores)")
+    add(
+        "--quick", action="store_true",
+        help="one agent a row and 50 episodes, into the folder quick below --out",
+    )  # fmt: skip
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument(
+        "--agents", type=Path, default=None, help="folder of agents or runs (the shipped ones)"
+    )
+    source.add_argument(
+        "--train", action="store_true", help="first train all its agents in --runs, or go on"
+    )
+    source.add_argument(
+        "--from-files", action="store_true", help="measure nothing: print what --out holds"
+    )
+    add("--runs", type=Path, default=Path("runs"), help="folder of --train")
+    add("--into", type=Path, default=None, help="also put the main numbers into this page")
+
+
+def _run_table(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.reproduction import cells, report
+    from learn2assemble.reproduction.tables import get_table
+
+    table = get_table(options.name)
+    page: Path | None = options.into
+    before = "" if page is None else _page(page, table)
+    root: Path = options.out / "quick" if options.quick else options.out
+    agents = {} if options.train or options.from_files else cells.find_agents(options.agents)
+    _prepare(root)
+    if options.quick:
+        output.progress(report.QUICK)
+    if options.train:
+        _train(table, root, options, output)
+        agents = cells.find_agents(options.runs)
+    todo: list[Job] = []
+    if not options.from_files:
+        wanted = cells.jobs(table, agents, *_extent(options))
+        todo = cells.stale(root, wanted)
+        output.progress(f"{len(wanted)} cells, {len(todo)} to measure")
+        _measure(root, todo, options)
+    data = report.load_table(table, root, options.quick)
+    files = _write(data, root)
+    if page is not None:
+        write_file(page, _insert(before, table, report.compact_markdown(data)), "--into")
+        files["page"] = page
+    _print(output, data, files)
+    output.finish(_summary(data, len(todo), files))
+
+
+def _extent(options: argparse.Namespace) -> tuple[int, int | None]:
+    """Episodes a cell and agents a row."""
+    if options.quick:
+        return options.episodes or QUICK_EPISODES, 1
+    return options.episodes or EPISODES, None
+
+
+def _prepare(folder: Path) -> None:
+    """Make a folder of results, before hours of work."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or "unwritable"
+        raise InputError("--out", str(folder), f"a writable folder ({reason})") from None
+
+
+def _train(table: Table, root: Path, options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.reproduction import recipes
+
+    wanted = [recipes.get_recipe(name) for name in table.trainings]
+    seeds = 1 if options.quick else None
+    recipes.train_recipes(
+        wanted, options.runs, seeds=seeds, workers=_workers(options), progress=output.progress
+    )
+    recipes.copy_logs(wanted, options.runs, root / "runs")
+
+
+def _workers(options: argparse.Namespace) -> int:
+    return options.workers or os.cpu_count() or 1
+
+
+def _measure(root: Path, todo: list[Job], options: argparse.Namespace) -> None:
+    from tqdm import tqdm
+
+    from learn2assemble.reproduction import cells
+
+    if not todo:
+        return
+    total = round(sum(job.cost for job in todo))
+    with tqdm(total=total, desc=options.name, unit="", unit_scale=True, dynamic_ncols=True,
+              bar_format="{desc} {percentage:3.0f}% |{bar}| {elapsed}<{remaining} {postfix}",
+              ) as bar:  # fmt: skip
+        done = 0
+
+        def advance(job: Job) -> None:
+            nonlocal done
+            done += 1
+            bar.set_postfix_str(f"{done}/{len(todo)} cells, last: {job.cell.path[6:]}")
+            bar.update(round(job.cost))
+
+        cells.run_jobs(root, todo, _workers(options), advance)
+
+
+def _write(data: TableData, root: Path) -> dict[str, Path]:
+    from learn2assemble.reproduction import pictures, report
+
+    folder = root / "tables"
+    text, picture = folder / f"{data.table.name}.md", folder / f"{data.table.name}.png"
+    _prepare(folder)
+    write_file(text, report.markdown(data), "--out")
+    title = f"{data.table.name}  {data.table.title}{'  (quick look)' if data.quick else ''}"
+    pictures.write_table(
+        title,
+        [pictures.Block(*section) for section in report.sections(data)],
+        report.notes(data),
+        picture,
+    )
+    return {"markdown": text, "picture": picture}
+
+
+def _print(output: Output, data: TableData, files: dict[str, Path]) -> None:
+    from learn2assemble.reproduction import report
+
+    output.say(f"{data.table.name}: {data.table.title}")
+    for section in report.sections(data, brief=True):
+        output.say("")
+        output.table(section.title, report.headings(section, "\n"), section.rows)
+    output.say("")
+    for note in report.notes(data):
+        output.say(note)
+    if data.left_out:
+        output.say(f"not measured yet: {len(data.left_out)} cells")
+    for path in files.values():
+        output.say(str(path))
+
+
+def _summary(data: TableData, measured: int, files: dict[str, Path]) -> dict[str, Any]:
+    rows = []
+    for row, entries in zip(data.table.rows, data.entries, strict=True):
+        for column, entry in zip(data.table.columns, entries, strict=True):
+            rows.append({
+                "task": column.name, "method": row.name, "state": entry.state or "measured",
+                "paper": entry.paper and dataclasses.asdict(entry.paper),
+                "ours": [
+                    {**dataclasses.asdict(condition), **dataclasses.asdict(summary)}
+                    for condition, summary in entry.results.items()
+                ],
+            })  # fmt: skip
+    return {
+        "table": data.table.name, "quick": data.quick, "measured": measured, "rows": rows,
+        "files": {name: str(path) for name, path in files.items()},
+    }  # fmt: skip
+
+
+def markers(table: Table) -> tuple[str, str]:
+    """The lines between which a page carries a table."""
+    return f"<!-- table {table.name}: begin -->", f"<!-- table {table.name}: end -->"
+
+
+def _page(path: Path, table: Table) -> str:
+    begin, end = markers(table)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        raise InputError("--into", str(path), "an existing text file") from None
+    if text.count(begin) != 1 or end not in text.partition(begin)[2]:
+        raise InputError("--into", str(path), f"a file with the lines {begin} and {end}")
+    return text
+
+
+def _insert(page: str, table: Table, text: str) -> str:
+    begin, end = markers(table)
+    head, _, rest = page.partition(begin)
+    return f"{head}{begin}\n{text}\n{end}{rest.partition(end)[2]}"
+
+
+# ---------------------------------------------------------------- curves
+
+
+def _curves_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("name", metavar="NAME", help="architectures, connectivity or algorithms")
+    parser.add_argument(
+        "--runs", type=Path, default=Path("results/runs"), help="folder with logs of runs"
+    )
+    parser.add_argument("--out", type=Path, default=Path("results/curves"), help="folder")
+
+
+def _run_curves(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.reproduction import pictures
+    from learn2assemble.reproduction.curves import get_figure, load_curves
+
+    figure = get_figure(options.name)
+    curves = load_curves(figure, options.runs)
+    path: Path = options.out / f"{figure.name}.png"
+    _prepare(options.out)
+    lines = [
+        pictures.Line(f"{c.label} ({_agents(c.seeds)})", c.samples, c.mean, c.low, c.high)
+        for c in curves
+    ]
+    note = (
+        "Training episodes, exploration included; mean over agents, band from the lowest to the "
+        "highest, smoothed. " + figure.note
+    ).strip()
+    pictures.write_curves(figure.title, lines, note, path)
+    output.table(figure.title, ("line", "agents", "samples", "R", "f", "success"), [
+        (c.label, c.seeds, int(c.samples[-1]), *[float(c.mean[q][-1]) for q in
+         ("R", "f", "success")]) for c in curves
+    ])  # fmt: skip
+    absent = sorted({label for label, _ in figure.lines} - {c.label for c in curves})
+    if absent:
+        output.say(f"no runs of {', '.join(absent)}")
+    output.say(str(path))
+    output.finish({
+        "figure": figure.name, "picture": str(path), "absent": absent,
+        "lines": [{"label": c.label, "seeds": c.seeds} for c in curves],
+    })  # fmt: skip
+
+
+def _agents(seeds: int) -> str:
+    return "1 agent" if seeds == 1 else f"{seeds} agents"
+
+
+# ---------------------------------------------------------------- replay
+
+REPLAY_COLUMNS = (
+    "file", "lines", "mask_exact", "plane_exact", "complete_exact", "max_px_diff",
+    "valid_static", "valid_rigid", "edge_lines", "valid_static_firm", "valid_rigid_firm", "reward",
+    "done",
+)  # fmt: skip
+ARM_COLUMNS = ("file", "cell", "lines", "agree", "same_class", "rule")
+
+
+def _replay_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("files", metavar="FILE", nargs="+", type=Path)
+
+
+def _run_replay(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.physics.rigid import RigidPhysics
+    from learn2assemble.reproduction.recordings import read_lines
+    from learn2assemble.reproduction.replay import replay_file
+    from learn2assemble.reproduction.robot_replay import is_robot_line, replay_robot_file
+
+    reports, robots = [], []
+    for path in options.files:
+        output.progress(f"replaying {path.name}")
+        reports.append(replay_file(path, RigidPhysics).to_dict())
+        if any(map(is_robot_line, read_lines(path))):
+            robots.append(replay_robot_file(path).to_dict())
+    output.table("agreement with recorded transitions", REPLAY_COLUMNS, [
+        [report[column] for column in REPLAY_COLUMNS] for report in reports
+    ])  # fmt: skip
+    if robots:
+        output.table("agreement of the arm on success or failure", ARM_COLUMNS, [
+            [report[column] for column in ARM_COLUMNS] for report in robots
+        ])  # fmt: skip
+    output.finish({"files": reports, "robot": robots})
+
+
+# ---------------------------------------------------------------- fidelities
+
+FIDELITY_COLUMNS = (
+    "task", "arm", "actions", "agree", "same outcome", "kinematic [ms]", "dynamic [ms]",
+    "times faster",
+)  # fmt: skip
+
+
+def _fidelities_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("tasks", metavar="TASK", nargs="+")
+    add("--actions", type=count, default=100, help="moves of every task")
+    add("--agent", default=None, help="who builds what the moves are drawn from")
+    arm_argument(parser)
+    add("--seed", type=natural, default=0)
+    add("--out", type=Path, default=None, help="new file for the result")
+
+
+def _run_fidelities(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.evaluation.fidelities import compare
+    from learn2assemble.networks.agent import default_agent, load_agent, one_thread
+    from learn2assemble.tasks import get_task
+
+    tasks = [get_task(name, options.arm) for name in options.tasks]
+    for task in tasks:
+        if not task.has_arm:
+            raise InputError("task", task.name, "tasks with an arm")
+    check_new_file(options.out)
+    found: list[Comparison] = []
+    for task in tasks:
+        agent = load_agent(options.agent or default_agent(task.name))
+        output.progress(f"{task.name}: {options.actions} moves in both cells")
+
+        def progress(done: int) -> None:
+            if done % 50 == 0:
+                output.progress(f"{done} of {options.actions}")
+
+        with one_thread():
+            found.append(compare(task, agent, options.actions, options.seed, progress))
+    output.table("the same moves in both cells", FIDELITY_COLUMNS, [_row(one) for one in found])
+    outcomes: Counter[tuple[str, str]] = sum((one.outcomes for one in found), Counter())
+    output.table("outcomes", ("kinematic", "dynamic", "moves"), [
+        (*pair, count) for pair, count in outcomes.most_common()
+    ])  # fmt: skip
+    result = {"fidelities": [one.to_dict() for one in found]}
+    write_result(options.out, result)
+    output.finish(result)
+
+
+def _row(one: Comparison) -> tuple[object, ...]:
+    data = one.to_dict()
+    return (
+        one.task, one.arm, one.actions, f"{one.share:.1%}", one.same_outcome,
+        data["kinematic_ms"], data["dynamic_ms"], data["times_faster"],
+    )  # fmt: skip
+
+
+_COMMANDS = {
+    "table": Command(
+        "measure a table of the paper and print it beside the paper's numbers", "l2a table T2",
+        _table_arguments, _run_table,
+    ),
+    "curves": Command(
+        "draw learning curves", "l2a curves algorithms", _curves_arguments, _run_curves
+    ),
+    "replay": Command(
+        "repeat recorded transitions and report the agreement",
+        "l2a replay tests/data/transitions_sample.jsonl", _replay_arguments, _run_replay,
+    ),
+    "fidelities": Command(
+        "the kinematic workcell of an arm against the dynamic one",
+        "l2a fidelities robot-two-sided-3x3-10-14 robot-four-sided-3x3-10-18 --actions 250",
+        _fidelities_arguments, _run_fidelities,
+    ),
+}  # fmt: skip
