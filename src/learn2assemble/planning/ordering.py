@@ -99,7 +99,7 @@ class _Site:
         if method is not None:
             self.placed = placed
             for load in self.sideways:
-                load.follow(dirty, placed, self.proof.force)
+                load.follow(dirty, placed, self.proof.force, self.clock.left)
             if method == PROGRAM and self.margin() <= 0:
                 self.raise_margins()
         return method
@@ -142,17 +142,24 @@ class _Sideways:
     def _fresh(self, level: float) -> Proof:
         return Proof(self.stack, (level * self.way[0], level * self.way[1]))
 
-    def follow(self, dirty: np.ndarray, placed: np.ndarray, upright: np.ndarray) -> None:
+    def follow(
+        self, dirty: np.ndarray, placed: np.ndarray, upright: np.ndarray, seconds: float
+    ) -> None:
         """The state has changed to ``placed``; keep the level where it holds, or find a lower.
 
         Args:
             upright: float64[P], forces that balance it without acceleration.
         """
-        if self.level <= 0 or not self.proof.settle(dirty, placed):
-            before = self.level
-            self.level = 0.0
-            if before > 0:
-                self.search(placed, upright, before)
+        if self.level <= 0 or self.proof.settle(dirty, placed):
+            return
+        before, self.level = self.level, 0.0
+        self.search(placed, upright, before)
+        if self.level <= 0:
+            changing = np.zeros_like(placed)
+            for block in np.flatnonzero(dirty):
+                changing |= lies_below(self.stack, int(block), placed)
+            if self.proof.program(placed, changing, seconds):
+                self.level = before
 
     def search(
         self, placed: np.ndarray, upright: np.ndarray, most: float | None = None,
