@@ -47,7 +47,12 @@ HELD, HELD_BLOCK = 5e-4, 1e-2
 """Holding forces taken for rounding: all, in the whole weight; of one block, in its weight."""
 SLIP = 1e-3
 """Violation of Coulomb's law at a block taken for rounding, in its normal forces."""
-_ROUNDS = 30
+_ROUNDS = (6, 30, 100_000)
+"""Of the fixed point: fewest and most rounds, and corners times rounds in between."""
+_STAYS = 4
+"""Rounds in which a holding force does not shrink, after which it is taken to be needed."""
+_ITERATIONS = 100
+"""Of the cone solver."""
 _STIFFNESS = (1.0, 0.2)
 """Tangential over normal stiffness of a joint; a fixed point with either one is one."""
 _STEP, _MIX = 0.5, (-3.0, 0.5)
@@ -339,8 +344,12 @@ class _System:
 
     def is_small(self, held: np.ndarray) -> bool:
         """Whether holding forces float64[count] are rounding."""
-        total = held.sum() <= HELD * self.mass.sum()
-        return bool(total and (held <= HELD_BLOCK * self.mass).all())
+        return self._excess(held) <= 1
+
+    def _excess(self, held: np.ndarray) -> float:
+        """Holding forces in what is taken for rounding."""
+        every = held.sum() / (HELD * self.mass.sum())
+        return float(max(every, (held / self.mass).max() / HELD_BLOCK))
 
     def newtons(self, forces: np.ndarray | None) -> np.ndarray:
         """Forces in their frames as forces in the world [N], zero at corners of absent blocks."""
@@ -420,7 +429,9 @@ class _System:
         cones = [_conic.ZeroConeT(count), _conic.NonnegativeConeT(corners), *discs]
         radius = friction * np.maximum(forces[:, 0], 0)
         solver, before = None, None
-        for _ in range(_ROUNDS):
+        needed: list[float] = []
+        fewest, most, work = _ROUNDS
+        for _ in range(int(np.clip(work // max(corners, 1), fewest, most))):
             limits = np.zeros(4 * corners)
             limits[corners::3] = radius
             bound = np.concatenate([self.weight, limits])
@@ -434,10 +445,15 @@ class _System:
                 break
             x = np.array(answer.x)
             forces = x[: 3 * corners].reshape(-1, 3)
+            held = np.linalg.norm(x[3 * corners :].reshape(-1, 6), axis=1)
             if self._slip(forces, friction) <= SLIP:
-                held = np.linalg.norm(x[3 * corners :].reshape(-1, 6), axis=1)
                 if self.is_small(held):
                     return True, forces, held, np.zeros((self.count, 6))
+                break
+            # Holding forces that stay, round after round, do not go away.
+            needed.append(self._excess(held))
+            last = needed[-_STAYS:]
+            if len(last) == _STAYS and min(last) > max(10.0, 0.8 * last[0]):
                 break
             change = friction * np.maximum(forces[:, 0], 0) - radius
             ahead, mix = radius + _STEP * change, 0.0
@@ -534,6 +550,7 @@ def _solver(
     settings = _conic.DefaultSettings()
     settings.verbose = False
     settings.max_threads = 1
+    settings.max_iter = _ITERATIONS
     settings.presolve_enable = False  # it would refuse a new bound
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
     return _conic.DefaultSolver(sp.csc_matrix(energy), cost, matrix, bound, cones, settings)
