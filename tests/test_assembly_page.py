@@ -230,3 +230,38 @@ def test_the_page_runs_without_an_error(browser: str, tmp_path: Path) -> None:
     layer = re.search(r'id="layer-words"[^>]*>([^<]*)', dom)
     assert layer
     assert layer[1].startswith("Layer 2 of 3"), "the layer of the prop that is removed"
+
+
+@pytest.mark.browser
+def test_keys_turn_the_view_and_print_has_a_picture_of_it(browser: str, tmp_path: Path) -> None:
+    """The keys of the 3-D view leave the timeline alone; what is printed is drawn without WebGL."""
+    text = render_assembly_page(wall(6, 4), title="wall")
+    text = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", text)
+    harness = """<pre id="out"></pre><script>
+    const canvas = document.getElementById("canvas"), print = document.getElementById("print-view");
+    const shot = () => {
+      dispatchEvent(new Event("beforeprint"));
+      return print.width ? print.toDataURL() : "";
+    };
+    const shots = [shot()];
+    canvas.focus();
+    for (const key of ["ArrowLeft", "+", "0"]) {
+      canvas.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true }));
+      shots.push(shot());
+    }
+    const found = { focus: document.activeElement === canvas, step: document.documentElement.dataset.step,
+      same: shots.map((one) => shots.indexOf(one)), length: shots[0].length };
+    document.getElementById("out").textContent = JSON.stringify(found);
+    </script></body>"""
+    (tmp_path / "view.html").write_text(text.replace("</body>", harness), encoding="utf-8")
+    address = (tmp_path / "view.html").as_uri()
+    dom, log = browse(browser, tmp_path / "run", f"{address}#step=5", *SPATIAL, "--dump-dom")
+    if 'data-webgl="missing"' in dom:
+        pytest.skip("this browser has no software WebGL")
+    out = re.search(r'<pre id="out">(.*?)</pre>', dom)
+    assert out, log
+    found = json.loads(html.unescape(out[1]))
+    assert found["focus"]
+    assert found["step"] == "5"
+    assert found["length"] > 3000, "not an empty picture"
+    assert found["same"] == [0, 1, 2, 0], "two other views, and back to the first"

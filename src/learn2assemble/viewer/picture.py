@@ -1,10 +1,7 @@
-"""Boxes in parallel projection: which faces show, and which box hides which.
+"""The progress of a build as one picture: some moments in 3-D, the elevations and the coverage.
 
-The viewer stands at the front left and above. Picture coordinates are ``(right, up)`` in metres.
-
-Brush strokes of the picture: filled shapes, outlines, numbers and text on matplotlib axes.
-
-The progress of a build as one picture: some moments in 3-D, the elevations and the coverage.
+In 3-D the viewer stands at the front left and above (parallel projection); picture coordinates are
+``(right, up)`` in metres.
 """
 
 from __future__ import annotations
@@ -32,7 +29,13 @@ from shapely.ops import unary_union
 
 from learn2assemble.files import write_file
 from learn2assemble.planning.plan import Plan
-from learn2assemble.viewer.drawings import drawing_limits, kind
+from learn2assemble.viewer.drawings import (
+    Mark,
+    chart_marks,
+    drawing_limits,
+    elevation_marks,
+    kind,
+)
 from learn2assemble.viewer.scene import Placed, Scene, hull, read_scene
 from learn2assemble.viewer.words import STATUS_WORDS, percent, placement, shares
 
@@ -161,33 +164,12 @@ def fill(
     axes: Axes, points: np.ndarray, colour: Any, *, alpha: float = 1, edge: Any = "none",
     width: float = 0.0,
 ) -> None:  # fmt: skip
-    axes.add_patch(
-        Polygon(
-            points,
-            closed=True,
-            facecolor=colour,
-            edgecolor=edge,
-            linewidth=width,
-            alpha=alpha,
-            joinstyle="round",
-            zorder=2,
-        )
-    )
+    style = {"linewidth": width, "alpha": alpha, "joinstyle": "round", "zorder": 2}
+    axes.add_patch(Polygon(points, closed=True, facecolor=colour, edgecolor=edge, **style))
 
 
 def draw_outline(axes: Axes, points: np.ndarray, width: float = 2.0, alpha: float = 1) -> None:
-    axes.add_patch(
-        Polygon(
-            points,
-            closed=True,
-            fill=False,
-            edgecolor=ACCENT,
-            linewidth=width,
-            alpha=alpha,
-            joinstyle="round",
-            zorder=2,
-        )
-    )
+    fill(axes, points, "none", alpha=alpha, edge=ACCENT, width=width)
 
 
 def fill_area(
@@ -418,42 +400,51 @@ def _draw_elevation(axes: Axes, scene: Scene, side: int) -> None:
     axes.set_xlim(left - pad, right + pad)
     axes.set_ylim(-0.06 * scene.edge, high + pad)
     axes.set_aspect("equal", anchor="SW")
-    outline = scene.elevations[side].outline
-    kinds = {block.number: kind(block) for block in scene.blocks}
-    fill(axes, outline, ACCENT, alpha=0.10)
-    views = scene.seen_from(side)
-    for seen in views:
-        if seen.layer == "behind":
-            fill(axes, seen.polygon, "#e9e6e0", edge="#c9c4ba", width=0.7)
-        else:
-            fill(axes, seen.polygon, COLOURS[kinds[seen.number]], edge=RIM, width=1.1)
-    draw_outline(axes, outline, width=2.4)
-    axes.plot([left - pad, right + pad], [0, 0], color=SOFT, lw=1.4, zorder=2)
-    for seen in views:
-        if seen.layer != "behind":
-            half = scene.edge / 2
-            corner = seen.centre - half
-            square = [(0, 0), (2 * half, 0), (2 * half, 2 * half), (0, 2 * half)]
-            number_on(axes, seen.number, corner + np.array(square))
+    for mark in elevation_marks(scene, side):
+        _paint(axes, mark)
 
 
 def _draw_chart(axes: Axes, plan: Plan) -> None:
-    values = shares(plan)
-    last, threshold = len(values) - 1, plan.design.success_threshold
+    last = len(plan.steps)
     axes.set_xlim(-0.01 * last, 1.03 * last)
     axes.set_ylim(-0.02, 1.06)
-    for share in (0, 0.25, 0.5, 0.75, 1):
-        axes.plot([0, last], [share, share], color=LINE, lw=1, zorder=1)
-        write(axes, -0.03 * last, share, f"{share:.0%}", size=10.5, color=SOFT, ha="right")
-    for number in range(0, last + 1, max(1, -(-last // 8))):
-        write(axes, number, -0.11, str(number), size=10.5, color=SOFT, ha="center")
-    axes.plot([0, last], [threshold, threshold], color=GOOD, lw=1.4, dashes=(5, 3), zorder=2)
-    needed = f"{percent(threshold)} needed"
-    write(axes, 0.02 * last, threshold - 0.075, needed, size=10.5, color=GOOD)
-    axes.plot(
-        range(last + 1), values, color=ACCENT, lw=2.2, marker="o", ms=5.5, zorder=3,
-        solid_joinstyle="round", clip_on=False,
-    )  # fmt: skip
+    for mark in chart_marks(plan):
+        _paint(axes, mark)
+
+
+_LINES = {
+    "ground": {"color": SOFT, "lw": 1.4}, "rule": {"color": LINE, "lw": 1},
+    "threshold": {"color": GOOD, "lw": 1.4, "dashes": (5, 3)},
+    "plane": {"color": SOFT, "lw": 1.2, "dashes": (1, 2)},
+    "curve": {"color": ACCENT, "lw": 2.2, "solid_joinstyle": "round"},
+}  # fmt: skip
+
+
+def _paint(axes: Axes, mark: Mark) -> None:
+    """A mark as the style sheet of the page has it; the cursor belongs to the page alone."""
+    name, *more = mark.style.split()
+    x, y = mark.points[0]
+    if name == "label":
+        square = (
+            mark.points[0] + mark.size / 0.38 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
+        )
+        number_on(axes, int(mark.text), square)
+    elif mark.shape == "text":
+        align = {"end": "right", "middle": "center"}.get(" ".join(more), "left")
+        colour = GOOD if name == "threshold-text" else SOFT
+        write(axes, x, y, mark.text, size=10.5, color=colour, ha=align)
+    elif mark.shape == "dot":
+        axes.plot([x], [y], color=ACCENT, marker="o", ms=5.5, clip_on=False, zorder=3)
+    elif name in _LINES:
+        axes.plot(*mark.points.T, zorder=2, clip_on=False, **_LINES[name])
+    elif name == "target-line":
+        draw_outline(axes, mark.points, width=2.4)
+    elif name == "target-fill":
+        fill(axes, mark.points, ACCENT, alpha=0.10)
+    elif "behind" in more:
+        fill(axes, mark.points, "#e9e6e0", edge="#c9c4ba", width=0.7)
+    elif name == "block":
+        fill(axes, mark.points, COLOURS[more[0]], edge=RIM, width=1.1)
 
 
 def _on_table(xy: np.ndarray) -> np.ndarray:

@@ -239,7 +239,7 @@ function readShapes({ vertices, triangles, wide, first, faces }) {
     const made = new THREE.BufferGeometry();
     made.setAttribute("position", new THREE.Float32BufferAttribute(corners, 3));
     made.computeVertexNormals(); // Corners are not shared, so every face is flat.
-    const normal = made.attributes.normal.array, sun = [-0.27, -0.57, 0.76];
+    const normal = made.attributes.normal.array, sun = [0.27, -0.57, 0.76];
     const light = Float32Array.from({ length: picks.length }, (_, k) => {
       const facing = sun.reduce((sum, v, axis) => sum + v * normal[3 * k + axis], 0);
       return Math.min(0.62 + 0.1 * normal[3 * k + 2] + 0.36 * Math.max(facing, 0), 1);

@@ -169,7 +169,7 @@ function createView(canvas, { points, edge, floor = 0, fromRight = false }) {
   function addLights() {
     scene.add(new THREE.HemisphereLight(0xffffff, 0xd8d2c6, 2.2));
     const sun = new THREE.DirectionalLight(0xffffff, 1.9);
-    sun.position.set(middle[0] - 0.9 * reach, middle[1] - 1.9 * reach, floor + 2.5 * reach);
+    sun.position.set(middle[0] + (fromRight ? -0.9 : 0.9) * reach, middle[1] - 1.9 * reach, floor + 2.5 * reach);
     sun.target.position.set(middle[0], middle[1], floor);
     sun.castShadow = true;
     sun.shadow.mapSize.set(2048, 2048);
