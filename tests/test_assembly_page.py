@@ -249,7 +249,8 @@ def test_keys_turn_the_view_and_print_has_a_picture_of_it(browser: str, tmp_path
       canvas.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true }));
       shots.push(shot());
     }
-    const found = { focus: document.activeElement === canvas, step: document.documentElement.dataset.step,
+    const found = {
+      focus: document.activeElement === canvas, step: document.documentElement.dataset.step,
       same: shots.map((one) => shots.indexOf(one)), length: shots[0].length };
     document.getElementById("out").textContent = JSON.stringify(found);
     </script></body>"""
