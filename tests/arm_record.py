@@ -140,11 +140,10 @@ class Recorder:
     ) -> None:  # fmt: skip
         poses = self.poses.copy()
         poses[cell] = after
-        joints, velocity, width = zip(*self.rows, strict=True) if self.rows else (None,) * 3
+        motion = tuple(zip(*self.rows, strict=True)) or None
         self.recording.add(
             plan_step=plan_step, cells=[cell], target=target, outcome=outcome, detail=detail,
-            joints=joints, velocity=velocity, width=width, stages=self.stages, grip=held[0],
-            release=held[1], after=poses,
+            motion=motion, stages=self.stages, grip=held[0], release=held[1], after=poses,
         )  # fmt: skip
         if outcome != Outcome.REACHED:
             self.recording.replanned()

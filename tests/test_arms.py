@@ -234,7 +234,9 @@ def test_the_gripper_presses_with_its_force(arm: Arm) -> None:
         data.joint(name).qpos[0] = data.actuator(name).ctrl[0] = angle
     for name in arm.gripper.joints:
         data.joint(name).qpos[0] = 0.03
-    data.actuator(arm.gripper.actuator).ctrl[0] = arm.gripper.grip_command(0.05)
+    data.actuator(arm.gripper.actuator).ctrl[0] = arm.gripper.command(
+        0.05 - arm.gripper.force / arm.gripper.stiffness
+    )
     mujoco.mj_step(model, data, 500)
     pads = [model.geom(pad).id for pad in arm.gripper.pads]
     normal = dict.fromkeys(pads, 0.0)

@@ -296,10 +296,12 @@ def test_an_attempt_leaves_the_scene_alone_and_forgets_the_last(panda: Kinematic
     orders = [(world, Move(n, cell(*to), *pair)) for n, to, pair in (
         (2, (0, 0, 2), AA), (3, (0, 0, 1), BB), (1, (0, 0, 1), AA), (3, (1, 0, 0), AB),
     )]  # fmt: skip
-    first = panda.attempt_many(orders)
-    again = panda.attempt_many(orders[::-1])[::-1]
+    first = [panda.attempt(*order) for order in orders]
+    again = [panda.attempt(*order) for order in orders[::-1]][::-1]
     assert [outcome(a) for a in first] == [outcome(a) for a in again]
     fresh = KinematicCell(get_arm("panda"), num_cells=16)
-    assert [outcome(a) for a in fresh.attempt_many(orders)] == [outcome(a) for a in first]
+    assert [outcome(a) for a in (fresh.attempt(*order) for order in orders)] == [
+        outcome(a) for a in first
+    ]
     for field, old in zip(world, before, strict=True):
         np.testing.assert_array_equal(field, old)

@@ -123,11 +123,7 @@ def is_stable(
 
 
 def stability_margin(
-    centres: np.ndarray,
-    object_id: np.ndarray,
-    friction: float = FRICTION,
-    *,
-    lateral: bool = False,
+    centres: np.ndarray, object_id: np.ndarray, friction: float = FRICTION, *, lateral: bool = False
 ) -> float:
     """Largest horizontal acceleration, in g, the structure withstands along each of +-x, +-y.
 

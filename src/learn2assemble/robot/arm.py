@@ -83,10 +83,6 @@ class Gripper:
         slope = (self.open_command - self.closed_command) / self.max_width
         return self.closed_command + slope * width
 
-    def grip_command(self, width: float) -> float:
-        """The command that presses an object of this width [m] with ``force``."""
-        return self.command(width - self.force / self.stiffness)
-
 
 @dataclass(frozen=True, eq=False)
 class Arm:

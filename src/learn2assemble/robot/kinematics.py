@@ -108,10 +108,6 @@ class Chain(NamedTuple):
     """float64[3]: the tool in the last joint frame [m]."""
     tool_turn: np.ndarray
     """float64[3, 3]."""
-    link_offset: np.ndarray
-    """float64[n, 3]: origin of the body that each joint moves, in its joint frame [m]."""
-    link_turn: np.ndarray
-    """float64[n, 3, 3]."""
 
 
 @lru_cache(maxsize=16)
@@ -141,14 +137,8 @@ def get_chain(arm: Arm) -> Chain:
     joints = [_relative(a, b) for a, b in zip(parents, frames, strict=True)]
     site = data.site(arm.tool)
     tool = _relative(frames[-1], (site.xpos, site.xmat.reshape(3, 3)))
-    links = [
-        _relative(frame, (data.xpos[b], data.xmat[b].reshape(3, 3)))
-        for frame, b in zip(frames, bodies, strict=True)
-    ]
-    return Chain(
-        *_stacked(joints), np.ascontiguousarray(tool[0]), np.ascontiguousarray(tool[1]),
-        *_stacked(links),
-    )  # fmt: skip
+    offset, turn = (np.array(part) for part in zip(*joints, strict=True))
+    return Chain(offset, turn, np.ascontiguousarray(tool[0]), np.ascontiguousarray(tool[1]))
 
 
 Pose = tuple[np.ndarray, np.ndarray]
@@ -157,10 +147,6 @@ Pose = tuple[np.ndarray, np.ndarray]
 def _relative(parent: Pose, child: Pose) -> Pose:
     """T_parent_child of two poses in the world."""
     return parent[1].T @ (child[0] - parent[0]), parent[1].T @ child[1]
-
-
-def _stacked(poses: list[Pose]) -> Pose:
-    return np.array([p for p, _ in poses]), np.array([r for _, r in poses])
 
 
 def _frame_with_z(axis: np.ndarray) -> np.ndarray:
@@ -246,24 +232,6 @@ def forward_many(chain, q):
     positions, rotations = np.empty((n, 3)), np.empty((n, 3, 3))
     for k in range(m):
         tool_and_frames(chain, q[k], positions, rotations, position[k], rotation[k])
-    return position, rotation
-
-
-@njit(cache=True)
-def link_frames(chain, q):
-    """Poses of the n moving bodies, T_world_link: float64[n, 3] [m] and float64[n, 3, 3].
-
-    What is fixed to the last of them (hand, tool) moves with it.
-    """
-    n = q.shape[0]
-    positions, rotations = np.empty((n, 3)), np.empty((n, 3, 3))
-    joint_frames(chain, q, positions, rotations)
-    position, rotation = np.empty((n, 3)), np.empty((n, 3, 3))
-    for k in range(n):
-        _place(
-            positions[k], rotations[k], chain.link_offset[k], chain.link_turn[k],
-            position[k], rotation[k],
-        )  # fmt: skip
     return position, rotation
 
 

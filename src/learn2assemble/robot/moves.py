@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -280,32 +280,19 @@ class Trajectory(NamedTuple):
 
 
 class TrajectoryRecorder:
-    """Collects samples; one attempt each."""
+    """Collects the samples of one attempt."""
 
     def __init__(self) -> None:
-        self._rows: list[tuple[float, np.ndarray, np.ndarray, float, float, float, int]] = []
-        self._poses: list[np.ndarray] = []
+        self._rows: list[tuple[Any, ...]] = []
 
-    def add(
-        self,
-        time: float,
-        joints: np.ndarray,
-        velocity: np.ndarray,
-        width: float,
-        command: float,
-        payload: float,
-        stage: str,
-        poses: np.ndarray,
-    ) -> None:
-        """Append a sample; ``poses`` float64[b, 7] are those of the objects."""
-        number = STAGES.index(stage)
-        row = (time, joints.copy(), velocity.copy(), width, command, payload, number)
-        self._rows.append(row)
-        self._poses.append(poses.copy())
+    def add(self, *row: Any) -> None:
+        """Append a sample: the fields of :class:`Trajectory`, the stage by its name, and poses
+        float64[b, 7] of the objects."""
+        self._rows.append(tuple(np.copy(v) if isinstance(v, np.ndarray) else v for v in row))
 
     def first_poses(self) -> np.ndarray:
         """float64[b, 7]: of the objects at the beginning."""
-        return self._poses[0]
+        return self._rows[0][-1]
 
     @property
     def joints(self) -> np.ndarray:
@@ -314,14 +301,11 @@ class TrajectoryRecorder:
 
     def trajectory(self, owner: np.ndarray, offset: np.ndarray) -> Trajectory:
         """All samples; cell c of object ``owner[c]`` lies at ``offset[c]`` in its frame [m]."""
-        time, joints, velocity, width, command, payload, stage = (
-            np.array(column) for column in zip(*self._rows, strict=True)
-        )
-        poses = np.array(self._poses)[:, owner]
-        poses[..., :3] += rotate_vectors(poses[..., 3:], offset)
-        return Trajectory(
-            time, joints, velocity, width, command, payload, stage.astype(np.int8), poses
-        )
+        *numbers, stage, poses = zip(*self._rows, strict=True)
+        pose = np.array(poses)[:, owner]
+        pose[..., :3] += rotate_vectors(pose[..., 3:], offset)
+        stages = np.array([STAGES.index(name) for name in stage], np.int8)
+        return Trajectory._make([*map(np.array, numbers), stages, pose])
 
 
 class Attempt(NamedTuple):

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.files import MAX_GENERATED, read_json, read_text, write_file
+from learn2assemble.files import read_json, write_file
 from learn2assemble.robot.moves import STAGES, Outcome
 from learn2assemble.robot.record import ArmFacts, BuildRecord, Samples, Stage, StepRecord
 
@@ -133,7 +133,7 @@ def _step_from(item: Mapping[str, Any], where: str, n: int, cells: int) -> StepR
         release=time("release"),
         samples=Samples(
             array("time", times), array("joints", times, n, most=MOST_JOINT),
-            array("velocity", times, n), array("width", times),
+            array("velocity", times, n), array("width", times)
         ),
         before=array("before", cells, 7),
         after=array("after", cells, 7),
@@ -219,28 +219,3 @@ def write_csv(record: BuildRecord, path: Path) -> None:
             cells = (f"{value:.{DECIMALS}f}" for value in row)
             writer.writerow([step.number, step.stage_at(time), *cells])
     write_file(path, out.getvalue(), "trajectory table")
-
-
-def read_csv(path: Path) -> tuple[tuple[str, ...], np.ndarray, list[str], Samples]:
-    """Joint names, int64[T] step numbers, stages and samples of a ``trajectory.csv``.
-
-    Raises:
-        InputError: where it is none.
-    """
-    text, _ = read_text(path, "trajectory.csv", MAX_GENERATED)
-    try:
-        head, *rows = list(csv.reader(io.StringIO(text, newline=""))) or [[]]
-        joints = tuple(name.removesuffix(" [rad]") for name in head if name.endswith(" [rad]"))
-        if head != csv_header(joints):
-            raise InputError("trajectory table", ",".join(head), "its header")
-        values = np.array([row[2:] for row in rows], float).reshape(len(rows), len(head) - 2)
-        steps = np.array([int(row[0]) for row in rows], np.int64)
-    except (ValueError, IndexError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError("trajectory table", str(path), f"a trajectory.csv ({error})") from None
-    n = len(joints)
-    samples = Samples(
-        values[:, 0], values[:, 1 : n + 1], values[:, n + 1 : 2 * n + 1], values[:, 2 * n + 1]
-    )
-    return joints, steps, [row[1] for row in rows], samples

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -58,9 +59,7 @@ class BuildRecorder:
         target: np.ndarray,
         outcome: Outcome,
         detail: str = "",
-        joints: np.ndarray | None = None,
-        velocity: np.ndarray | None = None,
-        width: np.ndarray | None = None,
+        motion: tuple[Any, Any, Any] | None = None,
         stages: Sequence[Stage] = (),
         grip: float | None = None,
         release: float | None = None,
@@ -69,18 +68,16 @@ class BuildRecorder:
         """Append a step; fields as in :class:`~.record.StepRecord`, times from its beginning.
 
         Args:
-            joints: float64[T, n], the first one a period (1 / 50 s) after the last of the step
-                before; None where the arm does not move.
-            velocity: float64[T, n].
-            width: float64[T].
+            motion: joints float64[T, n], the first one a period (1 / 50 s) after the last of the
+                step before, velocity float64[T, n] and width float64[T]; None where the arm does
+                not move.
             after: float64[C, 7]; None where nothing has moved.
         """
         n, start = len(self.arm.joints), self.now
-        count = 0 if joints is None else len(joints)
-        q = np.array([] if joints is None else joints, float).reshape(count, n)
-        v = np.array([] if velocity is None else velocity, float).reshape(count, n)
-        w = np.array([] if width is None else width, float).reshape(count)
-        if not self._count and count:
+        q, v, w = np.empty((0, n)), np.empty((0, n)), np.empty(0)
+        if motion is not None:
+            q, v, w = (np.array(part, float) for part in motion)
+        if not self._count and len(q):
             q = np.vstack([self._first[0], q])
             v = np.vstack([np.zeros(n), v])
             w = np.concatenate([[self._first[1]], w])
@@ -134,17 +131,15 @@ class BuildRecorder:
         if attempt.after is not None and attempt.quaternion is not None:
             after = self.poses.copy()
             after[order] = np.hstack([attempt.after.position, attempt.quaternion])
-        done = attempt.trajectory
-        moved = done is not None and len(done.time) > 1
-        grip, release = holding(self.arm, done, move.cell) if done and moved else (None, None)
+        done, motion, stages, grip, release = attempt.trajectory, None, [], None, None
+        if done is not None and len(done.time) > 1:
+            width = done.width[1:].clip(0, self.arm.gripper.max_width)
+            motion, stages = (done.joints[1:], done.velocity[1:], width), stages_of(done)
+            grip, release = holding(self.arm, done, move.cell)
         self.add(
             plan_step=plan_step, cells=numbers[members].tolist(),
             target=np.array([*move.target, *turn]), outcome=attempt.outcome, detail=attempt.detail,
-            joints=done.joints[1:] if done and moved else None,
-            velocity=done.velocity[1:] if done and moved else None,
-            width=done.width[1:].clip(0, self.arm.gripper.max_width) if done and moved else None,
-            stages=stages_of(done) if done and moved else (), grip=grip, release=release,
-            after=after,
+            motion=motion, stages=stages, grip=grip, release=release, after=after,
         )  # fmt: skip
         return order
 

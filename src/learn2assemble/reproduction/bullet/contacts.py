@@ -418,10 +418,7 @@ def resolve(centre, twist, rates, inverse_mass, contacts, drive, hold, timestep)
             row = 3 * c + k
             _wrench(contacts.frame[c, k], contacts.end_1[c], centre[a], -1.0, one[row])
             _wrench(contacts.frame[c, k], contacts.end_2[c], centre[b], 1.0, two[row])
-            effect_1[row], effect_2[row] = (
-                inverse_mass[a] @ one[row],
-                inverse_mass[b] @ two[row],
-            )
+            effect_1[row], effect_2[row] = (inverse_mass[a] @ one[row], inverse_mass[b] @ two[row])
             mass[row] = 1.0 / (_dot(one[row], effect_1[row]) + _dot(two[row], effect_2[row]))
             if a == HAND:
                 reach[row] = arm @ one[row]
@@ -492,14 +489,7 @@ def resolve(centre, twist, rates, inverse_mass, contacts, drive, hold, timestep)
                 extra = new - impulse[row + k]
                 impulse[row + k] = new
                 _apply(
-                    a,
-                    b,
-                    extra,
-                    effect_1[row + k],
-                    effect_2[row + k],
-                    reach[row + k],
-                    twist,
-                    rates,
+                    a, b, extra, effect_1[row + k], effect_2[row + k], reach[row + k], twist, rates
                 )
                 change = max(change, (extra / mass[row + k]) ** 2)
         if change < RESIDUAL:

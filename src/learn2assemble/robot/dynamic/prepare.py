@@ -14,13 +14,7 @@ from learn2assemble.robot.dynamic.transit import WorldChecker, straight_or_tree
 from learn2assemble.robot.inverse import solve
 from learn2assemble.robot.kinematic.collision import Collision
 from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.moves import (
-    LEVEL,
-    OPENING,
-    Move,
-    Outcome,
-    crossing_height,
-)
+from learn2assemble.robot.moves import LEVEL, OPENING, Move, Outcome, crossing_height
 from learn2assemble.world.blocks import EDGE
 
 PRESS = 0.004

@@ -432,15 +432,9 @@ class Simulation(CellState):
 
     def _record(self) -> None:
         self.recorder.add(
-            self.time,
-            self.joints,
-            self.velocity,
-            self.opening,
-            self.width,
-            self.drives.payload,
-            self.stage,
-            self.poses,
-        )
+            self.time, self.joints, self.velocity, self.opening, self.width, self.drives.payload,
+            self.stage, self.poses,
+        )  # fmt: skip
 
     def _guard(self) -> None:
         """Stops a simulation that diverged, with everything needed to look into it."""

@@ -254,10 +254,7 @@ def _now(part: ruckig.Trajectory, time: float) -> tuple[float, float, float]:
 
 
 def approach_speed_limits(
-    path: JointPath,
-    rise: np.ndarray,
-    zones: tuple[tuple[float, float], ...],
-    bounds: PathLimits,
+    path: JointPath, rise: np.ndarray, zones: tuple[tuple[float, float], ...], bounds: PathLimits
 ) -> tuple[Segment, ...]:
     """Segments of a way down that enter zones near the contact at lower speeds.
 

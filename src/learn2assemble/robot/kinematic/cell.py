@@ -56,10 +56,6 @@ class KinematicCell:
         second = self._attempt(scene, flipped)
         return second if _further(second) > _further(first) else first
 
-    def attempt_many(self, orders: Iterable[tuple[Scene, Move]]) -> list[Attempt]:
-        """One attempt after the other."""
-        return [self.attempt(scene, move) for scene, move in orders]
-
     def pick(self, scene: Scene, move: Move) -> Attempt:
         """The first half of a move: what lies at its target does not matter, its height does."""
         height = crossing_height(scene, move)
