@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from learn2assemble.learning.config import Learner, TrainConfig, register_learner
     from learn2assemble.learning.run import TrainingRun, train
     from learn2assemble.networks.agent import Agent, load_agent
-    from learn2assemble.networks.config import NetworkConfig, NetworkKind, register_network
+    from learn2assemble.networks.config import NetworkConfig, register_network
     from learn2assemble.physics.rigid_blocks import check
     from learn2assemble.planning.build import build
     from learn2assemble.planning.plan import Plan, Step, load_plan
@@ -43,7 +43,6 @@ _HOME = {
     "Learn2AssembleError": "errors",
     "Learner": "learning.config",
     "NetworkConfig": "networks.config",
-    "NetworkKind": "networks.config",
     "Plan": "planning.plan",
     "SearchConfig": "search.config",
     "Shape": "world.blocks",
@@ -77,7 +76,6 @@ __all__ = [
     "Learn2AssembleError",
     "Learner",
     "NetworkConfig",
-    "NetworkKind",
     "Plan",
     "SearchConfig",
     "Shape",

@@ -179,15 +179,16 @@ class Worlds:
     def info(self) -> dict[str, np.ndarray]:
         """What is known of the state beside the observation; arrays over the worlds.
 
-        ``action_masks`` bool[B, N*N*Na]: legal. ``physics_mask`` bool[B, N*N*Na]: legal, free and
-        stable by static physics; a help the paper's agent does not have, never applied.
+        ``action_masks`` int8[B, N*N*Na]: legal, as ``action_space.sample`` wants it.
+        ``physics_mask`` int8[B, N*N*Na]: legal, free and stable by static physics; a help the
+        paper's agent does not have, never applied.
         ``coverage`` and ``plane_coverage`` float64[B]: F_co and F_pl (protocol 3.4).
         """
         state = self.state
-        info = {"action_masks": self.action_masks()}
+        info = {"action_masks": self.action_masks().view(np.int8)}
         if self._physics_mask:
             stable = self.simulator.physics_mask(state)
-            info["physics_mask"] = spaces.expand_mask(self.task, state, stable)
+            info["physics_mask"] = spaces.expand_mask(self.task, state, stable).view(np.int8)
         info["coverage"] = state.complete_coverage
         info["plane_coverage"] = state.plane_coverage
         return info

@@ -1,0 +1,12 @@
+"""Repeat recorded transitions in this project's world and compare."""
+
+import sys
+from pathlib import Path
+
+from learn2assemble.physics.rigid import RigidPhysics
+from learn2assemble.reproduction.replay import replay_file
+
+file = sys.argv[1] if len(sys.argv) > 1 else "tests/data/transitions_sample.jsonl"
+report = replay_file(Path(file), RigidPhysics).to_dict()
+for name in ("lines", "mask_exact", "complete_exact", "valid_static", "valid_rigid"):
+    print(name, report[name])

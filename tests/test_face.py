@@ -1,0 +1,142 @@
+"""The public face: names, what importing costs, the registration of environments."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import learn2assemble as l2a
+from learn2assemble.errors import InputError
+from learn2assemble.files import claim_folder
+from learn2assemble.tasks import PRESETS
+
+ROOT = Path(__file__).resolve().parents[1]
+HEAVY = {"torch", "numba", "mujoco", "gymnasium", "matplotlib", "rich", "scipy", "shapely"}
+
+
+def python(code: str) -> str:
+    """Standard output of a fresh interpreter."""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=ROOT
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_every_public_name_is_there() -> None:
+    assert sorted(l2a._HOME) == list(l2a.__all__)
+    for name in l2a.__all__:
+        assert getattr(l2a, name).__doc__
+        assert name in dir(l2a)
+    with pytest.raises(AttributeError, match="biuld"):
+        l2a.biuld  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import learn2assemble",
+        "from learn2assemble.cli.parser import make_parser; make_parser().format_help()",
+        "from learn2assemble.cli import main; assert main(['view', 'nosuch']) == 2",
+        "from learn2assemble.cli import main; assert main(['build', 'no.json', '--out', 'o']) == 2",
+    ],
+    ids=["import", "help", "missing plan", "missing design"],
+)
+def test_what_should_be_quick_loads_nothing_heavy(code: str) -> None:
+    """Instead of a timed assertion."""
+    loaded = python(f"{code}\nimport sys\nprint(*sys.modules)").split()
+    allowed = {"rich"} if "main" in code else set()
+    assert not (HEAVY - allowed) & set(loaded)
+
+
+@pytest.mark.parametrize(
+    "order", [("gymnasium", "learn2assemble"), ("learn2assemble", "gymnasium")], ids="-".join
+)
+def test_environments_are_registered_in_either_order(order: tuple[str, str]) -> None:
+    found = python(
+        f"import {order[0]}\nimport {order[1]}\nimport sys\n"
+        "print('numba' in sys.modules)\n"
+        "print(*[i for i in gymnasium.registry if i.startswith('learn2assemble/')], sep='\\n')"
+    ).splitlines()
+    assert found[0] == "False"
+    assert found[1:] == [f"learn2assemble/{name}-v0" for name in PRESETS]
+
+
+def test_a_task_of_ones_own_is_known_everywhere() -> None:
+    import gymnasium
+
+    task = PRESETS["two-sided-3x3-20-24"].replace(name="mine")
+    try:
+        assert l2a.register_task(task) is task
+        assert l2a.get_task("mine") == task
+        assert gymnasium.spec("learn2assemble/mine-v0").kwargs == {"task": "mine"}
+        with pytest.raises(InputError, match="a name that is not taken"):
+            l2a.register_task(task)
+    finally:
+        PRESETS._entries.pop("mine", None)
+        gymnasium.registry.pop("learn2assemble/mine-v0", None)
+
+
+def test_an_arm_of_ones_own_is_known_by_its_name(tmp_path: Path) -> None:
+    from learn2assemble.robot.arm import get_arm
+    from learn2assemble.robot.registry import ARMS
+
+    with pytest.raises(InputError, match=r"arm\.toml"):
+        l2a.register_arm("mine", tmp_path)
+    try:
+        l2a.register_arm("mine", ARMS["panda"].parent)
+        assert get_arm("mine").joints == get_arm("panda").joints
+        assert PRESETS["robot-two-sided-3x3-10-14"].replace(arm="mine").arm == "mine"
+        with pytest.raises(InputError, match="not taken"):
+            l2a.register_arm("mine", ARMS["panda"].parent)
+    finally:
+        ARMS._entries.pop("mine", None)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"design": "nosuch.json"}, "no such file"),
+        ({"design": "two-sided-3x3-20-25"}, "did you mean"),
+        ({"design": "two-sided-3x3-20-24", "arm": "pandas"}, "arm: got 'pandas'"),
+        ({"design": "two-sided-3x3-20-24", "layout": "a.json"}, "a layout of its own"),
+    ],
+)
+def test_what_cannot_be_built_is_refused_in_one_line(arguments: Any, words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        l2a.build(**arguments)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_small_evaluation() -> None:
+    how = {"search": "mcts", "budget": 2, "episodes": 2}
+    result = l2a.evaluate("one-sided-3x3-22-24", agent="relational-cubes-s0", **how)
+    assert (result.search, result.budget, result.metrics.episodes) == ("mcts", 2, 2)
+    again = l2a.evaluate("one-sided-3x3-22-24", agent=l2a.load_agent("relational-cubes-s0"), **how)
+    assert (again.metrics.R, again.metrics.a) == (result.metrics.R, result.metrics.a)
+    json.dumps(result.to_dict())
+    for wrong in ({"episodes": 0}, {"epsilon": 2.0}, {"search": "dfs"}, {"agent": "nobody"}):
+        with pytest.raises(InputError):
+            l2a.evaluate("one-sided-3x3-22-24", **wrong)
+
+
+def test_a_folder_is_written_by_one_process_at_a_time(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with claim_folder(out):
+        with pytest.raises(InputError, match="nothing else is writing"), claim_folder(out):
+            pass
+        (out / "file").touch()
+    assert [path.name for path in out.iterdir()] == ["file"]
+    with pytest.raises(InputError, match="a new or empty folder"), claim_folder(out):
+        pass
+    with claim_folder(out, resume=True):
+        pass
+    with pytest.raises(ZeroDivisionError), claim_folder(tmp_path / "refused"):
+        raise ZeroDivisionError
+    assert not (tmp_path / "refused").exists()
