@@ -187,6 +187,7 @@ def _parts(assembly: Assembly) -> tuple[list[_Part], list[Block], list[float]]:
     layers = _layers(bottoms, [float(np.ptp(block.vertices[:, 2])) for block in assembly.blocks])
     numbers: dict[Any, int] = {}
     shapes: list[Block] = []
+    unnamed = {_size_words(block) for block in assembly.blocks if not block.kind}
     parts = []
     level = np.searchsorted(layers, bottoms, side="right") - 1
     for block, layer in zip(assembly.blocks, level.tolist(), strict=True):
@@ -196,10 +197,9 @@ def _parts(assembly: Assembly) -> tuple[list[_Part], list[Block], list[float]]:
         if key not in numbers:
             numbers[key] = len(shapes)
             shapes.append(block)
-        parts.append(
-            _Part(block, numbers[key], origin, block.kind or _size_words(block), layer,
-                  placed.get(block.id, 0), removed.get(block.id, 0))
-        )  # fmt: skip
+        kind = block.kind or (_size_words(block) if len(unnamed) <= len(PALETTE) else "block")
+        history = placed.get(block.id, 0), removed.get(block.id, 0)
+        parts.append(_Part(block, numbers[key], origin, kind, layer, *history))
     return parts, shapes, layers
 
 
@@ -251,13 +251,13 @@ def _colours(parts: list[_Part], moving: set[str]) -> list[str]:
 
 def _shape_data(shapes: list[Block]) -> dict[str, Any]:
     """Vertices and triangles of all shapes, one after the other, and their outlines from above."""
-    vertices, triangles = [], []
+    vertices, triangles, outlines = [], [], []
     for block in shapes:
         points, faces = _triangles(block)
         vertices.append(points - block.vertices.min(0))
         triangles.append(faces)
+        outlines.append(_outline(vertices[-1], faces, block.is_convex))
     wide = max(map(len, vertices)) >= 65536
-    outlines = [_outline(block) for block in shapes]
     boxes = [np.ptp(block.vertices[:, :2], axis=0) for block in shapes]
     return {
         "vertices": packed(np.concatenate(vertices), np.uint16),
@@ -281,21 +281,25 @@ def _triangles(block: Block) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts)
 
 
-def _outline(block: Block) -> tuple[list[list[list[float]]], list[float]]:
-    """What a shape covers seen from above, as rings, and a point on it for its number [m].
+def _outline(
+    points: np.ndarray, faces: np.ndarray, convex: bool
+) -> tuple[list[list[list[float]]], list[float]]:
+    """What a surface of triangles covers seen from above: its rings and a point in it [m]."""
+    import shapely
 
-    Both are from the lower corner of the bounding box.
-    """
-    from shapely import Polygon, unary_union
-
-    points, faces = _triangles(block)
-    corners = points[faces] - block.vertices.min(0)
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    up = normal[:, 2] > 1e-3 * np.linalg.norm(normal, axis=1)
+    if convex:
+        return _rings(shapely.MultiPoint(points[:, :2]).convex_hull)
+    corners = points[faces]
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    up = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] > 0
     # A hair wider and back, so that seams between triangles close.
-    hair = 1e-4 * float(np.ptp(corners[..., :2]))
-    area = unary_union([Polygon(t[:, :2]).buffer(hair, join_style="mitre") for t in corners[up]])
-    area = area.buffer(-hair, join_style="mitre").simplify(hair)
+    hair = 1e-4 * float(np.ptp(points[:, :2]))
+    parts = shapely.buffer(shapely.polygons(corners[up, :, :2]), hair, join_style="mitre")
+    return _rings(shapely.union_all(parts).buffer(-hair, join_style="mitre").simplify(hair))
+
+
+def _rings(area: Any) -> tuple[list[list[list[float]]], list[float]]:
+    """Of a plane area: its rings and a point in it."""
     rings = [r for p in getattr(area, "geoms", [area]) for r in (p.exterior, *p.interiors)]
     centre = area.centroid
     middle = centre if area.contains(centre) else area.representative_point()
@@ -429,7 +433,8 @@ def _legend(parts: list[_Part], colours: list[str]) -> str:
         for colour, kinds in list(named.items())[:16]
     ]
     swatch = '<svg class="swatch" viewBox="0 0 14 14"><rect width="14" height="14" {}/></svg>'
-    return '<li><i class="current"></i>block of this step</li>' + "".join(
+    current = any(part.placed for part in parts)
+    return '<li><i class="current"></i>block of this step</li>' * current + "".join(
         f"<li>{swatch.format(_paint(colour))}{escape(words)}</li>" for colour, words in rows
     )
 
