@@ -18,7 +18,6 @@ from learn2assemble.cli import main
 from learn2assemble.errors import InputError, MissingExtraError
 from learn2assemble.robot.record_files import write_record
 from learn2assemble.robot.shape import box
-from learn2assemble.viewer.cell_model import fill_box, lettering, number_picture, rgb, write
 from learn2assemble.viewer.renderer import (
     GROUND,
     LIT,
@@ -27,19 +26,20 @@ from learn2assemble.viewer.renderer import (
     Camera,
     Light,
     Triangles,
-    blend_film,
+    blend_sheet,
     fill,
     render,
 )
-from learn2assemble.viewer.video import FRAMES_PER_SECOND, Film, ears, moments, write_video
+from learn2assemble.viewer.video import FRAMES_PER_SECOND, Frames, moments, write_video
+from learn2assemble.viewer.workcell import fill_box, lettering, number_picture, rgb, write
 
 COUNT = 3
 SIZE = 64
 
 
 @pytest.fixture(scope="module")
-def film() -> Film:
-    return Film(arm_plan(COUNT), arm_record("panda", COUNT), 320, 240)
+def film() -> Frames:
+    return Frames(arm_plan(COUNT), arm_record("panda", COUNT), 320, 240)
 
 
 # ---------------------------------------------------------------- what is seen
@@ -119,26 +119,14 @@ def test_a_box_hides_what_is_behind_and_casts_a_shadow() -> None:
     assert (dark.min(), dark.max()) == (pytest.approx(55, abs=1), pytest.approx(65, abs=1))
 
 
-def test_a_film_tints_only_what_lies_behind_it() -> None:
+def test_a_sheet_tints_only_what_lies_behind_it() -> None:
     depth = np.zeros((20 * SAMPLES, 20 * SAMPLES), np.float32)
     depth[:, : 10 * SAMPLES] = 2.0
     image = np.full((20, 20, 3), 100, np.uint8)
     corners = np.array([[0, 0, 1], [80, 0, 1], [0, 80, 1]], np.float32)
-    blend_film(corners, np.array([0, 200, 100], np.float32), 0.5, depth, image)
+    blend_sheet(corners, np.array([0, 200, 100], np.float32), 0.5, depth, image)
     assert (image[5, :10] == 100).all()
     np.testing.assert_allclose(image[5, 10:], np.tile([50, 150, 100], (10, 1)), atol=1)
-
-
-_CONCAVE = np.array([[0, 0], [3, 0], [3, 2], [2, 2], [2, 1], [1, 1], [1, 2], [0, 2]], float)
-
-
-@pytest.mark.parametrize("turn", [1, -1])
-def test_outlines_are_cut_into_triangles_of_the_same_area(turn: int) -> None:
-    corners = np.column_stack([_CONCAVE[:, 0], np.zeros(8), _CONCAVE[:, 1]])[::turn]
-    areas = [np.linalg.norm(np.cross(corners[b] - corners[a], corners[c] - corners[a])) / 2
-             for a, b, c in ears(corners)]  # fmt: skip
-    assert len(areas) == 6
-    assert sum(areas) == pytest.approx(5.0)
 
 
 # ---------------------------------------------------------------- words
@@ -178,7 +166,7 @@ def test_numbers_of_blocks_differ() -> None:
 # ---------------------------------------------------------------- frames and file
 
 
-def test_frames_show_the_build(film: Film) -> None:
+def test_frames_show_the_build(film: Frames) -> None:
     first, last = film.frame(0.0).copy(), film.frame(film.playback.duration).copy()
     assert first.shape == last.shape == (240, 320, 3)
     assert first.dtype == np.uint8
@@ -197,7 +185,7 @@ def test_frames_show_the_build(film: Film) -> None:
     assert min(white) > 0.01, "the arm is always there"
 
 
-def test_the_words_below_follow_the_arm(film: Film) -> None:
+def test_the_words_below_follow_the_arm(film: Frames) -> None:
     lost = film.playback.segments[1]
     said = {film.doing(clock) for clock in np.linspace(lost.start + 0.01, lost.end, 60)}
     assert {"The arm goes down to block 2.", "The arm goes up without a block."} <= said
@@ -222,7 +210,7 @@ def test_the_video_opens_and_has_its_length_and_size(tmp_path: Path) -> None:
                     progress=done.append)  # fmt: skip
     assert (tmp_path / "a.mp4").read_bytes() == (tmp_path / "b.mp4").read_bytes()
     assert done[-1] == 1.0
-    film = Film(plan, record, 320, 240, ", shown 20 times as fast")
+    film = Frames(plan, record, 320, 240, ", shown 20 times as fast")
     clocks = moments(film.playback.duration, 20)
     with av.open(str(tmp_path / "a.mp4")) as file:
         stream = file.streams.video[0]

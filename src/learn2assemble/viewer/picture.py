@@ -322,7 +322,7 @@ def _draw_moment(axes: Axes, scene: Scene, number: int) -> None:
 
 
 def side_normal(frame: np.ndarray) -> np.ndarray:
-    """Outward direction of a side in the world: float64[3] (local -y, protocol 1.2)."""
+    """Outward direction of a side in the world: float64[3] (local -y)."""
     cos, sin = frame[:2]
     return np.array([sin, -cos, 0.0])
 

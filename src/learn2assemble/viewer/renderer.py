@@ -1,13 +1,7 @@
-"""Which triangle is seen where: projection and depth buffers as compiled functions.
+"""A small renderer: triangles with shadows into an image, on the processor, without any GL.
 
 Visibility is kept for 2 x 2 samples per pixel. Depths are inverse distances along the view axis,
-so that they are linear in the picture and larger is nearer.
-
-The colour of every pixel: sunlight with soft shadows, rims and numbers of blocks.
-
-A small renderer: triangles with shadows into an image, on the processor, without any GL.
-
-The same triangles give the same picture on every machine.
+so that they are linear in the picture and larger is nearer. Why there is one: docs/rendering.md.
 """
 
 from __future__ import annotations
@@ -29,39 +23,12 @@ _WIDE = 12
 """Rows with more samples are cut to what lies inside the triangle before they are walked."""
 
 
-@njit(cache=True, error_model="numpy")
-def place(vertices, normals, body, position, rotation, world, turned):
-    for i in range(vertices.shape[0]):
-        b = body[i]
-        for k in range(3):
-            x, y, z = rotation[b, k, 0], rotation[b, k, 1], rotation[b, k, 2]
-            world[i, k] = (
-                position[b, k] + x * vertices[i, 0] + y * vertices[i, 1] + z * vertices[i, 2]
-            )
-            turned[i, k] = x * normals[i, 0] + y * normals[i, 1] + z * normals[i, 2]
-
-
-@njit(cache=True, error_model="numpy")
-def project(world, eye, axes, focal, centre, screen):
-    """Samples right and down, and inverse distance."""
-    for i in range(world.shape[0]):
-        x, y, z = world[i, 0] - eye[0], world[i, 1] - eye[1], world[i, 2] - eye[2]
-        inverse = 1.0 / (axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z)
-        right = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
-        down = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
-        screen[i, 0] = SAMPLES * (centre[0] + focal * right * inverse)
-        screen[i, 1] = SAMPLES * (centre[1] + focal * down * inverse)
-        screen[i, 2] = inverse
-
-
-@njit(cache=True, error_model="numpy")
-def project_light(world, axes, low, size, screen):
-    scale = SHADOW_SIZE / size
-    for i in range(world.shape[0]):
-        x, y, z = world[i, 0], world[i, 1], world[i, 2]
-        screen[i, 0] = (axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z - low[0]) * scale
-        screen[i, 1] = (axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z - low[1]) * scale
-        screen[i, 2] = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
+def project(world: np.ndarray, camera: Camera) -> np.ndarray:
+    """float32[..., 3]: samples right and down, and inverse distance, of world points."""
+    seen = (world - camera.position) @ camera.axes.T
+    inverse = 1 / seen[..., 2:]
+    picture = SAMPLES * (camera.centre + camera.focal * seen[..., :2] * inverse)
+    return np.concatenate([picture, inverse], -1).astype(np.float32)
 
 
 @njit(cache=True, inline="always", error_model="numpy")
@@ -162,8 +129,8 @@ def fill_shadow(screen, faces, kind, body, shown, height_of):
 
 
 @njit(cache=True, error_model="numpy")
-def blend_film(corners, colour, share, depth, image):
-    """A thin transparent triangle over a finished picture, hidden where something is nearer.
+def blend_sheet(corners, colour, share, depth, image):
+    """A transparent triangle over a finished picture, hidden where something is nearer.
 
     Args:
         corners: float64[3, 3], projected: samples right and down, inverse distance.
@@ -380,10 +347,6 @@ class Buffers:
     """Memory of one picture size, used again for every frame."""
 
     def __init__(self, triangles: Triangles, width: int, height: int) -> None:
-        count = len(triangles.vertices)
-        self.world = np.empty((count, 3), np.float32)
-        self.normals = np.empty((count, 3), np.float32)
-        self.screen = np.empty((count, 3), np.float32)
         self.depth = np.empty((height * SAMPLES, width * SAMPLES), np.float32)
         self.seen = np.empty((height * SAMPLES, width * SAMPLES), np.int32)
         self.shadow = np.empty((SHADOW_SIZE, SHADOW_SIZE), np.float32)
@@ -406,18 +369,22 @@ def render(
         colour: float32[b, 3] of the bodies, 0 to 255; likewise ``sky`` and ``rim``, float32[3].
         numbers: float32[n, NUMBER_SIZE, NUMBER_SIZE], how much ink, 0 to 1.
     """
-    b = buffers
-    place(triangles.vertices, triangles.normals, triangles.body, position, rotation, b.world,
-           b.normals)  # fmt: skip
-    project_light(b.world, light.axes, light.low, light.size, b.screen)
+    b, turn = buffers, rotation.astype(np.float32)[triangles.body]
+    world = (turn @ triangles.vertices[..., None])[..., 0] + position.astype(np.float32)[
+        triangles.body
+    ]
+    normals = (turn @ triangles.normals[..., None])[..., 0]
+    lit = world @ light.axes.T - [*light.low, 0.0]
+    lit[:, :2] *= SHADOW_SIZE / light.size
     b.shadow.fill(-1e9)
-    fill_shadow(b.screen, triangles.faces, triangles.kind, triangles.body, shown, b.shadow)
-    project(b.world, camera.position, camera.axes, camera.focal, camera.centre, b.screen)
+    kind, body = triangles.kind, triangles.body
+    fill_shadow(lit.astype(np.float32), triangles.faces, kind, body, shown, b.shadow)
+    screen = project(world, camera)
     b.depth.fill(0.0)
     b.seen.fill(-1)
-    fill(b.screen, triangles.faces, triangles.body, shown, b.depth, b.seen)
+    fill(screen, triangles.faces, body, shown, b.depth, b.seen)
     slopes(
-        b.screen, b.world, b.normals, triangles.faces, triangles.body, shown, triangles.marks,
+        screen, world, normals, triangles.faces, triangles.body, shown, triangles.marks,
         light.axes, light.low, SHADOW_SIZE / light.size, b.slope,
     )  # fmt: skip
     shade(

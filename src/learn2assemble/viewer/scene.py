@@ -50,7 +50,7 @@ class Elevation:
 
     name: str
     frame: np.ndarray
-    """float64[4]: (cos, sin, t_x, t_y) of p_world = R_z p_local + t (protocol 1.2)."""
+    """float64[4]: (cos, sin, t_x, t_y) of p_world = R_z p_local + t."""
     outline: np.ndarray
     """float64[V, 2]: local (x, z) [m] in the face plane."""
 
@@ -159,7 +159,7 @@ def _placed(number: int, step: Step | FirstBlock) -> Placed:
 def _needs_tray(waiting: np.ndarray, blocks: tuple[Placed, ...], edge: float) -> bool:
     """Whether the waiting places cannot be drawn as planned.
 
-    Without a robot they are node positions, not bodies (protocol 1.4): they may overlap, sink
+    Without a robot they are node positions, not bodies: they may overlap, sink
     into the table or hide the structure.
     """
     if not len(waiting):

@@ -1,8 +1,6 @@
-"""Words and rectangles in a picture of numbers, with the font that comes with matplotlib.
+"""The video of a build by an arm: MP4 (H.264), drawn and encoded on the processor alone.
 
-Frames of the video of a build: the cell from one place, and below it what happens.
-
-The video of a build by an arm: MP4 (H.264), drawn and encoded on the processor alone.
+A frame shows the workcell from one place, and below it in words what happens.
 """
 
 from __future__ import annotations
@@ -20,13 +18,13 @@ from learn2assemble.files import unwritable
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.record import BuildRecord
-from learn2assemble.viewer.cell_model import body_poses, cell_model, fill_box, rgb, write
 from learn2assemble.viewer.drawings import kind
-from learn2assemble.viewer.picture import ACCENT, COLOURS, INK, LINE, PAPER, RIM, SOFT
+from learn2assemble.viewer.picture import ACCENT, COLOURS, INK, LINE, PAPER, RIM, SOFT, side_normal
 from learn2assemble.viewer.playback import Playback, Segment, extent
-from learn2assemble.viewer.renderer import Buffers, Camera, Light, blend_film, project, render
+from learn2assemble.viewer.renderer import Buffers, Camera, Light, blend_sheet, project, render
 from learn2assemble.viewer.scene import read_scene
 from learn2assemble.viewer.words import block_names, block_numbers, clock_words, stage_words
+from learn2assemble.viewer.workcell import body_poses, fill_box, rgb, workcell, write
 
 WIDTH, HEIGHT = 800, 544
 _FOOT = 92
@@ -41,8 +39,8 @@ _FIELD = 16.0
 """Angle of view, up and down [degrees]."""
 
 
-class Film:
-    """The pictures of one record; ``note`` stands behind the name of the arm.
+class Frames:
+    """The frames of the video of one record; ``note`` stands behind the name of the arm.
 
     Raises:
         InputError: where the record does not fit the plan.
@@ -57,7 +55,7 @@ class Film:
         self.scene = read_scene(plan)
         self.numbers = block_numbers(plan)
         self.kinds = {block.number: kind(block) for block in self.scene.blocks}
-        self.model = cell_model(self.playback, self.scene, self.numbers)
+        self.model = workcell(self.playback, self.scene, self.numbers)
         self.placed_by = {
             cell: step.number for step in record.steps if step.outcome == Outcome.REACHED
             for cell in step.cells
@@ -65,7 +63,7 @@ class Film:
         self.buffers = Buffers(self.model.triangles, width, height - _FOOT)
         self.camera = self._camera()
         self.light = self._light()
-        self.films = self._films()
+        self.sheets = self._sheets()
         self.ribbons = self._ribbons()
         self.names = block_names(plan)
 
@@ -88,23 +86,22 @@ class Film:
             *body_poses(model, self.playback, clock), shown, self._colours(segment, clock),
             SKY, rgb(RIM), model.numbers,
         )  # fmt: skip
-        for corners in self.films:
-            blend_film(corners, rgb(ACCENT), 0.2, self.buffers.depth, picture)
+        for corners in self.sheets:
+            blend_sheet(corners, rgb(ACCENT), 0.2, self.buffers.depth, picture)
         return picture
 
-    def _films(self) -> list[np.ndarray]:
+    def _sheets(self) -> list[np.ndarray]:
         """The targets as triangles in the picture, a hair behind the faces of the blocks."""
-        edge, camera, found = self.playback.record.block_edge, self.camera, []
+        import manifold3d
+
+        edge, found = self.playback.record.block_edge, []
         for side in self.scene.elevations:
-            corners = side.face(edge)
-            blocks = [block.position for block in self.scene.blocks] or [corners.mean(0)]
-            normal = area_vector(corners)
-            normal /= max(float(np.linalg.norm(normal)), 1e-12)
-            inward = normal if (np.mean(blocks, 0) - corners[0]) @ normal > 0 else -normal
-            screen = np.empty((len(corners), 3), np.float32)
-            points = (corners + edge / 50 * inward).astype(np.float32)
-            project(points, camera.position, camera.axes, camera.focal, camera.centre, screen)
-            found += [screen[list(ear)] for ear in ears(corners)]
+            corners = side.face(edge) - edge / 50 * side_normal(side.frame)
+            x, y = side.outline.T
+            inverted = x @ np.roll(y, -1) < y @ np.roll(x, -1)
+            outline = side.outline[::-1] if inverted else side.outline
+            screen = project(corners[::-1] if inverted else corners, self.camera)
+            found += [screen[ear] for ear in manifold3d.triangulate([outline])]
         return found
 
     def _ribbons(self) -> tuple[np.ndarray, np.ndarray]:
@@ -218,34 +215,6 @@ class Film:
         return Light(axes, low, float((high - low).max()))
 
 
-def area_vector(corners: np.ndarray) -> np.ndarray:
-    """float64[3]: twice the area of a plane polygon, float64[v, 3], along its normal."""
-    return np.cross(corners, np.roll(corners, -1, 0)).sum(0)
-
-
-def ears(corners: np.ndarray) -> list[tuple[int, int, int]]:
-    """A plane simple polygon, float64[v, 3], as triangles of its corners."""
-    normal = area_vector(corners)
-    left, found = list(range(len(corners))), []
-
-    def turn(a: int, b: int, c: int) -> float:
-        return float(np.cross(corners[b] - corners[a], corners[c] - corners[b]) @ normal)
-
-    def inside(p: int, a: int, b: int, c: int) -> bool:
-        return min(turn(a, b, p), turn(b, c, p), turn(c, a, p)) > 0
-
-    while len(left) > 2:
-        for k in range(len(left)):
-            a, b, c = left[k - 1], left[k], left[(k + 1) % len(left)]
-            if turn(a, b, c) >= 0 and not any(inside(p, a, b, c) for p in left):
-                break
-        else:  # Only outlines that cross themselves get here.
-            break
-        found.append((a, b, c))
-        left.remove(b)
-    return found
-
-
 FRAMES_PER_SECOND = 25
 SPEED, LONGEST = 4.0, 45.0
 """How many times faster than the arm the video plays at least, and how long it may be [s]."""
@@ -300,8 +269,8 @@ def write_video(
     if width % 2 or height % 2 or width < 320 or height < 240:
         raise InputError("size of the video", (width, height), "even numbers from 320 x 240")
     note = "" if speed == 1 else f", shown {speed:g} times as fast"
-    film = Film(plan, record, width, height, note)
-    clocks = moments(film.playback.duration, speed)
+    frames = Frames(plan, record, width, height, note)
+    clocks = moments(frames.playback.duration, speed)
     part = path.with_name(f".{path.name}.part")
     # One thread: how many there are would change the bytes.
     options = {"crf": "20", "preset": "veryfast", "threads": "1"}
@@ -309,7 +278,7 @@ def write_video(
         with av.open(str(part), "w", format="mp4", options={"movflags": "faststart"}) as file:
             stream = file.add_stream("libx264", rate=FRAMES_PER_SECOND, options=options)
             stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
-            for picture in _pictures(film, clocks, progress):
+            for picture in _pictures(frames, clocks, progress):
                 file.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
             file.mux(stream.encode())
         os.replace(part, path)
@@ -327,7 +296,7 @@ def moments(duration: float, speed: float) -> np.ndarray:
 
 
 def _pictures(
-    film: Film, clocks: np.ndarray, progress: Callable[[float], object]
+    film: Frames, clocks: np.ndarray, progress: Callable[[float], object]
 ) -> Iterator[np.ndarray]:
     last, picture = -1.0, None
     for k, clock in enumerate(clocks.tolist()):

@@ -1,4 +1,4 @@
-"""The robot cell of a record as triangles: table, outlines, arm and blocks.
+"""The workcell of a record as triangles: table, outlines, arm and blocks.
 
 Every thing in one colour that moves as one is a *body*. Bodies, in order: what stands still and
 is never shaded (outlines, waiting places), the frame that shows where a block goes, the table,
@@ -103,7 +103,7 @@ _FACES = (
 """Of every face of a cube: outward, right and up as seen from outside."""
 
 
-class CellModel(NamedTuple):
+class Workcell(NamedTuple):
     """Triangles and which body is what."""
 
     triangles: Triangles
@@ -150,7 +150,7 @@ class _Collector:
         return Triangles(*(c.astype(k) for c, k in zip(columns, kinds, strict=True)))
 
 
-def cell_model(playback: Playback, scene: Scene, numbers: dict[int, int]) -> CellModel:
+def workcell(playback: Playback, scene: Scene, numbers: dict[int, int]) -> Workcell:
     """The cell of a record.
 
     Args:
@@ -187,13 +187,13 @@ def cell_model(playback: Playback, scene: Scene, numbers: dict[int, int]) -> Cel
         half = np.array([max(gap, 0.0005), 0.98 * edge, 0.98 * edge]) / 2
         all_cells.add(all_cells.body(), box(half), LIT)
     pictures = [number_picture(numbers.get(c), NUMBER_SIZE) for c in range(record.num_cells)]
-    return CellModel(
+    return Workcell(
         all_cells.triangles(), np.array(pictures), outline, places, goal, table, arm, cells,
         pairs, all_cells.bodies,
     )  # fmt: skip
 
 
-def body_poses(model: CellModel, playback: Playback, clock: float) -> tuple[np.ndarray, np.ndarray]:
+def body_poses(model: Workcell, playback: Playback, clock: float) -> tuple[np.ndarray, np.ndarray]:
     """Where all bodies are at a time of the replay: float64[b, 3] [m] and float64[b, 3, 3]."""
     position = np.zeros((model.count, 3))
     rotation = np.tile(np.eye(3), (model.count, 1, 1))
