@@ -105,6 +105,12 @@ def find_fillers(position, first, count, half, centre):
     return found
 
 
+def filler_centres(cells: np.ndarray, half: float) -> np.ndarray:
+    """float64[f, 3]: centres of the fillers of the object with these cells, float64[n, 3] [m]."""
+    found = np.empty((2 * len(cells), 3))
+    return found[: find_fillers(np.ascontiguousarray(cells), 0, len(cells), half, found)]
+
+
 @njit(cache=True)
 def reaches_ground(position, count, cube, half):
     """Whether straight below ``cube`` one cube of ``position[:count]`` follows on the other."""

@@ -27,7 +27,7 @@ import highspy
 import numpy as np
 
 from learn2assemble.errors import InputError, Learn2AssembleError
-from learn2assemble.geometry.support import CONTACT_TOLERANCE, OVERLAP_TOLERANCE, find_fillers
+from learn2assemble.geometry.support import CONTACT_TOLERANCE, OVERLAP_TOLERANCE, filler_centres
 from learn2assemble.world.blocks import EDGE, FRICTION, HALF
 
 GROUND = -1
@@ -172,11 +172,8 @@ def _fillers(centres: np.ndarray, body: np.ndarray) -> tuple[np.ndarray, np.ndar
     """Centres float64[f, 3] of the fillers of all objects, and whose they are int64[f]."""
     found, owner = [np.empty((0, 3))], []
     for number in np.flatnonzero(np.bincount(body) > 1).tolist():
-        cells = np.ascontiguousarray(centres[body == number])
-        out = np.empty((2 * len(cells), 3))
-        count = find_fillers(cells, 0, len(cells), HALF, out)
-        found.append(out[:count])
-        owner += [number] * count
+        found.append(filler_centres(centres[body == number], HALF))
+        owner += [number] * len(found[-1])
     return np.concatenate(found), np.array(owner, np.int64)
 
 

@@ -26,7 +26,7 @@ import mujoco
 import numpy as np
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.geometry.support import classify_cube, find_fillers
+from learn2assemble.geometry.support import classify_cube, filler_centres
 from learn2assemble.physics.protocol import Verdict
 from learn2assemble.physics.scene import (
     Surface,
@@ -81,9 +81,7 @@ class Parts(NamedTuple):
 def object_parts(cells: tuple[tuple[int, int, int], ...] | np.ndarray, pitch: float) -> Parts:
     """The object with the given cells (in whole cells) at a horizontal distance of ``pitch``."""
     lattice, spacing = np.asarray(cells, float), np.array([pitch, pitch, EDGE])
-    found = np.empty((2 * len(lattice), 3))
-    count = find_fillers(spacing * lattice, 0, len(lattice), HALF, found)
-    between = np.rint(2 * found[:count] / spacing) / 2
+    between = np.rint(2 * filler_centres(spacing * lattice, HALF) / spacing) / 2
     # A filler lies off the lattice along the axis on which it fills a gap.
     sizes = np.full(between.shape, HALF)
     sizes[:, :2] = np.where(between[:, :2] % 1 == 0, HALF - SHRINK, (pitch - EDGE) / 2)

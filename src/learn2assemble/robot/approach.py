@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.inverse import METRES_PER_RADIAN, RESTARTS, ik_seeds, solve
+from learn2assemble.robot.inverse import RESTARTS, ik_seeds, seed_distances, solve
 from learn2assemble.robot.moves import LEVEL, Attitude
 
 RISE = (0.0, 0.008, 0.03, 0.06)
@@ -182,19 +182,13 @@ def approach_paths(
     yield found if isinstance(found, str) else ApproachPath(found, rise)
     found = follow(tool[::-1], first)
     yield found if isinstance(found, str) else ApproachPath(found[::-1].copy(), rise)
-    others = [follow(tool, q) for q in _near(arm, tool[0], poses.rotation)]
+    table = ik_seeds(arm)
+    distance = seed_distances(table, tool[0], poses.rotation, 6)
+    nearest = table.joints[np.argsort(distance, kind="stable")[:STARTS]]
+    others = [follow(tool, q) for q in nearest]
     paths = [path for path in others if not isinstance(path, str)]
     for path in sorted(paths, key=lambda way: travel_time(arm, [*way, arm.home])):
         yield ApproachPath(path, rise)
-
-
-def _near(arm: Arm, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """float64[k, n]: fixed configurations whose tool is nearest to a pose."""
-    table = ik_seeds(arm)
-    trace = np.einsum("kij,ij->k", table.rotation, rotation)
-    angle = np.arccos(np.clip((trace - 1) / 2, -1.0, 1.0))
-    away = np.sum((table.position - position) ** 2, axis=1) + (METRES_PER_RADIAN * angle) ** 2
-    return table.joints[np.argsort(away, kind="stable")[:STARTS]]
 
 
 def travel_time(arm: Arm, way: Sequence[np.ndarray]) -> float:

@@ -327,7 +327,7 @@ def _solve_one(
             _copy(start, trial)
         else:
             if restart == 1:
-                ranks = _ranks(table, position, rotation, rows)
+                ranks = seed_distances(table, position, rotation, rows)
             nearest = 0
             for k in range(ranks.shape[0]):
                 if ranks[k] < ranks[nearest]:
@@ -403,7 +403,7 @@ def _copy(source, target):
 
 
 @njit(cache=True)
-def _ranks(table, position, rotation, rows):
+def seed_distances(table, position, rotation, rows):
     """Distances of the table's tool poses from the target [m], rotations counted as metres."""
     count = table.joints.shape[0]
     out = np.empty(count)

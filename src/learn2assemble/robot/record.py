@@ -25,7 +25,7 @@ class Stage(NamedTuple):
     """A part of a step."""
 
     name: str
-    """One of :data:`~.recording.STAGES`."""
+    """One of :data:`~.moves.STAGES`."""
     start: float
     """[s]."""
     end: float

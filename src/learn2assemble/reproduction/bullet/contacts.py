@@ -272,7 +272,7 @@ def touching_bodies(m, body):
 @njit(cache=True)
 def contact_points(m, body, position, rotation, awake):
     """The contacts of bodies that are awake, bool[b], the youngest pairs first, as
-    :class:`~.impulses.Contacts`."""
+    :class:`Contacts`."""
     rows = np.flatnonzero(m.pair[:, 0] >= 0)
     for r in range(len(rows)):
         if not (awake[body[m.pair[rows[r], 0]]] or awake[body[m.pair[rows[r], 1]]]):

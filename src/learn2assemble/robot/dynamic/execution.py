@@ -76,9 +76,9 @@ class Execution:
         self.sim, self.order, self.course = sim, order, course
         self.limits, self.loaded = limits, loaded
         self.place = course.plan.place
-        """The column over the target that is used."""
+        """The approach path over the target that is used."""
         self.inside: ApproachPath | None = None
-        """The column the hand is in; None where it travels."""
+        """The approach path the hand is on; None where it travels."""
         self.segments_done = 0
         """How many straight parts of the way across are done."""
         self.holding = False
@@ -139,12 +139,12 @@ class Execution:
             else:
                 _check(self.sim.follow(path, bounds, stage, (watch,)), outcome, stage)
 
-    def grasp(self, column: ApproachPath) -> None:
+    def grasp(self, approach: ApproachPath) -> None:
         """Down, close, up."""
         sim, gripper = self.sim, self.sim.arm.gripper
-        touch, self.inside = Outcome.GRASP_COLLISION, column
-        above = column.rise >= 0
-        joints, rise = column.joints[above], column.rise[above]
+        touch, self.inside = Outcome.GRASP_COLLISION, approach
+        above = approach.rise >= 0
+        joints, rise = approach.joints[above], approach.rise[above]
         path = joint_path(joints[::-1], self.limits)
         bounds = limits_along(path, self.limits)
         segments = approach_speed_limits(path, rise[::-1], ((CAREFUL, CAREFUL_SPEED),), bounds)
@@ -181,7 +181,7 @@ class Execution:
             self.segments_done += 1
 
     def corrected(self) -> ApproachPath:
-        """The column over the target for the hand that holds the object as it does."""
+        """The approach path over the target for the hand that holds the object as it does."""
         sim, plan, order = self.sim, self.course.plan, self.order
         position, rotation = sim.tool()
         cell = order.objects.cells(sim.poses)[0][order.move.cell]
@@ -193,20 +193,20 @@ class Execution:
             raise Failure(Outcome.UNREACHABLE, "place", found)
         return found
 
-    def lower(self, column: ApproachPath, stage: str, before: Watch, near: Watch) -> None:
-        """Down, the last part slowly, until the object rests or the column ends.
+    def lower(self, approach: ApproachPath, stage: str, before: Watch, near: Watch) -> None:
+        """Down, the last part slowly, until the object rests or the path ends.
 
         Args:
-            column: over the place, from below it.
+            approach: over the place, from below it.
             stage: for the recording.
             before: what is looked for on the way ...
             near: ... and within :data:`LOOSE` of the place.
         """
-        sim, self.inside = self.sim, column
-        now = _nearest(column, sim.joints)
-        path = joint_path(np.vstack([sim.joints, column.joints[:now][::-1]]), self.loaded)
+        sim, self.inside = self.sim, approach
+        now = _nearest(approach, sim.joints)
+        path = joint_path(np.vstack([sim.joints, approach.joints[:now][::-1]]), self.loaded)
         bounds = limits_along(path, self.loaded)
-        rise = column.rise[: now + 1][::-1]
+        rise = approach.rise[: now + 1][::-1]
         segments = approach_speed_limits(
             path, rise, ((CAREFUL, CAREFUL_SPEED), (SOFT, SOFT_SPEED)), bounds
         )
@@ -226,12 +226,12 @@ class Execution:
         _check(sim.squeeze(widths, stage, watch), Outcome.PLACE_COLLISION, stage)
 
     def rise(self, stage: str, watch: Watch) -> None:
-        """Up from wherever the hand is in a column; it may travel then."""
-        column = self.inside
-        if column is None:
+        """Up from wherever the hand is on an approach path; it may travel then."""
+        approach = self.inside
+        if approach is None:
             return
         sim, limits = self.sim, self.loaded if self.holding else self.limits
-        above = column.joints[_nearest(column, sim.joints) + 1 :]
+        above = approach.joints[_nearest(approach, sim.joints) + 1 :]
         path = joint_path(np.vstack([sim.joints, above]), limits)
         event = sim.follow(path, limits_along(path, limits), stage, (watch,))
         _check(event, Outcome.PLACE_COLLISION, stage)
@@ -244,8 +244,8 @@ def _check(event: Event | None, outcome: Outcome, stage: str) -> None:
         raise Failure(Outcome.GRASP_LOST if lost else outcome, stage, event.detail)
 
 
-def _nearest(column: ApproachPath, joints: np.ndarray) -> int:
-    return int(np.argmin(np.abs(column.joints - joints).max(1)))
+def _nearest(approach: ApproachPath, joints: np.ndarray) -> int:
+    return int(np.argmin(np.abs(approach.joints - joints).max(1)))
 
 
 def _steps(time: float) -> int:

@@ -226,7 +226,7 @@ class Order(NamedTuple):
 
     def after(self, poses: np.ndarray) -> tuple[Scene, np.ndarray]:
         """The scene with objects at ``poses`` float64[b, 7], the moved one listed as
-        :func:`~.scene.put_down` does, and quaternions of its cells float64[n, 4]."""
+        :func:`~.moves.put_down` does, and quaternions of its cells float64[n, 4]."""
         position, quaternion, yaw = self.objects.cells(poses)
         # Which cell goes where in the list, by sending their numbers instead of their yaws.
         numbered = self.scene._replace(yaw=np.arange(len(yaw), dtype=float))

@@ -18,7 +18,7 @@ from learn2assemble.robot.moves import LEVEL, OPENING, Move, Outcome, crossing_h
 from learn2assemble.world.blocks import EDGE
 
 PRESS = 0.004
-"""Columns begin so far below the ordered place [m]: what is held is lowered until it rests."""
+"""Approach paths begin so far below the place [m]: what is held is lowered until it rests."""
 MAX_RAISES = 4
 """How often the crossing is tried again, a level higher."""
 _MAX_LIFTS, _UP = 8, np.array([0.0, 0.0, LEVEL])
@@ -29,7 +29,7 @@ class Failure(Exception):
 
     Args:
         outcome: its kind.
-        stage: one of :data:`~.recording.STAGES`, or ``rest`` once the arm is done.
+        stage: one of :data:`learn2assemble.robot.moves.STAGES`, or ``rest`` once the arm is done.
         detail: one line.
     """
 
@@ -52,8 +52,8 @@ class Plan(NamedTuple):
 
 
 class Course(NamedTuple):
-    """A plan and the ways between its columns, each float64[k, n]: joint positions [rad] whose
-    straight connections are free."""
+    """A plan and the ways between its paths, each float64[k, n]: joint positions [rad] whose straight
+    connections are free."""
 
     plan: Plan
     there: np.ndarray
@@ -141,12 +141,12 @@ def _plan(arm: Arm, checker: WorldChecker, order: Order) -> Plan:
 
 
 def _choose(
-    checker: WorldChecker, columns: Iterator[ApproachPath | str], besides: int | None
+    checker: WorldChecker, approaches: Iterator[ApproachPath | str], besides: int | None
 ) -> tuple[ApproachPath, int] | str:
-    """The first column that meets nothing but perhaps the object ``besides``, and 0; else the
+    """The first path that meets nothing but perhaps the object ``besides``, and 0; else the
     first one, and 1: the motion will tell. If there is none, why."""
     first, reason = None, ""
-    for found in columns:
+    for found in approaches:
         if isinstance(found, str):
             reason = reason or found
             continue

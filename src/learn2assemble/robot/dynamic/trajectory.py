@@ -259,7 +259,7 @@ def approach_speed_limits(
     """Segments of a way down that enter zones near the contact at lower speeds.
 
     Args:
-        path: down a column.
+        path: down an approach path.
         rise: float64[k] of the tool at its knots [m], falling.
         zones: height above the contact [m] and largest speed there [m/s], downwards.
         bounds: of the path.

@@ -17,7 +17,7 @@ from learn2assemble.robot.kinematics import forward, get_chain
 DEPTH = 0.001
 """What is held may be so deep in other things [m], as it is where it rests on them."""
 SELF_MARGIN = 0.002
-"""Distance the arm keeps from itself on planned ways and in columns [m]."""
+"""Distance the arm keeps from itself on planned ways and approach paths [m]."""
 STRIDE = 0.05
 """Largest step of a joint between two checks of a way [rad]."""
 KEEP = 0.003

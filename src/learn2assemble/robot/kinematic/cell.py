@@ -105,7 +105,7 @@ class KinematicCell:
     def _detour(
         self, scene: Scene, move: Move, height: float
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Columns whose tops are joined by a free motion, higher up."""
+        """Approaches whose tops are joined by a free motion, higher up."""
         pick = self.approaches.solve(scene.position[move.cell], move.grasp, height + DETOUR)
         place = self.approaches.solve(move.target, move.place, height + DETOUR)
         if isinstance(pick, str) or isinstance(place, str):
