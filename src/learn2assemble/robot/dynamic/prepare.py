@@ -52,8 +52,8 @@ class Plan(NamedTuple):
 
 
 class Course(NamedTuple):
-    """A plan and the ways between its paths, each float64[k, n]: joint positions [rad] whose straight
-    connections are free."""
+    """A plan and the ways between its approach paths, each float64[k, n]: joint positions [rad]
+    whose straight connections are free."""
 
     plan: Plan
     there: np.ndarray
