@@ -1,0 +1,119 @@
+"""What documents say can be done can be done: their commands, their Python, the names they use."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from learn2assemble.cli import main
+from learn2assemble.cli.parser import make_parser
+from learn2assemble.networks.agent import pretrained_names
+from learn2assemble.tasks import PRESETS
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.M | re.S)
+COMMAND = re.compile(r"^\s*(?:\.venv/bin/)?l2a\s+(.*)$", re.M)
+_SMALL = ("num_envs=4", "network.width=16", "batch_size=4", "initial_samples=4")
+TINY = {
+    "train": [
+        *["--samples", "8", "--device", "cpu"], *[w for s in _SMALL for w in ("--set", s)],
+    ],
+    "eval": ["--episodes", "1", "--budget", "1"],
+}  # fmt: skip
+"""Words that make a command small; later words win."""
+TOO_LONG = ("bench", "fidelities", "--arm panda", "--quick", "--train", "--agents", "dynamic")
+"""Commands with these words are parsed, and their tests are elsewhere."""
+
+
+def commands() -> list[tuple[str, list[str]]]:
+    """Page and words of every command in a block of a document, in order."""
+    found = []
+    for page in PAGES:
+        for _, block in FENCE.findall(page.read_text(encoding="utf-8")):
+            for line in COMMAND.findall(block):
+                words = shlex.split(line, comments=True)
+                if not any(word.isupper() for word in words[:2]):  # a template: l2a train TASK
+                    found.append((page.name, words))
+    return found
+
+
+def test_commands_are_found() -> None:
+    assert len(commands()) >= 20
+
+
+@pytest.mark.parametrize(("page", "words"), commands(), ids=lambda value: str(value)[:60])
+def test_a_command_of_a_document_is_accepted(page: str, words: list[str]) -> None:
+    options = make_parser().parse_args(words)
+    task = getattr(options, "task", None)
+    assert task is None or task in PRESETS, page
+    design = getattr(options, "design", None)
+    assert design is None or (ROOT / design).is_file() or design in PRESETS, page
+    agent = getattr(options, "agent", None)
+    assert agent is None or "/" in agent or agent in pretrained_names(), page
+
+
+def test_the_commands_of_the_documents_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One after the other in one folder, as they use what the ones before have written."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("learn2assemble.viewer.server.serve", lambda *_: "")
+    for name in ("examples", "tests"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    (tmp_path / "README.md").write_text((ROOT / "README.md").read_text(encoding="utf-8"))
+    done = set()
+    for page, words in commands():
+        text = " ".join(words)
+        if text in done or any(word in text for word in TOO_LONG) or words[0] == "curves":
+            continue
+        done.add(text)
+        extra = [*TINY.get(words[0], [])]
+        if words[0] == "table" and "--from-files" not in words:
+            extra = ["--from-files"]
+        if words[0] == "train" and "--minutes" in words:
+            words = [
+                w for k, w in enumerate(words) if "--minutes" not in words[max(k - 1, 0) : k + 1]
+            ]
+        if "--resume" in words:
+            extra = []
+        if words[0] == "train" and "relational" not in text and "published" in text:
+            extra += ["--set", "network.rounds=1"]
+        out = tmp_path / words[words.index("--out") + 1] if "--out" in words else None
+        if out is not None and out.exists() and "--resume" not in words:
+            continue
+        assert main([*words, *extra]) == 0, (page, text, capsys.readouterr().err[-500:])
+
+
+def python_blocks() -> list[tuple[str, str]]:
+    return [
+        (page.name, block)
+        for page in PAGES
+        for kind, block in FENCE.findall(page.read_text(encoding="utf-8"))
+        if kind == "python"
+    ]
+
+
+@pytest.mark.parametrize(("page", "block"), python_blocks(), ids=lambda value: value[:30])
+def test_the_python_of_a_document_runs(
+    page: str, block: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    exec(compile(block, page, "exec"), {})
+
+
+def test_the_site_names_every_page_and_public_name() -> None:
+    import learn2assemble as l2a
+
+    site = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    for page in (ROOT / "docs").rglob("*.md"):
+        assert str(page.relative_to(ROOT / "docs")) in site
+    reference = (ROOT / "docs" / "reference.md").read_text(encoding="utf-8")
+    left = {"Learn2AssembleError", "Shape", "Simulator", "load_design"}
+    for name in set(l2a.__all__) - left:
+        home = l2a._HOME[name]
+        assert f"::: learn2assemble.{home}.{name}\n" in reference, name
