@@ -10,13 +10,11 @@ from learn2assemble.files import write_file
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.record import StepRecord
-from learn2assemble.viewer.drawings import chart_svg, elevation_svg, kind
 from learn2assemble.viewer.html import fact_list, fill, speed_options, stand_alone
 from learn2assemble.viewer.playback import Playback, arm_data
-from learn2assemble.viewer.scene import Scene, read_scene
+from learn2assemble.viewer.scene import Scene, chart_svg, elevation_svg, kind, read_scene
 from learn2assemble.viewer.words import (
     OUTCOME_WORDS,
-    STATUS_WORDS,
     arm_summary,
     block_names,
     caption,
@@ -176,7 +174,7 @@ def _render(plan: Plan, scene: Scene, playback: Playback | None) -> str:
         "what": "build plan",
         "title": escape(plan.design.name),
         "eyebrow": f'Build plan <span class="status {plan.status}">'
-        f"{STATUS_WORDS[plan.status]}</span>",
+        f"{plan.status.capitalize()}</span>",
         "summary": escape(summary(plan)) + _arm_words(playback),
         "reason": _reason(plan),
         "facts": _facts(plan),

@@ -29,15 +29,18 @@ from shapely.ops import unary_union
 
 from learn2assemble.files import write_file
 from learn2assemble.planning.plan import Plan
-from learn2assemble.viewer.drawings import (
+from learn2assemble.viewer.scene import (
     Mark,
+    Placed,
+    Scene,
     chart_marks,
     drawing_limits,
     elevation_marks,
+    hull,
     kind,
+    read_scene,
 )
-from learn2assemble.viewer.scene import Placed, Scene, hull, read_scene
-from learn2assemble.viewer.words import STATUS_WORDS, percent, placement, shares
+from learn2assemble.viewer.words import percent, placement, shares
 
 TO_VIEWER = np.array([-0.52, -1.0, 0.62]) / np.linalg.norm([-0.52, -1.0, 0.62])
 """float64[3]: unit direction from the structure to the viewer, world frame."""
@@ -343,7 +346,7 @@ def _draw_head(axes: Axes, plan: Plan) -> None:
     name = textwrap.shorten(" ".join(plan.design.name.split()), 72, placeholder=" …")
     write(axes, 0, 0.62, name, size=25, weight="bold")
     parts = [
-        STATUS_WORDS[plan.status],
+        plan.status.capitalize(),
         f"{plan.blocks.used} of {plan.blocks.available} blocks",
         f"{percent(plan.coverage)} of the target covered",
     ]

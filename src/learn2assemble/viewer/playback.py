@@ -323,13 +323,18 @@ def _glide(glide: Glide) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def glued_cells(record: BuildRecord) -> np.ndarray:
+    """int64[f, 2]: neighbouring cells of one object, between which there is a filler."""
+    owner = np.empty(record.num_cells, np.int64)
+    for number, cells in enumerate(record.objects):
+        owner[list(cells)] = number
+    return fillers(record.steps[0].before[:, :3], owner)
+
+
 def _fillers(playback: Playback, first: np.ndarray) -> list[dict[str, Any]]:
     """Between neighbouring cells of one object: both cells, and the middle in the first's frame."""
-    owner = np.empty(playback.record.num_cells, np.int64)
-    for number, cells in enumerate(playback.record.objects):
-        owner[list(cells)] = number
     found = []
-    for a, b in fillers(first[:, :3], owner).tolist():
+    for a, b in glued_cells(playback.record).tolist():
         gap = first[b, :3] - first[a, :3]
         x, y, _ = quaternion_matrix(first[a, 3:]).T @ gap
         found.append({"cell": a, "middle": _list(np.array([x / 2, y / 2, 0.0])),

@@ -18,11 +18,10 @@ from learn2assemble.files import unwritable
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.record import BuildRecord
-from learn2assemble.viewer.drawings import kind
 from learn2assemble.viewer.picture import ACCENT, COLOURS, INK, LINE, PAPER, RIM, SOFT, side_normal
 from learn2assemble.viewer.playback import Playback, Segment, extent
 from learn2assemble.viewer.renderer import Buffers, Camera, Light, blend_sheet, project, render
-from learn2assemble.viewer.scene import read_scene
+from learn2assemble.viewer.scene import kind, read_scene
 from learn2assemble.viewer.words import block_names, block_numbers, clock_words, stage_words
 from learn2assemble.viewer.workcell import body_poses, fill_box, rgb, workcell, write
 

@@ -15,11 +15,6 @@ _RELATIONS = {
     "front": "in front of",
     "behind": "behind",
 }
-STATUS_WORDS = {
-    "complete": "Complete",
-    "incomplete": "Incomplete",
-    "refused": "Refused",
-}
 
 
 def percent(share: float | None) -> str:

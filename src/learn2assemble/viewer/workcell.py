@@ -16,9 +16,8 @@ import numpy as np
 from matplotlib.font_manager import get_font
 
 from learn2assemble.geometry.rotations import quaternion_matrix
-from learn2assemble.robot.moves import fillers
 from learn2assemble.robot.shape import Mesh, box
-from learn2assemble.viewer.playback import Playback, split
+from learn2assemble.viewer.playback import Playback, glued_cells, split
 from learn2assemble.viewer.renderer import BLOCK, GROUND, LIT, NUMBER_SIZE, PLAIN, Triangles
 from learn2assemble.viewer.scene import Scene
 
@@ -181,7 +180,7 @@ def workcell(playback: Playback, scene: Scene, numbers: dict[int, int]) -> Workc
     cube, marks = _cube(edge)
     for cell in range(record.num_cells):
         all_cells.add(all_cells.body(), cube, BLOCK, marks, cell)
-    pairs = _fillers(playback, first)
+    pairs = glued_cells(record)
     for a, b in pairs.tolist():
         gap = float(np.linalg.norm(first[a, :3] - first[b, :3])) - edge
         half = np.array([max(gap, 0.0005), 0.98 * edge, 0.98 * edge]) / 2
@@ -259,10 +258,3 @@ def _table(playback: Playback, scene: Scene) -> Mesh:
     faces = np.column_stack([np.zeros(n), 1 + np.arange(n), 1 + (np.arange(n) + 1) % n])
     vertices = np.column_stack([flat, np.full(len(flat), -0.0004)])
     return Mesh(vertices, np.tile([0.0, 0.0, 1.0], (len(flat), 1)), faces.astype(np.int32))
-
-
-def _fillers(playback: Playback, first: np.ndarray) -> np.ndarray:
-    owner = np.empty(playback.record.num_cells, np.int64)
-    for number, cells in enumerate(playback.record.objects):
-        owner[list(cells)] = number
-    return fillers(first[:, :3], owner)
