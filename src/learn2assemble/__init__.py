@@ -16,13 +16,18 @@ from learn2assemble.registry import add_plugin
 if TYPE_CHECKING:
     from importlib.machinery import ModuleSpec
 
+    from learn2assemble.assembly.blocks import Assembly, Block
+    from learn2assemble.assembly.files import read_assembly
+    from learn2assemble.assembly.kit import Kit, load_kit
+    from learn2assemble.design.cells import CellDesign
+    from learn2assemble.design.cells import read_design as load_design
     from learn2assemble.errors import InputError, Learn2AssembleError
     from learn2assemble.evaluation.episodes import Evaluation, evaluate
     from learn2assemble.learning.config import Learner, TrainConfig, register_learner
     from learn2assemble.learning.run import TrainingRun, train
     from learn2assemble.networks.agent import Agent, load_agent
     from learn2assemble.networks.config import NetworkConfig, register_network
-    from learn2assemble.physics.rigid_blocks import check
+    from learn2assemble.physics.rigid_blocks import Check, check
     from learn2assemble.planning.build import build
     from learn2assemble.planning.plan import Plan, Step, load_plan
     from learn2assemble.robot.registry import register_arm
@@ -31,15 +36,19 @@ if TYPE_CHECKING:
     from learn2assemble.tasks import Task, get_task, register_task
     from learn2assemble.world.blocks import Shape, register_object_set
     from learn2assemble.world.design_bounds import Design
-    from learn2assemble.world.design_bounds import read_design as load_design
 
 __version__ = "0.1.0"
 
 _HOME = {
     "Agent": "networks.agent",
+    "Assembly": "assembly.blocks",
+    "Block": "assembly.blocks",
+    "CellDesign": "design.cells",
+    "Check": "physics.rigid_blocks",
     "Design": "world.design_bounds",
     "Evaluation": "evaluation.episodes",
     "InputError": "errors",
+    "Kit": "assembly.kit",
     "Learn2AssembleError": "errors",
     "Learner": "learning.config",
     "NetworkConfig": "networks.config",
@@ -54,10 +63,13 @@ _HOME = {
     "build": "planning.build",
     "check": "physics.rigid_blocks",
     "evaluate": "evaluation.episodes",
+    "export": "export.formats",
     "get_task": "tasks",
     "load_agent": "networks.agent",
-    "load_design": "world.design_bounds:read_design",
+    "load_design": "design.cells:read_design",
+    "load_kit": "assembly.kit",
     "load_plan": "planning.plan",
+    "read_assembly": "assembly.files",
     "register_arm": "robot.registry",
     "register_learner": "learning.config",
     "register_network": "networks.config",
@@ -70,9 +82,14 @@ _HOME = {
 
 __all__ = [
     "Agent",
+    "Assembly",
+    "Block",
+    "CellDesign",
+    "Check",
     "Design",
     "Evaluation",
     "InputError",
+    "Kit",
     "Learn2AssembleError",
     "Learner",
     "NetworkConfig",
@@ -87,10 +104,13 @@ __all__ = [
     "build",
     "check",
     "evaluate",
+    "export",
     "get_task",
     "load_agent",
     "load_design",
+    "load_kit",
     "load_plan",
+    "read_assembly",
     "register_arm",
     "register_learner",
     "register_network",
@@ -137,6 +157,7 @@ class _AfterGymnasium:
 
 add_plugin("learn2assemble.reproduction", "physics", "search model")
 add_plugin("learn2assemble.viewer", "export")
+add_plugin("learn2assemble.export", "export")
 if sys.modules.get("gymnasium") is None:
     sys.meta_path.insert(0, _AfterGymnasium)
 else:

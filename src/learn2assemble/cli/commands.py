@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from learn2assemble.cli.parser import Command, count, natural, number, positive, share
+from learn2assemble.cli.structures import COMMANDS as STRUCTURES
+from learn2assemble.cli.structures import friction, length, span_of
 from learn2assemble.errors import InputError
 from learn2assemble.files import claim_folder, to_plain, write_file
 from learn2assemble.registry import Registry
@@ -18,12 +21,14 @@ if TYPE_CHECKING:
     from learn2assemble.cli.output import Output
     from learn2assemble.planning.plan import Plan
 
+_READING = ("unit", "cell", "size", "up", "depth", "cells_wide")
+"""Options that say how to read a design file."""
 AGENT_HELP = "shipped agent, .safetensors or run folder"
 
 
 def register_command(commands: Registry[Command]) -> None:
     """Add the commands of the product."""
-    for name, command in _COMMANDS.items():
+    for name, command in {**_COMMANDS, **STRUCTURES}.items():
         commands.register(name, command)
 
 
@@ -62,8 +67,26 @@ def write_result(path: Path | None, result: dict[str, Any]) -> None:
 
 def _build_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("design", metavar="DESIGN", help="a design file, or the name of a task")
+    add("design", metavar="DESIGN", help="a drawing, picture, mesh, voxels, blocks, or a task")
     add("--out", type=Path, required=True, help="new or empty folder")
+    add("--planner", default="auto", help="exact, agent, or auto (the agent for tasks and arms)")
+    exact = parser.add_argument_group("exact planner (docs/building.md)")
+    exact.add_argument("--kit", default=None, help="name or .toml file (the design's own)")
+    exact.add_argument("--unit", default=None, help="of the file where it does not say: mm, cm, m")
+    exact.add_argument("--cell", type=length, default=None, help="edge of a cell (the kit's)")
+    exact.add_argument("--size", type=length, default=None, help="largest side, instead of a unit")
+    exact.add_argument("--up", default=None, help="the axis that points up: y or z")
+    exact.add_argument("--depth", type=length, default=None, help="of the wall of a drawing")
+    exact.add_argument("--cells-wide", type=count, default=None, help="of a drawing or picture")
+    exact.add_argument(
+        "--friction", type=span_of(friction), default=None, metavar="MU[:MU]",
+        help="prove every step for this coefficient or range (the kit's)",
+    )  # fmt: skip
+    exact.add_argument(
+        "--gap", type=span_of(length), default=None, metavar="W[:W]",
+        help="width of vertical joints or range of it, e.g. 0:0.5mm (the kit's)",
+    )  # fmt: skip
+    exact.add_argument("--no-props", action="store_true", help="refuse temporary blocks")
     add("--arm", default=None, help=f"an arm builds it: {' or '.join(ARMS)}")
     add(
         "--layout", type=Path, default=None, metavar="FILE",
@@ -75,7 +98,10 @@ def _build_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     add("--seed", type=natural, default=0, help="of the search and of a task's problem")
     add("--agent", default=None, help=AGENT_HELP)
-    add("--seconds", type=positive, default=20.0, help="limit of the widest search [s]")
+    add(
+        "--seconds", type=positive, default=None,
+        help="limit of planning and proof (60), or of the agent's widest search (20)",
+    )  # fmt: skip
 
 
 def _build(options: argparse.Namespace, output: Output) -> int:
@@ -83,14 +109,18 @@ def _build(options: argparse.Namespace, output: Output) -> int:
     from learn2assemble.planning.build import build, builds_with_arm
 
     video = options.video and builds_with_arm(options.design, options.arm)
+    given = {name: getattr(options, name) for name in _READING}
+    reading = {name: value for name, value in given.items() if value is not None}
     if video:
         from learn2assemble.viewer.video import require_video
 
         require_video()  # What is missing shows before the work, not after it.
     with claim_folder(options.out):
         plan = build(
-            options.design, arm=options.arm, agent=options.agent, layout=options.layout,
-            seed=options.seed, seconds=options.seconds, progress=output.progress,
+            options.design, planner=options.planner, kit=options.kit, friction=options.friction,
+            gap=options.gap, props=not options.no_props, reading=reading, arm=options.arm,
+            agent=options.agent, layout=options.layout, seed=options.seed,
+            seconds=options.seconds, progress=output.progress,
         )  # fmt: skip
         files = plan.save(options.out, video=video, progress=output.progress)
     _print_plan(output, plan, files)
@@ -99,10 +129,30 @@ def _build(options: argparse.Namespace, output: Output) -> int:
 
 
 def _summary(plan: Plan) -> dict[str, Any]:
+    head = {"design": plan.design.name, "status": plan.status, "reason": plan.reason}
+    if plan.assembly is not None or plan.planner is not None:
+        cells = plan.cells
+        return {
+            **head,
+            "planner": plan.planner,
+            "kit": plan.kit,
+            "blocks": plan.blocks.used,
+            "props": sum(step.prop and step.action == "place" for step in plan.steps),
+            "steps": len(plan.steps),
+            "cells_wanted": cells and cells.wanted,
+            "cells_missing": cells and cells.missing,
+            "cells_outside": cells and cells.outside,
+            "iou": plan.design.iou,
+            "volume_error": plan.design.volume_error,
+            "planning_s": plan.planning_s,
+            "proof_s": plan.proof_s,
+            "seconds": plan.seconds,
+            "margin_g": plan.margin_g,
+            "friction_range": plan.friction_range,
+            "gap_range": plan.gap_range,
+        }
     return {
-        "design": plan.design.name,
-        "status": plan.status,
-        "reason": plan.reason,
+        **head,
         "steps": len(plan.steps),
         "blocks_used": plan.blocks.used,
         "blocks_available": plan.blocks.available,
@@ -117,7 +167,40 @@ def _summary(plan: Plan) -> dict[str, Any]:
     }
 
 
+def _print_exact_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
+    """Blocks by kind, then what was filled and what is proven."""
+    counts = Counter(
+        (step.kind or "block", step.prop) for step in plan.steps if step.action == "place"
+    )
+    rows = [(kind, "prop" if prop else "", n) for (kind, prop), n in sorted(counts.items())]
+    output.table(plan.design.name, ("block", "", "number"), rows)
+    number = f"{plan.blocks.used} blocks, {len(plan.steps)} steps"
+    output.say(f"{plan.status}: {number}, {plan.planner} planner, {plan.seconds:.1f} s")
+    if plan.cells:
+        cells, design = plan.cells, plan.design
+        shape = "" if design.iou is None else f"; {design.iou:.0%} of drawing and cells are common"
+        output.say(
+            f"cells: {cells.wanted} wanted, {cells.missing} open, {cells.outside} outside{shape}"
+        )
+    if plan.steps and plan.margin_g is not None:
+        output.say(f"every step is proven; the weakest withstands {plan.margin_g:.3f} g sideways")
+    if plan.complete and plan.friction_range and plan.gap_range:
+        (low, high), (narrow, wide) = plan.friction_range, plan.gap_range
+        upper = "more" if high >= 100 else f"{high:g}"
+        output.say(
+            f"proven for friction {low:g} to {upper} and vertical joints of {narrow * 1e3:g} to "
+            f"{wide * 1e3:g} mm"
+        )
+    if plan.reason:
+        output.say(f"why: {plan.reason}")
+    for what, path in files.items():
+        output.say(f"{what}: {path}")
+
+
 def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
+    if plan.planner == "exact":
+        _print_exact_plan(output, plan, files)
+        return
     how = ("grasped", "put down", "outcome") if plan.arm else ("stable",)
     output.table(
         plan.design.name,

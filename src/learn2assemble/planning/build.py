@@ -1,10 +1,16 @@
-"""The main job: from a design to a plan, every step of which is proven or carried out by an arm."""
+"""The main job: from a design to a plan, every step of which is proven or carried out by an arm.
+
+Without an arm the exact planner (:mod:`.construct`) fills the cells of any design with the blocks
+of a kit; the learned agent with its search plans the tasks of the paper, everything an arm builds,
+and elevations where it is asked to.
+"""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.files import MAX_BYTES, read_json
@@ -13,6 +19,9 @@ from learn2assemble.robot.registry import ARMS
 from learn2assemble.tasks import PRESETS, check_actions, get_task
 
 if TYPE_CHECKING:
+    from learn2assemble.assembly.blocks import Assembly
+    from learn2assemble.assembly.kit import Kit
+    from learn2assemble.design.cells import CellDesign
     from learn2assemble.networks.agent import Agent
     from learn2assemble.planning.discover import Progress, Sequence
     from learn2assemble.planning.problem import Problem
@@ -20,35 +29,56 @@ if TYPE_CHECKING:
     from learn2assemble.planning.verify import Proof
     from learn2assemble.world.design_bounds import Design
 
+PLANNERS = ("auto", "exact", "agent")
+AGENT_SECONDS, EXACT_SECONDS = 20.0, 60.0
+"""Limits of the agent's widest search, and of the exact planner with its proof [s]."""
 DEFAULT_AGENT_TASK = "two-sided-3x3-20-24"
 DEFAULT_ARM_TASKS = ("robot-two-sided-3x3-10-14", "robot-four-sided-3x3-10-18")
 """With an arm: walls, and what has more than two sides."""
 
 
 def build(
-    design: str | Path | Design,
+    design: str | Path | Design | CellDesign | Assembly,
     *,
+    planner: str = "auto",
+    kit: str | Kit | None = None,
+    friction: float | tuple[float, float] | None = None,
+    gap: float | tuple[float, float] | None = None,
+    props: bool = True,
+    reading: Mapping[str, Any] | None = None,
     arm: str | None = None,
     agent: str | Agent | None = None,
     layout: str | Path | Layout | None = None,
     seed: int = 0,
-    seconds: float = 20.0,
+    seconds: float | None = None,
     progress: Progress = lambda text: None,
 ) -> Plan:
     """Plan a design and prove every step.
 
-    Without an arm every step is proven by rigid-body simulation. With one, the simulated arm
-    carries the plan out; after an attempt that fails, the rest is planned anew.
+    Without an arm the exact planner chooses the blocks and their order, and every state is proven
+    to be in static equilibrium. With an arm, the agent plans and the simulated arm carries the plan
+    out; after an attempt that fails, the rest is planned anew.
 
     Args:
-        design: a design, its file, or the name of a task, of which a random problem is built.
+        design: a design or its file (``docs/design_files.md``), an assembly of given blocks, or the
+            name of a task, of which a random problem is built.
+        planner: ``"exact"``, ``"agent"`` (elevations and tasks only), or ``"auto"``: the agent for
+            tasks and with an arm, else exact.
+        kit: for the exact planner, a kit, its name or its file; by default the one the design
+            names, else ``bricks-lintels``.
+        friction: coefficient, or the range to prove every step for; by default the kit's.
+        gap: width of vertical joints [m], or the range to prove every step for.
+        props: whether the exact planner may use temporary blocks.
+        reading: how to read a file that does not say it: keyword arguments of
+            :func:`learn2assemble.design.cells.read_design` such as ``unit`` and ``cells_wide``.
         arm: name of the arm that builds; by default none, for a task its own.
         agent: proposes the placements: an agent, a shipped one by name, a ``.safetensors`` file or
             the folder of a training; by default one that knows problems like this.
         layout: where the blocks wait for the arm (``docs/layouts.md``); by default around the
             building site.
         seed: of the search, and of the problem of a task.
-        seconds: limit of the widest search [s].
+        seconds: limit of planning and proof, or of the agent's widest search [s]; by default
+            60 and 20.
         progress: called with a line of text for everything that takes long.
 
     Returns:
@@ -58,8 +88,23 @@ def build(
         InputError: for a design, arm, agent or layout that cannot be used.
     """
     # What can be refused at once comes before the libraries that take seconds to load.
+    if planner not in PLANNERS:
+        raise UnknownNameError("planner", planner, PLANNERS)
+    exact = uses_exact_planner(design, planner, arm)
+    if exact:
+        if arm is not None:
+            raise InputError("arm", arm, "none with the exact planner (--planner agent)")
+        return _build_exact(
+            design, kit, friction, gap, props, dict(reading or {}),
+            EXACT_SECONDS if seconds is None else seconds, progress,
+        )  # fmt: skip
+    if not isinstance(design, str | Path) and not hasattr(design, "elevations"):
+        raise InputError("planner", planner, "exact, for a design without elevations")
+    if kit is not None or friction is not None or gap is not None or not props or reading:
+        raise InputError("kit, friction, gap, props or reading", "given", "the exact planner")
+    seconds = AGENT_SECONDS if seconds is None else seconds
     _check_names(design, arm, layout)
-    problem, source, places = _problem(design, seed, arm, layout)
+    problem, source, places = _problem(cast("str | Path | Design", design), seed, arm, layout)
     from learn2assemble.networks.agent import default_agent, load_agent, one_thread
 
     if agent is None or isinstance(agent, str):
@@ -83,6 +128,48 @@ def build(
         return build_with_arm(
             problem, agent, source, real_cell(chosen), seed=seed, seconds=seconds, progress=progress
         )
+
+
+def uses_exact_planner(design: object, planner: str = "auto", arm: str | None = None) -> bool:
+    """Whether :func:`build` with these arguments plans exactly."""
+    task = isinstance(design, str) and design in PRESETS
+    return planner == "exact" or (planner == "auto" and arm is None and not task)
+
+
+def _build_exact(
+    design: object, kit: Any, friction: Any, gap: Any, props: bool, reading: dict[str, Any],
+    seconds: float, progress: Progress,
+) -> Plan:  # fmt: skip
+    from learn2assemble.assembly.blocks import Assembly
+    from learn2assemble.assembly.kit import load_kit
+    from learn2assemble.design.cells import CellDesign, read_design
+    from learn2assemble.planning.construct import plan_assembly, plan_cells
+
+    if isinstance(design, str) and design in PRESETS:
+        raise InputError("planner", "exact", f"agent, for the task {design}")
+    if isinstance(kit, str | Path):
+        kit = load_kit(str(kit))
+    source = ""
+    if isinstance(design, str | Path):
+        path = Path(design)
+        if path.suffix == "" and not path.exists():
+            raise UnknownNameError("design", str(design), PRESETS)
+        source = path.name
+        cell = reading.pop("cell", None) or (None if kit is None else kit.pitch)
+        design = read_design(path, cell=cell, **reading)
+    elif reading:
+        raise InputError("reading", sorted(reading), "a design file, which it tells how to read")
+    if isinstance(design, Assembly):
+        if kit is not None or isinstance(friction, tuple) or gap is not None:
+            raise InputError("kit, gap or a range of friction", "given", "a design of cells")
+        return plan_assembly(
+            design, friction=friction, seconds=seconds, progress=progress, source=source
+        )
+    if not isinstance(design, CellDesign):
+        raise InputError("design", type(design).__name__, "a file, cells or an assembly")
+    return plan_cells(
+        design, kit, friction=friction, gap=gap, props=props, seconds=seconds, progress=progress
+    )
 
 
 def _check_names(design: object, arm: str | None, layout: object) -> None:

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Collection, Sequence
 from html import escape
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,9 @@ from learn2assemble.viewer.html import (
     stand_alone,
     to_base64,
 )
+
+if TYPE_CHECKING:
+    from learn2assemble.planning.plan import Plan
 
 PALETTE = (
     "#c96f4a", "#ecca90", "#8fae7a", "#b98bb0", "#d8a13f", "#7f9fa3", "#a88468", "#c7cf8b",
@@ -455,3 +458,36 @@ def _toggles(joints: dict[str, Any] | None) -> str:
 def _round(value: float) -> float:
     """To a micrometre."""
     return round(float(value), 6) + 0.0
+
+
+def write_plan_page(plan: Plan, path: Path) -> None:
+    """The page of an exact plan: what was filled, what is proven, and every step.
+
+    Raises:
+        InputError: where ``path`` cannot be written.
+    """
+    assert plan.assembly is not None
+    facts = [("planner", plan.planner or ""), ("kit", plan.kit or "")]
+    facts += [("blocks", str(plan.blocks.used)), ("steps", str(len(plan.steps)))]
+    props = sum(step.prop and step.action == "place" for step in plan.steps)
+    facts.append(("props", str(props)))
+    if plan.cells is not None:
+        cells = plan.cells
+        words = f"{cells.wanted} wanted, {cells.missing} open, {cells.outside} outside"
+        facts.append(("cells", words))
+    if plan.design.iou is not None:
+        facts.append(("drawing and cells in common", f"{plan.design.iou:.1%}"))
+    if plan.margin_g is not None:
+        facts.append(("weakest step withstands", f"{plan.margin_g:.3f} g sideways"))
+    if plan.complete and plan.gap_range is not None:
+        low, high = plan.gap_range
+        facts.append(("proven for joints", f"{low * 1e3:g} to {high * 1e3:g} mm"))
+    if plan.complete and plan.friction_range is not None:
+        low, high = plan.friction_range
+        upper = "more" if high >= 100 else f"{high:g}"
+        facts.append(("proven for friction", f"{low:g} to {upper}"))
+    write_assembly_page(
+        path, plan.assembly, title=plan.design.name, facts=[(a, b) for a, b in facts if b],
+        step_notes=[StepNote(step.proof or "", step.margin_g) for step in plan.steps],
+        status=plan.status, reason=plan.reason or "",
+    )  # fmt: skip

@@ -1,0 +1,143 @@
+"""Commands on assemblies of blocks: whether one stands, and one as files of other programs."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from learn2assemble.cli.parser import Command, number
+from learn2assemble.errors import InputError
+from learn2assemble.files import claim_folder
+
+if TYPE_CHECKING:
+    from learn2assemble.cli.output import Output
+
+FALLS = 1
+"""Exit code of ``l2a check`` where the assembly falls."""
+_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+
+
+def length(text: str) -> float:
+    """A length with its unit, ``0.5mm`` or ``3 cm``; a bare number is metres."""
+    body = text.strip()
+    for unit in ("mm", "cm", "in", "m"):
+        if body.endswith(unit):
+            body, scale = body.removesuffix(unit), _UNITS[unit]
+            break
+    else:
+        scale = 1.0
+    try:
+        value = float(body) * scale
+    except ValueError:
+        value = -1.0
+    if not 0 <= value <= 1e3:
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected a length such as 0.5mm")
+    return value
+
+
+def span_of(parse: Any) -> Any:
+    """An argparse type for one value or a range of two, ``LOW:HIGH``.
+
+    A unit may stand behind the last only: ``0:0.5mm``.
+    """
+
+    def parse_span(text: str) -> Any:
+        low, colon, high = text.partition(":")
+        if not colon:
+            return parse(low)
+        unit = high.lstrip("0123456789.+-eE ") if parse is length else ""
+        first = parse(low if low.endswith(unit) else low + unit)
+        second = parse(high)
+        if first > second:
+            raise argparse.ArgumentTypeError(f"got {text!r}, expected LOW:HIGH")
+        return first, second
+
+    return parse_span
+
+
+friction = number(float, 0, 10, "a coefficient of friction from 0 to 10")
+
+
+def _check_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("file", metavar="FILE", type=Path, help="assembly JSON, COMPAS JSON, meshes or a folder")
+    add("--friction", type=friction, default=None, help="instead of the file's coefficient")
+    add("--unit", default="m", choices=tuple(_UNITS), help="of the coordinates in meshes")
+    add("--out", type=Path, default=None, metavar="DIR", help="write a page with the forces there")
+
+
+def _check(options: argparse.Namespace, output: Output) -> int:
+    """Exit code 0 where it stands, if only with tight joints, and 1 where it falls."""
+    from learn2assemble.assembly.files import read_assembly
+    from learn2assemble.physics.rigid_blocks import check
+
+    assembly = read_assembly(options.file, unit=_UNITS[options.unit])
+    found = check(assembly, friction=options.friction)
+    rows = [
+        ("margin", f"{found.margin_g:.3f} g sideways, {found.tilt:.1f} degrees of tilt"),
+        ("holding force", f"{found.holding_force:.4g} N"),
+        ("moves first", ", ".join(found.moving[:8]) or "-"),
+        ("blocks", found.blocks), ("contacts", len(found.contacts.a)),
+        ("seconds", f"{found.seconds:.2f}"),
+    ]  # fmt: skip
+    output.table(f"{options.file.name}: {found.verdict}", ("quantity", "value"), rows)
+    files: dict[str, str] = {}
+    if options.out is not None:
+        from learn2assemble.viewer.assembly_page import write_assembly_page
+
+        with claim_folder(options.out):
+            page = options.out / "view.html"
+            write_assembly_page(
+                page, assembly.finished, title=assembly.name or options.file.stem,
+                facts=[(name, str(value)) for name, value in rows], moving=found.moving,
+                forces=(found.contacts, found.forces), status=found.verdict,
+            )  # fmt: skip
+        files["page"] = str(page)
+        output.say(f"page: {page}")
+    output.finish({
+        "verdict": found.verdict, "margin_g": found.margin_g, "tilt_deg": found.tilt,
+        "holding_force": found.holding_force, "moves_first": list(found.moving),
+        "blocks": found.blocks, "contacts": len(found.contacts.a),
+        "seconds": round(found.seconds, 3), "files": files,
+    })  # fmt: skip
+    return FALLS if found.verdict == "falls" else 0
+
+
+def _export_arguments(parser: argparse.ArgumentParser) -> None:
+    from learn2assemble.export.formats import FORMATS
+
+    add = parser.add_argument
+    add("plan", metavar="PLAN", type=Path, help="folder of a plan, its plan.json, or an assembly")
+    add("--format", required=True, help=f"{', '.join(FORMATS)}")
+    add("--out", type=Path, default=Path(), metavar="PATH", help="file or folder (here)")
+
+
+def _export(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.assembly.files import read_assembly
+    from learn2assemble.export.formats import FORMATS, export
+
+    FORMATS[options.format]  # A wrong name is refused before anything is read.
+    path: Path = options.plan
+    if path.is_dir():
+        path = path / "assembly.json"
+    elif path.name == "plan.json":
+        path = path.with_name("assembly.json")
+    if not path.exists():
+        expected = "a plan that l2a build made without an arm, or an assembly"
+        raise InputError("PLAN", str(options.plan), expected)
+    written = export(read_assembly(path), options.format, options.out)
+    output.say(f"{options.format}: {written}")
+    output.finish({"format": options.format, "file": str(written)})
+
+
+COMMANDS = {
+    "check": Command(
+        "whether an assembly of blocks stands, and what moves first",
+        "l2a check wall.json --out out/check", _check_arguments, _check,
+    ),
+    "export": Command(
+        "a plan's structure as GLB, MJCF, COMPAS, bill of blocks or step cards",
+        "l2a export out/house --format glb", _export_arguments, _export,
+    ),
+}  # fmt: skip

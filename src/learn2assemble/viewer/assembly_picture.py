@@ -1,0 +1,151 @@
+"""How an assembly grows, as one picture: the structure after some of its steps."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+from learn2assemble.assembly.blocks import Assembly, convex_parts
+from learn2assemble.files import write_file
+from learn2assemble.viewer.renderer import (
+    BLOCK,
+    GROUND,
+    LIT,
+    NUMBER_SIZE,
+    Buffers,
+    Camera,
+    Light,
+    Triangles,
+    render,
+)
+
+MOMENTS, COLUMNS = 6, 3
+WIDTH, HEIGHT = 480, 400
+"""Of the picture of one moment [px]."""
+SKY, RIM, TABLE = (246, 245, 242), (60, 52, 46), (232, 228, 220)
+PROP, PLAIN = (120, 170, 220), (201, 138, 88)
+_VIEW = np.array([1.0, -1.6, 0.9])
+_SUN = np.array([0.45, -0.55, 0.9])
+_FOCAL = 2.2
+"""Focal length in picture widths."""
+
+
+def write_assembly_progress(assembly: Assembly, path: Path) -> None:
+    """Write a PNG of the structure after up to six of its steps, the last one among them.
+
+    Args:
+        assembly: with steps; without them all blocks are shown once.
+
+    Raises:
+        InputError: where the file cannot be written.
+    """
+    from PIL import Image, ImageDraw, ImageFont
+
+    steps = len(assembly.steps)
+    moments = np.unique(np.rint(np.linspace(0, steps, MOMENTS + 1))[1:].astype(int))
+    moments = moments[moments > 0] if steps else np.zeros(1, int)
+    columns = min(COLUMNS, len(moments))
+    rows = -(-len(moments) // columns)
+    sheet = Image.new("RGB", (columns * WIDTH, rows * HEIGHT), SKY)
+    font = ImageFont.load_default(18)
+    triangles, colour = _triangles(assembly)
+    buffers = Buffers(triangles, WIDTH, HEIGHT)
+    bodies = len(assembly.blocks) + 1
+    place, turn = np.zeros((bodies, 3)), np.tile(np.eye(3), (bodies, 1, 1))
+    camera, light = _camera(assembly), _light(assembly)
+    for number, step in enumerate(moments.tolist()):
+        shown = np.append(_standing(assembly, step), True)
+        picture = render(
+            triangles, buffers, camera, light, place, turn, shown, colour,
+            np.array(SKY, np.float32), np.array(RIM, np.float32),
+            np.zeros((1, NUMBER_SIZE, NUMBER_SIZE), np.float32),
+        )  # fmt: skip
+        corner = (number % columns * WIDTH, number // columns * HEIGHT)
+        sheet.paste(Image.fromarray(picture), corner)
+        text = f"after step {step} of {steps}" if steps else assembly.name
+        at = (corner[0] + 14, corner[1] + 12)
+        ImageDraw.Draw(sheet).text(at, text, fill=RIM, font=font)
+    out = io.BytesIO()
+    sheet.save(out, "PNG")
+    write_file(path, out.getvalue(), "picture")
+
+
+def _standing(assembly: Assembly, count: int) -> np.ndarray:
+    """bool[B]: what stands after ``count`` steps."""
+    if not assembly.steps:
+        return np.ones(len(assembly.blocks), bool)
+    placed = {step.place for step in assembly.steps}
+    there = np.array([block.id not in placed for block in assembly.blocks])
+    for step in assembly.steps[:count]:
+        there[assembly.index(step.place or step.remove or "")] = step.place is not None
+    return there
+
+
+def _triangles(assembly: Assembly) -> tuple[Triangles, np.ndarray]:
+    """One body a block, then the table; colours float32[B + 1, 3]."""
+    columns: tuple[list[np.ndarray], ...] = tuple([] for _ in range(6))
+    count = 0
+
+    def add(corners: np.ndarray, body: int, kind: int) -> None:
+        nonlocal count
+        normal = np.cross(corners, np.roll(corners, -1, 0)).sum(0)
+        length = np.linalg.norm(normal)
+        if not length > 0:
+            return
+        n = len(corners)
+        # Four corners carry the marks at which the renderer draws the rim of a face.
+        rim = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]) if n == 4 else np.full((n, 2), 0.5)
+        fan = np.array([(0, k, k + 1) for k in range(1, n - 1)])
+        values = (
+            corners, np.tile(normal / length, (n, 1)), rim, np.full(n, body), fan + count,
+            np.full(n - 2, kind),
+        )  # fmt: skip
+        for column, value in zip(columns, values, strict=True):
+            column.append(value)
+        count += n
+
+    for number, block in enumerate(assembly.blocks):
+        for part in convex_parts(block):
+            for face in part.faces:
+                add(part.vertices[list(face)], number, BLOCK if len(face) == 4 else LIT)
+    low, high = _bounds(assembly)
+    (x0, y0), (x1, y1) = low[:2] - (high - low).max(), high[:2] + (high - low).max()
+    table = np.array([[x0, y0, 0], [x1, y0, 0], [x1, y1, 0], [x0, y1, 0]]) - [0, 0, 1e-4]
+    add(table, len(assembly.blocks), GROUND)
+    kinds = (np.float32, np.float32, np.float32, np.int32, np.int32, np.uint8)
+    joined = [np.concatenate(c).astype(k) for c, k in zip(columns, kinds, strict=True)]
+    colours = [PROP if block.prop else block.colour or PLAIN for block in assembly.blocks]
+    none = np.full(len(joined[5]), -1, np.int32)
+    return Triangles(*joined, none), np.array([*colours, TABLE], np.float32)
+
+
+def _bounds(assembly: Assembly) -> tuple[np.ndarray, np.ndarray]:
+    points = np.concatenate([block.vertices for block in assembly.blocks])
+    return points.min(0), points.max(0)
+
+
+def _camera(assembly: Assembly) -> Camera:
+    low, high = _bounds(assembly)
+    centre, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+    back = _VIEW / np.linalg.norm(_VIEW)
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right /= np.linalg.norm(right)
+    down = np.cross(right, back)
+    focal = _FOCAL * WIDTH
+    distance = radius * (1.15 * focal / (min(WIDTH, HEIGHT) / 2))
+    middle = np.array([WIDTH / 2, HEIGHT / 2 + 14])
+    return Camera(centre + distance * back, np.stack([right, down, -back]), focal, middle)
+
+
+def _light(assembly: Assembly) -> Light:
+    sun = _SUN / np.linalg.norm(_SUN)
+    right = np.cross([0.0, 0.0, 1.0], sun)
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(sun, right), sun])
+    low, high = _bounds(assembly)
+    corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T @ axes[:2].T
+    start, end = corners.min(0), corners.max(0)
+    margin = 0.1 * float((end - start).max())
+    return Light(axes, start - margin, float((end - start).max()) + 2 * margin)
