@@ -278,12 +278,19 @@ def _place_all(
     filled[:] = False
     left = sorted(range(len(blocks)), key=lambda b: (blocks[b].origin[::-1], b))
     level, progress = 0, True
+
+    def gone() -> np.ndarray:
+        """bool[N]: props that have been taken away, which nothing needs to wait for."""
+        away = np.zeros(len(blocks), bool)
+        away[[step.remove for step in steps if step.remove is not None]] = True
+        return away
+
     while left and progress:
         progress = False
         for b in list(left):
             if site.clock.left <= 0 or site.timed_out:
                 return (), "time"
-            if not site.placed[below[b]].all():
+            if not (site.placed | gone())[below[b]].all():
                 continue
             filled[tuple(cells[b].T)] = True
             trapped = [p for p in enclosed if site.placed[p] and not _leaves(filled, cells[p])]
@@ -300,7 +307,8 @@ def _place_all(
                 level = blocks[b].origin[2]
                 site.raise_margins()
             steps.append(OrderedStep(b, None, method, site.margin()))
-    return tuple(b for b in left if site.placed[below[b]].all()), "complete"
+    ready = tuple(b for b in left if (site.placed | gone())[below[b]].all())
+    return ready or tuple(left), "complete"
 
 
 def _leaves(filled: np.ndarray, cells: np.ndarray) -> bool:
