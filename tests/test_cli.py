@@ -304,8 +304,8 @@ def test_build_of_what_cannot_be_built_exits_with_1(l2a: Call, agent: Path, tmp_
 @pytest.mark.skipif(not pretrained_names(), reason="no agent is shipped")
 @pytest.mark.parametrize("design", ["stepped_tower", "pyramid"])
 def test_build_with_the_shipped_agent(l2a: Call, tmp_path: Path, design: str) -> None:
-    words = ["build", DESIGNS / f"{design}.json", "--out", tmp_path / "out", "--json"]
-    result = l2a(*words)
+    words = ["build", DESIGNS / f"{design}.json", "--planner", "agent", "--json"]
+    result = l2a(*words, "--out", tmp_path / "out")
     assert result.code == 0
     assert result.json()["agent"] in pretrained_names()
 

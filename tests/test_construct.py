@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import learn2assemble as l2a
 from learn2assemble.assembly.blocks import Assembly, Step, box_block
+from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign, read_design
 from learn2assemble.planning.construct import plan_assembly, plan_cells
 from learn2assemble.planning.plan import Plan
@@ -103,3 +106,66 @@ def test_blocks_that_fall_are_not_called_complete() -> None:
     plan = plan_assembly(leaning)
     assert plan.status == "incomplete"
     assert [step.block for step in plan.steps] == [0]
+
+
+# ---------------------------------------------------------------- command line and public face
+
+
+def test_build_check_and_export_from_the_command_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A drawing becomes a folder of files; what stands in them stands; it is exported."""
+    out = tmp_path / "gate"
+    assert main(["build", str(DESIGNS / "gate.svg"), "--out", str(out), "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    keys = "status planner blocks props cells_wanted cells_missing cells_outside planning_s proof_s"
+    assert {*keys.split(), "seconds", "margin_g", "reason", "files"} <= set(summary)
+    assert summary["status"] == "complete"
+    assert (summary["cells_missing"], summary["cells_outside"]) == (0, 0)
+    names = {"assembly.json", "bill.csv", "cards.html", "plan.json", "progress.png", "view.html"}
+    assert {path.name for path in out.iterdir()} == names
+    assert main(["check", str(out / "assembly.json"), "--json"]) == 0
+    verdict = json.loads(capsys.readouterr().out)
+    assert verdict["verdict"] == "stands"
+    assert verdict["blocks"] == summary["blocks"]
+    assert main(["export", str(out), "--format", "glb", "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "structure.glb").stat().st_size > 1000
+    loaded = l2a.load_plan(out)
+    assert loaded.assembly is not None
+    assert len(loaded.assembly.steps) == len(loaded.steps)
+
+
+def test_the_public_face_plans_a_drawing() -> None:
+    plan = l2a.build(DESIGNS / "h.svg", kit="bricks-lintels")
+    assert plan.complete
+    assert plan.planner == "exact"
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["{d}/h.svg", "--kit", "brick"], "did you mean 'bricks'"),
+        (["{d}/h.svg", "--planner", "exakt"], "did you mean 'exact'"),
+        (["{d}/h.svg", "--planner", "agent"], "JSON"),
+        (["{d}/h.svg", "--gap", "5"], "less than half the pitch"),
+        (["{d}/h.svg", "--gap", "1:0.5mm"], "LOW:HIGH"),
+        (["{d}/h.svg", "--friction", "-1"], "coefficient of friction"),
+        (["{d}/dome.stl"], "unit"),
+        (["{d}/dome.npy", "--unit", "mm"], "no such option for NPY"),
+        (["{d}/h.svg", "--planner", "exact", "--arm", "panda"], "none with the exact planner"),
+        (["two-sided-3x3-20-24", "--planner", "exact"], "agent, for the task"),
+    ],
+)
+def test_bad_calls_end_in_one_line(
+    words: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call = [word.replace("{d}", str(DESIGNS)) for word in words]
+    try:
+        code: object = main(["build", *call, "--out", str(tmp_path / "out")])
+    except SystemExit as leave:
+        code = leave.code
+    errors = [line for line in capsys.readouterr().err.splitlines() if "error:" in line]
+    assert code == 2
+    assert len(errors) == 1
+    assert told in errors[0]
+    assert not (tmp_path / "out").exists()

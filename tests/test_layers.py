@@ -40,11 +40,33 @@ ALLOWED: dict[str, set[str]] = {
     "envs": _TASK,
     "viewer": _WORLD | {"robot", "planning", "assembly"},
     "cli": _TASK
-    | {"networks", "search", "learning", "planning", "evaluation", "envs", "viewer", "__init__"},
+    | {
+        "networks",
+        "search",
+        "learning",
+        "planning",
+        "evaluation",
+        "envs",
+        "viewer",
+        "__init__",
+        "assembly",
+        "export",
+    },
     "reproduction": _TASK
     | {"networks", "search", "learning", "planning", "evaluation", "viewer", "cli"},
     "__main__": {"cli", "errors"},
-    "__init__": _TASK | {"networks", "search", "learning", "planning", "evaluation", "envs"},
+    "__init__": _TASK
+    | {
+        "networks",
+        "search",
+        "learning",
+        "planning",
+        "evaluation",
+        "envs",
+        "assembly",
+        "design",
+        "export",
+    },
 }
 """What each part may import, besides itself. ``__init__`` is the package as such."""
 

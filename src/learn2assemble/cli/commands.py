@@ -130,7 +130,7 @@ def _build(options: argparse.Namespace, output: Output) -> int:
 
 def _summary(plan: Plan) -> dict[str, Any]:
     head = {"design": plan.design.name, "status": plan.status, "reason": plan.reason}
-    if plan.assembly is not None or plan.planner is not None:
+    if plan.planner == "exact":
         cells = plan.cells
         return {
             **head,

@@ -63,7 +63,7 @@ def build(
         design: a design or its file (``docs/design_files.md``), an assembly of given blocks, or the
             name of a task, of which a random problem is built.
         planner: ``"exact"``, ``"agent"`` (elevations and tasks only), or ``"auto"``: the agent for
-            tasks and with an arm, else exact.
+            tasks, with an arm, and where an agent is named; else exact.
         kit: for the exact planner, a kit, its name or its file; by default the one the design
             names, else ``bricks-lintels``.
         friction: coefficient, or the range to prove every step for; by default the kit's.
@@ -90,10 +90,10 @@ def build(
     # What can be refused at once comes before the libraries that take seconds to load.
     if planner not in PLANNERS:
         raise UnknownNameError("planner", planner, PLANNERS)
-    exact = uses_exact_planner(design, planner, arm)
-    if exact:
-        if arm is not None:
-            raise InputError("arm", arm, "none with the exact planner (--planner agent)")
+    if uses_exact_planner(design, planner, arm, agent, layout):
+        if arm is not None or agent is not None or layout is not None:
+            got = arm or str(agent or layout)
+            raise InputError("arm, agent or layout", got, "none with the exact planner")
         return _build_exact(
             design, kit, friction, gap, props, dict(reading or {}),
             EXACT_SECONDS if seconds is None else seconds, progress,
@@ -130,10 +130,16 @@ def build(
         )
 
 
-def uses_exact_planner(design: object, planner: str = "auto", arm: str | None = None) -> bool:
+def uses_exact_planner(
+    design: object, planner: str = "auto", arm: object = None, agent: object = None,
+    layout: object = None,
+) -> bool:  # fmt: skip
     """Whether :func:`build` with these arguments plans exactly."""
+    if planner != "auto":
+        return planner == "exact"
     task = isinstance(design, str) and design in PRESETS
-    return planner == "exact" or (planner == "auto" and arm is None and not task)
+    elevations = hasattr(design, "elevations")
+    return not (task or elevations) and arm is None and agent is None and layout is None
 
 
 def _build_exact(

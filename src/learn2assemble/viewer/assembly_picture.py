@@ -118,7 +118,9 @@ def _triangles(assembly: Assembly) -> tuple[Triangles, np.ndarray]:
     joined = [np.concatenate(c).astype(k) for c, k in zip(columns, kinds, strict=True)]
     colours = [PROP if block.prop else block.colour or PLAIN for block in assembly.blocks]
     none = np.full(len(joined[5]), -1, np.int32)
-    return Triangles(*joined, none), np.array([*colours, TABLE], np.float32)
+    corners, normals, rims, body, faces, kind = joined
+    made = Triangles(corners, normals, rims, body, faces, kind, none)
+    return made, np.array([*colours, TABLE], np.float32)
 
 
 def _bounds(assembly: Assembly) -> tuple[np.ndarray, np.ndarray]:

@@ -243,6 +243,7 @@ class Design:
             the first block leaves, F_co of protocol 3.4, exceeds it.
         supports: whether blocks may stand outside every outline to carry others.
         description: free text.
+        kit: the blocks the exact planner uses; the agent plays with cubes.
 
     Raises:
         InputError: for a value outside its range, and for a design the first block already fills.
@@ -255,10 +256,13 @@ class Design:
     success_threshold: float = 0.975
     supports: bool = True
     description: str = ""
+    kit: str | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "elevations", tuple(self.elevations))
         check_text(self.name, "name", MAX_NAME)
+        if self.kit is not None:
+            check_text(self.kit, "kit", MAX_NAME)
         check_text(self.description, "description", MAX_DESCRIPTION, lines=True)
         if not 1 <= len(self.elevations) <= MAX_ELEVATIONS:
             raise InputError("elevations", f"{len(self.elevations)} of them", "1 to 4 elevations")
@@ -397,7 +401,7 @@ def _check_masks(design: Design) -> None:
 FORMAT, VERSION = "learn2assemble-design", 1
 _KEYS = (
     "format", "version", "name", "description", "units", "elevations", "blocks", "first_block",
-    "success_threshold", "supports",
+    "success_threshold", "supports", "kit",
 )  # fmt: skip
 _REQUIRED = ("format", "version", "name", "elevations")
 
@@ -432,6 +436,8 @@ def _design(value: Any, source: str) -> Design:
     if "success_threshold" in root:
         where = f"{source}: success_threshold"
         fields["success_threshold"] = number(root["success_threshold"], where)
+    if "kit" in root:
+        fields["kit"] = text(root["kit"], f"{source}: kit")
     if "supports" in root:
         if not isinstance(root["supports"], bool):
             raise InputError(f"{source}: supports", root["supports"], "true or false")

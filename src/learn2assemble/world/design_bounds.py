@@ -342,6 +342,8 @@ def dump_design(design: Design) -> str:
     if design.description:
         head["description"] = design.description
     head["units"] = "m"
+    if design.kit is not None:
+        head["kit"] = design.kit
     if design.num_blocks is not None:
         head["blocks"] = design.num_blocks
     head["first_block"] = {"elevation": design.first_elevation}
