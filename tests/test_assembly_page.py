@@ -137,6 +137,18 @@ def test_steps_of_props_and_supports() -> None:
     assert re.findall(r"<td>(block|prop|support)</td>", bill).count("block") == 2
 
 
+def test_a_prop_that_is_used_twice_stays_twice() -> None:
+    post, prop = with_prop().blocks[1:3]
+    steps = (Step("post"), Step("prop"), Step(remove="prop"), Step("prop"), Step(remove="prop"))
+    text = render_assembly_page(Assembly((post, prop), steps), title="x")
+    stays = [row[-3:] for row in page_data(text)["blocks"]]
+    assert stays == [[1, 0, "post"], [2, 3, "prop"], [4, 5, "prop"]]
+    actions = re.findall(r"<td>(place|remove)</td>", text)
+    assert actions == ["place", "place", "remove", "place", "remove"]
+    assert "1 block, " in text
+    assert "1 prop, 5 steps" in text
+
+
 def test_notes_joints_and_forces_are_those_given() -> None:
     assembly = wall(4, 2)
     contacts = find_contacts(assembly.finished)

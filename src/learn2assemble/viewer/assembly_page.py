@@ -54,7 +54,7 @@ class StepNote(NamedTuple):
 
 
 class _Part(NamedTuple):
-    """A block as the page knows it."""
+    """One stay of a block in the structure; only props may have several."""
 
     block: Block
     shape: int
@@ -122,8 +122,9 @@ def render_assembly_page(
         raise InputError("step_notes", len(step_notes), f"one for each of {len(steps)} steps")
     notes = [StepNote(*note) for note in step_notes] or [StepNote()] * len(steps)
     parts, shapes, layers = _parts(assembly)
-    by_id = {part.block.id: part for part in parts}
-    stepped = [by_id[str(step.place or step.remove)] for step in steps]
+    distinct = list({part.block.id: part for part in parts}.values())
+    of_step = {number: part for part in parts for number in (part.placed, part.removed)}
+    stepped = [of_step[number] for number in range(1, len(steps) + 1)]
     captions = [_start(parts), *map(_caption, range(1, len(steps) + 1), stepped, notes)]
     colours = _colours(parts, set(moving))
     kinds = list(dict.fromkeys(part.kind for part in parts))
@@ -135,7 +136,7 @@ def render_assembly_page(
         "captions": captions,
         "kinds": kinds,
         "colours": list(dict.fromkeys(colours)),
-        "layers": _layer_words(parts, layers),
+        "layers": _layer_words(distinct, layers),
         "shapes": _shape_data(shapes),
         "blocks": _block_data(parts, kinds, colours),
         "joints": _joints(forces) if forces is not None else None,
@@ -145,7 +146,7 @@ def render_assembly_page(
         "layer_box": _view_box(low, high, size),
         "layers": str(len(layers)),
         "last_layer": escape(data["layers"][-1]),
-        "bill": _bill(parts),
+        "bill": _bill(distinct),
         "steps": _rows(stepped, steps, notes),
     }
     count = str(len(steps))
@@ -158,7 +159,7 @@ def render_assembly_page(
         if status else "Assembly",
         "reason": f'<div class="reason" role="alert"><p>{escape(reason)}</p></div>'
         if reason else "",
-        "summary": escape(_summary(assembly, parts, low, high)),
+        "summary": escape(_summary(assembly, distinct, low, high)),
         "facts": fact_list((name, value, "") for name, value in facts),
         "body": "movable assembly" if steps else "fixed assembly",
         "shown": "the assembly",
@@ -178,14 +179,13 @@ def render_assembly_page(
 
 
 def _parts(assembly: Assembly) -> tuple[list[_Part], list[Block], list[float]]:
-    """The blocks, one block of every shape, and the heights at which layers begin [m]."""
-    placed, removed = {}, {}
+    """The stays of all blocks, one block of every shape, and where layers begin [m]."""
+    stays: dict[str, list[list[int]]] = {}
     for number, step in enumerate(assembly.steps, 1):
         if step.place is not None:
-            placed[step.place] = number
-            removed.pop(step.place, None)
+            stays.setdefault(step.place, []).append([number, 0])
         else:
-            removed[str(step.remove)] = number
+            stays[str(step.remove)][-1][1] = number
     bottoms = np.array([block.vertices[:, 2].min() for block in assembly.blocks])
     layers = _layers(bottoms, [float(np.ptp(block.vertices[:, 2])) for block in assembly.blocks])
     numbers: dict[Any, int] = {}
@@ -201,8 +201,8 @@ def _parts(assembly: Assembly) -> tuple[list[_Part], list[Block], list[float]]:
             numbers[key] = len(shapes)
             shapes.append(block)
         kind = block.kind or (_size_words(block) if len(unnamed) <= len(PALETTE) else "block")
-        history = placed.get(block.id, 0), removed.get(block.id, 0)
-        parts.append(_Part(block, numbers[key], origin, kind, layer, *history))
+        for placed, removed in stays.get(block.id, [[0, 0]]):
+            parts.append(_Part(block, numbers[key], origin, kind, layer, placed, removed))
     return parts, shapes, layers
 
 
