@@ -42,7 +42,7 @@ def network(seed: int, config: NetworkConfig = SMALL) -> Network:
 def look_ahead(simulator: Simulator, state: State) -> tuple[Placements, Outcomes]:
     """Every distinct placement and what it would bring."""
     graph = simulator.observe(state)
-    placements = distinct_placements(graph, simulator.ways)
+    placements = distinct_placements(graph, simulator.action_spec)
     return placements, simulator.outcomes(state, graph, placements)
 
 

@@ -506,7 +506,7 @@ def transcript(name: str) -> str:
         i, j, k = spaces.unflatten_action(env.task, action)
         relation, way = divmod(k, env.task.rotations)
         turned = f" after {way} quarter turns" if way else ""
-        if env.task.attitudes == "grips":
+        if env.task.action_mode == "grips":
             turned = f" by grip {way}"
         digits = 4 if env.task.reward == "scaled" else 0
         obs, reward, ended, _, info = env.step(action)

@@ -27,7 +27,7 @@ from turned import turned_graph
 
 PITCH = 0.06
 CUBES = Task(
-    "cubes", num_sides=4, grid=3, num_nodes=30, rotations=4, attitudes="grips", pitch=PITCH,
+    "cubes", num_sides=4, grid=3, num_nodes=30, rotations=4, action_mode="grips", pitch=PITCH,
     layout="slanted-rows", cover_filter="wide", normalise_initial=False,
 )  # fmt: skip
 TASKS = {
@@ -68,8 +68,8 @@ def test_surroundings_written_out(name: str, seed: int) -> None:
     way of the picking one; the attitudes are those of the arm."""
     simulator = SIMULATORS[name]
     state, graph = some_graph(simulator, seed)
-    placements = distinct_placements(graph, simulator.ways)
-    found = look_around(graph, placements, simulator.ways)
+    placements = distinct_placements(graph, simulator.action_spec)
+    found = look_around(graph, placements, simulator.action_spec)
     rng = np.random.default_rng(seed)
     for row in range(state.batch_size):
         targets, first = int(graph.num_targets[row]), int(node_offset(graph)[row, 0])
@@ -101,8 +101,8 @@ def test_without_a_gripper_hands_are_turned_with_the_object() -> None:
     """Objects that turn by themselves: the hand turns with them, and nothing is in its way."""
     simulator = SIMULATORS["turned"]
     _, graph = some_graph(simulator, 3)
-    placements = distinct_placements(graph, simulator.ways)
-    found = look_around(graph, placements, simulator.ways)
+    placements = distinct_placements(graph, simulator.action_spec)
+    found = look_around(graph, placements, simulator.action_spec)
     assert (found.around[found.around < AROUND] < 2 * OFFSETS).all()
     compared = 0
     for row in range(len(graph.num_nodes)):
@@ -134,9 +134,9 @@ def test_the_hand_turns_with_the_world(quarters: int, before: str, after: str, s
     network that is not told where in the world it is has the same Q."""
     state, graph = some_graph(EVEN, seed)
     turned = turned_graph(graph, 4, quarters)
-    ways = EVEN.ways
-    mine, theirs = (distinct_placements(g, ways) for g in (graph, turned.graph))
-    here, there = look_around(graph, mine, ways), look_around(turned.graph, theirs, ways)
+    spec = EVEN.action_spec
+    mine, theirs = (distinct_placements(g, spec) for g in (graph, turned.graph))
+    here, there = look_around(graph, mine, spec), look_around(turned.graph, theirs, spec)
     net = network(EDGE)
     assert net.hand is not None
     assert net.grip is not None
@@ -159,7 +159,7 @@ def test_the_hand_turns_with_the_world(quarters: int, before: str, after: str, s
 def network(pitch: float, hand: bool = True) -> PlacementNetwork:
     torch.manual_seed(0)
     config = NetworkConfig(
-        encoder="relational", width=16, rounds=1, num_actions=20, attitudes="grips", pitch=pitch,
+        encoder="relational", width=16, rounds=1, num_actions=20, action_mode="grips", pitch=pitch,
         hand=hand,
     )  # fmt: skip
     net = make_network(config)
@@ -181,17 +181,17 @@ def test_only_a_hand_tells_beside_from_behind() -> None:
     fingers close beside and one that they close before, though the arm can only do one of them."""
     simulator = Simulator(CUBES.replace(arm="panda"))
     graph = simulator.observe(alike(simulator))
-    placements = distinct_placements(graph, simulator.ways)
+    placements = distinct_placements(graph, simulator.action_spec)
     # Relations: 2 is right of the block, 4 behind it; way 0 closes the fingers along y.
-    ways = {relation: 4 * relation for relation in (2, 4)}
-    number = {r: placements.action[0, :, 2].tolist().index(k) for r, k in ways.items()}
+    spec = {relation: 4 * relation for relation in (2, 4)}
+    number = {r: placements.action[0, :, 2].tolist().index(k) for r, k in spec.items()}
     with torch.no_grad():
         old = network(PITCH, hand=False)(to_tensors(graph)).q[0]
         new = network(PITCH)(to_tensors(graph)).q[0]
     assert float(old[number[2]]) == pytest.approx(float(old[number[4]]), abs=1e-5)
     assert abs(float(new[number[2]] - new[number[4]])) > 1e-3
     outcomes = {}
-    for relation, action in ways.items():
+    for relation, action in spec.items():
         step = simulator.step(alike(simulator), np.array([[0, 0, action]]))
         outcomes[relation] = int(step.verdict[0])
     assert outcomes[2] == 0
@@ -207,15 +207,15 @@ def test_of_like_objects_a_hand_takes_one_it_can_get_at() -> None:
     nodes[0, 3, :3] = [0.0, 0.0, EDGE / 2]
     object_id = np.array([[-1, -1, -1, 0, 1, 2, 3, 3]], np.int32)
     graph = Graph(nodes, object_id, *(np.array([n]) for n in (3, 1, 8)))
-    found = distinct_placements(graph, simulator.ways)
+    found = distinct_placements(graph, simulator.action_spec)
     chosen = {(int(w) % 4, int(block)) for block, _, w in found.action[0] if block < 6}
     # A closes along y, where nothing is; B along x, where the pair is in the way.
     assert chosen == {(0, 4), (1, 4), (2, 5), (3, 5)}
-    hands = look_around(graph, found, simulator.ways)
+    hands = look_around(graph, found, simulator.action_spec)
     pair = found.action[0, :, 0] >= 6
     assert not (hands.around[0, ~pair] >= 2 * OFFSETS)[hands.around[0, ~pair] < AROUND].any()
     alone = graph._replace(object_id=np.array([[-1, -1, -1, 0, 1, 3, 3, 3]], np.int32))
-    crowded = distinct_placements(alone, simulator.ways)
-    seen = look_around(alone, crowded, simulator.ways).around[0]
+    crowded = distinct_placements(alone, simulator.action_spec)
+    seen = look_around(alone, crowded, simulator.action_spec).around[0]
     by_x = (crowded.action[0, :, 0] == 4) & (crowded.action[0, :, 2] % 4 >= 2)
     assert ((seen >= 2 * OFFSETS) & (seen < AROUND)).any(1).tolist() == by_x.tolist()

@@ -505,19 +505,19 @@ def test_the_survey_is_the_verdict_of_every_step(task: Task) -> None:
         before = state.copy()
         if sim.step(state, rng.choice(good)[None]).terminated[0]:
             state.put(np.array([0]), before)
-    found = survey_objects(state, task.ways)
+    found = survey_objects(state, task.action_spec)
     waiting, placed = int(state.num_unplaced[0]), int(state.num_placed[0])
     assert (found[0, waiting:] == Verdict.OVERLAP).all()
     assert (found[0, :, placed:] == Verdict.OVERLAP).all()
-    ways = np.indices((waiting, placed, task.num_actions)).reshape(3, -1).T
-    ways = rng.permutation(ways)[:400]
-    trial = state.take(np.zeros(len(ways), np.int64))
-    verdict = sim.step(trial, ways).verdict
-    assert np.array_equal(verdict, found[0][tuple(ways.T)])
+    spec = np.indices((waiting, placed, task.num_actions)).reshape(3, -1).T
+    spec = rng.permutation(spec)[:400]
+    trial = state.take(np.zeros(len(spec), np.int64))
+    verdict = sim.step(trial, spec).verdict
+    assert np.array_equal(verdict, found[0][tuple(spec.T)])
     assert (verdict == Verdict.STABLE).sum() > 20
     # Pixel sets after a step are those of all cells, also of the object just placed.
     again = trial.copy()
-    for row in range(0, len(ways), 13):
+    for row in range(0, len(spec), 13):
         recover_all(again, row, sim.frames, sim.depths)
         assert np.array_equal(again.covered[row], trial.covered[row])
         assert np.array_equal(again.occluded[row], trial.occluded[row])

@@ -24,13 +24,13 @@ from learn2assemble.networks.qnetwork import QNetwork
 from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import Task
-from learn2assemble.world.blocks import EDGE, get_ways
+from learn2assemble.world.blocks import EDGE, get_action_spec
 from learn2assemble.world.state import State
 from learning_data import advance
 from turned import turned_graph
 
 _GRIPPED = Task(
-    "gripped", num_sides=2, grid=3, num_nodes=16, rotations=4, attitudes="grips", pitch=0.06
+    "gripped", num_sides=2, grid=3, num_nodes=16, rotations=4, action_mode="grips", pitch=0.06
 )
 TASKS = {
     task.name: task
@@ -62,8 +62,8 @@ def network(
     torch.manual_seed(seed)
     config = NetworkConfig(
         encoder="relational", width=width, rounds=rounds, num_actions=task.num_actions,
-        attitudes=task.attitudes, pitch=task.pitch,
-        hand=task.attitudes == "grips" if hand is None else hand,
+        action_mode=task.action_mode, pitch=task.pitch,
+        hand=task.action_mode == "grips" if hand is None else hand,
     )  # fmt: skip
     net = make_network(config)
     assert isinstance(net, PlacementNetwork)
@@ -117,9 +117,9 @@ def test_number_of_parameters(rounds: int, expected: int, num_actions: int) -> N
     found = sum(p.numel() for p in make_network(config).parameters())
     assert found == written_out == expected
     if num_actions == 20:
-        gripped = make_network(dataclasses.replace(config, attitudes="grips"))
+        gripped = make_network(dataclasses.replace(config, action_mode="grips"))
         assert sum(p.numel() for p in gripped.parameters()) == expected + 4 * f
-        armed = make_network(dataclasses.replace(config, attitudes="grips", hand=True))
+        armed = make_network(dataclasses.replace(config, action_mode="grips", hand=True))
         hand = (3 * OFFSETS + 1) * f + linear(6, f) + 4 * f  # around it, where, by which grip
         hand += linear(f, 2 * f) + linear(2 * f, f)
         assert sum(p.numel() for p in armed.parameters()) == expected + 4 * f + hand
@@ -343,12 +343,12 @@ def _first_cells(model: WorldModel, state: State) -> list[np.ndarray]:
 
 def test_a_network_for_other_actions_is_refused() -> None:
     turns = NetworkConfig(encoder="relational", num_actions=20)
-    with pytest.raises(InputError, match=r"network\.attitudes: got 'turns', expected grips"):
+    with pytest.raises(InputError, match=r"network\.action_mode: got 'turns', expected grips"):
         WorldModel(SIMULATORS["gripped"], make_network(turns))
     with pytest.raises(InputError, match=r"network\.num_actions: got 5"):
         WorldModel(SIMULATORS["gripped"], make_network(NetworkConfig()))
     with pytest.raises(UnknownNameError, match="did you mean 'grips'"):
-        NetworkConfig(attitudes="grip")
+        NetworkConfig(action_mode="grip")
     with pytest.raises(InputError, match="pitch"):
         NetworkConfig(pitch=0.0)
     with pytest.raises(InputError, match="hand: got True, expected false unless"):
@@ -372,7 +372,7 @@ def test_placements_of_the_values_are_the_enumerated_ones() -> None:
     """Learning relies on the order: outcomes are stored in that of :func:`distinct_placements`."""
     graph = graphs("set-26", 0)
     values = evaluate(network(TASKS["set-26"], 0), graph)
-    found = distinct_placements(graph, get_ways("turns", 4))
+    found = distinct_placements(graph, get_action_spec("turns", 4))
     np.testing.assert_array_equal(values.cells.action, found.action)
     np.testing.assert_array_equal(values.cells.legal, found.used)
     assert found.members.shape[2] <= MAX_CELLS

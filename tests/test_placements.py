@@ -14,7 +14,7 @@ from learn2assemble.graph.features import Graph, node_offset
 from learn2assemble.graph.placements import action_keys, distinct_placements, locate
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import Task
-from learn2assemble.world.blocks import EDGE, HALF, get_ways
+from learn2assemble.world.blocks import EDGE, HALF, get_action_spec
 from learn2assemble.world.state import State
 from learning_data import advance, look_ahead
 
@@ -24,7 +24,7 @@ _OBJECTS = Task(
     success_threshold=0.75,
 )  # fmt: skip
 _GRIPPED = Task(
-    "gripped", num_sides=2, grid=3, num_nodes=18, rotations=4, attitudes="grips", pitch=PITCH,
+    "gripped", num_sides=2, grid=3, num_nodes=18, rotations=4, action_mode="grips", pitch=PITCH,
     layout="slanted-rows", success_threshold=0.75, cover_filter="wide", normalise_initial=False,
     max_initial_cover=0.6,
 )  # fmt: skip
@@ -86,7 +86,7 @@ def try_everything(simulator: Simulator, state: State, row: int) -> Tried:
     step = simulator.step(many, actions)
     filled = [whole(many.position[n, placed : many.num_placed[n]]) for n in range(len(actions))]
     cells = [frozenset(one) for one in filled]
-    gripped = simulator.task.attitudes == "grips"
+    gripped = simulator.task.action_mode == "grips"
     grips = (actions[:, 2] % simulator.task.rotations * gripped).tolist()
     first = [one[0] for one in filled]
     held = first if gripped else [None] * len(first)
@@ -99,7 +99,7 @@ def try_everything(simulator: Simulator, state: State, row: int) -> Tried:
 def in_the_way(simulator: Simulator, graph: Graph, row: int, action: np.ndarray) -> int:
     """Waiting cells of other objects that the hand would come down on, beside the chosen one along
     the way its fingers close (y for grasp A, x for B): higher ones, or level ones that are near."""
-    if simulator.task.attitudes != "grips":
+    if simulator.task.action_mode != "grips":
         return 0
     first = int(graph.num_targets[row] + graph.num_placed[row])
     nodes = graph.nodes[row, first : graph.num_nodes[row], :3].astype(float)
@@ -126,7 +126,7 @@ def test_placements_are_what_the_actions_can_make(name: str, seed: int, steps: i
     first action that does, or with a gripper the first with the fewest in the way of the hand."""
     simulator, state = some_worlds(name, seed, steps)
     graph = simulator.observe(state)
-    found = distinct_placements(graph, simulator.ways)
+    found = distinct_placements(graph, simulator.action_spec)
     local = found.action - node_offset(graph)[:, None]
     for row in range(state.batch_size):
         tried = try_everything(simulator, state, row)
@@ -158,17 +158,17 @@ def test_placements_are_what_the_actions_can_make(name: str, seed: int, steps: i
 def test_keys_and_numbers_are_those_of_the_result(name: str, seed: int, steps: int) -> None:
     """``action_keys`` are equal just where cells and grip are; ``locate`` finds the placement."""
     simulator, state = some_worlds(name, seed, steps)
-    graph, ways = simulator.observe(state), simulator.ways
-    found = distinct_placements(graph, ways)
+    graph, spec = simulator.observe(state), simulator.action_spec
+    found = distinct_placements(graph, spec)
     for row in range(state.batch_size):
         tried = try_everything(simulator, state, row)
-        keys = action_keys(graph, row, ways).ravel().tolist()
+        keys = action_keys(graph, row, spec).ravel().tolist()
         assert len(set(zip(keys, tried.result, strict=True))) == len(set(keys))
         assert len(set(keys)) == len(set(tried.result))
         many = graph.take(np.full(len(keys), row))
         repeated = type(found)(*[field[np.full(len(keys), row)] for field in found])
         action = tried.actions + node_offset(graph)[row]
-        number = locate(repeated, many, action, ways)
+        number = locate(repeated, many, action, spec)
         assert found.key[row, number].tolist() == keys
         order = list(dict.fromkeys(tried.result))
         assert number.tolist() == [order.index(result) for result in tried.result]
@@ -177,11 +177,11 @@ def test_keys_and_numbers_are_those_of_the_result(name: str, seed: int, steps: i
 def test_locate_says_where_nothing_is_found() -> None:
     simulator, state = some_worlds("two", 0, 1)
     graph = simulator.observe(state)
-    found = distinct_placements(graph, get_ways())
+    found = distinct_placements(graph, get_action_spec())
     action = found.action[:, 0]
     none = found._replace(count=0 * found.count)
-    assert locate(found, graph, action, get_ways()).tolist() == [0] * state.batch_size
-    assert locate(none, graph, action, get_ways()).tolist() == [-1] * state.batch_size
+    assert locate(found, graph, action, get_action_spec()).tolist() == [0] * state.batch_size
+    assert locate(none, graph, action, get_action_spec()).tolist() == [-1] * state.batch_size
 
 
 @given(seed=st.integers(0, 1000))
@@ -189,9 +189,9 @@ def test_locate_says_where_nothing_is_found() -> None:
 def test_rows_do_not_leak_into_each_other(seed: int) -> None:
     simulator, state = some_worlds("set-26", seed, seed % 4, count=4)
     graph = simulator.observe(state)
-    together = distinct_placements(graph, simulator.ways)
+    together = distinct_placements(graph, simulator.action_spec)
     for row in range(state.batch_size):
-        alone = distinct_placements(graph.take(np.array([row])), simulator.ways)
+        alone = distinct_placements(graph.take(np.array([row])), simulator.action_spec)
         count, cells = int(alone.count[0]), int(alone.num_cells[0])
         assert together.count[row] == count
         assert together.num_cells[row] == cells
@@ -209,7 +209,7 @@ def test_more_placements_than_fit_at_first() -> None:
     nodes[0, 3:-1, :3] = np.stack([0.1 * x, 0.1 * y, 0 * x + HALF], -1)
     object_id = np.arange(nodes.shape[1], dtype=np.int32)[None]
     counts = [np.array([n]) for n in (3, width**2, nodes.shape[1])]
-    found = distinct_placements(Graph(nodes, object_id, *counts), get_ways())
+    found = distinct_placements(Graph(nodes, object_id, *counts), get_action_spec())
     between = 2 * width * (width + 1)
     assert int(found.count[0]) == width**2 + between
     assert int(found.num_cells[0]) == 2 * width**2 + between
@@ -219,7 +219,7 @@ def test_nothing_left_to_place() -> None:
     simulator, state = some_worlds("two", 3, 2)
     state.num_blocks[:] = state.num_placed
     graph = simulator.observe(state)
-    found = distinct_placements(graph, get_ways())
+    found = distinct_placements(graph, get_action_spec())
     assert not found.count.any()
     assert found.num_cells.tolist() == state.num_placed.tolist()
     out = simulator.outcomes(state, graph, found)

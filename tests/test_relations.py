@@ -71,7 +71,7 @@ def test_edges_against_polygons(drawn: bool, number: int, seed: int) -> None:
             count = int(state.num_vertices[0, side])
             state.vertices[0, side, :count] = random_outline(count, rng)
     graph = simulator.observe(state)
-    placements = distinct_placements(graph, simulator.ways)
+    placements = distinct_placements(graph, simulator.action_spec)
     found = relate(graph, placements, simulator.task.pitch)
     area = 0.0
     for side in range(sides):
@@ -127,7 +127,7 @@ def test_offsets_written_out(number: int, seed: int) -> None:
     """To every placed block, in whole cells in the frame of every side; padding beyond."""
     simulator, state = some_state(TASKS[number], seed, count=2)
     graph, pitch = simulator.observe(state), simulator.task.pitch
-    placements = distinct_placements(graph, simulator.ways)
+    placements = distinct_placements(graph, simulator.action_spec)
     found = relate(graph, placements, pitch)
     for row in range(state.batch_size):
         placed = int(state.num_placed[row])
@@ -160,7 +160,7 @@ def test_turning_the_world_changes_nothing(task: Task, quarters: int, seed: int)
     simulator, state = some_state(task, seed, count=2)
     graph = simulator.observe(state)
     turn = turned_graph(graph, task.num_sides, quarters)
-    mine, theirs = (distinct_placements(g, task.ways) for g in (graph, turn.graph))
+    mine, theirs = (distinct_placements(g, task.action_spec) for g in (graph, turn.graph))
     before, after = relate(graph, mine), relate(turn.graph, theirs)
     np.testing.assert_array_equal(mine.num_cells, theirs.num_cells)
     np.testing.assert_allclose(before.area, after.area, rtol=1e-5)

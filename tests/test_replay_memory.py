@@ -16,7 +16,7 @@ from learn2assemble.learning.config import TrainConfig
 from learn2assemble.learning.replay import Batch, Replay
 from learn2assemble.learning.trainer import Trainer
 from learn2assemble.simulator import Simulator
-from learn2assemble.world.blocks import get_ways
+from learn2assemble.world.blocks import get_action_spec
 from learn2assemble.world.outcomes import Outcomes
 from learning_data import RELATIONAL, TINY
 
@@ -86,8 +86,8 @@ def test_replay_keeps_the_outcome_of_every_placement() -> None:
     batch = trainer.replay.sample(200, np.random.default_rng(0))
     assert batch.outcomes is not None
     assert not batch.outcomes.gain.any(), "the gain is not kept"
-    placements = distinct_placements(batch.graph, get_ways())
-    taken = locate(placements, batch.graph, batch.action, get_ways())
+    placements = distinct_placements(batch.graph, get_action_spec())
+    taken = locate(placements, batch.graph, batch.action, get_action_spec())
     assert (taken >= 0).all()
     where = np.arange(200), taken
     np.testing.assert_array_equal(batch.outcomes.reward[where], batch.reward)

@@ -236,8 +236,9 @@ def test_a_run_older_than_a_setting_can_be_resumed(tmp_path: Path) -> None:
     with safe_open(file, "pt") as stream:
         counters = json.loads(stream.metadata()["counters"])
         tensors = {key: stream.get_tensor(key) for key in stream.keys()}  # noqa: SIM118
-    for name in ("attitudes", "pitch"):
-        del counters["config"]["network"][name]
+    network = counters["config"]["network"]
+    del network["pitch"]
+    network["attitudes"] = network.pop("action_mode")  # its earlier name
     save_file(tensors, file, metadata={"counters": json.dumps(counters)})
     again = Trainer(TINY, QUICK, 0)
     again.load(file)

@@ -39,7 +39,15 @@ from learn2assemble.search.config import SearchConfig
 from learn2assemble.search.mcts import search
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import PRESETS, Task, get_task
-from learn2assemble.world.blocks import DIRECTIONS, EDGE, HALF, MASS, SHAPES, get_ways, quarter_turn
+from learn2assemble.world.blocks import (
+    DIRECTIONS,
+    EDGE,
+    HALF,
+    MASS,
+    SHAPES,
+    get_action_spec,
+    quarter_turn,
+)
 from learn2assemble.world.layouts import side_frames, waiting_places
 from learn2assemble.world.rules import (
     last_object,
@@ -95,7 +103,7 @@ def test_the_papers_robot_tasks() -> None:
     for task in PRESETS.values():
         if task.name not in ROBOTS:
             assert (task.pitch, task.cover_filter, task.normalise_initial) == (EDGE, "narrow", True)
-            assert task.attitudes == "turns"
+            assert task.action_mode == "turns"
 
 
 def test_the_twin_differs_from_the_one_sided_cell_by_the_robot_alone() -> None:
@@ -116,7 +124,7 @@ def test_the_twin_differs_from_the_one_sided_cell_by_the_robot_alone() -> None:
         ({"pitch": 0.049}, InputError, r"pitch: got 0\.049"),
         ({"pitch": 0.08}, InputError, "pitch"),
         ({"cover_filter": "wid"}, UnknownNameError, "did you mean 'wide'"),
-        ({"attitudes": "grip"}, UnknownNameError, "did you mean 'grips'"),
+        ({"action_mode": "grip"}, UnknownNameError, "did you mean 'grips'"),
         ({"rotations": 3}, InputError, "rotations: got 3, expected 1 or 4"),
         ({"layout": "randam"}, UnknownNameError, "did you mean 'random'"),
         ({"objects": "set-26", "layout": "random"}, InputError, "layout"),
@@ -272,14 +280,14 @@ def test_rows_and_columns_of_the_robot_cells() -> None:
 
 def test_grips_turn_objects_as_the_protocol_says() -> None:
     """(grasp, place) yaws AA, AB, BA, BB: net rotation 0, -90, +90, 0 degrees."""
-    ways = get_ways("grips", 4, 0.06)
+    spec = get_action_spec("grips", 4, 0.06)
     degrees = {0: 0, 1: 90, 2: 180, 3: -90}
-    assert [degrees[turns] for turns in ways.turns.tolist()] == [0, -90, 90, 0]
-    assert ways.grips.tolist() == [0, 1, 2, 3]
-    assert ways.level
-    assert (ways.num_grips, get_ways("turns", 4).num_grips) == (4, 1)
-    assert not get_ways("turns", 4).level
-    assert len(get_ways("turns", 1).turns) == len(get_ways("grips", 1).turns) == 1
+    assert [degrees[turns] for turns in spec.turns.tolist()] == [0, -90, 90, 0]
+    assert spec.grips.tolist() == [0, 1, 2, 3]
+    assert spec.level
+    assert (spec.num_grips, get_action_spec("turns", 4).num_grips) == (4, 1)
+    assert not get_action_spec("turns", 4).level
+    assert len(get_action_spec("turns", 1).turns) == len(get_action_spec("grips", 1).turns) == 1
 
 
 def test_for_a_cube_the_grip_decides_nothing_without_an_arm() -> None:
@@ -406,15 +414,15 @@ def test_the_filler_weighs_as_much_as_a_cube() -> None:
 def random_pile(rng: np.random.Generator, count: int) -> State:
     """A structure of about ``count`` cells of which only the object placed last may not hold."""
     sim = Simulator(OBJECTS)
-    state, physics, ways = sim.new(1, rng), StaticPhysics(), sim.ways
+    state, physics, spec = sim.new(1, rng), StaticPhysics(), sim.action_spec
     for _ in range(200):
         trial = state.copy()
         reference, way = int(rng.integers(trial.num_placed[0])), int(rng.integers(4))
         relation = int(rng.choice([0, 0, 1, 2, 3, 4]))
         chosen = int(rng.integers(trial.num_unplaced[0]))
-        x, y, z = target_cell(trial, 0, reference, relation, ways.pitch)
+        x, y, z = target_cell(trial, 0, reference, relation, spec.pitch)
         z += waiting_level(trial.position[0, trial.num_placed[0] + chosen, 2])
-        move_block(trial, 0, chosen, reference, x, y, z, ways.turns[way], ways.pitch)
+        move_block(trial, 0, chosen, reference, x, y, z, spec.turns[way], spec.pitch)
         if trial.num_placed[0] >= min(count, trial.num_blocks[0] - 4):
             return trial
         if physics.settle(trial, np.array([0]))[0] == STABLE:
@@ -500,6 +508,6 @@ def test_what_needs_touching_blocks_says_so(task: Task) -> None:
     assert not has_bound(task)
     fitted = fit_to(get_config("published"), task)
     assert not fitted.augment
-    assert fitted.network.attitudes == task.attitudes
+    assert fitted.network.action_mode == task.action_mode
     assert fitted.network.pitch == task.pitch
     assert fitted.network.num_actions == task.num_actions

@@ -17,11 +17,11 @@ from learn2assemble.world.rules import (
     SCALED,
     count_row,
     cover_block,
-    judge,
-    judge_counts,
     move_block,
     observe_row,
     recover_all,
+    reward_and_end,
+    reward_and_success,
     target_cell,
 )
 from learn2assemble.world.state import State, empty_state
@@ -60,8 +60,8 @@ def played(task: Task, batch: int, rng: np.random.Generator, steps: int) -> Stat
 
 
 def random_actions(task: Task, state: State, rng: np.random.Generator) -> np.ndarray:
-    ways = np.full(state.batch_size, task.num_actions)
-    limits = np.stack([state.num_unplaced, state.num_placed, ways], -1)
+    spec = np.full(state.batch_size, task.num_actions)
+    limits = np.stack([state.num_unplaced, state.num_placed, spec], -1)
     return rng.integers(np.maximum(limits, 1))
 
 
@@ -211,15 +211,15 @@ def test_a_block_in_front_lowers_the_plane_filter_only() -> None:
     count_row(state, 0)
     assert state.plane_coverage[0] < 0.0
     assert state.complete_coverage[0] >= 0.0
-    assert judge(state, 0, previous, True, DISCRETE, 0.975) == (0.0, False, False)
-    assert judge(state, 0, previous, True, SCALED, 0.975) == (0.0, False, False)
+    assert reward_and_end(state, 0, previous, True, DISCRETE, 0.975) == (0.0, False, False)
+    assert reward_and_end(state, 0, previous, True, SCALED, 0.975) == (0.0, False, False)
     # The next gain counts from the lowered value.
     lowered = int(state.plane_pixels[0])
     assert lowered < previous
     move_block(state, 0, 0, 0, *target_cell(state, 0, 0, RELATIONS.index("right")))
     cover_block(state, 0, frames, 2)
     count_row(state, 0)
-    assert judge(state, 0, lowered, True, DISCRETE, 0.975)[0] == 1.0
+    assert reward_and_end(state, 0, lowered, True, DISCRETE, 0.975)[0] == 1.0
 
 
 # ---------------------------------------------------------------- rewards and ends (6.3, 6.4)
@@ -249,7 +249,7 @@ def test_a_block_in_front_lowers_the_plane_filter_only() -> None:
 def test_reward_table(
     kind: int, previous: int, plane: int, complete: int, valid: bool, reward: float, success: bool
 ) -> None:
-    assert judge_counts(100, 20, previous, plane, complete, valid, kind, 0.75) == (
+    assert reward_and_success(100, 20, previous, plane, complete, valid, kind, 0.75) == (
         pytest.approx(reward),
         success,
     )
@@ -265,7 +265,7 @@ def test_an_episode_ends_with_failure_success_or_the_last_block(
     state.num_placed[0] = 8 - unplaced
     if full:
         state.complete_pixels[0] = state.mask_pixels[0]
-    _, ended, success = judge(state, 0, int(state.plane_pixels[0]), valid, DISCRETE, 0.975)
+    _, ended, success = reward_and_end(state, 0, int(state.plane_pixels[0]), valid, DISCRETE, 0.975)
     assert success == (valid and full)
     assert ended == (not valid or full or unplaced == 0)
 

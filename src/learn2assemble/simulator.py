@@ -27,11 +27,11 @@ from learn2assemble.world.rules import (
     REWARDS,
     count_row,
     cover_block,
-    judge,
     last_object,
     move_block,
     move_cell,
     recover_all,
+    reward_and_end,
     target_cell,
     waiting_level,
 )
@@ -65,16 +65,16 @@ def _propose_cubes(state, actions, rotations, pitch, active, previous):
 
 
 @njit(cache=True)
-def _propose(state, actions, ways, active, previous):
+def _propose(state, actions, spec, active, previous):
     for row in range(len(actions)):
         previous[row] = state.plane_pixels[row]
         if active[row]:
             unplaced, reference = actions[row, 0], actions[row, 1]
-            relation, way = divmod(actions[row, 2], len(ways.turns))
-            x, y, z = target_cell(state, row, reference, relation, ways.pitch)
-            if ways.level:
+            relation, way = divmod(actions[row, 2], len(spec.turns))
+            x, y, z = target_cell(state, row, reference, relation, spec.pitch)
+            if spec.level:
                 z += waiting_level(state.position[row, state.num_placed[row] + unplaced, 2])
-            move_block(state, row, unplaced, reference, x, y, z, ways.turns[way], ways.pitch)
+            move_block(state, row, unplaced, reference, x, y, z, spec.turns[way], spec.pitch)
 
 
 @njit(cache=True)
@@ -90,7 +90,7 @@ def _score(
             for block in range(last_object(state, row), state.num_placed[row]):
                 cover_block(state, row, frames, block, depths)
         count_row(state, row)
-        reward[row], ended[row], success[row] = judge(
+        reward[row], ended[row], success[row] = reward_and_end(
             state, row, previous[row], verdict[n] == 0, kind, threshold
         )
         state.terminated[row] = ended[row]
@@ -124,7 +124,7 @@ class Simulator:
         self.physics: Physics = resolve_judge(physics, task)
         self.frames = side_frames(task.num_sides, task.pitch, task.aisle)
         self.depths = FILTERS[task.cover_filter]
-        self.ways = task.ways
+        self.action_spec = task.action_spec
         self._stock = inventory(task.objects)
         self._waiting = waiting_places(task.layout, task.max_blocks)
         self._problems = Problems(
@@ -174,7 +174,7 @@ class Simulator:
         if self.task.objects == "cubes":
             _propose_cubes(state, actions, self.task.rotations, self.task.pitch, active, previous)
         else:
-            _propose(state, actions, self.ways, active, previous)
+            _propose(state, actions, self.action_spec, active, previous)
         verdict = self.physics.settle(state, rows)
         reward, ended = np.zeros(batch), np.zeros(batch, np.bool_)
         success, verdicts = np.zeros(batch, np.bool_), np.zeros(batch, np.int8)
@@ -190,20 +190,20 @@ class Simulator:
         return build_graph(state, self.frames, self.task.num_nodes)
 
     def outcomes(
-        self, state: State, graph: Graph, placements: Placements, by_hand: bool = False
+        self, state: State, graph: Graph, placements: Placements, without_arm: bool = False
     ) -> Outcomes:
         """What every placement of ``placements``, those of ``graph``, would bring to ``state``.
 
         By static physics; see :class:`Outcomes`. Whether an arm could do it takes an attempt, so
-        with an arm what is valid otherwise is left undecided, unless ``by_hand``. A help the
+        with an arm what is valid otherwise is left undecided, unless ``without_arm``. A help the
         paper's agent does not have.
         """
         actions = (placements.action - node_offset(graph)[:, None]) * placements.used[..., None]
         found = outcomes(
-            state, actions, placements.count, self.ways, self.frames, self.task.reward,
+            state, actions, placements.count, self.action_spec, self.frames, self.task.reward,
             self.task.success_threshold, self.depths,
         )  # fmt: skip
-        if self.task.has_arm and not by_hand:
+        if self.task.has_arm and not without_arm:
             undecided = found.valid.copy()
             for field in found:
                 field[undecided] = 0
@@ -219,4 +219,4 @@ class Simulator:
         if self.task.objects == "cubes":
             stable = survey(state, self.task.pitch) == STABLE
             return np.repeat(stable, self.task.rotations, -1)
-        return survey_objects(state, self.ways) == STABLE
+        return survey_objects(state, self.action_spec) == STABLE

@@ -23,7 +23,7 @@ from learn2assemble.robot.registry import ARMS
 from learn2assemble.world import EDGE
 
 if TYPE_CHECKING:
-    from learn2assemble.world.blocks import Ways
+    from learn2assemble.world.blocks import ActionSpec
 
 MIN_VERTICES, MAX_VERTICES = 3, 5
 NO_ARM = "none"
@@ -31,7 +31,7 @@ MAX_PITCH = 0.07
 """Cells farther apart [m] would need other rules for what fills the gaps of objects."""
 
 
-def check_actions(num_actions: int, attitudes: str, task: Task) -> None:
+def check_actions(num_actions: int, action_mode: str, task: Task) -> None:
     """Refuse a network whose actions are not the task's.
 
     Raises:
@@ -41,8 +41,10 @@ def check_actions(num_actions: int, attitudes: str, task: Task) -> None:
         raise InputError(
             "network.num_actions", num_actions, f"{task.num_actions}, the actions of {task.name}"
         )
-    if attitudes != task.attitudes:
-        raise InputError("network.attitudes", attitudes, f"{task.attitudes}, those of {task.name}")
+    if action_mode != task.action_mode:
+        raise InputError(
+            "network.action_mode", action_mode, f"{task.action_mode}, those of {task.name}"
+        )
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ class Task:
         num_nodes: N, nodes of the graph; the number of blocks is N minus the target vertices.
         objects: the set objects are drawn from, see :mod:`learn2assemble.world.blocks`.
         rotations: ways to place an object in each relation, 1 or 4.
-        attitudes: what these are, see ``ATTITUDES`` in :mod:`learn2assemble.world.blocks`.
+        action_mode: what these are, see ``ACTION_MODES`` in :mod:`learn2assemble.world.blocks`.
         pitch: horizontal distance of the centres of neighbouring blocks [m]; more than a block's
             edge leaves room for the fingers of a gripper.
         aisle: empty rows of cells between the two walls of a two-sided structure.
@@ -85,7 +87,7 @@ class Task:
     num_nodes: int
     objects: str = "cubes"
     rotations: int = 1
-    attitudes: str = "turns"
+    action_mode: str = "turns"
     pitch: float = EDGE
     aisle: int = 0
     layout: str = "line"
@@ -103,7 +105,7 @@ class Task:
     def __post_init__(self) -> None:
         # Compiled code is loaded by those who have a task, not by those who list their names.
         from learn2assemble.geometry.coverage import FILTERS
-        from learn2assemble.world.blocks import OBJECT_SETS, get_ways
+        from learn2assemble.world.blocks import OBJECT_SETS, get_action_spec
         from learn2assemble.world.layouts import LAYOUTS, RANDOM
         from learn2assemble.world.rules import REWARDS, STABILITY
 
@@ -117,7 +119,7 @@ class Task:
             )
         if self.objects not in OBJECT_SETS:
             raise UnknownNameError("object set", self.objects, OBJECT_SETS)
-        get_ways(self.attitudes, self.rotations, self.pitch)
+        get_action_spec(self.action_mode, self.rotations, self.pitch)
         if not EDGE <= self.pitch <= MAX_PITCH:
             raise InputError("pitch", self.pitch, f"{EDGE} to {MAX_PITCH} m")
         if self.aisle not in ((0, 1, 2) if self.num_sides == 2 else (0,)):
@@ -145,11 +147,11 @@ class Task:
         return 5 * self.rotations
 
     @property
-    def ways(self) -> Ways:
+    def action_spec(self) -> ActionSpec:
         """What the actions mean, beside the relation."""
-        from learn2assemble.world.blocks import get_ways
+        from learn2assemble.world.blocks import get_action_spec
 
-        return get_ways(self.attitudes, self.rotations, self.pitch)
+        return get_action_spec(self.action_mode, self.rotations, self.pitch)
 
     @property
     def grasps(self) -> str:
@@ -199,13 +201,13 @@ _BARS = _draft(
 # Shared by all workcells: room for the fingers, a tolerant camera, coverage of the whole
 # target. One side has five actions, all by one grip.
 _ROBOT = _draft(
-    num_sides=2, grid=3, num_nodes=20, rotations=4, attitudes="grips", pitch=0.06,
+    num_sides=2, grid=3, num_nodes=20, rotations=4, action_mode="grips", pitch=0.06,
     layout="slanted-rows", success_threshold=0.75, cover_filter="wide", normalise_initial=False,
     max_initial_cover=0.6, arm="panda",
 )  # fmt: skip
 _ROBOT_MORE = _draft(_ROBOT, num_nodes=24, unseen_shapes_only=True)
 _ROBOT_ONE_SIDED = _draft(
-    _ROBOT, num_sides=1, grid=5, rotations=1, attitudes="turns", pitch=0.055, layout="rows"
+    _ROBOT, num_sides=1, grid=5, rotations=1, action_mode="turns", pitch=0.055, layout="rows"
 )
 _ROBOT_OBJECTS = _draft(
     _ROBOT, grid=5, num_nodes=30, objects="set-26", layout="columns", reward="scaled",

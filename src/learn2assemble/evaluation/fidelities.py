@@ -86,16 +86,16 @@ def compare(
         progress: told how many have been compared.
     """
     rng = np.random.default_rng([STREAM, seed])
-    real, by_hand = Simulator(task), Simulator(task.replace(arm="none"))
+    real, without_arm = Simulator(task), Simulator(task.replace(arm="none"))
     model, static = WorldModel(real, agent.network), StaticPhysics()
     cells = [_arm(task, name) for name in ("kinematic", "dynamic")]
     found = Comparison(task.name, task.arm, agent.name, seed)
     while found.actions < actions:
         state = real.new(1, rng)
         while not state.terminated[0] and found.actions < actions:
-            action = _held(by_hand, static, model, state, rng)
+            action = _held(without_arm, static, model, state, rng)
             if action is not None:
-                _try_both(found, cells, by_hand, state, action)
+                _try_both(found, cells, without_arm, state, action)
                 progress(found.actions)
             best = model.best(state)[1] if rng.random() > EPSILON else None
             real.step(state, model.random_actions(state, rng) if best is None else best)
@@ -103,35 +103,39 @@ def compare(
 
 
 def _arm(task: Task, name: str) -> ArmPhysics:
-    judge = resolve_judge(name, task)
-    assert isinstance(judge, ArmPhysics)
-    return judge
+    checker = resolve_judge(name, task)
+    assert isinstance(checker, ArmPhysics)
+    return checker
 
 
 def _held(
-    by_hand: Simulator, static: StaticPhysics, model: WorldModel, state: State,
+    without_arm: Simulator, static: StaticPhysics, model: WorldModel, state: State,
     rng: np.random.Generator, tries: int = 200,
 ) -> np.ndarray | None:  # fmt: skip
     """A random action int64[1, 3] that physics holds; None where none is found."""
     for _ in range(tries):
         action = model.random_actions(state, rng)
-        if by_hand.step(state.copy(), action).verdict[0] == 0:
+        if without_arm.step(state.copy(), action).verdict[0] == 0:
             return action
     return None
 
 
 def _try_both(
-    found: Comparison, cells: list[ArmPhysics], by_hand: Simulator, state: State, action: np.ndarray
+    found: Comparison,
+    cells: list[ArmPhysics],
+    without_arm: Simulator,
+    state: State,
+    action: np.ndarray,
 ) -> None:
     attempts, seconds = [], []
     row = np.zeros(1, np.int64)
-    for judge in cells:
+    for checker in cells:
         after = state.copy()
-        judge.prepare(after, row, action)
-        by_hand.step(after, action)
-        scene, move = judge.order(after, row, 0)
+        checker.prepare(after, row, action)
+        without_arm.step(after, action)
+        scene, move = checker.order(after, row, 0)
         started = time.perf_counter()
-        attempts.append(judge.cell.attempt(scene, move))
+        attempts.append(checker.cell.attempt(scene, move))
         seconds.append(time.perf_counter() - started)
     first, second = attempts
     found.actions += 1

@@ -10,7 +10,7 @@ import torch
 from learn2assemble.graph.features import Graph
 from learn2assemble.graph.placements import Placements, distinct_placements, locate
 from learn2assemble.graph.relations import look_around, relate
-from learn2assemble.world.blocks import EDGE, Ways
+from learn2assemble.world.blocks import EDGE, ActionSpec
 
 
 class GraphTensors(NamedTuple):
@@ -104,16 +104,16 @@ class CellTensors(NamedTuple):
     action: torch.Tensor
     """int64[B, P, 3]: node action of each placement."""
     grip: torch.Tensor
-    """int64[p]: grip of each of the ``p`` legal placements, see :class:`Ways`."""
+    """int64[p]: grip of each of the ``p`` legal placements, see :class:`ActionSpec`."""
     hands: HandTensors | None
     """What the hand meets there, if it was asked for."""
     placements: Placements
     graph: Graph
-    ways: Ways
+    action_spec: ActionSpec
 
     def locate(self, action: torch.Tensor) -> torch.Tensor:
         """Number of the placement with the result of each node action int64[B, 3]: int64[B]."""
-        found = locate(self.placements, self.graph, action.cpu().numpy(), self.ways)
+        found = locate(self.placements, self.graph, action.cpu().numpy(), self.action_spec)
         return torch.from_numpy(found).to(action.device)
 
 
@@ -126,16 +126,16 @@ class HandTensors(NamedTuple):
     """float32[p, 6]."""
 
 
-def cell_tensors(graph: GraphTensors, ways: Ways, hand: bool = False) -> CellTensors:
+def cell_tensors(graph: GraphTensors, spec: ActionSpec, hand: bool = False) -> CellTensors:
     """Enumerate placements and relate their cells to the graph, on the device of ``graph``.
 
     Args:
-        ways: what the actions mean, :attr:`Task.ways`.
+        spec: what the actions mean, :attr:`Task.action_spec`.
         hand: whether to look around the hand, too.
     """
     plain = Graph(*[t.cpu().numpy() for t in graph])
-    placements = distinct_placements(plain, ways)
-    relations = relate(plain, placements, ways.pitch)
+    placements = distinct_placements(plain, spec)
+    relations = relate(plain, placements, spec.pitch)
     device = graph.nodes.device
     used = np.arange(placements.cells.shape[1]) < placements.num_cells[:, None]
     row = used.nonzero()[0]
@@ -143,7 +143,7 @@ def cell_tensors(graph: GraphTensors, ways: Ways, hand: bool = False) -> CellTen
     area = np.maximum(relations.area, 0.1)
     summary = np.stack([unplaced / 20, plain.num_placed / 20, area / 10, 1 / area], -1)
     legal = placements.used
-    way = placements.action[..., 2][legal] % len(ways.turns)
+    way = placements.action[..., 2][legal] % len(spec.turns)
     cell, part_of, lever = _parts(placements, np.cumsum(placements.num_cells))
 
     def put(array: np.ndarray) -> torch.Tensor:
@@ -151,7 +151,7 @@ def cell_tensors(graph: GraphTensors, ways: Ways, hand: bool = False) -> CellTen
 
     hands = None
     if hand:
-        found = look_around(plain, placements, ways)
+        found = look_around(plain, placements, spec)
         hands = HandTensors(put(found.around[legal]), put(found.place[legal]))
     return CellTensors(
         row=put(row),
@@ -165,11 +165,11 @@ def cell_tensors(graph: GraphTensors, ways: Ways, hand: bool = False) -> CellTen
         lever=put(lever),
         legal=put(legal),
         action=put(placements.action),
-        grip=put(ways.grips[way]),
+        grip=put(spec.grips[way]),
         hands=hands,
         placements=placements,
         graph=plain,
-        ways=ways,
+        action_spec=spec,
     )
 
 

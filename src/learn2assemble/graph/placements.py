@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.graph.features import Graph
-from learn2assemble.world.blocks import DIRECTIONS, EDGE, MAX_CELLS, Ways, quarter_turn
+from learn2assemble.world.blocks import DIRECTIONS, EDGE, MAX_CELLS, ActionSpec, quarter_turn
 from learn2assemble.world.rules import waiting_level
 
 
@@ -37,28 +37,28 @@ def cell_key(x, y, z):
 
 
 @njit(cache=True)
-def object_offsets(nodes, object_id, block, first, used, ways, out):
+def object_offsets(nodes, object_id, block, first, used, spec, out):
     """Cells of the block's object relative to it in whole cells, itself first; their number."""
     out[0, 0], out[0, 1], out[0, 2] = 0, 0, 0
     count = 1
     for other in range(first, used):
         if other != block and object_id[other] == object_id[block]:
             for axis in range(3):
-                step = ways.pitch if axis < 2 else EDGE
+                step = spec.pitch if axis < 2 else EDGE
                 out[count, axis] = np.rint((nodes[other, axis] - nodes[block, axis]) / step)
             count += 1
     return count
 
 
 @njit(cache=True)
-def fill_cells(nodes, reference, relation, way, ways, offsets, count, lift, cells):
+def fill_cells(nodes, reference, relation, way, spec, offsets, count, lift, cells):
     """Cells filled by a placement; gives its key.
 
     It is the same for the same set of cells and, where a hand holds the object, the same grip on
     the same of its cells: what one cell leaves no room for may be easy by another.
     """
-    turns, pitch = ways.turns[way], ways.pitch
-    key = np.uint64(ways.grips[way]) * np.uint64(0xD6E8FEB86659FD93)
+    turns, pitch = spec.turns[way], spec.pitch
+    key = np.uint64(spec.grips[way]) * np.uint64(0xD6E8FEB86659FD93)
     for k in range(count):
         a, b = quarter_turn(offsets[k, 0], offsets[k, 1], turns)
         cells[k, 0] = nodes[reference, 0] + pitch * (DIRECTIONS[relation, 0] + a)
@@ -67,7 +67,7 @@ def fill_cells(nodes, reference, relation, way, ways, offsets, count, lift, cell
         cells[k, 2] = nodes[reference, 2] + lift + up
         cell = cell_key(cells[k, 0], cells[k, 1], cells[k, 2])
         key += cell
-        if k == 0 and count > 1 and ways.level:
+        if k == 0 and count > 1 and spec.level:
             key += _mix(cell)
     return key
 
@@ -89,27 +89,27 @@ def enter(table, stamp, stamps, keys, key, number):
 
 
 @njit(cache=True)
-def _keys(nodes, object_id, targets, first, used, ways, out):
+def _keys(nodes, object_id, targets, first, used, spec, out):
     offsets = np.empty((MAX_CELLS, 3))
     cells = np.empty((MAX_CELLS, 3))
     for i in range(used - first):
-        size = object_offsets(nodes, object_id, first + i, first, used, ways, offsets)
-        lift = waiting_level(nodes[first + i, 2]) if ways.level else 0.0
+        size = object_offsets(nodes, object_id, first + i, first, used, spec, offsets)
+        lift = waiting_level(nodes[first + i, 2]) if spec.level else 0.0
         for j in range(first - targets):
             for k in range(out.shape[2]):
-                relation, way = divmod(k, len(ways.turns))
+                relation, way = divmod(k, len(spec.turns))
                 out[i, j, k] = fill_cells(
-                    nodes, targets + j, relation, way, ways, offsets, size, lift, cells
+                    nodes, targets + j, relation, way, spec, offsets, size, lift, cells
                 )
 
 
-def action_keys(graph: Graph, row: int, ways: Ways) -> np.ndarray:
+def action_keys(graph: Graph, row: int, spec: ActionSpec) -> np.ndarray:
     """Number of the result of every legal action of a row: uint64[U, P, Na]."""
     targets, first = graph.num_targets[row], graph.num_targets[row] + graph.num_placed[row]
     used = graph.num_nodes[row]
-    num_actions = len(DIRECTIONS) * len(ways.turns)
+    num_actions = len(DIRECTIONS) * len(spec.turns)
     out = np.empty((used - first, first - targets, num_actions), np.uint64)
-    _keys(graph.nodes[row], graph.object_id[row], targets, first, used, ways, out)
+    _keys(graph.nodes[row], graph.object_id[row], targets, first, used, spec, out)
     return out
 
 
@@ -135,7 +135,7 @@ def in_the_way(nodes, object_id, block, other, turns, pitch):
 
 
 @njit(cache=True)
-def choose(nodes, object_id, first, used, ways, table, stamps, keys, stamp, offsets, best):
+def choose(nodes, object_id, first, used, spec, table, stamps, keys, stamp, offsets, best):
     """Tell shapes of waiting objects, seen from one of their cells, apart; their number.
 
     Of like ones each way gets the first, or for a hand the first that the fewest are in the way of.
@@ -144,24 +144,24 @@ def choose(nodes, object_id, first, used, ways, table, stamps, keys, stamp, offs
         best: int64[N, R], written: cell to choose for each shape and way.
     """
     shapes = 0
-    rotations = len(ways.turns)
+    rotations = len(spec.turns)
     fewest = np.empty((used - first, rotations), np.int64)
     for block in range(first, used):
-        size = object_offsets(nodes, object_id, block, first, used, ways, offsets)
+        size = object_offsets(nodes, object_id, block, first, used, spec, offsets)
         key = np.uint64(0)
         for k in range(size):
             key += cell_key(EDGE * offsets[k, 0], EDGE * offsets[k, 1], EDGE * offsets[k, 2])
         shape = enter(table, stamp, stamps, keys, key, shapes)
         new = shape == shapes
         shapes += new
-        if not (new or ways.level):
+        if not (new or spec.level):
             continue
         for way in range(rotations):
             crowd = 0
-            if ways.level:
+            if spec.level:
                 for other in range(first, used):
-                    turns = ways.hands[way, 0]
-                    crowd += in_the_way(nodes, object_id, block, other, turns, ways.pitch)
+                    turns = spec.hands[way, 0]
+                    crowd += in_the_way(nodes, object_id, block, other, turns, spec.pitch)
             if new or crowd < fewest[shape, way]:
                 best[shape, way], fewest[shape, way] = block, crowd
     return shapes
@@ -209,7 +209,7 @@ def _enter_cell(table, stamp, stamps, keys, cell, cells, count):
 
 @njit(cache=True)
 def _enumerate(
-    nodes, object_id, num_targets, num_placed, num_nodes, ways,
+    nodes, object_id, num_targets, num_placed, num_nodes, spec,
     out_cells, num_cells, out_action, out_members, count, out_key,
 ):  # fmt: skip
     """Write all rows; returns False where the arrays are too small."""
@@ -217,14 +217,14 @@ def _enumerate(
     tables = np.empty((3, slots), np.int64)
     stamps = np.full((3, slots), -1, np.int64)
     keys = np.empty((3, slots), np.uint64)
-    grips, rotations = ways.grips, len(ways.turns)
+    grips, rotations = spec.grips, len(spec.turns)
     best = np.empty((nodes.shape[1], rotations), np.int64)
     offsets = np.empty((rotations, MAX_CELLS, 3))
     cells = np.empty((MAX_CELLS, 3))
     for row in range(len(num_targets)):
         first = num_targets[row] + num_placed[row]
         shapes = choose(
-            nodes[row], object_id[row], first, num_nodes[row], ways, tables[0], stamps[0], keys[0],
+            nodes[row], object_id[row], first, num_nodes[row], spec, tables[0], stamps[0], keys[0],
             row, offsets[0], best,
         )  # fmt: skip
         for shape in range(shapes):
@@ -232,17 +232,17 @@ def _enumerate(
             for way in range(rotations):
                 block = best[shape, way]
                 size = object_offsets(
-                    nodes[row], object_id[row], block, first, num_nodes[row], ways, offsets[way]
+                    nodes[row], object_id[row], block, first, num_nodes[row], spec, offsets[way]
                 )
                 # Like objects stand alike.
-                lift = waiting_level(nodes[row, block, 2]) if ways.level else 0.0
+                lift = waiting_level(nodes[row, block, 2]) if spec.level else 0.0
             for reference in range(num_targets[row], first):
                 for relation in range(len(DIRECTIONS)):
                     for way in range(rotations):
                         if way > 0 and size == 1 and grips[way] == grips[way - 1]:
                             continue  # A turned cube is the same cube.
                         key = fill_cells(
-                            nodes[row], reference, relation, way, ways, offsets[way], size, lift,
+                            nodes[row], reference, relation, way, spec, offsets[way], size, lift,
                             cells,
                         )  # fmt: skip
                         n = count[row]
@@ -275,11 +275,11 @@ def _enumerate(
     return True
 
 
-def distinct_placements(graph: Graph, ways: Ways) -> Placements:
+def distinct_placements(graph: Graph, spec: ActionSpec) -> Placements:
     """Enumerate the distinct placements of every row, in order of block, reference and action.
 
     Args:
-        ways: what the actions mean, :attr:`Task.ways`.
+        spec: what the actions mean, :attr:`Task.action_spec`.
     """
     batch, capacity = len(graph.num_nodes), 256
     while True:
@@ -293,7 +293,7 @@ def distinct_placements(graph: Graph, ways: Ways) -> Placements:
         )
         if _enumerate(
             graph.nodes, graph.object_id, graph.num_targets, graph.num_placed, graph.num_nodes,
-            ways, *out,
+            spec, *out,
         ):  # fmt: skip
             break
         capacity *= 2
@@ -307,18 +307,18 @@ def distinct_placements(graph: Graph, ways: Ways) -> Placements:
 
 
 @njit(cache=True)
-def _locate(nodes, object_id, num_targets, num_placed, num_nodes, ways, action, count, keys, out):
+def _locate(nodes, object_id, num_targets, num_placed, num_nodes, spec, action, count, keys, out):
     offsets = np.empty((MAX_CELLS, 3))
     cells = np.empty((MAX_CELLS, 3))
     for row in range(len(action)):
         first = num_targets[row] + num_placed[row]
         size = object_offsets(
-            nodes[row], object_id[row], action[row, 0], first, num_nodes[row], ways, offsets
+            nodes[row], object_id[row], action[row, 0], first, num_nodes[row], spec, offsets
         )
-        relation, way = divmod(action[row, 2], len(ways.turns))
-        lift = waiting_level(nodes[row, action[row, 0], 2]) if ways.level else 0.0
+        relation, way = divmod(action[row, 2], len(spec.turns))
+        lift = waiting_level(nodes[row, action[row, 0], 2]) if spec.level else 0.0
         key = fill_cells(
-            nodes[row], action[row, 1], relation, way, ways, offsets, size, lift, cells
+            nodes[row], action[row, 1], relation, way, spec, offsets, size, lift, cells
         )
         for n in range(count[row]):
             if keys[row, n] == key:
@@ -326,7 +326,9 @@ def _locate(nodes, object_id, num_targets, num_placed, num_nodes, ways, action, 
                 break
 
 
-def locate(placements: Placements, graph: Graph, action: np.ndarray, ways: Ways) -> np.ndarray:
+def locate(
+    placements: Placements, graph: Graph, action: np.ndarray, spec: ActionSpec
+) -> np.ndarray:
     """Number of the placement that has the result of each node action int64[B, 3]: int64[B].
 
     -1 where none has it.
@@ -334,6 +336,6 @@ def locate(placements: Placements, graph: Graph, action: np.ndarray, ways: Ways)
     out = np.full(len(action), -1, np.int64)
     _locate(
         graph.nodes, graph.object_id, graph.num_targets, graph.num_placed, graph.num_nodes,
-        ways, action, placements.count, placements.key, out,
+        spec, action, placements.count, placements.key, out,
     )  # fmt: skip
     return out

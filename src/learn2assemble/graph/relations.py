@@ -18,7 +18,7 @@ from numba import njit
 from learn2assemble.geometry.images import CAMERA_Z, CENTRE, HALF_EXTENT, pixel_vertex
 from learn2assemble.graph.features import Graph
 from learn2assemble.graph.placements import Placements, in_the_way
-from learn2assemble.world.blocks import EDGE, HALF, Ways, quarter_turn
+from learn2assemble.world.blocks import EDGE, HALF, ActionSpec, quarter_turn
 from learn2assemble.world.layouts import side_frames
 
 EDGE_FEATURES = 13
@@ -191,7 +191,7 @@ def _seen(origin, other, turns, pitch):
 
 @njit(cache=True)
 def _look(
-    nodes, object_id, num_targets, num_placed, num_nodes, cells, action, members, count, ways,
+    nodes, object_id, num_targets, num_placed, num_nodes, cells, action, members, count, spec,
     around, place,
 ):  # fmt: skip
     most = 0
@@ -200,34 +200,34 @@ def _look(
         end = first + num_placed[row]
         for n in range(count[row]):
             block = action[row, n, 0]
-            pick, put = ways.hands[action[row, n, 2] % len(ways.turns)]
+            pick, put = spec.hands[action[row, n, 2] % len(spec.turns)]
             held = cells[row, members[row, n, 0]]
             for axis in range(3):
                 place[row, n, axis] = held[axis]
                 place[row, n, 3 + axis] = nodes[row, block, axis]
             out, last = around[row, n], 0
             for other in range(first, end):
-                out[last] = _seen(held, nodes[row, other], put, ways.pitch)
+                out[last] = _seen(held, nodes[row, other], put, spec.pitch)
                 last += 1
             for k in range(1, members.shape[2]):
                 if members[row, n, k] >= 0:
                     out[last] = OFFSETS
-                    out[last] += _seen(held, cells[row, members[row, n, k]], put, ways.pitch)
+                    out[last] += _seen(held, cells[row, members[row, n, k]], put, spec.pitch)
                     last += 1
             for other in range(end, num_nodes[row]):
-                if in_the_way(nodes[row], object_id[row], block, other, pick, ways.pitch):
+                if in_the_way(nodes[row], object_id[row], block, other, pick, spec.pitch):
                     out[last] = 2 * OFFSETS
-                    out[last] += _seen(nodes[row, block], nodes[row, other], pick, ways.pitch)
+                    out[last] += _seen(nodes[row, block], nodes[row, other], pick, spec.pitch)
                     last += 1
             most = max(most, last)
     return most
 
 
-def look_around(graph: Graph, placements: Placements, ways: Ways) -> Hands:
+def look_around(graph: Graph, placements: Placements, spec: ActionSpec) -> Hands:
     """What the hand meets at every placement of ``placements``, those of ``graph``.
 
     Args:
-        ways: what the actions mean, :attr:`Task.ways`.
+        spec: what the actions mean, :attr:`Task.action_spec`.
     """
     batch, most, largest = placements.members.shape
     length = int((graph.num_nodes - graph.num_targets).max()) + largest
@@ -237,6 +237,6 @@ def look_around(graph: Graph, placements: Placements, ways: Ways) -> Hands:
     )
     used = _look(
         graph.nodes, graph.object_id, graph.num_targets, graph.num_placed, graph.num_nodes,
-        placements.cells, placements.action, placements.members, placements.count, ways, *out,
+        placements.cells, placements.action, placements.members, placements.count, spec, *out,
     )  # fmt: skip
     return out._replace(around=out.around[..., :used])

@@ -16,6 +16,7 @@ from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.registry import Registry
 from learn2assemble.search.config import SearchConfig, training_search
 from learn2assemble.tasks import Task
+from learn2assemble.world.blocks import with_current_names
 
 LARGEST = {
     "num_envs": 10**5, "batch_size": 10**5, "replay_size": 10**7, "steps": 1000,
@@ -120,7 +121,9 @@ class TrainConfig:
         """Inverse of :meth:`to_dict`; unknown keys raise :class:`UnknownNameError`."""
         values = dict(values)
         network = values.pop("network", {})
-        return _build(TrainConfig, {**values, "network": _build(NetworkConfig, network)})
+        return _build(
+            TrainConfig, {**values, "network": _build(NetworkConfig, with_current_names(network))}
+        )
 
 
 def _build(cls: type, values: dict[str, Any]) -> Any:
@@ -248,8 +251,8 @@ def fit_to(config: TrainConfig, task: Task) -> TrainConfig:
     """The configuration with what the task decides: its actions and lattice, whether there is a
     hand to look around, and no symmetries that only cubes without a robot have."""
     network = dataclasses.replace(
-        config.network, num_actions=task.num_actions, attitudes=task.attitudes, pitch=task.pitch,
-        hand=task.has_arm and config.network.encoder == "relational",
+        config.network, num_actions=task.num_actions, action_mode=task.action_mode,
+        pitch=task.pitch, hand=task.has_arm and config.network.encoder == "relational",
     )  # fmt: skip
     augment = config.augment and task.objects == "cubes" and task.touching
     return dataclasses.replace(config, network=network, augment=augment)

@@ -106,7 +106,7 @@ class Trainer:
     """
 
     def __init__(self, task: Task, config: TrainConfig, seed: int, device: str = "cpu") -> None:
-        check_actions(config.network.num_actions, config.network.attitudes, task)
+        check_actions(config.network.num_actions, config.network.action_mode, task)
         self.task, self.config, self.seed, self.device = task, config, seed, device
         self.learner = METHODS[config.method]
         self.simulator = Simulator(task)
@@ -185,7 +185,7 @@ class Trainer:
         state, graph = self.state, self.graph
         searched = outcomes = None
         if self.config.dense_weight:
-            placements = distinct_placements(graph, self.task.ways)
+            placements = distinct_placements(graph, self.task.action_spec)
             outcomes = self.simulator.outcomes(state, graph, placements)
         if self.learner.search is not None:
             how = self.learner.search(self.config.search_budget, self.epsilon)

@@ -24,6 +24,7 @@ from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.networks.config import NETWORKS, NetworkConfig
 from learn2assemble.networks.placement import PlacementNetwork, PlacementValues
 from learn2assemble.networks.qnetwork import QFactors, QNetwork
+from learn2assemble.world.blocks import with_current_names
 
 Network = QNetwork | PlacementNetwork
 Values = QFactors | PlacementValues
@@ -177,7 +178,7 @@ def load_agent(name_or_path: str, device: torch.device | str = "cpu") -> Agent:
         info = json.loads(_info_file(path).read_text(encoding="utf-8"))
         if info["format"] != FORMAT:
             raise ValueError(f"format {info['format']!r}")
-        network = make_network(NetworkConfig(**info["network"]))
+        network = make_network(NetworkConfig(**with_current_names(info["network"])))
         weights = load_file(path)
         for key, value in weights.items():
             if not value.isfinite().all():

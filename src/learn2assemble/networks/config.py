@@ -10,7 +10,7 @@ from typing import Any
 
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.registry import Registry
-from learn2assemble.world.blocks import ATTITUDES, EDGE
+from learn2assemble.world.blocks import ACTION_MODES, EDGE
 
 FEED_FORWARDS = ("light", "wide", "none")
 CONNECTIVITIES = ("partial", "full")
@@ -32,7 +32,7 @@ class NetworkConfig:
             published 64->512->64, ``none`` leaves it out.
         connectivity: ``partial`` or ``full``.
         num_actions: Na.
-        attitudes: what the ways of an action are, :attr:`Task.attitudes`; counts for
+        action_mode: what the ways of an action are, :attr:`Task.action_mode`; counts for
             ``relational`` only, like ``pitch``.
         pitch: horizontal distance of neighbouring blocks of the task [m].
         hand: whether a placement also knows what is around the hand, and where in the world it is
@@ -48,7 +48,7 @@ class NetworkConfig:
     feed_forward: str = "light"
     connectivity: str = "partial"
     num_actions: int = 5
-    attitudes: str = "turns"
+    action_mode: str = "turns"
     pitch: float = EDGE
     hand: bool = False
     position_scale: float = 1.025
@@ -76,8 +76,8 @@ class NetworkConfig:
             raise InputError("width", self.width, "at least 2 for the encoder s2v")
         if self.encoder == "s2v" and self.rotary:
             raise InputError("rotary", self.rotary, "false for the encoder s2v (it has no scores)")
-        if self.attitudes not in ATTITUDES:
-            raise UnknownNameError("attitudes", self.attitudes, ATTITUDES)
+        if self.action_mode not in ACTION_MODES:
+            raise UnknownNameError("action_mode", self.action_mode, ACTION_MODES)
         if not 0 < self.pitch < math.inf:
             raise InputError("pitch", self.pitch, "a positive length [m]")
         if self.hand and self.encoder != "relational":

@@ -21,7 +21,7 @@ from learn2assemble.graph.batch import NUM_SUMMARY, CellTensors, GraphTensors, c
 from learn2assemble.graph.relations import AROUND, EDGE_FEATURES, OFFSETS, PLACE_FEATURES
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import NEGATIVE
-from learn2assemble.world.blocks import RELATIONS, get_ways
+from learn2assemble.world.blocks import RELATIONS, get_action_spec
 
 REACH_OF_ARM = 0.5
 """Positions in the world are divided by this [m]."""
@@ -50,7 +50,7 @@ class PlacementNetwork(nn.Module):
     """Relational encoder of cells and read-out of placements.
 
     Args:
-        config: its ``width``, ``rounds``, ``num_actions``, ``attitudes``, ``pitch`` and ``hand``
+        config: its ``width``, ``rounds``, ``num_actions``, ``action_mode``, ``pitch`` and ``hand``
             count.
     """
 
@@ -71,15 +71,17 @@ class PlacementNetwork(nn.Module):
         self.lever = nn.Linear(3, width, bias=False)
         self.context = nn.Linear(width, width, bias=False)
         self.readout = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 2))
-        grips = get_ways(config.attitudes, config.num_actions // len(RELATIONS)).num_grips
+        grips = get_action_spec(config.action_mode, config.num_actions // len(RELATIONS)).num_grips
         self.grip = nn.Embedding(grips, width) if grips > 1 else None
         self.hand = Hand(width, grips) if config.hand else None
 
     def forward(self, graph: GraphTensors) -> PlacementValues:
         """Q-values of every distinct placement."""
         config = self.config
-        ways = get_ways(config.attitudes, config.num_actions // len(RELATIONS), config.pitch)
-        cells = cell_tensors(graph, ways, config.hand)
+        spec = get_action_spec(
+            config.action_mode, config.num_actions // len(RELATIONS), config.pitch
+        )
+        cells = cell_tensors(graph, spec, config.hand)
         x, context = self.encode(cells)
         parts = F.embedding(cells.cell, self.member(x)) + self.lever(cells.lever)
         if self.grip is not None:

@@ -19,7 +19,7 @@ from learn2assemble.geometry.support import (
     classify_object,
 )
 from learn2assemble.physics.protocol import Verdict
-from learn2assemble.world.blocks import DIRECTIONS, EDGE, HALF, Ways
+from learn2assemble.world.blocks import DIRECTIONS, EDGE, HALF, ActionSpec
 from learn2assemble.world.rules import (
     last_object,
     lay_object,
@@ -117,16 +117,16 @@ def survey(state: State, pitch: float = EDGE) -> np.ndarray:
 
 
 @njit(cache=True)
-def _try_object(state, row, unplaced, reference, action, ways, position):
+def _try_object(state, row, unplaced, reference, action, spec, position):
     """Verdict on one placement; its cells follow the placed ones in ``position``: (verdict, n)."""
     placed = state.num_placed[row]
-    relation, way = divmod(action, len(ways.turns))
-    x, y, z = target_cell(state, row, reference, relation, ways.pitch)
-    if ways.level:
+    relation, way = divmod(action, len(spec.turns))
+    x, y, z = target_cell(state, row, reference, relation, spec.pitch)
+    if spec.level:
         z += waiting_level(state.position[row, state.num_placed[row] + unplaced, 2])
     count = placed + lay_object(
-        state, row, unplaced, reference, x, y, z, ways.turns[way], position[placed:],
-        ways.pitch,
+        state, row, unplaced, reference, x, y, z, spec.turns[way], position[placed:],
+        spec.pitch,
     )  # fmt: skip
     return classify_object(position, placed, count, HALF), count
 
@@ -150,7 +150,7 @@ def _same_object(state, row, a, b):
 
 
 @njit(cache=True)
-def _try_objects(state, row, ways, position, verdict):
+def _try_objects(state, row, spec, position, verdict):
     for unplaced in range(verdict.shape[0]):
         for earlier in range(unplaced):
             if _same_object(state, row, unplaced, earlier):
@@ -160,32 +160,32 @@ def _try_objects(state, row, ways, position, verdict):
             for reference in range(verdict.shape[1]):
                 for action in range(verdict.shape[2]):
                     verdict[unplaced, reference, action], _ = _try_object(
-                        state, row, unplaced, reference, action, ways, position
+                        state, row, unplaced, reference, action, spec, position
                     )
 
 
-def survey_objects(state: State, ways: Ways) -> np.ndarray:
+def survey_objects(state: State, spec: ActionSpec) -> np.ndarray:
     """Verdict of every placement of every waiting block with its object, by static physics.
 
     Args:
-        ways: what the actions mean.
+        spec: what the actions mean.
 
     Returns:
         int8[B, M, M, 5 * R]: :class:`Verdict` for (unplaced, reference, action), counted
         as in :meth:`Simulator.step`; OVERLAP beyond the blocks there are.
     """
     batch, blocks = state.position.shape[:2]
-    shape = (batch, blocks, blocks, NUM_RELATIONS * len(ways.turns))
+    shape = (batch, blocks, blocks, NUM_RELATIONS * len(spec.turns))
     verdict = np.full(shape, int(Verdict.OVERLAP), np.int8)
     for row in range(batch):
         placed, waiting = state.num_placed[row], int(state.num_unplaced[row])
         position = np.concatenate([state.position[row, :placed], np.empty((blocks, 3))])
         found = verdict[row, :waiting, :placed]
-        _try_objects(state, row, ways, position, found)
+        _try_objects(state, row, spec, position, found)
         known: dict[bytes, int] = {}
         for choice in np.argwhere(found == UNDECIDED):
             unplaced, reference, action = choice
-            _, count = _try_object(state, row, unplaced, reference, action, ways, position)
+            _, count = _try_object(state, row, unplaced, reference, action, spec, position)
             cells = position[placed:count]
             key = np.unique(np.rint(cells * 1e6), axis=0).tobytes()
             if key not in known:

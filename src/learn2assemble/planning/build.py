@@ -110,7 +110,7 @@ def build(
     if agent is None or isinstance(agent, str):
         agent = load_agent(agent or default_agent(_agent_task(problem)))
     network = agent.network.config
-    check_actions(network.num_actions, network.attitudes, problem.task)
+    check_actions(network.num_actions, network.action_mode, problem.task)
     with one_thread():
         if not problem.task.has_arm:
             return build_problem(

@@ -93,11 +93,11 @@ def strip(problem: Problem, simulator: Simulator, placements: list[Placement]) -
 def _without(problem: Problem, placements: list[Placement], number: int) -> list[Placement] | None:
     """``placements`` without step ``number`` (0-based), or ``None`` where a step loses its only
     neighbour."""
-    ways, steps = problem.task.rotations, DIRECTIONS * step_sizes(problem.task.pitch)
+    spec, steps = problem.task.rotations, DIRECTIONS * step_sizes(problem.task.pitch)
     there = int(problem.state.num_placed[0])
     cells = list(problem.state.position[0, :there])
     for placement in placements:
-        cells.append(cells[placement.reference] + steps[placement.action // ways])
+        cells.append(cells[placement.reference] + steps[placement.action // spec])
     kept = cells[:there]
     out: list[Placement] = []
     for step, placement in enumerate(placements):
@@ -107,7 +107,7 @@ def _without(problem: Problem, placements: list[Placement], number: int) -> list
         if found is None:
             return None
         reference, relation = found
-        action = relation * ways + placement.action % ways
+        action = relation * spec + placement.action % spec
         out.append(Placement(placement.block, reference, action))
         kept.append(cells[there + step])
     return out
@@ -168,8 +168,8 @@ def _candidates(
 ) -> list[np.ndarray]:
     """Placements to try, the best first; of those that rank the same, the agent's favourite."""
     graph = simulator.observe(state)
-    placements = distinct_placements(graph, simulator.ways)
-    outcomes = simulator.outcomes(state, graph, placements, by_hand=True)
+    placements = distinct_placements(graph, simulator.action_spec)
+    outcomes = simulator.outcomes(state, graph, placements, without_arm=True)
     actions = placements.action[0] - node_offset(graph)
     values = model.action_values(state)[0]
     q = {tuple(action): value for action, value in zip(values.actions.tolist(), values.values,

@@ -22,7 +22,7 @@ from learn2assemble.networks.qnetwork import QFactors
 from learn2assemble.search.tree import ActionValues, StepResult
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import check_actions
-from learn2assemble.world.blocks import EDGE, Ways
+from learn2assemble.world.blocks import EDGE, ActionSpec
 from learn2assemble.world.layouts import to_world
 from learn2assemble.world.state import State
 
@@ -41,7 +41,7 @@ class WorldModel:
 
     def __init__(self, simulator: Simulator, network: Network, device: str = "cpu") -> None:
         task, config = simulator.task, network.config
-        check_actions(config.num_actions, config.attitudes, task)
+        check_actions(config.num_actions, config.action_mode, task)
         self.simulator, self.device = simulator, device
         self.network = at_pitch(network, task.pitch)
         self.discount = simulator.task.discount
@@ -70,15 +70,15 @@ class WorldModel:
         for number, values in enumerate(found):
             part = graph.take(np.arange(len(graph.num_nodes))[number * PART : (number + 1) * PART])
             pairs = isinstance(values, QFactors)
-            ways = self.simulator.ways
-            out += _of_pairs(part, values, ways) if pairs else _of_placements(part, values)
+            spec = self.simulator.action_spec
+            out += _of_pairs(part, values, spec) if pairs else _of_placements(part, values)
         return out
 
     def legal(self, states: State) -> list[ActionValues]:
         graph, num_actions = self.simulator.observe(states), self.simulator.task.num_actions
         sizes = zip(states.num_unplaced, states.num_placed, strict=True)
         return [
-            _all_actions(graph, row, np.zeros((*size, num_actions)), self.simulator.ways)
+            _all_actions(graph, row, np.zeros((*size, num_actions)), self.simulator.action_spec)
             for row, size in enumerate(sizes)
         ]
 
@@ -112,21 +112,21 @@ def _of_placements(graph: Graph, values: PlacementValues) -> list[ActionValues]:
     return out
 
 
-def _of_pairs(graph: Graph, values: QFactors, ways: Ways) -> list[ActionValues]:
+def _of_pairs(graph: Graph, values: QFactors, spec: ActionSpec) -> list[ActionValues]:
     block, reference, context = (t.cpu().numpy().astype(np.float64) for t in values)
     out = []
     for row in range(len(graph.num_nodes)):
         first = int(graph.num_targets[row])
         split, end = first + int(graph.num_placed[row]), int(graph.num_nodes[row])
         q = block[row, split:end, None] + reference[row, None, first:split] + context[row]
-        out.append(_all_actions(graph, row, q, ways))
+        out.append(_all_actions(graph, row, q, spec))
     return out
 
 
-def _all_actions(graph: Graph, row: int, values: np.ndarray, ways: Ways) -> ActionValues:
+def _all_actions(graph: Graph, row: int, values: np.ndarray, spec: ActionSpec) -> ActionValues:
     """All actions of a row in the order of float64[unplaced, placed, Na] ``values``."""
     actions = np.indices(values.shape).reshape(3, -1).T
-    keys = action_keys(graph, row, ways)
+    keys = action_keys(graph, row, spec)
     return ActionValues(actions, values.ravel(), keys.ravel())
 
 
@@ -137,8 +137,8 @@ LAST = 1e6
 def lookahead_actions(simulator: Simulator, state: State) -> np.ndarray:
     """One action for every row: int64[B, 3] (local indices)."""
     graph = simulator.observe(state)
-    placements = distinct_placements(graph, simulator.ways)
-    outcomes = simulator.outcomes(state, graph, placements, by_hand=True)
+    placements = distinct_placements(graph, simulator.action_spec)
+    outcomes = simulator.outcomes(state, graph, placements, without_arm=True)
     positive = outcomes.valid & (outcomes.reward > 0)
     # The discrete reward counts gains, so small ones first; the scaled one adds them up discounted.
     best = outcomes.gain if simulator.task.reward == "discrete" else -outcomes.reward

@@ -42,7 +42,7 @@ from learn2assemble.tasks import Task
 from learn2assemble.world.blocks import DIRECTIONS, EDGE
 from learn2assemble.world.design import MAX_COLUMN, cell_pixels, tower_pixels
 from learn2assemble.world.layouts import to_world
-from learn2assemble.world.rules import DISCRETE, judge_counts
+from learn2assemble.world.rules import DISCRETE, reward_and_success
 from learn2assemble.world.state import State
 
 
@@ -171,7 +171,7 @@ def has_ended(towers, heights):
         complete += towers.own[n, heights[n]]
         if n > 0:
             complete -= towers.shared[n, heights[n - 1], heights[n]]
-    _, success = judge_counts(
+    _, success = reward_and_success(
         towers.counts[0], towers.counts[1], 0, 0, complete, True, DISCRETE, towers.threshold
     )
     return success

@@ -41,6 +41,7 @@ from learn2assemble.reproduction.tables import AGENT, LOOK_AHEAD, RANDOM, Row, T
 from learn2assemble.search.config import SearchConfig
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import Task
+from learn2assemble.world.blocks import with_current_names
 
 BOUND = "bound"
 """The policy that does not play: upper bounds on the returns of the problems."""
@@ -58,7 +59,7 @@ class Cell:
         agent: name of the agent; empty without one.
         search: what precedes every decision.
         epsilon: chance of a random action.
-        physics: judge of the episodes.
+        physics: placement checker of the episodes.
         seed: of problems and policy.
     """
 
@@ -94,7 +95,7 @@ class Cell:
         return Cell(
             **{
                 **values,
-                "task": Task(**values["task"]),
+                "task": Task(**with_current_names(values["task"])),
                 "search": None if search is None else _rebuild(SearchConfig(), search),
             }
         )
@@ -181,7 +182,7 @@ def _policy(cell: Cell, agent_file: str | None) -> Policy:
         # Its values are never asked for: without a prior and with rollouts to the end.
         task = cell.task
         config = NetworkConfig(
-            width=8, heads=1, rounds=1, num_actions=task.num_actions, attitudes=task.attitudes
+            width=8, heads=1, rounds=1, num_actions=task.num_actions, action_mode=task.action_mode
         )
         torch.manual_seed(0)
         network = QNetwork(config)

@@ -41,10 +41,10 @@ from learn2assemble.world.rules import (
     REWARDS,
     count_row,
     cover_block,
-    judge,
     last_object,
     move_block,
     recover_all,
+    reward_and_end,
     target_cell,
     waiting_level,
 )
@@ -293,7 +293,7 @@ def _repeat(
     physics: Physics,
 ) -> _Outcome:
     """Our outcome of the recorded action from the recorded state."""
-    task, ways = scene.task, scene.task.ways
+    task, spec = scene.task, scene.task.action_spec
     state = scene.place(line["placed"], len(unplaced))
     if objects is not None:
         scene.group(objects, unplaced)
@@ -301,9 +301,9 @@ def _repeat(
     previous = int(state.plane_pixels[0])
     relation, way = divmod(line["u"][2], task.rotations)
     x, y, z = target_cell(state, 0, line["ref"], relation, task.pitch)
-    if ways.level:
+    if spec.level:
         z += waiting_level(state.position[0, state.num_placed[0] + line["blk"], 2])
-    move_block(state, 0, line["blk"], line["ref"], x, y, z, int(ways.turns[way]), task.pitch)
+    move_block(state, 0, line["blk"], line["ref"], x, y, z, int(spec.turns[way]), task.pitch)
     count, new = int(state.num_placed[0]), last_object(state, 0)
     centres, object_id = state.position[0, :count].copy(), state.object_id[0, :count].copy()
     verdict = physics.settle(state, np.array([0]))[0]
@@ -317,6 +317,8 @@ def _repeat(
             cover_block(state, 0, scene.frames, block, scene.depths)
     count_row(state, 0)
     valid = bool(verdict == Verdict.STABLE)
-    reward, done, _ = judge(state, 0, previous, valid, REWARDS[task.reward], task.success_threshold)
+    reward, done, _ = reward_and_end(
+        state, 0, previous, valid, REWARDS[task.reward], task.success_threshold
+    )
     state.quaternion[0] = (1.0, 0.0, 0.0, 0.0)
     return _Outcome(valid, reward, done, centres, object_id, new)

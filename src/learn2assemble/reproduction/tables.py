@@ -26,7 +26,7 @@ METHOD, OWN, REFERENCE = "method", "own", "reference"
 
 @dataclass(frozen=True)
 class Condition:
-    """How episodes are played: chance of a random action, and the judge."""
+    """How episodes are played: chance of a random action, and the placement checker."""
 
     epsilon: float
     physics: str = "static"

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -37,7 +37,7 @@ DIRECTIONS = np.array([[0, 0, 1], [-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0]],
 ROTATIONS = (1, 4)
 """Numbers of ways a task may offer in each relation."""
 
-ATTITUDES = {
+ACTION_MODES = {
     "turns": (((0, 0), (0, 1), (0, 2), (0, 3)), False),
     "grips": (((0, 0), (0, 3), (3, 0), (3, 3)), True),
 }
@@ -48,8 +48,8 @@ AB, BA, BB: two of them fill the same cells and are different actions all the sa
 stand elsewhere."""
 
 
-class Ways(NamedTuple):
-    """What actions mean, beside the relation: a :attr:`Task.ways`."""
+class ActionSpec(NamedTuple):
+    """What the actions of a task mean beside the relation, see :attr:`Task.action_spec`."""
 
     pitch: float
     """Horizontal distance of the centres of neighbouring cells [m]."""
@@ -68,27 +68,38 @@ class Ways(NamedTuple):
         return int(self.grips.max()) + 1
 
 
+Ways = ActionSpec
+"""Its earlier name: without it, numba cannot read the index of what it compiled before."""
+
+
+def with_current_names(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of a saved task or network under the names they have now."""
+    return {"action_mode" if key == "attitudes" else key: v for key, v in values.items()}
+
+
 @lru_cache
-def get_ways(attitudes: str = "turns", rotations: int = 1, pitch: float = EDGE) -> Ways:
-    """The ways of a task.
+def get_action_spec(
+    action_mode: str = "turns", rotations: int = 1, pitch: float = EDGE
+) -> ActionSpec:
+    """What the actions of a task mean.
 
     Args:
-        attitudes: a name of :data:`ATTITUDES`.
+        action_mode: a name of :data:`ACTION_MODES`.
         rotations: R, how many there are in each relation.
         pitch: horizontal distance of the centres of neighbouring cells [m].
 
     Raises:
-        UnknownNameError: for other attitudes.
+        UnknownNameError: for another action mode.
         InputError: for another number of ways.
     """
-    if attitudes not in ATTITUDES:
-        raise UnknownNameError("attitudes", attitudes, ATTITUDES)
-    pairs, gripped = ATTITUDES[attitudes]
+    if action_mode not in ACTION_MODES:
+        raise UnknownNameError("action_mode", action_mode, ACTION_MODES)
+    pairs, gripped = ACTION_MODES[action_mode]
     if rotations not in ROTATIONS:
         raise InputError("rotations", rotations, "1 or 4")
     grips = np.arange(rotations) if gripped else np.zeros(rotations, np.int64)
     hands = np.array(pairs[:rotations])
-    return Ways(float(pitch), (hands[:, 1] - hands[:, 0]) % 4, grips, hands, gripped)
+    return ActionSpec(float(pitch), (hands[:, 1] - hands[:, 0]) % 4, grips, hands, gripped)
 
 
 def step_sizes(pitch: float) -> np.ndarray:

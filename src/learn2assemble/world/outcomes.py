@@ -13,11 +13,11 @@ from numba import njit
 
 from learn2assemble.geometry.coverage import NARROW, DepthFilter, add_box, count_cover
 from learn2assemble.geometry.support import STABLE, UNDECIDED, classify_cube, classify_object
-from learn2assemble.world.blocks import HALF, Ways
+from learn2assemble.world.blocks import HALF, ActionSpec
 from learn2assemble.world.rules import (
     REWARDS,
-    judge_counts,
     lay_object,
+    reward_and_success,
     target_cell,
     waiting_level,
 )
@@ -75,11 +75,11 @@ def _cover(state, row, frames, depths, position, placed, count, covered, occlude
 
 @njit(cache=True)
 def _try_all(
-    state, actions, count, ways, frames, depths, reward_kind, threshold,
+    state, actions, count, spec, frames, depths, reward_kind, threshold,
     reward, terminal, valid, gain, covered, occluded,
 ):  # fmt: skip
     position = np.empty((state.position.shape[1] + 8, 3))
-    turns, rotations, pitch, level = ways.turns, len(ways.turns), ways.pitch, ways.level
+    turns, rotations, pitch, level = spec.turns, len(spec.turns), spec.pitch, spec.level
     for row in range(len(count)):
         placed = state.num_placed[row]
         position[:placed] = state.position[row, :placed]
@@ -104,7 +104,7 @@ def _try_all(
             plane, complete = _cover(
                 state, row, frames, depths, position, placed, end, covered, occluded
             )
-            reward[row, n], success = judge_counts(
+            reward[row, n], success = reward_and_success(
                 state.mask_pixels[row], state.initial_pixels[row], state.plane_pixels[row],
                 plane, complete, True, reward_kind, threshold,
             )  # fmt: skip
@@ -117,7 +117,7 @@ def outcomes(
     state: State,
     actions: np.ndarray,
     count: np.ndarray,
-    ways: Ways,
+    spec: ActionSpec,
     frames: np.ndarray,
     reward: str,
     threshold: float,
@@ -128,7 +128,7 @@ def outcomes(
     Args:
         actions: int64[B, P, 3]: number of the unplaced block, of the reference block, action.
         count: int64[B]: how many of them each row has.
-        ways: what the actions mean.
+        spec: what the actions mean.
         frames: float64[S, 4] of the sides.
         depths: which depths count as in the plane of a side.
     """
@@ -140,7 +140,7 @@ def outcomes(
         np.zeros(shape, np.float32),
     )
     _try_all(
-        state, actions, count, ways, frames, depths, REWARDS[reward], threshold, *out,
+        state, actions, count, spec, frames, depths, REWARDS[reward], threshold, *out,
         np.empty_like(state.covered[0]), np.empty_like(state.occluded[0]),
     )  # fmt: skip
     return out

@@ -189,7 +189,7 @@ def count_row(state, row):
 
 
 @njit(cache=True)
-def judge_counts(
+def reward_and_success(
     mask_pixels, initial_pixels, previous_plane, plane, complete, valid, reward_kind, threshold
 ):
     """Reward and success of a step from pixel counts: ``(reward, success)``."""
@@ -206,12 +206,12 @@ def judge_counts(
 
 
 @njit(cache=True)
-def judge(state, row, previous_plane, valid, reward_kind, threshold):
+def reward_and_end(state, row, previous_plane, valid, reward_kind, threshold):
     """Reward and end of the step that led to the current row.
 
     ``previous_plane`` is c_pl before the step. Returns ``(reward, terminated, success)``.
     """
-    reward, success = judge_counts(
+    reward, success = reward_and_success(
         state.mask_pixels[row], state.initial_pixels[row], previous_plane,
         state.plane_pixels[row], state.complete_pixels[row], valid, reward_kind, threshold,
     )  # fmt: skip
