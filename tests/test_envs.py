@@ -225,7 +225,7 @@ def test_masks_say_what_every_action_does(name: str, seed: int, steps: int) -> N
     assert np.array_equal(worlds.object_id[:, placed], obs["object_id"][i])
     step = np.array([env.task.pitch, env.task.pitch, EDGE])
     target = obs["nodes"][j, :3] + step * DIRECTIONS[k // env.task.rotations]
-    if env.task.ways.level:
+    if env.task.action_spec.level:
         # The chosen cell is as far above its object's lowest as it was while waiting.
         waiting = obs["object_id"][-unplaced:], obs["nodes"][-unplaced:, 2]
         lowest = [waiting[1][waiting[0] == number].min() for number in obs["object_id"][i]]

@@ -274,7 +274,7 @@ state = sim.new(2, np.random.default_rng(0))
 assert sim.physics_mask(state).any()
 sim.step(state, np.zeros((2, 3), np.int64))
 graph = sim.observe(state)
-sim.outcomes(state, graph, distinct_placements(graph, sim.ways))
+sim.outcomes(state, graph, distinct_placements(graph, sim.action_spec))
 """
 
 
