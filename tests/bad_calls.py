@@ -275,8 +275,8 @@ BAD = [
     BadCall("eval into a long name", evaluate("--out", "{d}/" + LONG), "--out"),
     # replay
     BadCall("replay nothing", ["replay"], "FILE"),
-    BadCall("replay a missing file", ["replay", "{d}/nosuch.jsonl"], "an existing .jsonl"),
-    BadCall("replay a folder", ["replay", "{d}/full"], "an existing .jsonl"),
+    BadCall("replay a missing file", ["replay", "{d}/nosuch.jsonl"], "an existing recording"),
+    BadCall("replay a folder", ["replay", "{d}/full"], "an existing recording"),
     BadCall("replay what is not JSON", ["replay", "{d}/not_json.jsonl"], "line 1"),
     BadCall("replay a list", ["replay", "{d}/list.jsonl"], "a JSON object"),
     BadCall("replay another robot's log", ["replay", "{d}/robot.jsonl"], "3robo"),
@@ -285,7 +285,7 @@ BAD = [
             "list.jsonl line 1"),
     BadCall("replay an empty file", ["replay", "{d}/empty.jsonl"], "empty.jsonl"),
     BadCall("replay a damaged archive", ["replay", "{d}/damaged.jsonl.gz"], "damaged.jsonl.gz"),
-    BadCall("replay a long name", ["replay", LONG], "an existing .jsonl",
+    BadCall("replay a long name", ["replay", LONG], "an existing recording",
             "Path.is_file raises for names that are too long"),
     # bench
     BadCall("bench for no time", ["bench", "--seconds", "0"], "a positive number"),

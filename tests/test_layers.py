@@ -32,7 +32,7 @@ ALLOWED: dict[str, set[str]] = {
     "graph": _WORLD,
     "checkers": _WORLD | {"physics", "robot", "tasks"},
     "simulator": _WORLD | {"physics", "tasks", "graph", "checkers"},
-    "networks": {"errors", "registry", "graph", "world"},
+    "networks": {"errors", "registry", "files", "graph", "world"},
     "search": {"errors", "registry"},
     "learning": _TASK | {"networks", "search", "planning"},
     "planning": _TASK | {"networks", "search", "assembly", "design"},

@@ -162,13 +162,31 @@ def read_json(path: Path, kind: str, limit: int = MAX_GENERATED) -> tuple[Any, s
     return load_json(text, source, kind), source
 
 
-def read_json_lines(path: Path, kind: str) -> Iterator[tuple[Mapping[str, Any], str]]:
-    """The JSON objects in the lines of a file, each with what messages call it."""
-    text, source = read_text(path, kind, MAX_GENERATED)
-    for number, line in enumerate(text.splitlines(), 1):
-        if line.strip():
-            where = f"{source}: line {number}"
-            yield mapping(load_json(line, where, kind), where), where
+def read_json_lines(path: Path, kind: str) -> Iterator[Mapping[str, Any]]:
+    """The JSON objects in the lines of a file, one at a time; of ``*.gz`` unpacked.
+
+    Raises:
+        InputError: naming file and line, for a file that is missing or unreadable, a line of more
+            than ``MAX_BYTES`` and one that is no JSON object.
+    """
+    path, number = Path(path), 0
+    if not path.is_file():
+        raise InputError(kind, printable(str(path)), f"an existing {kind}")
+    try:
+        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+            while line := file.readline(MAX_BYTES + 1):
+                number += 1
+                where = f"{printable(path.name)} line {number}"
+                if len(line) > MAX_BYTES:
+                    raise InputError(where, f"more than {MAX_BYTES} bytes", "a JSON object")
+                try:
+                    value = load_json(line.decode(), where, kind)
+                except UnicodeDecodeError:
+                    raise InputError(where, "bytes that are not UTF-8", "a JSON object") from None
+                yield mapping(value, where)
+    except (OSError, EOFError, zlib.error) as error:
+        where = f"{printable(path.name)} line {max(number, 1)}"
+        raise InputError(where, str(error) or type(error).__name__, "a JSON object") from None
 
 
 def printable(source: str) -> str:

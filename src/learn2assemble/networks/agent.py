@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import json
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -21,6 +22,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
 from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.files import mapping, read_json, write_file
 from learn2assemble.networks.config import NETWORKS, NetworkConfig
 from learn2assemble.networks.placement import PlacementNetwork, PlacementValues
 from learn2assemble.networks.qnetwork import QFactors, QNetwork
@@ -154,8 +156,15 @@ def save_agent(agent: Agent, folder: Path) -> Path:
         "origin": agent.origin,
     }
     tensors = {k: v.detach().cpu().contiguous() for k, v in agent.network.state_dict().items()}
-    save_file(tensors, weights)
-    weights.with_suffix(".json").write_text(json.dumps(info, indent=1) + "\n", encoding="utf-8")
+    part = weights.with_suffix(".part")
+    try:
+        save_file(tensors, part)
+        os.replace(part, weights)
+    except (OSError, SafetensorError) as error:
+        part.unlink(missing_ok=True)
+        reason = " ".join(str(error).split())
+        raise InputError("agent", str(weights), f"a place that can be written ({reason})") from None
+    write_file(weights.with_suffix(".json"), json.dumps(info, indent=1) + "\n", "agent")
     return weights
 
 
@@ -175,7 +184,7 @@ def load_agent(name_or_path: str, device: torch.device | str = "cpu") -> Agent:
         if not file.is_file():
             raise InputError("agent", str(file), "an existing file")
     try:
-        info = json.loads(_info_file(path).read_text(encoding="utf-8"))
+        info = mapping(read_json(_info_file(path), "agent")[0], "agent")
         if info["format"] != FORMAT:
             raise ValueError(f"format {info['format']!r}")
         network = make_network(NetworkConfig(**with_current_names(info["network"])))

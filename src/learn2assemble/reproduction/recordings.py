@@ -3,10 +3,7 @@ why a step may differ when repeated."""
 
 from __future__ import annotations
 
-import gzip
 import itertools
-import json
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.errors import InputError
+from learn2assemble.files import read_json_lines
 from learn2assemble.geometry.coverage import FILTERS
 from learn2assemble.geometry.images import paper_mask
 from learn2assemble.geometry.support import BALANCE_TOLERANCE
@@ -54,22 +52,8 @@ def read_lines(path: Path) -> Iterator[Line]:
     Raises:
         InputError: where the file is missing, unreadable or not lines of JSON objects.
     """
-    if not path.is_file():
-        raise InputError("recorded transitions", str(path), "an existing .jsonl or .jsonl.gz file")
-    opener = gzip.open if path.suffix == ".gz" else open
-    number = 0
-    try:
-        with opener(path, "rt", encoding="utf-8") as stream:
-            for text in stream:
-                number += 1
-                value = json.loads(text)
-                if not isinstance(value, dict):
-                    raise ValueError("not an object")
-                yield value
-    except (OSError, ValueError, EOFError, zlib.error) as error:
-        raise InputError(
-            f"{path.name} line {max(number, 1)}", str(error), "a JSON object"
-        ) from None
+    for value in read_json_lines(path, "recording (.jsonl or .jsonl.gz)"):
+        yield dict(value)
 
 
 def is_real(line: Line) -> bool:

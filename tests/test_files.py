@@ -1,0 +1,184 @@
+"""Files of a user: bounded reading, values by their type, writing all or nothing; interrupts."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from learn2assemble.cli import main
+from learn2assemble.errors import InputError
+from learn2assemble.files import (
+    MAX_BYTES,
+    MAX_DEPTH,
+    Range,
+    from_plain,
+    load_json,
+    read_bytes,
+    read_json_lines,
+    to_plain,
+    write_file,
+)
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers(-(10**9), 10**9)
+    | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=4)
+    | st.dictionaries(st.text(max_size=4), inner, max_size=4),
+    max_leaves=20,
+)  # fmt: skip
+
+
+@given(JSON)
+def test_json_is_read_as_python_reads_it(value: Any) -> None:
+    text = json.dumps(value)
+    assert load_json(text, "file", "form") == value
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[" * (MAX_DEPTH + 1) + "]" * (MAX_DEPTH + 1), "nested too deeply"),
+        ("[" * 100_000, "nested too deeply"),
+        ('{"a": {"b": 1, "b": 2}}', "key of a"),
+        ('{"a": [1, NaN]}', "a[1]"),
+        ('{"a": -Infinity}', "a: got -inf"),
+        ('{"a": 1e999}', "a: got inf"),
+        ("1" * 5000, "thousands of digits"),
+        ("{]", "line 1 column 2"),
+        ("  ", "an empty file"),
+    ],
+)
+def test_what_is_no_such_json_is_refused_in_one_line(text: str, words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        load_json(text, "file", "form")
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_brackets_in_words_are_not_depth() -> None:
+    word = "[{" * 100 + '\\"[' * 3
+    assert load_json(json.dumps([word]), "file", "form") == [word]
+
+
+def test_what_explodes_is_read_up_to_its_limit(tmp_path: Path) -> None:
+    bomb = tmp_path / "bomb.json.gz"
+    with gzip.open(bomb, "wb", 1) as file:
+        for _ in range(3):
+            file.write(b"\0" * MAX_BYTES)
+    with pytest.raises(InputError, match="more than"):
+        read_bytes(bomb, "file")
+    with pytest.raises(InputError, match="line 1: got 'more than"):
+        list(read_json_lines(bomb, "recording"))
+
+
+@dataclass(frozen=True)
+class Inner:
+    size: Annotated[float, Range(0, 10)]
+    kind: Literal["a", "b"] = "a"
+
+
+@dataclass(frozen=True)
+class Outer:
+    name: str
+    inner: tuple[Inner, ...]
+    place: tuple[float, float] | None = None
+    ready: bool = False
+
+
+@given(
+    st.builds(
+        Outer, st.text(),
+        st.lists(st.builds(Inner, st.floats(0, 10), st.sampled_from("ab"))).map(tuple),
+        st.none() | st.tuples(st.floats(-5, 5), st.floats(-5, 5)), st.booleans(),
+    )
+)  # fmt: skip
+def test_a_value_is_read_as_it_was_written(value: Outer) -> None:
+    assert from_plain(Outer, json.loads(json.dumps(to_plain(value))), "file") == value
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        ({"name": 1, "inner": []}, "name: got 1, expected text"),
+        ({"name": "x"}, "the key 'inner'"),
+        ({"name": "x", "inner": [{"size": 11}]}, "inner[0].size: got 11, expected 0 to 10"),
+        ({"name": "x", "inner": [{"size": True}]}, "a number"),
+        ({"name": "x", "inner": [{"size": 1, "kind": "c"}]}, "one of a, b"),
+        ({"name": "x", "inner": [], "place": [1]}, "a list of 2 values"),
+        ({"name": "x", "inner": [], "raedy": True}, "did you mean 'ready'"),
+    ],
+)
+def test_a_value_of_another_type_is_refused(data: Any, words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        from_plain(Outer, data, "file")
+    assert words in str(caught.value)
+
+
+def test_a_file_is_written_all_or_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.json"
+    write_file(path, "old", "plan")
+
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(InputError, match=r"plan: .*No space left on device"):
+        write_file(path, "new", "plan")
+    assert path.read_text() == "old"
+    assert [file.name for file in tmp_path.iterdir()] == ["a.json"]
+    with pytest.raises(InputError, match="No such file"):
+        write_file(tmp_path / "no" / "a.json", "new", "plan")
+
+
+@pytest.mark.parametrize("command", ["view", "build", "replay"])
+def test_files_that_explode_are_refused_by_commands(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / ("a.jsonl" if command == "replay" else "a.json")
+    file.write_text("[" * 100_000 + "]" * 100_000 + "\n")
+    more = ["--out", str(tmp_path / "out")] if command == "build" else []
+    assert main([command, str(file), *more]) == 2
+    message = capsys.readouterr().err.splitlines()[-1]
+    assert message.startswith("l2a: error: ")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGINT") or os.name == "nt", reason="needs POSIX signals")
+@pytest.mark.parametrize("wait", [0.0, 0.2, 0.5])
+def test_an_interrupt_ends_with_130_and_no_traceback(wait: float, tmp_path: Path) -> None:
+    """From the moment the program runs: while libraries load, and later."""
+    code = (
+        "import sys; sys.argv = ['l2a', *sys.argv[1:]]\n"
+        "from learn2assemble.__main__ import run\n"
+        "import signal, threading\n"
+        "real = signal.signal\n"
+        "def ready(*words):\n"
+        "    found = real(*words); print('ready', flush=True); return found\n"
+        "signal.signal = ready\n"
+        "sys.exit(run())"
+    )
+    words = ["train", "two-sided-3x3-20-24", "--out", str(tmp_path / "out"), "--minutes", "5"]
+    with subprocess.Popen(
+        [sys.executable, "-c", code, *words],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        time.sleep(wait)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=120)
+    assert process.returncode == 130
+    assert "Traceback" not in err
+    assert err.rstrip().endswith("l2a: interrupted")
