@@ -38,8 +38,8 @@ class Failure(Exception):
         self.outcome, self.stage, self.detail = outcome, stage, detail
 
 
-class Plan(NamedTuple):
-    """Joint positions over both places."""
+class Approaches(NamedTuple):
+    """Approach paths over both places."""
 
     pick: ApproachPath
     """Over the grasped cell, from :data:`PRESS` below the contact."""
@@ -55,7 +55,7 @@ class Course(NamedTuple):
     """A plan and the ways between its approach paths, each float64[k, n]: joint positions [rad]
     whose straight connections are free."""
 
-    plan: Plan
+    plan: Approaches
     there: np.ndarray
     """From where the arm is to above the object."""
     across: np.ndarray
@@ -111,12 +111,12 @@ def rest_pose(arm: Arm, checker: WorldChecker) -> np.ndarray:
     return arm.home
 
 
-def _plan(arm: Arm, checker: WorldChecker, order: Order) -> Plan:
+def _plan(arm: Arm, checker: WorldChecker, order: Order) -> Approaches:
     """As ordered or with the fingers exchanged: whatever meets less, then what turns less."""
     height = crossing_height(order.scene, order.move)
     given = order.move
     flipped = given._replace(grasp=given.grasp.flipped(), place=given.place.flipped())
-    found: list[tuple[int, float, Plan]] = []
+    found: list[tuple[int, float, Approaches]] = []
     reasons: list[Failure] = []
     for move in (given, flipped):
         centre = order.scene.position[move.cell]
@@ -132,7 +132,7 @@ def _plan(arm: Arm, checker: WorldChecker, order: Order) -> Plan:
         if isinstance(place, str):
             reasons.append(Failure(Outcome.UNREACHABLE, "place", place))
             continue
-        plan = Plan(pick[0], place[0], move, height)
+        plan = Approaches(pick[0], place[0], move, height)
         ways = [arm.home, *plan.pick.joints[::-1], *plan.place.joints, arm.home]
         found.append((pick[1] + place[1], travel_time(arm, ways), plan))
     if not found:
@@ -161,7 +161,9 @@ def _choose(
     return reason if first is None else (first, 1)
 
 
-def _across(arm: Arm, checker: WorldChecker, order: Order, plan: Plan) -> tuple[Plan, np.ndarray]:
+def _across(
+    arm: Arm, checker: WorldChecker, order: Order, plan: Approaches
+) -> tuple[Approaches, np.ndarray]:
     """The plan, higher where that gives a straight free way, and the way."""
     checker.carry(order.target, *order.in_hand(plan.move.grasp), EDGE)
     hit = checker.blocked(plan.pick.joints[-1], plan.place.joints[-1])
@@ -175,7 +177,7 @@ def _across(arm: Arm, checker: WorldChecker, order: Order, plan: Plan) -> tuple[
     return plan, free_way(checker, plan.pick.joints[-1], plan.place.joints[-1], "cross")
 
 
-def _raised(arm: Arm, order: Order, plan: Plan, levels: int) -> Plan | None:
+def _raised(arm: Arm, order: Order, plan: Approaches, levels: int) -> Approaches | None:
     """The plan on the same branches, crossing some levels higher."""
     height, move = plan.height + levels * LEVEL, plan.move
     centre = order.scene.position[move.cell]
@@ -183,7 +185,7 @@ def _raised(arm: Arm, order: Order, plan: Plan, levels: int) -> Plan | None:
     place = approach_path(arm, move.target, move.place, height, PRESS, plan.place.joints[0])
     if isinstance(pick, str) or isinstance(place, str):
         return None
-    return Plan(pick, place, move, height)
+    return Approaches(pick, place, move, height)
 
 
 def free_way(checker: WorldChecker, start: np.ndarray, end: np.ndarray, stage: str) -> np.ndarray:
