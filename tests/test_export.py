@@ -14,7 +14,7 @@ import trimesh
 from learn2assemble.assembly.blocks import Assembly, Step, box_block
 from learn2assemble.errors import UnknownNameError
 from learn2assemble.export.cards import step_cards
-from learn2assemble.export.formats import bill_of_blocks, export
+from learn2assemble.export.formats import bill_of_blocks, export_assembly
 
 
 @pytest.fixture
@@ -54,7 +54,7 @@ def test_cards_have_one_card_a_step(bridge: Assembly) -> None:
 
 
 def test_glb_is_read_by_another_library(bridge: Assembly, tmp_path: Path) -> None:
-    file = export(bridge, "glb", tmp_path)
+    file = export_assembly(bridge, "glb", tmp_path)
     scene = trimesh.load(file)
     assert set(scene.geometry) == {"left", "right", "lintel"}
     # y is up in glTF.
@@ -63,7 +63,7 @@ def test_glb_is_read_by_another_library(bridge: Assembly, tmp_path: Path) -> Non
 
 
 def test_mjcf_stands_in_mujoco(bridge: Assembly, tmp_path: Path) -> None:
-    model = mujoco.MjModel.from_xml_path(str(export(bridge, "mjcf", tmp_path)))
+    model = mujoco.MjModel.from_xml_path(str(export_assembly(bridge, "mjcf", tmp_path)))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     before = {b.id: data.body(b.id).xipos.copy() for b in bridge.finished.blocks}
@@ -82,7 +82,7 @@ def test_mjcf_of_a_block_that_is_not_convex(tmp_path: Path) -> None:
     high = box_block("b", (0, 0, 1), (1, 1, 2))
     faces = (*low.faces, *(tuple(k + 8 for k in face) for face in high.faces))
     shape = type(low)("L", np.concatenate([low.vertices, high.vertices]), faces)
-    model = mujoco.MjModel.from_xml_path(str(export(Assembly((shape,)), "mjcf", tmp_path)))
+    model = mujoco.MjModel.from_xml_path(str(export_assembly(Assembly((shape,)), "mjcf", tmp_path)))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     assert np.allclose(data.body("L").xipos, [5 / 6, 0.5, 5 / 6], atol=1e-6)
@@ -91,5 +91,5 @@ def test_mjcf_of_a_block_that_is_not_convex(tmp_path: Path) -> None:
 
 def test_unknown_format_names_the_nearest(bridge: Assembly, tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="did you mean 'mjcf'"):
-        export(bridge, "mjfc", tmp_path / "x")
+        export_assembly(bridge, "mjfc", tmp_path / "x")
     assert not list(tmp_path.iterdir())

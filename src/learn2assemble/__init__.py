@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from learn2assemble.design.cells import read_design as load_design
     from learn2assemble.errors import InputError, Learn2AssembleError
     from learn2assemble.evaluation.episodes import Evaluation, evaluate
+    from learn2assemble.export.formats import export_assembly
     from learn2assemble.learning.config import Learner, TrainConfig, register_learner
     from learn2assemble.learning.run import TrainingRun, train
     from learn2assemble.networks.agent import Agent, load_agent
@@ -63,7 +64,7 @@ _HOME = {
     "build": "planning.build",
     "check": "physics.rigid_blocks",
     "evaluate": "evaluation.episodes",
-    "export": "export.formats",
+    "export_assembly": "export.formats",
     "get_task": "tasks",
     "load_agent": "networks.agent",
     "load_design": "design.cells:read_design",
@@ -104,7 +105,7 @@ __all__ = [
     "build",
     "check",
     "evaluate",
-    "export",
+    "export_assembly",
     "get_task",
     "load_agent",
     "load_design",

@@ -115,7 +115,7 @@ def _export_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _export(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.assembly.files import read_assembly
-    from learn2assemble.export.formats import FORMATS, export
+    from learn2assemble.export.formats import FORMATS, export_assembly
 
     FORMATS[options.format]  # A wrong name is refused before anything is read.
     path: Path = options.plan
@@ -126,7 +126,7 @@ def _export(options: argparse.Namespace, output: Output) -> None:
     if not path.exists():
         expected = "a plan that l2a build made without an arm, or an assembly"
         raise InputError("PLAN", str(options.plan), expected)
-    written = export(read_assembly(path), options.format, options.out)
+    written = export_assembly(read_assembly(path), options.format, options.out)
     output.say(f"{options.format}: {written}")
     output.finish({"format": options.format, "file": str(written)})
 

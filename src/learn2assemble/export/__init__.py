@@ -18,6 +18,6 @@ def register_export(exports: Registry[Any]) -> None:
 
 
 def _assembly(plan: Any, folder: Path) -> dict[str, Path]:
-    from learn2assemble.export.formats import export
+    from learn2assemble.export.formats import export_assembly
 
-    return {name: export(plan.assembly, name, folder) for name in WITH_EVERY_PLAN}
+    return {name: export_assembly(plan.assembly, name, folder) for name in WITH_EVERY_PLAN}

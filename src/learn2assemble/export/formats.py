@@ -156,7 +156,7 @@ FORMATS: Registry[tuple[str, Callable[[Assembly, Path], None]]] = Registry(
 """Usual file name and writer of every format."""
 
 
-def export(assembly: Assembly, format: str, path: str | Path) -> Path:
+def export_assembly(assembly: Assembly, format: str, path: str | Path) -> Path:
     """Write ``assembly`` in a format by name.
 
     Args:
