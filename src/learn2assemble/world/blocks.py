@@ -74,7 +74,7 @@ Ways = ActionSpec
 
 def with_current_names(values: Mapping[str, Any]) -> dict[str, Any]:
     """Fields of a saved task or network under the names they have now."""
-    return {"action_mode" if key == "attitudes" else key: v for key, v in values.items()}
+    return {"action_mode" if key == "attitudes" else key: v for key, v in dict(values).items()}
 
 
 @lru_cache
