@@ -404,7 +404,7 @@ def test_positions_are_divided_by_the_scale() -> None:
         ({"encoder": "s2v", "width": 1, "heads": 1}, "at least 2"),
         ({"heads": 3}, "a divisor of width 64"),
         ({"heads": 5, "width": 64}, "heads"),
-        ({"rounds": 0}, "at least 1"),
+        ({"rounds": 0}, "a whole number from 1 to 100"),
         ({"position_scale": 0.0}, "position_scale"),
         ({"position_scale": -1.0}, "a positive length"),
         ({"position_scale": math.nan}, "position_scale"),
