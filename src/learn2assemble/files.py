@@ -124,6 +124,8 @@ def read_bytes(path: Path, kind: str, limit: int = MAX_BYTES) -> tuple[bytes, st
     """
     path = Path(path)
     source = printable(str(path))
+    if "\0" in str(path):
+        raise InputError(source, "no file name", f"a {kind}")
     try:
         if path.is_dir():
             raise InputError(source, "a directory", f"a {kind}")

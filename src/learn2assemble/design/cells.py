@@ -19,7 +19,7 @@ from learn2assemble.design.drawings import SIDES, UNITS, Drawing
 from learn2assemble.design.lattice import HALF, MAX_CELLS, fit
 from learn2assemble.design.solids import Solid, Voxels
 from learn2assemble.errors import InputError, look_up
-from learn2assemble.files import printable
+from learn2assemble.files import read_bytes
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly
@@ -122,7 +122,7 @@ def read_design(
         MissingExtraError: for 3DM without rhino3dm.
     """
     path = Path(path)
-    content, source = _read(path)
+    content, source = read_bytes(path, "design file", MAX_FILE)
     kind = kind_of(content, source)
     given = _Options(unit, cell, size, up, depth, cells_wide, kit)
     if kind == "assembly":
@@ -184,26 +184,6 @@ def kind_of(content: bytes, source: str) -> str:
         "a whole file of elevation JSON, SVG, DXF, PNG, STL, OBJ, PLY, GLB, 3DM, NPY, NPZ or "
         "assembly JSON",
     )  # fmt: skip
-
-
-def _read(path: Path) -> tuple[bytes, str]:
-    """Content of a file, and what messages call it."""
-    source = printable(str(path))
-    try:
-        if not path.exists():
-            raise InputError(source, "no such file", "a design file")
-        if not path.is_file():  # opening a pipe would wait for ever
-            raise InputError(source, "something that is not a plain file", "a design file")
-        with path.open("rb") as file:
-            content = file.read(MAX_FILE + 1)
-    except OSError as error:
-        reason = error.strerror or type(error).__name__
-        raise InputError(source, reason, "a readable design file") from None
-    except ValueError:  # a zero byte in the name
-        raise InputError(source, "no file name", "a design file") from None
-    if len(content) > MAX_FILE:
-        raise InputError(source, f"more than {MAX_FILE} bytes", f"at most {MAX_FILE} bytes")
-    return content, source
 
 
 # ---------------------------------------------------------------- options

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.files import MAX_BYTES, read_json
+from learn2assemble.files import MAX_BYTES, MAX_GENERATED, load_json, read_bytes
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.registry import ARMS
 from learn2assemble.tasks import PRESETS, check_actions, get_task
@@ -146,20 +146,19 @@ def _build_exact(
     design: object, kit: Any, friction: Any, gap: Any, props: bool, reading: dict[str, Any],
     seconds: float, progress: Progress,
 ) -> Plan:  # fmt: skip
+    if isinstance(design, str) and design in PRESETS:
+        raise InputError("planner", "exact", f"agent, for the task {design}")
+    _check_names(design, None, None)
     from learn2assemble.assembly.blocks import Assembly
     from learn2assemble.assembly.kit import load_kit
     from learn2assemble.design.cells import CellDesign, read_design
     from learn2assemble.planning.construct import plan_assembly, plan_cells
 
-    if isinstance(design, str) and design in PRESETS:
-        raise InputError("planner", "exact", f"agent, for the task {design}")
     if isinstance(kit, str | Path):
         kit = load_kit(str(kit))
     source = ""
     if isinstance(design, str | Path):
         path = Path(design)
-        if path.suffix == "" and not path.exists():
-            raise UnknownNameError("design", str(design), PRESETS)
         source = path.name
         cell = reading.pop("cell", None) or (None if kit is None else kit.pitch)
         design = read_design(path, cell=cell, **reading)
@@ -190,8 +189,9 @@ def _check_names(design: object, arm: str | None, layout: object) -> None:
         path = Path(design)
         if path.suffix == "" and not path.exists():
             raise UnknownNameError("design", str(design), PRESETS)
-        if path.suffix == ".json":
-            read_json(path, "design file", MAX_BYTES)
+        content, source = read_bytes(path, "design file", MAX_GENERATED)
+        if content.lstrip()[:1] in (b"{", b"[") and len(content) <= MAX_BYTES:
+            load_json(content.decode("utf-8-sig", "replace"), source, "design file")
     if layout is not None and arm is None:
         raise InputError("layout", str(layout), "an arm to take blocks from there (--arm)")
 
