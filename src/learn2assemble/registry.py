@@ -40,7 +40,8 @@ class Registry(Mapping[str, T]):
     ) -> None:
         self.kind = kind
         self._entries: dict[str, Any] = dict(entries)
-        self._make, self._unmade = make, set(entries) if make else set()
+        self._make = make
+        self._unmade: set[str] = set(entries) if make else set()
         self.listeners: list[Callable[[str], None]] = []
         """Called with every name that is added."""
 
@@ -50,7 +51,7 @@ class Registry(Mapping[str, T]):
         Raises:
             InputError: for a name that is taken, unless ``replace`` is given.
         """
-        if not isinstance(name, str) or not name:
+        if not name:
             raise InputError(f"{self.kind} name", name, "a word")
         if name in self and not replace:
             raise InputError(f"{self.kind} name", name, "a name that is not taken")

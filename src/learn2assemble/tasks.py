@@ -106,7 +106,7 @@ class Task:
         # Compiled code is loaded by those who have a task, not by those who list their names.
         from learn2assemble.geometry.coverage import FILTERS
         from learn2assemble.world.blocks import OBJECT_SETS, get_action_spec
-        from learn2assemble.world.layouts import LAYOUTS, RANDOM
+        from learn2assemble.world.layouts import LAYOUTS, RANDOM  # pyright: ignore
         from learn2assemble.world.rules import REWARDS, STABILITY
 
         if self.num_sides not in (1, 2, 3, 4):
@@ -131,7 +131,7 @@ class Task:
         if self.arm not in (NO_ARM, *ARMS):
             raise UnknownNameError("arm", self.arm, (NO_ARM, *ARMS))
         if self.layout not in LAYOUTS:
-            raise UnknownNameError("layout", self.layout, LAYOUTS)
+            raise UnknownNameError("layout", self.layout, LAYOUTS)  # pyright: ignore
         if self.layout == RANDOM and self.objects != "cubes":
             raise InputError("layout", self.layout, "one for objects of several cells")
         if self.reward not in REWARDS:

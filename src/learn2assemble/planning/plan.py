@@ -11,7 +11,7 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 from learn2assemble.errors import InputError
 from learn2assemble.files import (
@@ -382,14 +382,16 @@ EXPORTS: Registry[Exporter] = Registry("export", {})
 
 def _from_version_1(root: Mapping[str, Any]) -> dict[str, Any]:
     """Version 1 called the margin ``stability_margin``."""
-    steps = root.get("steps")
-    if not isinstance(steps, list):
+    given = root.get("steps")
+    if not isinstance(given, list):
         return dict(root)
-    renamed = [
-        {"margin_g" if key == "stability_margin" else key: item for key, item in step.items()}
-        if isinstance(step, Mapping) else step
-        for step in steps
-    ]  # fmt: skip
+    names = {"stability_margin": "margin_g"}
+    renamed: list[Any] = [
+        {names.get(key, key): item for key, item in step.items()}
+        if isinstance(step, dict)
+        else step
+        for step in cast("list[dict[str, Any] | None]", given)
+    ]
     return {**root, "steps": renamed}
 
 
