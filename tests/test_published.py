@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from learn2assemble.checkers import resolve_judge
+from learn2assemble.checkers import resolve_checker
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.geometry.rotations import quaternion_matrices
 from learn2assemble.reproduction.bullet.cell import OPENING, PublishedCell, published_rules
@@ -202,7 +202,7 @@ def test_published_is_a_judge() -> None:
              "robot-objects-two-sided-5x5-20-24": "objects"}  # fmt: skip
     for name, rules in names.items():
         assert published_rules(get_task(name)) == rules
-    judge = resolve_judge("published", get_task("robot-two-sided-3x3-10-14"))
+    judge = resolve_checker("published", get_task("robot-two-sided-3x3-10-14"))
     assert judge.name == "published"
     assert judge.moves_blocks
 

@@ -1,9 +1,7 @@
-"""Physics by name.
+"""Placement checkers by name: physics, and the arm at its fidelities.
 
-Judges of placements by name: physics, and the arm at its fidelities.
-
-A task without an arm is judged by ``static`` or ``rigid`` physics. With one, these names mean the
-kinematic cell with that judge of balance; ``kinematic`` is another word for ``static`` then,
+Placements of a task without an arm are checked by ``static`` or ``rigid`` physics. With one, these
+names mean the kinematic workcell with that check of balance; ``kinematic`` means ``static`` then,
 ``dynamic`` simulates arm and blocks together, and ``published`` is the fast mode of the authors.
 """
 
@@ -53,7 +51,7 @@ def resolve_physics(
 
 
 BALANCE = {"static": "static", "rigid": "rigid", "kinematic": "static"}
-"""What judges balance beside the kinematic cell."""
+"""What checks balance beside the kinematic workcell."""
 
 
 def _kinematic(task: Task, balance: str) -> Physics:
@@ -64,8 +62,8 @@ def _kinematic(task: Task, balance: str) -> Physics:
     from learn2assemble.robot.moves import get_grasps
 
     cell = KinematicCell(get_arm(task.arm), task.max_blocks)
-    balance_judge = resolve_physics(balance, task.stability, task.pitch)
-    return ArmPhysics(cell, get_grasps(task.grasps), balance_judge)
+    balance_check = resolve_physics(balance, task.stability, task.pitch)
+    return ArmPhysics(cell, get_grasps(task.grasps), balance_check)
 
 
 def _dynamic(task: Task) -> Physics:
@@ -82,24 +80,24 @@ def _dynamic(task: Task) -> Physics:
 
 
 CELLS: Registry[Callable[[Task], Physics]] = Registry("physics", {"dynamic": _dynamic})
-"""Judges that find out about balance themselves."""
+"""Checkers that find out about balance themselves."""
 
 
 def checker_names() -> tuple[str, ...]:
-    """Every name that :func:`resolve_judge` knows."""
+    """Every name that :func:`resolve_checker` knows."""
     return (*BALANCE, *CELLS)
 
 
-def resolve_judge(judge: str | Physics | None, task: Task) -> Physics:
-    """A judge by name, the one given, or by default static physics, with the task's arm if any.
+def resolve_checker(checker: str | Physics | None, task: Task) -> Physics:
+    """A checker by name, the one given, or by default static physics, with the task's arm if any.
 
     Raises:
-        UnknownNameError: naming the nearest judge.
+        UnknownNameError: naming the nearest checker.
         InputError: for a robot cell where the task has no arm.
     """
-    if judge is not None and not isinstance(judge, str):
-        return judge
-    name = "static" if judge is None else judge
+    if checker is not None and not isinstance(checker, str):
+        return checker
+    name = "static" if checker is None else checker
     look_up("physics", name, dict.fromkeys(checker_names()))
     if not task.has_arm:
         if name not in ("static", "rigid"):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from learn2assemble.checkers import resolve_judge
+from learn2assemble.checkers import resolve_checker
 from learn2assemble.errors import Learn2AssembleError
 from learn2assemble.geometry.coverage import FILTERS
 from learn2assemble.geometry.support import STABLE
@@ -112,16 +112,16 @@ class Simulator:
 
     Args:
         task: the problem distribution.
-        physics: the judge of placements, or its name, see :mod:`learn2assemble.checkers`; static
+        physics: the check of placements, or its name, see :mod:`learn2assemble.checkers`; static
             equilibrium by default, and the kinematic cell where the task has an arm.
 
     Raises:
-        UnknownNameError, InputError: see :func:`resolve_judge`.
+        UnknownNameError, InputError: see :func:`resolve_checker`.
     """
 
     def __init__(self, task: Task, physics: str | Physics | None = None) -> None:
         self.task = task
-        self.physics: Physics = resolve_judge(physics, task)
+        self.physics: Physics = resolve_checker(physics, task)
         self.frames = side_frames(task.num_sides, task.pitch, task.aisle)
         self.depths = FILTERS[task.cover_filter]
         self.action_spec = task.action_spec
@@ -186,7 +186,7 @@ class Simulator:
         return Transition(reward, ended, success, verdicts)
 
     def observe(self, state: State) -> Graph:
-        """The graph of every row (protocol 4)."""
+        """The graph of every row."""
         return build_graph(state, self.frames, self.task.num_nodes)
 
     def outcomes(

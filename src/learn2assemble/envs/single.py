@@ -15,12 +15,12 @@ from learn2assemble.tasks import Task
 
 
 class AssemblyEnv(gymnasium.Env[dict[str, Any], np.int64]):
-    """Place blocks until the target elevations are filled (protocol 4 to 6).
+    """Place blocks until the target elevations are filled.
 
     Actions are flat indices of (i, j, k), observations graphs; see
     :mod:`learn2assemble.envs.spaces`. Illegal i and j are clipped like in the published code, and
     ``info["clipped"]`` says so. An episode ends with an invalid placement, the filled target or
-    the last block (protocol 6.4); it is never truncated.
+    the last block; it is never truncated.
 
     ``info``: ``action_masks``, ``physics_mask``, ``coverage``, ``plane_coverage``
     (:meth:`Worlds.info`), and after a step ``verdict`` (name of a

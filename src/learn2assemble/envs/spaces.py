@@ -1,4 +1,4 @@
-"""Action and observation spaces of a task, and the numbering of actions (protocol 4, 5).
+"""Action and observation spaces of a task, and the numbering of actions.
 
 An action is the published triple (i, j, k): node index of the unplaced block to place, node index
 of the placed reference block, action. Spaces use its flat index ``a = (i * N + j) * Na + k``.
@@ -103,15 +103,15 @@ def _fill(num_vertices, num_placed, num_blocks, terminated, allowed, mask):
 def resolve_actions(task: Task, state: State, flat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Flat actions to what :meth:`Simulator.step` wants, clipped like the published code.
 
-    An i outside the unplaced nodes becomes the nearest of them, likewise j and the placed nodes
-    (protocol 5).
+     An i outside the unplaced nodes becomes the nearest of them, likewise j and the placed nodes
+    .
 
-    Args:
-        flat: int64[B], each in ``0..N*N*Na-1``.
+     Args:
+         flat: int64[B], each in ``0..N*N*Na-1``.
 
-    Returns:
-        int64[B, 3] (number of the unplaced block, number of the reference block, action) and
-        bool[B], where clipping changed the action.
+     Returns:
+         int64[B, 3] (number of the unplaced block, number of the reference block, action) and
+         bool[B], where clipping changed the action.
     """
     actions = np.empty((len(flat), 3), np.int64)
     clipped = np.empty(len(flat), np.bool_)
@@ -142,6 +142,6 @@ def expand_mask(task: Task, state: State, allowed: np.ndarray) -> np.ndarray:
 
 
 def legal_mask(task: Task, state: State) -> np.ndarray:
-    """bool[B, N * N * Na]: i unplaced, j placed, world not ended (protocol 5)."""
+    """bool[B, N * N * Na]: i unplaced, j placed, world not ended."""
     shape = (state.batch_size, task.max_blocks, task.num_actions)
     return expand_mask(task, state, np.ones(shape, np.bool_))

@@ -182,7 +182,7 @@ class Worlds:
         ``action_masks`` int8[B, N*N*Na]: legal, as ``action_space.sample`` wants it.
         ``physics_mask`` int8[B, N*N*Na]: legal, free and stable by static physics; a help the
         paper's agent does not have, never applied.
-        ``coverage`` and ``plane_coverage`` float64[B]: F_co and F_pl (protocol 3.4).
+        ``coverage`` and ``plane_coverage`` float64[B]: F_co and F_pl.
         """
         state = self.state
         info = {"action_masks": self.action_masks().view(np.int8)}

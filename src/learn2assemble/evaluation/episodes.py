@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.checkers import resolve_judge
+from learn2assemble.checkers import resolve_checker
 from learn2assemble.errors import InputError
 from learn2assemble.learning.run import provenance
 from learn2assemble.networks.agent import Agent, Network, default_agent, load_agent, one_thread
@@ -312,7 +312,7 @@ def evaluate(
         InputError: for names that do not exist and numbers out of range.
     """
     task = get_task(task, arm)
-    checker = resolve_judge(physics, task)
+    checker = resolve_checker(physics, task)
     config = search_config(search, epsilon, budget=budget, rollout=rollout, distinct=distinct)
     if episodes < 1 or seed < 0 or not 0 <= epsilon <= 1:
         got = (episodes, seed, epsilon)

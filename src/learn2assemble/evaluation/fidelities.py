@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from learn2assemble.checkers import resolve_judge
+from learn2assemble.checkers import resolve_checker
 from learn2assemble.learning.run import provenance
 from learn2assemble.networks.agent import Agent
 from learn2assemble.physics.static import StaticPhysics
@@ -103,7 +103,7 @@ def compare(
 
 
 def _arm(task: Task, name: str) -> ArmPhysics:
-    checker = resolve_judge(name, task)
+    checker = resolve_checker(name, task)
     assert isinstance(checker, ArmPhysics)
     return checker
 

@@ -3,7 +3,7 @@
 Where blocks wait for an arm: places it can take them from, and faults of places that are given.
 
 Facts: blocks need about 90 mm along the axis on which the fingers close (measured), and a table
-0.75 m x 0.5 m to each side of the origin (protocol 1.1).
+0.75 m x 0.5 m to each side of the origin.
 
 Setting blocks out for an arm, before it builds.
 """

@@ -2,7 +2,7 @@
 
 Cell ``(column k, level n)`` is centred at local ``x = p k``, ``z = 0.025 + 0.05 n`` [m], in the
 plane of the elevation (``y = 0``); the pitch p is 0.05 where blocks touch. Pixel sets come from the
-same ray casting as the world's own coverage (protocol 3.4, 3.5), so counts agree with the simulator
+same ray casting as the world's own coverage, so counts agree with the simulator
 exactly.
 
 What a design is: one to four outlines and the terms under which they are to be built.
@@ -167,7 +167,7 @@ MIN_AREA = EDGE * EDGE
 MIN_MASK_PIXELS = 50
 """Fewer mask pixels over all elevations are refused (protocol 2, rejection at reset)."""
 MAX_INITIAL_COVER = 0.95
-"""Refused when the first block alone fills more than this share (protocol 2)."""
+"""Refused when the first block alone fills more than this share."""
 MAX_NAME, MAX_DESCRIPTION = 100, 2000
 """Longest name and description [characters]."""
 
@@ -293,7 +293,7 @@ class Design:
         return np.stack([elevation.mask() for elevation in self.elevations])
 
     def first_cover(self, terms: Terms = TOUCHING) -> np.ndarray:
-        """What the table and the first block fill, ``uint64[S, ROWS, WORDS]`` (protocol 1.3)."""
+        """What the table and the first block fill, ``uint64[S, ROWS, WORDS]``."""
         table, _ = table_pixels(terms)
         cover = np.repeat(table[None], self.num_sides, axis=0)
         cover[self.first_elevation] |= cell_pixels(terms)[MAX_COLUMN, 0]
@@ -362,7 +362,7 @@ def _check_names(names: Sequence[str]) -> None:
 
 
 def _check_width(elevations: Sequence[Elevation]) -> None:
-    """With three or four elevations, all stand on one 3x3 footprint (protocol 1.2)."""
+    """With three or four elevations, all stand on one 3x3 footprint."""
     if len(elevations) < 3:
         return
     for k, elevation in enumerate(elevations):

@@ -74,7 +74,7 @@ def needed_cells(design: Design, terms: Terms = TOUCHING) -> tuple[dict[Cell, in
     """Per elevation, the cells whose face holds mask pixels, with their number.
 
     Pixels that show the table are covered from the start and belong to no cell. A pixel sees a
-    point up to 7.8 mm below the one its mask bit stands for (protocol 3.5), so the cell under an
+    point up to 7.8 mm below the one its mask bit stands for, so the cell under an
     overhang may hold one row of pixels.
     """
     counts = [np.bitwise_count(face_pixels(terms) & m).sum((-1, -2)) for m in design.masks()]
@@ -101,7 +101,7 @@ def inside_cells(design: Design, terms: Terms = TOUCHING) -> tuple[frozenset[Cel
 
 
 def share_of(design: Design, pixels: np.ndarray, terms: Terms) -> np.ndarray:
-    """F_co for a number of pixels filled after the first block (protocol 3.4)."""
+    """F_co for a number of pixels filled after the first block."""
     masks = design.masks()
     left = count_pixels(masks & ~design.first_cover(terms))
     if terms.from_first:
