@@ -208,7 +208,6 @@ def test_the_video_opens_and_has_its_length_and_size(tmp_path: Path) -> None:
     for name in ("a.mp4", "b.mp4"):
         write_video(plan, record, tmp_path / name, speed=20, width=320, height=240,
                     progress=done.append)  # fmt: skip
-    assert (tmp_path / "a.mp4").read_bytes() == (tmp_path / "b.mp4").read_bytes()
     assert done[-1] == 1.0
     film = Frames(plan, record, 320, 240, ", shown 20 times as fast")
     clocks = moments(film.playback.duration, 20)
@@ -218,6 +217,9 @@ def test_the_video_opens_and_has_its_length_and_size(tmp_path: Path) -> None:
         assert (stream.width, stream.height) == (320, 240)
         frames = [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
         length = float(stream.duration * stream.time_base)
+    with av.open(str(tmp_path / "b.mp4")) as file:
+        again = [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
+    assert all((a == b).all() for a, b in zip(frames, again, strict=True))
     assert len(frames) == len(clocks)
     assert length == pytest.approx(len(clocks) / FRAMES_PER_SECOND, abs=0.05)
     for k in (0, len(frames) // 2, len(frames) - 1):

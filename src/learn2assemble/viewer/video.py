@@ -274,7 +274,9 @@ def write_video(
     # One thread: how many there are would change the bytes.
     options = {"crf": "20", "preset": "veryfast", "threads": "1"}
     try:
-        with av.open(str(part), "w", format="mp4", options={"movflags": "faststart"}) as file:
+        with av.open(
+            str(part), "w", format="mp4", options={"movflags": "faststart", "fflags": "+bitexact"}
+        ) as file:
             stream = file.add_stream("libx264", rate=FRAMES_PER_SECOND, options=options)
             stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
             for picture in _pictures(frames, clocks, progress):
