@@ -149,6 +149,9 @@ def _build_exact(
     if isinstance(design, str) and design in PRESETS:
         raise InputError("planner", "exact", f"agent, for the task {design}")
     _check_names(design, None, None)
+    if isinstance(design, str) and design in PRESETS:
+        raise InputError("planner", "exact", f"agent, for the task {design}")
+    _check_names(design, None, None)
     from learn2assemble.assembly.blocks import Assembly
     from learn2assemble.assembly.kit import load_kit
     from learn2assemble.design.cells import CellDesign, read_design
@@ -177,6 +180,15 @@ def _build_exact(
     )
 
 
+def _check_file(path: Path) -> None:
+    """Refuse what is no file, a word that may be a misspelt task, and damaged JSON."""
+    if path.suffix == "" and not path.exists():
+        raise UnknownNameError("design", str(path), PRESETS)
+    content, source = read_bytes(path, "design file", MAX_GENERATED)
+    if content.lstrip()[:1] in (b"{", b"[") and len(content) <= MAX_BYTES:
+        load_json(content.decode("utf-8-sig", "replace"), source, "design file")
+
+
 def _check_names(design: object, arm: str | None, layout: object) -> None:
     """Refuse arms, tasks and files that do not exist, and files that are not JSON."""
     if arm is not None and arm not in ARMS:
@@ -186,12 +198,7 @@ def _check_names(design: object, arm: str | None, layout: object) -> None:
             raise InputError("layout", str(layout), "a design (a task has a layout of its own)")
         return
     if isinstance(design, str | Path):
-        path = Path(design)
-        if path.suffix == "" and not path.exists():
-            raise UnknownNameError("design", str(design), PRESETS)
-        content, source = read_bytes(path, "design file", MAX_GENERATED)
-        if content.lstrip()[:1] in (b"{", b"[") and len(content) <= MAX_BYTES:
-            load_json(content.decode("utf-8-sig", "replace"), source, "design file")
+        _check_file(Path(design))
     if layout is not None and arm is None:
         raise InputError("layout", str(layout), "an arm to take blocks from there (--arm)")
 
