@@ -151,7 +151,8 @@ def test_without_ruckig_the_extra_is_named() -> None:
         [sys.executable, "-c", "import sys; sys.modules['ruckig'] = None\n"
          "from learn2assemble.robot.arm import get_arm\n"
          "from learn2assemble.robot.dynamic.cell import DynamicCell\n"
-         "import learn2assemble.evaluation.bench, learn2assemble.cli.commands, learn2assemble.planning.execute\n"
+         "import learn2assemble.evaluation.bench, learn2assemble.cli.commands\n"
+         "import learn2assemble.planning.execute\n"
          "print('imported')\nDynamicCell(get_arm('panda'))"],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
