@@ -112,7 +112,7 @@ BAD = [
     BadDesign("pipe", _pipe, "not a plain file"),
     BadDesign("inside a file", _under_a_file, "no such file"),
     BadDesign("name too long", _long_name, "expected"),
-    BadDesign("null byte in the name", _null_byte, "no such file"),
+    BadDesign("null byte in the name", _null_byte, "no file name"),
     BadDesign("line break in the name", _line_break, "two\\nlines.json"),
     BadDesign("too large", b" " * 1_000_001, "more than 1000000 bytes"),
     # the text
