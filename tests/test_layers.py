@@ -36,7 +36,7 @@ ALLOWED: dict[str, set[str]] = {
     "search": {"errors", "registry"},
     "learning": _TASK | {"networks", "search", "planning"},
     "planning": _TASK | {"networks", "search", "assembly", "design"},
-    "evaluation": _TASK | {"networks", "search", "learning", "planning"},
+    "evaluation": _TASK | {"networks", "search", "learning", "planning", "assembly"},
     "envs": _TASK,
     "viewer": _WORLD | {"robot", "planning", "assembly"},
     "cli": _TASK

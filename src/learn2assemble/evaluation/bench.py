@@ -15,10 +15,14 @@ import gymnasium
 import numpy as np
 import torch
 
+from learn2assemble.assembly.blocks import Assembly, box_block
+from learn2assemble.assembly.kit import load_kit
 from learn2assemble.learning.config import TrainConfig, get_config
 from learn2assemble.learning.trainer import Trainer, random_actions, to_local
 from learn2assemble.networks.agent import make_network
 from learn2assemble.physics.rigid import RigidPhysics
+from learn2assemble.physics.rigid_blocks import check
+from learn2assemble.planning.exact import plan_exact
 from learn2assemble.planning.world_model import WorldModel, lookahead_actions
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.dynamic.cell import DynamicCell
@@ -166,6 +170,22 @@ def dynamic_move_s(seconds: float) -> float:
     return float(np.mean(spent))
 
 
+def exact_plan_s(seconds: float) -> float:
+    """Blocks, order and proof of a wall of 30 x 2 x 20 cells with a door and a window."""
+    wanted, kit = np.ones((30, 2, 20), bool), load_kit("bricks-lintels")
+    wanted[5:9, :, :12], wanted[17:23, :, 7:13] = False, False
+    return 1 / _rate(lambda: int(plan_exact(wanted, kit)[0].status == "complete"), seconds)
+
+
+def check_s(seconds: float) -> float:
+    """Whether a wall of 200 bricks stands, with its margin."""
+    bricks = []
+    for course, column in np.ndindex(20, 10):
+        x, z = 0.2 * column + 0.05 * (course % 2), 0.1 * course
+        bricks.append(box_block(f"{course}-{column}", (x, 0, z), (x + 0.2, 0.2, z + 0.1)))
+    return 1 / _rate(lambda: int(check(Assembly(tuple(bricks))).verdict == "stands"), seconds)
+
+
 def decision_ms(seconds: float) -> float:
     """One decision of our own network with budget 10 on N = 30 nodes, a single world."""
     return 1000 / _decisions("relational", 1, seconds)
@@ -220,6 +240,8 @@ MEASUREMENTS: dict[str, Callable[[float], float]] = {
     "kinematic_actions_per_s": kinematic_actions_per_s,
     "dynamic_move_s": dynamic_move_s,
     "objects_batch_actions_per_s": objects_batch_actions_per_s,
+    "exact_plan_s": exact_plan_s,
+    "check_s": check_s,
     "decision_ms": decision_ms,
     "decisions_per_s": decisions_per_s("relational"),
     "decisions_per_s_published": decisions_per_s("published"),
