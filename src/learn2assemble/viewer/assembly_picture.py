@@ -95,12 +95,15 @@ def _triangles(assembly: Assembly) -> tuple[Triangles, np.ndarray]:
         if not length > 0:
             return
         n = len(corners)
-        # Four corners carry the marks at which the renderer draws the rim of a face.
-        rim = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]) if n == 4 else np.full((n, 2), 0.5)
+        rim = np.full((n, 2), 0.5)
         fan = np.array([(0, k, k + 1) for k in range(1, n - 1)])
+        if n == 4:
+            corners, rim = _rim(corners)
+            n, fan = 8, np.array([(k, k + 1, k + 5) for k in (0, 1, 2)])
+            fan = np.concatenate([fan, np.array([(k, k + 5, k + 4) for k in (0, 1, 2)])])
         values = (
             corners, np.tile(normal / length, (n, 1)), rim, np.full(n, body), fan + count,
-            np.full(n - 2, kind),
+            np.full(len(fan), kind),
         )  # fmt: skip
         for column, value in zip(columns, values, strict=True):
             column.append(value)
@@ -121,6 +124,20 @@ def _triangles(assembly: Assembly) -> tuple[Triangles, np.ndarray]:
     corners, normals, rims, body, faces, kind = joined
     made = Triangles(corners, normals, rims, body, faces, kind, none)
     return made, np.array([*colours, TABLE], np.float32)
+
+
+def _rim(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A face of four corners cut twice across its longer side, float64[8, 3], and the marks 0 to 1
+    at which the renderer draws its rim, float64[8, 2]: as wide on the long side as on the short."""
+    if np.linalg.norm(corners[1] - corners[0]) < np.linalg.norm(corners[2] - corners[1]):
+        corners = np.roll(corners, -1, 0)
+    long, short = np.linalg.norm(corners[1] - corners[0]), np.linalg.norm(corners[2] - corners[1])
+    at = np.array([0, short / long / 2, 1 - short / long / 2, 1])[:, None]
+    lower = corners[0] + at * (corners[1] - corners[0])
+    upper = corners[3] + at * (corners[2] - corners[3])
+    u = np.array([0, 0.5, 0.5, 1])
+    marks = [np.column_stack([u, np.full(4, v)]) for v in (0.0, 1.0)]
+    return np.concatenate([lower, upper]), np.concatenate(marks)
 
 
 def _bounds(assembly: Assembly) -> tuple[np.ndarray, np.ndarray]:
