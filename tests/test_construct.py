@@ -58,7 +58,7 @@ def test_colours_of_a_picture_go_to_the_blocks() -> None:
     assert len(colours) > 1
 
 
-def test_a_span_the_kit_has_no_block_for_is_refused_and_says_so() -> None:
+def test_a_span_the_kit_has_no_block_for_is_refused_and_says_so(tmp_path: Path) -> None:
     """A table of cubes: the span needs a lintel, which cubes are not."""
     wanted = np.zeros((5, 1, 2), bool)
     wanted[:, :, 1] = True
@@ -68,6 +68,11 @@ def test_a_span_the_kit_has_no_block_for_is_refused_and_says_so() -> None:
     assert plan.status == "refused"
     assert plan.reason is not None
     assert "cubes" in plan.reason
+    # Nothing to build from is written for what has no proven order.
+    assert {path.name for path in plan.save(tmp_path, page=False).values()} == {
+        "plan.json",
+        "assembly.json",
+    }
     assert plan_cells(design, "bricks-lintels").complete
 
 

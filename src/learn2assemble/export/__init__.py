@@ -20,4 +20,6 @@ def register_export(exports: Registry[Any]) -> None:
 def _assembly(plan: Any, folder: Path) -> dict[str, Path]:
     from learn2assemble.export.formats import export_assembly
 
-    return {name: export_assembly(plan.assembly, name, folder) for name in WITH_EVERY_PLAN}
+    # Without a proven order there is nothing to build from.
+    names = WITH_EVERY_PLAN if plan.assembly.steps else WITH_EVERY_PLAN[:1]
+    return {name: export_assembly(plan.assembly, name, folder) for name in names}
