@@ -21,6 +21,7 @@ ALLOWED: dict[str, set[str]] = {
     "errors": set(),
     "registry": {"errors"},
     "files": {"errors"},
+    "workers": {"errors"},
     "geometry": set(),
     "world": {"errors", "registry", "files", "geometry"},
     "assembly": _WORLD,
@@ -34,7 +35,7 @@ ALLOWED: dict[str, set[str]] = {
     "simulator": _WORLD | {"physics", "tasks", "graph", "checkers"},
     "networks": {"errors", "registry", "files", "graph", "world"},
     "search": {"errors", "registry"},
-    "learning": _TASK | {"networks", "search", "planning"},
+    "learning": _TASK | {"networks", "search", "planning", "workers"},
     "planning": _TASK | {"networks", "search", "assembly", "design"},
     "evaluation": _TASK | {"networks", "search", "learning", "planning", "assembly"},
     "envs": _TASK,
@@ -53,7 +54,7 @@ ALLOWED: dict[str, set[str]] = {
         "export",
     },
     "reproduction": _TASK
-    | {"networks", "search", "learning", "planning", "evaluation", "viewer", "cli"},
+    | {"networks", "search", "learning", "planning", "evaluation", "viewer", "cli", "workers"},
     "__main__": {"cli", "errors"},
     "__init__": _TASK
     | {
@@ -72,7 +73,7 @@ ALLOWED: dict[str, set[str]] = {
 
 LIBRARIES = {"torch", "numpy", "numba", "safetensors", "tqdm"}
 """What the training path may need."""
-HEAVY = {"mujoco", "gymnasium", "rich", "matplotlib", "highspy", "ruckig"}
+HEAVY = {"ray", "mujoco", "gymnasium", "rich", "matplotlib", "highspy", "ruckig"}
 LIGHT_PARTS = ["geometry", "world", "tasks", "graph", "simulator", "networks", "search",
                "learning"]  # fmt: skip
 ONLY: dict[str, set[str]] = {

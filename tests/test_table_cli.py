@@ -72,7 +72,7 @@ def test_a_table_is_measured_once(
     words = ["table", "small", "--agents", agents, "--out", tmp_path / "out", "--episodes", 2,
              "--workers", 1]  # fmt: skip
     first, text = l2a(capsys, *words)
-    assert first["measured"] == 12
+    assert first["measured"] == 11
     assert not first["quick"]
     assert QUICK not in text
     for word in ("not trained", "not available", NAME, "paper"):

@@ -32,6 +32,10 @@ class InputError(Learn2AssembleError, ValueError):
         self.what, self.got, self.expected = what, got, expected
         super().__init__(f"{what}: got {_short(got)}, expected {expected}")
 
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, object, str]]:
+        """Errors of other processes arrive with the message they had."""
+        return InputError, (self.what, self.got, self.expected)
+
 
 class UnknownNameError(InputError):
     """A name that is not in a table; the message names the nearest valid one."""
@@ -61,9 +65,13 @@ class MissingExtraError(Learn2AssembleError, ImportError):
     """An optional dependency is not installed; the message names the extra that brings it."""
 
     def __init__(self, module: str, extra: str) -> None:
+        self.module, self.extra = module, extra
         super().__init__(
             f"{module} is not installed; install it with: pip install 'learn2assemble[{extra}]'"
         )
+
+    def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str]]:
+        return MissingExtraError, (self.module, self.extra)
 
 
 def _short(value: object, limit: int = 120) -> str:

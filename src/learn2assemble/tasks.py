@@ -217,6 +217,8 @@ _ROBOT_OBJECTS = _draft(
 _ALL = {
     "two-sided-3x3-20-24": _draft(num_sides=2, grid=3, num_nodes=30),
     "two-sided-3x3-30-34": _draft(num_sides=2, grid=3, num_nodes=40, unseen_shapes_only=True),
+    # The same with the shapes of training, the other reading of the paper's column.
+    "two-sided-3x3-30-34-trained-shapes": _draft(num_sides=2, grid=3, num_nodes=40),
     "two-sided-4x4-20-24": _draft(num_sides=2, grid=4, num_nodes=30, unseen_shapes_only=True),
     "two-sided-4x4-30-34": _draft(num_sides=2, grid=4, num_nodes=40, unseen_shapes_only=True),
     "two-sided-5x5-40-44": _draft(num_sides=2, grid=5, num_nodes=50, unseen_shapes_only=True),

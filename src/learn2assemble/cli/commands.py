@@ -38,6 +38,15 @@ def arm_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--arm", default=None, help=f"{names} or none; the task's own")
 
 
+def workers_arguments(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add ``--workers`` and ``--ray``, see :func:`learn2assemble.workers.run_all`."""
+    parser.add_argument("--workers", type=count, default=None, help=what)
+    parser.add_argument(
+        "--ray", metavar="ADDRESS", default=None,
+        help="work on a Ray cluster: HOST:PORT, auto or local (extra ray)",
+    )  # fmt: skip
+
+
 def check_new_file(path: Path | None) -> None:
     """Refuse a result file that could not be written, before hours of episodes.
 
@@ -246,6 +255,8 @@ def _train_arguments(parser: argparse.ArgumentParser) -> None:
     length.add_argument("--minutes", type=positive, default=None)
     length.add_argument("--samples", type=count, default=None)
     add("--seed", type=natural, default=None, help="of everything random (0)")
+    add("--seeds", type=count, default=None, help="train so many agents: OUT-s0, OUT-s1, ...")
+    workers_arguments(parser, "trainings at once, with --seeds (1)")
     add("--device", default="auto", help="auto, cpu or cuda")
     add("--threads", type=count, default=None, help="CPU threads of PyTorch")
     arm_argument(parser)
@@ -258,14 +269,30 @@ def _train_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _train(options: argparse.Namespace, output: Output) -> None:
-    from learn2assemble.learning.run import train
+    from learn2assemble.learning.run import train, train_seeds
 
-    run = train(
-        options.task, options.out, minutes=options.minutes, samples=options.samples,
-        config=options.config, method=options.method, settings=options.set, seed=options.seed,
-        device=options.device, threads=options.threads, arm=options.arm, init=options.init,
-        resume=options.resume,
-    )  # fmt: skip
+    chosen = {
+        "minutes": options.minutes, "samples": options.samples, "config": options.config,
+        "method": options.method, "settings": options.set, "seed": options.seed,
+        "device": options.device, "threads": options.threads, "arm": options.arm,
+        "init": options.init,
+    }  # fmt: skip
+    if options.seeds is not None:
+        runs = train_seeds(
+            options.task, options.out, seeds=options.seeds, workers=options.workers or 1,
+            ray=options.ray, resume=options.resume, progress=output.progress, **chosen,
+        )  # fmt: skip
+        names = sorted({name for run in runs for name in run.metrics})
+        output.table(f"{runs[0].task} ({runs[0].config})", ("agent", *names), [
+            (run.out.name, *[run.metrics.get(name, float("nan")) for name in names]) for run in runs
+        ])  # fmt: skip
+        output.finish({
+            "task": runs[0].task, "runs": [{"out": str(run.out), **run.metrics} for run in runs],
+        })  # fmt: skip
+        return
+    if options.workers or options.ray:
+        raise InputError("--workers or --ray", "given", "--seeds N beside it")
+    run = train(options.task, options.out, resume=options.resume, **chosen)
     output.table(f"{run.task} ({run.config})", ("quantity", "value"), list(run.metrics.items()))
     output.say(f"agent: {options.out / 'agent.safetensors'}")
     output.finish({"task": run.task, "out": str(options.out), **run.metrics})

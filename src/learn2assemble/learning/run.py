@@ -15,10 +15,10 @@ import os
 import platform
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from tqdm import tqdm
@@ -40,6 +40,7 @@ from learn2assemble.learning.config import TrainConfig, fit_to, get_config, over
 from learn2assemble.learning.trainer import Trainer
 from learn2assemble.networks.agent import Agent, load_agent, save_agent
 from learn2assemble.tasks import NO_ARM, Task, get_task
+from learn2assemble.workers import run_all
 
 LOG_SECONDS = 10.0
 CHECKPOINT_SECONDS = 45.0
@@ -232,6 +233,64 @@ def train(
     return TrainingRun(task.name, out, words, metrics)
 
 
+def train_seeds(
+    task: str | Task,
+    out: str | Path,
+    *,
+    seeds: int,
+    workers: int = 1,
+    ray: str | None = None,
+    resume: bool = False,
+    progress: Callable[[str], None] = lambda text: None,
+    **options: Any,
+) -> list[TrainingRun]:
+    """Train several agents that differ in their seed: the folders ``OUT-s0``, ``OUT-s1``, ...
+
+    Args:
+        task: a task or its name.
+        out: what the folders are called.
+        seeds: how many.
+        workers, ray: trainings at once, see :func:`learn2assemble.workers.run_all`.
+        resume: go on with those that were begun; what is missing is begun.
+        progress: told of every agent that is finished.
+        options: see :func:`train`, for all of them.
+
+    Raises:
+        InputError: as :func:`train` does; nothing is begun then.
+    """
+    if seeds < 1 or options.get("seed") is not None:
+        raise InputError("seeds", seeds, "1 or more, and no seed beside it")
+    out, task = Path(out), get_task(task)
+    folders = [out.with_name(f"{out.name}-s{seed}") for seed in range(seeds)]
+    taken = [folder for folder in folders if folder.exists() and any(folder.iterdir())]
+    if taken and not resume:
+        raise InputError("--out", str(taken[0]), "a new or empty folder, or --resume")
+    config = options.get("config", "relational")
+    fit_to(get_config(config) if isinstance(config, str) else config, task)
+    jobs = [
+        _Seed(task, folder, {**options, "quiet": True, "seed": seed})
+        for seed, folder in enumerate(folders)
+    ]
+    runs: dict[Path, TrainingRun] = {}
+    for job, run in run_all(_train_seed, jobs, workers=workers, ray=ray):
+        runs[job.out] = run
+        progress(f"{job.out}: R {run.metrics.get('R', float('nan')):.2f} in training")
+    return [runs[folder] for folder in folders]
+
+
+class _Seed(NamedTuple):
+    task: Task
+    out: Path
+    options: dict[str, Any]
+
+
+def _train_seed(job: _Seed) -> TrainingRun:
+    if not (job.out / "state.safetensors").is_file():
+        return train(job.task, job.out, **job.options)
+    kept = {key: job.options[key] for key in ("minutes", "device", "quiet") if key in job.options}
+    return train(job.task, job.out, resume=True, **kept)
+
+
 def _saved(out: Path, task: Task) -> tuple[Task, TrainConfig, int, float | None]:
     """Task, configuration, seed and minutes of the run to resume."""
     file = out / "config.json"
@@ -347,8 +406,8 @@ def _run(
 def _started_from(file: Path) -> dict[str, Any] | None:
     """The agent whose weights the run in ``config.json`` began with."""
     try:
-        return json.loads(file.read_text(encoding="utf-8")).get("init")
-    except (OSError, ValueError, AttributeError, RecursionError):
+        return mapping(read_json(file, "configuration")[0], str(file)).get("init")
+    except InputError:
         raise InputError("--resume", str(file), "the configuration of a run") from None
 
 

@@ -1,7 +1,8 @@
 """Table entries: one policy on one task under one condition, measured over whole episodes.
 
 Every entry has a result file, written whole or not at all, with everything needed to repeat it;
-those that are missing or stale are measured on all cores.
+those that are missing or stale are measured on all cores or machines. All policies of a task play
+the same problems, so that their returns can be compared problem by problem.
 """
 
 from __future__ import annotations
@@ -9,11 +10,8 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import multiprocessing
 import os
-import signal
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,20 +31,25 @@ from learn2assemble.evaluation.episodes import (
     random_policy,
 )
 from learn2assemble.learning.run import provenance
-from learn2assemble.networks.agent import agent_files, load_agent
+from learn2assemble.networks.agent import agent_files, load_agent, one_thread
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QNetwork
 from learn2assemble.reproduction.bounds import best_returns, has_bound
-from learn2assemble.reproduction.tables import AGENT, LOOK_AHEAD, RANDOM, Row, Table, agent_seed
+from learn2assemble.reproduction.tables import AGENT, LOOK_AHEAD, RANDOM, Row, Table
 from learn2assemble.search.config import SearchConfig
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import Task
+from learn2assemble.workers import run_all
 from learn2assemble.world.blocks import with_current_names
 
 BOUND = "bound"
 """The policy that does not play: upper bounds on the returns of the problems."""
 DIGITS = 6
 """Decimals kept of returns and coverages."""
+EPISODES = {"kinematic": 200, "dynamic": 100, "published": 100}
+"""Problems of a cell by its placement checker ..."""
+MANY_EPISODES = 1000
+"""... and with any other one, which costs far less."""
 
 
 @dataclass(frozen=True)
@@ -139,12 +142,11 @@ def measurable(cell: Cell) -> bool:
 
 
 def measure(cell: Cell, agent_file: str | None, episodes: int) -> dict[str, Any]:
-    """Play ``episodes`` episodes; the numbers of each, with versions, hardware and seconds.
+    """Play ``episodes`` episodes; the numbers of each, with versions and hardware.
 
     Args:
         agent_file: weights of the agent, for cells with one.
     """
-    started, cpu = time.perf_counter(), time.process_time()
     if cell.policy == BOUND:
         rng, _ = episode_generators(cell.seed)
         arrays = {"returns": _rounded(best_returns(Simulator(cell.task), episodes, rng))}
@@ -163,11 +165,7 @@ def measure(cell: Cell, agent_file: str | None, episodes: int) -> dict[str, Any]
             "success": played.success.astype(int).tolist(),
             "coverage": _rounded(played.coverage),
         }
-    times = {
-        "seconds": round(time.perf_counter() - started, 2),
-        "cpu_seconds": round(time.process_time() - cpu, 2),
-    }
-    return {**provenance("cpu"), **times, "episodes": episodes, **arrays}
+    return {**provenance("cpu"), "episodes": episodes, **arrays}
 
 
 def _policy(cell: Cell, agent_file: str | None) -> Policy:
@@ -328,19 +326,23 @@ def row_cells(table: Table, row: Row, column: int, agents: list[str]) -> list[Ce
     names = agents if row.policy == AGENT else [""]
     cells = [
         Cell(task, row.policy, name, row.search_config(condition.epsilon), condition.epsilon,
-             condition.physics, agent_seed(name))
+             condition.physics)
         for condition in table.conditions for name in names
     ]  # fmt: skip
     return [cell for cell in cells if measurable(cell)]
 
 
 def jobs(
-    table: Table, agents: dict[str, Path], episodes: int, max_agents: int | None = None
+    table: Table,
+    agents: dict[str, Path],
+    episodes: int | None = None,
+    max_agents: int | None = None,
 ) -> list[Job]:
     """Everything a table is made of, every cell once.
 
     Args:
         agents: name and weights of the agents there are.
+        episodes: of every cell; by default :data:`EPISODES`.
         max_agents: at most so many of a row, the lowest numbers.
     """
     cells: dict[str, Cell] = {}
@@ -355,9 +357,20 @@ def jobs(
             cells.setdefault(bound.path, bound)
     hashes = {name: agent_hash(agents[name]) for name in {c.agent for c in cells.values()} if name}
     return [
-        Job(cell, str(agents[cell.agent]) if cell.agent else None, hashes.get(cell.agent), episodes)
+        Job(
+            cell, str(agents[cell.agent]) if cell.agent else None, hashes.get(cell.agent),
+            episodes or cell_episodes(cell, cells),
+        )
         for cell in cells.values()
-    ]
+    ]  # fmt: skip
+
+
+def cell_episodes(cell: Cell, cells: dict[str, Cell]) -> int:
+    """Problems of a cell; of a bound as many as any policy plays of its task."""
+    if cell.policy != BOUND:
+        return EPISODES.get(cell.physics, MANY_EPISODES)
+    played = [c for c in cells.values() if c.task == cell.task and c.policy != BOUND]
+    return max(cell_episodes(c, cells) for c in played)
 
 
 def stale(root: Path, wanted: list[Job]) -> list[Job]:
@@ -367,35 +380,24 @@ def stale(root: Path, wanted: list[Job]) -> list[Job]:
 
 
 def run_jobs(
-    root: Path, todo: list[Job], workers: int, progress: Callable[[Job], None] | None = None
+    root: Path,
+    todo: list[Job],
+    workers: int,
+    progress: Callable[[Job], None] | None = None,
+    ray: str | None = None,
 ) -> None:
     """Measure and write every job; those done before an interruption stay.
 
     Args:
-        workers: processes; 1 works in this one.
+        workers, ray: see :func:`learn2assemble.workers.run_all`.
         progress: called after each.
     """
-    for job, data in _results(todo, min(workers, len(todo))):
-        write_result(root, job.cell, job.agent_hash, data)
-        if progress is not None:
-            progress(job)
+    with one_thread():
+        for job, data in run_all(_do, todo, workers=workers, ray=ray):
+            write_result(root, job.cell, job.agent_hash, data)
+            if progress is not None:
+                progress(job)
 
 
-def _results(todo: list[Job], workers: int) -> Iterator[tuple[Job, dict[str, Any]]]:
-    if workers <= 1:
-        # One thread: small batches lose more by sharing than they gain.
-        torch.set_num_threads(1)
-        yield from map(_do, todo)
-        return
-    with multiprocessing.get_context("spawn").Pool(workers, _begin) as pool:
-        yield from pool.imap_unordered(_do, todo)
-
-
-def _begin() -> None:
-    torch.set_num_threads(1)
-    # The parent answers Ctrl-C and ends its workers.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _do(job: Job) -> tuple[Job, dict[str, Any]]:
-    return job, measure(job.cell, job.agent_file, job.episodes)
+def _do(job: Job) -> dict[str, Any]:
+    return measure(job.cell, job.agent_file, job.episodes)

@@ -9,7 +9,12 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from learn2assemble.cli.commands import arm_argument, check_new_file, write_result
+from learn2assemble.cli.commands import (
+    arm_argument,
+    check_new_file,
+    workers_arguments,
+    write_result,
+)
 from learn2assemble.cli.parser import Command, count, natural
 from learn2assemble.errors import InputError
 from learn2assemble.files import write_file
@@ -31,7 +36,7 @@ def register_command(commands: Registry[Command]) -> None:
 
 # ---------------------------------------------------------------- table
 
-EPISODES, QUICK_EPISODES = 100, 50
+QUICK_EPISODES = 50
 
 
 def _table_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,8 +45,11 @@ def _table_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("name", metavar="NAME", help=", ".join(TABLES))
     add("--out", type=Path, default=Path("results"), help="folder of the results")
-    add("--episodes", type=count, default=None, help="of an agent in a cell (100)")
-    add("--workers", type=count, default=None, help="processes (all cores)")
+    add(
+        "--episodes", type=count, default=None,
+        help="problems of a cell, in place of 1000 (200 and 100 with an arm)",
+    )  # fmt: skip
+    workers_arguments(parser, "processes (all cores)")
     add(
         "--quick", action="store_true",
         help="one agent a row and 50 episodes, into the folder quick below --out",
@@ -90,11 +98,11 @@ def _run_table(options: argparse.Namespace, output: Output) -> None:
     output.finish(_summary(data, len(todo), files))
 
 
-def _extent(options: argparse.Namespace) -> tuple[int, int | None]:
+def _extent(options: argparse.Namespace) -> tuple[int | None, int | None]:
     """Episodes a cell and agents a row."""
     if options.quick:
         return options.episodes or QUICK_EPISODES, 1
-    return options.episodes or EPISODES, None
+    return options.episodes, None
 
 
 def _prepare(folder: Path) -> None:
@@ -112,8 +120,9 @@ def _train(table: Table, root: Path, options: argparse.Namespace, output: Output
     wanted = [recipes.get_recipe(name) for name in table.trainings]
     seeds = 1 if options.quick else None
     recipes.train_recipes(
-        wanted, options.runs, seeds=seeds, workers=_workers(options), progress=output.progress
-    )
+        wanted, options.runs, seeds=seeds, workers=_workers(options), ray=options.ray,
+        progress=output.progress,
+    )  # fmt: skip
     recipes.copy_logs(wanted, options.runs, root / "runs")
 
 
@@ -140,7 +149,7 @@ def _measure(root: Path, todo: list[Job], options: argparse.Namespace) -> None:
             bar.set_postfix_str(f"{done}/{len(todo)} cells, last: {job.cell.path[6:]}")
             bar.update(round(job.cost))
 
-        cells.run_jobs(root, todo, _workers(options), advance)
+        cells.run_jobs(root, todo, _workers(options), advance, options.ray)
 
 
 def _write(data: TableData, root: Path) -> dict[str, Path]:

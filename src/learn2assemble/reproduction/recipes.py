@@ -6,20 +6,17 @@ A recipe is a task and one or more stages; a stage starts from the agent of the 
 from __future__ import annotations
 
 import json
-import multiprocessing
 import shutil
-import signal
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import torch
-
 from learn2assemble.errors import InputError, look_up
 from learn2assemble.learning.config import TrainConfig, fit_to, get_config, override
 from learn2assemble.learning.run import run_training
-from learn2assemble.networks.agent import load_agent
+from learn2assemble.networks.agent import load_agent, one_thread
 from learn2assemble.tasks import get_task
+from learn2assemble.workers import run_all
 
 SEEDS = 5
 """Agents of a published row."""
@@ -130,13 +127,15 @@ def train_recipes(
     *,
     seeds: int | None = None,
     workers: int = 1,
+    ray: str | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> None:
     """Train the agents of ``recipes`` into ``runs/NAME-sSEED``; what is there is continued.
 
     Args:
         seeds: agents of every recipe; by default as many as it says.
-        workers: trainings at once, one thread each.
+        workers, ray: trainings at once, one thread each; see
+            :func:`learn2assemble.workers.run_all`.
 
     Raises:
         InputError: for a folder that belongs to another training.
@@ -148,12 +147,8 @@ def train_recipes(
         for number, stage in enumerate(recipe.stages):
             _check(stage_folder(recipe, seed, runs, number), recipe, stage)
     progress(f"{len(work)} trainings in {runs}, {min(workers, len(work))} at a time")
-    if workers <= 1 or len(work) <= 1:
-        for job in work:
-            progress(_train(job))
-        return
-    with multiprocessing.get_context("spawn").Pool(workers, _begin) as pool:
-        for text in pool.imap_unordered(_train, work):
+    with one_thread():
+        for _, text in run_all(_train, work, workers=workers, ray=ray):
             progress(text)
 
 
@@ -192,14 +187,8 @@ def _check(folder: Path, recipe: Recipe, stage: Stage) -> None:
         raise InputError("--runs", str(folder), f"a run of the recipe {recipe.name}")
 
 
-def _begin() -> None:
-    # The parent answers Ctrl-C; a run that is ended loses the time since its last checkpoint.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
 def _train(job: tuple[Recipe, int, Path]) -> str:
     recipe, seed, runs = job
-    torch.set_num_threads(1)
     metrics, init = {}, None
     for number, stage in enumerate(recipe.stages):
         folder = stage_folder(recipe, seed, runs, number)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -86,7 +86,9 @@ class Summary:
 
     R: float
     R_ci95: float
-    """Half width of the 95 % interval: Student's over agents, of one agent normal over episodes."""
+    """Half width of the 95 % interval: Student's over agents, of one agent normal over problems."""
+    R_ci95_problems: float
+    """The same over problems, of the mean of the agents on each."""
     a: float
     b: float
     f: float
@@ -98,6 +100,8 @@ class Summary:
     """R at the table's other discount."""
     share: float | None
     """Mean return over the mean upper bound of the same problems; at epsilon 0 only."""
+    difference: tuple[float, float] | None = None
+    """R less that of the table's reference, problem by problem, and half its 95 % interval."""
 
     @property
     def over_agents(self) -> bool:
@@ -132,7 +136,11 @@ def load_table(table: Table, root: Path, quick: bool = False) -> TableData:
     played: list[int] = []
     missing: list[str] = []
     entries = []
-    for row in table.rows:
+    compared_with: dict[tuple[int, Condition], np.ndarray] = {}
+    reference = table.reference
+    # The reference first: all others are compared with it.
+    order = sorted(range(len(table.rows)), key=lambda n: n != reference)
+    for row in (table.rows[n] for n in order):
         line = []
         for number, column in enumerate(table.columns):
             agents = row.pick(measured_agents(root, column.name)) if row.agents else []
@@ -147,12 +155,20 @@ def load_table(table: Table, root: Path, quick: bool = False) -> TableData:
                 missing += [cell.path for cell, result in found if result is None]
                 good = [r for cell, r in found if r is not None and r.cell == cell]
                 if good:
-                    results[condition] = _summary(table, condition, good, root)
+                    returns = _by_problem(good)
+                    base = compared_with.get((number, condition))
+                    if not entries and reference is not None:
+                        compared_with[number, condition] = returns
+                    results[condition] = replace(
+                        _summary(table, condition, good, root),
+                        difference=None if base is None else paired(returns, base),
+                    )
                     played += [r.episodes for r in good]
             paper = published(table, row, column)
             line.append(Entry(paper, _state(table, row, number, cells, results), results))
         entries.append(tuple(line))
     span = (min(played), max(played)) if played else (0, 0)
+    entries = [entries[order.index(n)] for n in range(len(entries))]
     return TableData(table, tuple(entries), span, quick, tuple(sorted(set(missing))))
 
 
@@ -185,12 +201,30 @@ def _summary(table: Table, condition: Condition, results: list[Result], root: Pa
         share = _share(results, root)
     return Summary(
         R=float(means.mean()), R_ci95=_half_width(returns, means),
+        R_ci95_problems=_half_width([_by_problem(results)], means[:1]),
         a=_mean([r.array("actions") for r in results]) or 0.0,
         b=_mean([(1 - f) * (1 - s) for f, s in zip(failed, success, strict=True)]) or 0.0,
         f=_mean(failed) or 0.0, success=_mean(success) or 0.0,
         agents=len(results), episodes=sum(r.episodes for r in results),
         R_other=other, share=share,
     )  # fmt: skip
+
+
+def _by_problem(results: list[Result]) -> np.ndarray:
+    """float64[E]: mean return of the agents on each problem that all have played."""
+    count = min(result.episodes for result in results)
+    return np.mean([result.array("returns")[:count] for result in results], axis=0)
+
+
+def paired(returns: np.ndarray, others: np.ndarray) -> tuple[float, float]:
+    """Mean difference on the same problems, and half the width of its 95 % interval.
+
+    Args:
+        returns, others: float64[E] by problem; of different lengths, the first ones count.
+    """
+    count = min(len(returns), len(others))
+    apart = returns[:count] - others[:count]
+    return float(apart.mean()), _half_width([apart], apart[:1])
 
 
 def _mean(arrays: list[np.ndarray]) -> float | None:
@@ -354,15 +388,21 @@ def notes(data: TableData) -> list[str]:
     out += [
         "R: mean discounted return; a: actions an episode; b: share that ran out of blocks; f: "
         "share ended by an invalid action. *: the agents were trained on this task.",
-        f"Ours: {count} episodes an agent, evaluation problems never used in training. ± is the "
-        "95 % interval of R: over agents (Student) where a row has at least two, over episodes "
-        "(marked °) where it has one. Paper: five agents, 100 episodes each.",
+        f"Ours: {count} problems an agent, the same for every method, none used in training. ± is "
+        "the 95 % interval of R: over agents (Student) and, in brackets, over problems; where a "
+        "row has one agent, over problems (marked °). Paper: five agents, 100 episodes each.",
     ]
     if "%" in text:
         out.append(
             "of bound: mean return as a share of the mean upper bound on the return of the same "
             "problems (exact for cubes on one or two sides; for objects a packing bound that knows "
             "neither balance nor support)."
+        )
+    if data.table.reference is not None:
+        name = data.table.rows[data.table.reference].name
+        out.append(
+            f'− ours: R less that of "{name}" on the same problems, ± the 95 % interval of the '
+            "paired differences."
         )
     if data.table.other_discount is not None:
         out.append(f"R': the same episodes at the discount {data.table.other_discount:g}.")
@@ -408,7 +448,8 @@ def _title(data: TableData, number: int) -> str:
 def _names(data: TableData, condition: Condition, brief: bool) -> list[str]:
     other = ["R'"] if data.table.other_discount is not None else []
     bound = ["of bound"] if condition == Condition(0.0) else []
-    names = ["R", *other, "a", "b", "f", "success", *bound]
+    paired_with = ["− ours"] if data.table.reference is not None else []
+    names = ["R", *paired_with, *other, "a", "b", "f", "success", *bound]
     return [name for name in names if name in BRIEF] if brief else names
 
 
@@ -434,7 +475,8 @@ def _ours(entry: Entry, condition: Condition, names: list[str]) -> list[str]:
         return [DASH] * len(names)
     low, high = _marks(entry, condition, ours)
     words = {
-        "R": f"{_interval_text(ours)}{low}", "R'": _two(ours.R_other), "a": f"{ours.a:.2f}",
+        "R": f"{_interval_text(ours)}{low}", "− ours": _difference(ours),
+        "R'": _two(ours.R_other), "a": f"{ours.a:.2f}",
         "b": _two(ours.b), "f": f"{ours.f:.2f}{high}", "success": _two(ours.success),
         "of bound": _percent(ours.share),
     }  # fmt: skip
@@ -454,7 +496,12 @@ def _marks(entry: Entry, condition: Condition, ours: Summary) -> tuple[str, str]
 
 
 def _interval_text(ours: Summary) -> str:
-    return f"{ours.R:.2f} ± {ours.R_ci95:.2f}{'' if ours.over_agents else '°'}"
+    more = f" ({ours.R_ci95_problems:.2f})" if ours.over_agents else "°"
+    return f"{ours.R:.2f} ± {ours.R_ci95:.2f}{more}"
+
+
+def _difference(ours: Summary) -> str:
+    return DASH if ours.difference is None else "{:+.2f} ± {:.2f}".format(*ours.difference)
 
 
 def _two(value: float | None) -> str:

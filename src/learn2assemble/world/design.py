@@ -108,7 +108,7 @@ def table_pixels(terms: Terms = TOUCHING) -> tuple[np.ndarray, np.ndarray]:
 def cell_pixels(terms: Terms = TOUCHING) -> np.ndarray:
     """Pixels each cell fills that the table does not: ``uint64[NUM_COLUMNS, NUM_LEVELS, ...]``.
 
-    Complete filter of protocol 3.4; index ``k + MAX_COLUMN`` is column ``k``. Read-only. Two
+    The complete filter of the paper; index ``k + MAX_COLUMN`` is column ``k``. Read-only. Two
     neighbouring cells may both fill a pixel that sees their common edge.
     """
     table, _ = table_pixels(terms)
@@ -165,7 +165,7 @@ SLACK = 1e-9
 MIN_AREA = EDGE * EDGE
 """Smallest area of an outline: one block face [m^2]."""
 MIN_MASK_PIXELS = 50
-"""Fewer mask pixels over all elevations are refused (protocol 2, rejection at reset)."""
+"""Fewer mask pixels over all elevations are refused, as the paper's problems are at reset."""
 MAX_INITIAL_COVER = 0.95
 """Refused when the first block alone fills more than this share."""
 MAX_NAME, MAX_DESCRIPTION = 100, 2000
@@ -240,7 +240,7 @@ class Design:
         num_blocks: blocks available, the first one included; None leaves it to the planner.
         first_elevation: index of the elevation whose bottom centre holds the first block.
         success_threshold: Delta; the design is built when the filled share of the mask pixels
-            the first block leaves, F_co of protocol 3.4, exceeds it.
+            the first block leaves, F_co, exceeds it.
         supports: whether blocks may stand outside every outline to carry others.
         description: free text.
         kit: the blocks the exact planner uses; the agent plays with cubes.

@@ -1,0 +1,133 @@
+"""Work on several processes and machines: each piece once, whatever dies."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from learn2assemble.errors import InputError, MissingExtraError, UnknownNameError
+from learn2assemble.learning.run import train_seeds
+from learn2assemble.workers import MAX_DEATHS, WorkerError, run_all
+
+
+def note(item: tuple[Path, int]) -> int:
+    """Leave a line for every call; the answer is the square."""
+    folder, number = item
+    with (folder / f"{number}.calls").open("a") as stream:
+        stream.write(f"{os.getpid()}\n")
+    return number**2
+
+
+def die_once(item: tuple[Path, int]) -> int:
+    """As :func:`note`, but the first process that gets number 3 is killed in the middle of it."""
+    folder, number = item
+    dead = folder / "dead"
+    if number == 3 and not dead.exists():
+        dead.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return note(item)
+
+
+def die(item: int) -> int:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return item
+
+
+def refuse(item: int) -> int:
+    raise UnknownNameError("task", f"no-{item}", ["yes-0"])
+
+
+def calls(folder: Path) -> dict[int, int]:
+    return {int(f.stem): len(f.read_text().splitlines()) for f in folder.glob("*.calls")}
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_every_piece_is_done_once(tmp_path: Path, workers: int) -> None:
+    items = [(tmp_path, number) for number in range(7)]
+    found = dict(run_all(note, items, workers=workers))
+    assert found == {item: item[1] ** 2 for item in items}
+    assert calls(tmp_path) == dict.fromkeys(range(7), 1)
+
+
+def test_a_worker_that_is_killed_loses_nothing(tmp_path: Path) -> None:
+    items = [(tmp_path, number) for number in range(8)]
+    found = list(run_all(die_once, items, workers=2))
+    assert sorted(result for _, result in found) == [n**2 for n in range(8)]
+    assert (tmp_path / "dead").exists()
+
+
+def test_workers_that_always_die_end_the_work() -> None:
+    with pytest.raises(WorkerError, match=f"died {MAX_DEATHS} times.*2 left"):
+        list(run_all(die, [1, 2], workers=2))
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_errors_arrive_with_their_message(workers: int) -> None:
+    with pytest.raises(InputError, match=r"^task: got 'no-.', expected one of yes-0"):
+        list(run_all(refuse, [1, 2], workers=workers))
+
+
+@pytest.mark.parametrize("address", ["nowhere", "localhost:x", "localhost:99999999", ":", ""])
+def test_addresses_that_make_no_sense(address: str) -> None:
+    with pytest.raises(InputError, match="--ray"):
+        list(run_all(abs, [1], ray=address))
+
+
+def test_an_address_that_does_not_answer() -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    with pytest.raises(InputError, match=rf"--ray: got '127.0.0.1:{port}'"):
+        list(run_all(abs, [1], ray=f"127.0.0.1:{port}"))
+
+
+def test_without_ray_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match=r"learn2assemble\[ray\]"):
+        list(run_all(abs, [1], ray="auto"))
+
+
+def slow_note(item: tuple[Path, int]) -> int:
+    time.sleep(0.5)
+    return note(item)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")
+def test_two_nodes_one_of_which_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every piece has its answer; only what the dead node was at is done again."""
+    pytest.importorskip("ray", reason="the extra ray is not installed")
+    from ray.cluster_utils import Cluster
+
+    paths = [str(Path(__file__).parent), *sys.path]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(paths))
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+    try:
+        second = cluster.add_node(num_cpus=1)
+        items = [(tmp_path, number) for number in range(8)]
+        work = run_all(slow_note, items, ray=cluster.address)
+        found = [next(work)]
+        cluster.remove_node(second, allow_graceful=False)
+        found += work
+        assert sorted(result for _, result in found) == [n**2 for n in range(8)]
+        assert len(found) == 8
+    finally:
+        cluster.shutdown()
+
+
+def test_seeds_differ_and_are_resumed(tmp_path: Path) -> None:
+    options = {"samples": 60, "settings": ["network.width=8"], "device": "cpu"}
+    runs = train_seeds("one-sided-3x3-22-24", tmp_path / "mine", seeds=2, **options)
+    assert [run.out.name for run in runs] == ["mine-s0", "mine-s1"]
+    weights = [(run.out / "agent.safetensors").read_bytes() for run in runs]
+    assert weights[0] != weights[1]
+    with pytest.raises(InputError, match="--resume"):
+        train_seeds("one-sided-3x3-22-24", tmp_path / "mine", seeds=2, **options)
+    again = train_seeds("one-sided-3x3-22-24", tmp_path / "mine", seeds=2, resume=True, **options)
+    assert [(run.out / "agent.safetensors").read_bytes() for run in again] == weights
