@@ -23,11 +23,13 @@ from learn2assemble.robot.moves import (
     Move,
     Outcome,
     Scene,
+    attitudes,
     carried,
     crossing_height,
     fillers,
     get_grasps,
     put_down,
+    why_not_held,
 )
 from robot_scenes import GROUND, cell, scene
 
@@ -305,3 +307,109 @@ def test_an_attempt_leaves_the_scene_alone_and_forgets_the_last(panda: Kinematic
     ]
     for field, old in zip(world, before, strict=True):
         np.testing.assert_array_equal(field, old)
+
+
+# ---------------------------------------------------------------- boxes of any size, tools
+
+
+def row(gap: float, target: int, size: tuple[float, float, float]) -> tuple[Scene, np.ndarray]:
+    """Nine boxes in a 3 x 3 field with joints of ``gap`` [m], but one waits; and its place."""
+    half = np.array(size) / 2
+    cells = [(x, y) for y in (-1, 0, 1) for x in (-1, 0, 1)]
+    position = np.array([[*(np.array(c) * (2 * half[:2] + gap)), half[2]] for c in cells])
+    place = position[target].copy()
+    order = [k for k in range(9) if k != target] + [target]
+    position[target] = [0.05, -0.3, half[2]]
+    sizes = np.tile(half, (9, 1))
+    return Scene(position[order], np.zeros(9), np.arange(9), 8, sizes), place
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5e"])
+@pytest.mark.parametrize("gap", [1e-4, 5e-4])
+def test_a_cup_fills_the_hole_that_fingers_cannot(name: str, gap: float) -> None:
+    world, place = row(gap, 4, (0.1, 0.05, 0.05))
+    for tool, wanted in (("suction", Outcome.REACHED), ("gripper", Outcome.PLACE_COLLISION)):
+        arm = KinematicCell(get_arm(name, tool))
+        found = [arm.attempt(world, Move(8, place, a, a)) for a in attitudes(arm.arm, HALVES)]
+        assert found
+        assert {one.outcome for one in found} == {wanted}, found[0].detail
+    # Two millimetres to the side, it would stand in its neighbour.
+    for tool, off in (("suction", [0.003, 0, 0]), ("suction", [0, 0, -0.003])):
+        arm = KinematicCell(get_arm(name, tool))
+        grasp = attitudes(arm.arm, HALVES)[0]
+        found_off = arm.attempt(world, Move(8, place + off, grasp, grasp))
+        assert found_off.outcome == Outcome.PLACE_COLLISION
+        assert found_off.detail.startswith("carried")
+
+
+HALVES = np.array([0.05, 0.025, 0.025])
+
+
+def test_attitudes_fit_the_box_and_the_tool() -> None:
+    panda, cup = get_arm("panda"), get_arm("panda", "suction")
+    assert [round(a.yaw / math.pi * 2) for a in attitudes(panda, np.full(3, 0.025))] == [
+        0, -2, -1, -3
+    ]  # fmt: skip
+    assert {a.yaw for a in attitudes(panda, HALVES)} == {0.0, -math.pi}
+    tall = attitudes(panda, np.array([0.02, 0.02, 0.1]))
+    assert {a.depth for a in tall} == {0.1 - 0.025}
+    flat = attitudes(panda, np.array([0.02, 0.02, 0.004]))
+    assert all(0.004 > a.depth >= panda.gripper.tip - 0.004 for a in flat)
+    assert not attitudes(panda, np.array([0.06, 0.06, 0.025]))
+    assert [a.depth for a in attitudes(cup, HALVES)] == [0.025] * 4
+    assert not attitudes(cup, np.array([0.05, 0.014, 0.025]))
+    assert why_not_held(cup, HALVES, 0.2) is None
+    assert "too heavy" in str(why_not_held(cup, HALVES, 2.5))
+    assert "too small" in str(why_not_held(cup, HALVES * 0.5, 0.2))
+    assert "too wide" in str(why_not_held(panda, HALVES * 2, 0.2))
+
+
+def test_a_load_beside_the_cup_is_refused() -> None:
+    arm = KinematicCell(get_arm("panda", "suction"))
+    half = np.array([[0.05, 0.05, 0.05], [0.05, 0.05, 0.05], [0.2, 0.05, 0.05]])
+    position = np.array([[0.1, 0.1, 0.05], [-0.2, -0.3, 0.05], [0.05, -0.3, 0.05]])
+    density = np.array([800.0, 100.0, 400.0])
+    world = Scene(position, np.zeros(3), np.array([0, 1, 1]), 1, half, density)
+    grasp = attitudes(arm.arm, half[1])[0]
+    # 1.6 kg a quarter of a metre from the cup, and 0.1 kg under it.
+    found = arm.attempt(world, Move(1, np.array([-0.2, 0.1, 0.05]), grasp, grasp))
+    assert (found.outcome, found.stage) == (Outcome.GRASP_LOST, "lift")
+    share = (17.0 + 16 * 0.25 / 0.015) / 42.4
+    assert f"loaded with {100 * share:.0f} %" in found.detail
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 10**9))
+def test_boxes_collide_where_their_distances_say_so(seed: int) -> None:
+    """After resizing, the broad phase must not miss what every pair of geoms by itself shows."""
+    rng = np.random.default_rng(seed)
+    arm = get_arm("panda", "suction")
+    model = SIZED.setdefault("panda", BoxChecker(arm, 8, sized=True))
+    count = int(rng.integers(2, 9))
+    position = rng.uniform([-0.4, -0.3, 0.0], [0.2, 0.3, 0.5], (count, 3))
+    half = rng.uniform(0.01, 0.2, (count, 3))
+    yaw = rng.uniform(-3, 3, count)
+    model.place(Scene(position, yaw, np.arange(count), 1, half))
+    model.carry(np.zeros((1, 3)), np.zeros(1, np.int64), half[:1], np.eye(3)[None])
+    joints = rng.uniform(arm.lower, arm.upper)
+    hit = model.check(joints)
+    m, d = model.model, model.data
+    mujoco.mj_kinematics(m, d)
+    body = [m.body(b).name for b in m.geom_bodyid]
+    things = [g for g in range(m.ngeom) if body[g].startswith(("table", "block"))]
+    held = [g for g in range(m.ngeom) if body[g] == "carried 0"]
+    links = [g for g in range(m.ngeom) if m.geom_contype[g] and g not in (*things, *held)]
+    links = [g for g in links if not body[g].startswith("carried")]
+    nearest = min(
+        mujoco.mj_geomDistance(m, d, a, b, 0.05, None)
+        for a in (*links, *held) for b in things if body[a] != "link0"
+    )  # fmt: skip
+    if abs(nearest) < 1e-4:
+        return
+    if nearest < 0:
+        assert hit is not None
+    elif hit is not None:
+        assert not hit.other.startswith(("table", "block"))
+
+
+SIZED: dict[str, BoxChecker] = {}

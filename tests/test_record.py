@@ -137,7 +137,7 @@ def change(data: dict[str, Any], *path: Any) -> Callable[[Any], None]:
     ("path", "value", "words"),
     [
         (("format",), "other", "learn2assemble-trajectory"),
-        (("version",), 2, "trajectory.version"),
+        (("version",), 3, "trajectory.version"),
         (("arm", "lower"), [0.0], "arm.lower"),
         (("arm", "max_width"), "wide", "arm.max_width"),
         (("arm",), None, "trajectory"),
@@ -421,3 +421,35 @@ def test_what_slips_is_not_held_any_more() -> None:
     assert holding(arm, made(pose, np.minimum(stage, 1)), 0) == (None, None)
     spans = [(s.name, round(s.start, 3), round(s.end, 3)) for s in stages_of(made(pose, stage))]
     assert spans == [("pick", 0.0, 0.04), ("lift", 0.04, 0.08), ("cross", 0.08, 0.14)]
+
+
+def test_files_of_version_1_are_read_as_of_the_gripper(record: BuildRecord) -> None:
+    data = json.loads(json.dumps(record_data(record)))
+    data["version"] = 1
+    del data["half"], data["arm"]["tool_name"], data["arm"]["suction"]
+    for step in data["steps"]:
+        del step["command"]
+    found = record_from(data)
+    assert (found.arm.tool_name, found.arm.suction, found.half) == ("gripper", False, None)
+    for step in found.steps:
+        np.testing.assert_array_equal(step.samples.command, step.samples.width)
+
+
+def test_a_suction_tool_is_told_on_or_off(record: BuildRecord) -> None:
+    cup = replace(record.arm, tool_name="suction", suction=True, max_width=0.0)
+    steps = tuple(
+        replace(step, samples=replace(step.samples, width=0 * step.samples.width,
+                command=np.round(step.samples.width / 0.06)))
+        for step in record.steps
+    )  # fmt: skip
+    held = replace(record, arm=cup, steps=steps, half=np.full((record.num_cells, 3), 0.025))
+    assert find_fault(held) is None
+    again = record_from(json.loads(json.dumps(record_data(held))))
+    assert again.arm.suction
+    assert again.arm.tool_name == "suction"
+    np.testing.assert_array_equal(again.half, held.half)
+    np.testing.assert_array_equal(again.steps[0].samples.command, steps[0].samples.command)
+    half = replace(steps[0].samples, command=steps[0].samples.command + 0.5)
+    wrong = replace(held, steps=(replace(steps[0], samples=half), *steps[1:]))
+    assert "neither 0 nor 1" in str(find_fault(wrong))
+    assert "three lengths" in str(find_fault(replace(held, half=np.zeros((1, 3)))))

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from learn2assemble.physics.rigid_blocks import Check, check
     from learn2assemble.planning.build import build
     from learn2assemble.planning.plan import Plan, Step, load_plan
-    from learn2assemble.robot.registry import register_arm
+    from learn2assemble.robot.registry import register_arm, register_tool
     from learn2assemble.search.config import SearchConfig, register_search
     from learn2assemble.simulator import Simulator
     from learn2assemble.tasks import Task, get_task, register_task
@@ -77,6 +77,7 @@ _HOME = {
     "register_object_set": "world.blocks",
     "register_search": "search.config",
     "register_task": "tasks",
+    "register_tool": "robot.registry",
     "train": "learning.run",
 }
 """The module of every public name, and its name there where it is another one."""
@@ -118,6 +119,7 @@ __all__ = [
     "register_object_set",
     "register_search",
     "register_task",
+    "register_tool",
     "train",
 ]
 

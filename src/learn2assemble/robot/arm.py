@@ -3,8 +3,7 @@
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
-import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,10 +14,23 @@ import numpy as np
 from learn2assemble.errors import InputError, look_up
 from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.physics import scene as _  # noqa: F401 (MuJoCo's warnings)
-from learn2assemble.robot.registry import ARMS
+from learn2assemble.robot.registry import ARMS, TOOLS
+from learn2assemble.robot.tool import (
+    COLLISION_GROUP,
+    PICTURE_GROUP,
+    Gripper,
+    Suction,
+    frozen,
+    load_suction,
+    mount,
+    numbers,
+    read_toml,
+    table,
+    value,
+)
 
-PICTURE_GROUP, COLLISION_GROUP = 2, 3
-"""Geom groups of every vendored arm."""
+FARTHEST = 20.0
+"""Bases stand no farther away than this [m]."""
 
 
 def read_spec(mjcf: Path, position: np.ndarray, yaw: float, pictures: bool) -> mujoco.MjSpec:
@@ -50,41 +62,6 @@ def read_spec(mjcf: Path, position: np.ndarray, yaw: float, pictures: bool) -> m
 
 
 @dataclass(frozen=True, eq=False)
-class Gripper:
-    """Two fingers that close along the tool's y axis.
-
-    The opening ``width`` is the distance between the pads [m], also where it is commanded.
-    """
-
-    hand: str
-    """Body the fingers slide on."""
-    fingers: tuple[str, ...]
-    """Bodies."""
-    pads: tuple[str, ...]
-    """Geoms that may touch what is held."""
-    joints: tuple[str, ...]
-    """One slide per finger; each travels half the width."""
-    actuator: str
-    max_width: float
-    """Largest opening [m]."""
-    closed_command: float
-    """Command of the actuator at width 0."""
-    open_command: float
-    """Command of the actuator at the largest width."""
-    force: float
-    """What each finger presses with [N]."""
-    speed: float
-    """Change of the opening [m/s] at which the command should be ramped."""
-    stiffness: float
-    """Force per missing width [N/m], from the actuator."""
-
-    def command(self, width: float) -> float:
-        """The actuator's command for an opening [m]; below 0 it presses."""
-        slope = (self.open_command - self.closed_command) / self.max_width
-        return self.closed_command + slope * width
-
-
-@dataclass(frozen=True, eq=False)
 class Arm:
     """An arm with its gripper, at its place in the world. Arrays are read-only, one per joint."""
 
@@ -113,6 +90,15 @@ class Arm:
     branches: dict[str, tuple[np.ndarray, np.ndarray]]
     """Parts of the joint range [rad] in which the arm keeps its shape (elbow up, wrist not turned
     over), the preferred one first; empty where the arm has no such choice."""
+    tool_name: str = "gripper"
+    """A name of :data:`~.registry.TOOLS`."""
+    suction: Suction | None = None
+    """The tool in place of the fingers; ``gripper`` then has none, and no opening."""
+
+    @property
+    def turns(self) -> tuple[float, ...]:
+        """Other turns of the hand about the vertical in which it holds the same [rad]."""
+        return (np.pi,) if self.suction is None else (np.pi, np.pi / 2, -np.pi / 2)
 
     def limits(self, branch: str | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper joint limits [rad] of a branch, by default the preferred one.
@@ -131,49 +117,70 @@ class Arm:
         return np.all((joints >= low) & (joints <= high), axis=-1)
 
 
-@lru_cache(maxsize=16)
-def get_arm(name: str) -> Arm:
-    """The arm called ``name``.
+def get_arm(
+    name: str, tool: str | None = None, base: tuple[float, float, float, float] | None = None
+) -> Arm:
+    """The arm called ``name``; the same object for the same arguments.
+
+    Args:
+        name: one of :data:`~.registry.ARMS`.
+        tool: one of :data:`~.registry.TOOLS`, by default the fingers it comes with.
+        base: x, y, z [m, world] and turn about z [rad] of its base, as in ``arm.toml``; by
+            default where that puts it.
 
     Raises:
         UnknownNameError: naming the nearest one.
+        InputError: for a base that is not four finite numbers.
     """
-    return load_arm(look_up("arm", name, ARMS))
+    if base is not None:
+        given = {"base": list(base)}
+        base = tuple(numbers(given, "base", 4, f"arm {name}").tolist())
+        if max(map(abs, base)) > FARTHEST:
+            raise InputError(f"arm {name}, base", list(base), f"numbers up to {FARTHEST:g}")
+    return _get_arm(look_up("arm", name, ARMS), look_up("tool", tool or "gripper", TOOLS), base)
+
+
+@lru_cache(maxsize=32)
+def _get_arm(file: Path, tool: Path, base: tuple[float, ...] | None) -> Arm:
+    arm = load_arm(file)
+    if base is not None:
+        arm = replace(arm, base_position=frozen(np.array(base[:3])), base_yaw=base[3])
+    suction = load_suction(tool)
+    if suction is None:
+        return arm
+    bare = replace(arm.gripper, fingers=(), pads=(), joints=(), actuator="", max_width=0.0, tip=0.0)
+    return replace(arm, gripper=bare, suction=suction, tool_name=tool.parent.name)
 
 
 def load_arm(path: Path) -> Arm:
-    """The arm a file describes; its name is that of the folder.
+    """The arm a file describes, with its fingers; its name is that of the folder.
 
     Raises:
         InputError: where the file lacks a value, or names something its MJCF does not have.
     """
     name = path.parent.name
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"arm {name}", str(path), "a file arm.toml") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"arm {name}", str(error), "valid TOML") from None
     where = f"arm {name}"
-    base, gripper = _table(data, "base", where), _table(data, "gripper", where)
-    position, yaw = _numbers(base, "position", 3, where), float(_value(base, "yaw", where))
-    joints = tuple(_value(data, "joints", where))
+    data = read_toml(path, where)
+    base, gripper = table(data, "base", where), table(data, "gripper", where)
+    position, yaw = numbers(base, "position", 3, where), float(value(base, "yaw", where))
+    joints = tuple(value(data, "joints", where))
     count = len(joints)
-    mjcf = path.parent / _value(data, "mjcf", where)
+    mjcf = path.parent / value(data, "mjcf", where)
     if not mjcf.is_file():
         raise InputError(f"{where}, mjcf", str(mjcf), "an MJCF file beside arm.toml")
     model = read_spec(mjcf, position, yaw, pictures=False).compile()
     limits = np.array([_joint_range(model, joint, where) for joint in joints])
+    tool = _named(model, "site", value(data, "tool", where), where)
     arm = Arm(
         name=name, mjcf=mjcf, joints=joints,
-        lower=_frozen(limits[:, 0]), upper=_frozen(limits[:, 1]),
-        velocity=_numbers(data, "velocity", count, where),
-        acceleration=_numbers(data, "acceleration", count, where),
-        jerk=_numbers(data, "jerk", count, where),
-        home=_numbers(data, "home", count, where),
+        lower=frozen(limits[:, 0]), upper=frozen(limits[:, 1]),
+        velocity=numbers(data, "velocity", count, where),
+        acceleration=numbers(data, "acceleration", count, where),
+        jerk=numbers(data, "jerk", count, where),
+        home=numbers(data, "home", count, where),
         base_position=position, base_yaw=yaw,
-        tool=_named(model, "site", _value(data, "tool", where), where),
-        gripper=_gripper(gripper, model, where),
+        tool=tool,
+        gripper=_gripper(gripper, model, tool, where),
         branches={
             label: _branch(ranges, joints, limits, f"{where}, branches.{label}")
             for label, ranges in data.get("branches", {}).items()
@@ -184,22 +191,38 @@ def load_arm(path: Path) -> Arm:
     return arm
 
 
-def _gripper(data: dict[str, Any], model: mujoco.MjModel, where: str) -> Gripper:
+def _gripper(data: dict[str, Any], model: mujoco.MjModel, site: str, where: str) -> Gripper:
     def names(key: str, kind: str) -> tuple[str, ...]:
-        return tuple(_named(model, kind, name, where) for name in _value(data, key, where))
+        return tuple(_named(model, kind, name, where) for name in value(data, key, where))
 
-    closed, opened = _numbers(data, "command", 2, where)
-    width = float(_value(data, "width", where))
-    actuator = _named(model, "actuator", _value(data, "actuator", where), where)
+    closed, opened = numbers(data, "command", 2, where)
+    width = float(value(data, "width", where))
+    actuator = _named(model, "actuator", value(data, "actuator", where), where)
     per_command = abs(float(model.actuator(actuator).gainprm[0]))
+    fingers = names("fingers", "body")
     return Gripper(
-        hand=_named(model, "body", _value(data, "hand", where), where),
-        fingers=names("fingers", "body"), pads=names("pads", "geom"),
+        hand=_named(model, "body", value(data, "hand", where), where),
+        fingers=fingers, pads=names("pads", "geom"), tip=_beyond(model, fingers, site),
         joints=names("joints", "joint"), actuator=actuator,
         max_width=width, closed_command=float(closed), open_command=float(opened),
-        force=float(_value(data, "force", where)), speed=float(_value(data, "speed", where)),
+        force=float(value(data, "force", where)), speed=float(value(data, "speed", where)),
         stiffness=per_command * abs(float(opened - closed)) / width,
     )  # fmt: skip
+
+
+def _beyond(model: mujoco.MjModel, fingers: tuple[str, ...], site: str) -> float:
+    """How far the solids of the fingers reach beyond the tool point [m]."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    tool, most = data.site(site), 0.0
+    bodies = [model.body(name).id for name in fingers]
+    for geom in np.flatnonzero(np.isin(model.geom_bodyid, bodies)):
+        axis = data.geom_xmat[geom].reshape(3, 3).T @ tool.xmat.reshape(3, 3)[:, 2]
+        # Of the box around the geom, whatever its type.
+        middle, half = model.geom_aabb[geom].reshape(2, 3)
+        along = (data.geom_xpos[geom] - tool.xpos) @ tool.xmat.reshape(3, 3)[:, 2]
+        most = max(most, float(along + axis @ middle + np.abs(axis) @ half))
+    return most
 
 
 def _branch(
@@ -209,41 +232,11 @@ def _branch(
     narrowed = limits.copy()
     for name in ranges:
         k = look_up(f"{where}, joint", name, {joint: k for k, joint in enumerate(joints)})
-        low, high = _numbers(ranges, name, 2, where)
+        low, high = numbers(ranges, name, 2, where)
         narrowed[k] = max(low, limits[k, 0]), min(high, limits[k, 1])
         if narrowed[k, 0] >= narrowed[k, 1]:
             raise InputError(f"{where}, {name}", ranges[name], "a range within the joint's limits")
-    return _frozen(narrowed[:, 0]), _frozen(narrowed[:, 1])
-
-
-def _value(data: dict[str, Any], key: str, where: str) -> Any:
-    if key not in data:
-        raise InputError(f"{where}, {key}", None, "a value")
-    return data[key]
-
-
-def _table(data: dict[str, Any], key: str, where: str) -> dict[str, Any]:
-    table = _value(data, key, where)
-    if not isinstance(table, dict):
-        raise InputError(f"{where}, {key}", table, f"a table [{key}]")
-    return table
-
-
-def _numbers(data: dict[str, Any], key: str, count: int, where: str) -> np.ndarray:
-    given = _value(data, key, where)
-    try:
-        array = np.array(given, float)
-    except (TypeError, ValueError):
-        array = np.empty(0)
-    if array.shape != (count,) or not np.isfinite(array).all():
-        raise InputError(f"{where}, {key}", given, f"{count} numbers")
-    return _frozen(array)
-
-
-def _frozen(array: np.ndarray) -> np.ndarray:
-    array = np.ascontiguousarray(array, float)
-    array.flags.writeable = False
-    return array
+    return frozen(narrowed[:, 0]), frozen(narrowed[:, 1])
 
 
 def _named(model: mujoco.MjModel, kind: str, name: str, where: str) -> str:
@@ -265,8 +258,12 @@ __all__ = ["COLLISION_GROUP", "PICTURE_GROUP", "arm_model", "arm_spec"]
 
 
 def arm_spec(arm: Arm, pictures: bool = False) -> mujoco.MjSpec:
-    """An editable model of the arm at its base pose, for adding a table and blocks."""
-    return read_spec(arm.mjcf, arm.base_position, arm.base_yaw, pictures)
+    """An editable model of the arm with its tool at its base pose, for adding a table and
+    blocks."""
+    spec = read_spec(arm.mjcf, arm.base_position, arm.base_yaw, pictures)
+    if arm.suction is not None:
+        mount(spec, arm.gripper.hand, arm.tool, arm.suction, pictures)
+    return spec
 
 
 @lru_cache(maxsize=16)

@@ -9,13 +9,16 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from learn2assemble.errors import look_up
 from learn2assemble.geometry.rotations import rotate_vectors, yaw_matrix
-from learn2assemble.world.blocks import EDGE, HALF
+from learn2assemble.world.blocks import EDGE, HALF, MASS
+
+if TYPE_CHECKING:
+    from learn2assemble.robot.arm import Arm
 
 
 class Outcome(IntEnum):
@@ -121,15 +124,18 @@ def get_grasps(name: str) -> tuple[GraspPair, ...]:
     return look_up("grasp set", name, GRASP_SETS)
 
 
+DENSITY = MASS / EDGE**3
+"""Of the cubes [kg/m3]."""
 GAP = 0.01
 """Between horizontal neighbours on the lattice of the robot cell [m]."""
 
 
 class Scene(NamedTuple):
-    """Cubes on the table, in the world frame; the placed ones first.
+    """Boxes on the table, in the world frame; the placed ones first.
 
-    Objects of several cells are rigid; where two of their cells are horizontal neighbours the gap
-    between them is filled.
+    Each cell is one box: a cube of the lattice, or a box of any size where ``half`` is given.
+    Objects of several cells are rigid. Where two cubes of one object are horizontal neighbours the
+    gap between them is filled; boxes of given size are what they are.
     """
 
     position: np.ndarray
@@ -139,6 +145,28 @@ class Scene(NamedTuple):
     object_id: np.ndarray
     """int64[n]: cells with one number are one rigid object."""
     num_placed: int
+    half: np.ndarray | None = None
+    """float64[n, 3]: half extents of each cell's box in its own frame [m]; None: all are cubes of
+    the lattice."""
+    density: np.ndarray | None = None
+    """float64[n] of each cell's box [kg/m3]; by default that of the cubes."""
+
+    @property
+    def halves(self) -> np.ndarray:
+        """float64[n, 3]: half extents of each cell's box [m]."""
+        return np.full((len(self.position), 3), HALF) if self.half is None else self.half
+
+    def mass(self, cells: np.ndarray) -> np.ndarray:
+        """float64[m]: of cells int64[m] without the fillers between them [kg]."""
+        volume = 8 * self.halves[cells].prod(1)
+        return volume * (DENSITY if self.density is None else self.density[cells])
+
+    def rows(self, cells: np.ndarray, num_placed: int) -> Scene:
+        """The scene of some cells int64[m], of which the first ``num_placed`` are placed."""
+        half, density = (None if a is None else a[cells] for a in (self.half, self.density))
+        return Scene(
+            self.position[cells], self.yaw[cells], self.object_id[cells], num_placed, half, density
+        )
 
     def members(self, cell: int) -> np.ndarray:
         """int64[m]: the cells of the object of ``cell``, that cell first."""
@@ -162,6 +190,12 @@ class Move(NamedTuple):
         return self.place.yaw - self.grasp.yaw
 
 
+def turned(move: Move, turn: float) -> Move:
+    """The same move with the hand turned about the vertical [rad] at both places."""
+    grasp, place = (a._replace(yaw=a.yaw + turn) for a in (move.grasp, move.place))
+    return move._replace(grasp=grasp, place=place)
+
+
 def put_down(scene: Scene, move: Move) -> Scene:
     """The scene after a move that went as ordered: the object's cells are the last placed ones,
     the grasped one first."""
@@ -169,10 +203,7 @@ def put_down(scene: Scene, move: Move) -> Scene:
     position, yaw = carried(scene, move, members)
     rest = np.setdiff1d(np.arange(scene.num_placed, len(scene.position)), members)
     order = np.concatenate([np.arange(scene.num_placed), members, rest])
-    after = Scene(
-        scene.position[order], scene.yaw[order], scene.object_id[order],
-        scene.num_placed + len(members),
-    )  # fmt: skip
+    after = scene.rows(order, scene.num_placed + len(members))
     after.position[scene.num_placed : after.num_placed] = position
     after.yaw[scene.num_placed : after.num_placed] = yaw
     return after
@@ -226,9 +257,76 @@ def object_boxes(
     return boxes
 
 
-OPENING = EDGE + 0.008
-"""Opening between the pads while approaching, after releasing and while retreating [m]: wide
-enough for a millimetre or two of error, narrow enough to leave neighbours alone."""
+ROOM = 0.008
+"""How much wider than a block the fingers are open while approaching, after releasing and while
+retreating [m]: enough for a millimetre or two of error, not so much that neighbours are touched."""
+OPENING = EDGE + ROOM
+"""That opening for a cube [m]."""
+
+
+def grip_width(scene: Scene, cell: int, grasp: Attitude) -> float:
+    """How far apart the pads are when they hold a cell [m]."""
+    if scene.half is None:
+        return EDGE
+    across = round((grasp.yaw - scene.yaw[cell]) / QUARTER) % 2 == 0
+    return 2 * float(scene.half[cell, 1 if across else 0])
+
+
+_GRIP_DEPTH = HALF
+"""A taller block is held so far below its top [m], as the hand is not far above the fingertips."""
+_TIP_ROOM = 0.002
+"""Fingertips stay so far above what a block stands on [m]."""
+
+
+def attitudes(arm: Arm, half: np.ndarray) -> tuple[Attitude, ...]:
+    """The upright attitudes in which the tool of an arm can hold a box that stands at yaw 0; for
+    another yaw, add it.
+
+    Fingers close along y, then along x, each both ways round, where the box fits between them; a
+    cup meets the middle of the top face at four yaws, where the face seals it.
+
+    Args:
+        arm: the robot with its tool.
+        half: float64[3], half extents of the box [m].
+
+    Returns:
+        none where the box is too wide for the fingers, or too small for the cup.
+    """
+    if arm.suction is not None:
+        if min(half[0], half[1]) < arm.suction.radius:
+            return ()
+        return tuple(Attitude(-k * QUARTER, 0.0, float(half[2])) for k in range(4))
+    depth = max(half[2] - _GRIP_DEPTH, arm.gripper.tip + _TIP_ROOM - half[2], 0.0)
+    if depth > half[2]:
+        return ()
+    fits = [2 * width + ROOM <= arm.gripper.max_width for width in (half[1], half[0])]
+    return tuple(
+        Attitude(-k * QUARTER, 0.0, float(depth)) for k in (0, 2, 1, 3) if fits[k % 2]
+    )  # fmt: skip
+
+
+def why_not_held(arm: Arm, half: np.ndarray, mass: float) -> str | None:
+    """Why the tool of an arm cannot hold a box, in words; None where it can.
+
+    Args:
+        arm: the robot with its tool.
+        half: float64[3], half extents of the box [m].
+        mass: of the whole object [kg].
+    """
+    size = " x ".join(f"{2e3 * side:g}" for side in half) + " mm"
+    cup = arm.suction
+    if not attitudes(arm, half):
+        if cup is None:
+            widest = 1e3 * (arm.gripper.max_width - ROOM)
+            return (
+                f"a block of {size} is too wide for fingers that take {widest:.0f} mm, or too low"
+            )
+        return f"a block of {size} is too small for a cup of {1e3 * cup.diameter:g} mm"
+    if cup is not None and mass > cup.payload:
+        return f"{mass:.2f} kg is too heavy for a cup that takes {cup.payload:g} kg"
+    return None
+
+
 CLEARANCE = 0.06
 """Between what is carried and everything below it while crossing [m]."""
 LEVEL = 0.05
@@ -240,12 +338,15 @@ def crossing_height(scene: Scene, move: Move) -> float:
 
     What hangs below the grasped cell, and the fingertips, pass above everything else.
     """
-    members = scene.members(move.cell)
+    members, half = scene.members(move.cell), scene.halves[:, 2]
     others = np.setdiff1d(np.arange(len(scene.position)), members)
-    highest = max(scene.position[others, 2], default=-HALF) + HALF
-    hanging = scene.position[move.cell, 2] - scene.position[members, 2].min() + HALF
+    highest = np.max(scene.position[others, 2] + half[others], initial=0.0)
+    hanging = np.max(scene.position[move.cell, 2] - scene.position[members, 2] + half[members])
     height = max(highest, move.target[2] - hanging) + CLEARANCE + hanging
-    return LEVEL * math.ceil(height / LEVEL - 1e-9)
+    # What is held near its top hangs lower than the tool; the small depths of cubes do not count.
+    low = scene.half is not None or move.grasp.depth >= HALF
+    above = move.grasp.depth if low else 0.0
+    return LEVEL * math.ceil((height + above) / LEVEL - 1e-9)
 
 
 STAGES = ("approach", "pick", "lift", "cross", "place", "release", "retreat", "home")
@@ -262,9 +363,10 @@ class Trajectory(NamedTuple):
     velocity: np.ndarray
     """float64[t, n]: commanded [rad/s]."""
     width: np.ndarray
-    """float64[t]: opening between the pads [m], as it was."""
+    """float64[t]: opening between the pads [m], as it was; 0 for a suction tool."""
     command: np.ndarray
-    """float64[t]: opening the gripper was told [m]; less than what it holds where it presses."""
+    """float64[t]: opening the gripper was told [m], less than what it holds where it presses; for a
+    suction tool 1 with the vacuum on, else 0."""
     payload: np.ndarray
     """float64[t]: mass at the tool point the controller was told of [kg]."""
     stage: np.ndarray

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -53,7 +53,11 @@ class ArmFacts:
     tool: str
     """Name of the tool frame."""
     max_width: float
-    """Largest opening between the pads [m]."""
+    """Largest opening between the pads [m]; 0 for a suction tool."""
+    tool_name: str = "gripper"
+    """What it holds blocks with, a name of :data:`~.registry.TOOLS`."""
+    suction: bool = False
+    """It does so with a cup; commands of the tool are then 1 (vacuum on) and 0 (off)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +71,15 @@ class Samples:
     velocity: np.ndarray
     """float64[T, n], commanded velocities [rad/s]."""
     width: np.ndarray
-    """float64[T], opening between the pads [m]."""
+    """float64[T], opening between the pads as it was [m]; 0 for a suction tool."""
+    command: np.ndarray = cast(np.ndarray, None)  # noqa: RUF009
+    """float64[T], what the tool was told: the opening [m], less than what it holds where it
+    presses; for a suction tool 1 (vacuum on) or 0 (off). Older files lack it; it is the width
+    then."""
+
+    def __post_init__(self) -> None:
+        if self.command is cast(Any, None):
+            object.__setattr__(self, "command", self.width)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +144,9 @@ class BuildRecord:
     simulated_by: str
     """What the outcomes come from, in words."""
     steps: tuple[StepRecord, ...]
+    half: np.ndarray | None = None
+    """float64[C, 3]: half extents of the box of each cell in its own frame [m]; None: all are
+    cubes with edge ``block_edge``."""
 
     @property
     def num_cells(self) -> int:
@@ -158,6 +173,7 @@ class BuildRecord:
             np.concatenate([part.joints for part in parts]),
             np.concatenate([part.velocity for part in parts]),
             np.concatenate([part.width for part in parts]),
+            np.concatenate([part.command for part in parts]),
         ), np.concatenate([np.empty(0, np.int64), *numbers])
 
 
@@ -166,6 +182,7 @@ def arm_facts(arm: Arm) -> ArmFacts:
     return ArmFacts(
         arm.name, arm.joints, arm.lower, arm.upper, arm.velocity, arm.acceleration,
         arm.base_position, arm.base_yaw, arm.tool, arm.gripper.max_width,
+        arm.tool_name, arm.suction is not None,
     )  # fmt: skip
 
 
@@ -204,6 +221,10 @@ def _structure(record: BuildRecord) -> Iterator[str]:
     for what in ("lower", "upper", "velocity", "acceleration"):
         if getattr(arm, what).shape != (n,):
             yield f"arm.{what}: {len(getattr(arm, what))} numbers for {n} joints"
+    if record.half is not None and (
+        record.half.shape != (len(cells), 3) or not (record.half > 0).all()
+    ):
+        yield f"half: not three lengths above 0 for each of {len(cells)} cells"
     for k, step in enumerate(record.steps, 1):
         if step.number != k:
             yield f"step {step.number}: should have number {k}"
@@ -219,11 +240,11 @@ def _structure(record: BuildRecord) -> Iterator[str]:
         samples, count = step.samples, len(step.samples.time)
         if not (
             samples.joints.shape == samples.velocity.shape == (count, n)
-            and samples.width.shape == (count,)
+            and samples.width.shape == samples.command.shape == (count,)
         ):
             yield f"step {k}: its samples differ in number"
-        everything = (samples.joints, samples.velocity, samples.width, step.before, step.after,
-                      step.target, samples.time)  # fmt: skip
+        everything = (samples.joints, samples.velocity, samples.width, samples.command,
+                      step.before, step.after, step.target, samples.time)  # fmt: skip
         if not all(np.isfinite(array).all() for array in everything):
             yield f"step {k}: a number is not finite"
 
@@ -280,6 +301,9 @@ def _limits(record: BuildRecord) -> Iterator[str]:
             f"{_where(samples, number, i)}: the gripper is open {1000 * samples.width[i]:.3f} mm, "
             f"limits 0 to {1000 * arm.max_width:g}"
         )
+    told = samples.command if arm.suction else np.zeros(0)
+    for i in np.flatnonzero((told != 0) & (told != 1)).tolist():
+        yield f"{_where(samples, number, i)}: the vacuum is told {told[i]:g}, neither 0 nor 1"
 
 
 def _motion(record: BuildRecord) -> Iterator[str]:

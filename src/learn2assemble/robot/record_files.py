@@ -21,7 +21,7 @@ from learn2assemble.files import read_json, write_file
 from learn2assemble.robot.moves import STAGES, Outcome
 from learn2assemble.robot.record import ArmFacts, BuildRecord, Samples, Stage, StepRecord
 
-FORMAT, VERSION = "learn2assemble-trajectory", 1
+FORMAT, VERSION = "learn2assemble-trajectory", 2
 DECIMALS = 6
 MOST, MOST_JOINT = 1e6, 100.0
 """Largest magnitudes of numbers and of joint angles [rad] in a file."""
@@ -66,8 +66,10 @@ def record_from(data: Any) -> BuildRecord:
     """
     if not isinstance(data, Mapping) or data.get("format") != FORMAT:
         raise InputError("trajectory", type(data).__name__, f"a {FORMAT} file")
-    if data.get("version") != VERSION:
-        raise InputError("trajectory.version", data.get("version"), str(VERSION))
+    if data.get("version") not in (1, VERSION):
+        raise InputError("trajectory.version", data.get("version"), f"1 or {VERSION}")
+    if data["version"] == 1:
+        data = _from_version_1(data)
     where = "trajectory"
     try:
         arm = _arm_from(data["arm"])
@@ -80,6 +82,7 @@ def record_from(data: Any) -> BuildRecord:
         return BuildRecord(
             arm, _number("rate", data["rate"]), _number("block_edge", data["block_edge"]),
             objects, str(data["simulated_by"]), tuple(steps),
+            None if data["half"] is None else _array("half", data["half"], (count, 3)),
         )  # fmt: skip
     except KeyError as error:
         raise InputError(where, f"no field {error}", f"every field of a {FORMAT} file") from None
@@ -87,6 +90,20 @@ def record_from(data: Any) -> BuildRecord:
         if isinstance(error, InputError):
             raise
         raise InputError(where, str(error), f"a {FORMAT} file") from None
+
+
+def _from_version_1(data: Mapping[str, Any]) -> dict[str, Any]:
+    """A file from before there were suction tools and boxes of other sizes."""
+    arm, steps = data.get("arm"), data.get("steps")
+    found = {**data, "half": None}
+    if isinstance(arm, Mapping):
+        found["arm"] = {**arm, "tool_name": "gripper", "suction": False}
+    if isinstance(steps, list):
+        found["steps"] = [
+            {**item, "command": item["width"]} if isinstance(item, dict) and "width" in item
+            else item for item in steps
+        ]  # fmt: skip
+    return found
 
 
 def _arm_from(data: Mapping[str, Any]) -> ArmFacts:
@@ -100,6 +117,7 @@ def _arm_from(data: Mapping[str, Any]) -> ArmFacts:
         base_position=_array("arm.base_position", data["base_position"], (3,)),
         base_yaw=_number("arm.base_yaw", data["base_yaw"]),
         tool=str(data["tool"]), max_width=_number("arm.max_width", data["max_width"]),
+        tool_name=str(data["tool_name"]), suction=data["suction"] is True,
     )  # fmt: skip
 
 
@@ -133,7 +151,8 @@ def _step_from(item: Mapping[str, Any], where: str, n: int, cells: int) -> StepR
         release=time("release"),
         samples=Samples(
             array("time", times), array("joints", times, n, most=MOST_JOINT),
-            array("velocity", times, n), array("width", times)
+            array("velocity", times, n), array("width", times),
+            array("command", times),
         ),
         before=array("before", cells, 7),
         after=array("after", cells, 7),
@@ -195,11 +214,12 @@ def _text(value: Any, indent: int = 0) -> str:
     return left + between + f",{between}".join(parts) + between[:-1] + right
 
 
-def csv_header(joints: tuple[str, ...]) -> list[str]:
+def csv_header(joints: tuple[str, ...], suction: bool = False) -> list[str]:
     """Names of the columns of ``trajectory.csv``, with units."""
     return [
         "step", "stage", "time [s]", *(f"{name} [rad]" for name in joints),
-        *(f"{name} velocity [rad/s]" for name in joints), "gripper width [m]",
+        *(f"{name} velocity [rad/s]" for name in joints),
+        "suction (1: on)" if suction else "gripper width [m]",
     ]  # fmt: skip
 
 
@@ -211,10 +231,11 @@ def write_csv(record: BuildRecord, path: Path) -> None:
     """
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(csv_header(record.arm.joints))
+    writer.writerow(csv_header(record.arm.joints, record.arm.suction))
     for step in record.steps:
         samples = step.samples
-        numbers = np.column_stack([samples.time, samples.joints, samples.velocity, samples.width])
+        tool = samples.command if record.arm.suction else samples.width
+        numbers = np.column_stack([samples.time, samples.joints, samples.velocity, tool])
         for time, row in zip(samples.time.tolist(), rounded(numbers).tolist(), strict=True):
             cells = (f"{value:.{DECIMALS}f}" for value in row)
             writer.writerow([step.number, step.stage_at(time), *cells])

@@ -28,6 +28,7 @@ class BuildRecorder:
             :class:`~.record.StepRecord`.
         objects: cells of every rigid object.
         simulated_by: what the outcomes come from, in words.
+        half: float64[C, 3], half extents of the cells' boxes where they are no cubes [m].
     """
 
     def __init__(
@@ -38,10 +39,11 @@ class BuildRecorder:
         poses: np.ndarray,
         objects: Sequence[Sequence[int]],
         simulated_by: str,
+        half: np.ndarray | None = None,
     ) -> None:
         self.arm, self.poses = arm, np.array(poses, float)
         self.objects = tuple(tuple(cells) for cells in objects)
-        self.simulated_by = simulated_by
+        self.simulated_by, self.half = simulated_by, half
         self.steps: list[StepRecord] = []
         self._first = np.array(joints, float), float(width)
         self._count = 0
@@ -59,7 +61,7 @@ class BuildRecorder:
         target: np.ndarray,
         outcome: Outcome,
         detail: str = "",
-        motion: tuple[Any, Any, Any] | None = None,
+        motion: tuple[Any, ...] | None = None,
         stages: Sequence[Stage] = (),
         grip: float | None = None,
         release: float | None = None,
@@ -69,18 +71,20 @@ class BuildRecorder:
 
         Args:
             motion: joints float64[T, n], the first one a period (1 / 50 s) after the last of the
-                step before, velocity float64[T, n] and width float64[T]; None where the arm does
-                not move.
+                step before, velocity float64[T, n], width float64[T] and, where it differs,
+                what the tool was told float64[T]; None where the arm does not move.
             after: float64[C, 7]; None where nothing has moved.
         """
         n, start = len(self.arm.joints), self.now
-        q, v, w = np.empty((0, n)), np.empty((0, n)), np.empty(0)
+        q, v, w, told = np.empty((0, n)), np.empty((0, n)), np.empty(0), np.empty(0)
         if motion is not None:
-            q, v, w = (np.array(part, float) for part in motion)
+            q, v, w = (np.array(part, float) for part in motion[:3])
+            told = np.array(motion[3], float) if len(motion) > 3 else w
         if not self._count and len(q):
             q = np.vstack([self._first[0], q])
             v = np.vstack([np.zeros(n), v])
             w = np.concatenate([[self._first[1]], w])
+            told = np.concatenate([[self._first[1]], told])
         time = (self._count + np.arange(len(q))) / RATE
         self._count += len(q)
         end = self.poses if after is None else np.array(after, float)
@@ -96,7 +100,7 @@ class BuildRecorder:
                 stages=tuple(Stage(s.name, s.start + start, s.end + start) for s in stages),
                 grip=None if grip is None else grip + start,
                 release=None if release is None else release + start,
-                samples=Samples(time, q, v, w),
+                samples=Samples(time, q, v, w, told),
                 before=self.poses,
                 after=end,
             )
@@ -134,7 +138,8 @@ class BuildRecorder:
         done, motion, stages, grip, release = attempt.trajectory, None, [], None, None
         if done is not None and len(done.time) > 1:
             width = done.width[1:].clip(0, self.arm.gripper.max_width)
-            motion, stages = (done.joints[1:], done.velocity[1:], width), stages_of(done)
+            motion = (done.joints[1:], done.velocity[1:], width, done.command[1:])
+            stages = stages_of(done)
             grip, release = holding(self.arm, done, move.cell)
         self.add(
             plan_step=plan_step, cells=numbers[members].tolist(),
@@ -157,7 +162,13 @@ class BuildRecorder:
     def record(self) -> BuildRecord:
         """The record so far."""
         return BuildRecord(
-            arm_facts(self.arm), RATE, EDGE, self.objects, self.simulated_by, tuple(self.steps)
+            arm_facts(self.arm),
+            RATE,
+            EDGE,
+            self.objects,
+            self.simulated_by,
+            tuple(self.steps),
+            self.half,
         )
 
 

@@ -1,4 +1,5 @@
-"""Names of the arms. Adding one is a folder with an ``arm.toml``."""
+"""Names of the arms and of their tools. Adding one is a folder with an ``arm.toml`` or a
+``tool.toml``."""
 
 from __future__ import annotations
 
@@ -7,11 +8,15 @@ from pathlib import Path
 from learn2assemble.errors import InputError
 from learn2assemble.registry import Registry
 
-ASSETS = Path(__file__).resolve().parents[1] / "assets" / "arms"
+ASSETS = Path(__file__).resolve().parents[1] / "assets"
 ARMS: Registry[Path] = Registry(
-    "arm", {name: ASSETS / name / "arm.toml" for name in ("panda", "ur5e")}
+    "arm", {name: ASSETS / "arms" / name / "arm.toml" for name in ("panda", "ur5e")}
 )
 """Every arm by name, and its file."""
+TOOLS: Registry[Path] = Registry(
+    "tool", {name: ASSETS / "tools" / name / "tool.toml" for name in ("gripper", "suction")}
+)
+"""Every tool by name, and its file; ``gripper`` are the fingers an arm comes with."""
 
 
 def register_arm(name: str, folder: str | Path, *, replace: bool = False) -> None:
@@ -24,7 +29,29 @@ def register_arm(name: str, folder: str | Path, *, replace: bool = False) -> Non
     Raises:
         InputError: where there is no ``arm.toml``, and for a name that is taken.
     """
-    file = Path(folder).resolve() / "arm.toml"
+    ARMS.register(name, _file_in(folder, "arm"), replace=replace)
+
+
+def register_tool(name: str, folder: str | Path, *, replace: bool = False) -> None:
+    """Make a suction tool known by its name, for every arm.
+
+    Args:
+        folder: holds ``tool.toml``, see the tool ``suction`` shipped with the package.
+        replace: take the place of a tool of this name.
+
+    Raises:
+        InputError: where there is no ``tool.toml``, or its limits are impossible, and for a name
+            that is taken.
+    """
+    from learn2assemble.robot.tool import load_suction
+
+    file = _file_in(folder, "tool")
+    load_suction(file)
+    TOOLS.register(name, file, replace=replace)
+
+
+def _file_in(folder: str | Path, kind: str) -> Path:
+    file = Path(folder).resolve() / f"{kind}.toml"
     if not file.is_file():
-        raise InputError("arm folder", str(folder), "a folder with an arm.toml")
-    ARMS.register(name, file, replace=replace)
+        raise InputError(f"{kind} folder", str(folder), f"a folder with {kind}.toml")
+    return file

@@ -11,19 +11,23 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from learn2assemble.geometry.rotations import yaw_matrix
 from learn2assemble.robot.approach import RISE, ApproachCache
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematic.collision import BoxChecker, Collision
 from learn2assemble.robot.moves import (
-    OPENING,
+    ROOM,
     Attempt,
     Move,
     Outcome,
     Scene,
     carried,
     crossing_height,
+    grip_width,
+    turned,
+    why_not_held,
 )
-from learn2assemble.world.blocks import EDGE
+from learn2assemble.world.blocks import GRAVITY
 
 STRIDE = 0.25
 """Largest step of a joint between two checks of a free motion [rad]."""
@@ -33,7 +37,8 @@ STAGES = ("pick", "lift", "place", "cross", "release", "retreat")
 
 
 class KinematicCell:
-    """Reach, joint limits and collisions of one arm, for scenes of at most ``num_cells`` cells.
+    """Reach, joint limits and collisions of one arm, for scenes of at most ``num_cells`` cubes, or
+    any number of boxes.
 
     Joint solutions over a place are remembered, so repeated places cost collision checks only.
     A move is tried as ordered and with the fingers exchanged. One instance serves one thread.
@@ -44,31 +49,64 @@ class KinematicCell:
     def __init__(self, arm: Arm, num_cells: int = 40) -> None:
         self.arm = arm
         self.approaches = ApproachCache(arm)
-        self.collisions = BoxChecker(arm, num_cells)
+        self.collisions = self._cubes = BoxChecker(arm, num_cells)
+        self._boxes: BoxChecker | None = None
 
     def attempt(self, scene: Scene, move: Move) -> Attempt:
         """Outcome of a move; the scene is left alone."""
-        flipped = move._replace(grasp=move.grasp.flipped(), place=move.place.flipped())
-        first = self._attempt(scene, move)
-        if first.reached or (first.outcome != Outcome.UNREACHABLE and not first.by_link):
-            # Exchanging the fingers moves the wrist, not what is at its end.
-            return first
-        second = self._attempt(scene, flipped)
-        return second if _further(second) > _further(first) else first
+        refused = self._refused(scene, move)
+        if refused is not None:
+            return refused
+        best = self._attempt(scene, move)
+        for turn in self.arm.turns:
+            if best.reached or (best.outcome != Outcome.UNREACHABLE and not best.by_link):
+                # Turning the hand moves the wrist, not what is at its end.
+                break
+            found = self._attempt(scene, turned(move, turn))
+            best = found if _further(found) > _further(best) else best
+        return best
+
+    def _refused(self, scene: Scene, move: Move) -> Attempt | None:
+        """What the tool cannot hold at all, wherever it is."""
+        cup, members = self.arm.suction, scene.members(move.cell)
+        if cup is None:
+            return None
+        half, mass = scene.halves[move.cell], scene.mass(members)
+        why = why_not_held(self.arm, half, float(mass.sum()))
+        if why is None:
+            weight = GRAVITY * mass.sum()
+            lever = (mass @ (scene.position[members] - scene.position[move.cell])) / mass.sum()
+            tilt = weight * np.array([lever[1], -lever[0], 0.0])
+            share = cup.load(np.array([0.0, 0.0, weight]), tilt)[0]
+            why = f"the cup is loaded with {100 * share:.0f} % of its pull-off force"
+            why = None if share <= 1 else why
+        return None if why is None else Attempt(Outcome.GRASP_LOST, "lift", why)
+
+    def _checker(self, scene: Scene) -> BoxChecker:
+        """A checker with room for the boxes of a scene."""
+        if scene.half is None:
+            return self._cubes
+        count = len(scene.position)
+        if self._boxes is None or self._boxes.num_cells < count:
+            self._boxes = BoxChecker(self.arm, 32 * math.ceil(1.25 * count / 32), sized=True)
+        return self._boxes
 
     def pick(self, scene: Scene, move: Move) -> Attempt:
         """The first half of a move: what lies at its target does not matter, its height does."""
+        self.collisions = self._checker(scene)
+        held = grip_width(scene, move.cell, move.grasp)
+        opening = held + ROOM
         height = crossing_height(scene, move)
         pick = self.approaches.solve(scene.position[move.cell], move.grasp, height)
         if isinstance(pick, str):
             return Attempt(Outcome.UNREACHABLE, "pick", pick)
         self.collisions.place(scene)
         self._open_hand()
-        hit = self._first(pick, OPENING) or self._first(between(self.arm.home, pick[-1]), OPENING)
+        hit = self._first(pick, opening) or self._first(between(self.arm.home, pick[-1]), opening)
         if hit:
             return _failed(Outcome.GRASP_COLLISION, "pick", hit)
         self._grip(scene, move, scene.members(move.cell))
-        hit = self._first(pick[1:], EDGE)
+        hit = self._first(pick[1:], held)
         if hit:
             return _failed(Outcome.GRASP_COLLISION, "lift", hit)
         return Attempt(Outcome.REACHED, pick=pick)
@@ -76,34 +114,36 @@ class KinematicCell:
     def _attempt(self, scene: Scene, move: Move) -> Attempt:
         picked = self.pick(scene, move)
         pick, height = picked.pick, crossing_height(scene, move)
+        held = grip_width(scene, move.cell, move.grasp)
+        opening = held + ROOM
         if pick is None:
             return picked
         members = scene.members(move.cell)
         place = self.approaches.solve(move.target, move.place, height)
         if isinstance(place, str):
             return Attempt(Outcome.UNREACHABLE, "place", place)
-        hit = self._first(place, EDGE)
+        hit = self._first(place, held)
         if hit:
             return _failed(Outcome.PLACE_COLLISION, "place", hit)
-        hit = self._first(between(pick[-1], place[-1]), EDGE)
+        hit = self._first(between(pick[-1], place[-1]), held)
         if hit:
-            over = self._detour(scene, move, height)
+            over = self._detour(scene, move, height, held)
             if over is None:
                 return _failed(Outcome.UNREACHABLE, "cross", hit)
             pick, place = over
         # The object now stands at its target and is in the way like all others.
         self.collisions.put(members, *carried(scene, move, members))
         self._open_hand()
-        hit = self._first(place[: len(RISE)], OPENING)
+        hit = self._first(place[: len(RISE)], opening)
         if hit:
             return _failed(Outcome.PLACE_COLLISION, "release", hit)
-        hit = self._first(between(place[-1], self.arm.home), OPENING)
+        hit = self._first(between(place[-1], self.arm.home), opening)
         if hit:
             return _failed(Outcome.PLACE_COLLISION, "retreat", hit)
         return Attempt(Outcome.REACHED, pick=pick, place=place)
 
     def _detour(
-        self, scene: Scene, move: Move, height: float
+        self, scene: Scene, move: Move, height: float, held: float
     ) -> tuple[np.ndarray, np.ndarray] | None:
         """Approaches whose tops are joined by a free motion, higher up."""
         pick = self.approaches.solve(scene.position[move.cell], move.grasp, height + DETOUR)
@@ -111,7 +151,7 @@ class KinematicCell:
         if isinstance(pick, str) or isinstance(place, str):
             return None
         way = [pick[len(RISE) :], place[len(RISE) :], *between(pick[-1], place[-1])]
-        return None if self._first(np.vstack(way), EDGE) else (pick, place)
+        return None if self._first(np.vstack(way), held) else (pick, place)
 
     def _open_hand(self) -> None:
         self.collisions.carry(np.empty((0, 3)), np.empty(0, np.int64))
@@ -121,7 +161,12 @@ class KinematicCell:
         rotation = move.grasp.rotation()
         offset = scene.position[members] - move.grasp.tool_point(scene.position[move.cell])
         self.collisions.take(members)
-        self.collisions.carry(offset @ rotation, scene.object_id[members])
+        if scene.half is None:
+            self.collisions.carry(offset @ rotation, scene.object_id[members])
+        else:
+            turn = np.array([rotation.T @ yaw_matrix(yaw) for yaw in scene.yaw[members].tolist()])
+            half = scene.half[members]
+            self.collisions.carry(offset @ rotation, scene.object_id[members], half, turn)
 
     def _first(self, joints: Iterable[np.ndarray], opening: float) -> Collision | None:
         self.collisions.opening = opening

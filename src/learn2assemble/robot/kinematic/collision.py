@@ -20,7 +20,9 @@ standing beside it is no collision."""
 TABLE = (0.75, 0.5, 0.01)
 """Half extents of the table, its top at z = 0 [m]."""
 MAX_CARRIED = 4
-"""Cells of the largest object."""
+"""Cells of the largest object ..."""
+MAX_SIZED = 16
+"""... and boxes of the largest one where scenes say how large they are."""
 _CELL, _FILLER = (HALF, HALF, HALF), (GAP / 2, HALF, HALF)
 _ARM, _CARRIED, _THING = 1, 2, 4
 _FAR = (0.0, 0.0, -50.0)
@@ -49,7 +51,9 @@ class CollisionChecker:
     def __init__(self, arm: Arm, model: mujoco.MjModel) -> None:
         self.arm, self.model, self.data = arm, model, mujoco.MjData(model)
         self._joints = np.array([model.joint(name).qposadr[0] for name in arm.joints])
-        self._fingers = np.array([model.joint(name).qposadr[0] for name in arm.gripper.joints])
+        self._fingers = np.array(
+            [model.joint(name).qposadr[0] for name in arm.gripper.joints], np.int64
+        )
 
         self.opening = 0.0
         """Between the pads [m]."""
@@ -61,7 +65,8 @@ class CollisionChecker:
     def move_arm(self, joints: np.ndarray) -> None:
         """Put the arm at joints float64[n] [rad]."""
         self.data.qpos[self._joints] = joints
-        self.data.qpos[self._fingers] = self.opening / len(self._fingers)
+        if len(self._fingers):
+            self.data.qpos[self._fingers] = self.opening / len(self._fingers)
         mujoco.mj_kinematics(self.model, self.data)
 
 
@@ -71,16 +76,24 @@ class BoxChecker(CollisionChecker):
     Args:
         arm: the robot.
         num_cells: cells a scene has at most.
+        sized: scenes say how large their boxes are, and have no fillers.
 
     One instance serves one thread.
     """
 
-    def __init__(self, arm: Arm, num_cells: int) -> None:
-        super().__init__(arm, _compile(arm, num_cells))
-        self.num_cells, m = num_cells, self.model
+    def __init__(self, arm: Arm, num_cells: int, sized: bool = False) -> None:
+        super().__init__(arm, _compile(arm, num_cells, sized))
+        self.num_cells, self.sized, m = num_cells, sized, self.model
         self._hand = {arm.gripper.hand, *arm.gripper.fingers, "carried"}
-        self._carried = np.array([m.body(f"carried {k}").id for k in range(MAX_CARRIED)])
-        self._carried_fillers = np.array([m.body(f"carried f{k}").id for k in range(MAX_CARRIED)])
+        most = MAX_SIZED if sized else MAX_CARRIED
+        self._carried = np.array([m.body(f"carried {k}").id for k in range(most)])
+        if sized:
+            first = m.body("block 0").id
+            self._boxes = np.arange(num_cells) + m.body_geomadr[first]
+            self._carried_boxes = m.body_geomadr[self._carried]
+        else:
+            fillers_in_hand = [m.body(f"carried f{k}").id for k in range(most)]
+            self._carried_fillers = np.array(fillers_in_hand)
         self._names = [m.body(k).name for k in range(m.nbody)]
         self._pairs = np.empty((0, 2), np.int64)
         site = m.site(arm.tool)
@@ -89,9 +102,12 @@ class BoxChecker(CollisionChecker):
     def place(self, scene: Scene) -> None:
         """Put the boxes where the cells of ``scene`` are."""
         n, d = len(scene.position), self.data
-        self._pairs = fillers(scene.position, scene.object_id)
+        if self.sized:
+            self._resize(self._boxes[:n], scene.halves)
+        else:
+            self._pairs = fillers(scene.position, scene.object_id)
+            d.mocap_pos[self.num_cells + len(self._pairs) :] = _FAR
         d.mocap_pos[n : self.num_cells] = _FAR
-        d.mocap_pos[self.num_cells + len(self._pairs) :] = _FAR
         self.put(np.arange(n), scene.position, scene.yaw)
 
     def put(self, cells: np.ndarray, position: np.ndarray, yaw: np.ndarray) -> None:
@@ -114,15 +130,32 @@ class BoxChecker(CollisionChecker):
         """Take whole objects out of the scene."""
         self.put(cells, np.tile(_FAR, (len(cells), 1)), np.zeros(len(cells)))
 
-    def carry(self, position: np.ndarray, object_id: np.ndarray) -> None:
+    def carry(
+        self,
+        position: np.ndarray,
+        object_id: np.ndarray,
+        half: np.ndarray | None = None,
+        turn: np.ndarray | None = None,
+    ) -> None:
         """Fix the cells of an object to the hand; no cells: the hand is empty.
 
         Args:
             position: float64[c, 3] centres in the tool frame [m]; their sides are parallel to its
-                axes.
+                axes unless ``turn`` is given.
             object_id: int64[c].
+            half: float64[c, 3], half extents of boxes of given size [m].
+            turn: float64[c, 3, 3]: their rotation in the tool frame.
         """
-        m = self.model
+        m, count = self.model, len(position)
+        if self.sized:
+            m.body_pos[self._carried] = _FAR
+            if half is None or turn is None:
+                return
+            m.body_pos[self._carried[:count]] = self._in_hand(position)
+            for body, rotation in zip(self._carried, self._tool_rotation @ turn, strict=False):
+                mujoco.mju_mat2Quat(m.body_quat[body], rotation.ravel())
+            self._resize(self._carried_boxes[:count], half - SHRINK)
+            return
         pairs = fillers(position, object_id)
         m.body_pos[self._carried], m.body_pos[self._carried_fillers] = _FAR, _FAR
         m.body_pos[self._carried[: len(position)]] = self._in_hand(position)
@@ -144,6 +177,14 @@ class BoxChecker(CollisionChecker):
             part, other = other, part
         return Collision(part, other, part.split()[0] not in self._hand)
 
+    def _resize(self, geoms: np.ndarray, half: np.ndarray) -> None:
+        m = self.model
+        tree = m.body_bvhadr[m.geom_bodyid[geoms]]  # of bodies with one geom each
+        m.bvh_aabb[tree, 3:] = half
+        m.geom_size[geoms] = half
+        m.geom_aabb[geoms, 3:] = half
+        m.geom_rbound[geoms] = np.linalg.norm(half, axis=1)
+
     def _in_hand(self, points: np.ndarray) -> np.ndarray:
         """float64[k, 3]: points of the tool frame in the frame of its body [m]."""
         return self._tool_position + points @ self._tool_rotation.T
@@ -152,7 +193,7 @@ class BoxChecker(CollisionChecker):
 _THINGS = ("table", "block", "filler")
 
 
-def _compile(arm: Arm, num_cells: int) -> mujoco.MjModel:
+def _compile(arm: Arm, num_cells: int, sized: bool) -> mujoco.MjModel:
     spec = arm_spec(arm)
     mounted = [body.name for body in spec.worldbody.bodies]
     for geom in spec.geoms:
@@ -167,11 +208,11 @@ def _compile(arm: Arm, num_cells: int) -> mujoco.MjModel:
     for base in mounted:
         spec.add_exclude(bodyname1="table", bodyname2=base)
     names = [(f"block {k}", _CELL) for k in range(num_cells)]
-    names += [(f"filler {k}", _FILLER) for k in range(num_cells)]
+    names += [(f"filler {k}", _FILLER) for k in range(0 if sized else num_cells)]
     for name, half in names:
         _box(world.add_body(name=name, mocap=True, pos=_FAR), list(half), _THING, 0)
-    carried = [(f"carried {k}", _CELL) for k in range(MAX_CARRIED)]
-    carried += [(f"carried f{k}", _FILLER) for k in range(MAX_CARRIED)]
+    carried = [(f"carried {k}", _CELL) for k in range(MAX_SIZED if sized else MAX_CARRIED)]
+    carried += [(f"carried f{k}", _FILLER) for k in range(0 if sized else MAX_CARRIED)]
     for name, half in carried:
         body = hand.add_body(name=name, pos=_FAR)
         _box(body, [side - SHRINK for side in half], _CARRIED, _THING)

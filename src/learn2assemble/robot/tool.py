@@ -1,0 +1,279 @@
+"""Tools as data: fingers that come with an arm, and suction tools from a ``tool.toml``.
+
+A suction tool holds by the force F with which the air presses its cup on a face. In the frame of
+the cup, let N be the pull along its axis, M the moment that tilts the block, S the force along the
+face and T the moment about the axis that the held block loads the cup with. The cup of radius r
+keeps holding while the lip is pressed on everywhere,
+
+    N + |M| / r <= F,
+
+and while the friction that is left carries what is along the face (a limit surface in the shape of
+an ellipse: Howe and Cutkosky 1996; the share that is left is how suppliers of cups compute,
+F >= m (g + a / mu) for a block that hangs and is accelerated sideways),
+
+    (S / S_max)^2 + (T / T_max)^2 <= (1 - N / F)^2.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from learn2assemble.errors import InputError, look_up
+
+PICTURE_GROUP, COLLISION_GROUP = 2, 3
+"""Geom groups of every vendored arm."""
+ATMOSPHERE = 101_325.0
+"""No vacuum presses harder than this [Pa]."""
+_GREY, _BLACK = (0.75, 0.76, 0.78, 1.0), (0.2, 0.2, 0.22, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Gripper:
+    """Two fingers that close along the tool's y axis.
+
+    The opening ``width`` is the distance between the pads [m], also where it is commanded.
+    """
+
+    hand: str
+    """Body the fingers slide on; it begins at the flange of the arm."""
+    fingers: tuple[str, ...]
+    """Bodies."""
+    pads: tuple[str, ...]
+    """Geoms that may touch what is held."""
+    joints: tuple[str, ...]
+    """One slide per finger; each travels half the width."""
+    actuator: str
+    max_width: float
+    """Largest opening [m]."""
+    closed_command: float
+    """Command of the actuator at width 0."""
+    open_command: float
+    """Command of the actuator at the largest width."""
+    force: float
+    """What each finger presses with [N]."""
+    speed: float
+    """Change of the opening [m/s] at which the command should be ramped."""
+    stiffness: float
+    """Force per missing width [N/m], from the actuator."""
+    tip: float = 0.0
+    """How far the fingers reach beyond the tool point [m]."""
+
+    def command(self, width: float) -> float:
+        """The actuator's command for an opening [m]; below 0 it presses."""
+        slope = (self.open_command - self.closed_command) / self.max_width
+        return self.closed_command + slope * width
+
+
+@dataclass(frozen=True, eq=False)
+class Suction:
+    """A tool with one cup; the tool point is the middle of its lip."""
+
+    diameter: float
+    """Of the sealed disc [m]."""
+    stroke: float
+    """By which the bellows follow a face that is nearer or farther than meant [m]."""
+    pull_off: float
+    """Force along the axis at which the cup comes off [N]."""
+    shear: float
+    """Force along the face at which it slips [N]."""
+    torsion: float
+    """Moment about the axis at which it turns [N m]."""
+    payload: float
+    """Largest mass it may be given [kg]."""
+    length: float
+    """From the flange to the tool point [m]."""
+    mass: float
+    """[kg]"""
+    grip_time: float
+    """Until the vacuum holds [s]."""
+    release_time: float
+    """Until the cup lets go [s]."""
+    parts: tuple[tuple[float, float, float], ...]
+    """Collision shape: cylinders about the axis; radius, begin and end from the flange [m]."""
+
+    @property
+    def radius(self) -> float:
+        """Of the sealed disc [m]."""
+        return self.diameter / 2
+
+    def load(self, force: np.ndarray, moment: np.ndarray) -> tuple[float, float]:
+        """Shares of what the cup holds: of the pull-off force, and of the friction at the lip;
+        above 1 it does not hold.
+
+        Args:
+            force: float64[3] the held block loads the cup with, in the tool frame [N]; its z axis
+                points out of the cup, so that a pull is positive.
+            moment: float64[3], the same about the tool point [N m].
+        """
+        pull = max(float(force[2]), 0.0)
+        off = (pull + math.hypot(moment[0], moment[1]) / self.radius) / self.pull_off
+        slip = math.hypot(math.hypot(force[0], force[1]) / self.shear, moment[2] / self.torsion)
+        left = 1.0 - pull / self.pull_off
+        return off, slip / left if left > 0 else math.inf
+
+
+def load_suction(path: Path) -> Suction | None:
+    """The tool a ``tool.toml`` describes; None for the arm's own fingers.
+
+    Raises:
+        InputError: where the file lacks a value, or its limits are impossible.
+    """
+    where = f"tool {path.parent.name}"
+    data = read_toml(path, where)
+    kind = value(data, "kind", where)
+    if look_up(f"{where}, kind", kind, {"own": 0, "suction": 1}) == 0:
+        return None
+    cup, parts = table(data, "cup", where), value(data, "parts", where)
+    if not isinstance(parts, list) or not all(isinstance(part, dict) for part in parts):
+        raise InputError(f"{where}, parts", parts, "tables [[parts]]")
+
+    def positive(source: dict[str, Any], key: str, most: float) -> float:
+        found = float(numbers(source, key, 0, where))
+        if not 0 < found <= most:
+            raise InputError(f"{where}, {key}", found, f"a number above 0 and at most {most:g}")
+        return found
+
+    grip_time, release_time = numbers(data, "speed", 2, where).tolist()
+    if not (0 <= grip_time <= 5 and 0 <= release_time <= 5):
+        raise InputError(f"{where}, speed", [grip_time, release_time], "times from 0 to 5 s")
+    diameter = positive(cup, "diameter", 0.3)
+    strongest = ATMOSPHERE * math.pi * diameter**2 / 4
+    pull_off = positive(cup, "pull_off", math.inf)
+    if pull_off > strongest:
+        expected = f"at most {strongest:.1f} N, as the air presses on {1e3 * diameter:g} mm"
+        raise InputError(f"{where}, pull_off", pull_off, expected)
+    shear = positive(cup, "shear", 2 * pull_off)
+    length = positive(data, "length", 0.6)
+    return Suction(
+        diameter=diameter, stroke=positive(cup, "stroke", 0.02), pull_off=pull_off, shear=shear,
+        # No friction of the lip has a longer arm than its radius.
+        torsion=positive(cup, "torsion", shear * diameter / 2),
+        payload=positive(data, "payload", pull_off / 9.81),
+        length=length, mass=positive(data, "mass", 20.0),
+        grip_time=grip_time, release_time=release_time,
+        parts=tuple(
+            _cylinder(part, length, f"{where}, parts[{k}]") for k, part in enumerate(parts)
+        ),
+    )  # fmt: skip
+
+
+def _cylinder(part: dict[str, Any], length: float, where: str) -> tuple[float, float, float]:
+    radius, begin, end = (float(numbers(part, key, 0, where)) for key in ("radius", "from", "to"))
+    if not (0 < radius <= 0.5 and begin < end <= length):
+        expected = f"a radius above 0, and an end after its beginning and up to {length:g} m"
+        raise InputError(where, [radius, begin, end], expected)
+    return radius, begin, end
+
+
+def mount(
+    spec: mujoco.MjSpec, hand: str, site: str, suction: Suction, pictures: bool
+) -> None:  # fmt: skip
+    """Put a suction tool in the place of a hand with fingers.
+
+    Args:
+        spec: the arm with its fingers; changed.
+        hand: body that begins at the flange; what hangs on it is taken away.
+        site: of the tool; moved to the lip of the cup.
+        suction: the tool.
+        pictures: add geoms without contact as well, which only pictures need.
+    """
+    body, tool = spec.body(hand), spec.site(site)
+    fingers, gone = list(body.bodies), set()
+    for part in body.find_all("body"):
+        gone |= {part.name, *(joint.name for joint in part.joints)}
+    for tendon in list(spec.tendons):
+        gone.add(tendon.name)
+        spec.delete(tendon)
+    for actuator in list(spec.actuators):
+        if actuator.target in gone:
+            spec.delete(actuator)
+    for equality in list(spec.equalities):
+        if {equality.name1, equality.name2} & gone:
+            spec.delete(equality)
+    for exclude in list(spec.excludes):
+        if {exclude.bodyname1, exclude.bodyname2} & gone:
+            spec.delete(exclude)
+    for part in (*fingers, *body.geoms):
+        spec.delete(part)
+    used = {geom.meshname for geom in spec.geoms}
+    for mesh in list(spec.meshes):
+        if mesh.name not in used:
+            spec.delete(mesh)
+    turn, axis = np.array(tool.quat, float), np.empty(3)
+    turn /= np.linalg.norm(turn)
+    mujoco.mju_rotVecQuat(axis, np.array([0.0, 0.0, 1.0]), turn)
+    tool.pos = suction.length * axis
+    widest = max((radius for radius, _, _ in suction.parts), default=suction.radius)
+    across = suction.mass * (3 * widest**2 + suction.length**2) / 12
+    body.mass, body.ipos, body.iquat = suction.mass, 0.4 * suction.length * axis, turn
+    body.inertia = [across, across, suction.mass * widest**2 / 2]
+    for k, (radius, begin, end) in enumerate(suction.parts):
+        for group, solid in ((PICTURE_GROUP, 0), (COLLISION_GROUP, 1)):
+            if not (pictures or solid):
+                continue
+            body.add_geom(
+                name=f"{hand}_{'c' if solid else 'v'}_tool{k}",
+                type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[radius, (end - begin) / 2, 0],
+                pos=(begin + end) / 2 * axis, quat=turn, group=group, mass=0,
+                contype=solid, conaffinity=solid, rgba=_BLACK if k % 2 else _GREY,
+            )  # fmt: skip
+
+
+# ---------------------------------------------------------------- reading TOML
+
+
+def read_toml(path: Path, where: str) -> dict[str, Any]:
+    """The content of a file.
+
+    Raises:
+        InputError: where there is none, or it is no TOML; ``where`` says what it is about.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError):
+        raise InputError(where, str(path), f"a file {path.name}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(where, str(error), "valid TOML") from None
+
+
+def value(data: dict[str, Any], key: str, where: str) -> Any:
+    """The entry ``key``, which must be there."""
+    if key not in data:
+        raise InputError(f"{where}, {key}", None, "a value")
+    return data[key]
+
+
+def table(data: dict[str, Any], key: str, where: str) -> dict[str, Any]:
+    """The table ``[key]``, which must be there."""
+    found = value(data, key, where)
+    if not isinstance(found, dict):
+        raise InputError(f"{where}, {key}", found, f"a table [{key}]")
+    return found
+
+
+def numbers(data: dict[str, Any], key: str, count: int, where: str) -> np.ndarray:
+    """float64[count], finite and read-only; a single number, float64[], for count 0."""
+    given = value(data, key, where)
+    try:
+        array = np.array(given, float)
+    except (TypeError, ValueError):
+        array = np.empty(7)
+    shape, words = ((count,), f"{count} numbers") if count else ((), "a number")
+    if array.shape != shape or not np.isfinite(array).all() or isinstance(given, bool):
+        raise InputError(f"{where}, {key}", given, words)
+    return frozen(array)
+
+
+def frozen(array: np.ndarray) -> np.ndarray:
+    """A read-only copy, float64."""
+    array = np.array(array, float, order="C")
+    array.flags.writeable = False
+    return array
