@@ -38,7 +38,7 @@ ALLOWED: dict[str, set[str]] = {
     "learning": _TASK | {"networks", "search", "planning", "workers"},
     "planning": _TASK | {"networks", "search", "assembly", "design"},
     "evaluation": _TASK | {"networks", "search", "learning", "planning", "assembly"},
-    "envs": _TASK,
+    "envs": _TASK | {"planning"},
     "viewer": _WORLD | {"robot", "planning", "assembly"},
     "cli": _TASK
     | {

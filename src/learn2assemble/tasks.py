@@ -265,6 +265,45 @@ PRESETS: Registry[Task] = Registry("task", _ALL, lambda name, given: Task(name, 
 """Every task by name; see :func:`register_task`."""
 
 
+@dataclass(frozen=True)
+class DesignTask:
+    """Random designs of cells for an agent to build, see ``planning/agent/designs.py``.
+
+    Args:
+        name: how presets and results refer to it.
+        families: of designs, or ``("train",)`` or ``("held-out",)``.
+        kit: of blocks.
+        blocks: fewest and most blocks of the known solution.
+        limited_heap: whether the heap is exactly the blocks of that solution.
+        max_candidates: how many candidate placements an environment offers at a time.
+    """
+
+    name: str
+    families: tuple[str, ...]
+    kit: str = "bricks-lintels"
+    blocks: tuple[int, int] = (5, 60)
+    limited_heap: bool = False
+    max_candidates: int = 1024
+
+
+DESIGN_TASKS: Registry[DesignTask] = Registry(
+    "design task",
+    {
+        f"designs-{name}{'' if part == 'train' else '-held-out'}": {"families": (part,), **given}
+        for part in ("train", "held-out")
+        for name, given in {
+            "cubes-60": {"kit": "cubes"},
+            "bricks-60": {"kit": "bricks"},
+            "lintels-60": {},
+            "lintels-60-heap": {"limited_heap": True},
+            "lintels-400": {"blocks": (200, 400), "max_candidates": 4096},
+        }.items()
+    },
+    lambda name, given: DesignTask(name, **given),
+)
+"""Tasks of designs by name."""
+
+
 def robot_task(name: str, **changes: Any) -> Task:
     """What all workcells share, also those that build a user's design, with some fields changed."""
     return Task(name, **_draft(_ROBOT, **changes))

@@ -390,7 +390,7 @@ def _bench(options: argparse.Namespace, output: Output) -> None:
 
 def _tasks(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.networks.agent import agent_info, pretrained_names
-    from learn2assemble.tasks import PRESETS
+    from learn2assemble.tasks import DESIGN_TASKS, PRESETS
 
     agents: dict[str, list[str]] = {}
     for name in pretrained_names():
@@ -410,7 +410,19 @@ def _tasks(options: argparse.Namespace, output: Output) -> None:
          ", ".join(r["agents"]) or "-")
         for r in rows
     ])  # fmt: skip
-    output.finish({"tasks": rows})
+    designs = [
+        {
+            "name": name, "families": list(task.families), "kit": task.kit,
+            "blocks": list(task.blocks), "limited_heap": task.limited_heap,
+        }
+        for name, task in DESIGN_TASKS.items()
+    ]  # fmt: skip
+    output.table("", ("task of designs", "families", "kit", "blocks", "heap"), [
+        (r["name"], ", ".join(r["families"]), r["kit"], f"{r['blocks'][0]}-{r['blocks'][1]}",
+         "exact" if r["limited_heap"] else "no limit")
+        for r in designs
+    ])  # fmt: skip
+    output.finish({"tasks": rows, "designs": designs})
 
 
 def _view_arguments(parser: argparse.ArgumentParser) -> None:

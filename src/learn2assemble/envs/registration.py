@@ -11,7 +11,7 @@ from __future__ import annotations
 import gymnasium
 from gymnasium.envs.registration import registry
 
-from learn2assemble.tasks import PRESETS, get_task
+from learn2assemble.tasks import DESIGN_TASKS, PRESETS, get_task
 
 NAMESPACE = "learn2assemble"
 VERSION = 0
@@ -24,7 +24,8 @@ def env_id(task_name: str) -> str:
     Raises:
         UnknownNameError: naming the nearest task.
     """
-    return f"{NAMESPACE}/{get_task(task_name).name}-v{VERSION}"
+    name = task_name if task_name in DESIGN_TASKS else get_task(task_name).name
+    return f"{NAMESPACE}/{name}-v{VERSION}"
 
 
 def register_all() -> None:
@@ -37,6 +38,10 @@ def register_all() -> None:
         _register(name)
     if _register not in PRESETS.listeners:
         PRESETS.listeners.append(_register)
+    for name in DESIGN_TASKS:
+        _register_designs(name)
+    if _register_designs not in DESIGN_TASKS.listeners:
+        DESIGN_TASKS.listeners.append(_register_designs)
 
 
 def _register(name: str) -> None:
@@ -46,6 +51,17 @@ def _register(name: str) -> None:
             name_in_gymnasium,
             entry_point="learn2assemble.envs.single:AssemblyEnv",
             vector_entry_point="learn2assemble.envs.vector:AssemblyVectorEnv",
+            disable_env_checker=True,
+            kwargs={"task": name},
+        )
+
+
+def _register_designs(name: str) -> None:
+    name_in_gymnasium = f"{NAMESPACE}/{name}-v{VERSION}"
+    if name_in_gymnasium not in registry:
+        gymnasium.register(
+            name_in_gymnasium,
+            entry_point="learn2assemble.envs.designs:DesignEnv",
             disable_env_checker=True,
             kwargs={"task": name},
         )

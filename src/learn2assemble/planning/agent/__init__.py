@@ -1,0 +1,1 @@
+"""The learned builder of designs: tasks, world, network, search and training."""

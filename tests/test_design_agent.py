@@ -1,0 +1,206 @@
+"""The learned builder of designs: candidates, proofs, designs with solutions, the environment."""
+
+from __future__ import annotations
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+import learn2assemble.envs
+from learn2assemble.assembly.kit import load_kit, orientations
+from learn2assemble.errors import InputError
+from learn2assemble.planning.agent.designs import (
+    FAMILIES,
+    HELD_OUT,
+    TRAINED,
+    draw,
+    draw_letter,
+    make_design,
+)
+from learn2assemble.planning.agent.features import NUM_FEATURES, describe, mirrored
+from learn2assemble.planning.agent.world import World, make_site
+from learn2assemble.planning.exact import plan_exact
+from learn2assemble.planning.step_proof import find_stack
+from learn2assemble.planning.tiling import support_margin
+from learn2assemble.tasks import DESIGN_TASKS, DesignTask
+
+KITS = [load_kit(name) for name in ("cubes", "bricks", "bricks-lintels", "tetrominoes")]
+LITTLE = DesignTask("little", TRAINED, blocks=(3, 12))
+
+
+def random_cells(rng: np.random.Generator) -> np.ndarray:
+    cells = rng.random(tuple(rng.integers(1, 6, 3))) < rng.uniform(0.5, 1)
+    cells[0, 0, 0] = True
+    return cells
+
+
+def legal_by_hand(world: World) -> set[tuple[int, tuple[int, int, int]]]:
+    """Ways and origins of what may be put down, cell by cell from the definition."""
+    site, found = world.site, set()
+    wanted, filled = site.wanted, (world.owner >= 0).reshape(site.wanted.shape)
+    for number, way in enumerate(orientations(site.kit)):
+        kind = site.kit.kinds[way.kind]
+        used = sum(site.kind[c] == way.kind for c in world.placed)
+        if kind.count is not None and used >= kind.count:
+            continue
+        for origin in np.ndindex(wanted.shape):
+            cells = np.array(way.cells) + origin
+            if (cells >= wanted.shape).any() or not wanted[tuple(cells.T)].all():
+                continue
+            if filled[tuple(cells.T)].any():
+                continue
+            own = {tuple(c) for c in cells.tolist()}
+            below = [(x, y, z - 1) for x, y, z in own]
+            on_table = [z < 0 for _, _, z in below]
+            wanted_below = [
+                b for b, low in zip(below, on_table, strict=True)
+                if not low and b not in own and wanted[b]
+            ]  # fmt: skip
+            if not all(filled[b] for b in wanted_below):
+                continue
+            carried = np.array([
+                z == 0 or ((x, y, z - 1) not in own and bool(wanted[x, y, z - 1]))
+                for x, y, z in cells.tolist()
+            ])  # fmt: skip
+            if support_margin(cells, carried, site.kit) > 1e-9:
+                found.add((number, origin))
+    return found
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_candidates_and_proofs_against_their_definitions(seed: int) -> None:
+    """Legal candidates, cover counts and joints stay right while blocks are put down at random."""
+    rng = np.random.default_rng(seed)
+    kit = KITS[int(rng.integers(len(KITS)))]
+    world = World(make_site(random_cells(rng), kit))
+    site = world.site
+    for _ in range(6):
+        legal = world.legal()
+        named = {
+            (int(site.found.way[c]), tuple(int(v) for v in site.found.origin[c])) for c in legal
+        }
+        assert named == legal_by_hand(world)
+        cover = np.zeros(site.wanted.size, int)
+        for c in np.flatnonzero(world.alive):
+            cover[site.cells(int(c))] += 1
+        np.testing.assert_array_equal(cover, world.cover)
+        if not len(legal):
+            break
+        world.place(int(rng.choice(legal)), program=True)
+    if world.placed:
+        whole = find_stack(
+            tuple(site.placement(c) for c in world.placed), kit, site.wanted.shape
+        )  # fmt: skip
+        stack = world.proof.stack
+        for name in ("weight", "centre", "upper", "start", "rank"):
+            np.testing.assert_allclose(getattr(stack, name), getattr(whole, name), atol=1e-12)
+        for a, b in zip(stack.start[:-1], stack.start[1:], strict=True):
+            one, two = (
+                sorted(
+                    map(tuple, np.column_stack([s.point[a:b], s.lower[a:b], s.share[a:b]]).tolist())
+                )
+                for s in (stack, whole)
+            )
+            np.testing.assert_allclose(one, two, atol=1e-9)
+        assert world.proof.imbalance() < 1e-6
+
+
+@settings(max_examples=20, deadline=None)
+@given(cells=arrays(bool, (4, 3, 2)))
+def test_features_of_a_mirrored_design_are_mirrored(cells: np.ndarray) -> None:
+    cells[0, :, 0] = True
+    kit = KITS[2]
+    rows = {}
+    for flip in (False, True):
+        world = World(make_site(cells[::-1] if flip else cells, kit))
+        legal = world.legal()
+        features, _ = describe(world, legal)
+        assert (np.abs(features) < 100).all()
+        for c, row in zip(legal, features, strict=True):
+            at = world.site.found.ways[world.site.found.way[c]]
+            x, y, z = world.site.found.origin[c].tolist()
+            extent = np.max(at.cells, axis=0) + 1
+            x = 4 - x - int(extent[0]) if flip else x
+            along_x = bool(extent[0] >= extent[1])
+            rows[flip, at.kind, tuple(extent), x, y, z] = (
+                mirrored(row[None], along_x, not along_x)[0] if flip else row
+            )
+    assert {key[1:] for key in rows if key[0]} == {key[1:] for key in rows if not key[0]}
+    for key, row in rows.items():
+        np.testing.assert_allclose(row, rows[(not key[0], *key[1:])], atol=1e-6)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_family_draws(family: str) -> None:
+    drawn = [draw(family, np.random.default_rng(seed), 12.0, False) for seed in range(5)]
+    sizes = {cells.shape for cells in drawn if cells is not None}
+    assert len(sizes) > 1
+    for cells in drawn:
+        assert cells is None or cells[:, :, 0].any()
+
+
+def test_what_is_held_out_is_not_trained_on() -> None:
+    assert set(HELD_OUT) | set(TRAINED) == set(FAMILIES)
+    assert not set(HELD_OUT) & set(TRAINED)
+
+
+def test_letters() -> None:
+    rows = ["".join("#" if c else "." for c in row) for row in draw_letter("H", 5, 1, 1, 1).T[::-1]]
+    assert rows == ["#...#", "#...#", "#####", "#...#", "#...#"]
+    with pytest.raises(InputError):
+        draw_letter("?", 5, 1, 1, 1)
+
+
+@pytest.mark.parametrize(
+    "task",
+    [LITTLE, DesignTask("heap", ("letters", "towers"), "bricks-lintels", (3, 15), True)],
+    ids=lambda task: task.name,
+)
+def test_designs_have_the_solution_they_come_with(task: DesignTask) -> None:
+    for seed in range(3):
+        solved = make_design(task, np.random.default_rng(seed))
+        world = World(solved.site)
+        assert all(world.place(c, program=True) for c in solved.order)
+        assert world.complete
+        assert task.blocks[0] <= len(solved.order) <= task.blocks[1]
+        if task.limited_heap:
+            assert (world.heap == 0).all()
+        else:
+            tiling, ordering = plan_exact(solved.site.wanted, solved.kit)
+            assert ordering is not None
+            assert tiling.status == ordering.status == "complete"
+            assert not any(block.prop for block in tiling.placements)
+
+
+def test_the_environment() -> None:
+    env_id = learn2assemble.envs.env_id("designs-cubes-60")
+    assert gymnasium.spec(env_id)
+    env = gymnasium.make("learn2assemble/designs-cubes-60-v0").unwrapped
+    check_env(env, skip_render_check=True)
+
+
+def test_an_episode_of_the_known_solution_returns_two() -> None:
+    env = gymnasium.make("learn2assemble/designs-lintels-60-v0", task=LITTLE).unwrapped
+    observation, info = env.reset(seed=3)
+    total, ended = 0.0, False
+    for candidate in env.solved.order:  # type: ignore[attr-defined]
+        assert not ended
+        assert observation["candidates"].shape == (1024, NUM_FEATURES)
+        action = int(np.flatnonzero(env._offered == candidate)[0])  # type: ignore[attr-defined]
+        assert info["action_masks"][action]
+        observation, reward, ended, _, info = env.step(action)
+        total += float(reward)
+    assert ended
+    assert info["success"]
+    assert total == pytest.approx(2.0)
+
+
+def test_presets_of_designs() -> None:
+    for name, task in DESIGN_TASKS.items():
+        assert task.name == name
+        assert f"learn2assemble/{name}-v0" in gymnasium.registry
