@@ -284,7 +284,7 @@ def test_steps_need_a_reset() -> None:
 @given(some_preset, st.integers(0, 2**32), st.sampled_from(["action_masks", "physics_mask"]))
 def test_random_play_follows_the_rules(name: str, seed: int, key: str) -> None:
     env = make(name)
-    seen = play(env, seed, 60, key)
+    seen = play(env, seed, env.task.max_blocks, key)
     state = env.state
     for _, reward, terminated, truncated, info in seen[1:]:
         assert reward in (-1.0, 0.0, 1.0) or (env.task.reward == "scaled" and 0 <= reward <= 4)

@@ -111,8 +111,8 @@ class Task:
 
         if self.num_sides not in (1, 2, 3, 4):
             raise InputError("num_sides", self.num_sides, "1, 2, 3 or 4")
-        if not 1 <= self.grid <= 6:
-            raise InputError("grid", self.grid, "1 to 6 block edges")
+        if not 1 <= self.grid <= 12:
+            raise InputError("grid", self.grid, "1 to 12 block edges")
         if self.num_nodes <= MAX_VERTICES * self.num_sides + 1:
             raise InputError(
                 "num_nodes", self.num_nodes, f"more than {MAX_VERTICES * self.num_sides + 1}"
@@ -223,6 +223,10 @@ _ALL = {
     "two-sided-4x4-30-34": _draft(num_sides=2, grid=4, num_nodes=40, unseen_shapes_only=True),
     "two-sided-5x5-40-44": _draft(num_sides=2, grid=5, num_nodes=50, unseen_shapes_only=True),
     "two-sided-6x6-50-54": _draft(num_sides=2, grid=6, num_nodes=60, unseen_shapes_only=True),
+    # Ours: how far agents trained on small targets get.
+    "two-sided-8x8-90-94": _draft(num_sides=2, grid=8, num_nodes=100, unseen_shapes_only=True),
+    "two-sided-10x10-140-144": _draft(num_sides=2, grid=10, num_nodes=150, unseen_shapes_only=True),
+    "two-sided-12x12-200-204": _draft(num_sides=2, grid=12, num_nodes=210, unseen_shapes_only=True),
     "one-sided-3x3-22-24": _draft(num_sides=1, grid=3, num_nodes=27, layout="rows"),
     # The twin of the one-sided robot cell for agents trained without a robot (appendix table 5).
     "one-sided-5x5-15-17": _draft(num_sides=1, grid=5, num_nodes=20, layout="rows"),
