@@ -25,7 +25,10 @@ TINY = {
     "eval": ["--episodes", "1", "--budget", "1"],
 }  # fmt: skip
 """Words that make a command small; later words win."""
-TOO_LONG = ("bench", "fidelities", "--arm panda", "--quick", "--train", "--agents", "dynamic")
+TOO_LONG = (
+    "bench", "fidelities", "--arm panda", "--format franka", "--quick", "--train", "--agents",
+    "dynamic",
+)  # fmt: skip
 """Commands with these words are parsed, and their tests are elsewhere."""
 
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from learn2assemble.errors import InputError, Learn2AssembleError
     from learn2assemble.evaluation.episodes import Evaluation, evaluate
     from learn2assemble.export.formats import export_assembly
+    from learn2assemble.export.robot_programs import export_program, replay_program
     from learn2assemble.learning.config import Learner, TrainConfig, register_learner
     from learn2assemble.learning.run import TrainingRun, train
     from learn2assemble.networks.agent import Agent, load_agent
@@ -65,6 +66,7 @@ _HOME = {
     "check": "physics.rigid_blocks",
     "evaluate": "evaluation.episodes",
     "export_assembly": "export.formats",
+    "export_program": "export.robot_programs",
     "get_task": "tasks",
     "load_agent": "networks.agent",
     "load_design": "design.cells:read_design",
@@ -72,6 +74,7 @@ _HOME = {
     "load_plan": "planning.plan",
     "read_assembly": "assembly.files",
     "register_arm": "robot.registry",
+    "replay_program": "export.robot_programs",
     "register_learner": "learning.config",
     "register_network": "networks.config",
     "register_object_set": "world.blocks",
@@ -107,6 +110,7 @@ __all__ = [
     "check",
     "evaluate",
     "export_assembly",
+    "export_program",
     "get_task",
     "load_agent",
     "load_design",
@@ -120,6 +124,7 @@ __all__ = [
     "register_search",
     "register_task",
     "register_tool",
+    "replay_program",
     "train",
 ]
 

@@ -1,4 +1,4 @@
-"""Commands on assemblies of blocks: whether one stands, and one as files of other programs."""
+"""Commands on what was built: whether it stands, files of other programs, dry runs of robots."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from learn2assemble.cli.parser import Command, number
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, look_up
 from learn2assemble.files import claim_folder
 
 if TYPE_CHECKING:
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 FALLS = 1
 """Exit code of ``l2a check`` where the assembly falls."""
+DIFFERS = 1
+"""Exit code of ``l2a replay-trajectory`` where another structure results."""
 _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 
 
@@ -105,19 +107,27 @@ def _check(options: argparse.Namespace, output: Output) -> int:
 
 
 def _export_arguments(parser: argparse.ArgumentParser) -> None:
+    from learn2assemble.export import PROGRAM_FORMATS
     from learn2assemble.export.formats import FORMATS
 
     add = parser.add_argument
     add("plan", metavar="PLAN", type=Path, help="folder of a plan, its plan.json, or an assembly")
-    add("--format", required=True, help=f"{', '.join(FORMATS)}")
+    add(
+        "--format", required=True,
+        help=f"{', '.join(FORMATS)}; of a build with an arm: {', '.join(PROGRAM_FORMATS)}",
+    )  # fmt: skip
     add("--out", type=Path, default=Path(), metavar="PATH", help="file or folder (here)")
 
 
 def _export(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.assembly.files import read_assembly
+    from learn2assemble.export import PROGRAM_FORMATS
     from learn2assemble.export.formats import FORMATS, export_assembly
 
-    FORMATS[options.format]  # A wrong name is refused before anything is read.
+    if options.format in PROGRAM_FORMATS:
+        return _export_program(options, output)
+    # A wrong name is refused before anything is read.
+    look_up("format", options.format, {**FORMATS, **dict.fromkeys(PROGRAM_FORMATS)})
     path: Path = options.plan
     if path.is_dir():
         path = path / "assembly.json"
@@ -131,13 +141,62 @@ def _export(options: argparse.Namespace, output: Output) -> None:
     output.finish({"format": options.format, "file": str(written)})
 
 
+def _export_program(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.export.robot_programs import export_program
+
+    done = export_program(options.plan, options.format, options.out)
+    used = ", ".join(f"{name} {100 * share:.0f} %" for name, share in done.used.items())
+    output.say(
+        f"{options.format}: {done.file}, {done.seconds:.1f} s, of the limits at most {used}, "
+        f"time stretched by {done.stretch:.3f} at most"
+    )
+    output.finish({
+        "format": options.format, "file": str(done.file), "seconds": round(done.seconds, 3),
+        "stretch": round(done.stretch, 6),
+        "used": {name: round(share, 6) for name, share in done.used.items()},
+    })  # fmt: skip
+
+
+def _replay_arguments(parser: argparse.ArgumentParser) -> None:
+    from learn2assemble.robot.registry import ARMS
+
+    add = parser.add_argument
+    add("file", metavar="FILE", type=Path, help="what l2a export has written as csv, franka, ros2")
+    add("--arm", required=True, help=f"which arm: {' or '.join(ARMS)}")
+
+
+def _replay(options: argparse.Namespace, output: Output) -> int:
+    """Exit code 0 where the same structure results, and 1 where it does not."""
+    from learn2assemble.export.robot_programs import replay_program
+    from learn2assemble.robot.program import SAME
+
+    done = replay_program(options.file, options.arm)
+    worst = int(done.error.argmax())
+    words = "the same structure" if done.same else "another structure"
+    output.say(
+        f"{options.file.name}: {words}, after {done.seconds:.1f} s of motion {len(done.error)} "
+        f"blocks are {1e3 * done.error.mean():.2f} mm from where they should be on average, block "
+        f"{worst} {1e3 * done.error[worst]:.2f} mm (limit {1e3 * SAME:g})"
+    )
+    output.finish({
+        "same": done.same, "seconds": round(done.seconds, 3), "blocks": len(done.error),
+        "mean_error_m": round(float(done.error.mean()), 7),
+        "worst_error_m": round(float(done.error[worst]), 7), "worst_block": worst,
+    })  # fmt: skip
+    return 0 if done.same else DIFFERS
+
+
 COMMANDS = {
     "check": Command(
         "whether an assembly of blocks stands, and what moves first",
         "l2a check wall.json --out out/check", _check_arguments, _check,
     ),
     "export": Command(
-        "a plan's structure as GLB, MJCF, COMPAS, bill of blocks or step cards",
+        "a plan as GLB, MJCF, COMPAS, bill of blocks or step cards, or as program of a robot",
         "l2a export out/house --format glb", _export_arguments, _export,
+    ),
+    "replay-trajectory": Command(
+        "play an exported program of a robot in the simulation, without looking",
+        "l2a replay-trajectory out/program.csv --arm panda", _replay_arguments, _replay,
     ),
 }  # fmt: skip

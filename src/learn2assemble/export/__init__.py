@@ -1,4 +1,4 @@
-"""An assembly as files of other programs, and as paper to build from by hand."""
+"""Builds as files: assemblies for other programs and on paper, motions for robots."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ if TYPE_CHECKING:
 
 WITH_EVERY_PLAN = ("assembly", "bill", "cards")
 """Formats that are written beside every plan that has its blocks as polyhedra."""
+PROGRAM_FORMATS = ("csv", "franka", "ros2", "urscript")
+"""Formats of programs of robots (:mod:`.robot_programs`); the others are of assemblies."""
 
 
 def register_export(exports: Registry[Any]) -> None:

@@ -1,0 +1,298 @@
+"""Programs of robots as files: URScript here, tables (:mod:`.robot_tables`), bags (:mod:`.ros2`).
+
+All of them are made from the record that a build with an arm leaves, by way of a
+:class:`~learn2assemble.robot.program.Program` (``docs/robot_programs.md``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from learn2assemble.errors import InputError
+from learn2assemble.export.robot_tables import read_table, write_franka, write_table
+from learn2assemble.export.ros2 import read_bag, write_bag
+from learn2assemble.files import write_file
+from learn2assemble.registry import Registry
+from learn2assemble.robot.arm import Arm, get_arm
+from learn2assemble.robot.kinematics import forward_many, get_chain
+from learn2assemble.robot.program import (
+    Driver,
+    DryRun,
+    Program,
+    driver_of,
+    limits_of,
+    make_program,
+    play,
+    usage,
+)
+from learn2assemble.robot.record import BuildRecord
+from learn2assemble.robot.record_files import read_record
+
+# ---------------------------------------------------------------- URScript
+
+ROUND = 5e-4
+"""A line between two joint positions is nowhere farther from the planned path [rad]."""
+BLEND = 0.002
+"""Corners on a curve are rounded by so much at most, measured at the tool point [m]."""
+NEAR_END = (0.06, 0.01)
+"""So far from where a motion ends the arm gets slower [m]: the last parts have speeds of their
+own."""
+SLOWEST = 0.02
+"""No part of a path is moved along slower [rad/s], as some parts are hardly moved along at all."""
+
+_URSCRIPT = """\
+def l2a_build():
+  # {about}
+  # Frames: base of the controller; the tool point is set below. Adapt the three functions to the
+  # tool: tool output 0 closes the gripper (or turns the vacuum on), tool input 0 says that
+  # something is held (or that there is vacuum).
+  def l2a_close(width, speed, force):
+    set_tool_digital_out(0, True)
+    sleep({close_time})
+  end
+  def l2a_open(width, speed):
+    set_tool_digital_out(0, False)
+    sleep({open_time})
+  end
+  def l2a_held():
+    return get_tool_digital_in(0)
+  end
+  def l2a_check(step, block):
+    local waited = 0.0
+    while ((not l2a_held()) and (waited < {patience})):
+      sleep(0.02)
+      waited = waited + 0.02
+    end
+    if (not l2a_held()):
+      textmsg("learn2assemble: nothing is held, step ", step)
+      popup("Nothing is held: the program stops.", title="l2a", error=True, blocking=True)
+      halt
+    end
+  end
+  set_tcp(p[{tcp}])
+"""
+
+
+def write_urscript(program: Program, arm: Arm, path: Path) -> None:
+    """A URScript program: moves along the joint positions of the planned path.
+
+    The path is cut into straight lines of the joints that stay within :data:`ROUND` of it, each a
+    ``movej`` at most as fast as the planned motion is there. Where two lines meet on a curve the
+    corner is blended by at most :data:`BLEND`; where the planned motion rests the arm stops.
+
+    Raises:
+        InputError: for an arm without six joints.
+    """
+    if len(arm.joints) != 6 or arm.name != "ur5e":
+        raise InputError("format", f"urscript for {arm.name}", "the arm ur5e")
+    driver = driver_of(arm)
+    about = f"{len(program.steps)} moves, {program.seconds:.0f} s, tool {program.tool}"
+    text = _URSCRIPT.format(
+        about=about, tcp=_list([*driver.tcp[:3], *_rotation_vector(driver)]),
+        close_time="0.5", open_time="0.5", patience="1.0",
+    )  # fmt: skip
+    lines, checks = [], [(t, step) for step in program.steps for t in step.checks]
+    calls = [*_tool_lines(program, float(driver.tcp[2]))]
+    first = program.knots.position[0]
+    lines.append(f"movej([{_list(first)}], a=0.5, v=0.5)")
+    for begin, end in _motions(program):
+        now = float(program.knots.time[begin])
+        while calls and calls[0][0] <= now + 1e-6:
+            lines += calls.pop(0)[1]
+        for part in _lines(program, arm, begin, end, [t for t, _ in checks]):
+            while checks and checks[0][0] <= part.time + 1e-6:
+                step = checks.pop(0)[1]
+                lines.append(f"l2a_check({step.number}, {step.cells[0]})")
+            lines.append(part.text)
+    for _, more in calls:
+        lines += more
+    text += "".join(f"  {line}\n" for line in lines) + "end\nl2a_build()\n"
+    write_file(path, text, "program")
+
+
+class _Line(NamedTuple):
+    time: float
+    """When it begins in the program [s]."""
+    text: str
+
+
+def _motions(program: Program) -> Iterator[tuple[int, int]]:
+    """First and last knot of every motion from rest to rest."""
+    moving = np.concatenate([[0], program.motion, [0]])
+    for begin, end in pairwise(np.flatnonzero(np.diff(moving)).tolist()):
+        if program.motion[begin]:
+            yield begin, end
+
+
+def _lines(
+    program: Program, arm: Arm, begin: int, end: int, checks: list[float]
+) -> Iterator[_Line]:
+    """The moves of one motion, whose knots are begin..end."""
+    knots, limits = program.knots, limits_of(arm)
+    q = knots.position[begin : end + 1]
+    speed = np.abs(knots.velocity[begin : end + 1])
+    change = np.abs(knots.acceleration[begin : end + 1])
+    tool, _ = forward_many(get_chain(arm), np.ascontiguousarray(q))
+    stage = program.stage[begin:end]
+    cuts = {0, len(q) - 1, *(np.flatnonzero(np.diff(stage)) + 1).tolist()}
+    for distance in NEAR_END:
+        left = np.linalg.norm(tool - tool[-1], axis=1)
+        cuts.add(int(np.flatnonzero(left > distance)[-1]) + 1 if (left > distance).any() else 0)
+    stops = {k for k in range(len(q)) if speed[k].max() < 5 * SLOWEST}
+    stops |= set(np.searchsorted(knots.time, np.array(checks) - 1e-6) - begin)
+    found = sorted(cuts)
+    corners = found[:1]
+    for a, b in pairwise(found):
+        corners += _simplified(q, a, b)
+    for k, (a, b) in enumerate(pairwise(corners)):
+        lead = int(np.abs(q[b] - q[a]).argmax())
+        v = float(np.clip(speed[a : b + 1, lead].max(), SLOWEST, limits.velocity[lead]))
+        acceleration = float(np.clip(change[a : b + 1, lead].max(), 0.5, limits.acceleration[lead]))
+        text = f"movej([{_list(q[b])}], a={acceleration:.3f}, v={v:.4f}"
+        if b < len(q) - 1 and b not in stops:
+            ways = np.linalg.norm(np.diff(tool[[a, b, corners[k + 2]]], axis=0), axis=1)
+            # Blends of two corners must not meet.
+            text += f", r={min(BLEND, 0.4 * float(ways.min())):.5f}"
+        yield _Line(float(knots.time[begin + a]), f"{text})")
+
+
+def _simplified(q: np.ndarray, first: int, last: int) -> list[int]:
+    """Rows after ``first``, up to ``last``, such that straight lines between them are nowhere
+    farther than :data:`ROUND` from the path float64[k, n] (Ramer 1972)."""
+    chord = q[last] - q[first]
+    length = float(chord @ chord)
+    inside = q[first + 1 : last] - q[first]
+    share = np.clip(inside @ chord / length, 0, 1) if length else np.zeros(len(inside))
+    off = np.abs(inside - share[:, None] * chord).max(1, initial=0.0)
+    if not len(off) or off.max() <= ROUND:
+        return [last]
+    middle = first + 1 + int(off.argmax())
+    return _simplified(q, first, middle) + _simplified(q, middle, last)
+
+
+def _tool_lines(program: Program, length: float) -> Iterator[tuple[float, list[str]]]:
+    """When the tool's state changes [s], and the lines that do it; the load hangs ``length`` [m]
+    from the flange."""
+    before = program.states[0]
+    yield 0.0, [f"l2a_open({before.width:.4f}, {before.speed:.3f})", "set_payload(0.0, [0, 0, 0])"]
+    for state in program.states[1:]:
+        if state.load != before.load:
+            yield state.time, [f"set_payload({state.load:.3f}, [0, 0, {length:.4f}])"]
+        closed = bool(state.force) or state.vacuum
+        if closed != (bool(before.force) or before.vacuum):
+            call = f"close({state.width:.4f}, {state.speed:.3f}, {state.force:.1f})"
+            yield (
+                state.time,
+                [f"l2a_{call}" if closed else f"l2a_open({state.width:.4f}, {state.speed:.3f})"],
+            )
+        before = state
+
+
+def _rotation_vector(driver: Driver) -> np.ndarray:
+    """float64[3]: turn of the tool point in the flange, as axis times angle [rad]."""
+    w, *axis = driver.tcp[3:] * np.sign(driver.tcp[3] or 1.0)
+    length = float(np.linalg.norm(axis))
+    return 2 * np.arctan2(length, w) * np.array(axis) / length if length else np.zeros(3)
+
+
+def _list(values: Any) -> str:
+    return ", ".join(f"{value + 0.0:.6f}" for value in np.round(np.asarray(values), 6))
+
+
+# ---------------------------------------------------------------- all formats
+
+PROGRAMS: Registry[tuple[str, Callable[[Program, Arm, Path], None]]] = Registry(
+    "format",
+    {
+        "csv": ("program.csv", write_table),
+        "franka": ("program_franka.csv", write_franka),
+        "urscript": ("program.script", write_urscript),
+        "ros2": ("program.mcap", write_bag),
+    },
+)
+"""Usual file name and writer of every format."""
+
+
+class Exported(NamedTuple):
+    """A program that was written."""
+
+    file: Path
+    seconds: float
+    """How long the robot takes [s]."""
+    stretch: float
+    """Largest factor by which the time of a motion was stretched to stay within the limits."""
+    used: dict[str, float]
+    """Largest share of the limits of velocity, acceleration and jerk, anywhere in the motion."""
+
+
+def export_program(source: BuildRecord | str | Path, format: str, path: str | Path) -> Exported:
+    """Write the program of a robot that repeats a build.
+
+    Args:
+        source: what ``l2a build --arm`` has written: its folder or its ``trajectory.json``; or
+            the record of a plan, ``plan.record``.
+        format: ``csv``, ``franka``, ``ros2`` or ``urscript``.
+        path: the file, or a folder that gets a file of the usual name; a table whose name ends in
+            ``.gz`` is packed.
+
+    Raises:
+        UnknownNameError: naming the nearest format.
+        InputError: for a record that cannot be used, an arm the format is not for, and a file that
+            cannot be written; an old one is left as it was then.
+        MissingExtraError: for ``ros2`` without the extra ``ros2``.
+    """
+    name, write = PROGRAMS[format]
+    if not isinstance(source, BuildRecord):
+        source = _read_record(Path(source))
+    arm = get_arm(source.arm.name)
+    program = make_program(source, arm)
+    file = Path(path)
+    if file.is_dir():
+        file = file / name
+    write(program, arm, file)
+    used = usage(program.knots, limits_of(arm))
+    return Exported(file, program.seconds, program.stretch, used)
+
+
+def _read_record(path: Path) -> BuildRecord:
+    file = path / "trajectory.json" if path.is_dir() else path
+    if file.name == "plan.json":
+        file = file.with_name("trajectory.json")
+    if not file.is_file():
+        expected = "the folder of a build with an arm (l2a build --arm), or its trajectory.json"
+        raise InputError("PLAN", str(path), expected)
+    return read_record(file)
+
+
+def read_program(path: str | Path, arm: Arm) -> Program:
+    """Read a program that :func:`export_program` has written as a table or a bag.
+
+    Raises:
+        InputError: for a file that is damaged, incomplete, or for another arm, and for motions
+            beyond the limits of the arm.
+        MissingExtraError: for a bag without the extra ``ros2``.
+    """
+    path = Path(path)
+    if path.suffix == ".mcap":
+        return read_bag(path, arm)
+    return read_table(path, arm)
+
+
+def replay_program(path: str | Path, arm: str) -> DryRun:
+    """Play an exported table or bag in the dynamic cell, from beginning to end without looking.
+
+    Args:
+        path: what :func:`export_program` has written as ``csv``, ``franka`` or ``ros2``.
+        arm: name of the arm that is to play it.
+
+    Raises:
+        InputError: see :func:`read_program`.
+        MissingExtraError: without the extra ``robot``.
+    """
+    chosen = get_arm(arm)
+    return play(read_program(path, chosen), chosen)

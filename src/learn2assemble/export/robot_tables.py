@@ -1,0 +1,288 @@
+"""Programs of robots as tables: one line a millisecond, for controllers that are streamed to.
+
+A header in lines that begin with ``#`` says what is needed besides: joints, frames, limits, the
+blocks before and after. Tables can be read back and played in the simulation
+(``docs/robot_programs.md``).
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from learn2assemble.errors import InputError, look_up
+from learn2assemble.files import load_json, read_bytes, write_file
+from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.moves import STAGES
+from learn2assemble.robot.program import Blocks, Knots, Program, ToolState, driver_of, limits_of
+
+FORMAT, VERSION = "learn2assemble-robot-program", 1
+RATE = 1000
+"""Lines of a table per second."""
+MOST_BYTES = 1_000_000_000
+"""Largest file that is read, unpacked."""
+SLACK = 0.005
+"""By this share the differences between the lines of a table may pass a limit: they are rounded."""
+
+
+# ---------------------------------------------------------------- what all files say
+
+
+def header(program: Program, arm: Arm) -> dict[str, Any]:
+    """What a reader of a program has to know besides its motion: plain values."""
+    driver, limits, blocks = driver_of(arm), limits_of(arm), program.blocks
+    return {
+        "format": FORMAT, "version": VERSION, "arm": program.arm, "tool": program.tool,
+        "joints": list(driver.joints),
+        "units": "s, m, rad, N, kg; quaternions w, x, y, z; world: z up, table top z = 0",
+        "base": {"frame": driver.base_frame, "in": "world", "pose": _plain(driver.base)},
+        "tcp": {"frame": "tcp", "in": driver.flange_frame, "pose": _plain(driver.tcp)},
+        "limits": {name: _plain(getattr(limits, name)) for name in limits._fields},
+        "seconds": round(program.seconds, 6), "stretch": round(program.stretch, 6),
+        "gripper_speed": program.states[0].speed,
+        "blocks": {
+            "edge": blocks.edge, "objects": [list(cells) for cells in blocks.objects],
+            "start": _plain(blocks.start), "end": _plain(blocks.end),
+        },
+    }  # fmt: skip
+
+
+class Header(NamedTuple):
+    """What a program is read with, besides its motion."""
+
+    blocks: Blocks
+    tool: str
+    seconds: float
+    stretch: float
+    speed: float
+    """Of the gripper's opening [m/s]."""
+
+
+def read_header(data: Any, source: str, arm: Arm) -> Header:
+    """What a header says, which must be for this arm.
+
+    Raises:
+        InputError: naming what is wrong.
+    """
+    try:
+        if data["format"] != FORMAT or data["version"] != VERSION:
+            raise InputError(source, data["format"], f"{FORMAT}, version {VERSION}")
+        if data["arm"] != arm.name or tuple(data["joints"]) != driver_of(arm).joints:
+            expected = f"those of {arm.name}: {', '.join(driver_of(arm).joints)}"
+            raise InputError(f"{source}: joints", f"{data['arm']}: {data['joints']}", expected)
+        told = data["blocks"]
+        objects = tuple(tuple(int(c) for c in cells) for cells in told["objects"])
+        start, end = (np.array(told[key], float) for key in ("start", "end"))
+        count = sum(map(len, objects))
+        if sorted(c for cells in objects for c in cells) != list(range(count)) or not (
+            start.shape == end.shape == (count, 7)
+        ):
+            raise InputError(f"{source}: blocks", f"{count} cells", "a pose for each cell")
+        blocks = Blocks(objects, float(told["edge"]), start, end)
+        look_up(f"{source}: tool", data["tool"], dict.fromkeys(("gripper", "suction"), ""))
+        numbers = [float(data[key]) for key in ("seconds", "stretch", "gripper_speed")]
+        if not (np.isfinite(start).all() and np.isfinite(end).all() and np.isfinite(numbers).all()):
+            raise InputError(f"{source}: header", "a number that is not finite", "finite numbers")
+        return Header(blocks, data["tool"], *numbers)
+    except (KeyError, TypeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        got = f"no {error}" if isinstance(error, KeyError) else str(error)
+        raise InputError(f"{source}: header", got, "that of an exported program") from None
+
+
+def _plain(values: np.ndarray) -> list[Any]:
+    return (np.round(values, 9) + 0.0).tolist()
+
+
+# ---------------------------------------------------------------- tables
+
+
+def write_table(program: Program, arm: Arm, path: Path, more: dict[str, Any] | None = None) -> None:
+    """Write a table: a header in lines that begin with ``#``, then a line per millisecond."""
+    head = {**header(program, arm), "rate": RATE, **(more or {})}
+    columns = _columns(head["joints"], program.tool)
+    count = int(np.ceil(program.seconds * RATE - 1e-6)) + 1
+    time = np.arange(count) / RATE
+    piece, state = program.knots.pieces(time), program.states_at(time)
+    lines = [f"# {key}: {json.dumps(value)}" for key, value in {**head, "rows": count}.items()]
+    lines.append(",".join(name for name, _ in columns))
+    numbers = np.column_stack([
+        time, program.motion[piece], program.step[piece], _block_of(program)[piece],
+        np.concatenate(program.knots.at(time), axis=1),
+        _tool_columns(program)[state],
+    ])  # fmt: skip
+    pattern = ",".join(form for _, form in columns).replace("%s", "%%s")
+    for row, stage in zip((numbers + 0.0).tolist(), program.stage[piece].tolist(), strict=True):
+        lines.append(pattern % tuple(row) % (STAGES[stage] if stage >= 0 else ""))
+    content = ("\n".join(lines) + "\n").replace("-0.0000000000,", "0.0000000000,").encode()
+    if path.suffix == ".gz":
+        content = gzip.compress(content, 6, mtime=0)
+    write_file(path, content, "program")
+
+
+def _columns(joints: list[str], tool: str) -> list[tuple[str, str]]:
+    """Names of the columns of a table, and how their numbers are written.
+
+    Digits are such that differences over a millisecond show the jerk within 0.1 rad/s^3.
+    """
+    columns = [("time", "%.3f"), ("motion", "%d"), ("step", "%d"), ("block", "%d")]
+    for what, form in (("q", "%.10f"), ("dq", "%.8f"), ("ddq", "%.5f")):
+        columns += [(f"{what}_{joint}", form) for joint in joints]
+    if tool == "suction":
+        columns.append(("vacuum", "%d"))
+    else:
+        columns += [("width", "%.6g"), ("speed", "%.6g"), ("force", "%.6g")]
+    return [*columns, ("load", "%.6g"), ("stage", "%s")]
+
+
+def _tool_columns(program: Program) -> np.ndarray:
+    """float64[s, c]: the columns of every state of the tool."""
+    fields = ("vacuum",) if program.tool == "suction" else ("width", "speed", "force")
+    return np.array(
+        [[float(getattr(s, field)) for field in (*fields, "load")] for s in program.states]
+    )
+
+
+def _block_of(program: Program) -> np.ndarray:
+    """int64[k-1]: the block of every piece's step."""
+    blocks = np.array([-1, *(step.cells[0] for step in program.steps)])
+    numbers = np.array([-1, *(step.number for step in program.steps)])
+    return blocks[np.searchsorted(numbers, program.step)]
+
+
+def read_table(path: Path, arm: Arm) -> Program:
+    """Read what :func:`write_table` has written.
+
+    Raises:
+        InputError: see :func:`read_program`.
+    """
+    content, source = read_bytes(path, "program", MOST_BYTES)
+    head, names, body = _split(content, source)
+    told = read_header(head, source, arm)
+    tool = told.tool
+    expected = [name for name, _ in _columns(list(driver_of(arm).joints), tool)]
+    if names != expected:
+        wrong = next((a for a, b in zip(names, expected, strict=False) if a != b), len(names))
+        raise InputError(f"{source}: columns", wrong, ", ".join(expected))
+    kinds = [(name, "U12" if name == "stage" else "f8") for name in expected]
+    try:
+        rows = np.loadtxt(
+            body, delimiter=",", dtype=kinds, comments=None, ndmin=1, encoding="utf-8"
+        )
+    except ValueError as error:
+        reason = str(error).partition(";")[0]
+        raise InputError(source, reason, f"lines of {len(expected)} numbers") from None
+    if head.get("rows") != len(rows) or len(rows) < 2:
+        raise InputError(f"{source}: lines", len(rows), f"{head.get('rows')}: it is not complete")
+    n = len(arm.joints)
+    table = np.column_stack([rows[name] for name in expected[:-1]])
+    if not np.isfinite(table).all():
+        i, j = np.argwhere(~np.isfinite(table))[0].tolist()
+        raise InputError(f"{source}: {expected[j]} of line {i + 1}", table[i, j], "a finite number")
+    q, v, a = (table[:, 4 + k * n : 4 + (k + 1) * n] for k in range(3))
+    knots = Knots(table[:, 0].copy(), q, v, a)
+    _check_motion(knots, arm, source)
+    stage = np.array([STAGES.index(name) if name in STAGES else -1 for name in rows["stage"]])
+    return Program(
+        arm.name, tool, knots, stage[1:].astype(np.int8), table[1:, 2].astype(np.int64),
+        table[1:, 1].astype(np.int64), _states(rows, tool), (), told.blocks, told.stretch,
+    )  # fmt: skip
+
+
+def _split(content: bytes, source: str) -> tuple[dict[str, Any], list[str], list[str]]:
+    """Header, names of the columns, and lines of a table."""
+    try:
+        lines = content.decode("utf-8").splitlines()
+    except UnicodeDecodeError:
+        raise InputError(source, "bytes that are not UTF-8", "an exported program") from None
+    count = next((k for k, line in enumerate(lines) if not line.startswith("#")), len(lines))
+    head = {}
+    for line in lines[:count]:
+        key, colon, value = line[1:].strip().partition(": ")
+        if colon:
+            head[key] = load_json(value, f"{source}: {key}", FORMAT)
+    if "format" not in head:
+        raise InputError(source, "no header", f"a table of {FORMAT}")
+    return head, (lines[count].split(",") if count < len(lines) else []), lines[count + 1 :]
+
+
+def _check_motion(knots: Knots, arm: Arm, source: str) -> None:
+    """Refuse what no robot should be sent: the differences from line to line are means of the
+    velocity, acceleration and jerk between them."""
+    limits, names = limits_of(arm), driver_of(arm).joints
+    step = np.diff(knots.time)
+    if np.abs(step - 1 / RATE).max() > 1e-6:
+        i = int(np.abs(step - 1 / RATE).argmax())
+        raise InputError(
+            f"{source}: time", f"{step[i]:g} s after {knots.time[i]:g} s", f"{1 / RATE:g} s"
+        )
+
+    def fault(wrong: np.ndarray, what: str, values: np.ndarray, most: np.ndarray) -> None:
+        if wrong.any():
+            i, j = np.argwhere(wrong)[0].tolist()
+            where = f"{source}: {names[j]} at {knots.time[i]:.3f} s"
+            raise InputError(where, f"{what} {values[i, j]:.4f}", f"at most {most[j]:.4f}")
+
+    q, v, a = knots[1:]
+    fault(q > limits.upper + 1e-6, "position", q, limits.upper)
+    fault(q < limits.lower - 1e-6, "position below", -q, -limits.lower)
+    for values, below, what, most in (
+        (v, q, "velocity", limits.velocity), (a, v, "acceleration", limits.acceleration),
+        (None, a, "jerk", limits.jerk),
+    ):  # fmt: skip
+        mean = np.diff(below, axis=0) * RATE
+        for found in (mean,) if values is None else (values, mean):
+            fault(np.abs(found) > most * (1 + SLACK), what, found, most)
+
+
+def _states(rows: np.ndarray, tool: str) -> tuple[ToolState, ...]:
+    fields = ("vacuum",) if tool == "suction" else ("width", "speed", "force")
+    told = np.column_stack([rows[name] for name in (*fields, "load")])
+    new = np.flatnonzero(np.concatenate([[True], np.any(np.diff(told, axis=0), axis=1)]))
+    found = []
+    for k in new.tolist():
+        values = dict(zip((*fields, "load"), told[k].tolist(), strict=True))
+        values["vacuum"] = bool(values.get("vacuum", 0))
+        plain = {"width": 0.0, "speed": 0.0, "force": 0.0}
+        found.append(ToolState(time=float(rows["time"][k]), **{**plain, **values}))
+    return tuple(found)
+
+
+def write_franka(program: Program, arm: Arm, path: Path) -> None:
+    """A table for libfranka: lines of a motion are sent by its motion generator, one every
+    millisecond, and between two motions the calls of the header are made, in their order.
+
+    Raises:
+        InputError: for an arm that is not by Franka.
+    """
+    if arm.name != "panda":
+        raise InputError("format", f"franka for {arm.name}", "the arm panda, or the format csv")
+    driver, calls, before = driver_of(arm), [], program.states[0]
+    first = program.states[0]
+    if program.tool != "suction":
+        calls.append({"time": 0.0, "call": "move", "width": first.width, "speed": first.speed})
+    for state in program.states[1:]:
+        time = round(state.time, 6)
+        if state.load != before.load:
+            # The load hangs half a block below the tool point at most; its inertia is left out.
+            centre = _plain(driver.tcp[:3])
+            calls.append({"time": time, "call": "setLoad", "load": state.load, "centre": centre})
+        if state.vacuum != before.vacuum:
+            calls.append({"time": time, "call": "vacuum" if state.vacuum else "dropOff"})
+        if (state.width, state.force) != (before.width, before.force):
+            call = {"time": time, "call": "move", "width": state.width, "speed": state.speed}
+            if state.force:
+                epsilon = {"epsilon_inner": 0.005, "epsilon_outer": 0.005}
+                call |= {"call": "grasp", "force": state.force, **epsilon}
+            calls.append(call)
+        before = state
+    frame = np.eye(4)
+    frame[:3, :3], frame[:3, 3] = quaternion_matrix(driver.tcp[3:]), driver.tcp[:3]
+    more = {"F_T_EE": _plain(frame.T.ravel()), "calls": calls}
+    write_table(program, arm, path, more)
