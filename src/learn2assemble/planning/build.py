@@ -10,9 +10,9 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
-from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.errors import InputError, UnknownNameError, look_up
 from learn2assemble.files import MAX_BYTES, MAX_GENERATED, load_json, read_bytes
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.registry import ARMS
@@ -27,9 +27,13 @@ if TYPE_CHECKING:
     from learn2assemble.planning.problem import Problem
     from learn2assemble.planning.supply import Layout
     from learn2assemble.planning.verify import Proof
+    from learn2assemble.planning.workcell_plan import Workcell
+    from learn2assemble.planning.workcell_site import Site
     from learn2assemble.world.design_bounds import Design
 
 PLANNERS = ("auto", "exact", "agent")
+PHYSICS = ("dynamic", "kinematic")
+"""Cells in which an arm carries out exact plans."""
 AGENT_SECONDS, EXACT_SECONDS = 20.0, 60.0
 """Limits of the agent's widest search, and of the exact planner with its proof [s]."""
 DEFAULT_AGENT_TASK = "two-sided-3x3-20-24"
@@ -48,10 +52,14 @@ def build(
     reading: Mapping[str, Any] | None = None,
     arm: str | None = None,
     agent: str | Agent | None = None,
-    layout: str | Path | Layout | None = None,
+    layout: str | Path | Layout | Site | None = None,
     seed: int = 0,
     seconds: float | None = None,
     progress: Progress = lambda text: None,
+    tool: str | None = None,
+    physics: str = "dynamic",
+    noise: tuple[float, float] = (0.0, 0.0),
+    state: Path | None = None,
 ) -> Plan:
     """Plan a design and prove every step.
 
@@ -80,6 +88,13 @@ def build(
         seconds: limit of planning and proof, or of the agent's widest search [s]; by default
             60 and 20.
         progress: called with a line of text for everything that takes long.
+        tool: what the arm holds blocks with, ``"suction"`` or ``"gripper"``; by default the gripper
+            for kits of single cubes.
+        physics: in which cell an exact plan is carried out, ``"dynamic"`` or ``"kinematic"``.
+        noise: standard deviations of what is read back while an exact plan is carried out: x and y
+            [m], yaw [rad].
+        state: file to which an exact plan's build by an arm appends every attempt; where it
+            exists, the build goes on from it.
 
     Returns:
         The plan: complete, incomplete or refused. With an arm, its motion is ``plan.record``.
@@ -91,13 +106,21 @@ def build(
     if planner not in PLANNERS:
         raise UnknownNameError("planner", planner, PLANNERS)
     if uses_exact_planner(design, planner, arm, agent, layout):
-        if arm is not None or agent is not None or layout is not None:
-            got = arm or str(agent or layout)
-            raise InputError("arm, agent or layout", got, "none with the exact planner")
+        if agent is not None:
+            raise InputError("agent", str(agent), "none with the exact planner")
+        how = None
+        if arm is not None:
+            how = _Arm(arm, tool, layout, physics, noise, state, seed)
+            how.check()
+        elif tool is not None or layout is not None or state is not None:
+            got = tool or str(layout or state)
+            raise InputError("tool, layout or state", got, "an arm to build with (--arm)")
         return _build_exact(
             design, kit, friction, gap, props, dict(reading or {}),
-            EXACT_SECONDS if seconds is None else seconds, progress,
+            EXACT_SECONDS if seconds is None else seconds, progress, how,
         )  # fmt: skip
+    if tool not in (None, "gripper") or physics != "dynamic" or any(noise) or state is not None:
+        raise InputError("tool, physics, noise or state", tool or physics, "an exact plan")
     if not isinstance(design, str | Path) and not hasattr(design, "elevations"):
         raise InputError("planner", planner, "exact, for a design without elevations")
     if kit is not None or friction is not None or gap is not None or not props or reading:
@@ -142,20 +165,51 @@ def uses_exact_planner(
     return not (task or elevations) and arm is None and agent is None and layout is None
 
 
+class _Arm(NamedTuple):
+    """How an arm carries out an exact plan; fields as the arguments of :func:`build`."""
+
+    arm: str
+    tool: str | None
+    layout: str | Path | Layout | Site | None
+    physics: str
+    noise: tuple[float, float]
+    state: Path | None
+    seed: int
+
+    def check(self) -> None:
+        """Refuse names that do not exist, before libraries load."""
+        from learn2assemble.robot.registry import TOOLS
+
+        look_up("arm", self.arm, ARMS)
+        if self.tool is not None:
+            look_up("tool", self.tool, TOOLS)
+        look_up("physics", self.physics, dict.fromkeys(PHYSICS))
+
+    def workcell(self, kit: Kit | None) -> Workcell:
+        """The same with defaults, the layout read."""
+        from learn2assemble.planning.workcell_plan import Workcell, default_tool
+        from learn2assemble.planning.workcell_site import Site, read_site
+
+        site = Site() if self.layout is None else self.layout
+        if isinstance(site, str | Path):
+            site = read_site(Path(site))
+        if not isinstance(site, Site):
+            raise InputError("layout", type(site).__name__, "a file or a Site")
+        tool = self.tool or ("suction" if kit is None else default_tool(kit))
+        return Workcell(self.arm, tool, site, self.physics, self.seed, self.noise, log=self.state)
+
+
 def _build_exact(
     design: object, kit: Any, friction: Any, gap: Any, props: bool, reading: dict[str, Any],
-    seconds: float, progress: Progress,
+    seconds: float, progress: Progress, how: _Arm | None,
 ) -> Plan:  # fmt: skip
-    if isinstance(design, str) and design in PRESETS:
-        raise InputError("planner", "exact", f"agent, for the task {design}")
-    _check_names(design, None, None)
     if isinstance(design, str) and design in PRESETS:
         raise InputError("planner", "exact", f"agent, for the task {design}")
     _check_names(design, None, None)
     from learn2assemble.assembly.blocks import Assembly
     from learn2assemble.assembly.kit import load_kit
     from learn2assemble.design.cells import CellDesign, read_design
-    from learn2assemble.planning.construct import plan_assembly, plan_cells
+    from learn2assemble.planning.construct import DEFAULT_KIT, plan_assembly, plan_cells
 
     if isinstance(kit, str | Path):
         kit = load_kit(str(kit))
@@ -170,14 +224,30 @@ def _build_exact(
     if isinstance(design, Assembly):
         if kit is not None or isinstance(friction, tuple) or gap is not None:
             raise InputError("kit, gap or a range of friction", "given", "a design of cells")
-        return plan_assembly(
+        workcell = None if how is None else how.workcell(None)
+        plan = plan_assembly(
             design, friction=friction, seconds=seconds, progress=progress, source=source
         )
+        if workcell is None:
+            return plan
+        from learn2assemble.planning.workcell_plan import carry_out
+
+        return carry_out(plan, workcell, joint=0.0, progress=progress)
     if not isinstance(design, CellDesign):
         raise InputError("design", type(design).__name__, "a file, cells or an assembly")
-    return plan_cells(
+    kit = kit or load_kit(design.kit or DEFAULT_KIT)
+    workcell = None if how is None else how.workcell(kit)
+    plan = plan_cells(
         design, kit, friction=friction, gap=gap, props=props, seconds=seconds, progress=progress
     )
+    if workcell is None:
+        return plan
+    from learn2assemble.planning.workcell_plan import carry_out_cells
+
+    return carry_out_cells(
+        plan, kit, workcell, progress,
+        lambda other: plan_cells(design, other, friction=friction, props=props, seconds=seconds),
+    )  # fmt: skip
 
 
 def _check_file(path: Path) -> None:

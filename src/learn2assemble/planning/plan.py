@@ -190,6 +190,18 @@ class ArmReport:
     failures: tuple[ArmFailure, ...]
     seconds: Seconds
     """How long the arm took."""
+    tool: str = "gripper"
+    """What it held blocks with."""
+    base: tuple[Metre, Metre, Metre, Annotated[float, Range(-100, 100)]] | None = None
+    """x, y, z of its base [m], and the direction it faces [rad from x]."""
+    places: Count | None = None
+    """Poses at which blocks were taken: magazines, and places of single blocks."""
+    attempts_per_step: Annotated[float, Range(0, 1e6)] | None = None
+    """Attempts over blocks placed and props taken away; 1 where nothing failed."""
+    error_mean: Metre | None = None
+    """Mean distance of the blocks from their places at the end [m] ..."""
+    error_worst: Metre | None = None
+    """... and the largest."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,437 @@
+"""The workcell around a build: blocks as boxes, where the arm stands, and what blocks come from.
+
+World frame: that of the exact plan, whose design stands on the table (z = 0) with its middle at
+x = y = 0. A *magazine* presents the next block of a kind at one pose whenever it is asked to, and
+takes back what is put there; nothing stands at its pose otherwise. Blocks on *pallets* and at
+single *positions* lie on the table from the beginning.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from learn2assemble.assembly.blocks import Assembly, Block, convex_parts
+from learn2assemble.errors import InputError
+from learn2assemble.files import (
+    check_keys,
+    integer,
+    load_json,
+    mapping,
+    number,
+    read_head,
+    read_text,
+    sequence,
+    text,
+    too_deep,
+)
+
+FORMAT, VERSIONS = "learn2assemble-layout", (1, 2)
+MAX_PLACES, MAX_ENTRIES = 400, 64
+_KEYS = ("format", "version", "units", "base", "table", "obstacles", "magazines", "pallets",
+         "positions")  # fmt: skip
+TABLE = (1.5, 1.0)
+"""Size of the table along x and y, its middle at the origin [m]."""
+QUARTER = math.pi / 2
+_GRAIN = 1e-6
+"""Shapes that differ by less are one [m]."""
+
+Part = tuple[tuple[float, float, float], tuple[float, float, float]]
+"""Centre and half extents of a box [m]."""
+
+
+class Pose(NamedTuple):
+    """Where something stands on the table."""
+
+    x: float
+    """[m], like y."""
+    y: float
+    yaw: float = 0.0
+    """[rad]"""
+
+
+# ---------------------------------------------------------------- blocks as boxes
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A block of the plan as boxes that are glued together."""
+
+    id: str
+    kind: str
+    prop: bool
+    density: float
+    """[kg/m³]"""
+    target: np.ndarray
+    """float64[3]: middle of its bounding box in the finished structure [m]."""
+    turn: int
+    """Quarter turns about z from the frame of its shape."""
+    shape: tuple[Part, ...]
+    """Its boxes about the middle of the bounding box, turned so that it is longest along x; equal
+    for all blocks that can stand for one another."""
+
+    @property
+    def half(self) -> np.ndarray:
+        """float64[3]: half extents of the bounding box in the frame of the shape [m]."""
+        return np.max([np.abs(centre) + np.array(half) for centre, half in self.shape], axis=0)
+
+    @property
+    def yaw(self) -> float:
+        """Of the shape's frame in the structure [rad]."""
+        return self.turn * QUARTER
+
+    @property
+    def name(self) -> str:
+        """What messages call its kind."""
+        if self.kind:
+            return self.kind
+        return "x".join(f"{2000 * h:.3g}" for h in self.half) + " mm"
+
+    def turns(self) -> list[int]:
+        """Quarter turns that leave the shape as it is."""
+        return [k for k in range(4) if _turned(self.shape, k) == self.shape]
+
+    def boxes(self, centre: np.ndarray, yaw: float) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Bounding boxes (low, high) of its parts at a quarter yaw [rad], float64[3] each [m]."""
+        parts = _turned(self.shape, round(yaw / QUARTER) % 4)
+        return [(centre + c - np.array(h), centre + c + np.array(h)) for c, h in parts]
+
+
+def pieces_of(assembly: Assembly) -> tuple[Piece, ...]:
+    """The blocks of an assembly as boxes.
+
+    Raises:
+        InputError: for a block that is not made of upright boxes.
+    """
+    return tuple(_piece(block) for block in assembly.blocks)
+
+
+def _piece(block: Block) -> Piece:
+    parts = []
+    low, high = block.vertices.min(0), block.vertices.max(0)
+    middle = (low + high) / 2
+    for part in convex_parts(block):
+        a, b = part.vertices.min(0), part.vertices.max(0)
+        at_ends = np.isclose(part.vertices, a, atol=1e-5) | np.isclose(part.vertices, b, atol=1e-5)
+        if not at_ends.all() or abs(part.volume - np.prod(b - a)) > 1e-3 * part.volume:
+            raise InputError(f"block {block.id!r}", "another shape", "upright boxes, for an arm")
+        parts.append((_grained((a + b) / 2 - middle), _grained((b - a) / 2)))
+    turned = [(_turned(tuple(parts), k), k) for k in range(4)]
+    shape, k = min(turned, key=lambda one: (-_extent(one[0])[0], one[0]))
+    return Piece(block.id, block.kind, block.prop, block.density, middle, -k % 4, shape)
+
+
+def _grained(values: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = (round(float(v) / _GRAIN) * _GRAIN + 0.0 for v in values)
+    return round(x, 9), round(y, 9), round(z, 9)
+
+
+def _turned(parts: tuple[Part, ...], quarters: int) -> tuple[Part, ...]:
+    for _ in range(quarters % 4):
+        parts = tuple(((-c[1] + 0.0, c[0], c[2]), (h[1], h[0], h[2])) for c, h in parts)
+    return tuple(sorted(parts))
+
+
+def _extent(parts: tuple[Part, ...]) -> tuple[float, float]:
+    x, y = (round(max(abs(c[k]) + h[k] for c, h in parts), 6) for k in (0, 1))
+    return x, y
+
+
+# ---------------------------------------------------------------- layouts
+
+
+class Magazine(NamedTuple):
+    """Presents the next block of a kind."""
+
+    kind: str
+    pose: Pose
+    count: int | None = None
+    """How many it holds; None: as many as needed."""
+
+
+class Pallet(NamedTuple):
+    """Blocks of a kind in rows."""
+
+    kind: str
+    pose: Pose
+    """Of the first block; columns go on along its x, rows along its y."""
+    rows: int
+    columns: int
+    pitch: tuple[float, float]
+    """From column to column, and from row to row [m]."""
+
+    def poses(self) -> list[Pose]:
+        """Of all its blocks."""
+        x, y, yaw = self.pose
+        c, s = math.cos(yaw), math.sin(yaw)
+        steps = [(i * self.pitch[0], j * self.pitch[1])
+                 for j in range(self.rows) for i in range(self.columns)]  # fmt: skip
+        return [Pose(x + c * u - s * v, y + s * u + c * v, yaw) for u, v in steps]
+
+
+class Position(NamedTuple):
+    """One block on the table."""
+
+    kind: str | None
+    """None: of the next block of the plan."""
+    pose: Pose
+
+
+class Obstacle(NamedTuple):
+    """A box on the table that nothing may touch."""
+
+    centre: tuple[float, float]
+    """[m]"""
+    size: tuple[float, float, float]
+    """[m]"""
+    yaw: float = 0.0
+
+
+@dataclass(frozen=True)
+class Site:
+    """A workcell as a user describes it; what is not given is chosen."""
+
+    base: tuple[float, float, float, float] | None = None
+    """x, y, z [m] of the arm's base, and the direction it faces [rad from x]."""
+    table: tuple[float, float] = TABLE
+    obstacles: tuple[Obstacle, ...] = ()
+    magazines: tuple[Magazine, ...] = ()
+    pallets: tuple[Pallet, ...] = ()
+    positions: tuple[Position, ...] = ()
+    source: str = "layout"
+
+
+def read_site(path: Path) -> Site:
+    """The workcell in a layout file of version 1 or 2 (``docs/layouts.md``).
+
+    Raises:
+        InputError: one line that names the file and the JSON path of the fault.
+    """
+    content, source = read_text(Path(path), "layout file")
+    try:
+        root = load_json(content, source, FORMAT)
+        return _site(root, source)
+    except RecursionError:
+        raise too_deep(source) from None
+
+
+def _site(value: Any, source: str) -> Site:
+    version = value.get("version") if isinstance(value, dict) else None
+    if version == 1:
+        valid = ("format", "version", "units", "positions")
+        root = read_head(value, source, FORMAT, 1, valid, ("format", "version", "positions"))
+        where = f"{source}: positions"
+        places = _entries(root["positions"], where, MAX_PLACES)
+        found = [Position(None, _pose(place, f"{where}[{k}]")) for k, place in enumerate(places)]
+        return Site(positions=tuple(found), source=source)
+    root = read_head(value, source, FORMAT, 2, _KEYS, ("format", "version"))
+    base = None
+    if "base" in root:
+        given = _table(root["base"], f"{source}: base", ("position", "yaw"), ("position",))
+        x, y, z = _numbers(given["position"], f"{source}: base.position", 3)
+        base = x, y, z, number(given.get("yaw", 0.0), f"{source}: base.yaw")
+    width, depth = _numbers(root.get("table", TABLE), f"{source}: table", 2, positive=True)
+    lists = {
+        key: [
+            make(entry, f"{source}: {key}[{k}]")
+            for k, entry in enumerate(
+                _entries(root[key], f"{source}: {key}", MAX_PLACES if key == "positions" else 64)
+            )
+        ]
+        for key, make in (
+            ("obstacles", _obstacle), ("magazines", _magazine), ("pallets", _pallet),
+            ("positions", _position),
+        )
+        if key in root
+    }  # fmt: skip
+    site = Site(base, (width, depth), source=source, **{k: tuple(v) for k, v in lists.items()})
+    blocks = len(site.positions) + sum(p.rows * p.columns for p in site.pallets)
+    if blocks > MAX_PLACES:
+        raise InputError(f"{source}: pallets", f"{blocks} blocks", f"at most {MAX_PLACES}")
+    return site
+
+
+def _obstacle(value: Any, where: str) -> Obstacle:
+    given = _table(value, where, ("at", "size", "yaw"), ("at", "size"))
+    x, y = _numbers(given["at"], f"{where}.at", 2)
+    a, b, c = _numbers(given["size"], f"{where}.size", 3, positive=True)
+    return Obstacle((x, y), (a, b, c), number(given.get("yaw", 0.0), f"{where}.yaw"))
+
+
+def _magazine(value: Any, where: str) -> Magazine:
+    given = _table(value, where, ("kind", "at", "count"), ("kind", "at"))
+    count = given.get("count")
+    if count is not None and integer(count, f"{where}.count") < 0:
+        raise InputError(f"{where}.count", count, "0 or more")
+    return Magazine(text(given["kind"], f"{where}.kind"), _pose(given["at"], f"{where}.at"), count)
+
+
+def _pallet(value: Any, where: str) -> Pallet:
+    keys = ("kind", "at", "rows", "columns", "pitch")
+    given = _table(value, where, keys, keys)
+    rows, columns = (integer(given[key], f"{where}.{key}") for key in ("rows", "columns"))
+    for key, count in (("rows", rows), ("columns", columns)):
+        if not 1 <= count <= MAX_PLACES:
+            raise InputError(f"{where}.{key}", count, f"1 to {MAX_PLACES}")
+    u, v = _numbers(given["pitch"], f"{where}.pitch", 2, positive=True)
+    kind, pose = text(given["kind"], f"{where}.kind"), _pose(given["at"], f"{where}.at")
+    return Pallet(kind, pose, rows, columns, (u, v))
+
+
+def _position(value: Any, where: str) -> Position:
+    if isinstance(value, list | tuple):
+        return Position(None, _pose(value, where))
+    given = _table(value, where, ("kind", "at"), ("at",))
+    kind = None if given.get("kind") is None else text(given["kind"], f"{where}.kind")
+    return Position(kind, _pose(given["at"], f"{where}.at"))
+
+
+def _entries(value: Any, where: str, most: int) -> Sequence[Any]:
+    expected = f"a list of 1 to {most} entries"
+    found = sequence(value, where, expected)
+    if not 1 <= len(found) <= most:
+        raise InputError(where, f"{len(found)} entries", expected)
+    return found
+
+
+def _table(value: Any, where: str, valid: tuple[str, ...], need: tuple[str, ...]) -> Any:
+    check_keys(mapping(value, where), where, "", valid, need)
+    return value
+
+
+def _pose(value: Any, where: str) -> Pose:
+    expected = "[x, y] in metres, or [x, y, yaw] with the yaw in radians"
+    found = sequence(value, where, expected)
+    if len(found) not in (2, 3):
+        raise InputError(where, value, expected)
+    return Pose(*(_bounded(item, where) for item in found))
+
+
+def _numbers(value: Any, where: str, count: int, positive: bool = False) -> list[float]:
+    expected = f"{count} {'positive ' * positive}numbers up to 100"
+    found = [_bounded(item, where) for item in sequence(value, where, expected)]
+    if len(found) != count or (positive and min(found) <= 0):
+        raise InputError(where, value, expected)
+    return found
+
+
+def _bounded(value: Any, where: str) -> float:
+    found = number(value, where)
+    if abs(found) > 100:
+        raise InputError(where, found, "at most 100 [m]")
+    return found
+
+
+# ---------------------------------------------------------------- what blocks come from
+
+
+@dataclass(frozen=True)
+class Source:
+    """One pose at which blocks of a shape can be taken."""
+
+    shape: tuple[Part, ...]
+    pose: Pose
+    """Of the shape's frame."""
+    left: int | None
+    """How many blocks it can present; None: as many as needed."""
+    magazine: bool
+    """Presents blocks only when asked; else its one block lies there from the beginning."""
+
+
+def given_sources(site: Site, pieces: Sequence[Piece], order: Sequence[int]) -> list[Source]:
+    """The sources a layout names, for the pieces of a plan in the order they are needed.
+
+    Raises:
+        InputError: for a kind the plan does not use, places that overlap or lie off the table.
+    """
+    shapes: dict[str, list[tuple[Part, ...]]] = {}
+    for k in order:
+        known = shapes.setdefault(pieces[k].kind, [])
+        if pieces[k].shape not in known:
+            known.append(pieces[k].shape)
+    found: list[tuple[str, Source]] = []
+    for n, magazine in enumerate(site.magazines):
+        for shape in shapes.get(magazine.kind, []):
+            where = f"{site.source}: magazines[{n}]"
+            found.append((where, Source(shape, magazine.pose, magazine.count, True)))
+    lying = [(f"{site.source}: pallets[{n}]", p.kind, pose)
+             for n, p in enumerate(site.pallets) for pose in p.poses()]  # fmt: skip
+    lying += [(f"{site.source}: positions[{n}]", p.kind, p.pose)
+              for n, p in enumerate(site.positions)]  # fmt: skip
+    waiting = [k for k in order if pieces[k].shape not in {source.shape for _, source in found}]
+    for where, kind, pose in lying:
+        fits = (k for k in waiting if kind is None or pieces[k].kind == kind)
+        k = next(fits, None)
+        if k is not None:  # More places than blocks are left empty.
+            waiting.remove(k)
+            found.append((where, Source(pieces[k].shape, pose, 1, False)))
+    check_sources(site, found, pieces)
+    return [source for _, source in found]
+
+
+def check_sources(site: Site, found: list[tuple[str, Source]], pieces: Sequence[Piece]) -> None:
+    """Refuse sources off the table, or where something else is.
+
+    Raises:
+        InputError: naming the entry of the layout.
+    """
+    import shapely
+
+    table = shapely.box(*(-np.array(site.table) / 2), *(np.array(site.table) / 2))
+    ground = [footprint(p.shape, Pose(p.target[0], p.target[1], p.yaw)) for p in pieces
+              if p.target[2] - p.half[2] < 1e-3]  # fmt: skip
+    structure = shapely.union_all(ground)
+    blocked = [(f"obstacles[{k}]", outline(o)) for k, o in enumerate(site.obstacles)]
+    for k, (what, area) in enumerate(blocked):
+        if area.intersection(structure).area > 1e-9:
+            raise InputError(
+                f"{site.source}: {what}",
+                list(site.obstacles[k].centre),
+                "a place outside the building site",
+            )
+    for where, source in found:
+        face, at = footprint(source.shape, source.pose), [round(v, 4) for v in source.pose]
+        if not table.contains(face):
+            raise InputError(where, at, f"a place on the table ({site.table[0]:g} x "
+                             f"{site.table[1]:g} m)")  # fmt: skip
+        if face.intersection(structure).area > 1e-9:
+            raise InputError(where, at, "a place outside the building site")
+        for what, area in blocked:
+            if face.intersection(area).area > 1e-9:
+                raise InputError(where, at, f"a place that does not overlap {what}")
+        if not source.magazine:
+            blocked.append((where.split(": ")[-1], face))
+
+
+def footprint(shape: tuple[Part, ...], pose: Pose) -> Any:
+    """What a shape covers at a pose, as a shapely area."""
+    import shapely
+
+    return shapely.union_all([
+        shapely.affinity.translate(
+            shapely.affinity.rotate(
+                shapely.box(c[0] - h[0], c[1] - h[1], c[0] + h[0], c[1] + h[1]),
+                pose.yaw, origin=(0, 0), use_radians=True,
+            ),
+            pose.x, pose.y,
+        )
+        for c, h in shape
+    ])  # fmt: skip
+
+
+def outline(obstacle: Obstacle) -> Any:
+    """What an obstacle covers, as a shapely area."""
+    a, b, c = obstacle.size
+    part: Part = ((0.0, 0.0, 0.0), (a / 2, b / 2, c / 2))
+    return footprint((part,), Pose(*obstacle.centre, obstacle.yaw))
+
+
+def renamed(site: Site, **fields: Any) -> Site:
+    """The workcell with other fields."""
+    return dataclasses.replace(site, **fields)
