@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from learn2assemble.networks.agent import Agent, load_agent
     from learn2assemble.networks.config import NetworkConfig, register_network
     from learn2assemble.physics.rigid_blocks import Check, check
-    from learn2assemble.planning.build import build
+    from learn2assemble.planning.build import build, reach
     from learn2assemble.planning.plan import Plan, Step, load_plan
     from learn2assemble.robot.registry import register_arm, register_tool
     from learn2assemble.search.config import SearchConfig, register_search
@@ -72,6 +72,7 @@ _HOME = {
     "load_design": "design.cells:read_design",
     "load_kit": "assembly.kit",
     "load_plan": "planning.plan",
+    "reach": "planning.build",
     "read_assembly": "assembly.files",
     "register_arm": "robot.registry",
     "replay_program": "export.robot_programs",
@@ -116,6 +117,7 @@ __all__ = [
     "load_design",
     "load_kit",
     "load_plan",
+    "reach",
     "read_assembly",
     "register_arm",
     "register_learner",

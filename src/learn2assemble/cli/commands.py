@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,7 @@ from learn2assemble.search.config import SEARCHES
 
 if TYPE_CHECKING:
     from learn2assemble.cli.output import Output
-    from learn2assemble.planning.plan import Plan
+    from learn2assemble.planning.plan import ArmReport, Plan
 
 _READING = ("unit", "cell", "size", "up", "depth", "cells_wide")
 """Options that say how to read a design file."""
@@ -105,6 +106,16 @@ def _build_arguments(parser: argparse.ArgumentParser) -> None:
         "--video", action=argparse.BooleanOptionalAction, default=True,
         help="of the arm, build.mp4 (needs the extra video)",
     )  # fmt: skip
+    add("--tool", default=None, help="of the arm: suction (default) or gripper")
+    add(
+        "--physics", default="dynamic",
+        help="cell in which the arm carries out an exact plan: dynamic or kinematic",
+    )  # fmt: skip
+    add(
+        "--sense-noise", type=noise, default=(0.0, 0.0), metavar="MM[:DEG]",
+        help="standard deviations of the poses that are read back after every placement",
+    )  # fmt: skip
+    add("--resume", action="store_true", help="go on with the interrupted build in --out")
     add("--seed", type=natural, default=0, help="of the search and of a task's problem")
     add("--agent", default=None, help=AGENT_HELP)
     add(
@@ -113,9 +124,20 @@ def _build_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+STATE = "build.jsonl"
+"""What a build by an arm appends to, in its folder; gone when the plan is written."""
+
+
+def noise(text: str) -> tuple[float, float]:
+    """Standard deviations ``MM[:DEG]`` as metres and radians."""
+    parse = number(float, 0, 100, "millimetres and degrees, such as 0.5:0.2")
+    place, _, turn = text.partition(":")
+    return parse(place) / 1e3, math.radians(parse(turn)) if turn else 0.0
+
+
 def _build(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 for a complete plan, 1 for an incomplete or refused one."""
-    from learn2assemble.planning.build import build, builds_with_arm
+    from learn2assemble.planning.build import build, builds_with_arm, uses_exact_planner
 
     video = options.video and builds_with_arm(options.design, options.arm)
     given = {name: getattr(options, name) for name in _READING}
@@ -124,14 +146,23 @@ def _build(options: argparse.Namespace, output: Output) -> int:
         from learn2assemble.viewer.video import require_video
 
         require_video()  # What is missing shows before the work, not after it.
-    with claim_folder(options.out):
+    exact = uses_exact_planner(
+        options.design, options.planner, options.arm, options.agent, options.layout
+    )
+    state = options.out / STATE if exact and options.arm is not None else None
+    if options.resume and (state is None or not state.exists()):
+        raise InputError("--resume", str(options.out), f"a folder with {STATE}")
+    with claim_folder(options.out, options.resume):
         plan = build(
             options.design, planner=options.planner, kit=options.kit, friction=options.friction,
             gap=options.gap, props=not options.no_props, reading=reading, arm=options.arm,
             agent=options.agent, layout=options.layout, seed=options.seed,
-            seconds=options.seconds, progress=output.progress,
+            seconds=options.seconds, progress=output.progress, tool=options.tool,
+            physics=options.physics, noise=options.sense_noise, state=state,
         )  # fmt: skip
         files = plan.save(options.out, video=video, progress=output.progress)
+        if state is not None and plan.complete:
+            state.unlink(missing_ok=True)  # Everything is in the files of the plan now.
     _print_plan(output, plan, files)
     output.finish({**_summary(plan), "files": {k: str(v) for k, v in files.items()}})
     return 0 if plan.complete else 1
@@ -159,6 +190,7 @@ def _summary(plan: Plan) -> dict[str, Any]:
             "margin_g": plan.margin_g,
             "friction_range": plan.friction_range,
             "gap_range": plan.gap_range,
+            **({"arm": to_plain(plan.arm)} if plan.arm else {}),
         }
     return {
         **head,
@@ -200,10 +232,28 @@ def _print_exact_plan(output: Output, plan: Plan, files: dict[str, Path]) -> Non
             f"proven for friction {low:g} to {upper} and vertical joints of {narrow * 1e3:g} to "
             f"{wide * 1e3:g} mm"
         )
+    if plan.arm is not None:
+        _print_arm(output, plan.arm)
     if plan.reason:
         output.say(f"why: {plan.reason}")
     for what, path in files.items():
         output.say(f"{what}: {path}")
+
+
+def _print_arm(output: Output, arm: ArmReport) -> None:
+    """What the arm did of an exact plan."""
+    for failure in arm.failures:
+        output.say(f"attempt {failure.attempt}: {failure.outcome} ({failure.detail})")
+    base = ", ".join(f"{v:g}" for v in (arm.base or ())[:3])
+    output.say(
+        f"arm {arm.name} with {arm.tool} at [{base}]: {arm.attempts} attempts, blocks from "
+        f"{arm.places} places, {arm.seconds:.0f} s of robot time"
+    )
+    if arm.error_mean is not None and arm.error_worst is not None:
+        output.say(
+            f"blocks stand {1e3 * arm.error_mean:.2f} mm from their places on average, "
+            f"{1e3 * arm.error_worst:.2f} mm at most; {arm.attempts_per_step:.3f} attempts a step"
+        )
 
 
 def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from learn2assemble.cli.parser import Command, number
 from learn2assemble.errors import InputError, look_up
 from learn2assemble.files import claim_folder
+from learn2assemble.robot.registry import ARMS
 
 if TYPE_CHECKING:
     from learn2assemble.cli.output import Output
@@ -158,8 +159,6 @@ def _export_program(options: argparse.Namespace, output: Output) -> None:
 
 
 def _replay_arguments(parser: argparse.ArgumentParser) -> None:
-    from learn2assemble.robot.registry import ARMS
-
     add = parser.add_argument
     add("file", metavar="FILE", type=Path, help="what l2a export has written as csv, franka, ros2")
     add("--arm", required=True, help=f"which arm: {' or '.join(ARMS)}")
@@ -186,7 +185,65 @@ def _replay(options: argparse.Namespace, output: Output) -> int:
     return 0 if done.same else DIFFERS
 
 
+def _reach_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("design", metavar="DESIGN", help="a drawing, picture, mesh, voxels or blocks")
+    add("--arm", required=True, help=" or ".join(ARMS))
+    add("--tool", default="suction", help="suction (default) or gripper")
+    add("--kit", default=None, help="name or .toml file (the design's own)")
+    add("--unit", default=None, help="of the file where it does not say: mm, cm, m")
+    add("--layout", type=Path, default=None, metavar="FILE", help="with the base asked about")
+    add("--out", type=Path, default=None, metavar="DIR", help="write a page that shows it there")
+
+
+def _reach(options: argparse.Namespace, output: Output) -> int:
+    """Exit code 0 where everything is within reach, else 1."""
+    from learn2assemble.planning.build import reach
+
+    reading = {} if options.unit is None else {"unit": options.unit}
+    found = reach(
+        options.design, arm=options.arm, tool=options.tool, kit=options.kit,
+        layout=options.layout, reading=reading,
+    )  # fmt: skip
+    here, best, blocks = found.here, found.best, found.assembly.blocks
+    rows = [(blocks[k].id, blocks[k].kind, *(f"{v:.3f}" for v in blocks[k].centroid), why)
+            for k, why in here.out.items()]  # fmt: skip
+    if rows:
+        output.table("out of reach", ("block", "kind", "x [m]", "y [m]", "z [m]", "why"), rows)
+    within = here.count - len(here.out)
+    output.say(f"{found.arm} with {found.tool} at {here.words}: {within} of {here.count} blocks")
+    if best.base != here.base:
+        reached = best.count - len(best.out)
+        output.say(f"a base at {best.words} reaches {reached} of {best.count}")
+    files: dict[str, str] = {}
+    if options.out is not None:
+        from learn2assemble.viewer.assembly_page import write_assembly_page
+
+        with claim_folder(options.out):
+            page = options.out / "view.html"
+            facts = [("arm", f"{found.arm} with {found.tool}"), ("base", here.words),
+                     ("within reach", f"{within} of {here.count} blocks"),
+                     ("base that reaches most", best.words)]  # fmt: skip
+            write_assembly_page(
+                page, found.assembly, title=found.assembly.name or "reach", facts=facts,
+                moving=[blocks[k].id for k in here.out],
+                status="within reach" if found.complete else "out of reach",
+            )  # fmt: skip
+        files["page"] = str(page)
+        output.say(f"page: {page}")
+    output.finish({
+        "arm": found.arm, "tool": found.tool, "base": list(here.base), "blocks": here.count,
+        "out_of_reach": {blocks[k].id: why for k, why in here.out.items()},
+        "best_base": list(best.base), "best_reaches": best.count - len(best.out), "files": files,
+    })  # fmt: skip
+    return 0 if found.complete else 1
+
+
 COMMANDS = {
+    "reach": Command(
+        "what of a design an arm reaches, and from where it reaches most",
+        "l2a reach house.svg --arm panda --out out/reach", _reach_arguments, _reach,
+    ),
     "check": Command(
         "whether an assembly of blocks stands, and what moves first",
         "l2a check wall.json --out out/check", _check_arguments, _check,

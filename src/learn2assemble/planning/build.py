@@ -28,10 +28,13 @@ if TYPE_CHECKING:
     from learn2assemble.planning.supply import Layout
     from learn2assemble.planning.verify import Proof
     from learn2assemble.planning.workcell_plan import Workcell
+    from learn2assemble.planning.workcell_reach import ReachReport
     from learn2assemble.planning.workcell_site import Site
     from learn2assemble.world.design_bounds import Design
 
 PLANNERS = ("auto", "exact", "agent")
+DEFAULT_TOOL = "suction"
+"""Of an arm that carries out an exact plan: with fingers, blocks cannot stand close."""
 PHYSICS = ("dynamic", "kinematic")
 """Cells in which an arm carries out exact plans."""
 AGENT_SECONDS, EXACT_SECONDS = 20.0, 60.0
@@ -88,8 +91,8 @@ def build(
         seconds: limit of planning and proof, or of the agent's widest search [s]; by default
             60 and 20.
         progress: called with a line of text for everything that takes long.
-        tool: what the arm holds blocks with, ``"suction"`` or ``"gripper"``; by default the gripper
-            for kits of single cubes.
+        tool: what the arm holds the blocks of an exact plan with, ``"suction"`` (the default) or
+            ``"gripper"``.
         physics: in which cell an exact plan is carried out, ``"dynamic"`` or ``"kinematic"``.
         noise: standard deviations of what is read back while an exact plan is carried out: x and y
             [m], yaw [rad].
@@ -127,7 +130,9 @@ def build(
         raise InputError("kit, friction, gap, props or reading", "given", "the exact planner")
     seconds = AGENT_SECONDS if seconds is None else seconds
     _check_names(design, arm, layout)
-    problem, source, places = _problem(cast("str | Path | Design", design), seed, arm, layout)
+    problem, source, places = _problem(
+        cast("str | Path | Design", design), seed, arm, cast("str | Path | Layout | None", layout)
+    )
     from learn2assemble.networks.agent import default_agent, load_agent, one_thread
 
     if agent is None or isinstance(agent, str):
@@ -151,6 +156,36 @@ def build(
         return build_with_arm(
             problem, agent, source, real_cell(chosen), seed=seed, seconds=seconds, progress=progress
         )
+
+
+def reach(
+    design: str | Path | CellDesign | Assembly,
+    *,
+    arm: str,
+    tool: str = DEFAULT_TOOL,
+    kit: str | Kit | None = None,
+    layout: str | Path | Site | None = None,
+    reading: Mapping[str, Any] | None = None,
+    seconds: float | None = None,
+) -> ReachReport:
+    """What of a design an arm reaches, and from where it reaches most.
+
+    Args:
+        design, kit, reading, seconds: see :func:`build`; the exact planner chooses the blocks.
+        arm: name of the arm.
+        tool: what it holds blocks with.
+        layout: with the base that is asked about (``docs/layouts.md``).
+
+    Raises:
+        InputError: for a design, arm, tool or layout that cannot be used.
+    """
+    how = _Arm(arm, tool, layout, PHYSICS[0], (0.0, 0.0), None, 0)
+    how.check()
+    site = how.workcell().site
+    plan = build(design, planner="exact", kit=kit, reading=reading, seconds=seconds)
+    from learn2assemble.planning.workcell_reach import report_reach
+
+    return report_reach(plan, arm, tool, site)
 
 
 def uses_exact_planner(
@@ -185,9 +220,9 @@ class _Arm(NamedTuple):
             look_up("tool", self.tool, TOOLS)
         look_up("physics", self.physics, dict.fromkeys(PHYSICS))
 
-    def workcell(self, kit: Kit | None) -> Workcell:
+    def workcell(self) -> Workcell:
         """The same with defaults, the layout read."""
-        from learn2assemble.planning.workcell_plan import Workcell, default_tool
+        from learn2assemble.planning.workcell_plan import Workcell
         from learn2assemble.planning.workcell_site import Site, read_site
 
         site = Site() if self.layout is None else self.layout
@@ -195,7 +230,7 @@ class _Arm(NamedTuple):
             site = read_site(Path(site))
         if not isinstance(site, Site):
             raise InputError("layout", type(site).__name__, "a file or a Site")
-        tool = self.tool or ("suction" if kit is None else default_tool(kit))
+        tool = self.tool or DEFAULT_TOOL
         return Workcell(self.arm, tool, site, self.physics, self.seed, self.noise, log=self.state)
 
 
@@ -224,7 +259,7 @@ def _build_exact(
     if isinstance(design, Assembly):
         if kit is not None or isinstance(friction, tuple) or gap is not None:
             raise InputError("kit, gap or a range of friction", "given", "a design of cells")
-        workcell = None if how is None else how.workcell(None)
+        workcell = None if how is None else how.workcell()
         plan = plan_assembly(
             design, friction=friction, seconds=seconds, progress=progress, source=source
         )
@@ -236,7 +271,7 @@ def _build_exact(
     if not isinstance(design, CellDesign):
         raise InputError("design", type(design).__name__, "a file, cells or an assembly")
     kit = kit or load_kit(design.kit or DEFAULT_KIT)
-    workcell = None if how is None else how.workcell(kit)
+    workcell = None if how is None else how.workcell()
     plan = plan_cells(
         design, kit, friction=friction, gap=gap, props=props, seconds=seconds, progress=progress
     )

@@ -64,6 +64,7 @@ SPREAD = 5.0
 """A reading that is off by more standard deviations means that the block has moved."""
 PUSH, DROP = 0.015, (0.07, 0.04)
 """Of the disturbances: how far a block is pushed, and let go beside and above its place [m]."""
+WAITING = "what it stands on is missing"
 STATE_FORMAT = "learn2assemble-build"
 
 
@@ -198,7 +199,7 @@ class Building:
             missing = {k for k in self.structure.below[step.block] - standing
                        if self.world.state[k] != RETURNED}  # fmt: skip
             if missing:
-                blocked[step.block] = "what it stands on is missing"
+                blocked[step.block] = WAITING
             elif not self.structure.stands(frozenset(standing | {step.block})):
                 blocked[step.block] = "it would fall"
             else:
@@ -219,7 +220,9 @@ class Building:
             if not self.satisfied(step) and step.block not in blocked:
                 last = [d for d in self.done if d.block == step.block]
                 blocked[step.block] = last[-1].detail if last else "it comes later"
-        number, why = next(iter(blocked.items()))
+        causes = [k for k, why in blocked.items() if why != WAITING]
+        number = next(iter(causes or blocked))
+        why = blocked[number]
         others = f" and {len(blocked) - 1} others" if len(blocked) > 1 else ""
         piece = self.world.pieces[number]
         return f"{piece.id} ({piece.name}){others} cannot be placed: {why}"
@@ -487,7 +490,7 @@ class Building:
         piece, frame = self.world.pieces[k], frame_of(quaternion)
         if len(piece.shape) > 1 or (frame.side == np.eye(3)).all():
             return quaternion
-        half = np.array(piece.shape[0][1])
+        half = piece.half
         if np.abs(np.abs(frame.side.T) @ half - half).max() > 1e-6:
             return quaternion
         return matrix_quaternion(quaternion_matrix(quaternion) @ frame.side)
@@ -759,7 +762,9 @@ def _packed_step(step: StepRecord) -> dict[str, Any]:
 
 def _unpacked_step(value: dict[str, Any]) -> StepRecord:
     samples = Samples(**{name: _unpacked(array) for name, array in value.pop("samples").items()})
-    arrays = {name: _unpacked(value.pop(name)) for name in ("target", "before", "after")}
+    arrays: dict[str, Any] = {
+        name: _unpacked(value.pop(name)) for name in ("target", "before", "after")
+    }
     stages = tuple(Stage(*stage) for stage in value.pop("stages"))
     outcome, cells = Outcome(value.pop("outcome")), tuple(value.pop("cells"))
     return StepRecord(**value, **arrays, samples=samples, stages=stages, outcome=outcome,

@@ -16,6 +16,7 @@ from learn2assemble.assembly.blocks import Step as AssemblyStep
 from learn2assemble.errors import InputError
 from learn2assemble.planning.plan import ArmFailure, ArmReport, Plan, Step
 from learn2assemble.planning.workcell import (
+    STANDING,
     Arranged,
     Disturbance,
     Job,
@@ -34,8 +35,8 @@ from learn2assemble.robot.moves import Outcome
 if TYPE_CHECKING:
     from learn2assemble.assembly.kit import Kit
 
-FINGER_ROOM = 0.011
-"""Between blocks that fingers shall get between [m]."""
+FINGER_ROOMS = (0.011, 0.02, 0.03, 0.036)
+"""Gaps between blocks that are tried where fingers have no room [m]."""
 
 
 @dataclass(frozen=True)
@@ -52,11 +53,6 @@ class Workcell:
     disturbance: Disturbance | None = None
     log: Path | None = None
     """What is appended to after every attempt; where it exists, the build goes on from it."""
-
-
-def default_tool(kit: Kit) -> str:
-    """The gripper for kits of single cubes, else suction."""
-    return "gripper" if all(len(kind.cells) == 1 for kind in kit.kinds) else "suction"
 
 
 def job_of(plan: Plan, arm: str, joint: float) -> Job:
@@ -77,11 +73,11 @@ def job_of(plan: Plan, arm: str, joint: float) -> Job:
     )  # fmt: skip
 
 
-def wider(kit: Kit) -> Kit:
-    """The kit with joints that fingers get between: blocks as they are, farther apart."""
+def wider(kit: Kit, gap: float) -> Kit:
+    """The kit with vertical joints of this width [m]: blocks as they are, farther apart."""
     dx, dy, dz = kit.pitch
-    room = FINGER_ROOM - kit.joint_gap
-    return replace(kit, pitch=(dx + room, dy + room, dz), joint_gap=FINGER_ROOM)
+    room = gap - kit.joint_gap
+    return replace(kit, pitch=(dx + room, dy + room, dz), joint_gap=gap)
 
 
 def prepare(
@@ -146,17 +142,17 @@ def carry_out_cells(
     if not plan.complete:
         return plan
     found = prepare(plan, workcell, kit.joint_gap, progress)
-    if found[2].stuck and found[0].arm.suction is None and kit.joint_gap < FINGER_ROOM:
-        progress("fingers have no room between the blocks: placing them farther apart")
-        wide = wider(kit)
-        other = plan_again(wide)
+    gap = kit.joint_gap
+    for room in FINGER_ROOMS:
+        if not found[2].stuck or found[0].arm.suction is not None or room <= kit.joint_gap:
+            continue
+        progress(f"fingers have no room between the blocks: trying {1e3 * room:g} mm")
+        other = plan_again(wider(kit, room))
         if other.complete:
-            again = prepare(other, workcell, wide.joint_gap, progress)
+            again = prepare(other, workcell, room, progress)
             if len(again[2].steps) > len(found[2].steps):
-                return carry_out(
-                    other, workcell, joint=wide.joint_gap, progress=progress, found=again
-                )
-    return carry_out(plan, workcell, joint=kit.joint_gap, progress=progress, found=found)
+                plan, found, gap = other, again, room
+    return carry_out(plan, workcell, joint=gap, progress=progress, found=found)
 
 
 def _physical(job: Job, workcell: Workcell) -> PhysicalCell | None:
@@ -182,7 +178,10 @@ def _key(plan: Plan, workcell: Workcell) -> str:
     import hashlib
 
     steps = [(s.block, s.action, s.kind, s.position) for s in plan.steps]
-    told = (steps, workcell.arm, workcell.tool, workcell.site, workcell.physics, workcell.seed,
+    # A magazine that ran empty may have been filled again.
+    filled = tuple(magazine._replace(count=None) for magazine in workcell.site.magazines)
+    site = replace(workcell.site, magazines=filled, source="")
+    told = (steps, workcell.arm, workcell.tool, site, workcell.physics, workcell.seed,
             workcell.noise)  # fmt: skip
     return hashlib.sha256(repr(told).encode()).hexdigest()[:24]
 
@@ -227,7 +226,9 @@ def _carried_out(
     done.sort(key=lambda step: last[step].number if step in last else 0)
     proven = {(s.block, s.action == "remove"): s for s in plan.steps}
     standing: set[int] = set()
-    same = [tuple(step) for step in done] == [(s.block, s.action == "remove") for s in plan.steps]
+    same = [(s.block, s.remove) for s in done] == [
+        (s.block, s.action == "remove") for s in plan.steps
+    ]
     steps: list[Step] = []
     share = {s.block: 0.0 for s in plan.steps}
     before = 0.0
@@ -237,11 +238,11 @@ def _carried_out(
     covered = 0.0
     for number, step in enumerate(done, 1):
         standing = standing - {step.block} if step.remove else standing | {step.block}
-        old, attempt = proven[step.block, step.remove], last.get(tuple(step))
+        old, attempt = proven[step.block, step.remove], last.get((step.block, step.remove))
         covered += 0.0 if step.remove else share[step.block]
         stands = same or building.structure.stands(frozenset(standing))
-        pose = world.pose[step.block] if not step.remove and world.state[step.block] == 1 else (
-            world.target(step.block))  # fmt: skip
+        there = not step.remove and world.state[step.block] == STANDING
+        pose = world.pose[step.block] if there else world.target(step.block)
         x, y, z, w, a, b, c = (round(float(v), 6) for v in pose)
         how = "suction from above" if job.arm.suction else "fingers"
         steps.append(
@@ -261,7 +262,7 @@ def _carried_out(
     assembly = Assembly(plan.assembly.blocks, made, plan.assembly.friction, plan.assembly.name)
     record = building.record()
     if record is not None:
-        numbers = {tuple(step): n for n, step in enumerate(done, 1)}
+        numbers = {(step.block, step.remove): n for n, step in enumerate(done, 1)}
         named = [
             dataclasses.replace(step, plan_step=numbers.get((d.block, d.what == "remove"))
                                 if d.what in ("place", "again", "remove") else None)

@@ -11,6 +11,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from learn2assemble.planning.workcell_site import (
     footprint,
     given_sources,
     outline,
+    pieces_of,
 )
 from learn2assemble.robot.approach import ApproachCache
 from learn2assemble.robot.arm import Arm, get_arm
@@ -42,6 +44,10 @@ from learn2assemble.robot.moves import (
     turned,
     why_not_held,
 )
+
+if TYPE_CHECKING:
+    from learn2assemble.assembly.blocks import Assembly
+    from learn2assemble.planning.plan import Plan
 
 Base = tuple[float, float, float, float]
 """x, y, z [m] and the direction the arm faces [rad from x]."""
@@ -104,21 +110,53 @@ def reach_from(
 
 
 def _unreached(cache: ApproachCache, piece: Piece) -> str | None:
-    top = piece.target[2] + piece.half[2]
+    top = float(piece.target[2] + piece.half[2])
+    return way_down(cache, piece.shape, piece.target, piece.yaw, top)
+
+
+def way_down(
+    cache: ApproachCache, shape: tuple[Part, ...], middle: np.ndarray, yaw: float, top: float
+) -> str | None:
+    """Why the tool has no way down to a block; None where it has one.
+
+    Args:
+        cache: of the arm.
+        shape: of the block.
+        middle: float64[3] of its bounding box [m].
+        yaw: of its shape [rad].
+        top: of what it has to be carried over [m].
+    """
+    parts = sorted(shape, key=lambda part: (-part[0][2] - part[1][2], np.hypot(*part[0][:2])))
+    tall = 2 * max(abs(c[2]) + h[2] for c, h in shape)
     why = ""
-    parts = sorted(piece.shape, key=lambda part: (-part[0][2] - part[1][2], np.hypot(*part[0][:2])))
     for centre, half in parts:
-        where = piece.target + yaw_matrix(piece.yaw) @ np.array(centre)
+        where = middle + yaw_matrix(yaw) @ np.array(centre)
         for attitude in different(attitudes(cache.arm, np.array(half)), cache.arm):
-            height = top + CLEARANCE + 2 * piece.half[2] + attitude.depth
+            height = top + CLEARANCE + tall + attitude.depth
             height = LEVEL * math.ceil(height / LEVEL - 1e-9)
             for turn in (0.0, *cache.arm.turns):
-                turned = attitude._replace(yaw=attitude.yaw + piece.yaw + turn)
+                turned = attitude._replace(yaw=attitude.yaw + yaw + turn)
                 found = cache.solve(where, turned, height)
                 if not isinstance(found, str):
                     return None
                 why = why or found
     return why or "the tool cannot hold it"
+
+
+def _check_sources(arm: Arm, given: Sequence[Source], top: float) -> None:
+    """Refuse places of a layout that are out of reach.
+
+    Raises:
+        InputError: naming the first one.
+    """
+    cache = ApproachCache(arm)
+    for source in given:
+        half = max(abs(c[2]) + h[2] for c, h in source.shape)
+        middle = np.array([source.pose.x, source.pose.y, half])
+        why = way_down(cache, source.shape, middle, source.pose.yaw, top)
+        if why is not None:
+            at = [round(v, 4) for v in source.pose]
+            raise InputError(source.name, at, f"a place {arm.name} can reach ({why})")
 
 
 def extreme(pieces: Sequence[Piece]) -> list[int]:
@@ -164,6 +202,47 @@ def suggest(name: str, tool: str, pieces: Sequence[Piece]) -> Reach:
     return reach_from(place_arm(name, tool, best.base), best.base, pieces)
 
 
+@dataclass(frozen=True, eq=False)
+class ReachReport:
+    """What of a design an arm reaches."""
+
+    arm: str
+    tool: str
+    assembly: Assembly
+    """The blocks; :attr:`Reach.out` refers to them by index."""
+    here: Reach
+    """From the base that was asked about, else from the best one."""
+    best: Reach
+    """From the base that reaches most."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether everything is within reach."""
+        return not self.here.out
+
+
+def report_reach(
+    plan: Plan, arm: str, tool: str = "suction", site: Site | None = None
+) -> ReachReport:
+    """What an arm reaches of the blocks of a plan, and from where it reaches most.
+
+    Args:
+        plan: with an assembly.
+        site: with the base that is asked about, if any.
+
+    Raises:
+        InputError: for a plan without blocks, and for blocks the tool cannot hold.
+    """
+    if plan.assembly is None:
+        raise InputError("design", plan.reason or "no blocks", "a design that blocks fill")
+    pieces = pieces_of(plan.assembly)
+    check_held(get_arm(arm, tool), pieces)
+    best = here = suggest(arm, tool, pieces)
+    if site is not None and site.base is not None:
+        here = reach_from(place_arm(arm, tool, site.base), site.base, pieces)
+    return ReachReport(arm, tool, plan.assembly, here, best)
+
+
 def check_held(arm: Arm, pieces: Sequence[Piece]) -> None:
     """Refuse kinds that the tool cannot hold.
 
@@ -201,11 +280,13 @@ def set_up(job: Job, name: str, tool: str, site: Site) -> Job:
     job = replace(job, obstacles=site.obstacles)
     order = [step.block for step in job.steps if not step.remove]
     given = given_sources(site, pieces, order)
+    top = max(float(p.target[2] + p.half[2]) for p in pieces)
     if site.base is not None:
         found = reach_from(place_arm(name, tool, site.base), site.base, pieces)
         if found.out:
             raise _out_of_reach(name, pieces, found, suggest(name, tool, pieces))
         arm = resting(place_arm(name, tool, site.base), site.base[3], pieces)
+        _check_sources(arm, given, top)
         return _supplied(replace(job, arm=arm), given, site)
     key, fault = extreme(pieces), None
     for base in bases(pieces):
@@ -213,6 +294,7 @@ def set_up(job: Job, name: str, tool: str, site: Site) -> Job:
         if reach_from(arm, base, pieces, key).out or reach_from(arm, base, pieces).out:
             continue
         try:
+            _check_sources(arm, given, top)
             return _supplied(replace(job, arm=resting(arm, base[3], pieces)), given, site)
         except InputError as error:
             fault = fault or error
@@ -259,15 +341,9 @@ def _supplied(job: Job, given: list[Source], site: Site) -> Job:
     import shapely
 
     needed = Counter(job.pieces[step.block].shape for step in job.steps if not step.remove)
-    have: Counter[tuple[Part, ...]] = Counter()
-    for source in given:
-        have[source.shape] += 10**6 if source.left is None else source.left
-    missing = [shape for shape, count in needed.most_common() if have[shape] < count]
-    short = [shape for shape in missing if have[shape]]
-    if short and not any(not s.magazine for s in given if s.shape == short[0]):
-        piece = next(p for p in job.pieces if p.shape == short[0])
-        got = f"{have[short[0]]} of {needed[short[0]]} blocks of kind {piece.name}"
-        raise InputError(f"{site.source}: magazines", got, "as many as the plan needs")
+    # What a user has given too few of runs empty, and the build waits for more.
+    known = {source.shape for source in given}
+    missing = [shape for shape, _ in needed.most_common() if shape not in known]
     finished = replace(job, sources=())
     cell = KinematicCell(job.arm, cells_of(job))
     structure = shapely.union_all([
@@ -297,7 +373,7 @@ def cells_of(job: Job) -> int:
 
 
 def _magazine_places(
-    job: Job, cell: KinematicCell, shape: tuple[Part, ...], blocked: object, table: object
+    job: Job, cell: KinematicCell, shape: tuple[Part, ...], blocked: Any, table: Any
 ) -> Iterator[Pose]:
     """Poses at which blocks of a shape can be taken with the finished structure there."""
     import shapely

@@ -8,12 +8,11 @@ single *positions* lie on the table from the beginning.
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -42,6 +41,7 @@ QUARTER = math.pi / 2
 _GRAIN = 1e-6
 """Shapes that differ by less are one [m]."""
 
+T = TypeVar("T")
 Part = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Centre and half extents of a box [m]."""
 
@@ -237,20 +237,16 @@ def _site(value: Any, source: str) -> Site:
         x, y, z = _numbers(given["position"], f"{source}: base.position", 3)
         base = x, y, z, number(given.get("yaw", 0.0), f"{source}: base.yaw")
     width, depth = _numbers(root.get("table", TABLE), f"{source}: table", 2, positive=True)
-    lists = {
-        key: [
-            make(entry, f"{source}: {key}[{k}]")
-            for k, entry in enumerate(
-                _entries(root[key], f"{source}: {key}", MAX_PLACES if key == "positions" else 64)
-            )
-        ]
-        for key, make in (
-            ("obstacles", _obstacle), ("magazines", _magazine), ("pallets", _pallet),
-            ("positions", _position),
-        )
-        if key in root
-    }  # fmt: skip
-    site = Site(base, (width, depth), source=source, **{k: tuple(v) for k, v in lists.items()})
+
+    def every(key: str, make: Callable[[Any, str], T], most: int = MAX_ENTRIES) -> tuple[T, ...]:
+        where = f"{source}: {key}"
+        given = _entries(root[key], where, most) if key in root else ()
+        return tuple(make(entry, f"{where}[{k}]") for k, entry in enumerate(given))
+
+    site = Site(
+        base, (width, depth), every("obstacles", _obstacle), every("magazines", _magazine),
+        every("pallets", _pallet), every("positions", _position, MAX_PLACES), source,
+    )  # fmt: skip
     blocks = len(site.positions) + sum(p.rows * p.columns for p in site.pallets)
     if blocks > MAX_PLACES:
         raise InputError(f"{source}: pallets", f"{blocks} blocks", f"at most {MAX_PLACES}")
@@ -342,6 +338,8 @@ class Source:
     """How many blocks it can present; None: as many as needed."""
     magazine: bool
     """Presents blocks only when asked; else its one block lies there from the beginning."""
+    name: str = "supply"
+    """What messages call it."""
 
 
 def given_sources(site: Site, pieces: Sequence[Piece], order: Sequence[int]) -> list[Source]:
@@ -359,7 +357,7 @@ def given_sources(site: Site, pieces: Sequence[Piece], order: Sequence[int]) -> 
     for n, magazine in enumerate(site.magazines):
         for shape in shapes.get(magazine.kind, []):
             where = f"{site.source}: magazines[{n}]"
-            found.append((where, Source(shape, magazine.pose, magazine.count, True)))
+            found.append((where, Source(shape, magazine.pose, magazine.count, True, where)))
     lying = [(f"{site.source}: pallets[{n}]", p.kind, pose)
              for n, p in enumerate(site.pallets) for pose in p.poses()]  # fmt: skip
     lying += [(f"{site.source}: positions[{n}]", p.kind, p.pose)
@@ -370,7 +368,7 @@ def given_sources(site: Site, pieces: Sequence[Piece], order: Sequence[int]) -> 
         k = next(fits, None)
         if k is not None:  # More places than blocks are left empty.
             waiting.remove(k)
-            found.append((where, Source(pieces[k].shape, pose, 1, False)))
+            found.append((where, Source(pieces[k].shape, pose, 1, False, where)))
     check_sources(site, found, pieces)
     return [source for _, source in found]
 
@@ -430,8 +428,3 @@ def outline(obstacle: Obstacle) -> Any:
     a, b, c = obstacle.size
     part: Part = ((0.0, 0.0, 0.0), (a / 2, b / 2, c / 2))
     return footprint((part,), Pose(*obstacle.centre, obstacle.yaw))
-
-
-def renamed(site: Site, **fields: Any) -> Site:
-    """The workcell with other fields."""
-    return dataclasses.replace(site, **fields)

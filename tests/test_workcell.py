@@ -1,0 +1,358 @@
+"""An arm carries out exact plans: order with reach, supply, repair, going on, what is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import learn2assemble as l2a
+from learn2assemble.assembly.kit import Kit, load_kit
+from learn2assemble.design.cells import CellDesign
+from learn2assemble.errors import InputError
+from learn2assemble.geometry.rotations import yaw_quaternion
+from learn2assemble.planning.construct import plan_cells
+from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.workcell import (
+    STANDING,
+    Disturbance,
+    Structure,
+    World,
+    frame_of,
+    rows_of,
+)
+from learn2assemble.planning.workcell_plan import Workcell, carry_out, job_of, prepare
+from learn2assemble.planning.workcell_site import (
+    QUARTER,
+    Magazine,
+    Obstacle,
+    Pallet,
+    Pose,
+    Position,
+    Site,
+    footprint,
+    pieces_of,
+    read_site,
+)
+from shapes import wall
+
+KIT = dataclasses.replace(load_kit("bricks-lintels"), pitch=(0.04, 0.04, 0.04))
+
+
+def planned(cells: np.ndarray, kit: Kit = KIT) -> Plan:
+    plan = plan_cells(CellDesign("wall", cells, kit.pitch, None, 0.0, None, "", None), kit)
+    assert plan.complete
+    return plan
+
+
+@pytest.fixture(scope="module")
+def window() -> Plan:
+    return planned(wall(9, 1, 5, (3, 6, 2, 4)))
+
+
+def quick(**fields: object) -> Workcell:
+    return Workcell("panda", "suction", physics="kinematic", **fields)  # type: ignore[arg-type]
+
+
+def stands_where_it_should(plan: Plan) -> None:
+    """Every block of the finished structure is within 3 mm of its place in the assembly."""
+    assert plan.complete, plan.reason
+    assert plan.assembly is not None
+    gone = {step.block for step in plan.steps if step.action == "remove"}
+    for step in plan.steps:
+        if step.action == "place" and step.block not in gone:
+            block = plan.assembly.blocks[step.block]
+            middle = (block.vertices.min(0) + block.vertices.max(0)) / 2
+            assert np.linalg.norm(np.array(step.position) - middle) < 3e-3
+
+
+# ---------------------------------------------------------------- blocks as boxes
+
+
+def test_pieces_fill_their_blocks(window: Plan) -> None:
+    assert window.assembly is not None
+    for piece, block in zip(pieces_of(window.assembly), window.assembly.blocks, strict=True):
+        boxes = piece.boxes(piece.target, piece.yaw)
+        low = np.min([a for a, _ in boxes], axis=0)
+        high = np.max([b for _, b in boxes], axis=0)
+        assert np.allclose([low, high], [block.vertices.min(0), block.vertices.max(0)], atol=1e-6)
+        volume = sum(float(np.prod(b - a)) for a, b in boxes)
+        assert math.isclose(volume, block.volume, rel_tol=1e-4)
+        assert piece.half[0] >= piece.half[1]
+
+
+def test_polycubes_are_one_shape_in_every_turn() -> None:
+    kit = load_kit("tetrominoes")
+    plan = planned(np.ones((4, 4, 1), bool), kit)
+    assert plan.assembly is not None
+    shapes: dict[str, set[object]] = {}
+    for piece in pieces_of(plan.assembly):
+        shapes.setdefault(piece.kind, set()).add(piece.shape)
+    assert all(len(found) == 1 for found in shapes.values())
+
+
+@given(st.floats(-3.0, 3.0), st.integers(0, 5))
+def test_frame_of_a_block_on_any_side(yaw: float, side: int) -> None:
+    from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
+
+    axes = np.eye(3)[[1, 2, 0]] if side % 3 == 0 else np.eye(3)[[2, 0, 1]]
+    laid = np.eye(3) if side % 3 == 2 else axes
+    flipped = laid @ np.diag([1.0, -1.0, -1.0]) if side > 2 else laid
+    turn = quaternion_matrix(yaw_quaternion(yaw)) @ flipped
+    frame = frame_of(matrix_quaternion(turn))
+    upright = turn @ frame.side
+    assert frame.tilt < 1e-6
+    assert np.allclose(upright[:, 2], [0, 0, 1], atol=1e-9)
+    assert np.allclose(upright, quaternion_matrix(yaw_quaternion(frame.yaw)), atol=1e-9)
+
+
+# ---------------------------------------------------------------- the order
+
+
+@pytest.mark.parametrize("arm", ["panda", "ur5e"])
+def test_the_order_builds_from_below_and_every_state_is_proven(window: Plan, arm: str) -> None:
+    job, structure, order, _ = prepare(window, Workcell(arm), KIT.joint_gap)
+    assert not order.stuck
+    assert sorted(order.steps) == sorted(job.steps)
+    standing: set[int] = set()
+    for step in order.steps:
+        assert structure.below[step.block] <= standing
+        standing.add(step.block)
+        assert structure.stands(frozenset(standing))
+    # One magazine for every kind, none of them on the site or on another.
+    assert len(job.sources) == len({piece.shape for piece in job.pieces})
+    faces = [footprint(source.shape, source.pose) for source in job.sources]
+    ground = [footprint(p.shape, Pose(p.target[0], p.target[1], p.yaw)) for p in job.pieces]
+    for n, face in enumerate(faces):
+        assert all(face.distance(other) > 0.005 for other in faces[:n])
+        assert all(face.distance(other) > 0.05 for other in ground)
+
+
+def test_what_falls_is_refused_by_the_structure(window: Plan) -> None:
+    job = job_of(window, "panda", KIT.joint_gap)
+    structure = Structure(job)
+    above = next(k for k in range(len(job.pieces)) if structure.below[k])
+    assert not structure.stands(frozenset({above}))
+
+
+def test_scene_rows_are_the_boxes_where_they_are(window: Plan) -> None:
+    job = prepare(window, quick(), KIT.joint_gap)[0]
+    world = World(job)
+    for k in range(4):
+        world.pose[k], world.state[k] = world.target(k), STANDING
+    rows = rows_of(world, world.pose, 3)
+    assert rows.scene.num_placed == len(rows.scene.position) - len(job.pieces[3].shape)
+    volume = 8 * rows.scene.halves.prod(1).sum()
+    assert math.isclose(volume, sum(b.volume for b in job.assembly.blocks[:4]), rel_tol=1e-4)
+
+
+# ---------------------------------------------------------------- carrying out
+
+
+def test_a_wall_is_carried_out_with_one_attempt_a_block(window: Plan) -> None:
+    plan = carry_out(window, quick())
+    stands_where_it_should(plan)
+    assert plan.arm is not None
+    assert plan.arm.attempts == len(plan.steps)
+    assert plan.arm.attempts_per_step == 1.0
+    assert Plan.from_dict(plan.to_dict()).arm == plan.arm
+
+
+def test_polycubes_are_carried_out() -> None:
+    plan = carry_out(planned(np.ones((4, 4, 2), bool), load_kit("tetrominoes")), quick())
+    stands_where_it_should(plan)
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.integers(0, 10**6))
+def test_noise_of_readings_leaves_blocks_in_their_places(window: Plan, seed: int) -> None:
+    noise = 5e-4, math.radians(0.2)
+    plan = carry_out(window, quick(noise=noise, seed=seed))
+    stands_where_it_should(plan)
+    assert plan.arm is not None
+    assert plan.arm.error_worst is not None
+    assert plan.arm.error_worst < 2e-3
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.integers(0, 10**6), st.sets(st.integers(2, 9), max_size=3))
+def test_pushed_and_dropped_blocks_are_repaired(window: Plan, seed: int, when: set[int]) -> None:
+    mixed = sorted(when)
+    disturbance = Disturbance(drop=frozenset(mixed[::2]), push=frozenset(mixed[1::2]))
+    plan = carry_out(window, quick(seed=seed, disturbance=disturbance))
+    stands_where_it_should(plan)
+    assert plan.arm is not None
+    assert plan.arm.attempts >= len(plan.steps)
+    assert sum(f.outcome == "dropped" for f in plan.arm.failures) <= len(disturbance.drop)
+
+
+def test_an_interrupted_build_goes_on_to_the_same_end(window: Plan, tmp_path: Path) -> None:
+    whole = carry_out(window, quick(noise=(5e-4, 0.002)))
+    log = tmp_path / "build.jsonl"
+    carry_out(window, quick(noise=(5e-4, 0.002), log=log))
+    lines = log.read_text().split("\n")
+    # As a kill in the middle of a write leaves it.
+    log.write_text("\n".join(lines[:6]) + "\n" + lines[6][: len(lines[6]) // 2])
+    resumed = carry_out(window, quick(noise=(5e-4, 0.002), log=log))
+    assert [s.position for s in resumed.steps] == [s.position for s in whole.steps]
+    assert resumed.arm is not None
+    assert whole.arm is not None
+    assert resumed.arm.attempts == whole.arm.attempts
+    other = quick(noise=(5e-4, 0.002), log=log, seed=5)
+    with pytest.raises(InputError, match="the same design"):
+        carry_out(window, other)
+
+
+# ---------------------------------------------------------------- the workcell of a user
+
+
+def written(tmp_path: Path, **fields: object) -> Path:
+    path = tmp_path / "layout.json"
+    path.write_text(json.dumps({"format": "learn2assemble-layout", "version": 2, **fields}))
+    return path
+
+
+def test_blocks_come_from_where_the_layout_says(window: Plan, tmp_path: Path) -> None:
+    kinds = sorted({step.kind for step in window.steps if step.kind})
+    first = kinds[0]
+    count = sum(step.kind == first for step in window.steps)
+    path = written(
+        tmp_path, base={"position": [0, -0.5, 0], "yaw": QUARTER},
+        magazines=[{"kind": kind, "at": [0.3, -0.3 + 0.08 * n, 0.0]}
+                   for n, kind in enumerate(kinds[1:])],
+        pallets=[{"kind": first, "at": [-0.35, -0.3], "rows": 1 + count, "columns": 1,
+                  "pitch": [0.1, 0.06]}],
+        obstacles=[{"at": [-0.4, 0.3], "size": [0.1, 0.1, 0.1]}],
+    )  # fmt: skip
+    site = read_site(path)
+    job, _, order, _ = prepare(window, quick(site=site), KIT.joint_gap)
+    assert not order.stuck
+    assert len(job.sources) == len(kinds) - 1 + count
+    stands_where_it_should(carry_out(window, quick(site=site)))
+
+
+def test_a_magazine_that_runs_empty_pauses_the_build(window: Plan, tmp_path: Path) -> None:
+    kinds, log = [step.kind or "" for step in window.steps], tmp_path / "build.jsonl"
+    kind = max(kinds, key=kinds.count)
+    assert kinds.count(kind) > 1
+    site = Site(magazines=(Magazine(kind, Pose(0.0, -0.2), 1),))
+    paused = carry_out(window, quick(site=site, log=log))
+    assert paused.status == "incomplete"
+    assert f"no {kind} is left in the supply" in (paused.reason or "")
+    assert 0 < len(paused.steps) < len(window.steps)
+    filled = Site(magazines=(Magazine(kind, Pose(0.0, -0.2), 99),))
+    whole = carry_out(window, quick(site=filled, log=log))
+    stands_where_it_should(whole)
+    assert whole.arm is not None
+    assert whole.arm.attempts == len(window.steps)
+
+
+@pytest.mark.parametrize(
+    ("fields", "what"),
+    [
+        ({"base": {"position": [2.0, 0, 0]}}, "out of it"),
+        ({"base": {"position": [0, 0]}}, "base.position"),
+        ({"magazines": [{"kind": "1x4", "at": [0, 0]}]}, "building site"),
+        ({"magazines": [{"kind": "1x4", "at": [0.9, 0]}]}, "on the table"),
+        ({"magazines": [{"kind": "1x4"}]}, "at"),
+        ({"magazines": [{"kind": "1x4", "at": [0.2, -0.3], "count": -1}]}, "0 or more"),
+        ({"pallets": [{"kind": "1x4", "at": [0.2, -0.3], "rows": 0, "columns": 1,
+                       "pitch": [0.1, 0.1]}]}, "rows"),
+        ({"obstacles": [{"at": [0, 0], "size": [0.1, 0.1, 0.1]}]}, "building site"),
+        ({"obstacles": [{"at": [0, -0.25], "size": [0.1, 0.1, 0.1]}],
+          "magazines": [{"kind": "1x4", "at": [0, -0.25]}]}, "obstacles"),
+        ({"obstacles": [{"at": [0, 0], "size": [0, 0.1, 0.1]}]}, "positive"),
+        ({"heaps": []}, "heaps"),
+        ({"version": 3}, "version"),
+    ],
+)  # fmt: skip
+def test_layouts_that_cannot_be_used(
+    tmp_path: Path, fields: dict[str, object], what: str
+) -> None:  # fmt: skip
+    plan = planned(np.ones((8, 1, 1), bool), dataclasses.replace(KIT, kinds=(KIT.kind("1x4"),)))
+    with pytest.raises(InputError) as error:
+        carry_out(plan, quick(site=read_site(written(tmp_path, **fields))))
+    assert what in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_version_1_gives_one_place_to_every_block(tmp_path: Path) -> None:
+    path = tmp_path / "old.json"
+    places = [[0.25, -0.3], [0.25, -0.2, 0.3], [0.25, -0.1]]
+    head = {"format": "learn2assemble-layout", "version": 1}
+    path.write_text(json.dumps({**head, "positions": places}))
+    site = read_site(path)
+    assert site.positions[1] == Position(None, Pose(0.25, -0.2, 0.3))
+    plan = planned(np.ones((1, 1, 3), bool), dataclasses.replace(KIT, kinds=(KIT.kind("1x1"),)))
+    done = carry_out(plan, quick(site=site))
+    stands_where_it_should(done)
+    assert done.arm is not None
+    assert done.arm.places == 3
+
+
+def test_pallets_are_rows_and_columns() -> None:
+    pallet = Pallet("1x1", Pose(0.1, 0.2, QUARTER), 2, 3, (0.1, 0.3))
+    poses = pallet.poses()
+    assert len(poses) == 6
+    assert np.allclose(poses[2][:2], [0.1, 0.4])
+    assert np.allclose(poses[3][:2], [-0.2, 0.2])
+
+
+# ---------------------------------------------------------------- what is refused
+
+
+def test_blocks_too_small_or_too_heavy_for_the_tool() -> None:
+    small = dataclasses.replace(KIT, pitch=(0.02, 0.02, 0.02))
+    with pytest.raises(InputError, match="too small"):
+        carry_out(planned(np.ones((4, 1, 2), bool), small), quick())
+    heavy = dataclasses.replace(KIT, density=20_000.0)
+    with pytest.raises(InputError, match="too heavy"):
+        carry_out(planned(np.ones((8, 2, 2), bool), heavy), quick())
+    gripper = dataclasses.replace(quick(), tool="gripper")
+    thick = planned(np.ones((2, 2, 1), bool), dataclasses.replace(KIT, pitch=(0.1, 0.1, 0.05)))
+    with pytest.raises(InputError, match="too wide"):
+        carry_out(thick, gripper)
+
+
+def test_a_design_out_of_reach_names_blocks_and_a_base(window: Plan) -> None:
+    far = Site(base=(-1.2, 0.0, 0.0, 0.0))
+    with pytest.raises(InputError, match=r"blocks out of it: block-.*a base at \["):
+        carry_out(window, quick(site=far))
+
+
+def test_fingers_take_what_stands_alone_and_say_what_does_not() -> None:
+    cubes, gripper = load_kit("cubes"), dataclasses.replace(quick(), tool="gripper")
+    stands_where_it_should(carry_out(planned(np.ones((4, 1, 3), bool), cubes), gripper))
+    thick = carry_out(planned(np.ones((3, 3, 1), bool), cubes), gripper)
+    assert thick.status == "refused"
+    assert "cannot place block-" in (thick.reason or "")
+
+
+def test_reach_reports_the_best_base() -> None:
+    design = CellDesign("wall", np.ones((6, 1, 3), bool), KIT.pitch, None, 0.0, None, "", None)
+    near = l2a.reach(design, arm="ur5e", kit=KIT)
+    assert near.complete
+    far = l2a.reach(design, arm="ur5e", kit=KIT, layout=Site(base=(-1.5, 0.0, 0.0, 0.0)))
+    assert len(far.here.out) == near.here.count
+    assert not far.best.out
+    assert Obstacle((0.0, 0.0), (1.0, 1.0, 1.0)).yaw == 0.0
+
+
+def test_build_with_the_exact_planner_and_an_arm(window: Plan, tmp_path: Path) -> None:
+    design = CellDesign("wall", np.ones((4, 1, 2), bool), KIT.pitch, None, 0.0, None, "", None)
+    plan = l2a.build(design, planner="exact", kit=KIT, arm="panda", physics="kinematic")
+    stands_where_it_should(plan)
+    files = plan.save(tmp_path)
+    assert Plan.load(files["plan"]).arm == plan.arm
+    with pytest.raises(InputError, match="tool"):
+        l2a.build(design, planner="exact", kit=KIT, arm="panda", tool="suctoin")
+    with pytest.raises(InputError, match="physics"):
+        l2a.build(design, planner="exact", kit=KIT, arm="panda", physics="static")
+    with pytest.raises(InputError, match="an arm"):
+        l2a.build(design, planner="exact", kit=KIT, tool="suction")
