@@ -16,11 +16,11 @@ import sys
 import types
 import typing
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import IO, Annotated, Any, Literal, NamedTuple, TypeVar, Union
+from typing import IO, Annotated, Any, Literal, NamedTuple, TypeVar, Union, cast
 
 from learn2assemble.errors import InputError, UnknownNameError
 
@@ -91,10 +91,10 @@ def _check_tree(value: Any, source: str, path: str) -> None:
             f"{source}: key of {path}" if path else f"{source}: key", value.key, "every key once"
         )
     if isinstance(value, dict):
-        for key, item in value.items():
+        for key, item in cast("dict[str, Any]", value).items():
             _check_tree(item, source, f"{path}.{key}" if path else printable(key))
     elif isinstance(value, list):
-        for k, item in enumerate(value):
+        for k, item in enumerate(cast("list[Any]", value)):
             _check_tree(item, source, f"{path}[{k}]")
     elif isinstance(value, float):
         number(value, where)
@@ -231,14 +231,14 @@ def mapping(value: Any, where: str) -> Mapping[str, Any]:
     """``value`` where it is a JSON object."""
     if not isinstance(value, Mapping):
         raise InputError(where, value, "a JSON object {...}")
-    return value
+    return cast("Mapping[str, Any]", value)
 
 
 def sequence(value: Any, where: str, expected: str) -> list[Any] | tuple[Any, ...]:
     """``value`` where it is a list."""
     if not isinstance(value, list | tuple):
         raise InputError(where, value, expected)
-    return value
+    return cast("list[Any]", value)
 
 
 def text(value: Any, where: str) -> str:
@@ -298,7 +298,11 @@ def to_plain(value: Any) -> Any:
             if item.metadata.get("file", True)
             and ((found := getattr(value, item.name)) is not None or item.default is not None)
         }
-    return [to_plain(item) for item in value] if isinstance(value, tuple) else value
+    return (
+        [to_plain(item) for item in cast("tuple[Any, ...]", value)]
+        if isinstance(value, tuple)
+        else value
+    )
 
 
 def from_plain(kind: Any, value: Any, source: str, path: str = "") -> Any:
@@ -345,7 +349,7 @@ def from_plain(kind: Any, value: Any, source: str, path: str = "") -> Any:
         need = tuple(name for name, (_, needed) in fields.items() if needed)
         check_keys(given, source, path, tuple(fields), need)
         prefix = f"{path}." if path else ""
-        return kind(**{  # pyright: ignore[reportCallIssue]
+        return kind(**{  # pyright: ignore[reportCallIssue, reportUnknownVariableType]
             name: from_plain(fields[name][0], item, source, prefix + name)
             for name, item in given.items()
         })  # fmt: skip
@@ -401,7 +405,7 @@ LOCK = ".lock"
 @contextmanager
 def claim_folder(
     folder: Path, resume: bool = False, expected: str = "a new or empty folder"
-) -> Iterator[None]:
+) -> Generator[None, None, None]:
     """Have an output folder to oneself while the block runs.
 
     Args:

@@ -6,6 +6,7 @@ A worker that dies takes nothing with it but the piece it was at, which another 
 from __future__ import annotations
 
 import importlib.util
+import logging
 import multiprocessing
 import os
 import signal
@@ -113,6 +114,7 @@ def _on_ray(
     if address not in (LOCAL, "auto"):
         _check_answer(address, host, port)
     import ray
+    import ray.exceptions
 
     started = not ray.is_initialized()
     if started:
@@ -120,7 +122,7 @@ def _on_ray(
         if address == LOCAL:
             options = {"num_cpus": max(workers, 1), "include_dashboard": False}
         try:
-            ray.init(**options, log_to_driver=False, logging_level="ERROR")
+            ray.init(**options, log_to_driver=False, logging_level=logging.ERROR)
         except (ConnectionError, RuntimeError, ValueError):
             raise InputError("--ray", address, "the address of a Ray cluster") from None
     try:

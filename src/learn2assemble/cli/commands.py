@@ -445,7 +445,7 @@ def _tasks(options: argparse.Namespace, output: Output) -> None:
     agents: dict[str, list[str]] = {}
     for name in pretrained_names():
         agents.setdefault(agent_info(name)["task"], []).append(name)
-    rows = []
+    rows: list[dict[str, Any]] = []
     for name, task in PRESETS.items():
         low, high = task.block_range
         rows.append({
@@ -460,7 +460,7 @@ def _tasks(options: argparse.Namespace, output: Output) -> None:
          ", ".join(r["agents"]) or "-")
         for r in rows
     ])  # fmt: skip
-    designs = [
+    designs: list[dict[str, Any]] = [
         {
             "name": name, "families": list(task.families), "kit": task.kit,
             "blocks": list(task.blocks), "limited_heap": task.limited_heap,

@@ -202,7 +202,7 @@ def play_episodes(
 ) -> Episodes:
     """Play ``episodes`` fresh problems to their end; arguments as in :func:`run_episodes`."""
     problem_rng, policy_rng = episode_generators(seed)
-    parts = []
+    parts: list[Episodes] = []
     for start in range(0, episodes, BATCH):
         state = simulator.new(min(BATCH, episodes - start), problem_rng)
         parts.append(_play(simulator, state, policy, policy_rng))

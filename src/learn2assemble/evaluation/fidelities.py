@@ -16,6 +16,7 @@ from learn2assemble.networks.agent import Agent
 from learn2assemble.physics.static import StaticPhysics
 from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.robot.checker import ArmPhysics
+from learn2assemble.robot.moves import Attempt
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import Task
 from learn2assemble.world.state import State
@@ -38,11 +39,11 @@ class Comparison:
     agree: int = 0
     """Both reach the target, or neither does."""
     same_outcome: int = 0
-    outcomes: Counter[tuple[str, str]] = field(default_factory=Counter)
+    outcomes: Counter[tuple[str, str]] = field(default_factory=Counter[tuple[str, str]])
     """Kinematic and dynamic outcome, by name."""
     kinematic_seconds: float = 0.0
     dynamic_seconds: float = 0.0
-    disagreements: list[dict[str, Any]] = field(default_factory=list)
+    disagreements: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
 
     @property
     def share(self) -> float:
@@ -127,7 +128,8 @@ def _try_both(
     state: State,
     action: np.ndarray,
 ) -> None:
-    attempts, seconds = [], []
+    attempts: list[Attempt] = []
+    seconds: list[float] = []
     row = np.zeros(1, np.int64)
     for checker in cells:
         after = state.copy()

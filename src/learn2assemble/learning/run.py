@@ -106,7 +106,7 @@ class _Logs:
         self.file = out / "log.jsonl"
         _drop_lines_after(self.file, samples)
         self.last = samples if self.file.exists() and self.file.stat().st_size else -1
-        self.writer = None
+        self.writer: Any = None
         if importlib.util.find_spec("tensorboard") is not None:
             from torch.utils.tensorboard import SummaryWriter
 
@@ -137,7 +137,8 @@ def _drop_lines_after(file: Path, samples: int) -> None:
     """
     if not file.exists():
         return
-    kept, (lines, source) = [], read_text(file, "log", MAX_GENERATED)
+    kept: list[str] = []
+    lines, source = read_text(file, "log", MAX_GENERATED)
     for count, line in enumerate(lines.splitlines(), 1):
         where = f"{source}: line {count}"
         try:

@@ -11,7 +11,7 @@ import copy
 import dataclasses
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +19,7 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save_file  # pyright: ignore[reportUnknownVariableType]
 
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.files import mapping, read_json, write_file
@@ -50,7 +50,7 @@ def at_pitch(network: Network, pitch: float) -> Network:
 
 
 @contextmanager
-def one_thread() -> Iterator[None]:
+def one_thread() -> Generator[None, None, None]:
     """Small batches lose more by sharing them among threads than they gain."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -74,7 +74,7 @@ class Agent:
     network: Network
     task: str
     """Name of the task it was trained on."""
-    origin: dict[str, Any] = field(default_factory=dict)
+    origin: dict[str, Any] = field(default_factory=dict[str, Any])
     """Training configuration, seed, samples, gradient steps, seconds, commit, hardware."""
 
 

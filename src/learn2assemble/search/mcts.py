@@ -136,7 +136,7 @@ def _descend(
 ) -> None:
     """Lead every walk to the edge it simulates: an untried one, an end, or the depth limit."""
     while walks:
-        going = []
+        going: list[_Walk] = []
         for walk in walks:
             child = walk.path[-1].children.get(walk.key)
             if child is not None and not child.terminal and len(walk.path) < config.depth:

@@ -34,7 +34,7 @@ def gumbel_waves(root: Node, config: SearchConfig, rng: np.random.Generator) -> 
             left -= len(wave)
             yield wave
         score = gumbel_scores(root, config)
-        alive.sort(key=lambda key: -score[key])
+        alive.sort(key=(-score).__getitem__)
         alive = alive[: max(2, len(alive) // 2)]
 
 

@@ -94,7 +94,7 @@ class Node:
     """Filled by :meth:`open` when a walk first comes here."""
     key: int = -1
     """Number of this node among the actions of its parent."""
-    children: dict[int, Node] = field(default_factory=dict)
+    children: dict[int, Node] = field(default_factory=dict[int, "Node"])
     """By the number of the action in ``legal``."""
     visits: int = 0
     total: float = 0.0
@@ -146,7 +146,7 @@ def gather(model: SearchModel, nodes: list[Node]) -> Any:
     """The states of ``nodes`` as one batch; neighbours in one batch are taken together."""
     places = [node.state for node in nodes if node.state is not None]
     assert len(places) == len(nodes)
-    parts = []
+    parts: list[Any] = []
     for _, run in groupby(places, key=lambda place: id(place[0])):
         batch, rows = zip(*run, strict=True)
         parts.append(model.take(batch[0], np.array(rows)))
