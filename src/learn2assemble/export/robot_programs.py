@@ -18,12 +18,13 @@ from learn2assemble.export.robot_tables import read_table, write_franka, write_t
 from learn2assemble.export.ros2 import read_bag, write_bag
 from learn2assemble.files import write_file
 from learn2assemble.registry import Registry
-from learn2assemble.robot.arm import Arm, get_arm
+from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import forward_many, get_chain
 from learn2assemble.robot.program import (
     Driver,
     DryRun,
     Program,
+    arm_of,
     driver_of,
     limits_of,
     make_program,
@@ -249,7 +250,7 @@ def export_program(source: BuildRecord | str | Path, format: str, path: str | Pa
     name, write = PROGRAMS[format]
     if not isinstance(source, BuildRecord):
         source = _read_record(Path(source))
-    arm = get_arm(source.arm.name)
+    arm = arm_of(source.arm)
     program = make_program(source, arm)
     file = Path(path)
     if file.is_dir():
@@ -269,8 +270,15 @@ def _read_record(path: Path) -> BuildRecord:
     return read_record(file)
 
 
-def read_program(path: str | Path, arm: Arm) -> Program:
+def read_program(path: str | Path, arm: str) -> tuple[Program, Arm]:
     """Read a program that :func:`export_program` has written as a table or a bag.
+
+    Args:
+        path: the file.
+        arm: name of the arm that is to play it.
+
+    Returns:
+        the program, and the arm with its tool where it stood.
 
     Raises:
         InputError: for a file that is damaged, incomplete, or for another arm, and for motions
@@ -278,9 +286,7 @@ def read_program(path: str | Path, arm: Arm) -> Program:
         MissingExtraError: for a bag without the extra ``ros2``.
     """
     path = Path(path)
-    if path.suffix == ".mcap":
-        return read_bag(path, arm)
-    return read_table(path, arm)
+    return read_bag(path, arm) if path.suffix == ".mcap" else read_table(path, arm)
 
 
 def replay_program(path: str | Path, arm: str) -> DryRun:
@@ -294,5 +300,4 @@ def replay_program(path: str | Path, arm: str) -> DryRun:
         InputError: see :func:`read_program`.
         MissingExtraError: without the extra ``robot``.
     """
-    chosen = get_arm(arm)
-    return play(read_program(path, chosen), chosen)
+    return play(*read_program(path, arm))

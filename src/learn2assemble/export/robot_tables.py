@@ -14,12 +14,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.errors import InputError, look_up
+from learn2assemble.errors import InputError
 from learn2assemble.files import load_json, read_bytes, write_file
 from learn2assemble.geometry.rotations import quaternion_matrix
-from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.moves import STAGES
-from learn2assemble.robot.program import Blocks, Knots, Program, ToolState, driver_of, limits_of
+from learn2assemble.robot.program import (
+    Blocks,
+    Knots,
+    Program,
+    ProgramStep,
+    Supply,
+    ToolState,
+    driver_of,
+    limits_of,
+    stand,
+)
 
 FORMAT, VERSION = "learn2assemble-robot-program", 1
 RATE = 1000
@@ -40,60 +50,102 @@ def header(program: Program, arm: Arm) -> dict[str, Any]:
         "format": FORMAT, "version": VERSION, "arm": program.arm, "tool": program.tool,
         "joints": list(driver.joints),
         "units": "s, m, rad, N, kg; quaternions w, x, y, z; world: z up, table top z = 0",
+        "stand": _plain(np.append(arm.base_position, arm.base_yaw)),
         "base": {"frame": driver.base_frame, "in": "world", "pose": _plain(driver.base)},
         "tcp": {"frame": "tcp", "in": driver.flange_frame, "pose": _plain(driver.tcp)},
         "limits": {name: _plain(getattr(limits, name)) for name in limits._fields},
         "seconds": round(program.seconds, 6), "stretch": round(program.stretch, 6),
         "gripper_speed": program.states[0].speed,
         "blocks": {
-            "edge": blocks.edge, "objects": [list(cells) for cells in blocks.objects],
+            "edge": blocks.edge, "half": None if blocks.half is None else _plain(blocks.half),
+            "objects": [list(cells) for cells in blocks.objects],
             "start": _plain(blocks.start), "end": _plain(blocks.end),
+            "supply": [
+                {"time": round(one.time, 6), "cells": list(one.cells), "poses": _plain(one.poses)}
+                for one in blocks.supply
+            ],
         },
+        "steps": [
+            {
+                "step": step.number, "cells": list(step.cells), "target": _plain(step.target),
+                "end": round(step.end, 6),
+            }
+            for step in program.steps
+        ],
     }  # fmt: skip
 
 
 class Header(NamedTuple):
     """What a program is read with, besides its motion."""
 
+    arm: Arm
+    """With its tool, where it stood."""
     blocks: Blocks
-    tool: str
+    steps: tuple[ProgramStep, ...]
     seconds: float
     stretch: float
     speed: float
     """Of the gripper's opening [m/s]."""
 
 
-def read_header(data: Any, source: str, arm: Arm) -> Header:
-    """What a header says, which must be for this arm.
+def read_header(data: Any, source: str, name: str) -> Header:
+    """What a header says, which must be for the arm called ``name``.
 
     Raises:
         InputError: naming what is wrong.
     """
+    default = get_arm(name)
     try:
         if data["format"] != FORMAT or data["version"] != VERSION:
             raise InputError(source, data["format"], f"{FORMAT}, version {VERSION}")
-        if data["arm"] != arm.name or tuple(data["joints"]) != driver_of(arm).joints:
-            expected = f"those of {arm.name}: {', '.join(driver_of(arm).joints)}"
+        if data["arm"] != name or tuple(data["joints"]) != driver_of(default).joints:
+            expected = f"those of {name}: {', '.join(driver_of(default).joints)}"
             raise InputError(f"{source}: joints", f"{data['arm']}: {data['joints']}", expected)
+        arm = stand(name, str(data["tool"]), _array(data["stand"], 4))
         told = data["blocks"]
         objects = tuple(tuple(int(c) for c in cells) for cells in told["objects"])
-        start, end = (np.array(told[key], float) for key in ("start", "end"))
         count = sum(map(len, objects))
-        if sorted(c for cells in objects for c in cells) != list(range(count)) or not (
-            start.shape == end.shape == (count, 7)
-        ):
-            raise InputError(f"{source}: blocks", f"{count} cells", "a pose for each cell")
-        blocks = Blocks(objects, float(told["edge"]), start, end)
-        look_up(f"{source}: tool", data["tool"], dict.fromkeys(("gripper", "suction"), ""))
-        numbers = [float(data[key]) for key in ("seconds", "stretch", "gripper_speed")]
-        if not (np.isfinite(start).all() and np.isfinite(end).all() and np.isfinite(numbers).all()):
-            raise InputError(f"{source}: header", "a number that is not finite", "finite numbers")
-        return Header(blocks, data["tool"], *numbers)
+        if sorted(c for cells in objects for c in cells) != list(range(count)):
+            raise InputError(f"{source}: blocks", f"{count} cells", "each cell in one object")
+        half = None if told["half"] is None else _array(told["half"], count, 3)
+        supply = tuple(
+            Supply(float(one["time"]), cells, _array(one["poses"], len(cells), 7))
+            for one in told["supply"]
+            for cells in [tuple(one["cells"])]
+        )
+        blocks = Blocks(
+            objects, float(told["edge"]), half, _array(told["start"], count, 7),
+            _array(told["end"], count, 7), supply,
+        )  # fmt: skip
+        steps = tuple(
+            ProgramStep(
+                int(one["step"]), tuple(one["cells"]), _array(one["target"], 7),
+                float(one["end"]), (), None,
+            )
+            for one in data["steps"]
+        )  # fmt: skip
+        moved = [*(step.cells for step in steps), *(one.cells for one in supply)]
+        if any(set(cells) not in [set(one) for one in objects] for cells in moved):
+            raise InputError(f"{source}: steps", "cells that are no object", "cells of one object")
+        numbers = _array([data[key] for key in ("seconds", "stretch", "gripper_speed")], 3)
+        return Header(arm, blocks, steps, *numbers.tolist())
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
         got = f"no {error}" if isinstance(error, KeyError) else str(error)
         raise InputError(f"{source}: header", got, "that of an exported program") from None
+
+
+def _array(value: Any, *shape: int) -> np.ndarray:
+    """float64 of a shape, finite.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    array = np.array(value, float).reshape(shape)
+    if not np.isfinite(array).all():
+        raise ValueError("a number that is not finite")
+    return array
 
 
 def _plain(values: np.ndarray) -> list[Any]:
@@ -106,7 +158,7 @@ def _plain(values: np.ndarray) -> list[Any]:
 def write_table(program: Program, arm: Arm, path: Path, more: dict[str, Any] | None = None) -> None:
     """Write a table: a header in lines that begin with ``#``, then a line per millisecond."""
     head = {**header(program, arm), "rate": RATE, **(more or {})}
-    columns = _columns(head["joints"], program.tool)
+    columns = _columns(head["joints"], program.suction)
     count = int(np.ceil(program.seconds * RATE - 1e-6)) + 1
     time = np.arange(count) / RATE
     piece, state = program.knots.pieces(time), program.states_at(time)
@@ -126,7 +178,7 @@ def write_table(program: Program, arm: Arm, path: Path, more: dict[str, Any] | N
     write_file(path, content, "program")
 
 
-def _columns(joints: list[str], tool: str) -> list[tuple[str, str]]:
+def _columns(joints: list[str], suction: bool) -> list[tuple[str, str]]:
     """Names of the columns of a table, and how their numbers are written.
 
     Digits are such that differences over a millisecond show the jerk within 0.1 rad/s^3.
@@ -134,7 +186,7 @@ def _columns(joints: list[str], tool: str) -> list[tuple[str, str]]:
     columns = [("time", "%.3f"), ("motion", "%d"), ("step", "%d"), ("block", "%d")]
     for what, form in (("q", "%.10f"), ("dq", "%.8f"), ("ddq", "%.5f")):
         columns += [(f"{what}_{joint}", form) for joint in joints]
-    if tool == "suction":
+    if suction:
         columns.append(("vacuum", "%d"))
     else:
         columns += [("width", "%.6g"), ("speed", "%.6g"), ("force", "%.6g")]
@@ -143,7 +195,7 @@ def _columns(joints: list[str], tool: str) -> list[tuple[str, str]]:
 
 def _tool_columns(program: Program) -> np.ndarray:
     """float64[s, c]: the columns of every state of the tool."""
-    fields = ("vacuum",) if program.tool == "suction" else ("width", "speed", "force")
+    fields = ("vacuum",) if program.suction else ("width", "speed", "force")
     return np.array(
         [[float(getattr(s, field)) for field in (*fields, "load")] for s in program.states]
     )
@@ -156,7 +208,7 @@ def _block_of(program: Program) -> np.ndarray:
     return blocks[np.searchsorted(numbers, program.step)]
 
 
-def read_table(path: Path, arm: Arm) -> Program:
+def read_table(path: Path, name: str) -> tuple[Program, Arm]:
     """Read what :func:`write_table` has written.
 
     Raises:
@@ -164,13 +216,13 @@ def read_table(path: Path, arm: Arm) -> Program:
     """
     content, source = read_bytes(path, "program", MOST_BYTES)
     head, names, body = _split(content, source)
-    told = read_header(head, source, arm)
-    tool = told.tool
-    expected = [name for name, _ in _columns(list(driver_of(arm).joints), tool)]
+    told = read_header(head, source, name)
+    arm, suction = told.arm, told.arm.suction is not None
+    expected = [one for one, _ in _columns(list(driver_of(arm).joints), suction)]
     if names != expected:
         wrong = next((a for a, b in zip(names, expected, strict=False) if a != b), len(names))
         raise InputError(f"{source}: columns", wrong, ", ".join(expected))
-    kinds = [(name, "U12" if name == "stage" else "f8") for name in expected]
+    kinds = [(one, "U12" if one == "stage" else "f8") for one in expected]
     try:
         rows = np.loadtxt(
             body, delimiter=",", dtype=kinds, comments=None, ndmin=1, encoding="utf-8"
@@ -181,18 +233,20 @@ def read_table(path: Path, arm: Arm) -> Program:
     if head.get("rows") != len(rows) or len(rows) < 2:
         raise InputError(f"{source}: lines", len(rows), f"{head.get('rows')}: it is not complete")
     n = len(arm.joints)
-    table = np.column_stack([rows[name] for name in expected[:-1]])
+    table = np.column_stack([rows[one] for one in expected[:-1]])
     if not np.isfinite(table).all():
         i, j = np.argwhere(~np.isfinite(table))[0].tolist()
         raise InputError(f"{source}: {expected[j]} of line {i + 1}", table[i, j], "a finite number")
     q, v, a = (table[:, 4 + k * n : 4 + (k + 1) * n] for k in range(3))
     knots = Knots(table[:, 0].copy(), q, v, a)
     _check_motion(knots, arm, source)
-    stage = np.array([STAGES.index(name) if name in STAGES else -1 for name in rows["stage"]])
-    return Program(
-        arm.name, tool, knots, stage[1:].astype(np.int8), table[1:, 2].astype(np.int64),
-        table[1:, 1].astype(np.int64), _states(rows, tool), (), told.blocks, told.stretch,
+    stage = np.array([STAGES.index(one) if one in STAGES else -1 for one in rows["stage"]])
+    program = Program(
+        name, arm.tool_name, suction, knots, stage[1:].astype(np.int8),
+        table[1:, 2].astype(np.int64), table[1:, 1].astype(np.int64), _states(rows, suction),
+        told.steps, told.blocks, told.stretch,
     )  # fmt: skip
+    return program, arm
 
 
 def _split(content: bytes, source: str) -> tuple[dict[str, Any], list[str], list[str]]:
@@ -241,8 +295,8 @@ def _check_motion(knots: Knots, arm: Arm, source: str) -> None:
             fault(np.abs(found) > most * (1 + SLACK), what, found, most)
 
 
-def _states(rows: np.ndarray, tool: str) -> tuple[ToolState, ...]:
-    fields = ("vacuum",) if tool == "suction" else ("width", "speed", "force")
+def _states(rows: np.ndarray, suction: bool) -> tuple[ToolState, ...]:
+    fields = ("vacuum",) if suction else ("width", "speed", "force")
     told = np.column_stack([rows[name] for name in (*fields, "load")])
     new = np.flatnonzero(np.concatenate([[True], np.any(np.diff(told, axis=0), axis=1)]))
     found = []
@@ -265,7 +319,7 @@ def write_franka(program: Program, arm: Arm, path: Path) -> None:
         raise InputError("format", f"franka for {arm.name}", "the arm panda, or the format csv")
     driver, calls, before = driver_of(arm), [], program.states[0]
     first = program.states[0]
-    if program.tool != "suction":
+    if not program.suction:
         calls.append({"time": 0.0, "call": "move", "width": first.width, "speed": first.speed})
     for state in program.states[1:]:
         time = round(state.time, 6)

@@ -194,7 +194,7 @@ def _tool_messages(program: Program) -> list[Message]:
     for state in program.states:
         time = _ns(state.time)
         grip = {"position": state.width, "max_effort": state.force}
-        if program.tool == "suction":
+        if program.suction:
             if before is None or state.vacuum != before.vacuum:
                 found.append((time, "/suction/vacuum", {"data": state.vacuum}))
         elif before is None or (state.width, state.force) != (before.width, before.force):
@@ -219,7 +219,7 @@ def _scene_messages(program: Program, arm: Arm) -> list[Message]:
     markers = []
     for number, cells in enumerate(blocks.objects):
         red, green, blue = colorsys.hsv_to_rgb(number * 0.381966 % 1, 0.55, 0.85)
-        markers += [_marker(cell, blocks.edge, (red, green, blue)) for cell in cells]
+        markers += [_marker(c, 2 * blocks.halves[c], (red, green, blue)) for c in cells]
     found.append((0, "/blocks", {"markers": markers}))
     time = _grid(program)
     position, rotation = forward_many(
@@ -229,13 +229,13 @@ def _scene_messages(program: Program, arm: Arm) -> list[Message]:
         np.concatenate([p, matrix_quaternion(r)]) for p, r in zip(position, rotation, strict=True)
     ]
     poses, now, held = blocks.start, 0, {}
-    spans = _step_spans(program)
     for k, t in enumerate(time.tolist()):
         changed = set(range(len(poses))) if k == 0 else set()
-        while now < len(program.steps) and t >= spans[now]:
-            step = program.steps[now]
-            changed |= set(np.flatnonzero(np.any(poses != step.after, axis=1)).tolist())
-            poses, now, held = step.after, now + 1, {}
+        while now < len(program.steps) and t >= program.steps[now].end - 1e-9:
+            after = program.steps[now].after
+            after = poses if after is None else after
+            changed |= set(np.flatnonzero(np.any(poses != after, axis=1)).tolist())
+            poses, now, held = after, now + 1, {}
         if now < len(program.steps) and (span := program.steps[now].held) is not None:
             step = program.steps[now]
             if not held and span[0] <= t <= span[1]:
@@ -248,18 +248,6 @@ def _scene_messages(program: Program, arm: Arm) -> list[Message]:
         transforms = [_transform(_ns(t), "world", "tcp", tool[k])]
         transforms += [_transform(_ns(t), "world", f"cell_{c}", poses[c]) for c in sorted(changed)]
         found.append((_ns(t), "/tf", {"transforms": transforms}))
-    return found
-
-
-def _step_spans(program: Program) -> list[float]:
-    """When each step is over [s]."""
-    ends = {}
-    for k, number in enumerate(program.step.tolist()):
-        ends[number] = float(program.knots.time[k + 1])
-    last, found = 0.0, []
-    for step in program.steps:
-        last = ends.get(step.number, last)
-        found.append(last)
     return found
 
 
@@ -304,13 +292,14 @@ def _transform(time: int, parent: str, child: str, pose: np.ndarray) -> dict[str
     }  # fmt: skip
 
 
-def _marker(cell: int, edge: float, colour: tuple[float, float, float]) -> dict[str, Any]:
+def _marker(cell: int, size: np.ndarray, colour: tuple[float, float, float]) -> dict[str, Any]:
     still = {"position": {"x": 0.0, "y": 0.0, "z": 0.0},
              "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}  # fmt: skip
     none = {"sec": 0, "nanosec": 0}
     return {
         "header": {"stamp": none, "frame_id": f"cell_{cell}"}, "ns": "blocks", "id": cell,
-        "type": 1, "action": 0, "pose": still, "scale": dict.fromkeys("xyz", edge),
+        "type": 1, "action": 0, "pose": still,
+        "scale": dict(zip("xyz", size.tolist(), strict=True)),
         "color": {**dict(zip("rgb", colour, strict=True)), "a": 1.0}, "lifetime": none,
         "frame_locked": True, "points": [], "colors": [], "texture_resource": "",
         "texture": {"header": {"stamp": none, "frame_id": ""}, "format": "", "data": b""},
@@ -324,7 +313,7 @@ _DAMAGE = (ValueError, TypeError, LookupError, AttributeError, OverflowError, Me
 own."""
 
 
-def read_bag(path: Path, arm: Arm) -> Program:
+def read_bag(path: Path, name: str) -> tuple[Program, Arm]:
     """Read what :func:`write_bag` has written.
 
     Raises:
@@ -351,13 +340,15 @@ def read_bag(path: Path, arm: Arm) -> Program:
     if not found["/program"] or not found["/joint_trajectory"]:
         raise InputError(source, "no program in it", "a bag that l2a export has written")
     head = load_json(found["/program"][0][1].data, f"{source}: /program", "header")
-    told = read_header(head, source, arm)
+    told = read_header(head, source, name)
+    arm = told.arm
     knots, motion = _knots_from(found["/joint_trajectory"], told.seconds, arm, source)
     none = np.zeros(len(motion), np.int64)
-    return Program(
-        arm.name, told.tool, knots, none.astype(np.int8) - 1, none, motion,
-        _states_from(found, told.speed), (), told.blocks, told.stretch,
+    program = Program(
+        name, arm.tool_name, arm.suction is not None, knots, none.astype(np.int8) - 1, none,
+        motion, _states_from(found, told.speed), told.steps, told.blocks, told.stretch,
     )  # fmt: skip
+    return program, arm
 
 
 def _knots_from(

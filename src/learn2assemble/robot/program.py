@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from typing import Any, NamedTuple
@@ -26,10 +27,9 @@ from learn2assemble.geometry.rotations import (
     quaternion_matrix,
     yaw_quaternion,
 )
-from learn2assemble.robot.arm import Arm, arm_model
-from learn2assemble.robot.moves import STAGES, Outcome, Scene
-from learn2assemble.robot.record import BuildRecord, Samples, require_sound
-from learn2assemble.world.blocks import MASS
+from learn2assemble.robot.arm import Arm, arm_model, get_arm
+from learn2assemble.robot.moves import DENSITY, STAGES, Outcome, Scene
+from learn2assemble.robot.record import ArmFacts, BuildRecord, Samples, require_sound
 
 REST = 2e-6
 """Changes of a rounded joint position [rad] and velocities [rad/s] up to this are rest."""
@@ -214,26 +214,55 @@ class ProgramStep(NamedTuple):
     number: int
     cells: tuple[int, ...]
     """Of the object, the grasped one first."""
+    target: np.ndarray
+    """float64[7]: pose the grasped cell shall have."""
+    end: float
+    """When the attempt is over [s]."""
     checks: tuple[float, ...]
     """When the object has to be in the hand [s]: lifted, and over its place; none where the
     attempt failed."""
     held: tuple[float, float] | None
     """When the object begins and ceases to follow the hand [s]."""
-    after: np.ndarray
-    """float64[C, 7]: poses of all cells after the step, as in :class:`Blocks`."""
+    after: np.ndarray | None = None
+    """float64[C, 7]: poses of all cells after the step, as in :class:`Blocks`; None where that was
+    not told."""
+
+
+class Supply(NamedTuple):
+    """A magazine presents a block, or takes one back."""
+
+    time: float
+    """[s]"""
+    cells: tuple[int, ...]
+    poses: np.ndarray
+    """float64[m, 7]: where they are from then on; below the table: in a magazine."""
 
 
 class Blocks(NamedTuple):
-    """The cells of a build."""
+    """The cells of a build: each is one box."""
 
     objects: tuple[tuple[int, ...], ...]
     """Cells of every rigid object."""
     edge: float
-    """Of a cell [m]."""
+    """Of a cube [m]."""
+    half: np.ndarray | None
+    """float64[C, 3]: half extents of the boxes [m]; None: all are cubes of that edge."""
     start: np.ndarray
-    """float64[C, 7]: poses before the program: x, y, z [m, world], quaternion (w, x, y, z)."""
+    """float64[C, 7]: poses before the program: x, y, z [m, world], quaternion (w, x, y, z). What
+    is below the table waits in a magazine."""
     end: np.ndarray
     """The same at its end."""
+    supply: tuple[Supply, ...] = ()
+    """In the order of their times."""
+
+    @property
+    def halves(self) -> np.ndarray:
+        """float64[C, 3]: half extents of all boxes [m]."""
+        return np.full((len(self.start), 3), self.edge / 2) if self.half is None else self.half
+
+    def mass(self, cells: Sequence[int]) -> float:
+        """Of some cells [kg]."""
+        return float(DENSITY * 8 * self.halves[list(cells)].prod(1).sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,7 +272,9 @@ class Program:
     arm: str
     """Name of the arm."""
     tool: str
-    """``gripper`` or ``suction``."""
+    """Name of the tool."""
+    suction: bool
+    """Whether it holds by suction."""
     knots: Knots
     stage: np.ndarray
     """int8[k-1]: index into :data:`~.moves.STAGES` per piece, -1 for none."""
@@ -320,6 +351,24 @@ def usage(knots: Knots, limits: Limits) -> dict[str, float]:
     }
 
 
+def stand(name: str, tool: str, base: np.ndarray) -> Arm:
+    """An arm with its tool where it stands: x, y, z [m, world] and turn about z [rad]."""
+    arm = get_arm(name, tool)
+    if np.allclose(base, (*arm.base_position, arm.base_yaw), rtol=0, atol=1e-6):
+        return arm
+    x, y, z, yaw = base.tolist()
+    return get_arm(name, tool, (x, y, z, yaw))
+
+
+def arm_of(facts: ArmFacts) -> Arm:
+    """The arm of a record.
+
+    Raises:
+        UnknownNameError: for an arm or a tool that does not exist.
+    """
+    return stand(facts.name, facts.tool_name, np.append(facts.base_position, facts.base_yaw))
+
+
 def make_program(record: BuildRecord, arm: Arm) -> Program:
     """What the arm has to be told to repeat a recorded build.
 
@@ -367,9 +416,11 @@ def make_program(record: BuildRecord, arm: Arm) -> Program:
     names = [by_number[int(n)].stage_at(t) for n, t in zip(number[1:], middle, strict=True)]
     stage = np.array([STAGES.index(name) if name else -1 for name in names], np.int8)
     program = Program(
-        arm.name, "gripper", whole, stage, number[1:], motion, (), (),
-        Blocks(record.objects, record.block_edge, record.steps[0].before, record.steps[-1].after),
-        stretch,
+        arm.name, record.arm.tool_name, record.arm.suction, whole, stage, number[1:], motion,
+        (), (), Blocks(
+            record.objects, record.block_edge, record.half, record.steps[0].before,
+            record.steps[-1].after,
+        ), stretch,
     )  # fmt: skip
     return _with_tool(program, record, arm, samples)
 
@@ -382,7 +433,7 @@ def _stopped(samples: Samples, number: np.ndarray, period: float) -> tuple[Sampl
         return samples, number
     more = Samples(
         samples.time[-1:] + period, (q + 0.4 * v * period)[None], np.zeros((1, len(v))),
-        samples.width[-1:],
+        samples.width[-1:], samples.command[-1:],
     )  # fmt: skip
     joined = (
         np.concatenate(pair)
@@ -391,74 +442,126 @@ def _stopped(samples: Samples, number: np.ndarray, period: float) -> tuple[Sampl
     return Samples(*joined), np.append(number, number[-1])
 
 
+class _Teller:
+    """States of the tool in the order they are told, and the time that has to be added for it.
+
+    Args:
+        program: without states.
+        arm: the robot.
+        first: the state it begins with.
+    """
+
+    def __init__(self, program: Program, arm: Arm, first: ToolState) -> None:
+        self.time, self.arm = program.knots.time, arm
+        self.told = [(0, 0.0, first)]
+        """Knot, time after it [s], state."""
+        self.extra = np.zeros(len(program.stage))
+        """float64[k-1]: how much longer each piece has to be [s]."""
+
+    @property
+    def state(self) -> ToolState:
+        return self.told[-1][2]
+
+    def tell(self, index: int, end: int, wait: float, **change: Any) -> None:
+        """The state changes ``wait`` after knot ``index``; the arm moves on at knot ``end``, once
+        it has changed."""
+        before, state = self.state, self.state._replace(**change)
+        if state == before:
+            return
+        self.told.append((index, wait, state))
+        gripper, suction, takes = self.arm.gripper, self.arm.suction, 0.0
+        if state.load != before.load:
+            takes = LOAD_TIME
+        if suction is not None and state.vacuum != before.vacuum:
+            takes = suction.grip_time if state.vacuum else suction.release_time
+        if (state.width, state.force) != (before.width, before.force):
+            way = abs(state.width - before.width)
+            way += max(state.force, before.force) / gripper.stiffness
+            takes = max(takes, way / gripper.speed)
+        short = wait + takes - (self.time[end] - self.time[index]) - self.extra[index]
+        self.extra[max(end - 1, 0)] += max(short, 0.0)
+
+
 def _with_tool(program: Program, record: BuildRecord, arm: Arm, samples: Samples) -> Program:
     """The program with what the tool is told, and with time for it to do that.
 
     Args:
         samples: of the record, one for each knot.
     """
-    gripper, stage, still = arm.gripper, program.stage, program.motion == 0
-    opened = round(float(samples.width[0]), 4)
-    told = [(0, 0.0, ToolState(0.0, opened, gripper.speed, 0.0, False, 0.0))]
-    extra, steps = np.zeros(len(stage)), []
-
-    def tell(index: int, end: int, wait: float, **change: Any) -> None:
-        """The state changes ``wait`` after knot ``index`` and has until knot ``end`` to do so."""
-        before = told[-1][2]
-        state = before._replace(**change)
-        if state == before:
-            return
-        told.append((index, wait, state))
-        way = abs(state.width - before.width) + max(state.force, before.force) / gripper.stiffness
-        time = wait + (way / gripper.speed if "width" in change else LOAD_TIME)
-        short = time - (program.knots.time[end] - program.knots.time[index]) - extra[index]
-        extra[max(end - 1, 0)] += max(short, 0.0)
-
+    stage, still, edge = program.stage, program.motion == 0, record.block_edge
+    blocks, command = program.blocks, samples.command
+    opened = 0.0 if program.suction else round(float(command[0]), 4)
+    first = ToolState(0.0, opened, 0.0 if program.suction else arm.gripper.speed, 0.0, False, 0.0)
+    teller, steps = _Teller(program, arm, first), []
+    tell = teller.tell
     for step in record.steps:
         here = np.flatnonzero(program.step == step.number)
         checks: list[int] = []
         if len(here):
-            state = told[-1][2]
-            if state.force:  # what was held has been lost
-                tell(int(here[0]), int(here[0]), 0.0, width=opened, force=0.0, load=0.0)
-            for first, end in _runs(here[still[here] & (stage[here] == STAGES.index("pick"))])[-1:]:
-                width = samples.width[first : end + 1]
-                if np.ptp(width) > gripper.speed / record.rate:
-                    # What it was meant to close on, also where it closed on nothing.
-                    closed = max(math.ceil(1e3 * width[-1] - 1e-6) / 1e3, record.block_edge)
-                    tell(first, end, 0.0, width=closed, force=gripper.force)
+            begin = int(here[0])
+            # The next attempt begins with an open hand, whatever came of the last one.
+            opened = 0.0 if program.suction else round(float(command[begin + 1]), 4)
+            tell(begin, begin, 0.0, width=opened, force=0.0, vacuum=False, load=0.0)
+            for start, end in _runs(here[still[here] & (stage[here] == STAGES.index("pick"))])[-1:]:
+                if program.suction:
+                    on = np.flatnonzero(command[start : end + 1] > 0.5)
+                    if len(on):
+                        tell(start + max(int(on[0]) - 1, 0), end, 0.0, vacuum=True)
+                elif np.ptp(samples.width[start : end + 1]) > arm.gripper.speed / record.rate:
+                    width = _meant(samples, slice(start, end + 1), arm, edge)
+                    tell(start, end, 0.0, width=width, force=arm.gripper.force)
             if step.grip is not None:
                 end = int(np.searchsorted(samples.time, step.grip - 1e-9))
-                mass = MASS * len(step.cells)
-                wait = max(program.knots.time[end] - LOAD_TIME - program.knots.time[told[-1][0]], 0)
-                tell(told[-1][0], end, wait, load=mass)
+                told, clock = teller.told[-1][0], program.knots.time
+                wait = max(clock[end] - LOAD_TIME - clock[told], 0.0)
+                tell(told, end, wait, load=blocks.mass(step.cells))
                 lifted = here[stage[here] == STAGES.index("lift")]
                 over = here[stage[here] == STAGES.index("place")]
                 if step.outcome == Outcome.REACHED and len(lifted) and len(over):
                     checks = [int(lifted[-1]) + 1, int(over[0])]
-            for first, end in _runs(here[still[here] & (stage[here] == STAGES.index("release"))]):
-                if told[-1][2].force:
-                    tell(first, end, 0.0, load=0.0)
-                    wait = LOAD_TIME if told[-1][0] == first else 0.0
-                    tell(first, end, wait, width=opened, force=0.0)
-        steps.append((step, checks))
-    shift = np.concatenate([[0.0], np.cumsum(extra)])
-    time = program.knots.time + shift
+            for start, end in _runs(here[still[here] & (stage[here] == STAGES.index("release"))]):
+                wait = LOAD_TIME if teller.state.load else 0.0
+                tell(start, end, 0.0, load=0.0)
+                tell(start, end, wait, width=opened, force=0.0, vacuum=False)
+        steps.append((step, checks, here))
+    time = program.knots.time + np.concatenate([[0.0], np.cumsum(teller.extra)])
 
     def now(recorded: float | None) -> float:
         return float(time[-1] if recorded is None else np.interp(recorded, samples.time, time))
 
+    made, end = [], 0.0
+    for step, checks, here in steps:
+        end = float(time[int(here[-1]) + 1]) if len(here) else end
+        held = None if step.grip is None else (now(step.grip), now(step.release))
+        made.append(ProgramStep(
+            step.number, step.cells, step.target, end, tuple(float(time[k]) for k in checks),
+            held, step.after,
+        ))  # fmt: skip
     return replace(
         program, knots=program.knots._replace(time=time),
-        states=tuple(state._replace(time=float(time[k] + wait)) for k, wait, state in told),
-        steps=tuple(
-            ProgramStep(
-                step.number, step.cells, tuple(float(time[k]) for k in checks),
-                None if step.grip is None else (now(step.grip), now(step.release)), step.after,
-            )
-            for step, checks in steps
-        ),
+        states=tuple(state._replace(time=float(time[k] + wait)) for k, wait, state in teller.told),
+        steps=tuple(made),
+        blocks=blocks._replace(supply=tuple(_supply(record, [one.end for one in made]))),
     )  # fmt: skip
+
+
+def _meant(samples: Samples, span: slice, arm: Arm, edge: float) -> float:
+    """The width of what fingers that close were meant to hold [m]."""
+    told, width = float(samples.command[span].min()), samples.width[span]
+    if told < width.min() - 1e-3:
+        return round(told + arm.gripper.force / arm.gripper.stiffness, 4)
+    # A record without commands: what it closed on, also where it closed on nothing.
+    return max(math.ceil(1e3 * float(width[-1]) - 1e-6) / 1e3, edge)
+
+
+def _supply(record: BuildRecord, ends: list[float]) -> Iterator[Supply]:
+    """When magazines present blocks or take them: those that are under the table before a step
+    and above it afterwards, or the other way round."""
+    for step, end in zip(record.steps, ends, strict=True):
+        hidden, shown = step.before[:, 2] < 0, step.after[:, 2] >= 0
+        for cells in record.objects:
+            if hidden[list(cells)].all() == shown[list(cells)].all():
+                yield Supply(end, cells, step.after[list(cells)])
 
 
 def _runs(indices: np.ndarray) -> list[tuple[int, int]]:
