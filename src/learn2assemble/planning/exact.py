@@ -4,19 +4,25 @@ Tile; if the finished building would fall, rule that mechanism out and tile agai
 or no tiling does (:mod:`learn2assemble.planning.mechanisms`); prop up what cannot be put down on
 its own; order, with more props where the order gets stuck. Where nothing helps, say which cells
 are not carried and what would carry them.
+
+What is found first is taken: dry without props, dry with props, then with tight joints. Side faces
+press only where no gap is left, so tight joints are used where a gap of 0 is asked for and nowhere
+else; a refusal says where they would do.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 
 import numpy as np
 
 from learn2assemble.assembly.kit import Cell, Kit, kit_names, load_kit, orientations
 from learn2assemble.planning.mechanisms import Retiling, find_mechanisms, mirrored
-from learn2assemble.planning.ordering import Ordering, order
+from learn2assemble.planning.ordering import Coupled, Ordering, order, value_range, way_out
 from learn2assemble.planning.programs import INF, Clock, Program, by_column, solve
-from learn2assemble.planning.step_proof import Proof, find_stack
+from learn2assemble.planning.standing import region_above, region_near, tile_standing
+from learn2assemble.planning.step_proof import Proof, Stack, find_stack, lies_above
 from learn2assemble.planning.tiling import (
     TIME_OPTION,
     BlockPlacement,
@@ -31,6 +37,14 @@ from learn2assemble.planning.tiling import (
 
 MAX_ROUNDS = 200
 """Of tiling again, and of adding props."""
+CUT_ROUNDS = 4
+"""Rounds of ruling out mechanisms, mostly enough and fast, before blocks are chosen together with
+their forces."""
+MAX_NEAR, MAX_ABOVE = 500, 700
+"""Cells that one program decides together with their forces: round what falls, and all above."""
+MAX_COUPLED = 400
+"""Of a building of more blocks it is not said whether tight joints would do; that takes minutes."""
+TIGHT_OPTION = "it stands only with tight joints (--gap 0)"
 _FIRM = 1e-9
 """How far inside its support a centroid has to be [cells]."""
 
@@ -53,39 +67,93 @@ def plan_exact(
         reason of the last of the two say how it went.
     """
     clock = Clock(seconds)
+    mu = value_range(friction, kit.friction, "friction")
+    tight = value_range(gap, kit.joint_gap, "gap")[1] == 0
     tiling = tile(wanted, kit, seconds=seconds)
     if tiling.status != "complete":
         return tiling, None
-    tiling = stand(tiling, kit, clock)
-    if tiling.status != "complete":
-        return tiling, None
-    hanging = unsupported(tiling, kit)
-    if hanging and not props_allowed:
-        cells = uncarried_cells(wanted, kit)
-        if not len(cells):
-            cells = np.concatenate([placement_cells(tiling.placements[b], kit) for b in hanging])
-        reason = f"{describe_lack(wanted, kit, cells)}, and props are not allowed"
-        return replace(tiling, status="refused", reason=reason), None
-    structure, demands = tiling, {block: frozenset((block,)) for block in hanging}
-    ordering = None
+    stood = stand(tiling, kit, clock)
+    pressed = stood.status == "refused" and _presses(tiling, kit, mu, clock)
+    if stood.status == "refused" and pressed and not tight:
+        return replace(stood, reason=f"{stood.reason}; {TIGHT_OPTION}"), None
+    if stood.status != "complete" and not pressed:
+        return stood, None
+
+    def order_with_props(structure: Tiling, tight: bool) -> tuple[Tiling, Ordering | None]:
+        return _order_with_props(structure, kit, clock, friction=friction, gap=gap,
+                                 props_allowed=props_allowed, tight=tight)  # fmt: skip
+
+    if not pressed:
+        made, ordering = order_with_props(stood, False)
+        if not tight or (ordering or made).status != "refused":
+            return made, ordering
+    return order_with_props(tiling if pressed else stood, True)
+
+
+def _presses(tiling: Tiling, kit: Kit, friction: tuple[float, float], clock: Clock) -> bool:
+    """Whether the finished building stands with tight joints, where there is time to tell."""
+    everything = np.ones(len(tiling.placements), bool)
+    small = len(everything) <= MAX_COUPLED and clock.left > 0
+    return small and Coupled(tiling, kit, friction).stands(everything)
+
+
+def _order_with_props(
+    structure: Tiling, kit: Kit, clock: Clock, *,
+    friction: float | tuple[float, float] | None, gap: float | tuple[float, float] | None,
+    props_allowed: bool, tight: bool,
+) -> tuple[Tiling, Ordering | None]:  # fmt: skip
+    """The order of a building that stands, with the fewest props it takes.
+
+    Args:
+        tight: whether side faces may press; they also hold what no prop reaches.
+    """
+    hanging = unsupported(structure, kit)
+    if hanging and not (props_allowed or tight):
+        return _not_carried(structure, kit, hanging, "props are not allowed"), None
+    demands = {block: frozenset((block,)) for block in hanging if props_allowed}
+    largest: int | None = None
+    count, tiling, ordering = len(structure.placements), structure, None
     for _ in range(MAX_ROUNDS):
-        if demands:
-            props = choose_props(structure, kit, demands, clock.left)
-            if props is None:
-                cells = placement_cells(structure.placements[max(demands)], kit)
-                reason = f"{describe_lack(wanted, kit, cells)}, and no prop reaches them"
-                return replace(structure, status="refused", reason=reason), None
-            tiling = replace(structure, placements=structure.placements + tuple(props))
-        ordering = order(tiling, kit, friction=friction, gap=gap, seconds=clock.left)
-        if ordering.status != "refused" or not props_allowed:
+        props = choose_props(structure, kit, demands, clock.left, largest)
+        if props is None and not tight:
+            if ordering is None:
+                return _not_carried(structure, kit, [max(demands)], "no prop reaches them"), None
             break
-        stuck = [b for b in ordering.stuck if b < len(structure.placements)]
-        if not stuck or all(b in demands for b in stuck):
+        if props is None:
+            demands = {}
+        tiling = replace(structure, placements=structure.placements + tuple(props or ()))
+        ordering = order(tiling, kit, friction=friction, gap=gap, seconds=clock.left, tight=tight)
+        if ordering.status != "refused" or not props_allowed or props is None:
             break
-        b = next(b for b in stuck if b not in demands)
-        demands[b] = frozenset((*ordering.falls, b))
+        new = [b for b in ordering.stuck if b < count and b not in demands]
+        walled = [len(placement_cells(tiling.placements[b], kit))
+                  for b in ordering.stuck if b >= count]  # fmt: skip
+        if new:
+            demands[new[0]] = frozenset((*ordering.falls, new[0]))
+        elif walled:
+            # Props that wall one another in, or that what is above them does, are made smaller.
+            largest = max(walled) - 1
+        else:
+            break
     assert ordering is not None
     return replace(tiling, seconds=clock.spent - ordering.seconds), ordering
+
+
+def _not_carried(structure: Tiling, kit: Kit, blocks: list[int], why: str) -> Tiling:
+    """The refusal of blocks that nothing holds while they are put down."""
+    cells = uncarried_cells(structure.wanted, kit)
+    if not len(cells) or why.startswith("no prop"):
+        cells = np.concatenate([placement_cells(structure.placements[b], kit) for b in blocks])
+    reason = f"{describe_lack(structure.wanted, kit, cells)}, and {why}"
+    return replace(structure, status="refused", reason=reason)
+
+
+def _top_of_stack(block: BlockPlacement, placements: tuple[BlockPlacement, ...]) -> BlockPlacement:
+    """The uppermost of the like props that stand on one another with ``block`` among them."""
+    there, (x, y, z) = set(placements), block.origin
+    while replace(block, origin=(x, y, z + 1)) in there:
+        z += 1
+    return replace(block, origin=(x, y, z))
 
 
 # ---------------------------------------------------------------- the finished building
@@ -99,16 +167,37 @@ def stand(tiling: Tiling, kit: Kit, clock: Clock) -> Tiling:
     """
     again: Retiling | None = None
     wanted, shape = tiling.wanted, tiling.wanted.shape
+    loose = unreached_cells(wanted, kit)
+    if len(loose):
+        return _falls(tiling, kit, loose)
     square = bool(np.isclose(kit.pitch[0], kit.pitch[1]))
-    for _ in range(MAX_ROUNDS):
+    tried: set[bytes] = set()
+    first = tiling
+    for number in range(MAX_ROUNDS):
+        # Tilings that cuts led to fall in more places than the one they began with.
+        tiling = first if number == CUT_ROUNDS else tiling
         stack = find_stack(tiling.placements, kit, shape)
         proof, everything = Proof(stack), np.ones(len(stack), bool)
         if proof.settle(everything, everything) or proof.program(
             everything, everything, clock.left
         ):
             return tiling
+        held = proof.held(everything, clock.left)
+        if clock.left <= 0 or not held:
+            break
+        status, better = "unknown", None
+        if number >= CUT_ROUNDS:
+            status, better = _stand_near(tiling, kit, stack, held, tried, clock)
+        if status == "infeasible":
+            return _falls(tiling, kit, uncarried_cells(wanted, kit), held)
+        if better is not None:
+            tiling = better
+            continue
         owner = owners(tiling.placements, kit, shape)
-        found = find_mechanisms(stack, owner, seconds=clock.left)
+        # What has to be held moves, and what stands on it: a much smaller program.
+        moving = lies_above(stack, held)
+        found = find_mechanisms(stack, owner, seconds=clock.left, moving=moving)
+        found = found or find_mechanisms(stack, owner, seconds=clock.left)
         if clock.left <= 0:
             break
         again = again or Retiling(tiling, kit)
@@ -116,13 +205,8 @@ def stand(tiling: Tiling, kit: Kit, clock: Clock) -> Tiling:
         rigid = any(not (x.any() or y.any()) for x, y in found)
         better = None if rigid or not any(new) else again.solve(clock.left)
         if better is None:
-            moving = sorted({int(b) for edges in found for b in _opened(edges, owner)})
-            cells = uncarried_cells(wanted, kit)
-            if not len(cells):
-                blocks = moving or range(len(stack))
-                cells = np.concatenate([placement_cells(tiling.placements[b], kit) for b in blocks])
-            reason = f"{describe_lack(wanted, kit, cells)}; the finished building would fall"
-            return replace(tiling, status="refused", reason=reason)
+            moves = sorted({int(b) for edges in found for b in _opened(edges, owner)})
+            return _falls(tiling, kit, uncarried_cells(wanted, kit), moves or range(len(stack)))
         if better.status != "complete":
             break
         tiling = better
@@ -132,6 +216,37 @@ def stand(tiling: Tiling, kit: Kit, clock: Clock) -> Tiling:
         reason += f" ({describe_lack(wanted, kit, cells)})"
     reason += f"; {TIME_OPTION} gives more"
     return replace(tiling, status="time", reason=reason)
+
+
+def _stand_near(
+    tiling: Tiling, kit: Kit, stack: Stack, held: list[int], tried: set[bytes], clock: Clock
+) -> tuple[str, Tiling | None]:
+    """Blocks that stand round those that fall, or ``"infeasible"`` where no tiling does.
+
+    Args:
+        tried: regions that were decided before, which are not decided again.
+    """
+    near, above = region_near(tiling, kit, held), region_above(tiling, kit, held)
+    # Where blocks below could be of other kinds or reach up, what is above alone proves nothing.
+    flat = all(cell[2] == 0 for way in orientations(kit) for cell in way.cells)
+    proves = (flat and not kit.limited) or bool((above == tiling.wanted).all())
+    for region, most in ((near, MAX_NEAR), (above, MAX_ABOVE)):
+        key = np.packbits(region).tobytes()
+        if key in tried or region.sum() > most:
+            continue
+        tried.add(key)
+        status, made = tile_standing(tiling, kit, stack, region, seconds=clock.left / 2)
+        if made is not None or (status == "infeasible" and proves and (region == above).all()):
+            return status, made
+    return "unknown", None
+
+
+def _falls(tiling: Tiling, kit: Kit, cells: np.ndarray, blocks: Iterable[int] = ()) -> Tiling:
+    """The refusal of what falls with every tiling, for ``cells`` or else those of ``blocks``."""
+    if not len(cells):
+        cells = np.concatenate([placement_cells(tiling.placements[b], kit) for b in blocks])
+    reason = f"{describe_lack(tiling.wanted, kit, cells)}; the finished building would fall"
+    return replace(tiling, status="refused", reason=reason)
 
 
 def _opened(edges: tuple[np.ndarray, np.ndarray], owner: np.ndarray) -> np.ndarray:
@@ -168,8 +283,19 @@ def _carried(tiling: Tiling, kit: Kit, block: BlockPlacement) -> tuple[np.ndarra
 
 def uncarried_cells(wanted: np.ndarray, kit: Kit) -> np.ndarray:
     """int64[n, 3]: cells in no block of ``kit`` whose centroid is above what carries it."""
+    return _not_in(wanted, kit, _FIRM)
+
+
+def unreached_cells(wanted: np.ndarray, kit: Kit) -> np.ndarray:
+    """int64[n, 3]: cells in no block of ``kit`` that lies on anything, so that no tiling of the
+    design stands on bed faces."""
+    return _not_in(wanted, kit, -INF)
+
+
+def _not_in(wanted: np.ndarray, kit: Kit, least: float) -> np.ndarray:
+    """int64[n, 3]: cells in no block that is supported by more than ``least``."""
     found = find_candidates(wanted, kit)
-    good = found.take(np.flatnonzero(found.support > _FIRM))
+    good = found.take(np.flatnonzero(found.support > least))
     carried = np.zeros(wanted.size, bool)
     carried[good.cell] = True
     return np.argwhere(wanted & ~carried.reshape(wanted.shape))
@@ -226,8 +352,9 @@ def _remedy(wanted: np.ndarray, kit: Kit, group: np.ndarray, level: int) -> str:
 
 
 def choose_props(
-    tiling: Tiling, kit: Kit, demands: dict[int, frozenset[int]], seconds: float = INF
-) -> list[BlockPlacement] | None:
+    tiling: Tiling, kit: Kit, demands: dict[int, frozenset[int]], seconds: float = INF,
+    largest: int | None = None,
+) -> list[BlockPlacement] | None:  # fmt: skip
     """The fewest temporary blocks under blocks that cannot be put down on their own.
 
     A prop is a stack of like blocks from the table, or from the top of the structure, up to the
@@ -236,10 +363,35 @@ def choose_props(
     Args:
         tiling: without props.
         demands: which blocks need one; any block of the value will do as the one propped up.
+        largest: most cells of a prop. Stacks that what they carry would wall in are not used.
 
     Returns:
         blocks from below; None where no stack reaches some demand or the heap has too few.
     """
+    clock, known = Clock(seconds), set[BlockPlacement]()
+    while demands:
+        made = _fewest_props(tiling, kit, demands, clock.left, known, largest)
+        if made is None:
+            return None
+        tops = {_top_of_stack(block, tuple(made)) for block in made}
+        walled = {top for top in tops if not _can_leave(tiling.wanted, kit, top)}
+        if not walled:
+            return made
+        known |= walled
+    return []
+
+
+def _can_leave(wanted: np.ndarray, kit: Kit, top: BlockPlacement) -> bool:
+    """Whether a stack is not walled in for good by the levels up to the one that it carries."""
+    cells, level = placement_cells(top, kit), top.origin[2]
+    return way_out(wanted[:, :, : level + 2], cells)
+
+
+def _fewest_props(
+    tiling: Tiling, kit: Kit, demands: dict[int, frozenset[int]], seconds: float,
+    barred: Collection[BlockPlacement], largest: int | None,
+) -> list[BlockPlacement] | None:  # fmt: skip
+    """:func:`choose_props`, without the stacks with the uppermost blocks ``barred``."""
     wanted, blocks = tiling.wanted, tiling.placements
     heap = {kind.name: kind.count for kind in kit.kinds if kind.count is not None}
     for block in blocks:
@@ -257,6 +409,10 @@ def choose_props(
             firm = support_margin(cells, carried, kit) > _FIRM
             for stack in _stacks_below(wanted, kit, cells[under]):
                 way, x, y, z = stack
+                kind = kit.kinds[ways[way].kind].name
+                top = BlockPlacement(kind, ways[way].turn, (x, y, z - 1), True)
+                if top in barred or (largest is not None and len(ways[way].cells) > largest):
+                    continue
                 foot = {(x + u, y + v, z) for u, v, _ in ways[way].cells}
                 held = carried | np.array([tuple(cell) in foot for cell in cells.tolist()])
                 if firm or support_margin(cells, held & under, kit) > _FIRM:

@@ -12,6 +12,7 @@ from learn2assemble.planning.step_proof import Stack
 from learn2assemble.planning.tiling import (
     COSTS,
     TIME_OPTION,
+    Candidates,
     Costs,
     Tiling,
     chosen_blocks,
@@ -31,8 +32,9 @@ _SPARSER, _SPARSE = 6, 4
 
 
 def find_mechanisms(
-    stack: Stack, owner: np.ndarray, most: int = 12, seconds: float = INF
-) -> list[tuple[np.ndarray, np.ndarray]]:
+    stack: Stack, owner: np.ndarray, most: int = 12, seconds: float = INF,
+    moving: np.ndarray | None = None,
+) -> list[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
     """Ways in which a stack falls down, as the joints that would have to be glued.
 
     A mechanism is a virtual motion of the blocks, each along z and tilting about x and y, that
@@ -44,6 +46,7 @@ def find_mechanisms(
     Args:
         owner: int64[X, Y, Z]: which block fills each cell, -1 for none.
         most: how many mechanisms without a common joint are looked for.
+        moving: bool[n], blocks that may move; all by default.
 
     Returns:
         bool[X - 1, Y, Z] and bool[X, Y - 1, Z] for each: joints that open.
@@ -95,7 +98,8 @@ def find_mechanisms(
         values.append(np.full(3 * m, sign))
     total = 3 * n + 6 * m
     matrix = by_column(rows, columns, values, total)
-    lower = np.where(np.arange(total) < 3 * n, -INF, 0.0)
+    free = np.full(3 * n, INF) if moving is None else np.where(np.repeat(moving, 3), INF, 0.0)
+    lower = np.concatenate([-free, np.zeros(6 * m)])
     row_lower = np.zeros(count + 1 + 3 * m)
     row_lower[count] = 1.0
     row_upper = np.concatenate([np.full(count, INF), [1.0], np.zeros(3 * m)])
@@ -104,7 +108,7 @@ def find_mechanisms(
     clock = Clock(seconds)
     while len(found) < most:
         opens = np.tile(np.repeat(~closed, 3), 2)
-        upper = np.concatenate([np.full(3 * n, INF), np.where(opens, INF, 0.0)])
+        upper = np.concatenate([free, np.where(opens, INF, 0.0)])
         weight, opened = np.ones(m), None
         for _ in range(1 + _SPARSER):
             cost = np.concatenate([np.zeros(3 * n), np.tile(np.repeat(weight, 3), 2)])
@@ -155,6 +159,26 @@ def mirrored(
     return found
 
 
+def bonded_candidates(
+    tiling: Tiling, kit: Kit, costs: Costs = COSTS
+) -> tuple[Candidates, np.ndarray]:
+    """Every block that may be part of a tiling that stands, and what it costs (float64[n]).
+
+    Joints of the layer below, as they are now, are worth bridging. What lies on nothing falls in
+    every tiling and is left out.
+    """
+    found = find_candidates(tiling.wanted, kit)
+    found = found.take(np.flatnonzero(np.isfinite(found.support)))
+    owner = owners(tiling.placements, kit, tiling.wanted.shape)
+    seams = [find_seams(owner[:, :, z]) for z in range(owner.shape[2])]
+    below = [
+        np.stack([np.zeros_like(seams[0][axis]), *[joint[axis] for joint in seams[:-1]]], -1)
+        for axis in (0, 1)
+    ]
+    cost = standing_cost(found, costs) - costs.seam * glued(found, (below[0], below[1]))
+    return found, cost
+
+
 class Retiling:
     """A tiling whose layers are decided again together, under conditions that cross them.
 
@@ -165,17 +189,8 @@ class Retiling:
 
     def __init__(self, tiling: Tiling, kit: Kit, costs: Costs = COSTS) -> None:
         self.tiling, self.kit = tiling, kit
-        self.found = find_candidates(tiling.wanted, kit)
+        self.found, self.cost = bonded_candidates(tiling, kit, costs)
         self.cuts: dict[bytes, np.ndarray] = {}
-        owner = owners(tiling.placements, kit, tiling.wanted.shape)
-        seams = [find_seams(owner[:, :, z]) for z in range(owner.shape[2])]
-        # Joints of the layer below, as they were, are worth bridging; none are below the lowest.
-        below = tuple(
-            np.stack([np.zeros_like(seams[0][axis]), *[joint[axis] for joint in seams[:-1]]], -1)
-            for axis in (0, 1)
-        )
-        self.cost = standing_cost(self.found, costs)
-        self.cost = self.cost - costs.seam * glued(self.found, (below[0], below[1]))
         self.part = self._parts()
         self.active = np.zeros(self.part.max() + 1, bool)
 

@@ -4,12 +4,18 @@ Blocks go from below, each on what carries it in the finished building; one that
 waits until others have been placed. Every state is proven by :mod:`step_proof`: on bed faces
 alone, without friction, so for every coefficient of friction and however open the vertical joints
 are. What the sideways acceleration and the tilt of a state are worth is proven the same way.
+
+Only where no gap is asked for, a state that bed faces do not carry may be carried by side faces
+that press: the coupled analysis of :mod:`learn2assemble.physics.rigid_blocks` proves it at both
+ends of the range of friction, and the step says so (``TIGHT``).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,8 +31,12 @@ from learn2assemble.planning.tiling import (
     placement_cells,
 )
 
-LOCAL, PROGRAM = "bed faces, local", "bed faces, program"
-"""How a step was proven: by passing its load down, or by the linear program."""
+if TYPE_CHECKING:
+    from learn2assemble.assembly.contacts import Contacts
+
+LOCAL, PROGRAM, TIGHT = "bed faces, local", "bed faces, program", "tight joints"
+"""How a step was proven: by passing its load down, by the linear program, or by the coupled
+analysis with friction on side faces that touch."""
 _DIRECTIONS = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
 _LEAST, _PRECISION = 2e-3, 0.02
 """Smallest sideways acceleration looked for [g], and how exactly it is found (relative)."""
@@ -41,7 +51,7 @@ class OrderedStep:
     remove: int | None
     """Index into ``Tiling.placements``; exactly one of the two is given."""
     proof: str
-    """``LOCAL`` or ``PROGRAM``."""
+    """``LOCAL``, ``PROGRAM`` or ``TIGHT``."""
     margin_g: float
     """Sideways acceleration along +-x and +-y that the state at least withstands [g]."""
 
@@ -63,8 +73,8 @@ class Ordering:
     margin_g: float = 0.0
     """Of the weakest step [g]."""
     friction_range: tuple[float, float] = (0.0, INF)
-    """Coefficients of friction for which every step is proven to stand. (Margins need a friction of
-    at least their own size.)"""
+    """Coefficients of friction for which every step is proven to stand; with tight joints, the two
+    ends at which it was. (Margins need a friction of at least their own size.)"""
     gap_range: tuple[float, float] = (0.0, 0.0)
     """Widths of vertical joints for which every step is proven to stand [m]."""
     stuck: tuple[int, ...] = ()
@@ -74,15 +84,49 @@ class Ordering:
     seconds: float = 0.0
 
 
+class Coupled:
+    """The blocks of a tiling without gaps, for the coupled analysis of any of its states.
+
+    Args:
+        friction: the coefficients at which a state has to stand.
+    """
+
+    def __init__(self, tiling: Tiling, kit: Kit, friction: tuple[float, float]) -> None:
+        self.tiling, self.kit, self.friction = tiling, kit, sorted(set(friction))
+
+    @cached_property
+    def _assembly(self) -> tuple[Assembly, Contacts]:
+        from learn2assemble.assembly.contacts import find_contacts
+
+        made = to_assembly(self.tiling, None, self.kit, gap=0.0)
+        return made, find_contacts(made)
+
+    def stands(self, placed: np.ndarray) -> bool:
+        """Whether the blocks ``placed`` (bool[n]) stand with vertical joints that press."""
+        from learn2assemble.physics.rigid_blocks import solve
+
+        made, contacts = self._assembly
+        return all(solve(made, contacts, mu, present=placed).stands for mu in self.friction)
+
+    def margin(self, placed: np.ndarray) -> float:
+        """Sideways acceleration that rigid-block equilibrium withstands in any direction [g]."""
+        from learn2assemble.physics.rigid_blocks import margin
+
+        made, contacts = self._assembly
+        return margin(made, contacts, self.friction[0], present=placed)
+
+
 class _Site:
     """What stands, and the forces that prove it under gravity and under sideways acceleration."""
 
-    def __init__(self, stack: Stack, friction: float, clock: Clock) -> None:
-        self.stack, self.friction, self.clock = stack, friction, clock
+    def __init__(
+        self, stack: Stack, friction: float, clock: Clock, coupled: Coupled | None = None
+    ) -> None:
+        self.stack, self.friction, self.clock, self.coupled = stack, friction, clock, coupled
         self.placed = np.zeros(len(stack), bool)
         self.proof = Proof(stack)
         self.sideways = [_Sideways(stack, way, friction) for way in _DIRECTIONS]
-        self.timed_out = False
+        self.timed_out = self.tight = False
 
     def change(self, block: int, place: bool) -> str | None:
         """Place or remove a block; how the state is proven, None (and no change) if it falls."""
@@ -95,13 +139,21 @@ class _Site:
             dirty[s.upper[(s.lower == block) & self.placed[s.upper]]] = True
             dirty[self.stack.below(block)] = True
             dirty &= placed
+        if self.tight:
+            dirty = placed.copy()  # There are no bed forces to begin with.
         method = LOCAL if self.proof.settle(dirty, placed) else self._by_program(placed, dirty)
-        if method is not None:
-            self.placed = placed
-            for load in self.sideways:
+        if method is None and self.coupled is not None and self.coupled.stands(placed):
+            method = TIGHT
+        if method is None:
+            return None
+        self.placed, was_tight, self.tight = placed, self.tight, method == TIGHT
+        for load in self.sideways:
+            if self.tight:
+                load.level = 0.0
+            elif not was_tight:
                 load.follow(dirty, placed, self.proof.force, self.clock.left)
-            if method == PROGRAM and self.margin() <= 0:
-                self.raise_margins()
+        if was_tight or (method == PROGRAM and self.margin() <= 0):
+            self.raise_margins()
         return method
 
     def _by_program(self, placed: np.ndarray, dirty: np.ndarray) -> str | None:
@@ -114,7 +166,7 @@ class _Site:
             if free and self.proof.program(placed, alone, self.clock.left) is False:
                 return None
             changing |= lies_below(self.stack, int(block), placed)
-        for blocks in (changing, placed):
+        for blocks in (placed,) if self.tight else (changing, placed):
             found = self.proof.program(placed, blocks, self.clock.left)
             if found:
                 return PROGRAM
@@ -123,11 +175,13 @@ class _Site:
 
     def margin(self) -> float:
         """Sideways acceleration the state at least withstands [g]."""
+        if self.tight and self.coupled is not None:
+            return min(self.coupled.margin(self.placed), self.friction)
         return min(load.level for load in self.sideways)
 
     def raise_margins(self) -> None:
         """Look for larger margins than those that have come down from states before."""
-        for load in self.sideways:
+        for load in self.sideways if not self.tight else ():
             load.search(self.placed, self.proof.force, seconds=self.clock.left)
 
 
@@ -207,25 +261,28 @@ class _Sideways:
 
 def order(
     tiling: Tiling, kit: Kit, *, friction: float | tuple[float, float] | None = None,
-    gap: float | tuple[float, float] | None = None, seconds: float = 60.0,
+    gap: float | tuple[float, float] | None = None, seconds: float = 60.0, tight: bool = False,
 ) -> Ordering:  # fmt: skip
     """The order of building ``tiling``, every state proven before the next.
 
     Args:
         friction: coefficient, or the range (smallest, largest) to prove it for; that of the kit
-            without it. It bounds the margins; standing itself needs none.
+            without it. It bounds the margins; standing itself needs none on bed faces.
         gap: width of vertical joints [m], or the range to prove it for; that of the kit without it.
         seconds: wall-clock limit.
+        tight: whether side faces may carry what bed faces do not; only where the gap is 0.
     """
     clock = Clock(seconds)
-    mu = _range(friction, kit.friction, "friction")[0]
-    widest = _range(gap, kit.joint_gap, "gap")[1]
+    ends = value_range(friction, kit.friction, "friction")
+    widest = value_range(gap, kit.joint_gap, "gap")[1]
+    if tight and widest > 0:
+        raise InputError("gap", widest, "0, for tight joints")
     limit = min(kit.pitch[:2]) / 2
     if widest >= limit:
         raise InputError("gap", widest, f"less than half the pitch, {limit:g} m")
     blocks, shape = tiling.placements, tiling.wanted.shape
     stack = find_stack(blocks, kit, shape, widest)
-    site = _Site(stack, mu, clock)
+    site = _Site(stack, ends[0], clock, Coupled(tiling, kit, ends) if tight else None)
     steps: list[OrderedStep] = []
     stuck, status = _place_all(site, tiling, kit, steps)
     props = [b for b in range(len(blocks)) if blocks[b].prop and site.placed[b]]
@@ -242,19 +299,32 @@ def order(
                   f"{TIME_OPTION} gives more")  # fmt: skip
     elif stuck:
         status = "refused"
+        stuck = tuple(sorted(stuck, key=lambda b: blocks[b].prop))
         falls = _moving(site, stuck[0]) if not blocks[stuck[0]].prop else ()
-        block = blocks[stuck[0]]
-        what = "cannot be taken away" if block.prop else "does not stand"
-        reason = f"block {block.kind} at {block.origin} {what}: nothing balances it on bed faces"
+        reason = _why_stuck(site, blocks[stuck[0]], stuck[0])
     margin = min((step.margin_g for step in steps), default=0.0)
+    pressed = any(step.proof == TIGHT for step in steps)
     gaps = (0.0, widest)
-    if status == "complete":
+    if status == "complete" and not pressed:
         gaps = 0.0, _widest_gap(tiling, kit, steps, widest, clock)
-    return Ordering(tuple(steps), status, reason, margin, (0.0, INF), gaps, stuck, falls,
-                    clock.spent)  # fmt: skip
+    return Ordering(tuple(steps), status, reason, margin, ends if pressed else (0.0, INF), gaps,
+                    stuck, falls, clock.spent)  # fmt: skip
 
 
-def _range(given: float | tuple[float, float] | None, default: float, what: str):
+def _why_stuck(site: _Site, block: BlockPlacement, number: int) -> str:
+    """Why a block cannot be placed, or a prop not be taken away, in one line."""
+    name = f"{'prop' if block.prop else 'block'} {block.kind} at {block.origin}"
+    if not block.prop:
+        return f"{name} does not stand: nothing balances it on bed faces"
+    if not site.placed[number]:
+        return f"{name} can only be placed where it would be walled in"
+    return f"{name} cannot be taken away: it is walled in, or what it carries would fall"
+
+
+def value_range(
+    given: float | tuple[float, float] | None, default: float, what: str
+) -> tuple[float, float]:
+    """Smallest and largest of a number or a range that was asked for, else of ``default``."""
     low, high = given if isinstance(given, tuple) else (given, given)
     low, high = default if low is None else low, default if high is None else high
     if not (math.isfinite(low) and math.isfinite(high) and 0 <= low <= high):
@@ -268,7 +338,7 @@ def _place_all(
     """Place everything; what is stuck, and ``"complete"`` or ``"time"``.
 
     A prop that the finished building encloses is taken away before the block that would close
-    its way out.
+    its way out; where all that is left waits for that, the props are what is stuck.
     """
     blocks = tiling.placements
     cells = [placement_cells(block, kit) for block in blocks]
@@ -278,6 +348,7 @@ def _place_all(
     filled[:] = False
     left = sorted(range(len(blocks)), key=lambda b: (blocks[b].origin[::-1], b))
     level, progress = 0, True
+    waits: dict[int, tuple[int, ...]] = {}
 
     def gone() -> np.ndarray:
         """bool[N]: props that have been taken away, which nothing needs to wait for."""
@@ -293,8 +364,11 @@ def _place_all(
             if not (site.placed | gone())[below[b]].all():
                 continue
             filled[tuple(cells[b].T)] = True
-            trapped = [p for p in enclosed if site.placed[p] and not _leaves(filled, cells[p])]
-            if trapped and _remove_props(site, blocks, cells, steps, enclosed, filled, b)[0]:
+            waits.pop(b, None)
+            trapped = _trapped(site, blocks, cells, enclosed, filled)
+            if trapped:
+                waits[b] = _remove_props(site, blocks, cells, steps, trapped, filled, b)[0]
+            if waits.get(b):
                 filled[tuple(cells[b].T)] = False
                 continue
             method = site.change(b, True)
@@ -307,8 +381,27 @@ def _place_all(
                 level = blocks[b].origin[2]
                 site.raise_margins()
             steps.append(OrderedStep(b, None, method, site.margin()))
-    ready = tuple(b for b in left if (site.placed | gone())[below[b]].all())
-    return ready or tuple(left), "complete"
+    ready = [b for b in left if (site.placed | gone())[below[b]].all()] or left
+    held = {p for b in ready for p in waits.get(b, ())}
+    return tuple([b for b in ready if not waits.get(b)] or sorted(held)), "complete"
+
+
+def _trapped(
+    site: _Site, blocks: tuple[BlockPlacement, ...], cells: list[np.ndarray], props: list[int],
+    filled: np.ndarray,
+) -> list[int]:  # fmt: skip
+    """Those of ``props`` that stand and that the structure walls in, and the props on them."""
+    there = [p for p in props if site.placed[p]]
+    if not there:
+        return []
+    structure = filled.copy()
+    structure[tuple(np.concatenate([cells[p] for p in there]).T)] = False
+    found = [p for p in there if not way_out(structure, cells[p])]
+    for p in found:
+        upper = site.stack.upper[site.stack.lower == p]
+        found += [int(a) for a in np.unique(upper)
+                  if site.placed[a] and blocks[a].prop and a not in found]  # fmt: skip
+    return found
 
 
 def _leaves(filled: np.ndarray, cells: np.ndarray) -> bool:

@@ -38,8 +38,8 @@ class Program:
     """int[e]: rows of the entries, each at most once a column."""
     value: np.ndarray
     """float64[e], finite."""
-    integer: bool = False
-    """Whether all columns are integers."""
+    integer: bool | np.ndarray = False
+    """Which columns are integers: all, none, or bool[n]."""
 
     def __post_init__(self) -> None:
         n, m, e = len(self.cost), len(self.row_lower), len(self.index)
@@ -54,6 +54,7 @@ class Program:
             and bool((np.diff(start) >= 0).all())
             and (e == 0 or (index.min() >= 0 and index.max() < m))
             and bool(np.isfinite(self.cost).all() and np.isfinite(self.value).all())
+            and np.shape(self.integer) in ((), (n,))
             and bool((self.lower <= self.upper).all() and (self.row_lower <= self.row_upper).all())
         )
         if sound and e:
@@ -88,17 +89,21 @@ def by_column(
     return start, row[order], value[order]
 
 
-def solve(program: Program, seconds: float = INF, *, method: str = "choose") -> Answer:
-    """The optimum of ``program`` (gap 0), on one thread and the same every time.
+def solve(
+    program: Program, seconds: float = INF, *, method: str = "choose", gap: float = 0.0
+) -> Answer:
+    """The optimum of ``program``, on one thread and the same every time.
 
     Args:
         seconds: wall-clock limit.
+        gap: relative gap to the optimum at which an integer program stops.
         method: of HiGHS for linear programs: ``"choose"``, ``"simplex"`` or ``"ipm"``.
 
     Raises:
         Learn2AssembleError: where the solver fails.
     """
     n, m = len(program.cost), len(program.row_lower)
+    mixed = bool(np.any(program.integer))
     if n == 0:
         fits = bool(((program.row_lower <= 0) & (program.row_upper >= 0)).all())
         return Answer("optimal" if fits else "infeasible", np.empty(0) if fits else None, 0.0, 0.0)
@@ -108,7 +113,7 @@ def solve(program: Program, seconds: float = INF, *, method: str = "choose") -> 
     solver.setOptionValue("output_flag", False)
     solver.setOptionValue("threads", 1)
     solver.setOptionValue("random_seed", 0)
-    solver.setOptionValue("mip_rel_gap", 0.0)
+    solver.setOptionValue("mip_rel_gap", float(gap))
     solver.setOptionValue("mip_abs_gap", 1e-6)
     solver.setOptionValue("solver", method)
     if math.isfinite(seconds):
@@ -122,7 +127,7 @@ def solve(program: Program, seconds: float = INF, *, method: str = "choose") -> 
         np.ascontiguousarray(program.start, np.int32),
         np.ascontiguousarray(program.index, np.int32),
         np.ascontiguousarray(program.value, float),
-        np.full(n, int(program.integer), np.int32),
+        np.broadcast_to(program.integer, n).astype(np.int32),
     )  # fmt: skip
     if status == highspy.HighsStatus.kError:
         raise Learn2AssembleError("program: the solver refused the matrix")
@@ -136,12 +141,12 @@ def solve(program: Program, seconds: float = INF, *, method: str = "choose") -> 
     x = np.array(solution.col_value) if feasible else None
     objective = float(info.objective_function_value) if feasible else INF
     if found == known.kOptimal:
-        dual = None if program.integer else np.array(solution.row_dual)
+        dual = None if mixed else np.array(solution.row_dual)
         return Answer("optimal", x, objective, objective, dual)
     if found in (known.kTimeLimit, known.kIterationLimit, known.kSolutionLimit):
-        bound = float(info.mip_dual_bound) if program.integer else -INF
+        bound = float(info.mip_dual_bound) if mixed else -INF
         return Answer("time", x, objective, bound)
-    if method != "ipm" and not program.integer:
+    if method != "ipm" and not mixed:
         # On the border of feasibility the simplex method may give up.
         return solve(program, seconds, method="ipm")
     raise Learn2AssembleError(f"program: the solver stopped with {found}")

@@ -27,6 +27,7 @@ with the loads of all else held, then over all blocks.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -133,7 +134,7 @@ def find_stack(
         upper += [top[patch[0]]] * len(corners)
         lower += [base[patch[0]]] * len(corners)
         share += [area / len(corners)] * len(corners)
-    weight, centre = _masses(placements, kit, pitch, middle)
+    weight, centre = block_masses(placements, kit, shape)
     tops = np.array(upper, np.int64)
     start = np.searchsorted(tops, np.arange(len(placements) + 1))
     stack = Stack(
@@ -144,10 +145,12 @@ def find_stack(
     return stack
 
 
-def _masses(
-    placements: tuple[BlockPlacement, ...], kit: Kit, pitch: np.ndarray, middle: np.ndarray
+def block_masses(
+    placements: tuple[BlockPlacement, ...], kit: Kit, shape: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Weights [kg] and centres [m] of blocks whose sides lie half a joint inside their cells."""
+    """Weights float64[n] [kg] and centres float64[n, 3] [m] of blocks on a lattice of ``shape``,
+    whose sides lie half a joint inside their cells."""
+    pitch, middle = np.array(kit.pitch), np.array([shape[0] / 2, shape[1] / 2, 0.0])
     kinds = {kind.name: kind for kind in kit.kinds}
     known: dict[tuple[str, int], tuple[float, np.ndarray]] = {}
     weight, centre = np.empty(len(placements)), np.empty((len(placements), 3))
@@ -474,4 +477,17 @@ def lies_below(stack: Stack, block: int, placed: np.ndarray) -> np.ndarray:
             if placed[base] and not found[base]:
                 found[base] = True
                 queue.append(int(base))
+    return found
+
+
+def lies_above(stack: Stack, blocks: Iterable[int]) -> np.ndarray:
+    """bool[n]: ``blocks`` and all that rest on them, directly or not."""
+    found = np.zeros(len(stack), bool)
+    queue = list(blocks)
+    found[queue] = True
+    for base in queue:
+        for top in np.unique(stack.upper[stack.lower == base]).tolist():
+            if not found[top]:
+                found[top] = True
+                queue.append(top)
     return found
