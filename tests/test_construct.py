@@ -14,10 +14,11 @@ from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign, read_design
 from learn2assemble.planning.construct import plan_assembly, plan_cells
 from learn2assemble.planning.plan import Plan
+from test_ordering import deck
 
 DESIGNS = Path(__file__).resolve().parents[1] / "examples" / "designs"
 DRAWN = ("gate.svg", "t.svg", "h.svg", "arch.svg", "two_towers.svg", "circle.svg", "figure.png",
-         "free/off_centre_tower.json")  # fmt: skip
+         "dome.npy", "free/off_centre_tower.json")  # fmt: skip
 
 
 def filled(plan: Plan, design: CellDesign) -> np.ndarray:
@@ -74,6 +75,29 @@ def test_a_span_the_kit_has_no_block_for_is_refused_and_says_so(tmp_path: Path) 
         "assembly.json",
     }
     assert plan_cells(design, "bricks-lintels").complete
+
+
+def test_tight_joints_are_used_where_no_gap_is_asked_for_and_said() -> None:
+    """A deck of 1x4 over a gap of four: bed faces do not carry its middle."""
+    design = CellDesign("deck", deck(4), (0.05, 0.05, 0.05), None, 0.0, None, "test", None)
+    plan = plan_cells(design, "bricks", gap=0.0, props=False, friction=(0.5, 0.6))
+    assert plan.complete, plan.reason
+    assert (plan.friction_range, plan.gap_range) == ((0.5, 0.6), (0.0, 0.0))
+    assert "tight joints" in {step.proof for step in plan.steps}
+    assert all(0 < (step.margin_g or 0) <= 0.5 for step in plan.steps)
+    assert plan.assembly is not None
+    # Read back as given blocks, the same states need their side faces.
+    for mu in (0.5, 0.6):
+        given = plan_assembly(plan.assembly, friction=mu)
+        assert given.complete
+        assert [s.proof == "tight joints" for s in given.steps] == [
+            s.proof == "tight joints" for s in plan.steps
+        ]
+    open_ = plan_cells(design, "bricks", props=False)
+    assert open_.status == "refused"
+    propped = plan_cells(design, "bricks", gap=0.0)
+    assert propped.complete
+    assert "tight joints" not in {step.proof for step in propped.steps}
 
 
 def bridge(*steps: Step) -> Assembly:

@@ -18,9 +18,10 @@ from learn2assemble.errors import InputError
 from learn2assemble.planning.exact import plan_exact, uncarried_cells, unsupported
 from learn2assemble.planning.mechanisms import find_mechanisms, mirrored
 from learn2assemble.planning.ordering import LOCAL, Ordering, order, to_assembly, way_out
+from learn2assemble.planning.standing import region_near, tile_standing
 from learn2assemble.planning.step_proof import TOLERANCE, Proof, find_stack
-from learn2assemble.planning.tiling import BlockPlacement, Tiling, owners, tile
-from test_tiling import LINTELS, SMALL, blocks_of, covers, designs
+from learn2assemble.planning.tiling import BlockPlacement, Tiling, owners, placement_cells, tile
+from test_tiling import LINTELS, SMALL, blocks_of, check_cover, covers, designs
 
 SQUARE = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / np.sqrt(2)
 
@@ -76,6 +77,11 @@ def states(assembly: Assembly) -> list[Assembly]:
         there ^= {step.place or step.remove or ""}
         found.append(state(assembly, there))
     return found
+
+
+def deck(gap: int) -> np.ndarray:
+    """Two levels of cells on two piers, ``gap`` cells apart."""
+    return shapes.bridge(1, gap, 3, 3, 1)
 
 
 # ---------------------------------------------------------------- the local proof
@@ -337,12 +343,85 @@ def test_a_refusal_names_cells_and_what_would_carry_them() -> None:
     assert not unsupported(tiling, LINTELS)
 
 
-@pytest.mark.parametrize("name", ["blob-1", "dome-lean"])
+@settings(max_examples=25, deadline=None)
+@given(wanted=designs((4, 2, 3)))
+def test_blocks_are_chosen_with_forces_exactly_where_some_tiling_stands(
+    wanted: np.ndarray,
+) -> None:
+    """Against all tilings; right on an edge of support, either answer is rounding."""
+    everything = list(covers(wanted, SMALL))
+    if len(everything) > 200:
+        return
+    full, least = 0, 0
+    for picked in everything:
+        blocks = blocks_of(wanted, SMALL, picked)
+        there = np.ones(len(blocks), bool)
+        full += bool(Proof(find_stack(blocks, SMALL, wanted.shape)).program(there, there))
+        wide = find_stack(blocks, SMALL, wanted.shape, SMALL.joint_gap + 1e-5)
+        least += bool(Proof(wide).program(there, there))
+    tiling = tile(wanted, SMALL)
+    stack = find_stack(tiling.placements, SMALL, wanted.shape)
+    status, made = tile_standing(tiling, SMALL, stack, wanted)
+    assert status == ("optimal" if made else "infeasible")
+    if made is None:
+        assert not least
+        return
+    assert full
+    again = Proof(find_stack(made.placements, SMALL, wanted.shape, SMALL.joint_gap - 1e-5))
+    there = np.ones(len(made.placements), bool)
+    assert again.program(there, there)
+
+
+def test_a_region_is_decided_again_and_the_rest_stays() -> None:
+    """A window of five cells in a wall of bricks: its lintels have to be clamped from above."""
+    bricks, wanted = load_kit("bricks"), shapes.wall(21, 2, 8, (8, 13, 2, 5))
+    tiling = tile(wanted, bricks)
+    stack = find_stack(tiling.placements, bricks, wanted.shape)
+    there = np.ones(len(stack), bool)
+    proof = Proof(stack)
+    assert not proof.program(there, there)
+    held = proof.held(there)
+    region = region_near(tiling, bricks, held)
+    assert region.sum() < wanted.sum()
+    status, made = tile_standing(tiling, bricks, stack, region)
+    assert status == "optimal"
+    assert made is not None
+    check_cover(made, bricks)
+    before = {b for b in tiling.placements if not region[tuple(placement_cells(b, bricks)[0])]}
+    assert before <= set(made.placements)
+    stack = find_stack(made.placements, bricks, wanted.shape)
+    there = np.ones(len(stack), bool)
+    assert Proof(stack).program(there, there)
+
+
+def test_a_deck_that_no_bricks_carry_is_refused_by_its_forces() -> None:
+    tiling, ordering = plan_exact(shapes.bridge(1, 6, 4, 3, 2), load_kit("bricks"))
+    assert ordering is None
+    assert tiling.status == "refused"
+    assert "spans 4 cells at level 3" in tiling.reason
+    assert "the finished building would fall" in tiling.reason
+
+
+@pytest.mark.parametrize("name", ["blob-1", "dome-lean", "dome-thin", "table"])
 def test_what_no_tiling_carries_is_refused(name: str) -> None:
     tiling, ordering = plan_exact(shapes.SHAPES[name](), LINTELS, seconds=300)
     assert ordering is None
     assert tiling.status == "refused"
     assert "the finished building would fall" in tiling.reason
+    assert ("only with tight joints" in tiling.reason) == (name == "dome-lean")
+
+
+def test_tight_joints_need_a_gap_of_zero() -> None:
+    tiling = tile(deck(4), load_kit("bricks"))
+    with pytest.raises(InputError, match="gap"):
+        order(tiling, load_kit("bricks"), gap=1e-4, tight=True)
+    open_ = order(tiling, load_kit("bricks"), gap=0.0)
+    made = order(tiling, load_kit("bricks"), gap=0.0, tight=True)
+    assert open_.status == "refused"
+    assert made.status == "complete"
+    assert made.gap_range == (0.0, 0.0)
+    # Without friction nothing presses.
+    assert order(tiling, load_kit("bricks"), gap=0.0, friction=0.0, tight=True).status == "refused"
 
 
 # ---------------------------------------------------------------- ranges

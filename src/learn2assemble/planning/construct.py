@@ -20,7 +20,7 @@ from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.planning import plan as plans
 from learn2assemble.planning.exact import plan_exact
-from learn2assemble.planning.ordering import Ordering, to_assembly
+from learn2assemble.planning.ordering import TIGHT, Ordering, to_assembly
 from learn2assemble.planning.plan import Plan, PlanDesign
 from learn2assemble.planning.tiling import placement_cells
 
@@ -29,8 +29,8 @@ EXACT = "exact"
 _UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 _MARGIN = 1e3
 """Margins are written up to this [g]."""
-BED, TIGHT = "bed faces", "tight joints"
-"""Proofs of a step of a given assembly: without vertical joints, or only if they press."""
+BED = "bed faces"
+"""Proof of a step of a given assembly without vertical joints; else ``TIGHT``."""
 
 
 def plan_cells(
@@ -50,7 +50,8 @@ def plan_cells(
             ``bricks-lintels``.
         friction: Coulomb coefficient, or the range to prove every step for; that of the kit
             without it.
-        gap: width of vertical joints [m], or the range to prove every step for.
+        gap: width of vertical joints [m], or the range to prove every step for. With 0, side faces
+            may carry what bed faces do not; such steps are called ``tight joints``.
         props: whether temporary blocks may be used.
         seconds: wall-clock limit of planning and proof.
         progress: told what is being done.
@@ -88,7 +89,9 @@ def plan_cells(
     refused = "refused" in (tiling.status, ordered.status)
     assembly = None
     if tiling.placements:
-        assembly = _coloured(to_assembly(tiling, ordering, kit, name=design.name), design)
+        pressed = any(step.proof == TIGHT for step in ordered.steps)
+        made = to_assembly(tiling, ordering, kit, name=design.name, gap=0.0 if pressed else None)
+        assembly = _coloured(made, design)
     steps, covered = [], 0
     for number, step in enumerate(ordered.steps, 1):
         index = step.remove if step.place is None else step.place
