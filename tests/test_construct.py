@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 import learn2assemble as l2a
+import shapes
 from learn2assemble.assembly.blocks import Assembly, Step, box_block
 from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign, read_design
+from learn2assemble.physics.rigid_blocks import check
 from learn2assemble.planning.construct import plan_assembly, plan_cells
 from learn2assemble.planning.plan import Plan
 from test_ordering import deck
@@ -78,26 +80,35 @@ def test_a_span_the_kit_has_no_block_for_is_refused_and_says_so(tmp_path: Path) 
 
 
 def test_tight_joints_are_used_where_no_gap_is_asked_for_and_said() -> None:
-    """A deck of 1x4 over a gap of four: bed faces do not carry its middle."""
-    design = CellDesign("deck", deck(4), (0.05, 0.05, 0.05), None, 0.0, None, "test", None)
-    plan = plan_cells(design, "bricks", gap=0.0, props=False, friction=(0.5, 0.6))
+    """Two blocks of four cells meet over a gap of four: only their side faces hold them."""
+    wanted = shapes.bridge(1, 4, 3, 2, 1, 1)
+    design = CellDesign("deck", wanted, (0.05, 0.05, 0.05), None, 0.0, None, "test", None)
+    plan = plan_cells(design, "bricks", gap=0.0, friction=(0.5, 0.6))
     assert plan.complete, plan.reason
     assert (plan.friction_range, plan.gap_range) == ((0.5, 0.6), (0.0, 0.0))
     assert "tight joints" in {step.proof for step in plan.steps}
     assert all(0 < (step.margin_g or 0) <= 0.5 for step in plan.steps)
     assert plan.assembly is not None
-    # Read back as given blocks, the same states need their side faces.
     for mu in (0.5, 0.6):
-        given = plan_assembly(plan.assembly, friction=mu)
+        assert check(plan.assembly, friction=mu).verdict == "stands only with tight joints"
+        given = plan_assembly(plan.assembly, friction=mu)  # the same states, read back
         assert given.complete
-        assert [s.proof == "tight joints" for s in given.steps] == [
-            s.proof == "tight joints" for s in plan.steps
-        ]
-    open_ = plan_cells(design, "bricks", props=False)
+        assert given.steps[-1].proof == "tight joints"
+    assert check(plan.assembly, friction=0.3).verdict == "falls"
+    assert not plan_cells(design, "bricks", gap=0.0, friction=(0.3, 0.6)).complete
+    open_ = plan_cells(design, "bricks")
     assert open_.status == "refused"
-    propped = plan_cells(design, "bricks", gap=0.0)
-    assert propped.complete
-    assert "tight joints" not in {step.proof for step in propped.steps}
+    assert "only with tight joints (--gap 0)" in (open_.reason or "")
+
+
+def test_props_come_before_tight_joints() -> None:
+    design = CellDesign("deck", deck(4), (0.05, 0.05, 0.05), None, 0.0, None, "test", None)
+    proofs = {
+        props: {s.proof for s in plan_cells(design, "bricks", gap=0.0, props=props).steps}
+        for props in (True, False)
+    }
+    assert "tight joints" not in proofs[True]
+    assert "tight joints" in proofs[False]
 
 
 def bridge(*steps: Step) -> Assembly:
