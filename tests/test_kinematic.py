@@ -375,7 +375,7 @@ def test_a_load_beside_the_cup_is_refused() -> None:
     found = arm.attempt(world, Move(1, np.array([-0.2, 0.1, 0.05]), grasp, grasp))
     assert (found.outcome, found.stage) == (Outcome.GRASP_LOST, "lift")
     share = (17.0 + 16 * 0.25 / 0.015) / 42.4
-    assert f"loaded with {100 * share:.0f} %" in found.detail
+    assert f"its weight is {100 * share:.0f} %" in found.detail
 
 
 @settings(deadline=None, max_examples=30)

@@ -62,35 +62,53 @@ def add_ground(spec: mujoco.MjSpec, name: str, surface: Surface | None, **geom: 
     plane = spec.worldbody.add_geom(
         name=name, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], **geom
     )
-    _set_contact(plane, surface)
+    set_contact(plane, surface)
 
 
 def add_object(
     spec: mujoco.MjSpec,
     name: str,
-    boxes: Iterable[tuple[Any, Any]],
+    boxes: Iterable[tuple[Any, ...]],
     surface: Surface | None,
     **geom: Any,
 ) -> None:
-    """A free body made of boxes, each as heavy as a block.
+    """A free body made of boxes, each as heavy as a block unless it has a mass of its own.
 
     Args:
         spec: the scene.
         name: of the body.
-        boxes: centre and half extents of each, float[3] in the body's frame [m].
+        boxes: centre and half extents of each, float[3] in the body's frame [m], and perhaps its
+            mass [kg].
         surface: contact parameters, or None for MuJoCo's own.
         geom: further fields of the geoms.
     """
     body = spec.worldbody.add_body(name=name)
     body.add_freejoint()
-    for centre, half in boxes:
+    for centre, half, *own in boxes:
+        mass = own[0] if own else MASS
         box = body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX, pos=centre, size=half, mass=MASS, **geom
+            type=mujoco.mjtGeom.mjGEOM_BOX, pos=centre, size=half, mass=mass, **geom
         )
-        _set_contact(box, surface)
+        set_contact(box, surface)
 
 
-def _set_contact(geom: mujoco.MjsGeom, surface: Surface | None) -> None:
+def resize_boxes(model: mujoco.MjModel, geoms: np.ndarray, half: np.ndarray) -> None:
+    """Change boxes of a compiled model that are the only geoms of bodies without joints.
+
+    Args:
+        model: the scene.
+        geoms: int[k], boxes at the origin of their bodies.
+        half: float64[k, 3], their new half extents [m].
+    """
+    # The trees of bounding boxes are not made anew; with old ones collisions are missed.
+    model.bvh_aabb[model.body_bvhadr[model.geom_bodyid[geoms]], 3:] = half
+    model.geom_size[geoms] = half
+    model.geom_aabb[geoms, 3:] = half
+    model.geom_rbound[geoms] = np.linalg.norm(half, axis=1)
+
+
+def set_contact(geom: mujoco.MjsGeom, surface: Surface | None) -> None:
+    """Give a geom these contact parameters; None leaves MuJoCo's own."""
     if surface is not None:
         geom.friction[0] = surface.friction
         geom.solref, geom.solimp, geom.margin = surface.solref, surface.solimp, surface.margin

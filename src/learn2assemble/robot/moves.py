@@ -15,7 +15,7 @@ import numpy as np
 
 from learn2assemble.errors import look_up
 from learn2assemble.geometry.rotations import rotate_vectors, yaw_matrix
-from learn2assemble.world.blocks import EDGE, HALF, MASS
+from learn2assemble.world.blocks import EDGE, GRAVITY, HALF, MASS
 
 if TYPE_CHECKING:
     from learn2assemble.robot.arm import Arm
@@ -349,6 +349,22 @@ def crossing_height(scene: Scene, move: Move) -> float:
     return LEVEL * math.ceil((height + above) / LEVEL - 1e-9)
 
 
+def overload(arm: Arm, scene: Scene, move: Move) -> str | None:
+    """Why the cup of an arm cannot hold what a move asks for at all, in words; None where it can,
+    and for fingers, whose grasp the motion tells."""
+    cup, members = arm.suction, scene.members(move.cell)
+    if cup is None:
+        return None
+    mass = scene.mass(members)
+    why = why_not_held(arm, scene.halves[move.cell], float(mass.sum()))
+    if why is not None:
+        return why
+    lever = mass @ (scene.position[members] - scene.position[move.cell])
+    tilt = GRAVITY * np.array([lever[1], -lever[0], 0.0])
+    share = cup.load(np.array([0.0, 0.0, GRAVITY * mass.sum()]), tilt)[0]
+    return f"its weight is {100 * share:.0f} % of what pulls the cup off" if share > 1 else None
+
+
 STAGES = ("approach", "pick", "lift", "cross", "place", "release", "retreat", "home")
 """Parts of a pick and place, in order; ``retreat`` ends above the target."""
 
@@ -401,10 +417,14 @@ class TrajectoryRecorder:
         """float64[T, n]: joint positions so far [rad]."""
         return np.array([row[1] for row in self._rows])
 
-    def trajectory(self, owner: np.ndarray, offset: np.ndarray) -> Trajectory:
-        """All samples; cell c of object ``owner[c]`` lies at ``offset[c]`` in its frame [m]."""
+    def trajectory(
+        self, owner: np.ndarray, offset: np.ndarray, still: np.ndarray
+    ) -> Trajectory:  # fmt: skip
+        """All samples; cell c of object ``owner[c]`` lies at ``offset[c]`` in its frame [m], and
+        after the objects come things that do not move, at ``still`` float64[k, 7]."""
         *numbers, stage, poses = zip(*self._rows, strict=True)
-        pose = np.array(poses)[:, owner]
+        always = np.broadcast_to(still, (len(poses), *still.shape))
+        pose = np.concatenate([np.array(poses), always], 1)[:, owner]
         pose[..., :3] += rotate_vectors(pose[..., 3:], offset)
         stages = np.array([STAGES.index(name) for name in stage], np.int8)
         return Trajectory._make([*map(np.array, numbers), stages, pose])

@@ -5,6 +5,7 @@ Open loop: the same commands to the same cell, without looking.
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from pathlib import Path
 
@@ -26,13 +27,14 @@ from learn2assemble.robot.dynamic.model import (
     Order,
     World,
     compile_world,
+    hold_still,
     rigid_objects,
     take_order,
 )
-from learn2assemble.robot.dynamic.prepare import Failure, prepare
+from learn2assemble.robot.dynamic.prepare import Failure, prepare, require_held
 from learn2assemble.robot.dynamic.simulation import Simulation
 from learn2assemble.robot.dynamic.trajectory import Limits, Motion, load_ruckig
-from learn2assemble.robot.moves import OPENING, Attempt, Move, Outcome, Scene, Trajectory
+from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene, Trajectory
 from learn2assemble.world.blocks import FRICTION
 
 _MAX_WORLDS = 32
@@ -99,7 +101,7 @@ class DynamicCell:
         self.precheck, self.skip_free_motion = precheck, skip_free_motion
         self.shift_rule = shift_rule or ShiftRule()
         self.friction, self.sample_steps, self.dump = friction, sample_steps, dump
-        self._worlds: OrderedDict[object, World] = OrderedDict()
+        self._worlds: OrderedDict[tuple[object, int], World] = OrderedDict()
 
     def attempt(
         self,
@@ -130,15 +132,19 @@ class DynamicCell:
                 raise InputError("joints", joints.tolist(), within)
         world = self.world(order.objects)
         try:
+            if self.precheck:
+                require_held(self.arm, scene, move)
             course = prepare(
                 self.arm, world, order, joints, self.finish == "home", self.precheck
             )  # fmt: skip
         except Failure as failure:
             return _report(order, order.poses, self.arm.home if joints is None else joints, failure)
+        width = order.opening if self.arm.suction is None else 0.0
         sim = Simulation(
-            self.arm, world, order.poses, order.names, order.target, course.there[0], OPENING,
+            self.arm, world, order.poses, order.names, order.target, course.there[0], width,
             self.sample_steps, self.dump,
         )  # fmt: skip
+        sim.contacts.upright = scene.half is not None
         run = Execution(sim, order, course, self.limits, self.loaded)
         run.correct, run.skip_free = self.correct, self.skip_free_motion
         failure = None
@@ -148,18 +154,25 @@ class DynamicCell:
             check_rest(order, sim.poses, speed, run.landed, self.shift_rule)
         except Failure as found:
             failure = abandon(run, found, self.recover)
-        trajectory = sim.recorder.trajectory(order.objects.owner, order.objects.offset)
+        objects = order.objects
+        trajectory = sim.recorder.trajectory(objects.owner, objects.offset, objects.still)
         found = _report(order, sim.poses, sim.joints.copy(), failure)
         return found._replace(held=run.holding, trajectory=trajectory)
 
     def world(self, objects: Objects) -> World:
         """The compiled cell for these objects; remembered."""
-        world = self._worlds.get(objects.shape)
+        count = len(objects.still)
+        room = 64 * math.ceil(count / 64)
+        known = [key for key in self._worlds if key[0] == objects.shape and key[1] >= count]
+        key = known[0] if known else (objects.shape, room)
+        world = self._worlds.get(key)
         if world is None:
-            world = compile_world(self.arm, objects.shape, self.friction)
-            self._worlds[objects.shape] = world
+            world = compile_world(self.arm, objects.shape, self.friction, room)
+            self._worlds[key] = world
             if len(self._worlds) > _MAX_WORLDS:
                 self._worlds.popitem(last=False)
+        if world.num_still:
+            hold_still(world, objects)
         return world
 
 

@@ -6,6 +6,7 @@ with what was ordered.
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from learn2assemble.physics.scene import rotation_matrix
 from learn2assemble.robot.approach import ApproachPath, approach_path
+from learn2assemble.robot.dynamic.cup import Cup
 from learn2assemble.robot.dynamic.model import TIMESTEP, Order
 from learn2assemble.robot.dynamic.prepare import PRESS, Course, Failure, free_way, rest_pose
 from learn2assemble.robot.dynamic.simulation import PUSH, TOUCH, Event, Rules, Simulation, Watch
@@ -23,8 +25,7 @@ from learn2assemble.robot.dynamic.trajectory import (
     limits_along,
 )
 from learn2assemble.robot.dynamic.transit import WorldChecker
-from learn2assemble.robot.moves import OPENING, Outcome, carried
-from learn2assemble.world.blocks import EDGE
+from learn2assemble.robot.moves import Outcome, carried
 
 LOOSE = 0.005
 """What is held may touch others while it is so near to where it stood or shall stand [m]."""
@@ -45,13 +46,17 @@ GRIP_TIME = 0.2
 LOAD_TIME = 0.1
 """In which the controller learns of what the hand holds, and forgets it again [s]: at once, the
 arm would jump."""
+CALM_TIME = 0.1
+"""The hand stands still so long before it is looked where a box of given size sits in it [s]."""
 REST_TIME = 1.0
 """Longest time to wait for rest [s]."""
 EMPTY = Watch(Rules(TOUCH, PUSH, None))
 LOADED = Watch(Rules(TOUCH, None, TOUCH))
 NEAR = Watch(Rules(TOUCH, None, None))
+BESIDE = Watch(Rules(TOUCH, None, PUSH))
 BLIND = Watch(Rules(None, None, None))
-"""What is looked for with an empty hand, a loaded one, near the contact, and after a failure."""
+"""What is looked for with an empty hand, a loaded one, near the contact, where what is held slides
+along others, and after a failure."""
 
 
 class Execution:
@@ -98,6 +103,11 @@ class Execution:
         self.grasp(course.plan.pick)
         self.carry(self.checked(course.across, "cross"))
         if self.correct:
+            if self.order.scene.half is not None:
+                # What is seen shall be where it sits, not how it swings.
+                _check(
+                    sim.wait(_steps(CALM_TIME), "cross", LOADED), Outcome.PLACE_COLLISION, "cross"
+                )
             self.place = self.corrected()
         self.lower(self.place, "place", LOADED, NEAR)
         self.release("release", NEAR)
@@ -115,9 +125,9 @@ class Execution:
             position, rotation = sim.tool()
             pose = sim.poses[sim.target]
             turned = rotation.T @ rotation_matrix(pose[3:])
-            checker.carry(sim.target, rotation.T @ (pose[:3] - position), turned, EDGE)
+            checker.carry(sim.target, rotation.T @ (pose[:3] - position), turned, self.order.held)
         else:
-            checker.empty(OPENING)
+            checker.empty(self.order.opening)
         planned = np.vstack([sim.joints, way[1:]])
         if all(checker.blocked(start, end) is None for start, end in pairwise(planned)):
             return planned
@@ -140,8 +150,8 @@ class Execution:
                 _check(self.sim.follow(path, bounds, stage, (watch,)), outcome, stage)
 
     def grasp(self, approach: ApproachPath) -> None:
-        """Down, close, up."""
-        sim, gripper = self.sim, self.sim.arm.gripper
+        """Down, take hold, up."""
+        sim = self.sim
         touch, self.inside = Outcome.GRASP_COLLISION, approach
         above = approach.rise >= 0
         joints, rise = approach.joints[above], approach.rise[above]
@@ -149,7 +159,27 @@ class Execution:
         bounds = limits_along(path, self.limits)
         segments = approach_speed_limits(path, rise[::-1], ((CAREFUL, CAREFUL_SPEED),), bounds)
         _check(sim.follow(path, bounds, "pick", (EMPTY,), segments), touch, "pick")
-        pressing = EDGE - gripper.force / gripper.stiffness
+        if sim.cup is not None:
+            self.suck(sim.cup)
+        else:
+            self.close()
+        sim.hold()
+        self.holding = True
+        mass = sim.mass(self.order.target)
+        _check(sim.load(mass, _steps(LOAD_TIME), "pick", NEAR), touch, "pick")
+        path = joint_path(joints, self.loaded)
+        off = float(np.interp(LOOSE, rise, path.knots))
+        watches = (NEAR, LOADED._replace(start=off))
+        if self.order.scene.half is not None:
+            # Beside others it slides out of a slot.
+            out = float(np.interp(self.slot(), rise, path.knots))
+            watches = (NEAR, BESIDE._replace(start=off), LOADED._replace(start=out))
+        _check(sim.follow(path, limits_along(path, self.loaded), "lift", watches), touch, "lift")
+
+    def close(self) -> None:
+        """Close the fingers until they press."""
+        sim, gripper, touch = self.sim, self.sim.arm.gripper, Outcome.GRASP_COLLISION
+        pressing = self.order.held - gripper.force / gripper.stiffness
         enough = GRIPPED * gripper.force
         _check(sim.squeeze(_ramp(sim.width, pressing, gripper.speed), "pick", NEAR), touch, "pick")
         watch = NEAR._replace(until=lambda: self.grip() >= enough)
@@ -158,14 +188,27 @@ class Execution:
             detail = f"the fingers press with {self.grip():.1f} N at {1e3 * sim.opening:.0f} mm"
             raise Failure(Outcome.GRASP_LOST, "pick", detail)
         _check(event, touch, "pick")
-        sim.hold()
-        self.holding = True
-        mass = sim.mass(self.order.target)
-        _check(sim.load(mass, _steps(LOAD_TIME), "pick", NEAR), touch, "pick")
-        path = joint_path(joints, self.loaded)
-        off = float(np.interp(LOOSE, rise, path.knots))
-        watches = (NEAR, LOADED._replace(start=off))
-        _check(sim.follow(path, limits_along(path, self.loaded), "lift", watches), touch, "lift")
+
+    def suck(self, cup: Cup) -> None:
+        """Turn the vacuum on, and wait until it holds."""
+        sim, target = self.sim, self.order.target
+        name = self.order.names[target]
+        watch = NEAR._replace(until=lambda: cup.held is not None)
+        count = _steps(cup.suction.grip_time + GRIP_TIME)
+        event = sim.squeeze(np.ones(count), "pick", watch)
+        if event is None:
+            raise Failure(Outcome.GRASP_LOST, "pick", f"the cup does not close on {name}")
+        _check(event, Outcome.GRASP_COLLISION, "pick")
+        if cup.held != target:
+            other = self.order.names[cup.held or 0]
+            raise Failure(Outcome.GRASP_LOST, "pick", f"the cup closes on {other}, not on {name}")
+
+    def slot(self) -> float:
+        """Height of the object, which it may slide along others [m]."""
+        members = self.order.scene.members(self.order.move.cell)
+        half = self.order.scene.halves[members, 2]
+        height = self.order.scene.position[members, 2]
+        return float((height + half).max() - (height - half).min()) + LOOSE
 
     def grip(self) -> float:
         """What the weaker finger presses with [N]."""
@@ -186,6 +229,12 @@ class Execution:
         position, rotation = sim.tool()
         cell = order.objects.cells(sim.poses)[0][order.move.cell]
         place, target = plan.move.place, order.move.target
+        if order.scene.half is not None:
+            # Turned by as much as the object is turned in the hand.
+            now = rotation.T @ rotation_matrix(sim.poses[sim.target, 3:])
+            off = now @ order.in_hand(plan.move.grasp)[1].T
+            turn = math.atan2(off[1, 0] - off[0, 1], off[0, 0] + off[1, 1])
+            place = place._replace(yaw=place.yaw + turn)
         tool = target - place.rotation() @ rotation.T @ (cell - position)
         centre = tool + target - place.tool_point(target)
         found = approach_path(sim.arm, centre, place, plan.height, PRESS, plan.place.joints[0])
@@ -212,17 +261,25 @@ class Execution:
         )
         loose = float(np.interp(-LOOSE, -rise, path.knots))
         until = near._replace(start=loose, until=lambda: sim.contacts.support() >= LANDED)
-        event = sim.follow(path, bounds, stage, (before, until), segments)
+        watches = (before, until)
+        if self.order.scene.half is not None and before is LOADED:
+            # Between others it slides into a slot.
+            begin = float(np.interp(-self.slot(), -rise, path.knots))
+            watches = (before, BESIDE._replace(start=begin), until)
+        event = sim.follow(path, bounds, stage, watches, segments)
         self.landed = event is not None and event.what == "until"
         _check(event, Outcome.PLACE_COLLISION, stage)
 
     def release(self, stage: str, watch: Watch) -> None:
-        """Open no further than needed."""
+        """Open no further than needed; with a cup, turn the vacuum off and wait."""
         sim = self.sim
         _check(sim.load(0.0, _steps(LOAD_TIME), stage, watch), Outcome.PLACE_COLLISION, stage)
         sim.let_go()
         self.holding = False
-        widths = _ramp(sim.width, OPENING, sim.arm.gripper.speed)
+        if sim.cup is not None:
+            widths = np.zeros(_steps(sim.cup.suction.release_time) + 1)
+        else:
+            widths = _ramp(sim.width, self.order.opening, sim.arm.gripper.speed)
         _check(sim.squeeze(widths, stage, watch), Outcome.PLACE_COLLISION, stage)
 
     def rise(self, stage: str, watch: Watch) -> None:
@@ -301,7 +358,9 @@ def _settle(run: Execution) -> None:
     sim = run.sim
 
     def in_hand() -> bool:
-        return sim.width < EDGE and run.grip() >= HOLDS
+        if sim.cup is not None:
+            return sim.cup.held == sim.target
+        return sim.width < run.order.held and run.grip() >= HOLDS
 
     watch = BLIND._replace(until=lambda: sim.asleep(besides=in_hand()))
     sim.wait(round(REST_TIME / TIMESTEP), sim.stage, watch)
@@ -325,7 +384,7 @@ def _leave(run: Execution) -> None:
     sim = run.sim
     run.rise("retreat", BLIND)
     checker = WorldChecker(sim.arm, sim.world, sim.poses.copy(), run.order.names)
-    checker.empty(OPENING)
+    checker.empty(run.order.opening)
     if checker.check(sim.joints) is not None:
         _back_off(run, checker)
     run.travel(free_way(checker, sim.joints, rest_pose(sim.arm, checker), "home"), "home", BLIND)

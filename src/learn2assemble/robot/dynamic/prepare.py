@@ -14,8 +14,7 @@ from learn2assemble.robot.dynamic.transit import WorldChecker, straight_or_tree
 from learn2assemble.robot.inverse import solve
 from learn2assemble.robot.kinematic.collision import Collision
 from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.moves import LEVEL, OPENING, Move, Outcome, crossing_height
-from learn2assemble.world.blocks import EDGE
+from learn2assemble.robot.moves import LEVEL, Move, Outcome, Scene, overload, turned
 
 PRESS = 0.004
 """Approach paths begin so far below the place [m]: what is held is lowered until it rests."""
@@ -64,6 +63,17 @@ class Course(NamedTuple):
     """From there home; None if the arm is to stay."""
 
 
+def require_held(arm: Arm, scene: Scene, move: Move) -> None:
+    """Refuse what the tool cannot hold at all.
+
+    Raises:
+        Failure: GRASP_LOST.
+    """
+    why = overload(arm, scene, move)
+    if why is not None:
+        raise Failure(Outcome.GRASP_LOST, "lift", why)
+
+
 def prepare(
     arm: Arm, world: World, order: Order, joints: np.ndarray | None, go_home: bool, precheck: bool
 ) -> Course:
@@ -83,19 +93,19 @@ def prepare(
     checker = WorldChecker(arm, world, order.poses, order.names)
     plan = _plan(arm, checker, order)
     if precheck:
-        checker.put(order.target, *order.in_world(plan.move.grasp, plan.move.place), OPENING)
+        checker.put(order.target, *order.in_world(plan.move.grasp, plan.move.place), order.opening)
         hit = checker.overlap(order.target)
         if hit is not None:
             name = order.names[order.target]
             raise Failure(Outcome.PLACE_COLLISION, "place", f"{name} would overlap {hit}")
     plan, across = _across(arm, checker, order, plan)
-    checker.empty(OPENING)
+    checker.empty(order.opening)
     start = rest_pose(arm, checker) if joints is None else joints
     there = free_way(checker, start, plan.pick.joints[-1], "approach")
     home = None
     if go_home:
         pose = order.in_world(plan.move.grasp, plan.move.place)
-        checker.put(order.target, *pose, OPENING)
+        checker.put(order.target, *pose, order.opening)
         home = free_way(checker, plan.place.joints[-1], rest_pose(arm, checker), "home")
     return Course(plan, there, across, home)
 
@@ -112,22 +122,20 @@ def rest_pose(arm: Arm, checker: WorldChecker) -> np.ndarray:
 
 
 def _plan(arm: Arm, checker: WorldChecker, order: Order) -> Approaches:
-    """As ordered or with the fingers exchanged: whatever meets less, then what turns less."""
-    height = crossing_height(order.scene, order.move)
-    given = order.move
-    flipped = given._replace(grasp=given.grasp.flipped(), place=given.place.flipped())
+    """As ordered or with the hand turned: whatever meets less, then what turns less."""
+    height, given = order.height, order.move
     found: list[tuple[int, float, Approaches]] = []
     reasons: list[Failure] = []
-    for move in (given, flipped):
+    for move in (given, *(turned(given, turn) for turn in arm.turns)):
         centre = order.scene.position[move.cell]
-        checker.empty(OPENING)
+        checker.empty(order.opening)
         pick = _choose(
             checker, approach_paths(arm, centre, move.grasp, height, PRESS), order.target
         )  # fmt: skip
         if isinstance(pick, str):
             reasons.append(Failure(Outcome.UNREACHABLE, "pick", pick))
             continue
-        checker.carry(order.target, *order.in_hand(move.grasp), EDGE)
+        checker.carry(order.target, *order.in_hand(move.grasp), order.held)
         place = _choose(checker, approach_paths(arm, move.target, move.place, height, PRESS), None)
         if isinstance(place, str):
             reasons.append(Failure(Outcome.UNREACHABLE, "place", place))
@@ -165,7 +173,7 @@ def _across(
     arm: Arm, checker: WorldChecker, order: Order, plan: Approaches
 ) -> tuple[Approaches, np.ndarray]:
     """The plan, higher where that gives a straight free way, and the way."""
-    checker.carry(order.target, *order.in_hand(plan.move.grasp), EDGE)
+    checker.carry(order.target, *order.in_hand(plan.move.grasp), order.held)
     hit = checker.blocked(plan.pick.joints[-1], plan.place.joints[-1])
     for levels in range(1, MAX_RAISES + 1) if hit else ():
         higher = _raised(arm, order, plan, levels)

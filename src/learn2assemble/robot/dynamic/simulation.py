@@ -14,6 +14,7 @@ from numba import njit
 
 from learn2assemble.errors import Learn2AssembleError
 from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.dynamic.cup import Cup
 from learn2assemble.robot.dynamic.model import ARM, PAD, TABLE, TIMESTEP, CellState, World
 from learn2assemble.robot.dynamic.trajectory import (
     JointPath,
@@ -90,6 +91,8 @@ class Contacts:
 
     def __init__(self, world: World, data: mujoco.MjData, names: list[str], target: int) -> None:
         self.world, self.data, self.names = world, data, names
+        self.upright = False
+        """Only what holds the target up counts as its support, not what it slides along."""
         self._class = np.select(
             [world.kind == TABLE, world.kind == ARM, world.kind == PAD, world.kind == target],
             [_TABLE, _ARM, _PAD, _TARGET], _OTHER,
@@ -128,6 +131,8 @@ class Contacts:
         total = 0.0
         for k, (a, b) in enumerate(self._class[self._pairs()].tolist()):
             if _TARGET in (a, b) and {a, b} & {_TABLE, _OTHER}:
+                if self.upright and abs(self.data.contact.frame[k, 2]) < 0.5:
+                    continue
                 total += self.force(k)
         return total
 
@@ -205,6 +210,8 @@ class Drives:
         load = load + acceleration @ inertia + velocity * self._damping
         out = np.zeros((len(position), w.model.nu))
         out[:, w.drive] = position + load / w.stiffness
+        if w.gripper < 0:
+            return out
         gripper = self.arm.gripper
         closed = gripper.command(0.0)
         out[:, w.gripper] = closed + (gripper.command(1.0) - closed) * width
@@ -265,7 +272,8 @@ class Simulation(CellState):
         names: what to call them in messages.
         target: number of the object to be moved.
         joints: float64[n] the arm begins with [rad].
-        width: opening the gripper begins with [m].
+        width: opening the gripper begins with [m]; for a suction tool whether the vacuum is on,
+            also wherever openings are told.
         sample_steps: steps between samples of the recording.
         dump: folder for model and state should the simulation diverge; a new one by default.
     """
@@ -291,6 +299,7 @@ class Simulation(CellState):
         self.stage, self.steps, self.sample_steps = "approach", 0, sample_steps
         self.recorder = TrajectoryRecorder()
         self.joints, self.velocity, self.width = joints.copy(), np.zeros_like(joints), width
+        self.cup = None if arm.suction is None else Cup(arm.suction, world, self.data)
         self._grip: np.ndarray | None = None
         self._record()
 
@@ -401,6 +410,8 @@ class Simulation(CellState):
                 mujoco.mj_step(self.model, self.data)
                 if widths is not None:
                     self.width = float(widths[k])
+                if self.cup is not None:
+                    self.cup.step(self.width)
                 self._count(run.position[k], run.velocity[k])
                 event = self._look(thresholds, watch.until)
                 if event is not None:
@@ -412,6 +423,8 @@ class Simulation(CellState):
             hit = self.contacts.collision(thresholds)
             if hit is not None:
                 return Event("touch", hit)
+        if self.cup is not None and self._grip is not None and self.cup.held != self.target:
+            return Event("lost", f"{self.contacts.names[self.target]} {self.cup.lost}")
         if self._grip is not None and self.steps % BLOCK == 0:
             moved = np.linalg.norm(self.in_hand() - self._grip)
             if moved > SLIP:

@@ -24,10 +24,9 @@ from learn2assemble.robot.moves import (
     carried,
     crossing_height,
     grip_width,
+    overload,
     turned,
-    why_not_held,
 )
-from learn2assemble.world.blocks import GRAVITY
 
 STRIDE = 0.25
 """Largest step of a joint between two checks of a free motion [rad]."""
@@ -54,9 +53,9 @@ class KinematicCell:
 
     def attempt(self, scene: Scene, move: Move) -> Attempt:
         """Outcome of a move; the scene is left alone."""
-        refused = self._refused(scene, move)
-        if refused is not None:
-            return refused
+        why = overload(self.arm, scene, move)
+        if why is not None:
+            return Attempt(Outcome.GRASP_LOST, "lift", why)
         best = self._attempt(scene, move)
         for turn in self.arm.turns:
             if best.reached or (best.outcome != Outcome.UNREACHABLE and not best.by_link):
@@ -65,22 +64,6 @@ class KinematicCell:
             found = self._attempt(scene, turned(move, turn))
             best = found if _further(found) > _further(best) else best
         return best
-
-    def _refused(self, scene: Scene, move: Move) -> Attempt | None:
-        """What the tool cannot hold at all, wherever it is."""
-        cup, members = self.arm.suction, scene.members(move.cell)
-        if cup is None:
-            return None
-        half, mass = scene.halves[move.cell], scene.mass(members)
-        why = why_not_held(self.arm, half, float(mass.sum()))
-        if why is None:
-            weight = GRAVITY * mass.sum()
-            lever = (mass @ (scene.position[members] - scene.position[move.cell])) / mass.sum()
-            tilt = weight * np.array([lever[1], -lever[0], 0.0])
-            share = cup.load(np.array([0.0, 0.0, weight]), tilt)[0]
-            why = f"the cup is loaded with {100 * share:.0f} % of its pull-off force"
-            why = None if share <= 1 else why
-        return None if why is None else Attempt(Outcome.GRASP_LOST, "lift", why)
 
     def _checker(self, scene: Scene) -> BoxChecker:
         """A checker with room for the boxes of a scene."""

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from learn2assemble.geometry.rotations import yaw_quaternion
-from learn2assemble.physics.scene import rotation_matrix
+from learn2assemble.physics.scene import resize_boxes, rotation_matrix
 from learn2assemble.robot.arm import Arm, arm_spec
 from learn2assemble.robot.moves import GAP, Scene, fillers
 from learn2assemble.world.blocks import HALF
@@ -101,9 +101,9 @@ class BoxChecker(CollisionChecker):
 
     def place(self, scene: Scene) -> None:
         """Put the boxes where the cells of ``scene`` are."""
-        n, d = len(scene.position), self.data
+        n, d, m = len(scene.position), self.data, self.model
         if self.sized:
-            self._resize(self._boxes[:n], scene.halves)
+            resize_boxes(m, self._boxes[:n], scene.halves)
         else:
             self._pairs = fillers(scene.position, scene.object_id)
             d.mocap_pos[self.num_cells + len(self._pairs) :] = _FAR
@@ -154,7 +154,7 @@ class BoxChecker(CollisionChecker):
             m.body_pos[self._carried[:count]] = self._in_hand(position)
             for body, rotation in zip(self._carried, self._tool_rotation @ turn, strict=False):
                 mujoco.mju_mat2Quat(m.body_quat[body], rotation.ravel())
-            self._resize(self._carried_boxes[:count], half - SHRINK)
+            resize_boxes(m, self._carried_boxes[:count], half - SHRINK)
             return
         pairs = fillers(position, object_id)
         m.body_pos[self._carried], m.body_pos[self._carried_fillers] = _FAR, _FAR
@@ -176,14 +176,6 @@ class BoxChecker(CollisionChecker):
         if part.split()[0] in _THINGS:
             part, other = other, part
         return Collision(part, other, part.split()[0] not in self._hand)
-
-    def _resize(self, geoms: np.ndarray, half: np.ndarray) -> None:
-        m = self.model
-        tree = m.body_bvhadr[m.geom_bodyid[geoms]]  # of bodies with one geom each
-        m.bvh_aabb[tree, 3:] = half
-        m.geom_size[geoms] = half
-        m.geom_aabb[geoms, 3:] = half
-        m.geom_rbound[geoms] = np.linalg.norm(half, axis=1)
 
     def _in_hand(self, points: np.ndarray) -> np.ndarray:
         """float64[k, 3]: points of the tool frame in the frame of its body [m]."""
