@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from learn2assemble.errors import InputError
+from learn2assemble.geometry.rotations import cube_yaw
+from learn2assemble.physics.scene import rotation_matrix
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.dynamic.execution import (
     BLIND,
@@ -34,7 +36,7 @@ from learn2assemble.robot.dynamic.model import (
 from learn2assemble.robot.dynamic.prepare import Failure, prepare, require_held
 from learn2assemble.robot.dynamic.simulation import Simulation
 from learn2assemble.robot.dynamic.trajectory import Limits, Motion, load_ruckig
-from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene, Trajectory
+from learn2assemble.robot.moves import Attempt, Attitude, Move, Outcome, Scene, Trajectory
 from learn2assemble.world.blocks import FRICTION
 
 _MAX_WORLDS = 32
@@ -191,7 +193,7 @@ def _report(
 def replay(
     cell: DynamicCell, scene: Scene, recorded: Trajectory, quaternion: np.ndarray | None = None
 ) -> tuple[Scene, np.ndarray]:
-    """Send recorded joint positions, velocities and gripper commands to the drives again.
+    """Send recorded joint positions, velocities and commands of the tool to the drives again.
 
     Between two samples the joints follow the cubic that has their positions and velocities.
 
@@ -210,10 +212,11 @@ def replay(
     """
     if len(recorded.time) < 2:
         raise InputError("trajectory", len(recorded.time), "two samples or more")
-    objects, poses, names = rigid_objects(scene, quaternion)
+    objects, poses, names = rigid_objects(scene, quaternion, _moved(scene, recorded))
     world = cell.world(objects)
+    told = recorded.command if cell.arm.suction is not None else recorded.width
     sim = Simulation(
-        cell.arm, world, poses, names, 0, recorded.joints[0], float(recorded.width[0]),
+        cell.arm, world, poses, names, 0, recorded.joints[0], float(told[0]),
         cell.sample_steps, cell.dump,
     )  # fmt: skip
     motion, widths, payloads = _every_step(recorded)
@@ -221,6 +224,17 @@ def replay(
     sim.wait(round(REST_TIME / TIMESTEP), "home", BLIND._replace(until=sim.asleep))
     position, turns, yaw = objects.cells(sim.poses)
     return scene._replace(position=position, yaw=yaw), turns
+
+
+def _moved(scene: Scene, recorded: Trajectory) -> Move | None:
+    """What a recording moves, and where to; None where all objects are free anyway."""
+    if scene.half is None:
+        return None
+    way = np.linalg.norm(recorded.pose[-1, :, :3] - recorded.pose[0, :, :3], axis=1)
+    cell = int(np.argmax(way))
+    yaw = [cube_yaw(rotation_matrix(pose[cell, 3:])) for pose in recorded.pose[[0, -1]]]
+    target = recorded.pose[-1, cell, :3].copy()
+    return Move(cell, target, Attitude(yaw[0]), Attitude(yaw[1]))
 
 
 def _every_step(recorded: Trajectory) -> tuple[Motion, np.ndarray, np.ndarray]:

@@ -418,8 +418,9 @@ def rigid_objects(
     for array in (scene.position, turns):
         if not np.isfinite(array).all():
             raise InputError("scene", array.tolist(), "finite numbers")
-    sized = scene.half is not None and move is not None
-    free = free_cells(scene, turns, move) if sized else None
+    free = None
+    if scene.half is not None and move is not None:
+        free = free_cells(scene, turns, move)
     objects = group(scene, turns, free)
     poses = np.hstack([scene.position[objects.lead], turns[objects.lead]])
     still = [] if free is None else np.flatnonzero(~free)
