@@ -1,0 +1,215 @@
+"""Building a design with the network: the best candidate first, and repair at dead ends.
+
+**Budget.** A state is *expanded* when its candidates are described and scored by the network. A
+plan may expand ``budget`` states per block: every block beyond the most that ever stood together
+earns so many, and the search ends where they are used up. So a finished plan of n blocks has
+expanded at most ``budget * n`` states. Trying a scored candidate (its proof of equilibrium, and the
+count of cells that nothing would fill any more) expands nothing.
+
+With ``budget=1`` there is no search: of the scored candidates the best that stands is put down, and
+the first dead end is the end.
+
+With more, a candidate is passed over where it would leave an open cell that no candidate fills, or
+a heap that cannot fill what is open. Where no candidate is left, the blocks around the cells in
+question are taken out again, with all that rests on them, more of them every time; what has been
+taken out is tried later than before.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from learn2assemble.planning.agent.features import describe
+from learn2assemble.planning.agent.network import Builder
+from learn2assemble.planning.agent.world import Site, World
+from learn2assemble.planning.programs import INF, Clock
+
+BUDGET = 10
+WINDOW = 384
+"""Candidates scored at a time: the lowest, and of those the nearest to the last block."""
+_TRIES = 12
+"""Candidates tried in a state before it counts as a dead end."""
+_PENALTY = 1.5
+"""Taken from the logit of a candidate every time it has been taken out."""
+_SNAPSHOT = 16
+"""Blocks between two states that are kept to go back to."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """How far a search came."""
+
+    world: World
+    """The state with the fewest open cells."""
+    expanded: int
+    """States scored by the network, over the whole search."""
+    repairs: int
+    """Dead ends after which blocks were taken out."""
+    seconds: float
+    timed_out: bool = False
+
+    @property
+    def complete(self) -> bool:
+        """Whether every wanted cell is filled."""
+        return self.world.complete
+
+
+def window(world: World, legal: np.ndarray, size: int = WINDOW) -> np.ndarray:
+    """The ``size`` lowest of legal candidates, of those on a level the nearest to the last block."""
+    if len(legal) <= size:
+        return legal
+    origin = world.site.found.origin
+    last = origin[world.placed[-1]] if world.placed else np.zeros(3, np.int64)
+    near = np.abs(origin[legal, :2] - last[:2]).sum(1)
+    return legal[np.lexsort((near, origin[legal, 2]))[:size]]
+
+
+class _Search:
+    def __init__(self, site: Site, builder: Builder | None, seed: int) -> None:
+        self.site, self.builder = site, builder
+        self.rng = np.random.default_rng(seed)
+        self.world = World(site)
+        self.expanded = 0
+        self.taken: Counter[int] = Counter()
+        self.kept: list[World] = [self.world.copy()]
+        self.sizes = np.array([len(kind.cells) for kind in site.kit.kinds])
+        self.reach = max(max(max(cell) for cell in way.cells) for way in site.found.ways) + 1
+        self.hopeless = len(self.world.stranded())
+
+    def expand(self) -> np.ndarray:
+        """Candidates of the present state, the best first."""
+        candidates = window(self.world, self.world.legal())
+        self.expanded += 1
+        if not len(candidates):
+            return candidates
+        if self.builder is None:
+            logits = self.rng.random(len(candidates))
+        else:
+            logits, _ = self.builder.scores(*describe(self.world, candidates))
+        if self.taken:
+            logits = logits - _PENALTY * np.array([self.taken[int(c)] for c in candidates])
+        return candidates[np.argsort(-logits, kind="stable")]
+
+    def keep(self) -> None:
+        if len(self.world.placed) % _SNAPSHOT == 0:
+            self.kept.append(self.world.copy())
+
+    def dead_end(self, world: World) -> np.ndarray | None:
+        """Flat cells that cannot be filled any more; empty where the heap is to blame; else None."""
+        stranded = world.stranded()
+        if len(stranded) > self.hopeless:
+            return stranded
+        if (world.heap >= 0).any():
+            alive = self.site.kind[world.alive]
+            places = np.bincount(alive, minlength=len(self.sizes))
+            left = np.where(world.heap < 0, places, np.minimum(world.heap, places))
+            if (left * self.sizes).sum() < world.open - self.hopeless:
+                return stranded[:0]
+        return None
+
+    def step(self) -> np.ndarray | None:
+        """Put down the best candidate; None, or the cells that are to blame for a dead end."""
+        blame: list[np.ndarray] = []
+        fallen: list[int] = []
+        tried = 0
+        for candidate in self.expand():
+            trial = self.world.copy()
+            if not trial.place(int(candidate)):
+                fallen.append(int(candidate))
+                continue
+            dead = self.dead_end(trial)
+            if dead is None:
+                self.world = trial
+                self.keep()
+                return None
+            blame.append(dead)
+            tried += 1
+            if tried == _TRIES:
+                break
+        if not blame:
+            for candidate in fallen[:_TRIES]:
+                if self.world.place(candidate, program=True):
+                    self.keep()
+                    return None
+            # What carries the blocks that fall.
+            below = [self.site.cells(c) - 1 for c in fallen[:_TRIES]]
+            return np.concatenate(below) if below else np.flatnonzero(self.world.cover < 0)
+        cells = np.concatenate(blame)
+        return cells[cells >= 0]
+
+    def repair(self, cells: np.ndarray, radius: int) -> None:
+        """Take out the blocks around ``cells`` and what rests on them.
+
+        Args:
+            radius: how far around [cells]; without cells, twice as many of the last blocks.
+        """
+        world, shape = self.world, self.site.wanted.shape
+        out = np.zeros(len(world.placed), bool)
+        if len(cells):
+            at = np.stack(np.unravel_index(np.unique(cells), shape), -1)
+            # One of the places at a time: others may be consequences.
+            first = at[int(self.rng.integers(len(at)))]
+            filled = np.flatnonzero(world.owner >= 0)
+            where = np.stack(np.unravel_index(filled, shape), -1)
+            near = np.abs(where - first)
+            close = (near[:, :2].max(1) <= radius) & (near[:, 2] <= max(0, radius - self.reach))
+            out[world.owner[filled[close]]] = True
+        if not out.any():
+            out[-min(2 * radius, len(out)) :] = True
+        stack = world.proof.stack
+        for block in range(len(out)):
+            out[block] |= any(out[base] for base in stack.below(block))
+        self.taken.update(np.array(world.placed)[out].tolist())
+        first_out = int(np.flatnonzero(out)[0])
+        again = [c for c, gone in zip(world.placed, out, strict=True) if not gone]
+        self.kept = [kept for kept in self.kept if len(kept.placed) <= first_out]
+        self.world = self.kept[-1].copy()
+        for candidate in again[len(self.world.placed) :]:
+            if self.world.alive[candidate] and self.world.waits[candidate] == 0:
+                trial = self.world.copy()
+                if trial.place(candidate) and self.dead_end(trial) is None:
+                    self.world = trial
+                    self.keep()
+
+
+def build(
+    site: Site, builder: Builder | None, *, budget: int = BUDGET, seed: int = 0,
+    seconds: float = INF,
+) -> Outcome:  # fmt: skip
+    """Build a design.
+
+    Args:
+        builder: scores the candidates; None: they are scored at random.
+        budget: expanded states per block; 1: no search.
+        seed: of ties, of repairs and of random scores.
+        seconds: wall-clock limit.
+    """
+    clock, search = Clock(seconds), _Search(site, builder, seed)
+    if budget <= 1:
+        world = search.world
+        while not world.complete and clock.left > 0:
+            order = search.expand()
+            ways = ((int(c), program) for program in (False, True) for c in order)
+            if not any(world.place(c, program) for c, program in ways):
+                break
+        return Outcome(world, search.expanded, 0, clock.spent, clock.left <= 0)
+    best, most, repairs, radius = search.world, 0, 0, 1
+    while not search.world.complete and search.expanded < budget * (most + 1):
+        if clock.left <= 0:
+            return Outcome(best, search.expanded, repairs, clock.spent, True)
+        cells = search.step()
+        if search.world.open < best.open:
+            best = search.world
+        if len(search.world.placed) > most:
+            most, radius = len(search.world.placed), 1
+        if cells is not None:
+            if not search.world.placed:
+                break
+            search.repair(cells, radius)
+            repairs, radius = repairs + 1, radius + 1
+    if search.world.complete:
+        best = search.world
+    return Outcome(best, search.expanded, repairs, clock.spent)

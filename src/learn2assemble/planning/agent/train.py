@@ -1,0 +1,330 @@
+"""Training the builder: imitation of solutions on states of its own making.
+
+An *episode* builds one design of the training families. In every state the candidates that belong
+to a known solution are right, in whatever order they come. The agent goes its own way: where it
+prefers a candidate outside the solution, the teacher completes what is then there, and if it can,
+that solution is followed from there on (data aggregation, DAgger); if it cannot, the state is an
+example of a dead end for the value, and the episode goes on with the solution it had.
+
+Two teachers:
+
+* ``exact``: solutions of the exact planner, completed by integer programming;
+* ``search``: no demonstrations. Solutions are what the agent's own search has finished, renewed
+  whenever it builds with fewer blocks (expert iteration); it never leaves them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from learn2assemble.errors import InputError, Learn2AssembleError
+from learn2assemble.planning.agent.designs import Solved, make_design
+from learn2assemble.planning.agent.features import NUM_SUMMARY, describe, mirrored
+from learn2assemble.planning.agent.network import Builder, forward, initial_weights
+from learn2assemble.planning.agent.search import build, window
+from learn2assemble.planning.agent.world import Site, World
+from learn2assemble.planning.tiling import COSTS, cover, find_seams, glued, standing_cost
+from learn2assemble.tasks import DESIGN_TASKS
+
+TEACHERS = ("exact", "search")
+
+
+@dataclass(frozen=True)
+class BuilderConfig:
+    """What a training does.
+
+    Args:
+        name: of the agent.
+        teacher: see the module.
+        seed: of designs, weights and choices.
+        designs: how many of each task of designs are drawn.
+        seconds: wall-clock limit of the training, drawing of designs included.
+        states: most states to be visited.
+        batch: states of a gradient step.
+        reuse: how often a state is used, on average.
+        memory: states remembered.
+        kept: candidates kept of a state, those of the solution and the likeliest of the others.
+        rate: first learning rate; it falls to a tenth.
+        explore: share of steps that take any candidate of the solution.
+        hidden, width: of the layers of the network.
+    """
+
+    name: str = "builder-s0"
+    teacher: str = "exact"
+    seed: int = 0
+    designs: tuple[tuple[str, int], ...] = (
+        ("designs-lintels-60", 350), ("designs-lintels-60-heap", 350), ("designs-bricks-60", 80),
+        ("designs-cubes-60", 20),
+    )  # fmt: skip
+    seconds: float = 1800.0
+    states: int = 1_000_000
+    batch: int = 48
+    reuse: float = 4.0
+    memory: int = 8000
+    kept: int = 96
+    rate: float = 1e-3
+    explore: float = 0.15
+    hidden: int = 128
+    width: int = 64
+
+
+@dataclass(frozen=True, eq=False)
+class _Sample:
+    features: np.ndarray
+    """float16[m, NUM_FEATURES]."""
+    summary: np.ndarray
+    right: np.ndarray
+    """bool[m]: belongs to a solution; all False where there is none."""
+    finishable: bool
+
+
+# ---------------------------------------------------------------- teachers
+
+
+def complete(world: World, target: np.ndarray, level: int) -> np.ndarray | None:
+    """A solution of what is left after a placement that was in none.
+
+    Args:
+        target: bool[n]: the candidates of the solution before it.
+        level: of the placement.
+
+    Returns:
+        bool[n]; None where nothing fills the open cells.
+    """
+    site, found = world.site, world.site.found
+    flat = all(cell[2] == 0 for way in found.ways for cell in way.cells)
+    alone = flat and not (world.heap >= 0).any()
+    chosen = world.alive.copy()
+    if alone:
+        chosen &= found.origin[:, 2] == level
+    index = np.flatnonzero(chosen)
+    open_ = site.wanted & (world.owner < 0).reshape(site.wanted.shape)
+    if alone:
+        open_[:, :, np.arange(open_.shape[2]) != level] = False
+    must = np.flatnonzero(open_.reshape(-1))
+    if not len(must):
+        return target & world.alive
+    part = found.take(index)
+    if not np.isin(must, part.cell).all():
+        return None
+    seams = [np.zeros((site.wanted.shape[0] - 1, *site.wanted.shape[1:]), bool)]
+    seams += [np.zeros((site.wanted.shape[0], site.wanted.shape[1] - 1, site.wanted.shape[2]), bool)]
+    owner = world.owner.reshape(site.wanted.shape)
+    for z in range(1, site.wanted.shape[2]):
+        seams[0][:, :, z], seams[1][:, :, z] = find_seams(owner[:, :, z - 1])
+    cost = standing_cost(part, COSTS) - COSTS.seam * glued(part, (seams[0], seams[1]))
+    counts = {k: int(n) for k, n in enumerate(world.heap) if n >= 0}
+    try:
+        answer, picked, _, _ = cover(part, cost, must, kit=site.kit, counts=counts, seconds=2.0)
+    except Learn2AssembleError:  # The solver gave up: no teacher for this one.
+        return None
+    if answer.x is None:
+        return None
+    new = np.zeros(len(site), bool)
+    if alone:
+        new |= target & world.alive & (found.origin[:, 2] != level)
+    new[index[picked]] = True
+    return new
+
+
+def _from_search(builder: Builder | None, solved: Solved, known: np.ndarray | None, seed: int):
+    """The better of a known solution and what search finishes now; None where there is none."""
+    outcome = build(solved.site, builder, seed=seed, seconds=20.0)
+    if outcome.complete and (known is None or len(outcome.world.placed) <= known.sum()):
+        known = np.zeros(len(solved.site), bool)
+        known[outcome.world.placed] = True
+    return known
+
+
+# ---------------------------------------------------------------- episodes
+
+
+def _episode(
+    site: Site, target: np.ndarray, builder: Builder, rng: np.random.Generator,
+    config: BuilderConfig,
+) -> Iterator[_Sample]:  # fmt: skip
+    """The states of one design; see the module."""
+    world = World(site)
+    leave = config.teacher == "exact"
+    while not world.complete:
+        candidates = window(world, world.legal())
+        if not len(candidates):
+            return
+        features, summary = describe(world, candidates)
+        logits, _ = builder.scores(features, summary)
+        right = target[candidates].copy()
+        order = np.argsort(-logits - rng.gumbel(size=len(logits)) * 0.3, kind="stable")
+        moved = False
+        best = int(order[0])
+        if leave and not right[best] and rng.random() > config.explore:
+            trial = world.copy()
+            if trial.place(int(candidates[best])):
+                level = int(site.found.origin[candidates[best], 2])
+                other = None if len(trial.stranded()) else complete(trial, target, level)
+                if other is None:
+                    after = window(trial, trial.legal())
+                    if len(after):
+                        rows, whole = describe(trial, after)
+                        yield _keep(rows, whole, np.zeros(len(rows), bool), False, config, rng)
+                else:
+                    right[best] = True
+                    world, target, moved = trial, other, True
+        if right.any():
+            yield _keep(features, summary, right, True, config, rng, logits)
+        if moved:
+            continue
+        good = order[target[candidates[order]]]
+        if rng.random() < config.explore:
+            good = rng.permutation(good)
+        ways = ((int(candidates[k]), program) for program in (False, True) for k in good)
+        if not any(world.place(c, program) for c, program in ways):
+            return
+
+
+def _keep(
+    features: np.ndarray, summary: np.ndarray, right: np.ndarray, finishable: bool,
+    config: BuilderConfig, rng: np.random.Generator, logits: np.ndarray | None = None,
+) -> _Sample:  # fmt: skip
+    """A sample with at most ``kept`` candidates: half of the others the likeliest, half random."""
+    if len(right) > config.kept:
+        noise = rng.random(len(right))
+        first = noise if logits is None else np.argsort(np.argsort(-logits)) / len(right)
+        rank = np.where(noise < 0.5, first, noise + 1) - 10 * right
+        chosen = np.argsort(rank)[: config.kept]
+        features, right = features[chosen], right[chosen]
+    return _Sample(features.astype(np.float16), summary, right, finishable)
+
+
+# ---------------------------------------------------------------- training
+
+
+def train(
+    config: BuilderConfig, report: Callable[[dict[str, float]], None] = lambda figures: None
+) -> Builder:
+    """Train a builder.
+
+    Args:
+        report: told every 200 gradient steps: seconds, states, loss, share of states in which the
+            likeliest candidate is right, share of dead ends told from others.
+    """
+    import torch
+
+    if config.teacher not in TEACHERS:
+        raise InputError("teacher", config.teacher, " or ".join(TEACHERS))
+    torch.set_num_threads(1)
+    started = time.perf_counter()
+    rng = np.random.default_rng(config.seed)
+    designs = [
+        make_design(DESIGN_TASKS[name], rng) for name, count in config.designs for _ in range(count)
+    ]
+    targets: list[np.ndarray | None] = [_solution(d) for d in designs]
+    if config.teacher == "search":
+        targets = [None] * len(designs)
+    weights = {
+        k: torch.tensor(v, requires_grad=True)
+        for k, v in initial_weights(config.seed, config.hidden, config.width).items()
+    }
+    optimiser = torch.optim.Adam(list(weights.values()), config.rate)
+    memory: list[_Sample] = []
+    visited, steps, owed = 0, 0, 0.0
+    figures = np.zeros(5)
+
+    def elapsed() -> float:
+        return (time.perf_counter() - started) / config.seconds
+
+    while elapsed() < 1 and visited < config.states:
+        number = int(rng.integers(len(designs)))
+        builder = Builder(config.name, {k: v.detach().numpy() for k, v in weights.items()})
+        if config.teacher == "search" and (targets[number] is None or rng.random() < 0.3):
+            player = builder if memory else None
+            targets[number] = _from_search(player, designs[number], targets[number], visited)
+        target = targets[number]
+        if target is None:
+            continue
+        for sample in _episode(designs[number].site, target.copy(), builder, rng, config):
+            visited += 1
+            owed += config.reuse / config.batch
+            if len(memory) < config.memory:
+                memory.append(sample)
+            else:
+                memory[int(rng.integers(len(memory)))] = sample
+        while owed >= 1 and len(memory) >= config.batch and elapsed() < 1:
+            owed -= 1
+            for group in optimiser.param_groups:
+                group["lr"] = config.rate * 0.1 ** min(elapsed(), 1.0)
+            picked = [memory[k] for k in rng.integers(len(memory), size=config.batch)]
+            loss, shares = _loss(weights, picked, rng)
+            optimiser.zero_grad()
+            loss.backward()
+            torch.nn.utils.clip_grad_norm_(list(weights.values()), 1.0)
+            optimiser.step()
+            steps += 1
+            figures += (float(loss.detach()), *shares)
+            if steps % 200 == 0:
+                known = sum(t is not None for t in targets)
+                report({
+                    "seconds": round(elapsed() * config.seconds, 1), "states": visited,
+                    "steps": steps, "loss": figures[0] / 200,
+                    "right": figures[1] / max(figures[2], 1),
+                    "dead_ends_told": figures[3] / max(figures[4], 1), "solutions": known,
+                })  # fmt: skip
+                figures[:] = 0
+    origin = {
+        "config": dataclasses.asdict(config),
+        "states": visited,
+        "gradient_steps": steps,
+        "seconds": round(time.perf_counter() - started, 1),
+        "demonstrations": config.teacher == "exact",
+    }
+    return Builder(config.name, {k: v.detach().numpy().copy() for k, v in weights.items()}, origin)
+
+
+def _solution(solved: Solved) -> np.ndarray:
+    target = np.zeros(len(solved.site), bool)
+    target[list(solved.order)] = True
+    return target
+
+
+def _loss(weights, picked: list[_Sample], rng: np.random.Generator):
+    """Loss of a batch, and counts: right choices, of how many; dead ends told, of how many."""
+    import torch
+
+    most = max(len(sample.right) for sample in picked)
+    features = np.zeros((len(picked), most, picked[0].features.shape[1]), np.float32)
+    right = np.zeros((len(picked), most), bool)
+    mask = np.zeros((len(picked), most), np.float32)
+    summary = np.zeros((len(picked), 1, NUM_SUMMARY), np.float32)
+    for k, sample in enumerate(picked):
+        count = len(sample.right)
+        flips = rng.random(2) < 0.5
+        features[k, :count] = mirrored(sample.features, bool(flips[0]), bool(flips[1]))
+        right[k, :count], mask[k, :count], summary[k, 0] = sample.right, 1, sample.summary
+    there = torch.from_numpy(mask)
+    logits, value = forward(weights, torch.from_numpy(features), torch.from_numpy(summary),
+                            there[..., None])  # fmt: skip
+    logits = logits.masked_fill(there == 0, -1e9)
+    told = torch.from_numpy(right.any(1))
+    good = logits.masked_fill(~torch.from_numpy(right), -1e9)
+    policy = (logits.logsumexp(1) - good.logsumexp(1))[told].mean()
+    # Beside any right choice, every right candidate is to be told from the others.
+    share = torch.nn.functional.binary_cross_entropy_with_logits(
+        logits, torch.from_numpy(right.astype(np.float32)), reduction="none"
+    )
+    share = ((share * there)[told].sum(1) / there[told].sum(1)).mean()
+    finishable = torch.tensor([sample.finishable for sample in picked], dtype=torch.float32)
+    dead = float((finishable == 0).sum())
+    weight = torch.where(finishable == 0, 0.5 / max(dead, 1), 0.5 / max(len(picked) - dead, 1))
+    worth = torch.nn.functional.binary_cross_entropy_with_logits(
+        value[:, 0], finishable, weight=weight, reduction="sum"
+    )
+    with torch.no_grad():
+        hit = torch.gather(torch.from_numpy(right), 1, logits.argmax(1, keepdim=True))[told]
+        low = (value[:, 0] < 0) & (finishable == 0)
+    return policy + share + 0.3 * worth, (
+        float(hit.sum()), float(told.sum()), float(low.sum()), dead,
+    )  # fmt: skip
