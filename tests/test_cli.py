@@ -305,9 +305,19 @@ def test_build_of_what_cannot_be_built_exits_with_1(l2a: Call, agent: Path, tmp_
 @pytest.mark.parametrize("design", ["stepped_tower", "pyramid"])
 def test_build_with_the_shipped_agent(l2a: Call, tmp_path: Path, design: str) -> None:
     words = ["build", DESIGNS / f"{design}.json", "--planner", "agent", "--json"]
-    result = l2a(*words, "--out", tmp_path / "out")
+    result = l2a(*words, "--out", tmp_path / "out", "--agent", "relational-cubes-s0")
     assert result.code == 0
     assert result.json()["agent"] in pretrained_names()
+
+
+@pytest.mark.parametrize("design", ["stepped_tower.json", "h.svg"])
+def test_build_with_the_shipped_builder(l2a: Call, tmp_path: Path, design: str) -> None:
+    words = ["build", DESIGNS / design, "--planner", "agent", "--json"]
+    result = l2a(*words, "--out", tmp_path / "out")
+    told = result.json()
+    assert result.code == 0
+    assert (told["planner"], told["agent"]) == ("agent", "builder-s0")
+    assert told["cells_missing"] == told["cells_outside"] == told["props"] == 0
 
 
 @pytest.mark.skipif(not pretrained_names(), reason="no agent is shipped")

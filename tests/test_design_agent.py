@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+from pathlib import Path
+
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from gymnasium.utils.env_checker import check_env
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -12,7 +16,9 @@ from hypothesis.extra.numpy import arrays
 
 import learn2assemble.envs
 from learn2assemble.assembly.kit import load_kit, orientations
+from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
+from learn2assemble.physics.rigid_blocks import check
 from learn2assemble.planning.agent.designs import (
     FAMILIES,
     HELD_OUT,
@@ -21,9 +27,25 @@ from learn2assemble.planning.agent.designs import (
     draw_letter,
     make_design,
 )
-from learn2assemble.planning.agent.features import NUM_FEATURES, describe, mirrored
-from learn2assemble.planning.agent.world import World, make_site
+from learn2assemble.planning.agent.features import (
+    NUM_FEATURES,
+    NUM_SUMMARY,
+    describe,
+    mirrored,
+)
+from learn2assemble.planning.agent.network import (
+    Builder,
+    forward,
+    initial_weights,
+    load_builder,
+    save_builder,
+)
+from learn2assemble.planning.agent.search import build as build_site
+from learn2assemble.planning.agent.train import TEACHERS, BuilderConfig, train
+from learn2assemble.planning.agent.world import World, make_site, run
+from learn2assemble.planning.construct import plan_cells
 from learn2assemble.planning.exact import plan_exact
+from learn2assemble.planning.plan import CellCount
 from learn2assemble.planning.step_proof import find_stack
 from learn2assemble.planning.tiling import support_margin
 from learn2assemble.tasks import DESIGN_TASKS, DesignTask
@@ -204,3 +226,134 @@ def test_presets_of_designs() -> None:
     for name, task in DESIGN_TASKS.items():
         assert task.name == name
         assert f"learn2assemble/{name}-v0" in gymnasium.registry
+
+
+# ---------------------------------------------------------------- the agent
+
+
+def cells_of(rows: str) -> np.ndarray:
+    """A wall one cell thick from lines of ``#`` and ``.``, the top one first."""
+    return np.array([[c == "#" for c in row] for row in rows.split("/")])[::-1].T[:, None, :]
+
+
+H = cells_of("#...#/#...#/#####/#...#/#...#")
+
+
+def test_weights_are_the_same_after_a_file(tmp_path: Path) -> None:
+    builder = Builder("trial", initial_weights(3, 16, 8), {"seed": 3})
+    again = load_builder(save_builder(builder, tmp_path))
+    assert (again.name, again.origin) == ("trial", {"seed": 3})
+    for name, value in builder.weights.items():
+        np.testing.assert_array_equal(value, again.weights[name])
+    world = World(make_site(H, KITS[2]))
+    seen = describe(world, world.legal())
+    np.testing.assert_array_equal(builder.scores(*seen)[0], again.scores(*seen)[0])
+
+
+@pytest.mark.parametrize("damage", ["short", "nan", "shape", "other"])
+def test_damaged_weights_are_refused(tmp_path: Path, damage: str) -> None:
+    weights = initial_weights(0, 16, 8)
+    if damage == "nan":
+        weights["score"][0] = np.nan
+    if damage == "shape":
+        weights["score"] = weights["score"][1:]
+    path = save_builder(Builder("trial", weights), tmp_path)
+    if damage == "short":
+        path.write_bytes(path.read_bytes()[:-100])
+    if damage == "other":
+        path.with_suffix(".json").write_text('{"format": "learn2assemble-agent"}')
+    with pytest.raises(InputError, match="builder"):
+        load_builder(path)
+
+
+def test_learning_and_playing_compute_the_same() -> None:
+    rng = np.random.default_rng(0)
+    weights = initial_weights(1, 16, 8)
+    features = rng.normal(size=(2, 5, NUM_FEATURES)).astype(np.float32)
+    summary = rng.normal(size=(2, 1, NUM_SUMMARY)).astype(np.float32)
+    mask = np.ones((2, 5, 1), np.float32)
+    mask[1, 3:] = 0
+    logits, value = forward(weights, features, summary, mask)
+    tensors = {k: torch.from_numpy(v) for k, v in weights.items()}
+    other = forward(tensors, *(torch.from_numpy(v) for v in (features, summary, mask)))
+    np.testing.assert_allclose(logits, other[0].numpy(), rtol=1e-3, atol=1e-4)
+    np.testing.assert_allclose(value, other[1].numpy(), rtol=1e-3, atol=1e-4)
+    # Padding changes nothing.
+    alone = forward(weights, features[1, :3], summary[1], mask[1, :3])
+    np.testing.assert_allclose(alone[1], value[1], rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("teacher", TEACHERS)
+def test_a_short_training_learns(teacher: str) -> None:
+    config = BuilderConfig(
+        "trial", teacher, designs=(("designs-cubes-60", 2), ("designs-lintels-60", 3)),
+        states=150, batch=8, memory=100, hidden=16, width=8,
+    )  # fmt: skip
+    builder = train(config)
+    assert builder.origin["demonstrations"] == (teacher == "exact")
+    assert builder.origin["states"] >= 150
+    before = initial_weights(0, 16, 8)
+    assert not np.allclose(before["first"], builder.weights["first"])
+    assert build_site(make_site(H[:, :, :1], KITS[2]), builder).complete
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_what_is_built_is_within_the_rules(seed: int) -> None:
+    """With a heap that may be too small and designs that may not stand: never a wrong claim."""
+    rng = np.random.default_rng(seed)
+    cells = random_cells(rng)
+    kinds = tuple(
+        dataclasses.replace(kind, count=int(rng.integers(0, 6))) if rng.random() < 0.5 else kind
+        for kind in KITS[2].kinds
+    )
+    kit = dataclasses.replace(KITS[2], kinds=kinds)
+    budget = int(rng.choice([1, 3, 10]))
+    player = None if rng.random() < 0.5 else load_builder()
+    outcome = build_site(make_site(cells, kit), player, budget=budget, seed=seed)
+    world = outcome.world
+    assert outcome.expanded <= budget * (len(cells.reshape(-1)) + 1)
+    filled = np.zeros(cells.size, int)
+    for candidate in world.placed:
+        filled[world.site.cells(candidate)] += 1
+    assert filled.max(initial=0) <= 1
+    assert not (filled.reshape(cells.shape).astype(bool) & ~cells).any()
+    assert world.complete == bool((filled.reshape(cells.shape) > 0)[cells].all())
+    for index, kind in enumerate(kit.kinds):
+        used = sum(world.site.kind[c] == index for c in world.placed)
+        assert kind.count is None or used <= kind.count
+    assert run(world.site, world.placed) is not None
+
+
+def test_a_plan_of_the_agent_is_proven_again() -> None:
+    design = CellDesign("H", H, (0.05,) * 3, None, 0.0, None, "H", None)
+    plan = plan_cells(design, "bricks-lintels", planner="agent")
+    assert plan.complete, plan.reason
+    assert (plan.planner, plan.agent) == ("agent", "builder-s0")
+    assert plan.cells == CellCount(int(H.sum()), 0, 0)
+    assert all(step.proof for step in plan.steps)
+    assert plan.search is not None
+    assert plan.search.budget == 10
+    assert plan.assembly is not None
+    assert check(plan.assembly).verdict == "stands"
+
+
+def test_what_the_agent_cannot_build_is_said() -> None:
+    span = cells_of("#########/#.......#")
+    design = CellDesign("span", span, (0.05,) * 3, None, 0.0, None, "span", None)
+    plan = plan_cells(design, "bricks", planner="agent")
+    assert plan.status == "incomplete"
+    assert plan.cells is not None
+    assert plan.cells.missing
+    assert plan.reason
+    assert "cells are open, the first at" in plan.reason
+
+
+def test_auto_says_why() -> None:
+    design = CellDesign("H", H, (0.05,) * 3, None, 0.0, None, "H", None)
+    plan = plan_cells(design, planner="auto")
+    assert plan.complete
+    assert plan.search is not None
+    stage = plan.search.attempts[0]
+    assert stage.stage == "auto"
+    assert stage.result.startswith(f"{plan.planner}: ")

@@ -79,7 +79,7 @@ def _build_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("design", metavar="DESIGN", help="a drawing, picture, mesh, voxels, blocks, or a task")
     add("--out", type=Path, required=True, help="new or empty folder")
-    add("--planner", default="auto", help="exact, agent, or auto (the agent for tasks and arms)")
+    add("--planner", default="auto", help="exact, agent, or auto (what the record says)")
     exact = parser.add_argument_group("exact planner (docs/building.md)")
     exact.add_argument("--kit", default=None, help="name or .toml file (the design's own)")
     exact.add_argument("--unit", default=None, help="of the file where it does not say: mm, cm, m")
@@ -170,11 +170,13 @@ def _build(options: argparse.Namespace, output: Output) -> int:
 
 def _summary(plan: Plan) -> dict[str, Any]:
     head = {"design": plan.design.name, "status": plan.status, "reason": plan.reason}
-    if plan.planner == "exact":
+    if plan.planner == "exact" or plan.cells is not None:
         cells = plan.cells
         return {
             **head,
             "planner": plan.planner,
+            "agent": plan.agent,
+            "planner_chosen": [a.result for a in plan.search.attempts] if plan.search else [],
             "kit": plan.kit,
             "blocks": plan.blocks.used,
             "props": sum(step.prop and step.action == "place" for step in plan.steps),
@@ -217,6 +219,8 @@ def _print_exact_plan(output: Output, plan: Plan, files: dict[str, Path]) -> Non
     output.table(plan.design.name, ("block", "", "number"), rows)
     number = f"{plan.blocks.used} blocks, {len(plan.steps)} steps"
     output.say(f"{plan.status}: {number}, {plan.planner} planner, {plan.seconds:.1f} s")
+    for stage in plan.search.attempts if plan.search else ():
+        output.say(f"{stage.stage}: {stage.result}")
     if plan.cells:
         cells, design = plan.cells, plan.design
         shape = "" if design.iou is None else f"; {design.iou:.0%} of drawing and cells are common"
@@ -257,7 +261,7 @@ def _print_arm(output: Output, arm: ArmReport) -> None:
 
 
 def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
-    if plan.planner == "exact":
+    if plan.planner == "exact" or plan.cells is not None:
         _print_exact_plan(output, plan, files)
         return
     how = ("grasped", "put down", "outcome") if plan.arm else ("stable",)

@@ -1,8 +1,8 @@
 """The main job: from a design to a plan, every step of which is proven or carried out by an arm.
 
 Without an arm the exact planner (:mod:`.construct`) fills the cells of any design with the blocks
-of a kit; the learned agent with its search plans the tasks of the paper, everything an arm builds,
-and elevations where it is asked to.
+of a kit, or the learned builder does where it is asked to or the record of both is for it; the
+learned agent with its search plans the tasks of the paper.
 """
 
 from __future__ import annotations
@@ -73,9 +73,10 @@ def build(
     Args:
         design: a design or its file (``docs/design_files.md``), an assembly of given blocks, or the
             name of a task, of which a random problem is built.
-        planner: ``"exact"``, ``"agent"`` (elevations and tasks only), or ``"auto"``: the agent for
-            tasks, with an arm, and where an agent is named; else exact.
-        kit: for the exact planner, a kit, its name or its file; by default the one the design
+        planner: ``"exact"``; ``"agent"``: for designs the learned builder with its search alone
+            (:mod:`.agent`), for tasks the agent of the paper; or ``"auto"``: the agent for tasks
+            and where one is named, else what the record of both planners says.
+        kit: for designs of cells, a kit, its name or its file; by default the one the design
             names, else ``bricks-lintels``.
         friction: coefficient, or the range to prove every step for; by default the kit's.
         gap: width of vertical joints [m], or the range to prove every step for.
@@ -109,7 +110,7 @@ def build(
     if planner not in PLANNERS:
         raise UnknownNameError("planner", planner, PLANNERS)
     if uses_exact_planner(design, planner, arm, agent, layout):
-        if agent is not None:
+        if agent is not None and planner != "agent":
             raise InputError("agent", str(agent), "none with the exact planner")
         how = None
         if arm is not None:
@@ -120,7 +121,8 @@ def build(
             raise InputError("tool, layout or state", got, "an arm to build with (--arm)")
         return _build_exact(
             design, kit, friction, gap, props, dict(reading or {}),
-            EXACT_SECONDS if seconds is None else seconds, progress, how,
+            EXACT_SECONDS if seconds is None else seconds, progress, how, planner,
+            cast("str | None", agent), seed,
         )  # fmt: skip
     if tool not in (None, "gripper") or physics != "dynamic" or any(noise) or state is not None:
         raise InputError("tool, physics, noise or state", tool or physics, "an exact plan")
@@ -192,11 +194,16 @@ def uses_exact_planner(
     design: object, planner: str = "auto", arm: object = None, agent: object = None,
     layout: object = None,
 ) -> bool:  # fmt: skip
-    """Whether :func:`build` with these arguments plans exactly."""
-    if planner != "auto":
-        return planner == "exact"
+    """Whether :func:`build` with these arguments plans designs of cells, or given blocks."""
     task = isinstance(design, str) and design in PRESETS
     elevations = hasattr(design, "elevations")
+    if planner == "agent":
+        from learn2assemble.planning.agent.network import is_builder
+
+        named = agent is None or (isinstance(agent, str) and is_builder(agent))
+        return not (task or elevations) and named and arm is None and layout is None
+    if planner != "auto":
+        return planner == "exact"
     return not (task or elevations) and arm is None and agent is None and layout is None
 
 
@@ -236,7 +243,8 @@ class _Arm(NamedTuple):
 
 def _build_exact(
     design: object, kit: Any, friction: Any, gap: Any, props: bool, reading: dict[str, Any],
-    seconds: float, progress: Progress, how: _Arm | None,
+    seconds: float, progress: Progress, how: _Arm | None, planner: str, builder: str | None,
+    seed: int,
 ) -> Plan:  # fmt: skip
     if isinstance(design, str) and design in PRESETS:
         raise InputError("planner", "exact", f"agent, for the task {design}")
@@ -259,6 +267,8 @@ def _build_exact(
     if isinstance(design, Assembly):
         if kit is not None or isinstance(friction, tuple) or gap is not None:
             raise InputError("kit, gap or a range of friction", "given", "a design of cells")
+        if planner == "agent":
+            raise InputError("planner", planner, "exact, for blocks that are given")
         workcell = None if how is None else how.workcell()
         plan = plan_assembly(
             design, friction=friction, seconds=seconds, progress=progress, source=source
@@ -273,8 +283,9 @@ def _build_exact(
     kit = kit or load_kit(design.kit or DEFAULT_KIT)
     workcell = None if how is None else how.workcell()
     plan = plan_cells(
-        design, kit, friction=friction, gap=gap, props=props, seconds=seconds, progress=progress
-    )
+        design, kit, friction=friction, gap=gap, props=props, seconds=seconds, progress=progress,
+        planner=planner if how is None else "exact", builder=builder, seed=seed,
+    )  # fmt: skip
     if workcell is None:
         return plan
     from learn2assemble.planning.workcell_plan import carry_out_cells

@@ -25,7 +25,7 @@ from learn2assemble.planning.plan import Plan, PlanDesign
 from learn2assemble.planning.tiling import placement_cells
 
 DEFAULT_KIT = "bricks-lintels"
-EXACT = "exact"
+EXACT, AGENT, AUTO = "exact", "agent", "auto"
 _UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 _MARGIN = 1e3
 """Margins are written up to this [g]."""
@@ -42,6 +42,9 @@ def plan_cells(
     props: bool = True,
     seconds: float = 60.0,
     progress: Callable[[str], None] = lambda text: None,
+    planner: str = EXACT,
+    builder: str | None = None,
+    seed: int = 0,
 ) -> Plan:
     """Blocks, order and proof for a design of cells.
 
@@ -52,9 +55,13 @@ def plan_cells(
             without it.
         gap: width of vertical joints [m], or the range to prove every step for. With 0, side faces
             may carry what bed faces do not; such steps are called ``tight joints``.
-        props: whether temporary blocks may be used.
+        props: whether temporary blocks may be used; the agent uses none.
         seconds: wall-clock limit of planning and proof.
         progress: told what is being done.
+        planner: ``"exact"``; ``"agent"``: the learned builder with its search alone; ``"auto"``:
+            what the record of both says (:mod:`.agent.planner`), exact where the agent fails.
+        builder: the agent, by name or file.
+        seed: of the agent's search.
 
     Returns:
         The plan, with the assembly in :attr:`~.plan.Plan.assembly`.
@@ -65,9 +72,30 @@ def plan_cells(
     started = time.perf_counter()
     kit = kit if isinstance(kit, Kit) else load_kit(kit or design.kit or DEFAULT_KIT)
     progress("choosing blocks and proving their order")
-    tiling, ordering = plan_exact(
-        design.wanted, kit, seconds=seconds, friction=friction, gap=gap, props_allowed=props
-    )
+    chosen, search, agent = planner, None, None
+    tiling = ordering = None
+    if planner != EXACT:
+        from learn2assemble.planning.agent.planner import choose, plan_with_agent
+
+        stages: tuple[plans.SearchStage, ...] = ()
+        if planner == AUTO:
+            chosen, why = choose(design.wanted, kit)
+            stages = (plans.SearchStage(AUTO, why, 0.0),)
+        if chosen == AGENT:
+            tiling, ordering, search, agent = plan_with_agent(
+                design.wanted, kit, builder=builder, seed=seed, seconds=seconds,
+                friction=friction, gap=gap,
+            )  # fmt: skip
+            stages += search.attempts
+            if planner == AUTO and tiling.status != "complete":
+                tiling, ordering, agent, chosen = None, None, None, EXACT
+        needed = chosen if search is None else search.needed
+        search = plans.SearchReport(needed, 0 if search is None else search.budget, stages)
+    if tiling is None:
+        left = max(seconds - (time.perf_counter() - started), 1.0)
+        tiling, ordering = plan_exact(
+            design.wanted, kit, seconds=left, friction=friction, gap=gap, props_allowed=props
+        )
     ordered = ordering or Ordering((), tiling.status, tiling.reason)
     planned = time.perf_counter() - started
     standing: set[int] = set()
@@ -127,7 +155,9 @@ def plan_cells(
         seconds=round(time.perf_counter() - started, 3),
         planning_s=round(max(planned - ordered.seconds, 0.0), 3),
         proof_s=round(ordered.seconds, 3),
-        planner=EXACT,
+        planner=chosen,
+        agent=agent,
+        search=search,
         kit=kit.name,
         cells=plans.CellCount(wanted, missing, outside),
         verified_by="static equilibrium of every step",

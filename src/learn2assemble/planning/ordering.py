@@ -262,6 +262,7 @@ class _Sideways:
 def order(
     tiling: Tiling, kit: Kit, *, friction: float | tuple[float, float] | None = None,
     gap: float | tuple[float, float] | None = None, seconds: float = 60.0, tight: bool = False,
+    given: bool = False,
 ) -> Ordering:  # fmt: skip
     """The order of building ``tiling``, every state proven before the next.
 
@@ -271,6 +272,7 @@ def order(
         gap: width of vertical joints [m], or the range to prove it for; that of the kit without it.
         seconds: wall-clock limit.
         tight: whether side faces may carry what bed faces do not; only where the gap is 0.
+        given: try the blocks in the order of the tiling instead of from below.
     """
     clock = Clock(seconds)
     ends = value_range(friction, kit.friction, "friction")
@@ -284,7 +286,7 @@ def order(
     stack = find_stack(blocks, kit, shape, widest)
     site = _Site(stack, ends[0], clock, Coupled(tiling, kit, ends) if tight else None)
     steps: list[OrderedStep] = []
-    stuck, status = _place_all(site, tiling, kit, steps)
+    stuck, status = _place_all(site, tiling, kit, steps, given)
     props = [b for b in range(len(blocks)) if blocks[b].prop and site.placed[b]]
     if props and not stuck and status == "complete":
         cells = [placement_cells(block, kit) for block in blocks]
@@ -333,7 +335,7 @@ def value_range(
 
 
 def _place_all(
-    site: _Site, tiling: Tiling, kit: Kit, steps: list[OrderedStep]
+    site: _Site, tiling: Tiling, kit: Kit, steps: list[OrderedStep], given: bool
 ) -> tuple[tuple[int, ...], str]:
     """Place everything; what is stuck, and ``"complete"`` or ``"time"``.
 
@@ -346,7 +348,9 @@ def _place_all(
     filled = tiling.wanted.copy()
     enclosed = [b for b in range(len(blocks)) if blocks[b].prop and not way_out(filled, cells[b])]
     filled[:] = False
-    left = sorted(range(len(blocks)), key=lambda b: (blocks[b].origin[::-1], b))
+    left = list(range(len(blocks)))
+    if not given:
+        left.sort(key=lambda b: (blocks[b].origin[::-1], b))
     level, progress = 0, True
     waits: dict[int, tuple[int, ...]] = {}
 

@@ -21,7 +21,8 @@ from learn2assemble.files import mapping, read_json, write_file
 from learn2assemble.planning.agent.features import NUM_FEATURES, NUM_SUMMARY
 
 FORMAT = "learn2assemble-builder"
-PRETRAINED = Path(__file__).parents[2] / "pretrained"
+FOLDER = Path(__file__).parents[2] / "assets" / "builders"
+"""The builders that come with the package."""
 DEFAULT = "builder-s0"
 """The agent that builds where none is named."""
 
@@ -121,6 +122,15 @@ def save_builder(builder: Builder, folder: Path) -> Path:
     return weights
 
 
+def is_builder(name_or_path: str) -> bool:
+    """Whether a name or a ``.safetensors`` file is a builder's, and no other agent's."""
+    path = Path(name_or_path)
+    if path.suffix != ".safetensors":
+        return (FOLDER / f"{name_or_path}.safetensors").is_file()
+    info = path.with_suffix(".json")
+    return info.is_file() and f'"{FORMAT}"' in info.read_text(encoding="utf-8", errors="replace")
+
+
 def load_builder(name_or_path: str | Path = DEFAULT) -> Builder:
     """A builder of the package by name, or one from a ``.safetensors`` file.
 
@@ -132,7 +142,7 @@ def load_builder(name_or_path: str | Path = DEFAULT) -> Builder:
 
     path = Path(name_or_path)
     if path.suffix != ".safetensors":
-        path = PRETRAINED / f"{name_or_path}.safetensors"
+        path = FOLDER / f"{name_or_path}.safetensors"
     info_file = path.with_suffix(".json")
     for file in (path, info_file):
         if not file.is_file():

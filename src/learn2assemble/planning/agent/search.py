@@ -58,7 +58,7 @@ class Outcome:
 
 
 def window(world: World, legal: np.ndarray, size: int = WINDOW) -> np.ndarray:
-    """The ``size`` lowest of legal candidates, of those on a level the nearest to the last block."""
+    """The ``size`` lowest of legal candidates; on a level, the nearest to the last block."""
     if len(legal) <= size:
         return legal
     origin = world.site.found.origin
@@ -98,7 +98,7 @@ class _Search:
             self.kept.append(self.world.copy())
 
     def dead_end(self, world: World) -> np.ndarray | None:
-        """Flat cells that cannot be filled any more; empty where the heap is to blame; else None."""
+        """Cells that cannot be filled any more; none where the heap is to blame; else None."""
         stranded = world.stranded()
         if len(stranded) > self.hopeless:
             return stranded

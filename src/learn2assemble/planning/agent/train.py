@@ -113,7 +113,9 @@ def complete(world: World, target: np.ndarray, level: int) -> np.ndarray | None:
     if not np.isin(must, part.cell).all():
         return None
     seams = [np.zeros((site.wanted.shape[0] - 1, *site.wanted.shape[1:]), bool)]
-    seams += [np.zeros((site.wanted.shape[0], site.wanted.shape[1] - 1, site.wanted.shape[2]), bool)]
+    seams += [
+        np.zeros((site.wanted.shape[0], site.wanted.shape[1] - 1, site.wanted.shape[2]), bool)
+    ]
     owner = world.owner.reshape(site.wanted.shape)
     for z in range(1, site.wanted.shape[2]):
         seams[0][:, :, z], seams[1][:, :, z] = find_seams(owner[:, :, z - 1])

@@ -1,0 +1,126 @@
+"""The builder as a planner: the same answer as the exact one's, and who plans what.
+
+Which planner ``auto`` takes is read from a record, ``assets/planners.json``, written by
+``l2a builder measure``: for every kind of design how many each planner completed and how long it
+took, planning and proof together.
+"""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from learn2assemble.assembly.kit import Kit
+from learn2assemble.planning.agent.network import DEFAULT, load_builder
+from learn2assemble.planning.agent.search import BUDGET, Outcome, build
+from learn2assemble.planning.agent.world import make_site
+from learn2assemble.planning.ordering import Ordering, order
+from learn2assemble.planning.plan import SearchReport, SearchStage
+from learn2assemble.planning.programs import Clock
+from learn2assemble.planning.tiling import TIME_OPTION, Tiling
+
+RECORD = "planners.json"
+_SAVING = 2.0
+"""The agent is taken only where it saves so many seconds at the median."""
+
+
+def plan_with_agent(
+    wanted: np.ndarray, kit: Kit, *, builder: str | None = None, seed: int = 0,
+    seconds: float = 60.0, friction: float | tuple[float, float] | None = None,
+    gap: float | tuple[float, float] | None = None, budget: int = BUDGET,
+) -> tuple[Tiling, Ordering, SearchReport, str]:  # fmt: skip
+    """Blocks of ``kit`` that fill ``wanted``, chosen by the builder, every state proven again.
+
+    Args:
+        wanted: bool[X, Y, Z].
+        builder: by name or file; the default one without it.
+        seed: of the search.
+        seconds: wall-clock limit for everything.
+        friction, gap: as for :func:`learn2assemble.planning.ordering.order`.
+        budget: see :mod:`.search`.
+
+    Returns:
+        as :func:`learn2assemble.planning.exact.plan_exact`, of what was built where not all could
+        be; what the search took; the name of the builder.
+    """
+    clock = Clock(seconds)
+    agent = load_builder(builder or DEFAULT)
+    site = make_site(wanted, kit)
+    outcome = build(site, agent, budget=budget, seed=seed, seconds=seconds)
+    world, spent = outcome.world, clock.spent
+    placements = tuple(site.placement(candidate) for candidate in world.placed)
+    missing = tuple(world.cells_open())
+    tiling = Tiling(
+        placements, site.wanted, "complete" if world.complete else "incomplete",
+        _reason(outcome, seconds), missing, spent,
+    )  # fmt: skip
+    ordering = order(
+        tiling, kit, friction=friction, gap=gap, seconds=max(clock.left, 1.0), given=True
+    )
+    found = "complete" if world.complete else f"{len(missing)} cells open"
+    text = f"{found}; {outcome.expanded} states expanded, {outcome.repairs} dead ends repaired"
+    report = SearchReport(
+        "agent with search", budget, (SearchStage("agent with search", text, round(spent, 3)),),
+        outcome.repairs,
+    )  # fmt: skip
+    return tiling, ordering, report, agent.name
+
+
+def _reason(outcome: Outcome, seconds: float) -> str:
+    """Why it is not complete, in one line."""
+    world = outcome.world
+    if world.complete:
+        return ""
+    cells = world.cells_open()
+    x, y, z = min(cells, key=lambda cell: cell[::-1])
+    what = f"{len(cells)} cells are open, the first at ({x}, {y}, {z})"
+    if outcome.timed_out:
+        return f"time ran out after {seconds:g} s: {what}; {TIME_OPTION} gives more"
+    never = np.flatnonzero(world.site.wanted.reshape(-1) & (np.diff(world.site.over_start) == 0))
+    if len(never):
+        what += f"; {len(never)} cells need a prop, which the agent does not use"
+    return f"the agent found no way on: {what}; --planner exact may"
+
+
+# ---------------------------------------------------------------- who plans
+
+
+def kind_of(wanted: np.ndarray, kit: Kit) -> str:
+    """The kind of a design, as the record knows it: blocks, heap and number of cells."""
+    blocks = "cubes" if max(len(kind.cells) for kind in kit.kinds) == 1 else "bricks"
+    heap = "limited heap" if kit.limited else "no limit"
+    cells = int(wanted.sum())
+    size = next((f"up to {most} cells" for most in (100, 300, 1000) if cells <= most), "more")
+    return f"{blocks}, {heap}, {size}"
+
+
+@cache
+def read_record() -> dict[str, Any]:
+    """Measurements by kind of design and planner; empty where there are none."""
+    file = resources.files("learn2assemble") / "assets" / RECORD
+    return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {"kinds": {}}
+
+
+def choose(wanted: np.ndarray, kit: Kit) -> tuple[str, str]:
+    """The planner for a design, and why.
+
+    The agent, where on record it completed as many designs of this kind as the exact planner and
+    was faster by at least two seconds at the median; else the exact planner.
+    """
+    kind = kind_of(np.asarray(wanted), kit)
+    row = read_record()["kinds"].get(kind)
+    if row is None:
+        return "exact", f"exact: nothing on record for {kind}"
+    exact, agent = row["exact"], row["agent"]
+    words = (
+        f"on record for {kind} ({row['designs']} designs): exact {exact['complete']:.0%} in "
+        f"{exact['seconds']:.2g} s, agent {agent['complete']:.0%} in {agent['seconds']:.2g} s"
+    )
+    better = agent["complete"] >= exact["complete"]
+    if better and exact["seconds"] - agent["seconds"] >= _SAVING:
+        return "agent", f"agent: {words}"
+    return "exact", f"exact: {words}"
