@@ -42,8 +42,10 @@ class BuilderConfig:
         name: of the agent.
         teacher: see the module.
         seed: of designs, weights and choices.
-        designs: how many of each task of designs are drawn.
-        seconds: wall-clock limit of the training, drawing of designs included.
+        designs: how many of each task of designs are drawn, one with every ``fresh`` episodes on
+            average.
+        fresh: see ``designs``.
+        seconds: limit of the training in processor time, drawing of designs included.
         states: most states to be visited.
         batch: states of a gradient step.
         reuse: how often a state is used, on average.
@@ -61,7 +63,8 @@ class BuilderConfig:
         ("designs-lintels-60", 350), ("designs-lintels-60-heap", 350), ("designs-bricks-60", 80),
         ("designs-cubes-60", 20),
     )  # fmt: skip
-    seconds: float = 1800.0
+    fresh: float = 3.0
+    seconds: float = 1200.0
     states: int = 1_000_000
     batch: int = 48
     reuse: float = 4.0
@@ -219,14 +222,12 @@ def train(
     if config.teacher not in TEACHERS:
         raise InputError("teacher", config.teacher, " or ".join(TEACHERS))
     torch.set_num_threads(1)
-    started = time.perf_counter()
+    started, begun = time.process_time(), time.perf_counter()
     rng = np.random.default_rng(config.seed)
-    designs = [
-        make_design(DESIGN_TASKS[name], rng) for name, count in config.designs for _ in range(count)
-    ]
-    targets: list[np.ndarray | None] = [_solution(d) for d in designs]
-    if config.teacher == "search":
-        targets = [None] * len(designs)
+    coming = [name for name, count in config.designs for _ in range(count)]
+    rng.shuffle(coming)
+    designs: list[Solved] = []
+    targets: list[np.ndarray | None] = []
     weights = {
         k: torch.tensor(v, requires_grad=True)
         for k, v in initial_weights(config.seed, config.hidden, config.width).items()
@@ -237,9 +238,12 @@ def train(
     figures = np.zeros(5)
 
     def elapsed() -> float:
-        return (time.perf_counter() - started) / config.seconds
+        return (time.process_time() - started) / config.seconds
 
     while elapsed() < 1 and visited < config.states:
+        if coming and (len(designs) < 8 or rng.random() < 1 / config.fresh):
+            designs.append(make_design(DESIGN_TASKS[coming.pop()], rng))
+            targets.append(_solution(designs[-1]) if config.teacher == "exact" else None)
         number = int(rng.integers(len(designs)))
         builder = Builder(config.name, {k: v.detach().numpy() for k, v in weights.items()})
         if config.teacher == "search" and (targets[number] is None or rng.random() < 0.3):
@@ -270,8 +274,8 @@ def train(
             if steps % 200 == 0:
                 known = sum(t is not None for t in targets)
                 report({
-                    "seconds": round(elapsed() * config.seconds, 1), "states": visited,
-                    "steps": steps, "loss": figures[0] / 200,
+                    "seconds": round(elapsed() * config.seconds, 1), "designs": len(designs),
+                    "states": visited, "steps": steps, "loss": figures[0] / 200,
                     "right": figures[1] / max(figures[2], 1),
                     "dead_ends_told": figures[3] / max(figures[4], 1), "solutions": known,
                 })  # fmt: skip
@@ -280,7 +284,9 @@ def train(
         "config": dataclasses.asdict(config),
         "states": visited,
         "gradient_steps": steps,
-        "seconds": round(time.perf_counter() - started, 1),
+        "designs": len(designs),
+        "processor_seconds": round(time.process_time() - started, 1),
+        "wall_seconds": round(time.perf_counter() - begun, 1),
         "demonstrations": config.teacher == "exact",
     }
     return Builder(config.name, {k: v.detach().numpy().copy() for k, v in weights.items()}, origin)
