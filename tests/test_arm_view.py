@@ -205,7 +205,6 @@ def test_an_arm_that_never_moves_stands_at_home() -> None:
         (lambda r: stepped(r, 0, plan_step=9), "1 to 5"),
         (lambda r: stepped(r, 0, cells=(3,)), "block 1, as in the plan"),
         (lambda r: replace(r, arm=replace(r.arm, joints=("a", "b"))), "those of arm panda"),
-        (lambda r: replace(r, arm=replace(r.arm, base_yaw=1.0)), "base"),
     ],
 )
 def test_a_record_that_does_not_fit_is_refused(

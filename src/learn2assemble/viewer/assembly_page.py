@@ -18,6 +18,14 @@ from learn2assemble.assembly.blocks import Assembly, Block, fan_triangles, to_ma
 from learn2assemble.assembly.contacts import Contacts
 from learn2assemble.errors import InputError
 from learn2assemble.files import write_file
+from learn2assemble.viewer.arm import (
+    LEGEND,
+    NEAR_VIEW,
+    Labels,
+    arm_data,
+    arm_section,
+    arm_values,
+)
 from learn2assemble.viewer.html import (
     fact_list,
     fill,
@@ -26,6 +34,8 @@ from learn2assemble.viewer.html import (
     stand_alone,
     to_base64,
 )
+from learn2assemble.viewer.playback import Playback, block_of_cell
+from learn2assemble.viewer.words import arm_summary
 
 if TYPE_CHECKING:
     from learn2assemble.planning.plan import Plan
@@ -79,6 +89,8 @@ def write_assembly_page(
     moving: Collection[str] = (),
     status: str = "",
     reason: str = "",
+    playback: Playback | None = None,
+    blocks: Sequence[int | None] = (),
 ) -> None:
     """Write the page of an assembly to ``path``, a stand-alone HTML file.
 
@@ -94,13 +106,15 @@ def write_assembly_page(
         moving: ids of blocks that start to move; they are marked.
         status: shown beside the title, e.g. ``complete`` or ``stands only with tight joints``.
         reason: why it is not complete, or does not stand.
+        playback: what an arm did, which the page plays.
+        blocks: of every cell of the record its block, see :func:`~.playback.block_of_cell`.
 
     Raises:
         InputError: where the notes do not fit the steps, or ``path`` cannot be written.
     """
     text = render_assembly_page(
         assembly, title=title, facts=facts, step_notes=step_notes, forces=forces, moving=moving,
-        status=status, reason=reason,
+        status=status, reason=reason, playback=playback, blocks=blocks,
     )  # fmt: skip
     write_file(path, text, "page")
 
@@ -115,6 +129,8 @@ def render_assembly_page(
     moving: Collection[str] = (),
     status: str = "",
     reason: str = "",
+    playback: Playback | None = None,
+    blocks: Sequence[int | None] = (),
 ) -> str:
     """The HTML text of :func:`write_assembly_page`."""
     steps = assembly.steps
@@ -141,6 +157,10 @@ def render_assembly_page(
         "blocks": _block_data(parts, kinds, colours),
         "joints": _joints(forces) if forces is not None else None,
     }
+    labels = None
+    if playback is not None:
+        labels = _labels(assembly, parts, colours, captions, blocks)
+        data["arm"] = arm_data(playback, labels)
     low, high = _extent([part.block for part in parts])
     values = {
         "layer_box": _view_box(low, high, size),
@@ -175,7 +195,39 @@ def render_assembly_page(
         "view_note": "A click on a block names it.",
         "sections": fill("assembly.html", values),
     }  # fmt: skip
-    return stand_alone(page, data, _SCRIPTS)
+    scripts = _SCRIPTS
+    if playback is not None and labels is not None:
+        page |= {**arm_values(playback), "body": "movable assembly with-arm"}
+        page["views"] += NEAR_VIEW
+        page["legend"] += LEGEND
+        page["summary"] += escape(
+            f" Built by the arm {playback.record.arm.name}: {arm_summary(playback.record)}."
+        )
+        page["sections"] += arm_section(playback, labels.names)
+        scripts = (*_SCRIPTS[:-1], "arm.js", _SCRIPTS[-1])
+    return stand_alone(page, data, scripts)
+
+
+def cell_labels(assembly: Assembly, blocks: Sequence[int | None]) -> Labels:
+    """What cells of a record are called, without captions; see :func:`~.playback.block_of_cell`."""
+    parts, _, _ = _parts(assembly)
+    return _labels(assembly, parts, _colours(parts, set()), [], blocks)
+
+
+def _labels(
+    assembly: Assembly, parts: list[_Part], colours: list[str], captions: list[str],
+    blocks: Sequence[int | None],
+) -> Labels:  # fmt: skip
+    """What the page calls the cells of a record."""
+    colour = {part.block.id: colour for part, colour in zip(parts, colours, strict=True)}
+    ids = [None if block is None else assembly.blocks[block].id for block in blocks]
+    return Labels(
+        (None,) * len(ids),
+        tuple(name or "an obstacle or a block that was lost" for name in ids),
+        tuple("soft" if name is None else colour[name] for name in ids),
+        tuple(name is None for name in ids),
+        tuple(captions),
+    )
 
 
 def _parts(assembly: Assembly) -> tuple[list[_Part], list[Block], list[float]]:
@@ -467,6 +519,7 @@ def write_plan_page(plan: Plan, path: Path) -> None:
         InputError: where ``path`` cannot be written.
     """
     assert plan.assembly is not None
+    record = plan.record if plan.record is not None and plan.record.steps else None
     facts = [("planner", plan.planner or ""), ("kit", plan.kit or "")]
     facts += [("blocks", str(plan.blocks.used)), ("steps", str(len(plan.steps)))]
     props = sum(step.prop and step.action == "place" for step in plan.steps)
@@ -490,4 +543,6 @@ def write_plan_page(plan: Plan, path: Path) -> None:
         path, plan.assembly, title=plan.design.name, facts=[(a, b) for a, b in facts if b],
         step_notes=[StepNote(step.proof or "", step.margin_g) for step in plan.steps],
         status=plan.status, reason=plan.reason or "",
+        playback=None if record is None else Playback(record, plan),
+        blocks=[] if record is None else block_of_cell(record, plan),
     )  # fmt: skip

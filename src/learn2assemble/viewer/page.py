@@ -8,123 +8,30 @@ from typing import Any
 
 from learn2assemble.files import write_file
 from learn2assemble.planning.plan import Plan
-from learn2assemble.robot.moves import Outcome
-from learn2assemble.robot.record import StepRecord
+from learn2assemble.viewer.arm import (
+    LEGEND,
+    NEAR_VIEW,
+    READING,
+    Labels,
+    arm_data,
+    arm_section,
+    arm_values,
+    outcome_list,
+)
 from learn2assemble.viewer.html import fact_list, fill, speed_options, stand_alone
-from learn2assemble.viewer.playback import Playback, arm_data
+from learn2assemble.viewer.playback import Playback
 from learn2assemble.viewer.scene import Scene, chart_svg, elevation_svg, kind, read_scene
 from learn2assemble.viewer.words import (
-    OUTCOME_WORDS,
     arm_summary,
     block_names,
+    block_numbers,
     caption,
-    clock_words,
     percent,
     placement,
     search_needed,
-    sentence,
     shares,
     summary,
 )
-
-_SPEEDS = (1, 2, 4, 8, 16)
-_SPEED = 4
-
-
-def arm_values(playback: Playback) -> dict[str, str]:
-    """What a page with an arm says in places of its own, or otherwise than one without."""
-    end = f"{playback.duration:.2f}"
-    return {
-        "body": "movable with-arm",
-        "views": '<button type="button" id="near-view">Near view</button>',
-        "ribbon": ribbon(playback),
-        "slider_last": end,
-        "slider_step": "any",
-        "slider_name": "Time",
-        "count": f"{clock_words(playback.duration)} / {clock_words(playback.duration)}",
-        "speeds": speed_options(_SPEEDS, _SPEED),
-        "doing": (
-            '<p class="doing" id="doing"><span id="doing-words">The build is over.</span>'
-            '<span class="chip good" id="outcome">end</span></p>'
-        ),
-        "legend": _LEGEND + '<li><i class="waiting"></i>waiting block</li>'
-        '<li><i class="goal"></i>where this step puts it</li>',
-        "keys_note": " At speed 1× the clock is the arm's own. "
-        "The bar above the slider shows every attempt; red ones failed.",
-    }
-
-
-_READING = (
-    "<dt>The arm</dt><dd>Its joints follow the trajectory that stands in trajectory.json and "
-    "trajectory.csv beside this page. Waiting blocks stand where the arm takes them from.</dd>"
-    "<dt>Attempt</dt><dd>One try to pick up a block and put it down. After a failure the rest of "
-    "the build is planned anew from where the blocks really are.</dd>"
-    "<dt>Off by</dt><dd>Distance of the block from where it should stand, after the attempt.</dd>"
-    "<dt>Outcome</dt>"
-)
-
-
-def _section(plan: Plan, playback: Playback) -> str:
-    record = playback.record
-    return (
-        '<section class="attempts" aria-labelledby="arm-title"><h2 id="arm-title">What the arm '
-        f'did</h2><p class="lead">Arm {escape(record.arm.name)}, {escape(arm_summary(record))}, '
-        f"simulated by {escape(record.simulated_by)}.</p>"
-        '<div class="scroll"><table><thead><tr><th>Attempt</th><th>Object</th><th>Outcome</th>'
-        '<th>Why</th><th class="number">Off by</th><th class="number">Time</th></tr></thead>'
-        f"<tbody>{arm_rows(plan, playback)}</tbody></table></div></section>\n  "
-    )
-
-
-def arm_rows(plan: Plan, playback: Playback) -> str:
-    """The table of what became of every step."""
-    rows = []
-    for k, segment in enumerate(playback.segments):
-        step = segment.step
-        good = step.outcome == Outcome.REACHED
-        name = block_names(plan).get(step.cells[0], "a waiting block")
-        again = ' <span class="tag">planned anew</span>' if step.replanned else ""
-        rows.append(
-            f'<tr data-segment="{k}"><td><button type="button" data-segment="{k}" '
-            f'aria-label="Show attempt {k + 1}">{k + 1}</button></td>'
-            f"<td>{escape(name)}</td>"
-            f'<td class="{"yes" if good else "no"}">{step.outcome.label}</td>'
-            f"<td>{escape(sentence(step.detail))}{again}</td>"
-            f'<td class="number">{_error(step) if good else "–"}</td>'
-            f'<td class="number">{step.seconds:.1f} s</td></tr>'
-        )  # fmt: skip
-    return "".join(rows)
-
-
-def _error(step: StepRecord) -> str:
-    """How far the grasped cell stands from where it should [mm]."""
-    return f"{1000 * step.error:.1f} mm"
-
-
-def ribbon(playback: Playback) -> str:
-    """All steps side by side as long as they take; a click shows one."""
-    parts = []
-    for k, segment in enumerate(playback.segments):
-        step = segment.step
-        width = 1000 * (segment.end - segment.start) / playback.duration
-        left = 1000 * segment.start / playback.duration
-        state = "reached" if step.outcome == Outcome.REACHED else "failed"
-        parts.append(
-            f'<rect class="{state}" data-segment="{k}" x="{left:.2f}" y="0" '
-            f'width="{max(width - 1.2, 0.5):.2f}" height="10"><title>Attempt {k + 1}: '
-            f"{step.outcome.label}, {clock_words(segment.start)} to "
-            f"{clock_words(segment.end)}</title></rect>"
-        )
-    return (
-        '<svg class="ribbon" viewBox="0 0 1000 10" preserveAspectRatio="none" role="img" '
-        f'aria-label="{len(playback.segments)} attempts on the timeline">{"".join(parts)}</svg>'
-    )
-
-
-def outcome_list() -> str:
-    """Every outcome with its meaning."""
-    return "; ".join(f"<b>{o.label}</b>: {escape(words)}" for o, words in OUTCOME_WORDS.items())
-
 
 _SCRIPTS = ("three.bundle.js", "view.js", "stage.js")
 _LEGEND = (
@@ -156,7 +63,7 @@ def render_page(plan: Plan) -> str:
 
 
 def _render(plan: Plan, scene: Scene, playback: Playback | None) -> str:
-    arm = playback is not None
+    labels = cell_labels(plan, scene, playback)
     chart = chart_svg(plan)
     sections = {
         "elevations": _elevations(scene),
@@ -166,8 +73,8 @@ def _render(plan: Plan, scene: Scene, playback: Playback | None) -> str:
         "plane_note": _PLANE_NOTE if 'class="plane"' in chart else "",
         "steps": _steps(plan),
         "attempts": _attempts(plan),
-        "arm_section": _section(plan, playback) if arm else "",
-        "reading": _READING + f"<dd>{outcome_list()}.</dd>" if arm else "",
+        "arm_section": arm_section(playback, labels.names) if playback else "",
+        "reading": READING + f"<dd>{outcome_list()}.</dd>" if playback else "",
     }
     last = str(scene.num_steps)
     values = {
@@ -187,13 +94,22 @@ def _render(plan: Plan, scene: Scene, playback: Playback | None) -> str:
         "speeds": speed_options((0.5, 1, 2, 4), 1),
         "caption": escape(caption(plan, scene.num_steps)),
         "legend": _LEGEND,
-        "view_note": _TRAY_NOTE if scene.rearranged and not arm else "",
+        "view_note": _TRAY_NOTE if scene.rearranged and playback is None else "",
         "sections": fill("plan.html", sections),
         "source": f"Design file: {escape(plan.design.source)}.",
-        **(arm_values(playback) if playback is not None else {}),
+        **(
+            {}
+            if playback is None
+            else {
+                **arm_values(playback),
+                "body": "movable with-arm",
+                "views": NEAR_VIEW,
+                "legend": _LEGEND + LEGEND,
+            }
+        ),
     }
-    scripts = (*_SCRIPTS, *["arm.js"] * arm, "timeline.js")
-    return stand_alone(values, _data(plan, scene, playback), scripts)
+    scripts = (*_SCRIPTS, *["arm.js"] * (playback is not None), "timeline.js")
+    return stand_alone(values, _data(plan, scene, playback, labels), scripts)
 
 
 def _arm_words(playback: Playback | None) -> str:
@@ -210,11 +126,25 @@ _TRAY_NOTE = (
 _PLANE_NOTE = " Dotted: without what stands in front of a side's face plane."
 
 
-def _data(plan: Plan, scene: Scene, playback: Playback | None) -> dict[str, Any]:
+def cell_labels(plan: Plan, scene: Scene, playback: Playback | None) -> Labels:
+    """Of the cells of a record, which are the blocks of the plan."""
+    kinds = {block.number: kind(block) for block in scene.blocks}
+    numbers, names = block_numbers(plan), block_names(plan)
+    count = 0 if playback is None else playback.record.num_cells
+    return Labels(
+        tuple(numbers.get(cell) for cell in range(count)),
+        tuple(names.get(cell, "a waiting block") for cell in range(count)),
+        tuple(kinds.get(numbers.get(cell, -1), "wall") for cell in range(count)),
+        tuple(numbers.get(cell) == 0 for cell in range(count)),
+        tuple(caption(plan, number) for number in range(scene.num_steps + 1)),
+    )
+
+
+def _data(plan: Plan, scene: Scene, playback: Playback | None, labels: Labels) -> dict[str, Any]:
     """What the scripts need: lengths in metres, world frame, quaternions (w, x, y, z)."""
     kinds = {block.number: kind(block) for block in scene.blocks}
     return {
-        **({} if playback is None else {"arm": arm_data(plan, playback, kinds)}),
+        **({} if playback is None else {"arm": arm_data(playback, labels)}),
         "edge": scene.edge,
         "steps": scene.num_steps,
         "waiting": [
@@ -232,7 +162,7 @@ def _data(plan: Plan, scene: Scene, playback: Playback | None) -> dict[str, Any]
             for block in scene.blocks
         ],
         "faces": [side.face(scene.edge).round(5).tolist() for side in scene.elevations],
-        "captions": [caption(plan, number) for number in range(scene.num_steps + 1)],
+        "captions": labels.captions,
     }
 
 

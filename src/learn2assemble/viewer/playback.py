@@ -3,15 +3,12 @@
 The clock of a replay is the time of the record, with a pause for steps in which the arm does not
 move, so that they can be read. Between samples joints are interpolated; what is held follows the
 tool; what moves otherwise glides from where it was to where the record says it came to rest.
-
-What the script of a page needs to move an arm: meshes, chain, samples and steps as data.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,22 +16,13 @@ from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import (
     interpolate_quaternions,
     matrix_quaternion,
-    quaternion_matrix,
     quaternion_product,
 )
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.moves import Outcome, fillers
 from learn2assemble.robot.record import BuildRecord, Samples, StepRecord
-from learn2assemble.robot.shape import Part, Shape, arm_shape
-from learn2assemble.viewer.html import packed, to_base64
-from learn2assemble.viewer.words import (
-    arm_caption,
-    block_names,
-    block_numbers,
-    caption,
-    stage_words,
-)
+from learn2assemble.robot.shape import Shape, arm_shape
 
 PAUSE = 2.5
 """What a step without motion takes in a replay [s]."""
@@ -90,9 +78,13 @@ class Playback:
     """
 
     def __init__(self, record: BuildRecord, plan: Plan) -> None:
-        arm = get_arm(record.arm.name)
+        facts = record.arm
+        arm = get_arm(facts.name, facts.tool_name, (*facts.base_position.tolist(), facts.base_yaw))
         _fits(record, plan, arm)
         self.record = record
+        cube = np.full((record.num_cells, 3), record.block_edge / 2)
+        self.half = cube if record.half is None else record.half
+        """float64[C, 3]: half extents of every cell [m]."""
         self.shape: Shape = arm_shape(arm)
         self.samples = _samples(record, arm)
         self.segments = tuple(self._segments())
@@ -223,104 +215,38 @@ def split(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _fits(record: BuildRecord, plan: Plan, arm: Arm) -> None:
-    facts, where = record.arm, f"those of arm {arm.name}"
-    if facts.joints != arm.joints:
-        raise InputError("trajectory.arm.joints", facts.joints, where)
-    base = np.array([*facts.base_position, facts.base_yaw])
-    if not np.allclose(base, [*arm.base_position, arm.base_yaw], rtol=0, atol=1e-5):
-        raise InputError("trajectory.arm, base", base.tolist(), where)
-    count = len(plan.blocks.waiting)
+    if record.arm.joints != arm.joints:
+        raise InputError("trajectory.arm.joints", record.arm.joints, f"those of arm {arm.name}")
     if not record.steps:
         raise InputError("trajectory.steps", 0, "at least one step")
-    if record.num_cells != count:
+    count = len(plan.blocks.waiting)
+    if plan.assembly is None and record.num_cells != count:
         raise InputError("trajectory.objects", record.num_cells, f"the {count} blocks of the plan")
     last = len(plan.steps)
     for step in record.steps:
         if step.plan_step is not None and not 1 <= step.plan_step <= last:
             what = f"trajectory.steps[{step.number - 1}].plan_step"
             raise InputError(what, step.plan_step, f"1 to {last}, the steps of the plan")
-        if step.plan_step is not None and step.outcome == Outcome.REACHED:
-            block = plan.steps[step.plan_step - 1].block
+        done = step.plan_step is not None and step.outcome == Outcome.REACHED
+        if plan.assembly is None and done:
+            block = plan.steps[(step.plan_step or 0) - 1].block
             if block not in step.cells:
                 what = f"trajectory.steps[{step.number - 1}].cells"
                 raise InputError(what, step.cells, f"block {block}, as in the plan")
 
 
-def arm_data(plan: Plan, playback: Playback, kinds: Mapping[int, str]) -> dict:
-    """What the scripts need to move the arm: metres, seconds, radians, quaternions (w, x, y, z).
-
-    Args:
-        kinds: colour of every block by its number.
-    """
-    record, shape = playback.record, playback.shape
-    chain, samples = shape.chain, playback.samples
-    numbers = block_numbers(plan)
-    first = record.steps[0].before
-    tool_turn = matrix_quaternion(chain.tool_turn)
-    return {
-        "rate": record.rate,
-        "duration": _short(playback.duration),
-        "joints": [
-            {"offset": _list(offset), "turn": _list(matrix_quaternion(turn))}
-            for offset, turn in zip(chain.offset, chain.turn, strict=True)
-        ],
-        "tool": {"offset": _list(chain.tool_offset), "turn": _list(tool_turn)},
-        "fingers": [
-            {"offset": _list(f.offset), "turn": _list(matrix_quaternion(f.turn)),
-             "travel": _list(f.travel)}
-            for f in shape.fingers
-        ],
-        "parts": [_part(part) for part in shape.parts],
-        "samples": packed(np.column_stack([samples.joints, samples.width]), np.uint16),
-        "cells": [
-            {"number": numbers.get(cell), "kind": kinds.get(numbers.get(cell, -1), "wall"),
-             "position": position, "quaternion": quaternion}
-            for cell, (position, quaternion) in enumerate(
-                zip(*map(_list, split(first)), strict=True)
-            )
-        ],
-        "fillers": _fillers(playback, first),
-        "segments": [_segment(plan, s) for s in playback.segments],
-        "start": caption(plan, 0),
-        "extent": _list(extent(playback)),
-    }  # fmt: skip
-
-
-def _segment(plan: Plan, segment: Segment) -> dict[str, Any]:
-    step, delay = segment.step, segment.delay
-    block = block_names(plan).get(step.cells[0], "a waiting block")
-    return {
-        "start": _short(segment.start),
-        "end": _short(segment.end),
-        "delay": _short(delay),
-        "moves": bool(len(step.samples.time)),
-        "step": step.plan_step,
-        "cells": list(step.cells),
-        "target": _list(step.target),
-        "reached": step.outcome == Outcome.REACHED,
-        "outcome": step.outcome.label,
-        "caption": arm_caption(plan, step),
-        "still": f"cannot move: {step.outcome.label}",
-        "stages": [
-            [_short(s.start + delay), _short(s.end + delay), stage_words(step, s, block)]
-            for s in step.stages
-        ],
-        "glides": [_glide(glide) for glide in segment.glides],
-        "after": {
-            str(glide.cell): [_list(v) for v in split(step.after[glide.cell])]
-            for glide in segment.glides
-        },
-    }
-
-
-def _glide(glide: Glide) -> dict[str, Any]:
-    return {
-        "cell": glide.cell, "grip": _time(glide.grip), "release": _short(glide.release),
-        "offset": _list(glide.offset), "turn": _list(glide.turn),
-        "end": _short(glide.end),
-        "position": _list(glide.position), "quaternion": _list(glide.quaternion),
-        "falls": glide.falls,
-    }  # fmt: skip
+def block_of_cell(record: BuildRecord, plan: Plan) -> list[int | None]:
+    """The block of the plan each cell belongs to; None for obstacles and blocks that were lost."""
+    count = len(plan.blocks.waiting) if plan.assembly is None else len(plan.assembly.blocks)
+    blocks: list[int | None] = [None] * record.num_cells
+    for number, cells in enumerate(record.objects[:count]):
+        for cell in cells:
+            blocks[cell] = number
+    for step in record.steps:
+        if step.plan_step is not None:
+            for cell in step.cells:
+                blocks[cell] = plan.steps[step.plan_step - 1].block
+    return blocks
 
 
 def glued_cells(record: BuildRecord) -> np.ndarray:
@@ -329,50 +255,3 @@ def glued_cells(record: BuildRecord) -> np.ndarray:
     for number, cells in enumerate(record.objects):
         owner[list(cells)] = number
     return fillers(record.steps[0].before[:, :3], owner)
-
-
-def _fillers(playback: Playback, first: np.ndarray) -> list[dict[str, Any]]:
-    """Between neighbouring cells of one object: both cells, and the middle in the first's frame."""
-    found = []
-    for a, b in glued_cells(playback.record).tolist():
-        gap = first[b, :3] - first[a, :3]
-        x, y, _ = quaternion_matrix(first[a, 3:]).T @ gap
-        found.append({"cell": a, "middle": _list(np.array([x / 2, y / 2, 0.0])),
-                      "yaw": _short(math.atan2(y, x)),
-                      "gap": _short(math.hypot(x, y) - playback.record.block_edge)})  # fmt: skip
-    return found
-
-
-def extent(playback: Playback) -> np.ndarray:
-    """float64[m, 3]: outermost points of what the arm's joints and tool reach [m, world]."""
-    points = [playback.shape.chain.offset[0] * [1, 1, 0]]
-    joints = playback.samples.joints
-    for q in joints[:: max(1, len(joints) // 200)]:
-        points += [*playback.shape.frames(q, 0.0)[0], playback.shape.tool(q)[0]]
-    reached = np.array(points)
-    around = [v for v in np.ndindex(3, 3, 3) if v != (1, 1, 1)]
-    return reached[np.unique((reached @ (np.array(around).T - 1.0)).argmax(0))]
-
-
-def _part(part: Part) -> dict[str, Any]:
-    wide = len(part.mesh.vertices) >= 65536
-    return {
-        "frame": part.frame,
-        "colour": list(part.colour),
-        "vertices": packed(part.mesh.vertices, np.uint16),
-        "normals": packed(part.mesh.normals, np.uint8, (-1.0, 1.0)),
-        "faces": to_base64(part.mesh.faces.astype(np.uint32 if wide else np.uint16)),
-        "wide": wide,
-    }
-
-
-def _list(values: np.ndarray) -> list[Any]:
-    return (np.round(values, 6) + 0.0).tolist()
-
-
-def _short(value: float) -> float:
-    return round(float(value), 4) + 0.0
-
-
-def _time(value: float | None) -> float | None:
-    return None if value is None else _short(value)

@@ -18,11 +18,13 @@ from learn2assemble.files import unwritable
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.record import BuildRecord
+from learn2assemble.viewer import assembly_page, page
+from learn2assemble.viewer.arm import extent
 from learn2assemble.viewer.picture import ACCENT, COLOURS, INK, LINE, PAPER, RIM, SOFT, side_normal
-from learn2assemble.viewer.playback import Playback, Segment, extent
+from learn2assemble.viewer.playback import Playback, Segment, block_of_cell
 from learn2assemble.viewer.renderer import Buffers, Camera, Light, blend_sheet, project, render
-from learn2assemble.viewer.scene import kind, read_scene
-from learn2assemble.viewer.words import block_names, block_numbers, clock_words, stage_words
+from learn2assemble.viewer.scene import read_scene
+from learn2assemble.viewer.words import clock_words, stage_words
 from learn2assemble.viewer.workcell import body_poses, fill_box, rgb, workcell, write
 
 WIDTH, HEIGHT = 800, 544
@@ -52,9 +54,12 @@ class Frames:
         self.plan, self.playback = plan, Playback(record, plan)
         self.width, self.height, self.note = width, height, note
         self.scene = read_scene(plan)
-        self.numbers = block_numbers(plan)
-        self.kinds = {block.number: kind(block) for block in self.scene.blocks}
-        self.model = workcell(self.playback, self.scene, self.numbers)
+        if plan.assembly is None:
+            self.labels = page.cell_labels(plan, self.scene, self.playback)
+        else:
+            blocks = block_of_cell(record, plan)
+            self.labels = assembly_page.cell_labels(plan.assembly, blocks)
+        self.model = workcell(self.playback, self.scene, self.labels)
         self.placed_by = {
             cell: step.number for step in record.steps if step.outcome == Outcome.REACHED
             for cell in step.cells
@@ -64,7 +69,6 @@ class Frames:
         self.light = self._light()
         self.sheets = self._sheets()
         self.ribbons = self._ribbons()
-        self.names = block_names(plan)
 
     def frame(self, clock: float) -> np.ndarray:
         """uint8[height, width, 3] at a time of the replay [s]."""
@@ -79,10 +83,14 @@ class Frames:
         shown = np.ones(model.count, bool)
         release = segment.step.release
         done = release is not None and clock > release + segment.delay
+        poses = body_poses(model, self.playback, clock)
+        # What waits in a magazine is below the table.
+        cells = slice(model.cells, model.cells + self.playback.record.num_cells)
+        shown[cells] = poses[0][cells, 2] > 0
         shown[model.goal] = 0 < clock < self.playback.duration and not done
         picture = render(
             model.triangles, self.buffers, self.camera, self.light,
-            *body_poses(model, self.playback, clock), shown, self._colours(segment, clock),
+            *poses, shown, self._colours(segment, clock),
             SKY, rgb(RIM), model.numbers,
         )  # fmt: skip
         for corners in self.sheets:
@@ -125,9 +133,9 @@ class Frames:
         for k, part in enumerate(self.playback.shape.parts):
             colour[model.arm + k] = 255 * np.array(part.colour)
         for cell in range(self.playback.record.num_cells):
-            number = self.numbers.get(cell)
-            own = rgb(COLOURS[self.kinds.get(number if number is not None else -1, "wall")])
-            if number == 0 or self.placed_by.get(cell, np.inf) < segment.step.number:
+            name = self.labels.colours[cell]
+            own = rgb(COLOURS.get(name, name))
+            if self.labels.fixed[cell] or self.placed_by.get(cell, np.inf) < segment.step.number:
                 colour[model.cells + cell] = own
             if cell in segment.step.cells and 0 < clock < self.playback.duration:
                 colour[model.cells + cell] = rgb(COLOURS["current"])
@@ -172,13 +180,13 @@ class Frames:
             return f"The arm cannot move: {step.outcome.label}."
         for stage in step.stages:
             if stage.start - 1e-6 <= clock - segment.delay <= stage.end + 1e-6:
-                block = self.names.get(step.cells[0], "a waiting block")
-                return f"The arm {stage_words(step, stage, block)}."
+                block, suction = self.labels.names[step.cells[0]], self.playback.record.arm.suction
+                return f"The arm {stage_words(step, stage, block, suction)}."
         return "The arm stands still."
 
     def _points(self) -> np.ndarray:
         record = self.playback.record
-        cells = [record.steps[0].before[:, :3], record.steps[-1].after[:, :3]]
+        cells = [p[p[:, 2] > 0, :3] for p in (record.steps[0].before, record.steps[-1].after)]
         faces = [side.face(record.block_edge) for side in self.scene.elevations]
         return np.concatenate([*cells, *faces, extent(self.playback)])
 

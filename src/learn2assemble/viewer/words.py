@@ -117,9 +117,17 @@ OUTCOME_WORDS = {
 _CARRYING = ("lift", "cross", "place")
 
 
-def stage_words(step: StepRecord, stage: Stage, block: str) -> str:
+SUCTION_WORDS = {
+    "pick": ("goes down and sucks {block} to the cup", "goes down to {block}"),
+    "release": ("lets the vacuum go", "lets the vacuum go"),
+}
+"""Where a cup does otherwise than fingers."""
+
+
+def stage_words(step: StepRecord, stage: Stage, block: str, suction: bool = False) -> str:
     """What the arm does, e.g. ``"lifts block 7"``; ``block`` is how the object is called."""
-    as_planned, empty = STAGE_WORDS[stage.name]
+    words = {**STAGE_WORDS, **SUCTION_WORDS} if suction else STAGE_WORDS
+    as_planned, empty = words[stage.name]
     middle = (stage.start + stage.end) / 2
     release = math.inf if step.release is None else step.release
     held = step.grip is not None and step.grip <= middle <= release
@@ -137,17 +145,6 @@ def block_numbers(plan: Plan) -> dict[int, int]:
 def block_names(plan: Plan) -> dict[int, str]:
     """How blocks are called: by the number that stands on them; others are waiting blocks."""
     return {block: block_name(number) for block, number in block_numbers(plan).items()}
-
-
-def arm_caption(plan: Plan, step: StepRecord) -> str:
-    """What a step comes to, in one or two sentences."""
-    if step.outcome == Outcome.REACHED and step.plan_step is not None:
-        return caption(plan, step.plan_step)
-    block = block_names(plan).get(step.cells[0], "a waiting block")
-    text = f"{block[0].upper()}{block[1:]}: {step.outcome.label}. {sentence(step.detail)}"
-    if step.replanned:
-        text += " The rest of the build is planned anew from where the blocks are now."
-    return text
 
 
 def sentence(text: str) -> str:

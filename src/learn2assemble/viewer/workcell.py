@@ -17,6 +17,7 @@ from matplotlib.font_manager import get_font
 
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.robot.shape import Mesh, box
+from learn2assemble.viewer.arm import Labels
 from learn2assemble.viewer.playback import Playback, glued_cells, split
 from learn2assemble.viewer.renderer import BLOCK, GROUND, LIT, NUMBER_SIZE, PLAIN, Triangles
 from learn2assemble.viewer.scene import Scene
@@ -149,12 +150,12 @@ class _Collector:
         return Triangles(*(c.astype(k) for c, k in zip(columns, kinds, strict=True)))
 
 
-def workcell(playback: Playback, scene: Scene, numbers: dict[int, int]) -> Workcell:
+def workcell(playback: Playback, scene: Scene, labels: Labels) -> Workcell:
     """The cell of a record.
 
     Args:
         scene: of the plan, for the outlines.
-        numbers: that stand on the cells; cells without one stay blank.
+        labels: of its cells; those without a number stay blank.
     """
     record, edge = playback.record, playback.record.block_edge
     first, all_cells = record.steps[0].before, _Collector()
@@ -163,29 +164,30 @@ def workcell(playback: Playback, scene: Scene, numbers: dict[int, int]) -> Workc
         corners = side.face(edge)
         for a, b in zip(corners, np.roll(corners, -1, 0), strict=True):
             all_cells.add(outline, rod(a, b, edge / 22), PLAIN)
-    square = edge / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    for cell in range(record.num_cells):
-        if numbers.get(cell) != 0:
-            at = np.column_stack([first[cell, :2] + square, np.full(4, edge / 90)])
+    halves = playback.half
+    square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    for cell, half in enumerate(halves):
+        if not labels.fixed[cell] and first[cell, 2] > 0:
+            at = np.column_stack([first[cell, :2] + half[:2] * square, np.full(4, edge / 90)])
             for a, b in zip(at, np.roll(at, -1, 0), strict=True):
                 all_cells.add(places, rod(a, b, edge / 90), PLAIN)
-    corner = edge / 2 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    corner = 0.5 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     for i, j in ((i, i | 1 << k) for i in range(8) for k in range(3) if not i >> k & 1):
-        all_cells.add(goal, rod(corner[i], corner[j], edge / 40), PLAIN)
+        all_cells.add(goal, rod(corner[i], corner[j], 1 / 40), PLAIN)
     all_cells.add(table, _table(playback, scene), GROUND)
     arm = all_cells.bodies
     for part in playback.shape.parts:
         all_cells.add(all_cells.body(), part.mesh, LIT)
     cells = all_cells.bodies
-    cube, marks = _cube(edge)
-    for cell in range(record.num_cells):
-        all_cells.add(all_cells.body(), cube, BLOCK, marks, cell)
+    for cell, half in enumerate(halves):
+        block, marks = _block(half)
+        all_cells.add(all_cells.body(), block, BLOCK, marks, cell)
     pairs = glued_cells(record)
     for a, b in pairs.tolist():
         gap = float(np.linalg.norm(first[a, :3] - first[b, :3])) - edge
         half = np.array([max(gap, 0.0005), 0.98 * edge, 0.98 * edge]) / 2
         all_cells.add(all_cells.body(), box(half), LIT)
-    pictures = [number_picture(numbers.get(c), NUMBER_SIZE) for c in range(record.num_cells)]
+    pictures = [number_picture(number, NUMBER_SIZE) for number in labels.numbers]
     return Workcell(
         all_cells.triangles(), np.array(pictures), outline, places, goal, table, arm, cells,
         pairs, all_cells.bodies,
@@ -211,8 +213,11 @@ def body_poses(model: Workcell, playback: Playback, clock: float) -> tuple[np.nd
         x = (cells[b] - cells[a]) / np.linalg.norm(cells[b] - cells[a])
         z = rotation[model.cells + a, :, 2]
         rotation[k] = np.stack([x, np.cross(z, x), z], 1)
-    target, quaternion = split(playback.segment_at(clock).step.target)
-    position[model.goal], rotation[model.goal] = target, quaternion_matrix(quaternion)
+    step = playback.segment_at(clock).step
+    target, quaternion = split(step.target)
+    # The goal is a cube with edge 1, stretched to the block it is for.
+    size = np.diag(2 * playback.half[step.cells[0]])
+    position[model.goal], rotation[model.goal] = target, quaternion_matrix(quaternion) @ size
     return position, rotation
 
 
@@ -226,13 +231,13 @@ def rod(a: np.ndarray, b: np.ndarray, radius: float) -> Mesh:
     return Mesh(bar.vertices @ turn.T + (a + b) / 2, bar.normals @ turn.T, bar.faces)
 
 
-def _cube(edge: float) -> tuple[Mesh, np.ndarray]:
+def _block(half: np.ndarray) -> tuple[Mesh, np.ndarray]:
     """A block whose faces know left, right, below and above: float64[24, 2] from 0 to 1."""
     vertices, normals, marks, faces = [], [], [], []
     for n, u, v in np.array(_FACES, float):
         k = len(vertices)
         for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
-            vertices.append(edge / 2 * (n + a * u + b * v))
+            vertices.append(half * (n + a * u + b * v))
             normals.append(n)
             marks.append(((a + 1) / 2, (b + 1) / 2))
         faces += [(k, k + 1, k + 2), (k, k + 2, k + 3)]

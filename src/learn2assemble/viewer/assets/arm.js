@@ -86,19 +86,24 @@ function createArm(data, tools) {
     if (segment.reached) for (const cell of segment.cells) owner.set(cell, k);
   });
   // Where everything is before each segment.
-  const states = [arm.cells.map(({ position, quaternion }) => [new THREE.Vector3(...position), turned(quaternion)])];
-  for (const segment of arm.segments) {
-    const next = states[states.length - 1].slice();
-    for (const [cell, [position, quaternion]] of Object.entries(segment.after)) {
-      next[cell] = [new THREE.Vector3(...position), turned(quaternion)];
+  const states = [];
+  let poses = arm.cells.map(({ position, quaternion }) => [new THREE.Vector3(...position), turned(quaternion)]);
+  const put = (changes) => {
+    poses = poses.slice();
+    for (const [cell, [position, quaternion]] of Object.entries(changes)) {
+      poses[cell] = [new THREE.Vector3(...position), turned(quaternion)];
     }
-    states.push(next);
+  };
+  for (const segment of arm.segments) {
+    put(segment.before); // Magazines present and take back between two segments.
+    states.push(poses);
+    put(segment.after);
   }
-  arm.cells.forEach(({ number, position }) => { if (number !== 0) tools.addPlace(position); });
+  arm.cells.forEach(({ fixed, position }) => { if (!fixed) tools.addPlace(position); });
 
   const ghostLine = coloured(new THREE.LineBasicMaterial({ transparent: true, opacity: 0.9 }), "current");
   const ghost = new THREE.LineSegments(
-    new THREE.EdgesGeometry(new THREE.BoxGeometry(edge, edge, edge)), ghostLine);
+    new THREE.EdgesGeometry(new THREE.BoxGeometry(1, 1, 1)), ghostLine);
   group.add(ghost);
   const toolPlace = new THREE.Vector3(), toolTurn = new THREE.Quaternion();
 
@@ -112,14 +117,18 @@ function createArm(data, tools) {
       const [position, quaternion] = states[k][cell];
       cube.position.copy(position);
       cube.quaternion.copy(quaternion);
-      material.color.set(colours()[colourOf(cell, k, now)]);
+      const name = colourOf(cell, k, now);
+      material.color.set(colours()[name] ?? name);
     });
     for (const glide of segment.glides) follow(glide, segment, now, cells[glide.cell].group);
+    // What waits in a magazine is below the table.
+    for (const { group: cube } of cells) cube.visible = cube.position.z > 0;
     const held = segment.glides.find((glide) => glide.grip !== null);
     ghost.visible = now > 0 && now < arm.duration && !(held && now > held.release);
     const [x, y, z, ...quaternion] = segment.target;
     ghost.position.set(x, y, z);
     ghost.quaternion.copy(turned(quaternion));
+    ghost.scale.set(...arm.cells[segment.cells[0]].half.map((v) => 2 * v));
   }
 
   function pose(time) {
@@ -154,14 +163,14 @@ function createArm(data, tools) {
   }
 
   function colourOf(cell, k, now) {
-    const { number, kind } = arm.cells[cell];
-    if (number === 0) return kind;
+    const { fixed, kind } = arm.cells[cell];
+    if (fixed) return kind;
     if (arm.segments[k].cells.includes(cell) && now > 0) return "current";
     return owner.has(cell) && owner.get(cell) < k ? kind : "waiting";
   }
 
-  function makeCell({ number }) {
-    const cube = tools.cube(number ?? null);
+  function makeCell({ number, half }) {
+    const cube = tools.cube(number ?? null, half);
     group.add(cube.group);
     return cube;
   }

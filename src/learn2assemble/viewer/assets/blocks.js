@@ -7,7 +7,8 @@ function createStage(canvas, data) {
     const { low, high } = shapes[shape];
     return [at.map((v, k) => v + low[k]), at.map((v, k) => v + high[k])];
   });
-  const view = createView(canvas, { points, edge, floor: data.floor });
+  const seen = data.arm ? [...points, ...data.arm.extent] : points;
+  const view = createView(canvas, { points: seen, edge, floor: data.floor, fromRight: Boolean(data.arm) });
   const roof = points.reduce((most, p) => Math.max(most, p[2]), -Infinity);
 
   let corners = 0, ends = 0;
@@ -27,9 +28,14 @@ function createStage(canvas, data) {
   mesh.castShadow = true;
   mesh.frustumCulled = edges.frustumCulled = false;
   view.scene.add(mesh, edges);
+  // An arm moves every block on its own; the mesh of all is for the layers then.
+  const arm = data.arm
+    ? createArm(data, { edge, cube: box, coloured: view.coloured, addPlace() {}, colours: view.colours }) : null;
+  if (arm) view.scene.add(arm.group);
   const overlays = { joints: addJoints(), forces: addForces() };
 
-  let time = data.steps, cut = null, standing = -1;
+  const end = data.arm ? data.arm.duration : data.steps;
+  let time = end, cut = null, standing = -1;
   view.whenRepainted(() => { for (const block of blocks) block.state = ""; update(time); });
   view.start();
   canvas.addEventListener("pointerdown", (event) => { canvas.pressed = [event.clientX, event.clientY]; });
@@ -46,11 +52,22 @@ function createStage(canvas, data) {
     update(now) { cut = null; update(now); },
     showLayer(layer) { cut = layer; update(time); },
     resetView: () => view.look(),
-    nearView() {},
+    nearView: () => view.look(points),
   };
 
   function update(now) {
     time = now;
+    if (arm) {
+      arm.group.visible = cut === null;
+      mesh.visible = edges.visible = cut !== null;
+      if (cut === null) {
+        arm.update(now);
+        for (const group of Object.values(overlays)) group.visible = false;
+        view.castShadows();
+        view.draw();
+        return;
+      }
+    }
     const colours = view.colours(), moved = [];
     let count = 0;
     for (const block of blocks) {
@@ -63,7 +80,7 @@ function createStage(canvas, data) {
       write(block, colour === null ? null : lift, colour === null ? "" : shade(colour, colours));
     }
     refresh(moved);
-    const whole = cut === null && now >= data.steps;
+    const whole = cut === null && now >= end;
     let glass = false;
     for (const [name, group] of Object.entries(overlays)) {
       group.visible = whole && Boolean(document.getElementById("show-" + name)?.checked);
@@ -77,6 +94,17 @@ function createStage(canvas, data) {
     if (count !== standing) view.castShadows(); // Not for every place a block passes on its way.
     standing = count;
     view.draw();
+  }
+
+  function box(number, half) {
+    const sides = new THREE.BoxGeometry(...half.map((v) => 2 * v));
+    const material = new THREE.MeshLambertMaterial({
+      polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 2,
+    });
+    const piece = new THREE.Mesh(sides, material);
+    piece.castShadow = piece.receiveShadow = true;
+    const group = new THREE.Group().add(piece, new THREE.LineSegments(new THREE.EdgesGeometry(sides), rim));
+    return { group, material };
   }
 
   /* How far above its place a block is, and its colour; null where it is not there. */
