@@ -171,14 +171,15 @@ def _replay(options: argparse.Namespace, output: Output) -> int:
 
     done = replay_program(options.file, options.arm)
     worst = int(done.error.argmax())
-    words = "the same structure" if done.same else "another structure"
+    words = done.fault or ("the same structure" if done.same else "another structure")
     output.say(
         f"{options.file.name}: {words}, after {done.seconds:.1f} s of motion {len(done.error)} "
         f"blocks are {1e3 * done.error.mean():.2f} mm from where they should be on average, block "
         f"{worst} {1e3 * done.error[worst]:.2f} mm (limit {1e3 * SAME:g})"
     )
     output.finish({
-        "same": done.same, "seconds": round(done.seconds, 3), "blocks": len(done.error),
+        "same": done.same, "fault": done.fault, "seconds": round(done.seconds, 3),
+        "blocks": len(done.error),
         "mean_error_m": round(float(done.error.mean()), 7),
         "worst_error_m": round(float(done.error[worst]), 7), "worst_block": worst,
     })  # fmt: skip

@@ -68,7 +68,7 @@ def header(program: Program, arm: Arm) -> dict[str, Any]:
         "steps": [
             {
                 "step": step.number, "cells": list(step.cells), "target": _plain(step.target),
-                "end": round(step.end, 6),
+                "end": round(step.end, 6), "reached": step.reached,
             }
             for step in program.steps
         ],
@@ -120,7 +120,7 @@ def read_header(data: Any, source: str, name: str) -> Header:
         steps = tuple(
             ProgramStep(
                 int(one["step"]), tuple(one["cells"]), _array(one["target"], 7),
-                float(one["end"]), (), None,
+                float(one["end"]), one["reached"] is True, (), None,
             )
             for one in data["steps"]
         )  # fmt: skip

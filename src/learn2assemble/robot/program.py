@@ -28,7 +28,7 @@ from learn2assemble.geometry.rotations import (
     yaw_quaternion,
 )
 from learn2assemble.robot.arm import Arm, arm_model, get_arm
-from learn2assemble.robot.moves import DENSITY, STAGES, Outcome, Scene
+from learn2assemble.robot.moves import DENSITY, STAGES, Attitude, Move, Outcome, Scene
 from learn2assemble.robot.record import ArmFacts, BuildRecord, Samples, require_sound
 
 REST = 2e-6
@@ -218,6 +218,8 @@ class ProgramStep(NamedTuple):
     """float64[7]: pose the grasped cell shall have."""
     end: float
     """When the attempt is over [s]."""
+    reached: bool
+    """Whether it went as ordered."""
     checks: tuple[float, ...]
     """When the object has to be in the hand [s]: lifted, and over its place; none where the
     attempt failed."""
@@ -534,8 +536,8 @@ def _with_tool(program: Program, record: BuildRecord, arm: Arm, samples: Samples
         end = float(time[int(here[-1]) + 1]) if len(here) else end
         held = None if step.grip is None else (now(step.grip), now(step.release))
         made.append(ProgramStep(
-            step.number, step.cells, step.target, end, tuple(float(time[k]) for k in checks),
-            held, step.after,
+            step.number, step.cells, step.target, end, step.outcome == Outcome.REACHED,
+            tuple(float(time[k]) for k in checks), held, step.after,
         ))  # fmt: skip
     return replace(
         program, knots=program.knots._replace(time=time),
@@ -587,18 +589,22 @@ class DryRun(NamedTuple):
     """float64[C]: distance of each cell from where the program says it ends [m]."""
     seconds: float
     """How long the robot moved [s]."""
+    fault: str = ""
+    """What the arm ran into, where that ended the run."""
 
     @property
     def same(self) -> bool:
         """Whether the same structure results."""
-        return bool(self.error.max(initial=0.0) <= SAME)
+        return not self.fault and bool(self.error.max(initial=0.0) <= SAME)
 
 
 def play(program: Program, arm: Arm) -> DryRun:
     """Play a program open loop in the dynamic cell, from its first pose to its last.
 
-    The drives get positions, velocities, accelerations, openings and loads, and nothing is looked
-    at until the end.
+    The drives get positions, velocities, accelerations, openings or vacuum, and loads, and nothing
+    is looked at until the end; blocks go on from where the step before has left them. As in the
+    build, boxes that a step does not concern are held still; an arm that pushes against one ends
+    the run.
 
     Raises:
         InputError: for the program of another arm.
@@ -607,37 +613,66 @@ def play(program: Program, arm: Arm) -> DryRun:
     from learn2assemble.robot.dynamic.cell import DynamicCell
     from learn2assemble.robot.dynamic.execution import BLIND, REST_TIME
     from learn2assemble.robot.dynamic.model import TIMESTEP, rigid_objects
-    from learn2assemble.robot.dynamic.simulation import Simulation
+    from learn2assemble.robot.dynamic.simulation import PUSH, Rules, Simulation
     from learn2assemble.robot.dynamic.trajectory import Motion
 
     if program.arm != arm.name:
         raise InputError("arm", arm.name, f"{program.arm}, which the program is for")
-    blocks = program.blocks
-    owner = np.empty(len(blocks.start), np.int64)
+    blocks, cell = program.blocks, DynamicCell(arm)
+    poses, supply, fault = blocks.start.copy(), list(blocks.supply), ""
+    count = math.ceil(program.seconds / TIMESTEP - 1e-9)
+    clock = np.arange(1, count + 1) * TIMESTEP
+    told, loads = _driven(program, arm, clock)
+    first = 0
+    for step in program.steps:
+        last = count if step is program.steps[-1] else round(step.end / TIMESTEP)
+        if last > first:
+            rows, scene, move = _order(blocks, poses, step)
+            objects, state, names = rigid_objects(scene, poses[rows, 3:], move)
+            start = program.knots.at(np.array([first * TIMESTEP]))[0][0]
+            sim = Simulation(
+                arm, cell.world(objects), state, names, int(objects.owner[move.cell]), start,
+                float(told[first]), count + 10**6, None,
+            )  # fmt: skip
+            span = slice(first, last)
+            motion = Motion(np.zeros((last - first, 3)), *program.knots.at(clock[span]))
+            watch = BLIND
+            if step.reached and len(objects.still):
+                watch = BLIND._replace(rules=Rules(PUSH, None, None))
+            event = sim.run(motion, told[span], "approach", watch, loads[span])
+            sim.wait(round(REST_TIME / TIMESTEP), "home", BLIND._replace(until=sim.asleep))
+            position, quaternion, _ = objects.cells(sim.poses)
+            poses[rows] = np.hstack([position, quaternion])
+            if event is not None:
+                fault = f"step {step.number}: {event.detail}"
+                break
+            first = last
+        while supply and supply[0].time <= step.end + 1e-6:
+            present = supply.pop(0)
+            poses[list(present.cells)] = present.poses
+    error = np.linalg.norm(poses[:, :3] - blocks.end[:, :3], axis=1)
+    return DryRun(poses, error, program.seconds, fault)
+
+
+def _order(blocks: Blocks, poses: np.ndarray, step: ProgramStep) -> tuple[np.ndarray, Scene, Move]:
+    """The cells that are on the table, their scene, and what the step does in it."""
+    rows = np.flatnonzero(poses[:, 2] >= 0)
+    owner = np.empty(len(poses), np.int64)
     for number, cells in enumerate(blocks.objects):
         owner[list(cells)] = number
-    turns = blocks.start[:, 3:]
-    yaw = np.array([cube_yaw(quaternion_matrix(turn)) for turn in turns])
-    objects, poses, names = rigid_objects(Scene(blocks.start[:, :3], yaw, owner, 0), turns)
-    cell = DynamicCell(arm)
-    count = math.ceil(program.seconds / TIMESTEP - 1e-9)
-    time = np.arange(1, count + 1) * TIMESTEP
-    motion = Motion(np.zeros((count, 3)), *program.knots.at(time))
-    widths, loads = _driven(program, arm, time)
-    sim = Simulation(
-        arm, cell.world(objects), poses, names, 0, program.knots.position[0],
-        program.states[0].width, count + 10**6, None,
-    )  # fmt: skip
-    sim.run(motion, widths, "approach", BLIND, loads)
-    sim.wait(round(REST_TIME / TIMESTEP), "home", BLIND._replace(until=sim.asleep))
-    position, quaternion, _ = objects.cells(sim.poses)
-    error = np.linalg.norm(position - blocks.end[:, :3], axis=1)
-    return DryRun(np.hstack([position, quaternion]), error, program.seconds)
+    yaw = np.array([cube_yaw(quaternion_matrix(turn)) for turn in poses[rows, 3:]])
+    half = None if blocks.half is None else blocks.half[rows]
+    scene = Scene(poses[rows, :3], yaw, owner[rows], 0, half)
+    row = int(np.searchsorted(rows, step.cells[0]))
+    turn = quaternion_matrix(step.target[3:]) @ quaternion_matrix(poses[step.cells[0], 3:]).T
+    place = Attitude(yaw=math.atan2(turn[1, 0], turn[0, 0]))
+    return rows, scene, Move(row, step.target[:3], Attitude(), place)
 
 
 def _driven(program: Program, arm: Arm, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What the drive of the gripper is told at times float64[m]: openings [m], which change at the
-    speed of the state and press by being too small, and loads [kg] that come little by little."""
+    """What the drives are told at times float64[m]: openings of a gripper [m], which change at the
+    speed of the state and press by being too small, or whether the vacuum is on; and loads [kg]
+    that come little by little."""
     lines: tuple[list[tuple[float, float]], ...] = ([], [])
     for state in program.states:
         wanted = (state.width - state.force / max(arm.gripper.stiffness, 1e-9), state.load)
@@ -650,8 +685,11 @@ def _driven(program: Program, arm: Arm, time: np.ndarray) -> tuple[np.ndarray, n
                 line.pop()
             line.append((state.time, now))
             if value != now:
-                line.append(
-                    (state.time + (abs(value - now) / speed if speed else LOAD_TIME), value)
-                )
+                takes = abs(value - now) / speed if speed else LOAD_TIME
+                line.append((state.time + takes, value))
     widths, loads = (np.array(line) for line in lines)
-    return np.interp(time, widths[:, 0], widths[:, 1]), np.interp(time, loads[:, 0], loads[:, 1])
+    told = np.interp(time, widths[:, 0], widths[:, 1])
+    if program.suction:
+        told = np.array([state.vacuum for state in program.states], float)
+        told = told[program.states_at(time)]
+    return told, np.interp(time, loads[:, 0], loads[:, 1])
