@@ -36,10 +36,10 @@ from learn2assemble.export.robot_programs import (
     read_program,
     replay_program,
 )
-from learn2assemble.robot.arm import arm_model, get_arm
+from learn2assemble.robot.arm import Arm, arm_model, get_arm
 from learn2assemble.robot.dynamic.cell import DynamicCell
 from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.moves import OPENING, Attitude, Move
+from learn2assemble.robot.moves import OPENING, Attitude, Move, Scene
 from learn2assemble.robot.program import (
     Knots,
     Limits,
@@ -744,24 +744,57 @@ def test_an_old_file_stays_where_writing_fails(
 # ---------------------------------------------------------------- dry run
 
 
-@pytest.fixture(scope="module")
-def small_build() -> BuildRecord:
-    """Two blocks put beside and on a third by the Panda, as it was simulated."""
-    arm = get_arm("panda")
-    robot = DynamicCell(arm)
-    state = scene([(0, 0, 0)], [(3, -3, 0), (3, 3, 0)])
+def built(arm: Arm, state: Scene, targets: list[np.ndarray], hand: Attitude) -> BuildRecord:
+    """Waiting blocks, one cell each, put to targets as it was simulated."""
+    robot, width = DynamicCell(arm), 0.0 if arm.suction else OPENING
+    cells = len(state.position)
     log = BuildRecorder(
-        arm, arm.home, OPENING, upright(state.position, state.yaw), [[0], [1], [2]], "MuJoCo"
-    )
-    numbers, joints, turns = np.arange(3), None, None
-    for target in (cell(1, 0, 0), cell(0, 0, 1)):
-        move = Move(state.num_placed, target, Attitude(), Attitude())
+        arm, arm.home, width, upright(state.position, state.yaw), [[k] for k in range(cells)],
+        "MuJoCo", state.half,
+    )  # fmt: skip
+    numbers, joints, turns = np.arange(cells), None, None
+    for target in targets:
+        move = Move(state.num_placed, target, hand, hand)
         done = robot.attempt(state, move, joints=joints, quaternion=turns)
         assert done.reached, done.detail
         numbers = log.add_attempt(done, state, move, numbers)
         assert done.after is not None
         state, joints, turns = done.after, done.joints, done.quaternion
     return log.record()
+
+
+@pytest.fixture(scope="module")
+def small_build() -> BuildRecord:
+    """Two blocks put beside and on a third by the Panda."""
+    state = scene([(0, 0, 0)], [(3, -3, 0), (3, 3, 0)])
+    return built(get_arm("panda"), state, [cell(1, 0, 0), cell(0, 0, 1)], Attitude())
+
+
+BRICK = np.array([0.05, 0.025, 0.025])
+
+
+@pytest.fixture(scope="module")
+def suction_build() -> BuildRecord:
+    """Two bricks put beside and across a third by the UR5e with its cup; a third one waits in a
+    magazine, and is presented at the end."""
+    arm = get_arm("ur5e", "suction")
+    position = np.array([[0, 0, 0.025], [0.1, -0.25, 0.025], [-0.1, -0.25, 0.025]])
+    state = Scene(position, np.zeros(3), np.arange(3), 1, np.tile(BRICK, (3, 1)))
+    targets = [np.array([0.1005, 0, 0.025]), np.array([0.05, 0, 0.075])]
+    record = built(arm, state, targets, Attitude(depth=0.025))
+    steps, hidden = [], np.array([[0.2, -0.25, -0.1, 1.0, 0, 0, 0]])
+    shown = np.array([[0.2, -0.25, 0.025, 1.0, 0, 0, 0]])
+    for step in record.steps:
+        last = step is record.steps[-1]
+        steps.append(dataclasses.replace(
+            step, before=np.vstack([step.before, hidden]),
+            after=np.vstack([step.after, shown if last else hidden]),
+        ))  # fmt: skip
+    assert record.half is not None
+    return dataclasses.replace(
+        record, steps=tuple(steps), objects=(*record.objects, (3,)),
+        half=np.vstack([record.half, BRICK]),
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("format", ["csv", "franka", "ros2"])
@@ -774,6 +807,48 @@ def test_an_exported_program_builds_the_same(
     found = replay_program(done.file, "panda")
     assert found.same
     assert found.error.max() <= 1e-3
+
+
+@pytest.mark.parametrize("format", ["csv", "ros2"])
+def test_a_program_with_suction_builds_the_same(
+    suction_build: BuildRecord, format: str, tmp_path: Path
+) -> None:
+    write_record(suction_build, tmp_path / "trajectory.json")
+    done = export_program(tmp_path, format, tmp_path)
+    program, arm = read_program(done.file, "ur5e")
+    assert arm.suction is not None
+    assert [one.cells for one in program.blocks.supply] == [(3,)]
+    changes = [state.vacuum for state in program.states]
+    assert [on for on, _ in itertools.groupby(changes)] == [False, True, False, True, False]
+    # Known to the controller while it hangs, as heavy as a brick of two cubes.
+    loads = {round(state.load, 9) for state in program.states if state.vacuum}
+    assert loads == {0.0, 0.2}
+    for before, state in itertools.pairwise(program.states):
+        if state.vacuum != before.vacuum:
+            wait = arm.suction.grip_time if state.vacuum else arm.suction.release_time
+            span = np.linspace(state.time + 1e-6, state.time + wait - 2e-3, 9)
+            assert not program.motion[program.knots.pieces(span)].any()
+    found = replay_program(done.file, "ur5e")
+    assert found.same, found.fault
+    assert found.error.max() <= 1e-3
+
+
+def test_suction_in_urscript_and_ros(suction_build: BuildRecord, tmp_path: Path) -> None:
+    script = UrScript(export_program(suction_build, "urscript", tmp_path).file.read_text())
+    calls = [name for name, _, _ in script.calls]
+    body = calls[calls.index("set_tcp") :]
+    assert body.count("l2a_close") == 2
+    assert body.count("l2a_open") == 3
+    lengths = [given[0][2] for name, given, _ in script.calls if name == "set_tcp"]
+    assert lengths == [0.12]
+    with AnyReader([export_program(suction_build, "ros2", tmp_path).file]) as bag:
+        topics = {connection.topic for connection in bag.connections}
+        assert "/suction/vacuum" in topics
+        assert "/gripper/command" not in topics
+        connections = [c for c in bag.connections if c.topic == "/blocks"]
+        (_, _, raw), *_ = bag.messages(connections)
+        marker = bag.deserialize(raw, connections[0].msgtype).markers[0]
+        assert (marker.scale.x, marker.scale.y) == (0.1, 0.05)
 
 
 def test_a_program_that_builds_something_else_is_told_so(
