@@ -833,6 +833,27 @@ def test_a_program_with_suction_builds_the_same(
     assert found.error.max() <= 1e-3
 
 
+def test_an_arm_that_runs_into_something_ends_the_dry_run(
+    suction_build: BuildRecord, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A post in the way across, far from what the first step moves, is held still and found."""
+    post = np.array([[0.1, -0.12, 0.25, 1.0, 0, 0, 0]])
+    steps = [
+        dataclasses.replace(
+            step, before=np.vstack([step.before, post]), after=np.vstack([step.after, post])
+        )
+        for step in suction_build.steps
+    ]
+    assert suction_build.half is not None
+    record = dataclasses.replace(
+        suction_build, steps=tuple(steps), objects=(*suction_build.objects, (4,)),
+        half=np.vstack([suction_build.half, [0.02, 0.02, 0.25]]),
+    )  # fmt: skip
+    file = export_program(record, "ros2", tmp_path).file
+    assert main(["replay-trajectory", str(file), "--arm", "ur5e"]) == 1
+    assert re.search("step 1: .* touches block 3", capsys.readouterr().out)
+
+
 def test_suction_in_urscript_and_ros(suction_build: BuildRecord, tmp_path: Path) -> None:
     script = UrScript(export_program(suction_build, "urscript", tmp_path).file.read_text())
     calls = [name for name, _, _ in script.calls]
