@@ -851,7 +851,7 @@ def test_an_arm_that_runs_into_something_ends_the_dry_run(
     )  # fmt: skip
     file = export_program(record, "ros2", tmp_path).file
     assert main(["replay-trajectory", str(file), "--arm", "ur5e"]) == 1
-    assert re.search("step 1: .* touches block 3", capsys.readouterr().out)
+    assert re.search("step 1: .* touches block 4", capsys.readouterr().out)
 
 
 def test_suction_in_urscript_and_ros(suction_build: BuildRecord, tmp_path: Path) -> None:

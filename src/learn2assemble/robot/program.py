@@ -629,6 +629,7 @@ def play(program: Program, arm: Arm) -> DryRun:
         if last > first:
             rows, scene, move = _order(blocks, poses, step)
             objects, state, names = rigid_objects(scene, poses[rows, 3:], move)
+            names = [f"block {rows[int(name.split()[-1])]}" for name in names]
             start = program.knots.at(np.array([first * TIMESTEP]))[0][0]
             sim = Simulation(
                 arm, cell.world(objects), state, names, int(objects.owner[move.cell]), start,
