@@ -648,7 +648,7 @@ def cell_of(line: int, column: str, value: str) -> Callable[[str], str]:
 FAULTS: dict[str, tuple[Callable[[str], str], str]] = {
     "cut": (cut, "lines of|not complete"),
     "lines missing": (whole_lines, "not complete"),
-    "empty": (lambda text: "", "header"),
+    "empty": (lambda text: "", "empty"),
     "no table": (lambda text: "a,b\n1,2\n", "header"),
     "header without blocks": (lambda t: re.sub("# blocks:.*\n", "", t), "blocks"),
     "nan": (cell_of(40, "q_elbow_joint", "nan"), "finite number"),

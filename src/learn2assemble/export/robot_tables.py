@@ -8,7 +8,9 @@ blocks before and after. Tables can be read back and played in the simulation
 from __future__ import annotations
 
 import gzip
+import io
 import json
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,6 +36,8 @@ from learn2assemble.robot.program import (
 FORMAT, VERSION = "learn2assemble-robot-program", 1
 RATE = 1000
 """Lines of a table per second."""
+CHUNK = 50_000
+"""Lines that are made at once."""
 MOST_BYTES = 1_000_000_000
 """Largest file that is read, unpacked."""
 SLACK = 0.005
@@ -160,22 +164,25 @@ def write_table(program: Program, arm: Arm, path: Path, more: dict[str, Any] | N
     head = {**header(program, arm), "rate": RATE, **(more or {})}
     columns = _columns(head["joints"], program.suction)
     count = int(np.ceil(program.seconds * RATE - 1e-6)) + 1
-    time = np.arange(count) / RATE
-    piece, state = program.knots.pieces(time), program.states_at(time)
     lines = [f"# {key}: {json.dumps(value)}" for key, value in {**head, "rows": count}.items()]
     lines.append(",".join(name for name, _ in columns))
-    numbers = np.column_stack([
-        time, program.motion[piece], program.step[piece], _block_of(program)[piece],
-        np.concatenate(program.knots.at(time), axis=1),
-        _tool_columns(program)[state],
-    ])  # fmt: skip
-    pattern = ",".join(form for _, form in columns).replace("%s", "%%s")
-    for row, stage in zip((numbers + 0.0).tolist(), program.stage[piece].tolist(), strict=True):
-        lines.append(pattern % tuple(row) % (STAGES[stage] if stage >= 0 else ""))
-    content = ("\n".join(lines) + "\n").replace("-0.0000000000,", "0.0000000000,").encode()
-    if path.suffix == ".gz":
-        content = gzip.compress(content, 6, mtime=0)
-    write_file(path, content, "program")
+    out = io.BytesIO()
+    packed = path.suffix == ".gz"
+    with gzip.GzipFile("", "wb", 6, out, mtime=0) if packed else nullcontext(out) as file:
+        file.write(("\n".join(lines) + "\n").encode())
+        pattern = ",".join(form for _, form in columns).replace("%s", "%%s") + "\n"
+        blocks, tool = _block_of(program), _tool_columns(program)
+        for first in range(0, count, CHUNK):
+            time = np.arange(first, min(first + CHUNK, count)) / RATE
+            piece = program.knots.pieces(time)
+            numbers = np.column_stack([
+                time, program.motion[piece], program.step[piece], blocks[piece],
+                *program.knots.at(time), tool[program.states_at(time)],
+            ])  # fmt: skip
+            names = [STAGES[k] if k >= 0 else "" for k in program.stage[piece].tolist()]
+            rows = zip((numbers + 0.0).tolist(), names, strict=True)
+            file.write("".join(pattern % tuple(row) % name for row, name in rows).encode())
+    write_file(path, out.getvalue(), "program")
 
 
 def _columns(joints: list[str], suction: bool) -> list[tuple[str, str]]:
@@ -215,7 +222,7 @@ def read_table(path: Path, name: str) -> tuple[Program, Arm]:
         InputError: see :func:`read_program`.
     """
     content, source = read_bytes(path, "program", MOST_BYTES)
-    head, names, body = _split(content, source)
+    head, names, skipped = _split(content, source)
     told = read_header(head, source, name)
     arm, suction = told.arm, told.arm.suction is not None
     expected = [one for one, _ in _columns(list(driver_of(arm).joints), suction)]
@@ -225,9 +232,10 @@ def read_table(path: Path, name: str) -> tuple[Program, Arm]:
     kinds = [(one, "U12" if one == "stage" else "f8") for one in expected]
     try:
         rows = np.loadtxt(
-            body, delimiter=",", dtype=kinds, comments=None, ndmin=1, encoding="utf-8"
-        )
-    except ValueError as error:
+            io.BytesIO(content), delimiter=",", dtype=kinds, comments=None, ndmin=1,
+            skiprows=skipped, encoding="utf-8",
+        )  # fmt: skip
+    except (ValueError, IndexError) as error:
         reason = str(error).partition(";")[0]
         raise InputError(source, reason, f"lines of {len(expected)} numbers") from None
     if head.get("rows") != len(rows) or len(rows) < 2:
@@ -249,21 +257,22 @@ def read_table(path: Path, name: str) -> tuple[Program, Arm]:
     return program, arm
 
 
-def _split(content: bytes, source: str) -> tuple[dict[str, Any], list[str], list[str]]:
-    """Header, names of the columns, and lines of a table."""
-    try:
-        lines = content.decode("utf-8").splitlines()
-    except UnicodeDecodeError:
-        raise InputError(source, "bytes that are not UTF-8", "an exported program") from None
-    count = next((k for k, line in enumerate(lines) if not line.startswith("#")), len(lines))
-    head = {}
-    for line in lines[:count]:
+def _split(content: bytes, source: str) -> tuple[dict[str, Any], list[str], int]:
+    """Header, names of the columns, and how many lines these take."""
+    head, count = {}, 0
+    for count, raw in enumerate(io.BytesIO(content), 1):
+        try:
+            line = raw.decode().strip()
+        except UnicodeDecodeError:
+            raise InputError(source, "bytes that are not UTF-8", "an exported program") from None
+        if not line.startswith("#"):
+            if "format" in head:
+                return head, line.split(","), count
+            break
         key, colon, value = line[1:].strip().partition(": ")
         if colon:
             head[key] = load_json(value, f"{source}: {key}", FORMAT)
-    if "format" not in head:
-        raise InputError(source, "no header", f"a table of {FORMAT}")
-    return head, (lines[count].split(",") if count < len(lines) else []), lines[count + 1 :]
+    raise InputError(source, "no header" if count else "an empty file", f"a table of {FORMAT}")
 
 
 def _check_motion(knots: Knots, arm: Arm, source: str) -> None:
