@@ -146,11 +146,8 @@ class Building:
         self.done: list[Done] = []
         self.cells = [tuple(c) for c in self.world.cells()]
         self.fixed = [sum(map(len, self.cells)) + n for n in range(len(job.obstacles))]
-        halves = [*self.world.halves(), *(np.array(o.size) / 2 for o in job.obstacles)]
-        self.recorder = BuildRecorder(
-            job.arm, self.joints, 0.0 if job.arm.suction else job.arm.gripper.max_width,
-            self._all_poses(), [*self.cells, *([c] for c in self.fixed)], words, np.array(halves),
-        )  # fmt: skip
+        self.words = words
+        self.recorder = self._recorder(0.0)
         self.log = log
         if log is not None:
             self._resume(log)
@@ -454,12 +451,23 @@ class Building:
         )
         step = next((n for n, s in enumerate(self.order, 1)
                      if s.block == k and s.remove == (action.what == "remove")), None)  # fmt: skip
+        if not self.recorder.steps and found.trajectory is not None:
+            self.recorder = self._recorder(float(found.trajectory.width[0]))
         self.recorder.add_attempt(found, rows.scene, move, self._numbers(rows), step)
         if found.joints is not None:
             self.joints = found.joints
         if found.after is not None and found.quaternion is not None:
             self._take_over(rows, move, found.after, found.quaternion)
         return found
+
+    def _recorder(self, width: float) -> BuildRecorder:
+        """Of the build, before its first attempt; the pads are ``width`` apart [m]."""
+        halves = [*self.world.halves(), *(np.array(o.size) / 2 for o in self.job.obstacles)]
+        objects = [*self.cells, *([cell] for cell in self.fixed)]
+        return BuildRecorder(
+            self.job.arm, self.joints, width, self._all_poses(), objects, self.words,
+            np.array(halves),
+        )  # fmt: skip
 
     def _numbers(self, rows: Rows) -> np.ndarray:
         """int64[n]: cell of the record of each row."""
