@@ -13,6 +13,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -461,7 +462,7 @@ def try_step(world: World, cell: KinematicCell, step: StepOf) -> str | None:
             if found.reached:
                 world.pose[k] = before[0]
                 return None
-            why = why or describe(found)
+            why = why or named(describe(found), rows, world)
         world.pose[k] = before[0]
     return why or "the tool cannot hold it"
 
@@ -469,6 +470,17 @@ def try_step(world: World, cell: KinematicCell, step: StepOf) -> str | None:
 def describe(found: Attempt) -> str:
     """Outcome, stage and reason of an attempt that failed, in words."""
     return f"{found.outcome.label} ({found.stage}): {found.detail}"
+
+
+def named(text: str, rows: Rows, world: World) -> str:
+    """Words of a cell, which counts the rows of its scene, with the names of the plan."""
+
+    def name(found: re.Match[str]) -> str:
+        row = int(found[1])
+        owner = int(rows.owner[row]) if row < len(rows.owner) else -1
+        return world.pieces[owner].id if owner >= 0 else "an obstacle"
+
+    return re.sub(r"block (\d+)", name, text)
 
 
 def supply_of(world: World, k: int) -> list[int]:

@@ -45,6 +45,7 @@ from learn2assemble.planning.workcell import (
     describe,
     frame_of,
     moves,
+    named,
     rows_of,
     supply_of,
 )
@@ -423,7 +424,7 @@ class Building:
                 if not skip:
                     return move, ""
                 skip -= 1
-            why = why or describe(found)
+            why = why or named(describe(found), rows, self.world)
         return first, why or "the tool cannot hold it"
 
     def _carry_out(self, action: Action, move: Move, rng: np.random.Generator) -> Attempt:
@@ -453,6 +454,7 @@ class Building:
                      if s.block == k and s.remove == (action.what == "remove")), None)  # fmt: skip
         if not self.recorder.steps and found.trajectory is not None:
             self.recorder = self._recorder(float(found.trajectory.width[0]))
+        found = found._replace(detail=named(found.detail, rows, self.world))
         self.recorder.add_attempt(found, rows.scene, move, self._numbers(rows), step)
         if found.joints is not None:
             self.joints = found.joints
