@@ -153,7 +153,7 @@ class Execution:
         """Down, take hold, up."""
         sim = self.sim
         touch, self.inside = Outcome.GRASP_COLLISION, approach
-        above = approach.rise >= 0
+        above = approach.rise > -1e-9  # The contact itself, whatever rounding made of it.
         joints, rise = approach.joints[above], approach.rise[above]
         path = joint_path(joints[::-1], self.limits)
         bounds = limits_along(path, self.limits)
