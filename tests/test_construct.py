@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +60,28 @@ def test_colours_of_a_picture_go_to_the_blocks() -> None:
     assert plan.assembly is not None
     colours = {block.colour for block in plan.assembly.blocks if not block.prop}
     assert len(colours) > 1
+
+
+def test_a_block_takes_the_most_frequent_colour_of_its_cells() -> None:
+    wanted = np.ones((5, 1, 1), bool)
+    colours = np.array([(200, 0, 0)] * 3 + [(0, 0, 200)] * 2, np.uint8).reshape(5, 1, 1, 3)
+    design = CellDesign("bar", wanted, (0.05,) * 3, colours, 0.0, None, "test", None)
+    plan = plan_cells(design, "bricks-lintels")
+    assert plan.assembly is not None
+    assert [block.colour for block in plan.assembly.blocks] == [(200, 0, 0)]
+
+
+def test_the_blocks_of_an_elevation_are_enough_or_it_is_refused() -> None:
+    design = CellDesign("wall", np.ones((4, 1, 3), bool), (0.05,) * 3, None, 0.0, None, "test",
+                        "cubes", 12)  # fmt: skip
+    assert plan_cells(design).complete
+    plan = plan_cells(replace(design, blocks=11))
+    assert plan.status == "refused"
+    assert plan.reason == '12 blocks of kit `cubes` are needed; the design has 11 ("blocks")'
+    assert plan_cells(replace(design, blocks=3), "bricks-lintels").complete
+    keep = read_design(DESIGNS / "keep.json")
+    assert isinstance(keep, CellDesign)
+    assert keep.blocks == 44
 
 
 def test_a_span_the_kit_has_no_block_for_is_refused_and_says_so(tmp_path: Path) -> None:

@@ -327,6 +327,58 @@ def test_colours_go_with_the_cells(tmp_path: Path) -> None:
     assert again.cell == pytest.approx((0.05,) * 3)
 
 
+RED, BLUE, GREEN = (200, 0, 0), (0, 0, 200), (0, 160, 0)
+
+
+def test_fill_colours_of_a_drawing_go_to_its_cells(tmp_path: Path) -> None:
+    """Blue is painted over red; a cell takes the colour that shows most of it."""
+    body = (
+        '<rect width="300" height="100" fill="rgb(200,0,0)"/>'
+        '<rect x="100" width="130" height="50" fill="rgb(0,0,200)"/>'
+    )
+    head = 'width="300mm" height="100mm" viewBox="0 0 300 100"'
+    made = cells(write(tmp_path / "a.svg", svg(body, head)))
+    assert made.colours is not None
+    expected = np.full((6, 1, 2, 3), RED)
+    expected[2:5, :, 1] = BLUE  # the last of them to three fifths
+    assert (made.colours == expected).all()
+    # In one colour, black, nothing is said about colours.
+    for fill in ("black", ""):
+        bar = f'<rect width="300" height="100" fill="{fill}"/>'
+        assert cells(write(tmp_path / "b.svg", svg(bar, head))).colours is None
+
+
+def test_colours_stand_where_their_viewer_sees_them(tmp_path: Path) -> None:
+    body = "".join(
+        f'<g id="{side}"><rect width="300" height="100" fill="rgb{RED}"/>'
+        f'<rect width="100" height="100" fill="rgb{colour}"/></g>'
+        for side, colour in (("front", BLUE), ("back", GREEN))
+    )
+    head = 'width="300mm" height="100mm" viewBox="0 0 300 100"'
+    made = cells(write(tmp_path / "a.svg", svg(body, head)))
+    assert made.colours is not None
+    assert made.colours.shape[:3] == (6, 2, 2)
+    assert (made.colours[:2, 0] == BLUE).all()
+    assert (made.colours[2:, 0] == RED).all()
+    assert (made.colours[4:, 1] == GREEN).all()
+    assert (made.colours[:4, 1] == RED).all()
+
+
+def test_a_cell_of_many_pixels_takes_the_most_frequent_colour(tmp_path: Path) -> None:
+    picture = np.full((20, 40, 3), RED, np.uint8)
+    picture[:, 17:20] = BLUE  # a third of a cell
+    picture[:, 22:40] = GREEN
+    made = cells(write(tmp_path / "a.png", png(picture)), cells_wide=4)
+    assert made.colours is not None
+    row = made.colours[:, 0, 0].tolist()
+    assert row == [list(RED), list(RED), list(GREEN), list(GREEN)]
+    # Of a photograph's many colours none is a mixture of two far apart.
+    noise = np.random.default_rng(0).integers(0, 20, picture.shape)
+    made = cells(write(tmp_path / "b.png", png((picture + noise).astype(np.uint8))), cells_wide=4)
+    assert made.colours is not None
+    assert np.abs(made.colours[:, 0, 0].astype(int) - row).max() <= 20
+
+
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.json")), ids=lambda path: path.stem)
 def test_elevations_of_today_become_cells(path: Path) -> None:
     made = cells(path)

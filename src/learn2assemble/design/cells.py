@@ -16,7 +16,7 @@ import numpy as np
 
 from learn2assemble.design import drawings, solids
 from learn2assemble.design.drawings import SIDES, UNITS, Drawing
-from learn2assemble.design.lattice import HALF, MAX_CELLS, fit
+from learn2assemble.design.lattice import HALF, MAX_CELLS, fit, shares
 from learn2assemble.design.solids import Solid, Voxels
 from learn2assemble.errors import InputError, look_up
 from learn2assemble.files import read_bytes
@@ -49,6 +49,7 @@ class CellDesign:
             cells were given as such.
         source: the file, as messages call it.
         kit: the kit that caller or file name.
+        blocks: how many blocks there are, props included; None where the file does not say.
     """
 
     name: str
@@ -59,6 +60,7 @@ class CellDesign:
     iou: float | None
     source: str
     kit: str | None
+    blocks: int | None = None
 
     def __post_init__(self) -> None:
         for array in (self.wanted, self.colours):
@@ -284,6 +286,7 @@ def _from_drawing(drawing: Drawing, given: _Options, name: str, source: str) -> 
     wide = (given.cells_wide or 0) * across
     scale = _scale(given, drawing.metres, extents, wide, source)
     origins = _origins(boxes, drawing.placed)
+    palette = sorted({colour for paints in drawing.paints.values() for _, colour in paints})
     pairs = []
     for axis, (one, other) in enumerate((SIDES[:2], SIDES[2:])):
         names = [side for side in (one, other) if side in boxes]
@@ -302,11 +305,28 @@ def _from_drawing(drawing: Drawing, given: _Options, name: str, source: str) -> 
             points_ = triangles.reshape(-1, 3)
             ends = np.abs(points_[:, 0]).max() * 2 if drawing.placed else np.ptp(points_[:, 0])
             _check_extent(np.array([ends, 1, points_[:, 2].max()]), cell, source)
-            pairs.append((axis, names, *fit(triangles, (0,))))
+            share, origin = fit(triangles, (0,))
+            tint = np.zeros(share.shape, np.int64)
+            for k, side in enumerate(names):
+                turn = -1 if side == other else 1
+                scales = (turn * cell[axis] / scale, cell[2] / scale)
+                paints = [
+                    ([((c - origins[side]) / scales)[::turn] for c in contours], colour)
+                    for contours, colour in drawing.paints.get(side, ())
+                ]
+                tint[:, k] = _tints(paints, palette, origin, (len(share), share.shape[2]))
+            pairs.append((axis, names, share, origin, tint))
     least = 3 if drawing.placed and len(boxes) > 2 else 1
-    share = _footprint(pairs, given, cell, least, drawing.placed)
+    share, tint = _footprint(pairs, given, cell, least, drawing.placed)
+    colours = None
+    if tint.any():
+        common = np.bincount(tint[(tint > 0) & (share >= HALF)], minlength=2)
+        colours = np.array([(0, 0, 0), *palette], np.uint8)[
+            np.where(tint > 0, tint, common.argmax())
+        ]
     thick = given.depth / (cell[1] * max(1, round(given.depth / cell[1]))) if given.depth else 1.0
-    return _design(share, given, cell, name, source, kit, thickness=thick, trim=not drawing.placed)
+    return _design(share, given, cell, name, source, kit, thickness=thick, trim=not drawing.placed,
+                   colours=colours, blocks=drawing.blocks)  # fmt: skip
 
 
 def _origins(boxes: dict[str, np.ndarray], placed: bool) -> dict[str, np.ndarray]:
@@ -324,6 +344,29 @@ def _origins(boxes: dict[str, np.ndarray], placed: bool) -> dict[str, np.ndarray
     return {side: np.array([box[:, 0].mean(), box[0, 1]]) for side, box in boxes.items()}
 
 
+def _tints(
+    paints: list[drawings.Paint], palette: list[drawings.Colour], origin: np.ndarray,
+    shape: tuple[int, int],
+) -> np.ndarray:  # fmt: skip
+    """Which colour shows most in every cell of a wall, int64[X, Z]: index into palette + 1, or 0.
+
+    Args:
+        paints: contours [cells] and colours, later over earlier.
+        origin: float64[3], lower corner of the first cell [cells].
+    """
+    seen = np.zeros((len(palette) + 1, *shape))
+    for contours, colour in paints:
+        walls = np.concatenate([_prism(contour, 0) for contour in contours])
+        moved = walls - (origin[0], 0, origin[2])
+        low, high = (f(moved.reshape(-1, 3), axis=0) for f in (np.min, np.max))
+        if (low < -1e-6).any() or (high[[0, 2]] > np.array(shape) + 1e-6).any():
+            continue  # It was cut away, or painted over with paper.
+        share = np.clip(shares(moved, (shape[0], 1, shape[1]))[:, 0], 0.0, 1.0)
+        seen *= 1 - share
+        seen[palette.index(colour) + 1] += share
+    return np.where(seen.max(0) > 0, seen.argmax(0), 0)
+
+
 def _prism(contour: np.ndarray, place: int) -> np.ndarray:
     """Walls of a contour (x, z) that is extruded from y = place to place + 1."""
     start, end = contour, np.roll(contour, -1, axis=0)
@@ -337,14 +380,15 @@ def _prism(contour: np.ndarray, place: int) -> np.ndarray:
 
 
 def _footprint(
-    pairs: list[tuple[int, list[str], np.ndarray, np.ndarray]],
+    pairs: list[tuple[int, list[str], np.ndarray, np.ndarray, np.ndarray]],
     given: _Options, cell: Lengths, least: int, placed: bool,
-) -> np.ndarray:  # fmt: skip
-    """Shares of the cells of all walls together, ``float64[X, Y, Z]``."""
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Shares of the cells of all walls together, ``float64[X, Y, Z]``, and their tints alike."""
     thick = [max(1, round((given.depth or edge) / edge)) for edge in cell]
     walls: dict[str, np.ndarray] = {}
+    tints: dict[str, np.ndarray] = {}
     spans = [0, 0]
-    for axis, names, share, origin in pairs:
+    for axis, names, share, origin, tint in pairs:
         below = int(origin[2])
         across = sum(len(other[1]) for other in pairs if other[0] != axis)
         room = max(least, thick[axis] * across)  # for the walls of the other pair
@@ -354,20 +398,25 @@ def _footprint(
             half += 0.5
         before = round(half + low)
         after = round(2 * half) - before - len(share)
-        share = np.pad(share, ((before, after), (0, 0), (below, 0)))
+        margin = ((before, after), (0, 0), (below, 0))
+        share, tint = np.pad(share, margin), np.pad(tint, margin)
         spans[axis] = len(share)
         walls |= {name: share[:, k] for k, name in enumerate(names)}
+        tints |= {name: tint[:, k] for k, name in enumerate(names)}
     for axis, pair in enumerate((SIDES[2:], SIDES[:2])):
         # Without the other pair, walls stand back to back.
         spans[axis] = max(spans[axis], thick[axis] * sum(side in walls for side in pair))
     high = max(wall.shape[1] for wall in walls.values())
-    made = np.zeros((*spans, high))
+    made, shown = np.zeros((*spans, high)), np.zeros((*spans, high), np.int64)
     for name, wall in walls.items():
         axis = 1 if name in ("front", "back") else 0
         line = slice(0, thick[axis]) if name in ("front", "left") else slice(-thick[axis], None)
-        part = made[:, line] if axis == 1 else made[line].swapaxes(0, 1)
-        np.maximum(part[:, :, : wall.shape[1]], wall[:, None], out=part[:, :, : wall.shape[1]])
-    return made
+        for whole, values in ((made, wall), (shown, tints[name])):
+            part = whole[:, line] if axis == 1 else whole[line].swapaxes(0, 1)
+            np.maximum(
+                part[:, :, : wall.shape[1]], values[:, None], out=part[:, :, : wall.shape[1]]
+            )
+    return made, shown
 
 
 def _from_picture(content: bytes, given: _Options, name: str, source: str) -> CellDesign:
@@ -428,7 +477,7 @@ def _from_solid(solid: Solid, given: _Options, name: str, source: str) -> CellDe
 def _design(
     share: np.ndarray, given: _Options, cell: Lengths, name: str, source: str, kit: str | None, *,
     colours: np.ndarray | None = None, thickness: float = 1.0, exact: bool = False,
-    trim: bool = True,
+    trim: bool = True, blocks: int | None = None,
 ) -> CellDesign:  # fmt: skip
     """Cells from shares of cells.
 
@@ -459,7 +508,7 @@ def _design(
     iou = None if exact else common / (drawn + filled - common)
     wanted = np.ascontiguousarray(wanted)
     colours = None if colours is None else np.ascontiguousarray(colours)
-    return CellDesign(name, wanted, cell, colours, error, iou, source, kit)
+    return CellDesign(name, wanted, cell, colours, error, iou, source, kit, blocks)
 
 
 def _check_carried(wanted: np.ndarray, cell: Lengths, source: str) -> None:

@@ -17,7 +17,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.files import MAX_BYTES, check_keys, load_json, mapping, number, sequence, text
+from learn2assemble.files import (
+    MAX_BYTES,
+    check_keys,
+    integer,
+    load_json,
+    mapping,
+    number,
+    sequence,
+    text,
+)
 
 if TYPE_CHECKING:
     from manifold3d import CrossSection
@@ -30,6 +39,8 @@ MAX_ENTITIES = 3000
 """Most entities of a drawing, references expanded."""
 MAX_DRAWN = 1_500_000
 """Most characters of a drawing, references expanded."""
+MAX_PAINTS = 300
+"""Most changes of colour of a drawing whose colours are read."""
 MAX_DEPTH = 60
 """Deepest nesting of groups or blocks."""
 _SPAN = 1000.0
@@ -43,6 +54,8 @@ MAX_OVERLAPS = {"outlines": 300_000, "lines": 1_500_000}
 """Most pairs of them whose boxes overlap; clipping takes time with their number."""
 
 Contours = list[np.ndarray]
+Colour = tuple[int, int, int]
+Paint = tuple[Contours, Colour]
 
 
 @dataclass(frozen=True)
@@ -62,6 +75,10 @@ class Drawing:
     placed: bool = False
     name: str | None = None
     kit: str | None = None
+    blocks: int | None = None
+    """How many blocks there are; None where the file does not say."""
+    paints: Mapping[str, list[Paint]] = field(default_factory=dict)
+    """By side, what is painted in which colour, later over earlier; empty for one of one colour."""
 
 
 # ---------------------------------------------------------------- elevation JSON
@@ -95,7 +112,12 @@ def read_elevations(content: bytes, source: str) -> Drawing:
     name, kit = (
         None if key not in root else text(root[key], f"{source}: {key}") for key in ("name", "kit")
     )
-    return Drawing(sides, 1.0, True, name, kit)
+    blocks = None
+    if root.get("blocks") is not None:
+        blocks = integer(root["blocks"], f"{source}: blocks")
+        if blocks < 1:
+            raise InputError(f"{source}: blocks", blocks, "a whole number from 1")
+    return Drawing(sides, 1.0, True, name, kit, blocks)
 
 
 def _outline(elevation: Any, source: str, path: str) -> Contours:
@@ -125,7 +147,7 @@ def _outline(elevation: Any, source: str, path: str) -> Contours:
 # ---------------------------------------------------------------- regions
 
 
-_Filled = tuple[Contours, bool, bool]
+_Filled = tuple[Contours, bool, bool, "Colour | None"]
 
 
 @dataclass
@@ -133,18 +155,18 @@ class _Layer:
     """What is drawn on one layer, in the order of drawing."""
 
     filled: list[_Filled] = field(default_factory=list)
-    """Contours of a filled shape, whether by the even-odd rule, and whether it is paper."""
+    """Contours of a filled shape, whether by the even-odd rule, whether it is paper, its colour."""
     lines: Contours = field(default_factory=list)
     """Closed outlines that are only drawn as lines: those inside others are holes."""
 
     def contours(self) -> Contours:
         """All contours of the layer."""
-        return [*self.lines, *(c for contours, _, _ in self.filled for c in contours)]
+        return [*self.lines, *(c for contours, *_ in self.filled for c in contours)]
 
     def simplify(self, tolerance: float) -> None:
         """Leave out vertices that matter less than ``tolerance``."""
         self.lines = _simple(self.lines, tolerance)
-        self.filled = [(_simple(c, tolerance), rule, paper) for c, rule, paper in self.filled]
+        self.filled = [(_simple(c, tolerance), *how) for c, *how in self.filled]
 
     def region(self, scale: float) -> CrossSection:
         """The material of the layer; even-odd among lines, filled shapes painted over another."""
@@ -155,12 +177,27 @@ class _Layer:
         for paper, shapes in itertools.groupby(self.filled, key=lambda shape: shape[2]):
             parts = [
                 CrossSection([c * scale for c in contours], rules[even_odd])
-                for contours, even_odd, _ in shapes
+                for contours, even_odd, *_ in shapes
             ]
             kind = OpType.Subtract if paper else OpType.Add
             made = CrossSection.batch_boolean([made, *parts], kind)
         lines = CrossSection([line * scale for line in self.lines], FillRule.EvenOdd)
         return (made + lines).simplify(_FINE * _SPAN)
+
+    def paints(self, scale: float) -> list[Paint]:
+        """What is filled in which colour, in the order of painting; neighbours in one joined."""
+        from manifold3d import CrossSection, FillRule, OpType
+
+        rules, made = {True: FillRule.EvenOdd, False: FillRule.NonZero}, []
+        material = self.region(scale)
+        shapes = [shape for shape in self.filled if not shape[2] and shape[3] is not None]
+        for colour, group in itertools.groupby(shapes, key=lambda shape: shape[3]):
+            parts = [CrossSection([c * scale for c in contours], rules[even_odd])
+                     for contours, even_odd, *_ in group]  # fmt: skip
+            region = CrossSection.batch_boolean(parts, OpType.Add) ^ material
+            if colour is not None and not region.is_empty():
+                made.append(([p / scale for p in region.to_polygons()], colour))
+        return made
 
 
 def _simple(contours: Contours, tolerance: float) -> Contours:
@@ -194,6 +231,7 @@ def _drawing(
         raise InputError(source, "outlines without an area", "material inside closed outlines")
     _check_overlaps(contours, source)
     sides: dict[str, Contours] = {}
+    paints: dict[str, list[Paint]] = {}
     for name, layer in drawn.items():
         side = "front"
         if len(drawn) > 1 or (name or "").casefold() in SIDES:
@@ -203,9 +241,14 @@ def _drawing(
         region = layer.region(_SPAN / span)
         if not region.is_empty():
             sides.setdefault(side, []).extend(p * (span / _SPAN) for p in region.to_polygons())
+            paints.setdefault(side, []).extend(layer.paints(_SPAN / span))
     if not sides:
         raise InputError(source, "outlines without an area", "material inside closed outlines")
-    return Drawing(dict(sorted(sides.items(), key=lambda item: SIDES.index(item[0]))), metres)
+    sides = dict(sorted(sides.items(), key=lambda item: SIDES.index(item[0])))
+    colours = {colour for found in paints.values() for _, colour in found}
+    if colours <= {(0, 0, 0)} or sum(map(len, paints.values())) > MAX_PAINTS:
+        paints = {}  # Black alone is ink.
+    return Drawing(sides, metres, paints=paints)
 
 
 def _check_overlaps(contours: Contours, source: str) -> None:
@@ -393,7 +436,8 @@ def _add_svg_shape(layer: _Layer, path: Any, sampled: np.ndarray, source: str) -
         name = f" {path.id!r}" if path.id else ""
         raise InputError(source, f"a filled path{name} that is open", "closed outlines (end in Z)")
     if closed and filled and not (paper and stroked):
-        layer.filled.append((closed, path.values.get("fill-rule") == "evenodd", paper))
+        colour = (path.fill.red, path.fill.green, path.fill.blue)
+        layer.filled.append((closed, path.values.get("fill-rule") == "evenodd", paper, colour))
     elif closed:
         layer.lines.extend(closed)
 
@@ -451,7 +495,7 @@ def read_dxf(content: bytes, source: str) -> Drawing:
         ]
         for name, filled, points in _dxf_flat(paths):
             if filled:
-                layers.setdefault(name, _Layer()).filled.append(([points], True, False))
+                layers.setdefault(name, _Layer()).filled.append(([points], True, False, None))
             else:
                 chains.setdefault(name, []).append(points)
     except InputError:
@@ -550,6 +594,10 @@ def _closed(chains: list[np.ndarray]) -> Contours:
 
 # ---------------------------------------------------------------- PNG
 
+MAX_COLOURS = 32
+"""Most colours of a picture that are told apart."""
+_SHADES = 40.0
+"""How far apart shades of one colour are, where there are many [of 255]."""
 MAX_PIXELS = 16_000_000
 """Most pixels of a picture."""
 
@@ -568,8 +616,8 @@ def read_png(
         aspect: width of a cell by its height.
 
     Returns:
-        share of material ``float64[X, Z]`` and mean colour of the material ``uint8[X, Z, 3]``,
-        z up.
+        share of material ``float64[X, Z]`` and its most frequent colour ``uint8[X, Z, 3]``, z up.
+        Of more than 32 colours, near ones count as one.
     """
     pixels = _pixels(content, source).astype(np.float64)
     colour, alpha = pixels[:, :, :3], pixels[:, :, 3]
@@ -594,9 +642,29 @@ def read_png(
     edges = (np.arange(wide + 1) * per_cell, np.arange(high + 1) * (per_cell / aspect))
     size = edges[0][1] * edges[1][1]
     share = _sums(material, edges)
-    tint = np.stack([_sums(material * colour[:, :, k], edges) for k in range(3)], -1)
-    mean = tint / np.maximum(share, 1e-9)[:, :, None]
-    return share / size, np.clip(np.round(mean), 0, 255).astype(np.uint8)
+    palette, which = _palette(colour, material)
+    amounts = np.stack([_sums(material & (which == k), edges) for k in range(len(palette))])
+    if len(palette) == MAX_COLOURS:  # Shades of one colour are seen as one.
+        apart = np.square(palette[:, None].astype(float) - palette).sum(-1)
+        amounts = np.tensordot(np.exp(-apart / (2 * _SHADES**2)), amounts, 1) * (amounts > 0)
+    return share / size, palette[amounts.argmax(0)]
+
+
+def _palette(colour: np.ndarray, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """``uint8[K, 3]``, at most ``MAX_COLOURS``, and which of them each pixel has, ``int[W, H]``."""
+    from PIL import Image
+
+    used = colour[material].astype(np.uint8)
+    exact, index = np.unique(used, axis=0, return_inverse=True)
+    if len(exact) > MAX_COLOURS:
+        image = Image.fromarray(used[None]).quantize(MAX_COLOURS, Image.Quantize.MEDIANCUT)
+        index = np.asarray(image)[0].astype(np.int64)
+        count = np.maximum(np.bincount(index, minlength=MAX_COLOURS), 1)[:, None]
+        sums = [np.bincount(index, used[:, k], MAX_COLOURS) for k in range(3)]
+        exact = np.round(np.stack(sums, -1) / count).astype(np.uint8)
+    which = np.full(material.shape, -1)
+    which[material] = index.reshape(-1)
+    return exact, which
 
 
 def _sums(values: np.ndarray, edges: tuple[np.ndarray, np.ndarray]) -> np.ndarray:

@@ -213,7 +213,7 @@ def _rhino(content: bytes, source: str) -> tuple[list[Mesh], float | None]:
             done = subprocess.run(
                 [sys.executable, "-c", command],
                 env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-                timeout=5 + len(content) / 1e6,
+                timeout=20 + len(content) / 1e6,
                 capture_output=True,
                 check=False,
             )
@@ -231,11 +231,24 @@ def _rhino(content: bytes, source: str) -> tuple[list[Mesh], float | None]:
     return meshes, metres if metres > 0 else None
 
 
+def _limit_processor_time(seconds: float) -> None:
+    """End this process after so much more time of the processor, where the system can."""
+    try:
+        import resource
+    except ImportError:  # Windows; the limit by the clock remains.
+        return
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    limit = int(np.ceil(used.ru_utime + used.ru_stime + seconds))
+    resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
+
+
 def write_rhino_meshes(folder: str) -> None:
     """Write ``meshes.npz`` from ``design.3dm``, both in ``folder``; nothing where it fails."""
     import rhino3dm
 
-    model: Any = rhino3dm.File3dm.Read(str(Path(folder) / "design.3dm"))
+    given = Path(folder) / "design.3dm"
+    _limit_processor_time(1.0 + given.stat().st_size / 5e6)
+    model: Any = rhino3dm.File3dm.Read(str(given))
     if model is None:
         return
     refused, found = "", []

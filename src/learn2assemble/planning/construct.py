@@ -115,6 +115,13 @@ def plan_cells(
     done = tiling.status == ordered.status == "complete" and not missing and not outside
     reason = None if done else ordered.reason or tiling.reason or f"{missing} cells are open"
     refused = "refused" in (tiling.status, ordered.status)
+    needed = len(tiling.placements)
+    if done and design.blocks is not None and needed > design.blocks:
+        done, refused = False, True
+        props = needed - len(standing)
+        and_props = f", {props} of them props," if props else ""
+        reason = (f"{needed} blocks of kit `{kit.name}`{and_props} are needed; "
+                  f"the design has {design.blocks} (\"blocks\")")  # fmt: skip
     assembly = None
     if tiling.placements:
         pressed = any(step.proof == TIGHT for step in ordered.steps)
@@ -266,7 +273,7 @@ def plan_assembly(
 
 
 def _coloured(assembly: Assembly, design: CellDesign) -> Assembly:
-    """Blocks in the mean colour of their cells, where the design has colours."""
+    """Blocks in the most frequent colour of their cells, where the design has colours."""
     if design.colours is None:
         return assembly
     size = np.array(design.cell)
@@ -280,7 +287,11 @@ def _coloured(assembly: Assembly, design: CellDesign) -> Assembly:
         if block.prop or not len(seen):
             blocks.append(block)
             continue
-        red, green, blue = (int(c) for c in np.rint(seen.mean(0)))
+        colours, count = np.unique(seen, axis=0, return_counts=True)
+        # Of those seen in equally many cells, the one nearest their mean.
+        most = colours[count == count.max()].astype(float)
+        nearest = most[np.square(most - seen.mean(0)).sum(1).argmin()]
+        red, green, blue = (int(c) for c in nearest)
         blocks.append(replace(block, colour=(red, green, blue)))
     return replace(assembly, blocks=tuple(blocks))
 
