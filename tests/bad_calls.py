@@ -299,6 +299,11 @@ BAD = [
     BadCall("replay a long name", ["replay", LONG], "an existing recording",
             "Path.is_file raises for names that are too long"),
     # bench
+    BadCall("builder of another teacher",
+            ["builder", "train", "--out", "{d}/new", "--teacher", "paper"], "exact"),
+    BadCall("builder that does nothing", ["builder", "play", "--out", "{d}/new"], "train"),
+    BadCall("builder there is not",
+            ["builder", "measure", "--out", "{d}/new", "--agent", "nobody"], "builder"),
     BadCall("bench for no time", ["bench", "--seconds", "0"], "a positive number"),
     BadCall("bench for ever", ["bench", "--seconds", "inf"], "a positive number"),
     BadCall("bench for a word", ["bench", "--seconds", "soon"], "a positive number"),

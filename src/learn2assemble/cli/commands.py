@@ -9,6 +9,7 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from learn2assemble.cli.builders import COMMANDS as BUILDERS
 from learn2assemble.cli.parser import Command, count, natural, number, positive, share
 from learn2assemble.cli.structures import COMMANDS as STRUCTURES
 from learn2assemble.cli.structures import friction, length, span_of
@@ -29,7 +30,7 @@ AGENT_HELP = "shipped agent, .safetensors or run folder"
 
 def register_command(commands: Registry[Command]) -> None:
     """Add the commands of the product."""
-    for name, command in {**_COMMANDS, **STRUCTURES}.items():
+    for name, command in {**_COMMANDS, **STRUCTURES, **BUILDERS}.items():
         commands.register(name, command)
 
 

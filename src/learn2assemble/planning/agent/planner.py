@@ -1,8 +1,8 @@
 """The builder as a planner: the same answer as the exact one's, and who plans what.
 
-Which planner ``auto`` takes is read from a record, ``assets/planners.json``, written by
-``l2a builder measure``: for every kind of design how many each planner completed and how long it
-took, planning and proof together.
+Which planner ``auto`` takes is read from a record, ``assets/planners.json``, which
+``l2a builder measure`` writes: for every kind of design how many each planner completed and how long
+it took, planning and proof together.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.assembly.kit import Kit
-from learn2assemble.planning.agent.network import DEFAULT, load_builder
+from learn2assemble.planning.agent.network import DEFAULT, Builder, load_builder
 from learn2assemble.planning.agent.search import BUDGET, Outcome, build
 from learn2assemble.planning.agent.world import make_site
 from learn2assemble.planning.ordering import Ordering, order
@@ -29,7 +29,7 @@ _SAVING = 2.0
 
 
 def plan_with_agent(
-    wanted: np.ndarray, kit: Kit, *, builder: str | None = None, seed: int = 0,
+    wanted: np.ndarray, kit: Kit, *, builder: str | Builder | None = None, seed: int = 0,
     seconds: float = 60.0, friction: float | tuple[float, float] | None = None,
     gap: float | tuple[float, float] | None = None, budget: int = BUDGET,
 ) -> tuple[Tiling, Ordering, SearchReport, str]:  # fmt: skip
@@ -37,7 +37,7 @@ def plan_with_agent(
 
     Args:
         wanted: bool[X, Y, Z].
-        builder: by name or file; the default one without it.
+        builder: one, or its name or file; the default one without it.
         seed: of the search.
         seconds: wall-clock limit for everything.
         friction, gap: as for :func:`learn2assemble.planning.ordering.order`.
@@ -48,7 +48,7 @@ def plan_with_agent(
         be; what the search took; the name of the builder.
     """
     clock = Clock(seconds)
-    agent = load_builder(builder or DEFAULT)
+    agent = builder if isinstance(builder, Builder) else load_builder(builder or DEFAULT)
     site = make_site(wanted, kit)
     outcome = build(site, agent, budget=budget, seed=seed, seconds=seconds)
     world, spent = outcome.world, clock.spent

@@ -49,6 +49,8 @@ class Outcome:
     repairs: int
     """Dead ends after which blocks were taken out."""
     seconds: float
+    decisions: tuple[float, ...] = ()
+    """Seconds of every decision: of a placement, or of a repair and what led to it."""
     timed_out: bool = False
 
     @property
@@ -188,18 +190,26 @@ def build(
         seconds: wall-clock limit.
     """
     clock, search = Clock(seconds), _Search(site, builder, seed)
+    decisions: list[float] = []
+
+    def finished(world: World, repairs: int, timed_out: bool = False) -> Outcome:
+        times = tuple(np.diff([*decisions, clock.spent]).tolist())
+        return Outcome(world, search.expanded, repairs, clock.spent, times, timed_out)
+
     if budget <= 1:
         world = search.world
         while not world.complete and clock.left > 0:
+            decisions.append(clock.spent)
             order = search.expand()
             ways = ((int(c), program) for program in (False, True) for c in order)
             if not any(world.place(c, program) for c, program in ways):
                 break
-        return Outcome(world, search.expanded, 0, clock.spent, clock.left <= 0)
+        return finished(world, 0, clock.left <= 0)
     best, most, repairs, radius = search.world, 0, 0, 1
     while not search.world.complete and search.expanded < budget * (most + 1):
         if clock.left <= 0:
-            return Outcome(best, search.expanded, repairs, clock.spent, True)
+            return finished(best, repairs, True)
+        decisions.append(clock.spent)
         cells = search.step()
         if search.world.open < best.open:
             best = search.world
@@ -212,4 +222,4 @@ def build(
             repairs, radius = repairs + 1, radius + 1
     if search.world.complete:
         best = search.world
-    return Outcome(best, search.expanded, repairs, clock.spent)
+    return finished(best, repairs)

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from learn2assemble.errors import InputError, Learn2AssembleError
+from learn2assemble.errors import Learn2AssembleError, UnknownNameError
 from learn2assemble.planning.agent.designs import Solved, make_design
 from learn2assemble.planning.agent.features import NUM_SUMMARY, describe, mirrored
 from learn2assemble.planning.agent.network import Builder, forward, initial_weights
@@ -220,7 +220,7 @@ def train(
     import torch
 
     if config.teacher not in TEACHERS:
-        raise InputError("teacher", config.teacher, " or ".join(TEACHERS))
+        raise UnknownNameError("teacher", config.teacher, TEACHERS)
     torch.set_num_threads(1)
     started, begun = time.process_time(), time.perf_counter()
     rng = np.random.default_rng(config.seed)

@@ -1,0 +1,89 @@
+"""Training and measuring the builder of designs."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from learn2assemble.cli.parser import Command, count, natural, positive
+from learn2assemble.errors import InputError
+from learn2assemble.files import claim_folder
+
+if TYPE_CHECKING:
+    from learn2assemble.cli.output import Output
+
+
+def _arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("action", choices=("train", "measure"))
+    add("--out", type=Path, required=True, help="new or empty folder")
+    add("--seed", type=natural, default=0, help="of designs, weights and choices")
+    train = parser.add_argument_group("train")
+    train.add_argument("--name", default="agent", help="of the builder")
+    train.add_argument(
+        "--teacher", default="exact", help="exact planner, or own search: no demonstrations"
+    )
+    train.add_argument("--seconds", type=positive, default=1200.0, help="of processor time")
+    measure = parser.add_argument_group("measure")
+    measure.add_argument("--agent", default="builder-s0", help="shipped builder or .safetensors")
+    measure.add_argument("--designs", type=count, default=200, help="of every small set")
+    measure.add_argument("--large", type=count, default=20, help="designs of 200 to 400 blocks")
+    measure.add_argument("--exact", type=count, default=40, help="of a set, for both planners")
+    measure.add_argument("--examples", type=Path, default=None, help="folder of the examples")
+
+
+def _run(options: argparse.Namespace, output: Output) -> None:
+    (_train if options.action == "train" else _measure)(options, output)
+
+
+def _train(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.learning.run import provenance
+    from learn2assemble.planning.agent.network import save_builder
+    from learn2assemble.planning.agent.train import BuilderConfig, train
+
+    config = BuilderConfig(options.name, options.teacher, options.seed, seconds=options.seconds)
+    with claim_folder(options.out):
+        builder = train(
+            config,
+            lambda told: output.progress(", ".join(f"{k} {v:.4g}" for k, v in told.items())),
+        )
+        builder.origin.update(provenance("cpu"))
+        weights = save_builder(builder, options.out)
+    output.say(f"{builder.origin['states']} states, {builder.origin['designs']} designs: {weights}")
+    output.finish({"agent": str(weights), **builder.origin})
+
+
+def _measure(options: argparse.Namespace, output: Output) -> None:
+    """``builders.json``, and ``planners.json``: the record for ``--planner auto``."""
+    import json
+
+    from learn2assemble.evaluation.builders import PLAYERS, Measure, measure
+    from learn2assemble.files import write_file
+    from learn2assemble.learning.run import provenance
+    from learn2assemble.planning.agent.network import load_builder
+
+    builder = load_builder(options.agent)
+    if options.examples is not None and not options.examples.is_dir():
+        raise InputError("--examples", str(options.examples), "a folder")
+    config = Measure(options.designs, options.large, options.exact, options.seed)
+    with claim_folder(options.out):
+        found = measure(builder, config, options.examples, output.progress)
+        head = {"agent": builder.name, "measure": vars(config), "machine": provenance("cpu")}
+        record = {**head, "kinds": found.pop("record")}
+        result = {**head, **found}
+        for name, content in (("builders", result), ("planners", record)):
+            write_file(options.out / f"{name}.json", json.dumps(content, indent=1) + "\n", "--out")
+    output.table("complete", ("designs", *PLAYERS), [
+        (name, *(f"{row[player]['complete']:.1%}" for player in PLAYERS))
+        for name, row in found["sets"].items()
+    ])  # fmt: skip
+    output.finish(result)
+
+
+COMMANDS = {
+    "builder": Command(
+        "train the learned builder of designs, or measure it beside the exact planner",
+        "l2a builder train --out runs/builder --seconds 600", _arguments, _run,
+    ),
+}  # fmt: skip

@@ -1,0 +1,235 @@
+"""How much of what people draw the builder builds, and what learning and search add.
+
+Designs of held-out families, drawn from seeds that no training uses, are built by four players
+over the same candidates and rules: the network with search, the network alone, random scores with
+search, random scores alone. The exact planner is timed on the first of them, proof and margins
+included, beside the agent's plan with the same proof.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from learn2assemble.assembly.kit import Kit, load_kit
+from learn2assemble.design.cells import CellDesign, read_design
+from learn2assemble.planning.agent.designs import Solved, draw_letter, make_design
+from learn2assemble.planning.agent.network import Builder
+from learn2assemble.planning.agent.planner import kind_of, plan_with_agent
+from learn2assemble.planning.agent.search import BUDGET, build
+from learn2assemble.planning.exact import plan_exact
+from learn2assemble.tasks import DESIGN_TASKS
+
+Progress = Callable[[str], None]
+PLAYERS: dict[str, tuple[bool, int]] = {
+    "agent with search": (True, BUDGET), "agent alone": (True, 1),
+    "random with search": (False, BUDGET), "random alone": (False, 1),
+}  # fmt: skip
+"""Whether the network plays, and the budget."""
+SETS: dict[str, tuple[str, float]] = {
+    "cubes, up to 60 blocks": ("designs-cubes-60-held-out", 0.95),
+    "bricks-lintels, up to 60 blocks": ("designs-lintels-60-held-out", 0.90),
+    "bricks-lintels, up to 60 blocks, limited heap": ("designs-lintels-60-heap-held-out", 0.80),
+    "bricks-lintels, 200 to 400 blocks": ("designs-lintels-400-held-out", 0.85),
+}
+"""Task of every set, and the share asked of the agent with search."""
+_EXACT_SECONDS = 120.0
+_SEED = 20_000_000
+"""Evaluation seeds begin here; trainings use small ones, and other families."""
+
+
+@dataclass(frozen=True)
+class Measure:
+    """What is measured.
+
+    Args:
+        designs: of every set of small designs.
+        large: of the set of large ones.
+        exact: of every set, planned by the exact planner, too, and proven again.
+        seed: of the designs.
+    """
+
+    designs: int = 200
+    large: int = 20
+    exact: int = 40
+    seed: int = 0
+
+
+def measure(
+    builder: Builder, config: Measure, examples: Path | None, progress: Progress = lambda text: None
+) -> dict[str, Any]:
+    """All figures of a builder.
+
+    Args:
+        examples: the folder of the examples; left out without it.
+    """
+    record: dict[str, dict[str, list[tuple[bool, float]]]] = {}
+    sets = {}
+    for number, (name, (task, asked)) in enumerate(SETS.items()):
+        large = DESIGN_TASKS[task].blocks[1] > 60
+        count = config.large if large else config.designs
+        designs = []
+        for k in range(count):
+            progress(f"{name}: drawing design {k + 1} of {count}")
+            rng = np.random.default_rng((_SEED + config.seed, number, k))
+            designs.append(make_design(DESIGN_TASKS[task], rng))
+        exact = min(config.exact // 5 if large else config.exact, count)
+        sets[name] = {
+            "task": task, "asked": asked, "designs": count,
+            "families": dict(Counter(d.family for d in designs)),
+            "blocks": [int(v) for v in np.quantile([len(d.order) for d in designs], (0, 0.5, 1))],
+            **{player: _play(designs, builder, player, progress, name) for player in PLAYERS},
+            "planners": _time_planners(designs[:exact], builder, record, progress, name),
+        }  # fmt: skip
+    shown = {} if examples is None else measure_examples(builder, examples, progress)
+    return {"examples": shown, "sets": sets, "record": to_record(record)}
+
+
+def _play(
+    designs: list[Solved], builder: Builder, player: str, progress: Progress, name: str
+) -> dict[str, Any]:
+    learned, budget = PLAYERS[player]
+    complete, ratio, expanded, seconds, decisions = [], [], [], [], []
+    failed: Counter[str] = Counter()
+    repairs = 0
+    for k, design in enumerate(designs):
+        progress(f"{name}: {player}, design {k + 1} of {len(designs)}")
+        outcome = build(design.site, builder if learned else None, budget=budget, seed=k)
+        blocks = len(outcome.world.placed)
+        complete.append(outcome.complete)
+        if outcome.complete:
+            ratio.append(blocks / len(design.order))
+        else:
+            failed[design.family] += 1
+        expanded.append(outcome.expanded / max(blocks, 1))
+        seconds.append(outcome.seconds)
+        decisions += outcome.decisions
+        repairs += outcome.repairs
+    return {
+        "complete": round(float(np.mean(complete)), 4),
+        "failed_by_family": dict(failed),
+        "blocks_per_block_of_exact": round(float(np.mean(ratio)), 3) if ratio else None,
+        "expanded_per_block": round(float(np.mean(expanded)), 2),
+        "repairs": repairs,
+        "seconds_median": round(float(np.median(seconds)), 4),
+        "decision_ms_mean": round(1e3 * float(np.mean(decisions)), 2),
+        "decision_ms_95": round(1e3 * float(np.quantile(decisions, 0.95)), 2),
+    }
+
+
+def _time_planners(
+    designs: list[Solved], builder: Builder, record: dict[str, dict[str, list[tuple[bool, float]]]],
+    progress: Progress, name: str,
+) -> dict[str, Any]:  # fmt: skip
+    """Exact planner and agent with search, both with the proof of every step and its margin."""
+    times: dict[str, list[float]] = defaultdict(list)
+    done: dict[str, list[bool]] = defaultdict(list)
+    for k, design in enumerate(designs):
+        progress(f"{name}: planners, design {k + 1} of {len(designs)}")
+        wanted, kit = design.site.wanted, design.kit
+        started = perf_counter()
+        tiling, ordering = plan_exact(wanted, kit, seconds=_EXACT_SECONDS, props_allowed=False)
+        found = {"exact": (tiling.status, ordering and ordering.status, perf_counter() - started)}
+        started = perf_counter()
+        tiling, ordering, _, _ = plan_with_agent(wanted, kit, builder=builder, seed=k)
+        found["agent"] = tiling.status, ordering.status, perf_counter() - started
+        row = record.setdefault(kind_of(wanted, kit), {"exact": [], "agent": []})
+        for planner, (tiled, ordered, seconds) in found.items():
+            good = tiled == ordered == "complete"
+            done[planner].append(good)
+            times[planner].append(seconds)
+            row[planner].append((good, seconds))
+    return {
+        planner: {
+            "designs": len(done[planner]),
+            "complete_and_proven": round(float(np.mean(done[planner])), 4),
+            "seconds_median": round(float(np.median(times[planner])), 3),
+            "seconds_mean": round(float(np.mean(times[planner])), 3),
+        }
+        for planner in done
+    }
+
+
+def to_record(measured: dict[str, dict[str, list[tuple[bool, float]]]]) -> dict[str, Any]:
+    """The record that ``--planner auto`` reads: by kind of design, each planner's completed share
+    and median seconds."""
+    return {
+        kind: {
+            "designs": len(row["exact"]),
+            **{
+                planner: {
+                    "complete": round(float(np.mean([good for good, _ in results])), 4),
+                    "seconds": round(float(np.median([seconds for _, seconds in results])), 3),
+                }
+                for planner, results in row.items()
+            },
+        }
+        for kind, row in sorted(measured.items())
+    }
+
+
+# ---------------------------------------------------------------- examples and hand-drawn designs
+
+
+EIGHT = ("arch_pair", "gabled_house", "keep", "leaning_parallelogram", "pavilion", "pyramid",
+         "skyline", "stepped_tower")  # fmt: skip
+_DRAWN = {
+    "bridge": "##########/##########/##......##/##......##",
+    "bridge, two spans": "############/#....##....#/#....##....#",
+    "bridge, too wide": "############/############/##........##/##........##",
+    "stair": "........##/......####/....######/..########/##########",
+    "off-centre tower": ".......##./.......##./.......##./.......##./##########",
+}
+"""Rows from the top; a wall one cell thick."""
+
+
+def example_designs(folder: Path) -> dict[str, tuple[np.ndarray, Kit]]:
+    """The eight buildable examples, and hand-drawn designs: cells and kit by name."""
+    found: dict[str, tuple[np.ndarray, Kit]] = {}
+    files = [f"{name}.json" for name in EIGHT]
+    files += ["h.svg", "t.svg", "gate.svg", "circle.svg", "two_towers.svg", "arch.svg"]
+    for file in files:
+        design = read_design(folder / file)
+        assert isinstance(design, CellDesign)
+        name = file.partition(".")[0]
+        found[name] = design.wanted, load_kit(design.kit or "bricks-lintels")
+    for name, rows in _DRAWN.items():
+        picture = np.array([[c == "#" for c in row] for row in rows.split("/")])[::-1].T
+        found[name] = picture[:, None, :], load_kit("bricks-lintels")
+    for letter in "AHILOPTUYE":
+        picture = draw_letter(letter, 5, 2, 2, 1)
+        found[f"letter {letter}"] = picture[:, None, :], load_kit("bricks-lintels")
+    return found
+
+
+def measure_examples(
+    builder: Builder, folder: Path, progress: Progress = lambda text: None
+) -> dict[str, Any]:
+    """Agent with search and exact planner on the examples and the hand-drawn designs."""
+    rows = {}
+    for name, (wanted, kit) in example_designs(folder).items():
+        progress(f"example {name}")
+        started = perf_counter()
+        tiling, ordering, report, _ = plan_with_agent(wanted, kit, builder=builder)
+        agent = perf_counter() - started
+        started = perf_counter()
+        exact, ordered = plan_exact(wanted, kit, seconds=_EXACT_SECONDS)
+        rows[name] = {
+            "kit": kit.name, "cells": int(wanted.sum()),
+            "agent": tiling.status if tiling.status != "complete" else ordering.status,
+            "agent_reason": tiling.reason or ordering.reason,
+            "blocks": len(tiling.placements), "how": report.attempts[0].result,
+            "agent_s": round(agent, 3),
+            "exact": exact.status if exact.status != "complete" else ordered and ordered.status,
+            "exact_reason": exact.reason or (ordered.reason if ordered else ""),
+            "exact_blocks": sum(not block.prop for block in exact.placements),
+            "exact_props": sum(block.prop for block in exact.placements),
+            "exact_s": round(perf_counter() - started, 3),
+        }  # fmt: skip
+    return rows
