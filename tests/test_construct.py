@@ -12,8 +12,10 @@ import pytest
 import learn2assemble as l2a
 import shapes
 from learn2assemble.assembly.blocks import Assembly, Step, box_block
+from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign, read_design
+from learn2assemble.errors import InputError
 from learn2assemble.physics.rigid_blocks import check
 from learn2assemble.planning.construct import plan_assembly, plan_cells
 from learn2assemble.planning.plan import Plan
@@ -231,3 +233,20 @@ def test_bad_calls_end_in_one_line(
     assert len(errors) == 1
     assert told in errors[0]
     assert not (tmp_path / "out").exists()
+
+
+def test_blocks_are_as_large_as_the_cells_that_were_asked_for() -> None:
+    """The same drawing on finer cells has smaller blocks, and the same size."""
+    heights = {}
+    for cell in (0.05, 0.025):
+        plan = l2a.build("examples/designs/gate.svg", reading={"cell": cell})
+        assert plan.status == "complete"
+        assert plan.assembly is not None
+        points = np.concatenate([block.vertices for block in plan.assembly.blocks])
+        heights[cell] = float(np.ptp(points[:, 2]))
+        assert plan.design.block_edge == cell
+        single = min(float(np.ptp(block.vertices[:, 2])) for block in plan.assembly.blocks)
+        assert single == pytest.approx(cell)
+    assert heights[0.05] == pytest.approx(heights[0.025], abs=0.05)
+    with pytest.raises(InputError, match="cell"):
+        load_kit("bricks").at_pitch((1e-4, 1e-4, 1e-4))

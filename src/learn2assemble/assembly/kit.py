@@ -26,7 +26,7 @@ import math
 import tomllib
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from importlib import resources
 from pathlib import Path
@@ -88,6 +88,19 @@ class Kit:
     def limited(self) -> bool:
         """Whether there is a limited number of any kind."""
         return any(kind.count is not None for kind in self.kinds)
+
+    def at_pitch(self, cell: tuple[float, float, float]) -> Kit:
+        """The kit with blocks of another size: a lattice cell has the edges ``cell`` [m].
+
+        Raises:
+            InputError: for cells that are not wider than two joints.
+        """
+        if np.allclose(cell, self.pitch, rtol=1e-9, atol=0):
+            return self
+        if min(cell[:2]) <= 2 * self.joint_gap:
+            expected = f"more than two joints of kit {self.name}, {2 * self.joint_gap:g} m"
+            raise InputError("cell", min(cell[:2]), expected)
+        return replace(self, pitch=cell)
 
     def kind(self, name: str) -> Kind:
         """The kind called ``name``."""

@@ -84,7 +84,7 @@ def _build_arguments(parser: argparse.ArgumentParser) -> None:
     exact = parser.add_argument_group("exact planner (docs/building.md)")
     exact.add_argument("--kit", default=None, help="name or .toml file (the design's own)")
     exact.add_argument("--unit", default=None, help="of the file where it does not say: mm, cm, m")
-    exact.add_argument("--cell", type=length, default=None, help="edge of a cell (the kit's)")
+    exact.add_argument("--cell", type=length, default=None, help="edge of a cell, and so of blocks")
     exact.add_argument("--size", type=length, default=None, help="largest side, instead of a unit")
     exact.add_argument("--up", default=None, help="the axis that points up: y or z")
     exact.add_argument("--depth", type=length, default=None, help="of the wall of a drawing")

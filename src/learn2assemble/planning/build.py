@@ -280,7 +280,8 @@ def _build_exact(
         return carry_out(plan, workcell, joint=0.0, progress=progress)
     if not isinstance(design, CellDesign):
         raise InputError("design", type(design).__name__, "a file, cells or an assembly")
-    kit = kit or load_kit(design.kit or DEFAULT_KIT)
+    # Blocks are as large as the cells that were asked for.
+    kit = (kit or load_kit(design.kit or DEFAULT_KIT)).at_pitch(design.cell)
     workcell = None if how is None else how.workcell()
     plan = plan_cells(
         design, kit, friction=friction, gap=gap, props=props, seconds=seconds, progress=progress,

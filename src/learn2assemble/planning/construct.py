@@ -49,8 +49,8 @@ def plan_cells(
     """Blocks, order and proof for a design of cells.
 
     Args:
-        kit: a kit, or the name or file of one; by default the one the design names, else
-            ``bricks-lintels``.
+        kit: a kit as it is, or the name or file of one, whose blocks become as large as the cells
+            of the design; by default the one the design names, else ``bricks-lintels``.
         friction: Coulomb coefficient, or the range to prove every step for; that of the kit
             without it.
         gap: width of vertical joints [m], or the range to prove every step for. With 0, side faces
@@ -70,7 +70,8 @@ def plan_cells(
         InputError: for a kit that does not exist, and for limits that make no sense.
     """
     started = time.perf_counter()
-    kit = kit if isinstance(kit, Kit) else load_kit(kit or design.kit or DEFAULT_KIT)
+    if not isinstance(kit, Kit):
+        kit = load_kit(kit or design.kit or DEFAULT_KIT).at_pitch(design.cell)
     progress("choosing blocks and proving their order")
     chosen, search, agent = planner, None, None
     tiling = ordering = None
@@ -126,7 +127,7 @@ def plan_cells(
     if tiling.placements:
         pressed = any(step.proof == TIGHT for step in ordered.steps)
         made = to_assembly(tiling, ordering, kit, name=design.name, gap=0.0 if pressed else None)
-        assembly = _coloured(made, design)
+        assembly = _coloured(made, design, kit.pitch)
     steps, covered = [], 0
     for number, step in enumerate(ordered.steps, 1):
         index = step.remove if step.place is None else step.place
@@ -272,11 +273,13 @@ def plan_assembly(
     )
 
 
-def _coloured(assembly: Assembly, design: CellDesign) -> Assembly:
+def _coloured(
+    assembly: Assembly, design: CellDesign, pitch: tuple[float, float, float]
+) -> Assembly:
     """Blocks in the most frequent colour of their cells, where the design has colours."""
     if design.colours is None:
         return assembly
-    size = np.array(design.cell)
+    size = np.array(pitch)
     middle = np.array([design.wanted.shape[0] / 2, design.wanted.shape[1] / 2, 0.0])
     blocks = []
     for block in assembly.blocks:
