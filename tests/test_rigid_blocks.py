@@ -290,6 +290,27 @@ def test_a_bar_pinched_between_posts_falls() -> None:
     assert answer.method == "cra"
     assert answer.moving.tolist() == [2]
     assert check(bar).verdict == FALLS
+    # RBE has forces for it, so a fall is not proven; without the posts it is.
+    assert "not proven" in check(bar).proof
+    assert "for certain" in check(boxes((0, 0, 0, 1, 1, 1), (0.6, 0, 1, 1.6, 1, 2))).proof
+
+
+def test_what_a_verdict_rests_on_is_said() -> None:
+    column = check(boxes((0, 0, 0, 1, 1, 1), (0.2, 0, 1, 1.2, 1, 2)))
+    assert column.proof == "forces balance the blocks without friction, so with any coefficient"
+    edge = check(boxes((0, 0, 0, 1, 1, 1), (0.5, 0, 1, 1.5, 1, 2)))
+    assert edge.verdict == STANDS
+    assert edge.proof.endswith("balanced on an edge, without a margin")
+    tilted = replace(column_on_a_slope(0.2), friction=0.5)
+    assert "Coulomb friction" in check(tilted).proof
+    found = {check(masonry(case)).proof.partition(",")[0] for case in CASES.values()}
+    assert len(found) >= 3
+
+
+def column_on_a_slope(angle: float) -> Assembly:
+    """A block on a tilted support, which only friction holds."""
+    base, block = boxes((-1, -1, -1, 2, 2, 0), (0, 0, 0, 1, 1, 1), support=1).blocks
+    return moved(Assembly((base, block)), about(0, angle))
 
 
 def test_a_deck_clamped_between_walls_needs_tight_joints() -> None:

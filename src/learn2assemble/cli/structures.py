@@ -78,6 +78,7 @@ def _check(options: argparse.Namespace, output: Output) -> int:
     assembly = read_assembly(options.file, unit=_UNITS[options.unit])
     found = check(assembly, friction=options.friction)
     rows = [
+        ("shown", found.proof),
         ("margin", f"{found.margin_g:.3f} g sideways, {found.tilt:.1f} degrees of tilt"),
         ("holding force", f"{found.holding_force:.4g} N"),
         ("moves first", ", ".join(found.moving[:8]) or "-"),
@@ -99,7 +100,8 @@ def _check(options: argparse.Namespace, output: Output) -> int:
         files["page"] = str(page)
         output.say(f"page: {page}")
     output.finish({
-        "verdict": found.verdict, "margin_g": found.margin_g, "tilt_deg": found.tilt,
+        "verdict": found.verdict, "proof": found.proof,
+        "margin_g": found.margin_g, "tilt_deg": found.tilt,
         "holding_force": found.holding_force, "moves_first": list(found.moving),
         "blocks": found.blocks, "contacts": len(found.contacts.a),
         "seconds": round(found.seconds, 3), "files": files,

@@ -66,6 +66,8 @@ _MOVES = 0.1
 MOST_G = 10.0
 """Margins are cut here [g]."""
 _MARGIN_GAP = 0.01
+_NO_MARGIN = 1e-4
+"""Sideways acceleration [g] below which there is none to speak of."""
 _LOADS = (4, 40, 30_000)
 """Of a margin: fewest and most directions, and corners times directions in between."""
 
@@ -82,6 +84,8 @@ class Equilibrium(NamedTuple):
     """int64[M]: indices of the blocks that start to move; empty where it stands."""
     forces: np.ndarray
     """float64[C, 3]: on block ``b`` of the patch of each corner [N, world]."""
+    stiffness: float = 0.0
+    """Tangential over normal stiffness of the joints of the fixed point, where one was found."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +104,10 @@ class Check:
         contacts: all patches; ``only(bed)`` are those that carry where it ``stands``.
         forces: float64[C, 3], at the corners of ``contacts`` on block ``b`` [N, world].
         method: what decided; see :class:`Equilibrium`.
+        proof: what was shown, and what was not, in one line. A fixed point is forces that balance
+            and obey Coulomb's law to ``SLIP`` and ``HELD``; where friction is needed other forces
+            may be possible, too, and other programs find none (Kao et al. 2022 solve a nonlinear
+            one). That none was found is no proof of a fall; that RBE has no forces is.
         seconds: the check took.
     """
 
@@ -112,6 +120,7 @@ class Check:
     contacts: Contacts
     forces: np.ndarray
     method: str
+    proof: str
     seconds: float
 
 
@@ -157,8 +166,25 @@ def check(
         contacts=contacts,
         forces=forces,
         method=result.method,
+        proof=_shown(result, margin_g),
         seconds=time.perf_counter() - started,
     )
+
+
+def _shown(result: Equilibrium, margin_g: float) -> str:
+    """What an answer rests on, in words."""
+    if not result.stands:
+        return {
+            "rbe": "no contact forces balance the blocks: it falls for certain",
+            "cra": "contact forces could balance the blocks, but none with elastic joints and "
+            "Coulomb friction were found: a fall is likely, not proven",
+        }[result.method]
+    text = "forces balance the blocks without friction, so with any coefficient"
+    if result.method == "cra":
+        text = "forces balance the blocks with elastic joints and Coulomb friction"
+        if result.stiffness != _STIFFNESS[0]:
+            text += f", if joints are {result.stiffness:g} times as stiff along as across"
+    return text if margin_g >= _NO_MARGIN else f"{text}; balanced on an edge, without a margin"
 
 
 def bed_patches(contacts: Contacts) -> np.ndarray:
@@ -206,7 +232,8 @@ def solve(
         fixed, forces_at, held, motion = system.coupled(friction, forces, stiffness)
         if fixed:
             nothing = np.empty(0, np.int64)
-            return Equilibrium(True, "cra", 0.0, nothing, system.newtons(forces_at))
+            forces_at = system.newtons(forces_at)
+            return Equilibrium(True, "cra", 0.0, nothing, forces_at, stiffness)
         if best is None or held.sum() < best[1].sum():
             best = forces_at, held, motion
     assert best is not None
