@@ -253,7 +253,7 @@ def compile_world(
     for number, boxes in enumerate(shape):
         add_object(spec, f"object{number}", boxes, surface)
     for number in range(num_still):
-        box = spec.worldbody.add_body(name=f"still{number}", mocap=True, pos=_FAR)
+        box = spec.worldbody.add_body(name=f"still{number}", pos=_FAR)
         geom = box.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[HALF] * 3)
         set_contact(geom, surface)
     if arm.suction is not None:
