@@ -18,7 +18,7 @@ from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.planning.agent.world import Site, World, make_site
 from learn2assemble.planning.exact import stand, unsupported
 from learn2assemble.planning.programs import Clock
-from learn2assemble.planning.tiling import MAX_EXTENT, Tiling, tile
+from learn2assemble.planning.tiling import MAX_EXTENT, tile
 from learn2assemble.tasks import DesignTask
 
 Cells = np.ndarray
@@ -349,7 +349,7 @@ def _hanging_together(cells: Cells) -> Cells:
 
 def solve(
     wanted: Cells, kit: Kit, again: bool = True, seconds: float = 60.0
-) -> tuple[Site, Tiling, list[int]] | None:
+) -> tuple[Site, list[int]] | None:
     """Exact blocks of a design and an order without props; None where there is none.
 
     As the exact planner does it, without margins and ranges of joints.
@@ -367,7 +367,7 @@ def solve(
     if tiling.status != "complete" or unsupported(tiling, kit):
         return None
     order = put_in_order(world, [site.candidate(p) for p in tiling.placements])
-    return None if order is None else (site, tiling, order)
+    return None if order is None else (site, order)
 
 
 def put_in_order(
@@ -398,11 +398,13 @@ def put_in_order(
     return None if left else order
 
 
-def limit(kit: Kit, tiling: Tiling) -> Kit:
-    """The kit with a heap of exactly the blocks of a tiling."""
-    used = Counter(block.kind for block in tiling.placements)
-    kinds = tuple(replace(kind, count=used[kind.name]) for kind in kit.kinds)
-    return replace(kit, kinds=kinds)
+def with_exact_heap(solved: Solved) -> Solved:
+    """The same design with a heap of exactly the blocks of its solution."""
+    used = Counter(solved.site.kind[list(solved.order)].tolist())
+    kinds = tuple(replace(kind, count=used[number]) for number, kind in enumerate(solved.kit.kinds))
+    # Limits only say how many: the candidates stay the same.
+    site = make_site(solved.site.wanted, replace(solved.kit, kinds=kinds))
+    return replace(solved, site=site)
 
 
 def make_design(task: DesignTask, rng: np.random.Generator, tries: int = 100) -> Solved:
@@ -433,12 +435,10 @@ def make_design(task: DesignTask, rng: np.random.Generator, tries: int = 100) ->
             solved = solve(wanted, kit, again=goal <= _AGAIN)
             if solved is None:
                 continue
-            site, tiling, order = solved
+            site, order = solved
             if low <= len(order) <= high and 0.7 < len(order) / goal < 1.4:
-                if task.limited_heap:
-                    # Limits only say how many: the candidates stay the same.
-                    site = make_site(wanted, limit(kit, tiling))
-                return Solved(family, site, tuple(order))
+                found = Solved(family, site, tuple(order))
+                return with_exact_heap(found) if task.limited_heap else found
             size *= np.clip((goal / len(order)) ** 0.4, 0.7, 1.4)
     raise InputError(
         "design task", task.name, f"families that give designs of {low} to {high} blocks"

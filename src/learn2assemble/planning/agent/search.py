@@ -11,8 +11,8 @@ the first dead end is the end.
 
 With more, a candidate is passed over where it would leave an open cell that no candidate fills, or
 a heap that cannot fill what is open. Where no candidate is left, the blocks around the cells in
-question are taken out again, with all that rests on them, more of them every time; what has been
-taken out is tried later than before.
+question are taken out again, more of them every time, and are tried later than before. What rested
+on them is put back where it was as soon as it can be, which expands nothing.
 """
 
 from __future__ import annotations
@@ -32,8 +32,10 @@ WINDOW = 384
 """Candidates scored at a time: the lowest, and of those the nearest to the last block."""
 _TRIES = 12
 """Candidates tried in a state before it counts as a dead end."""
-_PENALTY = 1.5
+_PENALTY = 0.5
 """Taken from the logit of a candidate every time it has been taken out."""
+_NOISE = 0.5
+"""Scale of the noise of logits once something has been taken out."""
 _SNAPSHOT = 16
 """Blocks between two states that are kept to go back to."""
 
@@ -79,6 +81,10 @@ class _Search:
         self.kept: list[World] = [self.world.copy()]
         self.sizes = np.array([len(kind.cells) for kind in site.kit.kinds])
         self.reach = max(max(max(cell) for cell in way.cells) for way in site.found.ways) + 1
+        self.limited = bool((self.world.heap >= 0).any())
+        self.left_over: list[int] = []
+        self.dead: tuple[World, list[World], np.ndarray] | None = None
+        """The dead end with the fewest open cells, what was kept then, and the cells to blame."""
         self.hopeless = len(self.world.stranded())
 
     def expand(self) -> np.ndarray:
@@ -93,6 +99,7 @@ class _Search:
             logits, _ = self.builder.scores(*describe(self.world, candidates))
         if self.taken:
             logits = logits - _PENALTY * np.array([self.taken[int(c)] for c in candidates])
+            logits = logits + _NOISE * self.rng.gumbel(size=len(logits))
         return candidates[np.argsort(-logits, kind="stable")]
 
     def keep(self) -> None:
@@ -104,9 +111,8 @@ class _Search:
         stranded = world.stranded()
         if len(stranded) > self.hopeless:
             return stranded
-        if (world.heap >= 0).any():
-            alive = self.site.kind[world.alive]
-            places = np.bincount(alive, minlength=len(self.sizes))
+        if self.limited:
+            places = world.room()
             left = np.where(world.heap < 0, places, np.minimum(world.heap, places))
             if (left * self.sizes).sum() < world.open - self.hopeless:
                 return stranded[:0]
@@ -126,6 +132,7 @@ class _Search:
             if dead is None:
                 self.world = trial
                 self.keep()
+                self.put_back()
                 return None
             blame.append(dead)
             tried += 1
@@ -145,34 +152,50 @@ class _Search:
     def repair(self, cells: np.ndarray, radius: int) -> None:
         """Take out the blocks around ``cells`` and what rests on them.
 
+        What only rested on others is put back where it was as soon as it can be.
+
         Args:
-            radius: how far around [cells]; without cells, twice as many of the last blocks.
+            radius: how far around [cells]. Without cells, and now and then with a limited heap,
+                part of some level is taken out instead, so that it may use other blocks.
         """
+        if self.dead is not None and self.dead[0].open < self.world.open:
+            self.world, self.kept, cells = self.dead[0], list(self.dead[1]), self.dead[2]
+        else:
+            self.dead = self.world, list(self.kept), cells
         world, shape = self.world, self.site.wanted.shape
         out = np.zeros(len(world.placed), bool)
-        if len(cells):
+        filled = np.flatnonzero(world.owner >= 0)
+        where = np.stack(np.unravel_index(filled, shape), -1)
+        anywhere = not len(cells) or (self.limited and self.rng.random() < 0.5)
+        if anywhere:
+            first, level = where[int(self.rng.integers(len(where)))], 0
+            radius += self.reach // 2
+        else:
             at = np.stack(np.unravel_index(np.unique(cells), shape), -1)
             # One of the places at a time: others may be consequences.
-            first = at[int(self.rng.integers(len(at)))]
-            filled = np.flatnonzero(world.owner >= 0)
-            where = np.stack(np.unravel_index(filled, shape), -1)
-            near = np.abs(where - first)
-            close = (near[:, :2].max(1) <= radius) & (near[:, 2] <= max(0, radius - self.reach))
-            out[world.owner[filled[close]]] = True
+            first, level = at[int(self.rng.integers(len(at)))], max(0, radius - self.reach)
+        near = np.abs(where - first)
+        close = (near[:, :2].max(1) <= radius) & (near[:, 2] <= level)
+        out[world.owner[filled[close]]] = True
         if not out.any():
             out[-min(2 * radius, len(out)) :] = True
-        stack = world.proof.stack
-        for block in range(len(out)):
-            out[block] |= any(out[base] for base in stack.below(block))
         self.taken.update(np.array(world.placed)[out].tolist())
         first_out = int(np.flatnonzero(out)[0])
         again = [c for c, gone in zip(world.placed, out, strict=True) if not gone]
         self.kept = [kept for kept in self.kept if len(kept.placed) <= first_out]
         self.world = self.kept[-1].copy()
-        for candidate in again[len(self.world.placed) :]:
-            if self.world.alive[candidate] and self.world.waits[candidate] == 0:
+        self.left_over = again[len(self.world.placed) :]
+        self.put_back()
+
+    def put_back(self) -> None:
+        """Put back what was taken out only because it rested on others, where it can be."""
+        for candidate in list(self.left_over):
+            if not self.world.alive[candidate]:
+                self.left_over.remove(candidate)
+            elif self.world.waits[candidate] == 0:
                 trial = self.world.copy()
                 if trial.place(candidate) and self.dead_end(trial) is None:
+                    self.left_over.remove(candidate)
                     self.world = trial
                     self.keep()
 

@@ -185,6 +185,17 @@ class World:
         wanted = self.site.wanted.reshape(-1)
         return np.flatnonzero(wanted & (self.owner < 0) & (self.cover == 0))
 
+    def room(self) -> np.ndarray:
+        """int64[kinds]: how many blocks of a kind, all alike, could still be put beside each other.
+
+        Packed greedily, which is exact for walls one cell thick and else may be too few.
+        """
+        found = self.site.found
+        return _pack(
+            np.flatnonzero(self.alive), self.site.kind, len(self.heap), found.start, found.cell,
+            len(self.owner),
+        )  # fmt: skip
+
     def place(self, candidate: int, program: bool = False) -> bool:
         """Put down a legal candidate if the new state is proven to stand.
 
@@ -249,6 +260,24 @@ def _fill(cells, number, owner, alive, waits, cover, over_start, over, on_start,
                     cover[cell[j]] -= 1
         for k in range(on_start[c], on_start[c + 1]):
             waits[on[k]] -= 1
+
+
+@njit(cache=True)
+def _pack(alive, kind, kinds, start, cell, cells):
+    taken = np.full((kinds, cells), False)
+    count = np.zeros(kinds, np.int64)
+    for c in alive:
+        k = kind[c]
+        free = True
+        for j in range(start[c], start[c + 1]):
+            if taken[k, cell[j]]:
+                free = False
+                break
+        if free:
+            count[k] += 1
+            for j in range(start[c], start[c + 1]):
+                taken[k, cell[j]] = True
+    return count
 
 
 # ---------------------------------------------------------------- equilibrium, one block at a time
