@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -125,6 +127,18 @@ class ApproachPath(NamedTuple):
     """float64[k]: way of the tool from the contact [m]."""
 
 
+SLACK = 1e-3
+"""Approach paths keep this distance from the joint limits [rad]: between its knots the cubic
+through them goes up to 1e-4 farther."""
+
+
+@lru_cache(maxsize=32)
+def _with_slack(arm: Arm) -> Arm:
+    """The arm with joint limits that much narrower."""
+    branches = {name: (low + SLACK, high - SLACK) for name, (low, high) in arm.branches.items()}
+    return replace(arm, lower=arm.lower + SLACK, upper=arm.upper - SLACK, branches=branches)
+
+
 def approach_path(
     arm: Arm,
     centre: np.ndarray,
@@ -174,8 +188,10 @@ def approach_paths(
     way = np.linalg.norm(np.diff(tool, axis=0), axis=1)
     rise = np.concatenate([[0.0], np.cumsum(way)]) - below
 
+    inner = _with_slack(arm)
+
     def follow(points: np.ndarray, start: np.ndarray) -> np.ndarray | str:
-        return follow_poses(arm, points, poses.rotation, start, jump=JUMP)
+        return follow_poses(inner, points, poses.rotation, start, jump=JUMP)
 
     first = arm.home if start is None else start
     found = follow(tool, first)
