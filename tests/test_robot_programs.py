@@ -493,7 +493,11 @@ def test_urscript_is_well_formed_and_checks_what_is_held(
     text = files["ur5e", "urscript"].read_text()
     script = UrScript(text)
     assert script.defined[0] == "l2a_build"
-    assert text.rstrip().endswith("l2a_build()")
+    # What controllers ask for: one function, and nothing else in the first column; no call.
+    lines = text.splitlines()
+    assert text.isascii()
+    assert (lines[0], lines[-1]) == ("def l2a_build():", "end")
+    assert all(line.startswith("  ") for line in lines[1:-1])
     calls = [name for name, _, _ in script.calls]
     program = make_program(arm_record("ur5e", 4), get_arm("ur5e"))
     reached = [step for step in program.steps if step.checks]

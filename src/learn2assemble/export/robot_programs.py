@@ -82,6 +82,9 @@ def l2a_build():
 def write_urscript(program: Program, arm: Arm, path: Path) -> None:
     """A URScript program: moves along the joint positions of the planned path.
 
+    It begins with ``def`` and ends with ``end`` in the first column and all else is indented, as
+    controllers ask for on their port 30002, where it runs when it has been received.
+
     The path is cut into straight lines of the joints that stay within :data:`ROUND` of it, each a
     ``movej`` at most as fast as the planned motion is there. Where two lines meet on a curve the
     corner is blended by at most :data:`BLEND`; where the planned motion rests the arm stops.
@@ -112,7 +115,7 @@ def write_urscript(program: Program, arm: Arm, path: Path) -> None:
             lines.append(part.text)
     for _, more in calls:
         lines += more
-    text += "".join(f"  {line}\n" for line in lines) + "end\nl2a_build()\n"
+    text += "".join(f"  {line}\n" for line in lines) + "end\n"
     write_file(path, text, "program")
 
 
