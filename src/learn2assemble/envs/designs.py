@@ -19,7 +19,7 @@ _MOST = 100.0
 """No feature is larger."""
 
 
-class DesignEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
+class DesignEnv(gymnasium.Env[dict[str, Any], np.int64]):
     """Build random designs with a known solution.
 
     An action is the number of a candidate among those offered; legal ones come from below. A block
@@ -61,7 +61,7 @@ class DesignEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Draw a fresh design; ``seed`` restarts the random numbers. There are no options."""
         super().reset(seed=seed)
         self.solved = make_design(self.task, self.np_random)
@@ -70,7 +70,7 @@ class DesignEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
 
     def step(
         self, action: np.int64 | int
-    ) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+    ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Put down one block.
 
         Raises:
@@ -80,7 +80,7 @@ class DesignEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
         if self.world is None or self._ended:
             raise ResetNeeded("call reset() before step()")
         if not self.action_space.contains(np.int64(action)):
-            raise InputError("action", action, f"0 to {int(self.action_space.n) - 1}")
+            raise InputError("action", action, f"0 to {self.task.max_candidates - 1}")
         before, stood = self.world.open, False
         if action < len(self._offered):
             candidate = int(self._offered[action])
@@ -95,7 +95,7 @@ class DesignEnv(gymnasium.Env[dict[str, np.ndarray], np.int64]):
         """bool[max_candidates]: the actions that are offered."""
         return np.arange(self.task.max_candidates) < len(self._offered)
 
-    def _observe(self) -> dict[str, np.ndarray]:
+    def _observe(self) -> dict[str, Any]:
         assert self.world is not None
         legal = self.world.legal()
         legal = legal[~np.isin(legal, list(self._fallen))]

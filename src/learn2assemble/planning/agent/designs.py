@@ -76,7 +76,7 @@ def _stairs(rng: np.random.Generator, size: float) -> Cells:
 
 def _bridge(rng: np.random.Generator, size: float) -> Cells:
     """A deck on piers."""
-    spans = int(rng.integers(1, 2 + size // 8))
+    spans = int(rng.integers(1, 2 + int(size // 8)))
     gap, pier = int(rng.integers(2, 7)), int(rng.integers(1, 4))
     high, deck = _span(rng, size, 0.2, 0.6, 1), int(rng.integers(1, 4))
     picture = np.zeros((spans * (gap + pier) + pier, high + deck), bool)
