@@ -27,6 +27,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     train.add_argument("--seconds", type=positive, default=1200.0, help="of processor time")
     measure = parser.add_argument_group("measure")
     measure.add_argument("--agent", default="builder-s0", help="shipped builder or .safetensors")
+    measure.add_argument("--beside", default=None, help="a second builder, trained otherwise")
     measure.add_argument("--designs", type=count, default=200, help="of every small set")
     measure.add_argument("--large", type=count, default=20, help="designs of 200 to 400 blocks")
     measure.add_argument("--exact", type=count, default=40, help="of a set, for both planners")
@@ -64,18 +65,25 @@ def _measure(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.planning.agent.network import load_builder
 
     builder = load_builder(options.agent)
+    other = None if options.beside is None else load_builder(options.beside)
     if options.examples is not None and not options.examples.is_dir():
         raise InputError("--examples", str(options.examples), "a folder")
     config = Measure(options.designs, options.large, options.exact, options.seed)
     with claim_folder(options.out):
-        found = measure(builder, config, options.examples, output.progress)
-        head = {"agent": builder.name, "measure": vars(config), "machine": provenance("cpu")}
+        found = measure(builder, config, options.examples, output.progress, other)
+        head = {
+            "agent": builder.name,
+            "other": options.beside,
+            "measure": vars(config),
+            "machine": provenance("cpu"),
+        }
         record = {**head, "kinds": found.pop("record")}
         result = {**head, **found}
         for name, content in (("builders", result), ("planners", record)):
             write_file(options.out / f"{name}.json", json.dumps(content, indent=1) + "\n", "--out")
-    output.table("complete", ("designs", *PLAYERS), [
-        (name, *(f"{row[player]['complete']:.1%}" for player in PLAYERS))
+    players = [name for name in PLAYERS if other is not None or not name.startswith("other")]
+    output.table("complete", ("designs", *players), [
+        (name, *(f"{row[player]['complete']:.1%}" for player in players))
         for name, row in found["sets"].items()
     ])  # fmt: skip
     output.finish(result)

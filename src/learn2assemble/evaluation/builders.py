@@ -27,11 +27,12 @@ from learn2assemble.planning.exact import plan_exact
 from learn2assemble.tasks import DESIGN_TASKS
 
 Progress = Callable[[str], None]
-PLAYERS: dict[str, tuple[bool, int]] = {
-    "agent with search": (True, BUDGET), "agent alone": (True, 1),
-    "random with search": (False, BUDGET), "random alone": (False, 1),
+PLAYERS: dict[str, tuple[str, int]] = {
+    "agent with search": ("agent", BUDGET), "agent alone": ("agent", 1),
+    "other with search": ("other", BUDGET), "other alone": ("other", 1),
+    "random with search": ("random", BUDGET), "random alone": ("random", 1),
 }  # fmt: skip
-"""Whether the network plays, and the budget."""
+"""Who scores, and the budget; ``other`` is a second builder, where one is given."""
 SETS: dict[str, tuple[str, float]] = {
     "cubes, up to 60 blocks": ("designs-cubes-60-held-out", 0.95),
     "bricks-lintels, up to 60 blocks": ("designs-lintels-60-held-out", 0.90),
@@ -63,14 +64,17 @@ class Measure:
 
 
 def measure(
-    builder: Builder, config: Measure, examples: Path | None, progress: Progress = lambda text: None
-) -> dict[str, Any]:
+    builder: Builder, config: Measure, examples: Path | None,
+    progress: Progress = lambda text: None, other: Builder | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """All figures of a builder.
 
     Args:
+        other: plays, too: one that was trained in another way.
         examples: the folder of the examples; left out without it.
     """
     record: dict[str, dict[str, list[tuple[bool, float]]]] = {}
+    scorers = {"agent": builder, "random": None} | ({"other": other} if other else {})
     sets: dict[str, Any] = {}
     designs: list[Solved] = []
     for number, (name, (task, asked)) in enumerate(SETS.items()):
@@ -89,7 +93,10 @@ def measure(
             "task": task, "asked": asked, "designs": count,
             "families": dict(Counter(d.family for d in designs)),
             "blocks": [int(v) for v in np.quantile([len(d.order) for d in designs], (0, 0.5, 1))],
-            **{player: _play(designs, builder, player, progress, name) for player in PLAYERS},
+            **{
+                player: _play(designs, scorers[scorer], budget, f"{name}: {player}", progress)
+                for player, (scorer, budget) in PLAYERS.items() if scorer in scorers
+            },
             "planners": _time_planners(designs[:exact], builder, record, progress, name),
         }  # fmt: skip
     shown = {} if examples is None else measure_examples(builder, examples, progress)
@@ -97,15 +104,14 @@ def measure(
 
 
 def _play(
-    designs: list[Solved], builder: Builder, player: str, progress: Progress, name: str
+    designs: list[Solved], builder: Builder | None, budget: int, what: str, progress: Progress
 ) -> dict[str, Any]:
-    learned, budget = PLAYERS[player]
     complete, ratio, expanded, seconds, decisions = [], [], [], [], []
     failed: Counter[str] = Counter()
     repairs = 0
     for k, design in enumerate(designs):
-        progress(f"{name}: {player}, design {k + 1} of {len(designs)}")
-        outcome = build(design.site, builder if learned else None, budget=budget, seed=k)
+        progress(f"{what}, design {k + 1} of {len(designs)}")
+        outcome = build(design.site, builder, budget=budget, seed=k)
         blocks = len(outcome.world.placed)
         complete.append(outcome.complete)
         if outcome.complete:
