@@ -349,6 +349,13 @@ def test_what_the_agent_cannot_build_is_said() -> None:
     assert "cells are open, the first at" in plan.reason
 
 
+def test_a_design_too_large_for_the_agent_is_refused() -> None:
+    solid = np.ones((64, 64, 16), bool)
+    design = CellDesign("solid", solid, (0.05,) * 3, None, 0.0, None, "solid", None)
+    with pytest.raises(InputError, match="exact, for more than"):
+        plan_cells(design, "bricks-lintels", planner="agent")
+
+
 def test_auto_says_why() -> None:
     design = CellDesign("H", H, (0.05,) * 3, None, 0.0, None, "H", None)
     plan = plan_cells(design, planner="auto")

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from learn2assemble.assembly.kit import Kit
+from learn2assemble.assembly.kit import Kit, orientations
+from learn2assemble.errors import InputError
 from learn2assemble.planning.agent.network import DEFAULT, Builder, load_builder
 from learn2assemble.planning.agent.search import BUDGET, Outcome, build
 from learn2assemble.planning.agent.world import make_site
@@ -24,6 +25,8 @@ from learn2assemble.planning.programs import Clock
 from learn2assemble.planning.tiling import TIME_OPTION, Tiling
 
 RECORD = "planners.json"
+MAX_CANDIDATES = 1_000_000
+"""Cells times ways to put down a block: what the builder keeps grows with it."""
 _SAVING = 2.0
 """The agent is taken only where it saves so many seconds at the median."""
 
@@ -47,6 +50,9 @@ def plan_with_agent(
         as :func:`learn2assemble.planning.exact.plan_exact`, of what was built where not all could
         be; what the search took; the name of the builder.
     """
+    most = MAX_CANDIDATES // len(orientations(kit))
+    if int(np.asarray(wanted).sum()) > most:
+        raise InputError("planner", "agent", f"exact, for more than {most} cells of kit {kit.name}")
     clock = Clock(seconds)
     agent = builder if isinstance(builder, Builder) else load_builder(builder or DEFAULT)
     site = make_site(wanted, kit)
