@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import learn2assemble as l2a
-import shapes
 from learn2assemble.assembly.blocks import Assembly, Step, box_block
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.cli import main
@@ -19,6 +18,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.physics.rigid_blocks import check
 from learn2assemble.planning.construct import plan_assembly, plan_cells
 from learn2assemble.planning.plan import Plan
+from learn2assemble.reproduction import shapes
 from test_ordering import deck
 
 DESIGNS = Path(__file__).resolve().parents[1] / "examples" / "designs"

@@ -54,7 +54,8 @@ ALLOWED: dict[str, set[str]] = {
         "export",
     },
     "reproduction": _TASK
-    | {"networks", "search", "learning", "planning", "evaluation", "viewer", "cli", "workers"},
+    | {"networks", "search", "learning", "planning", "evaluation", "viewer", "cli", "workers"}
+    | {"assembly", "design", "export"},
     "__main__": {"cli", "errors"},
     "__init__": _TASK
     | {

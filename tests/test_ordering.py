@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-import shapes
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import check_overlaps, find_contacts
 from learn2assemble.assembly.kit import Kind, Kit, load_kit
@@ -21,6 +20,7 @@ from learn2assemble.planning.ordering import LOCAL, Ordering, order, to_assembly
 from learn2assemble.planning.standing import region_near, tile_standing
 from learn2assemble.planning.step_proof import TOLERANCE, Proof, find_stack
 from learn2assemble.planning.tiling import BlockPlacement, Tiling, owners, placement_cells, tile
+from learn2assemble.reproduction import shapes
 from test_tiling import LINTELS, SMALL, blocks_of, check_cover, covers, designs
 
 SQUARE = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / np.sqrt(2)

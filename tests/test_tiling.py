@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import shapes
 from learn2assemble.assembly.kit import Kind, Kit, load_kit, orientations
 from learn2assemble.errors import InputError, Learn2AssembleError
 from learn2assemble.planning.programs import Program, solve
@@ -27,6 +26,7 @@ from learn2assemble.planning.tiling import (
     support_margin,
     tile,
 )
+from learn2assemble.reproduction import shapes
 
 LINTELS = load_kit("bricks-lintels")
 SMALL = Kit("small", tuple(Kind(f"1x{n}", tuple((k, 0, 0) for k in range(n))) for n in (1, 2, 3)))

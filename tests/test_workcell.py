@@ -40,7 +40,7 @@ from learn2assemble.planning.workcell_site import (
     pieces_of,
     read_site,
 )
-from shapes import wall
+from learn2assemble.reproduction.shapes import wall
 
 KIT = dataclasses.replace(load_kit("bricks-lintels"), pitch=(0.04, 0.04, 0.04))
 

@@ -364,7 +364,37 @@ def _row(one: Comparison) -> tuple[object, ...]:
     )  # fmt: skip
 
 
+# ---------------------------------------------------------------- designs
+
+
+def _designs_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--out", type=Path, default=Path("results/designs.json"), help="file of the results")
+    add("--designs", type=Path, default=Path("examples/designs"), help="folder of the examples")
+    add("--reference", type=Path, default=Path("../shared/reference"), help="recorded verdicts")
+    add("--only", default="", metavar="WORD", help="entries with this in their name")
+    add("--again", action="store_true", help="also those that were measured before")
+
+
+def _run_designs(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.reproduction.designs import measure, summary
+
+    _prepare(options.out.parent)
+    found = measure(
+        options.out, designs=options.designs if options.designs.is_dir() else None,
+        reference=options.reference, only=options.only, again=options.again,
+        progress=output.progress,
+    )  # fmt: skip
+    rows = summary(found["entries"])
+    output.table("figures of the exact planner and the check", ("what", "asked", "got"), rows)
+    output.finish({"rows": [list(row) for row in rows], "file": str(options.out)})
+
+
 _COMMANDS = {
+    "measure-designs": Command(
+        "measure the exact planner and the check on shapes and drawings",
+        "l2a measure-designs --only shape/", _designs_arguments, _run_designs,
+    ),
     "table": Command(
         "measure a table of the paper and print it beside the paper's numbers", "l2a table T2",
         _table_arguments, _run_table,
