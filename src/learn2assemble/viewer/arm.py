@@ -186,6 +186,7 @@ def arm_data(playback: Playback, labels: Labels) -> dict[str, Any]:
         ],
         "start": labels.captions[0],
         "extent": _list(extent(playback)),
+        "turn": _short(playback.side),
     }  # fmt: skip
 
 

@@ -94,6 +94,15 @@ class Playback:
         """Length of the replay [s]."""
         return self.segments[-1].end if self.segments else 0.0
 
+    @property
+    def side(self) -> float:
+        """The side of the structure on which the arm stands: angle [rad] about z, 0 for -x; whole
+        steps of 15 degrees."""
+        after = self.record.steps[-1].after
+        away = self.shape.chain.offset[0, :2] - after[after[:, 2] > 0, :2].mean(0)
+        step = math.radians(15)
+        return step * round(math.atan2(-away[1], -away[0]) / step)
+
     def segment_at(self, clock: float) -> Segment:
         """The step at a time of the replay; its end belongs to it."""
         for segment in self.segments:

@@ -15,6 +15,7 @@ import numpy as np
 
 from learn2assemble.errors import InputError, MissingExtraError
 from learn2assemble.files import unwritable
+from learn2assemble.geometry.rotations import yaw_matrix
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.record import BuildRecord
@@ -196,7 +197,7 @@ class Frames:
         pad = 0.75 * self.playback.record.block_edge
         corners = pad * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         cloud = (points[:, None] + corners).reshape(-1, 3)
-        back = _FROM / np.linalg.norm(_FROM)
+        back = self._turned(_FROM)
         right = np.cross([0.0, 0.0, 1.0], back)
         right /= np.linalg.norm(right)
         axes = np.stack([right, np.cross(right, back), -back])
@@ -212,8 +213,12 @@ class Frames:
         eye = centre + distance * back
         return Camera(eye, axes, float(focal), np.array([width / 2, height / 2]))
 
+    def _turned(self, direction: np.ndarray) -> np.ndarray:
+        """The unit vector of a direction that is meant for an arm on the left."""
+        return yaw_matrix(self.playback.side) @ direction / np.linalg.norm(direction)
+
     def _light(self) -> Light:
-        sun = _SUN / np.linalg.norm(_SUN)
+        sun = self._turned(_SUN)
         right = np.cross([0.0, 0.0, 1.0], sun)
         right /= np.linalg.norm(right)
         axes = np.stack([right, np.cross(sun, right), sun])

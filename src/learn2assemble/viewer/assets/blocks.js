@@ -8,7 +8,7 @@ function createStage(canvas, data) {
     return [at.map((v, k) => v + low[k]), at.map((v, k) => v + high[k])];
   });
   const seen = data.arm ? [...points, ...data.arm.extent] : points;
-  const view = createView(canvas, { points: seen, edge, floor: data.floor, fromRight: Boolean(data.arm) });
+  const view = createView(canvas, { points: seen, edge, floor: data.floor, fromRight: Boolean(data.arm), turn: data.arm?.turn });
   const roof = points.reduce((most, p) => Math.max(most, p[2]), -Infinity);
 
   let corners = 0, ends = 0;

@@ -12,7 +12,7 @@ function createStage(canvas, data) {
     ...data.faces.flat(),
   ];
   const points = data.arm ? [...near, ...data.arm.extent] : near;
-  const view = createView(canvas, { points, edge, fromRight: Boolean(data.arm) });
+  const view = createView(canvas, { points, edge, fromRight: Boolean(data.arm), turn: data.arm?.turn });
   const { scene, coloured, colours } = view;
   const built = [...data.blocks.map((b) => b.position[2]), ...data.faces.flat().map((p) => p[2])];
   const roof = Math.max(edge, ...built) + edge / 2;

@@ -1,7 +1,7 @@
 "use strict";
 /* What every 3-D view has: camera and controls for mouse and keyboard, light, table, colours of the
    style sheet, and a picture of it for print. World frame, z up, metres. */
-function createView(canvas, { points, edge, floor = 0, fromRight = false }) {
+function createView(canvas, { points, edge, floor = 0, fromRight = false, turn = 0 }) {
   const names = ["sky", "table", "edge", "accent", "first", "wall", "current", "support", "waiting", "soft", "prop", "bad"];
   const theme = () => {
     const style = getComputedStyle(document.documentElement);
@@ -26,7 +26,8 @@ function createView(canvas, { points, edge, floor = 0, fromRight = false }) {
   const reach = Math.hypot(high[0] - low[0], high[1] - low[1], high[2] - floor) / 2;
   const camera = new THREE.PerspectiveCamera(16, 1, reach / 20, 80 * reach);
   camera.up.set(0, 0, 1);
-  const front = new THREE.Vector3(fromRight ? 0.5 : -0.5, -1, 0.6).normalize();
+  const turned = (x, y, z) => new THREE.Vector3(x, y, z).applyAxisAngle(new THREE.Vector3(0, 0, 1), turn);
+  const front = turned(fromRight ? 0.5 : -0.5, -1, 0.6).normalize();
 
   addLights();
   addTable();
@@ -87,7 +88,7 @@ function createView(canvas, { points, edge, floor = 0, fromRight = false }) {
   }
 
   /* Look at these points, all of them as near as can be, from the front and above: from the left,
-     but from the right where an arm stands on the left. */
+     but from the right where an arm stands on the left, turned with the side it stands on. */
   function look(wanted = points, from = front) {
     touched = false;
     last = [wanted, from];
@@ -169,7 +170,8 @@ function createView(canvas, { points, edge, floor = 0, fromRight = false }) {
   function addLights() {
     scene.add(new THREE.HemisphereLight(0xffffff, 0xd8d2c6, 2.2));
     const sun = new THREE.DirectionalLight(0xffffff, 1.9);
-    sun.position.set(middle[0] + (fromRight ? -0.9 : 0.9) * reach, middle[1] - 1.9 * reach, floor + 2.5 * reach);
+    sun.position.copy(turned(fromRight ? -0.9 : 0.9, -1.9, 2.5).multiplyScalar(reach))
+      .add(new THREE.Vector3(middle[0], middle[1], floor));
     sun.target.position.set(middle[0], middle[1], floor);
     sun.castShadow = true;
     sun.shadow.mapSize.set(2048, 2048);
