@@ -56,7 +56,8 @@ def random_moves(seed: int) -> Iterator[tuple[str, Scene, Move]]:
         if rng.random() < 0.3:  # something waits beside it
             other = size * [1, 1, 0] + [0, 0, rng.uniform(0.01, 0.06)]
             off = 2 * size[1] + rng.uniform(5e-4, 0.01)
-            waiting.append([*(waits[:2] - off * np.array([-np.sin(yaw), np.cos(yaw)])), other[2]])
+            across = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
+            waiting.append(waits * [1, 1, 0] - off * across + other * [0, 0, 1])
             sizes.append(other)
         turn = np.zeros(placed + len(waiting))
         turn[placed:] = yaw

@@ -17,7 +17,7 @@ from learn2assemble.robot.dynamic.cell import DynamicCell, replay
 from learn2assemble.robot.dynamic.model import free_cells, take_order
 from learn2assemble.robot.dynamic.simulation import Simulation
 from learn2assemble.robot.kinematic.cell import KinematicCell
-from learn2assemble.robot.moves import STAGES, Attitude, Move, Outcome, Scene, attitudes
+from learn2assemble.robot.moves import IMMOVABLE, STAGES, Attitude, Move, Outcome, Scene, attitudes
 from learn2assemble.robot.recorder import holding
 from learn2assemble.robot.registry import TOOLS
 from learn2assemble.robot.tool import load_suction
@@ -355,6 +355,11 @@ def test_only_what_a_move_may_move_is_free() -> None:
     low = move._replace(target=np.array([0.3006, 0.0, 0.025]))
     # Beside the lowest brick at the end of the wall, and the three above that.
     assert np.flatnonzero(free_cells(world, turns, low)).tolist() == [5, 11, 17, 23, 24]
+    # Nothing moves an obstacle, and what stands on it stands.
+    stone = np.full(25, 800.0)
+    stone[11] = IMMOVABLE
+    free = free_cells(world._replace(density=stone), turns, low)
+    assert np.flatnonzero(free).tolist() == [5, 24]
 
 
 def test_objects_of_several_boxes_are_carried_whole() -> None:

@@ -126,6 +126,8 @@ def get_grasps(name: str) -> tuple[GraspPair, ...]:
 
 DENSITY = MASS / EDGE**3
 """Of the cubes [kg/m3]."""
+IMMOVABLE = 20_000.0
+"""What is as dense as this is an obstacle that nothing moves [kg/m3]."""
 GAP = 0.01
 """Between horizontal neighbours on the lattice of the robot cell [m]."""
 
@@ -149,7 +151,8 @@ class Scene(NamedTuple):
     """float64[n, 3]: half extents of each cell's box in its own frame [m]; None: all are cubes of
     the lattice."""
     density: np.ndarray | None = None
-    """float64[n] of each cell's box [kg/m3]; by default that of the cubes."""
+    """float64[n] of each cell's box [kg/m3]; by default that of the cubes. From
+    :data:`IMMOVABLE` on it is an obstacle."""
 
     @property
     def halves(self) -> np.ndarray:

@@ -20,9 +20,11 @@ from learn2assemble.robot.dynamic.prepare import PRESS, Course, Failure, free_wa
 from learn2assemble.robot.dynamic.simulation import PUSH, TOUCH, Event, Rules, Simulation, Watch
 from learn2assemble.robot.dynamic.trajectory import (
     Limits,
+    Segment,
     approach_speed_limits,
     joint_path,
     limits_along,
+    reachable_speed,
 )
 from learn2assemble.robot.dynamic.transit import WorldChecker
 from learn2assemble.robot.moves import Outcome, carried
@@ -37,6 +39,9 @@ SOFT = 0.01
 """... and what it holds is lowered the last bit [m] ..."""
 SOFT_SPEED = 0.02
 """... at this speed of the tool [m/s]."""
+SLOT_SPEED = 0.1
+"""So slowly it goes into a slot between others, and out of it [m/s]: faster, it strays by more than
+the joints leave."""
 LANDED = 1.0
 """What rests presses so hard on others [N]: as much as a block weighs."""
 GRIPPED = 0.8
@@ -169,12 +174,16 @@ class Execution:
         _check(sim.load(mass, _steps(LOAD_TIME), "pick", NEAR), touch, "pick")
         path = joint_path(joints, self.loaded)
         off = float(np.interp(LOOSE, rise, path.knots))
-        watches = (NEAR, LOADED._replace(start=off))
+        watches, segments = (NEAR, LOADED._replace(start=off)), ()
+        bounds = limits_along(path, self.loaded)
         if self.order.scene.half is not None:
             # Beside others it slides out of a slot.
             out = float(np.interp(self.slot(), rise, path.knots))
             watches = (NEAR, BESIDE._replace(start=off), LOADED._replace(start=out))
-        _check(sim.follow(path, limits_along(path, self.loaded), "lift", watches), touch, "lift")
+            slowly = min(SLOT_SPEED * out / self.slot(), bounds.speed)
+            speed = min(slowly, reachable_speed(0.0, out, bounds))
+            segments = (Segment(out, speed, slowly), Segment(path.length, 0.0, bounds.speed))
+        _check(sim.follow(path, bounds, "lift", watches, segments), touch, "lift")
 
     def close(self) -> None:
         """Close the fingers until they press."""
@@ -229,8 +238,8 @@ class Execution:
         position, rotation = sim.tool()
         cell = order.objects.cells(sim.poses)[0][order.move.cell]
         place, target = plan.move.place, order.move.target
-        if order.scene.half is not None:
-            # Turned by as much as the object is turned in the hand.
+        if sim.cup is not None:
+            # Turned by as much as the object is turned in the hand; pads straighten what they hold.
             now = rotation.T @ rotation_matrix(sim.poses[sim.target, 3:])
             off = now @ order.in_hand(plan.move.grasp)[1].T
             turn = math.atan2(off[1, 0] - off[0, 1], off[0, 0] + off[1, 1])
@@ -256,9 +265,10 @@ class Execution:
         path = joint_path(np.vstack([sim.joints, approach.joints[:now][::-1]]), self.loaded)
         bounds = limits_along(path, self.loaded)
         rise = approach.rise[: now + 1][::-1]
-        segments = approach_speed_limits(
-            path, rise, ((CAREFUL, CAREFUL_SPEED), (SOFT, SOFT_SPEED)), bounds
-        )
+        zones = [(CAREFUL, CAREFUL_SPEED), (SOFT, SOFT_SPEED)]
+        if self.order.scene.half is not None:
+            zones = sorted([*zones, (min(self.slot() + SOFT, rise[0]), SLOT_SPEED)], reverse=True)
+        segments = approach_speed_limits(path, rise, tuple(zones), bounds)
         loose = float(np.interp(-LOOSE, -rise, path.knots))
         until = near._replace(start=loose, until=lambda: sim.contacts.support() >= LANDED)
         watches = (before, until)

@@ -35,6 +35,7 @@ from learn2assemble.physics.scene import (
 )
 from learn2assemble.robot.arm import Arm, arm_spec
 from learn2assemble.robot.moves import (
+    IMMOVABLE,
     ROOM,
     Attitude,
     Move,
@@ -164,7 +165,8 @@ MOST_FREE = 40
 def free_cells(scene: Scene, quaternion: np.ndarray, move: Move) -> np.ndarray:
     """bool[n]: cells of the objects that a move may move: the object itself, what it stands on or
     beside where it is taken and where it is put, and what rests on those. All others are held
-    still, which is what keeps a move in a large structure as cheap as in a small one."""
+    still, obstacles always, which is what keeps a move in a large structure as cheap as in a small
+    one."""
     rotation = np.array([rotation_matrix(turn) for turn in quaternion])
     reach = np.einsum("nij,nj->ni", np.abs(rotation), scene.halves)
     low, high = scene.position - reach, scene.position + reach
@@ -175,6 +177,9 @@ def free_cells(scene: Scene, quaternion: np.ndarray, move: Move) -> np.ndarray:
     boxes = [(low[k], high[k]) for k in members]
     boxes += list(zip(there - extent, there + extent, strict=True))
     _, number = np.unique(scene.object_id, return_inverse=True)
+    if scene.density is not None:
+        # Obstacles are near nothing and rest on nothing.
+        high[scene.density >= IMMOVABLE] = low[scene.density >= IMMOVABLE] = np.inf
     found = np.zeros(number.max() + 1, bool)
     found[number[members]] = True
     for lower, upper in boxes:
