@@ -79,12 +79,13 @@ class Knots(NamedTuple):
 
     def at(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions, velocities and accelerations, each float64[m, n], at times float64[m]."""
-        if len(self.time) == 1:
-            return (*(np.repeat(part, len(time), axis=0) for part in self[1:]),)  # type: ignore[return-value]
         piece = self.pieces(time)
-        h = np.diff(self.time)[piece][:, None]
-        u = (np.clip(time, self.time[0], self.time[-1]) - self.time[piece])[:, None] / h
-        c = np.moveaxis(self.coefficients()[piece], -1, 0)
+        first = int(piece.min(initial=len(self.time)))
+        used = Knots(*(part[first : int(piece.max(initial=0)) + 2] for part in self))
+        piece = piece - first
+        h = np.diff(used.time)[piece][:, None]
+        u = (np.clip(time, used.time[0], used.time[-1]) - used.time[piece])[:, None] / h
+        c = np.moveaxis(used.coefficients()[piece], -1, 0)
         q, v, a = c[5], 5 * c[5], 20 * c[5]
         for m in (4, 3, 2, 1, 0):
             q = q * u + c[m]
