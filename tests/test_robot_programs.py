@@ -154,7 +154,7 @@ def test_a_joint_that_leaves_its_range_between_samples_is_refused() -> None:
     time, position = np.arange(3) * 0.1, np.array([[0.0], [0.999], [0.0]])
     velocity = np.array([[0.0], [0.9], [0.0]])
     limits = Limits(*(np.full(1, 1e9) for _ in range(3)), np.full(1, -1.0), np.full(1, 1.0))
-    with pytest.raises(InputError, match=r"expected -1.0000 to 1.0000 rad between the samples"):
+    with pytest.raises(InputError, match=r"expected -1.000000 to 1.000000 rad between the samples"):
         slow_down(fit(time, position, velocity), limits)
 
 

@@ -174,8 +174,8 @@ def slow_down(motion: Knots, limits: Limits) -> tuple[Knots, float]:
     out = (bounds.lower < limits.lower - REST) | (bounds.upper > limits.upper + REST)
     if out.any():
         i, j = np.argwhere(out)[0].tolist()
-        got = f"joint {j + 1} at {bounds.lower[i, j]:.4f} to {bounds.upper[i, j]:.4f} rad"
-        inside = f"{limits.lower[j]:.4f} to {limits.upper[j]:.4f} rad between the samples"
+        got = f"joint {j + 1} at {bounds.lower[i, j]:.6f} to {bounds.upper[i, j]:.6f} rad"
+        inside = f"{limits.lower[j]:.6f} to {limits.upper[j]:.6f} rad between the samples"
         raise InputError(f"motion at {motion.time[i]:.2f} s", got, inside)
     needed = max(
         float((bound / limit).max()) ** (1 / order)
