@@ -390,7 +390,32 @@ def _run_designs(options: argparse.Namespace, output: Output) -> None:
     output.finish({"rows": [list(row) for row in rows], "file": str(options.out)})
 
 
+def _builds_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--out", type=Path, default=Path("results/builds.json"), help="file of the results")
+    add("--only", default="", metavar="WORD", help="entries with this in their name")
+    add("--again", action="store_true", help="also those that were measured before")
+    add("--workers", type=count, default=1, help="builds at once")
+
+
+def _run_builds(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.reproduction.builds import measure, summary
+
+    _prepare(options.out.parent)
+    found = measure(
+        options.out, only=options.only, again=options.again, workers=options.workers,
+        progress=output.progress,
+    )  # fmt: skip
+    rows = summary(found["entries"])
+    output.table("figures of builds by an arm", ("what", "asked", "got"), rows)
+    output.finish({"rows": [list(row) for row in rows], "file": str(options.out)})
+
+
 _COMMANDS = {
+    "measure-builds": Command(
+        "measure builds by an arm: large ones, with noise, with faults",
+        "l2a measure-builds --only noise/ --workers 2", _builds_arguments, _run_builds,
+    ),
     "measure-designs": Command(
         "measure the exact planner and the check on shapes and drawings",
         "l2a measure-designs --only shape/", _designs_arguments, _run_designs,

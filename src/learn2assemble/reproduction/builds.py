@@ -1,0 +1,206 @@
+"""What arms reach with exact plans, measured in the dynamic workcell: ``results/builds.json``.
+
+Every entry is one build with the commit it was made at. Entries that are there are kept, so a run
+that was stopped goes on where it was. Seconds are of the processor, so that other programs on the
+machine do not count.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from learn2assemble.assembly.kit import Kit, load_kit
+from learn2assemble.design.cells import CellDesign, read_design
+from learn2assemble.errors import InputError
+from learn2assemble.files import to_plain, write_file
+from learn2assemble.learning.run import provenance
+from learn2assemble.planning.construct import DEFAULT_KIT, plan_cells
+from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.workcell import Disturbance
+from learn2assemble.planning.workcell_plan import Workcell, carry_out_cells
+from learn2assemble.reproduction import shapes
+from learn2assemble.workers import run_all
+
+FORMAT, VERSION = "learn2assemble-build-figures", 1
+EXAMPLES = Path("examples/designs")
+DESIGNS = (
+    "arch_pair", "gabled_house", "keep", "leaning_parallelogram",
+    "pavilion", "pyramid", "skyline", "stepped_tower",
+)  # fmt: skip
+ARMS, TOOLS, SEEDS = ("panda", "ur5e"), ("suction", "gripper"), 10
+PLAN_SECONDS = 120.0
+LARGE: dict[str, tuple[Callable[[], np.ndarray], float]] = {
+    "wall with a window, 100 blocks": (lambda: shapes.wall(24, 4, 13, (9, 15, 4, 8)), 0.03),
+    "wall with a window, 150 blocks": (lambda: shapes.wall(26, 4, 19, (10, 16, 6, 10)), 0.025),
+}  # fmt: skip
+"""Cells, and the edge of a cell [m]."""
+SENSING = 5e-4
+"""Standard deviation of what is read back [m]."""
+FAULTS = 3
+"""Blocks that are dropped or pushed in one build."""
+
+Result = dict[str, Any]
+
+
+def names() -> list[str]:
+    """Every measurement: kind / design / arm / tool or seed."""
+    found = [f"large/{name}/{arm}" for name in LARGE for arm in ARMS]
+    found += [f"props/bridge of span 6/{arm}" for arm in ARMS]
+    found += [f"example/{d}/{arm}/{tool}" for d in DESIGNS for arm in ARMS for tool in TOOLS]
+    found += [f"program/{d}/{arm}" for d in DESIGNS[:4] for arm in ARMS]
+    found += [f"faults/{d}/{arm}/{seed}" for d in DESIGNS for arm in ARMS for seed in range(2)]
+    found += [f"noise/{d}/{arm}/{seed}" for seed in range(SEEDS) for d in DESIGNS for arm in ARMS]
+    return found
+
+
+def measure(
+    out: Path, *, only: str = "", again: bool = False, workers: int = 1,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Result:  # fmt: skip
+    """Measure what is missing in ``out`` and write it after every entry.
+
+    Args:
+        only: measure entries whose name has this in it.
+        again: also those that are there.
+        workers: builds at once.
+        progress: told what has been measured.
+
+    Raises:
+        InputError: where ``out`` is no result of this function, or nothing is called ``only``.
+    """
+    found = _load(out)
+    wanted = [name for name in names() if only in name]
+    if not wanted:
+        raise InputError("--only", only, "part of the name of a measurement")
+    about = provenance("cpu")
+    todo = [name for name in wanted if again or name not in found["entries"]]
+    for name, result in run_all(entry, todo, workers=workers):
+        found["entries"][name] = {**result, "commit": about["commit"]}
+        found["configuration"] = {
+            "supply_mm": 1.0, "supply_deg": 1.0, "friction_share": 0.2, "mass_share": 0.1,
+            "sensing_mm": 1e3 * SENSING, **about,
+        }  # fmt: skip
+        write_file(out, json.dumps(found, indent=1, sort_keys=True) + "\n", "--out")
+        progress(f"{name}: {result['status']}")
+    return found
+
+
+def _load(out: Path) -> Result:
+    if not out.exists():
+        return {"format": FORMAT, "version": VERSION, "entries": {}}
+    try:
+        found = json.loads(out.read_text(encoding="utf-8"))
+        if (found["format"], found["version"]) == (FORMAT, VERSION):
+            return found
+    except (OSError, ValueError, KeyError, TypeError):
+        pass
+    raise InputError("--out", str(out), "a new file, or a result of this command")
+
+
+def entry(name: str) -> Result:
+    """One measurement by its name."""
+    kind, what, arm, *rest = name.split("/")
+    seed = int(rest[0]) if kind in ("noise", "faults") else 0
+    design, kit = _design(kind, what)
+    rng = np.random.default_rng([seed, *what.encode(), *arm.encode()])
+    workcell = Workcell(arm, rest[0] if kind == "example" else "suction", seed=seed)
+    if kind == "noise":
+        workcell = replace(
+            workcell, noise=(SENSING, 0.0),
+            disturbance=Disturbance(
+                supply=(1e-3, math.radians(1)), friction=float(rng.uniform(-0.2, 0.2)), mass=0.1
+            ),
+        )  # fmt: skip
+    started = time.process_time()
+    plan = plan_cells(design, kit, seconds=PLAN_SECONDS)
+    if kind == "faults":
+        count = len(plan.steps)
+        at = rng.choice(np.arange(2, max(count, FAULTS + 2)), FAULTS, replace=False).tolist()
+        dropped = frozenset(at[: 1 + seed % 2])
+        workcell = replace(
+            workcell, disturbance=Disturbance(drop=dropped, push=frozenset(at) - dropped)
+        )
+    planned = time.process_time()
+    done = carry_out_cells(
+        plan, kit, workcell, lambda text: None,
+        lambda other: plan_cells(design, other, seconds=PLAN_SECONDS),
+    )  # fmt: skip
+    result = _described(done, planned - started, time.process_time() - planned)
+    return result | (_program(done, arm) if kind == "program" and done.complete else {})
+
+
+def _design(kind: str, what: str) -> tuple[CellDesign, Kit]:
+    if kind in ("large", "props"):
+        make, cell = LARGE.get(what, (lambda: shapes.bridge(1, 6, 2, 3, 1, 1), 0.04))
+        # Of the bricks none spans the opening of the bridge, so its deck needs props.
+        kit = load_kit("bricks" if kind == "props" else DEFAULT_KIT).at_pitch((cell,) * 3)
+        return CellDesign(what, make(), (cell,) * 3, None, 0.0, None, "", None), kit
+    design = read_design(EXAMPLES / f"{what}.json")
+    assert isinstance(design, CellDesign)
+    return design, load_kit(design.kit or DEFAULT_KIT).at_pitch(design.cell)
+
+
+def _described(plan: Plan, planning: float, building: float) -> Result:
+    arm = plan.arm
+    return {
+        "status": plan.status, "reason": plan.reason, "blocks": plan.blocks.used,
+        "steps": len(plan.steps), "props": sum(s.prop and s.action == "place" for s in plan.steps),
+        "planning_s": round(planning, 2), "building_s": round(building, 2),
+        **({} if arm is None else {
+            "attempts": arm.attempts, "attempts_per_step": arm.attempts_per_step,
+            "error_mean": arm.error_mean, "error_worst": arm.error_worst,
+            "failures": to_plain(arm.failures), "places": arm.places,
+            "robot_s": arm.seconds, "pitch": arm.pitch,
+        }),
+    }  # fmt: skip
+
+
+def _program(plan: Plan, arm: str) -> Result:
+    """What comes of the exported build, played open loop."""
+    from learn2assemble.export.robot_programs import export_program, replay_program
+
+    assert plan.record is not None
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "program.csv"
+        export_program(plan.record, "csv", file)
+        run = replay_program(file, arm)
+    return {"program": {"same": run.same, "worst": float(run.error.max()), "fault": run.fault}}
+
+
+def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
+    """What was asked, and what was reached: (what, asked, got)."""
+    rows: list[tuple[str, str, str]] = []
+    groups: dict[str, dict[str, Result]] = {}
+    for name, one in entries.items():
+        kind, what, *rest = name.split("/")
+        key = f"{kind}/{rest[-1]}" if kind == "example" else kind
+        groups.setdefault(key, {})["/".join([what, *rest])] = one
+    for name, one in groups.pop("large", {}).items():
+        rows.append((
+            name, "complete; 120 s, 1.05 attempts, 1 / 3 mm at 100 blocks",
+            f"{one['status']}, {one['blocks']} blocks, "
+            f"{one['planning_s'] + one['building_s']:.0f} s, {one.get('attempts_per_step')} "
+            f"attempts, {1e3 * (one.get('error_mean') or 0):.2f} / "
+            f"{1e3 * (one.get('error_worst') or 0):.2f} mm",
+        ))  # fmt: skip
+    asked = {"props": "all", "program": "all", "faults": ">= 90 %", "noise": ">= 95 %"}
+    for key, group in sorted(groups.items()):
+        done = sum(one["status"] == "complete" for one in group.values())
+        left = [f"{name} ({one['reason']})" for name, one in group.items()
+                if one["status"] != "complete"]  # fmt: skip
+        words = f"{done} of {len(group)}" + (f"; not: {'; '.join(left[:6])}" if left else "")
+        rows.append((key, asked.get(key, "all"), words))
+        if key == "program":
+            worst = max((one["program"]["worst"] for one in group.values() if "program" in one),
+                        default=0.0)  # fmt: skip
+            rows.append(("blocks of exported programs off by", "2 mm", f"{1e3 * worst:.2f} mm"))
+    return rows
