@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from learn2assemble.cli.parser import Command, count, natural, positive
 from learn2assemble.errors import InputError
@@ -69,18 +69,20 @@ def _measure(options: argparse.Namespace, output: Output) -> None:
     if options.examples is not None and not options.examples.is_dir():
         raise InputError("--examples", str(options.examples), "a folder")
     config = Measure(options.designs, options.large, options.exact, options.seed)
+    head = {
+        "agent": builder.name, "other": options.beside, "measure": vars(config),
+        "machine": provenance("cpu"),
+    }  # fmt: skip
+
+    def keep(found: dict[str, Any]) -> None:
+        rows = {key: value for key, value in found.items() if key != "record"}
+        for name, content in (("builders", rows), ("planners", {"kinds": found["record"]})):
+            text = json.dumps({**head, **content}, indent=1)
+            write_file(options.out / f"{name}.json", text + "\n", "--out")
+
     with claim_folder(options.out):
-        found = measure(builder, config, options.examples, output.progress, other)
-        head = {
-            "agent": builder.name,
-            "other": options.beside,
-            "measure": vars(config),
-            "machine": provenance("cpu"),
-        }
-        record = {**head, "kinds": found.pop("record")}
-        result = {**head, **found}
-        for name, content in (("builders", result), ("planners", record)):
-            write_file(options.out / f"{name}.json", json.dumps(content, indent=1) + "\n", "--out")
+        found = measure(builder, config, options.examples, output.progress, other, keep)
+    result = {**head, **found}
     players = [name for name in PLAYERS if other is not None or not name.startswith("other")]
     output.table("complete", ("designs", *players), [
         (name, *(f"{row[player]['complete']:.1%}" for player in players))

@@ -66,16 +66,20 @@ class Measure:
 def measure(
     builder: Builder, config: Measure, examples: Path | None,
     progress: Progress = lambda text: None, other: Builder | None = None,
+    keep: Callable[[dict[str, Any]], None] = lambda found: None,
 ) -> dict[str, Any]:  # fmt: skip
     """All figures of a builder.
 
     Args:
         other: plays, too: one that was trained in another way.
+        keep: given what is known so far after every set.
         examples: the folder of the examples; left out without it.
     """
     record: dict[str, dict[str, list[tuple[bool, float]]]] = {}
     scorers = {"agent": builder, "random": None} | ({"other": other} if other else {})
     sets: dict[str, Any] = {}
+    shown = {} if examples is None else measure_examples(builder, examples, progress)
+    found = {"examples": shown, "sets": sets, "record": {}}
     designs: list[Solved] = []
     for number, (name, (task, asked)) in enumerate(SETS.items()):
         large = DESIGN_TASKS[task].blocks[1] > 60
@@ -99,8 +103,9 @@ def measure(
             },
             "planners": _time_planners(designs[:exact], builder, record, progress, name),
         }  # fmt: skip
-    shown = {} if examples is None else measure_examples(builder, examples, progress)
-    return {"examples": shown, "sets": sets, "record": to_record(record)}
+        found["record"] = to_record(record)
+        keep(found)
+    return found
 
 
 def _play(
