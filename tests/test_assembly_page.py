@@ -7,6 +7,7 @@ import html
 import itertools
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.viewer.assembly_page import (
     PALETTE,
     StepNote,
+    _covers,
     render_assembly_page,
     write_assembly_page,
 )
@@ -278,3 +280,32 @@ def test_keys_turn_the_view_and_print_has_a_picture_of_it(browser: str, tmp_path
     assert found["step"] == "5"
     assert found["length"] > 3000, "not an empty picture"
     assert found["same"] == [0, 1, 2, 0], "two other views, and back to the first"
+
+
+def test_sides_are_left_out_only_where_blocks_cover_them() -> None:
+    """A cube of 3 x 3 x 3 boxes with joints of 0.1 mm, its top middle one replaced by a bar."""
+    edge, gap = 0.05, 1e-4
+    places = [(x, y, z) for x in range(3) for y in range(3) for z in range(3)]
+    blocks = []
+    for place in places:
+        low = np.array(place) * edge
+        inset = np.array([gap / 2, gap / 2, 0])
+        blocks.append(box_block("-".join(map(str, place)), low + inset, low + edge - inset))
+    covers = _covers(blocks)
+    number = {place: k for k, place in enumerate(places)}
+    middle = covers[number[1, 1, 1]]
+    assert middle is not None
+    assert middle == [[number[0, 1, 1]], [number[2, 1, 1]], [number[1, 0, 1]], [number[1, 2, 1]],
+                      [number[1, 1, 0]], [number[1, 1, 2]]]  # fmt: skip
+    corner = covers[number[0, 0, 0]]
+    assert corner is not None
+    assert [bool(side) for side in corner] == [False, True, False, True, False, True]
+    # Half of a side is not enough, two halves are, and a slanted block covers nothing.
+    low = box_block("low", (0, 0, 0), (2, 1, 1))
+    half = box_block("half", (0, 0, 1), (1, 1, 2))
+    rest = box_block("rest", (1, 0, 1), (2, 1, 2))
+    assert _covers([low, half]) == [None, [[], [], [], [], [0], []]]
+    assert _covers([low, half, rest])[0] == [[], [], [], [], [], [1, 2]]
+    raised = rest.vertices + [[0, 0, 0.3 * (k == 7)] for k in range(8)]
+    cut = replace(rest, vertices=raised)
+    assert _covers([low, half, cut])[0] is None

@@ -51,6 +51,9 @@ _SPEEDS = (0.5, 1, 2, 4, 8, 16, 32, 64)
 _LONGEST = 60.0
 """The chosen speed shows all steps within this time [s]."""
 _SECONDS_PER_STEP = 1.1
+_COVERED = 0.03
+"""Share of a side that may be left open where it counts as covered, and how far apart sides that
+touch may be, as a share of the smallest edge."""
 _SCRIPTS = ("three.bundle.js", "view.js", "blocks.js", "timeline.js")
 
 
@@ -155,6 +158,7 @@ def render_assembly_page(
         "layers": _layer_words(distinct, layers),
         "shapes": _shape_data(shapes),
         "blocks": _block_data(parts, kinds, colours),
+        "covers": _covers([part.block for part in parts]),
         "joints": _joints(forces) if forces is not None else None,
     }
     labels = None
@@ -370,6 +374,50 @@ def _block_data(parts: list[_Part], kinds: list[str], colours: list[str]) -> lis
          part.placed, part.removed, part.block.id]
         for part, own in zip(parts, colours, strict=True)
     ]  # fmt: skip
+
+
+def _covers(blocks: list[Block]) -> list[list[list[int]] | None]:
+    """Of every box, the blocks that together cover each of its sides; the sides are not seen while
+    all of these stand.
+
+    Returns:
+        for every block None, or six lists of block numbers, empty for a side that is seen: at the
+        lower and upper end along x, y and z.
+    """
+    low = np.array([block.vertices.min(0) for block in blocks])
+    high = np.array([block.vertices.max(0) for block in blocks])
+    boxes = np.array([
+        len(b.vertices) == 8 and bool((np.isclose(b.vertices, u) | np.isclose(b.vertices, v)).all())
+        for b, u, v in zip(blocks, low, high, strict=True)
+    ])  # fmt: skip
+    found: list[list[list[int]]] = [[[] for _ in range(6)] for _ in blocks]
+    near = _COVERED * float((high - low)[boxes].min()) if boxes.any() else 0.0
+    for axis in range(3):
+        u, v = (axis + 1) % 3, (axis + 2) % 3
+        ups = np.flatnonzero(boxes)[np.argsort(high[boxes, axis], kind="stable")]
+        downs = np.flatnonzero(boxes)[np.argsort(low[boxes, axis], kind="stable")]
+        begin = np.searchsorted(low[downs, axis], high[ups, axis] - near)
+        stop = np.searchsorted(low[downs, axis], high[ups, axis] + near)
+        area = (high[:, u] - low[:, u]) * (high[:, v] - low[:, v])
+        covered = np.zeros((2, len(blocks)))
+        for a, first, last in zip(ups.tolist(), begin.tolist(), stop.tolist(), strict=True):
+            others = downs[first:last]
+            common = np.ones(len(others))
+            for k in (u, v):
+                shared = np.minimum(high[a, k], high[others, k]) - np.maximum(
+                    low[a, k], low[others, k]
+                )
+                common *= np.maximum(shared, 0.0)
+            for b, size in zip(others[common > 0].tolist(), common[common > 0], strict=True):
+                found[a][2 * axis + 1].append(b)
+                found[b][2 * axis].append(a)
+                covered[1, a] += size
+                covered[0, b] += size
+        for side in (0, 1):
+            for k in np.flatnonzero(boxes & (covered[side] < (1 - _COVERED) * area)):
+                found[k][2 * axis + side] = []
+    return [sides if box and any(sides) else None
+            for sides, box in zip(found, boxes.tolist(), strict=True)]  # fmt: skip
 
 
 def _joints(forces: tuple[Contacts, np.ndarray | None]) -> dict[str, Any] | None:

@@ -1,6 +1,7 @@
 "use strict";
 /* The 3-D view of an assembly. All blocks are one mesh and all their edges one set of lines, so that
-   thousands are drawn in two calls; a block that does not stand is shrunk to a point. */
+   thousands are drawn in two calls. Sides that are covered by blocks that stand, and edges between
+   such sides, are left out: of a wall that is most of them. */
 function createStage(canvas, data) {
   const edge = data.edge, blocks = readBlocks(data), shapes = readShapes(data.shapes);
   const points = blocks.flatMap(({ shape, at }) => {
@@ -19,6 +20,9 @@ function createStage(canvas, data) {
     ends += shape.edges.length;
   }
   const skin = geometry(corners, ["position", "color"]), lines = geometry(ends, ["position"]);
+  for (const made of [skin, lines]) {
+    made.setIndex(Array.from({ length: made.attributes.position.count }, (_, k) => k));
+  }
   // Blocks do not turn, so the light on their faces is part of their colours.
   const material = new THREE.MeshBasicMaterial({
     vertexColors: true, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 2,
@@ -80,6 +84,7 @@ function createStage(canvas, data) {
       write(block, colour === null ? null : lift, colour === null ? "" : shade(colour, colours));
     }
     refresh(moved);
+    if (moved.length) leaveOutCovered();
     const whole = cut === null && now >= end;
     let glass = false;
     for (const [name, group] of Object.entries(overlays)) {
@@ -147,6 +152,33 @@ function createStage(canvas, data) {
       const light = shape.light[k / 3], to = block.corner + k;
       paint[to] = light * colour.r; paint[to + 1] = light * colour.g; paint[to + 2] = light * colour.b;
     }
+  }
+
+  /* Index what is seen: of every block that is there the sides that no standing blocks cover. */
+  function leaveOutCovered() {
+    const faces = skin.index.array, rims = lines.index.array, shown = [];
+    let filled = 0, drawn = 0;
+    const stands = (number) => blocks[number].state.endsWith(" 0");
+    for (const block of blocks) {
+      if (!block.state) continue;
+      const shape = shapes[block.shape], covers = stands(block.number) ? data.covers[block.number] : null;
+      for (let side = 0; side < 6; side++) {
+        const by = covers ? covers[side] : [];
+        shown[side] = !by.length || !by.every(stands);
+      }
+      const whole = !covers || shown.every(Boolean), first = block.corner / 3, start = block.end / 3;
+      for (let k = 0; k < shape.sides.length; k++) {
+        if (!whole && !shown[shape.sides[k]]) continue;
+        for (let c = 0; c < 3; c++) faces[filled++] = first + 3 * k + c;
+      }
+      for (let k = 0; k < shape.between.length; k++) {
+        if (!whole && !shape.between[k].some((side) => shown[side])) continue;
+        for (let c = 0; c < 2; c++) rims[drawn++] = start + 2 * k + c;
+      }
+    }
+    skin.setDrawRange(0, filled);
+    lines.setDrawRange(0, drawn);
+    skin.index.needsUpdate = lines.index.needsUpdate = true;
   }
 
   /* Send what has changed, and only that where it is little. */
@@ -274,11 +306,18 @@ function readShapes({ vertices, triangles, wide, first, faces }) {
     });
     const extent = (pick, begin) => [0, 1, 2].map((k) =>
       own.reduce((value, v, place) => (place % 3 === k ? pick(value, v) : value), begin));
-    return {
-      corners, light,
-      edges: new THREE.EdgesGeometry(made, 20).attributes.position.array,
-      low: extent(Math.min, Infinity), high: extent(Math.max, -Infinity),
-    };
+    const low = extent(Math.min, Infinity), high = extent(Math.max, -Infinity);
+    const edges = new THREE.EdgesGeometry(made, 20).attributes.position.array;
+    // Which side of a box each triangle is, and between which each edge is: 2 axis + (upper end).
+    const sides = Array.from({ length: picks.length / 3 }, (_, k) => {
+      const axis = [0, 1, 2].reduce((a, b) => (Math.abs(normal[9 * k + b]) > Math.abs(normal[9 * k + a]) ? b : a));
+      return 2 * axis + (normal[9 * k + axis] > 0 ? 1 : 0);
+    });
+    const between = Array.from({ length: edges.length / 6 }, (_, k) => [0, 1, 2].flatMap((axis) => {
+      const [from, to] = [edges[6 * k + axis], edges[6 * k + 3 + axis]], middle = (low[axis] + high[axis]) / 2;
+      return (from > middle) === (to > middle) ? [2 * axis + (from > middle ? 1 : 0)] : [];
+    }));
+    return { corners, light, edges, low, high, sides, between };
   });
 }
 
