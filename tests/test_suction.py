@@ -376,3 +376,24 @@ def test_objects_of_several_boxes_are_carried_whole() -> None:
     # Turned by a quarter to the right, (0.065, 0.025) lies at (0.025, -0.065).
     meant = target + np.array([[0, 0, 0], [0.025, -0.065, 0]])
     np.testing.assert_allclose(found.after.position[1:3], meant, atol=1e-3)
+
+
+def test_what_cannot_be_placed_goes_back_to_where_it_was() -> None:
+    world, place = field(5e-4, 4, BRICK)
+    grasp = attitudes(UR5E, BRICK)[0]
+    blocked = Move(8, place + [0.03, 0.0, 0.0], grasp, grasp)
+    found = DynamicCell(UR5E, recover=True, precheck=False).attempt(world, blocked)
+    assert found.outcome == Outcome.PLACE_COLLISION
+    assert found.detail.endswith("put back")
+    assert not found.held
+    assert found.after is not None
+    np.testing.assert_allclose(found.after.position[8], world.position[8], atol=2e-3)
+    np.testing.assert_allclose(found.joints, UR5E.home, atol=1e-9)
+    stopped = DynamicCell(UR5E, precheck=False).attempt(world, blocked)
+    assert stopped.held
+    assert stopped.detail.endswith("still in the hand")
+    assert stopped.after is not None
+    assert stopped.after.position[8, 2] > 0.03
+    known = DynamicCell(UR5E).attempt(world, blocked)
+    assert known.outcome == Outcome.PLACE_COLLISION
+    assert known.trajectory is None

@@ -37,7 +37,7 @@ from learn2assemble.robot.kinematic.cell import KinematicCell
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import (
     CLEARANCE,
-    LEVEL,
+    FINE_LEVEL,
     Move,
     Scene,
     attitudes,
@@ -133,7 +133,7 @@ def way_down(
         where = middle + yaw_matrix(yaw) @ np.array(centre)
         for attitude in different(attitudes(cache.arm, np.array(half)), cache.arm):
             height = top + CLEARANCE + tall + attitude.depth
-            height = LEVEL * math.ceil(height / LEVEL - 1e-9)
+            height = FINE_LEVEL * math.ceil(height / FINE_LEVEL - 1e-9)
             for turn in (0.0, *cache.arm.turns):
                 turned = attitude._replace(yaw=attitude.yaw + yaw + turn)
                 found = cache.solve(where, turned, height)

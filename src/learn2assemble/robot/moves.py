@@ -332,8 +332,9 @@ def why_not_held(arm: Arm, half: np.ndarray, mass: float) -> str | None:
 
 CLEARANCE = 0.06
 """Between what is carried and everything below it while crossing [m]."""
-LEVEL = 0.05
-"""Heights of crossing are multiples of this, so that paths repeat [m]."""
+LEVEL, FINE_LEVEL = 0.05, 0.01
+"""Heights of crossing are multiples of this, with cubes and with boxes of given size, so that paths
+repeat [m]."""
 
 
 def crossing_height(scene: Scene, move: Move) -> float:
@@ -349,7 +350,8 @@ def crossing_height(scene: Scene, move: Move) -> float:
     # What is held near its top hangs lower than the tool; the small depths of cubes do not count.
     low = scene.half is not None or move.grasp.depth >= HALF
     above = move.grasp.depth if low else 0.0
-    return LEVEL * math.ceil((height + above) / LEVEL - 1e-9)
+    level = LEVEL if scene.half is None else FINE_LEVEL
+    return level * math.ceil((height + above) / level - 1e-9)
 
 
 def overload(arm: Arm, scene: Scene, move: Move) -> str | None:
