@@ -14,9 +14,11 @@ import learn2assemble as l2a
 from learn2assemble.errors import InputError
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.dynamic.cell import DynamicCell, replay
+from learn2assemble.robot.dynamic.cup import Cup, Load, peak_load
 from learn2assemble.robot.dynamic.model import free_cells, take_order
 from learn2assemble.robot.dynamic.simulation import Simulation
 from learn2assemble.robot.kinematic.cell import KinematicCell
+from learn2assemble.robot.kinematics import get_chain
 from learn2assemble.robot.moves import IMMOVABLE, STAGES, Attitude, Move, Outcome, Scene, attitudes
 from learn2assemble.robot.recorder import holding
 from learn2assemble.robot.registry import TOOLS
@@ -381,13 +383,14 @@ def test_objects_of_several_boxes_are_carried_whole() -> None:
 def test_what_cannot_be_placed_goes_back_to_where_it_was() -> None:
     world, place = field(5e-4, 4, BRICK)
     grasp = attitudes(UR5E, BRICK)[0]
-    blocked = Move(8, place + [0.03, 0.0, 0.0], grasp, grasp)
+    blocked = Move(8, place + np.array([0.03, 0.0, 0.0]), grasp, grasp)
     found = DynamicCell(UR5E, recover=True, precheck=False).attempt(world, blocked)
     assert found.outcome == Outcome.PLACE_COLLISION
     assert found.detail.endswith("put back")
     assert not found.held
     assert found.after is not None
     np.testing.assert_allclose(found.after.position[8], world.position[8], atol=2e-3)
+    assert found.joints is not None
     np.testing.assert_allclose(found.joints, UR5E.home, atol=1e-9)
     stopped = DynamicCell(UR5E, precheck=False).attempt(world, blocked)
     assert stopped.held
@@ -397,3 +400,39 @@ def test_what_cannot_be_placed_goes_back_to_where_it_was() -> None:
     known = DynamicCell(UR5E).attempt(world, blocked)
     assert known.outcome == Outcome.PLACE_COLLISION
     assert known.trajectory is None
+
+
+@pytest.mark.parametrize("turn", [0.0, math.pi / 2])
+def test_a_heavy_lintel_is_moved_so_that_it_does_not_slip(
+    turn: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """40 x 10 x 5 cm and 1.6 kg: at the full speed of the Panda, its turn takes 0.5 N m."""
+    cups = []
+
+    class Watched(Cup):
+        def __init__(self, *given: object) -> None:
+            super().__init__(*given)  # type: ignore[arg-type]
+            cups.append(self)
+
+    monkeypatch.setattr("learn2assemble.robot.dynamic.simulation.Cup", Watched)
+    half = np.array([0.2, 0.05, 0.025])
+    world = Scene(np.array([[0.1, -0.3, 0.025]]), np.zeros(1), np.arange(1), 0, half[None])
+    grasp = attitudes(PANDA, half)[0]
+    place = grasp._replace(yaw=grasp.yaw + turn)
+    found = DynamicCell(PANDA).attempt(world, Move(0, np.array([0.1, 0.25, 0.025]), grasp, place))
+    assert found.reached, found.detail
+    assert found.error < 3e-4
+    assert max(cups[-1].most) < 1
+
+
+def test_the_load_of_a_motion_is_what_a_hand_computes() -> None:
+    """A kilogram 0.1 m below the tool, hanging still, and turned by the last joint."""
+    load = Load(1.0, np.array([0.0, 0.0, 0.1]), np.diag([0.0, 0.0, 0.02]))
+    still = np.tile(PANDA.home, (20, 1))
+    off, slip = peak_load(CUP, get_chain(PANDA), load, still, 0.01)
+    assert off == pytest.approx(GRAVITY / CUP.pull_off, rel=0.01)
+    assert slip < 0.01
+    turned = still.copy()
+    turned[:, -1] += 2.0 * (0.01 * np.arange(20)) ** 2  # 4 rad/s^2
+    off, slip = peak_load(CUP, get_chain(PANDA), load, turned, 0.01)
+    assert slip == pytest.approx(0.02 * 4 / CUP.torsion / (1 - off), rel=0.05)

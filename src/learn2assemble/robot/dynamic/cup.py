@@ -12,13 +12,16 @@ slipped over an edge, it comes off.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from learn2assemble.physics.scene import rotation_matrix
 from learn2assemble.robot.dynamic.model import SHRINK, TIMESTEP, World
+from learn2assemble.robot.kinematics import Chain, forward_many
 from learn2assemble.robot.tool import Suction
+from learn2assemble.world.blocks import GRAVITY
 
 RIM = 16
 """Points at which the lip is looked at."""
@@ -168,3 +171,61 @@ class Cup:
         mujoco.mju_axisAngle2Quat(error, axis, share * float(axis @ angle))
         mujoco.mju_mulQuat(now, error, values[6:10].copy())
         values[6:10] = now
+
+
+class Load(NamedTuple):
+    """What hangs from the tool, in its frame."""
+
+    mass: float
+    """[kg]"""
+    centre: np.ndarray
+    """float64[3]: of mass [m]."""
+    inertia: np.ndarray
+    """float64[3, 3]: about it [kg m2]."""
+
+
+def hanging(world: World, data: mujoco.MjData, number: int) -> Load:
+    """An object as it is in the hand now."""
+    m, body = world.model, world.first + number
+    tool = data.site_xmat[world.tool].reshape(3, 3)
+    own = tool.T @ data.ximat[body].reshape(3, 3)
+    centre = tool.T @ (data.xipos[body] - data.site_xpos[world.tool])
+    return Load(float(m.body_mass[body]), centre, own * m.body_inertia[body] @ own.T)
+
+
+def peak_load(
+    suction: Suction, chain: Chain, load: Load, joints: np.ndarray, period: float
+) -> tuple[float, float]:
+    """Largest shares of pull-off force and friction on a motion that is followed exactly.
+
+    Args:
+        suction: the tool.
+        chain: of the arm.
+        load: what hangs from it.
+        joints: float64[k, n] at equal steps of time [rad].
+        period: between them [s].
+    """
+    if len(joints) < 3:
+        joints = np.repeat(joints[:1], 3, axis=0)
+    where, turn = forward_many(chain, np.ascontiguousarray(joints))
+    middle = where + turn @ load.centre
+    up = np.array([0.0, 0.0, GRAVITY])
+    force = load.mass * (np.diff(middle, 2, axis=0) / period**2 + up)
+    spin = turn[1:] @ turn[:-1].transpose(0, 2, 1)  # by small angles
+    rate = np.stack([spin[:, 2, 1] - spin[:, 1, 2], spin[:, 0, 2] - spin[:, 2, 0],
+                     spin[:, 1, 0] - spin[:, 0, 1]], -1) / (2 * period)  # fmt: skip
+    inertia = turn[1:-1] @ load.inertia @ turn[1:-1].transpose(0, 2, 1)
+    mean = (rate[1:] + rate[:-1]) / 2
+    swing = np.einsum("kij,kj->ki", inertia, np.diff(rate, axis=0) / period)
+    swing += np.cross(mean, np.einsum("kij,kj->ki", inertia, mean))
+    moment = swing + np.cross(middle[1:-1] - where[1:-1], force)
+    # The cup is loaded with what it does to the block, the other way.
+    shares = [
+        suction.load(-f, -m)
+        for f, m in zip(
+            np.einsum("kji,kj->ki", turn[1:-1], force),
+            np.einsum("kji,kj->ki", turn[1:-1], moment),
+            strict=True,
+        )
+    ]
+    return max(off for off, _ in shares), max(slip for _, slip in shares)

@@ -14,19 +14,23 @@ import numpy as np
 
 from learn2assemble.physics.scene import rotation_matrix
 from learn2assemble.robot.approach import ApproachPath, approach_path
-from learn2assemble.robot.dynamic.cup import Cup
+from learn2assemble.robot.dynamic.cup import Cup, hanging, peak_load
 from learn2assemble.robot.dynamic.model import TIMESTEP, Order
 from learn2assemble.robot.dynamic.prepare import PRESS, Course, Failure, free_way, rest_pose
 from learn2assemble.robot.dynamic.simulation import PUSH, TOUCH, Event, Rules, Simulation, Watch
 from learn2assemble.robot.dynamic.trajectory import (
+    JointPath,
     Limits,
+    PathLimits,
     Segment,
     approach_speed_limits,
     joint_path,
     limits_along,
+    motion,
     reachable_speed,
 )
 from learn2assemble.robot.dynamic.transit import WorldChecker
+from learn2assemble.robot.kinematics import get_chain
 from learn2assemble.robot.moves import Outcome, carried
 
 LOOSE = 0.005
@@ -39,6 +43,14 @@ SOFT = 0.01
 """... and what it holds is lowered the last bit [m] ..."""
 SOFT_SPEED = 0.02
 """... at this speed of the tool [m/s]."""
+GENTLE, MOST_SLOWER = 0.7, 6
+"""What hangs from a cup is moved so that it loads it with no more than this share of what it holds;
+how often it is slowed down for that, if need be."""
+RAMP_TIME = 0.04
+"""In which what hangs from a cup is brought to its full acceleration [s]; faster, the arm swings
+with it and doubles its load."""
+PERIOD = 0.01
+"""Between the instants at which that load is computed [s]."""
 SLOT_SPEED = 0.1
 """So slowly it goes into a slot between others, and out of it [m/s]: faster, it strays by more than
 the joints leave."""
@@ -172,10 +184,9 @@ class Execution:
         self.holding = True
         mass = sim.mass(self.order.target)
         _check(sim.load(mass, _steps(LOAD_TIME), "pick", NEAR), touch, "pick")
-        path = joint_path(joints, self.loaded)
+        path, bounds = self.gently(joints)
         off = float(np.interp(LOOSE, rise, path.knots))
         watches, segments = (NEAR, LOADED._replace(start=off)), ()
-        bounds = limits_along(path, self.loaded)
         if self.order.scene.half is not None:
             # Beside others it slides out of a slot.
             out = float(np.interp(self.slot(), rise, path.knots))
@@ -223,12 +234,35 @@ class Execution:
         """What the weaker finger presses with [N]."""
         return self.sim.contacts.grip(self.sim.arm.gripper.pads)
 
+    def gently(self, joints: np.ndarray) -> tuple[JointPath, PathLimits]:
+        """A path of the loaded hand through joint positions float64[k, n] [rad], and how fast: as
+        fast as the limits allow, with a cup slower where what hangs from it would load it by more
+        than :data:`GENTLE`."""
+        sim, limits = self.sim, self.loaded
+        if sim.cup is None or sim.cup.held is None:
+            path = joint_path(joints, limits)
+            return path, limits_along(path, limits)
+        limits = limits._replace(jerk=np.minimum(limits.jerk, limits.acceleration / RAMP_TIME))
+        path = joint_path(joints, limits)
+        bounds = limits_along(path, limits)
+        load = hanging(sim.world, sim.data, sim.cup.held)
+        chain = get_chain(sim.arm)
+        for _ in range(MOST_SLOWER):
+            run = motion(path, bounds, PERIOD)
+            peak = max(peak_load(sim.cup.suction, chain, load, run.position, PERIOD))
+            if peak <= GENTLE:
+                break
+            limits = limits.scaled(max(0.9 * math.sqrt(GENTLE / peak), 0.5))
+            path = joint_path(joints, limits)
+            bounds = limits_along(path, limits)
+        return path, bounds
+
     def carry(self, way: np.ndarray, watch: Watch = LOADED) -> None:
         """Across, along straight lines of the joints."""
         self.inside = None
         for start, end in pairwise(way):
-            path = joint_path(np.array([start, end]), self.loaded)
-            event = self.sim.follow(path, limits_along(path, self.loaded), "cross", (watch,))
+            path, bounds = self.gently(np.array([start, end]))
+            event = self.sim.follow(path, bounds, "cross", (watch,))
             _check(event, Outcome.PLACE_COLLISION, "cross")
             self.segments_done += 1
 
@@ -262,8 +296,7 @@ class Execution:
         """
         sim, self.inside = self.sim, approach
         now = _nearest(approach, sim.joints)
-        path = joint_path(np.vstack([sim.joints, approach.joints[:now][::-1]]), self.loaded)
-        bounds = limits_along(path, self.loaded)
+        path, bounds = self.gently(np.vstack([sim.joints, approach.joints[:now][::-1]]))
         rise = approach.rise[: now + 1][::-1]
         zones = [(CAREFUL, CAREFUL_SPEED), (SOFT, SOFT_SPEED)]
         if self.order.scene.half is not None:
