@@ -48,6 +48,7 @@ from learn2assemble.robot.program import (
     fit,
     limits_of,
     make_program,
+    play,
     slow_down,
     usage,
 )
@@ -539,6 +540,51 @@ def test_urscript_follows_the_path_that_was_checked(
             ways = [np.linalg.norm(tool[k] - tool[k - 1]), np.linalg.norm(tool[k + 1] - tool[k])]
             assert blend + moves[k + 1][1].get("r", 0.0) <= max(ways[1], 1e-9)
             assert blend <= min(ways)
+
+
+def as_controller(script: str, program: Program, arm: Arm) -> Program:
+    """What a controller makes of a script, as a program to be played: every line from rest to rest
+    on a quintic as fast as the line allows, blends left out, and time for the tool."""
+    assert arm.suction is not None
+    begin = script.index("  set_tcp")
+    time, rows, states, ends = [0.0], [], [program.states[0]], []
+    for line in script[begin:].splitlines():
+        text = line.strip()
+        if text.startswith("movej"):
+            q = np.array([float(x) for x in text[7 : text.index("]")].split(",")])
+            if not rows:
+                rows.append(q)
+                continue
+            a, v = (float(re.search(rf"{key}=([\d.]+)", text)[1]) for key in "av")  # type: ignore[index]
+            way = np.abs(q - rows[-1]).max()
+            time.append(time[-1] + max(1.875 * way / v, math.sqrt(5.774 * way / a), 1e-3))
+            rows.append(q)
+        elif text.startswith("# step") and time[-1]:
+            ends.append(time[-1])
+        elif text.startswith(("l2a_close", "l2a_open", "set_payload")):
+            change: dict[str, Any] = {"vacuum": text.startswith("l2a_close")}
+            if text.startswith("set_payload"):
+                change = {"load": float(text[12:].split(",")[0])}
+            states.append(states[-1]._replace(time=time[-1], **change))
+            time.append(time[-1] + 0.5)
+            rows.append(rows[-1])
+    still = np.zeros((len(rows), len(rows[0])))
+    steps = [
+        step._replace(end=end) for step, end in zip(program.steps, [*ends, time[-1]], strict=True)
+    ]
+    supply = tuple(one._replace(time=time[-1]) for one in program.blocks.supply)
+    return dataclasses.replace(
+        program, knots=Knots(np.array(time), np.array(rows), still, still), states=tuple(states),
+        steps=tuple(steps), blocks=program.blocks._replace(supply=supply),
+    )  # fmt: skip
+
+
+def test_urscript_builds_the_same(suction_build: BuildRecord, tmp_path: Path) -> None:
+    arm = get_arm("ur5e", "suction")
+    script = export_program(suction_build, "urscript", tmp_path).file.read_text()
+    found = play(as_controller(script, make_program(suction_build, arm), arm), arm)
+    assert found.same, found.fault
+    assert found.error.max() <= 1e-3
 
 
 # ---------------------------------------------------------------- ROS 2

@@ -71,6 +71,7 @@ def l2a_build():
     end
     if (not l2a_held()):
       textmsg("learn2assemble: nothing is held, step ", step)
+      textmsg("learn2assemble: block ", block)
       popup("Nothing is held: the program stops.", title="l2a", error=True, blocking=True)
       halt
     end
@@ -100,21 +101,15 @@ def write_urscript(program: Program, arm: Arm, path: Path) -> None:
         about=about, tcp=_list([*driver.tcp[:3], *_rotation_vector(driver)]),
         close_time="0.5", open_time="0.5", patience="1.0",
     )  # fmt: skip
-    lines, checks = [], [(t, step) for step in program.steps for t in step.checks]
-    calls = [*_tool_lines(program, float(driver.tcp[2]))]
-    first = program.knots.position[0]
-    lines.append(f"movej([{_list(first)}], a=0.5, v=0.5)")
+    told = sorted(_told(program, float(driver.tcp[2])), key=lambda one: one.time)
+    checks = [time for step in program.steps for time in step.checks]
+    lines = [f"movej([{_list(program.knots.position[0])}], a=0.5, v=0.5)"]
     for begin, end in _motions(program):
-        now = float(program.knots.time[begin])
-        while calls and calls[0][0] <= now + 1e-6:
-            lines += calls.pop(0)[1]
-        for part in _lines(program, arm, begin, end, [t for t, _ in checks]):
-            while checks and checks[0][0] <= part.time + 1e-6:
-                step = checks.pop(0)[1]
-                lines.append(f"l2a_check({step.number}, {step.cells[0]})")
+        for part in _lines(program, arm, begin, end, checks):
+            while told and told[0].time <= part.time + 1e-6:
+                lines.append(told.pop(0).text)
             lines.append(part.text)
-    for _, more in calls:
-        lines += more
+    lines += [one.text for one in told]
     text += "".join(f"  {line}\n" for line in lines) + "end\n"
     write_file(path, text, "program")
 
@@ -179,21 +174,26 @@ def _simplified(q: np.ndarray, first: int, last: int) -> list[int]:
     return _simplified(q, first, middle) + _simplified(q, middle, last)
 
 
-def _tool_lines(program: Program, length: float) -> Iterator[tuple[float, list[str]]]:
-    """When the tool's state changes [s], and the lines that do it; the load hangs ``length`` [m]
-    from the flange."""
+def _told(program: Program, length: float) -> Iterator[_Line]:
+    """What is done besides moving: the steps by their numbers, the tool, and checks; the load hangs
+    ``length`` [m] from the flange."""
+    begin = 0.0
+    for step in program.steps:
+        yield _Line(begin, f"# step {step.number}, block {step.cells[0]}")
+        for time in step.checks:
+            yield _Line(time, f"l2a_check({step.number}, {step.cells[0]})")
+        begin = step.end
     before = program.states[0]
-    yield 0.0, [f"l2a_open({before.width:.4f}, {before.speed:.3f})", "set_payload(0.0, [0, 0, 0])"]
+    yield _Line(0.0, f"l2a_open({before.width:.4f}, {before.speed:.3f})")
+    yield _Line(0.0, "set_payload(0.0, [0, 0, 0])")
     for state in program.states[1:]:
         if state.load != before.load:
-            yield state.time, [f"set_payload({state.load:.3f}, [0, 0, {length:.4f}])"]
+            yield _Line(state.time, f"set_payload({state.load:.3f}, [0, 0, {length:.4f}])")
         closed = bool(state.force) or state.vacuum
         if closed != (bool(before.force) or before.vacuum):
-            call = f"close({state.width:.4f}, {state.speed:.3f}, {state.force:.1f})"
-            yield (
-                state.time,
-                [f"l2a_{call}" if closed else f"l2a_open({state.width:.4f}, {state.speed:.3f})"],
-            )
+            numbers = f"{state.width:.4f}, {state.speed:.3f}"
+            call = f"close({numbers}, {state.force:.1f})" if closed else f"open({numbers})"
+            yield _Line(state.time, f"l2a_{call}")
         before = state
 
 
