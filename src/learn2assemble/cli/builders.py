@@ -30,6 +30,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     measure.add_argument("--beside", default=None, help="a second builder, trained otherwise")
     measure.add_argument("--designs", type=count, default=200, help="of every small set")
     measure.add_argument("--large", type=count, default=20, help="designs of 200 to 400 blocks")
+    measure.add_argument("--compared", type=count, default=50, help="of a set, for other players")
     measure.add_argument("--exact", type=count, default=40, help="of a set, for both planners")
     measure.add_argument("--examples", type=Path, default=None, help="folder of the examples")
 
@@ -68,7 +69,7 @@ def _measure(options: argparse.Namespace, output: Output) -> None:
     other = None if options.beside is None else load_builder(options.beside)
     if options.examples is not None and not options.examples.is_dir():
         raise InputError("--examples", str(options.examples), "a folder")
-    config = Measure(options.designs, options.large, options.exact, options.seed)
+    config = Measure(options.designs, options.large, options.compared, options.exact, options.seed)
     head = {
         "agent": builder.name, "other": options.beside, "measure": vars(config),
         "machine": provenance("cpu"),

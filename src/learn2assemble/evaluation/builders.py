@@ -53,12 +53,14 @@ class Measure:
     Args:
         designs: of every set of small designs.
         large: of the set of large ones.
+        compared: of every set, built by the other players, too.
         exact: of every set, planned by the exact planner, too, and proven again.
         seed: of the designs.
     """
 
     designs: int = 200
     large: int = 20
+    compared: int = 50
     exact: int = 40
     seed: int = 0
 
@@ -98,7 +100,10 @@ def measure(
             "families": dict(Counter(d.family for d in designs)),
             "blocks": [int(v) for v in np.quantile([len(d.order) for d in designs], (0, 0.5, 1))],
             **{
-                player: _play(designs, scorers[scorer], budget, f"{name}: {player}", progress)
+                player: _play(
+                    designs if scorer == "agent" else designs[: config.compared],
+                    scorers[scorer], budget, f"{name}: {player}", progress,
+                )
                 for player, (scorer, budget) in PLAYERS.items() if scorer in scorers
             },
             "planners": _time_planners(designs[:exact], builder, record, progress, name),
@@ -128,6 +133,7 @@ def _play(
         decisions += outcome.decisions
         repairs += outcome.repairs
     return {
+        "designs": len(designs),
         "complete": round(float(np.mean(complete)), 4),
         "failed_by_family": dict(failed),
         "blocks_per_block_of_exact": round(float(np.mean(ratio)), 3) if ratio else None,

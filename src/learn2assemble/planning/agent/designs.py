@@ -16,8 +16,7 @@ import numpy as np
 from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.planning.agent.world import Site, World, make_site
-from learn2assemble.planning.exact import stand, unsupported
-from learn2assemble.planning.programs import Clock
+from learn2assemble.planning.exact import unsupported
 from learn2assemble.planning.tiling import MAX_EXTENT, tile
 from learn2assemble.tasks import DesignTask
 
@@ -285,8 +284,6 @@ FAMILIES: dict[str, Family] = {
 }  # fmt: skip
 _DRAWINGS = 12
 """Drawings of one family and size before another is drawn."""
-_AGAIN = 100
-"""Blocks up to which other blocks are looked for where those of the first choice fall."""
 HELD_OUT = ("letters", "round-arches", "towers", "rings", "figures")
 """Families no agent is trained on."""
 TRAINED = tuple(name for name in FAMILIES if name not in HELD_OUT)
@@ -347,23 +344,17 @@ def _hanging_together(cells: Cells) -> Cells:
     return kept
 
 
-def solve(
-    wanted: Cells, kit: Kit, again: bool = True, seconds: float = 60.0
-) -> tuple[Site, list[int]] | None:
+def solve(wanted: Cells, kit: Kit, seconds: float = 60.0) -> tuple[Site, list[int]] | None:
     """Exact blocks of a design and an order without props; None where there is none.
 
-    As the exact planner does it, without margins and ranges of joints.
-
-    Args:
-        again: look for other blocks where those of the first choice fall.
+    As the exact planner does it, without margins and ranges of joints, and without other blocks
+    where those of its first choice fall.
     """
     site = make_site(wanted, kit)
     world = World(site)
     if len(world.stranded()):
         return None
     tiling = tile(wanted, kit, seconds=seconds)
-    if tiling.status == "complete" and again:
-        tiling = stand(tiling, kit, Clock(seconds))
     if tiling.status != "complete" or unsupported(tiling, kit):
         return None
     order = put_in_order(world, [site.candidate(p) for p in tiling.placements])
@@ -432,7 +423,7 @@ def make_design(task: DesignTask, rng: np.random.Generator, tries: int = 100) ->
             if not max(low, goal) / 1.6 <= cells <= 12 * goal:
                 size *= 1.1 if cells < goal else 0.9
                 continue
-            solved = solve(wanted, kit, again=goal <= _AGAIN)
+            solved = solve(wanted, kit)
             if solved is None:
                 continue
             site, order = solved
