@@ -66,9 +66,10 @@ def build(
 ) -> Plan:
     """Plan a design and prove every step.
 
-    Without an arm the exact planner chooses the blocks and their order, and every state is proven
-    to be in static equilibrium. With an arm, the agent plans and the simulated arm carries the plan
-    out; after an attempt that fails, the rest is planned anew.
+    The exact planner chooses the blocks and their order, and every state is proven to be in static
+    equilibrium; a simulated arm carries the plan out where one is named. The learned agent plans
+    tasks and, where it is asked to, elevations; after an attempt of the arm that fails, it plans the
+    rest anew.
 
     Args:
         design: a design or its file (``docs/design_files.md``), an assembly of given blocks, or the
@@ -204,7 +205,7 @@ def uses_exact_planner(
         return not (task or elevations) and named and arm is None and layout is None
     if planner != "auto":
         return planner == "exact"
-    return not (task or elevations) and arm is None and agent is None and layout is None
+    return not (task or elevations) and agent is None
 
 
 class _Arm(NamedTuple):
