@@ -68,8 +68,8 @@ def build(
 
     The exact planner chooses the blocks and their order, and every state is proven to be in static
     equilibrium; a simulated arm carries the plan out where one is named. The learned agent plans
-    tasks and, where it is asked to, elevations; after an attempt of the arm that fails, it plans the
-    rest anew.
+    tasks and, where it is asked to, elevations; after an attempt of the arm that fails, it plans
+    the rest anew.
 
     Args:
         design: a design or its file (``docs/design_files.md``), an assembly of given blocks, or the
