@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import shutil
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +17,15 @@ from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.dynamic.cell import DynamicCell, replay
 from learn2assemble.robot.dynamic.cup import Cup, Load, peak_load
 from learn2assemble.robot.dynamic.model import free_cells, take_order
+from learn2assemble.robot.dynamic.prepare import Failure, prepare
 from learn2assemble.robot.dynamic.simulation import Simulation
+from learn2assemble.robot.dynamic.transit import WorldChecker
 from learn2assemble.robot.kinematic.cell import KinematicCell
 from learn2assemble.robot.kinematics import get_chain
 from learn2assemble.robot.moves import IMMOVABLE, STAGES, Attitude, Move, Outcome, Scene, attitudes
 from learn2assemble.robot.recorder import holding
 from learn2assemble.robot.registry import TOOLS
+from learn2assemble.robot.shape import arm_shape
 from learn2assemble.robot.tool import load_suction
 from learn2assemble.world.blocks import GRAVITY
 from suction_moves import random_moves
@@ -436,3 +440,76 @@ def test_the_load_of_a_motion_is_what_a_hand_computes() -> None:
     turned[:, -1] += 2.0 * (0.01 * np.arange(20)) ** 2  # 4 rad/s^2
     off, slip = peak_load(CUP, get_chain(PANDA), load, turned, 0.01)
     assert slip == pytest.approx(0.02 * 4 / CUP.torsion / (1 - off), rel=0.05)
+
+
+@pytest.mark.parametrize(("over", "stands"), [(0.03, True), (0.06, False)])
+def test_a_whole_structure_is_let_go_at_once(over: float, stands: bool) -> None:
+    """Ten courses of bricks far from the arm, one of which overhangs by so much of its 10 cm."""
+    wall = [[0.1001 * c + 0.03 * (r % 2), 0.6, 0.025 + 0.05 * r] for r in range(10) for c in (0, 1)]
+    position = np.array([*wall, [-0.4, 0.6, 0.025], [-0.4 + over, 0.6, 0.075]])
+    world = Scene(position, np.zeros(22), np.arange(22), 22, np.tile(BRICK, (22, 1)))
+    after, turns, rests = DynamicCell(PANDA, friction=0.5).settle(world)
+    off = np.linalg.norm(after.position - position, axis=1)
+    assert off[:20].max() < 1e-3
+    assert (off[21] < 1e-3) == stands
+    assert turns.shape == (22, 4)
+    assert rests or not stands
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5e"])
+def test_planned_ways_among_towers_touch_nothing_between_their_checks(name: str) -> None:
+    """Looked at twenty times as finely as a step between two checks was once."""
+    arm, rng = get_arm(name, "suction"), np.random.default_rng(2)
+    cell, looked = DynamicCell(arm), 0
+    for _ in range(3):
+        places = [(x, y) for x in (-0.15, 0.0, 0.15) for y in (-0.1, 0.05, 0.2)]
+        tall = rng.uniform(0.03, 0.17, 9)
+        position = np.array([[x, y, h] for (x, y), h in zip(places, tall, strict=True)])
+        half = np.column_stack([np.full((9, 2), 0.025), tall])
+        hole = int(rng.integers(9))
+        target = np.array([*position[hole, :2], 0.03])
+        position[hole] = [rng.uniform(-0.1, 0.1), -0.33, 0.03]
+        half[hole, 2] = 0.03
+        order = [k for k in range(9) if k != hole] + [hole]
+        world = Scene(position[order], np.zeros(9), np.arange(9), 8, half[order])
+        hand = attitudes(arm, half[hole])[0]
+        asked = take_order(world, Move(8, target, hand, hand))
+        model = cell.world(asked.objects)
+        try:
+            course = prepare(arm, model, asked, None, True, True)
+        except Failure:
+            continue
+        checker = WorldChecker(arm, model, asked.poses, asked.names)
+        for way, loaded in ((course.there, False), (course.across, True), (course.home, None)):
+            assert way is not None
+            if loaded:
+                checker.carry(asked.target, *asked.in_hand(course.plan.move.grasp), 0.0)
+            elif loaded is None:
+                there = asked.in_world(course.plan.move.grasp, course.plan.move.place)
+                checker.put(asked.target, *there, 0.0)
+            else:
+                checker.empty(0.0)
+            for start, end in pairwise(way):
+                for share in np.linspace(0, 1, 2 + int(np.abs(end - start).max() / 0.0025)):
+                    hit, distance = checker.near(start + share * (end - start), 0.0)
+                    assert hit is None, str(hit)
+                    assert distance >= 0.003 - 1e-6
+                    looked += 1
+    assert looked > 500
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5e"])
+def test_the_tool_is_drawn_where_it_is(name: str) -> None:
+    arm = get_arm(name, "suction")
+    shape = arm_shape(arm)
+    assert not shape.fingers
+    drawn = {part.name: part for part in shape.parts if "tool" in part.name}
+    assert len(drawn) == len(CUP.parts)
+    position, rotation = shape.tool(arm.home)
+    frames, turns = shape.frames(arm.home, 0.0)
+    cup = drawn[f"hand_v_tool{len(CUP.parts) - 1}"]
+    points = frames[cup.frame] + cup.mesh.vertices @ turns[cup.frame].T
+    along = (points - position) @ rotation[:, 2]
+    # The lip of the cup ends just short of the tool point.
+    assert along.max() == pytest.approx(CUP.parts[-1][2] - CUP.length, abs=1e-6)
+    assert np.linalg.norm(points - position, axis=1).max() < 0.03

@@ -33,9 +33,10 @@ from learn2assemble.robot.dynamic.model import (
     rigid_objects,
     take_order,
 )
-from learn2assemble.robot.dynamic.prepare import Failure, prepare, require_held
+from learn2assemble.robot.dynamic.prepare import Failure, prepare, require_held, rest_pose
 from learn2assemble.robot.dynamic.simulation import Simulation
 from learn2assemble.robot.dynamic.trajectory import Limits, Motion, load_ruckig
+from learn2assemble.robot.dynamic.transit import WorldChecker
 from learn2assemble.robot.moves import Attempt, Attitude, Move, Outcome, Scene, Trajectory
 from learn2assemble.world.blocks import FRICTION
 
@@ -160,6 +161,40 @@ class DynamicCell:
         trajectory = sim.recorder.trajectory(objects.owner, objects.offset, objects.still)
         found = _report(order, sim.poses, sim.joints.copy(), failure)
         return found._replace(held=run.holding, trajectory=trajectory)
+
+    def settle(
+        self,
+        scene: Scene,
+        *,
+        joints: np.ndarray | None = None,
+        quaternion: np.ndarray | None = None,
+        seconds: float = 2.0,
+    ) -> tuple[Scene, np.ndarray, bool]:
+        """Let all blocks go at once and wait: whether a whole structure stands by itself, also
+        those parts that single moves hold still.
+
+        Args:
+            scene: as things are.
+            joints: float64[n] where the arm is meanwhile [rad]; by default its rest pose.
+            quaternion: float64[n, 4] orientations of the cells where not all stand upright.
+            seconds: longest time to wait [s].
+
+        Returns:
+            the scene as it is then, float64[n, 4] orientations of its cells, and whether
+            everything has come to rest.
+
+        Raises:
+            InputError: for numbers that are not finite.
+            SimulationDivergedError: where the simulation left the numbers.
+        """
+        objects, poses, names = rigid_objects(scene, quaternion)
+        world = self.world(objects)
+        if joints is None:
+            joints = rest_pose(self.arm, WorldChecker(self.arm, world, poses, names))
+        sim = Simulation(self.arm, world, poses, names, 0, joints, 0.0, 10**9, self.dump)
+        sim.wait(round(seconds / TIMESTEP), "home", BLIND._replace(until=sim.asleep))
+        position, turns, yaw = objects.cells(sim.poses)
+        return scene._replace(position=position, yaw=yaw), turns, sim.asleep()
 
     def world(self, objects: Objects) -> World:
         """The compiled cell for these objects; remembered."""
