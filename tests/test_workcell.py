@@ -41,6 +41,7 @@ from learn2assemble.planning.workcell_site import (
     read_site,
 )
 from learn2assemble.reproduction.shapes import wall
+from learn2assemble.robot.record import find_fault
 
 KIT = dataclasses.replace(load_kit("bricks-lintels"), pitch=(0.04, 0.04, 0.04))
 
@@ -356,3 +357,40 @@ def test_build_with_the_exact_planner_and_an_arm(window: Plan, tmp_path: Path) -
         l2a.build(design, planner="exact", kit=KIT, arm="panda", physics="static")
     with pytest.raises(InputError, match="an arm"):
         l2a.build(design, planner="exact", kit=KIT, tool="suction")
+
+
+# ---------------------------------------------------------------- the dynamic cell
+
+
+def test_a_dynamic_build_is_repaired_resumed_and_recorded(tmp_path: Path) -> None:
+    """Kill it after two attempts, drop one block, and the record of the whole is sound."""
+    plan = planned(np.ones((4, 1, 2), bool), dataclasses.replace(KIT, kinds=(KIT.kind("1x2"),)))
+    dropping = Disturbance(drop=frozenset({3}))
+    log = tmp_path / "build.jsonl"
+    how = Workcell("panda", "suction", disturbance=dropping, log=log)
+    first = carry_out(plan, how)
+    lines = log.read_text().splitlines()
+    log.write_text("\n".join(lines[:3]) + "\n")
+    whole = carry_out(plan, how)
+    for done in (first, whole):
+        stands_where_it_should(done)
+        assert done.arm is not None
+        assert done.arm.attempts > len(plan.steps)
+        assert done.arm.error_worst is not None
+        assert done.arm.error_worst < 1e-3
+        assert done.record is not None
+        assert len(done.record.steps) == done.arm.attempts
+        assert find_fault(done.record) is None
+    assert [s.position for s in whole.steps] == [s.position for s in first.steps]
+    files = whole.save(tmp_path / "out", video=False)
+    assert Plan.load(files["plan"]).record is not None
+
+
+def test_obstacles_stay_where_they_are() -> None:
+    plan = planned(np.ones((4, 1, 1), bool), dataclasses.replace(KIT, kinds=(KIT.kind("1x2"),)))
+    site = Site(obstacles=(Obstacle((0.25, 0.0), (0.1, 0.1, 0.2)),))
+    done = carry_out(plan, Workcell("ur5e", "suction", site=site))
+    stands_where_it_should(done)
+    assert done.record is not None
+    box = done.record.objects[len(plan.steps)][0]
+    assert np.allclose(done.record.steps[-1].after[box, :3], [0.25, 0.0, 0.1], atol=1e-6)

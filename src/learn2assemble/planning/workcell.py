@@ -40,8 +40,6 @@ LEANS = math.radians(2.0)
 """... and so is one that leans or is turned by more [rad]."""
 FLAT = math.radians(4.0)
 """What leans more cannot be picked up [rad]."""
-STEADY = 3e-4
-"""How exactly the arm places a block: standard deviation of x and y [m]."""
 HIDDEN = 0.05
 """Blocks in a magazine lie so far under the table [m]."""
 OBSTACLE_DENSITY = 20_000.0

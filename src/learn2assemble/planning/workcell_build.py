@@ -6,18 +6,13 @@ a file after every attempt, so a build that is interrupted goes on from there.
 
 from __future__ import annotations
 
-import base64
 import dataclasses
-import json
 import math
-import os
-import zlib
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import (
     matrix_quaternion,
     quaternion_matrix,
@@ -32,7 +27,6 @@ from learn2assemble.planning.workcell import (
     RETURNED,
     STANDING,
     STANDS,
-    STEADY,
     STOCK,
     TRIES,
     Disturbance,
@@ -49,24 +43,26 @@ from learn2assemble.planning.workcell import (
     rows_of,
     supply_of,
 )
+from learn2assemble.planning.workcell_log import (
+    append_state,
+    packed_step,
+    read_states,
+    unpacked_step,
+)
+from learn2assemble.planning.workcell_sense import STEADY, STEADY_YAW, fitted, read_back
 from learn2assemble.planning.workcell_site import QUARTER, Pose, footprint
 from learn2assemble.robot.kinematic.cell import KinematicCell
 from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene
-from learn2assemble.robot.record import BuildRecord, Samples, Stage, StepRecord
+from learn2assemble.robot.record import BuildRecord, StepRecord
 from learn2assemble.robot.recorder import BuildRecorder
 
 GONE = 0.02
 """A block farther from its place than this is not in its place any more [m]."""
 BESIDE = 0.012
 """What lies nearer to a place than this is in its way [m]."""
-DRIFT = 5e-5
-"""By which the estimate of a block at rest may be wrong anew after every attempt [m]."""
-SPREAD = 5.0
-"""A reading that is off by more standard deviations means that the block has moved."""
 PUSH, DROP = 0.015, (0.07, 0.04)
 """Of the disturbances: how far a block is pushed, and let go beside and above its place [m]."""
 WAITING = "what it stands on is missing"
-STATE_FORMAT = "learn2assemble-build"
 
 
 class PhysicalCell(Protocol):
@@ -133,6 +129,8 @@ class Building:
         count = len(self.world.pieces)
         self.body = list(range(count))
         """The physical block that each piece is; others where one was lost."""
+        self.like: list[int] = []
+        """Of every block beyond those of the plan, the piece it is like."""
         rng = np.random.default_rng([seed, 10**6])
         share = self.disturbance.mass
         self.masses = 1.0 + rng.uniform(-share, share, count) if share else np.ones(count)
@@ -335,41 +333,6 @@ class Building:
 
     # ------------------------------------------------------------ one attempt
 
-    def fitted(self, k: int) -> np.ndarray:
-        """float64[7]: where a block goes, shifted by the little that its neighbours are off."""
-        piece, goal = self.world.pieces[k], self.world.target(k)
-        low, high = np.full(2, -np.inf), np.full(2, np.inf)
-        rise = []
-        mine = piece.boxes(piece.target, piece.yaw)
-        for n in sorted(self.standing() - {k}):
-            other = self.world.pieces[n]
-            if np.abs(other.target - piece.target).max() > 1.0:
-                continue
-            shift = self.belief[n, :3] - other.target
-            theirs = other.boxes(other.target, other.yaw)
-            for (a, b), (c, d) in ((m, t) for m in mine for t in theirs):
-                shared = np.minimum(b, d) - np.maximum(a, c)
-                if (shared[:2] > 1e-3).all() and abs(d[2] - a[2]) < 1e-3:
-                    rise.append(shift[2])
-                for axis in (0, 1):
-                    if shared[1 - axis] < 1e-3 or shared[2] < 1e-3 or shared[axis] > 1e-3:
-                        continue
-                    if c[axis] >= b[axis] - 1e-3:
-                        free = c[axis] + shift[axis] - b[axis] - self.job.joint / 2
-                        high[axis] = min(high[axis], free)
-                    else:
-                        free = d[axis] + shift[axis] - a[axis] + self.job.joint / 2
-                        low[axis] = max(low[axis], free)
-        for axis in (0, 1):
-            a, b = low[axis], high[axis]
-            if a > b:
-                goal[axis] += (a + b) / 2
-            else:
-                goal[axis] += min(max(0.0, a), b)
-        if rise:
-            goal[2] += float(np.mean(rise))
-        return goal
-
     def act(self, action: Action) -> bool:
         """Try an action; False where the arm did not move because it cannot."""
         k, world = action.block, self.world
@@ -558,6 +521,7 @@ class Building:
         """Another block of the kind takes its place in the plan; this one lies where it lies."""
         world = self.world
         spare = world.add(k)
+        self.like.append(k)
         first = len(self.recorder.poses)
         self.cells.append(tuple(range(first, first + len(world.pieces[k].shape))))
         self.body.append(self.body[k])
@@ -607,28 +571,19 @@ class Building:
 
     def _read(self, action: Action, found: Attempt, rng: np.random.Generator) -> None:
         """Read the poses of all blocks back, and what to believe of them."""
-        world, (place, turn) = self.world, self.noise
         if action.what in ("place", "again") and found.reached:
             self.belief[action.block] = action.goal
-            self.variance[action.block] = STEADY**2, 1e-5
-        for k in range(len(world.pieces)):
-            true = world.pose[k]
-            if world.state[k] not in (STANDING, LOOSE, LOST) or not (place or turn):
+            self.variance[action.block] = STEADY**2, STEADY_YAW**2
+        for k, state in enumerate(self.world.state):
+            true = self.world.pose[k]
+            if state in (STANDING, LOOSE, LOST) and any(self.noise):
+                read_back(self.belief[k], self.variance[k], true, self.noise, rng)
+            else:
                 self.belief[k] = true
-                continue
-            seen = true[:2] + rng.normal(0.0, place, 2)
-            yaw = rng.normal(0.0, turn)
-            self.variance[k] += DRIFT**2, 1e-8
-            spread = math.sqrt(self.variance[k, 0] + place**2)
-            if np.abs(seen - self.belief[k, :2]).max() > SPREAD * spread:
-                self.belief[k, :2], self.variance[k] = seen, (place**2, turn**2)
-            gain = self.variance[k] / (self.variance[k] + np.array([place**2, turn**2]) + 1e-18)
-            self.belief[k, :2] += gain[0] * (seen - self.belief[k, :2])
-            self.variance[k] *= 1 - gain
-            # The error of the yaw shrinks with the readings as that of the place does.
-            small = yaw * math.sqrt(float(gain[1]))
-            spun = quaternion_matrix(yaw_quaternion(small)) @ quaternion_matrix(true[3:])
-            self.belief[k, 2], self.belief[k, 3:] = true[2], matrix_quaternion(spun)
+
+    def fitted(self, k: int) -> np.ndarray:
+        """float64[7]: where a block goes, see :func:`~.workcell_sense.fitted`."""
+        return fitted(self.world, self.belief, self.standing() - {k}, k)
 
     # ------------------------------------------------------------ the record
 
@@ -686,96 +641,43 @@ class Building:
             return
         world = self.world
         state = {
-            "attempt": len(self.done), "done": dataclasses.asdict(self.done[-1]),
-            "pose": world.pose.tolist(), "state": world.state, "used": world.used,
-            "source": world.source, "body": self.body,
-            "cells": [list(c) for c in self.cells], "masses": self.masses.tolist(),
-            "belief": self.belief.tolist(), "variance": self.variance.tolist(),
-            "joints": self.joints.tolist(), "accepted": sorted(self.accepted),
+            "done": dataclasses.asdict(self.done[-1]), "pose": world.pose.tolist(),
+            "state": world.state, "used": world.used, "source": world.source, "body": self.body,
+            "like": self.like, "cells": [list(c) for c in self.cells],
+            "masses": self.masses.tolist(), "belief": self.belief.tolist(),
+            "variance": self.variance.tolist(), "joints": self.joints.tolist(),
+            "accepted": sorted(self.accepted),
             "fails": [[k, what, n] for (k, what), n in self.fails.items()],
         }  # fmt: skip
         if self.physical is not None:
-            state["record"] = _packed_step(self.recorder.steps[-1])
-        with self.log.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(state) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
+            state["record"] = packed_step(self.recorder.steps[-1])
+        append_state(self.log, state)
 
     def _resume(self, log: Path) -> None:
         """Go on from what the file says, or begin it."""
-        lines = log.read_text(encoding="utf-8").split("\n") if log.exists() else []
-        if not lines or not lines[0]:
-            head = json.dumps({"format": STATE_FORMAT, "version": 1, "key": self.key})
-            log.write_text(head + "\n", encoding="utf-8")
+        states = read_states(log, self.key)
+        if not states:
             return
-        try:
-            head = json.loads(lines[0])
-        except ValueError:
-            head = {}
-        if head.get("format") != STATE_FORMAT or head.get("key") != self.key:
-            expected = "the same design, kit, arm, tool, layout and seed as before"
-            raise InputError("--resume", str(log), expected)
-        # The last line may have been cut off; what it said was not done then.
-        states = [json.loads(line) for line in lines[1:-1]]
         for state in states:
             self.done.append(Done(**state["done"]))
             if "record" in state:
-                step = _unpacked_step(state["record"])
-                self.recorder.steps.append(step)
-                self.recorder._count += len(step.samples.time)
-        if not states:
-            return
+                self.recorder.take(unpacked_step(state["record"]))
         last, world = states[-1], self.world
-        for body in last["body"][len(world.pieces) :]:
-            world.add(last["body"][: len(self.job.pieces)].index(body)
-                      if body in last["body"][: len(self.job.pieces)] else body)  # fmt: skip
+        for piece in last["like"]:
+            world.add(piece)
         world.pose = np.array(last["pose"])
         world.state, world.used, world.source = last["state"], last["used"], last["source"]
-        self.body, self.cells = last["body"], [tuple(c) for c in last["cells"]]
+        self.body, self.like = last["body"], last["like"]
+        self.cells = [tuple(c) for c in last["cells"]]
         self.masses, self.belief = np.array(last["masses"]), np.array(last["belief"])
         self.variance, self.joints = np.array(last["variance"]), np.array(last["joints"])
         self.accepted = set(last["accepted"])
         self.fails = {(k, what): n for k, what, n in last["fails"]}
-        halves = {c: h for body, cells in enumerate(self.cells)
-                  for c, (_, h) in zip(cells, world.pieces[body].shape, strict=True)}  # fmt: skip
-        halves |= {c: tuple(np.array(o.size) / 2)
-                   for c, o in zip(self.fixed, self.job.obstacles, strict=True)}  # fmt: skip
-        self.recorder.half = np.array([halves[c] for c in sorted(halves)])
-        self.recorder.objects = (*self.cells, *((c,) for c in self.fixed))
-        good = log.with_suffix(".tmp")
-        good.write_text("\n".join(lines[:-1]) + "\n", encoding="utf-8")
-        os.replace(good, log)
+        halves: dict[int, tuple[float, ...]] = {}
+        for cells, piece in zip(self.cells, world.pieces, strict=True):
+            halves |= {cell: half for cell, (_, half) in zip(cells, piece.shape, strict=True)}
+        for cell, obstacle in zip(self.fixed, self.job.obstacles, strict=True):
+            halves[cell] = tuple(np.array(obstacle.size) / 2)
+        self.recorder.half = np.array([halves[cell] for cell in sorted(halves)])
+        self.recorder.objects = (*self.cells, *((cell,) for cell in self.fixed))
         self.recorder.poses = self._all_poses()
-
-
-def _packed(array: np.ndarray) -> list[Any]:
-    data = zlib.compress(np.ascontiguousarray(array, float).tobytes(), 6)
-    return [list(array.shape), base64.b64encode(data).decode("ascii")]
-
-
-def _unpacked(value: list[Any]) -> np.ndarray:
-    data = zlib.decompress(base64.b64decode(value[1]))
-    return np.frombuffer(data, float).reshape(value[0]).copy()
-
-
-def _packed_step(step: StepRecord) -> dict[str, Any]:
-    """A step of a record as plain data."""
-    fields = {f.name: getattr(step, f.name) for f in dataclasses.fields(step)}
-    fields["outcome"] = int(step.outcome)
-    fields["stages"] = [list(stage) for stage in step.stages]
-    samples = {f.name: _packed(getattr(step.samples, f.name))
-               for f in dataclasses.fields(step.samples)}  # fmt: skip
-    for name in ("target", "before", "after"):
-        fields[name] = _packed(fields[name])
-    return {**fields, "samples": samples}
-
-
-def _unpacked_step(value: dict[str, Any]) -> StepRecord:
-    samples = Samples(**{name: _unpacked(array) for name, array in value.pop("samples").items()})
-    arrays: dict[str, Any] = {
-        name: _unpacked(value.pop(name)) for name in ("target", "before", "after")
-    }
-    stages = tuple(Stage(*stage) for stage in value.pop("stages"))
-    outcome, cells = Outcome(value.pop("outcome")), tuple(value.pop("cells"))
-    return StepRecord(**value, **arrays, samples=samples, stages=stages, outcome=outcome,
-                      cells=cells)  # fmt: skip

@@ -148,6 +148,11 @@ class BuildRecorder:
         )  # fmt: skip
         return order
 
+    def take(self, step: StepRecord) -> None:
+        """Append a step that was recorded before, with its times as they are."""
+        self.steps.append(step)
+        self._count += len(step.samples.time)
+
     def replanned(self) -> None:
         """The rest of the build has been planned anew after the last step."""
         self.steps[-1] = replace(self.steps[-1], replanned=True)
