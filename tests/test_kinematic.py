@@ -378,6 +378,21 @@ def test_a_load_beside_the_cup_is_refused() -> None:
     assert f"its weight is {100 * share:.0f} %" in found.detail
 
 
+def test_an_object_may_have_many_boxes() -> None:
+    """A grate of 25 bars, carried by one of them."""
+    arm = KinematicCell(get_arm("ur5e", "suction"))
+    grid = np.array([(x, y) for x in range(5) for y in range(5)]) - 2.0
+    position = np.column_stack([0.05 * grid[:, 0], 0.05 * grid[:, 1] - 0.3, np.full(25, 0.02)])
+    half = np.tile([0.025, 0.025, 0.02], (25, 1))
+    position, half = np.vstack([[[0.0, 0.2, 0.05]], position]), np.vstack([[[0.05] * 3], half])
+    world = Scene(position, np.zeros(26), np.array([0, *[1] * 25]), 1, half, np.full(26, 300.0))
+    grasp = attitudes(arm.arm, half[13])[0]
+    assert arm.attempt(world, Move(13, np.array([0.1, 0.05, 0.12]), grasp, grasp)).reached
+    found = arm.attempt(world, Move(13, np.array([0.0, 0.05, 0.08]), grasp, grasp))
+    assert found.outcome == Outcome.PLACE_COLLISION
+    assert "carried" in found.detail
+
+
 @settings(deadline=None, max_examples=30)
 @given(st.integers(0, 10**9))
 def test_boxes_collide_where_their_distances_say_so(seed: int) -> None:

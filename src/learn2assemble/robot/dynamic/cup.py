@@ -68,7 +68,8 @@ class Cup:
             self._on, self._off = 0, self._off + 1
             if self._off * TIMESTEP >= self.suction.release_time:
                 self.lost = ""
-                self._let_go()
+                if self.held is not None:
+                    self._let_go()
         else:
             self._on, self._off = self._on + 1, 0
             ready = self._on * TIMESTEP >= self.suction.grip_time

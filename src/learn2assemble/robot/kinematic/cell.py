@@ -14,7 +14,7 @@ import numpy as np
 from learn2assemble.geometry.rotations import yaw_matrix
 from learn2assemble.robot.approach import RISE, ApproachCache
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.kinematic.collision import BoxChecker, Collision
+from learn2assemble.robot.kinematic.collision import MAX_SIZED, BoxChecker, Collision
 from learn2assemble.robot.moves import (
     ROOM,
     Attempt,
@@ -69,10 +69,12 @@ class KinematicCell:
         """A checker with room for the boxes of a scene."""
         if scene.half is None:
             return self._cubes
-        count = len(scene.position)
-        if self._boxes is None or self._boxes.num_cells < count:
-            self._boxes = BoxChecker(self.arm, 32 * math.ceil(1.25 * count / 32), sized=True)
-        return self._boxes
+        count, known = len(scene.position), self._boxes
+        largest = int(np.unique(scene.object_id, return_counts=True)[1].max())
+        if known is None or known.num_cells < count or known.most < largest:
+            room = 32 * math.ceil(1.25 * count / 32)
+            known = self._boxes = BoxChecker(self.arm, room, True, max(MAX_SIZED, largest))
+        return known
 
     def pick(self, scene: Scene, move: Move) -> Attempt:
         """The first half of a move: what lies at its target does not matter, its height does."""

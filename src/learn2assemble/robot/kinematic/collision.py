@@ -22,7 +22,7 @@ TABLE = (0.75, 0.5, 0.01)
 MAX_CARRIED = 4
 """Cells of the largest object ..."""
 MAX_SIZED = 16
-"""... and boxes of the largest one where scenes say how large they are."""
+"""... and boxes, at first, of the largest one where scenes say how large they are."""
 _CELL, _FILLER = (HALF, HALF, HALF), (GAP / 2, HALF, HALF)
 _ARM, _CARRIED, _THING = 1, 2, 4
 _FAR = (0.0, 0.0, -50.0)
@@ -77,15 +77,18 @@ class BoxChecker(CollisionChecker):
         arm: the robot.
         num_cells: cells a scene has at most.
         sized: scenes say how large their boxes are, and have no fillers.
+        most: boxes of the largest object of such a scene.
 
     One instance serves one thread.
     """
 
-    def __init__(self, arm: Arm, num_cells: int, sized: bool = False) -> None:
-        super().__init__(arm, _compile(arm, num_cells, sized))
-        self.num_cells, self.sized, m = num_cells, sized, self.model
+    def __init__(
+        self, arm: Arm, num_cells: int, sized: bool = False, most: int = MAX_SIZED
+    ) -> None:
+        most = most if sized else MAX_CARRIED
+        super().__init__(arm, _compile(arm, num_cells, sized, most))
+        self.num_cells, self.sized, self.most, m = num_cells, sized, most, self.model
         self._hand = {arm.gripper.hand, *arm.gripper.fingers, "carried"}
-        most = MAX_SIZED if sized else MAX_CARRIED
         self._carried = np.array([m.body(f"carried {k}").id for k in range(most)])
         if sized:
             first = m.body("block 0").id
@@ -185,7 +188,7 @@ class BoxChecker(CollisionChecker):
 _THINGS = ("table", "block", "filler")
 
 
-def _compile(arm: Arm, num_cells: int, sized: bool) -> mujoco.MjModel:
+def _compile(arm: Arm, num_cells: int, sized: bool, most: int) -> mujoco.MjModel:
     spec = arm_spec(arm)
     mounted = [body.name for body in spec.worldbody.bodies]
     for geom in spec.geoms:
@@ -203,8 +206,8 @@ def _compile(arm: Arm, num_cells: int, sized: bool) -> mujoco.MjModel:
     names += [(f"filler {k}", _FILLER) for k in range(0 if sized else num_cells)]
     for name, half in names:
         _box(world.add_body(name=name, mocap=True, pos=_FAR), list(half), _THING, 0)
-    carried = [(f"carried {k}", _CELL) for k in range(MAX_SIZED if sized else MAX_CARRIED)]
-    carried += [(f"carried f{k}", _FILLER) for k in range(0 if sized else MAX_CARRIED)]
+    carried = [(f"carried {k}", _CELL) for k in range(most)]
+    carried += [(f"carried f{k}", _FILLER) for k in range(0 if sized else most)]
     for name, half in carried:
         body = hand.add_body(name=name, pos=_FAR)
         _box(body, [side - SHRINK for side in half], _CARRIED, _THING)
