@@ -52,7 +52,7 @@ from learn2assemble.robot.program import (
     slow_down,
     usage,
 )
-from learn2assemble.robot.record import BuildRecord
+from learn2assemble.robot.record import BuildRecord, find_fault
 from learn2assemble.robot.record_files import write_record
 from learn2assemble.robot.recorder import BuildRecorder, upright
 from robot_scenes import cell, scene
@@ -845,6 +845,15 @@ def suction_build() -> BuildRecord:
         record, steps=tuple(steps), objects=(*record.objects, (3,)),
         half=np.vstack([record.half, BRICK]),
     )  # fmt: skip
+
+
+def test_a_block_alone_is_lifted_to_the_end_of_its_way_without_jumps() -> None:
+    """The way up is hardly longer than the slot the block slides out of slowly."""
+    state = Scene(np.array([[-0.12, 0.0, 0.025]]), np.zeros(1), np.arange(1), 0,
+                  np.full((1, 3), 0.025))  # fmt: skip
+    arm = get_arm("panda", "suction")
+    record = built(arm, state, [np.array([0.0, 0.1, 0.025])], Attitude(depth=0.025))
+    assert find_fault(record) is None
 
 
 @pytest.mark.parametrize("format", ["csv", "franka", "ros2"])

@@ -192,7 +192,10 @@ class Execution:
             out = float(np.interp(self.slot(), rise, path.knots))
             watches = (NEAR, BESIDE._replace(start=off), LOADED._replace(start=out))
             slowly = min(SLOT_SPEED * out / self.slot(), bounds.speed)
-            speed = min(slowly, reachable_speed(0.0, out, bounds))
+            # It comes to rest at the end of the way, however near the end of the slot is to that.
+            speed = min(
+                slowly, *(reachable_speed(0.0, s, bounds) for s in (out, path.length - out))
+            )
             segments = (Segment(out, speed, slowly), Segment(path.length, 0.0, bounds.speed))
         _check(sim.follow(path, bounds, "lift", watches, segments), touch, "lift")
 
