@@ -85,7 +85,7 @@ def main(moves: int, seed: int) -> None:
         if real.reached and real.after is not None:
             errors.append(real.error)
             off = np.linalg.norm(real.after.position - put_down(scene, move).position, axis=1)
-            shifts.append(np.delete(off, scene.num_placed).max())
+            shifts.append(np.delete(off, scene.num_placed).max(initial=0.0))
     for (meant, real), count in sorted(counts.items()):
         print(f"{count:5d}  kinematic {meant}, dynamic {real}")
     print(f"{same} of {moves} agree on what is reached ({same / moves:.1%})")

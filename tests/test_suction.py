@@ -13,7 +13,7 @@ import pytest
 
 import learn2assemble as l2a
 from learn2assemble.errors import InputError
-from learn2assemble.robot.arm import get_arm
+from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.dynamic.cell import DynamicCell, replay
 from learn2assemble.robot.dynamic.cup import Cup, Load, peak_load
 from learn2assemble.robot.dynamic.model import free_cells, take_order
@@ -22,7 +22,16 @@ from learn2assemble.robot.dynamic.simulation import Simulation
 from learn2assemble.robot.dynamic.transit import WorldChecker
 from learn2assemble.robot.kinematic.cell import KinematicCell
 from learn2assemble.robot.kinematics import get_chain
-from learn2assemble.robot.moves import IMMOVABLE, STAGES, Attitude, Move, Outcome, Scene, attitudes
+from learn2assemble.robot.moves import (
+    IMMOVABLE,
+    STAGES,
+    Attitude,
+    Move,
+    Outcome,
+    Scene,
+    Trajectory,
+    attitudes,
+)
 from learn2assemble.robot.recorder import holding
 from learn2assemble.robot.registry import TOOLS
 from learn2assemble.robot.shape import arm_shape
@@ -337,13 +346,41 @@ def test_a_recording_of_the_cup_gives_the_same_again() -> None:
     np.testing.assert_allclose(after.position, found.after.position, atol=1e-3)
 
 
+def assert_follows(arm: Arm, run: Trajectory) -> None:
+    """Positions follow from velocities, within the limits of acceleration and jerk."""
+    period = np.diff(run.time)[:, None]
+    mean = (run.velocity[1:] + run.velocity[:-1]) / 2
+    off = np.abs(np.diff(run.joints, axis=0) / period - mean)
+    assert (off <= arm.jerk * period**2 / 8 + 1e-6).all()
+    change = np.abs(np.diff(run.velocity, axis=0)) / period
+    assert (change <= arm.acceleration * (1 + 1e-4)).all()
+
+
+@pytest.mark.parametrize("height", [0.04, 0.05, 0.056, 0.08])
+@pytest.mark.parametrize("arm", [PANDA, UR5E], ids=lambda arm: arm.name)
+def test_the_way_up_ends_at_rest_however_little_of_it_is_above_others(
+    arm: Arm, height: float
+) -> None:
+    """Nothing else stands there, so the hand rises by 6 cm alone."""
+    half = np.array([[0.06, 0.03, height / 2]])
+    world = Scene(np.array([[0.05, -0.3, height / 2]]), np.zeros(1), np.arange(1), 0, half)
+    grasp = attitudes(arm, half[0])[0]
+    target = np.array([0.0, 0.1, height / 2])
+    found = DynamicCell(arm, sample_steps=1).attempt(world, Move(0, target, grasp, grasp))
+    assert found.reached, found.detail
+    assert found.trajectory is not None
+    assert_follows(arm, found.trajectory)
+
+
 def test_kinematic_and_dynamic_agree_on_moves_of_varied_boxes() -> None:
-    cells = [(KinematicCell(arm), DynamicCell(arm)) for arm in (PANDA, UR5E)]
+    cells = [(KinematicCell(arm), DynamicCell(arm, sample_steps=1)) for arm in (PANDA, UR5E)]
     outcomes = set()
     for k, (kind, world, move) in zip(range(12), random_moves(3), strict=False):
         meant, real = (cell.attempt(world, move) for cell in cells[k % 2])
         assert meant.reached == real.reached, (kind, meant.detail, real.detail)
         outcomes.add(meant.outcome)
+        if real.trajectory is not None:
+            assert_follows(cells[k % 2][1].arm, real.trajectory)
     assert {Outcome.REACHED, Outcome.PLACE_COLLISION} <= outcomes
 
 
