@@ -58,6 +58,8 @@ from learn2assemble.robot.recorder import BuildRecorder
 
 GONE = 0.02
 """A block farther from its place than this is not in its place any more [m]."""
+NEAT = 8e-4
+"""A neighbour that is off by more is put right where it leaves the next block no room [m]."""
 BESIDE = 0.012
 """What lies nearer to a place than this is in its way [m]."""
 PUSH, DROP = 0.015, (0.07, 0.04)
@@ -209,6 +211,9 @@ class Building:
                 if isinstance(action, Action):
                     return action
                 self.refused[step.block] = why = action
+            crooked = self._crooked(step.block)
+            if crooked is not None:
+                return crooked
             blocked[step.block] = why
         if not blocked and all(self.satisfied(step) for step in self.order):
             return None
@@ -258,6 +263,19 @@ class Building:
                 action = self._away(k) if self._left(k, "away") > 2 * TRIES else ""
                 if isinstance(action, Action):
                     return action
+        return None
+
+    def _crooked(self, k: int) -> Action | None:
+        """Put a neighbour right that leaves a block no room."""
+        standing, place = self.standing(), footprint_of(self.world, k).buffer(BESIDE)
+        for n in sorted(standing - self.accepted):
+            off = self.belief[n, :2] - self.world.target(n)[:2]
+            other, piece = self.job.pieces[n], self.job.pieces[k]
+            level = abs(other.target[2] - piece.target[2]) < other.half[2] + piece.half[2] - 1e-3
+            free = not self.structure.loads(n, standing) and self._left(n, "again") > 2 * TRIES
+            beside = footprint_of(self.world, n).intersects(place)
+            if level and free and beside and np.linalg.norm(off) > NEAT:
+                return Action(n, self.fitted(n), "again")
         return None
 
     def _bed(self, k: int) -> set[int]:
@@ -323,11 +341,10 @@ class Building:
             if math.dist((at.x, at.y), world.pose[k, :2]) < BESIDE:
                 return False  # It still waits where it always has.
         area = self._area(k).buffer(BESIDE)
-        for n, piece in enumerate(self.job.pieces):
-            if n != k and world.state[n] in (STOCK, LOOSE):
-                at = Pose(piece.target[0], piece.target[1], piece.yaw)
-                if footprint(piece.shape, at).intersects(area):
-                    return True
+        open_places = [n for n in range(len(self.job.pieces))
+                       if n != k and world.state[n] in (STOCK, LOOSE)]  # fmt: skip
+        if any(footprint_of(world, n).intersects(area) for n in open_places):
+            return True
         return any(source.magazine and footprint(source.shape, source.pose).intersects(area)
                    for source in self.job.sources)  # fmt: skip
 
@@ -681,3 +698,9 @@ class Building:
         self.recorder.half = np.array([halves[cell] for cell in sorted(halves)])
         self.recorder.objects = (*self.cells, *((cell,) for cell in self.fixed))
         self.recorder.poses = self._all_poses()
+
+
+def footprint_of(world: World, k: int) -> Any:
+    """What a piece of the plan covers in the finished structure, as a shapely area."""
+    piece = world.pieces[k]
+    return footprint(piece.shape, Pose(piece.target[0], piece.target[1], piece.yaw))

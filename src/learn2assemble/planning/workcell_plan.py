@@ -115,7 +115,10 @@ def carry_out(
         number, why = next(iter(order.stuck.items()))
         blocks = [job.pieces[k].id for k in order.stuck]
         listed = ", ".join(blocks[:3]) + (f" and {len(blocks) - 3} more" if blocks[3:] else "")
-        reason = f"the arm cannot place {listed}: {job.pieces[number].id}: {why}"
+        gone = any(step.block == number and step.remove for step in job.steps)
+        gone = gone and StepOf(number) in order.steps
+        what = "take away" if gone else "place"
+        reason = f"the arm cannot {what} {listed}: {job.pieces[number].id}: {why}"
         report = _report(job, workcell, None)
         return replace(plan, status="refused", reason=reason, steps=(), coverage=0.0, arm=report,
                        blocks=replace(plan.blocks, used=0),
