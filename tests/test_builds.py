@@ -33,13 +33,13 @@ def test_what_was_measured_is_not_measured_again(
     monkeypatch.setattr(builds, "entry", fake)
     out = tmp_path / "builds.json"
     with pytest.raises(KeyboardInterrupt):
-        builds.measure(out, only="pyramid/panda")
+        builds.measure(out, only="pyramid.json/panda")
     first = set(json.loads(out.read_text())["entries"])
     assert len(first) == 2
     calls[:] = [""] * 3
-    found = builds.measure(out, only="pyramid/panda")
+    found = builds.measure(out, only="pyramid.json/panda")
     assert not first & set(calls)
-    assert set(found["entries"]) == {n for n in builds.names() if "pyramid/panda" in n}
+    assert set(found["entries"]) == {n for n in builds.names() if "pyramid.json/panda" in n}
     rows = builds.summary(found["entries"])
     assert ("noise", ">= 95 %", "10 of 10") in rows
 
@@ -56,7 +56,7 @@ def test_other_files_are_not_overwritten(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_small_example_is_built_and_its_program_played() -> None:
-    found = builds.entry("program/arch_pair/panda")
+    found = builds.entry("program/arch_pair.json/panda")
     assert found["status"] == "complete"
     assert found["program"]["same"]
     assert found["program"]["worst"] < 2e-3
