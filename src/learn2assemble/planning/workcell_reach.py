@@ -188,18 +188,20 @@ def bases(pieces: Sequence[Piece]) -> Iterator[Base]:
 
 def suggest(name: str, tool: str, pieces: Sequence[Piece]) -> Reach:
     """The base from which most of a structure is in reach."""
-    best: Reach | None = None
-    key = extreme(pieces)
+    key, best = extreme(pieces), None
     for base in bases(pieces):
         found = reach_from(place_arm(name, tool, base), base, pieces, key)
         if best is None or len(found.out) < len(best.out):
             best = found
         if not found.out:
             break
-    if best is None:
-        facing = 0.0
-        best = Reach((-DISTANCES[0], 0.0, 0.0, facing), dict.fromkeys(key, "too wide"), len(pieces))
-    return reach_from(place_arm(name, tool, best.base), best.base, pieces)
+    return _whole(name, tool, pieces, best)
+
+
+def _whole(name: str, tool: str, pieces: Sequence[Piece], best: Reach | None) -> Reach:
+    """The same of all pieces, after the decisive ones."""
+    base = (-DISTANCES[0], 0.0, 0.0, 0.0) if best is None else best.base
+    return reach_from(place_arm(name, tool, base), base, pieces)
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,10 +290,13 @@ def set_up(job: Job, name: str, tool: str, site: Site) -> Job:
         arm = resting(place_arm(name, tool, site.base), site.base[3], pieces)
         _check_sources(arm, given, top)
         return _supplied(replace(job, arm=arm), given, site)
-    key, fault = extreme(pieces), None
+    key, fault, most = extreme(pieces), None, None
     for base in bases(pieces):
         arm = place_arm(name, tool, base)
-        if reach_from(arm, base, pieces, key).out or reach_from(arm, base, pieces).out:
+        found = reach_from(arm, base, pieces, key)
+        if most is None or len(found.out) < len(most.out):
+            most = found
+        if found.out or reach_from(arm, base, pieces).out:
             continue
         try:
             _check_sources(arm, given, top)
@@ -300,7 +305,7 @@ def set_up(job: Job, name: str, tool: str, site: Site) -> Job:
             fault = fault or error
     if fault is not None:
         raise fault
-    best = suggest(name, tool, pieces)
+    best = _whole(name, tool, pieces, most)
     raise _out_of_reach(name, pieces, best, best)
 
 
