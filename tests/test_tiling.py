@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from learn2assemble.assembly.kit import Kind, Kit, load_kit, orientations
 from learn2assemble.errors import InputError, Learn2AssembleError
-from learn2assemble.planning.programs import Program, solve
+from learn2assemble.planning.bonding import improve_bond
+from learn2assemble.planning.programs import Clock, Program, solve
 from learn2assemble.planning.tiling import (
     COSTS,
     BlockPlacement,
@@ -25,6 +26,7 @@ from learn2assemble.planning.tiling import (
     seams_bridged,
     support_margin,
     tile,
+    to_placements,
 )
 from learn2assemble.reproduction import shapes
 
@@ -187,6 +189,40 @@ def test_the_blocks_of_a_tiling_are_enough_for_another(name: str) -> None:
     assert tiling.status == "complete"
     check_cover(tiling, LINTELS)
     assert Counter(block.kind for block in tiling.placements) == heap
+
+
+@pytest.mark.parametrize("name", ["house-flat", "wall-door-wide", "stairs"])
+def test_joints_are_bridged_with_a_limited_heap_too(name: str) -> None:
+    wanted = shapes.SHAPES[name]()
+    heap = Counter(block.kind for block in tile(wanted, LINTELS).placements)
+    kinds = tuple(replace(kind, count=heap[kind.name]) for kind in LINTELS.kinds)
+    kit = replace(LINTELS, kinds=kinds)
+    bridged, total = seams_bridged(tile(wanted, kit), kit)
+    assert bridged >= 0.9 * total
+
+
+@settings(max_examples=10, deadline=None)
+@given(length=st.integers(3, 5), height=st.integers(2, 3), seed=st.integers(0, 999))
+def test_no_cover_with_the_blocks_of_a_heap_continues_fewer_joints(
+    length: int, height: int, seed: int
+) -> None:
+    """Against all covers of a wall with exactly the blocks of one of them."""
+    wanted = np.ones((length, 1, height), bool)
+    everything = [blocks_of(wanted, SMALL, picked) for picked in covers(wanted, SMALL)]
+    heap = Counter(b.kind for b in everything[seed % len(everything)])
+    same = [made for made in everything if Counter(b.kind for b in made) == heap]
+    ways = {(SMALL.kinds[w.kind].name, w.turn): k for k, w in enumerate(orientations(SMALL))}
+    chosen = [(ways[b.kind, b.turn], b.origin) for b in same[seed % len(same)]]
+    made = improve_bond(chosen, wanted, SMALL, COSTS, Clock(60))
+    blocks = to_placements(made, SMALL)
+    assert Counter(b.kind for b in blocks) == heap
+
+    def continued(placements: tuple[BlockPlacement, ...]) -> int:
+        bridged, total = seams_bridged(Tiling(placements, wanted), SMALL)
+        return total - bridged
+
+    check_cover(Tiling(blocks, wanted), SMALL)
+    assert continued(blocks) == min(map(continued, same))
 
 
 @pytest.mark.parametrize("name", ["wall", "wall-window", "house-small", "tower-slim"])

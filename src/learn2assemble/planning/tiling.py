@@ -517,7 +517,9 @@ def tile(
             kinds = range(len(kit.kinds))
             bonded = layers.run([{k: counter[k] for k in kinds} for counter in used])
             if not layers.left:
-                chosen = bonded
+                from learn2assemble.planning.bonding import improve_bond
+
+                chosen = improve_bond(bonded, wanted, kit, costs, clock)
     made = Tiling(
         to_placements(chosen, kit), wanted, missing=tuple(sorted(left)), seconds=clock.spent
     )

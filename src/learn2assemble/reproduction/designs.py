@@ -287,7 +287,8 @@ def drawn_entry(path: Path) -> Result:
     assert plan.cells is not None
     return {
         "status": plan.status, "reason": plan.reason or "", "seconds": round(seconds, 3),
-        "blocks": plan.blocks.used, "props": plan.blocks.available - plan.blocks.used,
+        "blocks": plan.blocks.used,
+        "props": sum(step.prop and step.action == "place" for step in plan.steps),
         "cells_missing": plan.cells.missing, "cells_outside": plan.cells.outside,
         "page_bytes": size,
     }  # fmt: skip
