@@ -14,18 +14,22 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 
 from learn2assemble.assembly.kit import Cell, Kit, orientations
 from learn2assemble.planning.programs import INF, Clock, Program, by_column, solve
 from learn2assemble.planning.tiling import (
+    COSTS,
     Candidates,
     Costs,
+    Tiling,
     chosen_blocks,
     find_candidates,
     find_seams,
     standing_cost,
+    to_placements,
 )
 
 MAX_CANDIDATES, MAX_EDGES, PASSES = 1500, 320, 2
@@ -35,14 +39,23 @@ _SECONDS = 6.0
 """Of one program; where one takes longer, the layers stay as they are from there on."""
 
 
-def improve_bond(
+def improve_bond(tiling: Tiling, kit: Kit, clock: Clock, costs: Costs = COSTS) -> Tiling:
+    """The same blocks, filling the same cells and bridging more joints, where any do.
+
+    Blocks taller than a layer are left as they are.
+    """
+    ways, wanted = orientations(kit), tiling.wanted
+    if any(cell[2] for way in ways for cell in way.cells):
+        return tiling
+    number = {(kit.kinds[way.kind].name, way.turn): k for k, way in enumerate(ways)}
+    chosen = [(number[block.kind, block.turn], block.origin) for block in tiling.placements]
+    better = _improved(chosen, wanted, kit, costs, clock)
+    return replace(tiling, placements=to_placements(better, kit))
+
+
+def _improved(
     chosen: list[tuple[int, Cell]], wanted: np.ndarray, kit: Kit, costs: Costs, clock: Clock
 ) -> list[tuple[int, Cell]]:
-    """Ways and origins of flat blocks that fill the same cells and bridge more joints, if any do.
-
-    Args:
-        chosen: ways and origins of the blocks, an exact cover of ``wanted`` (bool[X, Y, Z]).
-    """
     layers: list[list[tuple[int, Cell]]] = [
         [block for block in chosen if block[1][2] == z] for z in range(wanted.shape[2])
     ]

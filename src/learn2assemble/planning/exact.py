@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from learn2assemble.assembly.kit import Cell, Kit, kit_names, load_kit, orientations
+from learn2assemble.planning.bonding import improve_bond
 from learn2assemble.planning.mechanisms import Retiling, find_mechanisms, mirrored
 from learn2assemble.planning.ordering import Coupled, Ordering, order, value_range, way_out
 from learn2assemble.planning.programs import INF, Clock, Program, by_column, solve
@@ -72,6 +73,7 @@ def plan_exact(
     tiling = tile(wanted, kit, seconds=seconds)
     if tiling.status != "complete":
         return tiling, None
+    tiling = improve_bond(tiling, kit, clock) if kit.limited else tiling
     stood = stand(tiling, kit, clock)
     pressed = stood.status == "refused" and _presses(tiling, kit, mu, clock)
     if stood.status == "refused" and pressed and not tight:

@@ -13,7 +13,8 @@ hull of what carries it cannot be put down on its own: it costs as much as a pro
 
 Layers are decided from below, each connected part on its own, wide ones strip by strip. Where the
 heap is limited or blocks are taller than a layer, one program decides the whole building; with a
-limited heap the layers are then bonded again, each with the blocks that program gave it.
+limited heap the layers are then bonded again, each with the blocks that program gave it (and in
+:mod:`.bonding` with those of the layers around it).
 """
 
 from __future__ import annotations
@@ -517,9 +518,7 @@ def tile(
             kinds = range(len(kit.kinds))
             bonded = layers.run([{k: counter[k] for k in kinds} for counter in used])
             if not layers.left:
-                from learn2assemble.planning.bonding import improve_bond
-
-                chosen = improve_bond(bonded, wanted, kit, costs, clock)
+                chosen = bonded
     made = Tiling(
         to_placements(chosen, kit), wanted, missing=tuple(sorted(left)), seconds=clock.spent
     )
