@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.dynamic.trajectory import Limits, joint_path
 from learn2assemble.robot.inverse import RESTARTS, ik_seeds, seed_distances, solve
 from learn2assemble.robot.moves import LEVEL, Attitude
 
@@ -127,16 +128,25 @@ class ApproachPath(NamedTuple):
     """float64[k]: way of the tool from the contact [m]."""
 
 
-SLACK = 1e-3
-"""Approach paths keep this distance from the joint limits [rad]: between its knots the cubic
-through them goes up to 1e-4 farther."""
+SLACK = (1e-3, 0.01, 0.03)
+"""Approach paths keep one of these distances from the joint limits [rad], the first with which the
+cubic through their knots, which goes farther where a joint stops at its limit, stays inside."""
 
 
-@lru_cache(maxsize=32)
-def _with_slack(arm: Arm) -> Arm:
+@lru_cache(maxsize=64)
+def _with_slack(arm: Arm, slack: float) -> Arm:
     """The arm with joint limits that much narrower."""
-    branches = {name: (low + SLACK, high - SLACK) for name, (low, high) in arm.branches.items()}
-    return replace(arm, lower=arm.lower + SLACK, upper=arm.upper - SLACK, branches=branches)
+    branches = {name: (low + slack, high - slack) for name, (low, high) in arm.branches.items()}
+    return replace(arm, lower=arm.lower + slack, upper=arm.upper - slack, branches=branches)
+
+
+def _stays_inside(arm: Arm, joints: np.ndarray) -> bool:
+    """Whether the cubic through joint positions float64[k, n] [rad] respects the limits."""
+    room = np.minimum(joints - arm.lower, arm.upper - joints).min()
+    if room > np.abs(np.diff(joints, axis=0)).max(initial=0.0):
+        return True  # It does not leave its knots by as much as they are apart.
+    path = joint_path(joints, Limits(arm.velocity, arm.acceleration, arm.jerk))
+    return bool(arm.inside_limits(path.at(np.linspace(0, path.length, 8 * len(joints)))[0]).all())
 
 
 def approach_path(
@@ -188,10 +198,13 @@ def approach_paths(
     way = np.linalg.norm(np.diff(tool, axis=0), axis=1)
     rise = np.concatenate([[0.0], np.cumsum(way)]) - below
 
-    inner = _with_slack(arm)
-
     def follow(points: np.ndarray, start: np.ndarray) -> np.ndarray | str:
-        return follow_poses(inner, points, poses.rotation, start, jump=JUMP)
+        for slack in SLACK:
+            inner = _with_slack(arm, slack)
+            found = follow_poses(inner, points, poses.rotation, start, jump=JUMP)
+            if isinstance(found, str) or _stays_inside(arm, found):
+                return found
+        return "a joint leaves its range between two poses"
 
     first = arm.home if start is None else start
     found = follow(tool, first)
