@@ -352,6 +352,7 @@ def assert_follows(arm: Arm, run: Trajectory) -> None:
     mean = (run.velocity[1:] + run.velocity[:-1]) / 2
     off = np.abs(np.diff(run.joints, axis=0) / period - mean)
     assert (off <= arm.jerk * period**2 / 8 + 1e-6).all()
+    assert arm.inside_limits(run.joints).all()
     change = np.abs(np.diff(run.velocity, axis=0)) / period
     assert (change <= arm.acceleration * (1 + 1e-4)).all()
 

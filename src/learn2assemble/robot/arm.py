@@ -29,6 +29,8 @@ from learn2assemble.robot.tool import (
     value,
 )
 
+SWING = 0.02
+"""A curve through poses swings out between them by less [rad]; 0.007 was seen."""
 FARTHEST = 20.0
 """Bases stand no farther away than this [m]."""
 
@@ -101,15 +103,22 @@ class Arm:
         return (np.pi,) if self.suction is None else (np.pi, np.pi / 2, -np.pi / 2)
 
     def limits(self, branch: str | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper joint limits [rad] of a branch, by default the preferred one.
+        """Lower and upper joint limits [rad] of a branch, by default the preferred one, within
+        which poses are sought. With a suction tool they keep a distance from the limits of the
+        joints, as the curve through several poses may swing out a little between them.
 
         Raises:
             UnknownNameError: naming the nearest one; ``"any"`` is the whole range.
         """
-        whole = (self.lower, self.upper)
-        if branch is None:
-            return next(iter(self.branches.values()), whole)
-        return look_up(f"branch of arm {self.name}", branch, {**self.branches, "any": whole})
+        found = whole = (self.lower, self.upper)
+        if branch is not None:
+            table = {**self.branches, "any": whole}
+            found = look_up(f"branch of arm {self.name}", branch, table)
+        elif self.branches:
+            found = next(iter(self.branches.values()))
+        if self.suction is None:
+            return found
+        return np.maximum(found[0], self.lower + SWING), np.minimum(found[1], self.upper - SWING)
 
     def inside_limits(self, joints: np.ndarray, tolerance: float = 1e-9) -> np.ndarray:
         """bool[...]: whether joints [rad], float64[..., n], respect the limits."""
