@@ -66,6 +66,11 @@ def arm_build(*words: str) -> list[str]:
     return build("--arm", "panda", "--agent", "relational-two-sided-s0", *words)
 
 
+def exact_arm(*words: str) -> list[str]:
+    """An exact plan by an arm."""
+    return ["build", "{d}/design.json", "--out", "{d}/new", "--arm", "panda", *words]
+
+
 def prepare(folder: Path, agent: Path, run: Path, design: Path, log: Path) -> None:
     """Fill ``folder`` with what the calls name.
 
@@ -177,6 +182,17 @@ BAD = [
     BadCall("missing layout", build("--arm", "panda", "--layout", "{d}/no.json"), "no such file"),
     BadCall("layout that is a design", build("--arm", "panda", "--layout", "{d}/design.json"),
             "learn2assemble-layout"),
+    BadCall("reach without an arm", ["reach", "{d}/design.json"], "--arm"),
+    BadCall("reach of a missing file", ["reach", "{d}/nosuch.svg", "--arm", "panda"], "nosuch"),
+    BadCall("reach of an unknown arm", ["reach", "{d}/design.json", "--arm", "pandas"], "arm: got"),
+    BadCall("reach with an unknown tool", ["reach", "{d}/design.json", "--arm", "panda", "--tool",
+                                           "claw"], "tool: got 'claw'"),
+    BadCall("unknown tool", exact_arm("--tool", "claw"), "tool: got 'claw'"),
+    BadCall("tool without an arm", ["build", "{d}/design.json", "--out", "{d}/new", "--tool",
+                                    "suction"], "--arm"),
+    BadCall("unknown physics", exact_arm("--physics", "static"), "physics: got 'static'"),
+    BadCall("noise in words", exact_arm("--sense-noise", "little"), "millimetres"),
+    BadCall("resume a build that never began", exact_arm("--resume"), "build.jsonl"),
     BadCall("layout out of reach", arm_build("--layout", "{d}/far.json"),
             "positions[0]"),
     BadCall("layout with an overlap", arm_build("--layout", "{d}/overlap.json"),

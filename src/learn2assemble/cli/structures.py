@@ -245,7 +245,7 @@ def _reach(options: argparse.Namespace, output: Output) -> int:
 COMMANDS = {
     "reach": Command(
         "what of a design an arm reaches, and from where it reaches most",
-        "l2a reach house.svg --arm panda --out out/reach", _reach_arguments, _reach,
+        "l2a reach examples/designs/h.svg --arm panda --out out/reach", _reach_arguments, _reach,
     ),
     "check": Command(
         "whether an assembly of blocks stands, and what moves first",

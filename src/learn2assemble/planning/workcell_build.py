@@ -260,7 +260,7 @@ class Building:
             self.accepted.add(k)  # Nothing helps: it stays as it is.
         for k in range(len(world.pieces)):
             if world.state[k] in (LOOSE, LOST) and self._in_the_way(k):
-                action = self._away(k) if self._left(k, "away") > 2 * TRIES else ""
+                action = self._away(k) if self._left(k, "away") > TRIES else ""
                 if isinstance(action, Action):
                     return action
         return None
