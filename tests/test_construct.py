@@ -11,7 +11,8 @@ import pytest
 
 import learn2assemble as l2a
 from learn2assemble.assembly.blocks import Assembly, Step, box_block
-from learn2assemble.assembly.kit import load_kit
+from learn2assemble.assembly.files import write_compas
+from learn2assemble.assembly.kit import Kind, Kit, load_kit
 from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign, read_design
 from learn2assemble.errors import InputError
@@ -250,3 +251,31 @@ def test_blocks_are_as_large_as_the_cells_that_were_asked_for() -> None:
     assert heights[0.05] == pytest.approx(heights[0.025], abs=0.05)
     with pytest.raises(InputError, match="cell"):
         load_kit("bricks").at_pitch((1e-4, 1e-4, 1e-4))
+
+
+def test_blocks_of_a_compas_file_that_overlap_are_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    blocks = (box_block("a", (0, 0, 0), (1, 1, 1)), box_block("b", (0.5, 0, 0), (1.5, 1, 1)))
+    write_compas(Assembly(blocks), tmp_path / "over.json")
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "kept.txt").write_text("before")
+    for command in ("build", "check"):
+        code = main([command, str(tmp_path / "over.json"), "--out", str(out / command)])
+        errors = capsys.readouterr().err.strip().splitlines()
+        assert code == 2
+        assert [line for line in errors if "error:" in line] == errors[-1:]
+        assert "overlap" in errors[-1]
+    assert [path.name for path in out.iterdir()] == ["kept.txt"]
+
+
+def test_a_kit_that_cannot_fill_the_cells_is_refused_and_says_where() -> None:
+    pairs = Kit("pairs", (Kind("2x2", ((0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0))),))
+    design = CellDesign("odd", np.ones((3, 3, 1), bool), (0.05,) * 3, None, 0.0, None, "test", None)
+    plan = plan_cells(design, pairs)
+    assert plan.status == "refused"
+    assert plan.reason == (
+        "no blocks of kit `pairs` fill 5 cells exactly, the first at (0, 0, 0), level 0"
+    )
+    assert "\n" not in plan.reason
