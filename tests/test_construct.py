@@ -68,15 +68,16 @@ def test_colours_of_a_picture_go_to_the_blocks() -> None:
 def test_a_block_takes_the_most_frequent_colour_of_its_cells() -> None:
     wanted = np.ones((5, 1, 1), bool)
     colours = np.array([(200, 0, 0)] * 3 + [(0, 0, 200)] * 2, np.uint8).reshape(5, 1, 1, 3)
-    design = CellDesign("bar", wanted, (0.05,) * 3, colours, 0.0, None, "test", None)
+    design = CellDesign("bar", wanted, (0.05, 0.05, 0.05), colours, 0.0, None, "test", None)
     plan = plan_cells(design, "bricks-lintels")
     assert plan.assembly is not None
     assert [block.colour for block in plan.assembly.blocks] == [(200, 0, 0)]
 
 
 def test_the_blocks_of_an_elevation_are_enough_or_it_is_refused() -> None:
-    design = CellDesign("wall", np.ones((4, 1, 3), bool), (0.05,) * 3, None, 0.0, None, "test",
-                        "cubes", 12)  # fmt: skip
+    wanted = np.ones((4, 1, 3), bool)
+    cell = (0.05, 0.05, 0.05)
+    design = CellDesign("wall", wanted, cell, None, 0.0, None, "test", "cubes", 12)
     assert plan_cells(design).complete
     plan = plan_cells(replace(design, blocks=11))
     assert plan.status == "refused"
@@ -272,7 +273,9 @@ def test_blocks_of_a_compas_file_that_overlap_are_refused_in_one_line(
 
 def test_a_kit_that_cannot_fill_the_cells_is_refused_and_says_where() -> None:
     pairs = Kit("pairs", (Kind("2x2", ((0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0))),))
-    design = CellDesign("odd", np.ones((3, 3, 1), bool), (0.05,) * 3, None, 0.0, None, "test", None)
+    design = CellDesign(
+        "odd", np.ones((3, 3, 1), bool), (0.05, 0.05, 0.05), None, 0.0, None, "test", None
+    )
     plan = plan_cells(design, pairs)
     assert plan.status == "refused"
     assert plan.reason == (

@@ -166,7 +166,9 @@ class _Layer:
     def simplify(self, tolerance: float) -> None:
         """Leave out vertices that matter less than ``tolerance``."""
         self.lines = _simple(self.lines, tolerance)
-        self.filled = [(_simple(c, tolerance), *how) for c, *how in self.filled]
+        self.filled = [
+            (_simple(c, tolerance), rule, paper, colour) for c, rule, paper, colour in self.filled
+        ]
 
     def region(self, scale: float) -> CrossSection:
         """The material of the layer; even-odd among lines, filled shapes painted over another."""

@@ -113,7 +113,7 @@ def plan_cells(
     wanted = int(design.wanted.sum())
     missing = int((design.wanted & ~filled).sum())
     outside += int((filled & ~design.wanted).sum())
-    done = tiling.status == ordered.status == "complete" and not missing and not outside
+    done = bool(tiling.status == ordered.status == "complete" and not missing and not outside)
     reason = None if done else ordered.reason or tiling.reason or f"{missing} cells are open"
     refused = "refused" in (tiling.status, ordered.status)
     needed = len(tiling.placements)

@@ -122,7 +122,7 @@ def _program(
     cells = [placement_cells(block, kit) for block in bodies]
     body = np.repeat(np.arange(count), [len(c) for c in cells])
     cell = np.concatenate(cells)
-    flat = np.ravel_multi_index(tuple(cell.T), shape)
+    flat: np.ndarray = np.asarray(np.ravel_multi_index(tuple(cell.T), shape))
     loose = region.copy()  # cells of blocks whose balance is part of the program
     for own in cells[n:]:
         loose[tuple(own.T)] = True
@@ -150,7 +150,7 @@ def _program(
     lever = point - middle[body[face], None]
     column = n + np.arange(4 * len(face)).reshape(-1, 4)
 
-    must = np.flatnonzero(region.reshape(-1))
+    must: np.ndarray = np.flatnonzero(region.reshape(-1))
     row_of_cell = np.full(size, -1)
     row_of_cell[must] = np.arange(len(must))
     optional = body < n

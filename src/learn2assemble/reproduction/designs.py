@@ -117,8 +117,8 @@ def measurements(designs: Path | None, reference: Path | None) -> dict[str, Call
         jobs[f"proofs/{name}"] = lambda make=make: proof_entry(make(), kit)
     for name, (make, asked) in LARGE.items():
         jobs[f"large/{name}"] = lambda make=make, asked=asked: large_entry(make(), kit, asked)
-    for name in DRAWN if designs is not None else ():
-        jobs[f"drawn/{name}"] = lambda path=designs / name: drawn_entry(path)
+    for path in [designs / name for name in DRAWN] if designs is not None else ():
+        jobs[f"drawn/{path.name}"] = lambda path=path: drawn_entry(path)
     jobs["check/wall of 1,000 blocks"] = lambda: wall_entry(kit)
     if reference is not None and (reference / "masonry.jsonl.gz").exists():
         jobs["check/masonry"] = lambda: masonry_entry(reference / "masonry.jsonl.gz")
