@@ -41,8 +41,8 @@ FALLS = "leaning_parallelogram.json"
 ARMS, TOOLS, SEEDS = ("panda", "ur5e"), ("suction", "gripper"), 10
 PLAN_SECONDS = 120.0
 LARGE: dict[str, tuple[Callable[[], np.ndarray], float]] = {
-    "wall with a window, 100 blocks": (lambda: shapes.wall(24, 4, 13, (9, 15, 4, 8)), 0.03),
-    "wall with a window, 150 blocks": (lambda: shapes.wall(26, 4, 19, (10, 16, 6, 10)), 0.025),
+    "wall with a window, 100 blocks": (lambda: shapes.wall(20, 3, 16, (7, 13, 5, 10)), 0.032),
+    "wall with a window, 158 blocks": (lambda: shapes.wall(20, 6, 18, (7, 13, 5, 11)), 0.032),
 }  # fmt: skip
 """Cells, and the edge of a cell [m]."""
 SENSING = 5e-4
