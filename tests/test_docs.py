@@ -27,7 +27,7 @@ TINY = {
 """Words that make a command small; later words win."""
 TOO_LONG = (
     "bench", "fidelities", "--arm panda", "--format franka", "--quick", "--train", "--agents",
-    "dynamic",
+    "dynamic", "measure-designs",
 )  # fmt: skip
 """Commands with these words are parsed, and their tests are elsewhere."""
 
