@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, look_up
 from learn2assemble.export.robot_tables import read_table, write_franka, write_table
 from learn2assemble.export.ros2 import read_bag, write_bag
 from learn2assemble.files import write_file
@@ -33,6 +33,7 @@ from learn2assemble.robot.program import (
 )
 from learn2assemble.robot.record import BuildRecord
 from learn2assemble.robot.record_files import read_record
+from learn2assemble.robot.registry import ARMS
 
 # ---------------------------------------------------------------- URScript
 
@@ -289,6 +290,7 @@ def read_program(path: str | Path, arm: str) -> tuple[Program, Arm]:
         MissingExtraError: for a bag without the extra ``ros2``.
     """
     path = Path(path)
+    look_up("arm", arm, ARMS)
     return read_bag(path, arm) if path.suffix == ".mcap" else read_table(path, arm)
 
 
