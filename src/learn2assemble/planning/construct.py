@@ -18,6 +18,7 @@ from learn2assemble.assembly.blocks import Assembly, Step
 from learn2assemble.assembly.contacts import check_overlaps, find_contacts
 from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.design.cells import CellDesign
+from learn2assemble.errors import InputError
 from learn2assemble.planning import plan as plans
 from learn2assemble.planning.exact import plan_exact
 from learn2assemble.planning.ordering import TIGHT, Ordering, to_assembly
@@ -67,7 +68,8 @@ def plan_cells(
         The plan, with the assembly in :attr:`~.plan.Plan.assembly`.
 
     Raises:
-        InputError: for a kit that does not exist, and for limits that make no sense.
+        InputError: for a kit that does not exist or cannot fill the cells, and for limits that make
+            no sense.
     """
     started = time.perf_counter()
     if not isinstance(kit, Kit):
@@ -97,6 +99,8 @@ def plan_cells(
         tiling, ordering = plan_exact(
             design.wanted, kit, seconds=left, friction=friction, gap=gap, props_allowed=props
         )
+    if tiling.status == "refused" and tiling.missing and not kit.limited and chosen == EXACT:
+        raise InputError("kit", kit.name, f"one that fills every cell ({tiling.reason})")
     ordered = ordering or Ordering((), tiling.status, tiling.reason)
     planned = time.perf_counter() - started
     standing: set[int] = set()

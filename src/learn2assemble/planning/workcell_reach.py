@@ -56,6 +56,8 @@ FARTHEST, NEAREST = 0.85, 0.22
 DISTANCES = (0.5, 0.45, 0.55, 0.4, 0.6, 0.35, 0.65, 0.3, 0.7, 0.75)
 HEIGHTS = (0.0, 0.2, 0.4)
 """Of bases that are tried [m], the preferred ones first."""
+FOLDED = 0.35
+"""Nearer to the base an arm has to fold so far that there is no steady way down [m]."""
 CLEAR, APART = 0.06, 0.01
 """Between magazines and the structure, and between two of them [m]."""
 GRID, MOST_TRIED = 0.04, 150
@@ -401,7 +403,7 @@ def _magazine_places(
     steps = np.arange(-25, 26) * GRID
     grid = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
     away = np.linalg.norm(grid - job.base, axis=1)
-    grid = grid[(away > 0.25) & (away < FARTHEST)]
+    grid = grid[(away > FOLDED) & (away < FARTHEST)]
     # Near the structure, and rather between it and the arm than behind it.
     cost = np.linalg.norm(grid, axis=1) + 0.3 * np.linalg.norm(grid - job.base, axis=1)
     mine = slice(-len(shape), None)
