@@ -45,8 +45,11 @@ PALETTE = (
     "#d99a94", "#8d8fb5", "#6f9a86", "#b7b2a6",
 )  # fmt: skip
 """Colours of kinds, in the order in which they first appear."""
-TONES = {"complete": "good", "stands": "good", "incomplete": "warn", "refused": "bad",
-         "stands only with tight joints": "warn", "falls": "bad"}  # fmt: skip
+TONES = {
+    "complete": "good", "stands": "good", "within reach": "good", "incomplete": "warn",
+    "stands only with tight joints": "warn", "out of reach": "bad", "refused": "bad",
+    "falls": "bad",
+}  # fmt: skip
 _SPEEDS = (0.5, 1, 2, 4, 8, 16, 32, 64)
 _LONGEST = 60.0
 """The chosen speed shows all steps within this time [s]."""
