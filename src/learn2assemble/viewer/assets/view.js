@@ -36,7 +36,6 @@ function createView(canvas, { points, edge, floor = 0, fromRight = false, turn =
   controls.zoomToCursor = true;
   controls.addEventListener("change", draw);
   let touched = false, last = [points, front], ready = false, drawn = 0, still = 0;
-  let waiting = true, shaded = 0; // Shadows that have to be drawn anew, and when they were last.
   controls.addEventListener("start", () => { touched = true; });
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
     colours = theme();
@@ -50,7 +49,7 @@ function createView(canvas, { points, edge, floor = 0, fromRight = false, turn =
     scene, camera, draw, coloured, look, edge,
     colours: () => colours,
     whenRepainted: (action) => repaint.push(action),
-    castShadows() { waiting = true; },
+    castShadows: () => { renderer.shadowMap.needsUpdate = true; },
     /* After everything is in the scene. */
     start() {
       ready = true;
@@ -65,18 +64,12 @@ function createView(canvas, { points, edge, floor = 0, fromRight = false, turn =
     if (slow) {
       clearTimeout(still);
       if (drawn && performance.now() - drawn < 300) sharpen(0.7);
-      still = setTimeout(() => { sharpen(2); shaded = 0; render(); }, 400);
+      still = setTimeout(() => { sharpen(2); render(); }, 400);
     }
     render();
   }
 
   function render() {
-    // The processor draws shadows of moving blocks once a second, and those of the last picture.
-    if (waiting && !(slow && performance.now() - shaded < 1000)) {
-      renderer.shadowMap.needsUpdate = true;
-      waiting = false;
-      shaded = performance.now();
-    }
     renderer.render(scene, camera);
     drawn = performance.now();
   }
