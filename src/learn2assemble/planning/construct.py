@@ -123,8 +123,8 @@ def plan_cells(
     needed = len(tiling.placements)
     if done and design.blocks is not None and needed > design.blocks:
         done, refused = False, True
-        props = needed - len(standing)
-        and_props = f", {props} of them props," if props else ""
+        removed = needed - len(standing)
+        and_props = f", {removed} of them props," if removed else ""
         reason = (f"{needed} blocks of kit `{kit.name}`{and_props} are needed; "
                   f"the design has {design.blocks} (\"blocks\")")  # fmt: skip
     assembly = None

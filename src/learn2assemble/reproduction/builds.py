@@ -145,8 +145,8 @@ def _design(kind: str, what: str) -> tuple[CellDesign, Kit]:
     if kind in ("large", "props"):
         make, cell = LARGE.get(what, (lambda: shapes.bridge(1, 6, 4, 3, 1, 4), 0.04))
         # Of the bricks none spans the opening of the bridge, so its deck needs props.
-        kit = load_kit("bricks" if kind == "props" else DEFAULT_KIT).at_pitch((cell,) * 3)
-        return CellDesign(what, make(), (cell,) * 3, None, 0.0, None, "", None), kit
+        kit = load_kit("bricks" if kind == "props" else DEFAULT_KIT).at_pitch((cell, cell, cell))
+        return CellDesign(what, make(), kit.pitch, None, 0.0, None, "", None), kit
     design = read_design(EXAMPLES / what)
     assert isinstance(design, CellDesign)
     return design, load_kit(design.kit or DEFAULT_KIT).at_pitch(design.cell)

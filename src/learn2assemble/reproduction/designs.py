@@ -5,6 +5,7 @@ a run that was stopped goes on where it was; ``again`` measures anew. ``seconds`
 processor, so that other programs on the machine do not count.
 """
 
+# pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
 import gzip
