@@ -115,7 +115,7 @@ class DesignEnv(gymnasium.Env[dict[str, Any], np.int64]):
         assert self.solved is not None
         total = int(self.world.site.wanted.sum())
         return {
-            "action_masks": self.action_masks(),
+            "action_masks": self.action_masks().astype(np.int8),
             "family": self.solved.family,
             "blocks": len(self.solved.order),
             "coverage": 1 - self.world.open / total,

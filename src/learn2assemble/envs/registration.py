@@ -8,6 +8,8 @@ the registration waits for it (``learn2assemble/__init__.py``).
 
 from __future__ import annotations
 
+from functools import partial
+
 import gymnasium
 from gymnasium.envs.registration import registry
 
@@ -34,37 +36,33 @@ def register_all() -> None:
     The passive checker is off because a test runs Gymnasium's full checker over every preset;
     ``gymnasium.make(..., disable_env_checker=False)`` turns it on.
     """
-    for name in PRESETS:
-        _register(name)
-    if _register not in PRESETS.listeners:
-        PRESETS.listeners.append(_register)
-    for name in DESIGN_TASKS:
-        _register_designs(name)
-    if _register_designs not in DESIGN_TASKS.listeners:
-        DESIGN_TASKS.listeners.append(_register_designs)
+    for tasks, register in _ENVIRONMENTS:
+        for name in tasks:
+            register(name)
+        if register not in tasks.listeners:
+            tasks.listeners.append(register)
 
 
-def _register(name: str) -> None:
+def _register(name: str, entry_point: str, vector_entry_point: str | None = None) -> None:
     name_in_gymnasium = f"{NAMESPACE}/{name}-v{VERSION}"
     if name_in_gymnasium not in registry:
         gymnasium.register(
             name_in_gymnasium,
-            entry_point="learn2assemble.envs.single:AssemblyEnv",
-            vector_entry_point="learn2assemble.envs.vector:AssemblyVectorEnv",
+            entry_point=entry_point,
+            vector_entry_point=vector_entry_point,
             disable_env_checker=True,
             kwargs={"task": name},
         )
 
 
-def _register_designs(name: str) -> None:
-    name_in_gymnasium = f"{NAMESPACE}/{name}-v{VERSION}"
-    if name_in_gymnasium not in registry:
-        gymnasium.register(
-            name_in_gymnasium,
-            entry_point="learn2assemble.envs.designs:DesignEnv",
-            disable_env_checker=True,
-            kwargs={"task": name},
-        )
+_ENVIRONMENTS = (
+    (PRESETS, partial(
+        _register, entry_point="learn2assemble.envs.single:AssemblyEnv",
+        vector_entry_point="learn2assemble.envs.vector:AssemblyVectorEnv",
+    )),
+    (DESIGN_TASKS, partial(_register, entry_point="learn2assemble.envs.designs:DesignEnv")),
+)  # fmt: skip
+"""Which environment plays the tasks of each table."""
 
 
 register_all()

@@ -518,8 +518,9 @@ def _holds(tiling: Tiling, kit: Kit, steps: list[OrderedStep], gap: float, clock
         if step.place is not None:
             placed[step.place] = dirty[step.place] = True
         else:
+            assert step.remove is not None
             dirty[s.upper[(s.lower == step.remove) & placed[s.upper]]] = True
-            dirty[s.below(step.remove)] = True  # type: ignore[arg-type]
+            dirty[s.below(step.remove)] = True
             placed[step.remove] = False
             dirty &= placed
         if not proof.settle(dirty, placed) and not proof.program(placed, placed, clock.left):

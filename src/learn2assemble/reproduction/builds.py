@@ -1,36 +1,31 @@
 """What arms reach with exact plans, measured in the dynamic workcell: ``results/builds.json``.
 
-Every entry is one build with the commit it was made at. Entries that are there are kept, so a run
-that was stopped goes on where it was. Seconds are of the processor, so that other programs on the
-machine do not count.
+Every entry is one build. Seconds are of the processor, so that other programs on the machine do not
+count.
 """
 
 from __future__ import annotations
 
-import json
 import math
 import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.design.cells import CellDesign, read_design
-from learn2assemble.errors import InputError
-from learn2assemble.files import to_plain, write_file
-from learn2assemble.learning.run import provenance
+from learn2assemble.files import to_plain
 from learn2assemble.planning.construct import DEFAULT_KIT, plan_cells
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.workcell import Disturbance
 from learn2assemble.planning.workcell_plan import Workcell, carry_out_cells
-from learn2assemble.reproduction import shapes
-from learn2assemble.workers import run_all
+from learn2assemble.reproduction import measured, shapes
+from learn2assemble.reproduction.measured import Result
 
-FORMAT, VERSION = "learn2assemble-build-figures", 1
+FORMAT = "learn2assemble-build-figures"
 EXAMPLES = Path("examples/designs")
 DESIGNS = (
     "arch_pair.json", "gabled_house.json", "gate.svg", "keep.json", "pavilion.json",
@@ -50,8 +45,6 @@ SENSING = 5e-4
 FAULTS = 3
 """Blocks that are dropped or pushed in one build."""
 
-Result = dict[str, Any]
-
 
 def names() -> list[str]:
     """Every measurement: kind / design / arm / tool or seed."""
@@ -69,44 +62,15 @@ def measure(
     out: Path, *, only: str = "", again: bool = False, workers: int = 1,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Result:  # fmt: skip
-    """Measure what is missing in ``out`` and write it after every entry.
-
-    Args:
-        only: measure entries whose name has this in it.
-        again: also those that are there.
-        workers: builds at once.
-        progress: told what has been measured.
-
-    Raises:
-        InputError: where ``out`` is no result of this function, or nothing is called ``only``.
-    """
-    found = _load(out)
-    wanted = [name for name in names() if only in name]
-    if not wanted:
-        raise InputError("--only", only, "part of the name of a measurement")
-    about = provenance("cpu")
-    todo = [name for name in wanted if again or name not in found["entries"]]
-    for name, result in run_all(entry, todo, workers=workers):
-        found["entries"][name] = {**result, "commit": about["commit"]}
-        found["configuration"] = {
-            "supply_mm": 1.0, "supply_deg": 1.0, "friction_share": 0.2, "mass_share": 0.1,
-            "sensing_mm": 1e3 * SENSING, **about,
-        }  # fmt: skip
-        write_file(out, json.dumps(found, indent=1, sort_keys=True) + "\n", "--out")
-        progress(f"{name}: {result['status']}")
-    return found
-
-
-def _load(out: Path) -> Result:
-    if not out.exists():
-        return {"format": FORMAT, "version": VERSION, "entries": {}}
-    try:
-        found = json.loads(out.read_text(encoding="utf-8"))
-        if (found["format"], found["version"]) == (FORMAT, VERSION):
-            return found
-    except (OSError, ValueError, KeyError, TypeError):
-        pass
-    raise InputError("--out", str(out), "a new file, or a result of this command")
+    """Builds by an arm, see :func:`learn2assemble.reproduction.measured.measure`."""
+    configuration = {
+        "supply_mm": 1.0, "supply_deg": 1.0, "friction_share": 0.2, "mass_share": 0.1,
+        "sensing_mm": 1e3 * SENSING,
+    }  # fmt: skip
+    return measured.measure(
+        out, FORMAT, entry, names(), configuration=configuration, only=only, again=again,
+        workers=workers, progress=progress,
+    )  # fmt: skip
 
 
 def entry(name: str) -> Result:

@@ -367,13 +367,18 @@ def _row(one: Comparison) -> tuple[object, ...]:
 # ---------------------------------------------------------------- designs
 
 
-def _designs_arguments(parser: argparse.ArgumentParser) -> None:
+def _figure_arguments(parser: argparse.ArgumentParser, out: str) -> None:
     add = parser.add_argument
-    add("--out", type=Path, default=Path("results/designs.json"), help="file of the results")
-    add("--designs", type=Path, default=Path("examples/designs"), help="folder of the examples")
-    add("--reference", type=Path, default=Path("../shared/reference"), help="recorded verdicts")
+    add("--out", type=Path, default=Path(out), help="file of the results")
     add("--only", default="", metavar="WORD", help="entries with this in their name")
     add("--again", action="store_true", help="also those that were measured before")
+
+
+def _designs_arguments(parser: argparse.ArgumentParser) -> None:
+    _figure_arguments(parser, "results/designs.json")
+    add = parser.add_argument
+    add("--designs", type=Path, default=Path("examples/designs"), help="folder of the examples")
+    add("--reference", type=Path, default=Path("../shared/reference"), help="recorded verdicts")
 
 
 def _run_designs(options: argparse.Namespace, output: Output) -> None:
@@ -391,11 +396,8 @@ def _run_designs(options: argparse.Namespace, output: Output) -> None:
 
 
 def _builds_arguments(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("--out", type=Path, default=Path("results/builds.json"), help="file of the results")
-    add("--only", default="", metavar="WORD", help="entries with this in their name")
-    add("--again", action="store_true", help="also those that were measured before")
-    add("--workers", type=count, default=1, help="builds at once")
+    _figure_arguments(parser, "results/builds.json")
+    parser.add_argument("--workers", type=count, default=1, help="builds at once")
 
 
 def _run_builds(options: argparse.Namespace, output: Output) -> None:

@@ -1,8 +1,6 @@
 """What the exact planner and the check reach, measured: ``results/designs.json``.
 
-Every entry is one measurement with the commit it was made at. Entries that are there are kept, so
-a run that was stopped goes on where it was; ``again`` measures anew. ``seconds`` are of the
-processor, so that other programs on the machine do not count.
+``seconds`` are of the processor, so that other programs on the machine do not count.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -16,7 +14,6 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -25,13 +22,14 @@ from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.assembly.kit import Kit, load_kit, orientations
 from learn2assemble.design.cells import CellDesign, read_design
 from learn2assemble.errors import InputError
-from learn2assemble.files import write_file
 from learn2assemble.planning.construct import plan_cells
 from learn2assemble.planning.exact import plan_exact
 from learn2assemble.planning.ordering import TIGHT, Ordering, to_assembly
 from learn2assemble.planning.tiling import Tiling, cover, find_candidates, seams_bridged
-from learn2assemble.reproduction import shapes
+from learn2assemble.reproduction import measured, shapes
+from learn2assemble.reproduction.measured import Result
 
+FORMAT = "learn2assemble-design-figures"
 KIT, SEED, SECONDS, FRICTION = "bricks-lintels", 0, 120.0, 0.5
 LARGE: dict[str, tuple[Callable[[], np.ndarray], float]] = {
     "dome of about 100 blocks": (lambda: shapes.dome(7, 2.5), 2.0),
@@ -53,59 +51,27 @@ DRAWN = ("gate.svg", "t.svg", "h.svg", "arch.svg", "circle.svg", "two_towers.svg
 PREFIXES, SIMULATED = 6, 60
 """Random states of a shape that another solver judges; most blocks of one that is simulated."""
 
-Result = dict[str, Any]
-
 
 def measure(
     out: Path, *, designs: Path | None = None, reference: Path | None = None,
     only: str = "", again: bool = False, progress: Callable[[str], None] = lambda text: None,
 ) -> Result:  # fmt: skip
-    """Measure what is missing in ``out`` and write it after every entry.
+    """The exact planner and the check, see
+    :func:`learn2assemble.reproduction.measured.measure`.
 
     Args:
         designs: folder of the examples; their entries are left out without it.
         reference: folder with ``masonry.jsonl.gz``; likewise.
-        only: measure entries whose name has this in it.
-        again: also those that are there.
-        progress: told what is measured.
-
-    Raises:
-        InputError: where ``out`` is no result of this function, or nothing is called ``only``.
     """
-    from learn2assemble.learning.run import provenance
-
-    found = _load(out)
-    entries: dict[str, Result] = found["entries"]
-    jobs = {name: job for name, job in measurements(designs, reference).items() if only in name}
-    if not jobs:
-        raise InputError("--only", only, "part of the name of a measurement")
-    about = provenance("cpu")
+    jobs = measurements(designs, reference)
     plan_exact(np.ones((3, 1, 2), bool), load_kit(KIT))  # compiles
-    for name, job in jobs.items():
-        if name in entries and not again:
-            continue
-        progress(name)
-        started, used = time.perf_counter(), time.process_time()
-        entries[name] = {**job(), "commit": about["commit"]}
-        entries[name]["measuring_s"] = round(time.perf_counter() - started, 3)
-        entries[name]["measuring_cpu_s"] = round(time.process_time() - used, 3)
-        found["configuration"] = {
-            "kit": KIT, "seed": SEED, "seconds_limit": SECONDS, "friction": FRICTION, **about,
-        }  # fmt: skip
-        write_file(out, json.dumps(found, indent=1, sort_keys=True) + "\n", "--out")
-    return found
-
-
-def _load(out: Path) -> Result:
-    if not out.exists():
-        return {"format": "learn2assemble-design-figures", "version": 1, "entries": {}}
-    try:
-        found = json.loads(out.read_text(encoding="utf-8"))
-        if found["format"] == "learn2assemble-design-figures" and found["version"] == 1:
-            return found
-    except (OSError, ValueError, KeyError, TypeError):
-        pass
-    raise InputError("--out", str(out), "a new file, or a result of this command")
+    return measured.measure(
+        out, FORMAT, lambda name: jobs[name](), list(jobs),
+        configuration={
+            "kit": KIT, "seed": SEED, "seconds_limit": SECONDS, "friction": FRICTION,
+        },
+        only=only, again=again, progress=progress,
+    )  # fmt: skip
 
 
 def measurements(designs: Path | None, reference: Path | None) -> dict[str, Callable[[], Result]]:

@@ -3,6 +3,7 @@
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 import mujoco
@@ -40,7 +41,7 @@ class Collision(NamedTuple):
         return f"{self.part} touches {self.other}"
 
 
-class CollisionChecker:
+class CollisionChecker(ABC):
     """A model whose arm can be put anywhere.
 
     Args:
@@ -58,9 +59,9 @@ class CollisionChecker:
         self.opening = 0.0
         """Between the pads [m]."""
 
+    @abstractmethod
     def check(self, joints: np.ndarray) -> Collision | None:
         """The first collision at joints float64[n] [rad], or None."""
-        raise NotImplementedError
 
     def move_arm(self, joints: np.ndarray) -> None:
         """Put the arm at joints float64[n] [rad]."""
