@@ -202,7 +202,7 @@ def uses_exact_planner(
         from learn2assemble.planning.agent.network import is_builder
 
         named = agent is None or (isinstance(agent, str) and is_builder(agent))
-        return not (task or elevations) and named and arm is None and layout is None
+        return not (task or elevations) and named
     if planner != "auto":
         return planner == "exact"
     return not (task or elevations) and agent is None
@@ -286,7 +286,8 @@ def _build_exact(
     workcell = None if how is None else how.workcell()
     plan = plan_cells(
         design, kit, friction=friction, gap=gap, props=props, seconds=seconds, progress=progress,
-        planner=planner if how is None else "exact", builder=builder, seed=seed,
+        planner=planner if how is None or planner == "agent" else "exact", builder=builder,
+        seed=seed,
     )  # fmt: skip
     if workcell is None:
         return plan
@@ -294,7 +295,8 @@ def _build_exact(
 
     return carry_out_cells(
         plan, kit, workcell, progress,
-        lambda other: plan_cells(design, other, friction=friction, props=props, seconds=seconds),
+        lambda other: plan_cells(design, other, friction=friction, props=props, seconds=seconds,
+                                 planner=plan.planner or "exact", builder=builder, seed=seed),
     )  # fmt: skip
 
 
