@@ -23,7 +23,7 @@ from learn2assemble.planning import plan as plans
 from learn2assemble.planning.exact import plan_exact
 from learn2assemble.planning.ordering import TIGHT, Ordering, to_assembly
 from learn2assemble.planning.plan import Plan, PlanDesign
-from learn2assemble.planning.tiling import placement_cells
+from learn2assemble.planning.tiling import Tiling, placement_cells
 
 DEFAULT_KIT = "bricks-lintels"
 EXACT, AGENT, AUTO = "exact", "agent", "auto"
@@ -101,8 +101,25 @@ def plan_cells(
         )
     if tiling.status == "refused" and tiling.missing and not kit.limited and chosen == EXACT:
         raise InputError("kit", kit.name, f"one that fills every cell ({tiling.reason})")
+    return report_plan(
+        design, kit, tiling, ordering, seconds=time.perf_counter() - started, planner=chosen,
+        agent=agent, search=search,
+    )  # fmt: skip
+
+
+def report_plan(
+    design: CellDesign, kit: Kit, tiling: Tiling, ordering: Ordering | None, *, seconds: float,
+    planner: str, agent: str | None = None, search: plans.SearchReport | None = None,
+) -> Plan:  # fmt: skip
+    """The plan of blocks and their order, whoever chose them: complete where it fills the cells.
+
+    Args:
+        kit: with blocks as large as the cells of the design.
+        seconds: that choosing and ordering took.
+        planner, agent, search: see :class:`~.plan.Plan`.
+    """
+    started = time.perf_counter()
     ordered = ordering or Ordering((), tiling.status, tiling.reason)
-    planned = time.perf_counter() - started
     standing: set[int] = set()
     for step in ordered.steps:
         standing = standing - {step.remove} if step.place is None else standing | {step.place}
@@ -164,10 +181,10 @@ def plan_cells(
         blocks=plans.BlockSupply(len(tiling.placements), len(standing), ()),
         steps=tuple(steps),
         coverage=round((wanted - missing) / max(wanted, 1), 6),
-        seconds=round(time.perf_counter() - started, 3),
-        planning_s=round(max(planned - ordered.seconds, 0.0), 3),
+        seconds=round(seconds + time.perf_counter() - started, 3),
+        planning_s=round(max(seconds - ordered.seconds, 0.0), 3),
         proof_s=round(ordered.seconds, 3),
-        planner=chosen,
+        planner=planner,
         agent=agent,
         search=search,
         kit=kit.name,
