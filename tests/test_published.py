@@ -32,7 +32,7 @@ from learn2assemble.reproduction.bullet.world import (
     hand_parts,
 )
 from learn2assemble.reproduction.recordings import Log, read_lines
-from learn2assemble.reproduction.robot_replay import (
+from learn2assemble.reproduction.replay import (
     CLASSES,
     kinematic,
     recorded_order,

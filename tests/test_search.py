@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from learn2assemble.errors import InputError
 from learn2assemble.search.config import TO_THE_END, SearchConfig
-from learn2assemble.search.mcts import search
-from learn2assemble.search.rules import epsilon_greedy_expansions, final_key
+from learn2assemble.search.mcts import epsilon_greedy_expansions, final_key, search
 from learn2assemble.search.tree import ActionValues, Node
 from search_data import (
     THREE,

@@ -20,8 +20,7 @@ from learn2assemble.search.config import (
     get_search,
     training_search,
 )
-from learn2assemble.search.mcts import search
-from learn2assemble.search.rules import completed_policy, final_key, gumbel_scores
+from learn2assemble.search.mcts import completed_policy, final_key, gumbel_scores, search
 from learn2assemble.search.tree import Node
 from search_data import Edge, TreeModel, best_return, decide, explored, random_tree, root, size
 

@@ -1,9 +1,74 @@
 """Gymnasium environments: single and native vectorised, registered over the tasks.
 
 Thin skins over :class:`learn2assemble.simulator.Simulator`: no rule of the world lives here.
-Importing this package only registers names; the environments load when one is made.
+Importing this package only registers ``learn2assemble/<task>-v0``; the environments load when one
+is made.
+
+Gymnasium 1.0 removed its plugin entry points, so a package registers when it is imported:
+``import learn2assemble`` and ``gymnasium.make("learn2assemble/<task>-v0")``, or in one go
+``gymnasium.make("learn2assemble:learn2assemble/<task>-v0")``. Where Gymnasium is imported later,
+the registration waits for it (``learn2assemble/__init__.py``).
 """
 
-from learn2assemble.envs.registration import NAMESPACE, VERSION, env_id, register_all
+from __future__ import annotations
+
+from functools import partial
+
+import gymnasium
+from gymnasium.envs.registration import registry
+
+from learn2assemble.tasks import DESIGN_TASKS, PRESETS, get_task
 
 __all__ = ["NAMESPACE", "VERSION", "env_id", "register_all"]
+
+NAMESPACE = "learn2assemble"
+VERSION = 0
+"""Raised when the behaviour of the environments changes."""
+
+
+def env_id(task_name: str) -> str:
+    """The Gymnasium id of a task.
+
+    Raises:
+        UnknownNameError: naming the nearest task.
+    """
+    name = task_name if task_name in DESIGN_TASKS else get_task(task_name).name
+    return f"{NAMESPACE}/{name}-v{VERSION}"
+
+
+def register_all() -> None:
+    """Register every task that is not registered yet, and from now on every new one.
+
+    The passive checker is off because a test runs Gymnasium's full checker over every preset;
+    ``gymnasium.make(..., disable_env_checker=False)`` turns it on.
+    """
+    for tasks, register in _ENVIRONMENTS:
+        for name in tasks:
+            register(name)
+        if register not in tasks.listeners:
+            tasks.listeners.append(register)
+
+
+def _register(name: str, entry_point: str, vector_entry_point: str | None = None) -> None:
+    name_in_gymnasium = f"{NAMESPACE}/{name}-v{VERSION}"
+    if name_in_gymnasium not in registry:
+        gymnasium.register(
+            name_in_gymnasium,
+            entry_point=entry_point,
+            vector_entry_point=vector_entry_point,
+            disable_env_checker=True,
+            kwargs={"task": name},
+        )
+
+
+_ENVIRONMENTS = (
+    (PRESETS, partial(
+        _register, entry_point="learn2assemble.envs.assembly:AssemblyEnv",
+        vector_entry_point="learn2assemble.envs.assembly:AssemblyVectorEnv",
+    )),
+    (DESIGN_TASKS, partial(_register, entry_point="learn2assemble.envs.designs:DesignEnv")),
+)  # fmt: skip
+"""Which environment plays the tasks of each table."""
+
+
+register_all()

@@ -288,8 +288,7 @@ def _replay_arguments(parser: argparse.ArgumentParser) -> None:
 def _run_replay(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.physics.rigid import RigidPhysics
     from learn2assemble.reproduction.recordings import read_lines
-    from learn2assemble.reproduction.replay import replay_file
-    from learn2assemble.reproduction.robot_replay import is_robot_line, replay_robot_file
+    from learn2assemble.reproduction.replay import is_robot_line, replay_file, replay_robot_file
 
     reports, robots = [], []
     for path in options.files:

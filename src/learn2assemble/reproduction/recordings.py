@@ -129,7 +129,7 @@ def waiting_objects(unplaced: list[list[float]]) -> list[int]:
     return numbers
 
 
-class Scene:
+class RecordedScene:
     """One world restored from a recorded line, with the targets of its episode."""
 
     def __init__(self, line: Line, task: Task) -> None:

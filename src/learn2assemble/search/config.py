@@ -66,7 +66,7 @@ class SearchConfig:
         expansion: how the next action of a node is picked. ``epsilon-greedy``: untried ones by Q,
             some at random. ``uct``: largest ``mean + c sqrt(ln n(node) / n(child))``;
             untried ones by Q with the prior, at random without. ``gumbel``: sequential
-            halving at the root, the completed policy below (:mod:`~learn2assemble.search.rules`).
+            halving at the root, the completed policy below (:mod:`~learn2assemble.search.mcts`).
         exploration: c of ``uct``.
         repeats: a walk may enter an explored child before its siblings have been tried, and the
             end of a walk may be simulated again; without it every edge is simulated once.
