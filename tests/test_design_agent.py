@@ -249,7 +249,7 @@ def test_weights_are_the_same_after_a_file(tmp_path: Path) -> None:
         np.testing.assert_array_equal(value, again.weights[name])
     world = World(make_site(H, KITS[2]))
     seen = describe(world, world.legal())
-    np.testing.assert_array_equal(builder.scores(*seen)[0], again.scores(*seen)[0])
+    np.testing.assert_array_equal(builder.scores(*seen), again.scores(*seen))
 
 
 @pytest.mark.parametrize("damage", ["short", "nan", "shape", "other"])
@@ -273,16 +273,13 @@ def test_learning_and_playing_compute_the_same() -> None:
     weights = initial_weights(1, 16, 8)
     features = rng.normal(size=(2, 5, NUM_FEATURES)).astype(np.float32)
     summary = rng.normal(size=(2, 1, NUM_SUMMARY)).astype(np.float32)
-    mask = np.ones((2, 5, 1), np.float32)
-    mask[1, 3:] = 0
-    logits, value = forward(weights, features, summary, mask)
+    logits = forward(weights, features, summary)
     tensors = {k: torch.from_numpy(v) for k, v in weights.items()}
-    other = forward(tensors, *(torch.from_numpy(v) for v in (features, summary, mask)))
-    np.testing.assert_allclose(logits, other[0].numpy(), rtol=1e-3, atol=1e-4)
-    np.testing.assert_allclose(value, other[1].numpy(), rtol=1e-3, atol=1e-4)
-    # Padding changes nothing.
-    alone = forward(weights, features[1, :3], summary[1], mask[1, :3])
-    np.testing.assert_allclose(alone[1], value[1], rtol=1e-3, atol=1e-4)
+    other = forward(tensors, torch.from_numpy(features), torch.from_numpy(summary))
+    np.testing.assert_allclose(logits, other.numpy(), rtol=1e-3, atol=1e-4)
+    # A candidate is scored by itself.
+    alone = forward(weights, features[1, :3], summary[1])
+    np.testing.assert_allclose(alone, logits[1, :3], rtol=1e-3, atol=1e-4)
 
 
 @pytest.mark.parametrize("teacher", TEACHERS)
@@ -328,7 +325,7 @@ def test_what_is_built_is_within_the_rules(seed: int) -> None:
 
 
 def test_a_plan_of_the_agent_is_proven_again() -> None:
-    design = CellDesign("H", H, (0.05,) * 3, None, 0.0, None, "H", None)
+    design = CellDesign("H", H, (0.05, 0.05, 0.05), None, 0.0, None, "H", None)
     plan = plan_cells(design, "bricks-lintels", planner="agent")
     assert plan.complete, plan.reason
     assert (plan.planner, plan.agent) == ("agent", "builder-s0")
@@ -342,7 +339,7 @@ def test_a_plan_of_the_agent_is_proven_again() -> None:
 
 def test_what_the_agent_cannot_build_is_said() -> None:
     span = cells_of("#########/#.......#")
-    design = CellDesign("span", span, (0.05,) * 3, None, 0.0, None, "span", None)
+    design = CellDesign("span", span, (0.05, 0.05, 0.05), None, 0.0, None, "span", None)
     plan = plan_cells(design, "bricks", planner="agent")
     assert plan.status == "incomplete"
     assert plan.cells is not None
@@ -353,13 +350,13 @@ def test_what_the_agent_cannot_build_is_said() -> None:
 
 def test_a_design_too_large_for_the_agent_is_refused() -> None:
     solid = np.ones((64, 64, 16), bool)
-    design = CellDesign("solid", solid, (0.05,) * 3, None, 0.0, None, "solid", None)
+    design = CellDesign("solid", solid, (0.05, 0.05, 0.05), None, 0.0, None, "solid", None)
     with pytest.raises(InputError, match="exact, for more than"):
         plan_cells(design, "bricks-lintels", planner="agent")
 
 
 def test_auto_says_why() -> None:
-    design = CellDesign("H", H, (0.05,) * 3, None, 0.0, None, "H", None)
+    design = CellDesign("H", H, (0.05, 0.05, 0.05), None, 0.0, None, "H", None)
     plan = plan_cells(design, planner="auto")
     assert plan.complete
     assert plan.search is not None

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from learn2assemble.assembly.kit import Kit
     from learn2assemble.design.cells import CellDesign
     from learn2assemble.networks.agent import Agent
+    from learn2assemble.planning.agent.arm import Hand
     from learn2assemble.planning.discover import Progress, Sequence
     from learn2assemble.planning.problem import Problem
     from learn2assemble.planning.supply import Layout
@@ -284,20 +285,24 @@ def _build_exact(
     # Blocks are as large as the cells that were asked for.
     kit = (kit or load_kit(design.kit or DEFAULT_KIT)).at_pitch(design.cell)
     workcell = None if how is None else how.workcell()
-    plan = plan_cells(
-        design, kit, friction=friction, gap=gap, props=props, seconds=seconds, progress=progress,
-        planner=planner if how is None or planner == "agent" else "exact", builder=builder,
-        seed=seed,
-    )  # fmt: skip
+
+    def plan_with(blocks: Kit, hand: Hand | None = None) -> Plan:
+        return plan_cells(
+            design, blocks, friction=friction, gap=gap if blocks is kit else None, props=props,
+            seconds=seconds,
+            progress=progress, planner=planner if how is None or planner == "agent" else "exact",
+            builder=builder, seed=seed, hand=hand,
+        )  # fmt: skip
+
     if workcell is None:
-        return plan
+        return plan_with(kit)
+    if planner == "agent":
+        from learn2assemble.planning.agent.arm import build_by_arm
+
+        return build_by_arm(plan_with, kit, workcell, progress)
     from learn2assemble.planning.workcell_plan import carry_out_cells
 
-    return carry_out_cells(
-        plan, kit, workcell, progress,
-        lambda other: plan_cells(design, other, friction=friction, props=props, seconds=seconds,
-                                 planner=plan.planner or "exact", builder=builder, seed=seed),
-    )  # fmt: skip
+    return carry_out_cells(plan_with(kit), kit, workcell, progress, plan_with)
 
 
 def _check_file(path: Path) -> None:

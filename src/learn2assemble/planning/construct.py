@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,6 +25,9 @@ from learn2assemble.planning.exact import plan_exact
 from learn2assemble.planning.ordering import TIGHT, Ordering, to_assembly
 from learn2assemble.planning.plan import Plan, PlanDesign
 from learn2assemble.planning.tiling import Tiling, placement_cells
+
+if TYPE_CHECKING:
+    from learn2assemble.planning.agent.arm import Hand
 
 DEFAULT_KIT = "bricks-lintels"
 EXACT, AGENT, AUTO = "exact", "agent", "auto"
@@ -46,6 +50,7 @@ def plan_cells(
     planner: str = EXACT,
     builder: str | None = None,
     seed: int = 0,
+    hand: Hand | None = None,
 ) -> Plan:
     """Blocks, order and proof for a design of cells.
 
@@ -63,6 +68,7 @@ def plan_cells(
             what the record of both says (:mod:`.agent.planner`), exact where the agent fails.
         builder: the agent, by name or file.
         seed: of the agent's search.
+        hand: an arm that makes the agent's placements.
 
     Returns:
         The plan, with the assembly in :attr:`~.plan.Plan.assembly`.
@@ -87,7 +93,7 @@ def plan_cells(
         if chosen == AGENT:
             tiling, ordering, search, agent = plan_with_agent(
                 design.wanted, kit, builder=builder, seed=seed, seconds=seconds,
-                friction=friction, gap=gap,
+                friction=friction, gap=gap, hand=hand,
             )  # fmt: skip
             stages += search.attempts
             if planner == AUTO and tiling.status != "complete":

@@ -1,9 +1,8 @@
-"""The network that scores candidates and says whether a design can still be finished.
+"""The network that scores candidates.
 
-Two hidden layers look at every candidate by itself, together with the summary of the whole; a
-third, over the mean of what they found and over what they found for the likely candidates, gives
-the value. One function does it for NumPy arrays, with which the agent plays, and for PyTorch
-tensors, with which it learns.
+Two hidden layers look at every candidate by itself, together with the summary of the whole. One
+function does it for NumPy arrays, with which the agent plays, and for PyTorch tensors, with which
+it learns.
 """
 
 from __future__ import annotations
@@ -37,48 +36,37 @@ class Builder:
     origin: dict[str, Any] = field(default_factory=dict)
     """Configuration of the training, seed, samples, seconds, commit, hardware."""
 
-    def scores(self, candidates: np.ndarray, summary: np.ndarray) -> tuple[np.ndarray, float]:
-        """Logits of candidates, and the chance that the design can still be finished.
+    def scores(self, candidates: np.ndarray, summary: np.ndarray) -> np.ndarray:
+        """Logits of candidates.
 
         Args:
-            candidates: float32[m, NUM_FEATURES], m at least 1.
+            candidates: float32[m, NUM_FEATURES].
             summary: float32[NUM_SUMMARY].
         """
-        mask = np.ones((len(candidates), 1), np.float32)
-        logits, value = forward(self.weights, candidates, summary[None], mask)
-        return logits, float(1 / (1 + np.exp(-value[0])))
+        return forward(self.weights, candidates, summary[None])
 
 
-def forward(weights: Any, candidates: Any, summary: Any, mask: Any) -> tuple[Any, Any]:
-    """Logits of candidates [..., m] and of the value [..., 1].
+def forward(weights: Any, candidates: Any, summary: Any) -> Any:
+    """Logits of candidates [..., m].
 
     Args:
         weights: arrays by name, or tensors.
         candidates: [..., m, NUM_FEATURES].
         summary: [..., 1, NUM_SUMMARY].
-        mask: [..., m, 1], 1 for a candidate and 0 for padding.
     """
     w = weights
     hidden = candidates @ w["first"] + summary @ w["whole"] + w["first_bias"]
     hidden = hidden * (hidden > 0)
     hidden = hidden @ w["second"] + w["second_bias"]
-    hidden = hidden * (hidden > 0) * mask
-    logits = (hidden @ w["score"] + w["score_bias"]).clip(-30, 30)
-    # Weights of a softmax; logits are bounded, so nothing overflows.
-    likely = 2.718281828**logits * mask
-    seen = hidden.sum(-2) / mask.sum(-2)
-    best = (hidden * likely).sum(-2) / likely.sum(-2)
-    value = seen @ w["mean"] + best @ w["likely"] + summary[..., 0, :] @ w["state"]
-    value = value + w["value_bias"]
-    value = value * (value > 0)
-    return logits[..., 0], value @ w["value"] + w["final_bias"]
+    hidden = hidden * (hidden > 0)
+    return (hidden @ w["score"] + w["score_bias"]).clip(-30, 30)[..., 0]
 
 
 def initial_weights(seed: int, hidden: int = 128, width: int = 64) -> dict[str, np.ndarray]:
     """Random weights.
 
     Args:
-        hidden, width: of the first and of the later layers.
+        hidden, width: of the first and of the second layer.
     """
     rng = np.random.default_rng(seed)
 
@@ -93,12 +81,6 @@ def initial_weights(seed: int, hidden: int = 128, width: int = 64) -> dict[str, 
         "second_bias": np.zeros(width, np.float32),
         "score": matrix(width, 1, 0.3),
         "score_bias": np.zeros(1, np.float32),
-        "mean": matrix(width, width),
-        "likely": matrix(width, width),
-        "state": matrix(NUM_SUMMARY, width),
-        "value_bias": np.zeros(width, np.float32),
-        "value": matrix(width, 1, 0.3),
-        "final_bias": np.zeros(1, np.float32),
     }
 
 

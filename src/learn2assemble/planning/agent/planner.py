@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from functools import cache
 from importlib import resources
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from learn2assemble.planning.plan import SearchReport, SearchStage
 from learn2assemble.planning.programs import Clock
 from learn2assemble.planning.tiling import TIME_OPTION, Tiling
 
+if TYPE_CHECKING:
+    from learn2assemble.planning.agent.arm import Hand
+
 RECORD = "planners.json"
 MAX_CANDIDATES = 1_000_000
 """Cells times ways to put down a block: what the builder keeps grows with it."""
@@ -34,7 +37,7 @@ _SAVING = 2.0
 def plan_with_agent(
     wanted: np.ndarray, kit: Kit, *, builder: str | Builder | None = None, seed: int = 0,
     seconds: float = 60.0, friction: float | tuple[float, float] | None = None,
-    gap: float | tuple[float, float] | None = None, budget: int = BUDGET,
+    gap: float | tuple[float, float] | None = None, budget: int = BUDGET, hand: Hand | None = None,
 ) -> tuple[Tiling, Ordering, SearchReport, str]:  # fmt: skip
     """Blocks of ``kit`` that fill ``wanted``, chosen by the builder, every state proven again.
 
@@ -45,6 +48,7 @@ def plan_with_agent(
         seconds: wall-clock limit for everything.
         friction, gap: as for :func:`learn2assemble.planning.ordering.order`.
         budget: see :mod:`.search`.
+        hand: an arm that makes the placements; without one they make themselves.
 
     Returns:
         as :func:`learn2assemble.planning.exact.plan_exact`, of what was built where not all could
@@ -55,8 +59,15 @@ def plan_with_agent(
         raise InputError("planner", "agent", f"exact, for more than {most} cells of kit {kit.name}")
     clock = Clock(seconds)
     agent = builder if isinstance(builder, Builder) else load_builder(builder or DEFAULT)
-    site = make_site(wanted, kit)
+    site = make_site(wanted, kit if hand is None else hand.holds(kit))
     outcome = build(site, agent, budget=budget, seed=seed, seconds=seconds)
+    expanded = outcome.expanded
+    if hand is not None and outcome.complete:
+        site = make_site(wanted, hand.set_up(outcome.world))
+        hand.enter(site)
+        left = budget - expanded / len(outcome.world.placed)
+        outcome = build(site, agent, budget=left, seed=seed, seconds=clock.left, hand=hand)
+        expanded += outcome.expanded
     world, spent = outcome.world, clock.spent
     placements = tuple(site.placement(candidate) for candidate in world.placed)
     missing = tuple(world.cells_open())
@@ -64,11 +75,15 @@ def plan_with_agent(
         placements, site.wanted, "complete" if world.complete else "incomplete",
         _reason(outcome, seconds), missing, spent,
     )  # fmt: skip
-    ordering = order(
-        tiling, kit, friction=friction, gap=gap, seconds=max(clock.left, 1.0), given=True
-    )
+    ordering = Ordering((), tiling.status, tiling.reason)
+    if placements:
+        ordering = order(
+            tiling, kit, friction=friction, gap=gap, seconds=max(clock.left, 1.0), given=True
+        )
     found = "complete" if world.complete else f"{len(missing)} cells open"
-    text = f"{found}; {outcome.expanded} states expanded, {outcome.repairs} dead ends repaired"
+    text = f"{found}; {expanded} states expanded, {outcome.repairs} dead ends repaired"
+    if hand is not None:
+        text += f"; {hand.tried} placements tried by the arm, {hand.failed} of them failed"
     report = SearchReport(
         "agent with search", budget, (SearchStage("agent with search", text, round(spent, 3)),),
         outcome.repairs,

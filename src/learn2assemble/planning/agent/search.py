@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,6 +27,9 @@ from learn2assemble.planning.agent.features import describe
 from learn2assemble.planning.agent.network import Builder
 from learn2assemble.planning.agent.world import Site, World
 from learn2assemble.planning.programs import INF, Clock
+
+if TYPE_CHECKING:
+    from learn2assemble.planning.agent.arm import Hand
 
 BUDGET = 10
 WINDOW = 384
@@ -72,8 +76,8 @@ def window(world: World, legal: np.ndarray, size: int = WINDOW) -> np.ndarray:
 
 
 class _Search:
-    def __init__(self, site: Site, builder: Builder | None, seed: int) -> None:
-        self.site, self.builder = site, builder
+    def __init__(self, site: Site, builder: Builder | None, seed: int, hand: Hand | None) -> None:
+        self.site, self.builder, self.hand = site, builder, hand
         self.rng = np.random.default_rng(seed)
         self.world = World(site)
         self.expanded = 0
@@ -96,7 +100,7 @@ class _Search:
         if self.builder is None:
             logits = self.rng.random(len(candidates))
         else:
-            logits, _ = self.builder.scores(*describe(self.world, candidates))
+            logits = self.builder.scores(*describe(self.world, candidates))
         if self.taken:
             logits = logits - _PENALTY * np.array([self.taken[int(c)] for c in candidates])
             logits = logits + _NOISE * self.rng.gumbel(size=len(logits))
@@ -118,6 +122,10 @@ class _Search:
                 return stranded[:0]
         return None
 
+    def blocked(self, candidate: int) -> np.ndarray | None:
+        """Cells to blame where an arm cannot make a placement now; None where it can."""
+        return None if self.hand is None else self.hand.blocked(self.world, candidate)
+
     def step(self) -> np.ndarray | None:
         """Put down the best candidate; None, or the cells that are to blame for a dead end."""
         blame: list[np.ndarray] = []
@@ -129,6 +137,7 @@ class _Search:
                 fallen.append(int(candidate))
                 continue
             dead = self.dead_end(trial)
+            dead = self.blocked(int(candidate)) if dead is None else dead
             if dead is None:
                 self.world = trial
                 self.keep()
@@ -140,7 +149,7 @@ class _Search:
                 break
         if not blame:
             for candidate in fallen[:_TRIES]:
-                if self.world.place(candidate, program=True):
+                if self.blocked(candidate) is None and self.world.place(candidate, program=True):
                     self.keep()
                     return None
             # What carries the blocks that fall.
@@ -194,15 +203,16 @@ class _Search:
                 self.left_over.remove(candidate)
             elif self.world.waits[candidate] == 0:
                 trial = self.world.copy()
-                if trial.place(candidate) and self.dead_end(trial) is None:
+                good = trial.place(candidate) and self.dead_end(trial) is None
+                if good and self.blocked(candidate) is None:
                     self.left_over.remove(candidate)
                     self.world = trial
                     self.keep()
 
 
 def build(
-    site: Site, builder: Builder | None, *, budget: int = BUDGET, seed: int = 0,
-    seconds: float = INF,
+    site: Site, builder: Builder | None, *, budget: float = BUDGET, seed: int = 0,
+    seconds: float = INF, hand: Hand | None = None,
 ) -> Outcome:  # fmt: skip
     """Build a design.
 
@@ -211,8 +221,9 @@ def build(
         budget: expanded states per block; 1: no search.
         seed: of ties, of repairs and of random scores.
         seconds: wall-clock limit.
+        hand: makes the placements; without one they make themselves.
     """
-    clock, search = Clock(seconds), _Search(site, builder, seed)
+    clock, search = Clock(seconds), _Search(site, builder, seed, hand)
     decisions: list[float] = []
 
     def finished(world: World, repairs: int, timed_out: bool = False) -> Outcome:
@@ -225,7 +236,9 @@ def build(
             decisions.append(clock.spent)
             order = search.expand()
             ways = ((int(c), program) for program in (False, True) for c in order)
-            if not any(world.place(c, program) for c, program in ways):
+            if not any(
+                search.blocked(c) is None and world.place(c, program) for c, program in ways
+            ):
                 break
         return finished(world, 0, clock.left <= 0)
     best, most, repairs, radius = search.world, 0, 0, 1

@@ -3,8 +3,8 @@
 An *episode* builds one design of the training families. In every state the candidates that belong
 to a known solution are right, in whatever order they come. The agent goes its own way: where it
 prefers a candidate outside the solution, the teacher completes what is then there, and if it can,
-that solution is followed from there on (data aggregation, DAgger); if it cannot, the state is an
-example of a dead end for the value, and the episode goes on with the solution it had.
+that solution is followed from there on (data aggregation, DAgger); if it cannot, the episode goes
+on with the solution it had.
 
 Two teachers:
 
@@ -82,8 +82,7 @@ class _Sample:
     """float16[m, NUM_FEATURES]."""
     summary: np.ndarray
     right: np.ndarray
-    """bool[m]: belongs to a solution; all False where there is none."""
-    finishable: bool
+    """bool[m]: belongs to a solution."""
 
 
 # ---------------------------------------------------------------- teachers
@@ -161,7 +160,7 @@ def _episode(
         if not len(candidates):
             return
         features, summary = describe(world, candidates)
-        logits, _ = builder.scores(features, summary)
+        logits = builder.scores(features, summary)
         right = target[candidates].copy()
         order = np.argsort(-logits - rng.gumbel(size=len(logits)) * 0.3, kind="stable")
         moved = False
@@ -171,16 +170,11 @@ def _episode(
             if trial.place(int(candidates[best])):
                 level = int(site.found.origin[candidates[best], 2])
                 other = None if len(trial.stranded()) else complete(trial, target, level)
-                if other is None:
-                    after = window(trial, trial.legal())
-                    if len(after):
-                        rows, whole = describe(trial, after)
-                        yield _keep(rows, whole, np.zeros(len(rows), bool), False, config, rng)
-                else:
+                if other is not None:
                     right[best] = True
                     world, target, moved = trial, other, True
         if right.any():
-            yield _keep(features, summary, right, True, config, rng, logits)
+            yield _keep(features, summary, right, logits, config, rng)
         if moved:
             continue
         good = order[target[candidates[order]]]
@@ -192,17 +186,17 @@ def _episode(
 
 
 def _keep(
-    features: np.ndarray, summary: np.ndarray, right: np.ndarray, finishable: bool,
-    config: BuilderConfig, rng: np.random.Generator, logits: np.ndarray | None = None,
+    features: np.ndarray, summary: np.ndarray, right: np.ndarray, logits: np.ndarray,
+    config: BuilderConfig, rng: np.random.Generator,
 ) -> _Sample:  # fmt: skip
     """A sample with at most ``kept`` candidates: half of the others the likeliest, half random."""
     if len(right) > config.kept:
         noise = rng.random(len(right))
-        first = noise if logits is None else np.argsort(np.argsort(-logits)) / len(right)
+        first = np.argsort(np.argsort(-logits)) / len(right)
         rank = np.where(noise < 0.5, first, noise + 1) - 10 * right
         chosen = np.argsort(rank)[: config.kept]
         features, right = features[chosen], right[chosen]
-    return _Sample(features.astype(np.float16), summary, right, finishable)
+    return _Sample(features.astype(np.float16), summary, right)
 
 
 # ---------------------------------------------------------------- training
@@ -215,7 +209,7 @@ def train(
 
     Args:
         report: told every 200 gradient steps: seconds, states, loss, share of states in which the
-            likeliest candidate is right, share of dead ends told from others.
+            likeliest candidate is right.
     """
     import torch
 
@@ -235,7 +229,7 @@ def train(
     optimiser = torch.optim.Adam(list(weights.values()), config.rate)
     memory: list[_Sample] = []
     visited, steps, owed = 0, 0, 0.0
-    figures = np.zeros(5)
+    figures = np.zeros(2)
 
     def elapsed() -> float:
         return (time.process_time() - started) / config.seconds
@@ -264,20 +258,19 @@ def train(
             for group in optimiser.param_groups:
                 group["lr"] = config.rate * 0.1 ** min(elapsed(), 1.0)
             picked = [memory[k] for k in rng.integers(len(memory), size=config.batch)]
-            loss, shares = _loss(weights, picked, rng)
+            loss, right = _loss(weights, picked, rng)
             optimiser.zero_grad()
             loss.backward()
             torch.nn.utils.clip_grad_norm_(list(weights.values()), 1.0)
             optimiser.step()
             steps += 1
-            figures += (float(loss.detach()), *shares)
+            figures += (float(loss.detach()), right)
             if steps % 200 == 0:
                 known = sum(t is not None for t in targets)
                 report({
                     "seconds": round(elapsed() * config.seconds, 1), "designs": len(designs),
                     "states": visited, "steps": steps, "loss": figures[0] / 200,
-                    "right": figures[1] / max(figures[2], 1),
-                    "dead_ends_told": figures[3] / max(figures[4], 1), "solutions": known,
+                    "right": figures[1] / 200, "solutions": known,
                 })  # fmt: skip
                 figures[:] = 0
     origin = {
@@ -299,7 +292,7 @@ def _solution(solved: Solved) -> np.ndarray:
 
 
 def _loss(weights, picked: list[_Sample], rng: np.random.Generator):
-    """Loss of a batch, and counts: right choices, of how many; dead ends told, of how many."""
+    """Loss of a batch, and the share of right choices."""
     import torch
 
     most = max(len(sample.right) for sample in picked)
@@ -312,27 +305,15 @@ def _loss(weights, picked: list[_Sample], rng: np.random.Generator):
         flips = rng.random(2) < 0.5
         features[k, :count] = mirrored(sample.features, bool(flips[0]), bool(flips[1]))
         right[k, :count], mask[k, :count], summary[k, 0] = sample.right, 1, sample.summary
-    there = torch.from_numpy(mask)
-    logits, value = forward(weights, torch.from_numpy(features), torch.from_numpy(summary),
-                            there[..., None])  # fmt: skip
+    logits = forward(weights, torch.from_numpy(features), torch.from_numpy(summary))
+    there, wanted = torch.from_numpy(mask), torch.from_numpy(right)
     logits = logits.masked_fill(there == 0, -1e9)
-    told = torch.from_numpy(right.any(1))
-    good = logits.masked_fill(~torch.from_numpy(right), -1e9)
-    policy = (logits.logsumexp(1) - good.logsumexp(1))[told].mean()
+    good = logits.masked_fill(~wanted, -1e9)
+    policy = (logits.logsumexp(1) - good.logsumexp(1)).mean()
     # Beside any right choice, every right candidate is to be told from the others.
     share = torch.nn.functional.binary_cross_entropy_with_logits(
-        logits, torch.from_numpy(right.astype(np.float32)), reduction="none"
+        logits, wanted.float(), reduction="none"
     )
-    share = ((share * there)[told].sum(1) / there[told].sum(1)).mean()
-    finishable = torch.tensor([sample.finishable for sample in picked], dtype=torch.float32)
-    dead = float((finishable == 0).sum())
-    weight = torch.where(finishable == 0, 0.5 / max(dead, 1), 0.5 / max(len(picked) - dead, 1))
-    worth = torch.nn.functional.binary_cross_entropy_with_logits(
-        value[:, 0], finishable, weight=weight, reduction="sum"
-    )
-    with torch.no_grad():
-        hit = torch.gather(torch.from_numpy(right), 1, logits.argmax(1, keepdim=True))[told]
-        low = (value[:, 0] < 0) & (finishable == 0)
-    return policy + share + 0.3 * worth, (
-        float(hit.sum()), float(told.sum()), float(low.sum()), dead,
-    )  # fmt: skip
+    share = ((share * there).sum(1) / there.sum(1)).mean()
+    hit = torch.gather(wanted, 1, logits.argmax(1, keepdim=True)).float().mean()
+    return policy + share, float(hit)
