@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly
     from learn2assemble.assembly.kit import Kit
     from learn2assemble.design.cells import CellDesign
+    from learn2assemble.design.goals import Goals
     from learn2assemble.networks.agent import Agent
     from learn2assemble.planning.agent.arm import Hand
     from learn2assemble.planning.discover import Progress, Sequence
@@ -46,7 +48,7 @@ DEFAULT_ARM_TASKS = ("robot-two-sided-3x3-10-14", "robot-four-sided-3x3-10-18")
 
 
 def build(
-    design: str | Path | Design | CellDesign | Assembly,
+    design: str | Path | Design | CellDesign | Goals | Assembly,
     *,
     planner: str = "auto",
     kit: str | Kit | None = None,
@@ -73,8 +75,9 @@ def build(
     the rest anew.
 
     Args:
-        design: a design or its file (``docs/design_files.md``), an assembly of given blocks, or the
-            name of a task, of which a random problem is built.
+        design: a design or its file (``docs/design_files.md``), goals instead of a design or their
+            file (``docs/goals.md``), an assembly of given blocks, or the name of a task, of which a
+            random problem is built.
         planner: ``"exact"``; ``"agent"``: for designs the learned builder with its search alone
             (:mod:`.agent`), for tasks the agent of the paper; or ``"auto"``: the agent for tasks
             and where one is named, else what the record of both planners says.
@@ -258,6 +261,20 @@ def _build_exact(
 
     if isinstance(kit, str | Path):
         kit = load_kit(str(kit))
+    goals = _goals(design, kit, props, reading)
+    if goals is not None:
+        from learn2assemble.planning.goals.planner import plan_goals, with_obstacles
+        from learn2assemble.planning.workcell_plan import carry_out
+
+        workcell = None if how is None else how.workcell()
+        plan = plan_goals(
+            goals, planner=planner, seed=seed, seconds=seconds, friction=friction, gap=gap,
+            progress=progress,
+        )  # fmt: skip
+        if workcell is None:
+            return plan
+        workcell = replace(workcell, site=with_obstacles(workcell.site, goals))
+        return carry_out(plan, workcell, joint=goals.kit.joint_gap, progress=progress)
     source = ""
     if isinstance(design, str | Path):
         path = Path(design)
@@ -303,6 +320,19 @@ def _build_exact(
     from learn2assemble.planning.workcell_plan import carry_out_cells
 
     return carry_out_cells(plan_with(kit), kit, workcell, progress, plan_with)
+
+
+def _goals(design: object, kit: Kit | None, props: bool, reading: dict[str, Any]) -> Goals | None:
+    """The goals that are given instead of a design, or that a file holds; else None."""
+    from learn2assemble.design.goals import Goals, is_goals, read_goals
+
+    if isinstance(design, str | Path) and is_goals(read_bytes(Path(design), "design file")[0]):
+        if set(reading) - {"cell"}:
+            raise InputError("reading", sorted(reading), "no option but cell, for goals")
+        design = read_goals(design, kit, reading.get("cell"))
+    if not isinstance(design, Goals):
+        return None
+    return design if props else replace(design, props=False)
 
 
 def _check_file(path: Path) -> None:

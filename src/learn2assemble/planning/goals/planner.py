@@ -1,0 +1,221 @@
+"""From goals to a plan: what is impossible is refused, then search, then the exact program."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from learn2assemble.design.cells import CellDesign
+from learn2assemble.design.goals import Goals
+from learn2assemble.errors import InputError
+from learn2assemble.planning import plan as plans
+from learn2assemble.planning.agent.world import World
+from learn2assemble.planning.construct import AGENT, AUTO, EXACT, report_plan
+from learn2assemble.planning.goals.network import Guide, default_guide
+from learn2assemble.planning.goals.program import MOST, plan_program
+from learn2assemble.planning.goals.search import Found, search
+from learn2assemble.planning.goals.world import (
+    MAX_CANDIDATES,
+    Yard,
+    failing_load,
+    make_yard,
+    relax,
+)
+from learn2assemble.planning.ordering import order, value_range
+from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.step_proof import find_stack
+from learn2assemble.planning.tiling import BlockPlacement, Tiling, owners, placement_cells
+from learn2assemble.planning.workcell_site import Obstacle, Site
+
+SEARCH_SECONDS = (10.0, 30.0)
+"""Limits of the search in front of the exact program: planar and spatial goals [s]."""
+_DIRECTIONS = 16
+
+
+def plan_goals(
+    goals: Goals, *, planner: str = AUTO, guide: Guide | None = None, seed: int = 0,
+    seconds: float = 60.0, friction: float | tuple[float, float] | None = None,
+    gap: float | tuple[float, float] | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Plan:  # fmt: skip
+    """A structure that meets some goals, its order, and the proof of every step.
+
+    Args:
+        planner: ``"agent"``: the learned search; ``"exact"``: the mixed-integer program;
+            ``"auto"``: the search, and where it finds nothing the program.
+        guide: the network of the search; by default the one of the package.
+        seed: of the search.
+        seconds: wall-clock limit of choosing the blocks.
+        friction, gap: to prove it for, as for the exact planner.
+        progress: told what is being done.
+
+    Returns:
+        The plan; its cells are those of the structure that was found.
+
+    Raises:
+        InputError: for loads that the heap cannot carry, and goals that are too large.
+    """
+    started = time.perf_counter()
+    yard, reason = prepare(goals)
+    stages: list[plans.SearchStage] = []
+    blocks: tuple[BlockPlacement, ...] = ()
+    chosen, status = planner, "refused" if reason else "incomplete"
+    if planner != EXACT and not reason:
+        progress("searching for a structure")
+        limit = SEARCH_SECONDS[min(goals.shape[:2]) > 1]
+        limit = seconds if planner == AGENT else min(limit, seconds / 2)
+        guide = guide or default_guide()
+        found = search(yard, guide, seconds=limit, seed=seed)
+        blocks, chosen = found.placements, AGENT
+        stages.append(plans.SearchStage("learned search", _words(found), round(found.seconds, 3)))
+        reason = "" if blocks else _nothing(found, limit)
+        left = seconds - (time.perf_counter() - started)
+    else:
+        left = seconds
+    if planner != AGENT and not blocks and status != "refused":
+        progress("solving the exact program")
+        exact = plan_program(yard, seconds=left)
+        blocks, chosen = exact.placements, EXACT
+        words = f"{exact.status}: {len(blocks)} blocks, at least {exact.bound}"
+        stages.append(plans.SearchStage("exact program", words, round(exact.seconds, 3)))
+        reason = "" if blocks else f"time ran out after {seconds:g} s; --seconds gives more"
+        if exact.status == "infeasible":
+            status = "refused"
+            reason = (f"no structure of up to {MOST} blocks of kit `{goals.kit.name}` meets the "
+                      "goals and stands (mixed-integer program)")  # fmt: skip
+    plan = _report(
+        goals, blocks, reason, status, friction, gap, time.perf_counter() - started, chosen,
+        seconds, guide.name if guide and chosen == AGENT else None,
+    )  # fmt: skip
+    also = ", and under every set of the loads" if goals.loads else ""
+    return replace(plan, search=plans.SearchReport(chosen, 0, tuple(stages)),
+                   verified_by=f"{plan.verified_by}{also}")  # fmt: skip
+
+
+def prepare(goals: Goals) -> tuple[Yard, str]:
+    """The candidates of some goals, and why they cannot be met where that is known at once.
+
+    Raises:
+        InputError: for loads that the heap cannot carry, and goals that are too large.
+    """
+    if not goals.open[:, :, 0].any():
+        raise InputError(f"{goals.source}: obstacles", "no free cell on the table", "at least one")
+    check_loads(goals)
+    ways = sum(4 if kind.turns == "z" else 24 for kind in goals.kit.kinds)
+    if goals.open.size * ways > MAX_CANDIDATES * 8:
+        most = MAX_CANDIDATES * 8 // ways
+        raise InputError(f"{goals.source}: site", f"{goals.open.size} cells", f"at most {most}")
+    yard = make_yard(goals)
+    return yard, impossible(yard)
+
+
+def impossible(yard: Yard) -> str:
+    """Why no structure meets the goals, where a simple bound proves it; else an empty text."""
+    goals, kit = yard.goals, yard.goals.kit
+    if kit.limited and all(kind.count is not None for kind in kit.kinds):
+        cells = sum(len(kind.cells) * (kind.count or 0) for kind in kit.kinds)
+        if int(goals.must.sum()) > cells:
+            return f"{int(goals.must.sum())} cells have to be filled; the heap fills {cells}"
+        sizes = [np.ptp(kind.cells, axis=0) + 1 for kind in kit.kinds]
+        tall = [int(size.max() if kind.turns == "any" else size[2])
+                for kind, size in zip(kit.kinds, sizes, strict=True)]  # fmt: skip
+        reached = sum((kind.count or 0) * t for kind, t in zip(kit.kinds, tall, strict=True))
+        level = int(np.argwhere(goals.must)[:, 2].max()) + 1
+        if reached < level:
+            return f"a goal is {level} levels high; the whole heap on one another is {reached}"
+    if not goals.props and not np.isfinite(relax(yard, World(yard.site)).blocks):
+        return (f"no chain of blocks of kit `{kit.name}`, each carried below its centroid, leads "
+                "from the table to every goal around the obstacles")  # fmt: skip
+    return ""
+
+
+def check_loads(goals: Goals) -> None:
+    """Refuse a load whose moment about the ground is more than the heap can balance.
+
+    Beyond an edge of all the ground there is, a load has to be balanced by blocks behind the edge:
+    by no more than the cells with the longest levers, filled with the densest blocks of the heap.
+
+    Raises:
+        InputError: naming the load and the largest mass.
+    """
+    kit, pitch = goals.kit, np.array(goals.kit.pitch)
+    dense = max(kind.density or kit.density for kind in kit.kinds) * float(np.prod(pitch))
+    count = None
+    if all(kind.count is not None for kind in kit.kinds):
+        count = sum(len(kind.cells) * (kind.count or 0) for kind in kit.kinds)
+    middle = np.array(goals.shape[:2]) / 2
+    ground = (np.argwhere(goals.open[:, :, 0]) - middle) * pitch[:2]
+    corners = np.concatenate([ground + np.array(c) * pitch[:2] for c in
+                              ((0, 0), (0, 1), (1, 0), (1, 1))])  # fmt: skip
+    centres = (np.argwhere(goals.open)[:, :2] + 0.5 - middle) * pitch[:2]
+    for load in goals.loads:
+        for angle in np.arange(_DIRECTIONS) * 2 * np.pi / _DIRECTIONS:
+            way = np.array([np.cos(angle), np.sin(angle)])
+            edge = float((corners @ way).max())
+            beyond = float(np.array(load.point[:2]) @ way) - edge
+            if beyond <= 1e-9:
+                continue
+            levers = np.sort(edge - centres @ way)[::-1][:count]
+            most = dense * float(np.maximum(levers, 0).sum()) / beyond
+            if load.mass > most:
+                raise InputError(
+                    f"{goals.source}: load at {list(load.point)}", f"{load.mass:g} kg",
+                    f"at most {most:.3g} kg, which is what the heap can balance there",
+                )  # fmt: skip
+
+
+def with_obstacles(site: Site, goals: Goals) -> Site:
+    """A workcell with the obstacles of some goals, each from the table up, for nothing is built
+    below them."""
+    found = []
+    for low, high in goals.obstacles:
+        size = high[0] - low[0], high[1] - low[1], high[2]
+        found.append(Obstacle(((low[0] + high[0]) / 2, (low[1] + high[1]) / 2), size))
+    return replace(site, obstacles=(*site.obstacles, *found))
+
+
+def _report(
+    goals: Goals, blocks: tuple[BlockPlacement, ...], reason: str, status: str, friction: object,
+    gap: object, seconds: float, planner: str, limit: float, guide: str | None,
+) -> Plan:  # fmt: skip
+    """The plan of blocks in their order, with the same proof as any other."""
+    kit = goals.kit
+    wanted = np.zeros(goals.shape, bool)
+    for block in blocks:
+        if not block.prop:
+            wanted[tuple(placement_cells(block, kit).T)] = True
+    tiling = Tiling(blocks, wanted, "complete" if blocks else status, reason)
+    ordering = None
+    if blocks:
+        ordering = order(tiling, kit, friction=friction, gap=gap, seconds=max(limit, 10.0),  # pyright: ignore
+                         given=True)  # fmt: skip
+        widest = value_range(gap, kit.joint_gap, "gap")[1]  # pyright: ignore
+        kept = tuple(block for block in blocks if not block.prop)
+        stack = find_stack(kept, kit, goals.shape, widest)
+        owner = owners(kept, kit, goals.shape)
+        failing = failing_load(goals, stack, owner)
+        left = goals.unmet(owner >= 0)
+        if failing is not None or left:
+            points = [list(load.point) for load in failing or ()]
+            why = left[0] if left else f"it falls under the loads at {points}"
+            tiling = replace(tiling, status="incomplete", reason=why)
+    name = CellDesign(goals.name, wanted, kit.pitch, None, 0.0, None, goals.source, kit.name)
+    return report_plan(name, kit, tiling, ordering, seconds=seconds, planner=planner,
+                       agent=guide)  # fmt: skip
+
+
+def _words(found: Found) -> str:
+    if not found.placements:
+        return f"nothing found; {found.expanded} structures looked at"
+    props = len(found.placements) - found.blocks
+    also = f" and {props} props" if props else ""
+    return f"{found.blocks} blocks{also}; {found.expanded} structures looked at"
+
+
+def _nothing(found: Found, limit: float) -> str:
+    if found.exhausted:
+        return "the search has tried everything it can: --planner exact may find more"
+    return f"no structure was found in {limit:g} s; --seconds gives more"

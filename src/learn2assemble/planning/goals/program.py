@@ -1,0 +1,239 @@
+r"""The exact program for goals: fewest blocks, chosen together with the forces that hold them.
+
+With a binary :math:`x_p` for every candidate :math:`p`,
+
+.. math::
+
+    \min \sum_p x_p \quad \text{s.t.} \quad \sum_{p \ni c} x_p = 1 \;\text{(goals)}, \le 1
+    \;\text{(all cells)}, \qquad \sum_{p \in k} x_p \le n_k ,
+
+and, for every set of loads, forces under and on every candidate as in
+:mod:`learn2assemble.planning.standing`. Sets of loads are added where an answer does not bear them.
+A block that is put down stands on its own bed: on every side of its centroid something that
+carries it is chosen, too. An answer still needs an order; where there is none it is ruled out and
+the next best is looked for. So the number of blocks is the optimum where an order is found, and a
+lower bound before. *Infeasible* proves that no structure meets the goals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from learn2assemble.design.goals import Surface
+from learn2assemble.planning.agent.world import World
+from learn2assemble.planning.goals.search import finished
+from learn2assemble.planning.goals.world import Yard, failing_load, legal, put
+from learn2assemble.planning.programs import INF, Clock, Program, by_column, solve
+from learn2assemble.planning.step_proof import EDGE_INSET, find_stack
+from learn2assemble.planning.tiling import BlockPlacement, owners
+
+MOST = 24
+"""Blocks of a structure the program looks for."""
+MAX_STATES = 20_000
+"""Partial structures that are looked at for an order."""
+
+
+@dataclass(frozen=True)
+class Exact:
+    """What the program came to."""
+
+    status: str
+    """``"optimal"``, ``"feasible"``, ``"infeasible"`` or ``"time"``."""
+    placements: tuple[BlockPlacement, ...]
+    """In the order of building; empty where none was found."""
+    bound: int
+    """No structure has fewer blocks."""
+    seconds: float
+    rounds: int = 0
+    """Programs that were solved."""
+
+
+def plan_program(yard: Yard, *, seconds: float = 60.0, most: int = MOST) -> Exact:
+    """The structure with the fewest blocks that meets the goals, and an order.
+
+    Args:
+        seconds: wall-clock limit.
+        most: blocks of a structure at most.
+    """
+    clock = Clock(seconds)
+    goals = yard.goals
+    cases: list[tuple[Surface, ...]] = [goals.loads]
+    ruled_out: list[np.ndarray] = []
+    bound, rounds = 1, 0
+    while True:
+        answer = solve(_program(yard, cases, ruled_out, most), clock.left, gap=0.0)
+        rounds += 1
+        if answer.status == "infeasible":
+            status = "infeasible" if not ruled_out else "time"
+            return Exact(status, (), bound, clock.spent, rounds)
+        if np.isfinite(answer.bound):
+            bound = max(bound, int(np.ceil(answer.bound - 1e-6)))
+        if answer.x is None:
+            return Exact("time", (), bound, clock.spent, rounds)
+        chosen = np.flatnonzero(answer.x[: len(yard.site)] > 0.5)
+        blocks = tuple(yard.site.placement(int(k)) for k in chosen)
+        owner = owners(blocks, goals.kit, goals.shape)
+        failing = failing_load(goals, find_stack(blocks, goals.kit, goals.shape), owner)
+        if failing is None and not finished(yard, blocks):
+            failing = ()
+        if failing is not None and failing not in cases:
+            cases.append(failing)
+            continue
+        order = find_order(yard, chosen.tolist())
+        if order is not None:
+            made = tuple(yard.site.placement(k) for k in order)
+            status = "optimal" if answer.status == "optimal" else "feasible"
+            return Exact(status, made, bound, clock.spent, rounds)
+        ruled_out.append(chosen)
+        if clock.left <= 0:
+            return Exact("time", (), bound, clock.spent, rounds)
+
+
+def find_order(yard: Yard, candidates: list[int]) -> list[int] | None:
+    """An order in which candidates can be put down, every state standing; None for none."""
+    seen: set[frozenset[int]] = set()
+
+    def go(world: World, left: frozenset[int]) -> list[int] | None:
+        if not left:
+            return list(world.placed)
+        if left in seen or len(seen) > MAX_STATES:
+            return None
+        seen.add(left)
+        ready = [k for k in legal(yard, world).tolist() if k in left]
+        for k in sorted(ready, key=lambda k: yard.site.found.origin[k, 2]):
+            grown = put(world, k)
+            made = None if grown is None else go(grown, left - {k})
+            if made is not None:
+                return made
+        return None
+
+    return go(World(yard.site), frozenset(candidates))
+
+
+def _program(
+    yard: Yard, cases: list[tuple[Surface, ...]], ruled_out: list[np.ndarray], most: int
+) -> Program:
+    """Columns: whether each candidate is used, then for every case the forces at the corners of
+    bed faces and of top faces."""
+    site, found, goals = yard.site, yard.site.found, yard.goals
+    n, shape, kit = len(site), goals.shape, goals.kit
+    size, depth = site.wanted.size, shape[2]
+    planar = shape[1] == 1
+    cell, body = found.cell, np.repeat(np.arange(n), found.size())
+    where = np.stack(np.unravel_index(cell, shape), -1)
+    rows: list[np.ndarray] = []
+    columns: list[np.ndarray] = []
+    values: list[np.ndarray] = []
+    low: list[np.ndarray] = []
+    high: list[np.ndarray] = []
+    first = 0
+
+    def add(row: np.ndarray, col: np.ndarray, value: np.ndarray | float) -> None:
+        row, col, value = np.broadcast_arrays(row, col, value)
+        live = value.reshape(-1) != 0
+        rows.append(first + row.reshape(-1)[live])
+        columns.append(col.reshape(-1)[live])
+        values.append(value.reshape(-1)[live].astype(float))
+
+    def close(lowest: np.ndarray, highest: np.ndarray) -> None:
+        nonlocal first
+        low.append(lowest)
+        high.append(highest)
+        first += len(lowest)
+
+    # Cells and heap.
+    add(cell, body, 1.0)
+    close(goals.must.reshape(-1).astype(float), np.ones(size))
+    limited = np.flatnonzero(site.limits >= 0)
+    of_kind = np.full(len(site.limits) + 1, -1)
+    of_kind[limited] = np.arange(len(limited))
+    counted = np.flatnonzero(of_kind[site.kind] >= 0)
+    add(of_kind[site.kind[counted]], counted, 1.0)
+    close(np.zeros(len(limited)), site.limits[limited].astype(float))
+    add(np.zeros(n, np.int64), np.arange(n), 1.0)
+    close(np.zeros(1), np.array([float(most)]))
+    for chosen in ruled_out:
+        sign = np.full(n, -1.0)
+        sign[chosen] = 1.0
+        add(np.zeros(n, np.int64), np.arange(n), sign)
+        close(np.array([-INF]), np.array([len(chosen) - 1.0]))
+    # On every side of the centroid something that carries.
+    bed_body = np.repeat(np.arange(n), np.diff(yard.bed_start))
+    bed_at = np.stack(np.unravel_index(yard.bed, shape), -1)
+    above = bed_at[:, 2] > 0
+    raised = np.unique(bed_body[above])
+    row_of = np.full(n, -1)
+    row_of[raised] = np.arange(len(raised))
+    away = bed_at[:, :2] - yard.centre[bed_body]
+    sides = [away[:, 0] > -1 + 1e-6, away[:, 0] < -1e-6]
+    sides += [] if planar else [away[:, 1] > -1 + 1e-6, away[:, 1] < -1e-6]
+    for side in sides if not goals.props else [np.ones(len(away), bool)]:
+        pairs = np.flatnonzero(side & above)
+        below = yard.bed[pairs] - 1
+        counts = np.diff(site.over_start)[below]
+        inner = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+        q = site.over[np.repeat(site.over_start[below], counts) + inner]
+        p = np.repeat(bed_body[pairs], counts)
+        p, q = np.unique(np.stack([p, q]), axis=1)
+        add(row_of[p], q, 1.0)
+        add(np.arange(len(raised)), raised, -1.0)
+        close(np.zeros(len(raised)), np.full(len(raised), INF))
+    # Forces.
+    key = body * size + cell
+    on_table = where[:, 2] == 0
+    bottom = (~np.isin(key - 1, key) | on_table) & (
+        on_table | site.wanted.reshape(-1)[np.maximum(cell - 1, 0)]
+    )
+    top = (~np.isin(key + 1, key)) & (where[:, 2] < depth - 1)
+    top &= site.wanted.reshape(-1)[np.minimum(cell + 1, size - 1)]
+    face = np.concatenate([np.flatnonzero(bottom), np.flatnonzero(top)])
+    sign = np.where(np.arange(len(face)) < bottom.sum(), 1.0, -1.0)
+    plane = cell[face] + (sign < 0)
+    weight = site.weight[found.way]
+    unit = float(weight.mean())
+    weight = weight / unit
+    middle = site.centre[found.way][:, :2] / np.array(kit.pitch[:2]) + found.origin[:, :2]
+    inset = (EDGE_INSET * min(kit.pitch[:2]) + kit.joint_gap / 2) / np.array(kit.pitch[:2])
+    corner = np.array([[0.0, 0.5], [1, 0.5]] if planar else [[0.0, 0], [1, 0], [0, 1], [1, 1]])
+    corner = np.where(corner == 0, inset, np.where(corner == 1, 1 - inset, 0.5))
+    m = len(corner)
+    lever = where[face, None, :2] + corner - middle[body[face], None]
+    arms = [np.ones(lever.shape[:2]), lever[:, :, 0]] + ([] if planar else [lever[:, :, 1]])
+    of_body = body[face]
+    joined = np.flatnonzero(plane % depth > 0)
+    shared, which = np.unique(plane[joined], return_inverse=True)
+    columns_now = n
+    for case in cases:
+        column = columns_now + np.arange(m * len(face)).reshape(-1, m)
+        columns_now += m * len(face)
+        for k, arm in enumerate(arms):
+            add(len(arms) * of_body[:, None] + k, column, sign[:, None] * arm)
+        own = np.zeros((n, len(arms)))
+        own[:, 0] = weight
+        for load in case:
+            at = np.array(load.point[:2]) / kit.pitch[:2] + np.array(shape[:2]) / 2
+            bears = body[cell == np.ravel_multi_index(load.cell, shape)]
+            mass = load.mass / unit
+            own[bears, 0] += mass
+            for axis in range(len(arms) - 1):
+                own[bears, axis + 1] += mass * (at[axis] - middle[bears, axis])
+        for k in range(len(arms)):
+            add(len(arms) * np.arange(n) + k, np.arange(n), -own[:, k])
+        close(np.zeros(len(arms) * n), np.zeros(len(arms) * n))
+        loads = sign < 0
+        add(of_body[loads, None], column[loads], 1.0)
+        total = min(weight.max() * most, float(weight.max()) * size)
+        total += sum(load.mass for load in case) / unit
+        add(np.arange(n), np.arange(n), -total)
+        close(np.full(n, -INF), np.zeros(n))
+        add(m * which.reshape(-1)[:, None] + np.arange(m), column[joined], sign[joined, None])
+        close(np.zeros(m * len(shared)), np.zeros(m * len(shared)))
+    cost = np.zeros(columns_now)
+    cost[:n] = 1.0
+    upper = np.where(np.arange(columns_now) < n, 1.0, INF)
+    return Program(
+        cost, np.zeros(columns_now), upper, np.concatenate(low), np.concatenate(high),
+        *by_column(rows, columns, values, columns_now), integer=np.arange(columns_now) < n,
+    )  # fmt: skip

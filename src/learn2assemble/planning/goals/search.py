@@ -1,0 +1,320 @@
+"""Best-first search over structures that stand, guided by relaxed plans and a learned prior.
+
+A node is a structure that stands; its children are one block larger. A node waits for its next
+child with the priority
+
+    blocks + weight * (blocks that are missing) + surprises on the way, the child's included ,
+
+where what is missing is the relaxed plan and what the network adds to it. Without a network a child
+of the relaxed plan surprises by nothing, and any other by more than a block; with one the surprise
+is the logarithm of how much likelier the likeliest child is.
+
+A block of the relaxed plan that would fall, or a load, asks for *ballast*: the least weights on top
+of the structure that would hold it, a linear program, say where; blocks there surprise little.
+
+The first structure is looked for greedily; then the weight falls, and only structures with fewer
+blocks count. In the end, blocks that nothing needs are left out, and where props are allowed, those
+that only building needs are taken away again.
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass, replace
+from itertools import count
+
+import numpy as np
+
+from learn2assemble.planning.agent.world import World, grow
+from learn2assemble.planning.goals.features import describe
+from learn2assemble.planning.goals.network import Guide
+from learn2assemble.planning.goals.world import (
+    Relaxed,
+    Yard,
+    bears,
+    failing_load,
+    legal,
+    loaded,
+    put,
+    relax,
+    unmet,
+)
+from learn2assemble.planning.programs import INF, Clock, Program, by_column, solve
+from learn2assemble.planning.step_proof import Proof, Stack, find_stack
+from learn2assemble.planning.tiling import BlockPlacement, owners
+
+ROUNDS = ((3.0, 1.0), (1.5, 0.5), (1.0, 1.0))
+"""Of searching: the weight of what is missing, and the share of the time that is left."""
+UNLIKELY = 1.5
+"""Surprise of a child that is not in the relaxed plan, without a network [blocks]."""
+BALLAST = 0.5
+"""Surprise of a block that lies best where ballast is asked for [blocks]."""
+TEMPER = 0.7
+"""Surprise of a child that the network finds less likely by a factor e [blocks]."""
+MAX_SEEN = 100_000
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a search came to."""
+
+    placements: tuple[BlockPlacement, ...]
+    """In the order of building, temporary ones (``prop``) among them; empty: nothing was found."""
+    expanded: int
+    """Structures whose children were looked at."""
+    tried: int
+    """Children whose equilibrium was asked for."""
+    seconds: float
+    first: float | None = None
+    """Seconds until the first structure that meets all goals."""
+    exhausted: bool = False
+    """Whether nothing was left to try."""
+
+    @property
+    def blocks(self) -> int:
+        """Blocks of the finished structure."""
+        return sum(not block.prop for block in self.placements)
+
+
+@dataclass(eq=False)
+class Node:
+    """A structure that stands, and its children in the order in which they are tried."""
+
+    world: World
+    relaxed: Relaxed
+    missing: float
+    children: np.ndarray
+    surprise: np.ndarray
+    """Of every child, with those on the way to it."""
+
+
+class Search:
+    """A search over the structures for some goals.
+
+    Args:
+        guide: the network; None: none.
+    """
+
+    def __init__(self, yard: Yard, guide: Guide | None, seed: int = 0) -> None:
+        self.yard, self.guide = yard, guide
+        rng = np.random.default_rng(seed)
+        self.hash = rng.integers(0, 2**63, len(yard.site), dtype=np.int64)
+        self.expanded = self.tried = 0
+        self.best: World | None = None
+        self.fewest = INF
+        self.heaviest = float(yard.site.weight.max())
+
+    def expand(self, world: World, relaxed: Relaxed, spent: float) -> Node:
+        """The node of a structure.
+
+        Args:
+            spent: surprises on the way to it.
+        """
+        self.expanded += 1
+        children = legal(self.yard, world)
+        liked = children[relaxed.used[children]]
+        missing = relaxed.blocks
+        share = np.zeros(len(self.yard.site))
+        if not missing or all(put(world, int(k), False) is None for k in liked):
+            share, weight = self.ballast(world, liked)
+            missing += np.ceil(round(weight / self.heaviest, 6))
+        missing = max(missing, 1.0)
+        helps = share[children]
+        if self.guide is not None and len(children):
+            logits, more = self.guide.scores(*describe(self.yard, world, relaxed, children, helps))
+            surprise = TEMPER * (logits.max() - logits)
+            missing += more
+        else:
+            surprise = np.where(
+                relaxed.used[children], 0.0, UNLIKELY + 1 - carried(world, children)
+            )
+            surprise = np.where(helps > 0, np.minimum(surprise, BALLAST + 1 - helps), surprise)
+        order = np.argsort(surprise, kind="stable")
+        return Node(world, relaxed, missing, children[order], spent + surprise[order])
+
+    def ballast(self, world: World, liked: np.ndarray) -> tuple[np.ndarray, float]:
+        """How well every candidate lies where weight is asked for (float64[n], 0 to 1), and how
+        much is [kg]."""
+        yard = self.yard
+        share, least = np.zeros(len(yard.site)), INF
+        cases: list[tuple[Stack, np.ndarray]] = []
+        if not len(unmet(yard, world)):
+            owner = world.owner.reshape(yard.goals.shape)
+            stack = loaded(world.proof.stack, owner, yard.goals.loads, yard.goals.shape,
+                           yard.goals.kit.pitch)  # fmt: skip
+            cases.append((stack, world.owner))
+        for k in liked[:2] if len(world.placed) else ():
+            owner = world.owner.copy()
+            owner[yard.site.cells(int(k))] = len(world.placed)
+            cases.append((grow(world, int(k)), owner))
+        for stack, owner in cases:
+            cells, weight = _least_ballast(yard, stack, owner)
+            for cell, much in zip(cells, weight / max(weight.sum(), 1e-9), strict=True):
+                on = yard.site.on[yard.site.on_start[cell] : yard.site.on_start[cell + 1]]
+                share[on] = np.maximum(share[on], 0.2 + 0.8 * much)
+            least = min(least, float(weight.sum()) if len(cells) else INF)
+        return share, least if np.isfinite(least) else 0.0
+
+    def run(self, weight: float, clock: Clock) -> bool:
+        """Search until a structure with fewer blocks is found; whether there is nothing left."""
+        ties, seen = count(), set()
+        queue: list[tuple[float, int, int, Node]] = []
+
+        def push(node: Node, index: int) -> None:
+            if index < len(node.children):
+                value = len(node.world.placed) + weight * node.missing + node.surprise[index]
+                heapq.heappush(queue, (float(value), -next(ties), index, node))
+
+        world = World(self.yard.site)
+        push(self.expand(world, relax(self.yard, world), 0.0), 0)
+        while queue:
+            if clock.left <= 0 or len(seen) > MAX_SEEN:
+                return False
+            _, _, index, node = heapq.heappop(queue)
+            if len(node.world.placed) + max(node.relaxed.blocks, 1) >= self.fewest:
+                continue
+            push(node, index + 1)
+            candidate = int(node.children[index])
+            key = int(np.bitwise_xor.reduce(self.hash[[*node.world.placed, candidate]]))
+            if key in seen:
+                continue
+            seen.add(key)
+            self.tried += 1
+            world = put(node.world, candidate)
+            if world is None:
+                continue
+            relaxed = relax(self.yard, world)
+            if relaxed.blocks == 0 and bears(self.yard, world):
+                self.best, self.fewest = world, len(world.placed)
+                return False
+            if len(world.placed) + max(relaxed.blocks, 1) < self.fewest:
+                push(self.expand(world, relaxed, float(node.surprise[index])), 0)
+        return True
+
+
+def search(
+    yard: Yard, guide: Guide | None, *, seconds: float = 10.0, seed: int = 0,
+    rounds: tuple[tuple[float, float], ...] = ROUNDS,
+) -> Found:  # fmt: skip
+    """A structure for some goals with as few blocks as can be found.
+
+    Args:
+        guide: the network; None: none.
+        seconds: wall-clock limit.
+    """
+    clock, found = Clock(seconds), Search(yard, guide, seed)
+    first: float | None = None
+    placements: tuple[BlockPlacement, ...] = ()
+    exhausted = not len(yard.site) or not np.isfinite(relax(yard, World(yard.site)).blocks)
+    for weight, share in () if exhausted else rounds:
+        end = Clock(clock.left * share)
+        exhausted = False
+        while end.left > 0 and not exhausted:
+            before = found.fewest
+            exhausted = found.run(weight, end)
+            if found.best is None or found.fewest >= before:
+                break
+            first = clock.spent if first is None else first
+            made = trim(yard, found.best)
+            fewest = sum(not block.prop for block in made)
+            if not placements or fewest < sum(not block.prop for block in placements):
+                placements = made
+            found.fewest = min(found.fewest, fewest)
+        if found.best is None and not exhausted and clock.left > 0:
+            continue
+        if exhausted and found.best is None:
+            break
+    return Found(placements, found.expanded, found.tried, clock.spent, first, exhausted)
+
+
+def carried(world: World, children: np.ndarray) -> np.ndarray:
+    """float64[m]: share of the open cells below candidates that are filled; 1 on the table."""
+    rests = world.site.rests[children]
+    share = (rests - world.waits[children]) / np.maximum(rests, 1)
+    return np.where(world.site.found.origin[children, 2] == 0, 1.0, share)
+
+
+def trim(yard: Yard, world: World) -> tuple[BlockPlacement, ...]:
+    """The blocks in their order, without those that nothing needs; where props are allowed, those
+    that only building needs are temporary."""
+    kept = list(world.placed)
+    for candidate in reversed(world.placed):
+        fewer = [k for k in kept if k != candidate]
+        made = replay(yard, fewer)
+        if made is not None and not len(unmet(yard, made)) and bears(yard, made):
+            kept = fewer
+    blocks = [yard.site.placement(k) for k in kept]
+    if yard.goals.props:
+        for index in reversed(range(len(blocks))):
+            trial = [*blocks[:index], replace(blocks[index], prop=True), *blocks[index + 1 :]]
+            if finished(yard, tuple(b for b in trial if not b.prop)):
+                blocks = trial
+    return tuple(blocks)
+
+
+def replay(yard: Yard, candidates: list[int]) -> World | None:
+    """The world after some candidates; None where one is not legal or falls."""
+    world: World | None = World(yard.site)
+    for k in candidates:
+        if world is None or k not in legal(yard, world):
+            return None
+        world = put(world, k)
+    return world
+
+
+def finished(yard: Yard, blocks: tuple[BlockPlacement, ...]) -> bool:
+    """Whether blocks meet the goals, stand and bear the loads, however they got there."""
+    goals = yard.goals
+    owner = owners(blocks, goals.kit, goals.shape)
+    if not (owner[:, :, 0] >= 0).any() or goals.unmet(owner >= 0):
+        return False
+    stack = find_stack(blocks, goals.kit, goals.shape)
+    if np.bincount(stack.upper, minlength=len(stack)).min() == 0:
+        return False
+    everything = np.ones(len(stack), bool)
+    if not Proof(stack).program(everything, everything):
+        return False
+    return failing_load(goals, stack, owner) is None
+
+
+def _least_ballast(yard: Yard, stack: Stack, owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Cells on top of which the least weight holds a structure, and how much on each [kg]; none
+    where it stands without or nothing holds it.
+
+    Args:
+        stack: with its loads.
+        owner: int64[cells].
+    """
+    goals = yard.goals
+    depth = goals.shape[2]
+    filled = np.flatnonzero(owner >= 0)
+    top = filled[filled % depth < depth - 1]
+    top = top[(owner[top + 1] < 0) & goals.open.reshape(-1)[top + 1]]
+    x, y, _ = np.unravel_index(top, goals.shape)
+    place = (np.stack([x, y], 1) + 0.5 - np.array(goals.shape[:2]) / 2) * goals.kit.pitch[:2]
+    points, count = len(stack.point), len(stack)
+    column = [np.arange(points), np.flatnonzero(stack.lower >= 0), points + np.arange(len(top))]
+    block = [stack.upper, stack.lower[column[1]], owner[top]]
+    where = [stack.point[:, :2], stack.point[column[1], :2], place]
+    rows, columns, values = [], [], []
+    for sign, col, b, at in zip((1.0, -1.0, -1.0), column, block, where, strict=True):
+        lever = (at - stack.centre[b, :2]) / stack.pitch
+        for k, arm in enumerate((np.ones(len(b)), lever[:, 0], lever[:, 1])):
+            rows.append(3 * b + k)
+            columns.append(col)
+            values.append(sign * arm)
+    right = np.zeros((count, 3))
+    unit = float(stack.weight.mean())
+    right[:, 0] = stack.weight / unit
+    n = points + len(top)
+    answer = solve(
+        Program(
+            (np.arange(n) >= points).astype(float), np.zeros(n), np.full(n, INF),
+            right.reshape(-1), right.reshape(-1), *by_column(rows, columns, values, n),
+        )
+    )  # fmt: skip
+    if answer.x is None:
+        return top[:0], np.empty(0)
+    weight = answer.x[points:] * unit
+    chosen = weight > 1e-6 * unit
+    return top[chosen], weight[chosen]

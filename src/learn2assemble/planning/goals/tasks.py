@@ -1,0 +1,213 @@
+"""Goals in families, drawn at random: those of training, and fixed ones to be measured on.
+
+A family draws a goals file of a lattice of 5 cm cells, planar (one cell deep) or spatial. The fixed
+tasks are families and seeds; training draws its own seeds, and some families are never trained on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from learn2assemble.design.goals import FORMAT, VERSION, Goals, parse_goals
+from learn2assemble.errors import InputError, look_up
+
+EDGE, CLEAR = 0.05, 0.003
+"""Of a cell, and how far obstacles stay inside theirs, so that an arm passes them [m]."""
+Json = dict[str, Any]
+
+
+class _Draft:
+    """A goals file in the making; places are cells."""
+
+    def __init__(self, rng: np.random.Generator, x: int, y: int, z: int) -> None:
+        self.rng, self.shape = rng, (x, y, z)
+        self.file: Json = {
+            "format": FORMAT, "version": VERSION, "site": [round(EDGE * n, 6) for n in (x, y, z)],
+            "kit": "bricks-lintels", "occupy": [], "reach": [], "load": [], "obstacles": [],
+        }  # fmt: skip
+
+    def point(self, x: float, y: float, z: float) -> list[float]:
+        """Of a cell's middle, with the height of its top."""
+        a, b, _ = self.shape
+        return [round(EDGE * v, 6) for v in (x + 0.5 - a / 2, y + 0.5 - b / 2, z + 1)]
+
+    def reach(self, x: int, y: int, z: int, mass: float = 0.0) -> None:
+        """The top of a cell, with a load."""
+        if mass:
+            self.file["load"].append({"at": self.point(x, y, z), "mass": round(mass, 2)})
+        else:
+            self.file["reach"].append(self.point(x, y, z))
+
+    def occupy(self, low: tuple[int, int, int], high: tuple[int, int, int]) -> None:
+        """The cells from ``low`` up to and without ``high``."""
+        self.file["occupy"].append({"box": self._box(low, high, 0.001)})
+
+    def block(self, low: tuple[int, int, int], high: tuple[int, int, int]) -> None:
+        """An obstacle in the cells from ``low`` up to and without ``high``."""
+        self.file["obstacles"].append(self._box(low, high, CLEAR))
+
+    def _box(self, low: tuple[int, ...], high: tuple[int, ...], inset: float) -> list[list[float]]:
+        corner = np.array([self.shape[0] / 2, self.shape[1] / 2, 0.0])
+        ends = (np.array(low) - corner) * EDGE + inset, (np.array(high) - corner) * EDGE - inset
+        return [[round(float(v), 6) for v in end] for end in ends]
+
+    def heap(self, **counts: int) -> None:
+        """Kinds such as ``b4=3``: three 1x4; ``w4``: 2x4."""
+        self.file["heap"] = {f"{'2' if k[0] == 'w' else '1'}x{k[1:]}": n for k, n in counts.items()}
+
+    def pick(self, low: int, high: int) -> int:
+        """A whole number from ``low`` to ``high``."""
+        return int(self.rng.integers(low, high + 1))
+
+
+Family = Callable[[_Draft, bool], None]
+
+
+def _bridge(d: _Draft, deep: bool) -> None:
+    """Both banks and the middle of a gap."""
+    x, y, _ = d.shape
+    gap, high = d.pick(3, 6), d.pick(1, 3)
+    left = (x - gap) // 2
+    d.block((left, 0, 0), (left + gap, y, d.pick(1, high)))
+    row = y // 2
+    d.reach(left - d.pick(1, 2), row, high)
+    d.reach(left + gap // 2, row, high, d.rng.choice([0.0, 0.5]))
+    d.reach(left + gap - 1 + d.pick(1, 2), row if not deep else d.pick(0, y - 1), high)
+    if d.rng.random() < 0.5:
+        d.heap(b1=6, b2=6, b4=5, b3=d.pick(0, 3) + 1)
+
+
+def _corbel(d: _Draft, deep: bool) -> None:
+    """A point beyond the only ground there is."""
+    x, y, _ = d.shape
+    edge, high = x // 2 - d.pick(0, 1), d.pick(2, 3)
+    d.block((edge, 0, 0), (x, y, d.pick(1, high - 1)))
+    d.occupy((beyond := edge + d.pick(1, 3), y // 2, high), (beyond + 1, y // 2 + 1, high + 1))
+    if d.rng.random() < 0.5:
+        d.heap(b1=4, b2=4, b4=5, b6=2)
+
+
+def _tower(d: _Draft, deep: bool) -> None:
+    """A high point above an obstacle that stands in the way."""
+    x, y, z = d.shape
+    at, row, high = d.pick(3, x - 4), d.pick(1, y - 2) if deep else 0, z - 2 - d.pick(0, 1)
+    wide, tall = d.pick(1, 3), d.pick(1, 2)
+    low = max(at - d.pick(0, wide - 1), 0)
+    rows = (max(row - 1, 0), min(row + 2, y)) if deep else (0, 1)
+    d.block((low, rows[0], 0), (low + wide, rows[1], tall))
+    d.reach(at, row, high)
+    if d.rng.random() < 0.5:
+        d.heap(b1=3, b2=4, b3=2, b4=3, b5=1)
+
+
+def _cantilever(d: _Draft, deep: bool) -> None:
+    """A load beyond the ground, near it."""
+    x, y, _ = d.shape
+    edge, high = x // 2 + d.pick(-1, 1), d.pick(1, 2)
+    d.block((edge, 0, 0), (x, y, 1))
+    d.reach(edge + d.pick(1, 2), y // 2, high, d.rng.uniform(0.1, 0.6))
+    if d.rng.random() < 0.5:
+        d.heap(b1=2, b2=3, b4=3, b6=2, b8=1)
+
+
+def _table(d: _Draft, deep: bool) -> None:
+    """Loads at one height, far apart, with something under the table."""
+    x, y, _ = d.shape
+    high, width = d.pick(1, 3), d.pick(4, 7)
+    left = (x - width) // 2
+    d.block((left + 1, 0, 0), (left + width - 1, y - (1 if deep else 0), 1))
+    rows = (1, y - 2) if deep else (0, 0)
+    d.reach(left, rows[0], high, d.rng.uniform(0.2, 1.0))
+    d.reach(left + width - 1, rows[1], high, d.rng.uniform(0.2, 1.0))
+    if d.rng.random() < 0.6:
+        d.reach(left + width // 2, rows[0], high)
+    if d.rng.random() < 0.4:
+        d.heap(b1=5, b2=5, b4=4, b3=2, b6=1, b8=1)
+
+
+def _joined(d: _Draft, deep: bool) -> None:
+    """Two points and the beam between them."""
+    x, y, _ = d.shape
+    high, width = d.pick(2, 3), d.pick(4, 6)
+    left, row = (x - width) // 2, y // 2
+    d.occupy((left, row, high), (left + width, row + 1, high + 1))
+    d.block((left + 1, 0, 0), (left + width - 1, y - 1 if deep else 1, d.pick(1, 2)))
+    d.reach(left + d.pick(0, width - 1), row, high + d.pick(1, 2))
+    if d.rng.random() < 0.6:
+        d.heap(b1=4, b2=4, b4=4, b3=2)
+
+
+def _stairs(d: _Draft, deep: bool) -> None:
+    """Points that rise one level each."""
+    x, y, _ = d.shape
+    steps, run = d.pick(3, 4), d.pick(2, 3) if not deep else d.pick(1, 2)
+    at = max((x - steps * run) // 2, 0)
+    for k in range(steps):
+        d.reach(min(at + k * run, x - 1), min(k, y - 1) if deep else 0, k)
+    if d.rng.random() < 0.5:
+        spot = min(at + (steps - 1) * run + 1, x - 2)
+        d.block((spot, 0, 0), (spot + 1, y, 1))
+    if d.rng.random() < 0.6:
+        d.heap(b1=4, b2=3, b3=3, b4=3, b5=1)
+
+
+def _arch(d: _Draft, deep: bool) -> None:
+    """A point over the middle of an obstacle, with short blocks only."""
+    x, y, _ = d.shape
+    wide, tall = d.pick(3, 5), d.pick(1, 3)
+    left, row = (x - wide) // 2, y // 2
+    d.block((left, max(row - 2, 0), 0), (left + wide, min(row + 3, y), tall))
+    d.reach(left + wide // 2, row, tall + d.pick(1, 2), d.rng.choice([0.0, 0.3]))
+    d.heap(b1=8, b2=8, b3=8, b4=8)
+
+
+def _scatter(d: _Draft, deep: bool) -> None:
+    """Any goals and obstacles anywhere; only trained on."""
+    x, y, z = d.shape
+    for _ in range(d.pick(0, 3)):
+        a, b = d.pick(0, x - 2), d.pick(0, y - 1)
+        size = d.pick(1, 5), d.pick(1, y), d.pick(1, 3)
+        d.block((a, b, 0), (min(a + size[0], x), min(b + size[1], y), size[2]))
+    for _ in range(d.pick(1, 3)):
+        at = d.pick(1, x - 2), d.pick(0, y - 1), d.pick(0, z - 3)
+        kind = d.pick(0, 3)
+        if kind == 0:
+            d.occupy(at, (min(at[0] + d.pick(1, 4), x), at[1] + 1, at[2] + 1))
+        else:
+            d.reach(*at, d.rng.uniform(0.1, 1.0) if kind == 1 else 0.0)
+    if d.rng.random() < 0.6:
+        names = d.rng.permutation(["b1", "b2", "b3", "b4", "b5", "b6", "b8"])[: d.pick(2, 5)]
+        d.heap(**{str(name): d.pick(2, 6) for name in names})
+
+
+FAMILIES: dict[str, Family] = {
+    "bridge": _bridge, "corbel": _corbel, "tower": _tower, "cantilever": _cantilever,
+    "table": _table, "joined": _joined, "stairs": _stairs, "arch": _arch, "scatter": _scatter,
+}  # fmt: skip
+TRAINED = ("scatter", "bridge", "tower", "table", "stairs")
+"""Families that training draws from; it never sees the others."""
+PLANAR, SPATIAL = "planar", "spatial"
+FIRST_TRAINING_SEED = 100_000
+"""Training draws seeds from here on, the fixed tasks have smaller ones."""
+
+
+def draw(family: str, seed: int, spatial: bool = False) -> Json:
+    """The goals file of a family and a seed."""
+    make = look_up("family", family, FAMILIES)
+    rng = np.random.default_rng([seed, spatial, *family.encode()])
+    shape = (10, 5, 6) if spatial else (13, 1, 8)
+    draft = _Draft(rng, *shape)
+    make(draft, spatial)
+    kind = SPATIAL if spatial else PLANAR
+    return {**draft.file, "name": f"{family} {kind} {seed}"}
+
+
+def draw_goals(family: str, seed: int, spatial: bool = False) -> Goals | None:
+    """The goals of a family and a seed; None where they contradict one another."""
+    try:
+        return parse_goals(draw(family, seed, spatial), "task")
+    except InputError:
+        return None

@@ -1,0 +1,355 @@
+"""Where a structure for some goals may grow: candidates, what is still missing, loads.
+
+Candidates and states are those of the builder of designs, with every cell that may be filled as a
+wanted one. A candidate is *legal* where something carries it and nothing is above any of its cells,
+since blocks come from above.
+
+The **relaxed plan** of a state forgets equilibrium of the whole, the heap and what blocks do to one
+another: a candidate costs one block and the cheapest supports that its own centroid needs, one
+below it or one on either side. It is found in one pass from below; what it takes for all goals,
+common blocks counted once, estimates the blocks that are missing (the additive heuristic and the
+relaxed plan of Hoffmann and Nebel 2001). A goal without a relaxed plan cannot be met at all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numba import njit
+
+from learn2assemble.design.goals import Goals, Surface
+from learn2assemble.planning.agent.world import Site, World, make_site
+from learn2assemble.planning.programs import INF
+from learn2assemble.planning.step_proof import Proof, Stack
+
+MAX_CANDIDATES = 400_000
+"""Cells times ways to put down a block."""
+
+
+@dataclass(frozen=True, eq=False)
+class Yard:
+    """What does not change while a structure for some goals grows."""
+
+    goals: Goals
+    site: Site
+    order: np.ndarray
+    """int64[n]: candidates from below."""
+    bed_start: np.ndarray
+    bed: np.ndarray
+    """Lowest cells of every candidate: ``bed[bed_start[k]:bed_start[k + 1]]``, flat."""
+    centre: np.ndarray
+    """float64[n, 2]: centroid of every candidate [cells]."""
+    must: np.ndarray
+    """int64[m]: flat cells that have to be filled, the highest first."""
+
+
+@dataclass(frozen=True, eq=False)
+class Relaxed:
+    """The relaxed plan of a state."""
+
+    blocks: float
+    """How many blocks it takes; infinite where some goal cannot be met."""
+    used: np.ndarray
+    """bool[n]: its candidates."""
+    cost: np.ndarray
+    """float64[n]: what each candidate takes, itself and its supports."""
+
+
+def make_yard(goals: Goals) -> Yard:
+    """Every candidate of some goals."""
+    site = make_site(goals.open, goals.kit)
+    found = site.found
+    ways = [np.array(way.cells) for way in found.ways]
+    low = [np.array([(x, y, z - 1) not in set(w.cells) for x, y, z in w.cells]) for w in found.ways]
+    strides = np.array([goals.shape[1] * goals.shape[2], goals.shape[2], 1])
+    flat = found.origin @ strides
+    beds = [flat[k] + ways[w][low[w]] @ strides for k, w in enumerate(found.way)]
+    middle = np.array([cells[:, :2].mean(0) + 0.5 for cells in ways])
+    must = np.argwhere(goals.must)
+    must = must[np.argsort(-must[:, 2], kind="stable")] @ strides
+    none = np.empty(0, np.int64)
+    return Yard(
+        goals, site, np.argsort(found.origin[:, 2], kind="stable"),
+        np.concatenate([[0], np.cumsum([len(bed) for bed in beds])]).astype(np.int64),
+        np.concatenate(beds) if beds else none,
+        found.origin[:, :2] + middle[found.way] if beds else np.empty((0, 2)), must,
+    )  # fmt: skip
+
+
+def legal(yard: Yard, world: World) -> np.ndarray:
+    """int64[m]: candidates that nothing covers and whose centroid has something that carries on
+    every side; the whole structure may still fall."""
+    return _legal(world.owner, world.alive, yard.bed_start, yard.bed,
+                  yard.centre, np.array(yard.goals.shape))  # fmt: skip
+
+
+def put(world: World, candidate: int, program: bool = True) -> World | None:
+    """The world with one more block; None where it would fall."""
+    grown = world.copy()
+    if not grown.place(candidate, program):
+        return None
+    site, depth = grown.site, grown.site.wanted.shape[2]
+    _cover(site.cells(candidate), depth, grown.owner, grown.alive, site.over_start, site.over)
+    return grown
+
+
+def unmet(yard: Yard, world: World) -> np.ndarray:
+    """int64[k]: flat cells that have to be filled and are not."""
+    return yard.must[world.owner[yard.must] < 0]
+
+
+def relax(yard: Yard, world: World) -> Relaxed:
+    """The relaxed plan of a state, see the module."""
+    site, found = yard.site, yard.site.found
+    blocks, used, cost = _relax(
+        world.owner, world.alive, yard.order, found.start, found.cell, yard.bed_start, yard.bed,
+        yard.centre, found.origin[:, 2], unmet(yard, world), site.over_start, site.over,
+        np.array(site.wanted.shape),
+    )  # fmt: skip
+    return Relaxed(float(blocks), used, cost)
+
+
+# ---------------------------------------------------------------- loads
+
+
+def loaded(stack: Stack, owner: np.ndarray, loads: tuple[Surface, ...], shape: tuple[int, ...],
+           pitch: tuple[float, ...]) -> Stack:  # fmt: skip
+    """The stack with masses on top faces, each a part of the block it lies on.
+
+    Args:
+        owner: int[X, Y, Z], the block of every cell.
+    """
+    weight, centre = stack.weight.copy(), stack.centre.copy()
+    for load in loads:
+        block = int(owner[load.cell])
+        top = (load.cell[2] + 1) * pitch[2]
+        at = np.array([load.point[0], load.point[1], top])
+        both = weight[block] + load.mass
+        centre[block] = (weight[block] * centre[block] + load.mass * at) / both
+        weight[block] = both
+    return replace(stack, weight=weight, centre=centre)
+
+
+def load_cases(goals: Goals) -> list[tuple[Surface, ...]]:
+    """All subsets of the loads, all together first: forces are convex, so whatever stands under
+    every subset stands under any part of the loads."""
+    loads = goals.loads
+    return [case for count in range(len(loads), 0, -1) for case in combinations(loads, count)]
+
+
+def failing_load(
+    goals: Goals, stack: Stack, owner: np.ndarray, force: np.ndarray | None = None,
+    seconds: float = INF,
+) -> tuple[Surface, ...] | None:  # fmt: skip
+    """The first set of loads under which a finished structure falls; None where it bears all.
+
+    Args:
+        owner: int[X, Y, Z].
+        force: of a proof without loads, to begin with.
+    """
+    everything = np.ones(len(stack), bool)
+    for case in load_cases(goals):
+        heavy = Proof(loaded(stack, owner, case, goals.shape, goals.kit.pitch))
+        if force is not None:
+            heavy.force = force.copy()
+        if not heavy.settle(everything, everything) and not heavy.program(
+            everything, everything, seconds
+        ):
+            return case
+    return None
+
+
+def bears(yard: Yard, world: World) -> bool:
+    """Whether what stands bears the loads of the goals, all of which are met."""
+    owner = world.owner.reshape(yard.goals.shape)
+    proof = world.proof
+    return failing_load(yard.goals, proof.stack, owner, proof.force) is None
+
+
+# ---------------------------------------------------------------- compiled
+
+
+@njit(cache=True)
+def _legal(owner, alive, bed_start, bed, centre, shape):
+    step_x, step_y = shape[1] * shape[2], shape[2]
+    found = np.empty(len(alive), np.int64)
+    count = 0
+    for k in range(len(alive)):
+        if not alive[k]:
+            continue
+        left = right = front = back = False
+        for j in range(bed_start[k], bed_start[k + 1]):
+            c = bed[j]
+            if c % step_y == 0 or owner[c - 1] >= 0:
+                x, y = c // step_x - centre[k, 0], (c // step_y) % shape[1] - centre[k, 1]
+                left, right = left or x < -1e-6, right or x > 1e-6 - 1
+                front, back = front or y < -1e-6, back or y > 1e-6 - 1
+        if left and right and front and back:
+            found[count] = k
+            count += 1
+    return found[:count]
+
+
+@njit(cache=True)
+def _cover(cells, depth, owner, alive, over_start, over):
+    """Nothing can be put down below ``cells`` any more."""
+    for c in cells:
+        k = c - 1
+        while (k + 1) % depth != 0 and owner[k] < 0:
+            for j in range(over_start[k], over_start[k + 1]):
+                alive[over[j]] = False
+            k -= 1
+
+
+@njit(cache=True)
+def _relax(owner, alive, order, start, cell, bed_start, bed, centre, level, goals, over_start, over,
+           shape):  # fmt: skip
+    size_y, size_z = shape[1], shape[2]
+    step_x, step_y = size_y * size_z, size_z
+    count, cells = len(alive), len(owner)
+    big = 1e9
+    # What it takes to fill a cell, it and its neighbour in x, in y, or the square of four.
+    need = np.full((4, cells), big)
+    by = np.full((4, cells), -1)
+    for c in range(cells):
+        if owner[c] >= 0:
+            x, y = c // step_x, (c // step_y) % size_y
+            right = x + 1 < shape[0] and owner[c + step_x] >= 0
+            back = y + 1 < size_y and owner[c + step_y] >= 0
+            need[0, c] = 0.0
+            if right:
+                need[1, c] = 0.0
+            if back:
+                need[2, c] = 0.0
+            if right and back and owner[c + step_x + step_y] >= 0:
+                need[3, c] = 0.0
+    cost = np.full(count, big)
+    ref_kind = np.full((count, 4), -1)
+    ref_cell = np.zeros((count, 4), np.int64)
+    for k in order:
+        if not alive[k]:
+            continue
+        best = big
+        if level[k] == 0:
+            best = 0.0
+        else:
+            cx, cy = centre[k, 0], centre[k, 1]
+            ex = 1 if abs(cx - np.rint(cx)) < 1e-6 else 0
+            ey = 1 if abs(cy - np.rint(cy)) < 1e-6 else 0
+            bx = int(np.rint(cx)) - 1 if ex else int(np.floor(cx))
+            b_y = int(np.rint(cy)) - 1 if ey else int(np.floor(cy))
+            low_x = low_y = high_x = high_y = big
+            at = np.zeros(8, np.int64)
+            side = np.full(4, big)  # nearest whole sides: left, right, front, back
+            for j in range(bed_start[k], bed_start[k + 1]):
+                below = bed[j] - 1
+                x, y = below // step_x, (below // step_y) % size_y
+                if x == bx and y == b_y:
+                    value = need[ex + 2 * ey, below]
+                    if value < best:
+                        best = value
+                        ref_kind[k, 0], ref_cell[k, 0] = ex + 2 * ey, below
+                        ref_kind[k, 1] = ref_kind[k, 2] = ref_kind[k, 3] = -1
+                if y == b_y:
+                    if x < bx and need[2 * ey, below] < side[0]:
+                        side[0], at[0] = need[2 * ey, below], below
+                    if x > bx + ex and need[2 * ey, below] < side[1]:
+                        side[1], at[1] = need[2 * ey, below], below
+                    if ex and (x == bx) and need[2 * ey, below] < side[0]:
+                        side[0], at[0] = need[2 * ey, below], below
+                    if ex and (x == bx + 1) and need[2 * ey, below] < side[1]:
+                        side[1], at[1] = need[2 * ey, below], below
+                if x == bx:
+                    if y < b_y + ey and need[ex, below] < side[2]:
+                        side[2], at[2] = need[ex, below], below
+                    if y > b_y and need[ex, below] < side[3]:
+                        side[3], at[3] = need[ex, below], below
+                value = need[0, below]
+                if x < bx + 1 and value < low_x:
+                    low_x, at[4] = value, below
+                if x >= bx + ex and value < high_x:
+                    high_x, at[5] = value, below
+                if y < b_y + 1 and value < low_y:
+                    low_y, at[6] = value, below
+                if y >= b_y + ey and value < high_y:
+                    high_y, at[7] = value, below
+            for axis in range(2):
+                value = side[2 * axis] + side[2 * axis + 1]
+                if value < best:
+                    best = value
+                    kind = 2 * ey if axis == 0 else ex
+                    for n in range(2):
+                        ref_kind[k, n], ref_cell[k, n] = kind, at[2 * axis + n]
+                    ref_kind[k, 2] = ref_kind[k, 3] = -1
+            worst = max(max(low_x, high_x), max(low_y, high_y))
+            if best >= big and worst < big:
+                best = worst + 1.0
+                for n in range(4):
+                    ref_kind[k, n], ref_cell[k, n] = 0, at[4 + n]
+        if best >= big:
+            continue
+        # Of equally dear ones the largest, on which most can lie.
+        total = best + 1.0 - 1e-4 * (start[k + 1] - start[k])
+        cost[k] = total
+        for j in range(start[k], start[k + 1]):
+            c = cell[j]
+            right = back = both = False
+            for i in range(start[k], start[k + 1]):
+                right = right or cell[i] == c + step_x
+                back = back or cell[i] == c + step_y
+                both = both or cell[i] == c + step_x + step_y
+            if total < need[0, c]:
+                need[0, c], by[0, c] = total, k
+            if right and total < need[1, c]:
+                need[1, c], by[1, c] = total, k
+            if back and total < need[2, c]:
+                need[2, c], by[2, c] = total, k
+            if right and back and both and total < need[3, c]:
+                need[3, c], by[3, c] = total, k
+    used = np.zeros(count, np.bool_)
+    covered = np.zeros(cells, np.bool_)
+    wanted = np.zeros(cells, np.bool_)
+    for c in goals:
+        wanted[c] = True
+        if need[0, c] >= big:
+            return np.inf, used, cost
+    queue = np.empty(count + 1, np.int64)
+    blocks = 0.0
+    for goal in goals:
+        if covered[goal]:
+            continue
+        chosen, least = -1, big
+        for j in range(over_start[goal], over_start[goal + 1]):
+            k = over[j]
+            if alive[k] and cost[k] < big:
+                share = 0
+                for i in range(start[k], start[k + 1]):
+                    share += wanted[cell[i]] and not covered[cell[i]]
+                if cost[k] / share < least:
+                    chosen, least = k, cost[k] / share
+        head, tail = 0, 0
+        if not used[chosen]:
+            used[chosen] = True
+            queue[tail] = chosen
+            tail += 1
+        while head < tail:
+            k = queue[head]
+            head += 1
+            blocks += 1.0
+            for j in range(start[k], start[k + 1]):
+                covered[cell[j]] = True
+            for n in range(4):
+                kind, c = ref_kind[k, n], ref_cell[k, n]
+                if kind < 0 or need[kind, c] <= 0.0:
+                    continue
+                there = covered[c]
+                there = there and (kind % 2 == 0 or covered[c + step_x])
+                there = there and (kind < 2 or covered[c + step_y])
+                other = by[kind, c]
+                if not there and not used[other]:
+                    used[other] = True
+                    queue[tail] = other
+                    tail += 1
+    return blocks, used, cost

@@ -1,0 +1,223 @@
+"""Goals without a drawing: what is called complete meets them, what is impossible never is."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import learn2assemble as l2a
+from learn2assemble.assembly.blocks import box_block
+from learn2assemble.cli import main
+from learn2assemble.design.goals import Goals, parse_goals, read_goals
+from learn2assemble.errors import InputError
+from learn2assemble.physics.rigid_blocks import check
+from learn2assemble.planning.goals.planner import plan_goals
+from learn2assemble.planning.goals.program import plan_program
+from learn2assemble.planning.goals.search import search
+from learn2assemble.planning.goals.tasks import FAMILIES, draw, draw_goals
+from learn2assemble.planning.goals.world import make_yard
+from learn2assemble.planning.plan import Plan
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "goals" / "over_the_water.json"
+GOOD: dict[str, Any] = {
+    "format": "learn2assemble-goals",
+    "version": 1,
+    "site": [0.4, 0.05, 0.3],
+    "reach": [[0.025, 0.0, 0.1]],
+    "obstacles": [[[0.05, -0.02, 0.0], [0.1, 0.02, 0.04]]],
+}
+"""Good goals; every bad one differs in one thing."""
+BAD: list[tuple[dict[str, Any], str]] = [
+    ({"reach": [[0.025, 0.0, math.nan]]}, "finite"),
+    ({"reach": [[0.025, 0.0, 0.12]]}, "such as 0.1 m"),
+    ({"reach": [[0.025, 0.0, 0.0]]}, "such as 0.05 m"),
+    ({"reach": [[0.3, 0.0, 0.1]]}, "inside the site"),
+    ({"reach": [[0.025, 0.0, 5.0]]}, "inside the site"),
+    ({"reach": [[0.075, 0.0, 0.05]]}, "outside the obstacles"),
+    ({"occupy": [{"at": [0.075, 0.0, 0.01]}]}, "outside the obstacles"),
+    ({"occupy": [{"at": [0.025, 0.0, 0.2]}]}, "above no surface"),
+    ({"occupy": [{}]}, "either 'at' or 'box'"),
+    ({"occupy": [{"box": [[0, 0, 0.1], [0, 0, 0.1]]}]}, "lowest corner"),
+    ({"occupy": [{"box": [[0, -0.02, 0.1], [9, 0.02, 0.2]]}]}, "inside the site"),
+    ({"occupy": [{"at": [0.025, 0.0]}]}, "a list of 3 values"),
+    ({"reach": []}, "a goal"),
+    ({"load": [{"at": [0.025, 0.0, 0.1]}]}, "either 'mass' or 'force'"),
+    ({"load": [{"at": [0.025, 0.0, 0.1], "mass": -1}]}, "1e-06"),
+    ({"load": [{"at": [0.0, 0.0, 0.1], "mass": 1}] * 6}, "at most 5"),
+    ({"obstacles": [[[0, 0, 0], [0, 0]]]}, "a list of 3 values"),
+    ({"obstacles": [[[-1, -1, 0.2], [1, 1, 0.3]]]}, "no obstacle above"),
+    ({"heap": {"1x44": 3}}, "did you mean"),
+    ({"heap": {"1x4": -3}}, "0 to"),
+    ({"heap": {"1x4": 0}}, "at least one block"),
+    ({"heap": [3]}, "object"),
+    ({"site": [40.0, 0.05, 0.3]}, "1 to 64 cells"),
+    ({"site": [0.4, 0.01, 0.3]}, "1 to 64 cells"),
+    ({"cell": [0.05, 0.05, -1.0]}, "lengths from"),
+    ({"kit": "brickz"}, "did you mean"),
+    ({"goal": []}, "key"),
+    ({"props": 1}, "true or false"),
+    ({"version": 2}, "expected 1"),
+    ({"units": "mm"}, "metres"),
+]
+
+
+def goals_of(**changes: Any) -> Goals:
+    return parse_goals(GOOD | changes)
+
+
+def meets(goals: dict[str, Any], plan: Plan) -> None:
+    """Check a plan against the file in metres, by the polyhedra that stand in the end."""
+    assert plan.complete
+    assert plan.assembly is not None
+    standing = {s.block for s in plan.steps} - {s.block for s in plan.steps if s.action == "remove"}
+    boxes = [
+        (plan.assembly.blocks[b].vertices.min(0), plan.assembly.blocks[b].vertices.max(0))
+        for b in standing
+    ]
+
+    def inside(point: Any) -> bool:
+        return any(((low - 2e-4 <= point) & (point <= high + 2e-4)).all() for low, high in boxes)
+
+    for entry in goals.get("occupy", []):
+        corners = np.array(entry["box"] if "box" in entry else [entry["at"]] * 2, float)
+        for share in np.random.default_rng(0).random((30, 3)):
+            assert inside(corners[0] + share * (corners[1] - corners[0]))
+    for x, y, z in [*goals.get("reach", []), *(load["at"] for load in goals.get("load", []))]:
+        assert inside(np.array([x, y, z - 1e-3]))
+        for low, high in boxes:
+            over = (low[:2] < [x, y]).all() and ([x, y] < high[:2]).all()
+            assert not (over and high[2] > z + 1e-3)
+    for low, high in np.array(goals.get("obstacles", [])).reshape(-1, 2, 3):
+        for a, b in boxes:
+            assert not ((np.minimum(b, high) - np.maximum(a, low)) > 1e-6).all()
+    counts = goals.get("heap")
+    if counts is not None:
+        kinds = [plan.assembly.blocks[s.block].kind for s in plan.steps if s.action == "place"]
+        assert all(kinds.count(kind) <= counts.get(kind, 0) for kind in set(kinds))
+    assert check(plan.assembly).verdict == "stands"
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("spatial", [False, True])
+def test_what_is_complete_meets_the_goals(family: str, spatial: bool) -> None:
+    tried = 0
+    for seed in range(50_000, 50_010):
+        goals = draw_goals(family, seed, spatial)
+        if goals is None or tried == 2:
+            continue
+        tried += 1
+        try:
+            plan = plan_goals(goals, planner="agent", seconds=1.0, seed=seed)
+        except InputError:
+            continue
+        assert plan.status in ("complete", "incomplete", "refused")
+        if plan.complete:
+            meets(draw(family, seed, spatial), plan)
+        else:
+            assert plan.reason
+    assert tried
+
+
+def test_the_example_is_built_with_the_fewest_blocks() -> None:
+    goals = read_goals(EXAMPLE)
+    found = search(make_yard(goals), None, seconds=20)
+    exact = plan_program(make_yard(goals), seconds=100)
+    assert exact.status == "optimal"
+    assert exact.bound == len(exact.placements) == found.blocks == 4
+    plan = l2a.build(goals, planner="exact")
+    meets(json.loads(EXAMPLE.read_text()), plan)
+
+
+@pytest.mark.parametrize(("family", "seed"), [("corbel", 0), ("table", 2), ("stairs", 3)])
+def test_no_structure_has_fewer_blocks_than_the_bound(family: str, seed: int) -> None:
+    goals = draw_goals(family, seed)
+    assert goals is not None
+    found = search(make_yard(goals), None, seconds=3)
+    exact = plan_program(make_yard(goals), seconds=5)
+    assert exact.status in ("optimal", "time", "feasible")
+    assert 0 < exact.bound <= found.blocks
+
+
+def test_loads_are_balanced_by_counterweights() -> None:
+    """A lone beam would tip: what is called complete stands with the load as a block of its own."""
+    file = GOOD | {
+        "reach": [], "load": [{"at": [0.125, 0.0, 0.1], "mass": 0.6}],
+        "obstacles": [[[0.05, -0.02, 0.0], [0.2, 0.02, 0.04]]],
+    }  # fmt: skip
+    plan = plan_goals(parse_goals(file), seconds=10)
+    meets(file, plan)
+    assert plan.blocks.used > 2
+    assert plan.assembly is not None
+    half, top = 0.02, 0.1
+    low, high = (0.125 - half, -half, top), (0.125 + half, half, top + 2 * half)
+    heavy = box_block("load", low, high, density=0.6 / (2 * half) ** 3)
+    loaded = l2a.Assembly((*plan.assembly.blocks, heavy), (), plan.assembly.friction, "loaded")
+    assert check(loaded).verdict == "stands"
+
+
+IMPOSSIBLE: dict[str, dict[str, Any]] = {
+    "the heap is too low": {"heap": {"1x4": 1}},
+    "the heap is too small": {
+        "occupy": [{"box": [[-0.199, -0.02, 0.001], [0.049, 0.02, 0.049]]}], "heap": {"1x1": 4}
+    },
+    "the gap is too wide": {
+        "reach": [[0.0, 0.0, 0.1]], "obstacles": [[[-0.15, -0.02, 0], [0.15, 0.02, 0.04]]],
+        "heap": {"1x1": 20, "1x2": 20},
+    },
+    "its counterweight is missing": {
+        "load": [{"at": [0.075, 0.0, 0.1], "mass": 0.3}], "reach": [],
+        "obstacles": [[[0.0, -0.02, 0.0], [0.2, 0.02, 0.04]]], "heap": {"1x4": 1, "1x5": 1},
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", IMPOSSIBLE)
+def test_what_is_impossible_is_refused_with_a_reason(name: str) -> None:
+    goals = goals_of(**IMPOSSIBLE[name])
+    assert plan_program(make_yard(goals), seconds=60).status == "infeasible"
+    plan = plan_goals(goals, seconds=20)
+    assert plan.status == "refused"
+    assert plan.reason
+    assert not plan.steps
+
+
+def test_a_load_the_heap_cannot_balance_is_bad_input() -> None:
+    with pytest.raises(InputError, match="heap can balance"):
+        plan_goals(
+            goals_of(reach=[], load=[{"at": [0.175, 0.0, 0.1], "mass": 900}],
+                     obstacles=[[[0.0, -0.02, 0.0], [0.2, 0.02, 0.04]]])
+        )  # fmt: skip
+
+
+def test_props_are_taken_away_again_only_where_they_are_allowed() -> None:
+    for props in (False, True):
+        plan = plan_goals(goals_of(props=props, reach=[[-0.075, 0, 0.1], [0.025, 0, 0.1]]))
+        assert plan.complete
+        assert props or all(step.action == "place" for step in plan.steps)
+
+
+@pytest.mark.parametrize(("changes", "words"), BAD)
+def test_bad_goals_end_in_one_line(
+    changes: dict[str, Any], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "goals.json"
+    file.write_text(json.dumps(GOOD | changes))
+    assert main(["build", str(file), "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err.strip()
+    assert words in said
+    assert "\n" not in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_options_of_drawings_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "goals.json"
+    file.write_text(json.dumps(GOOD))
+    assert main(["build", str(file), "--unit", "mm", "--out", str(tmp_path / "out")]) == 2
+    assert "no option but cell" in capsys.readouterr().err
