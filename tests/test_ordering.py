@@ -14,7 +14,12 @@ from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import check_overlaps, find_contacts
 from learn2assemble.assembly.kit import Kind, Kit, load_kit
 from learn2assemble.errors import InputError
-from learn2assemble.planning.exact import plan_exact, uncarried_cells, unsupported
+from learn2assemble.planning.exact import (
+    choose_props,
+    plan_exact,
+    uncarried_cells,
+    unsupported,
+)
 from learn2assemble.planning.mechanisms import find_mechanisms, mirrored
 from learn2assemble.planning.ordering import LOCAL, Ordering, order, to_assembly, way_out
 from learn2assemble.planning.standing import region_near, tile_standing
@@ -224,6 +229,41 @@ def test_ways_out() -> None:
     # A bar leaves lengthwise through a hole that is as wide as it is, and not across.
     assert way_out(box, np.array([(1, 2, 0), (2, 2, 0), (3, 2, 0)]))
     assert not way_out(box, np.array([(2, 1, 0), (2, 2, 0), (2, 3, 0)]))
+
+
+def test_props_leave_one_after_the_other_before_the_next_level() -> None:
+    """Of a closed dome, through what is open on top while its ring is being carried."""
+    tiling = tile(shapes.SHAPES["dome-lean"](), LINTELS)
+    hanging = unsupported(tiling, LINTELS)
+    props = choose_props(tiling, LINTELS, {block: frozenset((block,)) for block in hanging})
+    assert props
+    cells = [placement_cells(block, LINTELS) + np.array((1, 1, 0)) for block in props]
+    top = max(block.origin[2] for block in props)
+    filled = np.pad(tiling.wanted[:, :, : top + 2], ((1, 1), (1, 1), (0, 1)))
+    for own in cells:
+        assert not filled[tuple(own.T)].any()
+        filled[tuple(own.T)] = True
+    left = list(range(len(props)))
+    while left:
+        before = len(left)
+        for k in list(left):
+            others = filled.copy()
+            others[tuple(cells[k].T)] = False
+            # A search cell by cell, apart from the one by arrays that is under test.
+            queue = [(0, 0, 0)]
+            for x, y, z in queue:
+                if (cells[k] + (x, y, z))[:, 2].min() >= filled.shape[2]:
+                    left.remove(k)
+                    filled = others
+                    break
+                for u, v, w in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1)):
+                    at = cells[k] + (x + u, y + v, z + w)
+                    inside = at[at[:, 2] < filled.shape[2]]
+                    flat = (inside[:, :2] >= 0).all() and (inside[:, :2] < filled.shape[:2]).all()
+                    step = x + u, y + v, z + w
+                    if flat and step not in queue and not others[tuple(inside.T)].any():
+                        queue.append(step)
+        assert len(left) < before, "props keep one another in"
 
 
 def test_props_obey_the_heap() -> None:

@@ -53,7 +53,7 @@ _STAYS = 4
 """Rounds in which a holding force does not shrink, after which it is taken to be needed."""
 _ITERATIONS = 100
 """Of the cone solver."""
-_STIFFNESS = (1.0, 0.2)
+STIFFNESS = (1.0, 0.2)
 """Tangential over normal stiffness of a joint; a fixed point with either one is one."""
 _STEP, _MIX = 0.5, (-3.0, 0.5)
 """Damping of the fixed point, and bounds of how the round before is mixed in (Anderson 1965)."""
@@ -182,7 +182,7 @@ def _shown(result: Equilibrium, margin_g: float) -> str:
     text = "forces balance the blocks without friction, so with any coefficient"
     if result.method == "cra":
         text = "forces balance the blocks with elastic joints and Coulomb friction"
-        if result.stiffness != _STIFFNESS[0]:
+        if result.stiffness != STIFFNESS[0]:
             text += f", if joints are {result.stiffness:g} times as stiff along as across"
     return text if margin_g >= _NO_MARGIN else f"{text}; balanced on an edge, without a margin"
 
@@ -199,6 +199,7 @@ def solve(
     *,
     present: np.ndarray | None = None,
     coupled: bool = True,
+    stiffness: tuple[float, ...] = STIFFNESS,
 ) -> Equilibrium:
     """Whether the blocks stand on some patches of contact.
 
@@ -208,6 +209,7 @@ def solve(
         friction: Coulomb coefficient instead of the assembly's.
         present: bool[B], the blocks that are there; all by default.
         coupled: False answers by RBE alone, which refutes but cannot prove.
+        stiffness: tangential over normal stiffness of the joints, in the order they are tried.
 
     Raises:
         Learn2AssembleError: where the solver fails.
@@ -228,12 +230,12 @@ def solve(
     if not coupled:
         return Equilibrium(True, "rbe", 0.0, np.empty(0, np.int64), system.newtons(forces))
     best = None
-    for stiffness in _STIFFNESS:
-        fixed, forces_at, held, motion = system.coupled(friction, forces, stiffness)
+    for ratio in stiffness:
+        fixed, forces_at, held, motion = system.coupled(friction, forces, ratio)
         if fixed:
             nothing = np.empty(0, np.int64)
             forces_at = system.newtons(forces_at)
-            return Equilibrium(True, "cra", 0.0, nothing, forces_at, stiffness)
+            return Equilibrium(True, "cra", 0.0, nothing, forces_at, ratio)
         if best is None or held.sum() < best[1].sum():
             best = forces_at, held, motion
     assert best is not None
@@ -246,6 +248,7 @@ def margin(
     friction: float | None = None,
     *,
     present: np.ndarray | None = None,
+    only: tuple[float, ...] = (),
 ) -> float:
     """Sideways acceleration [g] that RBE withstands in every direction, from below.
 
@@ -253,6 +256,9 @@ def margin(
     of its border and a line that it does not cross, so the largest circle about zero is known from
     both sides; directions are added until these agree to 1 % or as many as the size allows were
     tried. Arguments as :func:`solve`.
+
+    Args:
+        only: angles of the directions to look at [rad], where not all matter.
     """
     friction = assembly.friction if friction is None else friction
     check_friction(friction)
@@ -262,6 +268,8 @@ def margin(
     fewest, most, work = _LOADS
     tries = int(np.clip(work // max(system.corners, 1), fewest, most))
     program = system.load_program(friction)
+    if only:
+        return max(0.0, min(program(np.array([np.cos(a), np.sin(a)]))[0] for a in only))
     angles, points, below, above = [], [], 0.0, np.inf
     queue = [0.0, np.pi / 2, np.pi, -np.pi / 2]
     while queue:

@@ -20,7 +20,7 @@ import numpy as np
 from learn2assemble.assembly.kit import Cell, Kit, kit_names, load_kit, orientations
 from learn2assemble.planning.bonding import improve_bond
 from learn2assemble.planning.mechanisms import Retiling, find_mechanisms, mirrored
-from learn2assemble.planning.ordering import Coupled, Ordering, order, value_range, way_out
+from learn2assemble.planning.ordering import Coupled, Ordering, leaves, order, value_range, way_out
 from learn2assemble.planning.programs import INF, Clock, Program, by_column, solve
 from learn2assemble.planning.standing import region_above, region_near, tile_standing
 from learn2assemble.planning.step_proof import Proof, Stack, find_stack, lies_above
@@ -370,23 +370,40 @@ def choose_props(
     Returns:
         blocks from below; None where no stack reaches some demand or the heap has too few.
     """
-    clock, known = Clock(seconds), set[BlockPlacement]()
+    clock, barred = Clock(seconds), set[BlockPlacement]()
     while demands:
-        made = _fewest_props(tiling, kit, demands, clock.left, known, largest)
+        made = _fewest_props(tiling, kit, demands, clock.left, barred, largest)
         if made is None:
             return None
-        tops = {_top_of_stack(block, tuple(made)) for block in made}
-        walled = {top for top in tops if not _can_leave(tiling.wanted, kit, top)}
-        if not walled:
+        cells = {block: placement_cells(block, kit) for block in made}
+        top = {block: _top_of_stack(block, tuple(made)) for block in made}
+        barred |= (walled := {
+            block for block in set(top.values())
+            if not way_out(tiling.wanted[:, :, : block.origin[2] + 2], cells[block])
+        })  # fmt: skip
+        caught = [] if walled else [
+            len(cells[block]) for level in sorted({block.origin[2] for block in top.values()})
+            for block in _caught(tiling.wanted[:, :, : level + 2], cells)
+            if top[block].origin[2] == level
+        ]  # fmt: skip
+        if caught:
+            # Props that keep one another in are made smaller.
+            largest = max(caught) - 1
+        elif not walled:
             return made
-        known |= walled
     return []
 
 
-def _can_leave(wanted: np.ndarray, kit: Kit, top: BlockPlacement) -> bool:
-    """Whether a stack is not walled in for good by the levels up to the one that it carries."""
-    cells, level = placement_cells(top, kit), top.origin[2]
-    return way_out(wanted[:, :, : level + 2], cells)
+def _caught(wanted: np.ndarray, props: dict[BlockPlacement, np.ndarray]) -> set[BlockPlacement]:
+    """Those of ``props`` (with their cells) that cannot be moved out, one after the other."""
+    filled, left = wanted.copy(), {}
+    for block, cells in sorted(props.items(), key=lambda item: -item[0].origin[2]):
+        left[block] = cells[cells[:, 2] < wanted.shape[2]]
+        filled[tuple(left[block].T)] = True
+    while free := [b for b, cells in left.items() if len(cells) and leaves(filled, cells)]:
+        for block in free:
+            filled[tuple(left.pop(block).T)] = False
+    return set(left)
 
 
 def _fewest_props(

@@ -93,6 +93,7 @@ class Coupled:
 
     def __init__(self, tiling: Tiling, kit: Kit, friction: tuple[float, float]) -> None:
         self.tiling, self.kit, self.friction = tiling, kit, sorted(set(friction))
+        self._stiffness = 0.0
 
     @cached_property
     def _assembly(self) -> tuple[Assembly, Contacts]:
@@ -103,17 +104,25 @@ class Coupled:
 
     def stands(self, placed: np.ndarray) -> bool:
         """Whether the blocks ``placed`` (bool[n]) stand with vertical joints that press."""
-        from learn2assemble.physics.rigid_blocks import solve
+        from learn2assemble.physics.rigid_blocks import STIFFNESS, solve
 
         made, contacts = self._assembly
-        return all(solve(made, contacts, mu, present=placed).stands for mu in self.friction)
+        for mu in self.friction:
+            # What worked for the state before mostly does again.
+            ratios = sorted(STIFFNESS, key=lambda ratio: ratio != self._stiffness)
+            found = solve(made, contacts, mu, present=placed, stiffness=tuple(ratios))
+            if not found.stands:
+                return False
+            self._stiffness = found.stiffness
+        return True
 
     def margin(self, placed: np.ndarray) -> float:
-        """Sideways acceleration that rigid-block equilibrium withstands in any direction [g]."""
+        """Sideways acceleration along +-x and +-y that rigid-block equilibrium withstands [g]."""
         from learn2assemble.physics.rigid_blocks import margin
 
         made, contacts = self._assembly
-        return margin(made, contacts, self.friction[0], present=placed)
+        ways = tuple(math.atan2(y, x) for x, y in _DIRECTIONS)
+        return margin(made, contacts, self.friction[0], present=placed, only=ways)
 
 
 class _Site:
@@ -127,6 +136,7 @@ class _Site:
         self.proof = Proof(stack)
         self.sideways = [_Sideways(stack, way, friction) for way in _DIRECTIONS]
         self.timed_out = self.tight = False
+        self.fallen: set[bytes] = set()
 
     def change(self, block: int, place: bool) -> str | None:
         """Place or remove a block; how the state is proven, None (and no change) if it falls."""
@@ -142,8 +152,10 @@ class _Site:
         if self.tight:
             dirty = placed.copy()  # There are no bed forces to begin with.
         method = LOCAL if self.proof.settle(dirty, placed) else self._by_program(placed, dirty)
-        if method is None and self.coupled is not None and self.coupled.stands(placed):
-            method = TIGHT
+        if method is None and self.coupled is not None and placed.tobytes() not in self.fallen:
+            method = TIGHT if self.coupled.stands(placed) else None
+            if method is None:
+                self.fallen.add(placed.tobytes())
         if method is None:
             return None
         self.placed, was_tight, self.tight = placed, self.tight, method == TIGHT
@@ -351,7 +363,7 @@ def _place_all(
     left = list(range(len(blocks)))
     if not given:
         left.sort(key=lambda b: (blocks[b].origin[::-1], b))
-    level, progress = 0, True
+    level = 0
     waits: dict[int, tuple[int, ...]] = {}
 
     def gone() -> np.ndarray:
@@ -360,31 +372,39 @@ def _place_all(
         away[[step.remove for step in steps if step.remove is not None]] = True
         return away
 
-    while left and progress:
-        progress = False
+    def put(b: int, freeing: bool) -> bool:
+        """Place ``b``; with ``freeing``, after the props that it would wall in have gone."""
+        nonlocal level
+        filled[tuple(cells[b].T)] = True
+        trapped = _trapped(site, blocks, cells, enclosed, filled)
+        waits[b] = tuple(trapped)
+        if trapped and freeing:
+            waits[b] = _remove_props(site, blocks, cells, steps, trapped, filled, b)[0]
+        method = None if waits[b] else site.change(b, True)
+        if method is None:
+            filled[tuple(cells[b].T)] = False
+            return False
+        left.remove(b)
+        if blocks[b].origin[2] > level:
+            level = blocks[b].origin[2]
+            site.raise_margins()
+        steps.append(OrderedStep(b, None, method, site.margin()))
+        return True
+
+    # Props are kept as long as anything else can be placed.
+    freeing = False
+    while left:
+        before = len(left)
         for b in list(left):
             if site.clock.left <= 0 or site.timed_out:
                 return (), "time"
-            if not (site.placed | gone())[below[b]].all():
+            if not (site.placed | gone())[below[b]].all() or (freeing and not waits.get(b)):
                 continue
-            filled[tuple(cells[b].T)] = True
-            waits.pop(b, None)
-            trapped = _trapped(site, blocks, cells, enclosed, filled)
-            if trapped:
-                waits[b] = _remove_props(site, blocks, cells, steps, trapped, filled, b)[0]
-            if waits.get(b):
-                filled[tuple(cells[b].T)] = False
-                continue
-            method = site.change(b, True)
-            if method is None:
-                filled[tuple(cells[b].T)] = False
-                continue
-            left.remove(b)
-            progress = True
-            if blocks[b].origin[2] > level:
-                level = blocks[b].origin[2]
-                site.raise_margins()
-            steps.append(OrderedStep(b, None, method, site.margin()))
+            if put(b, freeing) and freeing:
+                break
+        if len(left) == before and freeing:
+            break
+        freeing = len(left) == before
     ready = [b for b in left if (site.placed | gone())[below[b]].all()] or left
     held = {p for b in ready for p in waits.get(b, ())}
     return tuple([b for b in ready if not waits.get(b)] or sorted(held)), "complete"
@@ -408,7 +428,7 @@ def _trapped(
     return found
 
 
-def _leaves(filled: np.ndarray, cells: np.ndarray) -> bool:
+def leaves(filled: np.ndarray, cells: np.ndarray) -> bool:
     """Whether a block can be moved out from where it stands among the ``filled`` cells."""
     others = filled.copy()
     others[tuple(cells.T)] = False
@@ -467,7 +487,7 @@ def _remove_props(
             on_it = site.stack.upper[site.stack.lower == b]
             if any(site.placed[a] and blocks[a].prop for a in on_it):
                 continue
-            if not _leaves(filled, cells[b]):
+            if not leaves(filled, cells[b]):
                 continue
             method = site.change(b, False)
             if method is None:
