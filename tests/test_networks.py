@@ -15,7 +15,14 @@ from learn2assemble.errors import InputError
 from learn2assemble.graph.batch import GraphTensors, to_tensors
 from learn2assemble.graph.features import Graph, connectivity
 from learn2assemble.networks.config import NetworkConfig
-from learn2assemble.networks.qnetwork import ROTARY, AttentionRound, QFactors, QNetwork, Rotation
+from learn2assemble.networks.qnetwork import (
+    ROTARY,
+    AttentionRound,
+    QFactors,
+    QNetwork,
+    Rotation,
+    barred,
+)
 
 torch.set_num_threads(1)
 
@@ -247,7 +254,7 @@ def test_attention_round_written_out(kind: str) -> None:
     graph = random_graph([(3, 1, 3)], 7, 5)
     x = torch.randn(1, 7, 8, dtype=torch.float64)
     with torch.no_grad():
-        got = layer(x, to_tensors(graph).adjacency(kind)[:, None])
+        got = layer(x, barred(to_tensors(graph).adjacency(kind), 2, x))
         expected = _attention_by_hand(layer, x[0], connectivity(graph, kind)[0])
     torch.testing.assert_close(got[0], expected, rtol=0, atol=1e-12)
 
@@ -374,7 +381,7 @@ def test_rotary_attention_ignores_a_common_shift() -> None:
     layer = AttentionRound(16, 2, "light").double()
     x = torch.randn(1, 5, 16, dtype=torch.float64)
     position = torch.rand(1, 5, 3, dtype=torch.float64)
-    everyone = torch.ones(1, 1, 5, 5, dtype=torch.bool)
+    everyone = torch.zeros(2, 5, 5, dtype=torch.float64)
     here = layer(x, everyone, Rotation.of(position, 8))
     moved = layer(x, everyone, Rotation.of(position + 0.123, 8))
     torch.testing.assert_close(here, moved, rtol=0, atol=1e-10)

@@ -117,7 +117,9 @@ class Trainer:
         """What the searches of training look ahead with."""
         self.target = make_network(config.network).to(device)
         self.target.load_state_dict(self.online.state_dict())
-        self.optimizer = torch.optim.Adam(self.online.parameters(), lr=config.learning_rate)
+        self.optimizer = torch.optim.Adam(
+            self.online.parameters(), lr=config.learning_rate, fused=True
+        )
         self.replay = Replay(
             config.replay_size, task.num_nodes,
             worlds=config.num_envs, outcomes=config.dense_weight > 0,

@@ -53,6 +53,9 @@ _BARS, _OBJECTS = "bars-one-sided-5x5-25-27", "objects-two-sided-5x5-20-24"
 
 
 _FULL = "network.connectivity=full"
+_EDGES = "network.position_scale=0.08"
+"""Positions in about block edges instead of metres (deviation D34)."""
+_FAST = (_EDGES, "num_samples=100000")
 _SHORTER = "num_samples=160000"
 _SHORT = "num_samples=60000"
 _NO_HAND = "network.hand=false"
@@ -73,12 +76,12 @@ def _ablation(name: str, *changes: str) -> Recipe:
 
 
 _ALL = (
-    _published("dqn", _CUBES),
-    _published("q-mcts", _CUBES, "method=q-mcts"),
-    _published("eps-mcts", _CUBES, "method=eps-mcts"),
-    _published("mha-full", _CUBES, _FULL, again=("num_samples=240000",)),
-    _published("sha-full", _CUBES, _FULL, "network.heads=1", again=("num_samples=240000",)),
-    _published("s2v-full", _CUBES, _FULL, "network.encoder=s2v"),
+    _published("dqn", _CUBES, *_FAST),
+    _published("q-mcts", _CUBES, *_FAST, "method=q-mcts"),
+    _published("eps-mcts", _CUBES, *_FAST, "method=eps-mcts"),
+    _published("mha-full", _CUBES, _FULL, _EDGES, "num_samples=120000"),
+    _published("sha-full", _CUBES, _FULL, _EDGES, "num_samples=120000", "network.heads=1"),
+    _published("s2v-full", _CUBES, _FULL, *_FAST, "network.encoder=s2v"),
     _published("bars-full", _BARS, _FULL, _SHORTER, again=("num_samples=160000",)),
     _published("bars-partial", _BARS, _SHORTER, again=("num_samples=160000",)),
     _published(
