@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from learn2assemble.networks.agent import load_agent
 from learn2assemble.reproduction import curves as curves_module
 from learn2assemble.reproduction.commands import _insert as insert
 from learn2assemble.reproduction.commands import markers
-from learn2assemble.reproduction.curves import FIGURES, get_figure, load_curves, read_log
+from learn2assemble.reproduction.curves import FIGURES, get_figure, load_curves, read_log, time_to
 from learn2assemble.reproduction.recipes import (
     RECIPES,
     Recipe,
@@ -204,8 +205,10 @@ def test_a_recipe_of_an_unknown_task_is_refused_before_anything_is_made(tmp_path
 
 def log(folder: Path, name: str, values: list[tuple[int, float]]) -> None:
     (folder / name).mkdir(parents=True)
-    lines = [{"samples": 0, "epsilon": 1.0}]
-    lines += [{"samples": s, "R": r, "f": 0.5, "success": r / 10} for s, r in values]
+    lines: list[dict[str, float]] = [{"samples": 0, "epsilon": 1.0}]
+    lines += [
+        {"samples": s, "seconds": s / 10, "R": r, "f": 0.5, "success": r / 10} for s, r in values
+    ]
     text = "".join(json.dumps(line) + "\n" for line in lines)
     (folder / name / "log.jsonl").write_text(text)
 
@@ -230,6 +233,18 @@ def test_the_stages_of_a_training_are_one_curve(tmp_path: Path) -> None:
     assert curve.seeds == 1
     assert (curve.samples[0], curve.samples[-1]) == (100, 500)
     np.testing.assert_allclose(curve.mean["R"], curve.samples / 100)
+
+
+def test_time_to_a_return_counts_those_that_never_come_there(tmp_path: Path) -> None:
+    log(tmp_path, "dqn-s0", [(100, 1.0), (200, 2.0), (300, 3.0), (400, 4.0)])
+    log(tmp_path, "dqn-s1.stage1", [(100, 1.0), (200, 1.0)])
+    log(tmp_path, "dqn-s1", [(100, 1.0), (200, 4.0)])
+    log(tmp_path, "dqn-s2", [(100, 1.0), (400, 1.5)])
+    low, high = time_to(get_figure("algorithms"), tmp_path, (1.5, 3.5))
+    assert (low.label, low.seeds, low.reached, high.reached) == ("DQN", 3, 3, 2)
+    assert low.samples == (200, 300, 400)
+    assert high.samples == (400, 400, math.inf)
+    assert high.seconds == (40, 40, math.inf)
 
 
 def test_smoothing_reduces_noise_and_keeps_the_mean() -> None:

@@ -14,7 +14,14 @@ import pytest
 import torch
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.evaluation.episodes import episode_generators, make_policy, run_episodes
+from learn2assemble.evaluation.episodes import (
+    episode_generators,
+    lookahead_policy,
+    make_policy,
+    play_episodes,
+    random_policy,
+    run_episodes,
+)
 from learn2assemble.networks.agent import Agent, load_agent, save_agent
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QNetwork
@@ -29,6 +36,7 @@ from learn2assemble.reproduction.cells import (
     is_current,
     jobs,
     measure,
+    mended_policy,
     read_result,
     row_cells,
     run_jobs,
@@ -216,6 +224,17 @@ def test_bound_and_look_ahead_meet_the_same_problems() -> None:
     assert (np.array(bound) <= return_bound(state, TASK.discount) + 1e-6).all()
     assert (np.array(reached["returns"]) <= np.array(bound) + 1e-5).all()
     assert sum(reached["failed"]) == 0
+
+
+def test_mended_policies_take_the_look_ahead_where_they_would_gain_nothing() -> None:
+    simulator, look_ahead = Simulator(TASK), lookahead_policy(TASK, 0.0)
+    expected = play_episodes(simulator, look_ahead, 12, 0)
+    same = play_episodes(simulator, mended_policy(TASK, look_ahead), 12, 0)
+    np.testing.assert_array_equal(same.returns, expected.returns)
+    chance = random_policy(TASK.num_actions)
+    assert play_episodes(simulator, chance, 12, 0).failed.any()
+    mended = play_episodes(simulator, mended_policy(TASK, chance), 12, 0)
+    assert not mended.failed.any()
 
 
 def test_untrained_policies_need_no_agent() -> None:

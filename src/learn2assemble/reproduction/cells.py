@@ -34,13 +34,15 @@ from learn2assemble.learning.run import provenance
 from learn2assemble.networks.agent import agent_files, load_agent, one_thread
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QNetwork
+from learn2assemble.planning.world_model import lookahead_actions
 from learn2assemble.reproduction.bounds import best_returns, has_bound
-from learn2assemble.reproduction.tables import AGENT, LOOK_AHEAD, RANDOM, Row, Table
+from learn2assemble.reproduction.tables import LOOK_AHEAD, MENDED, RANDOM, Row, Table
 from learn2assemble.search.config import SearchConfig
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import Task
 from learn2assemble.workers import run_all
 from learn2assemble.world.blocks import with_current_names
+from learn2assemble.world.state import State
 
 BOUND = "bound"
 """The policy that does not play: upper bounds on the returns of the problems."""
@@ -58,7 +60,7 @@ class Cell:
 
     Args:
         task: the problems.
-        policy: ``agent``, ``look-ahead``, ``untrained``, ``random`` or ``bound``.
+        policy: ``agent``, ``mended``, ``look-ahead``, ``untrained``, ``random`` or ``bound``.
         agent: name of the agent; empty without one.
         search: what precedes every decision.
         epsilon: chance of a random action.
@@ -80,6 +82,8 @@ class Cell:
         if self.policy == BOUND:
             return f"cells/{self.task.name}/{BOUND}.s{self.seed}.json"
         parts = [self.agent or self.policy, _slug(self.search), f"eps{self.epsilon:g}"]
+        if self.policy == MENDED:
+            parts.insert(1, MENDED)
         if self.physics != "static":
             parts.append(self.physics)
         return f"cells/{self.task.name}/{'.'.join(parts)}.json"
@@ -173,7 +177,7 @@ def _policy(cell: Cell, agent_file: str | None) -> Policy:
         return lookahead_policy(cell.task, cell.epsilon)
     if cell.policy == RANDOM:
         return random_policy(cell.task.num_actions)
-    if cell.policy == AGENT:
+    if cell.agent:
         assert agent_file is not None
         network = load_agent(str(Path(agent_file))).network
     else:
@@ -184,7 +188,26 @@ def _policy(cell: Cell, agent_file: str | None) -> Policy:
         )
         torch.manual_seed(0)
         network = QNetwork(config)
-    return make_policy(cell.task, network.eval(), cell.search, cell.epsilon)
+    policy = make_policy(cell.task, network.eval(), cell.search, cell.epsilon)
+    return mended_policy(cell.task, policy) if cell.policy == MENDED else policy
+
+
+def mended_policy(task: Task, policy: Policy) -> Policy:
+    """``policy``, but where its action would bring no reward, the exact look-ahead's.
+
+    On targets larger than those of training an agent comes to places where only supports several
+    blocks deep bring anything again; it does not see so far, and takes what is not even valid.
+    """
+    simulator = Simulator(task)
+
+    def act(state: State, rng: np.random.Generator) -> np.ndarray:
+        actions = policy(state, rng)
+        idle = np.flatnonzero(simulator.step(state.copy(), actions).reward <= 0)
+        if len(idle):
+            actions[idle] = lookahead_actions(simulator, state.take(idle))
+        return actions
+
+    return act
 
 
 def _rounded(values: Any) -> list[float]:
@@ -323,7 +346,7 @@ def row_cells(table: Table, row: Row, column: int, agents: list[str]) -> list[Ce
     played = row.columns is None or column in row.columns
     if task is None or not row.known or not played:
         return []
-    names = agents if row.policy == AGENT else [""]
+    names = agents if row.agents else [""]
     cells = [
         Cell(task, row.policy, name, row.search_config(condition.epsilon), condition.epsilon,
              condition.physics)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import math
 import os
 from collections import Counter
 from pathlib import Path
@@ -238,10 +239,11 @@ def _curves_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run_curves(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.reproduction import pictures
-    from learn2assemble.reproduction.curves import get_figure, load_curves
+    from learn2assemble.reproduction.curves import get_figure, load_curves, time_to
 
     figure = get_figure(options.name)
     curves = load_curves(figure, options.runs)
+    reached = time_to(figure, options.runs)
     path: Path = options.out / f"{figure.name}.png"
     _prepare(options.out)
     lines = [
@@ -257,6 +259,13 @@ def _run_curves(options: argparse.Namespace, output: Output) -> None:
         (c.label, c.seeds, int(c.samples[-1]), *[float(c.mean[q][-1]) for q in
          ("R", "f", "success")]) for c in curves
     ])  # fmt: skip
+    output.table("first reached, quartiles over agents", (
+        "line", "R", "agents", "reached", "samples: 25 %", "50 %", "75 %", "minutes: 25 %", "50 %",
+        "75 %",
+    ), [
+        (r.label, r.level, r.seeds, r.reached, *[_known(n) for n in r.samples],
+         *[_known(n, 60) for n in r.seconds]) for r in reached
+    ])  # fmt: skip
     absent = sorted({label for label, _ in figure.lines} - {c.label for c in curves})
     if absent:
         output.say(f"no runs of {', '.join(absent)}")
@@ -264,7 +273,19 @@ def _run_curves(options: argparse.Namespace, output: Output) -> None:
     output.finish({
         "figure": figure.name, "picture": str(path), "absent": absent,
         "lines": [{"label": c.label, "seeds": c.seeds} for c in curves],
+        "reached": [
+            {**dataclasses.asdict(r), "samples": [_finite(n) for n in r.samples],
+             "seconds": [_finite(n) for n in r.seconds]} for r in reached
+        ],
     })  # fmt: skip
+
+
+def _known(number: float, unit: float = 1) -> str:
+    return f"{number / unit:,.0f}" if math.isfinite(number) else "never"
+
+
+def _finite(number: float) -> float | None:
+    return number if math.isfinite(number) else None
 
 
 def _agents(seeds: int) -> str:

@@ -13,10 +13,13 @@ from learn2assemble.reproduction.tables import Row
 
 QUANTITIES = ("R", "f", "success")
 """Of the latest 300 training episodes, exploration included."""
+LEVELS = (3.21, 3.47)
+"""The paper's R at epsilon 0.05 without search and with budget 10, on two-sided-3x3-20-24."""
 POINTS = 240
 """Grid of samples a curve is drawn on."""
 WINDOW = 9
 """Points a curve is averaged over."""
+_COLUMNS = ("samples", "seconds", *QUANTITIES)
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,21 @@ class Curve:
     """float64[P] of every quantity."""
     low: dict[str, np.ndarray]
     high: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Reached:
+    """What it took the seeds of a line to reach a return."""
+
+    label: str
+    level: float
+    seeds: int
+    reached: int
+    """Seeds that came there; for the quartiles the others never do."""
+    samples: tuple[float, float, float]
+    """First quartile, median and third quartile over the seeds; infinite where too few did."""
+    seconds: tuple[float, float, float]
+    """The same in wall time of the machines that trained."""
 
 
 _ALL = (
@@ -83,6 +101,34 @@ def load_curves(figure: Figure, runs: Path) -> list[Curve]:
     return curves
 
 
+def time_to(figure: Figure, runs: Path, levels: tuple[float, ...] = LEVELS) -> list[Reached]:
+    """When the lines of a figure first reach each of ``levels`` in R.
+
+    R is that of the latest 300 training episodes, so at the exploration rate of that time, 0.05
+    once it has come down, averaged over ``WINDOW`` entries of the log.
+
+    Raises:
+        InputError: see :func:`read_log`.
+    """
+    names = sorted(file.parent.name for file in runs.glob("*/log.jsonl"))
+    out: list[Reached] = []
+    for label, stem in figure.lines:
+        logs = [read_stages(runs, name) for name in Row(label, stem).pick(names)]
+        logs = [log for log in logs if len(log["samples"]) >= 2]
+        for level in levels if logs else ():
+            first = np.full((len(logs), 2), np.inf)
+            for row, log in zip(first, logs, strict=True):
+                above = np.flatnonzero(_smooth(log["R"]) >= level)
+                if len(above):
+                    row[:] = log["samples"][above[0]], log["seconds"][above[0]]
+            # No interpolation, which infinite numbers do not stand.
+            quartiles = np.quantile(first, (0.25, 0.5, 0.75), axis=0, method="inverted_cdf")
+            samples, seconds = (tuple(column.tolist()) for column in quartiles.T)
+            reached = int(np.isfinite(first[:, 0]).sum())
+            out.append(Reached(label, level, len(logs), reached, samples, seconds))
+    return out
+
+
 def read_stages(runs: Path, name: str) -> dict[str, np.ndarray]:
     """The logs of all stages of a training (:mod:`learn2assemble.reproduction.recipes`) as one.
 
@@ -91,15 +137,16 @@ def read_stages(runs: Path, name: str) -> dict[str, np.ndarray]:
     """
     folders = [*sorted(runs.glob(f"{name}.stage*")), runs / name]
     logs = [read_log(folder / "log.jsonl") for folder in folders]
-    before = 0.0
-    for log in logs:
-        log["samples"] += before
-        before = log["samples"][-1] if len(log["samples"]) else before
+    for key in ("samples", "seconds"):
+        before = 0.0
+        for log in logs:
+            log[key] += before
+            before = log[key][-1] if len(log[key]) else before
     return {key: np.concatenate([log[key] for log in logs]) for key in logs[0]}
 
 
 def read_log(file: Path) -> dict[str, np.ndarray]:
-    """Samples and quantities of a ``log.jsonl``, from the first finished episode on.
+    """Samples, seconds and quantities of a ``log.jsonl``, from the first finished episode on.
 
     Raises:
         InputError: for a line that is none of a log.
@@ -109,11 +156,11 @@ def read_log(file: Path) -> dict[str, np.ndarray]:
         try:
             data = json.loads(line)
             if "R" in data:
-                rows.append([float(data[key]) for key in ("samples", *QUANTITIES)])
+                rows.append([float(data[key]) for key in _COLUMNS])
         except (ValueError, KeyError, TypeError):
             raise InputError(f"{file}, line {number}", line[:60], "a line of a log") from None
-    table = np.array(rows, float).reshape(-1, 1 + len(QUANTITIES))
-    return dict(zip(("samples", *QUANTITIES), table.T, strict=True))
+    table = np.array(rows, float).reshape(-1, len(_COLUMNS))
+    return dict(zip(_COLUMNS, table.T.copy(), strict=True))
 
 
 def _average(label: str, logs: list[dict[str, np.ndarray]]) -> Curve:

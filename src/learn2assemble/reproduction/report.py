@@ -24,7 +24,6 @@ from learn2assemble.reproduction.cells import (
     row_cells,
 )
 from learn2assemble.reproduction.tables import (
-    AGENT,
     HELPS,
     PAPER_PROTOCOL,
     Column,
@@ -183,7 +182,7 @@ def _state(
     if not row.known or (row.columns is not None and number not in row.columns):
         return NOT_AVAILABLE
     if not cells:
-        return NOT_TRAINED if row.policy == AGENT else NOT_AVAILABLE
+        return NOT_TRAINED if row.agents else NOT_AVAILABLE
     return NOT_MEASURED
 
 
@@ -322,7 +321,7 @@ def sections(data: TableData, brief: bool = False) -> list[Section]:
             if row.columns is not None and number not in row.columns:
                 continue
             entry = entries[number]
-            agents = _agents(entry) if row.policy == AGENT or entry.state else DASH
+            agents = _agents(entry) if row.agents or entry.state else DASH
             line = [row.name, agents, *_paper(entry.paper, fields)]
             kinds.append(row.kind)
             for condition in table.conditions:

@@ -12,11 +12,15 @@ from learn2assemble.search.config import SEARCHES, TO_THE_END, SearchConfig
 from learn2assemble.tasks import PRESETS, Task
 
 AGENT, LOOK_AHEAD, UNTRAINED, RANDOM = "agent", "look-ahead", "untrained", "random"
-"""What chooses actions: trained agents, the exact look-ahead, search without learning, chance."""
-MODEL_LABELS, KNOWS = "model labels", "knows outcomes"
+MENDED = "mended"
+"""What chooses actions: trained agents, the exact look-ahead, search without learning, chance;
+agents whose placements are mended by the look-ahead (:func:`.cells.mended_policy`)."""
+MODEL_LABELS, KNOWS, HELPED = "model labels", "knows outcomes", "helped by look-ahead"
 HELPS = {
     MODEL_LABELS: "trained with rewards the one-step model gives for placements that were not "
     "made (deviation D6); plays without any mask.",
+    HELPED: "trained with model labels; where the placement it chose would bring nothing, which "
+    "the exact model tells, the exact look-ahead chooses another.",
     KNOWS: "no learning; the exact model tells it what every placement brings and which are valid.",
 }
 """Help that the paper's agent does not have: the words in a row's name, and what they mean."""
@@ -432,7 +436,9 @@ _ALL = (
         (_T2_COLUMNS[0], *(dataclasses.replace(column, star=False) for column in _T2_COLUMNS[3:]),
          _cubes("6x6", "50-54"), _cubes("8x8", "90-94"), _cubes("10x10", "140-144"),
          _cubes("12x12", "200-204")),
-        (_learner("DQN", 0), *_own(OWN_CUBES), _LOOK_AHEAD),
+        (_learner("DQN", 0), *_own(OWN_CUBES),
+         Row("ours, budget 10", OWN_CUBES, "dqn-mcts", 10, help=HELPED, policy=MENDED, kind=OWN),
+         _LOOK_AHEAD),
         conditions=(Condition(0.0),), trainings=("dqn", OWN_CUBES),
         notes=("R is discounted, so the last blocks of a large target hardly show in it; the "
                "success is the share of targets that are finished.",),
