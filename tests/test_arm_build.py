@@ -39,8 +39,9 @@ from learn2assemble.planning.supply import Layout, read_layout, set_out, supply_
 from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.dynamic.cell import DynamicCell, replay
+from learn2assemble.robot.grasps import get_grasps
 from learn2assemble.robot.kinematic.cell import KinematicCell
-from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene, get_grasps
+from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene
 from learn2assemble.robot.record import BuildRecord, find_fault
 from learn2assemble.simulator import Simulator
 from learn2assemble.viewer.playback import Playback

@@ -27,17 +27,16 @@ from learn2assemble.robot.dynamic.model import TIMESTEP, take_order
 from learn2assemble.robot.dynamic.prepare import Failure, prepare
 from learn2assemble.robot.dynamic.simulation import Drives, Simulation, SimulationDivergedError
 from learn2assemble.robot.dynamic.transit import WorldChecker
+from learn2assemble.robot.grasps import Attitude, get_grasps
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import (
     OPENING,
     STAGES,
     Attempt,
-    Attitude,
     Move,
     Outcome,
     Scene,
     Trajectory,
-    get_grasps,
     put_down,
 )
 from robot_scenes import GROUND, PITCH, cell, scene

@@ -17,7 +17,8 @@ from learn2assemble.graph.relations import AROUND, OFFSETS, REACH, WINDOW, look_
 from learn2assemble.networks.agent import make_network
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.placement import PlacementNetwork
-from learn2assemble.robot.moves import Outcome, get_grasps
+from learn2assemble.robot.grasps import get_grasps
+from learn2assemble.robot.moves import Outcome
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import Task
 from learn2assemble.world.blocks import EDGE

@@ -13,13 +13,12 @@ from hypothesis import strategies as st
 from learn2assemble.errors import UnknownNameError
 from learn2assemble.robot.approach import ApproachCache, tool_path
 from learn2assemble.robot.arm import get_arm
+from learn2assemble.robot.grasps import GRASP_SETS, Attitude, get_grasps
 from learn2assemble.robot.kinematic.cell import Attempt, KinematicCell
 from learn2assemble.robot.kinematic.collision import BoxChecker
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import (
-    GRASP_SETS,
     OPENING,
-    Attitude,
     Move,
     Outcome,
     Scene,
@@ -27,7 +26,6 @@ from learn2assemble.robot.moves import (
     carried,
     crossing_height,
     fillers,
-    get_grasps,
     put_down,
     why_not_held,
 )

@@ -40,7 +40,8 @@ from learn2assemble.reproduction.replay import (
     simple_rule,
 )
 from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.moves import Move, Outcome, Scene, get_grasps
+from learn2assemble.robot.grasps import get_grasps
+from learn2assemble.robot.moves import Move, Outcome, Scene
 from learn2assemble.tasks import get_task
 from robot_scenes import cell, scene
 

@@ -18,8 +18,9 @@ from arm_record import arm_record
 from learn2assemble.errors import InputError
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.dynamic.cell import DynamicCell
+from learn2assemble.robot.grasps import get_grasps
 from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.moves import OPENING, STAGES, Move, Outcome, Scene, Trajectory, get_grasps
+from learn2assemble.robot.moves import OPENING, STAGES, Move, Outcome, Scene, Trajectory
 from learn2assemble.robot.record import (
     BuildRecord,
     Samples,

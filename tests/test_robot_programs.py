@@ -38,8 +38,9 @@ from learn2assemble.export.robot_programs import (
 )
 from learn2assemble.robot.arm import Arm, arm_model, get_arm
 from learn2assemble.robot.dynamic.cell import DynamicCell
+from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.moves import OPENING, Attitude, Move, Scene
+from learn2assemble.robot.moves import OPENING, Move, Scene
 from learn2assemble.robot.program import (
     Knots,
     Limits,

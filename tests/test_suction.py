@@ -15,17 +15,17 @@ import learn2assemble as l2a
 from learn2assemble.errors import InputError
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.dynamic.cell import DynamicCell, replay
-from learn2assemble.robot.dynamic.cup import Cup, Load, peak_load
+from learn2assemble.robot.dynamic.cup import Load, Vacuum, peak_load
 from learn2assemble.robot.dynamic.model import free_cells, take_order
 from learn2assemble.robot.dynamic.prepare import Failure, prepare
 from learn2assemble.robot.dynamic.simulation import Simulation
 from learn2assemble.robot.dynamic.transit import WorldChecker
+from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.kinematic.cell import KinematicCell
 from learn2assemble.robot.kinematics import get_chain
 from learn2assemble.robot.moves import (
     IMMOVABLE,
     STAGES,
-    Attitude,
     Move,
     Outcome,
     Scene,
@@ -41,7 +41,8 @@ from suction_moves import random_moves
 
 PANDA, UR5E = get_arm("panda", "suction"), get_arm("ur5e", "suction")
 assert PANDA.suction is not None
-CUP = PANDA.suction
+TOOL = PANDA.suction
+CUP = TOOL.cups[0]
 BRICK = np.array([0.05, 0.025, 0.025])
 
 
@@ -251,7 +252,8 @@ def test_a_weak_cup_loses_the_block_and_the_report_says_where_it_is(
 ) -> None:
     """0.2 kg against 42 N, and against 1.9 N."""
     weak = dataclasses.replace(CUP, pull_off=gain * CUP.pull_off, shear=gain * CUP.shear)
-    cell = DynamicCell(dataclasses.replace(PANDA, suction=weak), precheck=False)
+    tool = dataclasses.replace(TOOL, cups=(weak,))
+    cell = DynamicCell(dataclasses.replace(PANDA, suction=tool), precheck=False)
     world, target = one_brick()
     grasp = attitudes(PANDA, BRICK)[0]
     found = cell.attempt(world, Move(0, target, grasp, grasp))
@@ -451,12 +453,12 @@ def test_a_heavy_lintel_is_moved_so_that_it_does_not_slip(
     """40 x 10 x 5 cm and 1.6 kg: at the full speed of the Panda, its turn takes 0.5 N m."""
     cups = []
 
-    class Watched(Cup):
+    class Watched(Vacuum):
         def __init__(self, *given: object) -> None:
             super().__init__(*given)  # type: ignore[arg-type]
             cups.append(self)
 
-    monkeypatch.setattr("learn2assemble.robot.dynamic.simulation.Cup", Watched)
+    monkeypatch.setattr("learn2assemble.robot.dynamic.simulation.Vacuum", Watched)
     half = np.array([0.2, 0.05, 0.025])
     world = Scene(np.array([[0.1, -0.3, 0.025]]), np.zeros(1), np.arange(1), 0, half[None])
     grasp = attitudes(PANDA, half)[0]
@@ -542,12 +544,12 @@ def test_the_tool_is_drawn_where_it_is(name: str) -> None:
     shape = arm_shape(arm)
     assert not shape.fingers
     drawn = {part.name: part for part in shape.parts if "tool" in part.name}
-    assert len(drawn) == len(CUP.parts)
+    assert len(drawn) == len(TOOL.parts)
     position, rotation = shape.tool(arm.home)
     frames, turns = shape.frames(arm.home, 0.0)
-    cup = drawn[f"hand_v_tool{len(CUP.parts) - 1}"]
+    cup = drawn[f"hand_v_tool{len(TOOL.parts) - 1}"]
     points = frames[cup.frame] + cup.mesh.vertices @ turns[cup.frame].T
     along = (points - position) @ rotation[:, 2]
     # The lip of the cup ends just short of the tool point.
-    assert along.max() == pytest.approx(CUP.parts[-1][2] - CUP.length, abs=1e-6)
+    assert along.max() == pytest.approx(TOOL.parts[-1].end[2] - TOOL.length, abs=1e-6)
     assert np.linalg.norm(points - position, axis=1).max() < 0.03

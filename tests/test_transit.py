@@ -19,10 +19,11 @@ from learn2assemble.robot.dynamic.transit import (
     WorldChecker,
     straight_or_tree,
 )
+from learn2assemble.robot.grasps import Attitude, get_grasps
 from learn2assemble.robot.inverse import solve
 from learn2assemble.robot.kinematic.collision import Collision
 from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.moves import OPENING, Attitude, Move, Scene, get_grasps
+from learn2assemble.robot.moves import OPENING, Move, Scene
 
 PANDA = get_arm("panda")
 AA = get_grasps("along-y")[0]

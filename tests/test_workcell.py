@@ -98,6 +98,7 @@ def test_polycubes_are_one_shape_in_every_turn() -> None:
     assert all(len(found) == 1 for found in shapes.values())
 
 
+@settings(deadline=None)
 @given(st.floats(-3.0, 3.0), st.integers(0, 5))
 def test_frame_of_a_block_on_any_side(yaw: float, side: int) -> None:
     from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix

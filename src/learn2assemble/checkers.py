@@ -58,8 +58,8 @@ def _kinematic(task: Task, balance: str) -> Physics:
     # MuJoCo is loaded only by those who ask for it.
     from learn2assemble.robot.arm import get_arm
     from learn2assemble.robot.checker import ArmPhysics
+    from learn2assemble.robot.grasps import get_grasps
     from learn2assemble.robot.kinematic.cell import KinematicCell
-    from learn2assemble.robot.moves import get_grasps
 
     cell = KinematicCell(get_arm(task.arm), task.max_blocks)
     balance_check = resolve_physics(balance, task.stability, task.pitch)
@@ -71,7 +71,7 @@ def _dynamic(task: Task) -> Physics:
     from learn2assemble.robot.checker import ArmPhysics
     from learn2assemble.robot.dynamic.cell import DynamicCell
     from learn2assemble.robot.dynamic.execution import ONE_SIDED
-    from learn2assemble.robot.moves import get_grasps
+    from learn2assemble.robot.grasps import get_grasps
 
     rule = ONE_SIDED if task.num_sides == 1 else None
     # What the hand does where nothing is near changes nothing for the blocks.

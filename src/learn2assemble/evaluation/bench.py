@@ -26,7 +26,8 @@ from learn2assemble.planning.exact import plan_exact
 from learn2assemble.planning.world_model import WorldModel, lookahead_actions
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.dynamic.cell import DynamicCell
-from learn2assemble.robot.moves import GAP, Attempt, Move, Scene, get_grasps
+from learn2assemble.robot.grasps import get_grasps
+from learn2assemble.robot.moves import GAP, Attempt, Move, Scene
 from learn2assemble.search.config import SearchConfig
 from learn2assemble.search.mcts import search
 from learn2assemble.simulator import Simulator

@@ -37,8 +37,9 @@ from learn2assemble.planning.verify import Proof, VerifiedStep, make_plan
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.checker import ArmPhysics, scene_of
 from learn2assemble.robot.dynamic.cell import DynamicCell
+from learn2assemble.robot.grasps import QUARTER, get_grasps
 from learn2assemble.robot.kinematic.cell import KinematicCell
-from learn2assemble.robot.moves import OPENING, QUARTER, Attempt, Move, Outcome, Scene, get_grasps
+from learn2assemble.robot.moves import OPENING, Attempt, Move, Outcome, Scene
 from learn2assemble.robot.recorder import BuildRecorder
 from learn2assemble.simulator import Simulator
 from learn2assemble.world.blocks import HALF

@@ -23,18 +23,10 @@ from learn2assemble.files import load_json, number, read_head, read_text, sequen
 from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.planning.problem import Problem
 from learn2assemble.robot.approach import ApproachCache
+from learn2assemble.robot.grasps import Attitude, GraspPair, along, get_grasps
 from learn2assemble.robot.kinematic.cell import KinematicCell
 from learn2assemble.robot.kinematic.collision import TABLE
-from learn2assemble.robot.moves import (
-    Attempt,
-    Attitude,
-    GraspPair,
-    Move,
-    Outcome,
-    Scene,
-    along,
-    get_grasps,
-)
+from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene
 from learn2assemble.world.blocks import EDGE, HALF
 
 FORMAT, VERSION = "learn2assemble-layout", 1

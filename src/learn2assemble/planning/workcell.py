@@ -27,8 +27,9 @@ from learn2assemble.geometry.rotations import (
 )
 from learn2assemble.planning.workcell_site import QUARTER, Obstacle, Piece, Source
 from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.grasps import WAY, Attitude
 from learn2assemble.robot.kinematic.cell import KinematicCell
-from learn2assemble.robot.moves import Attempt, Attitude, Move, Scene, attitudes
+from learn2assemble.robot.moves import Attempt, Move, Scene, attitudes, side_attitudes
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly
@@ -44,6 +45,8 @@ HIDDEN = 0.05
 """Blocks in a magazine lie so far under the table [m]."""
 OBSTACLE_DENSITY = 20_000.0
 """Nothing moves an obstacle [kg/m³]."""
+FARTHEST_OUT, OUT_ROOM = 0.5, 0.005
+"""No block is drawn out from below others farther than this, and what room it then has [m]."""
 TRIES = 3
 """Attempts at one step before others come first."""
 
@@ -273,18 +276,50 @@ def moves(world: World, rows: Rows, moving: int, goal: np.ndarray) -> Iterator[M
     away = np.linalg.norm((rows.scene.position[mine] - middle)[:, :2], axis=1)
     goal_turn = quaternion_matrix(goal[3:])
     goal_yaw = math.atan2(goal_turn[1, 0], goal_turn[0, 0])
-    for k in sorted(range(len(mine)), key=lambda k: (-round(tops[k], 4), away[k])):
+    parts = sorted(range(len(mine)), key=lambda k: (-round(tops[k], 4), away[k]))
+    hands = [(k, grasp) for k in parts for grasp in different(attitudes(arm, halves[k]), arm)]
+    # From the side last, and only as far as it takes to come out from below others.
+    hands += [(k, grasp) for k in parts for grasp in side_attitudes(arm, halves[k])]
+    for k, grasp in hands:
         offset = np.array(piece.shape[rows.part[mine[k]]][0])
-        for grasp in different(attitudes(arm, halves[k]), arm):
-            for turn in piece.turns() if upright else (0,):
-                yaw = goal_yaw + turn * QUARTER
-                change = (yaw - frame.yaw + math.pi) % (2 * math.pi) - math.pi
-                spun = quaternion_matrix(yaw_quaternion(frame.yaw + change))
-                yield Move(
-                    int(mine[k]), goal[:3] + spun @ (offset if upright else frame.side.T @ offset),
-                    grasp._replace(yaw=grasp.yaw + frame.yaw),
-                    grasp._replace(yaw=grasp.yaw + frame.yaw + change),
-                )  # fmt: skip
+        grasp = grasp._replace(yaw=grasp.yaw + frame.yaw)
+        if grasp.sideways:
+            way = way_out(rows, mine, -grasp.approach())
+            if way is None:
+                continue
+            grasp = grasp._replace(way=way)
+        for turn in piece.turns() if upright else (0,):
+            yaw = goal_yaw + turn * QUARTER
+            change = (yaw - frame.yaw + math.pi) % (2 * math.pi) - math.pi
+            spun = quaternion_matrix(yaw_quaternion(frame.yaw + change))
+            yield Move(
+                int(mine[k]), goal[:3] + spun @ (offset if upright else frame.side.T @ offset),
+                grasp, grasp._replace(yaw=grasp.yaw + change, way=WAY),
+            )  # fmt: skip
+
+
+def way_out(rows: Rows, mine: np.ndarray, way: np.ndarray) -> float | None:
+    """How far boxes have to be drawn out until nothing is above them any more.
+
+    Args:
+        rows: the scene.
+        mine: int64[m], its boxes that are moved.
+        way: float64[3], a level unit vector.
+
+    Returns:
+        [m]; None where it is farther than :data:`FARTHEST_OUT`.
+    """
+    turns = np.abs([quaternion_matrix(turn) for turn in rows.quaternion])
+    reach = np.einsum("nij,nj->ni", turns, rows.scene.halves)
+    low, high = rows.scene.position - reach, rows.scene.position + reach
+    others = np.setdiff1d(np.arange(len(low)), mine)
+    covered = others[high[others, 2] > high[mine, 2].max() + 1e-3]
+    for far in np.arange(WAY, FARTHEST_OUT, 0.01).tolist():
+        a, b = (side[mine, :2] + far * way[:2] for side in (low, high))
+        apart = np.minimum(b[:, None], high[covered, :2]) - np.maximum(a[:, None], low[covered, :2])
+        if not (apart > -OUT_ROOM).all(2).any():
+            return round(far, 3)
+    return None
 
 
 def different(found: Sequence[Attitude], arm: Arm) -> list[Attitude]:

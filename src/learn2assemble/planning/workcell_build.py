@@ -100,6 +100,8 @@ class Done:
     outcome: str
     detail: str
     stage: str
+    sideways: bool = False
+    """Whether the block was held by its side."""
 
 
 class Building:
@@ -382,7 +384,7 @@ class Building:
         self._update(action, found)
         self.done.append(
             Done(len(self.done) + 1, k, action.what, found.outcome.label,
-                 found.detail, found.stage)
+                 found.detail, found.stage, move.grasp.sideways)
         )  # fmt: skip
         self.fails[key] = 0 if found.reached else self.fails.get(key, 0) + 1
         self.refused.clear()

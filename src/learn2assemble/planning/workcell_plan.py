@@ -119,6 +119,8 @@ def carry_out(
         gone = gone and StepOf(number) in order.steps
         what = "take away" if gone else "place"
         reason = f"the arm cannot {what} {listed}: {job.pieces[number].id}: {why}"
+        if gone and not (job.arm.suction and job.arm.suction.cups[1:]):
+            reason += "; a tool that also takes hold of side faces, --tool suction-side, may"
         report = _report(job, workcell, None)
         return replace(plan, status="refused", reason=reason, steps=(), coverage=0.0, arm=report,
                        blocks=replace(plan.blocks, used=0),
@@ -247,7 +249,8 @@ def _carried_out(
         there = not step.remove and world.state[step.block] == STANDING
         pose = world.pose[step.block] if there else world.target(step.block)
         x, y, z, w, a, b, c = (round(float(v), 6) for v in pose)
-        how = "suction from above" if job.arm.suction else "fingers"
+        above = "above" if attempt is None or not attempt.sideways else "the side"
+        how = f"suction from {above}" if job.arm.suction else "fingers"
         steps.append(
             replace(
                 old, step=number, position=(x, y, z), quaternion=(w, a, b, c),

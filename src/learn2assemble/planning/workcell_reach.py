@@ -17,7 +17,18 @@ import numpy as np
 
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import yaw_matrix, yaw_quaternion
-from learn2assemble.planning.workcell import LOOSE, STANDING, Job, World, different, moves, rows_of
+from learn2assemble.planning.workcell import (
+    LOOSE,
+    RETURNED,
+    STANDING,
+    Job,
+    StepOf,
+    World,
+    different,
+    moves,
+    rows_of,
+    try_step,
+)
 from learn2assemble.planning.workcell_site import (
     QUARTER,
     Part,
@@ -42,6 +53,7 @@ from learn2assemble.robot.moves import (
     Scene,
     attitudes,
     turned,
+    turns,
     why_not_held,
 )
 
@@ -292,7 +304,7 @@ def set_up(job: Job, name: str, tool: str, site: Site) -> Job:
         arm = resting(place_arm(name, tool, site.base), site.base[3], pieces)
         _check_sources(arm, given, top)
         return _supplied(replace(job, arm=arm), given, site)
-    key, fault, most = extreme(pieces), None, None
+    key, fault, most, second = extreme(pieces), None, None, None
     for base in bases(pieces):
         arm = place_arm(name, tool, base)
         found = reach_from(arm, base, pieces, key)
@@ -302,13 +314,45 @@ def set_up(job: Job, name: str, tool: str, site: Site) -> Job:
             continue
         try:
             _check_sources(arm, given, top)
-            return _supplied(replace(job, arm=resting(arm, base[3], pieces)), given, site)
+            here = replace(job, arm=resting(arm, base[3], pieces))
+            if takes_away(here):
+                return _supplied(here, given, site)
+            second = second or here
         except InputError as error:
             fault = fault or error
+    if second is not None:
+        # The order will say what cannot be taken away.
+        return _supplied(second, given, site)
     if fault is not None:
         raise fault
     best = _whole(name, tool, pieces, most)
     raise _out_of_reach(name, pieces, best, best)
+
+
+def removals(job: Job, shape: tuple[Part, ...] | None = None) -> Iterator[tuple[World, StepOf]]:
+    """Worlds in which a block, perhaps one of a shape, is to be taken away, everything else as the
+    plan has it then."""
+    world = World(replace(job, sources=tuple(s for s in job.sources if s.magazine)))
+    for step in job.steps:
+        k = step.block
+        if step.remove and shape in (None, job.pieces[k].shape):
+            yield world, step
+        world.pose[k] = world.target(k)
+        world.state[k] = RETURNED if step.remove else STANDING
+
+
+def takes_away(job: Job) -> bool:
+    """Whether the arm can take hold of every block that is to be taken away, and come out with it;
+    true of a tool that only comes from above, for which other bases change nothing."""
+    if job.arm.suction is None or len(job.arm.suction.cups) == 1:
+        return True
+    cell = KinematicCell(job.arm, cells_of(job))
+    for world, step in removals(job):
+        rows = rows_of(world, world.pose, step.block)
+        ways = moves(world, rows, step.block, world.target(step.block))
+        if not any(_picked(cell, rows.scene, move) for move in ways):
+            return False
+    return True
 
 
 def _out_of_reach(name: str, pieces: Sequence[Piece], found: Reach, best: Reach) -> InputError:
@@ -363,7 +407,8 @@ def _supplied(job: Job, given: list[Source], site: Site) -> Job:
     made: list[Source] = []
     for shape in missing:
         blocked = shapely.union_all([structure, *taken])
-        place = next(_magazine_places(finished, cell, shape, blocked, table), None)
+        place = next(_magazine_places(finished, cell, shape, blocked, table, True), None)
+        place = place or next(_magazine_places(finished, cell, shape, blocked, table), None)
         if place is None:
             piece = next(p for p in job.pieces if p.shape == shape)
             got = f"no room for a magazine of kind {piece.name} within reach"
@@ -380,9 +425,11 @@ def cells_of(job: Job) -> int:
 
 
 def _magazine_places(
-    job: Job, cell: KinematicCell, shape: tuple[Part, ...], blocked: Any, table: Any
-) -> Iterator[Pose]:
-    """Poses at which blocks of a shape can be taken with the finished structure there."""
+    job: Job, cell: KinematicCell, shape: tuple[Part, ...], blocked: Any, table: Any,
+    back: bool = False,
+) -> Iterator[Pose]:  # fmt: skip
+    """Poses at which blocks of a shape can be taken with the finished structure there, and if
+    ``back`` those that are taken away from it can be put."""
     import shapely
 
     world = World(replace(job, sources=()))
@@ -416,8 +463,12 @@ def _magazine_places(
             moved = rows.scene.position.copy()
             moved[mine, :2] += x, y
             scene = rows.scene._replace(position=moved)
-            if any(_picked(cell, scene, move) for move in ways):
-                yield Pose(round(x, 4), round(y, 4), yaw)
+            pose = Pose(round(x, 4), round(y, 4), yaw)
+            there = replace(job, sources=(Source(shape, pose, None, True),))
+            if any(_picked(cell, scene, move) for move in ways) and not (
+                back and any(try_step(w, cell, step) for w, step in removals(there, shape))
+            ):
+                yield pose
             tried += 1
             if tried >= MOST_TRIED:
                 return
@@ -425,4 +476,5 @@ def _magazine_places(
 
 def _picked(cell: KinematicCell, scene: Scene, move: Move) -> bool:
     """Whether the first half of a move is possible, whichever way the hand is turned."""
-    return any(cell.pick(scene, turned(move, turn)).reached for turn in (0.0, *cell.arm.turns))
+    ways = (0.0, *turns(cell.arm, move))
+    return any(cell.pick(scene, turned(move, turn)).reached for turn in ways)

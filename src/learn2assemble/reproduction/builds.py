@@ -79,7 +79,8 @@ def entry(name: str) -> Result:
     seed = int(rest[0]) if kind in ("noise", "faults") else 0
     design, kit = _design(kind, what)
     rng = np.random.default_rng([seed, *what.encode(), *arm.encode()])
-    workcell = Workcell(arm, rest[0] if kind == "example" else "suction", seed=seed)
+    tool = {"example": rest[0] if rest else "", "props": "suction-side"}.get(kind, "suction")
+    workcell = Workcell(arm, tool, seed=seed)
     if kind == "noise":
         workcell = replace(
             workcell, noise=(SENSING, 0.0),

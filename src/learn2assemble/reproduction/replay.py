@@ -42,8 +42,9 @@ from learn2assemble.reproduction.recordings import (
 )
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.checker import Cell
+from learn2assemble.robot.grasps import get_grasps
 from learn2assemble.robot.kinematic.cell import KinematicCell
-from learn2assemble.robot.moves import Attempt, Move, Scene, get_grasps
+from learn2assemble.robot.moves import Attempt, Move, Scene
 from learn2assemble.tasks import Task, get_task
 from learn2assemble.world.blocks import DIRECTIONS, EDGE, HALF
 from learn2assemble.world.rules import (

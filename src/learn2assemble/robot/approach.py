@@ -18,10 +18,11 @@ import numpy as np
 
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.dynamic.trajectory import Limits, joint_path
+from learn2assemble.robot.grasps import WAY, Attitude
 from learn2assemble.robot.inverse import RESTARTS, ik_seeds, seed_distances, solve
-from learn2assemble.robot.moves import LEVEL, Attitude
+from learn2assemble.robot.moves import LEVEL
 
-RISE = (0.0, 0.008, 0.03, 0.06)
+RISE = (0.0, 0.008, 0.03, WAY)
 """Distances of poses from the contact along the approach axis [m], close where things are near."""
 SPACING = 0.02
 """Largest distance between poses of an :class:`ApproachPath` [m]."""
@@ -38,21 +39,35 @@ class ToolPath(NamedTuple):
     """float64[k, 3]: tool point [m]."""
     rotation: np.ndarray
     """float64[3, 3]: of all of them."""
+    approach: np.ndarray
+    """float64[3]: unit vector along which the tool comes to the contact."""
+    near: int
+    """How many poses are on that way, the contact included."""
 
 
-def tool_path(centre: np.ndarray, attitude: Attitude, height: float) -> ToolPath:
+def tool_path(
+    centre: np.ndarray, attitude: Attitude, height: float, upwards: bool = False
+) -> ToolPath:
     """Tool poses over a cell.
 
     Args:
         centre: float64[3] of the cell [m].
         attitude: of the hand.
         height: of the last tool point, or that just clear of the cell if that is higher [m].
+        upwards: leave the contact along the vertical, also where the hand comes from the side.
     """
     rotation, contact = attitude.rotation(), attitude.tool_point(centre)
-    near = contact - np.outer(RISE, rotation[:, 2])
+    approach, rise = attitude.approach(), np.array(RISE)
+    if upwards and attitude.sideways:
+        approach = np.array([0.0, 0.0, -1.0])
+    elif attitude.way > RISE[-1]:
+        further = math.ceil((attitude.way - RISE[-1]) / (2 * LEVEL))
+        rise = np.r_[rise, np.linspace(RISE[-1], attitude.way, further + 1)[1:]]
+    near = contact - np.outer(rise, approach)
     top = max(height - near[-1, 2], 0.0)
     steps = np.linspace(0.0, top, 1 + math.ceil(top / (2 * LEVEL) - 1e-9))[1:]
-    return ToolPath(np.vstack([near, near[-1] + np.outer(steps, [0.0, 0.0, 1.0])]), rotation)
+    up = near[-1] + np.outer(steps, [0.0, 0.0, 1.0])
+    return ToolPath(np.vstack([near, up]), rotation, approach, len(near))
 
 
 def follow_poses(
@@ -103,14 +118,16 @@ class ApproachCache:
         self.arm, self.size, self.grain = arm, size, grain
         self._known: OrderedDict[tuple[object, ...], np.ndarray | str] = OrderedDict()
 
-    def solve(self, centre: np.ndarray, attitude: Attitude, height: float) -> np.ndarray | str:
+    def solve(
+        self, centre: np.ndarray, attitude: Attitude, height: float, upwards: bool = False
+    ) -> np.ndarray | str:
         """float64[k, n] [rad], or in words why there are none; arguments of :func:`tool_path`."""
-        grain = self.grain
-        key = (*(round(float(c) / grain) for c in centre), attitude, round(height / grain))
+        grain, upwards = self.grain, upwards and attitude.sideways
+        key = (*(round(float(c) / grain) for c in centre), attitude, round(height / grain), upwards)
         found = self._known.get(key)
         if found is None:
-            poses = tool_path(centre, attitude, height)
-            found = follow_poses(self.arm, *poses, self.arm.home, RESTARTS)
+            poses = tool_path(centre, attitude, height, upwards)
+            found = follow_poses(self.arm, poses.position, poses.rotation, self.arm.home, RESTARTS)
             self._known[key] = found
             if len(self._known) > self.size:
                 self._known.popitem(last=False)
@@ -156,10 +173,11 @@ def approach_path(
     height: float,
     below: float = 0.0,
     start: np.ndarray | None = None,
+    upwards: bool = False,
 ) -> ApproachPath | str:
     """The first of :func:`approach_paths`, or in words which pose is out of reach and why."""
     reason = ""
-    for found in approach_paths(arm, centre, attitude, height, below, start):
+    for found in approach_paths(arm, centre, attitude, height, below, start, upwards):
         if not isinstance(found, str):
             return found
         reason = reason or found
@@ -173,6 +191,7 @@ def approach_paths(
     height: float,
     below: float = 0.0,
     start: np.ndarray | None = None,
+    upwards: bool = False,
 ) -> Iterator[ApproachPath | str]:
     """Approach paths on different branches of the inverse kinematics.
 
@@ -181,15 +200,15 @@ def approach_paths(
 
     Args:
         arm: the robot.
-        centre, attitude, height: see :func:`tool_path`.
+        centre, attitude, height, upwards: see :func:`tool_path`.
         below: how far under the contact the path begins [m].
         start: float64[n] [rad], by default the home pose.
 
     Yields:
         paths, and between them, in words, which pose was out of reach.
     """
-    poses = tool_path(centre, attitude, height)
-    points = [poses.position[:1] + below * poses.rotation[:, 2]] if below else []
+    poses = tool_path(centre, attitude, height, upwards)
+    points = [poses.position[:1] + below * poses.approach] if below else []
     for begin, end in zip(poses.position[:-1], poses.position[1:], strict=True):
         count = math.ceil(np.linalg.norm(end - begin) / SPACING - 1e-9)
         points.append(begin + np.outer(np.arange(count) / count, end - begin))

@@ -11,16 +11,8 @@ import numpy as np
 
 from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.physics.protocol import ARM, Physics, Verdict
-from learn2assemble.robot.moves import (
-    QUARTER,
-    Attempt,
-    GraspPair,
-    Move,
-    Outcome,
-    Scene,
-    along,
-    put_down,
-)
+from learn2assemble.robot.grasps import QUARTER, GraspPair, along
+from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene, put_down
 from learn2assemble.world.blocks import HALF
 from learn2assemble.world.rules import last_object
 from learn2assemble.world.state import State

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.errors import look_up
 from learn2assemble.geometry.rotations import rotate_vectors, yaw_matrix
+from learn2assemble.robot.grasps import QUARTER, Attitude
 from learn2assemble.world.blocks import EDGE, GRAVITY, HALF, MASS
 
 if TYPE_CHECKING:
@@ -45,83 +45,6 @@ class Outcome(IntEnum):
     def label(self) -> str:
         """The name as it is shown, e.g. ``"grasp-collision"``."""
         return self.name.lower().replace("_", "-")
-
-
-QUARTER = math.pi / 2
-
-
-class Attitude(NamedTuple):
-    """How the hand meets a cell. The tool's z axis points out of the hand, the fingers close
-    along its y axis; without a tilt z points straight down."""
-
-    yaw: float = 0.0
-    """Of the hand about the vertical [rad]; at 0 the fingers close along the world's y."""
-    tilt: float = 0.0
-    """Lean of the hand about the closing axis [rad]; positive: the wrist moves towards the tool's
-    negative x."""
-    depth: float = 0.0
-    """How far above the cell's centre the tool point stays, along the approach [m]."""
-
-    def rotation(self) -> np.ndarray:
-        """float64[3, 3]: the tool's axes as columns, world frame."""
-        c, s = math.cos(self.tilt), math.sin(self.tilt)
-        # Half a turn about x points the tool down; the tilt is about the tool's own y axis.
-        down = np.array([[c, 0.0, s], [0.0, -1.0, 0.0], [s, 0.0, -c]])
-        return yaw_matrix(self.yaw) @ down
-
-    def tool_point(self, centre: np.ndarray) -> np.ndarray:
-        """float64[3]: where the tool point is when the hand holds a cell with this centre [m]."""
-        return centre - self.depth * self.rotation()[:, 2]
-
-    def flipped(self) -> Attitude:
-        """The same grasp with the fingers exchanged."""
-        return self._replace(yaw=self.yaw + math.pi)
-
-
-def along(grasp: Attitude, yaw: float) -> Attitude:
-    """An attitude meant for an upright object, for one that is turned by ``yaw`` [rad]: turned
-    with it by at most an eighth, as a quarter makes no difference to a cube."""
-    turned = yaw - QUARTER * round(yaw / QUARTER)
-    return grasp._replace(yaw=grasp.yaw + turned) if turned else grasp
-
-
-class GraspPair(NamedTuple):
-    """Attitudes for picking up and for putting down; an object turns by the difference in yaw."""
-
-    grasp: Attitude
-    place: Attitude
-
-
-_A, _B = Attitude(), Attitude(yaw=-math.pi / 2)
-_YAWS = tuple(Attitude(yaw=-k * math.pi / 2) for k in range(4))
-_LEANS = tuple(
-    Attitude(yaw, tilt, depth)
-    for yaw in (0.0, -math.pi / 2, math.pi / 2, math.pi)
-    for tilt in (-math.pi / 6, 0.0, math.pi / 6)
-    for depth in (0.0, 0.012)
-)
-
-GRASP_SETS: dict[str, tuple[GraspPair, ...]] = {
-    # One-sided cell: the fingers always close along y.
-    "along-y": (GraspPair(_A, _A),),
-    # Action k mod 4: net turns of 0, -90, 90 and 0 degrees.
-    "paper": (GraspPair(_A, _A), GraspPair(_A, _B), GraspPair(_B, _A), GraspPair(_B, _B)),
-    "four-yaws": tuple(GraspPair(a, b) for a in _YAWS for b in _YAWS),
-    # 6-D grasps: the lean and the depth a block is picked with are those it is placed with.
-    "rich": tuple(
-        GraspPair(a, b) for a in _LEANS for b in _LEANS if (a.tilt, a.depth) == (b.tilt, b.depth)
-    ),
-}
-"""Named sets of (grasp, place) attitudes. The paper names 6-D grasps as future work."""
-
-
-def get_grasps(name: str) -> tuple[GraspPair, ...]:
-    """The grasp set called ``name``.
-
-    Raises:
-        UnknownNameError: naming the nearest one.
-    """
-    return look_up("grasp set", name, GRASP_SETS)
 
 
 DENSITY = MASS / EDGE**3
@@ -191,6 +114,11 @@ class Move(NamedTuple):
     def turn(self) -> float:
         """Rotation of the object about z between picking and placing [rad]."""
         return self.place.yaw - self.grasp.yaw
+
+
+def turns(arm: Arm, move: Move) -> tuple[float, ...]:
+    """Other turns of the hand about the vertical [rad] in which it does the same."""
+    return () if move.grasp.sideways else arm.turns
 
 
 def turned(move: Move, turn: float) -> Move:
@@ -296,7 +224,7 @@ def attitudes(arm: Arm, half: np.ndarray) -> tuple[Attitude, ...]:
         none where the box is too wide for the fingers, or too small for the cup.
     """
     if arm.suction is not None:
-        if min(half[0], half[1]) < arm.suction.radius:
+        if min(half[0], half[1]) < arm.suction.cups[0].radius:
             return ()
         return tuple(Attitude(-k * QUARTER, 0.0, float(half[2])) for k in range(4))
     depth = max(half[2] - _GRIP_DEPTH, arm.gripper.tip + _TIP_ROOM - half[2], 0.0)
@@ -306,6 +234,39 @@ def attitudes(arm: Arm, half: np.ndarray) -> tuple[Attitude, ...]:
     return tuple(
         Attitude(-k * QUARTER, 0.0, float(depth)) for k in (0, 2, 1, 3) if fits[k % 2]
     )  # fmt: skip
+
+
+HEADROOM = 0.005
+"""A tool that comes from the side stays so far above what a block stands on [m]."""
+CAPTURE = 0.0005
+"""The lip of a cup keeps this distance from the edges of a face [m]."""
+
+
+def side_attitudes(arm: Arm, half: np.ndarray) -> tuple[Attitude, ...]:
+    """The attitudes in which the tool of an arm can hold a box that stands at yaw 0 by a side
+    face: cups at the side of the tool on the faces they seal, high enough for the tool to pass
+    above what the box stands on.
+
+    Args:
+        arm: the robot with its tool.
+        half: float64[3], half extents of the box [m].
+    """
+    found: list[Attitude] = []
+    for cup in arm.suction.cups[1:] if arm.suction else ():
+        facing = Attitude(lip=cup.lip)
+        if not facing.sideways:
+            continue
+        below = max(-float(facing.tool_point(np.zeros(3))[2]), cup.radius)
+        raised = max(0.0, below + HEADROOM - float(half[2]))
+        if raised > half[2] - cup.radius - CAPTURE:
+            continue
+        x, y, _ = facing.approach()
+        for k in range(4):
+            yaw = k * QUARTER - math.atan2(y, x)
+            depth, across = (half[0], half[1]) if k % 2 == 0 else (half[1], half[0])
+            if across >= cup.radius:
+                found.append(facing._replace(yaw=yaw, depth=float(depth), raised=raised))
+    return tuple(found)
 
 
 def why_not_held(arm: Arm, half: np.ndarray, mass: float) -> str | None:
@@ -324,7 +285,7 @@ def why_not_held(arm: Arm, half: np.ndarray, mass: float) -> str | None:
             return (
                 f"a block of {size} is too wide for fingers that take {widest:.0f} mm, or too low"
             )
-        return f"a block of {size} is too small for a cup of {1e3 * cup.diameter:g} mm"
+        return f"a block of {size} is too small for a cup of {1e3 * cup.cups[0].diameter:g} mm"
     if cup is not None and mass > cup.payload:
         return f"{mass:.2f} kg is too heavy for a cup that takes {cup.payload:g} kg"
     return None
@@ -350,6 +311,8 @@ def crossing_height(scene: Scene, move: Move) -> float:
     # What is held near its top hangs lower than the tool; the small depths of cubes do not count.
     low = scene.half is not None or move.grasp.depth >= HALF
     above = move.grasp.depth if low else 0.0
+    if move.grasp.sideways:
+        above = float(move.grasp.tool_point(np.zeros(3))[2])
     level = LEVEL if scene.half is None else FINE_LEVEL
     return level * math.ceil((height + above) / level - 1e-9)
 
@@ -364,10 +327,16 @@ def overload(arm: Arm, scene: Scene, move: Move) -> str | None:
     why = why_not_held(arm, scene.halves[move.cell], float(mass.sum()))
     if why is not None:
         return why
-    lever = mass @ (scene.position[members] - scene.position[move.cell])
-    tilt = GRAVITY * np.array([lever[1], -lever[0], 0.0])
-    share = cup.load(np.array([0.0, 0.0, GRAVITY * mass.sum()]), tilt)[0]
-    return f"its weight is {100 * share:.0f} % of what pulls the cup off" if share > 1 else None
+    grasp, centre = move.grasp, scene.position[move.cell]
+    used = next(one for one in cup.cups if one.lip == grasp.lip)
+    turn = grasp.rotation() @ used.lip.frame()
+    point = centre - grasp.depth * turn[:, 2] + np.array([0.0, 0.0, grasp.raised])
+    weight = np.array([0.0, 0.0, -GRAVITY])
+    moment = np.cross(mass @ (scene.position[members] - point), weight)
+    off, slip = used.load(turn.T @ (mass.sum() * weight), turn.T @ moment)
+    if off > 1:
+        return f"its weight is {100 * off:.0f} % of what pulls the cup off"
+    return f"its weight is {100 * slip:.0f} % of what the lip carries" if slip > 1 else None
 
 
 STAGES = ("approach", "pick", "lift", "cross", "place", "release", "retreat", "home")

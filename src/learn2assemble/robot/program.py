@@ -28,7 +28,8 @@ from learn2assemble.geometry.rotations import (
     yaw_quaternion,
 )
 from learn2assemble.robot.arm import Arm, arm_model, get_arm
-from learn2assemble.robot.moves import DENSITY, STAGES, Attitude, Move, Outcome, Scene
+from learn2assemble.robot.grasps import Attitude
+from learn2assemble.robot.moves import DENSITY, STAGES, Move, Outcome, Scene
 from learn2assemble.robot.record import ArmFacts, BuildRecord, Samples, require_sound
 
 REST = 2e-6

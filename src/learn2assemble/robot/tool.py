@@ -21,17 +21,20 @@ import math
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
 from learn2assemble.errors import InputError, look_up
+from learn2assemble.robot.grasps import FIRST, Lip
 
 PICTURE_GROUP, COLLISION_GROUP = 2, 3
 """Geom groups of every vendored arm."""
 ATMOSPHERE = 101_325.0
 """No vacuum presses harder than this [Pa]."""
+FARTHEST_PART = 0.6
+"""No part of a tool is farther from the middle of the flange along an axis [m]."""
 _GREY, _BLACK = (0.75, 0.76, 0.78, 1.0), (0.2, 0.2, 0.22, 1.0)
 
 
@@ -72,9 +75,9 @@ class Gripper:
         return self.closed_command + slope * width
 
 
-@dataclass(frozen=True, eq=False)
-class Suction:
-    """A tool with one cup; the tool point is the middle of its lip."""
+@dataclass(frozen=True)
+class Cup:
+    """One cup of a suction tool."""
 
     diameter: float
     """Of the sealed disc [m]."""
@@ -86,18 +89,7 @@ class Suction:
     """Force along the face at which it slips [N]."""
     torsion: float
     """Moment about the axis at which it turns [N m]."""
-    payload: float
-    """Largest mass it may be given [kg]."""
-    length: float
-    """From the flange to the tool point [m]."""
-    mass: float
-    """[kg]"""
-    grip_time: float
-    """Until the vacuum holds [s]."""
-    release_time: float
-    """Until the cup lets go [s]."""
-    parts: tuple[tuple[float, float, float], ...]
-    """Collision shape: cylinders about the axis; radius, begin and end from the flange [m]."""
+    lip: Lip = FIRST
 
     @property
     def radius(self) -> float:
@@ -109,15 +101,48 @@ class Suction:
         above 1 it does not hold.
 
         Args:
-            force: float64[3] the held block loads the cup with, in the tool frame [N]; its z axis
-                points out of the cup, so that a pull is positive.
-            moment: float64[3], the same about the tool point [N m].
+            force: float64[3] the held block loads the cup with, in the frame of the cup [N]; its z
+                axis points out of the cup, so that a pull is positive.
+            moment: float64[3], the same about the middle of the lip [N m].
         """
         pull = max(float(force[2]), 0.0)
         off = (pull + math.hypot(moment[0], moment[1]) / self.radius) / self.pull_off
         slip = math.hypot(math.hypot(force[0], force[1]) / self.shear, moment[2] / self.torsion)
         left = 1.0 - pull / self.pull_off
         return off, slip / left if left > 0 else math.inf
+
+
+class Part(NamedTuple):
+    """A cylinder of a tool's collision shape, in the frame of the flange: z as the tool's."""
+
+    radius: float
+    """[m], like all others."""
+    begin: tuple[float, float, float]
+    end: tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Suction:
+    """A tool with one cup or several on one vacuum; valves close those that meet nothing."""
+
+    cups: tuple[Cup, ...]
+    """The tool point is the middle of the lip of the first."""
+    payload: float
+    """Largest mass it may be given [kg]."""
+    length: float
+    """From the flange to the tool point [m]."""
+    mass: float
+    """[kg]"""
+    grip_time: float
+    """Until the vacuum holds [s]."""
+    release_time: float
+    """Until the cup lets go [s]."""
+    parts: tuple[Part, ...]
+
+    @property
+    def round(self) -> bool:
+        """Whether the tool is the same however it is turned about its axis."""
+        return not any(p.begin[:2] != (0.0, 0.0) or p.end[:2] != (0.0, 0.0) for p in self.parts)
 
 
 def load_suction(path: Path) -> Suction | None:
@@ -135,42 +160,73 @@ def load_suction(path: Path) -> Suction | None:
     if not isinstance(parts, list) or not all(isinstance(part, dict) for part in parts):
         raise InputError(f"{where}, parts", parts, "tables [[parts]]")
 
-    def positive(source: dict[str, Any], key: str, most: float) -> float:
-        found = float(numbers(source, key, 0, where))
-        if not 0 < found <= most:
-            raise InputError(f"{where}, {key}", found, f"a number above 0 and at most {most:g}")
-        return found
-
     grip_time, release_time = numbers(data, "speed", 2, where).tolist()
     if not (0 <= grip_time <= 5 and 0 <= release_time <= 5):
         raise InputError(f"{where}, speed", [grip_time, release_time], "times from 0 to 5 s")
-    diameter = positive(cup, "diameter", 0.3)
-    strongest = ATMOSPHERE * math.pi * diameter**2 / 4
-    pull_off = positive(cup, "pull_off", math.inf)
-    if pull_off > strongest:
-        expected = f"at most {strongest:.1f} N, as the air presses on {1e3 * diameter:g} mm"
-        raise InputError(f"{where}, pull_off", pull_off, expected)
-    shear = positive(cup, "shear", 2 * pull_off)
-    length = positive(data, "length", 0.6)
+    length = _positive(data, "length", 0.6, where)
+    first = _cup(cup, FIRST, where)
+    sides = data.get("sides", [])
+    if not isinstance(sides, list) or not all(isinstance(side, dict) for side in sides):
+        raise InputError(f"{where}, sides", sides, "tables [[sides]]")
+    others = [_side(side, length, f"{where}, sides[{k}]") for k, side in enumerate(sides)]
     return Suction(
-        diameter=diameter, stroke=positive(cup, "stroke", 0.02), pull_off=pull_off, shear=shear,
-        # No friction of the lip has a longer arm than its radius.
-        torsion=positive(cup, "torsion", shear * diameter / 2),
-        payload=positive(data, "payload", pull_off / 9.81),
-        length=length, mass=positive(data, "mass", 20.0),
+        cups=(first, *others), payload=_positive(data, "payload", first.pull_off / 9.81, where),
+        length=length, mass=_positive(data, "mass", 20.0, where),
         grip_time=grip_time, release_time=release_time,
-        parts=tuple(
-            _cylinder(part, length, f"{where}, parts[{k}]") for k, part in enumerate(parts)
-        ),
+        parts=tuple(_part(part, length, f"{where}, parts[{k}]") for k, part in enumerate(parts)),
     )  # fmt: skip
 
 
-def _cylinder(part: dict[str, Any], length: float, where: str) -> tuple[float, float, float]:
-    radius, begin, end = (float(numbers(part, key, 0, where)) for key in ("radius", "from", "to"))
-    if not (0 < radius <= 0.5 and begin < end <= length):
+def _positive(source: dict[str, Any], key: str, most: float, where: str) -> float:
+    found = float(numbers(source, key, 0, where))
+    if not 0 < found <= most:
+        raise InputError(f"{where}, {key}", found, f"a number above 0 and at most {most:g}")
+    return found
+
+
+def _cup(data: dict[str, Any], lip: Lip, where: str) -> Cup:
+    """A cup, refused where its limits are impossible."""
+    diameter = _positive(data, "diameter", 0.3, where)
+    strongest = ATMOSPHERE * math.pi * diameter**2 / 4
+    pull_off = _positive(data, "pull_off", math.inf, where)
+    if pull_off > strongest:
+        expected = f"at most {strongest:.1f} N, as the air presses on {1e3 * diameter:g} mm"
+        raise InputError(f"{where}, pull_off", pull_off, expected)
+    shear = _positive(data, "shear", 2 * pull_off, where)
+    # No friction of the lip has a longer arm than its radius.
+    torsion = _positive(data, "torsion", shear * diameter / 2, where)
+    return Cup(diameter, _positive(data, "stroke", 0.02, where), pull_off, shear, torsion, lip)
+
+
+def _side(data: dict[str, Any], length: float, where: str) -> Cup:
+    """A further cup; its place is given from the flange."""
+    x, y, z = numbers(data, "at", 3, where).tolist()
+    axis = numbers(data, "axis", 3, where)
+    size = float(np.linalg.norm(axis))
+    if not (size > 1e-6 and max(map(abs, (x, y, z))) <= FARTHEST_PART):
+        expected = f"a direction, and a place within {FARTHEST_PART:g} m"
+        raise InputError(where, [x, y, z, *axis.tolist()], expected)
+    a, b, c = (axis / size).tolist()
+    return _cup(data, Lip((x, y, round(z - length, 9)), (a, b, c)), where)
+
+
+def _part(data: dict[str, Any], length: float, where: str) -> Part:
+    """A cylinder between two points, or between two heights on the axis."""
+    radius = float(numbers(data, "radius", 0, where))
+    ends: list[np.ndarray] = []
+    for key in ("from", "to"):
+        point = isinstance(value(data, key, where), list)
+        found = numbers(data, key, 3 if point else 0, where)
+        ends.append(found if point else np.array([0.0, 0.0, float(found)]))
+    begin, end = ends
+    on_axis = not (begin[:2].any() or end[:2].any())
+    right = begin[2] < end[2] if on_axis else bool((begin != end).any())
+    far = max(float(np.abs(ends).max()), radius) > FARTHEST_PART
+    if not (radius > 0 and right and not far and max(begin[2], end[2]) <= length):
         expected = f"a radius above 0, and an end after its beginning and up to {length:g} m"
-        raise InputError(where, [radius, begin, end], expected)
-    return radius, begin, end
+        raise InputError(where, [radius, data["from"], data["to"]], expected)
+    (a, b, c), (d, e, f) = begin.tolist(), end.tolist()
+    return Part(radius, (a, b, c), (d, e, f))
 
 
 def mount(
@@ -211,18 +267,24 @@ def mount(
     turn /= np.linalg.norm(turn)
     mujoco.mju_rotVecQuat(axis, np.array([0.0, 0.0, 1.0]), turn)
     tool.pos = suction.length * axis
-    widest = max((radius for radius, _, _ in suction.parts), default=suction.radius)
+    widest = max((part.radius for part in suction.parts), default=suction.cups[0].radius)
     across = suction.mass * (3 * widest**2 + suction.length**2) / 12
     body.mass, body.ipos, body.iquat = suction.mass, 0.4 * suction.length * axis, turn
     body.inertia = [across, across, suction.mass * widest**2 / 2]
-    for k, (radius, begin, end) in enumerate(suction.parts):
+    for k, part in enumerate(suction.parts):
+        begin, end = np.array(part.begin), np.array(part.end)
+        middle, along, quat = np.empty(3), np.empty(4), np.empty(4)
+        mujoco.mju_rotVecQuat(middle, (begin + end) / 2, turn)
+        mujoco.mju_quatZ2Vec(along, (end - begin) / np.linalg.norm(end - begin))
+        mujoco.mju_mulQuat(quat, turn, along)
         for group, solid in ((PICTURE_GROUP, 0), (COLLISION_GROUP, 1)):
             if not (pictures or solid):
                 continue
             body.add_geom(
                 name=f"{hand}_{'c' if solid else 'v'}_tool{k}",
-                type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[radius, (end - begin) / 2, 0],
-                pos=(begin + end) / 2 * axis, quat=turn, group=group, mass=0,
+                type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+                size=[part.radius, float(np.linalg.norm(end - begin)) / 2, 0],
+                pos=middle, quat=quat, group=group, mass=0,
                 contype=solid, conaffinity=solid, rgba=_BLACK if k % 2 else _GREY,
             )  # fmt: skip
 

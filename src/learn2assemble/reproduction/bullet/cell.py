@@ -24,8 +24,9 @@ from learn2assemble.reproduction.bullet.world import (
 )
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.checker import ArmPhysics
+from learn2assemble.robot.grasps import get_grasps
 from learn2assemble.robot.inverse import CONVERGED, published_least_squares, solve
-from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene, get_grasps, put_down
+from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene, put_down
 from learn2assemble.tasks import Task
 from learn2assemble.world.blocks import EDGE, HALF
 

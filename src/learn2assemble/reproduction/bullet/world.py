@@ -40,8 +40,9 @@ from learn2assemble.reproduction.bullet.contacts import (
     wake,
 )
 from learn2assemble.robot.arm import PICTURE_GROUP, Arm, arm_model, arm_spec
+from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.kinematics import forward, get_chain, jacobian
-from learn2assemble.robot.moves import GAP, Attitude, Scene, object_boxes
+from learn2assemble.robot.moves import GAP, Scene, object_boxes
 from learn2assemble.world.blocks import GRAVITY, HALF, MASS
 
 TIMESTEP = 0.004

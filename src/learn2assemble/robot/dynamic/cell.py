@@ -37,7 +37,8 @@ from learn2assemble.robot.dynamic.prepare import Failure, prepare, require_held,
 from learn2assemble.robot.dynamic.simulation import Simulation
 from learn2assemble.robot.dynamic.trajectory import Limits, Motion, load_ruckig
 from learn2assemble.robot.dynamic.transit import WorldChecker
-from learn2assemble.robot.moves import Attempt, Attitude, Move, Outcome, Scene, Trajectory
+from learn2assemble.robot.grasps import Attitude
+from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene, Trajectory
 from learn2assemble.world.blocks import FRICTION
 
 _MAX_WORLDS = 32

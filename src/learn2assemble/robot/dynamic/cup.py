@@ -20,7 +20,7 @@ import numpy as np
 from learn2assemble.physics.scene import rotation_matrix
 from learn2assemble.robot.dynamic.model import SHRINK, TIMESTEP, World
 from learn2assemble.robot.kinematics import Chain, forward_many
-from learn2assemble.robot.tool import Suction
+from learn2assemble.robot.tool import Cup, Suction
 from learn2assemble.world.blocks import GRAVITY
 
 RIM = 16
@@ -37,8 +37,8 @@ LOOK = 10
 """Steps between two looks whether the lip is closed."""
 
 
-class Cup:
-    """The cup of a simulated arm.
+class Vacuum:
+    """The cups of a simulated arm, on one vacuum: whichever lip is closed on a face holds it.
 
     Args:
         suction: the tool.
@@ -50,6 +50,8 @@ class Cup:
         self.suction, self.world, self.model, self.data = suction, world, world.model, data
         self.held: int | None = None
         """Number of the object in the cup."""
+        self.used = suction.cups[0]
+        """The cup that holds it, or that was the last to."""
         self.lost = ""
         """Why it came off, until the vacuum is turned off; empty if it did not."""
         self.most = (0.0, 0.0)
@@ -59,7 +61,7 @@ class Cup:
         self._weld = self.model.equality("cup").id
         self._hand = int(self.model.site_bodyid[world.tool])
         angle = np.linspace(0.0, 2 * np.pi, RIM, endpoint=False)
-        self._rim = suction.radius * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+        self._rim = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
         data.eq_active[self._weld] = 0
 
     def step(self, command: float) -> None:
@@ -85,41 +87,51 @@ class Cup:
         # The weld comes last among the equalities, which come first: the force at the cup, then
         # the moment in the frame of the block, in units of twice the turn.
         rows = d.efc_force[d.ne - 6 : d.ne]
-        tool = d.site_xmat[w.tool].reshape(3, 3)
+        tool = self._lip(self.used)[1]
         block = d.xmat[w.first + (self.held or 0)].reshape(3, 3)
         return tool.T @ rows[:3], 0.5 * (tool.T @ (block @ rows[3:]))
 
-    def closed_on(self, number: int) -> bool:
-        """Whether the lip is closed on a face of an object."""
+    def _lip(self, cup: Cup) -> tuple[np.ndarray, np.ndarray]:
+        """Where the middle of a lip is, float64[3] [m], and axes of the cup float64[3, 3]."""
         d, w = self.data, self.world
-        turn = rotation_matrix(d.xquat[w.first + number])
         tool = d.site_xmat[w.tool].reshape(3, 3)
-        away = d.site_xpos[w.tool] - d.xpos[w.first + number]
+        return d.site_xpos[w.tool] + tool @ np.array(cup.lip.at), tool @ cup.lip.frame()
+
+    def closed_on(self, number: int, cup: Cup | None = None) -> bool:
+        """Whether the lip of a cup, by default the one that is used, is closed on a face of an
+        object."""
+        d, w, cup = self.data, self.world, cup or self.used
+        turn = rotation_matrix(d.xquat[w.first + number])
+        point, tool = self._lip(cup)
+        away = point - d.xpos[w.first + number]
         axis = turn.T @ tool[:, 2]
         k = int(np.argmax(np.abs(axis)))
         if abs(axis[k]) < math.cos(FACING):
             return False
-        lip = (away + self._rim @ tool.T) @ turn
+        lip = (away + cup.radius * self._rim @ tool.T) @ turn
         closed = np.zeros(len(lip), bool)
         side = [j for j in range(3) if j != k]
         for geom in np.flatnonzero(w.kind == number):
             apart, half = lip - self.model.geom_pos[geom], self.model.geom_size[geom]
             inside = (np.abs(apart[:, side]) <= half[side] + TIGHT).all(1)
             gap = -math.copysign(1.0, axis[k]) * apart[:, k] - half[k]
-            closed |= inside & (np.abs(gap) <= self.suction.stroke)
+            closed |= inside & (np.abs(gap) <= cup.stroke)
         return bool(closed.all())
 
     def _take(self) -> None:
         """Hold the object whose face the lip is closed on, if there is one."""
-        number = next((k for k in range(self._count()) if self.closed_on(k)), None)
+        found = ((k, cup) for cup in self.suction.cups for k in range(self._count())
+                 if self.closed_on(k, cup))  # fmt: skip
+        number, self.used = next(found, (None, self.used))
         if number is None:
             return
         m, d, body = self.model, self.data, self.world.first + number
-        point = d.site_xpos[self.world.tool]
+        point = self._lip(self.used)[0]
         m.eq_obj2id[self._weld] = body
         values = m.eq_data[self._weld]
         values[:3] = d.xmat[body].reshape(3, 3).T @ (point - d.xpos[body])
-        values[3:6] = m.site_pos[self.world.tool]
+        tool = rotation_matrix(m.site_quat[self.world.tool])
+        values[3:6] = m.site_pos[self.world.tool] + tool @ np.array(self.used.lip.at)
         turn = np.empty(4)
         mujoco.mju_negQuat(turn, d.xquat[self._hand])
         mujoco.mju_mulQuat(values[6:10], turn, d.xquat[body])
@@ -139,7 +151,7 @@ class Cup:
         if self.data.ne < 6:
             return  # taken after this step
         force, moment = self.load()
-        off, slip = self.suction.load(force, moment)
+        off, slip = self.used.load(force, moment)
         self.most = max(self.most[0], off), max(self.most[1], slip)
         if off > 1:
             words = f"pulled off by {force[2]:.1f} N and {np.hypot(*moment[:2]):.2f} N m"
@@ -158,8 +170,8 @@ class Cup:
         m, d = self.model, self.data
         number = self.held or 0
         body, values = self.world.first + number, m.eq_data[self._weld]
-        turn, tool = d.xmat[body].reshape(3, 3), d.site_xmat[self.world.tool].reshape(3, 3)
-        off = d.site_xpos[self.world.tool] - (d.xpos[body] + turn @ values[:3])
+        turn, (point, tool) = d.xmat[body].reshape(3, 3), self._lip(self.used)
+        off = point - (d.xpos[body] + turn @ values[:3])
         off -= tool[:, 2] * (tool[:, 2] @ off)
         values[:3] += share * (turn.T @ off)
         now, error, angle = np.empty(4), np.empty(4), np.empty(3)
@@ -168,7 +180,7 @@ class Cup:
         mujoco.mju_negQuat(error, values[6:10])
         mujoco.mju_mulQuat(error, now, error.copy())
         mujoco.mju_quat2Vel(angle, error, 1.0)
-        axis = rotation_matrix(m.site_quat[self.world.tool])[:, 2]
+        axis = rotation_matrix(m.site_quat[self.world.tool]) @ np.array(self.used.lip.axis)
         mujoco.mju_axisAngle2Quat(error, axis, share * float(axis @ angle))
         mujoco.mju_mulQuat(now, error, values[6:10].copy())
         values[6:10] = now
@@ -195,14 +207,14 @@ def hanging(world: World, data: mujoco.MjData, number: int) -> Load:
 
 
 def peak_load(
-    suction: Suction, chain: Chain, load: Load, joints: np.ndarray, period: float
+    cup: Cup, chain: Chain, load: Load, joints: np.ndarray, period: float
 ) -> tuple[float, float]:
     """Largest shares of pull-off force and friction on a motion that is followed exactly.
 
     Args:
-        suction: the tool.
+        cup: that holds it.
         chain: of the arm.
-        load: what hangs from it.
+        load: what hangs from the tool.
         joints: float64[k, n] at equal steps of time [rad].
         period: between them [s].
     """
@@ -219,13 +231,14 @@ def peak_load(
     mean = (rate[1:] + rate[:-1]) / 2
     swing = np.einsum("kij,kj->ki", inertia, np.diff(rate, axis=0) / period)
     swing += np.cross(mean, np.einsum("kij,kj->ki", inertia, mean))
-    moment = swing + np.cross(middle[1:-1] - where[1:-1], force)
+    lip, frame = where + turn @ np.array(cup.lip.at), turn @ cup.lip.frame()
+    moment = swing + np.cross(middle[1:-1] - lip[1:-1], force)
     # The cup is loaded with what it does to the block, the other way.
     shares = [
-        suction.load(-f, -m)
+        cup.load(-f, -m)
         for f, m in zip(
-            np.einsum("kji,kj->ki", turn[1:-1], force),
-            np.einsum("kji,kj->ki", turn[1:-1], moment),
+            np.einsum("kji,kj->ki", frame[1:-1], force),
+            np.einsum("kji,kj->ki", frame[1:-1], moment),
             strict=True,
         )
     ]

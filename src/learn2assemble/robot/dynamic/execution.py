@@ -14,9 +14,16 @@ import numpy as np
 
 from learn2assemble.physics.scene import rotation_matrix
 from learn2assemble.robot.approach import ApproachPath, approach_path
-from learn2assemble.robot.dynamic.cup import Cup, hanging, peak_load
+from learn2assemble.robot.dynamic.cup import Vacuum, hanging, peak_load
 from learn2assemble.robot.dynamic.model import TIMESTEP, Order
-from learn2assemble.robot.dynamic.prepare import PRESS, Course, Failure, free_way, rest_pose
+from learn2assemble.robot.dynamic.prepare import (
+    PRESS,
+    Course,
+    Failure,
+    free_way,
+    leaving,
+    rest_pose,
+)
 from learn2assemble.robot.dynamic.simulation import PUSH, TOUCH, Event, Rules, Simulation, Watch
 from learn2assemble.robot.dynamic.trajectory import (
     JointPath,
@@ -97,8 +104,8 @@ class Execution:
     ) -> None:
         self.sim, self.order, self.course = sim, order, course
         self.limits, self.loaded = limits, loaded
-        self.place = course.plan.place
-        """The approach path over the target that is used."""
+        self.place, self.leave = course.plan.place, course.plan.leave
+        """The approach path over the target that is used, and that by which the hand leaves."""
         self.inside: ApproachPath | None = None
         """The approach path the hand is on; None where it travels."""
         self.segments_done = 0
@@ -125,9 +132,10 @@ class Execution:
                 _check(
                     sim.wait(_steps(CALM_TIME), "cross", LOADED), Outcome.PLACE_COLLISION, "cross"
                 )
-            self.place = self.corrected()
+            self.place, self.leave = self.corrected()
         self.lower(self.place, "place", LOADED, NEAR)
         self.release("release", NEAR)
+        self.inside = self.leave
         self.rise("retreat", NEAR)
         if course.home is not None:
             self.travel(self.checked(course.home, "home"), "home")
@@ -187,11 +195,14 @@ class Execution:
         path, bounds = self.gently(joints)
         off = float(np.interp(LOOSE, rise, path.knots))
         watches, segments = (NEAR, LOADED._replace(start=off)), ()
+        grasp = self.course.plan.move.grasp
         if self.order.scene.half is not None:
-            # Beside others it slides out of a slot.
-            out = float(np.interp(self.slot(), rise, path.knots))
-            watches = (NEAR, BESIDE._replace(start=off), LOADED._replace(start=out))
-            slowly = min(SLOT_SPEED * out / self.slot(), bounds.speed)
+            # Beside others it slides out of a slot, and from below others as long as it takes.
+            depth = grasp.way if grasp.sideways else self.slot()
+            out = float(np.interp(depth, rise, path.knots))
+            slides = NEAR if grasp.sideways else BESIDE
+            watches = (NEAR, slides._replace(start=off), LOADED._replace(start=out))
+            slowly = min(SLOT_SPEED * out / depth, bounds.speed)
             # It comes to rest at the end of the way, however near the end of the slot is to that.
             speed = min(
                 slowly, *(reachable_speed(0.0, s, bounds) for s in (out, path.length - out))
@@ -212,7 +223,7 @@ class Execution:
             raise Failure(Outcome.GRASP_LOST, "pick", detail)
         _check(event, touch, "pick")
 
-    def suck(self, cup: Cup) -> None:
+    def suck(self, cup: Vacuum) -> None:
         """Turn the vacuum on, and wait until it holds."""
         sim, target = self.sim, self.order.target
         name = self.order.names[target]
@@ -252,7 +263,7 @@ class Execution:
         chain = get_chain(sim.arm)
         for _ in range(MOST_SLOWER):
             run = motion(path, bounds, PERIOD)
-            peak = max(peak_load(sim.cup.suction, chain, load, run.position, PERIOD))
+            peak = max(peak_load(sim.cup.used, chain, load, run.position, PERIOD))
             if peak <= GENTLE:
                 break
             limits = limits.scaled(max(0.9 * math.sqrt(GENTLE / peak), 0.5))
@@ -269,8 +280,9 @@ class Execution:
             _check(event, Outcome.PLACE_COLLISION, "cross")
             self.segments_done += 1
 
-    def corrected(self) -> ApproachPath:
-        """The approach path over the target for the hand that holds the object as it does."""
+    def corrected(self) -> tuple[ApproachPath, ApproachPath]:
+        """The approach path over the target for the hand that holds the object as it does, and
+        the one by which the hand leaves."""
         sim, plan, order = self.sim, self.course.plan, self.order
         position, rotation = sim.tool()
         cell = order.objects.cells(sim.poses)[0][order.move.cell]
@@ -283,10 +295,15 @@ class Execution:
             place = place._replace(yaw=place.yaw + turn)
         tool = target - place.rotation() @ rotation.T @ (cell - position)
         centre = tool + target - place.tool_point(target)
-        found = approach_path(sim.arm, centre, place, plan.height, PRESS, plan.place.joints[0])
+        found = approach_path(
+            sim.arm, centre, place, plan.height, PRESS, plan.place.joints[0], upwards=True
+        )
         if isinstance(found, str):
             raise Failure(Outcome.UNREACHABLE, "place", found)
-        return found
+        leave = leaving(sim.arm, centre, place, plan.height, found)
+        if isinstance(leave, str):
+            raise Failure(Outcome.UNREACHABLE, "place", leave)
+        return found, leave
 
     def lower(self, approach: ApproachPath, stage: str, before: Watch, near: Watch) -> None:
         """Down, the last part slowly, until the object rests or the path ends.

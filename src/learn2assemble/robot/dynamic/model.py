@@ -34,10 +34,10 @@ from learn2assemble.physics.scene import (
     set_options,
 )
 from learn2assemble.robot.arm import Arm, arm_spec
+from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.moves import (
     IMMOVABLE,
     ROOM,
-    Attitude,
     Move,
     Scene,
     carried,

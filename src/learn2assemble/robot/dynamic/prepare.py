@@ -11,10 +11,11 @@ from learn2assemble.robot.approach import ApproachPath, approach_path, approach_
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.dynamic.model import Order, World
 from learn2assemble.robot.dynamic.transit import WorldChecker, straight_or_tree
+from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.inverse import solve
 from learn2assemble.robot.kinematic.collision import Collision
 from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.moves import LEVEL, Move, Outcome, Scene, overload, turned
+from learn2assemble.robot.moves import LEVEL, Move, Outcome, Scene, overload, turned, turns
 
 PRESS = 0.004
 """Approach paths begin so far below the place [m]: what is held is lowered until it rests."""
@@ -44,6 +45,9 @@ class Approaches(NamedTuple):
     """Over the grasped cell, from :data:`PRESS` below the contact."""
     place: ApproachPath
     """Over the target, likewise."""
+    leave: ApproachPath
+    """By which the hand leaves the target; the same but where it comes from the side: there it
+    sets down from above."""
     move: Move
     """The order, with the fingers exchanged where that is easier."""
     height: float
@@ -106,7 +110,7 @@ def prepare(
     if go_home:
         pose = order.in_world(plan.move.grasp, plan.move.place)
         checker.put(order.target, *pose, order.opening)
-        home = free_way(checker, plan.place.joints[-1], rest_pose(arm, checker), "home")
+        home = free_way(checker, plan.leave.joints[-1], rest_pose(arm, checker), "home")
     return Course(plan, there, across, home)
 
 
@@ -126,7 +130,7 @@ def _plan(arm: Arm, checker: WorldChecker, order: Order) -> Approaches:
     height, given = order.height, order.move
     found: list[tuple[int, float, Approaches]] = []
     reasons: list[Failure] = []
-    for move in (given, *(turned(given, turn) for turn in arm.turns)):
+    for move in (given, *(turned(given, turn) for turn in turns(arm, given))):
         centre = order.scene.position[move.cell]
         checker.empty(order.opening)
         pick = _choose(
@@ -136,16 +140,30 @@ def _plan(arm: Arm, checker: WorldChecker, order: Order) -> Approaches:
             reasons.append(Failure(Outcome.UNREACHABLE, "pick", pick))
             continue
         checker.carry(order.target, *order.in_hand(move.grasp), order.held)
-        place = _choose(checker, approach_paths(arm, move.target, move.place, height, PRESS), None)
+        down = approach_paths(arm, move.target, move.place, height, PRESS, upwards=True)
+        place = _choose(checker, down, None)
         if isinstance(place, str):
             reasons.append(Failure(Outcome.UNREACHABLE, "place", place))
             continue
-        plan = Approaches(pick[0], place[0], move, height)
+        leave = leaving(arm, move.target, move.place, height, place[0])
+        if isinstance(leave, str):
+            reasons.append(Failure(Outcome.UNREACHABLE, "retreat", leave))
+            continue
+        plan = Approaches(pick[0], place[0], leave, move, height)
         ways = [arm.home, *plan.pick.joints[::-1], *plan.place.joints, arm.home]
         found.append((pick[1] + place[1], travel_time(arm, ways), plan))
     if not found:
         raise reasons[0]
     return min(found, key=lambda one: one[:2])[2]
+
+
+def leaving(
+    arm: Arm, target: np.ndarray, attitude: Attitude, height: float, place: ApproachPath
+) -> ApproachPath | str:
+    """The path by which the hand leaves, on the branch of the one it came by."""
+    if not attitude.sideways:
+        return place
+    return approach_path(arm, target, attitude, height, 0.0, place.joints[0])
 
 
 def _choose(
@@ -190,10 +208,13 @@ def _raised(arm: Arm, order: Order, plan: Approaches, levels: int) -> Approaches
     height, move = plan.height + levels * LEVEL, plan.move
     centre = order.scene.position[move.cell]
     pick = approach_path(arm, centre, move.grasp, height, PRESS, plan.pick.joints[0])
-    place = approach_path(arm, move.target, move.place, height, PRESS, plan.place.joints[0])
+    place = approach_path(
+        arm, move.target, move.place, height, PRESS, plan.place.joints[0], upwards=True
+    )
     if isinstance(pick, str) or isinstance(place, str):
         return None
-    return Approaches(pick, place, move, height)
+    leave = leaving(arm, move.target, move.place, height, place)
+    return None if isinstance(leave, str) else Approaches(pick, place, leave, move, height)
 
 
 def free_way(checker: WorldChecker, start: np.ndarray, end: np.ndarray, stage: str) -> np.ndarray:

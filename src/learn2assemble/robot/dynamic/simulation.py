@@ -14,7 +14,7 @@ from numba import njit
 
 from learn2assemble.errors import Learn2AssembleError
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.dynamic.cup import Cup
+from learn2assemble.robot.dynamic.cup import Vacuum
 from learn2assemble.robot.dynamic.model import ARM, PAD, TABLE, TIMESTEP, CellState, World
 from learn2assemble.robot.dynamic.trajectory import (
     JointPath,
@@ -299,7 +299,7 @@ class Simulation(CellState):
         self.stage, self.steps, self.sample_steps = "approach", 0, sample_steps
         self.recorder = TrajectoryRecorder()
         self.joints, self.velocity, self.width = joints.copy(), np.zeros_like(joints), width
-        self.cup = None if arm.suction is None else Cup(arm.suction, world, self.data)
+        self.cup = None if arm.suction is None else Vacuum(arm.suction, world, self.data)
         self._grip: np.ndarray | None = None
         self._record()
 

@@ -26,6 +26,7 @@ from learn2assemble.robot.moves import (
     grip_width,
     overload,
     turned,
+    turns,
 )
 
 STRIDE = 0.25
@@ -57,9 +58,11 @@ class KinematicCell:
         if why is not None:
             return Attempt(Outcome.GRASP_LOST, "lift", why)
         best = self._attempt(scene, move)
-        for turn in self.arm.turns:
-            if best.reached or (best.outcome != Outcome.UNREACHABLE and not best.by_link):
-                # Turning the hand moves the wrist, not what is at its end.
+        # Turning the hand moves the wrist, not what is at its end, unless that is lopsided.
+        only_wrist = self.arm.suction is None or self.arm.suction.round
+        for turn in turns(self.arm, move):
+            hand = only_wrist and not best.by_link
+            if best.reached or (best.outcome != Outcome.UNREACHABLE and hand):
                 break
             found = self._attempt(scene, turned(move, turn))
             best = found if _further(found) > _further(best) else best
@@ -104,9 +107,13 @@ class KinematicCell:
         if pick is None:
             return picked
         members = scene.members(move.cell)
-        place = self.approaches.solve(move.target, move.place, height)
+        place = self.approaches.solve(move.target, move.place, height, True)
+        # What comes from the side sets down from above, and leaves to the side.
+        leave = self.approaches.solve(move.target, move.place, height)
         if isinstance(place, str):
             return Attempt(Outcome.UNREACHABLE, "place", place)
+        if isinstance(leave, str):
+            return Attempt(Outcome.UNREACHABLE, "release", leave)
         hit = self._first(place, held)
         if hit:
             return _failed(Outcome.PLACE_COLLISION, "place", hit)
@@ -116,13 +123,14 @@ class KinematicCell:
             if over is None:
                 return _failed(Outcome.UNREACHABLE, "cross", hit)
             pick, place = over
+            leave = leave if move.place.sideways else place
         # The object now stands at its target and is in the way like all others.
         self.collisions.put(members, *carried(scene, move, members))
         self._open_hand()
-        hit = self._first(place[: len(RISE)], opening)
+        hit = self._first(leave if move.place.sideways else leave[: len(RISE)], opening)
         if hit:
             return _failed(Outcome.PLACE_COLLISION, "release", hit)
-        hit = self._first(between(place[-1], self.arm.home), opening)
+        hit = self._first(between(leave[-1], self.arm.home), opening)
         if hit:
             return _failed(Outcome.PLACE_COLLISION, "retreat", hit)
         return Attempt(Outcome.REACHED, pick=pick, place=place)
@@ -132,7 +140,7 @@ class KinematicCell:
     ) -> tuple[np.ndarray, np.ndarray] | None:
         """Approaches whose tops are joined by a free motion, higher up."""
         pick = self.approaches.solve(scene.position[move.cell], move.grasp, height + DETOUR)
-        place = self.approaches.solve(move.target, move.place, height + DETOUR)
+        place = self.approaches.solve(move.target, move.place, height + DETOUR, True)
         if isinstance(pick, str) or isinstance(place, str):
             return None
         way = [pick[len(RISE) :], place[len(RISE) :], *between(pick[-1], place[-1])]

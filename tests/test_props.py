@@ -1,0 +1,234 @@
+"""Blocks taken by their side: props below what they have carried."""
+
+# pyright: reportAttributeAccessIssue=false
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from learn2assemble.assembly.kit import Kit, load_kit
+from learn2assemble.design.cells import CellDesign
+from learn2assemble.errors import InputError
+from learn2assemble.planning.construct import plan_cells
+from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.workcell import Rows, way_out
+from learn2assemble.planning.workcell_plan import Workcell, carry_out
+from learn2assemble.planning.workcell_site import PROP_ROOM, pieces_of
+from learn2assemble.reproduction import shapes
+from learn2assemble.robot.arm import get_arm
+from learn2assemble.robot.dynamic.cell import DynamicCell
+from learn2assemble.robot.dynamic.cup import Load, peak_load
+from learn2assemble.robot.grasps import WAY, Attitude
+from learn2assemble.robot.kinematic.cell import KinematicCell
+from learn2assemble.robot.kinematics import get_chain
+from learn2assemble.robot.moves import Move, Outcome, Scene, attitudes, overload, side_attitudes
+from learn2assemble.robot.registry import TOOLS
+from learn2assemble.robot.tool import load_suction
+from learn2assemble.world.blocks import GRAVITY
+
+ARMS = [get_arm(name, "suction-side", (-0.5, 0.0, 0.0, 0.0)) for name in ("panda", "ur5e")]
+TOOL = ARMS[0].suction
+assert TOOL is not None
+SIDE = TOOL.cups[1]
+
+
+# ---------------------------------------------------------------- the tool
+
+
+def test_a_part_between_two_points_is_where_the_file_says() -> None:
+    """From the flange: the model of the arm has every part where tool.toml puts it."""
+    import mujoco
+
+    from learn2assemble.robot.arm import arm_model
+
+    for arm in ARMS:
+        model = arm_model(arm)
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        site, tool = data.site(arm.tool), arm.suction
+        assert tool is not None
+        turn = site.xmat.reshape(3, 3)
+        for k, part in enumerate(tool.parts):
+            geom = data.geom(f"{arm.gripper.hand}_c_tool{k}")
+            length = float(model.geom(geom.id).size[1])
+            ends = [geom.xpos + s * length * geom.xmat.reshape(3, 3)[:, 2] for s in (-1, 1)]
+            for end, told in zip(ends, (part.begin, part.end), strict=True):
+                here = turn.T @ (end - site.xpos) + [0, 0, tool.length]
+                np.testing.assert_allclose(here, told, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("axis = [1.0, 0.0, 0.0]", "axis = [0.0, 0.0, 0.0]", r"sides\[0\]: got .* a direction"),
+        ("at = [0.120", "at = [9.0", r"sides\[0\]: got .* within 0.6 m"),
+        ("[[sides]]", "[sides]", r"sides: got .* tables \[\[sides\]\]"),
+        ("shear = 21.2\ntorsion = 0.21\n", "shear = 21.2\ntorsion = 9\n", r"sides\[0\], torsion"),
+        ("to = [0.075, 0.0, 0.045]", "to = [0.0, 0.0, 0.045]", r"parts\[3\]: got"),
+        ("to = [0.075, 0.0, 0.045]", "to = [0.0, 0.045]", r"parts\[3\], to.*3 numbers"),
+        ("to = [0.075, 0.0, 0.045]", "to = [0.0, 0.0, inf]", r"parts\[3\], to.*3 numbers"),
+    ],
+)
+def test_impossible_side_cups_are_refused(tmp_path: Path, old: str, new: str, words: str) -> None:
+    text = TOOLS["suction-side"].read_text(encoding="utf-8")
+    assert old in text
+    file = tmp_path / "mine" / "tool.toml"
+    file.parent.mkdir()
+    file.write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(InputError, match=words):
+        load_suction(file)
+
+
+# ---------------------------------------------------------------- grasps
+
+
+@given(
+    st.tuples(*(st.floats(0.012, 0.1) for _ in range(3))), st.floats(-3.0, 3.0)
+)  # fmt: skip
+@settings(deadline=None)
+def test_a_side_cup_meets_a_side_face(size: tuple[float, ...], yaw: float) -> None:
+    half, centre = np.array(size), np.array([0.1, 0.2, size[2]])
+    found = side_attitudes(ARMS[0], half)
+    seals = [min(half[1 - k], half[2]) >= SIDE.radius for k in (0, 1)]
+    assert len(found) <= 2 * sum(seals)
+    for hand in found:
+        hand = hand._replace(yaw=hand.yaw + yaw)
+        turn = hand.rotation()
+        assert hand.sideways
+        lip = hand.tool_point(centre) + turn @ np.array(SIDE.lip.at)
+        c, s = math.cos(yaw), math.sin(yaw)
+        x, y, z = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ (lip - centre)
+        on = [math.isclose(abs(x), half[0]) and abs(y) < 1e-9,
+              math.isclose(abs(y), half[1]) and abs(x) < 1e-9]  # fmt: skip
+        assert sum(on) == 1
+        assert abs(z) <= half[2] - SIDE.radius
+        # Out of the cup is into the block, and the whole tool stays above the table.
+        np.testing.assert_allclose(hand.approach()[:2], (centre - lip)[:2] /
+                                   np.linalg.norm((centre - lip)[:2]), atol=1e-9)  # fmt: skip
+        assert hand.tool_point(centre)[2] > 4e-3
+
+
+@given(st.floats(0.0, 0.3), st.integers(0, 3), st.floats(0.02, 0.1))
+@settings(deadline=None)
+def test_a_block_is_drawn_out_until_nothing_is_above_it(over: float, way: int, size: float) -> None:
+    """A slab reaches ``over`` beyond the block in the direction it is drawn out."""
+    direction = np.round([math.cos(way * math.pi / 2), math.sin(way * math.pi / 2), 0.0])
+    half = np.array([[size, size, 0.02], [size + over, size + over, 0.02]])
+    position = np.array([[0.0, 0, 0.02], [0.0, 0, 0.06]])
+    scene = Scene(position, np.zeros(2), np.arange(2), 1, half)
+    rows = Rows(scene, np.tile([1.0, 0, 0, 0], (2, 1)), np.arange(2), np.zeros(2, int))
+    found = way_out(rows, np.array([0]), direction)
+    least = max(2 * size + over + 0.005, WAY)
+    assert found is None if least > 0.5 else found is not None
+    assert found is None or least - 1e-9 <= found <= least + 0.0101
+
+
+def test_a_block_that_hangs_by_its_side_loads_the_cup_as_by_hand() -> None:
+    """Its weight along the face, and half its width times it as a tilting moment."""
+    half, mass = np.array([0.05, 0.03, 0.02]), 0.4
+    load = Load(mass, np.add(SIDE.lip.at, (half[1], 0.0, 0.0)), np.zeros((3, 3)))
+    still = np.tile(ARMS[0].home, (4, 1))
+    off, slip = peak_load(SIDE, get_chain(ARMS[0]), load, still, 0.01)
+    weight = mass * GRAVITY
+    assert off == pytest.approx(weight * half[1] / SIDE.radius / SIDE.pull_off, rel=0.01)
+    assert slip == pytest.approx(weight / SIDE.shear, rel=0.01)
+    hand = next(a for a in side_attitudes(ARMS[0], half) if math.isclose(a.depth, half[1]))
+    heavy = np.array([2 * SIDE.pull_off * SIDE.radius / half[1] / GRAVITY / (8 * half.prod())])
+    scene = Scene(np.array([[0.0, 0, 0.02]]), np.zeros(1), np.zeros(1, int), 0, half[None], heavy)
+    words = overload(ARMS[0], scene, Move(0, np.array([0, 0.2, 0.02]), hand, hand))
+    # Twice what pulls it off is more than the payload already.
+    assert words is not None
+
+
+# ---------------------------------------------------------------- the two cells
+
+
+def gate(room: float, mass: float = 1.0) -> tuple[Scene, np.ndarray]:
+    """Two piers with a lintel on them, and a prop below it, lower by ``room``; and where the prop
+    goes. The lintel is ``mass`` times as dense as the others."""
+    position = [[-0.1, 0.1, 0.02], [0.1, 0.1, 0.02], [0.0, 0.1, 0.06], [0.0, 0.1, 0.02 - room / 2]]
+    half = [[0.03, 0.02, 0.02], [0.03, 0.02, 0.02], [0.13, 0.02, 0.02],
+            [0.04, 0.02, 0.02 - room / 2]]  # fmt: skip
+    density = np.array([800.0, 800.0, 800.0 * mass, 800.0])
+    scene = Scene(np.array(position), np.zeros(4), np.arange(4), 3, np.array(half), density)
+    return scene, np.array([0.2, -0.12, 0.02 - room / 2])
+
+
+def drawn() -> list[Attitude]:
+    """The hand that draws the prop towards the arm."""
+    found = side_attitudes(ARMS[0], np.array([0.04, 0.02, 0.02]))
+    return [hand for hand in found if hand.approach()[1] > 0.9]
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5e"])
+def test_a_prop_is_drawn_out_from_below_a_lintel(name: str) -> None:
+    arm = get_arm(name, "suction-side", (0.0, -0.6, 0.0, math.pi / 2))
+    scene, goal = gate(PROP_ROOM)
+    (hand,) = drawn()
+    move = Move(3, goal, hand, hand)
+    above = attitudes(arm, np.array([0.04, 0.02, 0.02]))[0]
+    blocked = KinematicCell(arm).attempt(scene, Move(3, goal, above, above))
+    assert blocked.outcome == Outcome.GRASP_COLLISION
+    assert KinematicCell(arm).attempt(scene, move).reached
+    found = DynamicCell(arm).attempt(scene, move)
+    assert found.reached, (found.stage, found.detail)
+    assert found.error < 5e-4
+    assert found.after is not None
+    assert np.abs(found.after.position[:3] - scene.position[:3]).max() < 3e-4
+
+
+def test_a_prop_under_a_load_that_is_too_heavy_comes_off_and_the_report_says_so() -> None:
+    """Without room and under 20 kg, friction holds it with more than the cup pulls off with."""
+    arm = get_arm("panda", "suction-side", (0.0, -0.6, 0.0, math.pi / 2))
+    scene, goal = gate(-2e-4, 60.0)
+    (hand,) = drawn()
+    found = DynamicCell(arm, precheck=False).attempt(scene, Move(3, goal, hand, hand))
+    assert found.outcome == Outcome.GRASP_LOST
+    assert re.search(r"pulled off by|slipped out under", found.detail)
+
+
+# ---------------------------------------------------------------- a build
+
+
+@pytest.fixture(scope="module")
+def bridge() -> tuple[Plan, Kit]:
+    """A bridge whose deck takes a prop until it stands by itself."""
+    kit = load_kit("bricks").at_pitch((0.04, 0.04, 0.04))
+    cells = CellDesign("bridge", shapes.bridge(1, 6, 4, 2, 1, 4), kit.pitch, None, 0.0, None, "",
+                       None)  # fmt: skip
+    plan = plan_cells(cells, kit, seconds=60)
+    assert plan.complete
+    assert any(step.action == "remove" for step in plan.steps)
+    return plan, kit
+
+
+@pytest.mark.parametrize("arm", ["panda", "ur5e"])
+def test_props_of_a_bridge_are_taken_away(bridge: tuple[Plan, Kit], arm: str) -> None:
+    plan, kit = bridge
+    done = carry_out(plan, Workcell(arm, "suction-side", physics="kinematic"), joint=kit.joint_gap)
+    assert done.complete, done.reason
+    gone = [step for step in done.steps if step.action == "remove"]
+    assert {step.grasp for step in gone[:1]} == {"suction from the side"}
+    assert len(gone) == sum(s.prop and s.action == "place" for s in done.steps)
+    if arm == "ur5e":
+        return
+    refused = carry_out(plan, Workcell(arm, "suction", physics="kinematic"), joint=kit.joint_gap)
+    assert refused.status == "refused"
+    assert "take away prop" in (refused.reason or "")
+    assert "--tool suction-side" in (refused.reason or "")
+
+
+def test_only_what_carries_is_lower(bridge: tuple[Plan, Kit]) -> None:
+    plan, _ = bridge
+    assert plan.assembly is not None
+    pieces = pieces_of(plan.assembly)
+    high = [np.ptp(block.vertices[:, 2]) for block in plan.assembly.blocks]
+    lower = [p for p, h in zip(pieces, high, strict=True) if abs(2 * p.half[2] - h) > 1e-6]
+    tops = [p for p in pieces if p.prop and p.target[2] > 0.05]
+    assert lower == tops
+    assert all(math.isclose(2 * p.half[2], 0.04 - PROP_ROOM, abs_tol=1e-6) for p in lower)
+    assert all(math.isclose(p.target[2] - p.half[2], 0.04, abs_tol=1e-5) for p in lower)
