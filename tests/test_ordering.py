@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
@@ -14,14 +14,17 @@ from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import check_overlaps, find_contacts
 from learn2assemble.assembly.kit import Kind, Kit, load_kit
 from learn2assemble.errors import InputError
+from learn2assemble.physics.rigid_blocks import solve
 from learn2assemble.planning.exact import (
     choose_props,
     plan_exact,
+    stand_pressed,
     uncarried_cells,
     unsupported,
 )
 from learn2assemble.planning.mechanisms import find_mechanisms, mirrored
 from learn2assemble.planning.ordering import LOCAL, Ordering, order, to_assembly, way_out
+from learn2assemble.planning.programs import Clock
 from learn2assemble.planning.standing import region_near, tile_standing
 from learn2assemble.planning.step_proof import TOLERANCE, Proof, find_stack
 from learn2assemble.planning.tiling import BlockPlacement, Tiling, owners, placement_cells, tile
@@ -370,6 +373,39 @@ def test_a_mechanism_rules_out_only_what_falls() -> None:
     assert falls.status == "complete"
 
 
+@settings(max_examples=25, deadline=None)
+@given(wanted=designs((4, 2, 3)))
+def test_what_falls_with_tight_joints_too_falls_in_every_tiling(wanted: np.ndarray) -> None:
+    """Rigid-block equilibrium of every tiling, against the joints that motions have parted."""
+    everything = [blocks_of(wanted, SMALL, picked) for picked in covers(wanted, SMALL)]
+    assume(len(everything) <= 100)
+
+    def balances(blocks: tuple[BlockPlacement, ...]) -> bool:
+        made = to_assembly(Tiling(blocks, wanted), None, SMALL, gap=0.0)
+        contacts = find_contacts(made)
+        return solve(made, contacts, 0.5, coupled=False).stands
+
+    found, words = stand_pressed(tile(wanted, SMALL), SMALL, (0.5, 0.5), Clock(60), 50)
+    if found is not None:
+        assert balances(found.placements)
+        check_cover(found, SMALL)
+    assert any(balances(blocks) for blocks in everything) == ("tight joints, too" not in words)
+
+
+def test_blocks_are_chosen_again_until_tight_joints_hold_them() -> None:
+    """A cell beside a post falls as a cube, and is balanced as half of a bar."""
+    wanted = shapes.letter("##/#./#.", 1)
+    cubes = replace(SMALL, kinds=SMALL.kinds[:1])
+    alone = tile(wanted, cubes)
+    found, words = stand_pressed(alone, cubes, (0.5, 0.5), Clock(60), 50)
+    assert found is None
+    assert "it would fall with tight joints, too" in words
+    found, words = stand_pressed(alone, SMALL, (0.5, 0.5), Clock(60), 50)
+    assert found is not None
+    assert found.placements != alone.placements
+    assert "only with tight joints" in words
+
+
 def test_a_refusal_names_cells_and_what_would_carry_them() -> None:
     gate = shapes.wall(8, 1, 6, (2, 6, 0, 4))
     tiling, _ = plan_exact(gate, load_kit("cubes"))
@@ -449,6 +485,12 @@ def test_what_no_tiling_carries_is_refused(name: str) -> None:
     assert tiling.status == "refused"
     assert "the finished building would fall" in tiling.reason
     assert ("only with tight joints" in tiling.reason) == (name == "dome-lean")
+
+
+def test_what_falls_with_tight_joints_too_is_said_where_they_are_asked_for() -> None:
+    tiling, ordering = plan_exact(shapes.SHAPES["blob-1"](), LINTELS, gap=0.0)
+    assert ordering is None
+    assert "it would fall with tight joints, too" in tiling.reason
 
 
 def test_tight_joints_need_a_gap_of_zero() -> None:

@@ -216,7 +216,7 @@ def solve(
     """
     friction = assembly.friction if friction is None else friction
     check_friction(friction)
-    system = _System(assembly, contacts, present)
+    system = System(assembly, contacts, present)
     if system.count == 0:
         return Equilibrium(True, "frictionless", 0.0, np.empty(0, np.int64), system.newtons(None))
     if system.upright:
@@ -262,7 +262,7 @@ def margin(
     """
     friction = assembly.friction if friction is None else friction
     check_friction(friction)
-    system = _System(assembly, contacts, present)
+    system = System(assembly, contacts, present)
     if system.count == 0:
         return min(friction, MOST_G)
     fewest, most, work = _LOADS
@@ -316,10 +316,12 @@ def _check_supported(assembly: Assembly, contacts: Contacts) -> None:
         raise InputError(where, min(lows), "a block with a face on z = 0, or a support block")
 
 
-class _System:
+class System:
     """The balance of all free blocks as sparse matrices, in units of a median block."""
 
-    def __init__(self, assembly: Assembly, contacts: Contacts, present: np.ndarray | None) -> None:
+    def __init__(
+        self, assembly: Assembly, contacts: Contacts, present: np.ndarray | None = None
+    ) -> None:
         blocks = assembly.blocks
         there = np.ones(len(blocks), bool) if present is None else np.asarray(present, bool)
         if there.shape != (len(blocks),):
@@ -338,7 +340,7 @@ class _System:
         centre = np.array([blocks[k].centroid for k in self.free]).reshape(-1, 3)
         reach = [np.linalg.norm(blocks[k].vertices - c, axis=1).max()
                  for k, c in zip(self.free, centre, strict=True)]  # fmt: skip
-        self._radius = np.array(reach) / self._length
+        self.radius = np.array(reach) / self._length
         normal = contacts.normal[contacts.patch]
         axis = np.eye(3)[np.argmin(np.abs(contacts.normal), axis=1)]
         first = np.cross(axis, contacts.normal)
@@ -353,6 +355,7 @@ class _System:
             np.where((body >= 0) & free[body], number[body], -1)[contacts.patch]
             for body in (contacts.a, contacts.b)
         ]
+        self.centre = centre / self._length
         self.balance = self._balance(contacts.points, centre)
         weight = np.zeros((self.count, 6))
         weight[:, 2] = self.mass
@@ -366,7 +369,7 @@ class _System:
             of = body[corner]
             arm = (points[corner] - centre[of]) / self._length
             force = sign * self._frame[corner]
-            moment = np.cross(arm[:, None], force) / self._radius[of, None, None]
+            moment = np.cross(arm[:, None], force) / self.radius[of, None, None]
             wrench = np.concatenate([force, moment], -1)
             row = 6 * of[:, None, None] + np.arange(6)
             column = 3 * corner[:, None, None] + np.arange(3)[:, None]
@@ -542,6 +545,36 @@ class _System:
         slack = x[corners : corners + 6 * count].reshape(-1, 6)
         motion = np.array(answer.z[: 6 * count]).reshape(-1, 6)
         return x[:corners].reshape(-1, 3), np.linalg.norm(slack, axis=1), motion
+
+    def least_parting(
+        self, friction: float, jump: sp.csc_matrix, price: np.ndarray
+    ) -> np.ndarray | None:  # fmt: skip
+        """How far pairs of blocks part in a motion that lowers the weight, or None.
+
+        The motion opens or slides every joint at least as steeply as friction asks for, so that no
+        contact forces hold it back (Farkas): it exists exactly where RBE has no solution.
+
+        Args:
+            jump: [6 pairs, 6 count], the relative motion of each pair.
+            price: float64[pairs], of the largest component of it; the motion taken is the cheapest.
+
+        Returns:
+            float64[pairs], that component.
+        """
+        pairs, corners = len(price), self.corners
+        dual = sp.diags(np.tile([1.0, friction, friction], corners)) @ self.balance.T
+        most = sp.kron(sp.identity(pairs), np.ones((6, 1)))
+        rows = [[sp.csr_matrix(self.weight), None], [jump, -most], [-jump, -most], [-dual, None]]
+        matrix = sp.bmat(rows).tocsc()
+        bound = np.concatenate([[-1.0], np.zeros(12 * pairs + 3 * corners)])
+        cones = [_conic.ZeroConeT(1), _conic.NonnegativeConeT(12 * pairs)]
+        cones += [_conic.SecondOrderConeT(3)] * corners
+        count = 6 * self.count
+        energy = sp.csc_matrix((count + pairs, count + pairs))
+        answer = _run(energy, np.concatenate([np.zeros(count), price]), matrix, bound, cones)
+        if answer is None:
+            return None
+        return np.abs(jump @ np.array(answer.x)[:count]).reshape(-1, 6).max(1)
 
     def load_program(self, friction: float):
         """A function of a horizontal direction float64[2]: how far a load goes along it [g], and

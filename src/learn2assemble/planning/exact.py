@@ -19,7 +19,7 @@ import numpy as np
 
 from learn2assemble.assembly.kit import Cell, Kit, kit_names, load_kit, orientations
 from learn2assemble.planning.bonding import improve_bond
-from learn2assemble.planning.mechanisms import Retiling, find_mechanisms, mirrored
+from learn2assemble.planning.mechanisms import Retiling, find_mechanisms, find_slides, mirrored
 from learn2assemble.planning.ordering import Coupled, Ordering, leaves, order, value_range, way_out
 from learn2assemble.planning.programs import INF, Clock, Program, by_column, solve
 from learn2assemble.planning.standing import region_above, region_near, tile_standing
@@ -75,28 +75,67 @@ def plan_exact(
         return tiling, None
     tiling = improve_bond(tiling, kit, clock) if kit.limited else tiling
     stood = stand(tiling, kit, clock)
-    pressed = stood.status == "refused" and _presses(tiling, kit, mu, clock)
-    if stood.status == "refused" and pressed and not tight:
-        return replace(stood, reason=f"{stood.reason}; {TIGHT_OPTION}"), None
-    if stood.status != "complete" and not pressed:
+    pressed = None
+    if stood.status == "refused":
+        pressed, words = stand_pressed(tiling, kit, mu, clock, MAX_ROUNDS if tight else 0)
+        stood = replace(stood, reason=f"{stood.reason}{words}")
+    if stood.status != "complete" and not (pressed and tight):
         return stood, None
 
     def order_with_props(structure: Tiling, tight: bool) -> tuple[Tiling, Ordering | None]:
         return _order_with_props(structure, kit, clock, friction=friction, gap=gap,
                                  props_allowed=props_allowed, tight=tight)  # fmt: skip
 
-    if not pressed:
+    if pressed is None:
         made, ordering = order_with_props(stood, False)
         if not tight or (ordering or made).status != "refused":
             return made, ordering
-    return order_with_props(tiling if pressed else stood, True)
+    return order_with_props(pressed or stood, True)
 
 
-def _presses(tiling: Tiling, kit: Kit, friction: tuple[float, float], clock: Clock) -> bool:
-    """Whether the finished building stands with tight joints, where there is time to tell."""
-    everything = np.ones(len(tiling.placements), bool)
-    small = len(everything) <= MAX_COUPLED and clock.left > 0
-    return small and Coupled(tiling, kit, friction).stands(everything)
+def stand_pressed(
+    tiling: Tiling, kit: Kit, friction: tuple[float, float], clock: Clock, rounds: int
+) -> tuple[Tiling | None, str]:
+    """The tiling, changed where it falls even with tight joints, until the finished building stands
+    with them.
+
+    Args:
+        friction: smallest and largest coefficient at which it has to.
+        rounds: how often it may be changed.
+
+    Returns:
+        the tiling, None where none was found; what to add to the refusal of :func:`stand`.
+    """
+    from learn2assemble.physics.rigid_blocks import System
+
+    square = bool(np.isclose(kit.pitch[0], kit.pitch[1]))
+    boxes = all(np.prod(np.ptp(np.array(way.cells), axis=0) + 1) == len(way.cells)
+                for way in orientations(kit))  # fmt: skip
+    again: Retiling | None = None
+    for number in range(rounds + 1):
+        if len(tiling.placements) > MAX_COUPLED or clock.left <= 0:
+            break
+        coupled = Coupled(tiling, kit, friction)
+        if coupled.stands(np.ones(len(tiling.placements), bool)):
+            return tiling, f"; {TIGHT_OPTION}"
+        slides = []
+        if boxes and number < rounds:
+            system, owner = (
+                System(*coupled.assembly),
+                owners(tiling.placements, kit, tiling.wanted.shape),
+            )
+            slides = find_slides(system, owner, friction[0])
+        if not slides:
+            break
+        again = again or Retiling(tiling, kit, tight=True)
+        new = [again.add(cut) for edges in slides for cut in mirrored(edges, tiling.wanted, square)]
+        better = again.solve(clock.left) if any(new) else None
+        if better is None:
+            return None, "; it would fall with tight joints, too"
+        if better.status != "complete":
+            break
+        tiling = better
+    return None, "; nor was a way found that holds it with tight joints" if rounds else ""
 
 
 def _order_with_props(

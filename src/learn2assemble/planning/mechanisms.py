@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,8 +28,13 @@ from learn2assemble.planning.tiling import (
     to_placements,
 )
 
+if TYPE_CHECKING:
+    from learn2assemble.physics.rigid_blocks import System
+
 _SPARSER, _SPARSE = 6, 4
 """How often a mechanism is looked for that opens fewer joints, and how few are enough."""
+_GLUED = 1e6
+"""Price of parting a pair of blocks that a motion found before has parted."""
 
 
 def find_mechanisms(
@@ -137,6 +143,76 @@ def find_mechanisms(
     return found
 
 
+def find_slides(
+    system: System, owner: np.ndarray, friction: float, most: int = 4
+) -> list[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
+    """Ways in which blocks with tight joints fall down, as the joints that would have to be glued.
+
+    As :func:`find_mechanisms`, with motions in all six directions of every block that friction on
+    side faces does not hold back either. **Cut:** any tiling of boxes of the same cells in which no
+    block bridges one of these joints can move in the same way, since the same faces part.
+
+    Args:
+        system: of all blocks, in the order of ``owner``, with vertical joints of width 0.
+        owner: int64[X, Y, Z]: which block fills each cell, -1 for none.
+    """
+    import scipy.sparse as sp
+
+    joints, sides = [], []
+    for low, high in ((owner[:-1], owner[1:]), (owner[:, :-1], owner[:, 1:])):
+        joints.append(np.argwhere((low >= 0) & (high >= 0) & (low != high)))
+        sides.append(np.stack([part[tuple(joints[-1].T)] for part in (low, high)], 1))
+    pairs, which = np.unique(np.concatenate(sides), axis=0, return_inverse=True)
+    which, m = which.reshape(-1), len(pairs)
+    middle = system.centre[pairs].mean(1)
+    rows, columns, values = [], [], []
+    for side, sign in ((0, 1.0), (1, -1.0)):
+        body = pairs[:, side]
+        arm = middle - system.centre[body]
+        # Of a block that turns by w: its angle of a radius, and the velocity w x arm.
+        turn = sign / system.radius[body]
+        cross = np.cross(np.eye(3)[None], arm[:, None])
+        block = np.zeros((m, 6, 6))
+        block[:, :3, :3] = sign * np.eye(3)
+        block[:, :3, 3:] = turn[:, None, None] * cross.transpose(0, 2, 1)
+        block[:, 3:, 3:] = turn[:, None, None] * np.eye(3)
+        row = 6 * np.arange(m)[:, None, None] + np.arange(6)[:, None]
+        column = 6 * body[:, None, None] + np.arange(6)
+        for part, whole in ((row, rows), (column, columns), (block, values)):
+            whole.append(np.broadcast_to(part, block.shape).reshape(-1))
+    index = np.concatenate(rows), np.concatenate(columns)
+    jump = sp.csc_matrix((np.concatenate(values), index), (6 * m, 6 * system.count))
+    size = np.bincount(which, minlength=m).astype(float)
+    closed, found = np.zeros(m, bool), []
+    while len(found) < most:
+        price, opened = size, None
+        for _ in range(1 + _SPARSER):
+            gap = system.least_parting(friction, jump, np.where(closed, _GLUED, price))
+            if gap is None:
+                break
+            most_open = float(gap.max(initial=0.0))
+            now = gap > max(1e-5 * most_open, 1e-7)
+            if (now & closed).any():
+                break
+            if opened is None or size[now].sum() < size[opened].sum():
+                opened = now
+            if size[opened].sum() <= _SPARSE:
+                break
+            price = size / (gap / most_open + 1e-3)
+        if opened is None:
+            break
+        edges = np.zeros_like(owner[:-1], bool), np.zeros_like(owner[:, :-1], bool)
+        begin = 0
+        for edge, at in zip(edges, joints, strict=True):
+            edge[tuple(at[opened[which[begin : begin + len(at)]]].T)] = True
+            begin += len(at)
+        found.append(edges)
+        if not opened.any():
+            break
+        closed |= opened
+    return found
+
+
 def mirrored(
     edges: tuple[np.ndarray, np.ndarray], wanted: np.ndarray, square: bool
 ) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -160,15 +236,16 @@ def mirrored(
 
 
 def bonded_candidates(
-    tiling: Tiling, kit: Kit, costs: Costs = COSTS
+    tiling: Tiling, kit: Kit, costs: Costs = COSTS, tight: bool = False
 ) -> tuple[Candidates, np.ndarray]:
     """Every block that may be part of a tiling that stands, and what it costs (float64[n]).
 
     Joints of the layer below, as they are now, are worth bridging. What lies on nothing falls in
-    every tiling and is left out.
+    every tiling and is left out, unless side faces may hold it (``tight``).
     """
     found = find_candidates(tiling.wanted, kit)
-    found = found.take(np.flatnonzero(np.isfinite(found.support)))
+    if not tight:
+        found = found.take(np.flatnonzero(np.isfinite(found.support)))
     owner = owners(tiling.placements, kit, tiling.wanted.shape)
     seams = [find_seams(owner[:, :, z]) for z in range(owner.shape[2])]
     below = [
@@ -187,9 +264,9 @@ class Retiling:
     that a cut touches are decided again, by one program; the others stay as they were.
     """
 
-    def __init__(self, tiling: Tiling, kit: Kit, costs: Costs = COSTS) -> None:
+    def __init__(self, tiling: Tiling, kit: Kit, tight: bool = False) -> None:
         self.tiling, self.kit = tiling, kit
-        self.found, self.cost = bonded_candidates(tiling, kit, costs)
+        self.found, self.cost = bonded_candidates(tiling, kit, tight=tight)
         self.cuts: dict[bytes, np.ndarray] = {}
         self.part = self._parts()
         self.active = np.zeros(self.part.max() + 1, bool)

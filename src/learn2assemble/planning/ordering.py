@@ -96,7 +96,7 @@ class Coupled:
         self._stiffness = 0.0
 
     @cached_property
-    def _assembly(self) -> tuple[Assembly, Contacts]:
+    def assembly(self) -> tuple[Assembly, Contacts]:
         from learn2assemble.assembly.contacts import find_contacts
 
         made = to_assembly(self.tiling, None, self.kit, gap=0.0)
@@ -106,7 +106,7 @@ class Coupled:
         """Whether the blocks ``placed`` (bool[n]) stand with vertical joints that press."""
         from learn2assemble.physics.rigid_blocks import STIFFNESS, solve
 
-        made, contacts = self._assembly
+        made, contacts = self.assembly
         for mu in self.friction:
             # What worked for the state before mostly does again.
             ratios = sorted(STIFFNESS, key=lambda ratio: ratio != self._stiffness)
@@ -120,7 +120,7 @@ class Coupled:
         """Sideways acceleration along +-x and +-y that rigid-block equilibrium withstands [g]."""
         from learn2assemble.physics.rigid_blocks import margin
 
-        made, contacts = self._assembly
+        made, contacts = self.assembly
         ways = tuple(math.atan2(y, x) for x, y in _DIRECTIONS)
         return margin(made, contacts, self.friction[0], present=placed, only=ways)
 
