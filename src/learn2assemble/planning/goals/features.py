@@ -7,7 +7,7 @@ import numpy as np
 from learn2assemble.planning.agent.world import World
 from learn2assemble.planning.goals.world import Relaxed, Yard, unmet
 
-NUM_FEATURES, NUM_SUMMARY = 21, 9
+NUM_FEATURES, NUM_SUMMARY = 22, 9
 _FAR = 8.0
 """Lengths are in so many cells, counts of blocks in as many blocks."""
 
@@ -60,6 +60,7 @@ def describe(
         lean, lever, np.where(limited, np.minimum(heap, 10) / 10, 1.0), limited,
         np.where(limited, np.minimum(needed / np.maximum(heap, 1), 4), 0.0), ballast,
         ballast > 0, ballast >= ballast.max() if len(ballast) else ballast,
+        np.clip(relaxed.detour[children], 0, 6) / 3,
     ]  # fmt: skip
     state = [
         relaxed.blocks / _FAR, len(goals) / _FAR, len(world.placed) / _FAR, not len(goals),

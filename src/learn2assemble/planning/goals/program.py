@@ -159,6 +159,12 @@ def _program(
         sign[chosen] = 1.0
         add(np.zeros(n, np.int64), np.arange(n), sign)
         close(np.array([-INF]), np.array([len(chosen) - 1.0]))
+    # A way down from the highest goal: a block on every level.
+    level = where[:, 2]
+    pairs = np.unique(np.stack([level, body]), axis=1)
+    pairs = pairs[:, pairs[0] <= int(np.argwhere(goals.must)[:, 2].max())]
+    add(pairs[0], pairs[1], 1.0)
+    close(np.ones(int(pairs[0].max()) + 1), np.full(int(pairs[0].max()) + 1, INF))
     # On every side of the centroid something that carries.
     bed_body = np.repeat(np.arange(n), np.diff(yard.bed_start))
     bed_at = np.stack(np.unravel_index(yard.bed, shape), -1)

@@ -12,8 +12,9 @@ is the logarithm of how much likelier the likeliest child is.
 A block of the relaxed plan that would fall, or a load, asks for *ballast*: the least weights on top
 of the structure that would hold it, a linear program, say where; blocks there surprise little.
 
-The first structure is looked for greedily; then the weight falls, and only structures with fewer
-blocks count. In the end, blocks that nothing needs are left out, and where props are allowed, those
+A search is many runs from the start, each longer than the one before and all but the first with
+noise. The first structure is looked for greedily; then only structures with fewer blocks count. In
+the end, blocks that nothing needs are left out, and where props are allowed, those
 that only building needs are taken away again.
 """
 
@@ -43,10 +44,19 @@ from learn2assemble.planning.programs import INF, Clock, Program, by_column, sol
 from learn2assemble.planning.step_proof import Proof, Stack, find_stack
 from learn2assemble.planning.tiling import BlockPlacement, owners
 
-ROUNDS = ((3.0, 1.0), (1.5, 0.5), (1.0, 1.0))
-"""Of searching: the weight of what is missing, and the share of the time that is left."""
-UNLIKELY = 1.5
-"""Surprise of a child that is not in the relaxed plan, without a network [blocks]."""
+WEIGHTS = 3.0, 1.0
+"""Of what is missing: while the first structure is looked for, then both in turn."""
+FIRST_RUN, GROWTH, NOISE = 60.0, 1.3, 0.5
+"""Nodes of the first run, by how much the next are longer, and what is added to surprises from the
+second on, exponentially distributed [blocks]: estimates that are wrong in one way are left."""
+UNLIKELY, FAR = 0.7, 4.0
+"""Without a network, surprise of a child that is not in the relaxed plan, besides its detour; and
+the largest detour [blocks]."""
+SURE = 0.6
+"""Share of a relaxed plan that is needed in any case."""
+PATIENCE = 2.0, 4.0
+"""Seconds, and times the seconds until the last structure, in which one with fewer blocks has to be
+found for the search to go on."""
 BALLAST = 0.5
 """Surprise of a block that lies best where ballast is asked for [blocks]."""
 TEMPER = 0.7
@@ -73,7 +83,11 @@ class Found:
     @property
     def blocks(self) -> int:
         """Blocks of the finished structure."""
-        return sum(not block.prop for block in self.placements)
+        return _count(self.placements)
+
+
+def _count(placements: tuple[BlockPlacement, ...]) -> int:
+    return sum(not block.prop for block in placements)
 
 
 @dataclass(eq=False)
@@ -98,6 +112,7 @@ class Search:
     def __init__(self, yard: Yard, guide: Guide | None, seed: int = 0) -> None:
         self.yard, self.guide = yard, guide
         rng = np.random.default_rng(seed)
+        self.rng, self.noise = rng, 0.0
         self.hash = rng.integers(0, 2**63, len(yard.site), dtype=np.int64)
         self.expanded = self.tried = 0
         self.best: World | None = None
@@ -112,38 +127,64 @@ class Search:
         """
         self.expanded += 1
         children = legal(self.yard, world)
-        liked = children[relaxed.used[children]]
-        missing = relaxed.blocks
-        share = np.zeros(len(self.yard.site))
-        if not missing or all(put(world, int(k), False) is None for k in liked):
-            share, weight = self.ballast(world, liked)
-            missing += np.ceil(round(weight / self.heaviest, 6))
-        missing = max(missing, 1.0)
-        helps = share[children]
+        helps, weight = self.advice(world, relaxed, children)
+        missing = max(relaxed.blocks + np.ceil(round(weight / self.heaviest, 6)), 1.0)
         if self.guide is not None and len(children):
             logits, more = self.guide.scores(*describe(self.yard, world, relaxed, children, helps))
             surprise = TEMPER * (logits.max() - logits)
             missing += more
         else:
-            surprise = np.where(
-                relaxed.used[children], 0.0, UNLIKELY + 1 - carried(world, children)
-            )
+            detour = np.clip(relaxed.detour[children], 0.0, FAR)
+            surprise = np.where(relaxed.used[children], 0.0, UNLIKELY + detour)
             surprise = np.where(helps > 0, np.minimum(surprise, BALLAST + 1 - helps), surprise)
+        if self.noise:
+            surprise = surprise + self.noise * self.rng.exponential(size=len(surprise))
         order = np.argsort(surprise, kind="stable")
         return Node(world, relaxed, missing, children[order], spent + surprise[order])
 
-    def ballast(self, world: World, liked: np.ndarray) -> tuple[np.ndarray, float]:
+    def advice(
+        self, world: World, relaxed: Relaxed, children: np.ndarray
+    ) -> tuple[np.ndarray, float]:
+        """How well children lie where ballast is asked for (float64[m], 0 to 1), and how much is
+        [kg]."""
+        heavy = self.overloaded(world)
+        liked = children[relaxed.used[children]]
+        if heavy is None and any(put(world, int(k), False) is not None for k in liked):
+            return np.zeros(len(children)), 0.0
+        share, weight = self.ballast(world, heavy, liked)
+        return share[children], weight
+
+    def hopeless(self, world: World, relaxed: Relaxed) -> bool:
+        """Whether fewer blocks than before are out of sight: a relaxed plan may ask for too many,
+        but hardly for twice as many as are needed."""
+        return len(world.placed) + max(np.ceil(relaxed.blocks * SURE), 1) >= self.fewest
+
+    def overloaded(self, world: World) -> Stack | None:
+        """What stands with all loads that have a place by now, where that falls."""
+        owner = world.owner.reshape(self.yard.goals.shape)
+        loads = tuple(load for load in self.yard.goals.loads if owner[load.cell] >= 0)
+        if not loads:
+            return None
+        stack = loaded(world.proof.stack, owner, loads, self.yard.goals.shape,
+                       self.yard.goals.kit.pitch)  # fmt: skip
+        proof, everything = Proof(stack), np.ones(len(stack), bool)
+        proof.force = world.proof.force.copy()
+        return None if proof.settle(everything, everything) else stack
+
+    def ballast(
+        self, world: World, heavy: Stack | None, liked: np.ndarray
+    ) -> tuple[np.ndarray, float]:
         """How well every candidate lies where weight is asked for (float64[n], 0 to 1), and how
-        much is [kg]."""
+        much is [kg].
+
+        Args:
+            heavy: what stands, with the loads under which it falls.
+            liked: candidates that fall, asked for where there is no such load.
+        """
         yard = self.yard
         share, least = np.zeros(len(yard.site)), INF
-        cases: list[tuple[Stack, np.ndarray]] = []
-        if not len(unmet(yard, world)):
-            owner = world.owner.reshape(yard.goals.shape)
-            stack = loaded(world.proof.stack, owner, yard.goals.loads, yard.goals.shape,
-                           yard.goals.kit.pitch)  # fmt: skip
-            cases.append((stack, world.owner))
-        for k in liked[:2] if len(world.placed) else ():
+        cases = [] if heavy is None else [(heavy, world.owner)]
+        for k in liked[:2] if len(world.placed) and heavy is None else ():
             owner = world.owner.copy()
             owner[yard.site.cells(int(k))] = len(world.placed)
             cases.append((grow(world, int(k)), owner))
@@ -155,9 +196,15 @@ class Search:
             least = min(least, float(weight.sum()) if len(cells) else INF)
         return share, least if np.isfinite(least) else 0.0
 
-    def run(self, weight: float, clock: Clock) -> bool:
-        """Search until a structure with fewer blocks is found; whether there is nothing left."""
-        ties, seen = count(), set()
+    def run(self, weight: float, clock: Clock, limit: float = INF, noise: float = 0.0) -> bool:
+        """Search until a structure with fewer blocks is found; whether there is nothing left.
+
+        Args:
+            weight: of what is missing.
+            limit: of nodes.
+            noise: scale of what is added to surprises.
+        """
+        ties, seen, limit, self.noise = count(), set(), self.expanded + limit, noise
         queue: list[tuple[float, int, int, Node]] = []
 
         def push(node: Node, index: int) -> None:
@@ -168,10 +215,10 @@ class Search:
         world = World(self.yard.site)
         push(self.expand(world, relax(self.yard, world), 0.0), 0)
         while queue:
-            if clock.left <= 0 or len(seen) > MAX_SEEN:
+            if clock.left <= 0 or self.expanded > limit or len(seen) > MAX_SEEN:
                 return False
             _, _, index, node = heapq.heappop(queue)
-            if len(node.world.placed) + max(node.relaxed.blocks, 1) >= self.fewest:
+            if self.hopeless(node.world, node.relaxed):
                 continue
             push(node, index + 1)
             candidate = int(node.children[index])
@@ -183,19 +230,16 @@ class Search:
             world = put(node.world, candidate)
             if world is None:
                 continue
-            relaxed = relax(self.yard, world)
+            relaxed = relax(self.yard, world, node.relaxed.price)
             if relaxed.blocks == 0 and bears(self.yard, world):
                 self.best, self.fewest = world, len(world.placed)
                 return False
-            if len(world.placed) + max(relaxed.blocks, 1) < self.fewest:
+            if not self.hopeless(world, relaxed):
                 push(self.expand(world, relaxed, float(node.surprise[index])), 0)
         return True
 
 
-def search(
-    yard: Yard, guide: Guide | None, *, seconds: float = 10.0, seed: int = 0,
-    rounds: tuple[tuple[float, float], ...] = ROUNDS,
-) -> Found:  # fmt: skip
+def search(yard: Yard, guide: Guide | None, *, seconds: float = 10.0, seed: int = 0) -> Found:
     """A structure for some goals with as few blocks as can be found.
 
     Args:
@@ -205,33 +249,22 @@ def search(
     clock, found = Clock(seconds), Search(yard, guide, seed)
     first: float | None = None
     placements: tuple[BlockPlacement, ...] = ()
+    end, runs = clock, 0
     exhausted = not len(yard.site) or not np.isfinite(relax(yard, World(yard.site)).blocks)
-    for weight, share in () if exhausted else rounds:
-        end = Clock(clock.left * share)
-        exhausted = False
-        while end.left > 0 and not exhausted:
-            before = found.fewest
-            exhausted = found.run(weight, end)
-            if found.best is None or found.fewest >= before:
-                break
-            first = clock.spent if first is None else first
-            made = trim(yard, found.best)
-            fewest = sum(not block.prop for block in made)
-            if not placements or fewest < sum(not block.prop for block in placements):
-                placements = made
-            found.fewest = min(found.fewest, fewest)
-        if found.best is None and not exhausted and clock.left > 0:
+    while end.left > 0 and not exhausted:
+        before = found.fewest
+        weight = WEIGHTS[0 if found.best is None else runs % 2]
+        exhausted = found.run(weight, end, FIRST_RUN * GROWTH**runs, NOISE * (runs > 0))
+        runs += 1
+        if found.best is None or found.fewest == before:
             continue
-        if exhausted and found.best is None:
-            break
+        first = clock.spent if first is None else first
+        made = trim(yard, found.best)
+        if not placements or _count(made) < _count(placements):
+            placements = made
+        found.fewest = _count(placements)
+        end = Clock(min(clock.left, PATIENCE[0] + PATIENCE[1] * clock.spent))
     return Found(placements, found.expanded, found.tried, clock.spent, first, exhausted)
-
-
-def carried(world: World, children: np.ndarray) -> np.ndarray:
-    """float64[m]: share of the open cells below candidates that are filled; 1 on the table."""
-    rests = world.site.rests[children]
-    share = (rests - world.waits[children]) / np.maximum(rests, 1)
-    return np.where(world.site.found.origin[children, 2] == 0, 1.0, share)
 
 
 def trim(yard: Yard, world: World) -> tuple[BlockPlacement, ...]:

@@ -67,49 +67,51 @@ Family = Callable[[_Draft, bool], None]
 
 
 def _bridge(d: _Draft, deep: bool) -> None:
-    """Both banks and the middle of a gap."""
+    """Both banks and the middle of a gap, which may carry a load."""
     x, y, _ = d.shape
-    gap, high = d.pick(3, 6), d.pick(1, 3)
-    left = (x - gap) // 2
-    d.block((left, 0, 0), (left + gap, y, d.pick(1, high)))
-    row = y // 2
+    gap, high = d.pick(3, 6), d.pick(2, 3)
+    left, row = (x - gap) // 2, y // 2
+    d.block((left, 0, 0), (left + gap, y, d.pick(1, high - 1)))
     d.reach(left - d.pick(1, 2), row, high)
-    d.reach(left + gap // 2, row, high, d.rng.choice([0.0, 0.5]))
+    d.reach(left + gap // 2, row, high, d.pick(0, 1) * d.rng.uniform(0.2, 0.6))
     d.reach(left + gap - 1 + d.pick(1, 2), row if not deep else d.pick(0, y - 1), high)
-    if d.rng.random() < 0.5:
-        d.heap(b1=6, b2=6, b4=5, b3=d.pick(0, 3) + 1)
+    if d.rng.random() < 0.7:
+        d.heap(b1=6, b2=6, b4=5, b3=d.pick(1, 4), b5=d.pick(0, 2), b6=1)
 
 
 def _corbel(d: _Draft, deep: bool) -> None:
     """A point beyond the only ground there is."""
     x, y, _ = d.shape
-    edge, high = x // 2 - d.pick(0, 1), d.pick(2, 3)
+    edge, high = x // 2 - d.pick(0, 1), d.pick(2, 4)
+    beyond = edge + d.pick(2, 4)
     d.block((edge, 0, 0), (x, y, d.pick(1, high - 1)))
-    d.occupy((beyond := edge + d.pick(1, 3), y // 2, high), (beyond + 1, y // 2 + 1, high + 1))
-    if d.rng.random() < 0.5:
+    d.occupy((beyond, y // 2, high), (beyond + 1, y // 2 + 1, high + 1))
+    if d.rng.random() < 0.7:
         d.heap(b1=4, b2=4, b4=5, b6=2)
 
 
 def _tower(d: _Draft, deep: bool) -> None:
-    """A high point above an obstacle that stands in the way."""
+    """A high point, and perhaps another, above obstacles that stand in the way."""
     x, y, z = d.shape
     at, row, high = d.pick(3, x - 4), d.pick(1, y - 2) if deep else 0, z - 2 - d.pick(0, 1)
-    wide, tall = d.pick(1, 3), d.pick(1, 2)
+    wide, tall = d.pick(1, 4), d.pick(1, 3)
     low = max(at - d.pick(0, wide - 1), 0)
     rows = (max(row - 1, 0), min(row + 2, y)) if deep else (0, 1)
     d.block((low, rows[0], 0), (low + wide, rows[1], tall))
-    d.reach(at, row, high)
-    if d.rng.random() < 0.5:
-        d.heap(b1=3, b2=4, b3=2, b4=3, b5=1)
+    d.reach(at, row, high, d.pick(0, 1) * d.rng.uniform(0.2, 1.0))
+    if d.rng.random() < 0.4:
+        d.reach(at + (3 if at < x // 2 else -3), row, high - d.pick(0, 1))
+    if d.rng.random() < 0.7:
+        d.heap(b1=3, b2=5, b3=3, b4=3, b5=2)
 
 
 def _cantilever(d: _Draft, deep: bool) -> None:
     """A load beyond the ground, near it."""
     x, y, _ = d.shape
-    edge, high = x // 2 + d.pick(-1, 1), d.pick(1, 2)
-    d.block((edge, 0, 0), (x, y, 1))
-    d.reach(edge + d.pick(1, 2), y // 2, high, d.rng.uniform(0.1, 0.6))
-    if d.rng.random() < 0.5:
+    edge, high = x // 2 + d.pick(-1, 1), d.pick(1, 3)
+    d.block((edge, 0, 0), (x, y, d.pick(1, high)))
+    d.reach(edge + d.pick(1, 3), y // 2, high, d.rng.uniform(0.2, 0.9))
+    if d.rng.random() < 0.7:
         d.heap(b1=2, b2=3, b4=3, b6=2, b8=1)
 
 
@@ -124,44 +126,44 @@ def _table(d: _Draft, deep: bool) -> None:
     d.reach(left + width - 1, rows[1], high, d.rng.uniform(0.2, 1.0))
     if d.rng.random() < 0.6:
         d.reach(left + width // 2, rows[0], high)
-    if d.rng.random() < 0.4:
-        d.heap(b1=5, b2=5, b4=4, b3=2, b6=1, b8=1)
+    if d.rng.random() < 0.7:
+        d.heap(b1=5, b2=5, b4=4, b3=2, b6=d.pick(0, 1), b8=d.pick(0, 1))
 
 
 def _joined(d: _Draft, deep: bool) -> None:
-    """Two points and the beam between them."""
+    """Two points, the beam between them, and a point above it."""
     x, y, _ = d.shape
-    high, width = d.pick(2, 3), d.pick(4, 6)
+    high, width = d.pick(2, 4), d.pick(4, 6)
     left, row = (x - width) // 2, y // 2
     d.occupy((left, row, high), (left + width, row + 1, high + 1))
-    d.block((left + 1, 0, 0), (left + width - 1, y - 1 if deep else 1, d.pick(1, 2)))
+    d.block((left + 1, 0, 0), (left + width - 1, y - 1 if deep else 1, d.pick(1, high - 1)))
     d.reach(left + d.pick(0, width - 1), row, high + d.pick(1, 2))
-    if d.rng.random() < 0.6:
-        d.heap(b1=4, b2=4, b4=4, b3=2)
+    if d.rng.random() < 0.7:
+        d.heap(b1=4, b2=5, b4=4, b3=3)
 
 
 def _stairs(d: _Draft, deep: bool) -> None:
     """Points that rise one level each."""
     x, y, _ = d.shape
-    steps, run = d.pick(3, 4), d.pick(2, 3) if not deep else d.pick(1, 2)
+    steps, run = d.pick(3, 5), d.pick(2, 3) if not deep else d.pick(1, 2)
     at = max((x - steps * run) // 2, 0)
     for k in range(steps):
         d.reach(min(at + k * run, x - 1), min(k, y - 1) if deep else 0, k)
     if d.rng.random() < 0.5:
         spot = min(at + (steps - 1) * run + 1, x - 2)
         d.block((spot, 0, 0), (spot + 1, y, 1))
-    if d.rng.random() < 0.6:
-        d.heap(b1=4, b2=3, b3=3, b4=3, b5=1)
+    if d.rng.random() < 0.7:
+        d.heap(b1=5, b2=4, b3=3, b4=3, b5=1)
 
 
 def _arch(d: _Draft, deep: bool) -> None:
     """A point over the middle of an obstacle, with short blocks only."""
     x, y, _ = d.shape
-    wide, tall = d.pick(3, 5), d.pick(1, 3)
+    wide, tall = d.pick(2, 4), d.pick(1, 3)
     left, row = (x - wide) // 2, y // 2
     d.block((left, max(row - 2, 0), 0), (left + wide, min(row + 3, y), tall))
-    d.reach(left + wide // 2, row, tall + d.pick(1, 2), d.rng.choice([0.0, 0.3]))
-    d.heap(b1=8, b2=8, b3=8, b4=8)
+    d.reach(left + wide // 2, row, tall + d.pick(2, 3), d.pick(0, 1) * d.rng.uniform(0.2, 0.6))
+    d.heap(b1=8, b2=8, b3=8, b4=d.pick(0, 6))
 
 
 def _scatter(d: _Draft, deep: bool) -> None:
@@ -198,7 +200,7 @@ def draw(family: str, seed: int, spatial: bool = False) -> Json:
     """The goals file of a family and a seed."""
     make = look_up("family", family, FAMILIES)
     rng = np.random.default_rng([seed, spatial, *family.encode()])
-    shape = (10, 5, 6) if spatial else (13, 1, 8)
+    shape = (10, 5, 6) if spatial else (14, 1, 8)
     draft = _Draft(rng, *shape)
     make(draft, spatial)
     kind = SPATIAL if spatial else PLANAR

@@ -4,11 +4,14 @@ Candidates and states are those of the builder of designs, with every cell that 
 wanted one. A candidate is *legal* where something carries it and nothing is above any of its cells,
 since blocks come from above.
 
-The **relaxed plan** of a state forgets equilibrium of the whole, the heap and what blocks do to one
-another: a candidate costs one block and the cheapest supports that its own centroid needs, one
-below it or one on either side. It is found in one pass from below; what it takes for all goals,
-common blocks counted once, estimates the blocks that are missing (the additive heuristic and the
-relaxed plan of Hoffmann and Nebel 2001). A goal without a relaxed plan cannot be met at all.
+The **relaxed plan** of a state forgets equilibrium of the whole and what blocks do to each other: a
+candidate costs one block and the cheapest supports that its own centroid needs (with the loads it
+bears), one below it or one on either side. It is found in one pass from below; what it takes for
+all goals, common blocks counted once, estimates the blocks that are missing (the additive heuristic
+and the relaxed plan of Hoffmann and Nebel 2001). Kinds of which it takes more than the heap has get
+dearer until it does not, or a few times. A goal without a relaxed plan, loads forgotten, cannot be
+met at all. A pass from above says what a candidate costs on its way to a goal beyond the cheapest
+way there: its *detour*.
 """
 
 from __future__ import annotations
@@ -24,6 +27,8 @@ from learn2assemble.planning.agent.world import Site, World, make_site
 from learn2assemble.planning.programs import INF
 from learn2assemble.planning.step_proof import Proof, Stack
 
+PRICE, PRICE_ROUNDS = 0.4, 4
+"""By how much a kind gets dearer, and how often [blocks]."""
 MAX_CANDIDATES = 400_000
 """Cells times ways to put down a block."""
 
@@ -41,6 +46,8 @@ class Yard:
     """Lowest cells of every candidate: ``bed[bed_start[k]:bed_start[k + 1]]``, flat."""
     centre: np.ndarray
     """float64[n, 2]: centroid of every candidate [cells]."""
+    heavy: np.ndarray
+    """float64[n, 2]: the same with the loads it bears."""
     must: np.ndarray
     """int64[m]: flat cells that have to be filled, the highest first."""
 
@@ -55,6 +62,10 @@ class Relaxed:
     """bool[n]: its candidates."""
     cost: np.ndarray
     """float64[n]: what each candidate takes, itself and its supports."""
+    detour: np.ndarray
+    """float64[n]: blocks it takes to a goal by each candidate beyond the cheapest way."""
+    price: np.ndarray
+    """float64[kinds]: what kinds cost beyond a block, because the heap has few."""
 
 
 def make_yard(goals: Goals) -> Yard:
@@ -70,11 +81,21 @@ def make_yard(goals: Goals) -> Yard:
     must = np.argwhere(goals.must)
     must = must[np.argsort(-must[:, 2], kind="stable")] @ strides
     none = np.empty(0, np.int64)
+    centre = found.origin[:, :2] + middle[found.way] if beds else np.empty((0, 2))
+    heavy, mass = centre.copy(), site.weight[found.way].copy()
+    for load in goals.loads:
+        bears = np.unique(
+            site.over[slice(*site.over_start[np.array(load.cell) @ strides + [0, 1]])]
+        )
+        at = np.array(load.point[:2]) / goals.kit.pitch[:2] + np.array(goals.shape[:2]) / 2
+        heavy[bears] = mass[bears, None] * heavy[bears] + load.mass * at
+        mass[bears] += load.mass
+        heavy[bears] /= mass[bears, None]
     return Yard(
         goals, site, np.argsort(found.origin[:, 2], kind="stable"),
         np.concatenate([[0], np.cumsum([len(bed) for bed in beds])]).astype(np.int64),
         np.concatenate(beds) if beds else none,
-        found.origin[:, :2] + middle[found.way] if beds else np.empty((0, 2)), must,
+        centre, heavy, must,
     )  # fmt: skip
 
 
@@ -100,15 +121,39 @@ def unmet(yard: Yard, world: World) -> np.ndarray:
     return yard.must[world.owner[yard.must] < 0]
 
 
-def relax(yard: Yard, world: World) -> Relaxed:
-    """The relaxed plan of a state, see the module."""
+def relax(yard: Yard, world: World, price: np.ndarray | None = None) -> Relaxed:
+    """The relaxed plan of a state, see the module.
+
+    Args:
+        price: of the state before, to begin with.
+    """
+    site, goals = yard.site, unmet(yard, world)
+    price = np.zeros(len(world.heap)) if price is None else price.copy()
+    blocks, used, cost, detour = _relaxed(yard, world, goals, yard.heavy, price)
+    if np.isinf(blocks) and yard.goals.loads:
+        blocks, used, cost, detour = _relaxed(yard, world, goals, yard.centre, price)
+    for _ in range(PRICE_ROUNDS if np.isfinite(blocks) else 0):
+        taken = np.bincount(site.kind[used], minlength=len(price))
+        over = (world.heap >= 0) & (taken > world.heap)
+        if not over.any():
+            break
+        price[over] += PRICE
+        other = _relaxed(yard, world, goals, yard.heavy, price)
+        if np.isinf(other[0]):
+            break
+        blocks, used, cost, detour = other
+    return Relaxed(float(blocks), used, cost, detour, price)
+
+
+def _relaxed(
+    yard: Yard, world: World, goals: np.ndarray, heavy: np.ndarray, price: np.ndarray
+) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
     site, found = yard.site, yard.site.found
-    blocks, used, cost = _relax(
+    return _relax(
         world.owner, world.alive, yard.order, found.start, found.cell, yard.bed_start, yard.bed,
-        yard.centre, found.origin[:, 2], unmet(yard, world), site.over_start, site.over,
-        np.array(site.wanted.shape),
+        yard.centre, heavy, found.origin[:, 2], goals, site.over_start, site.over,
+        1 + price[site.kind], np.array(site.wanted.shape),
     )  # fmt: skip
-    return Relaxed(float(blocks), used, cost)
 
 
 # ---------------------------------------------------------------- loads
@@ -204,8 +249,68 @@ def _cover(cells, depth, owner, alive, over_start, over):
 
 
 @njit(cache=True)
-def _relax(owner, alive, order, start, cell, bed_start, bed, centre, level, goals, over_start, over,
-           shape):  # fmt: skip
+def _support(need, bed, first, last, cx, cy, step_x, step_y, size_y, ref_kind, ref_cell):
+    """What it takes to carry a centroid (cx, cy); ``ref_*`` become the supports."""
+    big = best = 1e9
+    ref_kind[:] = -1
+    ex = 1 if abs(cx - np.rint(cx)) < 1e-6 else 0
+    ey = 1 if abs(cy - np.rint(cy)) < 1e-6 else 0
+    bx = int(np.rint(cx)) - 1 if ex else int(np.floor(cx))
+    b_y = int(np.rint(cy)) - 1 if ey else int(np.floor(cy))
+    low_x = low_y = high_x = high_y = big
+    at = np.zeros(8, np.int64)
+    side = np.full(4, big)  # nearest whole sides: left, right, front, back
+    for j in range(first, last):
+        below = bed[j] - 1
+        x, y = below // step_x, (below // step_y) % size_y
+        if x == bx and y == b_y:
+            value = need[ex + 2 * ey, below]
+            if value < best:
+                best = value
+                ref_kind[0], ref_cell[0] = ex + 2 * ey, below
+                ref_kind[1] = ref_kind[2] = ref_kind[3] = -1
+        if y == b_y:
+            if x < bx and need[2 * ey, below] < side[0]:
+                side[0], at[0] = need[2 * ey, below], below
+            if x > bx + ex and need[2 * ey, below] < side[1]:
+                side[1], at[1] = need[2 * ey, below], below
+            if ex and (x == bx) and need[2 * ey, below] < side[0]:
+                side[0], at[0] = need[2 * ey, below], below
+            if ex and (x == bx + 1) and need[2 * ey, below] < side[1]:
+                side[1], at[1] = need[2 * ey, below], below
+        if x == bx:
+            if y < b_y + ey and need[ex, below] < side[2]:
+                side[2], at[2] = need[ex, below], below
+            if y > b_y and need[ex, below] < side[3]:
+                side[3], at[3] = need[ex, below], below
+        value = need[0, below]
+        if x < bx + 1 and value < low_x:
+            low_x, at[4] = value, below
+        if x >= bx + ex and value < high_x:
+            high_x, at[5] = value, below
+        if y < b_y + 1 and value < low_y:
+            low_y, at[6] = value, below
+        if y >= b_y + ey and value < high_y:
+            high_y, at[7] = value, below
+    for axis in range(2):
+        value = side[2 * axis] + side[2 * axis + 1]
+        if value < best:
+            best = value
+            kind = 2 * ey if axis == 0 else ex
+            for n in range(2):
+                ref_kind[n], ref_cell[n] = kind, at[2 * axis + n]
+            ref_kind[2] = ref_kind[3] = -1
+    worst = max(max(low_x, high_x), max(low_y, high_y))
+    if best >= big and worst < big:
+        best = worst + 1.0
+        for n in range(4):
+            ref_kind[n], ref_cell[n] = 0, at[4 + n]
+    return best
+
+
+@njit(cache=True)
+def _relax(owner, alive, order, start, cell, bed_start, bed, centre, heavy, level, goals,
+           over_start, over, own, shape):  # fmt: skip
     size_y, size_z = shape[1], shape[2]
     step_x, step_y = size_y * size_z, size_z
     count, cells = len(alive), len(owner)
@@ -228,6 +333,7 @@ def _relax(owner, alive, order, start, cell, bed_start, bed, centre, level, goal
     cost = np.full(count, big)
     ref_kind = np.full((count, 4), -1)
     ref_cell = np.zeros((count, 4), np.int64)
+    kinds, places = np.full(4, -1), np.zeros(4, np.int64)
     for k in order:
         if not alive[k]:
             continue
@@ -235,63 +341,18 @@ def _relax(owner, alive, order, start, cell, bed_start, bed, centre, level, goal
         if level[k] == 0:
             best = 0.0
         else:
-            cx, cy = centre[k, 0], centre[k, 1]
-            ex = 1 if abs(cx - np.rint(cx)) < 1e-6 else 0
-            ey = 1 if abs(cy - np.rint(cy)) < 1e-6 else 0
-            bx = int(np.rint(cx)) - 1 if ex else int(np.floor(cx))
-            b_y = int(np.rint(cy)) - 1 if ey else int(np.floor(cy))
-            low_x = low_y = high_x = high_y = big
-            at = np.zeros(8, np.int64)
-            side = np.full(4, big)  # nearest whole sides: left, right, front, back
-            for j in range(bed_start[k], bed_start[k + 1]):
-                below = bed[j] - 1
-                x, y = below // step_x, (below // step_y) % size_y
-                if x == bx and y == b_y:
-                    value = need[ex + 2 * ey, below]
-                    if value < best:
-                        best = value
-                        ref_kind[k, 0], ref_cell[k, 0] = ex + 2 * ey, below
-                        ref_kind[k, 1] = ref_kind[k, 2] = ref_kind[k, 3] = -1
-                if y == b_y:
-                    if x < bx and need[2 * ey, below] < side[0]:
-                        side[0], at[0] = need[2 * ey, below], below
-                    if x > bx + ex and need[2 * ey, below] < side[1]:
-                        side[1], at[1] = need[2 * ey, below], below
-                    if ex and (x == bx) and need[2 * ey, below] < side[0]:
-                        side[0], at[0] = need[2 * ey, below], below
-                    if ex and (x == bx + 1) and need[2 * ey, below] < side[1]:
-                        side[1], at[1] = need[2 * ey, below], below
-                if x == bx:
-                    if y < b_y + ey and need[ex, below] < side[2]:
-                        side[2], at[2] = need[ex, below], below
-                    if y > b_y and need[ex, below] < side[3]:
-                        side[3], at[3] = need[ex, below], below
-                value = need[0, below]
-                if x < bx + 1 and value < low_x:
-                    low_x, at[4] = value, below
-                if x >= bx + ex and value < high_x:
-                    high_x, at[5] = value, below
-                if y < b_y + 1 and value < low_y:
-                    low_y, at[6] = value, below
-                if y >= b_y + ey and value < high_y:
-                    high_y, at[7] = value, below
-            for axis in range(2):
-                value = side[2 * axis] + side[2 * axis + 1]
-                if value < best:
-                    best = value
-                    kind = 2 * ey if axis == 0 else ex
-                    for n in range(2):
-                        ref_kind[k, n], ref_cell[k, n] = kind, at[2 * axis + n]
-                    ref_kind[k, 2] = ref_kind[k, 3] = -1
-            worst = max(max(low_x, high_x), max(low_y, high_y))
-            if best >= big and worst < big:
-                best = worst + 1.0
-                for n in range(4):
-                    ref_kind[k, n], ref_cell[k, n] = 0, at[4 + n]
+            best = _support(need, bed, bed_start[k], bed_start[k + 1], centre[k, 0], centre[k, 1],
+                            step_x, step_y, size_y, ref_kind[k], ref_cell[k])  # fmt: skip
+            if heavy[k, 0] != centre[k, 0] or heavy[k, 1] != centre[k, 1]:
+                more = _support(need, bed, bed_start[k], bed_start[k + 1], heavy[k, 0],
+                                heavy[k, 1], step_x, step_y, size_y, kinds, places)  # fmt: skip
+                if more > best:
+                    best = more
+                    ref_kind[k], ref_cell[k] = kinds, places
         if best >= big:
             continue
         # Of equally dear ones the largest, on which most can lie.
-        total = best + 1.0 - 1e-4 * (start[k + 1] - start[k])
+        total = best + own[k] - 1e-4 * (start[k + 1] - start[k])
         cost[k] = total
         for j in range(start[k], start[k + 1]):
             c = cell[j]
@@ -314,7 +375,7 @@ def _relax(owner, alive, order, start, cell, bed_start, bed, centre, level, goal
     for c in goals:
         wanted[c] = True
         if need[0, c] >= big:
-            return np.inf, used, cost
+            return np.inf, used, cost, cost
     queue = np.empty(count + 1, np.int64)
     blocks = 0.0
     for goal in goals:
@@ -352,4 +413,20 @@ def _relax(owner, alive, order, start, cell, bed_start, bed, centre, level, goal
                     used[other] = True
                     queue[tail] = other
                     tail += 1
-    return blocks, used, cost
+    # From above: what it takes by a candidate beyond the cheapest way to the same goal.
+    ahead = np.full(cells, big)
+    detour = np.full(count, big)
+    for i in range(count):
+        k = order[count - 1 - i]
+        if not alive[k] or cost[k] >= big:
+            continue
+        least = big
+        for j in range(start[k], start[k + 1]):
+            c = cell[j]
+            least = min(least, -need[0, c] if wanted[c] else ahead[c])
+        detour[k] = cost[k] + least
+        for j in range(bed_start[k], bed_start[k + 1]):
+            c = bed[j]
+            if c % step_y:
+                ahead[c - 1] = min(ahead[c - 1], least + own[k])
+    return blocks, used, cost, detour
