@@ -13,7 +13,7 @@ import pytest
 import learn2assemble as l2a
 from learn2assemble.errors import InputError
 from learn2assemble.files import claim_folder
-from learn2assemble.tasks import DESIGN_TASKS, PRESETS
+from learn2assemble.tasks import DESIGN_TASKS, GOAL_TASKS, PRESETS
 
 ROOT = Path(__file__).resolve().parents[1]
 HEAVY = {"torch", "numba", "mujoco", "gymnasium", "matplotlib", "rich", "scipy", "shapely"}
@@ -54,6 +54,9 @@ def test_what_should_be_quick_loads_nothing_heavy(code: str) -> None:
     assert not (HEAVY - allowed) & set(loaded)
 
 
+_ALL = (*PRESETS, *DESIGN_TASKS, *GOAL_TASKS)
+
+
 @pytest.mark.parametrize(
     "order", [("gymnasium", "learn2assemble"), ("learn2assemble", "gymnasium")], ids="-".join
 )
@@ -64,7 +67,7 @@ def test_environments_are_registered_in_either_order(order: tuple[str, str]) -> 
         "print(*[i for i in gymnasium.registry if i.startswith('learn2assemble/')], sep='\\n')"
     ).splitlines()
     assert found[0] == "False"
-    assert found[1:] == [f"learn2assemble/{name}-v0" for name in (*PRESETS, *DESIGN_TASKS)]
+    assert found[1:] == [f"learn2assemble/{name}-v0" for name in _ALL]
 
 
 def test_a_task_of_ones_own_is_known_everywhere() -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
 
 import learn2assemble as l2a
 from learn2assemble.assembly.blocks import box_block
@@ -16,12 +17,24 @@ from learn2assemble.cli import main
 from learn2assemble.design.goals import Goals, parse_goals, read_goals
 from learn2assemble.errors import InputError
 from learn2assemble.physics.rigid_blocks import check
+from learn2assemble.planning.goals.network import load_guide, save_guide
 from learn2assemble.planning.goals.planner import plan_goals
 from learn2assemble.planning.goals.program import plan_program
 from learn2assemble.planning.goals.search import search
-from learn2assemble.planning.goals.tasks import FAMILIES, draw, draw_goals
+from learn2assemble.planning.goals.tasks import (
+    FAMILIES,
+    FIRST_TRAINING_SEED,
+    TRAINED,
+    draw,
+    draw_goals,
+    fixed_file,
+    fixed_goals,
+    fixed_names,
+)
+from learn2assemble.planning.goals.train import GuideConfig, train
 from learn2assemble.planning.goals.world import make_yard
 from learn2assemble.planning.plan import Plan
+from learn2assemble.tasks import GOAL_TASKS
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "goals" / "over_the_water.json"
 GOOD: dict[str, Any] = {
@@ -32,6 +45,14 @@ GOOD: dict[str, Any] = {
     "obstacles": [[[0.05, -0.02, 0.0], [0.1, 0.02, 0.04]]],
 }
 """Good goals; every bad one differs in one thing."""
+
+
+def env_of(name: str) -> Any:
+    import gymnasium
+
+    return gymnasium.make(f"learn2assemble/{name}-v0")
+
+
 BAD: list[tuple[dict[str, Any], str]] = [
     ({"reach": [[0.025, 0.0, math.nan]]}, "finite"),
     ({"reach": [[0.025, 0.0, 0.12]]}, "such as 0.1 m"),
@@ -158,6 +179,61 @@ def test_loads_are_balanced_by_counterweights() -> None:
     heavy = box_block("load", low, high, density=0.6 / (2 * half) ** 3)
     loaded = l2a.Assembly((*plan.assembly.blocks, heavy), (), plan.assembly.friction, "loaded")
     assert check(loaded).verdict == "stands"
+
+
+@pytest.mark.parametrize("name", GOAL_TASKS)
+def test_environments_pass_the_checker_and_are_solved_by_the_search(name: str) -> None:
+    env = env_of(name).unwrapped
+    check_env(env, skip_render_check=True)
+    found = search(env.yard, None, seconds=20)
+    observation, info = env.reset(seed=0)
+    total, ended = 0.0, False
+    for block in found.placements:
+        assert not ended
+        action = list(env._offered).index(env.yard.site.candidate(block))
+        assert observation["mask"][action]
+        observation, reward, ended, _, info = env.step(action)
+        assert info["stood"]
+        total += reward
+    assert ended
+    assert info["success"]
+    assert total == pytest.approx(2 - 0.05 * found.blocks)
+
+
+def test_fixed_tasks_are_as_many_as_asked_and_none_is_trained_on() -> None:
+    names = fixed_names()
+    assert len(set(names)) == len(names) == 55
+    assert sum(name.startswith("planar/") for name in names) == 30
+    assert sum(name.startswith("spatial/") for name in names) == 20
+    assert all(int(n.split("/")[2]) < FIRST_TRAINING_SEED for n in names[:50])
+    files = [json.dumps({**fixed_file(name), "name": ""}) for name in names]
+    assert len(set(files)) == len(files)
+    assert len({name.split("/")[1] for name in names[:50]} - set(TRAINED)) == 4
+
+
+@pytest.mark.parametrize("name", [n for n in fixed_names() if n.startswith("impossible")])
+def test_impossible_tasks_are_refused(name: str) -> None:
+    if name == "impossible/heavy load":
+        with pytest.raises(InputError, match="heap can balance"):
+            plan_goals(fixed_goals(name), seconds=20)
+        return
+    plan = plan_goals(fixed_goals(name), seconds=20)
+    assert plan.status == "refused"
+    assert plan.reason
+
+
+def test_a_training_learns_and_its_guide_is_read_again(tmp_path: Path) -> None:
+    config = GuideConfig("tiny", seconds=3.0, rounds=1, limit=0.5, replays=1, steps=40)
+    guide = train(config)
+    again = load_guide(str(save_guide(guide, tmp_path)))
+    assert again.origin["states"] > 0
+    assert again.origin["demonstrations"] is False
+    yard = make_yard(read_goals(EXAMPLE))
+    assert search(yard, again, seconds=20).blocks
+    (tmp_path / "tiny.safetensors").write_bytes(b"none")
+    load_guide.cache_clear()
+    with pytest.raises(InputError, match="a guide of goals"):
+        load_guide(str(tmp_path / "tiny.safetensors"))
 
 
 IMPOSSIBLE: dict[str, dict[str, Any]] = {

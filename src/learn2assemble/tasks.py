@@ -308,6 +308,33 @@ DESIGN_TASKS: Registry[DesignTask] = Registry(
 """Tasks of designs by name."""
 
 
+@dataclass(frozen=True)
+class GoalTask:
+    """Goals for which an agent invents a structure, see ``planning/goals/tasks.py``.
+
+    Args:
+        name: how presets and results refer to it.
+        goals: name of the fixed goals.
+        max_candidates: how many candidate placements an environment offers at a time.
+    """
+
+    name: str
+    goals: str
+    max_candidates: int = 512
+
+
+GOAL_TASKS: Registry[GoalTask] = Registry(
+    "goals task",
+    {
+        "goals-bridge": {"goals": "planar/bridge/0"},
+        "goals-cantilever": {"goals": "planar/cantilever/2"},
+        "goals-table": {"goals": "spatial/table/1"},
+    },
+    lambda name, given: GoalTask(name, **given),
+)
+"""Tasks of goals by name."""
+
+
 def robot_task(name: str, **changes: Any) -> Task:
     """What all workcells share, also those that build a user's design, with some fields changed."""
     return Task(name, **_draft(_ROBOT, **changes))

@@ -17,7 +17,7 @@ from functools import partial
 import gymnasium
 from gymnasium.envs.registration import registry
 
-from learn2assemble.tasks import DESIGN_TASKS, PRESETS, get_task
+from learn2assemble.tasks import DESIGN_TASKS, GOAL_TASKS, PRESETS, get_task
 
 __all__ = ["NAMESPACE", "VERSION", "env_id", "register_all"]
 
@@ -32,7 +32,8 @@ def env_id(task_name: str) -> str:
     Raises:
         UnknownNameError: naming the nearest task.
     """
-    name = task_name if task_name in DESIGN_TASKS else get_task(task_name).name
+    known = task_name in DESIGN_TASKS or task_name in GOAL_TASKS
+    name = task_name if known else get_task(task_name).name
     return f"{NAMESPACE}/{name}-v{VERSION}"
 
 
@@ -67,6 +68,7 @@ _ENVIRONMENTS = (
         vector_entry_point="learn2assemble.envs.assembly:AssemblyVectorEnv",
     )),
     (DESIGN_TASKS, partial(_register, entry_point="learn2assemble.envs.designs:DesignEnv")),
+    (GOAL_TASKS, partial(_register, entry_point="learn2assemble.envs.goals:GoalsEnv")),
 )  # fmt: skip
 """Which environment plays the tasks of each table."""
 

@@ -18,7 +18,7 @@ from learn2assemble.cli.commands import (
 )
 from learn2assemble.cli.parser import Command, count, natural
 from learn2assemble.errors import InputError
-from learn2assemble.files import write_file
+from learn2assemble.files import claim_folder, write_file
 from learn2assemble.registry import Registry
 
 if TYPE_CHECKING:
@@ -433,7 +433,57 @@ def _run_builds(options: argparse.Namespace, output: Output) -> None:
     output.finish({"rows": [list(row) for row in rows], "file": str(options.out)})
 
 
+def _goals_arguments(parser: argparse.ArgumentParser) -> None:
+    _figure_arguments(parser, "results/goals.json")
+    parser.add_argument("--workers", type=count, default=1, help="tasks at once")
+
+
+def _run_goals(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.reproduction.goals import measure, summary
+
+    _prepare(options.out.parent)
+    found = measure(
+        options.out, only=options.only, again=options.again, workers=options.workers,
+        progress=output.progress,
+    )  # fmt: skip
+    rows = summary(found["entries"])
+    output.table("figures of goals without a drawing", ("what", "asked", "got"), rows)
+    output.finish({"rows": [list(row) for row in rows], "file": str(options.out)})
+
+
+def _train_goals_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--out", type=Path, required=True, help="new or empty folder")
+    add("--name", default="goals-s0", help="of the guide")
+    add("--seed", type=natural, default=0, help="of goals, weights and choices")
+    add("--seconds", type=count, default=1200, help="of processor time")
+
+
+def _run_train_goals(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.learning.run import provenance
+    from learn2assemble.planning.goals.network import save_guide
+    from learn2assemble.planning.goals.train import GuideConfig, train
+
+    config = GuideConfig(options.name, options.seed, options.seconds)
+    with claim_folder(options.out):
+        guide = train(
+            config, lambda told: output.progress(", ".join(f"{k} {v:g}" for k, v in told.items()))
+        )
+        guide.origin.update(provenance("cpu"))
+        weights = save_guide(guide, options.out)
+    output.say(f"{guide.origin['states']} states, {guide.origin['goals']} goals: {weights}")
+    output.finish({"agent": str(weights), **guide.origin})
+
+
 _COMMANDS = {
+    "measure-goals": Command(
+        "measure the search for structures that meet goals, beside the exact program",
+        "l2a measure-goals --only planar/ --workers 2", _goals_arguments, _run_goals,
+    ),
+    "train-goals": Command(
+        "train the network that guides this search", "l2a train-goals --out runs/goals",
+        _train_goals_arguments, _run_train_goals,
+    ),
     "measure-builds": Command(
         "measure builds by an arm: large ones, with noise, with faults",
         "l2a measure-builds --only noise/ --workers 2", _builds_arguments, _run_builds,

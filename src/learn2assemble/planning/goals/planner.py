@@ -36,8 +36,8 @@ _DIRECTIONS = 16
 
 
 def plan_goals(
-    goals: Goals, *, planner: str = AUTO, guide: Guide | None = None, seed: int = 0,
-    seconds: float = 60.0, friction: float | tuple[float, float] | None = None,
+    goals: Goals, *, planner: str = AUTO, guide: Guide | None = None, learned: bool = True,
+    seed: int = 0, seconds: float = 60.0, friction: float | tuple[float, float] | None = None,
     gap: float | tuple[float, float] | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Plan:  # fmt: skip
@@ -47,6 +47,7 @@ def plan_goals(
         planner: ``"agent"``: the learned search; ``"exact"``: the mixed-integer program;
             ``"auto"``: the search, and where it finds nothing the program.
         guide: the network of the search; by default the one of the package.
+        learned: whether the search uses a network.
         seed: of the search.
         seconds: wall-clock limit of choosing the blocks.
         friction, gap: to prove it for, as for the exact planner.
@@ -67,10 +68,11 @@ def plan_goals(
         progress("searching for a structure")
         limit = SEARCH_SECONDS[min(goals.shape[:2]) > 1]
         limit = seconds if planner == AGENT else min(limit, seconds / 2)
-        guide = guide or default_guide()
+        guide = (guide or default_guide()) if learned else None
         found = search(yard, guide, seconds=limit, seed=seed)
         blocks, chosen = found.placements, AGENT
-        stages.append(plans.SearchStage("learned search", _words(found), round(found.seconds, 3)))
+        name = "learned search" if guide else "search"
+        stages.append(plans.SearchStage(name, _words(found), round(found.seconds, 3)))
         reason = "" if blocks else _nothing(found, limit)
         left = seconds - (time.perf_counter() - started)
     else:

@@ -200,11 +200,14 @@ def draw(family: str, seed: int, spatial: bool = False) -> Json:
     """The goals file of a family and a seed."""
     make = look_up("family", family, FAMILIES)
     rng = np.random.default_rng([seed, spatial, *family.encode()])
-    shape = (10, 5, 6) if spatial else (14, 1, 8)
-    draft = _Draft(rng, *shape)
+    draft = _new_draft(rng, spatial)
     make(draft, spatial)
     kind = SPATIAL if spatial else PLANAR
     return {**draft.file, "name": f"{family} {kind} {seed}"}
+
+
+def _new_draft(rng: np.random.Generator, spatial: bool) -> _Draft:
+    return _Draft(rng, *((10, 5, 6) if spatial else (14, 1, 8)))
 
 
 def draw_goals(family: str, seed: int, spatial: bool = False) -> Goals | None:
@@ -213,3 +216,85 @@ def draw_goals(family: str, seed: int, spatial: bool = False) -> Goals | None:
         return parse_goals(draw(family, seed, spatial), "task")
     except InputError:
         return None
+
+
+# ---------------------------------------------------------------- fixed tasks
+
+_SEEDS: dict[str, dict[str, tuple[int, ...]]] = {
+    PLANAR: {
+        "bridge": (0, 1, 2, 3), "corbel": (0, 1, 2, 3), "tower": (0, 1, 2, 3),
+        "cantilever": (0, 1, 2, 3), "table": (0, 1, 2, 3), "joined": (0, 1, 2),
+        "stairs": (0, 1, 2), "arch": (0, 1, 2, 3),
+    },
+    SPATIAL: {
+        "bridge": (0, 1, 2), "corbel": (0, 1), "tower": (0, 1, 2), "cantilever": (0, 1),
+        "table": (0, 1, 2), "joined": (0, 1), "stairs": (0, 1), "arch": (0, 1, 2),
+    },
+}  # fmt: skip
+"""Of every family the first seeds whose goals do not contradict one another and can be met."""
+IMPOSSIBLE = "impossible"
+
+
+def _short_heap(d: _Draft) -> None:
+    """The heap spans no such gap: its blocks reach one cell beyond the ground a level."""
+    d.block((3, 0, 0), (11, 1, 1))
+    d.reach(7, 0, 2)
+    d.heap(b1=20, b2=20, b3=20)
+
+
+def _walled(d: _Draft) -> None:
+    """The goal is in a shaft of obstacles that is closed below it."""
+    d.block((5, 0, 0), (6, 1, 6))
+    d.block((6, 0, 0), (7, 1, 2))
+    d.block((7, 0, 0), (8, 1, 6))
+    d.reach(6, 0, 4)
+
+
+def _low_heap(d: _Draft) -> None:
+    """All blocks on one another are lower than the goal."""
+    d.reach(6, 0, 6)
+    d.heap(b4=3, b6=2)
+
+
+def _heavy(d: _Draft) -> None:
+    """The heap does not weigh enough to hold the load."""
+    d.block((5, 0, 0), (10, 5, 1))
+    d.reach(7, 2, 1, 40.0)
+    d.heap(b2=4, b4=4, b8=3)
+
+
+def _far(d: _Draft) -> None:
+    """Cubes reach nowhere beyond the ground."""
+    d.block((4, 0, 0), (10, 5, 2))
+    d.reach(6, 2, 4)
+    d.heap(b1=60)
+
+
+_CANNOT = {
+    "short heap": (_short_heap, False), "walled": (_walled, False), "low heap": (_low_heap, False),
+    "heavy load": (_heavy, True), "cubes": (_far, True),
+}  # fmt: skip
+
+
+def fixed_names() -> list[str]:
+    """Names of the fixed tasks, such as ``planar/bridge/0``; the impossible ones last."""
+    names = [f"{kind}/{family}/{seed}" for kind, families in _SEEDS.items()
+             for family, seeds in families.items() for seed in seeds]  # fmt: skip
+    return names + [f"{IMPOSSIBLE}/{name}" for name in _CANNOT]
+
+
+def fixed_file(name: str) -> Json:
+    """The goals file of a fixed task."""
+    look_up("goals", name, dict.fromkeys(fixed_names()))
+    kind, family, *seed = name.split("/")
+    if kind != IMPOSSIBLE:
+        return {**draw(family, int(seed[0]), kind == SPATIAL), "name": name}
+    make, spatial = _CANNOT[family]
+    draft = _new_draft(np.random.default_rng(0), spatial)
+    make(draft)
+    return {**draft.file, "name": name}
+
+
+def fixed_goals(name: str) -> Goals:
+    """The goals of a fixed task."""
+    return parse_goals(fixed_file(name), name)

@@ -84,9 +84,8 @@ def make_yard(goals: Goals) -> Yard:
     centre = found.origin[:, :2] + middle[found.way] if beds else np.empty((0, 2))
     heavy, mass = centre.copy(), site.weight[found.way].copy()
     for load in goals.loads:
-        bears = np.unique(
-            site.over[slice(*site.over_start[np.array(load.cell) @ strides + [0, 1]])]
-        )
+        c = int(np.ravel_multi_index(load.cell, goals.shape))
+        bears = np.unique(site.over[site.over_start[c] : site.over_start[c + 1]])
         at = np.array(load.point[:2]) / goals.kit.pitch[:2] + np.array(goals.shape[:2]) / 2
         heavy[bears] = mass[bears, None] * heavy[bears] + load.mass * at
         mass[bears] += load.mass

@@ -1,0 +1,156 @@
+"""Goals without a drawing, measured on fixed tasks: ``results/goals.json``.
+
+Every entry is a player and a task. Players are the learned search, whose plan an arm then carries
+out in the dynamic cell, the same search without a network, and the exact program; ``optimum`` is
+the program without a limit of its own, asked again and again for fewer blocks than are known.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from learn2assemble.errors import InputError
+from learn2assemble.planning.goals.network import default_guide
+from learn2assemble.planning.goals.planner import plan_goals, prepare, with_obstacles
+from learn2assemble.planning.goals.program import MOST, plan_program
+from learn2assemble.planning.goals.search import search
+from learn2assemble.planning.goals.tasks import (
+    IMPOSSIBLE,
+    PLANAR,
+    SPATIAL,
+    TRAINED,
+    fixed_goals,
+    fixed_names,
+)
+from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.programs import Clock
+from learn2assemble.planning.workcell_plan import Workcell, carry_out
+from learn2assemble.reproduction import measured
+from learn2assemble.reproduction.measured import Result
+
+FORMAT = "learn2assemble-goals-figures"
+PLAYERS = ("learned", "search", "program", "optimum")
+SECONDS = {PLANAR: 10.0, SPATIAL: 30.0, IMPOSSIBLE: 30.0}
+"""Limits of a player, on the clock."""
+OPTIMUM_SECONDS = 90.0
+ARM = "panda"
+
+
+def names() -> list[str]:
+    """Every measurement: player / task."""
+    return [
+        f"{player}/{task}" for player in PLAYERS for task in fixed_names()
+        if player != "optimum" or not task.startswith(IMPOSSIBLE)
+    ]  # fmt: skip
+
+
+def measure(
+    out: Path, *, only: str = "", again: bool = False, workers: int = 1,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Result:  # fmt: skip
+    """Goals by every player, see :func:`learn2assemble.reproduction.measured.measure`."""
+    guide = default_guide()
+    configuration = {
+        "seconds": SECONDS, "optimum_seconds": OPTIMUM_SECONDS, "arm": ARM, "tool": "suction",
+        "guide": guide.name if guide else None, "guide_origin": guide.origin if guide else None,
+        "trained_families": list(TRAINED),
+    }  # fmt: skip
+    return measured.measure(
+        out, FORMAT, entry, names(), configuration=configuration, only=only, again=again,
+        workers=workers, progress=progress,
+    )  # fmt: skip
+
+
+def entry(name: str) -> Result:
+    """One measurement by its name."""
+    player, task = name.split("/", 1)
+    goals, seconds = fixed_goals(task), SECONDS[task.split("/")[0]]
+    if player == "optimum":
+        return _optimum(task)
+    started = time.process_time()
+    try:
+        planner = "exact" if player == "program" else "agent"
+        plan = plan_goals(goals, planner=planner, seconds=seconds, learned=player == "learned")
+    except InputError as error:
+        return {"status": "refused", "reason": str(error), "blocks": 0}
+    planned = time.process_time() - started
+    stages = plan.search.attempts if plan.search else ()
+    result = {
+        "status": plan.status, "reason": plan.reason, "blocks": plan.blocks.used,
+        "planning_cpu_s": round(planned, 2), "margin_g": plan.margin_g,
+        "stages": [f"{stage.stage}: {stage.result} ({stage.seconds:.2f} s)" for stage in stages],
+    }  # fmt: skip
+    if player == "learned" and plan.complete:
+        result["arm"] = _by_arm(task, plan)
+    return result
+
+
+def _by_arm(task: str, plan: Plan) -> Result:
+    goals = fixed_goals(task)
+    workcell = Workcell(ARM)
+    try:
+        done = carry_out(plan, Workcell(ARM, site=with_obstacles(workcell.site, goals)),
+                         joint=goals.kit.joint_gap)  # fmt: skip
+    except InputError as error:
+        return {"status": "refused", "reason": str(error)}
+    arm = done.arm
+    return {
+        "status": done.status, "reason": done.reason,
+        "attempts": arm.attempts if arm else None, "robot_s": arm.seconds if arm else None,
+        "error_worst": arm.error_worst if arm else None,
+    }  # fmt: skip
+
+
+def _optimum(task: str) -> Result:
+    """The fewest blocks there are, where that can be proven in time."""
+    yard, _ = prepare(fixed_goals(task))
+    clock = Clock(OPTIMUM_SECONDS)
+    best = search(yard, None, seconds=5.0).blocks or MOST + 1
+    bound = 1
+    while clock.left > 0:
+        exact = plan_program(yard, seconds=clock.left, most=best - 1)
+        bound = max(bound, exact.bound)
+        if exact.status == "infeasible":
+            return {"status": "optimal", "blocks": best, "bound": best}
+        if not exact.placements:
+            break
+        best = len(exact.placements)
+    return {"status": "bounds", "blocks": best if best <= MOST else 0, "bound": min(bound, best)}
+
+
+def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
+    """What was asked, and what was reached: (what, asked, got)."""
+    rows: list[tuple[str, str, str]] = []
+    best = {name.split("/", 1)[1]: one for name, one in entries.items() if name[:3] == "opt"}
+    for player in PLAYERS[:3]:
+        for kind, asked in ((PLANAR, ">= 28 of 30"), (SPATIAL, ">= 17 of 20")):
+            mine = {name.split("/", 1)[1]: one for name, one in entries.items()
+                    if name.startswith(f"{player}/{kind}/")}  # fmt: skip
+            if not mine:
+                continue
+            done = {task: one for task, one in mine.items() if one["status"] == "complete"}
+            left = ", ".join(sorted(set(mine) - set(done))) or "none"
+            rows.append((f"{player}: {kind} tasks solved", asked,
+                         f"{len(done)} of {len(mine)}; not: {left}"))  # fmt: skip
+            known = [task for task in done if best.get(task, {}).get("status") == "optimal"]
+            if known:
+                ratio = [done[task]["blocks"] / best[task]["blocks"] for task in known]
+                rows.append((
+                    f"{player}: {kind} blocks by the optimum, where it is known", "<= 1.15",
+                    f"{sum(ratio) / len(ratio):.3f} on average, {max(ratio):.2f} at most, "
+                    f"{sum(r > 1.15 for r in ratio)} of {len(known)} above",
+                ))  # fmt: skip
+            armed = [one["arm"]["status"] for one in done.values() if "arm" in one]
+            if armed:
+                count = armed.count("complete")
+                rows.append((f"{player}: {kind} built by the {ARM}", ">= 80 %",
+                             f"{count} of {len(armed)} ({count / len(armed):.0%})"))  # fmt: skip
+        cannot = [one for name, one in entries.items() if name.startswith(f"{player}/{IMPOSSIBLE}")]
+        if cannot:
+            wrong = sum(one["status"] == "complete" for one in cannot)
+            told = sum(one["status"] == "refused" for one in cannot)
+            words = f"{wrong} complete, {told} of {len(cannot)} refused with a reason"
+            rows.append((f"{player}: impossible tasks", "none complete", words))
+    return rows
