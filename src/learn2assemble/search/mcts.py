@@ -124,25 +124,25 @@ def choose(node: Node, config: SearchConfig, rng: np.random.Generator) -> int | 
 
 def _anything(node: Node, room: bool, config: SearchConfig, rng: np.random.Generator) -> int:
     """The choice among explored and, where there is room, untried actions."""
-    keys = list(range(len(node.actions.values))) if room else list(node.children)
+    keys = np.arange(len(node.actions.values)) if room else node.tried
     if config.expansion == "uct":
-        return keys[largest(uct_scores(node, keys, config), rng)]
+        return int(keys[largest(uct_scores(node, keys, config), rng)])
     if rng.random() < config.epsilon:
-        return keys[int(rng.integers(len(keys)))]
-    return keys[largest(node.estimates[keys], rng)]
+        return int(keys[int(rng.integers(len(keys)))])
+    return int(keys[largest(node.estimates[keys], rng)])
 
 
-def uct_scores(node: Node, keys: list[int], config: SearchConfig) -> np.ndarray:
+def uct_scores(node: Node, keys: np.ndarray | list[int], config: SearchConfig) -> np.ndarray:
     """``mean + c sqrt(ln n(node) / n(child))`` of some actions.
 
     An untried action has visit count 1 and mean Q with the prior, an infinite score without.
     """
-    visits = np.maximum(node.counts, 1)
-    bonus = np.sqrt(math.log(max(node.visits, 1)) / visits)
-    scores = node.estimates + config.exploration * bonus
+    counts = node.counts[keys]
+    bonus = np.sqrt(math.log(max(node.visits, 1)) / np.maximum(counts, 1))
+    scores = node.estimates[keys] + config.exploration * bonus
     if not config.prior:
-        scores[node.counts == 0] = math.inf
-    return scores[keys]
+        scores[counts == 0] = math.inf
+    return scores
 
 
 def _untried(node: Node, count: int, config: SearchConfig, rng: np.random.Generator) -> list[int]:
@@ -200,8 +200,8 @@ def final_key(root: Node, config: SearchConfig, rng: np.random.Generator) -> int
 def largest(values: np.ndarray | list[float], rng: np.random.Generator) -> int:
     """Place of the largest value; ties at random."""
     values = np.asarray(values)
-    ties = np.flatnonzero(values >= values.max() - 1e-12)
-    return int(ties[0] if len(ties) == 1 else rng.choice(ties))
+    ties = (values >= values.max() - 1e-12).nonzero()[0]
+    return int(ties[0] if len(ties) == 1 else ties[rng.integers(len(ties))])
 
 
 def returns(

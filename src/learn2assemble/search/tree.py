@@ -112,6 +112,8 @@ class Node:
     """int64[A]: visits of every child, 0 where there is none."""
     simulated: np.ndarray = field(default_factory=_nothing)
     """int64[A]: the same without visits that are only a prior."""
+    order: np.ndarray = field(default_factory=_nothing)
+    """See :attr:`tried`."""
 
     def open(self, legal: ActionValues) -> None:
         """Learn which actions there are."""
@@ -130,6 +132,13 @@ class Node:
     def value(self) -> float:
         """Estimate of the return from taking the action that led here: ``total / visits``."""
         return self.total / self.visits
+
+    @property
+    def tried(self) -> np.ndarray:
+        """int64[C]: keys of the children, the first one tried first."""
+        if len(self.order) != len(self.children):
+            self.order = np.fromiter(self.children, np.int64, len(self.children))
+        return self.order
 
     @property
     def fully_expanded(self) -> bool:
