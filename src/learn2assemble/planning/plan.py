@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly
     from learn2assemble.robot.record import BuildRecord
 
-FORMAT, VERSION = "learn2assemble-plan", 2
+FORMAT, VERSION = "learn2assemble-plan", 3
 Metre = Annotated[float, Range(-1e3, 1e3)]
 Seconds = Annotated[float, Range(0, 1e9)]
 Share = Annotated[float, Range(-100, 1.001)]
@@ -44,12 +44,12 @@ Relation = Literal["top", "left", "right", "front", "behind"]
 
 
 @dataclass(frozen=True)
-class PlanElevation:
-    """One outline of the target."""
+class PlanTarget:
+    """One side of the target of a task."""
 
     name: str
-    outline: tuple[tuple[Metre, Metre], ...]
-    """Corners in local (x, z)."""
+    outline: tuple[Point, ...]
+    """Corners in the plane of the outer faces of the blocks of this side."""
 
 
 @dataclass(frozen=True)
@@ -58,13 +58,11 @@ class PlanDesign:
 
     name: str
     source: str
-    """The file or preset it came from."""
+    """The file or task it came from."""
     block_edge: Annotated[float, Range(1e-4, 10)]
     """Height of a block of one cell."""
-    num_sides: Count = 0
-    frames: tuple[tuple[Unit, Unit, Metre, Metre], ...] = ()
-    """(cos, sin, t_x, t_y) of every side: p_world = R_z p_local + t."""
-    elevations: tuple[PlanElevation, ...] = ()
+    targets: tuple[PlanTarget, ...] = ()
+    """What the blocks of a task shall cover; a design says it in cells."""
     success_threshold: Share = 1.0
     """Delta: the target is filled when the coverage exceeds it."""
     shape: tuple[Count, Count, Count] | None = None
@@ -73,12 +71,6 @@ class PlanDesign:
     """Intersection over union of drawing and wanted cells."""
     volume_error: Annotated[float, Range(-1e6, 1e6)] | None = None
     """Volume of the wanted cells less that of the drawing, as a share of the latter."""
-
-    def __post_init__(self) -> None:
-        if len(self.frames) != len(self.elevations):
-            raise InputError(
-                "design.frames", len(self.frames), f"{len(self.elevations)}, one per elevation"
-            )
 
 
 @dataclass(frozen=True)
@@ -98,10 +90,6 @@ class SearchReport:
     """The stage that found it."""
     budget: Count
     attempts: tuple[SearchStage, ...] = ()
-    backtracks: Count = 0
-    """Steps taken back."""
-    dropped: Count = 0
-    """Blocks left out in the end, because nothing needed them."""
 
 
 @dataclass(frozen=True)
@@ -109,21 +97,10 @@ class BlockSupply:
     """The blocks there are."""
 
     available: Count
-    """How many, the first block included."""
+    """How many, the first block of a task included."""
     used: Count
-    waiting: tuple[Point, ...]
-    """Where each waits before the first step, by number."""
-
-
-@dataclass(frozen=True)
-class FirstBlock:
-    """The block that stands before the first step."""
-
-    block: Count
-    position: Point
-    quaternion: Quaternion
-    coverage: Share = 0.0
-    plane_coverage: Share = 0.0
+    waiting: tuple[Point, ...] = ()
+    """With an arm: where each block of the assembly is taken from."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +110,7 @@ class Step:
     step: Count
     """From 1."""
     block: Count
-    """Number of the block, an index of :attr:`BlockSupply.waiting`."""
+    """Number of the block in the assembly."""
     position: Point
     """Centre of the block after it has settled."""
     quaternion: Quaternion
@@ -143,30 +120,21 @@ class Step:
     prop: bool = False
     """Whether it is temporary."""
     reference: Count | None = None
-    """The step whose block it goes next to; 0 is the first block."""
+    """Of a task: the step whose block it goes next to; 0 is the block that stands from the start."""
     relation: Relation | None = None
     """Where: on top of that block or at which side."""
     coverage: Share = 0.0
-    """F_co of the paper after the step."""
-    plane_coverage: Share = 0.0
-    """F_pl of the paper after the step."""
+    """Share of the cells that is filled after the step; of a task, F_co of the paper."""
+    sides: tuple[Share, ...] = ()
+    """Of a task: the share of each target that is covered, the first block included."""
     margin_g: Annotated[float, Range(-1e6, 1e6)] | None = None
     """Smallest horizontal acceleration that static equilibrium does not withstand [g]."""
     tilt_deg: Annotated[float, Range(-180, 180)] | None = None
     """Smallest tilt of the table that it does not withstand [deg]."""
     proof: str | None = None
     """What proves that everything stands after the step."""
-    speed_sum: Annotated[float, Range(0, 1e9)] | None = None
-    """Sum of the fastest block's speed over the settle steps of the simulation [m/s]."""
-    stable: bool = True
-    outside: bool = False
-    """Whether it stands outside every outline."""
     outcome: str | None = None
     """With an arm: what came of the attempt that placed it."""
-    grasp: str | None = None
-    """With an arm: axis along which the fingers closed."""
-    place: str | None = None
-    """With an arm: axis along which the fingers opened."""
 
 
 @dataclass(frozen=True)
@@ -238,7 +206,6 @@ class Plan:
     planner: str | None = None
     kit: str | None = None
     search: SearchReport | None = None
-    first_block: FirstBlock | None = None
     cells: CellCount | None = None
     verified_by: str | None = None
     planning_s: Seconds | None = None
@@ -257,7 +224,8 @@ class Plan:
     assembly: Assembly | None = field(
         default=None, compare=False, repr=False, metadata={"file": False}
     )
-    """The blocks as polyhedra, with the steps; ``assembly.json`` holds them."""
+    """The blocks as polyhedra, with the steps; ``assembly.json`` holds them. What no step places
+    stands from the start."""
 
     def __post_init__(self) -> None:
         for number, step in enumerate(self.steps, 1):
@@ -266,14 +234,9 @@ class Plan:
                 raise InputError(f"{where}.step", step.step, str(number))
             if step.reference is not None and step.reference >= number:
                 raise InputError(f"{where}.reference", step.reference, f"0 to {number - 1}")
-            if self.blocks.waiting and step.block >= len(self.blocks.waiting):
-                last = len(self.blocks.waiting) - 1
-                raise InputError(f"{where}.block", step.block, f"0 to {last}")
-        placed = [self.first_block, *self.steps] if self.first_block else self.steps
-        for number, block in enumerate(placed, 0 if self.first_block else 1):
-            if abs(sum(q * q for q in block.quaternion) - 1) > 1e-2:
-                where = f"quaternion of block {number}"
-                raise InputError(where, block.quaternion, "(w, x, y, z) of length 1")
+            if abs(sum(q * q for q in step.quaternion) - 1) > 1e-2:
+                expected = "(w, x, y, z) of length 1"
+                raise InputError(f"{where}.quaternion", step.quaternion, expected)
 
     @property
     def complete(self) -> bool:
@@ -302,8 +265,8 @@ class Plan:
             raise InputError(f"{source}: format", form, repr(FORMAT))
         if not 1 <= integer(version, f"{source}: version") <= VERSION:
             raise InputError(f"{source}: version", version, f"1 to {VERSION}")
-        if version == 1:
-            root = _from_version_1(root)
+        if version < VERSION:
+            root = _from_earlier(root, version, source)
         try:
             return from_plain(cls, root, source)
         except InputError as error:
@@ -392,19 +355,31 @@ EXPORTS: Registry[Exporter] = Registry("export", {})
 """What can be written of a plan, besides itself."""
 
 
-def _from_version_1(root: Mapping[str, Any]) -> dict[str, Any]:
-    """Version 1 called the margin ``stability_margin``."""
-    given = root.get("steps")
-    if not isinstance(given, list):
-        return dict(root)
+_GONE = {
+    "design": ("num_sides", "frames", "elevations"),
+    "search": ("backtracks", "dropped"),
+    "steps": ("plane_coverage", "speed_sum", "stable", "outside", "grasp", "place"),
+}
+"""Keys of earlier versions that have no place any more."""
+
+
+def _from_earlier(root: dict[str, Any], version: int, source: str) -> dict[str, Any]:
+    """What plans of designs held before version 3; version 1 called the margin otherwise."""
+    if root.get("first_block") is not None:
+        expected = f"{VERSION} for a plan of a task; l2a build TASK --seed N makes it again"
+        raise InputError(f"{source}: version", version, expected)
     names = {"stability_margin": "margin_g"}
-    renamed: list[Any] = [
-        {names.get(key, key): item for key, item in step.items()}
-        if isinstance(step, dict)
-        else step
-        for step in cast("list[dict[str, Any] | None]", given)
-    ]
-    return {**root, "steps": renamed}
+
+    def kept(item: Any, gone: tuple[str, ...]) -> Any:
+        if isinstance(item, list):
+            return [kept(one, gone) for one in cast("list[Any]", item)]
+        if not isinstance(item, dict):
+            return item
+        items = cast("dict[str, Any]", item).items()
+        return {names.get(key, key): value for key, value in items if key not in gone}
+
+    root = {key: value for key, value in root.items() if key != "first_block"}
+    return {key: kept(value, _GONE.get(key, ())) for key, value in root.items()}
 
 
 def load_plan(path: str | Path) -> Plan:

@@ -145,7 +145,7 @@ def lookahead_actions(simulator: Simulator, state: State) -> np.ndarray:
     cost = np.where(positive, best, np.inf)
     wanting = ~positive.any(1) | simulator.task.has_arm
     for row in np.flatnonzero(wanting).tolist():
-        support = LAST + _support_cost(simulator, state, placements, row)
+        support = placement_cost(simulator, state, placements, row)
         cost[row] = np.where(
             positive[row], cost[row], np.where(outcomes.valid[row], support, np.inf)
         )
@@ -170,10 +170,11 @@ def _try_in_order(
             cost[row, number] = np.inf
 
 
-def _support_cost(
+def placement_cost(
     simulator: Simulator, state: State, placements: Placements, row: int
 ) -> np.ndarray:
-    """Distance of every placement from the target vertices in plan, then its height: float64[P]."""
+    """What placements cost that gain nothing, float64[P]: by the distance from the target vertices
+    in plan, then by height; more than any gain."""
     corners = []
     for side, frame in enumerate(simulator.frames):
         outline = state.vertices[row, side, : state.num_vertices[row, side]]
@@ -183,4 +184,4 @@ def _support_cost(
     at = placements.cells[row, placements.members[row]]
     beyond = np.maximum(low - at[..., :2], 0) + np.maximum(at[..., :2] - high, 0)
     cost = (100 * beyond.sum(-1) + at[..., 2]) * (placements.members[row] >= 0)
-    return cost.sum(-1)
+    return LAST + cost.sum(-1)
