@@ -10,6 +10,9 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
+from learn2assemble.assembly.blocks import Assembly, box_block
+from learn2assemble.assembly.blocks import Step as Placed
+from learn2assemble.planning import plan as plans
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.grasps import get_grasps
@@ -41,8 +44,12 @@ def waiting(count: int) -> np.ndarray:
 
 
 def arm_plan(count: int = 20) -> Plan:
-    """The plan of the wall."""
+    """The plan of the wall: a task with one side."""
     goals = wall(count)
+    blocks = tuple(
+        box_block(f"b{k}", (goal - EDGE / 2).tolist(), (goal + EDGE / 2).tolist(), kind="cube")
+        for k, goal in enumerate(goals)
+    )
     steps = []
     for k, goal in enumerate(goals[1:], 1):
         below = [j for j in range(k) if np.allclose(goals[j], goal - [0, 0, EDGE])]
@@ -52,31 +59,21 @@ def arm_plan(count: int = 20) -> Plan:
             (below[0], "top") if below
             else (beside[0], "right" if goal[0] > goals[beside[0]][0] else "left")
         )  # fmt: skip
-        steps.append({
-            "step": k, "block": k, "reference": reference, "relation": relation,
-            "position": goal.tolist(), "quaternion": [1, 0, 0, 0],
-            "coverage": k / (count - 1), "plane_coverage": k / (count - 1),
-            "stability_margin": round(1 / (1 + goal[2] / EDGE), 3), "speed_sum": 0.01,
-            "stable": True, "outside": False,
-        })  # fmt: skip
-    outline = [[-0.145, 0], [-0.145, 0.1], [0.0, 0.25], [0.06, 0.25], [0.205, 0.1], [0.205, 0]]
-    return Plan.from_dict({
-        "format": "learn2assemble-plan", "version": 1,
-        "design": {
-            "name": "Gable wall", "source": "gable_wall.json", "num_sides": 1,
-            "frames": [[1.0, 0.0, 0.0, 0.0]],
-            "elevations": [{"name": "Front", "outline": outline}],
-            "success_threshold": 0.75, "block_edge": EDGE,
-        },
-        "agent": "test", "status": "complete", "reason": None,
-        "search": {"needed": "agent alone", "budget": 0, "attempts": [], "backtracks": 0},
-        "blocks": {
-            "available": count, "used": count,
-            "waiting": [goals[0].tolist(), *waiting(count - 1).tolist()],
-        },
-        "first_block": {"block": 0, "position": goals[0].tolist(), "quaternion": [1, 0, 0, 0]},
-        "steps": steps, "coverage": 1.0, "verified_by": "MuJoCo 4.0.0", "seconds": 12.0,
-    })  # fmt: skip
+        x, y, z = goal.tolist()
+        steps.append(plans.Step(
+            k, k, (x, y, z), (1.0, 0.0, 0.0, 0.0), kind="cube", reference=reference,
+            relation=relation, coverage=k / (count - 1), sides=(k / (count - 1),),
+            margin_g=round(1 / (1 + goal[2] / EDGE), 3), proof="arm",
+        ))  # fmt: skip
+    outline = [(-0.145, 0.0), (-0.145, 0.1), (0.0, 0.25), (0.06, 0.25), (0.205, 0.1), (0.205, 0.0)]
+    target = plans.PlanTarget("front", tuple((x, -EDGE / 2, z) for x, z in outline))
+    return Plan(
+        design=plans.PlanDesign("Gable wall", "gable_wall.json", EDGE, (target,), 0.75),
+        status="complete", reason=None, blocks=plans.BlockSupply(count, count),
+        steps=tuple(steps), coverage=1.0, seconds=12.0, agent="test", planner="agent",
+        search=plans.SearchReport("agent alone", 0), verified_by="MuJoCo 4.0.0",
+        assembly=Assembly(blocks, tuple(Placed(f"b{k}") for k in range(1, count)), 1.0, "wall"),
+    )  # fmt: skip
 
 
 def pose(position: Any, yaw: float) -> np.ndarray:
@@ -88,7 +85,7 @@ class Recorder:
 
     def __init__(self, arm: Arm, plan: Plan) -> None:
         self.arm, self.cell = arm, KinematicCell(arm, 40)
-        places = np.array(plan.blocks.waiting, float)
+        places = np.array([[0.0, 0.0, EDGE / 2], *waiting(len(plan.steps))])
         self.joints, self.width = arm.home.copy(), OPENING
         self.recording = BuildRecorder(
             arm, self.joints, self.width, upright(places, np.zeros(len(places))),

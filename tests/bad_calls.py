@@ -54,20 +54,12 @@ def curves(name: str, *words: str) -> list[str]:
 
 
 def build(*words: str) -> list[str]:
-    """A build of a valid design with a valid agent; later words win."""
-    return [
-        "build", "{d}/design.json", "--out", "{d}/new", "--agent", "{d}/agent", "--seconds", "1",
-        *words,
-    ]  # fmt: skip
-
-
-def arm_build(*words: str) -> list[str]:
-    """The same with an arm and an agent that knows it."""
-    return build("--arm", "panda", "--agent", "relational-two-sided-s0", *words)
+    """A build of a task with a valid agent; later words win."""
+    return ["build", TASK, "--out", "{d}/new", "--agent", "{d}/agent", "--seconds", "1", *words]
 
 
 def exact_arm(*words: str) -> list[str]:
-    """An exact plan by an arm."""
+    """A design built by an arm."""
     return ["build", "{d}/design.json", "--out", "{d}/new", "--arm", "panda", *words]
 
 
@@ -155,8 +147,8 @@ BAD = [
             "did you mean 'two-sided-3x3-20-24'"),
     BadCall("a folder as design", ["build", "{d}/full", *build()[2:]], "full"),
     BadCall("no name as design", ["build", "", *build()[2:]], "error"),
-    BadCall("another file as design", ["build", "{d}/list.json", *build()[2:]], "list.json"),
-    BadCall("a text as design", ["build", "{d}/file.txt", *build()[2:]], "file.txt"),
+    BadCall("another file as design", ["build", "{d}/list.json", "--out", "{d}/new"], "list.json"),
+    BadCall("a text as design", ["build", "{d}/file.txt", "--out", "{d}/new"], "file.txt"),
     BadCall("a path below a file as design", ["build", "{d}/file.txt/a.json", *build()[2:]],
             "a.json"),
     BadCall("build into a full folder", build("--out", "{d}/full"), "a new or empty folder"),
@@ -172,15 +164,28 @@ BAD = [
                                                      "--out", "{d}/file.txt"], "a new file"),
     BadCall("fidelities with an unknown arm", ["fidelities", "robot-two-sided-3x3-10-14", "--arm",
                                                "kuka"], "arm"),
-    BadCall("unknown arm", build("--arm", "pandas"), "arm: got 'pandas', expected one of panda"),
-    BadCall("agent of another kind for an arm", build("--arm", "panda"), "network.num_actions"),
+    BadCall("unknown arm", exact_arm("--arm", "pandas"),
+            "arm: got 'pandas', expected one of panda"),
+    BadCall("unknown arm for a task", build("--arm", "pandas"), "arm: got 'pandas'"),
+    BadCall("agent of another kind for an arm",
+            ["build", "robot-two-sided-3x3-10-14", *build()[2:]], "network.num_actions"),
+    BadCall("objects by an arm",
+            ["build", "robot-objects-two-sided-5x5-20-24", "--out", "{d}/new"], "one of cubes"),
+    BadCall("agent of the paper for a design", ["build", "{d}/design.json", *build()[2:]],
+            "a builder of designs"),
+    BadCall("agent for the exact planner", ["build", "{d}/design.json", "--out", "{d}/new",
+                                            "--planner", "exact", "--agent", "builder-s0"],
+            "none with the exact planner"),
+    BadCall("exact planner for a task", build("--planner", "exact"), "planner"),
+    BadCall("kit for a task", build("--kit", "bricks"), "kit: got"),
     BadCall("arm for a task without", ["build", TASK, *build()[2:], "--arm", "panda"],
             "a task with a robot"),
-    BadCall("layout without an arm", build("--layout", "{d}/layout.json"), "--arm"),
+    BadCall("layout without an arm", ["build", "{d}/design.json", "--out", "{d}/new",
+                                      "--layout", "{d}/layout.json"], "--arm"),
     BadCall("layout for a preset", ["build", "robot-two-sided-3x3-10-14", *build()[2:], "--layout",
                                     "{d}/layout.json"], "a design"),
-    BadCall("missing layout", build("--arm", "panda", "--layout", "{d}/no.json"), "no such file"),
-    BadCall("layout that is a design", build("--arm", "panda", "--layout", "{d}/design.json"),
+    BadCall("missing layout", exact_arm("--layout", "{d}/no.json"), "no such file"),
+    BadCall("layout that is a design", exact_arm("--layout", "{d}/design.json"),
             "learn2assemble-layout"),
     BadCall("reach without an arm", ["reach", "{d}/design.json"], "--arm"),
     BadCall("reach of a missing file", ["reach", "{d}/nosuch.svg", "--arm", "panda"], "nosuch"),
@@ -193,9 +198,9 @@ BAD = [
     BadCall("unknown physics", exact_arm("--physics", "static"), "physics: got 'static'"),
     BadCall("noise in words", exact_arm("--sense-noise", "little"), "millimetres"),
     BadCall("resume a build that never began", exact_arm("--resume"), "build.jsonl"),
-    BadCall("layout out of reach", arm_build("--layout", "{d}/far.json"),
-            "positions[0]"),
-    BadCall("layout with an overlap", arm_build("--layout", "{d}/overlap.json"),
+    BadCall("layout out of reach", exact_arm("--layout", "{d}/far.json"),
+            "a place panda can reach"),
+    BadCall("layout with an overlap", exact_arm("--layout", "{d}/overlap.json"),
             "does not overlap positions[0]"),
     BadCall("negative seed", build("--seed", "-1"), "a whole number"),
     BadCall("half a seed", build("--seed", "1.5"), "a whole number"),

@@ -1,153 +1,198 @@
-"""The main job: every example design, the agent's help and the search behind it."""
+"""Building a problem of a task: the agent, the searches behind it, and what is proven of it."""
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
+import dataclasses
 
 import numpy as np
 import pytest
 
-from learn2assemble.networks.agent import Agent, default_agent, load_agent
+import learn2assemble as l2a
+from learn2assemble.errors import InputError
+from learn2assemble.networks.agent import Agent, load_agent
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QNetwork
-from learn2assemble.planning.build import build_problem
-from learn2assemble.planning.discover import Placement, plan_sequences, replay, strip
-from learn2assemble.planning.plan import Step
-from learn2assemble.planning.problem import Problem, design_problem, preset_problem
-from learn2assemble.planning.verify import verify
+from learn2assemble.physics.rigid_blocks import check
+from learn2assemble.planning import episode
+from learn2assemble.planning.episode import (
+    STAGES,
+    build_task,
+    placement_key,
+    plan_episode,
+    sample_problem,
+)
+from learn2assemble.planning.plan import Plan
 from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import PRESETS
-from learn2assemble.world.blocks import RELATIONS
-from learn2assemble.world.design_bounds import parse_design, read_design
+from learn2assemble.tasks import get_task
+from learn2assemble.world.state import State
 
-ROOT = Path(__file__).parent.parent
-DESIGNS = sorted((ROOT / "examples" / "designs").glob("*.json"))
-SOLUTIONS = ROOT / "tests" / "data" / "solutions"
-BUILDABLE = [path for path in DESIGNS if path.stem != "cannot_be_built"]
-
-
-@pytest.fixture(scope="module")
-def agent() -> Agent:
-    return load_agent(default_agent("two-sided-3x3-20-24"))
+TASK = "two-sided-3x3-20-24"
 
 
 @pytest.fixture(scope="module")
 def untrained() -> Agent:
-    return Agent("untrained", QNetwork(NetworkConfig(rounds=1)).eval(), "two-sided-3x3-20-24")
+    return Agent("untrained", QNetwork(NetworkConfig(rounds=1)).eval(), TASK)
 
 
-def known_solution(design: str) -> list[Placement]:
-    """Placements of a stored solution: ``[block, reference, relation]`` per step."""
-    steps = json.loads((SOLUTIONS / f"{design}.json").read_text(encoding="utf-8"))
-    return [Placement(block, ref, RELATIONS.index(relation)) for block, ref, relation in steps]
+def replayed(task: str, seed: int, plan: Plan) -> State:
+    """The plan's placements made anew in the world of the task, which accepts every one."""
+    simulator, state = Simulator(get_task(task)), sample_problem(get_task(task), seed)
+    for step in plan.steps:
+        placed = int(state.num_placed[0])
+        goal = np.array(step.position)
+        found = False
+        for reference in range(placed):
+            for action in range(simulator.task.num_actions):
+                key = placement_key(simulator.task, state, np.array([0, reference, action]))
+                found = np.allclose(np.array(key[:3]) * 0.025, goal, atol=2e-3)
+                if found:
+                    break
+            if found:
+                break
+        assert found, step
+        made = simulator.step(state, np.array([[0, reference, action]]))
+        assert made.verdict[0] == 0
+    return state
 
 
-@pytest.mark.parametrize("path", BUILDABLE, ids=lambda p: p.stem)
-def test_known_solution_plays_through_legally_to_success(path: Path) -> None:
-    problem = design_problem(read_design(path))
-    placements = known_solution(path.stem)
-    state, held, filled = replay(problem, Simulator(problem.task), placements)
-    assert held
-    assert filled
-    assert state.num_placed[0] == len(placements) + 1
-    proof = verify(problem, placements)
-    assert proof.stable
-    assert proof.filled
-    assert all(step.stability_margin > 0 for step in proof.steps)
-    covers = [step.coverage for step in proof.steps]
-    assert covers == sorted(covers)
-
-
-@pytest.mark.parametrize("path", BUILDABLE, ids=lambda p: p.stem)
-def test_every_design_is_built(path: Path, agent: Agent) -> None:
-    plan = build_problem(design_problem(read_design(path)), agent, path.name)
+@pytest.mark.parametrize(
+    ("task", "seed"), [(TASK, 1), ("one-sided-3x3-22-24", 0), ("four-sided-3x3-10-18", 0)]
+)
+def test_a_problem_of_a_task_is_built(task: str, seed: int) -> None:
+    plan = l2a.build(task, seed=seed)
     assert plan.status == "complete"
     assert plan.reason is None
     assert plan.coverage > plan.design.success_threshold
-    assert all(step.stable for step in plan.steps)
     assert plan.blocks.used == len(plan.steps) + 1 <= plan.blocks.available
+    assert len(plan.design.targets) == get_task(task).num_sides
+    assert plan.assembly is not None
+    assert len(plan.assembly.steps) == len(plan.steps) == len(plan.assembly.blocks) - 1
+    covers = [step.coverage for step in plan.steps]
+    assert covers == sorted(covers)
+    assert all(len(step.sides) == len(plan.design.targets) for step in plan.steps)
+    assert all(0 <= share <= 1 for step in plan.steps for share in step.sides)
+    for step in plan.steps:
+        block = plan.assembly.blocks[step.block]
+        np.testing.assert_allclose(block.centroid, step.position, atol=1e-5)
+        assert step.margin_g is not None
+        assert step.margin_g > 0
+    state = replayed(task, seed, plan)
+    assert state.complete_coverage[0] == pytest.approx(plan.coverage, abs=0.02)
 
 
-def test_what_cannot_be_built_is_refused_with_the_reason(agent: Agent) -> None:
-    path = ROOT / "examples" / "designs" / "cannot_be_built.json"
-    plan = build_problem(design_problem(read_design(path)), agent, path.name)
-    assert plan.status == "refused"
-    assert "overhang" in plan.reason
-    assert plan.steps == ()
+def test_objects_of_several_cells_are_blocks_of_the_assembly() -> None:
+    plan = l2a.build("objects-two-sided-5x5-20-24", seed=1)
+    assert plan.complete
+    assert plan.assembly is not None
+    cells = [round(block.volume / 0.05**3) for block in plan.assembly.blocks]
+    assert max(cells) > 1
+    assert all(block.mass == pytest.approx(0.1 * n) for block, n in
+               zip(plan.assembly.blocks, cells, strict=True))  # fmt: skip
+    assert check(plan.assembly).verdict == "stands"
 
 
-@pytest.mark.parametrize("preset", ["two-sided-3x3-20-24", "one-sided-3x3-22-24"])
-def test_the_widest_search_finds_a_plan_without_a_trained_agent(
-    preset: str, untrained: Agent
-) -> None:
+@pytest.mark.parametrize("task", [TASK, "one-sided-3x3-22-24"])
+def test_the_widest_search_needs_no_trained_agent(task: str, untrained: Agent) -> None:
     """It must not give up where a plan exists: an untrained network is the worst adviser."""
-    plan = build_problem(preset_problem(preset, 0), untrained, preset, seconds=10)
+    plan = build_task(task, agent=untrained, seconds=10)
     assert plan.status == "complete", plan.reason
-    stages = [attempt.stage for attempt in plan.search.attempts]
-    assert plan.search.needed == stages[-1]
+    assert plan.search is not None
+    assert plan.search.needed == plan.search.attempts[-1].stage
 
 
-def test_too_few_blocks_end_incomplete_and_say_what_is_missing(untrained: Agent) -> None:
-    problem = preset_problem("two-sided-3x3-20-24", 1)
-    state = problem.state.copy()
-    state.num_blocks[0] = 3
-    short = Problem(problem.name, problem.task, state, problem.elevation_names, None)
-    plan = build_problem(short, untrained, "test", seconds=2)
+def test_too_few_blocks_end_incomplete_and_say_what_is_missing(
+    untrained: Agent, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def few(task: l2a.Task, seed: int) -> State:
+        state = sample_problem(task, seed)
+        state.num_blocks[0] = 3
+        return state
+
+    monkeypatch.setattr(episode, "sample_problem", few)
+    plan = build_task(TASK, agent=untrained, seed=1, seconds=2)
     assert plan.status == "incomplete"
-    assert "is needed" in plan.reason
-    assert all(step.stable for step in plan.steps)
+    assert plan.reason is not None
+    assert "is needed; all 3 blocks are used" in plan.reason
+    assert len(plan.steps) == 2
 
 
 def test_backtracking_leaves_a_dead_end(untrained: Agent) -> None:
     """Exactly enough blocks: one wrong placement and the search has to take it back."""
-    text = json.dumps({
-        "format": "learn2assemble-design", "version": 1, "name": "tight", "blocks": 4,
-        "elevations": [
-            {"outline": [[-0.075, 0], [-0.075, 0.05], [-0.025, 0.05], [-0.025, 0.1],
-                         [0.025, 0.1], [0.025, 0.05], [0.075, 0.05], [0.075, 0]]}
-        ],
-    })  # fmt: skip
-    problem = design_problem(parse_design(text, "test"))
-    sequences = list(plan_sequences(problem, untrained.network, seconds=10))
-    assert sequences[-1].success
-    assert len(sequences[-1].placements) == 3
+    task = get_task(TASK)
+    simulator, state = Simulator(task), sample_problem(task, 1)
+    free = plan_episode(simulator, state, untrained.network, seconds=10)
+    assert free.success
+    state.num_blocks[0] = len(free.actions) + 1
+    tight = plan_episode(simulator, state, untrained.network, seconds=10)
+    assert tight.success
+    assert len(tight.actions) <= len(free.actions)
 
 
-def test_no_block_stands_outside_where_supports_are_forbidden(untrained: Agent) -> None:
-    text = json.dumps({
-        "format": "learn2assemble-design", "version": 1, "name": "wall", "supports": False,
-        "elevations": [{"outline": [[-0.125, 0], [-0.125, 0.1], [0.125, 0.1], [0.125, 0]]}],
-    })  # fmt: skip
-    plan = build_problem(design_problem(parse_design(text, "test")), untrained, "test")
-    assert plan.status == "complete"
-    assert not any(step.outside for step in plan.steps)
+def test_what_failed_is_left_out_of_the_next_plan() -> None:
+    task = get_task(TASK)
+    simulator, state = Simulator(task), sample_problem(task, 1)
+    network = load_agent("relational-cubes-s0").network
+    first = plan_episode(simulator, state, network).actions[0]
+    avoid = frozenset({placement_key(task, state, first)})
+    other = plan_episode(simulator, state, network, avoid=avoid)
+    now = state.copy()
+    for action in other.actions:
+        assert placement_key(task, now, action) not in avoid
+        simulator.step(now, action[None])
+    assert other.success
 
 
-def test_strip_removes_what_nothing_needs_and_nothing_else(untrained: Agent) -> None:
-    problem = preset_problem("two-sided-3x3-20-24", 3)
-    simulator = Simulator(problem.task)
-    *_, last = plan_sequences(problem, untrained.network, seconds=10)
-    assert last.success
-    assert strip(problem, simulator, last.placements) == last.placements
-    for number in range(len(last.placements)):
-        shorter = [p for n, p in enumerate(last.placements) if n != number]
-        cut = [p for p in shorter if p.reference <= number]
-        _, held, filled = replay(problem, simulator, cut[:number])
-        assert held
-        assert not filled
+def test_a_block_that_falls_in_simulation_is_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The plan is made anew without that placement, from what stood before it."""
+    step, failed = Simulator.step, []
 
+    def clumsy(self: Simulator, state: State, actions: np.ndarray) -> object:
+        made = step(self, state, actions)
+        if self.physics.name == "rigid" and not failed:
+            failed.append(placement_key(self.task, state, actions[0]))
+            made.verdict[0] = 5
+            state.terminated[0] = True
+        return made
 
-def test_every_preset_can_be_a_problem() -> None:
-    for name, task in PRESETS.items():
-        problem = preset_problem(name, 0)
-        assert problem.task == task
-        assert len(problem.outlines) == task.num_sides
-        assert not problem.is_outside(np.array([1.0, 1.0, 1.0]))
+    monkeypatch.setattr(Simulator, "step", clumsy)
+    plan = build_task(TASK, seed=1)
+    assert failed
+    assert plan.complete
+    assert plan.search is not None
+    assert [s.result for s in plan.search.attempts if s.stage.startswith("failure")] == [
+        "in rigid-body simulation"
+    ]
 
 
 def test_the_plan_is_the_same_for_the_same_seed(untrained: Agent) -> None:
-    def made() -> tuple[Step, ...]:
-        return build_problem(preset_problem("two-sided-3x3-20-24", 5), untrained, "x", seed=2).steps
+    plans = [build_task(TASK, agent=untrained, seed=5) for _ in range(2)]
+    assert plans[0].steps == plans[1].steps
+    assert dataclasses.replace(plans[0], seconds=0, search=None) == dataclasses.replace(
+        plans[1], seconds=0, search=None
+    )
 
-    assert made() == made()
+
+def test_stages_rise() -> None:
+    assert len(STAGES) == len(set(STAGES)) == len(episode.BUDGETS) + 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"planner": "exact"}, "agent, for the task"),
+        ({"kit": "bricks", "tool": "suction"}, "kit, tool: got 'given'"),
+        ({"arm": "panda"}, "a task with a robot"),
+        ({"agent": "builder-s0"}, "agent"),
+        ({"seed": -1}, "at least 0"),
+    ],
+)
+def test_what_a_task_does_not_take_is_refused(arguments: dict, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        l2a.build(TASK, **arguments)
+
+
+def test_an_agent_of_the_paper_does_not_build_drawings() -> None:
+    with pytest.raises(InputError, match=r"relational-cubes-s0.*a builder of designs"):
+        l2a.build("examples/designs/pyramid.json", agent="relational-cubes-s0")
+    plan = l2a.build("examples/designs/pyramid.json", agent="builder-s0")
+    assert (plan.planner, plan.agent) == ("agent", "builder-s0")

@@ -98,8 +98,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def report(tmp_path_factory: pytest.TempPathFactory, agent: Path) -> Path:
     """Folder of a finished build."""
     folder = tmp_path_factory.mktemp("build") / "tower"
-    design = str(DESIGNS / "stepped_tower.json")
-    code = main(["build", design, "--out", str(folder), "--agent", str(agent), "--seconds", "5"])
+    code = main(["build", str(DESIGNS / "stepped_tower.json"), "--out", str(folder)])
     assert code == 0
     return folder
 
@@ -265,47 +264,46 @@ def test_bench(l2a: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     assert result.err.startswith("l2a: measuring fast_things_per_s\n")
 
 
-def test_build(l2a: Call, agent: Path, tmp_path: Path) -> None:
-    """A complete plan: exit code 0, three files, one JSON object that agrees with them."""
+FILES = {
+    "plan": "plan.json", "assembly": "assembly.json", "bill": "bill.csv", "cards": "cards.html",
+    "page": "view.html", "picture": "progress.png",
+}  # fmt: skip
+
+
+def test_build(l2a: Call, tmp_path: Path) -> None:
+    """A complete plan: exit code 0, its files, one JSON object that agrees with them."""
     out = tmp_path / "deep" / "tower"
-    design = DESIGNS / "stepped_tower.json"
-    result = l2a("build", design, "--out", out, "--agent", agent, "--seconds", "60", "--json")
+    result = l2a("build", DESIGNS / "stepped_tower.json", "--out", out, "--json")
     assert result.code == 0
     summary = result.json()
     plan = json.loads((out / "plan.json").read_text(encoding="utf-8"))
     assert summary["status"] == plan["status"] == "complete"
     assert summary["steps"] == len(plan["steps"])
-    assert summary["files"] == {
-        "plan": str(out / "plan.json"),
-        "page": str(out / "view.html"),
-        "picture": str(out / "progress.png"),
-    }
-    assert sorted(path.name for path in out.iterdir()) == ["plan.json", "progress.png", "view.html"]
+    assert summary["files"] == {name: str(out / file) for name, file in FILES.items()}
+    assert {path.name for path in out.iterdir()} == set(FILES.values())
     assert any(line.startswith("l2a: ") for line in result.err.splitlines())
 
 
-def test_build_of_a_preset(l2a: Call, agent: Path, tmp_path: Path) -> None:
+def test_build_of_a_task(l2a: Call, agent: Path, tmp_path: Path) -> None:
     words = ["build", TASK, "--seed", "2", "--agent", agent, "--seconds", "5"]
     result = l2a(*words, "--out", tmp_path / "out")
     plan = json.loads((tmp_path / "out" / "plan.json").read_text(encoding="utf-8"))
     assert result.code == (0 if plan["status"] == "complete" else 1)
     assert "view.html" in result.out
+    assert "more than 97.5% is needed" in result.out
 
 
-def test_build_of_what_cannot_be_built_exits_with_1(l2a: Call, agent: Path, tmp_path: Path) -> None:
-    design = DESIGNS / "cannot_be_built.json"
-    result = l2a("build", design, "--out", tmp_path / "out", "--agent", agent, "--json")
+def test_build_of_what_cannot_be_built_exits_with_1(l2a: Call, tmp_path: Path) -> None:
+    words = ["build", DESIGNS / "cannot_be_built.json", "--kit", "cubes", "--no-props", "--json"]
+    result = l2a(*words, "--out", tmp_path / "out")
     assert result.code == 1
-    assert result.json()["status"] == "refused"
+    assert result.json()["status"] in ("refused", "incomplete")
     assert result.json()["reason"]
-    assert (tmp_path / "out" / "view.html").is_file()
 
 
 @pytest.mark.skipif(not pretrained_names(), reason="no agent is shipped")
-@pytest.mark.parametrize("design", ["stepped_tower", "pyramid"])
-def test_build_with_the_shipped_agent(l2a: Call, tmp_path: Path, design: str) -> None:
-    words = ["build", DESIGNS / f"{design}.json", "--planner", "agent", "--json"]
-    result = l2a(*words, "--out", tmp_path / "out", "--agent", "relational-cubes-s0")
+def test_build_with_the_shipped_agent(l2a: Call, tmp_path: Path) -> None:
+    result = l2a("build", "two-sided-3x3-20-24", "--json", "--out", tmp_path / "out")
     assert result.code == 0
     assert result.json()["agent"] in pretrained_names()
 
@@ -347,7 +345,8 @@ def test_view(
         return ""
 
     monkeypatch.setattr("learn2assemble.viewer.server.serve", serve)
-    shutil.copy(report / "plan.json", tmp_path / "plan.json")
+    for name in ("plan.json", "assembly.json"):
+        shutil.copy(report / name, tmp_path / name)
     plan = tmp_path if by_folder else tmp_path / "plan.json"
     result = l2a("view", plan, "--port", "8123", "--no-browser", "--json")
     page = tmp_path / "view.html"
@@ -413,11 +412,11 @@ def test_module_is_the_command() -> None:
     assert bad.stderr.count("\n") == 1
 
 
-def test_incomplete_build_exits_with_1_in_a_process_of_its_own(agent: Path, tmp_path: Path) -> None:
-    words = ["build", DESIGNS / "cannot_be_built.json", "--agent", agent, "--json"]
+def test_incomplete_build_exits_with_1_in_a_process_of_its_own(tmp_path: Path) -> None:
+    words = ["build", DESIGNS / "cannot_be_built.json", "--kit", "cubes", "--no-props", "--json"]
     done = subprocess_l2a(*words, "--out", tmp_path / "out")
     assert done.returncode == 1
-    assert json.loads(done.stdout)["status"] == "refused"
+    assert json.loads(done.stdout)["reason"]
 
 
 def test_a_reader_that_leaves_is_no_error() -> None:

@@ -24,7 +24,7 @@ from learn2assemble.learning.trainer import TRAINING_STREAM, Trainer
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QNetwork
 from learn2assemble.physics.rigid import RigidPhysics
-from learn2assemble.planning.problem import preset_problem
+from learn2assemble.planning.episode import sample_problem
 from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.search.config import SearchConfig
 from learn2assemble.simulator import Simulator
@@ -177,7 +177,7 @@ def test_no_training_problem_is_built() -> None:
     name = "one-sided-3x3-22-24"
     config = TrainConfig(network=NETWORK, num_envs=2, replay_size=10)
     trained = {Trainer(get_task(name), config, s).state.vertices[0].tobytes() for s in range(3)}
-    built = {preset_problem(name, s).state.vertices[0].tobytes() for s in range(3)}
+    built = {sample_problem(get_task(name), s).vertices[0].tobytes() for s in range(3)}
     assert not trained & built
 
 

@@ -10,7 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.errors import InputError, Learn2AssembleError
-from learn2assemble.geometry.coverage import add_box
+from learn2assemble.geometry.coverage import add_box, clear_to_ground
 from learn2assemble.geometry.images import ROWS, WORDS, from_pixels, to_pixels
 from learn2assemble.graph.features import node_offset
 from learn2assemble.planning.world_model import lookahead_actions
@@ -22,8 +22,10 @@ from learn2assemble.reproduction.bounds import (
     tower_bound,
 )
 from learn2assemble.reproduction.packing import (
+    MAX_COLUMN,
     Inventory,
     Lattice,
+    cell_pixels,
     discounted_bound,
     gaining_poses,
     most_pixels,
@@ -35,18 +37,20 @@ from learn2assemble.reproduction.packing import (
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import Task, get_task
 from learn2assemble.world.blocks import EDGE, HALF
-from learn2assemble.world.design import (
-    MAX_COLUMN,
-    cell_pixels,
-    face_pixels,
-    table_pixels,
-)
 from learn2assemble.world.layouts import waiting_places
 from learn2assemble.world.sampling import start_objects
 from learn2assemble.world.state import State
 from learning_data import look_ahead
 
 Cell = tuple[int, int, int]
+
+
+@cache
+def table_pixels() -> np.ndarray:
+    """uint64[2, ROWS, WORDS]: (covered, occluded) of the empty table."""
+    table = np.zeros((2, ROWS, WORDS), np.uint64)
+    clear_to_ground(*table)
+    return table
 
 
 @cache
@@ -145,7 +149,7 @@ def painted(
     for side, cells in enumerate(shares):
         pixels = np.zeros((ROWS, 100), bool)
         for (column, level), share in cells.items():
-            image = to_pixels(face_pixels()[column + MAX_COLUMN, level])
+            image = to_pixels(cell_pixels()[column + MAX_COLUMN, level])
             face = np.argwhere(image if seed is not None else image & (shown == 1))
             count = max(round(share * len(face)), 1)
             chosen = rng.permutation(len(face))[:count]

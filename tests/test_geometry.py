@@ -8,7 +8,6 @@ import math
 
 import numpy as np
 import pytest
-import shapely
 from hypothesis import Phase, assume, example, given, settings
 from hypothesis import strategies as st
 
@@ -27,7 +26,6 @@ from learn2assemble.geometry.images import (
     WORDS,
     from_pixels,
     paper_mask,
-    polygon_mask,
     popcount,
     project,
     span_word,
@@ -217,31 +215,6 @@ def test_a_roof_vertex_can_dent_or_raise_the_roof() -> None:
 # ---------------------------------------------------------------- general mask
 
 U, V = np.meshgrid(np.arange(SIZE), np.arange(SIZE))
-POINTS = shapely.points(*unproject(U.astype(float), V.astype(float)))
-
-
-@st.composite
-def stars(draw: st.DrawFn) -> np.ndarray:
-    """A simple polygon, not convex in general, that may stick out of the image."""
-    count = draw(st.integers(3, 9))
-    radius = np.array(draw(st.lists(real(0.01, 0.3), min_size=count, max_size=count)))
-    angle = 2 * np.pi * (np.arange(count) + draw(real(0, 0.9))) / count
-    centre = np.array([draw(real(-0.3, 0.3)), draw(real(0, 0.6))])
-    return centre + radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
-
-
-@given(stars())
-@settings(deadline=None, max_examples=50)
-def test_polygon_mask_is_point_in_polygon(outline: np.ndarray) -> None:
-    polygon = shapely.Polygon(outline)
-    assume(polygon.is_valid)
-    mask = to_pixels(polygon_mask(outline))
-    clear = shapely.distance(polygon.boundary, POINTS) > 1e-9
-    np.testing.assert_array_equal(mask[clear], shapely.contains(polygon, POINTS)[clear])
-    np.testing.assert_array_equal(to_pixels(polygon_mask(outline[::-1]))[clear], mask[clear])
-    np.testing.assert_array_equal(
-        to_pixels(polygon_mask(np.roll(outline, 1, 0)))[clear], mask[clear]
-    )
 
 
 # ---------------------------------------------------------------- ray casting

@@ -251,7 +251,7 @@ def test_light_modules_load_no_heavy_library(module: str) -> None:
 
 def test_the_walk_finds_what_is_there() -> None:
     assert "highspy" in loaded_with("physics.equilibrium")
-    assert "mujoco" in loaded_with("planning.verify")
+    assert "mujoco" in loaded_with("planning.episode")
     assert {"torch", "numba"} <= loaded_with("learning.trainer")
 
 

@@ -16,25 +16,45 @@ from hypothesis import strategies as st
 from learn2assemble.errors import InputError
 from learn2assemble.planning.plan import CellCount, Plan, Step
 
-EXAMPLE = Path(__file__).parent / "data" / "example_plan.json"
+EXAMPLE = Path(__file__).parent / "data" / "example_plan"
 NUMBER = st.floats(-9, 9)
 
 
 def example() -> dict[str, Any]:
-    return json.loads(EXAMPLE.read_text())
+    return json.loads((EXAMPLE / "plan.json").read_text())
 
 
-def test_a_file_of_version_1_is_read() -> None:
-    old, plan = example(), Plan.load(EXAMPLE)
-    assert old["version"] == 1
-    assert plan.status == "complete"
-    assert len(plan.steps) == 14
-    assert plan.steps[3].position == tuple(old["steps"][3]["position"])
-    assert [s.margin_g for s in plan.steps] == [s["stability_margin"] for s in old["steps"]]
-    assert plan.margin_g == 0.333
-    assert plan.search is not None
-    assert plan.search.dropped == 0
+def old(version: int) -> dict[str, Any]:
+    """A plan of a design as earlier versions wrote it."""
+    plan = Plan.load(EXAMPLE)
+    data = dataclasses.replace(
+        plan, design=dataclasses.replace(plan.design, targets=(), success_threshold=1.0)
+    ).to_dict()
+    data["version"] = version
+    data["design"] |= {"num_sides": 0, "frames": [], "elevations": []}
+    data["search"] |= {"backtracks": 2, "dropped": 0}
+    margin = "stability_margin" if version == 1 else "margin_g"
+    for step in data["steps"]:
+        step.pop("sides")
+        step[margin] = step.pop("margin_g")
+        step |= {"plane_coverage": 0.0, "stable": True, "outside": False, "grasp": "fingers"}
+    return data
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_plans_of_designs_of_earlier_versions_are_read(version: int) -> None:
+    plan, now = Plan.from_dict(old(version)), Plan.load(EXAMPLE)
+    assert [s.position for s in plan.steps] == [s.position for s in now.steps]
+    assert [s.margin_g for s in plan.steps] == [s.margin_g for s in now.steps]
+    assert plan.margin_g == now.margin_g == 0.3332
+    assert plan.to_dict()["version"] == 3
     hash(plan)
+
+
+def test_plans_of_tasks_of_earlier_versions_are_refused() -> None:
+    first = {"block": 0, "position": [0, 0, 0.025], "quaternion": [1, 0, 0, 0]}
+    with pytest.raises(InputError, match=r"version: got 2, expected 3 .*l2a build TASK"):
+        Plan.from_dict(old(2) | {"first_block": first})
 
 
 @given(
@@ -62,8 +82,9 @@ def test_writing_and_reading_changes_nothing(
 def test_saving_and_loading(tmp_path: Path) -> None:
     plan = Plan.load(EXAMPLE)
     files = plan.save(tmp_path / "deep" / "folder", page=False)
-    assert [path.name for path in files.values()] == ["plan.json"]
-    assert sorted(path.name for path in (tmp_path / "deep" / "folder").iterdir()) == ["plan.json"]
+    names = ["assembly.json", "bill.csv", "cards.html", "plan.json"]
+    assert sorted(path.name for path in files.values()) == names
+    assert sorted(path.name for path in (tmp_path / "deep" / "folder").iterdir()) == names
     assert Plan.load(tmp_path / "deep" / "folder") == plan
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="can be made"):
@@ -89,7 +110,7 @@ def change(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
     ("path", "value", "words"),
     [
         ("format", "other", "plan: format"),
-        ("version", 3, "expected 1 to 2"),
+        ("version", 4, "expected 1 to 3"),
         ("version", True, "an integer"),
         ("status", "complet", "did you mean 'complete'"),
         ("design", ..., "the key 'design'"),
@@ -97,14 +118,14 @@ def change(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
         ("steps.2.blok", 1, "did you mean 'block'"),
         ("steps.2.relation", "under", "steps[2].relation"),
         ("steps.2.reference", 3, "steps[2].reference"),
-        ("steps.2.block", 24, "steps[2].block"),
+        ("steps.2.block", -1, "steps[2].block"),
         ("steps.2.step", 7, "steps[2].step"),
         ("steps.2.position", [0, 0], "a list of 3 values"),
         ("steps.2.position", [0, 0, math.nan], "a finite number"),
         ("steps.2.position", [0, 0, 1e308], "steps[2].position[2]: got 1e+308"),
-        ("steps.2.quaternion", [0, 0, 0, 0], "quaternion of block 3"),
-        ("steps.2.stable", 1, "true or false"),
-        ("design.frames", [], "design.frames"),
+        ("steps.2.quaternion", [0, 0, 0, 0], "steps[2].quaternion"),
+        ("steps.2.prop", 1, "true or false"),
+        ("design.targets.0.outline", [[0, 0]], "design.targets[0].outline[0]"),
         ("design.block_edge", 0, "design.block_edge"),
         ("design.name", 5, "expected text"),
         ("steps", 3, "expected a list"),

@@ -152,7 +152,7 @@ def test_without_ruckig_the_extra_is_named() -> None:
          "from learn2assemble.robot.arm import get_arm\n"
          "from learn2assemble.robot.dynamic.cell import DynamicCell\n"
          "import learn2assemble.evaluation.bench, learn2assemble.cli.commands\n"
-         "import learn2assemble.planning.execute\n"
+         "import learn2assemble.planning.episode\n"
          "print('imported')\nDynamicCell(get_arm('panda'))"],
         capture_output=True, text=True, check=False,
     )  # fmt: skip

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from learn2assemble.simulator import Simulator
     from learn2assemble.tasks import Task, get_task, register_task
     from learn2assemble.world.blocks import Shape, register_object_set
-    from learn2assemble.world.design_bounds import Design
 
 __version__ = "0.1.0"
 
@@ -47,7 +46,6 @@ _HOME = {
     "Block": "assembly.blocks",
     "CellDesign": "design.cells",
     "Check": "physics.rigid_blocks",
-    "Design": "world.design_bounds",
     "Evaluation": "evaluation.episodes",
     "InputError": "errors",
     "Kit": "assembly.kit",
@@ -92,7 +90,6 @@ __all__ = [
     "Block",
     "CellDesign",
     "Check",
-    "Design",
     "Evaluation",
     "InputError",
     "Kit",

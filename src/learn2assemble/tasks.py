@@ -335,11 +335,6 @@ GOAL_TASKS: Registry[GoalTask] = Registry(
 """Tasks of goals by name."""
 
 
-def robot_task(name: str, **changes: Any) -> Task:
-    """What all workcells share, also those that build a user's design, with some fields changed."""
-    return Task(name, **_draft(_ROBOT, **changes))
-
-
 def register_task(task: Task, *, replace: bool = False) -> Task:
     """Make a task known by its name: to training, evaluation, the command line and Gymnasium.
 

@@ -118,10 +118,10 @@ def _build_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     add("--resume", action="store_true", help="go on with the interrupted build in --out")
     add("--seed", type=natural, default=0, help="of the search and of a task's problem")
-    add("--agent", default=None, help=AGENT_HELP)
+    add("--agent", default=None, help=f"of a design, a builder; of a task, a {AGENT_HELP}")
     add(
         "--seconds", type=positive, default=None,
-        help="limit of planning and proof (60), or of the agent's widest search (20)",
+        help="limit of planning and proof (60), or of the widest search of a task (20)",
     )  # fmt: skip
 
 
@@ -138,7 +138,7 @@ def noise(text: str) -> tuple[float, float]:
 
 def _build(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 for a complete plan, 1 for an incomplete or refused one."""
-    from learn2assemble.planning.build import build, builds_with_arm, uses_exact_planner
+    from learn2assemble.planning.build import build, builds_with_arm, is_task
 
     video = options.video and builds_with_arm(options.design, options.arm)
     given = {name: getattr(options, name) for name in _READING}
@@ -147,10 +147,7 @@ def _build(options: argparse.Namespace, output: Output) -> int:
         from learn2assemble.viewer.video import require_video
 
         require_video()  # What is missing shows before the work, not after it.
-    exact = uses_exact_planner(
-        options.design, options.planner, options.arm, options.agent, options.layout
-    )
-    state = options.out / STATE if exact and options.arm is not None else None
+    state = options.out / STATE if options.arm and not is_task(options.design) else None
     if options.resume and (state is None or not state.exists()):
         raise InputError("--resume", str(options.out), f"a folder with {STATE}")
     with claim_folder(options.out, options.resume):
@@ -170,48 +167,35 @@ def _build(options: argparse.Namespace, output: Output) -> int:
 
 
 def _summary(plan: Plan) -> dict[str, Any]:
-    head = {"design": plan.design.name, "status": plan.status, "reason": plan.reason}
-    if plan.planner == "exact" or plan.cells is not None:
-        cells = plan.cells
-        return {
-            **head,
-            "planner": plan.planner,
-            "agent": plan.agent,
-            "planner_chosen": [a.result for a in plan.search.attempts] if plan.search else [],
-            "kit": plan.kit,
-            "blocks": plan.blocks.used,
-            "props": sum(step.prop and step.action == "place" for step in plan.steps),
-            "steps": len(plan.steps),
-            "cells_wanted": cells and cells.wanted,
-            "cells_missing": cells and cells.missing,
-            "cells_outside": cells and cells.outside,
-            "iou": plan.design.iou,
-            "volume_error": plan.design.volume_error,
-            "planning_s": plan.planning_s,
-            "proof_s": plan.proof_s,
-            "seconds": plan.seconds,
-            "margin_g": plan.margin_g,
-            "friction_range": plan.friction_range,
-            "gap_range": plan.gap_range,
-            **({"arm": to_plain(plan.arm)} if plan.arm else {}),
-        }
+    cells = plan.cells
     return {
-        **head,
-        "steps": len(plan.steps),
-        "blocks_used": plan.blocks.used,
-        "blocks_available": plan.blocks.available,
-        "coverage": plan.coverage,
-        "stable": all(step.stable for step in plan.steps),
-        "smallest_margin": plan.margin_g,
-        "needed": plan.search.needed if plan.search else None,
-        "backtracks": plan.search.backtracks if plan.search else 0,
+        "design": plan.design.name,
+        "status": plan.status,
+        "reason": plan.reason,
+        "planner": plan.planner,
         "agent": plan.agent,
+        "planner_chosen": [a.result for a in plan.search.attempts] if plan.search else [],
+        "kit": plan.kit,
+        "blocks": plan.blocks.used,
+        "props": sum(step.prop and step.action == "place" for step in plan.steps),
+        "steps": len(plan.steps),
+        "coverage": plan.coverage,
+        "cells_wanted": cells and cells.wanted,
+        "cells_missing": cells and cells.missing,
+        "cells_outside": cells and cells.outside,
+        "iou": plan.design.iou,
+        "volume_error": plan.design.volume_error,
+        "planning_s": plan.planning_s,
+        "proof_s": plan.proof_s,
         "seconds": plan.seconds,
+        "margin_g": plan.margin_g,
+        "friction_range": plan.friction_range,
+        "gap_range": plan.gap_range,
         **({"arm": to_plain(plan.arm)} if plan.arm else {}),
     }
 
 
-def _print_exact_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
+def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
     """Blocks by kind, then what was filled and what is proven."""
     counts = Counter(
         (step.kind or "block", step.prop) for step in plan.steps if step.action == "place"
@@ -228,6 +212,9 @@ def _print_exact_plan(output: Output, plan: Plan, files: dict[str, Path]) -> Non
         output.say(
             f"cells: {cells.wanted} wanted, {cells.missing} open, {cells.outside} outside{shape}"
         )
+    elif plan.design.targets:
+        needed = f"{plan.design.success_threshold:.1%}"
+        output.say(f"coverage {plan.coverage:.1%} of the target, more than {needed} is needed")
     if plan.steps and plan.margin_g is not None:
         output.say(f"every step is proven; the weakest withstands {plan.margin_g:.3f} g sideways")
     if plan.complete and plan.friction_range and plan.gap_range:
@@ -246,52 +233,21 @@ def _print_exact_plan(output: Output, plan: Plan, files: dict[str, Path]) -> Non
 
 
 def _print_arm(output: Output, arm: ArmReport) -> None:
-    """What the arm did of an exact plan."""
+    """What the arm did."""
     for failure in arm.failures:
-        output.say(f"attempt {failure.attempt}: {failure.outcome} ({failure.detail})")
-    base = ", ".join(f"{v:g}" for v in (arm.base or ())[:3])
+        after = "; the rest was planned anew" if failure.replanned else ""
+        output.say(f"attempt {failure.attempt}: {failure.outcome} ({failure.detail}){after}")
+    where = f" at [{', '.join(f'{v:g}' for v in arm.base[:3])}]" if arm.base else ""
+    places = f"blocks from {arm.places} places, " if arm.places else ""
     output.say(
-        f"arm {arm.name} with {arm.tool} at [{base}]: {arm.attempts} attempts, blocks from "
-        f"{arm.places} places, {arm.seconds:.0f} s of robot time"
+        f"arm {arm.name} with {arm.tool}{where}: {arm.attempts} attempts, {places}"
+        f"{arm.seconds:.0f} s of robot time"
     )
     if arm.error_mean is not None and arm.error_worst is not None:
         output.say(
             f"blocks stand {1e3 * arm.error_mean:.2f} mm from their places on average, "
             f"{1e3 * arm.error_worst:.2f} mm at most; {arm.attempts_per_step:.3f} attempts a step"
         )
-
-
-def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
-    if plan.planner == "exact" or plan.cells is not None:
-        _print_exact_plan(output, plan, files)
-        return
-    how = ("grasped", "put down", "outcome") if plan.arm else ("stable",)
-    output.table(
-        plan.design.name,
-        ("step", "block", "placed", "against", "coverage", "margin [g]", *how),
-        [
-            (
-                step.step, step.block, step.relation,
-                "first block" if step.reference == 0 else f"step {step.reference}",
-                f"{step.coverage:.1%}", step.margin_g,
-                *((step.grasp, step.place, step.outcome) if plan.arm else (step.stable,)),
-            )
-            for step in plan.steps
-        ],
-    )  # fmt: skip
-    for failure in plan.arm.failures if plan.arm else ():
-        after = "; the rest was planned anew" if failure.replanned else ""
-        output.say(f"attempt {failure.attempt}: {failure.outcome} ({failure.detail}){after}")
-    needed = plan.search.needed if plan.search else "none"
-    output.say(
-        f"{plan.status}: {plan.blocks.used} of {plan.blocks.available} blocks, "
-        f"coverage {plan.coverage:.1%}, needed {needed}, {plan.seconds:.1f} s"
-    )
-    if plan.reason:
-        output.say(f"why: {plan.reason}")
-    for what in ("page", "video", "trajectory", "trajectory table"):
-        if what in files:
-            output.say(f"{what}: {files[what]}")
 
 
 # ---------------------------------------------------------------- train

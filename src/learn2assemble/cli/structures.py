@@ -88,7 +88,7 @@ def _check(options: argparse.Namespace, output: Output) -> int:
     output.table(f"{options.file.name}: {found.verdict}", ("quantity", "value"), rows)
     files: dict[str, str] = {}
     if options.out is not None:
-        from learn2assemble.viewer.assembly_page import write_assembly_page
+        from learn2assemble.viewer.page import write_assembly_page
 
         with claim_folder(options.out):
             page = options.out / "view.html"
@@ -220,7 +220,7 @@ def _reach(options: argparse.Namespace, output: Output) -> int:
         output.say(f"a base at {best.words} reaches {reached} of {best.count}")
     files: dict[str, str] = {}
     if options.out is not None:
-        from learn2assemble.viewer.assembly_page import write_assembly_page
+        from learn2assemble.viewer.page import write_assembly_page
 
         with claim_folder(options.out):
             page = options.out / "view.html"

@@ -149,27 +149,3 @@ def paper_mask(vertices, count, mask):
         for w in range(WORDS):
             mask[row, w] = span_word(l1, h1, w) | span_word(l2, h2, w)
     return total
-
-
-def polygon_mask(outline: np.ndarray) -> np.ndarray:
-    """Mask of any simple polygon: pixel points inside ``outline`` by the even-odd rule.
-
-    Args:
-        outline: ``float[V, 2]`` local (x, z) [m], either orientation.
-
-    Returns:
-        ``uint64[ROWS, WORDS]``. Pixel (row, column) stands for the image point (column, row), like
-        in the published rule, but the vertices are not rounded.
-    """
-    u = CENTRE * (1 + outline[:, 0] / HALF_EXTENT)
-    v = CENTRE * (1 - (outline[:, 1] - CAMERA_Z) / HALF_EXTENT)
-    columns = np.arange(IMAGE_SIZE, dtype=float)[None, :]
-    rows = np.arange(IMAGE_SIZE, dtype=float)[:, None]
-    inside = np.zeros((IMAGE_SIZE, IMAGE_SIZE), bool)
-    for k in range(len(outline)):
-        u0, v0, u1, v1 = u[k - 1], v[k - 1], u[k], v[k]
-        if v0 == v1:
-            continue
-        crosses = (v0 > rows) != (v1 > rows)
-        inside ^= crosses & (columns < (u1 - u0) * (rows - v0) / (v1 - v0) + u0)
-    return from_pixels(inside)

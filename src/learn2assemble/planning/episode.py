@@ -31,9 +31,10 @@ from learn2assemble.planning.world_model import WorldModel, placement_cost
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.checker import ArmPhysics, scene_of
 from learn2assemble.robot.dynamic.cell import DynamicCell
+from learn2assemble.robot.grasps import QUARTER, along
+from learn2assemble.robot.grasps import get_grasps as grasps_of
 from learn2assemble.robot.kinematic.cell import KinematicCell
-from learn2assemble.robot.moves import OPENING, QUARTER, Attempt, Move, Outcome, Scene, along
-from learn2assemble.robot.moves import get_grasps as grasps_of
+from learn2assemble.robot.moves import OPENING, Attempt, Move, Outcome, Scene
 from learn2assemble.robot.record import BuildRecord
 from learn2assemble.robot.recorder import BuildRecorder
 from learn2assemble.search.config import SearchConfig
@@ -69,6 +70,11 @@ Progress = Callable[[str], None]
 Key = tuple[int, int, int, int]
 
 
+def sample_problem(task: Task, seed: int) -> State:
+    """A random problem of a task, a batch of one, with the masks and the blocks of the paper."""
+    return Simulator(task).new(1, np.random.default_rng([PROBLEM_STREAM, seed]))
+
+
 def placement_key(task: Task, state: State, action: np.ndarray) -> Key:
     """A placement in row 0 with another of its kind nearby: target in half edges, and the way."""
     relation, way = divmod(int(action[2]), task.rotations)
@@ -99,7 +105,9 @@ class _Without(WorldModel):
 
     def action_values(self, states: State) -> list[ActionValues]:
         values = super().action_values(states)
-        return [self._kept(states, row, v) for row, v in enumerate(values)] if self.avoid else values
+        return (
+            [self._kept(states, row, v) for row, v in enumerate(values)] if self.avoid else values
+        )
 
     def _kept(self, states: State, row: int, values: ActionValues) -> ActionValues:
         one, task = states.take(np.array([row])), self.simulator.task
@@ -382,7 +390,7 @@ def build_task(
     """
     started, task = time.perf_counter(), get_task(task, arm)
     if seed < 0:
-        raise InputError("--seed", seed, "a whole number of at least 0")
+        raise InputError("seed", seed, "a whole number of at least 0")
     if task.has_arm and task.objects != "cubes":
         raise InputError("task", task.name, "one of cubes, for a build by an arm (or --arm none)")
     if agent is None or isinstance(agent, str):
@@ -400,7 +408,7 @@ class _Build:
 
     def __init__(self, task: Task, seed: int, cell: DynamicCell | None) -> None:
         self.task, self.simulator = task, Simulator(task)
-        self.start = self.simulator.new(1, np.random.default_rng([PROBLEM_STREAM, seed]))
+        self.start = sample_problem(task, seed)
         self.real = None
         if task.has_arm:
             self.real = RealCell(cell or DynamicCell(get_arm(task.arm), recover=True), self.start)
@@ -474,7 +482,10 @@ class _Build:
         """Keep what has just been placed, as it stands."""
         state, count = self.state, int(self.state.num_placed[0])
         number = int(before.object_id[0, before.num_placed[0] + action[0]])
-        ids, cells = state.object_id[0, :count], np.flatnonzero(state.object_id[0, :count] == number)
+        ids, cells = (
+            state.object_id[0, :count],
+            np.flatnonzero(state.object_id[0, :count] == number),
+        )
         poses = np.hstack([state.position[0, cells], state.quaternion[0, cells]])
         seen = np.bitwise_count(state.covered[0] & state.mask[0]).sum((1, 2))
         sides = seen / np.maximum(np.bitwise_count(state.mask[0]).sum((1, 2)), 1)
@@ -567,10 +578,12 @@ def _plan(build: _Build, agent: str, source: str, started: float) -> Plan:
     return replace(plan, arm=report, record=_renumbered(real.log.record(), list(known)))
 
 
-def _step(number: int, reference: int, item: _Made, task: Task, real: RealCell | None) -> plans.Step:
+def _step(
+    number: int, reference: int, item: _Made, task: Task, real: RealCell | None
+) -> plans.Step:
     x, y, z, w, a, b, c = (round(float(v), 6) for v in item.cells[0])
     return plans.Step(
-        number, number, (x, y, z), (w, a, b, c), reference=reference,
+        number, number, (x, y, z), (w, a, b, c), kind=_kind(len(item.cells)), reference=reference,
         relation=RELATIONS[item.action // task.rotations], coverage=round(item.coverage, 6),
         sides=item.sides, margin_g=round(item.margin, 4), proof="arm" if real else "rigid bodies",
         outcome=real.log.steps[item.attempt - 1].outcome.label if real else None,
@@ -584,6 +597,11 @@ def _target(name: str, frame: np.ndarray, outline: np.ndarray) -> plans.PlanTarg
     return plans.PlanTarget(name, tuple((x, y, z) for x, y, z in corners))
 
 
+def _kind(cells: int) -> str:
+    """What a page and a bill call an object of so many cells."""
+    return "cube" if cells == 1 else f"{cells} cubes"
+
+
 def _block(name: str, poses: np.ndarray) -> Block:
     """A rigid object of cubes as one block of an assembly.
 
@@ -594,7 +612,7 @@ def _block(name: str, poses: np.ndarray) -> Block:
     turns = quaternion_matrix(poses[:, 3:] / np.linalg.norm(poses[:, 3:], axis=1, keepdims=True))
     vertices = [pose[:3] + box.vertices @ turn.T for pose, turn in zip(poses, turns, strict=True)]
     faces = tuple(tuple(8 * k + v for v in face) for k in range(len(poses)) for face in box.faces)
-    kind = "cube" if len(poses) == 1 else f"{len(poses)} cubes"
+    kind = _kind(len(poses))
     return Block(name, np.concatenate(vertices), faces, kind, MASS / EDGE**3)
 
 

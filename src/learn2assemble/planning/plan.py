@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -49,7 +50,18 @@ class PlanTarget:
 
     name: str
     outline: tuple[Point, ...]
-    """Corners in the plane of the outer faces of the blocks of this side."""
+    """Corners in the plane of the outer faces of the blocks of this side, clockwise as seen from
+    outside."""
+
+    @property
+    def outward(self) -> Point:
+        """Unit vector towards who sees this side."""
+        corners = zip(self.outline, (*self.outline[1:], self.outline[0]), strict=True)
+        x = y = 0.0
+        for (ax, ay, az), (bx, by, bz) in corners:
+            x, y = x + az * by - ay * bz, y + ax * bz - az * bx
+        length = math.hypot(x, y) or 1.0
+        return x / length, y / length, 0.0
 
 
 @dataclass(frozen=True)
@@ -120,7 +132,7 @@ class Step:
     prop: bool = False
     """Whether it is temporary."""
     reference: Count | None = None
-    """Of a task: the step whose block it goes next to; 0 is the block that stands from the start."""
+    """Of a task: the step whose block it goes next to; 0 is what stands from the start."""
     relation: Relation | None = None
     """Where: on top of that block or at which side."""
     coverage: Share = 0.0
@@ -135,6 +147,8 @@ class Step:
     """What proves that everything stands after the step."""
     outcome: str | None = None
     """With an arm: what came of the attempt that placed it."""
+    grasp: str | None = None
+    """With an arm: how the block was held."""
 
 
 @dataclass(frozen=True)
@@ -358,7 +372,7 @@ EXPORTS: Registry[Exporter] = Registry("export", {})
 _GONE = {
     "design": ("num_sides", "frames", "elevations"),
     "search": ("backtracks", "dropped"),
-    "steps": ("plane_coverage", "speed_sum", "stable", "outside", "grasp", "place"),
+    "steps": ("plane_coverage", "speed_sum", "stable", "outside", "place"),
 }
 """Keys of earlier versions that have no place any more."""
 

@@ -255,9 +255,9 @@ def _carried_out(
             replace(
                 old, step=number, position=(x, y, z), quaternion=(w, a, b, c),
                 coverage=round(covered, 6), margin_g=old.margin_g if same else None,
-                tilt_deg=old.tilt_deg if same else None, stable=stands,
+                tilt_deg=old.tilt_deg if same else None,
                 proof=old.proof if same else "bed faces" if stands else "carried out",
-                outcome=attempt.outcome if attempt else None, grasp=how, place=how,
+                outcome=attempt.outcome if attempt else None, grasp=how,
             )
         )  # fmt: skip
     complete = reason is None

@@ -36,11 +36,15 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.errors import InputError, Learn2AssembleError
-from learn2assemble.reproduction.packing import object_return_bound
+from learn2assemble.reproduction.packing import (
+    MAX_COLUMN,
+    cell_pixels,
+    object_return_bound,
+    tower_pixels,
+)
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import Task
 from learn2assemble.world.blocks import DIRECTIONS, EDGE
-from learn2assemble.world.design import MAX_COLUMN, cell_pixels, tower_pixels
 from learn2assemble.world.layouts import to_world
 from learn2assemble.world.rules import DISCRETE, reward_and_success
 from learn2assemble.world.state import State

@@ -226,7 +226,7 @@ def large_entry(wanted: np.ndarray, kit: Kit, asked: float) -> Result:
     result["seconds_asked"] = asked
     result["proof_s"] = round(ordering.seconds, 3) if ordering else None
     if ordering is not None:
-        from learn2assemble.viewer.assembly_page import StepNote, write_assembly_page
+        from learn2assemble.viewer.page import StepNote, write_assembly_page
 
         notes = [StepNote(step.proof, step.margin_g) for step in ordering.steps]
         with tempfile.TemporaryDirectory() as folder:

@@ -37,10 +37,9 @@ import highspy
 import numpy as np
 
 from learn2assemble.errors import InputError, Learn2AssembleError
-from learn2assemble.geometry.coverage import add_box
+from learn2assemble.geometry.coverage import NARROW, add_box, clear_to_ground
 from learn2assemble.geometry.images import ROWS, WORDS, to_pixels
 from learn2assemble.world.blocks import EDGE, HALF
-from learn2assemble.world.design import MAX_COLUMN, NUM_LEVELS
 from learn2assemble.world.layouts import to_world
 from learn2assemble.world.state import State
 
@@ -48,6 +47,42 @@ _COLUMNWISE = int(highspy.MatrixFormat.kColwise)
 _MAXIMIZE = int(highspy.ObjSense.kMaximize)
 MAX_NODES = 2000
 """Nodes of branch and bound for each F(t), after which its proven bound is taken."""
+
+
+MAX_COLUMN, NUM_LEVELS = 7, 12
+"""Columns of cells on a side run from -MAX_COLUMN to MAX_COLUMN, levels from 0 to NUM_LEVELS - 1;
+their faces are inside the view."""
+
+
+@lru_cache(maxsize=1)
+def cell_pixels() -> np.ndarray:
+    """Pixels each cell in the face plane of a side fills that the table does not, by the complete
+    filter: ``uint64[2 MAX_COLUMN + 1, NUM_LEVELS, ROWS, WORDS]``, read-only.
+
+    Index ``k + MAX_COLUMN`` is column ``k``, at local ``x = EDGE k``. Two neighbouring cells may
+    both fill a pixel that sees their common edge.
+    """
+    table, unused = np.zeros((2, ROWS, WORDS), np.uint64)
+    clear_to_ground(table, unused, NARROW)
+    cells = np.zeros((2 * MAX_COLUMN + 1, NUM_LEVELS, ROWS, WORDS), np.uint64)
+    for index in range(len(cells)):
+        for level in range(NUM_LEVELS):
+            x, z = EDGE * (index - MAX_COLUMN), HALF + EDGE * level
+            add_box(cells[index, level], unused, x, 0.0, z, HALF)
+    cells &= ~table
+    cells.setflags(write=False)
+    return cells
+
+
+@lru_cache(maxsize=1)
+def tower_pixels() -> np.ndarray:
+    """Pixels of a tower of ``h`` blocks in each column: ``uint64[2 MAX_COLUMN + 1, NUM_LEVELS + 1,
+    ROWS, WORDS]``, read-only; ``h = 0`` is the empty set."""
+    cells = cell_pixels()
+    towers = np.zeros((len(cells), NUM_LEVELS + 1, ROWS, WORDS), np.uint64)
+    towers[:, 1:] = np.bitwise_or.accumulate(cells, axis=1)
+    towers.setflags(write=False)
+    return towers
 
 
 class Lattice(NamedTuple):

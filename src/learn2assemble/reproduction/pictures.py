@@ -6,9 +6,11 @@ A table of numbers as a picture.
 from __future__ import annotations
 
 import textwrap
+import warnings
 from collections.abc import Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,7 +19,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from learn2assemble.viewer.picture import ACCENT, INK, LINE, PAPER, SOFT, save, write
+from learn2assemble.files import write_file
+from learn2assemble.viewer.picture import ACCENT, INK, LINE, PAPER, SOFT
 
 _COLOURS = (ACCENT, "#d9480f", "#5f3dc4", "#2b8a3e")
 _DPI = 130
@@ -188,3 +191,23 @@ def _line(
 
 def _wrap(text: str, width: float) -> list[str]:
     return textwrap.wrap(text, max(40, int(width / 0.066))) or [""]
+
+
+def write(axes: Axes, x: float, y: float, words: str, **style: Any) -> None:
+    """Text as it stands: a dollar sign in a design's name is no formula."""
+    style = {"va": "center", "color": INK, **style}
+    axes.text(x, y, words, parse_math=False, **style)
+
+
+def save(figure: Figure, path: Path, dpi: int) -> None:
+    """Write a figure as PNG.
+
+    Raises:
+        InputError: where ``path`` cannot be written.
+    """
+    with warnings.catch_warnings():
+        # A name in a script the font lacks shows boxes; that is no reason to fail or to warn.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from")
+        content = BytesIO()
+        figure.savefig(content, format="png", dpi=dpi, metadata={"Software": None})
+    write_file(path, content.getvalue(), "picture")

@@ -22,19 +22,12 @@ def register_export(exports: Registry[Exporter]) -> None:
 
 
 def _page(plan: Plan, folder: Path) -> dict[str, Path]:
+    from learn2assemble.viewer.page import write_plan_page
+    from learn2assemble.viewer.picture import write_progress
+
     page, picture = folder / "view.html", folder / "progress.png"
-    if plan.assembly is not None:
-        from learn2assemble.viewer.assembly_page import write_plan_page
-        from learn2assemble.viewer.assembly_picture import write_assembly_progress
-
-        write_plan_page(plan, page)
-        write_assembly_progress(plan.assembly, picture)
-    else:
-        from learn2assemble.viewer.page import write_page
-        from learn2assemble.viewer.picture import write_progress
-
-        write_page(plan, page)
-        write_progress(plan, picture)
+    write_plan_page(plan, page)
+    write_progress(plan, picture)
     return {"page": page, "picture": picture}
 
 

@@ -37,14 +37,12 @@ LEGEND = (
 class Labels(NamedTuple):
     """What a page calls the cells of a record and the steps of its plan."""
 
-    numbers: tuple[int | None, ...]
-    """That stand on the cells."""
     names: tuple[str, ...]
     """Of the blocks the cells belong to."""
     colours: tuple[str, ...]
     """Of the cells once they are placed: ``#rrggbb`` or a name of the style sheet."""
     fixed: tuple[bool, ...]
-    """Cells that have this colour from the start: the first block, obstacles."""
+    """Cells that have this colour from the start: what stands there, obstacles."""
     captions: tuple[str, ...]
     """Of the start and of every step."""
 
@@ -78,16 +76,6 @@ def arm_values(playback: Playback) -> dict[str, str]:
     }
 
 
-READING = (
-    "<dt>The arm</dt><dd>Its joints follow the trajectory that stands in trajectory.json and "
-    "trajectory.csv beside this page. Waiting blocks stand where the arm takes them from.</dd>"
-    "<dt>Attempt</dt><dd>One try to pick up a block and put it down. After a failure the rest of "
-    "the build is planned anew from where the blocks really are.</dd>"
-    "<dt>Off by</dt><dd>Distance of the block from where it should stand, after the attempt.</dd>"
-    "<dt>Outcome</dt>"
-)
-
-
 def arm_section(playback: Playback, names: Sequence[str]) -> str:
     """The table of attempts with its heading; names of the blocks by cell."""
     record = playback.record
@@ -113,7 +101,8 @@ def _rows(playback: Playback, names: Sequence[str]) -> str:
             f'<tr data-segment="{k}"><td><button type="button" data-segment="{k}" '
             f'aria-label="Show attempt {k + 1}">{k + 1}</button></td>'
             f"<td>{escape(name)}</td>"
-            f'<td class="{"yes" if good else "no"}">{step.outcome.label}</td>'
+            f'<td class="{"yes" if good else "no"}" title="{escape(OUTCOME_WORDS[step.outcome])}">'
+            f"{step.outcome.label}</td>"
             f"<td>{escape(sentence(step.detail))}{again}</td>"
             f'<td class="number">{_error(step) if good else "–"}</td>'
             f'<td class="number">{step.seconds:.1f} s</td></tr>'
@@ -146,11 +135,6 @@ def ribbon(playback: Playback) -> str:
     )
 
 
-def outcome_list() -> str:
-    """Every outcome with its meaning."""
-    return "; ".join(f"<b>{o.label}</b>: {escape(words)}" for o, words in OUTCOME_WORDS.items())
-
-
 def arm_data(playback: Playback, labels: Labels) -> dict[str, Any]:
     """What the scripts need to move the arm: metres, seconds, radians, quaternions (w, x, y, z)."""
     record, shape = playback.record, playback.shape
@@ -173,10 +157,10 @@ def arm_data(playback: Playback, labels: Labels) -> dict[str, Any]:
         "parts": [_part(part) for part in shape.parts],
         "samples": packed(np.column_stack([samples.joints, samples.width]), np.uint16),
         "cells": [
-            {"number": number, "kind": colour, "fixed": fixed, "half": _list(size),
+            {"kind": colour, "fixed": fixed, "half": _list(size),
              "position": position, "quaternion": quaternion}
-            for number, colour, fixed, size, position, quaternion in zip(
-                labels.numbers, labels.colours, labels.fixed, playback.half,
+            for colour, fixed, size, position, quaternion in zip(
+                labels.colours, labels.fixed, playback.half,
                 *map(_list, split(first)), strict=True,
             )
         ],

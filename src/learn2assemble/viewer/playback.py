@@ -20,7 +20,7 @@ from learn2assemble.geometry.rotations import (
 )
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm, get_arm
-from learn2assemble.robot.moves import Outcome, fillers
+from learn2assemble.robot.moves import fillers
 from learn2assemble.robot.record import BuildRecord, Samples, StepRecord
 from learn2assemble.robot.shape import Shape, arm_shape
 
@@ -228,25 +228,22 @@ def _fits(record: BuildRecord, plan: Plan, arm: Arm) -> None:
         raise InputError("trajectory.arm.joints", record.arm.joints, f"those of arm {arm.name}")
     if not record.steps:
         raise InputError("trajectory.steps", 0, "at least one step")
-    count = len(plan.blocks.waiting)
-    if plan.assembly is None and record.num_cells != count:
-        raise InputError("trajectory.objects", record.num_cells, f"the {count} blocks of the plan")
+    count = 0 if plan.assembly is None else len(plan.assembly.blocks)
+    if len(record.objects) < count:
+        raise InputError(
+            "trajectory.objects", len(record.objects), f"the {count} blocks of the plan"
+        )
     last = len(plan.steps)
     for step in record.steps:
         if step.plan_step is not None and not 1 <= step.plan_step <= last:
             what = f"trajectory.steps[{step.number - 1}].plan_step"
             raise InputError(what, step.plan_step, f"1 to {last}, the steps of the plan")
-        done = step.plan_step is not None and step.outcome == Outcome.REACHED
-        if plan.assembly is None and done:
-            block = plan.steps[(step.plan_step or 0) - 1].block
-            if block not in step.cells:
-                what = f"trajectory.steps[{step.number - 1}].cells"
-                raise InputError(what, step.cells, f"block {block}, as in the plan")
 
 
 def block_of_cell(record: BuildRecord, plan: Plan) -> list[int | None]:
-    """The block of the plan each cell belongs to; None for obstacles and blocks that were lost."""
-    count = len(plan.blocks.waiting) if plan.assembly is None else len(plan.assembly.blocks)
+    """The block of the plan each cell belongs to; None for obstacles, blocks that are not used, and
+    those that were lost."""
+    count = 0 if plan.assembly is None else len(plan.assembly.blocks)
     blocks: list[int | None] = [None] * record.num_cells
     for number, cells in enumerate(record.objects[:count]):
         for cell in cells:

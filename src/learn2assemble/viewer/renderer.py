@@ -17,8 +17,8 @@ SAMPLES = 2
 SHADOW_SIZE = 768
 """Places along a side of the map of shadows."""
 LIT, PLAIN, BLOCK, GROUND = 0, 1, 2, 3
-"""Kinds of triangles: shaded; in its colour as it is; shaded, with a rim and a number; shaded, but
-with nothing below that it could cast a shadow on."""
+"""Kinds of triangles: shaded; in its colour as it is; shaded, with a rim; shaded, but with nothing
+below that it could cast a shadow on."""
 _WIDE = 12
 """Rows with more samples are cut to what lies inside the triangle before they are walked."""
 
@@ -164,10 +164,6 @@ def blend_sheet(corners, colour, share, depth, image):
                 image[y, x, channel] = np.uint8(old + part * (colour[channel] - old) + 0.5)
 
 
-NUMBER_SIZE = 32
-"""Texels along a side of the picture of a number."""
-
-
 AMBIENT, UPWARD, DIRECT = 0.6, 0.08, 0.42
 """Light from everywhere, more of it from above, and from the sun."""
 BIAS = 0.002
@@ -215,12 +211,9 @@ def slopes(screen, world, normals, faces, body, shown, marks, axes, low, scale, 
 
 
 @njit(cache=True, error_model="numpy")
-def shade(
-    seen, slope, body_of, kind, number, colour, numbers, rim_colour, sky, sun, shadow, focal, image
-):
+def shade(seen, slope, body_of, kind, colour, rim_colour, sky, sun, shadow, focal, image):
     """Fill ``image``; a pixel whose four samples see one triangle is shaded once."""
     # One long function: calls with arrays cost more here than what they would do.
-    last = NUMBER_SIZE - 1.001
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
             f = seen[2 * y, 2 * x]
@@ -282,17 +275,9 @@ def shade(
                     blur = 20.0 / (near * focal)  # about a pixel, as a share of a block's edge
                     edge = min(u, v, 1.0 - u, 1.0 - v)
                     rim = min(max((0.022 + blur / 2 - edge) / blur, 0.0), 1.0)
-                    u = min(max(u * NUMBER_SIZE - 0.5, 0.0), last)
-                    v = min(max((1.0 - v) * NUMBER_SIZE - 0.5, 0.0), last)
-                    i, j, k = int(u), int(v), number[f]
-                    s, t = u - i, v - j
-                    ink = 0.85 * (
-                        (1 - t) * ((1 - s) * numbers[k, j, i] + s * numbers[k, j, i + 1])
-                        + t * ((1 - s) * numbers[k, j + 1, i] + s * numbers[k, j + 1, i + 1])
-                    )
-                    r = (r + rim * (rim_colour[0] - r)) * (1.0 - ink) + 33.0 * ink
-                    g = (g + rim * (rim_colour[1] - g)) * (1.0 - ink) + 33.0 * ink
-                    h = (h + rim * (rim_colour[2] - h)) * (1.0 - ink) + 33.0 * ink
+                    r += rim * (rim_colour[0] - r)
+                    g += rim * (rim_colour[1] - g)
+                    h += rim * (rim_colour[2] - h)
                 red, green, blue = red + r, green + g, blue + h
             share = 1.0 if same else 0.25
             image[y, x, 0] = np.uint8(min(red * share + 0.5, 255.0))
@@ -339,8 +324,6 @@ class Triangles(NamedTuple):
     """int32[f, 3]."""
     kind: np.ndarray
     """uint8[f]."""
-    number: np.ndarray
-    """int32[f]: which picture of a number a block's face carries; -1: none."""
 
 
 class Buffers:
@@ -358,7 +341,6 @@ class Buffers:
 def render(
     triangles: Triangles, buffers: Buffers, camera: Camera, light: Light, position: np.ndarray,
     rotation: np.ndarray, shown: np.ndarray, colour: np.ndarray, sky: np.ndarray, rim: np.ndarray,
-    numbers: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """One picture: uint8[height, width, 3], valid until the next call with these buffers.
 
@@ -367,7 +349,6 @@ def render(
         rotation: float64[b, 3, 3].
         shown: bool[b].
         colour: float32[b, 3] of the bodies, 0 to 255; likewise ``sky`` and ``rim``, float32[3].
-        numbers: float32[n, NUMBER_SIZE, NUMBER_SIZE], how much ink, 0 to 1.
     """
     b, turn = buffers, rotation.astype(np.float32)[triangles.body]
     world = (turn @ triangles.vertices[..., None])[..., 0] + position.astype(np.float32)[
@@ -388,7 +369,7 @@ def render(
         light.axes, light.low, SHADOW_SIZE / light.size, b.slope,
     )  # fmt: skip
     shade(
-        b.seen, b.slope, b.owner, triangles.kind, triangles.number, colour, numbers, rim,
+        b.seen, b.slope, b.owner, triangles.kind, colour, rim,
         sky.astype(np.uint8), light.axes[2], b.shadow, camera.focal, b.image,
     )  # fmt: skip
     return b.image

@@ -19,12 +19,11 @@ from learn2assemble.geometry.rotations import yaw_matrix
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.record import BuildRecord
-from learn2assemble.viewer import assembly_page, page
 from learn2assemble.viewer.arm import extent
-from learn2assemble.viewer.picture import ACCENT, COLOURS, INK, LINE, PAPER, RIM, SOFT, side_normal
+from learn2assemble.viewer.page import cell_labels
+from learn2assemble.viewer.picture import ACCENT, COLOURS, INK, LINE, PAPER, RIM, SOFT
 from learn2assemble.viewer.playback import Playback, Segment, block_of_cell
 from learn2assemble.viewer.renderer import Buffers, Camera, Light, blend_sheet, project, render
-from learn2assemble.viewer.scene import read_scene
 from learn2assemble.viewer.words import clock_words, stage_words
 from learn2assemble.viewer.workcell import body_poses, fill_box, rgb, workcell, write
 
@@ -54,13 +53,11 @@ class Frames:
     ) -> None:  # fmt: skip
         self.plan, self.playback = plan, Playback(record, plan)
         self.width, self.height, self.note = width, height, note
-        self.scene = read_scene(plan)
         if plan.assembly is None:
-            self.labels = page.cell_labels(plan, self.scene, self.playback)
-        else:
-            blocks = block_of_cell(record, plan)
-            self.labels = assembly_page.cell_labels(plan.assembly, blocks)
-        self.model = workcell(self.playback, self.scene, self.labels)
+            raise InputError("plan", "no blocks", "assembly.json beside plan.json")
+        self.targets = [np.array(target.outline) for target in plan.design.targets]
+        self.labels = cell_labels(plan.assembly, block_of_cell(record, plan))
+        self.model = workcell(self.playback, self.targets, self.labels)
         self.placed_by = {
             cell: step.number for step in record.steps if step.outcome == Outcome.REACHED
             for cell in step.cells
@@ -92,7 +89,7 @@ class Frames:
         picture = render(
             model.triangles, self.buffers, self.camera, self.light,
             *poses, shown, self._colours(segment, clock),
-            SKY, rgb(RIM), model.numbers,
+            SKY, rgb(RIM),
         )  # fmt: skip
         for corners in self.sheets:
             blend_sheet(corners, rgb(ACCENT), 0.2, self.buffers.depth, picture)
@@ -103,13 +100,12 @@ class Frames:
         import manifold3d
 
         edge, found = self.playback.record.block_edge, []
-        for side in self.scene.elevations:
-            corners = side.face(edge) - edge / 50 * side_normal(side.frame)
-            x, y = side.outline.T
-            inverted = x @ np.roll(y, -1) < y @ np.roll(x, -1)
-            outline = side.outline[::-1] if inverted else side.outline
-            screen = project(corners[::-1] if inverted else corners, self.camera)
-            found += [screen[ear] for ear in manifold3d.triangulate([outline])]
+        for target in self.plan.design.targets:
+            x, y, _ = normal = np.array(target.outward)
+            corners = np.array(target.outline)[::-1] - edge / 50 * normal
+            flat = np.stack([corners @ [-y, x, 0.0], corners[:, 2]], 1)
+            screen = project(corners, self.camera)
+            found += [screen[ear] for ear in manifold3d.triangulate([flat])]
         return found
 
     def _ribbons(self) -> tuple[np.ndarray, np.ndarray]:
@@ -135,7 +131,7 @@ class Frames:
             colour[model.arm + k] = 255 * np.array(part.colour)
         for cell in range(self.playback.record.num_cells):
             name = self.labels.colours[cell]
-            own = rgb(COLOURS.get(name, name))
+            own = rgb(name if name.startswith("#") else COLOURS[name])
             if self.labels.fixed[cell] or self.placed_by.get(cell, np.inf) < segment.step.number:
                 colour[model.cells + cell] = own
             if cell in segment.step.cells and 0 < clock < self.playback.duration:
@@ -188,8 +184,7 @@ class Frames:
     def _points(self) -> np.ndarray:
         record = self.playback.record
         cells = [p[p[:, 2] > 0, :3] for p in (record.steps[0].before, record.steps[-1].after)]
-        faces = [side.face(record.block_edge) for side in self.scene.elevations]
-        return np.concatenate([*cells, *faces, extent(self.playback)])
+        return np.concatenate([*cells, *self.targets, extent(self.playback)])
 
     def _camera(self) -> Camera:
         """As near as shows everything, as the page does."""

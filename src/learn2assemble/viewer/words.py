@@ -1,10 +1,10 @@
-"""The sentences of a report: what a plan says, what an arm does, and what became of a step."""
+"""The words of a page: shares, what an arm does, and what became of it."""
 
 from __future__ import annotations
 
 import math
 
-from learn2assemble.planning.plan import Plan, Step
+from learn2assemble.planning.plan import Step
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.record import BuildRecord, Stage, StepRecord
 
@@ -26,71 +26,11 @@ def percent(share: float | None) -> str:
     return f"{min(100 * share, 99.9) if share < 1 else 100 * share:.1f}\u00a0%"
 
 
-def block_name(number: int) -> str:
-    """How a block is called in the text: by the number that stands on it in the drawings."""
-    return "the first block" if number == 0 else f"block {number}"
-
-
 def placement(step: Step) -> str:
-    """Where a step puts its block, e.g. ``on top of block 3``."""
+    """Where a step of a task puts its block, e.g. ``on top of b3``."""
     if step.relation is None or step.reference is None:
-        return "to its place"
-    return f"{_RELATIONS[step.relation]} {block_name(step.reference)}"
-
-
-def summary(plan: Plan) -> str:
-    """The report in short: status, blocks, coverage, search, verification."""
-    used, available = plan.blocks.used, plan.blocks.available
-    needed = percent(plan.design.success_threshold)
-    if plan.status == "refused":
-        count = len(plan.design.elevations)
-        return (
-            f"There is no build order for this design of {count} side{'s' * (count != 1)}; "
-            f"{available} blocks were available."
-        )
-    word = "verified" if plan.complete else "checked"
-    verified = f"{word} by {plan.verified_by}" if plan.verified_by else f"not {word}"
-    found = f"Search needed: {search_needed(plan)}; {verified}."
-    if plan.complete:
-        return (
-            f"{used} of {available} blocks, placed in an order that stays stable after every "
-            f"step, cover {percent(plan.coverage)} of the target ({needed} needed). {found}"
-        )
-    return (
-        f"The best order found places {used} of {available} blocks and covers "
-        f"{percent(plan.coverage)} of the target, short of the {needed} needed. {found}"
-    )
-
-
-def search_needed(plan: Plan) -> str:
-    """The stage of the search that found the plan."""
-    return (plan.search.needed if plan.search else "") or "none"
-
-
-def shares(plan: Plan, plane: bool = False) -> list[float]:
-    """Coverage before the first step, 0 where it counts from the first block, and after each.
-
-    Args:
-        plane: only what is not hidden behind the face plane of a side.
-    """
-    states = [plan.first_block, *plan.steps]
-    return [(s.plane_coverage if plane else s.coverage) if s else 0.0 for s in states]
-
-
-def caption(plan: Plan, number: int) -> str:
-    """What happens in step ``number``; 0 is the start."""
-    if number == 0:
-        if not plan.first_block:
-            return "Start: the table is empty."
-        counted = "" if shares(plan)[0] else " Coverage is counted from here."
-        return f"Start: only the first block stands.{counted}"
-    step = plan.steps[number - 1]
-    support = " It stands outside every outline, as a support." if step.outside else ""
-    unstable = "" if step.stable else " The structure does not stay stable."
-    return (
-        f"Block {number} goes {placement(step)}; now {percent(step.coverage)} "
-        f"of the target is covered.{support}{unstable}"
-    )
+        return ""
+    return f"{_RELATIONS[step.relation]} b{step.reference}"
 
 
 STAGE_WORDS = {
@@ -134,17 +74,6 @@ def stage_words(step: StepRecord, stage: Stage, block: str, suction: bool = Fals
     lost = stage.name in _CARRYING and not held
     lost |= stage.name in ("pick", "retreat") and step.grip is None
     return (empty if lost else as_planned).format(block=block)
-
-
-def block_numbers(plan: Plan) -> dict[int, int]:
-    """The numbers that stand on the blocks: 0 on the first, else the step that places it."""
-    first = {} if plan.first_block is None else {plan.first_block.block: 0}
-    return {step.block: number for number, step in enumerate(plan.steps, 1)} | first
-
-
-def block_names(plan: Plan) -> dict[int, str]:
-    """How blocks are called: by the number that stands on them; others are waiting blocks."""
-    return {block: block_name(number) for block, number in block_numbers(plan).items()}
 
 
 def sentence(text: str) -> str:

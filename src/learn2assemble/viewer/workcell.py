@@ -7,6 +7,7 @@ the parts of the arm, the cells, and what fills the gaps inside objects.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -19,8 +20,7 @@ from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.robot.shape import Mesh, box
 from learn2assemble.viewer.arm import Labels
 from learn2assemble.viewer.playback import Playback, glued_cells, split
-from learn2assemble.viewer.renderer import BLOCK, GROUND, LIT, NUMBER_SIZE, PLAIN, Triangles
-from learn2assemble.viewer.scene import Scene
+from learn2assemble.viewer.renderer import BLOCK, GROUND, LIT, PLAIN, Triangles
 
 _FONTS = {False: "DejaVuSans.ttf", True: "DejaVuSans-Bold.ttf"}
 
@@ -78,18 +78,6 @@ def fill_box(
     part[:] = np.round(part + share[: part.shape[1]] * (colour - part)).astype(np.uint8)
 
 
-def number_picture(number: int | None, size: int) -> np.ndarray:
-    """A number in the middle of a square: ink, float32[size, size]."""
-    square = np.zeros((size, size), np.float32)
-    if number is None:
-        return square
-    ink, _ = lettering(str(number), 0.62 * size, True)
-    h, w = min(ink.shape[0], size), min(ink.shape[1], size)
-    top, left = (size - h) // 2, (size - w) // 2
-    square[top : top + h, left : left + w] = ink[:h, :w]
-    return square
-
-
 def rgb(colour: str) -> np.ndarray:
     """``"#0b7285"`` as float32[3], 0 to 255."""
     return np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)], np.float32)
@@ -107,8 +95,6 @@ class Workcell(NamedTuple):
     """Triangles and which body is what."""
 
     triangles: Triangles
-    numbers: np.ndarray
-    """float32[n, s, s]: pictures of the numbers."""
     outline: int
     """Body of the target outlines; likewise the next four."""
     places: int
@@ -134,34 +120,31 @@ class _Collector:
         self.bodies += 1
         return self.bodies - 1
 
-    def add(
-        self, body: int, mesh: Mesh, kind: int, marks: np.ndarray | None = None, number: int = -1
-    ) -> None:
+    def add(self, body: int, mesh: Mesh, kind: int, marks: np.ndarray | None = None) -> None:
         v, f = len(mesh.vertices), len(mesh.faces)
         self.rows.append((
             mesh.vertices, mesh.normals, np.zeros((v, 2)) if marks is None else marks,
-            np.full(v, body), mesh.faces + self.vertices, np.full(f, kind), np.full(f, number),
+            np.full(v, body), mesh.faces + self.vertices, np.full(f, kind),
         ))  # fmt: skip
         self.vertices += v
 
     def triangles(self) -> Triangles:
         columns = [np.concatenate(column) for column in zip(*self.rows, strict=True)]
-        kinds = (np.float32, np.float32, np.float32, np.int32, np.int32, np.uint8, np.int32)
+        kinds = (np.float32, np.float32, np.float32, np.int32, np.int32, np.uint8)
         return Triangles(*(c.astype(k) for c, k in zip(columns, kinds, strict=True)))
 
 
-def workcell(playback: Playback, scene: Scene, labels: Labels) -> Workcell:
+def workcell(playback: Playback, targets: Sequence[np.ndarray], labels: Labels) -> Workcell:
     """The cell of a record.
 
     Args:
-        scene: of the plan, for the outlines.
-        labels: of its cells; those without a number stay blank.
+        targets: float64[V, 3] each, outlines to be drawn [m, world].
+        labels: of its cells.
     """
     record, edge = playback.record, playback.record.block_edge
     first, all_cells = record.steps[0].before, _Collector()
     outline, places, goal, table = (all_cells.body() for _ in range(4))
-    for side in scene.elevations:
-        corners = side.face(edge)
+    for corners in targets:
         for a, b in zip(corners, np.roll(corners, -1, 0), strict=True):
             all_cells.add(outline, rod(a, b, edge / 22), PLAIN)
     halves = playback.half
@@ -174,24 +157,22 @@ def workcell(playback: Playback, scene: Scene, labels: Labels) -> Workcell:
     corner = 0.5 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     for i, j in ((i, i | 1 << k) for i in range(8) for k in range(3) if not i >> k & 1):
         all_cells.add(goal, rod(corner[i], corner[j], 1 / 40), PLAIN)
-    all_cells.add(table, _table(playback, scene), GROUND)
+    all_cells.add(table, _table(playback, targets), GROUND)
     arm = all_cells.bodies
     for part in playback.shape.parts:
         all_cells.add(all_cells.body(), part.mesh, LIT)
     cells = all_cells.bodies
-    for cell, half in enumerate(halves):
+    for half in halves:
         block, marks = _block(half)
-        all_cells.add(all_cells.body(), block, BLOCK, marks, cell)
+        all_cells.add(all_cells.body(), block, BLOCK, marks)
     pairs = glued_cells(record)
     for a, b in pairs.tolist():
         gap = float(np.linalg.norm(first[a, :3] - first[b, :3])) - edge
         half = np.array([max(gap, 0.0005), 0.98 * edge, 0.98 * edge]) / 2
         all_cells.add(all_cells.body(), box(half), LIT)
-    pictures = [number_picture(number, NUMBER_SIZE) for number in labels.numbers]
     return Workcell(
-        all_cells.triangles(), np.array(pictures), outline, places, goal, table, arm, cells,
-        pairs, all_cells.bodies,
-    )  # fmt: skip
+        all_cells.triangles(), outline, places, goal, table, arm, cells, pairs, all_cells.bodies
+    )
 
 
 def body_poses(model: Workcell, playback: Playback, clock: float) -> tuple[np.ndarray, np.ndarray]:
@@ -244,11 +225,11 @@ def _block(half: np.ndarray) -> tuple[Mesh, np.ndarray]:
     return Mesh(np.array(vertices), np.array(normals), np.array(faces, np.int32)), np.array(marks)
 
 
-def _table(playback: Playback, scene: Scene) -> Mesh:
+def _table(playback: Playback, targets: Sequence[np.ndarray]) -> Mesh:
     """The table top under all there is, its corners round."""
     edge = playback.record.block_edge
     points = [playback.record.steps[0].before[:, :2], playback.shape.chain.offset[:1, :2]]
-    points += [side.face(edge)[:, :2] for side in scene.elevations]
+    points += [corners[:, :2] for corners in targets]
     every = np.concatenate(points)
     low, high = every.min(0) - 2.2 * edge, every.max(0) + 2.2 * edge
     quarter = np.linspace(0, np.pi / 2, 9)

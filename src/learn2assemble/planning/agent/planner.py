@@ -85,8 +85,7 @@ def plan_with_agent(
     if hand is not None:
         text += f"; {hand.tried} placements tried by the arm, {hand.failed} of them failed"
     report = SearchReport(
-        "agent with search", budget, (SearchStage("agent with search", text, round(spent, 3)),),
-        outcome.repairs,
+        "agent with search", budget, (SearchStage("agent with search", text, round(spent, 3)),)
     )  # fmt: skip
     return tiling, ordering, report, agent.name
 

@@ -99,8 +99,6 @@ function createArm(data, tools) {
     states.push(poses);
     put(segment.after);
   }
-  arm.cells.forEach(({ fixed, position }) => { if (!fixed) tools.addPlace(position); });
-
   const ghostLine = coloured(new THREE.LineBasicMaterial({ transparent: true, opacity: 0.9 }), "current");
   const ghost = new THREE.LineSegments(
     new THREE.EdgesGeometry(new THREE.BoxGeometry(1, 1, 1)), ghostLine);
@@ -169,8 +167,8 @@ function createArm(data, tools) {
     return owner.has(cell) && owner.get(cell) < k ? kind : "waiting";
   }
 
-  function makeCell({ number, half }) {
-    const cube = tools.cube(number ?? null, half);
+  function makeCell({ half }) {
+    const cube = tools.cube(half);
     group.add(cube.group);
     return cube;
   }

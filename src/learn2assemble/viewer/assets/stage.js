@@ -1,196 +1,411 @@
 "use strict";
-/* The 3-D view of a plan of cubes: time is counted in steps, at time k step k is done, between k - 1
-   and k its block is on the way. With an arm it is counted in seconds (arm.js).
-
-   Whatever moves is an actor: {group, update(time)}. */
+/* The 3-D view of an assembly. All blocks are one mesh and all their edges one set of lines, so that
+   thousands are drawn in two calls. Sides that are covered by blocks that stand, and edges between
+   such sides, are left out: of a wall that is most of them. */
 function createStage(canvas, data) {
-  const edge = data.edge, actors = [];
-  // Near: without the arm.
-  const near = [
-    ...(data.arm ? data.arm.cells.map((cell) => cell.position)
-      : [...data.blocks.map((b) => b.position), ...data.waiting.filter(Boolean)]),
-    ...data.faces.flat(),
-  ];
-  const points = data.arm ? [...near, ...data.arm.extent] : near;
-  const view = createView(canvas, { points, edge, fromRight: Boolean(data.arm), turn: data.arm?.turn });
-  const { scene, coloured, colours } = view;
-  const built = [...data.blocks.map((b) => b.position[2]), ...data.faces.flat().map((p) => p[2])];
-  const roof = Math.max(edge, ...built) + edge / 2;
+  const edge = data.edge, blocks = readBlocks(data), shapes = readShapes(data.shapes);
+  const points = blocks.flatMap(({ shape, at }) => {
+    const { low, high } = shapes[shape];
+    return [at.map((v, k) => v + low[k]), at.map((v, k) => v + high[k])];
+  }).concat(data.targets.flatMap(({ outline }) => outline));
+  const seen = data.arm ? [...points, ...data.arm.extent] : points;
+  const view = createView(canvas, { points: seen, edge, floor: data.floor, fromRight: Boolean(data.arm), turn: data.arm?.turn });
+  const roof = points.reduce((most, p) => Math.max(most, p[2]), -Infinity);
 
-  for (const face of data.faces) addTarget(face);
-  if (data.arm) {
-    actors.push(createArm(data, { edge, cube, coloured, addPlace, colours }));
-  } else {
-    addBlocks();
+  let corners = 0, ends = 0;
+  for (const block of blocks) {
+    const shape = shapes[block.shape];
+    Object.assign(block, { corner: corners, end: ends, state: "" });
+    corners += shape.corners.length;
+    ends += shape.edges.length;
   }
-  for (const actor of actors) scene.add(actor.group);
-  let time = data.arm ? data.arm.duration : data.steps;
-  view.whenRepainted(() => update(time));
+  const skin = geometry(corners, ["position", "color"]), lines = geometry(ends, ["position"]);
+  for (const made of [skin, lines]) {
+    made.setIndex(Array.from({ length: made.attributes.position.count }, (_, k) => k));
+  }
+  // Blocks do not turn, so the light on their faces is part of their colours.
+  const material = new THREE.MeshBasicMaterial({
+    vertexColors: true, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 2,
+  });
+  const rim = view.coloured(new THREE.LineBasicMaterial(), "edge");
+  const mesh = new THREE.Mesh(skin, material), edges = new THREE.LineSegments(lines, rim);
+  mesh.castShadow = true;
+  mesh.frustumCulled = edges.frustumCulled = false;
+  view.scene.add(mesh, edges);
+  for (const target of data.targets) addTarget(target);
+  // An arm moves every block on its own; the mesh of all is for the layers then.
+  const arm = data.arm
+    ? createArm(data, { edge, cube: box, coloured: view.coloured, colours: view.colours }) : null;
+  if (arm) view.scene.add(arm.group);
+  const overlays = { joints: addJoints(), forces: addForces() };
+
+  const end = data.arm ? data.arm.duration : data.steps;
+  let time = end, cut = null, standing = -1;
+  view.whenRepainted(() => { for (const block of blocks) block.state = ""; update(time); });
   view.start();
-
-  return { update, resetView: () => view.look(), nearView: () => view.look(near) };
-
-  function addBlocks() {
-    const used = new Map();
-    for (const block of data.blocks) {
-      actors.push(blockActor(block));
-      if (block.waiting !== null) used.set(block.waiting, block);
-    }
-    data.waiting.forEach((place, index) => {
-      if (!place) return; // The first block stands from the start.
-      addPlace(place);
-      if (!used.has(index)) addSpare(place);
-    });
+  canvas.addEventListener("pointerdown", (event) => { canvas.pressed = [event.clientX, event.clientY]; });
+  canvas.addEventListener("pointerup", (event) => {
+    const [x, y] = canvas.pressed ?? [Infinity, Infinity];
+    if (Math.hypot(event.clientX - x, event.clientY - y) < 4) tellPicked(event);
+  });
+  for (const name of ["joints", "forces"]) {
+    document.getElementById("show-" + name)?.addEventListener("change", () => update(time));
   }
+  document.getElementById("from-above").addEventListener("click", () => view.look(points, [0, -0.001, 1]));
+  for (const button of document.querySelectorAll("button[data-side]")) {
+    const [x, y] = data.targets[Number(button.dataset.side)].outward;
+    button.addEventListener("click", () => view.look(points, [x, y, 0.04]));
+  }
+
+  return {
+    update(now) { cut = null; update(now); },
+    showLayer(layer) { cut = layer; update(time); },
+    resetView: () => view.look(),
+    nearView: () => view.look(points),
+  };
 
   function update(now) {
     time = now;
-    for (const actor of actors) actor.update(now);
-    view.castShadows();
+    if (arm) {
+      arm.group.visible = cut === null;
+      mesh.visible = edges.visible = cut !== null;
+      if (cut === null) {
+        arm.update(now);
+        for (const group of Object.values(overlays)) group.visible = false;
+        view.castShadows();
+        view.draw();
+        return;
+      }
+    }
+    const colours = view.colours(), moved = [];
+    let count = 0;
+    for (const block of blocks) {
+      const { lift, colour } = cut === null ? atTime(block, now) : inLayer(block);
+      if (colour !== null && !lift) count += 1;
+      const state = colour === null ? "" : `${colour} ${lift}`;
+      if (state === block.state) continue;
+      block.state = state;
+      moved.push(block);
+      write(block, colour === null ? null : lift, colour === null ? "" : shade(colour, colours));
+    }
+    refresh(moved);
+    if (moved.length) leaveOutCovered();
+    const whole = cut === null && now >= end;
+    let glass = false;
+    for (const [name, group] of Object.entries(overlays)) {
+      group.visible = whole && Boolean(document.getElementById("show-" + name)?.checked);
+      glass ||= group.visible;
+    }
+    if (material.transparent !== glass) {
+      Object.assign(material, { transparent: glass, opacity: glass ? 0.25 : 1, depthWrite: !glass, needsUpdate: true });
+      Object.assign(rim, { transparent: glass, opacity: glass ? 0.3 : 1, needsUpdate: true });
+      mesh.castShadow = !glass;
+    }
+    if (count !== standing) view.castShadows(); // Not for every place a block passes on its way.
+    standing = count;
     view.draw();
   }
 
-  function addTarget(face) {
-    // The film stands a hair behind the face plane, also after the cubes' own offset in depth: it
-    // shows what is not filled yet.
-    const corners = face.map((p) => new THREE.Vector3(...p));
-    const normal = faceNormal(corners);
-    for (const c of corners) c.addScaledVector(normal, -edge / 50);
-    const along = new THREE.Vector3(normal.y, -normal.x, 0);
+  /* What the blocks of a task shall cover: a film a hair behind their faces, which shows what is not
+     filled yet, with its outline. */
+  function addTarget({ outline, outward }) {
+    const normal = new THREE.Vector3(...outward), along = new THREE.Vector3(-normal.y, normal.x, 0);
+    const corners = outline.map((p) => new THREE.Vector3(...p));
     const shape = new THREE.Shape();
     corners.forEach((c, k) => (k ? shape.lineTo(c.dot(along), c.z) : shape.moveTo(c.dot(along), c.z)));
-    const sheet = new THREE.ShapeGeometry(shape);
-    // A plane through the outline: local x runs along the side, local y is up.
-    sheet.rotateX(Math.PI / 2);
-    sheet.rotateZ(Math.atan2(along.y, along.x));
-    const offset = normal.clone().multiplyScalar(corners[0].dot(normal));
-    sheet.translate(offset.x, offset.y, 0);
-    for (const c of corners) c.addScaledVector(normal, edge / 50);
-    const film = new THREE.Mesh(sheet, coloured(new THREE.MeshBasicMaterial({
-      transparent: true, opacity: 0.2, side: THREE.DoubleSide, depthWrite: false,
-      polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 4,
-    }), "accent"));
+    // Local x runs along the side, local y is up.
+    const sheet = new THREE.ShapeGeometry(shape).rotateX(Math.PI / 2).rotateZ(Math.atan2(along.y, along.x));
+    sheet.translate(...normal.clone().multiplyScalar(corners[0].dot(normal) - edge / 50));
+    const film = new THREE.Mesh(sheet, view.coloured(
+      new THREE.MeshBasicMaterial({ transparent: true, opacity: 0.2, side: THREE.DoubleSide, depthWrite: false }), "accent"));
     film.renderOrder = 2;
-    scene.add(film);
+    view.scene.add(film);
     corners.forEach((a, k) => {
-      const b = corners[(k + 1) % corners.length];
-      const rod = new THREE.Mesh(
-        new THREE.CylinderGeometry(edge / 40, edge / 40, a.distanceTo(b), 8),
-        coloured(new THREE.MeshBasicMaterial(), "accent"));
+      const b = corners[(k + 1) % corners.length], length = a.distanceTo(b);
+      const rod = new THREE.Mesh(new THREE.CylinderGeometry(edge / 40, edge / 40, length, 8),
+        view.coloured(new THREE.MeshBasicMaterial(), "accent"));
       rod.position.copy(a).add(b).multiplyScalar(0.5);
-      rod.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), b.clone().sub(a).normalize());
-      scene.add(rod);
+      rod.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), b.clone().sub(a).divideScalar(length));
+      view.scene.add(rod);
     });
   }
 
-  /* The side's outward direction: horizontal, away from the middle of the structure's footprint
-     where the outline's own turning direction leaves it open. */
-  function faceNormal(corners) {
-    let area = new THREE.Vector3();
-    for (let k = 0; k < corners.length; k++) {
-      area.add(corners[k].clone().cross(corners[(k + 1) % corners.length]));
-    }
-    const normal = new THREE.Vector3(area.x, area.y, 0).normalize();
-    if (!normal.lengthSq()) normal.set(0, -1, 0);
-    const solid = data.blocks.length ? data.blocks.map((b) => b.position) : data.faces.flat();
-    const mean = new THREE.Vector3();
-    for (const p of solid) mean.add(new THREE.Vector3(...p));
-    mean.divideScalar(solid.length);
-    return corners[0].clone().sub(mean).dot(normal) < 0 ? normal.negate() : normal;
-  }
-
-  /* A cube whose side faces carry an upright picture of its number. */
-  function cubeGeometry() {
-    const h = edge / 2, position = [], normals = [], uv = [], index = [];
-    const faces = [
-      [[0, -1, 0], [1, 0, 0], [0, 0, 1]], [[0, 1, 0], [-1, 0, 0], [0, 0, 1]],
-      [[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[-1, 0, 0], [0, -1, 0], [0, 0, 1]],
-      [[0, 0, 1], [1, 0, 0], [0, 1, 0]], [[0, 0, -1], [1, 0, 0], [0, -1, 0]],
-    ];
-    faces.forEach(([n, u, v], f) => {
-      for (const [a, b] of [[-1, -1], [1, -1], [1, 1], [-1, 1]]) {
-        position.push(...[0, 1, 2].map((k) => h * (n[k] + a * u[k] + b * v[k])));
-        normals.push(...n);
-        uv.push((a + 1) / 2, (b + 1) / 2);
-      }
-      index.push(...[0, 1, 2, 0, 2, 3].map((k) => 4 * f + k));
-    });
-    const geometry = new THREE.BufferGeometry();
-    geometry.setAttribute("position", new THREE.Float32BufferAttribute(position, 3));
-    geometry.setAttribute("normal", new THREE.Float32BufferAttribute(normals, 3));
-    geometry.setAttribute("uv", new THREE.Float32BufferAttribute(uv, 2));
-    geometry.setIndex(index);
-    return geometry;
-  }
-
-  function numberPicture(number) {
-    const picture = document.createElement("canvas");
-    picture.width = picture.height = 128;
-    const pen = picture.getContext("2d");
-    pen.fillStyle = "#fff";
-    pen.fillRect(0, 0, 128, 128);
-    pen.fillStyle = "#26221c";
-    pen.font = "600 56px system-ui, 'Liberation Sans', Arial, sans-serif";
-    pen.textAlign = "center";
-    pen.textBaseline = "middle";
-    if (number !== null) pen.fillText(String(number), 64, 68);
-    const texture = new THREE.CanvasTexture(picture);
-    texture.colorSpace = THREE.SRGBColorSpace;
-    texture.anisotropy = 8;
-    return texture;
-  }
-
-  function cube(number) {
-    createStage.cube ??= cubeGeometry();
-    createStage.rim ??= new THREE.EdgesGeometry(new THREE.BoxGeometry(edge, edge, edge));
+  function box(half) {
+    const sides = new THREE.BoxGeometry(...half.map((v) => 2 * v));
     const material = new THREE.MeshLambertMaterial({
-      map: numberPicture(number), polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 2,
+      polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 2,
     });
-    const mesh = new THREE.Mesh(createStage.cube, material);
-    mesh.castShadow = mesh.receiveShadow = true;
-    const rim = coloured(new THREE.LineBasicMaterial(), "edge");
-    const group = new THREE.Group().add(mesh, new THREE.LineSegments(createStage.rim, rim));
+    const piece = new THREE.Mesh(sides, material);
+    piece.castShadow = piece.receiveShadow = true;
+    const group = new THREE.Group().add(piece, new THREE.LineSegments(new THREE.EdgesGeometry(sides), rim));
     return { group, material };
   }
 
-  function blockActor(block) {
-    const { group, material } = cube(block.number);
-    const [w, x, y, z] = block.quaternion;
-    const goal = new THREE.Vector3(...block.position);
-    const goalTurn = new THREE.Quaternion(x, y, z, w);
-    const start = block.waiting === null ? goal : new THREE.Vector3(...data.waiting[block.waiting]);
-    const clear = roof + edge;
-    const ease = (t) => { const u = Math.min(Math.max(t, 0), 1); return u * u * (3 - 2 * u); };
-    return {
-      group,
-      update(now) {
-        const share = block.number === 0 ? 1 : Math.min(Math.max(now - block.number + 1, 0), 1);
-        const lift = ease(share / 0.3), across = ease((share - 0.22) / 0.5), lower = ease((share - 0.66) / 0.34);
-        group.position.lerpVectors(start, goal, across);
-        if (share < 1) {
-          const up = start.z + (clear - start.z) * lift;
-          group.position.z = up + (goal.z - clear) * lower;
+  /* How far above its place a block is, and its colour; null where it is not there. */
+  function atTime({ placed, removed, colour }, now) {
+    const there = placed ? now - placed + 1 : 1, gone = removed ? now - removed + 1 : 0;
+    if (there <= 0 || gone >= 1) return { lift: 0, colour: null };
+    const share = gone > 0 ? gone : 1 - Math.min(there, 1);
+    const step = Math.ceil(now), current = step > 0 && (step === placed || step === removed);
+    return { lift: Math.round(1000 * share * share) / 1000, colour: current ? "current" : colour };
+  }
+
+  function inLayer({ layer, colour }) {
+    return { lift: 0, colour: layer > cut ? null : layer < cut ? `faded ${colour}` : colour };
+  }
+
+  function shade(name, colours) {
+    const faded = name.startsWith("faded ");
+    const own = faded ? name.slice(6) : name;
+    const colour = new THREE.Color(colours[own] ?? own);
+    return faded ? colour.lerp(new THREE.Color(colours.table), 0.6) : colour;
+  }
+
+  function write(block, lift, colour) {
+    const shape = shapes[block.shape], [x, y, z] = block.at;
+    const up = lift === null ? 0 : lift * Math.max(2.5 * edge, 0.35 * (roof - data.floor));
+    for (const [target, from, source] of [
+      [skin.attributes.position.array, block.corner, shape.corners],
+      [lines.attributes.position.array, block.end, shape.edges],
+    ]) {
+      if (lift === null) { target.fill(0, from, from + source.length); continue; }
+      for (let k = 0; k < source.length; k += 3) {
+        target[from + k] = source[k] + x;
+        target[from + k + 1] = source[k + 1] + y;
+        target[from + k + 2] = source[k + 2] + z + up;
+      }
+    }
+    if (lift === null) return;
+    const paint = skin.attributes.color.array;
+    for (let k = 0; k < shape.corners.length; k += 3) {
+      const light = shape.light[k / 3], to = block.corner + k;
+      paint[to] = light * colour.r; paint[to + 1] = light * colour.g; paint[to + 2] = light * colour.b;
+    }
+  }
+
+  /* Index what is seen: of every block that is there the sides that no standing blocks cover. */
+  function leaveOutCovered() {
+    const faces = skin.index.array, rims = lines.index.array, shown = [];
+    let filled = 0, drawn = 0;
+    const stands = (number) => blocks[number].state.endsWith(" 0");
+    for (const block of blocks) {
+      if (!block.state) continue;
+      const shape = shapes[block.shape], covers = stands(block.number) ? data.covers[block.number] : null;
+      for (let side = 0; side < 6; side++) {
+        const by = covers ? covers[side] : [];
+        shown[side] = !by.length || !by.every(stands);
+      }
+      const whole = !covers || shown.every(Boolean), first = block.corner / 3, start = block.end / 3;
+      for (let k = 0; k < shape.sides.length; k++) {
+        if (!whole && !shown[shape.sides[k]]) continue;
+        for (let c = 0; c < 3; c++) faces[filled++] = first + 3 * k + c;
+      }
+      for (let k = 0; k < shape.between.length; k++) {
+        if (!whole && !shape.between[k].some((side) => shown[side])) continue;
+        for (let c = 0; c < 2; c++) rims[drawn++] = start + 2 * k + c;
+      }
+    }
+    skin.setDrawRange(0, filled);
+    lines.setDrawRange(0, drawn);
+    skin.index.needsUpdate = lines.index.needsUpdate = true;
+  }
+
+  /* Send what has changed, and only that where it is little. */
+  function refresh(moved) {
+    if (!moved.length) return;
+    const few = moved.length <= 24;
+    for (const [name, attribute] of [...Object.entries(skin.attributes), ["line", lines.attributes.position]]) {
+      attribute.clearUpdateRanges();
+      if (few) {
+        for (const block of moved) {
+          const shape = shapes[block.shape];
+          if (name === "line") attribute.addUpdateRange(block.end, shape.edges.length);
+          else attribute.addUpdateRange(block.corner, shape.corners.length);
         }
-        group.quaternion.identity().slerp(goalTurn, across);
-        const current = block.number > 0 && Math.ceil(now) === block.number;
-        material.color.set(colours()[current ? "current" : share > 0 ? block.kind : "waiting"]);
-      },
+      }
+      attribute.needsUpdate = true;
+    }
+  }
+
+  function geometry(size, names) {
+    const made = new THREE.BufferGeometry();
+    for (const name of names) {
+      made.setAttribute(name, new THREE.Float32BufferAttribute(new Float32Array(size), 3));
+    }
+    return made;
+  }
+
+  function addJoints() {
+    const group = new THREE.Group();
+    if (data.joints) {
+      const { points: packed, start } = data.joints, at = unpack(packed), ends = [];
+      start.slice(0, -1).forEach((first, patch) => {
+        for (let k = first; k < start[patch + 1]; k++) {
+          const next = k + 1 < start[patch + 1] ? k + 1 : first;
+          ends.push(...at.slice(3 * k, 3 * k + 3), ...at.slice(3 * next, 3 * next + 3));
+        }
+      });
+      group.add(bundle(ends, "soft"));
+    }
+    view.scene.add(group);
+    return group;
+  }
+
+  /* Arrows at the corners of the joints, the largest two blocks long. */
+  function addForces() {
+    const group = new THREE.Group();
+    if (data.joints?.forces) {
+      const at = unpack(data.joints.points), force = unpack(data.joints.forces), ends = [];
+      const from = new THREE.Vector3(), along = new THREE.Vector3(), side = new THREE.Vector3();
+      const scale = 2 * edge / data.joints.largest;
+      for (let k = 0; k < at.length; k += 3) {
+        along.set(force[k], force[k + 1], force[k + 2]).multiplyScalar(scale);
+        if (along.length() < 0.01 * edge) continue;
+        from.set(at[k], at[k + 1], at[k + 2]);
+        const tip = from.clone().add(along);
+        side.crossVectors(along, Math.abs(along.z) < 0.9 * along.length() ? new THREE.Vector3(0, 0, 1) : new THREE.Vector3(1, 0, 0));
+        side.setLength(0.08 * along.length());
+        ends.push(...from, ...tip);
+        for (const sign of [1, -1]) {
+          const barb = tip.clone().addScaledVector(along, -0.18).addScaledVector(side, sign);
+          ends.push(...tip, ...barb);
+        }
+      }
+      group.add(bundle(ends, "accent"));
+    }
+    view.scene.add(group);
+    return group;
+  }
+
+  function bundle(ends, colour) {
+    const made = new THREE.BufferGeometry();
+    made.setAttribute("position", new THREE.Float32BufferAttribute(ends, 3));
+    return new THREE.LineSegments(made, view.coloured(new THREE.LineBasicMaterial(), colour));
+  }
+
+  /* The nearest standing block whose bounding box is under the pointer. */
+  function tellPicked(event) {
+    const frame = canvas.getBoundingClientRect();
+    const x = 2 * (event.clientX - frame.left) / frame.width - 1, y = 1 - 2 * (event.clientY - frame.top) / frame.height;
+    const from = view.camera.position.toArray();
+    const ray = new THREE.Vector3(x, y, 0.5).unproject(view.camera).sub(view.camera.position).toArray();
+    let nearest = Infinity, picked = null;
+    for (const block of blocks) {
+      if (!block.state) continue;
+      const { low, high } = shapes[block.shape];
+      let enter = 0, leave = Infinity;
+      for (let k = 0; k < 3; k++) {
+        const ends = [low[k], high[k]].map((v) => (v + block.at[k] - from[k]) / ray[k]);
+        enter = Math.max(enter, Math.min(...ends));
+        leave = Math.min(leave, Math.max(...ends));
+      }
+      if (enter < leave && enter < nearest) { nearest = enter; picked = block; }
+    }
+    document.getElementById("picked").textContent = picked ? picked.words : "";
+  }
+}
+
+/* Blocks of the page with names for their fields. */
+function readBlocks(data) {
+  return data.blocks.map(([shape, x, y, z, kind, colour, layer, placed, removed, name], number) => {
+    const history = [placed && `placed in step ${placed}`, removed && `removed in step ${removed}`];
+    return {
+      number, shape, at: [x, y, z], colour: data.colours[colour], layer, placed, removed, kind, name,
+      words: [name, data.kinds[kind], `layer ${layer + 1}`, ...history].filter(Boolean).join(", "),
     };
+  });
+}
+
+/* Of every shape: triangles with their normals, edges, and the bounding box. */
+function readShapes({ vertices, triangles, wide, first, faces }) {
+  const all = unpack(vertices), raw = bytes(triangles).buffer;
+  const index = wide ? new Uint32Array(raw) : new Uint16Array(raw);
+  return first.slice(0, -1).map((start, shape) => {
+    const own = all.subarray(3 * start, 3 * first[shape + 1]);
+    const picks = index.subarray(3 * faces[shape], 3 * faces[shape + 1]);
+    const corners = new Float32Array(3 * picks.length);
+    picks.forEach((vertex, k) => corners.set(own.subarray(3 * vertex, 3 * vertex + 3), 3 * k));
+    const made = new THREE.BufferGeometry();
+    made.setAttribute("position", new THREE.Float32BufferAttribute(corners, 3));
+    made.computeVertexNormals(); // Corners are not shared, so every face is flat.
+    const normal = made.attributes.normal.array, sun = [0.27, -0.57, 0.76];
+    const light = Float32Array.from({ length: picks.length }, (_, k) => {
+      const facing = sun.reduce((sum, v, axis) => sum + v * normal[3 * k + axis], 0);
+      return Math.min(0.62 + 0.1 * normal[3 * k + 2] + 0.36 * Math.max(facing, 0), 1);
+    });
+    const extent = (pick, begin) => [0, 1, 2].map((k) =>
+      own.reduce((value, v, place) => (place % 3 === k ? pick(value, v) : value), begin));
+    const low = extent(Math.min, Infinity), high = extent(Math.max, -Infinity);
+    const edges = new THREE.EdgesGeometry(made, 20).attributes.position.array;
+    // Which side of a box each triangle is, and between which each edge is: 2 axis + (upper end).
+    const sides = Array.from({ length: picks.length / 3 }, (_, k) => {
+      const axis = [0, 1, 2].reduce((a, b) => (Math.abs(normal[9 * k + b]) > Math.abs(normal[9 * k + a]) ? b : a));
+      return 2 * axis + (normal[9 * k + axis] > 0 ? 1 : 0);
+    });
+    const between = Array.from({ length: edges.length / 6 }, (_, k) => [0, 1, 2].flatMap((axis) => {
+      const [from, to] = [edges[6 * k + axis], edges[6 * k + 3 + axis]], middle = (low[axis] + high[axis]) / 2;
+      return (from > middle) === (to > middle) ? [2 * axis + (from > middle ? 1 : 0)] : [];
+    }));
+    return { corners, light, edges, low, high, sides, between };
+  });
+}
+
+/* The plan of one layer seen from above, with the blocks of the layer below as dashed outlines. */
+function createLayers(data, stage) {
+  const blocks = readBlocks(data), find = (id) => document.getElementById(id);
+  const slider = find("layer"), plan = find("layer-plan");
+  const byLayer = data.layers.map(() => []);
+  for (const block of blocks) byLayer[block.layer].push(block);
+  const order = [];
+  for (const block of blocks) {
+    if (block.placed) order[block.placed] = block;
+    if (block.removed) order[block.removed] = block;
+  }
+  let shown = -1, step = data.steps;
+  slider.addEventListener("input", () => {
+    show(Number(slider.value) - 1, Infinity);
+    stage.showLayer?.(Number(slider.value) - 1);
+  });
+  return { showStep(now) { show(order[now]?.layer ?? (now ? data.layers.length - 1 : 0), now); } };
+
+  function show(layer, now) {
+    slider.value = String(layer + 1);
+    find("layer-words").textContent = data.layers[layer];
+    if (layer !== shown) draw(layer);
+    shown = layer;
+    step = now;
+    for (const item of plan.querySelectorAll("[data-step]")) {
+      const placed = Number(item.dataset.step), removed = Number(item.dataset.removed) || Infinity;
+      item.classList.toggle("current", step > 0 && (placed === step || removed === step));
+      item.classList.toggle("future", placed > step || removed < step);
+    }
   }
 
-  function addSpare(place) {
-    const { group, material } = cube(null);
-    coloured(material, "waiting");
-    group.position.set(...place);
-    scene.add(group);
-  }
-
-  /* The mark on the table where a block waits. */
-  function addPlace([x, y, z]) {
-    const h = edge / 2;
-    const corners = [[-h, -h], [h, -h], [h, h], [-h, h]].map(
-      ([a, b]) => new THREE.Vector3(x + a, y + b, z - h + 0.0006));
-    const line = coloured(new THREE.LineBasicMaterial({ transparent: true, opacity: 0.5 }), "soft");
-    scene.add(new THREE.LineLoop(new THREE.BufferGeometry().setFromPoints(corners), line));
+  function draw(layer) {
+    const made = (name, attributes, text) => {
+      const item = document.createElementNS("http://www.w3.org/2000/svg", name);
+      for (const [key, value] of Object.entries(attributes)) item.setAttribute(key, value);
+      if (text !== undefined) item.textContent = text;
+      return item;
+    };
+    const path = ({ shape, at }) => data.shapes.outlines[shape].map((ring) => "M" + ring
+      .map(([x, y]) => `${(1000 * (x + at[0])).toFixed(1)},${(-1000 * (y + at[1])).toFixed(1)}`).join("L") + "Z").join("");
+    const items = (byLayer[layer - 1] ?? []).map((block) => made("path", { class: "below", d: path(block) }));
+    for (const block of byLayer[layer]) {
+      const steps = { "data-step": block.placed, ...(block.removed ? { "data-removed": block.removed } : {}) };
+      const named = block.colour.startsWith("#") ? "" : ` ${block.colour}`;
+      const item = made("path", { class: "block" + named, d: path(block), ...steps });
+      if (!named) item.setAttribute("fill", block.colour);
+      item.append(made("title", {}, block.words));
+      const [x, y] = data.shapes.middles[block.shape], size = Math.min(420 * data.edge, data.shapes.widths[block.shape] * 450);
+      items.push(item);
+      if (block.placed) {
+        items.push(made("text", {
+          class: "label", x: (1000 * (x + block.at[0])).toFixed(1), "font-size": size.toFixed(1), ...steps,
+          y: (-1000 * (y + block.at[1]) + 0.36 * size).toFixed(1),
+        }, block.placed));
+      }
+    }
+    plan.replaceChildren(...items);
   }
 }

@@ -1,5 +1,5 @@
 "use strict";
-/* The timeline: one number, the time, drives the 3-D view, the drawings, the chart and the tables.
+/* The timeline: one number, the time, drives the 3-D view, the plans of the layers and the tables.
    A clock says what the number means: steps of the plan, or seconds of an arm's build (arm.js). */
 (() => {
   const root = document.documentElement;
@@ -10,11 +10,9 @@
   const clock = data.arm ? armClock(data) : stepClock();
   const last = clock.last;
   const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
-  const marked = [...document.querySelectorAll(".block, .label, .dot, #rows tr[data-step]")].map((item) => (
-    { item, number: Number(item.dataset.step), dot: item.classList.contains("dot"), state: "" }));
+  const marked = [...document.querySelectorAll(".block, .label, #rows tr[data-step]")].map((item) => (
+    { item, number: Number(item.dataset.step), state: "" }));
   const rows = document.querySelector(".scroll.tall");
-  const cursor = document.querySelector(".cursor");
-  const dots = [...document.querySelectorAll(".dot")];
   const playButton = find("play");
   const attempts = [...document.querySelectorAll("[data-segment]")];
   let time = last, shown = "", told = "", playing = false, before = 0;
@@ -67,7 +65,7 @@
   function showStep({ step, current, segment, caption }) {
     root.dataset.step = String(step);
     for (const mark of marked) {
-      const { item, number } = mark, now = number === (mark.dot ? step : current);
+      const { item, number } = mark, now = number === current;
       const state = `${now} ${number > step}`;
       if (state === mark.state) continue;
       mark.state = state;
@@ -83,9 +81,6 @@
       const number = Number(item.dataset.segment);
       item.classList.toggle("current", number === segment);
       item.classList.toggle("future", number > segment);
-    }
-    if (cursor && dots[step]) {
-      for (const end of ["x1", "x2"]) cursor.setAttribute(end, dots[step].getAttribute("cx"));
     }
     if (!clock.exact) find("slider").value = String(step);
     find("caption").textContent = caption;
@@ -160,7 +155,7 @@
   find("near-view")?.addEventListener("click", () => stage.nearView());
   find("slider").addEventListener("input", (event) => goTo(Number(event.target.value)));
   document.addEventListener("click", (event) => {
-    const item = event.target.closest(".block, .dot, button[data-step]");
+    const item = event.target.closest(".block, button[data-step]");
     if (item) goTo(clock.timeOf(Number(item.dataset.step)));
     const attempt = event.target.closest("[data-segment]:is(button, rect)");
     if (attempt) goTo(data.arm.segments[Number(attempt.dataset.segment)].start + 0.01);

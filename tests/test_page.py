@@ -20,7 +20,7 @@ from headless import FLAT, SPATIAL, browse, pixels, shoot
 from learn2assemble.assembly.blocks import Assembly, Block, Step, box_block
 from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.errors import InputError
-from learn2assemble.viewer.assembly_page import (
+from learn2assemble.viewer.page import (
     PALETTE,
     StepNote,
     _covers,
@@ -155,7 +155,8 @@ def test_notes_joints_and_forces_are_those_given() -> None:
     assembly = wall(4, 2)
     contacts = find_contacts(assembly.finished)
     forces = np.random.default_rng(0).normal(size=contacts.points.shape)
-    notes = [StepNote("local certificate", 0.25)] * (len(assembly.steps) - 1) + [("program", None)]
+    notes = [StepNote("local certificate", 0.25)] * (len(assembly.steps) - 1)
+    notes.append(StepNote("program"))
     text = render_assembly_page(
         assembly, title="x", step_notes=notes, forces=(contacts, forces), moving=["b1"]
     )
@@ -181,7 +182,7 @@ def test_text_of_an_assembly_never_becomes_markup(evil: str) -> None:
         block = box_block(text, (0, 0, 0), (1, 1, 1), kind=text)
         assembly = Assembly((block,), (Step(place=text),))
         return render_assembly_page(assembly, title=text, facts=[(text, text)], status=text,
-                                    reason=text, step_notes=[(text, 1.0)])  # fmt: skip
+                                    reason=text, step_notes=[StepNote(text, 1.0)])  # fmt: skip
 
     clean, page = render("plain"), render(evil)
     assert page.count("<script") == clean.count("<script")
