@@ -101,9 +101,9 @@ def test_a_box_hides_what_is_behind_and_casts_a_shadow() -> None:
 
     def picture(cube_shown: bool) -> np.ndarray:
         shown = np.array([True, cube_shown])
-        return render(
-            scene, buffers, camera, light, stand, turn, shown, colour, sky, rim
-        ).astype(int)
+        return render(scene, buffers, camera, light, stand, turn, shown, colour, sky, rim).astype(
+            int
+        )
 
     with_cube, without = picture(True), picture(False)
     assert (with_cube[50, 110] == [0, 0, 255]).all(), "beyond the ground is sky"
