@@ -18,7 +18,9 @@ from learn2assemble.design.cells import CellDesign, read_design
 from learn2assemble.errors import InputError
 from learn2assemble.physics.rigid_blocks import check
 from learn2assemble.planning.construct import plan_assembly, plan_cells
+from learn2assemble.planning.ordering import to_assembly
 from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.tiling import tile
 from learn2assemble.reproduction import shapes
 from test_ordering import deck
 
@@ -122,7 +124,13 @@ def test_tight_joints_are_used_where_no_gap_is_asked_for_and_said() -> None:
         assert given.complete
         assert given.steps[-1].proof == "tight joints"
     assert check(plan.assembly, friction=0.3).verdict == "falls"
-    assert not plan_cells(design, "bricks", gap=0.0, friction=(0.3, 0.6)).complete
+    # Other blocks, balanced on their edges and against each other, do with less friction.
+    slippery = plan_cells(design, "bricks", gap=0.0, friction=(0.3, 0.6))
+    assert slippery.complete
+    assert slippery.assembly is not None
+    assert check(slippery.assembly, friction=0.3).verdict != "falls"
+    assert min(step.margin_g or 0 for step in slippery.steps) > 0
+    assert not plan_cells(design, "bricks", gap=0.0, friction=(0.0, 0.6)).complete
     open_ = plan_cells(design, "bricks")
     assert open_.status == "refused"
     assert "only with tight joints (--gap 0)" in (open_.reason or "")
@@ -173,6 +181,37 @@ def test_blocks_that_fall_are_not_called_complete() -> None:
     plan = plan_assembly(leaning)
     assert plan.status == "incomplete"
     assert [step.block for step in plan.steps] == [0]
+
+
+@pytest.mark.parametrize("shift", [0.2, 0.4])
+def test_given_blocks_are_proven_for_joints_that_open(shift: float) -> None:
+    """A block is carried as far as its centre is above a bed smaller by half the joint."""
+    stack = Assembly(
+        (
+            box_block("low", (0, 0, 0), (1, 1, 1)),
+            box_block("high", (shift, 0, 1), (1 + shift, 1, 2)),
+        )
+    )
+    edge = 1 - 2 * shift
+    for gap, stands in ((0.9 * edge, True), (1.1 * edge, False)):
+        plan = plan_assembly(stack, gap=(0.0, gap), friction=(0.3, 0.7))
+        assert plan.complete == stands
+        assert plan.gap_range == (0.0, gap)
+        assert plan.friction_range == (0.3, 0.7)
+    with pytest.raises(InputError, match="narrowest block"):
+        plan_assembly(stack, gap=1.0)
+
+
+def test_given_blocks_that_press_with_their_sides_need_closed_joints() -> None:
+    wanted = shapes.bridge(1, 4, 3, 2, 1, 1)
+    tiling = tile(wanted, load_kit("bricks"))
+    made = to_assembly(tiling, None, load_kit("bricks"), gap=0.0)
+    for gap in (None, 0.0):
+        plan = plan_assembly(made, gap=gap)
+        assert plan.complete
+        assert plan.steps[-1].proof == "tight joints"
+    assert not plan_assembly(made, gap=1e-4).complete
+    assert not plan_assembly(made, friction=(0.1, 0.5)).complete
 
 
 # ---------------------------------------------------------------- command line and public face

@@ -393,17 +393,21 @@ def test_what_falls_with_tight_joints_too_falls_in_every_tiling(wanted: np.ndarr
 
 
 def test_blocks_are_chosen_again_until_tight_joints_hold_them() -> None:
-    """A cell beside a post falls as a cube, and is balanced as half of a bar."""
+    """A cell beside a post falls as a cube; half of a bar, it is balanced without a margin."""
     wanted = shapes.letter("##/#./#.", 1)
     cubes = replace(SMALL, kinds=SMALL.kinds[:1])
-    alone = tile(wanted, cubes)
-    found, words = stand_pressed(alone, cubes, (0.5, 0.5), Clock(60), 50)
-    assert found is None
-    assert "it would fall with tight joints, too" in words
-    found, words = stand_pressed(alone, SMALL, (0.5, 0.5), Clock(60), 50)
-    assert found is not None
-    assert found.placements != alone.placements
-    assert "only with tight joints" in words
+    for kit, words in ((cubes, "it would fall with tight joints, too"), (SMALL, "nor was a way")):
+        found, said = stand_pressed(tile(wanted, cubes), kit, (0.5, 0.5), Clock(60), 50)
+        assert found is None
+        assert words in said
+    # A deck of two bars stands with less friction where each is balanced and leans on the other.
+    bricks, span = load_kit("bricks"), shapes.bridge(1, 4, 3, 2, 1, 1)
+    first = tile(span, bricks)
+    for friction, same in ((0.5, True), (0.3, False)):
+        found, said = stand_pressed(first, bricks, (friction, 0.6), Clock(60), 50)
+        assert found is not None
+        assert (found.placements == first.placements) == same
+        assert "only with tight joints" in said
 
 
 def test_a_refusal_names_cells_and_what_would_carry_them() -> None:

@@ -61,6 +61,26 @@ class Contacts(NamedTuple):
         )  # fmt: skip
 
 
+def shrunk(contacts: Contacts, distance: float) -> Contacts:
+    """The contacts with the edges of every patch moved inwards by ``distance`` [m].
+
+    Patches that nothing is left of are dropped.
+    """
+    basis = _basis(contacts.normal)
+    foot = contacts.points[np.minimum(contacts.start[:-1], len(contacts.points) - 1)]
+    flat = np.einsum("kij,kj->ki", basis[contacts.patch], contacts.points - foot[contacts.patch])
+    shapes = shapely.polygons(shapely.linearrings(flat, indices=contacts.patch))
+    shapes = np.asarray(shapely.buffer(shapes, -distance, join_style="mitre")).reshape(-1)
+    left = np.flatnonzero(shapely.area(shapes) > 0)
+    # The first corner of a ring is its last, too.
+    rings = [shapely.get_coordinates(shapes[k])[:-1] for k in left]
+    patch = np.repeat(np.arange(len(left)), [len(ring) for ring in rings])
+    corners = np.concatenate([*rings, np.empty((0, 2))])
+    points = foot[left][patch] + np.einsum("kji,kj->ki", basis[left][patch], corners)
+    area = shapely.area(shapes[left])
+    return Contacts(contacts.a[left], contacts.b[left], contacts.normal[left], area, points, patch)
+
+
 class _Facets(NamedTuple):
     """All faces of all blocks; face f has corners ``xyz[start[f]:start[f + 1]]``."""
 

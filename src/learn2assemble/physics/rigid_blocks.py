@@ -66,7 +66,7 @@ _MOVES = 0.1
 MOST_G = 10.0
 """Margins are cut here [g]."""
 _MARGIN_GAP = 0.01
-_NO_MARGIN = 1e-4
+NO_MARGIN = 1e-4
 """Sideways acceleration [g] below which there is none to speak of."""
 _LOADS = (4, 40, 30_000)
 """Of a margin: fewest and most directions, and corners times directions in between."""
@@ -184,7 +184,7 @@ def _shown(result: Equilibrium, margin_g: float) -> str:
         text = "forces balance the blocks with elastic joints and Coulomb friction"
         if result.stiffness != STIFFNESS[0]:
             text += f", if joints are {result.stiffness:g} times as stiff along as across"
-    return text if margin_g >= _NO_MARGIN else f"{text}; balanced on an edge, without a margin"
+    return text if margin_g >= NO_MARGIN else f"{text}; balanced on an edge, without a margin"
 
 
 def bed_patches(contacts: Contacts) -> np.ndarray:

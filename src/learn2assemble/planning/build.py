@@ -260,13 +260,13 @@ def _build_design(
     elif reading:
         raise InputError("reading", sorted(reading), "a design file, which it tells how to read")
     if isinstance(design, Assembly):
-        if kit is not None or isinstance(friction, tuple) or gap is not None:
-            raise InputError("kit, gap or a range of friction", "given", "a design of cells")
+        if kit is not None:
+            raise InputError("kit", kit.name, "a design of cells; these blocks are given")
         if planner == "agent":
             raise InputError("planner", planner, "exact, for blocks that are given")
         workcell = None if how is None else how.workcell()
         plan = plan_assembly(
-            design, friction=friction, seconds=seconds, progress=progress, source=source
+            design, friction=friction, gap=gap, seconds=seconds, progress=progress, source=source
         )
         if workcell is None:
             return plan

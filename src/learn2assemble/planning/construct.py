@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, Step
-from learn2assemble.assembly.contacts import check_overlaps, find_contacts
+from learn2assemble.assembly.contacts import check_overlaps, find_contacts, shrunk
 from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
 from learn2assemble.planning import plan as plans
 from learn2assemble.planning.exact import plan_exact
-from learn2assemble.planning.ordering import TIGHT, Ordering, to_assembly
+from learn2assemble.planning.ordering import TIGHT, Ordering, to_assembly, value_range
 from learn2assemble.planning.plan import Plan, PlanDesign
 from learn2assemble.planning.tiling import Tiling, placement_cells
 
@@ -205,7 +205,8 @@ def report_plan(
 def plan_assembly(
     assembly: Assembly,
     *,
-    friction: float | None = None,
+    friction: float | tuple[float, float] | None = None,
+    gap: float | tuple[float, float] | None = None,
     seconds: float = 60.0,
     progress: Callable[[str], None] = lambda text: None,
     source: str = "",
@@ -218,11 +219,16 @@ def plan_assembly(
     holds, else with vertical joints that press, and the step says which.
 
     Args:
-        friction: Coulomb coefficient instead of the assembly's.
+        friction: Coulomb coefficient, or the range to prove every step for (at both its ends),
+            instead of the assembly's.
+        gap: width to which vertical joints may open, or a range of widths [m]. Above 0 side faces
+            carry nothing, and every bed face is taken to be smaller by half of it on all sides.
+            Without it, side faces press where the file has them touch.
         seconds: wall-clock limit; the steps proven until then are kept.
 
     Raises:
-        InputError: for blocks that overlap, or where nothing stands on a support or the ground.
+        InputError: for blocks that overlap, where nothing stands on a support or the ground, and
+            for joints wider than the blocks.
     """
     from learn2assemble.physics.rigid_blocks import bed_patches, margin, solve
 
@@ -231,6 +237,9 @@ def plan_assembly(
     contacts = find_contacts(assembly)
     bed = bed_patches(contacts)
     lying = contacts.only(bed)
+    ends = value_range(friction, assembly.friction, "friction")
+    widest = value_range(gap, 0.0, "gap")[1]
+    ways = [(lying, BED)] if widest > 0 or bed.all() else [(lying, BED), (contacts, TIGHT)]
     count = len(assembly.blocks)
     support = np.array([block.support for block in assembly.blocks])
     below: list[set[int]] = [set() for _ in range(count)]
@@ -238,6 +247,11 @@ def plan_assembly(
         lower, upper = (a, b) if normal[2] > 0 else (b, a)
         if upper >= 0 and lower >= 0 and not support[lower]:
             below[upper].add(lower)
+    if widest > 0:
+        least = min(float(np.ptp(block.vertices, axis=0)[:2].min()) for block in assembly.blocks)
+        if widest >= least:
+            raise InputError("gap", widest, f"less than the narrowest block, {least:g} m")
+        ways = [(shrunk(lying, widest / 2), BED)]
     given = [(s.place, s.remove) for s in assembly.steps]
     queue = [assembly.index(p or r or "") for p, r in given]
     if not given:
@@ -256,12 +270,12 @@ def plan_assembly(
         for index in ready:
             removing = bool(present[index])
             present[index] = not removing
-            used, proof = lying, BED
-            result = solve(assembly, used, friction, present=present)
-            if not result.stands and len(lying.a) < len(contacts.a):
-                used, proof = contacts, TIGHT
-                result = solve(assembly, used, friction, present=present)
-            if result.stands:
+            how = next(
+                (way for way in ways
+                 if all(solve(assembly, way[0], mu, present=present).stands for mu in set(ends))),
+                None,
+            )  # fmt: skip
+            if how is not None:
                 break
             present[index] = removing
         else:
@@ -269,10 +283,12 @@ def plan_assembly(
             names = ", ".join(assembly.blocks[k].id for k in stuck[:3])
             reason = f"no order found: step {len(steps) + 1} falls with any of {names}"
             break
+        assert how is not None
+        used, proof = how
         queue.remove(index)
         block, number = assembly.blocks[index], len(steps) + 1
         progress(f"step {number}: {block.id}")
-        worth = margin(assembly, used, friction, present=present)
+        worth = margin(assembly, used, ends[0], present=present)
         made.append(Step(remove=block.id) if removing else Step(place=block.id))
         steps.append(
             plans.Step(
@@ -296,6 +312,8 @@ def plan_assembly(
         seconds=round(time.perf_counter() - started, 3),
         planner=EXACT,
         verified_by="rigid-block equilibrium of every step",
+        friction_range=ends,
+        gap_range=None if gap is None else (0.0, widest),
         assembly=Assembly(assembly.blocks, tuple(made), assembly.friction, assembly.name),
     )
 

@@ -116,7 +116,7 @@ def stand_pressed(
         if len(tiling.placements) > MAX_COUPLED or clock.left <= 0:
             break
         coupled = Coupled(tiling, kit, friction)
-        if coupled.stands(np.ones(len(tiling.placements), bool)):
+        if coupled.margin(np.ones(len(tiling.placements), bool)) is not None:
             return tiling, f"; {TIGHT_OPTION}"
         slides = []
         if boxes and number < rounds:

@@ -102,9 +102,13 @@ class Coupled:
         made = to_assembly(self.tiling, None, self.kit, gap=0.0)
         return made, find_contacts(made)
 
-    def stands(self, placed: np.ndarray) -> bool:
-        """Whether the blocks ``placed`` (bool[n]) stand with vertical joints that press."""
-        from learn2assemble.physics.rigid_blocks import STIFFNESS, solve
+    def margin(self, placed: np.ndarray) -> float | None:
+        """The sideways acceleration along +-x and +-y [g] that the blocks ``placed`` (bool[n])
+        withstand by rigid-block equilibrium, where they stand with vertical joints that press.
+
+        None where they fall, and where they are balanced on an edge.
+        """
+        from learn2assemble.physics.rigid_blocks import NO_MARGIN, STIFFNESS, margin, solve
 
         made, contacts = self.assembly
         for mu in self.friction:
@@ -112,17 +116,11 @@ class Coupled:
             ratios = sorted(STIFFNESS, key=lambda ratio: ratio != self._stiffness)
             found = solve(made, contacts, mu, present=placed, stiffness=tuple(ratios))
             if not found.stands:
-                return False
+                return None
             self._stiffness = found.stiffness
-        return True
-
-    def margin(self, placed: np.ndarray) -> float:
-        """Sideways acceleration along +-x and +-y that rigid-block equilibrium withstands [g]."""
-        from learn2assemble.physics.rigid_blocks import margin
-
-        made, contacts = self.assembly
         ways = tuple(math.atan2(y, x) for x, y in _DIRECTIONS)
-        return margin(made, contacts, self.friction[0], present=placed, only=ways)
+        worth = margin(made, contacts, self.friction[0], present=placed, only=ways)
+        return worth if worth >= NO_MARGIN else None
 
 
 class _Site:
@@ -136,7 +134,7 @@ class _Site:
         self.proof = Proof(stack)
         self.sideways = [_Sideways(stack, way, friction) for way in _DIRECTIONS]
         self.timed_out = self.tight = False
-        self.fallen: set[bytes] = set()
+        self.pressed: dict[bytes, float | None] = {}
 
     def change(self, block: int, place: bool) -> str | None:
         """Place or remove a block; how the state is proven, None (and no change) if it falls."""
@@ -152,10 +150,10 @@ class _Site:
         if self.tight:
             dirty = placed.copy()  # There are no bed forces to begin with.
         method = LOCAL if self.proof.settle(dirty, placed) else self._by_program(placed, dirty)
-        if method is None and self.coupled is not None and placed.tobytes() not in self.fallen:
-            method = TIGHT if self.coupled.stands(placed) else None
-            if method is None:
-                self.fallen.add(placed.tobytes())
+        if method is None and self.coupled is not None:
+            if placed.tobytes() not in self.pressed:
+                self.pressed[placed.tobytes()] = self.coupled.margin(placed)
+            method = None if self.pressed[placed.tobytes()] is None else TIGHT
         if method is None:
             return None
         self.placed, was_tight, self.tight = placed, self.tight, method == TIGHT
@@ -187,8 +185,8 @@ class _Site:
 
     def margin(self) -> float:
         """Sideways acceleration the state at least withstands [g]."""
-        if self.tight and self.coupled is not None:
-            return min(self.coupled.margin(self.placed), self.friction)
+        if self.tight:
+            return min(self.pressed[self.placed.tobytes()] or 0.0, self.friction)
         return min(load.level for load in self.sideways)
 
     def raise_margins(self) -> None:
