@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,8 +11,11 @@ import pytest
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
+from learn2assemble.evaluation import builder_arm
+from learn2assemble.evaluation.builder_arm import WAYS, compare
 from learn2assemble.planning import workcell
 from learn2assemble.planning.agent.arm import Hand, build_by_arm
+from learn2assemble.planning.agent.designs import make_design
 from learn2assemble.planning.agent.network import load_builder
 from learn2assemble.planning.agent.search import build
 from learn2assemble.planning.agent.world import World, make_site
@@ -20,16 +24,17 @@ from learn2assemble.planning.ordering import to_assembly
 from learn2assemble.planning.tiling import Tiling
 from learn2assemble.planning.workcell_plan import Workcell
 from learn2assemble.planning.workcell_site import Obstacle, Site, pieces_of
+from learn2assemble.tasks import DesignTask
 
 H = np.array([[c == "#" for c in row] for row in ("#...#", "#####", "#...#")])[::-1].T[:, None]
 THICK = np.ones((3, 3, 2), bool)
 
 
 def settled(
-    cells: np.ndarray, tool: str = "suction", kit_name: str = "bricks-lintels", **site: object
+    cells: np.ndarray, tool: str = "suction", kit_name: str = "bricks-lintels", **site: Any
 ) -> tuple[Hand, World]:
     """An arm before a design, and a world with half of it built."""
-    hand = Hand(Workcell("panda", tool, Site(**site), physics="kinematic"))  # type: ignore[arg-type]
+    hand = Hand(Workcell("panda", tool, Site(**site), physics="kinematic"))
     kit = hand.holds(load_kit(kit_name))
     first = build(make_site(cells, kit), load_builder()).world
     place = make_site(cells, hand.set_up(first))
@@ -63,6 +68,8 @@ def test_the_scene_is_that_of_the_build() -> None:
     assert scene.num_placed == expected.scene.num_placed
     np.testing.assert_allclose(scene.position, expected.scene.position, atol=1e-9)
     np.testing.assert_allclose(scene.halves, expected.scene.halves, atol=1e-9)
+    assert scene.density is not None
+    assert expected.scene.density is not None
     np.testing.assert_allclose(scene.density, expected.scene.density)
     turn = scene.yaw - expected.scene.yaw
     np.testing.assert_allclose(np.cos(turn), 1, atol=1e-12)
@@ -94,7 +101,7 @@ def test_the_builders_plan_is_carried_out_in_its_order(cells: np.ndarray, tool: 
 
     kit = load_kit("bricks-lintels")
     at = Workcell("panda", tool, physics="kinematic")
-    plan = build_by_arm(plan_with, kit, at, lambda text: None)
+    plan = build_by_arm(plan_with, cells, kit, at, lambda text: None)
     assert plan.complete, plan.reason
     assert plan.arm is not None
     assert plan.arm.attempts == len(plan.steps)
@@ -103,9 +110,32 @@ def test_the_builders_plan_is_carried_out_in_its_order(cells: np.ndarray, tool: 
     assert plan.cells is not None
     assert plan.cells.missing == plan.cells.outside == 0
     # Without room for fingers, they stand farther apart.
-    assert len(hands) == 1 or (cells is THICK and plan.arm.pitch > 0.07)
+    assert (plan.arm.pitch > 0.07) == (cells is THICK)
 
 
 def test_a_tool_that_holds_nothing_is_refused() -> None:
     with pytest.raises(InputError, match="blocks that it can hold"):
         Hand(Workcell("panda", "suction")).holds(load_kit("cubes").at_pitch((0.02, 0.02, 0.02)))
+
+
+def test_the_comparison_says_whether_the_builder_helps() -> None:
+    def row(exact: int, prior: int) -> dict[str, Any]:
+        told = {"complete": True, "placed": 10, "tried": 10, "props": 0, "seconds": 1.0}
+        failed = dict(zip(WAYS, (exact, exact, prior, prior), strict=True))
+        return {"blocks": 10} | {way: told | {"failed": failed[way]} for way in WAYS}
+
+    assert compare([row(10, 7), row(10, 7)])["helps"]
+    assert not compare([row(10, 8), row(10, 7)])["helps"]
+    assert not compare([row(0, 0), {"left_out": "out of reach"}])["helps"]
+    told = compare([row(10, 7), row(20, 17), {"left_out": "out of reach"}])
+    assert (told["designs"], told["left_out"]) == (2, 1)
+    assert told["agent as prior"]["minus_far_to_near"]["failed_per_block"] == [-0.3, -0.3, -0.3]
+
+
+def test_the_planners_of_the_comparison_place_the_same_blocks() -> None:
+    task = DesignTask("little", ("rings",), "cubes", blocks=(8, 20))
+    design = make_design(task, np.random.default_rng(3))
+    row = builder_arm._compared(design, builder_arm.ArmMeasure(seconds=5.0), load_builder())
+    for way in WAYS:
+        assert row[way]["complete"], way
+        assert row[way]["placed"] == len(design.order) == row[way]["tried"] - row[way]["failed"]

@@ -280,6 +280,7 @@ class DesignTask:
         blocks: fewest and most blocks of the known solution.
         limited_heap: whether the heap is exactly the blocks of that solution.
         max_candidates: how many candidate placements an environment offers at a time.
+        extent: most cells along any axis.
     """
 
     name: str
@@ -288,6 +289,7 @@ class DesignTask:
     blocks: tuple[int, int] = (5, 60)
     limited_heap: bool = False
     max_candidates: int = 1024
+    extent: int = 64
 
 
 DESIGN_TASKS: Registry[DesignTask] = Registry(

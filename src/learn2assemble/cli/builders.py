@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("action", choices=("train", "measure"))
+    add("action", choices=("train", "measure", "arm"))
     add("--out", type=Path, required=True, help="new or empty folder")
     add("--seed", type=natural, default=0, help="of designs, weights and choices")
     train = parser.add_argument_group("train")
@@ -33,10 +33,15 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     measure.add_argument("--compared", type=count, default=50, help="of a set, for other players")
     measure.add_argument("--exact", type=count, default=40, help="of a set, for both planners")
     measure.add_argument("--examples", type=Path, default=None, help="folder of the examples")
+    arm = parser.add_argument_group("arm")
+    arm.add_argument("--suction", type=count, default=200, help="designs built with suction")
+    arm.add_argument("--gripper", type=count, default=200, help="designs built with fingers")
+    arm.add_argument("--prior", type=count, default=50, help="designs of four planners")
+    arm.add_argument("--limit", type=positive, default=60.0, help="of one of them [s, processor]")
 
 
 def _run(options: argparse.Namespace, output: Output) -> None:
-    (_train if options.action == "train" else _measure)(options, output)
+    {"train": _train, "measure": _measure, "arm": _measure_arm}[options.action](options, output)
 
 
 def _train(options: argparse.Namespace, output: Output) -> None:
@@ -90,6 +95,40 @@ def _measure(options: argparse.Namespace, output: Output) -> None:
         for name, row in found["sets"].items()
     ])  # fmt: skip
     output.finish(result)
+
+
+def _measure_arm(options: argparse.Namespace, output: Output) -> None:
+    """``builder_arm.json``: builds with an arm, and whether the builder helps the exact planner."""
+    import json
+
+    from learn2assemble.evaluation.builder_arm import WAYS, ArmMeasure, measure_arm
+    from learn2assemble.files import write_file
+    from learn2assemble.learning.run import provenance
+    from learn2assemble.planning.agent.network import load_builder
+
+    load_builder(options.agent)
+    config = ArmMeasure(
+        options.suction, options.gripper, options.prior, options.limit, seed=options.seed
+    )
+    head = {"agent": options.agent, "measure": vars(config), "machine": provenance("cpu")}
+
+    def keep(found: dict[str, Any]) -> None:
+        text = json.dumps({**head, **found}, indent=1)
+        write_file(options.out / "builder_arm.json", text + "\n", "--out")
+
+    with claim_folder(options.out):
+        found = measure_arm(options.agent, config, output.progress, keep)
+    output.table("complete", ("tool", "designs", "complete"), [
+        (tool, str(row["designs"]), f"{row['complete']:.1%}")
+        for tool, row in found["sets"].items()
+    ])  # fmt: skip
+    told = found["comparison"]
+    output.table(f"{told['designs']} designs of 100 to 300 blocks", ("planner", "complete",
+                 "failed attempts"), [
+        (way, f"{told[way]['complete']:.1%}", str(told[way]["failed"]))
+        for way in WAYS if way in told
+    ])  # fmt: skip
+    output.finish({**head, **found})
 
 
 COMMANDS = {

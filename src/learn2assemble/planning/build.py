@@ -292,7 +292,7 @@ def _build_design(
     if planner == "agent":
         from learn2assemble.planning.agent.arm import build_by_arm
 
-        return build_by_arm(plan_with, kit, workcell, progress)
+        return build_by_arm(plan_with, design.wanted, kit, workcell, progress)
     from learn2assemble.planning.workcell_plan import carry_out_cells
 
     return carry_out_cells(plan_with(kit), kit, workcell, progress, plan_with)

@@ -24,13 +24,17 @@ from learn2assemble.planning.ordering import to_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling import BlockPlacement, Tiling
 from learn2assemble.planning.workcell import Arranged, Job, Progress, StepOf, Structure
-from learn2assemble.planning.workcell_plan import FINGER_ROOMS, Workcell, carry_out, job_of, wider
+from learn2assemble.planning.workcell_plan import Workcell, carry_out, job_of, wider
 from learn2assemble.planning.workcell_reach import set_up
 from learn2assemble.planning.workcell_site import Part, Piece, pieces_of
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.kinematic.cell import KinematicCell
 from learn2assemble.robot.moves import Scene, why_not_held
 
+FINGER_ROOMS = (0.03, 0.036)
+"""Joints that are tried where fingers have no room [m]; less was never enough."""
+FAR, LOW = 1.0, 4.0
+"""A logit for every cell that a placement is farther from the arm, and for every level lower."""
 _Box = tuple[np.ndarray, float, np.ndarray, float]
 """Middle [m], yaw [rad], half extents [m] and density [kg/m³]."""
 
@@ -107,6 +111,22 @@ class Hand:
             for o in job.obstacles
         ]  # fmt: skip
         self.world = cells.World(replace(job, pieces=self.pieces, steps=()))
+        self.middle = np.array([piece.target[:2] for piece in self.pieces])
+        halves = np.array([piece.half[:2] for piece in self.pieces])
+        turned = np.array([piece.turn % 2 for piece in self.pieces])[:, None]
+        self.half = np.where(turned, halves[:, ::-1], halves)
+        self.pitch = np.array(site.kit.pitch[:2])
+
+    def prefers(self, candidates: np.ndarray) -> np.ndarray:
+        """float64[m]: what is added to logits: lower levels first, on each the farthest."""
+        assert self.job is not None
+        found = self.site.found
+        level = found.origin[candidates, 2]
+        way = found.way[candidates]
+        at = self.middle[way] + found.origin[candidates, :2] * self.pitch
+        # To the farthest corner, so that it says nothing about which block is to be there.
+        away = np.linalg.norm(np.abs(at - self.job.base) + self.half[way], axis=1)
+        return away / self.pitch.min() * FAR - level * LOW
 
     def blocked(self, world: World, candidate: int) -> np.ndarray | None:
         """Cells to blame where the arm cannot make a placement; None where it can.
@@ -203,22 +223,28 @@ class Hand:
 
 
 def build_by_arm(
-    plan_with: Callable[[Kit, Hand], Plan], kit: Kit, workcell: Workcell, progress: Progress
-) -> Plan:
+    plan_with: Callable[[Kit, Hand], Plan], wanted: np.ndarray, kit: Kit, workcell: Workcell,
+    progress: Progress,
+) -> Plan:  # fmt: skip
     """The builder's plan for an arm, carried out; with fingers, the blocks stand as far apart as
     they need.
 
     Args:
         plan_with: plans with a kit and an arm.
+        wanted: bool[X, Y, Z].
     """
-    fingers = get_arm(workcell.arm, workcell.tool).suction is None
+    rooms = [kit.joint_gap]
+    if get_arm(workcell.arm, workcell.tool).suction is None:
+        rooms += [room for room in FINGER_ROOMS if room > kit.joint_gap]
+        if _has_square(wanted, Hand(workcell).holds(kit)):
+            rooms = rooms[1:]
     best: tuple[Plan, Hand] | None = None
-    for room in (kit.joint_gap, *(FINGER_ROOMS if fingers else ())):
-        if best is not None:
-            progress(f"fingers have no room between the blocks: trying {1e3 * room:g} mm")
+    for room in rooms:
+        if room > kit.joint_gap:
+            progress(f"fingers need room between the blocks: trying {1e3 * room:g} mm")
         hand = Hand(workcell)
         try:
-            plan = plan_with(kit if room <= kit.joint_gap else wider(kit, room), hand)
+            plan = plan_with(kit if room == kit.joint_gap else wider(kit, room), hand)
         except InputError:
             if best is None:
                 raise
@@ -229,6 +255,17 @@ def build_by_arm(
             break
     assert best is not None
     return best[1].carry_out(best[0], progress)
+
+
+def _has_square(wanted: np.ndarray, kit: Kit) -> bool:
+    """Whether a level has four cells in a square that no block of a kit fills at once: the last
+    block there has neighbours on both axes, and fingers no room beside it."""
+    square = wanted[:-1, :-1] & wanted[1:, :-1] & wanted[:-1, 1:] & wanted[1:, 1:]
+    narrow = all(
+        len({x for x, _, _ in kind.cells}) == 1 or len({y for _, y, _ in kind.cells}) == 1
+        for kind in kit.kinds
+    )
+    return narrow and bool(square.any())
 
 
 def _pieces(

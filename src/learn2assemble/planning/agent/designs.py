@@ -416,8 +416,8 @@ def make_design(task: DesignTask, rng: np.random.Generator, tries: int = 100) ->
         family, goal = str(rng.choice(families)), float(rng.uniform(low, high))
         size = (goal * (1.3 if carried else 5.0)) ** 0.5
         for _ in range(_DRAWINGS):
-            wanted = draw(family, rng, min(size, 0.7 * MAX_EXTENT), carried)
-            if wanted is None:
+            wanted = draw(family, rng, min(size, 0.7 * task.extent), carried)
+            if wanted is None or max(wanted.shape) > task.extent:
                 continue
             cells = int(wanted.sum())
             if not max(low, goal) / 1.6 <= cells <= 12 * goal:

@@ -76,10 +76,11 @@ def window(world: World, legal: np.ndarray, size: int = WINDOW) -> np.ndarray:
 
 
 class _Search:
-    def __init__(self, site: Site, builder: Builder | None, seed: int, hand: Hand | None) -> None:
-        self.site, self.builder, self.hand = site, builder, hand
+    def __init__(self, start: World, builder: Builder | None, seed: int, hand: Hand | None) -> None:
+        self.site = site = start.site
+        self.builder, self.hand = builder, hand
         self.rng = np.random.default_rng(seed)
-        self.world = World(site)
+        self.world = start.copy()
         self.expanded = 0
         self.taken: Counter[int] = Counter()
         self.kept: list[World] = [self.world.copy()]
@@ -101,6 +102,8 @@ class _Search:
             logits = self.rng.random(len(candidates))
         else:
             logits = self.builder.scores(*describe(self.world, candidates))
+        if self.hand is not None:
+            logits = logits + self.hand.prefers(candidates)
         if self.taken:
             logits = logits - _PENALTY * np.array([self.taken[int(c)] for c in candidates])
             logits = logits + _NOISE * self.rng.gumbel(size=len(logits))
@@ -211,19 +214,21 @@ class _Search:
 
 
 def build(
-    site: Site, builder: Builder | None, *, budget: float = BUDGET, seed: int = 0,
+    start: Site | World, builder: Builder | None, *, budget: float = BUDGET, seed: int = 0,
     seconds: float = INF, hand: Hand | None = None,
 ) -> Outcome:  # fmt: skip
     """Build a design.
 
     Args:
+        start: the design, or what there is of it.
         builder: scores the candidates; None: they are scored at random.
         budget: expanded states per block; 1: no search.
         seed: of ties, of repairs and of random scores.
         seconds: wall-clock limit.
         hand: makes the placements; without one they make themselves.
     """
-    clock, search = Clock(seconds), _Search(site, builder, seed, hand)
+    start = start if isinstance(start, World) else World(start)
+    clock, search = Clock(seconds), _Search(start, builder, seed, hand)
     decisions: list[float] = []
 
     def finished(world: World, repairs: int, timed_out: bool = False) -> Outcome:

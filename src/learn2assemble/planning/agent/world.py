@@ -372,3 +372,14 @@ def run(site: Site, order: list[int]) -> World | None:
         if not legal or not world.place(candidate, program=True):
             return None
     return world
+
+
+def only(site: Site, candidates: np.ndarray) -> World:
+    """A world in which nothing but some candidates may be put down."""
+    world = World(site)
+    chosen = np.zeros(len(site), bool)
+    chosen[candidates] = True
+    world.alive &= chosen
+    alive = np.repeat(world.alive, site.found.size())
+    world.cover = np.bincount(site.found.cell[alive], minlength=site.wanted.size)
+    return world
