@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import highspy
@@ -153,16 +153,20 @@ def solve(
 
 
 class Clock:
-    """How much of a limit of seconds is left."""
+    """How much of a limit of seconds is left.
 
-    def __init__(self, seconds: float) -> None:
-        self.limit = float(seconds)
-        self._start = time.monotonic()
+    Args:
+        timer: that tells the seconds: of a clock, or of the processor.
+    """
+
+    def __init__(self, seconds: float, timer: Callable[[], float] = time.monotonic) -> None:
+        self.limit, self.timer = float(seconds), timer
+        self._start = timer()
 
     @property
     def spent(self) -> float:
-        """Wall-clock seconds since the start."""
-        return time.monotonic() - self._start
+        """Seconds since the start."""
+        return self.timer() - self._start
 
     @property
     def left(self) -> float:

@@ -39,6 +39,7 @@ def plan_goals(
     goals: Goals, *, planner: str = AUTO, guide: Guide | None = None, learned: bool = True,
     seed: int = 0, seconds: float = 60.0, friction: float | tuple[float, float] | None = None,
     gap: float | tuple[float, float] | None = None,
+    timer: Callable[[], float] = time.monotonic,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Plan:  # fmt: skip
     """A structure that meets some goals, its order, and the proof of every step.
@@ -49,7 +50,7 @@ def plan_goals(
         guide: the network of the search; by default the one of the package.
         learned: whether the search uses a network.
         seed: of the search.
-        seconds: wall-clock limit of choosing the blocks.
+        seconds: limit of choosing the blocks, for the search as ``timer`` tells them.
         friction, gap: to prove it for, as for the exact planner.
         progress: told what is being done.
 
@@ -69,7 +70,7 @@ def plan_goals(
         limit = SEARCH_SECONDS[min(goals.shape[:2]) > 1]
         limit = seconds if planner == AGENT else min(limit, seconds / 2)
         guide = (guide or default_guide()) if learned else None
-        found = search(yard, guide, seconds=limit, seed=seed)
+        found = search(yard, guide, seconds=limit, seed=seed, timer=timer)
         blocks, chosen = found.placements, AGENT
         name = "learned search" if guide else "search"
         stages.append(plans.SearchStage(name, _words(found), round(found.seconds, 3)))

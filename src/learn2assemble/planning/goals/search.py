@@ -21,6 +21,8 @@ that only building needs are taken away again.
 from __future__ import annotations
 
 import heapq
+import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import count
 
@@ -239,14 +241,17 @@ class Search:
         return True
 
 
-def search(yard: Yard, guide: Guide | None, *, seconds: float = 10.0, seed: int = 0) -> Found:
+def search(
+    yard: Yard, guide: Guide | None, *, seconds: float = 10.0, seed: int = 0,
+    timer: Callable[[], float] = time.monotonic,
+) -> Found:  # fmt: skip
     """A structure for some goals with as few blocks as can be found.
 
     Args:
         guide: the network; None: none.
-        seconds: wall-clock limit.
+        seconds: limit, as ``timer`` tells them.
     """
-    clock, found = Clock(seconds), Search(yard, guide, seed)
+    clock, found = Clock(seconds, timer), Search(yard, guide, seed)
     first: float | None = None
     placements: tuple[BlockPlacement, ...] = ()
     end, runs = clock, 0
@@ -263,7 +268,7 @@ def search(yard: Yard, guide: Guide | None, *, seconds: float = 10.0, seed: int 
         if not placements or _count(made) < _count(placements):
             placements = made
         found.fewest = _count(placements)
-        end = Clock(min(clock.left, PATIENCE[0] + PATIENCE[1] * clock.spent))
+        end = Clock(min(clock.left, PATIENCE[0] + PATIENCE[1] * clock.spent), timer)
     return Found(placements, found.expanded, found.tried, clock.spent, first, exhausted)
 
 

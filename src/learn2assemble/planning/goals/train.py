@@ -32,7 +32,7 @@ class GuideConfig:
         seed: of goals, weights and choices.
         seconds: limit of the whole training, in processor time.
         rounds: of solving goals, each with the network of the one before, and learning.
-        limit: of one search [s].
+        limit: of one search, in processor time.
         replays: random orders in which a solution is built.
         steps: of gradient, in every round.
         batch: states of a step.
@@ -43,10 +43,10 @@ class GuideConfig:
     name: str = "goals-s0"
     seed: int = 0
     seconds: float = 1200.0
-    rounds: int = 3
-    limit: float = 3.0
+    rounds: int = 2
+    limit: float = 1.0
     replays: int = 3
-    steps: int = 3000
+    steps: int = 2000
     batch: int = 48
     rate: float = 2e-3
     most: int = 96
@@ -87,7 +87,7 @@ def train(
             if goals is None:
                 continue
             yard = make_yard(goals)
-            found = search(yard, guide, seconds=config.limit, seed=seed)
+            found = search(yard, guide, seconds=config.limit, seed=seed, timer=time.process_time)
             drawn += 1
             if found.placements:
                 solved += 1
