@@ -138,7 +138,7 @@ def change(data: dict[str, Any], *path: Any) -> Callable[[Any], None]:
     ("path", "value", "words"),
     [
         (("format",), "other", "learn2assemble-trajectory"),
-        (("version",), 3, "trajectory.version"),
+        (("version",), 4, "trajectory.version"),
         (("arm", "lower"), [0.0], "arm.lower"),
         (("arm", "max_width"), "wide", "arm.max_width"),
         (("arm",), None, "trajectory"),

@@ -62,6 +62,7 @@ def header(program: Program, arm: Arm) -> dict[str, Any]:
         "gripper_speed": program.states[0].speed,
         "blocks": {
             "edge": blocks.edge, "half": None if blocks.half is None else _plain(blocks.half),
+            "density": None if blocks.density is None else _plain(blocks.density),
             "objects": [list(cells) for cells in blocks.objects],
             "start": _plain(blocks.start), "end": _plain(blocks.end),
             "supply": [
@@ -112,6 +113,7 @@ def read_header(data: Any, source: str, name: str) -> Header:
         if sorted(c for cells in objects for c in cells) != list(range(count)):
             raise InputError(f"{source}: blocks", f"{count} cells", "each cell in one object")
         half = None if told["half"] is None else _array(told["half"], count, 3)
+        density = None if told.get("density") is None else _array(told["density"], count)
         supply = tuple(
             Supply(float(one["time"]), cells, _array(one["poses"], len(cells), 7))
             for one in told["supply"]
@@ -119,7 +121,7 @@ def read_header(data: Any, source: str, name: str) -> Header:
         )
         blocks = Blocks(
             objects, float(told["edge"]), half, _array(told["start"], count, 7),
-            _array(told["end"], count, 7), supply,
+            _array(told["end"], count, 7), supply, density,
         )  # fmt: skip
         steps = tuple(
             ProgramStep(

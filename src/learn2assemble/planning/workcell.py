@@ -179,18 +179,6 @@ class World:
             count += len(piece.shape)
         return out
 
-    def cell_poses(self) -> np.ndarray:
-        """float64[C, 7] of all boxes."""
-        rows = []
-        for piece, pose in zip(self.pieces, self.pose, strict=True):
-            turn = quaternion_matrix(pose[3:])
-            rows += [[*(pose[:3] + turn @ np.array(c)), *pose[3:]] for c, _ in piece.shape]
-        return np.array(rows)
-
-    def halves(self) -> np.ndarray:
-        """float64[C, 3] of all boxes [m]."""
-        return np.array([half for piece in self.pieces for _, half in piece.shape])
-
 
 class Frame(NamedTuple):
     """How a block lies: on which side, how turned, how tilted."""

@@ -24,6 +24,7 @@ from learn2assemble.planning.workcell import (
     LEANS,
     LOOSE,
     LOST,
+    OBSTACLE_DENSITY,
     RETURNED,
     STANDING,
     STANDS,
@@ -446,12 +447,25 @@ class Building:
 
     def _recorder(self, width: float) -> BuildRecorder:
         """Of the build, before its first attempt; the pads are ``width`` apart [m]."""
-        halves = [*self.world.halves(), *(np.array(o.size) / 2 for o in self.job.obstacles)]
+        halves, densities = self._boxes()
         objects = [*self.cells, *([cell] for cell in self.fixed)]
         return BuildRecorder(
-            self.job.arm, self.joints, width, self._all_poses(), objects, self.words,
-            np.array(halves),
+            self.job.arm, self.joints, width, self._all_poses(), objects, self.words, halves,
+            densities,
         )  # fmt: skip
+
+    def _boxes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Half extents float64[C, 3] [m] and densities float64[C] [kg/m3] of all cells of the
+        record."""
+        count = sum(map(len, self.cells)) + len(self.fixed)
+        halves, densities = np.empty((count, 3)), np.empty(count)
+        for k, piece in enumerate(self.world.pieces):
+            cells = list(self.cells[self.body[k]])
+            halves[cells] = [half for _, half in piece.shape]
+            densities[cells] = piece.density * self.masses[k]
+        for cell, obstacle in zip(self.fixed, self.job.obstacles, strict=True):
+            halves[cell], densities[cell] = np.array(obstacle.size) / 2, OBSTACLE_DENSITY
+        return halves, densities
 
     def _numbers(self, rows: Rows) -> np.ndarray:
         """int64[n]: cell of the record of each row."""
@@ -552,9 +566,7 @@ class Building:
         self.belief = np.vstack([self.belief, world.pose[spare]])
         self.belief[k] = world.pose[k]
         self.variance = np.vstack([self.variance, self.variance[k]])
-        half = np.array([h for _, h in world.pieces[k].shape])
-        assert self.recorder.half is not None
-        self.recorder.half = np.vstack([self.recorder.half, half])
+        self.recorder.half, self.recorder.density = self._boxes()
         self.recorder.objects = (*self.recorder.objects, self.cells[-1])
         self.recorder.poses = np.vstack([self.recorder.poses, self._cell_rows(k)])
         self._sync()
@@ -692,12 +704,7 @@ class Building:
         self.variance, self.joints = np.array(last["variance"]), np.array(last["joints"])
         self.accepted = set(last["accepted"])
         self.fails = {(k, what): n for k, what, n in last["fails"]}
-        halves: dict[int, tuple[float, ...]] = {}
-        for cells, piece in zip(self.cells, world.pieces, strict=True):
-            halves |= {cell: half for cell, (_, half) in zip(cells, piece.shape, strict=True)}
-        for cell, obstacle in zip(self.fixed, self.job.obstacles, strict=True):
-            halves[cell] = tuple(np.array(obstacle.size) / 2)
-        self.recorder.half = np.array([halves[cell] for cell in sorted(halves)])
+        self.recorder.half, self.recorder.density = self._boxes()
         self.recorder.objects = (*self.cells, *((cell,) for cell in self.fixed))
         self.recorder.poses = self._all_poses()
 

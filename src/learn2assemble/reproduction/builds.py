@@ -40,6 +40,12 @@ LARGE: dict[str, tuple[Callable[[], np.ndarray], float]] = {
     "wall with a window, 158 blocks": (lambda: shapes.wall(20, 6, 18, (7, 13, 5, 11)), 0.032),
 }  # fmt: skip
 """Cells, and the edge of a cell [m]."""
+PROPS: dict[str, tuple[Callable[[], np.ndarray], str]] = {
+    # Of the bricks none spans the opening of the bridge, so its deck needs props.
+    "bridge of span 6": (lambda: shapes.bridge(1, 6, 4, 3, 1, 4), "bricks"),
+    "bridge of three spans": (shapes.SHAPES["bridge-long"], DEFAULT_KIT),
+}
+"""Cells of 4 cm, and the kit they are built of."""
 SENSING = 5e-4
 """Standard deviation of what is read back [m]."""
 FAULTS = 3
@@ -49,7 +55,7 @@ FAULTS = 3
 def names() -> list[str]:
     """Every measurement: kind / design / arm / tool or seed."""
     found = [f"large/{name}/{arm}" for name in LARGE for arm in ARMS]
-    found += [f"props/bridge of span 6/{arm}" for arm in ARMS]
+    found += [f"props/{name}/{arm}" for name in PROPS for arm in ARMS]
     examples = (*DESIGNS, FALLS)
     found += [f"example/{d}/{arm}/{tool}" for d in examples for arm in ARMS for tool in TOOLS]
     found += [f"program/{d}/{arm}" for d in DESIGNS[:4] for arm in ARMS]
@@ -103,14 +109,18 @@ def entry(name: str) -> Result:
         lambda other: plan_cells(design, other, seconds=PLAN_SECONDS),
     )  # fmt: skip
     result = _described(done, planned - started, time.process_time() - planned)
-    return result | (_program(done, arm) if kind == "program" and done.complete else {})
+    if done.complete and kind == "props":
+        result |= {"settled": _settled(done)}
+    return result | (_program(done) if kind in ("program", "props") and done.complete else {})
 
 
 def _design(kind: str, what: str) -> tuple[CellDesign, Kit]:
     if kind in ("large", "props"):
-        make, cell = LARGE.get(what, (lambda: shapes.bridge(1, 6, 4, 3, 1, 4), 0.04))
-        # Of the bricks none spans the opening of the bridge, so its deck needs props.
-        kit = load_kit("bricks" if kind == "props" else DEFAULT_KIT).at_pitch((cell, cell, cell))
+        if kind == "props":
+            (make, name), cell = PROPS[what], 0.04
+        else:
+            (make, cell), name = LARGE[what], DEFAULT_KIT
+        kit = load_kit(name).at_pitch((cell, cell, cell))
         return CellDesign(what, make(), kit.pitch, None, 0.0, None, "", None), kit
     design = read_design(EXAMPLES / what)
     assert isinstance(design, CellDesign)
@@ -132,7 +142,28 @@ def _described(plan: Plan, planning: float, building: float) -> Result:
     }  # fmt: skip
 
 
-def _program(plan: Plan, arm: str) -> Result:
+def _settled(plan: Plan) -> float:
+    """How far a block moves when all of a finished structure are let go at once [m]."""
+    from learn2assemble.robot.arm import get_arm
+    from learn2assemble.robot.dynamic.cell import DynamicCell
+    from learn2assemble.robot.moves import Scene
+
+    record = plan.record
+    assert record is not None
+    pose = record.steps[-1].after
+    kept = np.flatnonzero(pose[:, 2] > 0)
+    owner = np.argsort(np.concatenate(record.objects))
+    owner = np.repeat(np.arange(len(record.objects)), [len(c) for c in record.objects])[owner]
+    scene = Scene(pose[kept, :3], np.zeros(len(kept)), owner[kept], len(kept), *(
+        None if of_all is None else of_all[kept] for of_all in (record.half, record.density)
+    ))  # fmt: skip
+    cell = DynamicCell(get_arm(record.arm.name, record.arm.tool_name))
+    after, _, still = cell.settle(scene, quaternion=pose[kept, 3:])
+    moved = float(np.linalg.norm(after.position - scene.position, axis=1).max())
+    return round(moved, 6) if still else math.inf
+
+
+def _program(plan: Plan) -> Result:
     """What comes of the exported build, played open loop."""
     from learn2assemble.export.robot_programs import export_program, replay_program
 
@@ -140,7 +171,7 @@ def _program(plan: Plan, arm: str) -> Result:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "program.csv"
         export_program(plan.record, "csv", file)
-        run = replay_program(file, arm)
+        run = replay_program(file, plan.record.arm.name)
     return {"program": {"same": run.same, "worst": float(run.error.max()), "fault": run.fault}}
 
 

@@ -258,6 +258,8 @@ class Blocks(NamedTuple):
     """The same at its end."""
     supply: tuple[Supply, ...] = ()
     """In the order of their times."""
+    density: np.ndarray | None = None
+    """float64[C] of the boxes [kg/m3]; None: that of the cubes."""
 
     @property
     def halves(self) -> np.ndarray:
@@ -266,7 +268,8 @@ class Blocks(NamedTuple):
 
     def mass(self, cells: Sequence[int]) -> float:
         """Of some cells [kg]."""
-        return float(DENSITY * 8 * self.halves[list(cells)].prod(1).sum())
+        density = DENSITY if self.density is None else self.density[list(cells)]
+        return float((density * 8 * self.halves[list(cells)].prod(1)).sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -423,7 +426,7 @@ def make_program(record: BuildRecord, arm: Arm) -> Program:
         arm.name, record.arm.tool_name, record.arm.suction, whole, stage, number[1:], motion,
         (), (), Blocks(
             record.objects, record.block_edge, record.half, record.steps[0].before,
-            record.steps[-1].after,
+            record.steps[-1].after, (), record.density,
         ), stretch,
     )  # fmt: skip
     return _with_tool(program, record, arm, samples)
@@ -664,8 +667,9 @@ def _order(blocks: Blocks, poses: np.ndarray, step: ProgramStep) -> tuple[np.nda
     for number, cells in enumerate(blocks.objects):
         owner[list(cells)] = number
     yaw = np.array([cube_yaw(quaternion_matrix(turn)) for turn in poses[rows, 3:]])
-    half = None if blocks.half is None else blocks.half[rows]
-    scene = Scene(poses[rows, :3], yaw, owner[rows], 0, half)
+    half, density = (None if of_all is None else of_all[rows]
+                     for of_all in (blocks.half, blocks.density))  # fmt: skip
+    scene = Scene(poses[rows, :3], yaw, owner[rows], 0, half, density)
     row = int(np.searchsorted(rows, step.cells[0]))
     turn = quaternion_matrix(step.target[3:]) @ quaternion_matrix(poses[step.cells[0], 3:]).T
     place = Attitude(yaw=math.atan2(turn[1, 0], turn[0, 0]))

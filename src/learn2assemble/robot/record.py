@@ -147,6 +147,9 @@ class BuildRecord:
     half: np.ndarray | None = None
     """float64[C, 3]: half extents of the box of each cell in its own frame [m]; None: all are
     cubes with edge ``block_edge``."""
+    density: np.ndarray | None = None
+    """float64[C] of each cell's box [kg/m3], see :class:`~.moves.Scene`; None: that of the
+    cubes."""
 
     @property
     def num_cells(self) -> int:
@@ -225,6 +228,10 @@ def _structure(record: BuildRecord) -> Iterator[str]:
         record.half.shape != (len(cells), 3) or not (record.half > 0).all()
     ):
         yield f"half: not three lengths above 0 for each of {len(cells)} cells"
+    if record.density is not None and (
+        record.density.shape != (len(cells),) or not (record.density > 0).all()
+    ):
+        yield f"density: not a number above 0 for each of {len(cells)} cells"
     for k, step in enumerate(record.steps, 1):
         if step.number != k:
             yield f"step {step.number}: should have number {k}"

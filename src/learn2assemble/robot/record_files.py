@@ -21,7 +21,7 @@ from learn2assemble.files import read_json, write_file
 from learn2assemble.robot.moves import STAGES, Outcome
 from learn2assemble.robot.record import ArmFacts, BuildRecord, Samples, Stage, StepRecord
 
-FORMAT, VERSION = "learn2assemble-trajectory", 2
+FORMAT, VERSION = "learn2assemble-trajectory", 3
 DECIMALS = 6
 MOST, MOST_JOINT = 1e6, 100.0
 """Largest magnitudes of numbers and of joint angles [rad] in a file."""
@@ -66,10 +66,10 @@ def record_from(data: Any) -> BuildRecord:
     """
     if not isinstance(data, Mapping) or data.get("format") != FORMAT:
         raise InputError("trajectory", type(data).__name__, f"a {FORMAT} file")
-    if data.get("version") not in (1, VERSION):
-        raise InputError("trajectory.version", data.get("version"), f"1 or {VERSION}")
-    if data["version"] == 1:
-        data = _from_version_1(data)
+    if data.get("version") not in range(1, VERSION + 1):
+        raise InputError("trajectory.version", data.get("version"), f"1 to {VERSION}")
+    if data["version"] < VERSION:
+        data = _from_older(data)
     where = "trajectory"
     try:
         arm = _arm_from(data["arm"])
@@ -83,6 +83,7 @@ def record_from(data: Any) -> BuildRecord:
             arm, _number("rate", data["rate"]), _number("block_edge", data["block_edge"]),
             objects, str(data["simulated_by"]), tuple(steps),
             None if data["half"] is None else _array("half", data["half"], (count, 3)),
+            None if data["density"] is None else _array("density", data["density"], (count,)),
         )  # fmt: skip
     except KeyError as error:
         raise InputError(where, f"no field {error}", f"every field of a {FORMAT} file") from None
@@ -92,10 +93,14 @@ def record_from(data: Any) -> BuildRecord:
         raise InputError(where, str(error), f"a {FORMAT} file") from None
 
 
-def _from_version_1(data: Mapping[str, Any]) -> dict[str, Any]:
-    """A file from before there were suction tools and boxes of other sizes."""
+def _from_older(data: Mapping[str, Any]) -> dict[str, Any]:
+    """A file of version 2, which says no densities, or of 1, from before there were suction tools
+    and boxes of other sizes."""
     arm, steps = data.get("arm"), data.get("steps")
-    found = {**data, "half": None}
+    found = {**data, "density": None}
+    if data["version"] == 2:
+        return found
+    found["half"] = None
     if isinstance(arm, Mapping):
         found["arm"] = {**arm, "tool_name": "gripper", "suction": False}
     if isinstance(steps, list):

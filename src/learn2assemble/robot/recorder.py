@@ -29,6 +29,7 @@ class BuildRecorder:
         objects: cells of every rigid object.
         simulated_by: what the outcomes come from, in words.
         half: float64[C, 3], half extents of the cells' boxes where they are no cubes [m].
+        density: float64[C] of them [kg/m3].
     """
 
     def __init__(
@@ -40,10 +41,11 @@ class BuildRecorder:
         objects: Sequence[Sequence[int]],
         simulated_by: str,
         half: np.ndarray | None = None,
+        density: np.ndarray | None = None,
     ) -> None:
         self.arm, self.poses = arm, np.array(poses, float)
         self.objects = tuple(tuple(cells) for cells in objects)
-        self.simulated_by, self.half = simulated_by, half
+        self.simulated_by, self.half, self.density = simulated_by, half, density
         self.steps: list[StepRecord] = []
         self._first = np.array(joints, float), float(width)
         self._count = 0
@@ -174,6 +176,7 @@ class BuildRecorder:
             self.simulated_by,
             tuple(self.steps),
             self.half,
+            self.density,
         )
 
 

@@ -190,25 +190,35 @@ class Execution:
             self.close()
         sim.hold()
         self.holding = True
-        mass = sim.mass(self.order.target)
+        grasp, mass = self.course.plan.move.grasp, sim.mass(self.order.target)
+        if grasp.sideways:
+            out = int(np.searchsorted(rise, grasp.way - 1e-9)) + 1
+            self.draw(joints[:out], grasp.way)
+            joints, rise = joints[out - 1 :], rise[out - 1 :] - grasp.way
         _check(sim.load(mass, _steps(LOAD_TIME), "pick", NEAR), touch, "pick")
         path, bounds = self.gently(joints)
         off = float(np.interp(LOOSE, rise, path.knots))
         watches, segments = (NEAR, LOADED._replace(start=off)), ()
-        grasp = self.course.plan.move.grasp
-        if self.order.scene.half is not None:
-            # Beside others it slides out of a slot, and from below others as long as it takes.
-            depth = grasp.way if grasp.sideways else self.slot()
-            out = float(np.interp(depth, rise, path.knots))
-            slides = NEAR if grasp.sideways else BESIDE
-            watches = (NEAR, slides._replace(start=off), LOADED._replace(start=out))
-            slowly = min(SLOT_SPEED * out / depth, bounds.speed)
+        if self.order.scene.half is not None and not grasp.sideways:
+            # Beside others it slides out of a slot.
+            out = float(np.interp(self.slot(), rise, path.knots))
+            watches = (NEAR, BESIDE._replace(start=off), LOADED._replace(start=out))
+            slowly = min(SLOT_SPEED * out / self.slot(), bounds.speed)
             # It comes to rest at the end of the way, however near the end of the slot is to that.
             speed = min(
                 slowly, *(reachable_speed(0.0, s, bounds) for s in (out, path.length - out))
             )
             segments = (Segment(out, speed, slowly), Segment(path.length, 0.0, bounds.speed))
         _check(sim.follow(path, bounds, "lift", watches, segments), touch, "lift")
+
+    def draw(self, joints: np.ndarray, way: float) -> None:
+        """Draw what is held out to the side from between others, along joints float64[k, n] [rad],
+        over ``way`` [m]. What it lies on carries it, so the controller is not told of its mass yet:
+        it would lift it against what is above."""
+        path, bounds = self.gently(joints)
+        slowly = (Segment(path.length, 0.0, min(SLOT_SPEED * path.length / way, bounds.speed)),)
+        event = self.sim.follow(path, bounds, "lift", (NEAR,), slowly)
+        _check(event, Outcome.GRASP_COLLISION, "lift")
 
     def close(self) -> None:
         """Close the fingers until they press."""
