@@ -26,7 +26,7 @@ from test_ordering import deck
 
 DESIGNS = Path(__file__).resolve().parents[1] / "examples" / "designs"
 DRAWN = ("gate.svg", "t.svg", "h.svg", "arch.svg", "two_towers.svg", "circle.svg", "figure.png",
-         "dome.npy", "free/off_centre_tower.json")  # fmt: skip
+         "dome.npy", "off_centre_tower.json")  # fmt: skip
 
 
 def filled(plan: Plan, design: CellDesign) -> np.ndarray:

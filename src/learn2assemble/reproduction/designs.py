@@ -45,7 +45,7 @@ LARGE: dict[str, tuple[Callable[[], np.ndarray], float]] = {
 }  # fmt: skip
 """Designs of a size, and the seconds asked for."""
 DRAWN = ("gate.svg", "t.svg", "h.svg", "arch.svg", "circle.svg", "two_towers.svg", "figure.png",
-         "dome.npy", "free/off_centre_tower.json", "arch_pair.json", "courtyard.svg",
+         "dome.npy", "off_centre_tower.json", "arch_pair.json", "courtyard.svg",
          "gabled_house.json", "keep.json", "leaning_parallelogram.json", "pavilion.json",
          "pyramid.json", "skyline.json", "stepped_tower.json")  # fmt: skip
 PREFIXES, SIMULATED = 6, 60
