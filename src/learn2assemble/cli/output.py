@@ -38,7 +38,9 @@ class Output:
         """A table for people."""
         from rich.table import Table
 
-        table = Table(title=title or None, title_justify="left", box=None, pad_edge=False)
+        if title:
+            self.say(title)  # A title of the table would be broken to its width.
+        table = Table(box=None, pad_edge=False)
         for number, column in enumerate(columns):
             table.add_column(column, justify="right" if number else "left", no_wrap=number == 0)
         for row in rows:
