@@ -16,7 +16,7 @@ from learn2assemble.cli.commands import (
     workers_arguments,
     write_result,
 )
-from learn2assemble.cli.parser import Command, count, natural
+from learn2assemble.cli.parser import Command, count, natural, positive
 from learn2assemble.errors import InputError
 from learn2assemble.files import claim_folder, write_file
 from learn2assemble.registry import Registry
@@ -456,7 +456,7 @@ def _train_goals_arguments(parser: argparse.ArgumentParser) -> None:
     add("--out", type=Path, required=True, help="new or empty folder")
     add("--name", default="goals-s0", help="of the guide")
     add("--seed", type=natural, default=0, help="of goals, weights and choices")
-    add("--seconds", type=count, default=1200, help="of processor time")
+    add("--seconds", type=positive, default=120.0, help="of processor time")
 
 
 def _run_train_goals(options: argparse.Namespace, output: Output) -> None:

@@ -56,7 +56,7 @@ UNLIKELY, FAR = 0.7, 4.0
 the largest detour [blocks]."""
 SURE = 0.6
 """Share of a relaxed plan that is needed in any case."""
-PATIENCE = 2.0, 4.0
+PATIENCE = 1.0, 3.0
 """Seconds, and times the seconds until the last structure, in which one with fewer blocks has to be
 found for the search to go on."""
 BALLAST = 0.5

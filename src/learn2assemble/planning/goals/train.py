@@ -42,11 +42,11 @@ class GuideConfig:
 
     name: str = "goals-s0"
     seed: int = 0
-    seconds: float = 1200.0
-    rounds: int = 2
-    limit: float = 1.0
+    seconds: float = 120.0
+    rounds: int = 1
+    limit: float = 0.3
     replays: int = 3
-    steps: int = 2000
+    steps: int = 1200
     batch: int = 48
     rate: float = 2e-3
     most: int = 96
