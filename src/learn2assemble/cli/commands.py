@@ -401,7 +401,7 @@ def _bench(options: argparse.Namespace, output: Output) -> None:
 
 def _tasks(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.networks.agent import agent_info, pretrained_names
-    from learn2assemble.tasks import DESIGN_TASKS, PRESETS
+    from learn2assemble.tasks import DESIGN_TASKS, GOAL_TASKS, PRESETS
 
     agents: dict[str, list[str]] = {}
     for name in pretrained_names():
@@ -433,7 +433,9 @@ def _tasks(options: argparse.Namespace, output: Output) -> None:
          "exact" if r["limited_heap"] else "no limit")
         for r in designs
     ])  # fmt: skip
-    output.finish({"tasks": rows, "designs": designs})
+    goals = {name: task.goals for name, task in GOAL_TASKS.items()}
+    output.table("", ("task of goals", "goals"), list(goals.items()))
+    output.finish({"tasks": rows, "designs": designs, "goals": goals})
 
 
 def _view_arguments(parser: argparse.ArgumentParser) -> None:
