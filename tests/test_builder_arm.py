@@ -139,3 +139,18 @@ def test_the_planners_of_the_comparison_place_the_same_blocks() -> None:
     for way in WAYS:
         assert row[way]["complete"], way
         assert row[way]["placed"] == len(design.order) == row[way]["tried"] - row[way]["failed"]
+
+
+def test_the_measurement_counts_every_design(monkeypatch: pytest.MonkeyPatch) -> None:
+    little = DesignTask("little", ("rings",), "cubes", blocks=(4, 12))
+    monkeypatch.setattr(builder_arm, "SMALL", little)
+    monkeypatch.setattr(builder_arm, "LARGE", (little,))
+    kept = []
+    config = builder_arm.ArmMeasure(2, 1, 1, 5.0)
+    found = builder_arm.measure_arm("builder-s0", config, keep=lambda now: kept.append(dict(now)))
+    assert len(kept) == 4
+    assert (found["sets"]["suction"]["designs"], found["sets"]["gripper"]["designs"]) == (2, 1)
+    assert found["sets"]["suction"]["complete"] == 1
+    low, high = found["sets"]["suction"]["interval"]
+    assert low < 1 <= high + 1e-9
+    assert found["comparison"]["designs"] + found["comparison"]["left_out"] == 1

@@ -90,7 +90,7 @@ def measure_arm(
         rng = np.random.default_rng((_SEED + config.seed, 11, k))
         design = make_design(LARGE[k % len(LARGE)], rng)
         rows.append(_compared(design, config, agent))
-        found["comparison"] = {**compare(rows), "designs": rows}
+        found["comparison"] = {**compare(rows), "rows": rows}
         keep(found)
     return found
 
