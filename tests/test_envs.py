@@ -23,8 +23,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.envs import env_id, register_all, spaces
-from learn2assemble.envs.assembly import AssemblyEnv, AssemblyVectorEnv
-from learn2assemble.envs.worlds import COLOURS, SCALE
+from learn2assemble.envs.assembly import COLOURS, SCALE, AssemblyEnv, AssemblyVectorEnv
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.graph.features import Graph, connectivity
 from learn2assemble.physics.protocol import Verdict
