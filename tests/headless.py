@@ -41,11 +41,15 @@ def browse(browser: str, folder: Path, address: str, *options: str) -> tuple[str
 
 
 def _side_by_side(folder: Path, anchors: tuple[str, ...], size: tuple[int, int]) -> str:
-    """A page that shows the report at several anchors, so that one browser run sees them all."""
+    """A page that shows the report at several anchors, so that one browser run sees them all.
+
+    An anchor may be of another page, ``PATH#ANCHOR``.
+    """
+    pages = [anchor if "#" in anchor else f"view.html#{anchor}" for anchor in anchors]
     frames = "".join(
-        f'<iframe src="view.html#{anchor}" style="border:0;width:{size[0]}px;'
+        f'<iframe src="{page}" style="border:0;width:{size[0]}px;'
         f'height:{size[1]}px;position:absolute;top:0;left:{index * size[0]}px"></iframe>'
-        for index, anchor in enumerate(anchors)
+        for index, page in enumerate(pages)
     )
     (folder / "frames.html").write_text(f"<!doctype html><body>{frames}", encoding="utf-8")
     return (folder / "frames.html").as_uri()
@@ -54,7 +58,10 @@ def _side_by_side(folder: Path, anchors: tuple[str, ...], size: tuple[int, int])
 def shoot(
     browser: str, folder: Path, anchors: tuple[str, ...], size: tuple[int, int], *options: str
 ) -> tuple[list[np.ndarray], str]:
-    """The picture of ``view.html`` in ``folder`` at every anchor, and the browser's log."""
+    """The picture of ``view.html`` in ``folder`` at every anchor, and the browser's log.
+
+    An anchor may be of another page, ``PATH#ANCHOR``.
+    """
     shot = folder / "shot.png"
     _, log = browse(
         browser, folder / "run", _side_by_side(folder, anchors, size), *options,

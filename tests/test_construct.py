@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import learn2assemble as l2a
+from headless import SPATIAL, pixels, shoot
 from learn2assemble.assembly.blocks import Assembly, Step, box_block
 from learn2assemble.assembly.files import write_compas
 from learn2assemble.assembly.kit import Kind, Kit, load_kit
@@ -321,3 +322,36 @@ def test_a_kit_that_cannot_fill_the_cells_is_refused_and_says_where() -> None:
     heap = Kit("heap", (replace(pairs.kinds[0], count=9),))
     plan = plan_cells(design, heap)
     assert plan.status == "refused"
+
+
+@pytest.mark.browser
+def test_the_page_shows_what_was_drawn(browser: str, tmp_path: Path) -> None:
+    """Of a gate its opening, of a dome that it narrows upwards, of a picture its colours."""
+    anchors = []
+    for name in ("gate.svg", "dome.npy", "figure.png"):
+        plan = plan_cells(read_design(DESIGNS / name, cell=(0.05, 0.05, 0.05)), "bricks-lintels")
+        plan.save(tmp_path / name)
+        anchors.append(f"{name}/view.html#step={len(plan.steps)}")
+    images, log = shoot(browser, tmp_path, tuple(anchors), (1000, 900), *SPATIAL)
+    assert "Uncaught" not in log, log
+    gate, dome, figure = (image[450:840, 40:555, :3] for image in images)
+    if pixels(gate, "#f1efea") > 0.95 * gate[..., 0].size:
+        pytest.skip("this browser has no software WebGL")
+
+    def drawn(image: np.ndarray) -> np.ndarray:
+        """bool[h, w]: pixels of blocks (coloured, unlike table and shadow), cut to what is one."""
+        found = np.ptp(image, axis=-1) > 0.15
+        rows, columns = (np.flatnonzero(found.sum(axis) > 3) for axis in (1, 0))
+        return found[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+
+    gate = drawn(gate)
+    low = gate[int(0.55 * len(gate)) : int(0.8 * len(gate))]
+    left, middle, right = (part.mean() for part in np.array_split(low, 3, axis=1))
+    assert middle < 0.2 < min(left, right)
+    widths = drawn(dome).sum(1)
+    assert 0.2 * widths.max() < widths[len(widths) // 20] < 0.9 * widths[len(widths) // 2]
+    red, leaf, blue = np.moveaxis(figure, -1, 0)
+    green, brown = leaf > 1.5 * np.maximum(red, blue), (red > 1.3 * leaf) & (red < 0.5)
+    # Leaves above, a trunk below: 30 cells and 10.
+    assert green.sum() > 2 * brown.sum() > 2000
+    assert np.flatnonzero(green.any(1)).mean() < np.flatnonzero(brown.any(1)).mean()

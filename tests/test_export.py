@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
+import json
+from collections import Counter
+from html.parser import HTMLParser
+from itertools import pairwise
 from pathlib import Path
 
 import mujoco
@@ -12,9 +16,13 @@ import pytest
 import trimesh
 
 from learn2assemble.assembly.blocks import Assembly, Step, box_block
+from learn2assemble.assembly.kit import load_kit
 from learn2assemble.errors import UnknownNameError
 from learn2assemble.export.cards import step_cards
-from learn2assemble.export.formats import bill_of_blocks, export_assembly
+from learn2assemble.export.formats import FORMATS, bill_of_blocks, export_assembly
+from learn2assemble.planning.exact import plan_exact
+from learn2assemble.planning.ordering import to_assembly
+from learn2assemble.reproduction import shapes
 
 
 @pytest.fixture
@@ -87,6 +95,87 @@ def test_mjcf_of_a_block_that_is_not_convex(tmp_path: Path) -> None:
     mujoco.mj_forward(model, data)
     assert np.allclose(data.body("L").xipos, [5 / 6, 0.5, 5 / 6], atol=1e-6)
     assert model.body("L").mass[0] == pytest.approx(3000)
+
+
+class _Tags(HTMLParser):
+    """Counts elements, and refuses those that are closed in another order than opened."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.count: Counter[str] = Counter()
+        self.open: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.count[tag] += 1
+        if tag not in ("meta", "br", "img", "link", "input"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def _as_json(file: Path, made: Assembly) -> tuple[int, float]:
+    blocks = {block["id"]: block for block in json.loads(file.read_text("utf-8"))["blocks"]}
+    stands = [blocks[block.id] for block in made.finished.blocks]
+    solids = [trimesh.Trimesh(block["vertices"], [
+        (face[0], *two) for face in block["faces"] for two in pairwise(face[1:])
+    ]) for block in stands]  # fmt: skip
+    assert all(solid.is_watertight for solid in solids)
+    return len(stands), float(sum(solid.volume for solid in solids))
+
+
+def _as_bill(file: Path, made: Assembly) -> tuple[int, float]:
+    rows = list(csv.DictReader(io.StringIO(file.read_text("utf-8"))))
+    mass = sum(int(row["built_in"]) * float(row["mass_kg"]) for row in rows)
+    return sum(int(row["built_in"]) for row in rows), mass / made.blocks[0].density
+
+
+def _as_cards(file: Path, made: Assembly) -> tuple[int, float]:
+    tags = _Tags()
+    tags.feed(file.read_text("utf-8"))
+    assert not tags.open
+    removed = sum(step.remove is not None for step in made.steps)
+    return tags.count["article"] - 2 * removed, 0.0
+
+
+def _as_compas(file: Path, made: Assembly) -> tuple[int, float]:
+    compas = pytest.importorskip("compas")
+    pytest.importorskip("compas_assembly")
+    graph = compas.json_load(file).graph
+    solids = [graph.node_attribute(node, "block") for node in graph.nodes()]
+    return len(solids), float(sum(abs(solid.volume()) for solid in solids))
+
+
+def _as_glb(file: Path, made: Assembly) -> tuple[int, float]:
+    scene = trimesh.load(file)
+    return len(scene.geometry), float(scene.volume)
+
+
+def _as_mjcf(file: Path, made: Assembly) -> tuple[int, float]:
+    model = mujoco.MjModel.from_xml_path(str(file))
+    return model.nbody - 1, float(model.body_mass.sum()) / made.blocks[0].density
+
+
+READERS = {"assembly": _as_json, "bill": _as_bill, "cards": _as_cards, "compas": _as_compas,
+           "glb": _as_glb, "mjcf": _as_mjcf}  # fmt: skip
+
+
+@pytest.mark.parametrize("format", list(FORMATS))
+@pytest.mark.parametrize("kit", ["bricks-lintels", "tetrominoes"])
+def test_every_export_of_a_plan_is_read_back(kit: str, format: str, tmp_path: Path) -> None:
+    """Blocks that stand in the end and their volume, as another library reads them."""
+    wanted = np.ones((6, 2, 2), bool)
+    if kit == "bricks-lintels":
+        wanted = shapes.bridge(1, 5, 2, 2, 1, 1)
+    tiling, ordering = plan_exact(wanted, load_kit(kit))
+    assert ordering is not None
+    assert ordering.status == "complete"
+    made = to_assembly(tiling, ordering, load_kit(kit))
+    count, volume = READERS[format](export_assembly(made, format, tmp_path), made)
+    assert count == len(made.finished.blocks)
+    if format != "cards":
+        solid = sum(block.volume for block in made.finished.blocks)
+        assert volume == pytest.approx(solid, rel=1e-4)
 
 
 def test_unknown_format_names_the_nearest(bridge: Assembly, tmp_path: Path) -> None:
