@@ -18,7 +18,16 @@ from learn2assemble.networks.agent import load_agent
 from learn2assemble.reproduction import curves as curves_module
 from learn2assemble.reproduction.commands import _insert as insert
 from learn2assemble.reproduction.commands import markers
-from learn2assemble.reproduction.curves import FIGURES, get_figure, load_curves, read_log, time_to
+from learn2assemble.reproduction.curves import (
+    FIGURES,
+    decision_time,
+    get_figure,
+    load_curves,
+    load_scaled,
+    read_log,
+    time_to,
+    timed_names,
+)
 from learn2assemble.reproduction.recipes import (
     RECIPES,
     Recipe,
@@ -272,6 +281,22 @@ def test_curves_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert result["absent"] == ["MHA", "SHA"]
     assert "no runs of MHA, SHA" in text
     assert Path(result["picture"]).read_bytes().startswith(b"\x89PNG")
+
+
+def test_sizes_and_times_come_from_the_same_rows(tmp_path: Path) -> None:
+    """Every row of the figure has a time of its own; what is not measured is no number."""
+    names = timed_names()
+    assert len(names) == len(set(names))
+    quick = next(n for n in names if n.startswith("exact look-ahead") and "3x3" in n)
+    assert decision_time(quick)["ms"] > 0
+    rows = load_scaled(Path(__file__).parent.parent / "results", {quick: {"ms": 7.0}})
+    assert {row.label for row in rows} <= {name.rpartition(" / ")[0] for name in names}
+    for row in rows:
+        at = np.flatnonzero(np.isfinite(row.values["ms"]))
+        assert at.tolist() == ([0] if row.label == quick.rpartition(" / ")[0] else [])
+        assert row.grid[0] == 3
+    with pytest.raises(InputError, match="cells"):
+        load_scaled(tmp_path, {})
 
 
 def test_every_line_of_a_figure_can_be_trained() -> None:

@@ -156,7 +156,7 @@ def measure(cell: Cell, agent_file: str | None, episodes: int) -> dict[str, Any]
         arrays = {"returns": _rounded(best_returns(Simulator(cell.task), episodes, rng))}
     else:
         simulator = Simulator(cell.task, cell.physics)
-        played = play_episodes(simulator, _policy(cell, agent_file), episodes, cell.seed)
+        played = play_episodes(simulator, make_cell_policy(cell, agent_file), episodes, cell.seed)
         arrays = {
             "returns": _rounded(played.returns),
             **{
@@ -172,7 +172,8 @@ def measure(cell: Cell, agent_file: str | None, episodes: int) -> dict[str, Any]
     return {**provenance("cpu"), "episodes": episodes, **arrays}
 
 
-def _policy(cell: Cell, agent_file: str | None) -> Policy:
+def make_cell_policy(cell: Cell, agent_file: str | None) -> Policy:
+    """What chooses the actions of a cell."""
     if cell.policy == LOOK_AHEAD:
         return lookahead_policy(cell.task, cell.epsilon)
     if cell.policy == RANDOM:

@@ -230,17 +230,47 @@ def _insert(page: str, table: Table, text: str) -> str:
 
 
 def _curves_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("name", metavar="NAME", help="architectures, connectivity or algorithms")
+    parser.add_argument(
+        "name", metavar="NAME",
+        help="architectures, connectivity or algorithms; scaling: over the size of targets, "
+        "decision times are measured where missing",
+    )  # fmt: skip
     parser.add_argument(
         "--runs", type=Path, default=Path("results/runs"), help="folder with logs of runs"
     )
     parser.add_argument("--out", type=Path, default=Path("results/curves"), help="folder")
 
 
+def _run_scaling(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.reproduction import curves, measured, pictures
+
+    _prepare(options.out)
+    found = measured.measure(
+        options.out / "decisions.json", "learn2assemble-decisions", curves.decision_time,
+        curves.timed_names(), configuration={"worlds": curves.TIMED_WORLDS}, progress=output.say,
+    )  # fmt: skip
+    rows = curves.load_scaled(options.out.parent, found["entries"])
+    path: Path = options.out / f"{curves.SIZES}.png"
+    pictures.write_curves(
+        "Targets larger than those of training (DQN: 3x3, ours: 5x5)",
+        [pictures.Line(r.label, r.grid, r.values, r.values, r.values) for r in rows],
+        "ε = 0. Decisions: of one core, worlds a third built, "
+        f"{curves.TIMED_WORLDS} at a time.", path, pictures.SCALING, "grid",
+    )  # fmt: skip
+    output.table("targets by size", ("row", "grid", *pictures.SCALING), [
+        (r.label, int(grid), *[float(r.values[key][n]) for key in pictures.SCALING])
+        for r in rows for n, grid in enumerate(r.grid) if math.isfinite(r.values["f"][n])
+    ])  # fmt: skip
+    output.say(str(path))
+    output.finish({"figure": curves.SIZES, "picture": str(path), "rows": [r.label for r in rows]})
+
+
 def _run_curves(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.reproduction import pictures
-    from learn2assemble.reproduction.curves import get_figure, load_curves, time_to
+    from learn2assemble.reproduction.curves import SIZES, get_figure, load_curves, time_to
 
+    if options.name == SIZES:
+        return _run_scaling(options, output)
     figure = get_figure(options.name)
     curves = load_curves(figure, options.runs)
     reached = time_to(figure, options.runs)

@@ -1,15 +1,23 @@
-"""Learning curves from the logs of runs (the paper's appendix figures 3 and 5)."""
+"""Learning curves from the logs of runs (the paper's appendix figures 3 and 5), and what agents
+reach over the size of targets, with the time of their decisions."""
 
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from learn2assemble.errors import InputError, look_up
-from learn2assemble.reproduction.tables import Row
+from learn2assemble.evaluation.episodes import episode_generators
+from learn2assemble.networks.agent import agent_files, one_thread
+from learn2assemble.planning.world_model import lookahead_actions
+from learn2assemble.reproduction.cells import make_cell_policy, row_cells
+from learn2assemble.reproduction.report import load_table
+from learn2assemble.reproduction.tables import Condition, Row, get_table
+from learn2assemble.simulator import Simulator
 
 QUANTITIES = ("R", "f", "success")
 """Of the latest 300 training episodes, exploration included."""
@@ -181,3 +189,83 @@ def _smooth(values: np.ndarray) -> np.ndarray:
     index = np.arange(len(values))
     half = np.minimum(np.minimum(index, len(values) - 1 - index), WINDOW // 2)
     return (total[index + half + 1] - total[index - half]) / (2 * half + 1)
+
+
+SIZES = "scaling"
+"""Name of the figure over the size of targets, and of the table it is drawn from."""
+TIMED_WORLDS, TIMED_SECONDS = 16, 0.5
+"""Worlds that decide side by side, and processor time a measurement takes at least."""
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """One row of the table over the size of targets."""
+
+    label: str
+    grid: np.ndarray
+    """float64[G]."""
+    values: dict[str, np.ndarray]
+    """float64[G] of ``share``, ``f``, ``success`` and ``ms``; NaN where not measured."""
+
+
+def load_scaled(root: Path, times: dict[str, dict[str, float]]) -> list[Scaled]:
+    """The rows with numbers below ``root``, one agent's or a mean over agents.
+
+    Args:
+        times: what :func:`decision_time` has measured, by :func:`timed_names`.
+
+    Raises:
+        InputError: where there are none.
+    """
+    table = get_table(SIZES)
+    grid = np.array([column.preset.grid for column in table.columns if column.preset], float)
+    out: list[Scaled] = []
+    for row, entries in zip(table.rows, load_table(table, root).entries, strict=True):
+        found = [entry.results.get(Condition(0.0)) for entry in entries]
+        if not any(found):
+            continue
+        values = {
+            key: np.array([np.nan if s is None else getattr(s, key) for s in found], float)
+            for key in ("share", "f", "success")
+        }
+        measured = [times.get(_timed_name(row, c.task), {}) for c in table.columns]
+        values["ms"] = np.array([entry.get("ms", np.nan) for entry in measured])
+        out.append(Scaled(row.name, grid, values))
+    if not out:
+        raise InputError("results", str(root), f"a folder with cells of the table {SIZES}")
+    return out
+
+
+def timed_names() -> list[str]:
+    """Names of the measurements of :func:`decision_time`."""
+    table = get_table(SIZES)
+    return [_timed_name(row, column.task) for row in table.rows for column in table.columns]
+
+
+def _timed_name(row: Row, task: str) -> str:
+    return f"{row.name} / {task}"
+
+
+def decision_time(name: str) -> dict[str, float]:
+    """Processor time of a decision [ms] of a row in a column, both by :func:`timed_names`, of
+    worlds the look-ahead has built a third of; the first agent there is by name."""
+    table = get_table(SIZES)
+    label, _, task = name.rpartition(" / ")
+    row = next(row for row in table.rows if row.name == label)
+    number = next(n for n, column in enumerate(table.columns) if column.task == task)
+    files = agent_files()
+    (cell,) = row_cells(table, row, number, row.pick(files)[:1])
+    simulator = Simulator(cell.task)
+    problems, rng = episode_generators(cell.seed)
+    state = simulator.new(TIMED_WORLDS, problems)
+    for _ in range(cell.task.grid**2 // 3):
+        simulator.step(state, lookahead_actions(simulator, state))
+    state = state.take(np.flatnonzero(~state.terminated))
+    with one_thread():
+        policy = make_cell_policy(cell, str(files[cell.agent]) if cell.agent else None)
+        policy(state, rng)  # compiles
+        rounds, started = 0, time.process_time()
+        while (spent := time.process_time() - started) < TIMED_SECONDS:
+            policy(state, rng)
+            rounds += 1
+    return {"ms": round(1000 * spent / (rounds * state.batch_size), 4)}

@@ -1,4 +1,4 @@
-"""Learning curves as a picture.
+"""Curves as a picture.
 
 A table of numbers as a picture.
 """
@@ -22,12 +22,17 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from learn2assemble.files import write_file
 from learn2assemble.viewer.picture import ACCENT, INK, LINE, PAPER, SOFT
 
-_COLOURS = (ACCENT, "#d9480f", "#5f3dc4", "#2b8a3e")
+_COLOURS = (ACCENT, "#d9480f", "#5f3dc4", "#2b8a3e", "#e67700", INK)
 _DPI = 130
 TITLES = {
     "R": "discounted return R", "f": "share ended by an invalid action f",
-    "success": "share filled",
+    "success": "share filled", "share": "share of the bound on R",
+    "ms": "processor time of a decision [ms]",
 }  # fmt: skip
+LEARNING = ("R", "f", "success")
+"""Panels of learning curves: the first one is large."""
+SCALING = ("success", "share", "f", "ms")
+"""The same over the size of targets."""
 
 
 class Line(NamedTuple):
@@ -35,15 +40,18 @@ class Line(NamedTuple):
 
     label: str
     samples: np.ndarray
-    """float64[P]."""
+    """float64[P]: what it is drawn over."""
     mean: Mapping[str, np.ndarray]
     """float64[P] of every quantity; likewise the next two."""
     low: Mapping[str, np.ndarray]
     high: Mapping[str, np.ndarray]
 
 
-def write_curves(title: str, lines: Sequence[Line], note: str, path: Path) -> None:
-    """Draw R large and f and success beside it, over samples, into a PNG.
+def write_curves(
+    title: str, lines: Sequence[Line], note: str, path: Path,
+    panels: Sequence[str] = LEARNING, axis: str = "training samples",
+) -> None:  # fmt: skip
+    """Draw the first of ``panels`` large and the others beside it, over samples, into a PNG.
 
     Raises:
         InputError: where ``path`` cannot be written.
@@ -52,17 +60,18 @@ def write_curves(title: str, lines: Sequence[Line], note: str, path: Path) -> No
     FigureCanvasAgg(figure)
     figure.text(0.05, 0.94, title, fontsize=14, fontweight="bold", color=INK, va="center")
     figure.text(0.05, 0.035, note, fontsize=8, color=SOFT, va="center")
+    first, *others = panels
     grid = figure.add_gridspec(
-        2, 2, width_ratios=(2, 1), left=0.06, right=0.98, top=0.86, bottom=0.14, wspace=0.16,
-        hspace=0.42,
+        len(others), 2, width_ratios=(2, 1), left=0.06, right=0.98, top=0.86, bottom=0.14,
+        wspace=0.16, hspace=0.6,
     )  # fmt: skip
-    places = {"R": grid[:, 0], "f": grid[0, 1], "success": grid[1, 1]}
+    places = {first: grid[:, 0]} | {name: grid[n, 1] for n, name in enumerate(others)}
     for quantity, place in places.items():
         axes = figure.add_subplot(place)
         _panel(axes, quantity, lines)
-        if quantity == "R":
-            axes.legend(loc="lower right", frameon=False, fontsize=10, labelcolor=INK)
-            axes.set_xlabel("training samples", fontsize=9, color=SOFT)
+        if quantity == first:
+            axes.legend(loc="best", frameon=False, fontsize=10, labelcolor=INK)
+            axes.set_xlabel(axis, fontsize=9, color=SOFT)
     save(figure, path, _DPI)
 
 
@@ -75,20 +84,24 @@ def _panel(axes: Axes, quantity: str, lines: Sequence[Line]) -> None:
         )  # fmt: skip
     axes.set_title(TITLES[quantity], fontsize=10, color=INK, loc="left")
     axes.set_facecolor(PAPER)
-    axes.set_xlim(left=0)
-    if quantity != "R":
+    axes.set_xlim(left=0, right=max(float(line.samples[-1]) for line in lines) * 1.02)
+    if quantity == "ms":
+        axes.set_yscale("log")
+    elif quantity == "share":
+        axes.set_ylim(top=1.01)
+    elif quantity != "R":
         axes.set_ylim(-0.02, 1.02)
     axes.grid(color=LINE, linewidth=0.7)
     axes.set_axisbelow(True)
     axes.tick_params(colors=SOFT, labelsize=8.5, length=0)
-    axes.xaxis.set_major_locator(MaxNLocator(5))
+    axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
     axes.xaxis.set_major_formatter(FuncFormatter(_thousands))
     for side in axes.spines.values():
         side.set_visible(False)
 
 
 def _thousands(value: float, _position: int | None = None) -> str:
-    return f"{value / 1000:g}k" if value else "0"
+    return f"{value / 1000:g}k" if value >= 1000 else f"{value:g}"
 
 
 _TABLE_DPI = 120
