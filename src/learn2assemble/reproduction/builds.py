@@ -157,7 +157,9 @@ def _settled(plan: Plan) -> float:
     scene = Scene(pose[kept, :3], np.zeros(len(kept)), owner[kept], len(kept), *(
         None if of_all is None else of_all[kept] for of_all in (record.half, record.density)
     ))  # fmt: skip
-    cell = DynamicCell(get_arm(record.arm.name, record.arm.tool_name))
+    x, y, z = record.arm.base_position.tolist()
+    base = x, y, z, record.arm.base_yaw
+    cell = DynamicCell(get_arm(record.arm.name, record.arm.tool_name, base))
     after, _, still = cell.settle(scene, quaternion=pose[kept, 3:])
     moved = float(np.linalg.norm(after.position - scene.position, axis=1).max())
     return round(moved, 6) if still else math.inf
