@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from learn2assemble.cli.parser import Command, number
 from learn2assemble.errors import InputError, look_up
-from learn2assemble.files import claim_folder
+from learn2assemble.files import claim_folder, write_file
 from learn2assemble.robot.registry import ARMS
 
 if TYPE_CHECKING:
@@ -88,15 +88,16 @@ def _check(options: argparse.Namespace, output: Output) -> int:
     output.table(f"{options.file.name}: {found.verdict}", ("quantity", "value"), rows)
     files: dict[str, str] = {}
     if options.out is not None:
-        from learn2assemble.viewer.page import write_assembly_page
+        from learn2assemble.viewer.page import render_assembly_page
 
         with claim_folder(options.out):
             page = options.out / "view.html"
-            write_assembly_page(
-                page, assembly.finished, title=assembly.name or options.file.stem,
+            text = render_assembly_page(
+                assembly.finished, title=assembly.name or options.file.stem,
                 facts=[(name, str(value)) for name, value in rows], moving=found.moving,
                 forces=(found.contacts, found.forces), status=found.verdict,
             )  # fmt: skip
+            write_file(page, text, "page")
         files["page"] = str(page)
         output.say(f"page: {page}")
     output.finish({
@@ -220,18 +221,19 @@ def _reach(options: argparse.Namespace, output: Output) -> int:
         output.say(f"a base at {best.words} reaches {reached} of {best.count}")
     files: dict[str, str] = {}
     if options.out is not None:
-        from learn2assemble.viewer.page import write_assembly_page
+        from learn2assemble.viewer.page import render_assembly_page
 
         with claim_folder(options.out):
             page = options.out / "view.html"
             facts = [("arm", f"{found.arm} with {found.tool}"), ("base", here.words),
                      ("within reach", f"{within} of {here.count} blocks"),
                      ("base that reaches most", best.words)]  # fmt: skip
-            write_assembly_page(
-                page, found.assembly, title=found.assembly.name or "reach", facts=facts,
+            text = render_assembly_page(
+                found.assembly, title=found.assembly.name or "reach", facts=facts,
                 moving=[blocks[k].id for k in here.out],
                 status="within reach" if found.complete else "out of reach",
             )  # fmt: skip
+            write_file(page, text, "page")
         files["page"] = str(page)
         output.say(f"page: {page}")
     output.finish({

@@ -281,20 +281,17 @@ def left_to_build(
     meant = {n: before.position[0, k] for k, n in enumerate(numbers[:placed])}
     meant[numbers[placed + action[0]]] = np.array(target)
     upright = {n: bool(_lean(poses[n]) > UPRIGHT) for n in numbers}
-    standing = [
-        n for n in meant
-        if upright[n] and np.linalg.norm(poses[n, :3] - meant[n]) < STANDS
-    ]  # fmt: skip
+    off = {n: np.linalg.norm(poses[n, :3] - place) for n, place in meant.items()}
+    standing = [n for n in meant if upright[n] and off[n] < STANDS]
     on_table = {n for n in numbers if upright[n] and abs(poses[n, 2] - HALF) < ON_TABLE}
     kept = [*standing, *(n for n in numbers if n not in standing and n not in on_table)]
     kept = kept or numbers[:1]
-    waiting = [n for n in [*meant, *numbers] if n not in kept]
-    waiting = list(dict.fromkeys(waiting))
+    waiting = list(dict.fromkeys(n for n in [*meant, *numbers] if n not in kept))
     state = _standing(task, before, kept, waiting, poses)
     loose = [n for n in meant if n in waiting]
     stuck = [n for n in loose if not _can_take(state, n, cell, task.grasps)]
-    waiting = [*(n for n in waiting if n not in stuck), *stuck]
-    return _standing(task, before, kept, waiting, poses)
+    order = [*(n for n in waiting if n not in stuck), *stuck]
+    return _standing(task, before, kept, order, poses)
 
 
 def _standing(
@@ -482,10 +479,8 @@ class _Build:
         """Keep what has just been placed, as it stands."""
         state, count = self.state, int(self.state.num_placed[0])
         number = int(before.object_id[0, before.num_placed[0] + action[0]])
-        ids, cells = (
-            state.object_id[0, :count],
-            np.flatnonzero(state.object_id[0, :count] == number),
-        )
+        ids = state.object_id[0, :count]
+        cells = np.flatnonzero(ids == number)
         poses = np.hstack([state.position[0, cells], state.quaternion[0, cells]])
         seen = np.bitwise_count(state.covered[0] & state.mask[0]).sum((1, 2))
         sides = seen / np.maximum(np.bitwise_count(state.mask[0]).sum((1, 2)), 1)
@@ -535,10 +530,8 @@ def _plan(build: _Build, agent: str, source: str, started: float) -> Plan:
         steps.append(_step(number, reference, item, task, real))
     cells = np.flatnonzero(start.object_id[0, : start.num_placed[0]] == first)
     stands = np.hstack([start.position[0, cells], start.quaternion[0, cells]])
-    blocks = [
-        _block(f"b{number}", poses)
-        for number, poses in enumerate([stands, *(item.cells for item in made)])
-    ]
+    placed = [stands, *(item.cells for item in made)]
+    blocks = [_block(f"b{number}", poses) for number, poses in enumerate(placed)]
     order = tuple(AssemblyStep(place=block.id) for block in blocks[1:])
     frames = side_frames(task.num_sides, task.pitch, task.aisle)
     outlines = [start.vertices[0, side, :n] for side, n in enumerate(start.num_vertices[0])]
@@ -612,8 +605,7 @@ def _block(name: str, poses: np.ndarray) -> Block:
     turns = quaternion_matrix(poses[:, 3:] / np.linalg.norm(poses[:, 3:], axis=1, keepdims=True))
     vertices = [pose[:3] + box.vertices @ turn.T for pose, turn in zip(poses, turns, strict=True)]
     faces = tuple(tuple(8 * k + v for v in face) for k in range(len(poses)) for face in box.faces)
-    kind = _kind(len(poses))
-    return Block(name, np.concatenate(vertices), faces, kind, MASS / EDGE**3)
+    return Block(name, np.concatenate(vertices), faces, _kind(len(poses)), MASS / EDGE**3)
 
 
 def _renumbered(record: BuildRecord, first: list[int]) -> BuildRecord:

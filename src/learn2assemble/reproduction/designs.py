@@ -226,14 +226,15 @@ def large_entry(wanted: np.ndarray, kit: Kit, asked: float) -> Result:
     result["seconds_asked"] = asked
     result["proof_s"] = round(ordering.seconds, 3) if ordering else None
     if ordering is not None:
-        from learn2assemble.viewer.page import StepNote, write_assembly_page
+        from learn2assemble.viewer.page import StepNote, render_assembly_page
 
         notes = [StepNote(step.proof, step.margin_g) for step in ordering.steps]
         with tempfile.TemporaryDirectory() as folder:
             page = Path(folder) / "view.html"
             started = time.process_time()
             made = to_assembly(tiling, ordering, kit)
-            write_assembly_page(page, made, title="figures", step_notes=notes)
+            text = render_assembly_page(made, title="figures", step_notes=notes)
+            page.write_text(text, encoding="utf-8")
             result["page_bytes"] = page.stat().st_size
             result["page_s"] = round(time.process_time() - started, 3)
     return result

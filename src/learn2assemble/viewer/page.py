@@ -89,8 +89,7 @@ class _Part(NamedTuple):
     """The step that removes it again, or 0."""
 
 
-def write_assembly_page(
-    path: Path,
+def render_assembly_page(
     assembly: Assembly,
     *,
     title: str,
@@ -104,8 +103,8 @@ def write_assembly_page(
     blocks: Sequence[int | None] = (),
     targets: Sequence[PlanTarget] = (),
     tried: Sequence[SearchStage] = (),
-) -> None:
-    """Write the page of an assembly to ``path``, a stand-alone HTML file.
+) -> str:
+    """The page of an assembly as the text of a stand-alone HTML file.
 
     ``#step=5`` behind its address opens it at step 5; without it the finished structure shows.
 
@@ -125,32 +124,8 @@ def write_assembly_page(
         tried: by the planner, in order.
 
     Raises:
-        InputError: where the notes do not fit the steps, or ``path`` cannot be written.
+        InputError: where the notes do not fit the steps.
     """
-    text = render_assembly_page(
-        assembly, title=title, facts=facts, step_notes=step_notes, forces=forces, moving=moving,
-        status=status, reason=reason, playback=playback, blocks=blocks, targets=targets,
-        tried=tried,
-    )  # fmt: skip
-    write_file(path, text, "page")
-
-
-def render_assembly_page(
-    assembly: Assembly,
-    *,
-    title: str,
-    facts: Sequence[tuple[str, str]] = (),
-    step_notes: Sequence[StepNote] = (),
-    forces: tuple[Contacts, np.ndarray | None] | None = None,
-    moving: Collection[str] = (),
-    status: str = "",
-    reason: str = "",
-    playback: Playback | None = None,
-    blocks: Sequence[int | None] = (),
-    targets: Sequence[PlanTarget] = (),
-    tried: Sequence[SearchStage] = (),
-) -> str:
-    """The HTML text of :func:`write_assembly_page`."""
     steps = assembly.steps
     if step_notes and len(step_notes) != len(steps):
         raise InputError("step_notes", len(step_notes), f"one for each of {len(steps)} steps")
@@ -653,14 +628,15 @@ def write_plan_page(plan: Plan, path: Path) -> None:
         facts.append(("proven for friction", f"{low:g} to {upper}"))
     facts.append(("verified by", plan.verified_by or ""))
     targets = plan.design.targets
-    write_assembly_page(
-        path, plan.assembly, title=plan.design.name, facts=[(a, b) for a, b in facts if b],
+    text = render_assembly_page(
+        plan.assembly, title=plan.design.name, facts=[(a, b) for a, b in facts if b],
         step_notes=[_note(step, targets) for step in plan.steps],
         status=plan.status, reason=plan.reason or "",
         playback=None if record is None else Playback(record, plan),
         blocks=[] if record is None else block_of_cell(record, plan), targets=targets,
         tried=plan.search.attempts if plan.search else (),
     )  # fmt: skip
+    write_file(path, text, "page")
 
 
 def _note(step: Step, targets: Sequence[PlanTarget]) -> StepNote:

@@ -18,9 +18,10 @@ from learn2assemble.viewer.renderer import (
     PLAIN,
     Buffers,
     Camera,
-    Light,
     Triangles,
     render,
+    sunlight,
+    view_axes,
 )
 from learn2assemble.viewer.words import percent
 from learn2assemble.viewer.workcell import rod
@@ -64,7 +65,9 @@ def write_progress(plan: Plan, path: Path) -> None:
     buffers = Buffers(triangles, WIDTH, HEIGHT)
     bodies = len(assembly.blocks) + 2
     place, turn = np.zeros((bodies, 3)), np.tile(np.eye(3), (bodies, 1, 1))
-    camera, light = _camera(assembly), _light(assembly)
+    points = np.concatenate([block.vertices for block in assembly.blocks])
+    low, high = points.min(0), points.max(0)
+    camera, light = _camera(low, high), sunlight(_SUN, points, 0.1 * float((high - low).max()))
     for number, step in enumerate(moments.tolist()):
         shown = np.append(_standing(assembly, step), [True, True])
         picture = render(
@@ -124,7 +127,8 @@ def _triangles(assembly: Assembly, targets: list[np.ndarray]) -> tuple[Triangles
         for part in convex_parts(block):
             for face in part.faces:
                 add(part.vertices[list(face)], number, BLOCK if len(face) == 4 else LIT)
-    low, high = _bounds(assembly)
+    points = np.concatenate([block.vertices for block in assembly.blocks])
+    low, high = points.min(0), points.max(0)
     (x0, y0), (x1, y1) = low[:2] - (high - low).max(), high[:2] + (high - low).max()
     table = np.array([[x0, y0, 0], [x1, y0, 0], [x1, y1, 0], [x0, y1, 0]]) - [0, 0, 1e-4]
     add(table, len(assembly.blocks), GROUND)
@@ -156,31 +160,11 @@ def _rim(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([lower, upper]), np.concatenate(marks)
 
 
-def _bounds(assembly: Assembly) -> tuple[np.ndarray, np.ndarray]:
-    points = np.concatenate([block.vertices for block in assembly.blocks])
-    return points.min(0), points.max(0)
-
-
-def _camera(assembly: Assembly) -> Camera:
-    low, high = _bounds(assembly)
+def _camera(low: np.ndarray, high: np.ndarray) -> Camera:
+    """Sees all between these corners, float64[3] each [m]."""
     centre, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
     back = _VIEW / np.linalg.norm(_VIEW)
-    right = np.cross([0.0, 0.0, 1.0], back)
-    right /= np.linalg.norm(right)
-    down = np.cross(right, back)
     focal = _FOCAL * WIDTH
     distance = radius * (1.15 * focal / (min(WIDTH, HEIGHT) / 2))
     middle = np.array([WIDTH / 2, HEIGHT / 2 + 14])
-    return Camera(centre + distance * back, np.stack([right, down, -back]), focal, middle)
-
-
-def _light(assembly: Assembly) -> Light:
-    sun = _SUN / np.linalg.norm(_SUN)
-    right = np.cross([0.0, 0.0, 1.0], sun)
-    right /= np.linalg.norm(right)
-    axes = np.stack([right, np.cross(sun, right), sun])
-    low, high = _bounds(assembly)
-    corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T @ axes[:2].T
-    start, end = corners.min(0), corners.max(0)
-    margin = 0.1 * float((end - start).max())
-    return Light(axes, start - margin, float((end - start).max()) + 2 * margin)
+    return Camera(centre + distance * back, view_axes(back), focal, middle)

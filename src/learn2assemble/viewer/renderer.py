@@ -309,6 +309,24 @@ class Light(NamedTuple):
     """Side of the square [m]."""
 
 
+def view_axes(back: np.ndarray) -> np.ndarray:
+    """float64[3, 3]: right, down and forward of a level camera that looks against ``back``, a unit
+    vector."""
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(right, back), -back])
+
+
+def sunlight(sun: np.ndarray, points: np.ndarray, margin: float) -> Light:
+    """Light from the direction ``sun``, float64[3], whose shadows reach ``margin`` [m] beyond
+    ``points``, float64[n, 3] [m, world]."""
+    right, down, away = view_axes(sun / np.linalg.norm(sun))
+    axes = np.stack([right, -down, -away])
+    seen = points @ axes[:2].T
+    low, high = seen.min(0) - margin, seen.max(0) + margin
+    return Light(axes, low, float((high - low).max()))
+
+
 class Triangles(NamedTuple):
     """All triangles of a scene, on bodies that move."""
 

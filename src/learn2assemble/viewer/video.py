@@ -23,7 +23,15 @@ from learn2assemble.viewer.arm import extent
 from learn2assemble.viewer.page import cell_labels
 from learn2assemble.viewer.picture import ACCENT, COLOURS, INK, LINE, PAPER, RIM, SOFT
 from learn2assemble.viewer.playback import Playback, Segment, block_of_cell
-from learn2assemble.viewer.renderer import Buffers, Camera, Light, blend_sheet, project, render
+from learn2assemble.viewer.renderer import (
+    Buffers,
+    Camera,
+    blend_sheet,
+    project,
+    render,
+    sunlight,
+    view_axes,
+)
 from learn2assemble.viewer.words import clock_words, stage_words
 from learn2assemble.viewer.workcell import body_poses, fill_box, rgb, workcell, write
 
@@ -64,7 +72,7 @@ class Frames:
         }  # fmt: skip
         self.buffers = Buffers(self.model.triangles, width, height - _FOOT)
         self.camera = self._camera()
-        self.light = self._light()
+        self.light = sunlight(self._turned(_SUN), self._points(), 0.12)
         self.sheets = self._sheets()
         self.ribbons = self._ribbons()
 
@@ -193,9 +201,7 @@ class Frames:
         corners = pad * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         cloud = (points[:, None] + corners).reshape(-1, 3)
         back = self._turned(_FROM)
-        right = np.cross([0.0, 0.0, 1.0], back)
-        right /= np.linalg.norm(right)
-        axes = np.stack([right, np.cross(right, back), -back])
+        axes = view_axes(back)
         focal = height / 2 / np.tan(np.radians(_FIELD / 2))
         centre, distance = cloud.mean(0), 6 * float(np.ptp(cloud, axis=0).max())
         for _ in range(16):
@@ -211,15 +217,6 @@ class Frames:
     def _turned(self, direction: np.ndarray) -> np.ndarray:
         """The unit vector of a direction that is meant for an arm on the left."""
         return yaw_matrix(self.playback.side) @ direction / np.linalg.norm(direction)
-
-    def _light(self) -> Light:
-        sun = self._turned(_SUN)
-        right = np.cross([0.0, 0.0, 1.0], sun)
-        right /= np.linalg.norm(right)
-        axes = np.stack([right, np.cross(sun, right), sun])
-        seen = self._points() @ axes[:2].T
-        low, high = seen.min(0) - 0.12, seen.max(0) + 0.12
-        return Light(axes, low, float((high - low).max()))
 
 
 FRAMES_PER_SECOND = 25

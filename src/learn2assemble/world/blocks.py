@@ -102,11 +102,6 @@ def get_action_spec(
     return ActionSpec(float(pitch), (hands[:, 1] - hands[:, 0]) % 4, grips, hands, gripped)
 
 
-def step_sizes(pitch: float) -> np.ndarray:
-    """float64[3]: from a cell to its neighbours along x, y and z [m]."""
-    return np.array([pitch, pitch, EDGE])
-
-
 @njit(cache=True, inline="always")
 def quarter_turn(x, y, turns):
     """``(x, y)`` after ``turns`` (0..3) quarter turns to the left, seen from above; exact."""
