@@ -74,23 +74,25 @@ def measure_arm(
         builder: its name or file.
         keep: given what is known so far from time to time.
     """
+    agent = load_builder(builder)
     sets: dict[str, Any] = {}
     found: dict[str, Any] = {"sets": sets, "comparison": {}}
-    for tool in ASKED:
-        rows = []
-        for k in range(getattr(config, tool)):
-            progress(f"{tool}, design {k + 1} of {getattr(config, tool)}")
-            design = make_design(SMALL, np.random.default_rng((_SEED + config.seed, 9, k)))
-            rows.append(_built(design, Workcell(config.arm, tool, physics="kinematic"), builder))
-            sets[tool] = _counted(rows, ASKED[tool])
-            keep(found)
-    rows, agent = [], load_builder(builder)
-    for k in range(config.compared):
-        progress(f"comparison, design {k + 1} of {config.compared}")
-        rng = np.random.default_rng((_SEED + config.seed, 11, k))
-        design = make_design(LARGE[k % len(LARGE)], rng)
-        rows.append(_compared(design, config, agent))
-        found["comparison"] = {**compare(rows), "rows": rows}
+    rows: dict[str, list[dict[str, Any]]] = {tool: [] for tool in ASKED}
+    beside: list[dict[str, Any]] = []
+    # All of it grows together, so that what is known at any time is of use.
+    for k in range(max(config.suction, config.gripper, config.compared)):
+        design = make_design(SMALL, np.random.default_rng((_SEED + config.seed, 9, k)))
+        for tool, asked in ASKED.items():
+            if k < getattr(config, tool):
+                progress(f"{tool}, design {k + 1} of {getattr(config, tool)}")
+                at = Workcell(config.arm, tool, physics="kinematic")
+                rows[tool].append(_built(design, at, builder))
+                sets[tool] = _counted(rows[tool], asked)
+        if k < config.compared:
+            progress(f"comparison, design {k + 1} of {config.compared}")
+            rng = np.random.default_rng((_SEED + config.seed, 11, k))
+            beside.append(_compared(make_design(LARGE[k % len(LARGE)], rng), config, agent))
+            found["comparison"] = {**compare(beside), "rows": beside}
         keep(found)
     return found
 
