@@ -16,6 +16,7 @@ import learn2assemble as l2a
 from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
+from learn2assemble.export.robot_programs import export_program
 from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.planning.construct import plan_cells
 from learn2assemble.planning.plan import Plan
@@ -385,6 +386,18 @@ def test_a_dynamic_build_is_repaired_resumed_and_recorded(tmp_path: Path) -> Non
     assert [s.position for s in whole.steps] == [s.position for s in first.steps]
     files = whole.save(tmp_path / "out", video=False)
     assert Plan.load(files["plan"]).record is not None
+    # A finished build keeps its files whatever its motion is like; only its export is refused.
+    record = whole.record
+    assert record is not None
+    slow = dataclasses.replace(record.arm, velocity=record.arm.velocity / 100)
+    broken = dataclasses.replace(whole, record=dataclasses.replace(record, arm=slow))
+    found = Plan.load(broken.save(tmp_path / "broken", page=False)["plan"])
+    assert found.complete
+    assert found.record is not None
+    assert found.arm is not None
+    assert "rad/s" in (found.arm.motion_fault or "")
+    with pytest.raises(InputError, match="rad/s"):
+        export_program(found.record, "csv", tmp_path / "program.csv")
 
 
 def test_obstacles_stay_where_they_are() -> None:

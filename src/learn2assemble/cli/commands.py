@@ -107,7 +107,7 @@ def _build_arguments(parser: argparse.ArgumentParser) -> None:
         "--video", action=argparse.BooleanOptionalAction, default=True,
         help="of the arm, build.mp4 (needs the extra video)",
     )  # fmt: skip
-    add("--tool", default=None, help="of the arm: suction (default) or gripper")
+    add("--tool", default=None, help="of the arm: suction (default), suction-side or gripper")
     add(
         "--physics", default="dynamic",
         help="cell in which the arm carries out an exact plan: dynamic or kinematic",

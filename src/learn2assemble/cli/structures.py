@@ -193,7 +193,7 @@ def _reach_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("design", metavar="DESIGN", help="a drawing, picture, mesh, voxels or blocks")
     add("--arm", required=True, help=" or ".join(ARMS))
-    add("--tool", default="suction", help="suction (default) or gripper")
+    add("--tool", default="suction", help="suction (default), suction-side or gripper")
     add("--kit", default=None, help="name or .toml file (the design's own)")
     add("--unit", default=None, help="of the file where it does not say: mm, cm, m")
     add("--layout", type=Path, default=None, metavar="FILE", help="with the base asked about")

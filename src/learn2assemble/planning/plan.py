@@ -184,6 +184,9 @@ class ArmReport:
     """Mean distance of the blocks from their places at the end [m] ..."""
     error_worst: Metre | None = None
     """... and the largest."""
+    motion_fault: str | None = None
+    """Why no robot is to be given the recorded motion, if it is not sound; the build is as it is
+    told."""
 
 
 @dataclass(frozen=True)
@@ -328,35 +331,46 @@ class Plan:
             Which file is what.
 
         Raises:
-            InputError: where something cannot be written, and for a trajectory that breaks a limit
-                of the arm; it is written before it is checked, so that it can be looked at.
+            InputError: where something cannot be written. A motion that is not sound is no reason
+                to lose a finished build: all files are written, and ``arm.motion_fault`` says so.
         """
-        folder = Path(folder)
+        folder, said = Path(folder), self._with_fault(progress)
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             reason = error.strerror or type(error).__name__
             raise InputError("folder", str(folder), f"one that can be made ({reason})") from None
         files = {"plan": folder / "plan.json"}
-        text = json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
+        text = json.dumps(said.to_dict(), indent=1, allow_nan=False) + "\n"
         write_file(files["plan"], text, "plan")
         if self.assembly is not None:
             files |= EXPORTS["assembly"](self, folder)
         if page:
             files |= self.write_page(folder)
         if self.record is not None:
-            from learn2assemble.robot.record import require_sound
             from learn2assemble.robot.record_files import write_csv, write_record
 
             files["trajectory"] = folder / "trajectory.json"
             files["trajectory table"] = folder / "trajectory.csv"
             write_record(self.record, files["trajectory"])
             write_csv(self.record, files["trajectory table"])
-            require_sound(self.record)
             if video and self.record.steps:
                 progress("drawing the video")
                 files |= EXPORTS["video"](self, folder)
         return files
+
+    def _with_fault(self, progress: Callable[[str], None]) -> Plan:
+        """The same, with what is wrong with the motion of the arm, if anything is."""
+        if self.record is None or self.arm is None:
+            return self
+        from learn2assemble.robot.record import find_fault
+
+        fault = find_fault(self.record)
+        if fault is None:
+            return self
+        progress(f"the recorded motion is not sound: {fault}")
+        arm = dataclasses.replace(self.arm, motion_fault=fault)
+        return dataclasses.replace(self, arm=arm)
 
     def write_page(self, folder: Path) -> dict[str, Path]:
         """Write ``view.html`` and ``progress.png``; which file is what."""
