@@ -28,14 +28,15 @@ def old(version: int) -> dict[str, Any]:
     """A plan of a design as earlier versions wrote it."""
     plan = Plan.load(EXAMPLE)
     data = dataclasses.replace(
-        plan, design=dataclasses.replace(plan.design, targets=(), success_threshold=1.0)
-    ).to_dict()
+        plan, steps=tuple(dataclasses.replace(step, sides=()) for step in plan.steps),
+        design=dataclasses.replace(plan.design, targets=(), success_threshold=1.0),
+    ).to_dict()  # fmt: skip
     data["version"] = version
     data["design"] |= {"num_sides": 0, "frames": [], "elevations": []}
     data["search"] |= {"backtracks": 2, "dropped": 0}
     margin = "stability_margin" if version == 1 else "margin_g"
     for step in data["steps"]:
-        step.pop("sides")
+        step.pop("sides", None)
         step[margin] = step.pop("margin_g")
         step |= {"plane_coverage": 0.0, "stable": True, "outside": False, "grasp": "fingers"}
     return data
@@ -72,7 +73,9 @@ def test_writing_and_reading_changes_nothing(
         )
         for k, where in enumerate(positions, 1)
     )
-    plan = dataclasses.replace(Plan.load(EXAMPLE), steps=steps, cells=cells, kit="bricks")
+    plan = dataclasses.replace(
+        Plan.load(EXAMPLE), steps=steps, assembly=None, cells=cells, kit="bricks"
+    )
     text = json.dumps(plan.to_dict(), allow_nan=False)
     again = Plan.from_dict(json.loads(text))
     assert again == plan
@@ -89,6 +92,13 @@ def test_saving_and_loading(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="can be made"):
         plan.save(tmp_path / "file")
+
+
+def test_a_step_names_a_block_of_the_assembly() -> None:
+    plan = Plan.load(EXAMPLE)
+    steps = (*plan.steps[:-1], dataclasses.replace(plan.steps[-1], block=9))
+    with pytest.raises(InputError, match=r"steps\[7\]\.block: got 9, expected 0 to 8"):
+        dataclasses.replace(plan, steps=steps)
 
 
 def change(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
@@ -119,6 +129,7 @@ def change(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
         ("steps.2.relation", "under", "steps[2].relation"),
         ("steps.2.reference", 3, "steps[2].reference"),
         ("steps.2.block", -1, "steps[2].block"),
+        ("steps.2.sides", [0.5], "2 shares, one for each target"),
         ("steps.2.step", 7, "steps[2].step"),
         ("steps.2.position", [0, 0], "a list of 3 values"),
         ("steps.2.position", [0, 0, math.nan], "a finite number"),

@@ -50,7 +50,7 @@ def build(
     props: bool = True,
     reading: Mapping[str, Any] | None = None,
     arm: str | None = None,
-    agent: str | Agent | None = None,
+    agent: str | Path | Agent | None = None,
     layout: str | Path | Site | None = None,
     seed: int = 0,
     seconds: float | None = None,

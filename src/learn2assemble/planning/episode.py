@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -360,7 +361,7 @@ def build_task(
     task: str | Task,
     *,
     arm: str | None = None,
-    agent: str | Agent | None = None,
+    agent: str | Path | Agent | None = None,
     seed: int = 0,
     seconds: float = 20.0,
     progress: Progress = lambda text: None,
@@ -390,8 +391,8 @@ def build_task(
         raise InputError("seed", seed, "a whole number of at least 0")
     if task.has_arm and task.objects != "cubes":
         raise InputError("task", task.name, "one of cubes, for a build by an arm (or --arm none)")
-    if agent is None or isinstance(agent, str):
-        agent = load_agent(agent or default_agent(task.name))
+    if not isinstance(agent, Agent):
+        agent = load_agent(str(agent or default_agent(task.name)))
     network = agent.network.config
     check_actions(network.num_actions, network.action_mode, task)
     with one_thread():

@@ -251,6 +251,12 @@ class Plan:
                 raise InputError(f"{where}.step", step.step, str(number))
             if step.reference is not None and step.reference >= number:
                 raise InputError(f"{where}.reference", step.reference, f"0 to {number - 1}")
+            if step.sides and len(step.sides) != len(self.design.targets):
+                expected = f"{len(self.design.targets)} shares, one for each target"
+                raise InputError(f"{where}.sides", len(step.sides), expected)
+            if self.assembly is not None and step.block >= len(self.assembly.blocks):
+                last = len(self.assembly.blocks) - 1
+                raise InputError(f"{where}.block", step.block, f"0 to {last}, of the assembly")
             if abs(sum(q * q for q in step.quaternion) - 1) > 1e-2:
                 expected = "(w, x, y, z) of length 1"
                 raise InputError(f"{where}.quaternion", step.quaternion, expected)

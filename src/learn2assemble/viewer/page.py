@@ -103,6 +103,7 @@ def render_assembly_page(
     blocks: Sequence[int | None] = (),
     targets: Sequence[PlanTarget] = (),
     tried: Sequence[SearchStage] = (),
+    note: str = "",
 ) -> str:
     """The page of an assembly as the text of a stand-alone HTML file.
 
@@ -122,6 +123,7 @@ def render_assembly_page(
         blocks: of every cell of the record its block, see :func:`~.playback.block_of_cell`.
         targets: outlines that the blocks shall cover, which the 3-D view shows.
         tried: by the planner, in order.
+        note: for the foot of the page.
 
     Raises:
         InputError: where the notes do not fit the steps.
@@ -196,6 +198,7 @@ def render_assembly_page(
         "under_legend": _toggles(data["joints"]),
         "view_note": "A click on a block names it.",
         "sections": fill("plan.html", values),
+        "source": escape(note),
     }  # fmt: skip
     scripts = _SCRIPTS
     if playback is not None and labels is not None:
@@ -626,7 +629,6 @@ def write_plan_page(plan: Plan, path: Path) -> None:
         low, high = plan.friction_range
         upper = "more" if high >= 100 else f"{high:g}"
         facts.append(("proven for friction", f"{low:g} to {upper}"))
-    facts.append(("verified by", plan.verified_by or ""))
     targets = plan.design.targets
     text = render_assembly_page(
         plan.assembly, title=plan.design.name, facts=[(a, b) for a, b in facts if b],
@@ -635,6 +637,10 @@ def write_plan_page(plan: Plan, path: Path) -> None:
         playback=None if record is None else Playback(record, plan),
         blocks=[] if record is None else block_of_cell(record, plan), targets=targets,
         tried=plan.search.attempts if plan.search else (),
+        note=" ".join(
+            f"{name}: {words}." for name, words in
+            (("Verified by", plan.verified_by), ("Made from", plan.design.source)) if words
+        ),
     )  # fmt: skip
     write_file(path, text, "page")
 
