@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -57,16 +58,9 @@ def find_mechanisms(
     Returns:
         bool[X - 1, Y, Z] and bool[X, Y - 1, Z] for each: joints that open.
     """
-    joints = []
-    for axis in (0, 1):
-        low = owner[:-1] if axis == 0 else owner[:, :-1]
-        high = owner[1:] if axis == 0 else owner[:, 1:]
-        at = np.argwhere((low >= 0) & (high >= 0) & (low != high))
-        index = tuple(at.T)
-        joints.append(np.column_stack([low[index], high[index], np.full(len(at), axis), at]))
-    joint = np.concatenate(joints)
-    n, m, unit = len(stack), len(joint), stack.pitch
-    axis, at = joint[:, 2], joint[:, 3:5]
+    places, sides = _joints(owner)
+    n, m, unit = len(stack), len(sides), stack.pitch
+    axis, at = np.repeat([0, 1], [len(cells) for cells in places]), np.concatenate(places)[:, :2]
     size = stack.cell
     foot = (
         at + np.stack([1 - axis / 2, 0.5 + axis / 2], -1) - np.array(owner.shape[:2]) / 2
@@ -90,12 +84,12 @@ def find_mechanisms(
     columns.append(3 * np.arange(n))
     values.append(-stack.weight / stack.weight.mean())
     number = count + 1 + 3 * np.arange(m)
-    motion(number, joint[:, 0], foot, 1.0)
-    motion(number, joint[:, 1], foot, -1.0)
+    motion(number, sides[:, 0], foot, 1.0)
+    motion(number, sides[:, 1], foot, -1.0)
     for k in (1, 2):
         for side, sign in ((0, 1.0), (1, -1.0)):
             rows.append(number + k)
-            columns.append(3 * joint[:, side] + k)
+            columns.append(3 * sides[:, side] + k)
             values.append(np.full(m, sign))
     jump = np.arange(3 * m)
     for first, sign in ((3 * n, -1.0), (3 * n + 3 * m, 1.0)):
@@ -109,38 +103,75 @@ def find_mechanisms(
     row_lower = np.zeros(count + 1 + 3 * m)
     row_lower[count] = 1.0
     row_upper = np.concatenate([np.full(count, INF), [1.0], np.zeros(3 * m)])
-    closed = np.zeros(m, bool)
-    found = []
     clock = Clock(seconds)
-    while len(found) < most:
+
+    def part(price: np.ndarray, closed: np.ndarray) -> np.ndarray | None:
         opens = np.tile(np.repeat(~closed, 3), 2)
         upper = np.concatenate([free, np.where(opens, INF, 0.0)])
-        weight, opened = np.ones(m), None
+        cost = np.concatenate([np.zeros(3 * n), np.tile(np.repeat(price, 3), 2)])
+        answer = solve(Program(cost, lower, upper, row_lower, row_upper, *matrix), clock.left)
+        if answer.x is None:
+            return None
+        gap = np.abs(answer.x[3 * n : 3 * n + 3 * m] - answer.x[3 * n + 3 * m :])
+        return gap.reshape(-1, 3).max(1)
+
+    return [_edges(owner, places, opened) for opened in _partings(part, np.ones(m), most, 1e-7)]
+
+
+def _partings(
+    part: Callable[[np.ndarray, np.ndarray], np.ndarray | None], size: np.ndarray, most: int,
+    rounding: float,
+) -> list[np.ndarray]:  # fmt: skip
+    """bool[m] for each of up to ``most`` motions without a common joint: which joints it opens.
+
+    Args:
+        part: how far each joint opens in the cheapest motion, from the prices of opening them and
+            which of them stay closed (bool[m]); None where there is no motion.
+        size: float64[m], prices to begin with.
+        rounding: what counts as closed, in the widest opening.
+    """
+    closed, found = np.zeros(len(size), bool), []
+    while len(found) < most:
+        price, opened = size, None
         for _ in range(1 + _SPARSER):
-            cost = np.concatenate([np.zeros(3 * n), np.tile(np.repeat(weight, 3), 2)])
-            answer = solve(Program(cost, lower, upper, row_lower, row_upper, *matrix), clock.left)
-            if answer.x is None:
+            gap = part(price, closed)
+            if gap is None:
                 break
-            gap = np.abs(answer.x[3 * n : 3 * n + 3 * m] - answer.x[3 * n + 3 * m :])
-            gap = gap.reshape(-1, 3).max(1)
-            now = gap > 1e-7 * max(1.0, gap.max(initial=0.0))
-            if opened is None or now.sum() < opened.sum():
+            widest = float(gap.max(initial=0.0))
+            now = gap > max(rounding * widest, 1e-7)
+            if opened is None or size[now].sum() < size[opened].sum():
                 opened = now
-            if opened.sum() <= _SPARSE:
+            if size[opened].sum() <= _SPARSE:
                 break
             # Joints that hardly open cost more: the next motion does without them.
-            weight = 1 / (gap / gap.max() + 1e-3)
+            price = size / (gap / widest + 1e-3)
         if opened is None:
             break
-        x, y, z = owner.shape
-        edges = np.zeros((x - 1, y, z), bool), np.zeros((x, y - 1, z), bool)
-        for a in (0, 1):
-            edges[a][tuple(joint[opened & (axis == a), 3:].T)] = True
-        found.append(edges)
+        found.append(opened)
         if not opened.any():
             break
         closed |= opened
     return found
+
+
+def _joints(owner: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
+    """Where two blocks stand side by side: the cells of the lower ones of pairs in x and in y
+    (int64[., 3] each), and the blocks of all pairs (int64[m, 2])."""
+    places, sides = [], []
+    for low, high in ((owner[:-1], owner[1:]), (owner[:, :-1], owner[:, 1:])):
+        places.append(np.argwhere((low >= 0) & (high >= 0) & (low != high)))
+        sides.append(np.stack([cells[tuple(places[-1].T)] for cells in (low, high)], 1))
+    return places, np.concatenate(sides)
+
+
+def _edges(
+    owner: np.ndarray, places: list[np.ndarray], opened: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Opened joints (bool[m], those across x first) as pairs of neighbouring cells."""
+    edges = np.zeros_like(owner[:-1], bool), np.zeros_like(owner[:, :-1], bool)
+    for edge, at, open_ in zip(edges, places, np.split(opened, [len(places[0])]), strict=True):
+        edge[tuple(at[open_].T)] = True
+    return edges
 
 
 def find_slides(
@@ -158,11 +189,8 @@ def find_slides(
     """
     import scipy.sparse as sp
 
-    joints, sides = [], []
-    for low, high in ((owner[:-1], owner[1:]), (owner[:, :-1], owner[:, 1:])):
-        joints.append(np.argwhere((low >= 0) & (high >= 0) & (low != high)))
-        sides.append(np.stack([part[tuple(joints[-1].T)] for part in (low, high)], 1))
-    pairs, which = np.unique(np.concatenate(sides), axis=0, return_inverse=True)
+    places, sides = _joints(owner)
+    pairs, which = np.unique(sides, axis=0, return_inverse=True)
     which, m = which.reshape(-1), len(pairs)
     middle = system.centre[pairs].mean(1)
     rows, columns, values = [], [], []
@@ -178,39 +206,19 @@ def find_slides(
         block[:, 3:, 3:] = turn[:, None, None] * np.eye(3)
         row = 6 * np.arange(m)[:, None, None] + np.arange(6)[:, None]
         column = 6 * body[:, None, None] + np.arange(6)
-        for part, whole in ((row, rows), (column, columns), (block, values)):
-            whole.append(np.broadcast_to(part, block.shape).reshape(-1))
+        for entries, whole in ((row, rows), (column, columns), (block, values)):
+            whole.append(np.broadcast_to(entries, block.shape).reshape(-1))
     index = np.concatenate(rows), np.concatenate(columns)
     jump = sp.csc_matrix((np.concatenate(values), index), (6 * m, 6 * system.count))
+
+    def part(price: np.ndarray, closed: np.ndarray) -> np.ndarray | None:
+        gap = system.least_parting(friction, jump, np.where(closed, _GLUED, price))
+        held = gap is not None and (gap[closed] <= 1e-5 * gap.max(initial=0.0)).all()
+        return gap if held else None
+
     size = np.bincount(which, minlength=m).astype(float)
-    closed, found = np.zeros(m, bool), []
-    while len(found) < most:
-        price, opened = size, None
-        for _ in range(1 + _SPARSER):
-            gap = system.least_parting(friction, jump, np.where(closed, _GLUED, price))
-            if gap is None:
-                break
-            most_open = float(gap.max(initial=0.0))
-            now = gap > max(1e-5 * most_open, 1e-7)
-            if (now & closed).any():
-                break
-            if opened is None or size[now].sum() < size[opened].sum():
-                opened = now
-            if size[opened].sum() <= _SPARSE:
-                break
-            price = size / (gap / most_open + 1e-3)
-        if opened is None:
-            break
-        edges = np.zeros_like(owner[:-1], bool), np.zeros_like(owner[:, :-1], bool)
-        begin = 0
-        for edge, at in zip(edges, joints, strict=True):
-            edge[tuple(at[opened[which[begin : begin + len(at)]]].T)] = True
-            begin += len(at)
-        found.append(edges)
-        if not opened.any():
-            break
-        closed |= opened
-    return found
+    found = _partings(part, size, most, 1e-5)
+    return [_edges(owner, places, opened[which]) for opened in found]
 
 
 def mirrored(
