@@ -157,7 +157,6 @@ def test_a_column_tips_where_its_tilt_says() -> None:
         made = order(tiling, kit, friction=2.0)
         # The edge of support lies a thousandth inside the block.
         assert made.margin_g == pytest.approx((0.5 - 1e-3) / (height / 2), rel=0.03)
-        assert made.steps[-1].tilt_deg == pytest.approx(np.degrees(np.arctan(made.margin_g)))
         assert order(tiling, kit, friction=0.05).margin_g <= 0.05
 
 

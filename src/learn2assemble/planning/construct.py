@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly, Step
+from learn2assemble.assembly.blocks import Assembly, Block, Step
 from learn2assemble.assembly.contacts import check_overlaps, find_contacts, shrunk
 from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.design.cells import CellDesign
@@ -163,15 +163,8 @@ def report_plan(
         placement, block = tiling.placements[index], assembly.blocks[index]
         if step.place is not None and not placement.prop:
             covered += len(placement_cells(placement, kit))
-        steps.append(
-            plans.Step(
-                step=number, block=index, position=_point(block.centroid), quaternion=_UPRIGHT,
-                action="remove" if step.place is None else "place", kind=placement.kind,
-                prop=placement.prop, margin_g=_bounded(step.margin_g),
-                tilt_deg=round(step.tilt_deg, 3), proof=step.proof,
-                coverage=round(covered / max(wanted, 1), 6),
-            )
-        )  # fmt: skip
+        steps.append(_step(number, index, block, step.place is None, step.margin_g, step.proof,
+                           covered / max(wanted, 1)))  # fmt: skip
     low, high = ordered.friction_range
     return Plan(
         design=PlanDesign(
@@ -290,15 +283,8 @@ def plan_assembly(
         progress(f"step {number}: {block.id}")
         worth = margin(assembly, used, ends[0], present=present)
         made.append(Step(remove=block.id) if removing else Step(place=block.id))
-        steps.append(
-            plans.Step(
-                step=number, block=index, position=_point(block.centroid), quaternion=_UPRIGHT,
-                action="remove" if removing else "place", kind=block.kind or None,
-                prop=block.prop, margin_g=_bounded(worth),
-                tilt_deg=round(math.degrees(math.atan(worth)), 3), proof=proof,
-                coverage=round(float((present & ~support).sum()) / max((~support).sum(), 1), 6),
-            )
-        )  # fmt: skip
+        covered = float((present & ~support).sum()) / max((~support).sum(), 1)
+        steps.append(_step(number, index, block, removing, worth, proof, covered))
     wanted = sum(not (b.prop or b.support) for b in assembly.blocks)
     used_blocks = sum(bool(present[k]) and not b.support for k, b in enumerate(assembly.blocks))
     done = reason is None
@@ -316,6 +302,19 @@ def plan_assembly(
         gap_range=None if gap is None else (0.0, widest),
         assembly=Assembly(assembly.blocks, tuple(made), assembly.friction, assembly.name),
     )
+
+
+def _step(
+    number: int, index: int, block: Block, removing: bool, margin_g: float, proof: str,
+    coverage: float,
+) -> plans.Step:  # fmt: skip
+    """A step of a plan, of the block with an index in its assembly."""
+    return plans.Step(
+        step=number, block=index, position=_point(block.centroid), quaternion=_UPRIGHT,
+        action="remove" if removing else "place", kind=block.kind or None, prop=block.prop,
+        margin_g=_bounded(margin_g), tilt_deg=round(math.degrees(math.atan(margin_g)), 3),
+        proof=proof, coverage=round(coverage, 6),
+    )  # fmt: skip
 
 
 def _coloured(

@@ -55,11 +55,6 @@ class OrderedStep:
     margin_g: float
     """Sideways acceleration along +-x and +-y that the state at least withstands [g]."""
 
-    @property
-    def tilt_deg(self) -> float:
-        """Tilt of the table that the state at least withstands [deg]."""
-        return math.degrees(math.atan(self.margin_g))
-
 
 @dataclass(frozen=True)
 class Ordering:
@@ -123,6 +118,21 @@ class Coupled:
         return worth if worth >= NO_MARGIN else None
 
 
+def _changed(
+    stack: Stack, placed: np.ndarray, block: int, place: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """``placed`` (bool[n]) with a block placed or removed, and the blocks to balance again."""
+    after, dirty = placed.copy(), np.zeros_like(placed)
+    after[block] = place
+    if place:
+        dirty[block] = True
+    else:
+        dirty[stack.upper[stack.lower == block]] = True
+        dirty[stack.below(block)] = True
+        dirty &= after
+    return after, dirty
+
+
 class _Site:
     """What stands, and the forces that prove it under gravity and under sideways acceleration."""
 
@@ -138,15 +148,7 @@ class _Site:
 
     def change(self, block: int, place: bool) -> str | None:
         """Place or remove a block; how the state is proven, None (and no change) if it falls."""
-        placed, dirty = self.placed.copy(), np.zeros_like(self.placed)
-        placed[block] = place
-        if place:
-            dirty[block] = True
-        else:
-            s = self.stack
-            dirty[s.upper[(s.lower == block) & self.placed[s.upper]]] = True
-            dirty[self.stack.below(block)] = True
-            dirty &= placed
+        placed, dirty = _changed(self.stack, self.placed, block, place)
         if self.tight:
             dirty = placed.copy()  # There are no bed forces to begin with.
         method = LOCAL if self.proof.settle(dirty, placed) else self._by_program(placed, dirty)
@@ -531,16 +533,9 @@ def _holds(tiling: Tiling, kit: Kit, steps: list[OrderedStep], gap: float, clock
     proof = Proof(find_stack(tiling.placements, kit, tiling.wanted.shape, gap))
     placed = np.zeros(len(proof.stack), bool)
     for step in steps:
-        dirty = np.zeros_like(placed)
-        s = proof.stack
-        if step.place is not None:
-            placed[step.place] = dirty[step.place] = True
-        else:
-            assert step.remove is not None
-            dirty[s.upper[(s.lower == step.remove) & placed[s.upper]]] = True
-            dirty[s.below(step.remove)] = True
-            placed[step.remove] = False
-            dirty &= placed
+        block = step.remove if step.place is None else step.place
+        assert block is not None
+        placed, dirty = _changed(proof.stack, placed, block, step.place is not None)
         if not proof.settle(dirty, placed) and not proof.program(placed, placed, clock.left):
             return False
     return True
