@@ -8,6 +8,7 @@ end what was in the way is taken out like what strands a cell (:mod:`.search`).
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Callable
@@ -25,7 +26,7 @@ from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling import BlockPlacement, Tiling
 from learn2assemble.planning.workcell import Arranged, Job, Progress, StepOf, Structure
 from learn2assemble.planning.workcell_plan import Workcell, carry_out, job_of, wider
-from learn2assemble.planning.workcell_reach import set_up
+from learn2assemble.planning.workcell_reach import Base, set_up
 from learn2assemble.planning.workcell_site import Part, Piece, pieces_of
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.kinematic.cell import KinematicCell
@@ -54,6 +55,7 @@ class Hand:
         self.workcell = workcell
         self.job: Job | None = None
         self.tried = self.failed = 0
+        self._base: Base | None = None
 
     def holds(self, kit: Kit) -> Kit:
         """The kit without the kinds that the tool cannot hold.
@@ -73,8 +75,11 @@ class Hand:
             raise InputError(what, f"nothing of kit {kit.name}", "blocks that it can hold")
         return replace(kit, kinds=tuple(held))
 
-    def set_up(self, world: World) -> Kit:
+    def set_up(self, world: World, turn: int = 0) -> Kit:
         """Place base and magazines for what stands in ``world``.
+
+        Args:
+            turn: quarter turns about the design from the base of ``turn=0``, which comes first.
 
         Returns:
             the kit of the kinds that then wait somewhere.
@@ -88,7 +93,16 @@ class Hand:
         steps = tuple(StepOf(k) for k in range(len(world.placed)))
         job = Job(pieces_of(assembly), steps, assembly, get_arm(at.arm), (),
                   friction=site.kit.friction, joint=site.kit.joint_gap)  # fmt: skip
-        self.job = set_up(job, at.arm, at.tool, at.site)
+        where = at.site
+        if turn and self._base is not None:
+            angle, (x, y, z, facing) = turn * math.pi / 2, self._base
+            x, y = (yaw_matrix(angle) @ (x, y, 0.0))[:2].tolist()
+            where = replace(where, base=(round(x, 6), round(y, 6), z, facing + angle))
+        self.job = set_up(job, at.arm, at.tool, where)
+        if not turn:
+            arm = self.job.arm
+            facing = float(arm.base_yaw - get_arm(at.arm).base_yaw)
+            self._base = (*arm.base_position.tolist(), facing)
         used = set(site.kind[world.placed].tolist())
         return replace(site.kit, kinds=tuple(site.kit.kinds[k] for k in sorted(used)))
 

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 RECORD = "planners.json"
 MAX_CANDIDATES = 1_000_000
 """Cells times ways to put down a block: what the builder keeps grows with it."""
+_SET_UP = 3.0
+"""States that an arm may expand per block before its base stands elsewhere."""
 _SAVING = 2.0
 """The agent is taken only where it saves so many seconds at the median."""
 
@@ -61,13 +63,29 @@ def plan_with_agent(
     agent = builder if isinstance(builder, Builder) else load_builder(builder or DEFAULT)
     site = make_site(wanted, kit if hand is None else hand.holds(kit))
     outcome = build(site, agent, budget=budget, seed=seed, seconds=seconds)
-    expanded = outcome.expanded
+    expanded, first = outcome.expanded, outcome.world
     if hand is not None and outcome.complete:
-        site = make_site(wanted, hand.set_up(outcome.world))
-        hand.enter(site)
-        left = budget - expanded / len(outcome.world.placed)
-        outcome = build(site, agent, budget=left, seed=seed, seconds=clock.left, hand=hand)
-        expanded += outcome.expanded
+        outcome = None
+        for turn in range(4 if hand.workcell.site.base is None else 1):
+            left = budget - expanded / len(first.placed)
+            if turn and left <= 1:
+                break
+            try:
+                site = make_site(wanted, hand.set_up(first, turn))
+            except InputError:
+                if not turn:
+                    raise
+                continue
+            hand.enter(site)
+            tried = build(
+                site, agent, budget=min(left, _SET_UP), seed=seed, seconds=clock.left, hand=hand
+            )
+            expanded += tried.expanded
+            if outcome is None or tried.world.open < outcome.world.open:
+                outcome = tried
+            if tried.complete:
+                break
+        assert outcome is not None
     world, spent = outcome.world, clock.spent
     placements = tuple(site.placement(candidate) for candidate in world.placed)
     missing = tuple(world.cells_open())
