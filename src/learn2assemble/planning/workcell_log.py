@@ -1,4 +1,5 @@
-"""What a build has done, appended to a file after every attempt, so that it can go on from there.
+"""What a build has done: its record, and a file that is appended to after every attempt, so that it
+can go on from there.
 
 The first line says what is built; every other line is the whole state after one attempt, with what
 the arm did in it. A line that was cut off is not read: what it says was not done.
@@ -18,8 +19,11 @@ import numpy as np
 
 from learn2assemble.errors import InputError
 from learn2assemble.files import unwritable
+from learn2assemble.geometry.rotations import quaternion_matrix, yaw_quaternion
+from learn2assemble.planning.workcell import HIDDEN, OBSTACLE_DENSITY, Rows, World
 from learn2assemble.robot.moves import Outcome
-from learn2assemble.robot.record import Samples, Stage, StepRecord
+from learn2assemble.robot.record import BuildRecord, Samples, Stage, StepRecord
+from learn2assemble.robot.recorder import BuildRecorder
 
 FORMAT, VERSION = "learn2assemble-build", 1
 
@@ -93,3 +97,137 @@ def unpacked_step(value: dict[str, Any]) -> StepRecord:
     outcome, cells = Outcome(value.pop("outcome")), tuple(value.pop("cells"))
     return StepRecord(**value, **arrays, samples=samples, stages=stages, outcome=outcome,
                       cells=cells)  # fmt: skip
+
+
+class Book:
+    """The record of a build, whose cells are those of physical blocks, replaced ones included, and
+    of obstacles.
+
+    Args:
+        world: where everything is.
+        joints: float64[n] where the arm begins [rad].
+        masses: float64[N], factors of the densities.
+        words: what the outcomes come from.
+    """
+
+    def __init__(
+        self, world: World, joints: np.ndarray, masses: np.ndarray, words: str
+    ) -> None:  # fmt: skip
+        self.world, self.job, self.words = world, world.job, words
+        count = len(world.pieces)
+        self.body = list(range(count))
+        """The physical block that each piece is; others where one was lost."""
+        self.like: list[int] = []
+        """Of every block beyond those of the plan, the piece it is like."""
+        self.cells = [tuple(c) for c in world.cells()]
+        self.fixed = [sum(map(len, self.cells)) + n for n in range(len(self.job.obstacles))]
+        self.masses = masses
+        self.begin(joints, 0.0)
+
+    def begin(self, joints: np.ndarray, width: float) -> None:
+        """Before the first attempt; the pads are ``width`` apart [m]."""
+        objects = [*self.cells, *([cell] for cell in self.fixed)]
+        self.recorder = BuildRecorder(
+            self.job.arm, joints, width, self.poses(), objects, self.words, *self.boxes()
+        )
+
+    def boxes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Half extents float64[C, 3] [m] and densities float64[C] [kg/m3] of all cells of the
+        record."""
+        count = sum(map(len, self.cells)) + len(self.fixed)
+        halves, densities = np.empty((count, 3)), np.empty(count)
+        for k, piece in enumerate(self.world.pieces):
+            cells = list(self.cells[self.body[k]])
+            halves[cells] = [half for _, half in piece.shape]
+            densities[cells] = piece.density * self.masses[k]
+        for cell, obstacle in zip(self.fixed, self.job.obstacles, strict=True):
+            halves[cell], densities[cell] = np.array(obstacle.size) / 2, OBSTACLE_DENSITY
+        return halves, densities
+
+    def numbers(self, rows: Rows) -> np.ndarray:
+        """int64[n]: cell of the record of each row."""
+        return np.array([
+            self.fixed[part] if owner < 0 else self.cells[self.body[owner]][part]
+            for owner, part in zip(rows.owner, rows.part, strict=True)
+        ])  # fmt: skip
+
+    def replace(self, k: int) -> int:
+        """Another block takes the place of a piece; the number of this one from now on."""
+        spare = self.world.add(k)
+        self.like.append(k)
+        first = len(self.recorder.poses)
+        self.cells.append(tuple(range(first, first + len(self.world.pieces[k].shape))))
+        self.body.append(self.body[k])
+        self.body[k] = len(self.cells) - 1
+        self.masses = np.append(self.masses, self.masses[k])
+        return spare
+
+    def grow(self, k: int) -> None:
+        """The record has the cells of the block that took the place of a piece."""
+        self.recorder.half, self.recorder.density = self.boxes()
+        self.recorder.objects = (*self.recorder.objects, self.cells[-1])
+        self.recorder.poses = np.vstack([self.recorder.poses, self.cell_rows(k)])
+        self.sync()
+
+    def state(self) -> dict[str, Any]:
+        """What a file says of it, besides the steps."""
+        return {
+            "body": self.body, "like": self.like, "cells": [list(c) for c in self.cells],
+            "masses": self.masses.tolist(),
+        }  # fmt: skip
+
+    def restore(self, state: dict[str, Any], steps: list[dict[str, Any]]) -> None:
+        """As a file says it was; the world has its blocks already."""
+        for step in steps:
+            self.recorder.take(unpacked_step(step))
+        self.body, self.like = state["body"], state["like"]
+        self.cells = [tuple(c) for c in state["cells"]]
+        self.masses = np.array(state["masses"])
+        self.recorder.half, self.recorder.density = self.boxes()
+        self.recorder.objects = (*self.cells, *((cell,) for cell in self.fixed))
+        self.recorder.poses = self.poses()
+
+    def cell_rows(self, k: int) -> np.ndarray:
+        """float64[m, 7]: poses of the boxes of a piece."""
+        pose, turn = self.world.pose[k], quaternion_matrix(self.world.pose[k, 3:])
+        return np.array([
+            [*(pose[:3] + turn @ np.array(c)), *pose[3:]] for c, _ in self.world.pieces[k].shape
+        ])  # fmt: skip
+
+    def poses(self) -> np.ndarray:
+        """float64[C, 7] of all cells of the record."""
+        count = sum(map(len, self.cells)) + len(self.fixed)
+        poses = np.zeros((count, 7))
+        for k, body in enumerate(self.body):
+            poses[list(self.cells[body])] = self.cell_rows(k)
+        for cell, obstacle in zip(self.fixed, self.job.obstacles, strict=True):
+            turn = yaw_quaternion(obstacle.yaw)
+            poses[cell] = [*obstacle.centre, obstacle.size[2] / 2, *turn]
+        return poses
+
+    def sync(self) -> None:
+        poses = self.poses()
+        self.recorder.poses = poses
+        if self.recorder.steps:
+            self.recorder.steps[-1] = dataclasses.replace(self.recorder.steps[-1], after=poses)
+
+    def record(self) -> BuildRecord:
+        """What the arm did."""
+        found, first = self.recorder.record(), self.recorder.poses
+        count = len(first)
+
+        def whole(poses: np.ndarray) -> np.ndarray:
+            # Replacements wait in their magazines until they are needed.
+            return np.vstack([poses, self._hidden()[len(poses) :]]) if len(poses) < count else poses
+
+        steps: list[StepRecord] = []
+        for step in found.steps:
+            before = steps[-1].after if steps else whole(step.before)
+            steps.append(dataclasses.replace(step, before=before, after=whole(step.after)))
+        return dataclasses.replace(found, steps=tuple(steps))
+
+    def _hidden(self) -> np.ndarray:
+        """float64[C, 7]: all cells in their magazines."""
+        poses = self.poses()
+        poses[:, 2] = -HIDDEN - 0.1
+        return poses

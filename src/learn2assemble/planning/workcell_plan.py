@@ -200,15 +200,15 @@ def _report(job: Job, workcell: Workcell, building: Building | None) -> ArmRepor
     failures = tuple(
         ArmFailure(d.number, d.outcome, f"{d.what} {building.world.pieces[d.block].id}, {d.stage}: "
                    f"{d.detail}", False)
-        for d in building.done if d.outcome != Outcome.REACHED.label
+        for d in building.known.done if d.outcome != Outcome.REACHED.label
     )  # fmt: skip
-    satisfied = sum(building.satisfied(step) for step in building.order)
+    satisfied = sum(building.known.satisfied(step) for step in building.known.order)
     errors = [float(np.linalg.norm(building.world.pose[k, :3] - building.world.target(k)[:3]))
-              for k in building.standing()]  # fmt: skip
+              for k in building.known.standing()]  # fmt: skip
     return ArmReport(
-        workcell.arm, _pitch(job), len(building.done), failures,
-        round(building.recorder.now, 2), workcell.tool, base, len(job.sources),
-        round(len(building.done) / max(satisfied, 1), 4),
+        workcell.arm, _pitch(job), len(building.known.done), failures,
+        round(building.book.recorder.now, 2), workcell.tool, base, len(job.sources),
+        round(len(building.known.done) / max(satisfied, 1), 4),
         round(float(np.mean(errors)), 6) if errors else None,
         round(max(errors), 6) if errors else None,
     )  # fmt: skip
@@ -225,9 +225,9 @@ def _carried_out(
     """The plan with what really happened."""
     job, world = building.job, building.world
     assert plan.assembly is not None
-    last = {(d.block, d.what == "remove"): d for d in building.done
+    last = {(d.block, d.what == "remove"): d for d in building.known.done
             if d.outcome == Outcome.REACHED.label and d.what != "away"}  # fmt: skip
-    done = [step for step in building.order if building.satisfied(step)]
+    done = [step for step in building.known.order if building.known.satisfied(step)]
     done.sort(key=lambda step: last[step].number if step in last else 0)
     proven = {(s.block, s.action == "remove"): s for s in plan.steps}
     standing: set[int] = set()
@@ -245,7 +245,7 @@ def _carried_out(
         standing = standing - {step.block} if step.remove else standing | {step.block}
         old, attempt = proven[step.block, step.remove], last.get((step.block, step.remove))
         covered += 0.0 if step.remove else share[step.block]
-        stands = same or building.structure.stands(frozenset(standing))
+        stands = same or building.known.structure.stands(frozenset(standing))
         there = not step.remove and world.state[step.block] == STANDING
         pose = world.pose[step.block] if there else world.target(step.block)
         x, y, z, w, a, b, c = (round(float(v), 6) for v in pose)
@@ -266,19 +266,20 @@ def _carried_out(
         else AssemblyStep(place=plan.assembly.blocks[s.block].id) for s in done
     )  # fmt: skip
     assembly = Assembly(plan.assembly.blocks, made, plan.assembly.friction, plan.assembly.name)
-    record = building.record()
+    record = building.book.record() if building.physical is not None else None
     if record is not None:
         numbers = {(step.block, step.remove): n for n, step in enumerate(done, 1)}
         named = [
             dataclasses.replace(step, plan_step=numbers.get((d.block, d.what == "remove"))
                                 if d.what in ("place", "again", "remove") else None)
-            for step, d in zip(record.steps, building.done, strict=True)
+            for step, d in zip(record.steps, building.known.done, strict=True)
         ]  # fmt: skip
         record = dataclasses.replace(record, steps=tuple(named))
     return replace(
         plan, status="complete" if complete else "incomplete", reason=reason, steps=tuple(steps),
         coverage=steps[-1].coverage if steps else 0.0, seconds=round(plan.seconds + seconds, 3),
-        blocks=replace(plan.blocks, used=len(building.standing()), waiting=_waiting(building)),
+        blocks=replace(plan.blocks, used=len(building.known.standing()),
+                       waiting=_waiting(building)),
         verified_by=f"{plan.verified_by}, and {_words(job, workcell)}",
         arm=_report(job, workcell, building), record=record, assembly=assembly,
     )  # fmt: skip
