@@ -329,7 +329,7 @@ HARNESS = """
 const data = JSON.parse(document.getElementById("data").textContent), found = [], cells = [];
 const nothing = { color: { set() {} } };
 const tools = {
-  edge: data.edge, coloured: (material) => material, colours: () => ({}),
+  coloured: (material) => material, colours: () => ({}),
   cube() {
     const group = new THREE.Group();
     cells.push(group);

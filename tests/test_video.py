@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from arm_record import arm_plan, arm_record
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError, MissingExtraError
+from learn2assemble.planning.plan import ArmReport, Plan
 from learn2assemble.robot.record_files import write_record
 from learn2assemble.robot.shape import box
 from learn2assemble.viewer.renderer import (
@@ -266,9 +267,12 @@ def test_the_files_of_a_build_and_an_unsound_one(
     }  # fmt: skip
     assert drawn == [tmp_path / "build.mp4"]
     slow = replace(record, arm=replace(record.arm, velocity=record.arm.velocity / 5))
-    with pytest.raises(InputError, match=r"rad/s, limit"):
-        replace(plan, record=slow).save(tmp_path, video=True, page=False)
-    assert len(drawn) == 1
+    report = ArmReport("panda", 0.06, 2, (), 1.0)
+    replace(plan, record=slow, arm=report).save(tmp_path, video=True, page=False)
+    told = Plan.load(tmp_path).arm
+    assert told is not None
+    assert "rad/s, limit" in str(told.motion_fault)
+    assert len(drawn) == 2
     still = replace(plan, record=replace(record, steps=()))
     assert "video" not in still.save(tmp_path, video=True, page=False)
 

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from html import escape
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
+from learn2assemble.geometry.rotations import matrix_quaternion
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.record import StepRecord
 from learn2assemble.robot.shape import Part
 from learn2assemble.viewer.html import packed, speed_options, to_base64
-from learn2assemble.viewer.playback import Glide, Playback, glued_cells, split
+from learn2assemble.viewer.playback import Glide, Playback, split
 from learn2assemble.viewer.words import (
     OUTCOME_WORDS,
     arm_summary,
@@ -164,7 +163,6 @@ def arm_data(playback: Playback, labels: Labels) -> dict[str, Any]:
                 *map(_list, split(first)), strict=True,
             )
         ],
-        "fillers": _fillers(playback, first),
         "segments": [
             _segment(playback, number, labels) for number in range(len(playback.segments))
         ],
@@ -213,18 +211,6 @@ def _glide(glide: Glide) -> dict[str, Any]:
         "position": _list(glide.position), "quaternion": _list(glide.quaternion),
         "falls": glide.falls,
     }  # fmt: skip
-
-
-def _fillers(playback: Playback, first: np.ndarray) -> list[dict[str, Any]]:
-    """Between neighbouring cells of one object: both cells, and the middle in the first's frame."""
-    found = []
-    for a, b in glued_cells(playback.record).tolist():
-        gap = first[b, :3] - first[a, :3]
-        x, y, _ = quaternion_matrix(first[a, 3:]).T @ gap
-        found.append({"cell": a, "middle": _list(np.array([x / 2, y / 2, 0.0])),
-                      "yaw": _short(math.atan2(y, x)),
-                      "gap": _short(math.hypot(x, y) - playback.record.block_edge)})  # fmt: skip
-    return found
 
 
 def extent(playback: Playback) -> np.ndarray:

@@ -20,7 +20,6 @@ from learn2assemble.geometry.rotations import (
 )
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm, get_arm
-from learn2assemble.robot.moves import fillers
 from learn2assemble.robot.record import BuildRecord, Samples, StepRecord
 from learn2assemble.robot.shape import Shape, arm_shape
 
@@ -253,11 +252,3 @@ def block_of_cell(record: BuildRecord, plan: Plan) -> list[int | None]:
             for cell in step.cells:
                 blocks[cell] = plan.steps[step.plan_step - 1].block
     return blocks
-
-
-def glued_cells(record: BuildRecord) -> np.ndarray:
-    """int64[f, 2]: neighbouring cells of one object, between which there is a filler."""
-    owner = np.empty(record.num_cells, np.int64)
-    for number, cells in enumerate(record.objects):
-        owner[list(cells)] = number
-    return fillers(record.steps[0].before[:, :3], owner)

@@ -146,9 +146,6 @@ class Frames:
                 colour[model.cells + cell] = rgb(COLOURS["current"])
             elif cell in segment.step.cells and clock and cell in self.placed_by:
                 colour[model.cells + cell] = own
-        last = model.cells + self.playback.record.num_cells
-        for k, (a, _) in enumerate(model.fillers.tolist(), last):
-            colour[k] = colour[model.cells + a]
         return colour
 
     def _words(self, image: np.ndarray, clock: float) -> None:

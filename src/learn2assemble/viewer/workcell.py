@@ -2,7 +2,7 @@
 
 Every thing in one colour that moves as one is a *body*. Bodies, in order: what stands still and
 is never shaded (outlines, waiting places), the frame that shows where a block goes, the table,
-the parts of the arm, the cells, and what fills the gaps inside objects.
+the parts of the arm, the cells.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from matplotlib.font_manager import get_font
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.robot.shape import Mesh, box
 from learn2assemble.viewer.arm import Labels
-from learn2assemble.viewer.playback import Playback, glued_cells, split
+from learn2assemble.viewer.playback import Playback, split
 from learn2assemble.viewer.renderer import BLOCK, GROUND, LIT, PLAIN, Triangles
 
 _FONTS = {False: "DejaVuSans.ttf", True: "DejaVuSans-Bold.ttf"}
@@ -104,8 +104,6 @@ class Workcell(NamedTuple):
     """First of the arm's parts."""
     cells: int
     """First of the cells."""
-    fillers: np.ndarray
-    """int64[f, 2]: the cells whose gap the last bodies fill."""
     count: int
 
 
@@ -165,13 +163,8 @@ def workcell(playback: Playback, targets: Sequence[np.ndarray], labels: Labels) 
     for half in halves:
         block, marks = _block(half)
         all_cells.add(all_cells.body(), block, BLOCK, marks)
-    pairs = glued_cells(record)
-    for a, b in pairs.tolist():
-        gap = float(np.linalg.norm(first[a, :3] - first[b, :3])) - edge
-        half = np.array([max(gap, 0.0005), 0.98 * edge, 0.98 * edge]) / 2
-        all_cells.add(all_cells.body(), box(half), LIT)
     return Workcell(
-        all_cells.triangles(), outline, places, goal, table, arm, cells, pairs, all_cells.bodies
+        all_cells.triangles(), outline, places, goal, table, arm, cells, all_cells.bodies
     )
 
 
@@ -189,11 +182,6 @@ def body_poses(model: Workcell, playback: Playback, clock: float) -> tuple[np.nd
     count = len(cells)
     position[model.cells : model.cells + count] = cells
     rotation[model.cells : model.cells + count] = quaternion_matrix(quaternions)
-    for k, (a, b) in enumerate(model.fillers.tolist(), model.cells + count):
-        position[k] = (cells[a] + cells[b]) / 2
-        x = (cells[b] - cells[a]) / np.linalg.norm(cells[b] - cells[a])
-        z = rotation[model.cells + a, :, 2]
-        rotation[k] = np.stack([x, np.cross(z, x), z], 1)
     step = playback.segment_at(clock).step
     target, quaternion = split(step.target)
     # The goal is a cube with edge 1, stretched to the block it is for.

@@ -51,7 +51,7 @@ function armClock(data) {
 
 /* The arm and the blocks as one actor of the stage. */
 function createArm(data, tools) {
-  const { edge, coloured, colours } = tools;
+  const { coloured, colours } = tools;
   const arm = data.arm, group = new THREE.Group();
   const clock = armClock(data);
   const turned = ([w, x, y, z]) => new THREE.Quaternion(x, y, z, w);
@@ -80,7 +80,6 @@ function createArm(data, tools) {
   const samples = unpack(arm.samples), wide = joints.length + 1, count = samples.length / wide;
 
   const cells = arm.cells.map(makeCell);
-  for (const filler of arm.fillers) addFiller(filler);
   const owner = new Map(); // cell -> the segment that puts it into the structure
   arm.segments.forEach((segment, k) => {
     if (segment.reached) for (const cell of segment.cells) owner.set(cell, k);
@@ -171,16 +170,6 @@ function createArm(data, tools) {
     const cube = tools.cube(half);
     group.add(cube.group);
     return cube;
-  }
-
-  /* Neighbouring cells of one object are glued together. */
-  function addFiller({ cell, middle, yaw, gap }) {
-    const thin = Math.max(gap, 0.0005), box = new THREE.BoxGeometry(thin, edge * 0.98, edge * 0.98);
-    const piece = new THREE.Mesh(box, cells[cell].material);
-    piece.position.set(...middle);
-    piece.rotation.z = yaw;
-    piece.castShadow = piece.receiveShadow = true;
-    cells[cell].group.add(piece);
   }
 
   function mesh(part) {

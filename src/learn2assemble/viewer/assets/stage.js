@@ -35,7 +35,7 @@ function createStage(canvas, data) {
   for (const target of data.targets) addTarget(target);
   // An arm moves every block on its own; the mesh of all is for the layers then.
   const arm = data.arm
-    ? createArm(data, { edge, cube: box, coloured: view.coloured, colours: view.colours }) : null;
+    ? createArm(data, { cube: box, coloured: view.coloured, colours: view.colours }) : null;
   if (arm) view.scene.add(arm.group);
   const overlays = { joints: addJoints(), forces: addForces() };
 
