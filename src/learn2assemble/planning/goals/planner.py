@@ -108,8 +108,8 @@ def prepare(goals: Goals) -> tuple[Yard, str]:
         raise InputError(f"{goals.source}: obstacles", "no free cell on the table", "at least one")
     check_loads(goals)
     ways = sum(4 if kind.turns == "z" else 24 for kind in goals.kit.kinds)
-    if goals.open.size * ways > MAX_CANDIDATES * 8:
-        most = MAX_CANDIDATES * 8 // ways
+    if goals.open.size * ways > MAX_CANDIDATES:
+        most = MAX_CANDIDATES // ways
         raise InputError(f"{goals.source}: site", f"{goals.open.size} cells", f"at most {most}")
     yard = make_yard(goals)
     return yard, impossible(yard)

@@ -29,7 +29,7 @@ from learn2assemble.planning.step_proof import Proof, Stack
 
 PRICE, PRICE_ROUNDS = 0.4, 4
 """By how much a kind gets dearer, and how often [blocks]."""
-MAX_CANDIDATES = 400_000
+MAX_CANDIDATES = 1_000_000
 """Cells times ways to put down a block."""
 
 
