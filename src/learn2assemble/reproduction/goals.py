@@ -54,7 +54,8 @@ def measure(
     """Goals by every player, see :func:`learn2assemble.reproduction.measured.measure`."""
     guide = default_guide()
     configuration = {
-        "seconds": SECONDS, "program_seconds": PROGRAM_SECONDS, "optimum_seconds": OPTIMUM_SECONDS, "arm": ARM, "tool": "suction",
+        "seconds": SECONDS, "program_seconds": PROGRAM_SECONDS, "optimum_seconds": OPTIMUM_SECONDS,
+        "arm": ARM, "tool": "suction",
         "guide": guide.name if guide else None, "guide_origin": guide.origin if guide else None,
         "trained_families": list(TRAINED),
     }  # fmt: skip
