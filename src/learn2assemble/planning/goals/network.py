@@ -1,8 +1,9 @@
-"""The network that guides the search: how likely each child is, and what the relaxed plan forgets.
+"""The network that guides the search: how likely each child is on the way to a structure.
 
-Two layers look at every candidate beside a summary of the state; one over their mean and their
-largest gives the blocks that will be needed beyond the relaxed plan. One function does it for NumPy
-arrays, with which the search plays, and for PyTorch tensors, with which it learns.
+Two layers look at every candidate beside a summary of the state. A third, over what the likely ones
+look like, tells the blocks that will be needed beyond the relaxed plan: an auxiliary task of the
+training, which the search does not ask for. One function does it for NumPy arrays, with which the
+search plays, and for PyTorch tensors, with which it learns.
 """
 
 from __future__ import annotations
@@ -36,15 +37,14 @@ class Guide:
     origin: dict[str, Any] = field(default_factory=dict)
     """Configuration of the training, its length and figures, commit, hardware."""
 
-    def scores(self, candidates: np.ndarray, summary: np.ndarray) -> tuple[np.ndarray, float]:
-        """Logits of candidates, and blocks that are needed beyond the relaxed plan.
+    def scores(self, candidates: np.ndarray, summary: np.ndarray) -> np.ndarray:
+        """float32[m]: logits of candidates.
 
         Args:
             candidates: float32[m, NUM_FEATURES], m at least 1.
             summary: float32[NUM_SUMMARY].
         """
-        logits, more = forward(self.weights, candidates, summary[None], np.zeros(len(candidates)))
-        return logits, max(float(more), 0.0)
+        return forward(self.weights, candidates, summary[None], np.zeros(len(candidates)))[0]
 
 
 def forward(weights: Any, candidates: Any, summary: Any, padding: Any) -> tuple[Any, Any]:

@@ -5,17 +5,17 @@ child with the priority
 
     blocks + weight * (blocks that are missing) + surprises on the way, the child's included ,
 
-where what is missing is the relaxed plan and what the network adds to it. Without a network a child
-of the relaxed plan surprises by nothing, and any other by more than a block; with one the surprise
-is the logarithm of how much likelier the likeliest child is.
+where what is missing is the relaxed plan, and ballast. Without a network a child of the relaxed
+plan surprises by nothing, and any other by its detour and more; with one the surprise is the
+logarithm of how much likelier the likeliest child is.
 
 A block of the relaxed plan that would fall, or a load, asks for *ballast*: the least weights on top
 of the structure that would hold it, a linear program, say where; blocks there surprise little.
 
 A search is many runs from the start, each longer than the one before and all but the first with
 noise. The first structure is looked for greedily; then only structures with fewer blocks count. In
-the end, blocks that nothing needs are left out, and where props are allowed, those
-that only building needs are taken away again.
+the end, blocks that nothing needs are left out, and where props are allowed, those that only
+building needs are taken away again.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ second on, exponentially distributed [blocks]: estimates that are wrong in one w
 UNLIKELY, FAR = 0.7, 4.0
 """Without a network, surprise of a child that is not in the relaxed plan, besides its detour; and
 the largest detour [blocks]."""
-SURE = 0.6
+SURE = 0.4
 """Share of a relaxed plan that is needed in any case."""
 PATIENCE = 1.0, 3.0
 """Seconds, and times the seconds until the last structure, in which one with fewer blocks has to be
@@ -132,9 +132,8 @@ class Search:
         helps, weight = self.advice(world, relaxed, children)
         missing = max(relaxed.blocks + np.ceil(round(weight / self.heaviest, 6)), 1.0)
         if self.guide is not None and len(children):
-            logits, more = self.guide.scores(*describe(self.yard, world, relaxed, children, helps))
+            logits = self.guide.scores(*describe(self.yard, world, relaxed, children, helps))
             surprise = TEMPER * (logits.max() - logits)
-            missing += more
         else:
             detour = np.clip(relaxed.detour[children], 0.0, FAR)
             surprise = np.where(relaxed.used[children], 0.0, UNLIKELY + detour)

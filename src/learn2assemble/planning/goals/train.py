@@ -2,7 +2,7 @@
 
 The search solves drawn goals, at first without a network, later with the one learned so far. In
 every state on the way to a solution, in random orders, the blocks that are left of it are right;
-what it still took beyond the relaxed plan is what the value learns. Nothing comes from the exact
+what it still took beyond the relaxed plan is an auxiliary task. Nothing comes from the exact
 program.
 """
 
