@@ -11,7 +11,8 @@ from hypothesis import given, settings
 
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError
-from learn2assemble.planning.exact import choose_props, plan_exact, unsupported
+from learn2assemble.planning.exact import plan_exact
+from learn2assemble.planning.props import choose_props, unsupported
 from learn2assemble.planning.tiling import Tiling
 from learn2assemble.reproduction import designs as figures
 from learn2assemble.reproduction import shapes

@@ -16,7 +16,7 @@ import numpy as np
 from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.planning.agent.world import Site, World, make_site
-from learn2assemble.planning.exact import unsupported
+from learn2assemble.planning.props import unsupported
 from learn2assemble.planning.tiling import MAX_EXTENT, tile
 from learn2assemble.tasks import DesignTask
 
