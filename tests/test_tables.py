@@ -522,7 +522,7 @@ def test_committed_results_say_how_they_were_made() -> None:
         result = read_result(file)
         assert result is not None, file
         assert file == ROOT / "results" / result.cell.path
-        for key in ("commit", "hardware", "torch", "seconds"):
+        for key in ("commit", "hardware", "torch", "episodes"):
             assert result.data[key] is not None, (file, key)
         if result.cell.policy != BOUND:
             ended = result.array("failed") + result.array("success")

@@ -77,7 +77,11 @@ def write_curves(
 
 def _panel(axes: Axes, quantity: str, lines: Sequence[Line]) -> None:
     for line, colour in zip(lines, _COLOURS, strict=False):
-        axes.plot(line.samples, line.mean[quantity], color=colour, linewidth=1.8, label=line.label)
+        marker = "o" if len(line.samples) < 20 else None
+        axes.plot(
+            line.samples, line.mean[quantity], color=colour, linewidth=1.8, label=line.label,
+            marker=marker, markersize=3.5,
+        )  # fmt: skip
         axes.fill_between(
             line.samples, line.low[quantity], line.high[quantity], color=colour, alpha=0.15,
             linewidth=0,
