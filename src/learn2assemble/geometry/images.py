@@ -7,7 +7,7 @@ Local frame of a side: x right, y away from the viewer, z up [m]. The camera sta
 A binary image is ``uint64[ROWS, WORDS]``; bit ``c % 64`` of word ``c // 64`` is column ``c``.
 
 The published mask intersects half-planes, so it is exact for convex outlines with at most five
-vertices only; :func:`polygon_mask` is the general rule that designs use (deviation D3).
+vertices only; tasks draw no others.
 """
 
 from __future__ import annotations
