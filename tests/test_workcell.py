@@ -400,6 +400,83 @@ def test_a_dynamic_build_is_repaired_resumed_and_recorded(tmp_path: Path) -> Non
         export_program(found.record, "csv", tmp_path / "program.csv")
 
 
+def bracket(path: Path, gap: float = 0.0) -> np.ndarray:
+    """Write a gate of three bars, 200 x 40 x 160 mm, in millimetres; its triangles [m]. With a gap
+    it is open there."""
+    from manifold3d import Manifold
+
+    Corner = tuple[float, float, float]
+
+    def bar(low: Corner, size: Corner) -> Manifold:
+        return Manifold.cube(size).translate(low)
+
+    gate = bar((0, 0, 0), (30, 40, 160)) + bar((170, 0, 0), (30, 40, 160))
+    mesh = (gate + bar((0, 0, 130), (200, 40, 30))).to_mesh()
+    faces = np.asarray(mesh.vert_properties)[:, :3][np.asarray(mesh.tri_verts)]
+    if gap:
+        faces = faces[1:]
+    record = np.zeros(len(faces), [("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")])
+    record["v"] = faces
+    path.write_bytes(bytes(80) + np.uint32(len(faces)).tobytes() + record.tobytes())
+    return faces / 1000
+
+
+def test_boxes_cover_a_mesh_and_leave_its_opening_free(tmp_path: Path) -> None:
+    faces = bracket(tmp_path / "gate.stl")
+    layout = {"format": "learn2assemble-layout", "version": 2,
+              "obstacles": [{"at": [0.4, 0.2], "mesh": "gate.stl", "unit": 0.001,
+                             "yaw": math.pi / 2}]}  # fmt: skip
+    (tmp_path / "layout.json").write_text(json.dumps(layout))
+    boxes = read_site(tmp_path / "layout.json").obstacles
+    assert 3 <= len(boxes) <= 48
+    assert {box.name for box in boxes} == {"obstacles[0]"}
+    rng = np.random.default_rng(0)
+    weight = rng.dirichlet(np.ones(3), (200, len(faces)))
+    points = np.einsum("nfk,fkd->nfd", weight, faces).reshape(-1, 3) - [0.1, 0.02, 0.0]
+    points = np.column_stack([0.4 - points[:, 1], 0.2 + points[:, 0], points[:, 2]])
+
+    def inside(where: np.ndarray) -> np.ndarray:
+        # Turned by a quarter, so x and y of their sizes change places.
+        half = np.array([box.size for box in boxes])[:, [1, 0, 2]] / 2 + 1e-6
+        middle = np.array([box.middle for box in boxes])
+        within = np.all(np.abs(where[:, None] - middle) <= half, axis=2)
+        return np.asarray(np.any(within, axis=1))
+
+    assert inside(points).all()
+    # Of the opening, 140 x 130 mm, nearly all is left free.
+    free = rng.uniform([0.38, 0.2 - 0.06, 0.0], [0.42, 0.2 + 0.06, 0.12], (500, 3))
+    assert inside(free).mean() < 0.2
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ({"mesh": "none.stl"}, "no such file"),
+        ({"mesh": "open.stl"}, "closed mesh"),
+        ({"mesh": "text.stl"}, "text.stl"),
+        ({"mesh": "gate.step"}, "a file in stl, obj, ply, glb, 3dm"),
+        ({"mesh": 3}, r"obstacles\[0\].mesh"),
+        ({"mesh": "gate.stl"}, "unit"),
+        ({"mesh": "gate.stl", "unit": 0}, r"obstacles\[0\].unit"),
+        ({"mesh": "gate.stl", "unit": "mm"}, r"obstacles\[0\].unit"),
+        ({"mesh": "gate.stl", "size": [1, 1, 1]}, "size"),
+    ],
+)
+def test_bad_meshes_are_refused_in_one_line(
+    tmp_path: Path, entry: dict[str, object], words: str
+) -> None:
+    bracket(tmp_path / "gate.stl")
+    bracket(tmp_path / "open.stl", 1.0)
+    (tmp_path / "text.stl").write_text("hello")
+    (tmp_path / "gate.step").write_text("hello")
+    layout = {"format": "learn2assemble-layout", "version": 2,
+              "obstacles": [{"at": [0.4, 0.2], **entry}]}  # fmt: skip
+    (tmp_path / "layout.json").write_text(json.dumps(layout))
+    with pytest.raises(InputError, match=words) as caught:
+        read_site(tmp_path / "layout.json")
+    assert "\n" not in str(caught.value)
+
+
 def test_obstacles_stay_where_they_are() -> None:
     plan = planned(np.ones((4, 1, 1), bool), dataclasses.replace(KIT, kinds=(KIT.kind("1x2"),)))
     site = Site(obstacles=(Obstacle((0.25, 0.0), (0.1, 0.1, 0.2)),))

@@ -240,7 +240,7 @@ def rows_of(world: World, poses: np.ndarray, moving: int, masses: np.ndarray | N
     fixed: list[tuple[Any, ...]] = []
     for n, obstacle in enumerate(world.job.obstacles):
         size = np.array(obstacle.size) / 2
-        place = np.array([*obstacle.centre, size[2]])
+        place = np.array(obstacle.middle)
         fixed.append((place, obstacle.yaw, len(world.pieces) + n, size, OBSTACLE_DENSITY,
                       yaw_quaternion(obstacle.yaw), -1, n))  # fmt: skip
     place, yaw, number, half, density, turn, owner, part = zip(*fixed, *columns, strict=True)

@@ -202,7 +202,7 @@ class Book:
             poses[list(self.cells[body])] = self.cell_rows(k)
         for cell, obstacle in zip(self.fixed, self.job.obstacles, strict=True):
             turn = yaw_quaternion(obstacle.yaw)
-            poses[cell] = [*obstacle.centre, obstacle.size[2] / 2, *turn]
+            poses[cell] = [*obstacle.middle, *turn]
         return poses
 
     def sync(self) -> None:

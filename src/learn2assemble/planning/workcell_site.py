@@ -24,6 +24,7 @@ from learn2assemble.files import (
     load_json,
     mapping,
     number,
+    read_bytes,
     read_head,
     read_text,
     sequence,
@@ -33,6 +34,10 @@ from learn2assemble.files import (
 
 FORMAT, VERSIONS = "learn2assemble-layout", (1, 2)
 MAX_PLACES, MAX_ENTRIES = 400, 64
+MESHES = ("stl", "obj", "ply", "glb", "3dm")
+MOST_BOXES, SPARE = 48, 0.15
+"""A mesh is covered by so many boxes at most, and by no more than it takes to leave this share of
+the room that its bounding box has to spare."""
 _KEYS = ("format", "version", "units", "base", "table", "obstacles", "magazines", "pallets",
          "positions")  # fmt: skip
 TABLE = (1.5, 1.0)
@@ -205,13 +210,22 @@ class Position(NamedTuple):
 
 
 class Obstacle(NamedTuple):
-    """A box on the table that nothing may touch."""
+    """A box that nothing may touch."""
 
     centre: tuple[float, float]
     """[m]"""
     size: tuple[float, float, float]
     """[m]"""
     yaw: float = 0.0
+    bottom: float = 0.0
+    """Above the table [m]."""
+    name: str = "obstacles"
+    """What messages call it."""
+
+    @property
+    def middle(self) -> tuple[float, float, float]:
+        """Its centre [m]."""
+        return *self.centre, self.bottom + self.size[2] / 2
 
 
 @dataclass(frozen=True)
@@ -237,12 +251,12 @@ def read_site(path: Path) -> Site:
     content, source = read_text(Path(path), "layout file")
     try:
         root = load_json(content, source, FORMAT)
-        return _site(root, source)
+        return _site(root, source, Path(path).parent)
     except RecursionError:
         raise too_deep(source) from None
 
 
-def _site(value: Any, source: str) -> Site:
+def _site(value: Any, source: str, folder: Path) -> Site:
     version = value.get("version") if isinstance(value, dict) else None
     if version == 1:
         valid = ("format", "version", "units", "positions")
@@ -264,8 +278,13 @@ def _site(value: Any, source: str) -> Site:
         given = _entries(root[key], where, most) if key in root else ()
         return tuple(make(entry, f"{where}[{k}]") for k, entry in enumerate(given))
 
+    boxes = every("obstacles", lambda entry, where: _obstacle(entry, where, folder))
+    obstacles = tuple(box for found in boxes for box in found)
+    if len(obstacles) > MAX_PLACES:
+        raise InputError(f"{source}: obstacles", f"{len(obstacles)} boxes", f"at most {MAX_PLACES}")
     site = Site(
-        base, (width, depth), every("obstacles", _obstacle), every("magazines", _magazine),
+        base, (width, depth), obstacles,
+        every("magazines", _magazine),
         every("pallets", _pallet), every("positions", _position, MAX_PLACES), source,
     )  # fmt: skip
     blocks = len(site.positions) + sum(p.rows * p.columns for p in site.pallets)
@@ -274,11 +293,84 @@ def _site(value: Any, source: str) -> Site:
     return site
 
 
-def _obstacle(value: Any, where: str) -> Obstacle:
-    given = _table(value, where, ("at", "size", "yaw"), ("at", "size"))
+def _obstacle(value: Any, where: str, folder: Path) -> list[Obstacle]:
+    """A box, or the boxes that cover a mesh."""
+    shape = "mesh" if "mesh" in mapping(value, where) else "size"
+    keys = ("at", shape, "yaw", "unit") if shape == "mesh" else ("at", shape, "yaw")
+    given = _table(value, where, keys, keys[:2])
     x, y = _numbers(given["at"], f"{where}.at", 2)
-    a, b, c = _numbers(given["size"], f"{where}.size", 3, positive=True)
-    return Obstacle((x, y), (a, b, c), number(given.get("yaw", 0.0), f"{where}.yaw"))
+    yaw, name = number(given.get("yaw", 0.0), f"{where}.yaw"), where.split(": ")[-1]
+    if "mesh" not in given:
+        a, b, c = _numbers(given["size"], f"{where}.size", 3, positive=True)
+        return [Obstacle((x, y), (a, b, c), yaw, 0.0, name)]
+    unit = number(given["unit"], f"{where}.unit") if "unit" in given else None
+    if unit is not None and not 0 < unit <= 100:
+        raise InputError(f"{where}.unit", unit, "the length of a unit of the file in metres")
+    boxes = mesh_boxes(folder / text(given["mesh"], f"{where}.mesh"), unit, f"{where}.mesh")
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    found = []
+    for low, high in boxes:
+        (u, v, _), (a, b, c) = ((low + high) / 2).tolist(), (high - low).tolist()
+        at = x + cos * u - sin * v, y + sin * u + cos * v
+        found.append(Obstacle(at, (a, b, c), yaw, float(low[2]), name))
+    return found
+
+
+def mesh_boxes(path: Path, unit: float | None, where: str) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Boxes (low, high), float64[3] each [m], that together contain a closed mesh, whose bounding
+    box has its middle at x = y = 0 and stands on z = 0.
+
+    The piece whose bounding box has most room to spare is cut in two across its longest side,
+    until that is little or there are :data:`MOST_BOXES`.
+
+    Args:
+        unit: length of a unit of the file [m]; by default what the file says, else 1.
+        where: what messages call it.
+
+    Raises:
+        InputError: for a file that is no closed mesh, and for one that is too large.
+    """
+    from learn2assemble.design.solids import read_mesh
+
+    kind = path.suffix.lower().lstrip(".")
+    if kind not in MESHES:
+        raise InputError(where, str(path), f"a file in {', '.join(MESHES)}")
+    content, source = read_bytes(path, where)
+    solid = read_mesh(content, kind, source)
+    triangles = solid.triangles * (unit or solid.metres or 1.0)
+    if solid.up == "y":
+        triangles = triangles[..., [0, 2, 1]] * [1.0, -1.0, 1.0]
+    low, high = triangles.min((0, 1)), triangles.max((0, 1))
+    if (high - low).max() > 100 or (high - low).min() < 1e-4:
+        expected = "0.1 mm to 100 m on every side; `unit` says how long a unit is [m]"
+        raise InputError(where, [float(f"{v:.4g}") for v in high - low], expected)
+    return _covering(triangles - [*(low + high)[:2] / 2, low[2]])
+
+
+def _covering(triangles: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    from manifold3d import Manifold, Mesh64
+
+    corners, index = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
+    whole = Manifold(Mesh64(corners, index.reshape(-1, 3).astype(np.uint64)))
+
+    def bounds(piece: Manifold) -> tuple[np.ndarray, np.ndarray]:
+        box = np.array(piece.bounding_box())
+        return box[:3], box[3:]
+
+    def spare(piece: Manifold) -> float:
+        low, high = bounds(piece)
+        return float(np.prod(high - low)) - piece.volume()
+
+    pieces, enough = [whole], SPARE * spare(whole) + 1e-9
+    while len(pieces) < MOST_BOXES and sum(map(spare, pieces)) > enough:
+        worst = max(pieces, key=spare)
+        low, high = bounds(worst)
+        axis = int(np.argmax(high - low))
+        normal = [float(k == axis) for k in range(3)]
+        halves = worst.split_by_plane(normal, float((low + high)[axis] / 2))
+        pieces.remove(worst)
+        pieces += [half for half in halves if not half.is_empty()]
+    return [bounds(piece) for piece in pieces]
 
 
 def _magazine(value: Any, where: str) -> Magazine:
@@ -406,7 +498,7 @@ def check_sources(site: Site, found: list[tuple[str, Source]], pieces: Sequence[
     ground = [footprint(p.shape, Pose(p.target[0], p.target[1], p.yaw)) for p in pieces
               if p.target[2] - p.half[2] < 1e-3]  # fmt: skip
     structure = shapely.union_all(ground)
-    blocked = [(f"obstacles[{k}]", outline(o)) for k, o in enumerate(site.obstacles)]
+    blocked = [(o.name, outline(o)) for o in site.obstacles]
     for k, (what, area) in enumerate(blocked):
         if area.intersection(structure).area > 1e-9:
             raise InputError(

@@ -120,8 +120,7 @@ class Hand:
         self.first = np.cumsum(self.count) - self.count
         self.parts = _columns([box for group in boxes for box in group])
         self.fixed = [
-            (np.array([*o.centre, o.size[2] / 2]), o.yaw, np.array(o.size) / 2,
-             cells.OBSTACLE_DENSITY)
+            (np.array(o.middle), o.yaw, np.array(o.size) / 2, cells.OBSTACLE_DENSITY)
             for o in job.obstacles
         ]  # fmt: skip
         self.world = cells.World(replace(job, pieces=self.pieces, steps=()))
