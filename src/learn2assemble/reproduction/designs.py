@@ -347,8 +347,10 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
         made = group(kind)
         built = {n: e for n, e in made.items() if e["status"] == "complete"}
         if made:
-            others = ", ".join(sorted(set(made) - set(built))) or "none"
-            row(words, "all that can stand", f"{len(built)} of {len(made)}; not: {others}")
+            tight = [n for n, e in made.items() if e.get("gap_0", {}).get("status") == "complete"]
+            more = f", {len(tight)} more with tight joints ({', '.join(tight)})" if tight else ""
+            others = ", ".join(sorted(set(made) - set(built) - set(tight))) or "none"
+            row(words, "all that can stand", f"{len(built)} of {len(made)}{more}; not: {others}")
             row(f"slowest ({words})", "< 5 s" if kind == "drawn" else "",
                 f"{max(e['seconds'] for e in made.values()):.1f} s")  # fmt: skip
         if made and kind == "drawn":
