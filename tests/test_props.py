@@ -19,7 +19,7 @@ from learn2assemble.planning.workcell import Rows, way_out
 from learn2assemble.planning.workcell_plan import Workcell, carry_out
 from learn2assemble.planning.workcell_site import PROP_ROOM, pieces_of
 from learn2assemble.reproduction import shapes
-from learn2assemble.robot.arm import get_arm
+from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.dynamic.cell import DynamicCell
 from learn2assemble.robot.dynamic.cup import Load, peak_load
 from learn2assemble.robot.grasps import WAY, Attitude
@@ -27,6 +27,7 @@ from learn2assemble.robot.kinematic.cell import KinematicCell
 from learn2assemble.robot.kinematics import get_chain
 from learn2assemble.robot.moves import Move, Outcome, Scene, attitudes, overload, side_attitudes
 from learn2assemble.robot.registry import TOOLS
+from learn2assemble.robot.shape import arm_shape
 from learn2assemble.robot.tool import load_suction
 from learn2assemble.world.blocks import GRAVITY
 
@@ -59,6 +60,21 @@ def test_a_part_between_two_points_is_where_the_file_says() -> None:
             for end, told in zip(ends, (part.begin, part.end), strict=True):
                 here = turn.T @ (end - site.xpos) + [0, 0, tool.length]
                 np.testing.assert_allclose(here, told, atol=1e-9)
+
+
+@pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
+def test_the_side_cup_is_drawn_where_it_is(arm: Arm) -> None:
+    shape = arm_shape(arm)
+    drawn = {part.name: part for part in shape.parts if "tool" in part.name}
+    assert len(drawn) == len(TOOL.parts)
+    position, rotation = shape.tool(arm.home)
+    frames, turns = shape.frames(arm.home, 0.0)
+    cup = drawn[f"{arm.gripper.hand}_v_tool{len(TOOL.parts) - 1}"]
+    points = (frames[cup.frame] + cup.mesh.vertices @ turns[cup.frame].T - position) @ rotation
+    # It ends just short of its lip, around its axis.
+    assert 0.0 < SIDE.lip.at[0] - points[:, 0].max() < 0.002
+    across = points[:, 1:] - SIDE.lip.at[1:]
+    assert np.linalg.norm(across, axis=1).max() == pytest.approx(TOOL.parts[-1].radius, abs=1e-6)
 
 
 @pytest.mark.parametrize(

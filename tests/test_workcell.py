@@ -405,9 +405,7 @@ def bracket(path: Path, gap: float = 0.0) -> np.ndarray:
     it is open there."""
     from manifold3d import Manifold
 
-    Corner = tuple[float, float, float]
-
-    def bar(low: Corner, size: Corner) -> Manifold:
+    def bar(low: tuple[int, int, int], size: tuple[int, int, int]) -> Manifold:
         return Manifold.cube(size).translate(low)
 
     gate = bar((0, 0, 0), (30, 40, 160)) + bar((170, 0, 0), (30, 40, 160))
