@@ -55,6 +55,9 @@ _ITERATIONS = 100
 """Of the cone solver."""
 STIFFNESS = (1.0, 0.2)
 """Tangential over normal stiffness of a joint; a fixed point with either one is one."""
+_HOPELESS = 100.0
+"""Holding force, in what is taken for rounding, above which no other stiffness is tried: all of the
+weight of one block, or a twentieth of everything."""
 _STEP, _MIX = 0.5, (-3.0, 0.5)
 """Damping of the fixed point, and bounds of how the round before is mixed in (Anderson 1965)."""
 _FIRM = 1e-8
@@ -238,6 +241,8 @@ def solve(
             return Equilibrium(True, "cra", 0.0, nothing, forces_at, ratio)
         if best is None or held.sum() < best[1].sum():
             best = forces_at, held, motion
+        if system.excess(held) > _HOPELESS:
+            break
     assert best is not None
     return system.fall("cra", *best)
 
@@ -382,9 +387,9 @@ class System:
 
     def is_small(self, held: np.ndarray) -> bool:
         """Whether holding forces float64[count] are rounding."""
-        return self._excess(held) <= 1
+        return self.excess(held) <= 1
 
-    def _excess(self, held: np.ndarray) -> float:
+    def excess(self, held: np.ndarray) -> float:
         """Holding forces in what is taken for rounding."""
         every = held.sum() / (HELD * self.mass.sum())
         return float(max(every, (held / self.mass).max() / HELD_BLOCK))
@@ -489,7 +494,7 @@ class System:
                     return True, forces, held, np.zeros((self.count, 6))
                 break
             # Holding forces that stay, round after round, do not go away.
-            needed.append(self._excess(held))
+            needed.append(self.excess(held))
             last = needed[-_STAYS:]
             if len(last) == _STAYS and min(last) > max(10.0, 0.8 * last[0]):
                 break
