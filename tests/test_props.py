@@ -34,7 +34,7 @@ from learn2assemble.world.blocks import GRAVITY
 ARMS = [get_arm(name, "suction-side", (-0.5, 0.0, 0.0, 0.0)) for name in ("panda", "ur5e")]
 TOOL = ARMS[0].suction
 assert TOOL is not None
-SIDE = TOOL.cups[1]
+SIDE, PARTS = TOOL.cups[1], TOOL.parts
 
 
 # ---------------------------------------------------------------- the tool
@@ -66,15 +66,15 @@ def test_a_part_between_two_points_is_where_the_file_says() -> None:
 def test_the_side_cup_is_drawn_where_it_is(arm: Arm) -> None:
     shape = arm_shape(arm)
     drawn = {part.name: part for part in shape.parts if "tool" in part.name}
-    assert len(drawn) == len(TOOL.parts)
+    assert len(drawn) == len(PARTS)
     position, rotation = shape.tool(arm.home)
     frames, turns = shape.frames(arm.home, 0.0)
-    cup = drawn[f"{arm.gripper.hand}_v_tool{len(TOOL.parts) - 1}"]
+    cup = drawn[f"{arm.gripper.hand}_v_tool{len(PARTS) - 1}"]
     points = (frames[cup.frame] + cup.mesh.vertices @ turns[cup.frame].T - position) @ rotation
     # It ends just short of its lip, around its axis.
     assert 0.0 < SIDE.lip.at[0] - points[:, 0].max() < 0.002
     across = points[:, 1:] - SIDE.lip.at[1:]
-    assert np.linalg.norm(across, axis=1).max() == pytest.approx(TOOL.parts[-1].radius, abs=1e-6)
+    assert np.linalg.norm(across, axis=1).max() == pytest.approx(PARTS[-1].radius, abs=1e-6)
 
 
 @pytest.mark.parametrize(
