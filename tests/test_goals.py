@@ -34,6 +34,7 @@ from learn2assemble.planning.goals.tasks import (
 from learn2assemble.planning.goals.train import GuideConfig, train
 from learn2assemble.planning.goals.world import make_yard
 from learn2assemble.planning.plan import Plan
+from learn2assemble.reproduction import goals as figures
 from learn2assemble.tasks import GOAL_TASKS
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "goals" / "over_the_water.json"
@@ -234,6 +235,21 @@ def test_a_training_learns_and_its_guide_is_read_again(tmp_path: Path) -> None:
     load_guide.cache_clear()
     with pytest.raises(InputError, match="a guide of goals"):
         load_guide(str(tmp_path / "tiny.safetensors"))
+
+
+def test_figures_count_what_was_measured() -> None:
+    names = figures.names()
+    assert len(names) == len(set(names)) == 3 * 55 + 50
+    entries: dict[str, Any] = {name: {"status": "complete", "blocks": 6} for name in names}
+    entries |= {n: {"status": "refused", "blocks": 0} for n in names if "/impossible/" in n}
+    entries |= {n: {"status": "optimal", "blocks": 5} for n in names if n.startswith("optimum/")}
+    entries["learned/planar/arch/0"] = {"status": "incomplete", "blocks": 0}
+    rows = {what: got for what, _, got in figures.summary(entries)}
+    assert rows["learned: planar tasks solved"] == "29 of 30; not: planar/arch/0"
+    assert rows["search: spatial tasks solved"].startswith("20 of 20")
+    assert rows["program: impossible tasks"].startswith("0 complete, 5 of 5 refused")
+    words = rows["learned: planar blocks by the optimum, where it is known"]
+    assert words == "1.200 on average, 1.20 at most, 29 of 29 above"
 
 
 IMPOSSIBLE: dict[str, dict[str, Any]] = {
