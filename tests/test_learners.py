@@ -16,10 +16,15 @@ from learn2assemble.evaluation.episodes import make_policy, random_policy, run_e
 from learn2assemble.graph.batch import to_tensors
 from learn2assemble.graph.features import node_offset
 from learn2assemble.learning.config import TrainConfig, get_config, override
-from learn2assemble.learning.loss import q_loss, search_cross_entropy, td_targets
 from learn2assemble.learning.replay import Searched
 from learn2assemble.learning.run import run_training
-from learn2assemble.learning.trainer import Trainer, to_local
+from learn2assemble.learning.trainer import (
+    Trainer,
+    q_loss,
+    search_cross_entropy,
+    td_targets,
+    to_local,
+)
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QFactors
 from learn2assemble.planning.world_model import WorldModel
@@ -185,7 +190,7 @@ LEARNERS = {
     "dqn": ("published", 4000, 0.65,
             [*TINY_PUBLISHED, "updates_per_round=8", "learning_rate=2e-3"]),
     "q-mcts": ("published", 4000, 0.5, [*TINY_PUBLISHED, "method=q-mcts"]),
-    "eps-mcts": ("published", 4000, 0.65, [*TINY_PUBLISHED, "method=eps-mcts"]),
+    "eps-mcts": ("published", 6000, 0.65, [*TINY_PUBLISHED, "method=eps-mcts"]),
     "s2v": ("published", 4000, 0.4, [*TINY_PUBLISHED, *FULL, "network.encoder=s2v"]),
     "sha": ("published", 4000, 0.4, [*TINY_PUBLISHED, *FULL, "network.heads=1"]),
 }  # fmt: skip

@@ -11,8 +11,8 @@ import torch
 from learn2assemble.graph.batch import to_tensors
 from learn2assemble.graph.features import Graph, node_offset
 from learn2assemble.learning.config import TrainConfig
-from learn2assemble.learning.loss import dense_error, q_loss, td_targets
 from learn2assemble.learning.replay import Batch
+from learn2assemble.learning.trainer import dense_error, q_loss, td_targets
 from learn2assemble.networks.agent import Network
 from learn2assemble.networks.placement import PlacementValues
 from learn2assemble.networks.qnetwork import NEGATIVE, QFactors

@@ -16,9 +16,8 @@ from learn2assemble.evaluation.episodes import make_policy, run_episodes
 from learn2assemble.graph.batch import GraphTensors
 from learn2assemble.graph.features import NUM_FEATURES
 from learn2assemble.learning.config import METHODS, Learner, TrainConfig, register_learner
-from learn2assemble.learning.loss import q_loss
 from learn2assemble.learning.run import run_training
-from learn2assemble.learning.trainer import Trainer
+from learn2assemble.learning.trainer import Trainer, q_loss
 from learn2assemble.networks.agent import load_agent
 from learn2assemble.networks.config import NETWORKS, NetworkConfig, register_network
 from learn2assemble.networks.qnetwork import QFactors

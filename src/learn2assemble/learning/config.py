@@ -174,7 +174,7 @@ class Learner:
         search: the search that chooses the actions of training, from the number of expansions and
             the exploration rate; ``None``: epsilon-greedy on Q.
         loss: loss of one batch and numbers to log; arguments and result as those of
-            :func:`learn2assemble.learning.loss.q_loss`, which is the default.
+            :func:`learn2assemble.learning.trainer.q_loss`, which is the default.
     """
 
     search: Callable[[int, float], SearchConfig] | None = None

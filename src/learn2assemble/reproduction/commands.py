@@ -154,16 +154,16 @@ def _measure(root: Path, todo: list[Job], options: argparse.Namespace) -> None:
 
 
 def _write(data: TableData, root: Path) -> dict[str, Path]:
-    from learn2assemble.reproduction import pictures, report
+    from learn2assemble.reproduction import curves, report
 
     folder = root / "tables"
     text, picture = folder / f"{data.table.name}.md", folder / f"{data.table.name}.png"
     _prepare(folder)
     write_file(text, report.markdown(data), "--out")
     title = f"{data.table.name}  {data.table.title}{'  (quick look)' if data.quick else ''}"
-    pictures.write_table(
+    curves.write_table(
         title,
-        [pictures.Block(*section) for section in report.sections(data)],
+        [curves.Block(*section) for section in report.sections(data)],
         report.notes(data),
         picture,
     )
@@ -242,7 +242,7 @@ def _curves_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run_scaling(options: argparse.Namespace, output: Output) -> None:
-    from learn2assemble.reproduction import curves, measured, pictures
+    from learn2assemble.reproduction import curves, measured
 
     _prepare(options.out)
     found = measured.measure(
@@ -251,14 +251,14 @@ def _run_scaling(options: argparse.Namespace, output: Output) -> None:
     )  # fmt: skip
     rows = curves.load_scaled(options.out.parent, found["entries"])
     path: Path = options.out / f"{curves.SIZES}.png"
-    pictures.write_curves(
+    curves.write_curves(
         "Targets larger than those of training (DQN: 3x3, ours: 5x5)",
-        [pictures.Line(r.label, r.grid, r.values, r.values, r.values) for r in rows],
+        [curves.Line(r.label, r.grid, r.values, r.values, r.values) for r in rows],
         "ε = 0. Decisions: of one core, worlds a third built, "
-        f"{curves.TIMED_WORLDS} at a time.", path, pictures.SCALING, "grid",
+        f"{curves.TIMED_WORLDS} at a time.", path, curves.SCALING, "grid",
     )  # fmt: skip
-    output.table("targets by size", ("row", "grid", *pictures.SCALING), [
-        (r.label, int(grid), *[float(r.values[key][n]) for key in pictures.SCALING])
+    output.table("targets by size", ("row", "grid", *curves.SCALING), [
+        (r.label, int(grid), *[float(r.values[key][n]) for key in curves.SCALING])
         for r in rows for n, grid in enumerate(r.grid) if math.isfinite(r.values["f"][n])
     ])  # fmt: skip
     output.say(str(path))
@@ -266,8 +266,14 @@ def _run_scaling(options: argparse.Namespace, output: Output) -> None:
 
 
 def _run_curves(options: argparse.Namespace, output: Output) -> None:
-    from learn2assemble.reproduction import pictures
-    from learn2assemble.reproduction.curves import SIZES, get_figure, load_curves, time_to
+    from learn2assemble.reproduction.curves import (
+        SIZES,
+        Line,
+        get_figure,
+        load_curves,
+        time_to,
+        write_curves,
+    )
 
     if options.name == SIZES:
         return _run_scaling(options, output)
@@ -277,14 +283,13 @@ def _run_curves(options: argparse.Namespace, output: Output) -> None:
     path: Path = options.out / f"{figure.name}.png"
     _prepare(options.out)
     lines = [
-        pictures.Line(f"{c.label} ({_agents(c.seeds)})", c.samples, c.mean, c.low, c.high)
-        for c in curves
+        Line(f"{c.label} ({_agents(c.seeds)})", c.samples, c.mean, c.low, c.high) for c in curves
     ]
     note = (
         "Training episodes, exploration included; mean over agents, band from the lowest to the "
         "highest, smoothed. " + figure.note
     ).strip()
-    pictures.write_curves(figure.title, lines, note, path)
+    write_curves(figure.title, lines, note, path)
     output.table(figure.title, ("line", "agents", "samples", "R", "f", "success"), [
         (c.label, c.seeds, int(c.samples[-1]), *[float(c.mean[q][-1]) for q in
          ("R", "f", "success")]) for c in curves
