@@ -17,9 +17,9 @@ from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.grasps import get_grasps
 from learn2assemble.robot.kinematic.cell import KinematicCell
+from learn2assemble.robot.motion.record import RATE, BuildRecord, Stage
+from learn2assemble.robot.motion.recorder import BuildRecorder, upright
 from learn2assemble.robot.moves import OPENING, Move, Outcome, Scene
-from learn2assemble.robot.record import RATE, BuildRecord, Stage
-from learn2assemble.robot.recorder import BuildRecorder, upright
 from learn2assemble.world.layouts import sobol
 
 EDGE, PITCH = 0.05, 0.06

@@ -19,8 +19,8 @@ from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.dynamic.cell import DynamicCell, replay
 from learn2assemble.robot.kinematic.cell import KinematicCell
+from learn2assemble.robot.motion.record import find_fault
 from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene
-from learn2assemble.robot.record import find_fault
 from learn2assemble.tasks import get_task
 from learn2assemble.viewer.playback import Playback, block_of_cell
 

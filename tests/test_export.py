@@ -18,8 +18,7 @@ import trimesh
 from learn2assemble.assembly.blocks import Assembly, Step, box_block
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.errors import UnknownNameError
-from learn2assemble.export.cards import step_cards
-from learn2assemble.export.formats import FORMATS, bill_of_blocks, export_assembly
+from learn2assemble.export.formats import FORMATS, bill_of_blocks, export_assembly, step_cards
 from learn2assemble.planning.exact import plan_exact
 from learn2assemble.planning.ordering import to_assembly
 from learn2assemble.reproduction import shapes

@@ -20,16 +20,7 @@ from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.dynamic.cell import DynamicCell
 from learn2assemble.robot.grasps import get_grasps
 from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.moves import OPENING, STAGES, Move, Outcome, Scene, Trajectory
-from learn2assemble.robot.record import (
-    BuildRecord,
-    Samples,
-    Stage,
-    StepRecord,
-    find_fault,
-    require_sound,
-)
-from learn2assemble.robot.record_files import (
+from learn2assemble.robot.motion.files import (
     csv_header,
     read_record,
     record_data,
@@ -37,7 +28,16 @@ from learn2assemble.robot.record_files import (
     write_csv,
     write_record,
 )
-from learn2assemble.robot.recorder import LOST, BuildRecorder, holding, stages_of, upright
+from learn2assemble.robot.motion.record import (
+    BuildRecord,
+    Samples,
+    Stage,
+    StepRecord,
+    find_fault,
+    require_sound,
+)
+from learn2assemble.robot.motion.recorder import LOST, BuildRecorder, holding, stages_of, upright
+from learn2assemble.robot.moves import OPENING, STAGES, Move, Outcome, Scene, Trajectory
 
 
 @pytest.fixture(scope="module")

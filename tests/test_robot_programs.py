@@ -40,8 +40,8 @@ from learn2assemble.robot.arm import Arm, arm_model, get_arm
 from learn2assemble.robot.dynamic.cell import DynamicCell
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.moves import OPENING, Move, Scene
-from learn2assemble.robot.program import (
+from learn2assemble.robot.motion.files import write_record
+from learn2assemble.robot.motion.program import (
     Knots,
     Limits,
     Program,
@@ -53,9 +53,9 @@ from learn2assemble.robot.program import (
     slow_down,
     usage,
 )
-from learn2assemble.robot.record import BuildRecord, find_fault
-from learn2assemble.robot.record_files import write_record
-from learn2assemble.robot.recorder import BuildRecorder, upright
+from learn2assemble.robot.motion.record import BuildRecord, find_fault
+from learn2assemble.robot.motion.recorder import BuildRecorder, upright
+from learn2assemble.robot.moves import OPENING, Move, Scene
 from robot_scenes import cell, scene
 
 ARMS = ("panda", "ur5e")

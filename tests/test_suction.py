@@ -23,6 +23,7 @@ from learn2assemble.robot.dynamic.transit import WorldChecker
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.kinematic.cell import KinematicCell
 from learn2assemble.robot.kinematics import get_chain
+from learn2assemble.robot.motion.recorder import holding
 from learn2assemble.robot.moves import (
     IMMOVABLE,
     STAGES,
@@ -32,7 +33,6 @@ from learn2assemble.robot.moves import (
     Trajectory,
     attitudes,
 )
-from learn2assemble.robot.recorder import holding
 from learn2assemble.robot.registry import TOOLS
 from learn2assemble.robot.shape import arm_shape
 from learn2assemble.robot.tool import load_suction

@@ -16,7 +16,7 @@ from arm_record import arm_plan, arm_record
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError, MissingExtraError
 from learn2assemble.planning.plan import ArmReport, Plan
-from learn2assemble.robot.record_files import write_record
+from learn2assemble.robot.motion.files import write_record
 from learn2assemble.robot.shape import box
 from learn2assemble.viewer.renderer import (
     GROUND,

@@ -42,7 +42,7 @@ from learn2assemble.planning.workcell_site import (
     read_site,
 )
 from learn2assemble.reproduction.shapes import wall
-from learn2assemble.robot.record import find_fault
+from learn2assemble.robot.motion.record import find_fault
 
 KIT = dataclasses.replace(load_kit("bricks-lintels"), pitch=(0.04, 0.04, 0.04))
 

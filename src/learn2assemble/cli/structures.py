@@ -170,7 +170,7 @@ def _replay_arguments(parser: argparse.ArgumentParser) -> None:
 def _replay(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where the same structure results, and 1 where it does not."""
     from learn2assemble.export.robot_programs import replay_program
-    from learn2assemble.robot.program import SAME
+    from learn2assemble.robot.motion.program import SAME
 
     done = replay_program(options.file, options.arm)
     worst = int(done.error.argmax())

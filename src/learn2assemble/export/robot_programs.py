@@ -1,7 +1,7 @@
 """Programs of robots as files: URScript here, tables (:mod:`.robot_tables`), bags (:mod:`.ros2`).
 
 All of them are made from the record that a build with an arm leaves, by way of a
-:class:`~learn2assemble.robot.program.Program` (``docs/robot_programs.md``).
+:class:`~learn2assemble.robot.motion.program.Program` (``docs/robot_programs.md``).
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from learn2assemble.files import write_file
 from learn2assemble.registry import Registry
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import forward_many, get_chain
-from learn2assemble.robot.program import (
+from learn2assemble.robot.motion.files import read_record
+from learn2assemble.robot.motion.program import (
     Driver,
     DryRun,
     Program,
@@ -31,8 +32,7 @@ from learn2assemble.robot.program import (
     play,
     usage,
 )
-from learn2assemble.robot.record import BuildRecord
-from learn2assemble.robot.record_files import read_record
+from learn2assemble.robot.motion.record import BuildRecord
 from learn2assemble.robot.registry import ARMS
 
 # ---------------------------------------------------------------- URScript

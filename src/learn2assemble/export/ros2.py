@@ -27,8 +27,15 @@ from learn2assemble.geometry.rotations import (
 )
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import forward_many, get_chain
+from learn2assemble.robot.motion.program import (
+    Knots,
+    Program,
+    ToolState,
+    driver_of,
+    limits_of,
+    usage,
+)
 from learn2assemble.robot.moves import STAGES
-from learn2assemble.robot.program import Knots, Program, ToolState, driver_of, limits_of, usage
 
 STATE_RATE = 50.0
 """Joint states and transforms per second."""

@@ -35,9 +35,9 @@ from learn2assemble.robot.dynamic.cell import DynamicCell
 from learn2assemble.robot.grasps import QUARTER, along
 from learn2assemble.robot.grasps import get_grasps as grasps_of
 from learn2assemble.robot.kinematic.cell import KinematicCell
+from learn2assemble.robot.motion.record import BuildRecord
+from learn2assemble.robot.motion.recorder import BuildRecorder
 from learn2assemble.robot.moves import OPENING, Attempt, Move, Outcome, Scene
-from learn2assemble.robot.record import BuildRecord
-from learn2assemble.robot.recorder import BuildRecorder
 from learn2assemble.search.config import SearchConfig
 from learn2assemble.search.mcts import search
 from learn2assemble.search.tree import ActionValues

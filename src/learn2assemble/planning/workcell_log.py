@@ -21,9 +21,9 @@ from learn2assemble.errors import InputError
 from learn2assemble.files import unwritable
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_quaternion
 from learn2assemble.planning.workcell import HIDDEN, OBSTACLE_DENSITY, Rows, World
+from learn2assemble.robot.motion.record import BuildRecord, Samples, Stage, StepRecord
+from learn2assemble.robot.motion.recorder import BuildRecorder
 from learn2assemble.robot.moves import Outcome
-from learn2assemble.robot.record import BuildRecord, Samples, Stage, StepRecord
-from learn2assemble.robot.recorder import BuildRecorder
 
 FORMAT, VERSION = "learn2assemble-build", 1
 

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from learn2assemble.geometry.rotations import matrix_quaternion
+from learn2assemble.robot.motion.record import StepRecord
 from learn2assemble.robot.moves import Outcome
-from learn2assemble.robot.record import StepRecord
 from learn2assemble.robot.shape import Part
 from learn2assemble.viewer.html import packed, speed_options, to_base64
 from learn2assemble.viewer.playback import Glide, Playback, split

@@ -20,7 +20,7 @@ from learn2assemble.geometry.rotations import (
 )
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm, get_arm
-from learn2assemble.robot.record import BuildRecord, Samples, StepRecord
+from learn2assemble.robot.motion.record import BuildRecord, Samples, StepRecord
 from learn2assemble.robot.shape import Shape, arm_shape
 
 PAUSE = 2.5

@@ -17,8 +17,8 @@ from learn2assemble.errors import InputError, MissingExtraError
 from learn2assemble.files import unwritable
 from learn2assemble.geometry.rotations import yaw_matrix
 from learn2assemble.planning.plan import Plan
+from learn2assemble.robot.motion.record import BuildRecord
 from learn2assemble.robot.moves import Outcome
-from learn2assemble.robot.record import BuildRecord
 from learn2assemble.viewer.arm import extent
 from learn2assemble.viewer.page import cell_labels
 from learn2assemble.viewer.picture import ACCENT, COLOURS, INK, LINE, PAPER, RIM, SOFT

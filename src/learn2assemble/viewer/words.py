@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from learn2assemble.planning.plan import Step
+from learn2assemble.robot.motion.record import BuildRecord, Stage, StepRecord
 from learn2assemble.robot.moves import Outcome
-from learn2assemble.robot.record import BuildRecord, Stage, StepRecord
 
 _RELATIONS = {
     "top": "on top of",

@@ -29,8 +29,8 @@ from learn2assemble.geometry.rotations import (
 )
 from learn2assemble.robot.arm import Arm, arm_model, get_arm
 from learn2assemble.robot.grasps import Attitude
+from learn2assemble.robot.motion.record import ArmFacts, BuildRecord, Samples, require_sound
 from learn2assemble.robot.moves import DENSITY, STAGES, Move, Outcome, Scene
-from learn2assemble.robot.record import ArmFacts, BuildRecord, Samples, require_sound
 
 REST = 2e-6
 """Changes of a rounded joint position [rad] and velocities [rad/s] up to this are rest."""

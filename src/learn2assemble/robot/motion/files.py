@@ -18,8 +18,8 @@ import numpy as np
 
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.files import read_json, write_file
+from learn2assemble.robot.motion.record import ArmFacts, BuildRecord, Samples, Stage, StepRecord
 from learn2assemble.robot.moves import STAGES, Outcome
-from learn2assemble.robot.record import ArmFacts, BuildRecord, Samples, Stage, StepRecord
 
 FORMAT, VERSION = "learn2assemble-trajectory", 3
 DECIMALS = 6

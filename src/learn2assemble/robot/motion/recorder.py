@@ -11,8 +11,15 @@ import numpy as np
 from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import forward_many, get_chain
+from learn2assemble.robot.motion.record import (
+    RATE,
+    BuildRecord,
+    Samples,
+    Stage,
+    StepRecord,
+    arm_facts,
+)
 from learn2assemble.robot.moves import STAGES, Attempt, Move, Outcome, Scene, Trajectory
-from learn2assemble.robot.record import RATE, BuildRecord, Samples, Stage, StepRecord, arm_facts
 from learn2assemble.world.blocks import EDGE
 
 LOST = 0.008

@@ -1,0 +1,1 @@
+"""The motion of an arm: recorded, written to files, and turned into programs within limits."""
