@@ -183,7 +183,7 @@ FULL = ["network.connectivity=full"]
 LEARNERS = {
     "own": ("relational", 2500, 0.9, ["learning_rate=3e-3", "final_learning_rate=5e-4"]),
     "paper": (
-        "paper", 5000, 0.65,
+        "paper", 10000, 0.65,
         ["network.feed_forward=none", "network.position_scale=0.1", "steps_per_round=5",
          "updates_per_round=10", "learning_rate=2e-3", "final_learning_rate=2e-3"],
     ),
