@@ -313,3 +313,17 @@ def test_options_of_drawings_are_refused(
     file.write_text(json.dumps(GOOD))
     assert main(["build", str(file), "--unit", "mm", "--out", str(tmp_path / "out")]) == 2
     assert "no option but cell" in capsys.readouterr().err
+
+
+def test_a_plan_shows_its_goals(tmp_path: Path) -> None:
+    goals = read_goals("examples/goals/over_the_water.json")
+    plan = l2a.build(goals, planner="agent", seconds=20)
+    found = {box.what: (box.low, box.high) for box in plan.design.boxes}
+    assert found["reach"] == ((0.0, -0.025, 0.15), (0.05, 0.025, 0.15))
+    assert found["load"] == ((0.1, -0.025, 0.2), (0.15, 0.025, 0.2))
+    assert found["obstacle"] == ((0.003, -0.02, 0.0), (0.297, 0.02, 0.047))
+    again = l2a.Plan.load(plan.save(tmp_path, video=False)["plan"])
+    assert again.design.boxes == plan.design.boxes
+    page = (tmp_path / "view.html").read_text(encoding="utf-8")
+    assert '"what":"load"' in page
+    assert "obstacle</li>" in page

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -118,6 +118,24 @@ class Goals:
         """Surfaces with a load."""
         return tuple(surface for surface in self.surfaces if surface.mass > 0)
 
+    def boxes(self) -> list[tuple[Literal["occupy", "reach", "load", "obstacle"], Point, Point]]:
+        """What to show of the goals: kind and corners of a box [m]; a face has no height."""
+        pitch = np.array(self.kit.pitch)
+        origin = np.array([-pitch[0] * self.shape[0] / 2, -pitch[1] * self.shape[1] / 2, 0.0])
+
+        def corners(cell: Sequence[int] | np.ndarray, face: bool = False) -> tuple[Point, Point]:
+            high = origin + (np.array(cell) + 1) * pitch
+            low = high - pitch * (1, 1, not face)
+            return _point(low), _point(high)
+
+        faces = {surface.cell for surface in self.surfaces}
+        filled = [tuple(cell) for cell in np.argwhere(self.must).tolist()]
+        return [
+            *(("occupy", *corners(cell)) for cell in filled if cell not in faces),
+            *(("load" if s.mass else "reach", *corners(s.cell, True)) for s in self.surfaces),
+            *(("obstacle", low, high) for low, high in self.obstacles),
+        ]
+
     def unmet(self, filled: np.ndarray) -> list[str]:
         """What cells leave undone, in words; nothing of equilibrium.
 
@@ -127,6 +145,11 @@ class Goals:
         found = [f"the cell {_cell(c)} has to be filled" for c in np.argwhere(self.must & ~filled)]
         found += [f"the cell {_cell(c)} stays empty" for c in np.argwhere(filled & ~self.open)]
         return found
+
+
+def _point(values: np.ndarray) -> Point:
+    x, y, z = (round(float(v), 6) for v in values)
+    return x, y, z
 
 
 def is_goals(content: bytes) -> bool:

@@ -65,6 +65,17 @@ class PlanTarget:
 
 
 @dataclass(frozen=True)
+class PlanBox:
+    """Where a structure without a drawing has to be, or must not be."""
+
+    what: Literal["occupy", "reach", "load", "obstacle"]
+    """``reach`` and ``load`` are a face, without height."""
+    low: Point
+    """Lowest and highest corner."""
+    high: Point
+
+
+@dataclass(frozen=True)
 class PlanDesign:
     """What was to be built."""
 
@@ -75,6 +86,8 @@ class PlanDesign:
     """Height of a block of one cell."""
     targets: tuple[PlanTarget, ...] = ()
     """What the blocks of a task shall cover; a design says it in cells."""
+    boxes: tuple[PlanBox, ...] = ()
+    """Of goals: what has to be filled, reached or loaded, and what stays empty."""
     success_threshold: Share = 1.0
     """Delta: the target is filled when the coverage exceeds it."""
     shape: tuple[Count, Count, Count] | None = None

@@ -39,7 +39,7 @@ from learn2assemble.viewer.playback import Playback, block_of_cell
 from learn2assemble.viewer.words import arm_summary, percent, placement
 
 if TYPE_CHECKING:
-    from learn2assemble.planning.plan import Plan, PlanTarget, SearchStage, Step
+    from learn2assemble.planning.plan import Plan, PlanBox, PlanTarget, SearchStage, Step
 
 PALETTE = (
     "#c96f4a", "#ecca90", "#8fae7a", "#b98bb0", "#d8a13f", "#7f9fa3", "#a88468", "#c7cf8b",
@@ -102,6 +102,7 @@ def render_assembly_page(
     playback: Playback | None = None,
     blocks: Sequence[int | None] = (),
     targets: Sequence[PlanTarget] = (),
+    boxes: Sequence[PlanBox] = (),
     tried: Sequence[SearchStage] = (),
     note: str = "",
 ) -> str:
@@ -122,6 +123,7 @@ def render_assembly_page(
         playback: what an arm did, which the page plays.
         blocks: of every cell of the record its block, see :func:`~.playback.block_of_cell`.
         targets: outlines that the blocks shall cover, which the 3-D view shows.
+        boxes: goals and obstacles, which the 3-D view shows.
         tried: by the planner, in order.
         note: for the foot of the page.
 
@@ -155,6 +157,14 @@ def render_assembly_page(
         "targets": [
             {"outline": target.outline, "outward": list(map(_round, target.outward))}
             for target in targets
+        ],
+        "boxes": [
+            {
+                "what": box.what,
+                "low": list(map(_round, box.low)),
+                "high": list(map(_round, box.high)),
+            }
+            for box in boxes
         ],
     }
     labels = None
@@ -194,7 +204,9 @@ def render_assembly_page(
         "count": f"{count} / {count}",
         "speeds": speed_options(_SPEEDS, next((s for s in _SPEEDS if s >= max(wanted, 1)), 64)),
         "caption": escape(captions[-1]),
-        "legend": _legend(parts, colours) + _TARGET_LEGEND * bool(targets),
+        "legend": _legend(parts, colours) + _TARGET_LEGEND * bool(targets)
+        + _GOAL_LEGEND * any(box.what != "obstacle" for box in boxes)
+        + _OBSTACLE_LEGEND * any(box.what == "obstacle" for box in boxes),
         "under_legend": _toggles(data["joints"]),
         "view_note": "A click on a block names it.",
         "sections": fill("plan.html", values),
@@ -564,6 +576,8 @@ def _toggles(joints: dict[str, Any] | None) -> str:
     return f'<p class="toggles">{boxes}{note}</p><p class="picked" id="picked" role="status"></p>'
 
 
+_GOAL_LEGEND = '<li><i class="target"></i>to be filled, reached or loaded</li>'
+_OBSTACLE_LEGEND = '<li><i class="bad"></i>obstacle</li>'
 _TARGET_LEGEND = '<li><i class="target"></i>target outline</li>'
 
 
@@ -636,6 +650,7 @@ def write_plan_page(plan: Plan, path: Path) -> None:
         status=plan.status, reason=plan.reason or "",
         playback=None if record is None else Playback(record, plan),
         blocks=[] if record is None else block_of_cell(record, plan), targets=targets,
+        boxes=plan.design.boxes,
         tried=plan.search.attempts if plan.search else (),
         note=" ".join(
             f"{name}: {words}." for name, words in

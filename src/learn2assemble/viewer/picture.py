@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import itertools
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +12,7 @@ import numpy as np
 from learn2assemble.assembly.blocks import Assembly, convex_parts
 from learn2assemble.errors import InputError
 from learn2assemble.files import write_file
-from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.plan import Plan, PlanBox
 from learn2assemble.viewer.renderer import (
     BLOCK,
     GROUND,
@@ -34,7 +36,8 @@ ACCENT, RIM = "#0b7285", "#4a3b26"
 COLOURS = {"current": "#63b0f2", "support": "#aeb9c4", "prop": "#d66fb5", "soft": SOFT}
 """Colours of the page's style sheet, by its names."""
 _SKY, _RIM, _TABLE = (246, 245, 242), (60, 52, 46), (232, 228, 220)
-_PROP, _BLOCK, _TARGET = (120, 170, 220), (201, 138, 88), (11, 114, 133)
+_PROP, _BLOCK = (120, 170, 220), (201, 138, 88)
+_TARGET, _OBSTACLE = (11, 114, 133), (190, 60, 50)
 _VIEW = np.array([1.0, -1.6, 0.9])
 _SUN = np.array([0.45, -0.55, 0.9])
 _FOCAL = 2.2
@@ -61,15 +64,17 @@ def write_progress(plan: Plan, path: Path) -> None:
     sheet = Image.new("RGB", (columns * WIDTH, rows * HEIGHT), _SKY)
     font = ImageFont.load_default(18)
     targets = [np.array(target.outline) for target in plan.design.targets]
-    triangles, colour = _triangles(assembly, targets)
+    triangles, colour = _triangles(assembly, targets, plan.design.boxes)
     buffers = Buffers(triangles, WIDTH, HEIGHT)
-    bodies = len(assembly.blocks) + 2
+    bodies = len(assembly.blocks) + 3
     place, turn = np.zeros((bodies, 3)), np.tile(np.eye(3), (bodies, 1, 1))
     points = np.concatenate([block.vertices for block in assembly.blocks])
-    low, high = points.min(0), points.max(0)
+    ends = [corner for box in plan.design.boxes for corner in (box.low, box.high)]
+    seen = np.array([points.min(0), points.max(0), *ends])
+    low, high = seen.min(0), seen.max(0)
     camera, light = _camera(low, high), sunlight(_SUN, points, 0.1 * float((high - low).max()))
     for number, step in enumerate(moments.tolist()):
-        shown = np.append(_standing(assembly, step), [True, True])
+        shown = np.append(_standing(assembly, step), [True] * 3)
         picture = render(
             triangles, buffers, camera, light, place, turn, shown, colour,
             np.array(_SKY, np.float32), np.array(_RIM, np.float32),
@@ -97,8 +102,10 @@ def _standing(assembly: Assembly, count: int) -> np.ndarray:
     return there
 
 
-def _triangles(assembly: Assembly, targets: list[np.ndarray]) -> tuple[Triangles, np.ndarray]:
-    """One body a block, then the table, then the outlines; colours float32[B + 2, 3]."""
+def _triangles(
+    assembly: Assembly, targets: list[np.ndarray], boxes: Sequence[PlanBox] = ()
+) -> tuple[Triangles, np.ndarray]:
+    """One body a block, then table, outlines or goals, obstacles; colours float32[B + 3, 3]."""
     columns: tuple[list[np.ndarray], ...] = tuple([] for _ in range(6))
     count = 0
 
@@ -133,17 +140,25 @@ def _triangles(assembly: Assembly, targets: list[np.ndarray]) -> tuple[Triangles
     table = np.array([[x0, y0, 0], [x1, y0, 0], [x1, y1, 0], [x0, y1, 0]]) - [0, 0, 1e-4]
     add(table, len(assembly.blocks), GROUND)
     thick = 0.015 * float(np.median([np.ptp(b.vertices, axis=0).min() for b in assembly.blocks]))
-    for outline in targets:
-        for a, b in zip(outline, np.roll(outline, -1, 0), strict=True):
-            bar = rod(a, b, thick)
-            for face in bar.faces:
-                add(bar.vertices[face], len(assembly.blocks) + 1, PLAIN)
+    bars = [(a, b, 1) for o in targets for a, b in zip(o, np.roll(o, -1, 0), strict=True)]
+    bars += [(*ends, 1 + (box.what == "obstacle")) for box in boxes for ends in _edges(box)]
+    for a, b, kind in bars:
+        bar = rod(a, b, thick)
+        for face in bar.faces:
+            add(bar.vertices[face], len(assembly.blocks) + kind, PLAIN)
     kinds = (np.float32, np.float32, np.float32, np.int32, np.int32, np.uint8)
     joined = [np.concatenate(c).astype(k) for c, k in zip(columns, kinds, strict=True)]
     colours = [_PROP if block.prop else block.colour or _BLOCK for block in assembly.blocks]
     corners, normals, rims, body, faces, kind = joined
     made = Triangles(corners, normals, rims, body, faces, kind)
-    return made, np.array([*colours, _TABLE, _TARGET], np.float32)
+    return made, np.array([*colours, _TABLE, _TARGET, _OBSTACLE], np.float32)
+
+
+def _edges(box: PlanBox) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The ends of the edges of a box that have a length."""
+    corners = np.array(list(itertools.product(*zip(box.low, box.high, strict=True))))
+    pairs = itertools.combinations(corners, 2)
+    return [(a, b) for a, b in pairs if np.count_nonzero(a != b) == 1]
 
 
 def _rim(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -102,7 +102,8 @@ def plan_goals(
         seconds, used.name if used and chosen == AGENT else None,
     )  # fmt: skip
     also = ", and under every set of the loads" if goals.loads else ""
-    return replace(plan, search=plans.SearchReport(chosen, 0, tuple(stages)),
+    design = replace(plan.design, boxes=tuple(plans.PlanBox(*box) for box in goals.boxes()))
+    return replace(plan, design=design, search=plans.SearchReport(chosen, 0, tuple(stages)),
                    verified_by=f"{plan.verified_by}{also}")  # fmt: skip
 
 

@@ -7,7 +7,7 @@ function createStage(canvas, data) {
   const points = blocks.flatMap(({ shape, at }) => {
     const { low, high } = shapes[shape];
     return [at.map((v, k) => v + low[k]), at.map((v, k) => v + high[k])];
-  }).concat(data.targets.flatMap(({ outline }) => outline));
+  }).concat(data.targets.flatMap(({ outline }) => outline), data.boxes.flatMap(({ low, high }) => [low, high]));
   const seen = data.arm ? [...points, ...data.arm.extent] : points;
   const view = createView(canvas, { points: seen, edge, floor: data.floor, fromRight: Boolean(data.arm), turn: data.arm?.turn });
   const roof = points.reduce((most, p) => Math.max(most, p[2]), -Infinity);
@@ -33,6 +33,7 @@ function createStage(canvas, data) {
   mesh.frustumCulled = edges.frustumCulled = false;
   view.scene.add(mesh, edges);
   for (const target of data.targets) addTarget(target);
+  for (const goal of data.boxes) addBox(goal);
   // An arm moves every block on its own; the mesh of all is for the layers then.
   const arm = data.arm
     ? createArm(data, { cube: box, coloured: view.coloured, colours: view.colours }) : null;
@@ -120,14 +121,34 @@ function createStage(canvas, data) {
       new THREE.MeshBasicMaterial({ transparent: true, opacity: 0.2, side: THREE.DoubleSide, depthWrite: false }), "accent"));
     film.renderOrder = 2;
     view.scene.add(film);
-    corners.forEach((a, k) => {
-      const b = corners[(k + 1) % corners.length], length = a.distanceTo(b);
-      const rod = new THREE.Mesh(new THREE.CylinderGeometry(edge / 40, edge / 40, length, 8),
-        view.coloured(new THREE.MeshBasicMaterial(), "accent"));
-      rod.position.copy(a).add(b).multiplyScalar(0.5);
-      rod.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), b.clone().sub(a).divideScalar(length));
-      view.scene.add(rod);
-    });
+    corners.forEach((a, k) => addRod(a, corners[(k + 1) % corners.length], "accent"));
+  }
+
+  function addRod(a, b, tone) {
+    const length = a.distanceTo(b);
+    const rod = new THREE.Mesh(new THREE.CylinderGeometry(edge / 40, edge / 40, length, 8),
+      view.coloured(new THREE.MeshBasicMaterial(), tone));
+    rod.position.copy(a).add(b).multiplyScalar(0.5);
+    rod.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), b.clone().sub(a).divideScalar(length));
+    view.scene.add(rod);
+  }
+
+  /* Goals and obstacles: a film over all sides of a box, or over a face, with its edges. */
+  function addBox({ what, low, high }) {
+    const tone = what === "obstacle" ? "bad" : "accent";
+    const size = high.map((v, k) => Math.max(v - low[k], edge / 100));
+    const film = new THREE.Mesh(new THREE.BoxGeometry(...size), view.coloured(
+      new THREE.MeshBasicMaterial({ transparent: true, opacity: 0.2, depthWrite: false }), tone));
+    film.position.set(...low.map((v, k) => (v + high[k]) / 2));
+    film.renderOrder = 2;
+    view.scene.add(film);
+    for (let from = 0; from < 8; from++) {
+      for (let k = 0; k < 3; k++) {
+        if (from & (1 << k) || high[k] - low[k] < edge / 100) continue;
+        const corner = (bits) => new THREE.Vector3(...low.map((v, n) => (bits & (1 << n) ? high[n] : v)));
+        addRod(corner(from), corner(from | (1 << k)), tone);
+      }
+    }
   }
 
   function box(half) {
