@@ -18,12 +18,14 @@ from learn2assemble.design.goals import Goals, parse_goals, read_goals
 from learn2assemble.errors import InputError
 from learn2assemble.physics.rigid_blocks import check
 from learn2assemble.planning.goals.network import load_guide, save_guide
-from learn2assemble.planning.goals.planner import plan_goals
+from learn2assemble.planning.goals.planner import plan_goals, prepare
 from learn2assemble.planning.goals.program import plan_program
 from learn2assemble.planning.goals.search import search
 from learn2assemble.planning.goals.tasks import (
     FAMILIES,
+    FIRST_FIXED_SEED,
     FIRST_TRAINING_SEED,
+    REFUTED,
     TRAINED,
     draw,
     draw_goals,
@@ -201,15 +203,37 @@ def test_environments_pass_the_checker_and_are_solved_by_the_search(name: str) -
     assert total == pytest.approx(2 - 0.05 * found.blocks)
 
 
-def test_fixed_tasks_are_as_many_as_asked_and_none_is_trained_on() -> None:
-    names = fixed_names()
+def bare(file: dict[str, Any]) -> str:
+    return json.dumps({**file, "name": ""})
+
+
+def test_fixed_tasks_are_as_many_as_asked_and_none_is_trained_or_tuned_on() -> None:
+    names, developed = fixed_names(), fixed_names(development=True)
     assert len(set(names)) == len(names) == 55
     assert sum(name.startswith("planar/") for name in names) == 30
     assert sum(name.startswith("spatial/") for name in names) == 20
-    assert all(int(n.split("/")[2]) < FIRST_TRAINING_SEED for n in names[:50])
-    files = [json.dumps({**fixed_file(name), "name": ""}) for name in names]
+    assert all(FIRST_FIXED_SEED <= int(n.split("/")[2]) < FIRST_TRAINING_SEED for n in names[:50])
+    assert all(int(n.split("/")[2]) < FIRST_FIXED_SEED for n in developed)
+    files = [bare(fixed_file(name)) for name in names + developed]
     assert len(set(files)) == len(files)
     assert len({name.split("/")[1] for name in names[:50]} - set(TRAINED)) == 4
+
+
+def test_no_fixed_task_was_left_out_because_it_is_hard() -> None:
+    """From the first seed on every one is there, or impossible, or the same as another."""
+    names, left_out = fixed_names()[:50], 0
+    seen = {bare(fixed_file(name)) for name in fixed_names(development=True)}
+    assert not set(REFUTED) & set(names)
+    for kind, family in sorted({tuple(name.split("/")[:2]) for name in names}):
+        mine = [int(n.split("/")[2]) for n in names if n.startswith(f"{kind}/{family}/")]
+        for seed in range(FIRST_FIXED_SEED, max(mine) + 1):
+            file = bare(draw(family, seed, kind == "spatial"))
+            if seed not in mine:
+                goals, left_out = draw_goals(family, seed, kind == "spatial"), left_out + 1
+                refuted = f"{kind}/{family}/{seed}" in REFUTED
+                assert goals is None or file in seen or refuted or prepare(goals)[1]
+            seen.add(file)
+    assert left_out == 9 + len(REFUTED)
 
 
 @pytest.mark.parametrize("name", [n for n in fixed_names() if n.startswith("impossible")])
@@ -243,9 +267,9 @@ def test_figures_count_what_was_measured() -> None:
     entries: dict[str, Any] = {name: {"status": "complete", "blocks": 6} for name in names}
     entries |= {n: {"status": "refused", "blocks": 0} for n in names if "/impossible/" in n}
     entries |= {n: {"status": "optimal", "blocks": 5} for n in names if n.startswith("optimum/")}
-    entries["learned/planar/arch/0"] = {"status": "incomplete", "blocks": 0}
+    entries["learned/planar/arch/20000"] = {"status": "incomplete", "blocks": 0}
     rows = {what: got for what, _, got in figures.summary(entries)}
-    assert rows["learned: planar tasks solved"] == "29 of 30; not: planar/arch/0"
+    assert rows["learned: planar tasks solved"] == "29 of 30; not: planar/arch/20000"
     assert rows["search: spatial tasks solved"].startswith("20 of 20")
     assert rows["program: impossible tasks"].startswith("0 complete, 5 of 5 refused")
     words = rows["learned: planar blocks by the optimum, where it is known"]
