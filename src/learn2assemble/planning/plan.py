@@ -86,8 +86,6 @@ class PlanDesign:
     """Height of a block of one cell."""
     targets: tuple[PlanTarget, ...] = ()
     """What the blocks of a task shall cover; a design says it in cells."""
-    boxes: tuple[PlanBox, ...] = ()
-    """Of goals: what has to be filled, reached or loaded, and what stays empty."""
     success_threshold: Share = 1.0
     """Delta: the target is filled when the coverage exceeds it."""
     shape: tuple[Count, Count, Count] | None = None
@@ -96,6 +94,8 @@ class PlanDesign:
     """Intersection over union of drawing and wanted cells."""
     volume_error: Annotated[float, Range(-1e6, 1e6)] | None = None
     """Volume of the wanted cells less that of the drawing, as a share of the latter."""
+    boxes: tuple[PlanBox, ...] = ()
+    """Of goals: what has to be filled, reached or loaded, and what stays empty."""
 
 
 @dataclass(frozen=True)
