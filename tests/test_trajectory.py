@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.errors import InputError
@@ -108,6 +108,7 @@ def test_a_stop_stays_on_the_path_within_the_limits(seed: int, share: float) -> 
     st.floats(0.05, 2), st.floats(0.2, 20), st.floats(2, 3000), st.floats(0.001, 1.0),
     st.floats(0.0, 1.0),
 )  # fmt: skip
+@example(1.0, 1 - 2**-53, 2.0, 1 - 2**-53, 0.0)  # two shapes of the profile meet
 @settings(max_examples=100, deadline=None)
 def test_speeds_within_reach_need_no_run_up(
     top: float, acceleration: float, jerk: float, way: float, share: float

@@ -225,12 +225,18 @@ def _profile(
         wanted.target_position, wanted.target_velocity = [end[0]], [end[1]]
     now = ([start[0]], [start[1]], [start[2]])
     wanted.current_position, wanted.current_velocity, wanted.current_acceleration = now
-    wanted.max_velocity, wanted.max_acceleration = [bounds.speed], [bounds.acceleration]
-    wanted.max_jerk = [bounds.jerk]
+    wanted.max_velocity, wanted.max_jerk = [bounds.speed], [bounds.jerk]
     found = ruckig.Trajectory(1)
-    if ruckig.Ruckig(1).calculate(wanted, found) != ruckig.Result.Working:
-        raise InputError("motion", str(wanted), "a motion within the limits of the path")
-    return found
+    # Where two shapes of the profile meet to the last bit Ruckig finds neither; a little less of
+    # the acceleration is clearly one of them.
+    for less in (0.0, 1e-9, 1e-6):
+        wanted.max_acceleration = [bounds.acceleration * (1 - less)]
+        try:
+            if ruckig.Ruckig(1).calculate(wanted, found) == ruckig.Result.Working:
+                return found
+        except ruckig.RuckigError:
+            continue
+    raise InputError("motion", str(wanted), "a motion within the limits of the path")
 
 
 def _sample(path: JointPath, parts: list[ruckig.Trajectory], step: float) -> Motion:
