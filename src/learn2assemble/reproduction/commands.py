@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import importlib
 import math
 import os
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -422,68 +424,51 @@ def _row(one: Comparison) -> tuple[object, ...]:
 # ---------------------------------------------------------------- designs
 
 
-def _figure_arguments(parser: argparse.ArgumentParser, out: str) -> None:
+def _figure_arguments(parser: argparse.ArgumentParser, out: str, workers: bool = True) -> None:
     add = parser.add_argument
     add("--out", type=Path, default=Path(out), help="file of the results")
     add("--only", default="", metavar="WORD", help="entries with this in their name")
     add("--again", action="store_true", help="also those that were measured before")
+    if workers:
+        add("--workers", type=count, default=1, help="entries measured at once")
+
+
+def _run_figures(
+    options: argparse.Namespace, output: Output, module: str, title: str, **extra: object
+) -> None:
+    """Measure the figures of a module of this room and print what was asked beside what came."""
+    figures = importlib.import_module(f"learn2assemble.reproduction.{module}")
+    _prepare(options.out.parent)
+    found = figures.measure(
+        options.out, only=options.only, again=options.again, progress=output.progress, **extra
+    )
+    rows = figures.summary(found["entries"])
+    output.table(title, ("what", "asked", "got"), rows)
+    output.finish({"rows": [list(row) for row in rows], "file": str(options.out)})
 
 
 def _designs_arguments(parser: argparse.ArgumentParser) -> None:
-    _figure_arguments(parser, "results/designs.json")
+    _figure_arguments(parser, "results/designs.json", workers=False)
     add = parser.add_argument
     add("--designs", type=Path, default=Path("examples/designs"), help="folder of the examples")
     add("--reference", type=Path, default=Path("../shared/reference"), help="recorded verdicts")
 
 
 def _run_designs(options: argparse.Namespace, output: Output) -> None:
-    from learn2assemble.reproduction.designs import measure, summary
-
-    _prepare(options.out.parent)
-    found = measure(
-        options.out, designs=options.designs if options.designs.is_dir() else None,
-        reference=options.reference, only=options.only, again=options.again,
-        progress=output.progress,
+    designs = options.designs if options.designs.is_dir() else None
+    _run_figures(
+        options, output, "designs", "figures of the exact planner and the check",
+        designs=designs, reference=options.reference,
     )  # fmt: skip
-    rows = summary(found["entries"])
-    output.table("figures of the exact planner and the check", ("what", "asked", "got"), rows)
-    output.finish({"rows": [list(row) for row in rows], "file": str(options.out)})
-
-
-def _builds_arguments(parser: argparse.ArgumentParser) -> None:
-    _figure_arguments(parser, "results/builds.json")
-    parser.add_argument("--workers", type=count, default=1, help="builds at once")
 
 
 def _run_builds(options: argparse.Namespace, output: Output) -> None:
-    from learn2assemble.reproduction.builds import measure, summary
-
-    _prepare(options.out.parent)
-    found = measure(
-        options.out, only=options.only, again=options.again, workers=options.workers,
-        progress=output.progress,
-    )  # fmt: skip
-    rows = summary(found["entries"])
-    output.table("figures of builds by an arm", ("what", "asked", "got"), rows)
-    output.finish({"rows": [list(row) for row in rows], "file": str(options.out)})
-
-
-def _goals_arguments(parser: argparse.ArgumentParser) -> None:
-    _figure_arguments(parser, "results/goals.json")
-    parser.add_argument("--workers", type=count, default=1, help="tasks at once")
+    _run_figures(options, output, "builds", "figures of builds by an arm", workers=options.workers)
 
 
 def _run_goals(options: argparse.Namespace, output: Output) -> None:
-    from learn2assemble.reproduction.goals import measure, summary
-
-    _prepare(options.out.parent)
-    found = measure(
-        options.out, only=options.only, again=options.again, workers=options.workers,
-        progress=output.progress,
-    )  # fmt: skip
-    rows = summary(found["entries"])
-    output.table("figures of goals without a drawing", ("what", "asked", "got"), rows)
-    output.finish({"rows": [list(row) for row in rows], "file": str(options.out)})
+    title = "figures of goals without a drawing"
+    _run_figures(options, output, "goals", title, workers=options.workers)
 
 
 def _train_goals_arguments(parser: argparse.ArgumentParser) -> None:
@@ -513,7 +498,8 @@ def _run_train_goals(options: argparse.Namespace, output: Output) -> None:
 _COMMANDS = {
     "measure-goals": Command(
         "measure the search for structures that meet goals, beside the exact program",
-        "l2a measure-goals --only planar/ --workers 2", _goals_arguments, _run_goals,
+        "l2a measure-goals --only planar/ --workers 2",
+        partial(_figure_arguments, out="results/goals.json"), _run_goals,
     ),
     "train-goals": Command(
         "train the network that guides this search", "l2a train-goals --out runs/goals",
@@ -521,7 +507,8 @@ _COMMANDS = {
     ),
     "measure-builds": Command(
         "measure builds by an arm: large ones, with noise, with faults",
-        "l2a measure-builds --only noise/ --workers 2", _builds_arguments, _run_builds,
+        "l2a measure-builds --only noise/ --workers 2",
+        partial(_figure_arguments, out="results/builds.json"), _run_builds,
     ),
     "measure-designs": Command(
         "measure the exact planner and the check on shapes and drawings",
