@@ -68,7 +68,7 @@ _ENVIRONMENTS = (
         vector_entry_point="learn2assemble.envs.assembly:AssemblyVectorEnv",
     )),
     (DESIGN_TASKS, partial(_register, entry_point="learn2assemble.envs.designs:DesignEnv")),
-    (GOAL_TASKS, partial(_register, entry_point="learn2assemble.envs.goals:GoalsEnv")),
+    (GOAL_TASKS, partial(_register, entry_point="learn2assemble.envs.designs:GoalsEnv")),
 )  # fmt: skip
 """Which environment plays the tasks of each table."""
 
