@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 
 from learn2assemble.errors import InputError
 from learn2assemble.evaluation.bench import build_wall
-from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.robot.arm import Arm, get_arm
-from learn2assemble.robot.dynamic.cell import DynamicCell, replay
+from learn2assemble.robot.dynamic.cell import DynamicCell
 from learn2assemble.robot.dynamic.execution import (
     ONE_SIDED,
     Execution,
@@ -24,9 +23,8 @@ from learn2assemble.robot.dynamic.execution import (
     check_rest,
 )
 from learn2assemble.robot.dynamic.model import TIMESTEP, take_order
-from learn2assemble.robot.dynamic.prepare import Failure, prepare
+from learn2assemble.robot.dynamic.prepare import Failure, WorldChecker, prepare
 from learn2assemble.robot.dynamic.simulation import Drives, Simulation, SimulationDivergedError
-from learn2assemble.robot.dynamic.transit import WorldChecker
 from learn2assemble.robot.grasps import Attitude, get_grasps
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import (
@@ -87,8 +85,7 @@ def test_a_way_home_is_sought_anew_where_a_block_is_in_it(panda: DynamicCell) ->
     far = scene([(0, 0, 0)], [(0, -4, 0), (0, 6, 0)])
     order = take_order(far, Move(1, cell(2, 0, 0), *AA))
     world = panda.world(order.objects)
-    course = prepare(PANDA, world, order, None, True, True)
-    assert course.home is not None
+    course = prepare(PANDA, world, order, None, True)
     above = course.home[0]
     sim = Simulation(PANDA, world, order.poses, order.names, order.target, above, OPENING, 10)
     run = Execution(sim, order, course, panda.limits, panda.loaded)
@@ -172,19 +169,12 @@ def test_a_wall_of_six(panda: DynamicCell) -> None:
 
 
 @pytest.mark.slow
-def test_a_wall_of_twenty_is_exact() -> None:
-    report = build_wall(DynamicCell(PANDA, finish="above"))
+def test_a_wall_of_twenty_is_exact(panda: DynamicCell) -> None:
+    report = build_wall(panda)
     assert [a.outcome for a in report.attempts] == [Outcome.REACHED] * 20
     assert report.errors.mean() <= 1e-3
     assert report.errors.max() <= 2e-3
     assert max(a.error for a in report.attempts) <= 2e-3
-
-
-def test_without_correction_what_slips_in_the_hand_stays_slipped(moved: Attempt) -> None:
-    """Within 2 mm even so, but worse."""
-    blind = DynamicCell(PANDA, correct=False).attempt(ONE, ON_TOP)
-    assert blind.reached
-    assert moved.error < blind.error < 2e-3
 
 
 @pytest.mark.parametrize(
@@ -379,41 +369,6 @@ def test_skipping_free_motion_changes_nothing_that_rests(moved: Attempt) -> None
     np.testing.assert_array_equal(before[-1], skipped[-1])
 
 
-def test_a_recording_played_open_loop_builds_the_same(panda: DynamicCell) -> None:
-    report = build_wall(panda, columns=2, rows=2)
-    world = take_wall(report.attempts)
-    turns = yaw_quaternion(world.yaw)
-    for done in report.attempts:
-        assert done.trajectory is not None
-        assert done.after is not None
-        world, turns = replay(panda, world, done.trajectory, turns)
-        k = done.after.num_placed
-        np.testing.assert_allclose(world.position[:k], done.after.position[:k], atol=1e-3)
-        world = world._replace(num_placed=k)
-
-
-def take_wall(attempts: list[Attempt]) -> Scene:
-    """The scene a wall began with; its cubes are taken in the order of the list."""
-    run = attempts[0].trajectory
-    assert run is not None
-    count = run.pose.shape[1]
-    return Scene(run.pose[0, :, :3].copy(), np.zeros(count), np.arange(count), 0)
-
-
-def test_a_recording_of_every_step_is_the_motion() -> None:
-    """At the full rate nothing is interpolated, so the result is the same to the last bit but for
-    the inertia, which the drives look up at the same times."""
-    every = DynamicCell(PANDA, sample_steps=1)
-    done = every.attempt(ONE, ON_TOP)
-    assert done.trajectory is not None
-    assert done.after is not None
-    assert_within_limits(PANDA, done.trajectory)
-    again, _ = replay(every, ONE, done.trajectory)
-    np.testing.assert_allclose(again.position, done.after.position, atol=2e-4)
-    with pytest.raises(InputError, match="two samples"):
-        replay(every, ONE, Trajectory(*(field[:1] for field in done.trajectory)))
-
-
 # ---------------------------------------------------------------- guards
 
 
@@ -455,9 +410,7 @@ def test_bad_questions_are_refused(panda: DynamicCell, change: dict, words: str)
         panda.attempt(asked.pop("scene"), asked.pop("move"), **asked)
 
 
-@pytest.mark.parametrize(
-    "bad", [{"speed": 0.0}, {"loaded_speed": 1.5}, {"finish": "anywhere"}, {"sample_steps": 0}]
-)
+@pytest.mark.parametrize("bad", [{"speed": 0.0}, {"speed": 1.5}, {"sample_steps": 0}])
 def test_bad_settings_are_refused(bad: dict) -> None:
     with pytest.raises(InputError, match=next(iter(bad))):
         DynamicCell(PANDA, **bad)

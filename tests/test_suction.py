@@ -14,12 +14,11 @@ import pytest
 import learn2assemble as l2a
 from learn2assemble.errors import InputError
 from learn2assemble.robot.arm import Arm, get_arm
-from learn2assemble.robot.dynamic.cell import DynamicCell, replay
+from learn2assemble.robot.dynamic.cell import DynamicCell
 from learn2assemble.robot.dynamic.cup import Load, Vacuum, peak_load
 from learn2assemble.robot.dynamic.model import free_cells, take_order
-from learn2assemble.robot.dynamic.prepare import Failure, prepare
+from learn2assemble.robot.dynamic.prepare import Failure, WorldChecker, prepare
 from learn2assemble.robot.dynamic.simulation import Simulation
-from learn2assemble.robot.dynamic.transit import WorldChecker
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.kinematic.cell import KinematicCell
 from learn2assemble.robot.kinematics import get_chain
@@ -328,7 +327,7 @@ def test_a_brick_is_lowered_into_a_slot_of_its_size(arm: object, gap: float) -> 
     assert again.error < 3e-4
 
 
-def test_a_recording_of_the_cup_gives_the_same_again() -> None:
+def test_a_recording_says_when_the_cup_holds() -> None:
     cell = DynamicCell(UR5E, sample_steps=1)
     world, place = field(5e-4, 4, BRICK)
     grasp = attitudes(UR5E, BRICK)[0]
@@ -343,9 +342,6 @@ def test_a_recording_of_the_cup_gives_the_same_again() -> None:
     assert grip is not None
     assert release is not None
     assert grip < release
-    after, _ = replay(cell, world, run)
-    assert found.after is not None
-    np.testing.assert_allclose(after.position, found.after.position, atol=1e-3)
 
 
 def assert_follows(arm: Arm, run: Trajectory) -> None:
@@ -516,7 +512,7 @@ def test_planned_ways_among_towers_touch_nothing_between_their_checks(name: str)
         asked = take_order(world, Move(8, target, hand, hand))
         model = cell.world(asked.objects)
         try:
-            course = prepare(arm, model, asked, None, True, True)
+            course = prepare(arm, model, asked, None, True)
         except Failure:
             continue
         checker = WorldChecker(arm, model, asked.poses, asked.names)

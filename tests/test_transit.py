@@ -12,11 +12,13 @@ from hypothesis import strategies as st
 from learn2assemble.robot.approach import JUMP, SPACING, ApproachPath, approach_path, approach_paths
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.dynamic.model import compile_world, take_order
-from learn2assemble.robot.dynamic.prepare import PRESS, Failure, prepare
-from learn2assemble.robot.dynamic.transit import (
+from learn2assemble.robot.dynamic.prepare import (
     KEEP,
+    PRESS,
     STRIDE,
+    Failure,
     WorldChecker,
+    prepare,
     straight_or_tree,
 )
 from learn2assemble.robot.grasps import Attitude, get_grasps
@@ -210,7 +212,7 @@ def test_a_course_crosses_above_everything(height: int) -> None:
     scene = tower(height)
     order = take_order(scene, Move(height, np.array([0.0, 0.15, 0.025]), *AA))
     world = compile_world(PANDA, order.objects.shape, 1.0)
-    course = prepare(PANDA, world, order, PANDA.home, True, True)
+    course = prepare(PANDA, world, order, PANDA.home, True)
     tops = [forward(get_chain(PANDA), q)[0][2] for q in (course.across[0], course.across[-1])]
     assert min(tops) > 0.05 * height + 0.025
     assert course.home is not None
@@ -225,4 +227,4 @@ def test_where_no_way_is_free_the_target_is_unreachable(monkeypatch: pytest.Monk
     order = take_order(tower(1), Move(1, np.array([0.0, 0.15, 0.025]), *AA))
     world = compile_world(PANDA, order.objects.shape, 1.0)
     with pytest.raises(Failure, match=r"unreachable \(cross\): no free way: link5 touches"):
-        prepare(PANDA, world, order, PANDA.home, True, True)
+        prepare(PANDA, world, order, PANDA.home, True)

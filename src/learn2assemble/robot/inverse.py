@@ -27,6 +27,7 @@ from learn2assemble.geometry.rotations import rotation_vector
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import (
     factorise,
+    fill_gram,
     fill_jacobian,
     forward_many,
     get_chain,
@@ -132,13 +133,7 @@ def _bounded_step(jac, error, rows, damping, pull, q, lower, upper, free, gram, 
             rest[i] = error[i]
             for k in range(n):
                 rest[i] -= jac[i, k] * (pull[k] if free[k] else step[k])
-            for j in range(i + 1):
-                total = 0.0
-                for k in range(n):
-                    if free[k]:
-                        total += jac[i, k] * jac[j, k]
-                gram[i, j] = total
-            gram[i, i] += damping
+        fill_gram(jac, rows, free, damping, gram)
         if not factorise(gram, rows):
             return False
         solve_factorised(gram, rows, rest)
@@ -175,7 +170,7 @@ def published_least_squares(
     position, rotation = np.empty(3), np.empty((3, 3))
     world, jac, gram = np.empty((6, n)), np.empty((6, n)), np.empty((6, 6))
     relative, turn, error = np.empty(3), np.empty((3, 3)), np.zeros(6)
-    size = np.inf
+    every, size = np.ones(n, np.bool_), np.inf
     for iteration in range(max_iterations + 1):
         tool_and_frames(chain, q, positions, rotations, position, rotation)
         for i in range(3):
@@ -202,12 +197,7 @@ def published_least_squares(
                 for j in range(3):
                     jac[i, k] += rotation[j, i] * world[j, k]
                     jac[3 + i, k] += rotation[j, i] * world[3 + j, k]
-        for i in range(rows):
-            for j in range(i + 1):
-                gram[i, j] = 0.0
-                for k in range(n):
-                    gram[i, j] += jac[i, k] * jac[j, k]
-            gram[i, i] += 1e-12
+        fill_gram(jac, rows, every, 1e-12, gram)
         if not factorise(gram, rows):
             return STALLED, size, iteration
         solve_factorised(gram, rows, error)
@@ -222,7 +212,6 @@ TOLERANCE = 1e-6
 SINGULAR_VALUE = 0.005
 """Below this smallest singular value of the Jacobian a configuration counts as singular: there is
 a direction in which 5 mm/s of the tool (or 5 mrad/s) cost a joint 1 rad/s."""
-MAX_ITERATIONS, PUBLISHED_ITERATIONS = 60, 1000
 RESTARTS = 16
 SINGULAR_RESTARTS = 4
 """How many more starts are tried once a singular solution is known."""
@@ -280,30 +269,7 @@ def ik_seeds(arm: Arm, branch: str | None = None) -> Seeds:
 
 
 @njit(cache=True)
-def solve_published(
-    chain, position, rotation, rows, max_iterations, joints, failure, error, iterations
-):
-    for k in range(position.shape[0]):
-        state, error[k], iterations[k] = published_least_squares(
-            chain, position[k], rotation[k], rows, TOLERANCE, max_iterations, joints[k]
-        )
-        failure[k] = _NONE if state == CONVERGED else _OPEN
-
-
-@njit(cache=True)
-def solve_all(
-    chain, lower, upper, posture, table, position, rotation, rows, max_iterations, restarts,
-    joints, failure, error, iterations,
-):  # fmt: skip
-    for k in range(position.shape[0]):
-        failure[k], error[k], iterations[k] = _solve_one(
-            chain, lower, upper, posture, table, position[k], rotation[k], rows, max_iterations,
-            restarts, joints[k],
-        )  # fmt: skip
-
-
-@njit(cache=True)
-def _solve_one(
+def _solve(
     chain, lower, upper, posture, table, position, rotation, rows, max_iterations, restarts, q
 ):
     """Leaves the solution in q, which holds the start."""
@@ -450,9 +416,6 @@ def _inside(q, lower, upper):
     return True
 
 
-__all__ = ["IKFailure", "Solution", "Solutions", "solve", "solve_many"]
-
-
 class Solution(NamedTuple):
     """Joints for a pose of the tool."""
 
@@ -466,24 +429,6 @@ class Solution(NamedTuple):
 
     @property
     def ok(self) -> bool:
-        return self.failure == IKFailure.NONE
-
-
-class Solutions(NamedTuple):
-    """Joints for m poses; see :class:`Solution`."""
-
-    joints: np.ndarray
-    """float64[m, n]."""
-    failure: np.ndarray
-    """int8[m] of :class:`IKFailure`."""
-    error: np.ndarray
-    """float64[m]."""
-    iterations: np.ndarray
-    """int64[m]."""
-
-    @property
-    def ok(self) -> np.ndarray:
-        """bool[m]."""
         return self.failure == IKFailure.NONE
 
 
@@ -515,64 +460,33 @@ def solve(
         InputError: where a shape is wrong, a number not finite or a matrix not a rotation.
         UnknownNameError: for a branch or method there is not.
     """
-    many = solve_many(
-        arm, np.asarray(position, float)[None],
-        None if rotation is None else np.asarray(rotation, float)[None], start,
-        branch=branch, method=method, max_iterations=max_iterations, restarts=restarts,
-    )  # fmt: skip
-    return Solution(
-        many.joints[0], IKFailure(int(many.failure[0])), float(many.error[0]),
-        int(many.iterations[0]),
-    )  # fmt: skip
-
-
-def solve_many(
-    arm: Arm,
-    position: np.ndarray,
-    rotation: np.ndarray | None,
-    start: np.ndarray | None = None,
-    *,
-    branch: str | None = None,
-    method: str = "limits",
-    max_iterations: int | None = None,
-    restarts: int = RESTARTS,
-) -> Solutions:
-    """:func:`solve` for float64[m, 3] and float64[m, 3, 3]; ``start`` for all or one for each."""
-    look_up("method", method, {"limits": None, "published": None})
-    n = len(arm.joints)
-    position = np.ascontiguousarray(position, float)
-    m = len(position)
-    _check("position", position, (m, 3))
+    most = look_up("method", method, {"limits": 60, "published": 1000})
+    most = most if max_iterations is None else max_iterations
+    position = _checked("position", position, 3)
     rows = 3 if rotation is None else 6
-    if rotation is None:
-        rotation = np.broadcast_to(np.eye(3), (m, 3, 3)).copy()
-    else:
-        rotation = np.ascontiguousarray(rotation, float)
-        _check("rotation", rotation, (m, 3, 3))
-        if np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max(initial=0) > 1e-6:
-            raise InputError("rotation", rotation.tolist(), "rotation matrices")
-    start = np.array(arm.home if start is None else start, float)
-    if start.ndim == 1:
-        start = np.broadcast_to(start, (m, len(start)))
-    _check("start", start, (m, n))
-    joints = np.array(start, order="C")
-    out = Solutions(joints, np.empty(m, np.int8), np.empty(m), np.empty(m, np.int64))
+    rotation = _checked("rotation", np.eye(3) if rotation is None else rotation, 3, 3)
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6:
+        raise InputError("rotation", rotation.tolist(), "a rotation matrix")
+    joints = _checked("start", arm.home if start is None else start, len(arm.joints))
     chain = get_chain(arm)
     if method == "published":
-        solve_published(
-            chain, position, rotation, rows,
-            PUBLISHED_ITERATIONS if max_iterations is None else max_iterations, *out,
-        )  # fmt: skip
+        state, error, iterations = published_least_squares(
+            chain, position, rotation, rows, TOLERANCE, most, joints
+        )
+        failure = _NONE if state == CONVERGED else _OPEN
     else:
         # Copies: a read-only array is another type, and would be compiled for anew.
         lower, upper = (limit.copy() for limit in arm.limits(branch))
-        solve_all(
+        failure, error, iterations = _solve(
             chain, lower, upper, arm.home.copy(), ik_seeds(arm, branch), position, rotation, rows,
-            MAX_ITERATIONS if max_iterations is None else max_iterations, restarts, *out,
+            most, restarts, joints,
         )  # fmt: skip
-    return out
+    return Solution(joints, IKFailure(failure), error, iterations)
 
 
-def _check(name: str, array: np.ndarray, shape: tuple[int, ...]) -> None:
+def _checked(name: str, values: np.ndarray, *shape: int) -> np.ndarray:
+    """A copy as float64 of this shape."""
+    array = np.array(values, float, order="C")
     if array.shape != shape or not np.isfinite(array).all():
         raise InputError(name, array.tolist(), f"{shape} finite numbers")
+    return array

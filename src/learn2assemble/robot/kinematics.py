@@ -53,15 +53,23 @@ def solve_factorised(factor, size, vector):
 
 
 @njit(cache=True)
-def smallest_singular_value(jacobian, rows):
-    """Of the first ``rows`` rows, by inverse iteration on J J^T; 0 where that is singular."""
-    gram = np.empty((6, 6))
+def fill_gram(jacobian, rows, free, damping, out):
+    """Fills the lower half of J J^T + damping I: J's first ``rows`` rows, its ``free`` columns."""
     for i in range(rows):
         for j in range(i + 1):
             total = 0.0
             for k in range(jacobian.shape[1]):
-                total += jacobian[i, k] * jacobian[j, k]
-            gram[i, j] = total
+                if free[k]:
+                    total += jacobian[i, k] * jacobian[j, k]
+            out[i, j] = total
+        out[i, i] += damping
+
+
+@njit(cache=True)
+def smallest_singular_value(jacobian, rows):
+    """Of the first ``rows`` rows, by inverse iteration on J J^T; 0 where that is singular."""
+    gram = np.empty((6, 6))
+    fill_gram(jacobian, rows, np.ones(jacobian.shape[1], np.bool_), 0.0, gram)
     if not factorise(gram, rows):
         return 0.0
     vector, size = np.empty(6), 1.0

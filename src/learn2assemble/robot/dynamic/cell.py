@@ -12,12 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from learn2assemble.errors import InputError
-from learn2assemble.geometry.rotations import cube_yaw
-from learn2assemble.physics.scene import rotation_matrix
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.dynamic.execution import (
     BLIND,
-    REST_TIME,
     Execution,
     ShiftRule,
     abandon,
@@ -33,14 +30,20 @@ from learn2assemble.robot.dynamic.model import (
     rigid_objects,
     take_order,
 )
-from learn2assemble.robot.dynamic.prepare import Failure, prepare, require_held, rest_pose
+from learn2assemble.robot.dynamic.prepare import (
+    Failure,
+    WorldChecker,
+    prepare,
+    require_held,
+    rest_pose,
+)
 from learn2assemble.robot.dynamic.simulation import Simulation
-from learn2assemble.robot.dynamic.trajectory import Limits, Motion, load_ruckig
-from learn2assemble.robot.dynamic.transit import WorldChecker
-from learn2assemble.robot.grasps import Attitude
-from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene, Trajectory
+from learn2assemble.robot.dynamic.trajectory import Limits, load_ruckig
+from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene
 from learn2assemble.world.blocks import FRICTION
 
+LOADED_SPEED = 0.6
+"""Share of the arm's speed that is used while the hand holds something."""
 _MAX_WORLDS = 32
 
 
@@ -51,11 +54,6 @@ class DynamicCell:
         arm: the robot.
         speed: share of the arm's speed that is used with an empty hand (acceleration and jerk
             follow).
-        loaded_speed: the same while the hand holds something.
-        correct: look where the object sits in the hand before lowering it, and correct the target
-            by that, as the published integral term does.
-        finish: ``home`` (or above it where something stands there), or ``above``: stay over the
-            target.
         recover: after a failure on the way, bring what is held back to where it was, and the arm
             home; else it stops, holding it.
         precheck: report an occupied target without moving; else the motion has to find it.
@@ -79,9 +77,6 @@ class DynamicCell:
         arm: Arm,
         *,
         speed: float = 0.8,
-        loaded_speed: float = 0.6,
-        correct: bool = True,
-        finish: str = "home",
         recover: bool = False,
         precheck: bool = True,
         skip_free_motion: bool = False,
@@ -90,19 +85,15 @@ class DynamicCell:
         sample_steps: int = 10,
         dump: Path | None = None,
     ) -> None:
-        for what, value in (("speed", speed), ("loaded_speed", loaded_speed)):
-            if not 0 < value <= 1:
-                raise InputError(what, value, "a share, above 0 and at most 1")
-        if finish not in ("home", "above"):
-            raise InputError("finish", finish, "home or above")
+        if not 0 < speed <= 1:
+            raise InputError("speed", speed, "a share, above 0 and at most 1")
         if sample_steps < 1:
             raise InputError("sample_steps", sample_steps, "1 or more")
         load_ruckig()
         self.arm = arm
         full = Limits(arm.velocity, arm.acceleration, arm.jerk)
-        self.limits, self.loaded = full.scaled(speed), full.scaled(loaded_speed)
-        self.correct, self.finish, self.recover = correct, finish, recover
-        self.precheck, self.skip_free_motion = precheck, skip_free_motion
+        self.limits, self.loaded = full.scaled(speed), full.scaled(LOADED_SPEED)
+        self.recover, self.precheck, self.skip_free_motion = recover, precheck, skip_free_motion
         self.shift_rule = shift_rule or ShiftRule()
         self.friction, self.sample_steps, self.dump = friction, sample_steps, dump
         self._worlds: OrderedDict[tuple[object, int], World] = OrderedDict()
@@ -138,9 +129,7 @@ class DynamicCell:
         try:
             if self.precheck:
                 require_held(self.arm, scene, move)
-            course = prepare(
-                self.arm, world, order, joints, self.finish == "home", self.precheck
-            )  # fmt: skip
+            course = prepare(self.arm, world, order, joints, self.precheck)
         except Failure as failure:
             return _report(order, order.poses, self.arm.home if joints is None else joints, failure)
         width = order.opening if self.arm.suction is None else 0.0
@@ -149,8 +138,7 @@ class DynamicCell:
             self.sample_steps, self.dump,
         )  # fmt: skip
         sim.contacts.upright = scene.half is not None
-        run = Execution(sim, order, course, self.limits, self.loaded)
-        run.correct, run.skip_free = self.correct, self.skip_free_motion
+        run = Execution(sim, order, course, self.limits, self.loaded, self.skip_free_motion)
         failure = None
         try:
             run.go()
@@ -224,68 +212,3 @@ def _report(
         "" if failure is None else failure.stage, "" if failure is None else failure.detail,
         after=after, quaternion=quaternion, error=float(error), joints=joints,
     )  # fmt: skip
-
-
-def replay(
-    cell: DynamicCell, scene: Scene, recorded: Trajectory, quaternion: np.ndarray | None = None
-) -> tuple[Scene, np.ndarray]:
-    """Send recorded joint positions, velocities and commands of the tool to the drives again.
-
-    Between two samples the joints follow the cubic that has their positions and velocities.
-
-    Args:
-        cell: the cell of the recording.
-        scene: as things were before it.
-        recorded: of an attempt.
-        quaternion: float64[n, 4] orientations of the cells where not all stand upright.
-
-    Returns:
-        the scene as it is afterwards, in the order it has before, and float64[n, 4] orientations
-        of its cells.
-
-    Raises:
-        InputError: where the recording has fewer than two samples.
-    """
-    if len(recorded.time) < 2:
-        raise InputError("trajectory", len(recorded.time), "two samples or more")
-    objects, poses, names = rigid_objects(scene, quaternion, _moved(scene, recorded))
-    world = cell.world(objects)
-    told = recorded.command if cell.arm.suction is not None else recorded.width
-    sim = Simulation(
-        cell.arm, world, poses, names, 0, recorded.joints[0], float(told[0]),
-        cell.sample_steps, cell.dump,
-    )  # fmt: skip
-    motion, widths, payloads = _every_step(recorded)
-    sim.run(motion, widths, "approach", BLIND, payloads)
-    sim.wait(round(REST_TIME / TIMESTEP), "home", BLIND._replace(until=sim.asleep))
-    position, turns, yaw = objects.cells(sim.poses)
-    return scene._replace(position=position, yaw=yaw), turns
-
-
-def _moved(scene: Scene, recorded: Trajectory) -> Move | None:
-    """What a recording moves, and where to; None where all objects are free anyway."""
-    if scene.half is None:
-        return None
-    way = np.linalg.norm(recorded.pose[-1, :, :3] - recorded.pose[0, :, :3], axis=1)
-    cell = int(np.argmax(way))
-    yaw = [cube_yaw(rotation_matrix(pose[cell, 3:])) for pose in recorded.pose[[0, -1]]]
-    target = recorded.pose[-1, cell, :3].copy()
-    return Move(cell, target, Attitude(yaw[0]), Attitude(yaw[1]))
-
-
-def _every_step(recorded: Trajectory) -> tuple[Motion, np.ndarray, np.ndarray]:
-    """Samples one simulation step apart, openings [m] and payloads [kg]."""
-    t = recorded.time
-    now = np.arange(1, round((t[-1] - t[0]) / TIMESTEP) + 1) * TIMESTEP + t[0]
-    k = np.clip(np.searchsorted(t, now - 1e-9) - 1, 0, len(t) - 2)
-    h = (t[k + 1] - t[k])[:, None]
-    u = (now - t[k])[:, None] / h
-    p, q = recorded.joints[k], recorded.joints[k + 1]
-    v, w = recorded.velocity[k] * h, recorded.velocity[k + 1] * h
-    # Cubic Hermite polynomial of positions p, q and slopes v, w.
-    c2, c3 = 3 * (q - p) - 2 * v - w, 2 * (p - q) + v + w
-    position = p + u * (v + u * (c2 + u * c3))
-    velocity = (v + u * (2 * c2 + u * 3 * c3)) / h
-    acceleration = (2 * c2 + u * 6 * c3) / h**2
-    widths, payloads = (np.interp(now, t, told) for told in (recorded.command, recorded.payload))
-    return Motion(np.zeros((len(now), 3)), position, velocity, acceleration), widths, payloads

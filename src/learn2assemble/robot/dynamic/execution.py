@@ -20,6 +20,7 @@ from learn2assemble.robot.dynamic.prepare import (
     PRESS,
     Course,
     Failure,
+    WorldChecker,
     free_way,
     leaving,
     rest_pose,
@@ -36,7 +37,6 @@ from learn2assemble.robot.dynamic.trajectory import (
     motion,
     reachable_speed,
 )
-from learn2assemble.robot.dynamic.transit import WorldChecker
 from learn2assemble.robot.kinematics import get_chain
 from learn2assemble.robot.moves import Outcome, carried
 
@@ -92,20 +92,15 @@ class Execution:
         course: how.
         limits: of the joints while the hand is empty.
         loaded: of the joints while it holds something.
+        skip_free: let time pass instead of simulating what the arm does far from everything.
     """
 
-    correct = True
-    """Look where the object sits in the hand before lowering it."""
-    skip_free = False
-    """Let time pass instead of simulating what the arm does far from everything."""
-
     def __init__(
-        self, sim: Simulation, order: Order, course: Course, limits: Limits, loaded: Limits
-    ) -> None:
+        self, sim: Simulation, order: Order, course: Course, limits: Limits, loaded: Limits,
+        skip_free: bool = False,
+    ) -> None:  # fmt: skip
         self.sim, self.order, self.course = sim, order, course
-        self.limits, self.loaded = limits, loaded
-        self.place, self.leave = course.plan.place, course.plan.leave
-        """The approach path over the target that is used, and that by which the hand leaves."""
+        self.limits, self.loaded, self.skip_free = limits, loaded, skip_free
         self.inside: ApproachPath | None = None
         """The approach path the hand is on; None where it travels."""
         self.segments_done = 0
@@ -126,19 +121,15 @@ class Execution:
         self.travel(course.there, "approach")
         self.grasp(course.plan.pick)
         self.carry(self.checked(course.across, "cross"))
-        if self.correct:
-            if self.order.scene.half is not None:
-                # What is seen shall be where it sits, not how it swings.
-                _check(
-                    sim.wait(_steps(CALM_TIME), "cross", LOADED), Outcome.PLACE_COLLISION, "cross"
-                )
-            self.place, self.leave = self.corrected()
-        self.lower(self.place, "place", LOADED, NEAR)
+        if self.order.scene.half is not None:
+            # What is seen shall be where it sits, not how it swings.
+            _check(sim.wait(_steps(CALM_TIME), "cross", LOADED), Outcome.PLACE_COLLISION, "cross")
+        place, leave = self.corrected()
+        self.lower(place, "place", LOADED, NEAR)
         self.release("release", NEAR)
-        self.inside = self.leave
+        self.inside = leave
         self.rise("retreat", NEAR)
-        if course.home is not None:
-            self.travel(self.checked(course.home, "home"), "home")
+        self.travel(self.checked(course.home, "home"), "home")
         self.settle(sim.stage)
 
     def checked(self, way: np.ndarray, stage: str) -> np.ndarray:

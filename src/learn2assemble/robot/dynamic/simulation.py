@@ -15,7 +15,7 @@ from numba import njit
 from learn2assemble.errors import Learn2AssembleError
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.dynamic.cup import Vacuum
-from learn2assemble.robot.dynamic.model import ARM, PAD, TABLE, TIMESTEP, CellState, World
+from learn2assemble.robot.dynamic.model import ARM, PAD, TABLE, TIMESTEP, World
 from learn2assemble.robot.dynamic.trajectory import (
     JointPath,
     Limits,
@@ -262,7 +262,7 @@ BLOCK = 10
 at once."""
 
 
-class Simulation(CellState):
+class Simulation:
     """One attempt in the making.
 
     Args:
@@ -290,8 +290,14 @@ class Simulation(CellState):
         sample_steps: int,
         dump: Path | None = None,
     ) -> None:
-        super().__init__(world, poses, target, joints, width)
-        self.arm, self.dump = arm, dump
+        self.arm, self.world, self.target, self.dump = arm, world, target, dump
+        self.model, self.data = world.model, mujoco.MjData(world.model)
+        self.poses = self.data.qpos[world.pose :].reshape(-1, 7)
+        """float64[b, 7]: poses of the objects now; a view."""
+        self.poses[:] = poses
+        if len(world.finger):
+            self.data.qpos[world.finger] = width / len(world.finger)
+        self.put_arm(joints)
         self.limits = Limits(arm.velocity, arm.acceleration, arm.jerk)
         """What brakes may use."""
         self.drives = Drives(arm, world, self.data)
@@ -307,6 +313,45 @@ class Simulation(CellState):
     def time(self) -> float:
         """Since the beginning [s]."""
         return self.steps * TIMESTEP
+
+    # ------------------------------------------------------------ state
+
+    def put_arm(self, joints: np.ndarray) -> None:
+        """The arm is at joints float64[n] [rad], at rest."""
+        d, joint = self.data, self.world.joint
+        d.qpos[joint], d.qvel[joint] = joints, 0.0
+        mujoco.mj_forward(self.model, d)
+
+    @property
+    def opening(self) -> float:
+        """Between the pads [m]."""
+        return float(self.data.qpos[self.world.finger].sum())
+
+    def tool(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pose of the tool float64[3] [m] and float64[3, 3], of the same instant as the objects
+        (a step leaves its own one behind)."""
+        mujoco.mj_kinematics(self.model, self.data)
+        d, tool = self.data, self.world.tool
+        return d.site_xpos[tool].copy(), d.site_xmat[tool].reshape(3, 3).copy()
+
+    def in_hand(self) -> np.ndarray:
+        """float64[3]: the target object in the tool frame [m]."""
+        position, rotation = self.tool()
+        return rotation.T @ (self.poses[self.target, :3] - position)
+
+    def asleep(self, besides: bool = False) -> bool:
+        """Whether every object rests, or every one but the target."""
+        rest = self.data.tree_asleep[self.world.tree :] >= 0
+        return bool(rest.all() or (besides and np.delete(rest, self.target).all()))
+
+    def speed(self, number: int) -> float:
+        """Of an object [m/s]."""
+        first = self.model.nv - 6 * (len(self.poses) - number)
+        return float(np.linalg.norm(self.data.qvel[first : first + 3]))
+
+    def mass(self, number: int) -> float:
+        """Of an object [kg]."""
+        return float(self.model.body_mass[self.world.first + number])
 
     # ------------------------------------------------------------ motion
 
