@@ -22,7 +22,7 @@ from gymnasium.vector import AutoresetMode
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from learn2assemble.envs import env_id, register_all, spaces
+from learn2assemble.envs import assembly, env_id, register_all
 from learn2assemble.envs.assembly import COLOURS, SCALE, AssemblyEnv, AssemblyVectorEnv
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.graph.features import Graph, connectivity
@@ -174,13 +174,13 @@ def test_vector_environments_can_be_pickled() -> None:
 @given(some_preset, st.data())
 def test_flat_actions_are_a_numbering(name: str, data) -> None:
     task = get_task(name)
-    action = data.draw(st.integers(0, spaces.num_flat_actions(task) - 1))
-    i, j, k = spaces.unflatten_action(task, action)
+    action = data.draw(st.integers(0, assembly.num_flat_actions(task) - 1))
+    i, j, k = assembly.unflatten_action(task, action)
     assert 0 <= i < task.num_nodes
     assert 0 <= j < task.num_nodes
     assert 0 <= k < task.num_actions
-    assert spaces.flatten_action(task, i, j, k) == action
-    pair = spaces.unflatten_action(task, np.array([action, 0]))
+    assert assembly.flatten_action(task, i, j, k) == action
+    pair = assembly.unflatten_action(task, np.array([action, 0]))
     assert [x.tolist() for x in pair] == [[i, 0], [j, 0], [k, 0]]
 
 
@@ -204,10 +204,10 @@ def test_masks_say_what_every_action_does(name: str, seed: int, steps: int) -> N
     assert len(flat) == unplaced * obs["num_placed"] * env.task.num_actions
     others = np.flatnonzero(~mask)
     worlds = env.state.take(np.zeros(len(others), np.int64))
-    assert spaces.resolve_actions(env.task, worlds, others)[1].all()
+    assert assembly.resolve_actions(env.task, worlds, others)[1].all()
 
     worlds = env.state.take(np.zeros(len(flat), np.int64))
-    actions, clipped = spaces.resolve_actions(env.task, worlds, flat)
+    actions, clipped = assembly.resolve_actions(env.task, worlds, flat)
     assert not clipped.any()
     some = np.linspace(0, len(flat) - 1, 6).astype(int)
     reached = env.simulator.step(worlds.take(some), actions[some]).verdict == Verdict.STABLE
@@ -216,7 +216,7 @@ def test_masks_say_what_every_action_does(name: str, seed: int, steps: int) -> N
     assert np.array_equal(verdict == Verdict.STABLE, stable[flat])
     assert not (reached & ~stable[flat][some]).any()
     assert env.task.has_arm or np.array_equal(reached, stable[flat][some])
-    i, j, k = spaces.unflatten_action(env.task, flat)
+    i, j, k = assembly.unflatten_action(env.task, flat)
     sizes = (obs["object_id"][i][:, None] == obs["object_id"][-unplaced:]).sum(1)
     assert np.array_equal(worlds.num_placed, obs["num_placed"] + sizes)
     placed = obs["num_placed"]
@@ -241,9 +241,9 @@ def test_illegal_nodes_are_clipped_like_the_published_code(seed: int, action: in
     obs, twin = last[0], copy.deepcopy(env)
     first = int(obs["num_targets"])
     middle, end = first + int(obs["num_placed"]), int(obs["num_nodes"])
-    i, j, k = spaces.unflatten_action(env.task, action)
+    i, j, k = assembly.unflatten_action(env.task, action)
     nearest = min(max(i, middle), end - 1), min(max(j, first), middle - 1), k
-    legal = spaces.flatten_action(env.task, *nearest)
+    legal = assembly.flatten_action(env.task, *nearest)
     assert last[-1]["action_masks"][legal]
     done, wanted = env.step(action), twin.step(legal)
     assert done[-1].pop("clipped") == (legal != action)
@@ -417,7 +417,9 @@ def test_without_autoreset_the_caller_resets() -> None:
     env.reset(seed=0)
     legal = [int(np.flatnonzero(mask)[0]) for mask in env.action_masks()]
     targets = env.state.num_targets[1]
-    into = spaces.flatten_action(env.task, env.task.num_nodes - 1, targets, RELATIONS.index("top"))
+    into = assembly.flatten_action(
+        env.task, env.task.num_nodes - 1, targets, RELATIONS.index("top")
+    )
     obs, _, _, _, _ = env.step([legal[0], into, legal[2]])
     inside = env.state.position[1, :2]  # next to the first block: free, but floating or standing
     assert np.allclose(inside[1] - inside[0], (0, 0, EDGE))
@@ -461,7 +463,7 @@ def test_the_text_shows_blocks_where_they_stand() -> None:
     for relation in ("right", "top", "front"):
         last = first + int(obs["num_placed"]) - 1
         k = RELATIONS.index(relation)
-        obs, *_ = env.step(spaces.flatten_action(env.task, env.task.num_nodes - 1, last, k))
+        obs, *_ = env.step(assembly.flatten_action(env.task, env.task.num_nodes - 1, last, k))
     # The fourth block floats in front of the third and hides it.
     body = env.render().splitlines()[1:]
     assert re.fullmatch("=+", body[-1])
@@ -498,10 +500,10 @@ def transcript(name: str) -> str:
         wanted = info["physics_mask"] if number <= 12 else 1 - info["physics_mask"]
         actions = rng.permutation(np.flatnonzero(wanted & info["action_masks"]))
         worlds = env.state.take(np.zeros(len(actions), np.int64))
-        triples, _ = spaces.resolve_actions(env.task, worlds, actions)
+        triples, _ = assembly.resolve_actions(env.task, worlds, actions)
         ahead = env.simulator.step(worlds, triples)
         action = int(actions[np.argmax(ahead.reward + ahead.success)])
-        i, j, k = spaces.unflatten_action(env.task, action)
+        i, j, k = assembly.unflatten_action(env.task, action)
         relation, way = divmod(k, env.task.rotations)
         turned = f" after {way} quarter turns" if way else ""
         if env.task.action_mode == "grips":

@@ -1,31 +1,158 @@
 """The environments of the tasks: one world, and many worlds stepped as one batch.
 
-Both are Gymnasium's words over :class:`Worlds`. Elevations are drawn without any GL, as text and as
-a small raster.
+Both are :class:`_Worlds` in Gymnasium's words. An action is the published triple (i, j, k): node
+index of the unplaced block to place, node index of the placed reference block, action. Spaces use
+its flat index ``a = (i * N + j) * Na + k``. Elevations are drawn without any GL, as text and as a
+small raster.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import gymnasium
 import numpy as np
+from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
+from numba import njit
 from numpy.typing import ArrayLike
 
-from learn2assemble.envs import spaces
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.geometry.coverage import NARROW, DepthFilter, clear_to_ground
 from learn2assemble.geometry.images import HALF_EXTENT, IMAGE_SIZE, ROWS, WORDS, project, to_pixels
+from learn2assemble.graph.features import NUM_FEATURES, POSITION
 from learn2assemble.physics.protocol import Physics, Verdict
 from learn2assemble.simulator import Simulator, Transition
 from learn2assemble.tasks import Task, get_task
 from learn2assemble.world.blocks import EDGE, HALF
 from learn2assemble.world.state import State
+
+WAITING_REACH = 1.25
+"""No waiting block and no target is farther from the origin than this along an axis [m]."""
+RENDER_MODES = ("ansi", "rgb_array")
+
+
+# ---------------------------------------------------------------- spaces and actions
+
+
+def num_flat_actions(task: Task) -> int:
+    """N * N * Na, the size of the flat action space and of both masks."""
+    return task.num_nodes * task.num_nodes * task.num_actions
+
+
+def observation_space(task: Task) -> spaces.Dict:
+    """The graph of one world; :func:`learn2assemble.graph.features.connectivity` needs no more.
+
+    ``nodes`` float32[N, 5]: x, y, z [m, world], placed and target flag (+-1). ``object_id``
+    int32[N]: object number; -1 - s for vertices of side s. ``num_targets``, ``num_placed``,
+    ``num_nodes``.
+    """
+    high = np.ones((task.num_nodes, NUM_FEATURES), np.float32)
+    # Every placement reaches at most one cell farther than the structure already did.
+    high[:, POSITION] = WAITING_REACH + task.pitch * task.max_blocks
+    count = task.num_nodes + 1
+    return spaces.Dict(
+        {
+            "nodes": spaces.Box(-high, high, dtype=np.float32),
+            "object_id": spaces.Box(
+                -task.num_sides, task.max_blocks - 1, (task.num_nodes,), np.int32
+            ),
+            "num_targets": spaces.Discrete(count),
+            "num_placed": spaces.Discrete(count),
+            "num_nodes": spaces.Discrete(count),
+        }
+    )
+
+
+def flatten_action(task: Task, i, j, k):
+    """(i, j, k) to the flat index; integers or arrays of one shape."""
+    return (i * task.num_nodes + j) * task.num_actions + k
+
+
+def unflatten_action(task: Task, action):
+    """Flat index to (i, j, k); an integer or an array."""
+    pair, k = divmod(action, task.num_actions)
+    i, j = divmod(pair, task.num_nodes)
+    return i, j, k
+
+
+# These two take single fields: handing a whole State to compiled code costs more than the work.
+@njit(cache=True)
+def _resolve(num_vertices, num_placed, num_blocks, flat, num_nodes, num_actions, actions, clipped):
+    for row in range(len(flat)):
+        targets = num_vertices[row].sum()
+        placed, blocks = num_placed[row], num_blocks[row]
+        pair = flat[row] // num_actions
+        i, j = pair // num_nodes - targets - placed, pair % num_nodes - targets
+        unplaced = max(min(i, blocks - placed - 1), 0)
+        reference = max(min(j, placed - 1), 0)
+        actions[row, 0], actions[row, 1] = unplaced, reference
+        actions[row, 2] = flat[row] % num_actions
+        clipped[row] = unplaced != i or reference != j
+
+
+@njit(cache=True)
+def _fill(num_vertices, num_placed, num_blocks, terminated, allowed, mask):
+    last = allowed.shape[1] - 1
+    for row in range(len(mask)):
+        if terminated[row]:
+            continue
+        targets = num_vertices[row].sum()
+        placed, blocks = num_placed[row], num_blocks[row]
+        for i in range(targets + placed, targets + blocks):
+            for j in range(placed):
+                for k in range(mask.shape[3]):
+                    mask[row, i, targets + j, k] = allowed[
+                        row, min(i - targets - placed, last), j, k
+                    ]
+
+
+def resolve_actions(task: Task, state: State, flat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Flat actions to what :meth:`Simulator.step` wants, clipped like the published code.
+
+    An i outside the unplaced nodes becomes the nearest of them, likewise j and the placed nodes.
+
+    Args:
+        flat: int64[B], each in ``0..N*N*Na-1``.
+
+    Returns:
+        int64[B, 3] (number of the unplaced block, number of the reference block, action) and
+        bool[B], where clipping changed the action.
+    """
+    actions = np.empty((len(flat), 3), np.int64)
+    clipped = np.empty(len(flat), np.bool_)
+    _resolve(
+        state.num_vertices, state.num_placed, state.num_blocks, flat,
+        task.num_nodes, task.num_actions, actions, clipped,
+    )  # fmt: skip
+    return actions, clipped
+
+
+def expand_mask(task: Task, state: State, allowed: np.ndarray) -> np.ndarray:
+    """A mask over placements as a mask over flat actions.
+
+    Args:
+        allowed: bool[B, M, Na] over (reference, action), where any unplaced block may go, or
+            bool[B, M, M, Na] over (unplaced block, reference, action); see
+            :meth:`Simulator.physics_mask`.
+
+    Returns:
+        bool[B, N * N * Na]; all False for worlds that have ended.
+    """
+    n = task.num_nodes
+    mask = np.zeros((state.batch_size, n, n, task.num_actions), np.bool_)
+    if allowed.ndim == 3:
+        allowed = allowed[:, None]
+    _fill(state.num_vertices, state.num_placed, state.num_blocks, state.terminated, allowed, mask)
+    return mask.reshape(state.batch_size, -1)
+
+
+# ---------------------------------------------------------------- drawings
+
 
 COLOURS = {
     "background": (255, 255, 255),
@@ -121,103 +248,50 @@ def _pixels(image: np.ndarray, column: int, row: int, pitch: float) -> np.ndarra
     return image[v0:v1, u0:u1]
 
 
-RENDER_MODES = ("ansi", "rgb_array")
+# ---------------------------------------------------------------- environments
 
 
-def check_render_mode(mode: str | None) -> str | None:
-    """``mode``, where it is None or a mode that exists.
-
-    Raises:
-        UnknownNameError: naming the nearest mode.
-    """
-    if mode is not None and mode not in RENDER_MODES:
-        raise UnknownNameError("render_mode", mode, RENDER_MODES)
-    return mode
-
-
-class Worlds:
-    """A batch of worlds of one task that takes flat actions and gives observations and infos.
-
-    Args:
-        task: the task, or the name of a preset.
-        physics: ``static``, ``rigid`` or a physics.
-        count: B, number of worlds.
-        physics_mask: whether infos carry ``physics_mask``.
-
-    Raises:
-        UnknownNameError: for a preset or physics that does not exist.
-    """
+class _Worlds:
+    """A batch of worlds of one task that takes flat actions and gives observations and infos."""
 
     def __init__(
-        self, task: Task | str, physics: str | Physics, count: int, physics_mask: bool
-    ) -> None:
+        self, task: Task | str, physics: str | Physics, count: int, physics_mask: bool,
+        render_mode: str | None,
+    ) -> None:  # fmt: skip
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise UnknownNameError("render_mode", render_mode, RENDER_MODES)
+        self.render_mode = render_mode
         self.task = get_task(task) if isinstance(task, str) else task
         self.simulator = Simulator(self.task, physics)
+        """For search and planning."""
         self.state = self.simulator.empty(count)
+        """All worlds; copy it before you change it."""
         self._physics_mask = physics_mask
+        self._started = False
+        self._ended = np.zeros(count, np.bool_)
 
-    def reset(self, row: int, rng: np.random.Generator) -> None:
+    def _begin(self, row: int, rng: np.random.Generator) -> None:
         """Draw a fresh problem into one world."""
         self.simulator.reset(self.state, np.array([row]), rng)
+        self._started, self._ended[row] = True, False
 
-    def place(self, flat: ArrayLike) -> tuple[Transition, np.ndarray]:
-        """Step every world that has not ended.
+    def _require_reset(self) -> None:
+        if not self._started:
+            raise ResetNeeded("call reset() first")
 
-        Args:
-            flat: integers[B], flat actions.
-
-        Returns:
-            what happened, and bool[B], where the action had to be clipped.
-
-        Raises:
-            InputError: for an action that is no integer of the action space.
-        """
-        actions, clipped = spaces.resolve_actions(self.task, self.state, self._checked(flat))
-        return self.simulator.step(self.state, actions), clipped
-
-    def observation(self) -> dict[str, np.ndarray]:
-        """Observations of all worlds."""
-        return spaces.observation(self.simulator.observe(self.state))
-
-    def action_masks(self) -> np.ndarray:
-        """bool[B, N * N * Na]: the legal actions."""
-        return spaces.legal_mask(self.task, self.state)
-
-    def info(self) -> dict[str, np.ndarray]:
-        """What is known of the state beside the observation; arrays over the worlds.
-
-        ``action_masks`` int8[B, N*N*Na]: legal, as ``action_space.sample`` wants it.
-        ``physics_mask`` int8[B, N*N*Na]: legal, free and stable by static physics; a help the
-        paper's agent does not have, never applied.
-        ``coverage`` and ``plane_coverage`` float64[B]: F_co and F_pl.
-        """
-        state = self.state
-        info = {"action_masks": self.action_masks().view(np.int8)}
-        if self._physics_mask:
-            stable = self.simulator.physics_mask(state)
-            info["physics_mask"] = spaces.expand_mask(self.task, state, stable).view(np.int8)
-        info["coverage"] = state.complete_coverage
-        info["plane_coverage"] = state.plane_coverage
-        return info
-
-    def step_info(self, transition: Transition, clipped: np.ndarray, row: int) -> dict[str, Any]:
-        """What is known of the step of one world: verdict name, success, clipped action."""
-        return {
-            "verdict": Verdict(transition.verdict[row]).name,
-            "success": bool(transition.success[row]),
-            "clipped": bool(clipped[row]),
-        }
-
-    def render(self, mode: str | None, row: int) -> Any:
-        """A drawing of one world: text (``ansi``), uint8[H, W, 3] (``rgb_array``) or None."""
-        if mode == "ansi":
-            return draw_text(self.state, self.simulator.frames, row, self.task.pitch)
-        if mode == "rgb_array":
-            return draw_image(self.state, row, self.simulator.depths)
-        return None
+    def _place(self, flat: ArrayLike) -> tuple[Transition, list[dict[str, Any]]]:
+        """Step every world that has not ended; what happened, and what infos say of it."""
+        actions, clipped = resolve_actions(self.task, self.state, self._checked(flat))
+        done = self.simulator.step(self.state, actions)
+        self._ended = done.terminated.copy()
+        columns = done.verdict.tolist(), done.success.tolist(), clipped.tolist()
+        return done, [
+            {"verdict": Verdict(verdict).name, "success": success, "clipped": changed}
+            for verdict, success, changed in zip(*columns, strict=True)
+        ]
 
     def _checked(self, flat: ArrayLike) -> np.ndarray:
-        count, size = self.state.batch_size, spaces.num_flat_actions(self.task)
+        count, size = self.state.batch_size, num_flat_actions(self.task)
         expected = f"{count} integer{'s' if count > 1 else ''} in 0..{size - 1}"
         try:
             array = np.asarray(flat)
@@ -228,18 +302,49 @@ class Worlds:
             raise InputError("action", array.tolist(), expected)
         return array.astype(np.int64)
 
+    def _observe(self) -> dict[str, np.ndarray]:
+        return self.simulator.observe(self.state)._asdict()
 
-class AssemblyEnv(gymnasium.Env[dict[str, Any], np.int64]):
+    def _legal(self) -> np.ndarray:
+        """bool[B, N * N * Na]: i unplaced, j placed, world not ended."""
+        self._require_reset()
+        shape = (self.state.batch_size, self.task.max_blocks, self.task.num_actions)
+        return expand_mask(self.task, self.state, np.ones(shape, np.bool_))
+
+    def _known(self) -> dict[str, np.ndarray]:
+        """What infos say of the state, see :class:`AssemblyEnv`; arrays over the worlds."""
+        state = self.state
+        info = {"action_masks": self._legal().view(np.int8)}
+        if self._physics_mask:
+            stable = self.simulator.physics_mask(state)
+            info["physics_mask"] = expand_mask(self.task, state, stable).view(np.int8)
+        info["coverage"] = state.complete_coverage
+        info["plane_coverage"] = state.plane_coverage
+        return info
+
+    def _draw(self, row: int) -> Any:
+        """A drawing of one world in the render mode; None without one."""
+        self._require_reset()
+        if self.render_mode == "ansi":
+            return draw_text(self.state, self.simulator.frames, row, self.task.pitch)
+        if self.render_mode == "rgb_array":
+            return draw_image(self.state, row, self.simulator.depths)
+        return None
+
+
+class AssemblyEnv(_Worlds, gymnasium.Env[dict[str, Any], np.int64]):
     """Place blocks until the target elevations are filled.
 
     Actions are flat indices of (i, j, k), observations graphs; see
-    :mod:`learn2assemble.envs.spaces`. Illegal i and j are clipped like in the published code, and
+    :func:`observation_space`. Illegal i and j are clipped like in the published code, and
     ``info["clipped"]`` says so. An episode ends with an invalid placement, the filled target or
     the last block; it is never truncated.
 
-    ``info``: ``action_masks``, ``physics_mask``, ``coverage``, ``plane_coverage``
-    (:meth:`Worlds.info`), and after a step ``verdict`` (name of a
-    :class:`~learn2assemble.physics.protocol.Verdict`), ``success`` and ``clipped``.
+    ``info``: ``action_masks`` int8[N*N*Na]: legal, as ``action_space.sample`` wants it;
+    ``physics_mask`` int8[N*N*Na]: legal, free and stable by static physics, a help the paper's
+    agent does not have, never applied; ``coverage`` and ``plane_coverage``: F_co and F_pl; and
+    after a step ``verdict`` (name of a :class:`~learn2assemble.physics.protocol.Verdict`),
+    ``success`` and ``clipped``.
 
     Args:
         task: the task, or the name of a preset.
@@ -260,31 +365,16 @@ class AssemblyEnv(gymnasium.Env[dict[str, Any], np.int64]):
         physics_mask: bool = True,
         render_mode: str | None = None,
     ) -> None:
-        self._worlds = Worlds(task, physics, 1, physics_mask)
-        self.task = self._worlds.task
-        self.render_mode = check_render_mode(render_mode)
-        self.observation_space = spaces.observation_space(self.task)
-        self.action_space = spaces.action_space(self.task)
-        self._started = False
-        self._ended = False
-
-    @property
-    def simulator(self):
-        """The simulator, for search and planning."""
-        return self._worlds.simulator
-
-    @property
-    def state(self):
-        """The world as a batch of one; copy it before you change it."""
-        return self._worlds.state
+        super().__init__(task, physics, 1, physics_mask, render_mode)
+        self.observation_space = observation_space(self.task)
+        self.action_space = spaces.Discrete(num_flat_actions(self.task))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Draw a fresh problem; ``seed`` restarts the random numbers. There are no options."""
         super().reset(seed=seed)
-        self._worlds.reset(0, self.np_random)
-        self._started, self._ended = True, False
+        self._begin(0, self.np_random)
         return self._observation(), self._info()
 
     def step(
@@ -297,17 +387,15 @@ class AssemblyEnv(gymnasium.Env[dict[str, Any], np.int64]):
             ResetNeeded: before the first reset and after the end of an episode.
         """
         self._require_reset()
-        if self._ended:
+        if self._ended[0]:
             raise ResetNeeded("the episode has ended: call reset() before step()")
-        transition, clipped = self._worlds.place(np.asarray(action)[None])
-        self._ended = bool(transition.terminated[0])
-        info = self._info() | self._worlds.step_info(transition, clipped, 0)
-        return self._observation(), float(transition.reward[0]), self._ended, False, info
+        done, (told,) = self._place(np.asarray(action)[None])
+        info = self._info() | told
+        return self._observation(), float(done.reward[0]), bool(done.terminated[0]), False, info
 
     def action_masks(self) -> np.ndarray:
         """bool[N * N * Na]: the legal actions, as maskable algorithms ask for them."""
-        self._require_reset()
-        return self._worlds.action_masks()[0]
+        return self._legal()[0]
 
     def render(self) -> Any:
         """The elevations in the render mode of the constructor; None without one.
@@ -315,24 +403,19 @@ class AssemblyEnv(gymnasium.Env[dict[str, Any], np.int64]):
         Raises:
             ResetNeeded: before the first reset.
         """
-        self._require_reset()
-        return self._worlds.render(self.render_mode, 0)
+        return self._draw(0)
 
     def _observation(self) -> dict[str, Any]:
-        return {key: value[0] for key, value in self._worlds.observation().items()}
+        return {key: value[0] for key, value in self._observe().items()}
 
     def _info(self) -> dict[str, Any]:
-        info: dict[str, Any] = {key: value[0] for key, value in self._worlds.info().items()}
+        info: dict[str, Any] = {key: value[0] for key, value in self._known().items()}
         for key in ("coverage", "plane_coverage"):
             info[key] = float(info[key])
         return info
 
-    def _require_reset(self) -> None:
-        if not self._started:
-            raise ResetNeeded("call reset() first")
 
-
-class AssemblyVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
+class AssemblyVectorEnv(_Worlds, VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
     """``num_envs`` worlds; world k seeded with s behaves like a single one seeded with s + k.
 
     Observations, rewards and infos equal those of Gymnasium's ``SyncVectorEnv`` over
@@ -354,11 +437,9 @@ class AssemblyVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - declared so by the base class
-        "render_modes": list(RENDER_MODES),
-        "render_fps": 2,
+        **AssemblyEnv.metadata,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
-    _STEP_KEYS: ClassVar[dict[str, Any]] = {"verdict": object, "success": bool, "clipped": bool}
 
     def __init__(
         self,
@@ -371,41 +452,23 @@ class AssemblyVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]
     ) -> None:
         if num_envs < 1:
             raise InputError("num_envs", num_envs, "1 or more")
-        self._worlds = Worlds(task, physics, num_envs, physics_mask)
-        self.task = self._worlds.task
+        super().__init__(task, physics, num_envs, physics_mask, render_mode)
         self.num_envs = num_envs
-        self.render_mode = check_render_mode(render_mode)
-        self.autoreset_mode = _autoreset_mode(autoreset_mode)
+        names = [mode.value for mode in AutoresetMode]
+        if not isinstance(autoreset_mode, AutoresetMode) and autoreset_mode not in names:
+            raise UnknownNameError("autoreset_mode", autoreset_mode, names)
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
-        self.single_observation_space = spaces.observation_space(self.task)
-        self.single_action_space = spaces.action_space(self.task)
+        self.single_observation_space = observation_space(self.task)
+        self.single_action_space = spaces.Discrete(num_flat_actions(self.task))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        pairs = [seeding.np_random() for _ in range(num_envs)]
-        self._generators, self._seeds = [g for g, _ in pairs], [s for _, s in pairs]
-        self._started = False
-        self._ended = np.zeros(num_envs, np.bool_)
+        self._seed([seeding.np_random() for _ in range(num_envs)])
 
-    @property
-    def simulator(self):
-        """The simulator, for search and planning."""
-        return self._worlds.simulator
-
-    @property
-    def state(self):
-        """All worlds; copy it before you change it."""
-        return self._worlds.state
-
-    # Gymnasium declares these two for one generator; every world here has its own.
-    @property
-    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
-        """The random number generator of every world."""
-        return tuple(self._generators)
-
-    @property
-    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
-        """The seed of every world."""
-        return tuple(self._seeds)
+    def _seed(self, pairs: list[tuple[np.random.Generator, int]]) -> None:
+        """Generator and seed of every world, where Gymnasium has one of each for all."""
+        self._pairs = pairs
+        self._np_random, self._np_random_seed = cast("Any", tuple(zip(*pairs, strict=True)))
 
     def reset(
         self,
@@ -423,15 +486,13 @@ class AssemblyVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]
             InputError: for a list of seeds or a mask of the wrong length.
         """
         seeds = _seeds(seed, self.num_envs)
-        rows = self._reset_rows(options)
-        for row in rows:
-            if seeds[row] is not None:
-                self._generators[row], self._seeds[row] = seeding.np_random(seeds[row])
-        self._restart(rows)
-        self._started = True
-        mask = np.zeros(self.num_envs, np.bool_)
-        mask[rows] = True
-        return self._worlds.observation(), self._infos(mask)
+        mask = self._reset_mask(options)
+        self._seed([
+            seeding.np_random(new) if chosen and new is not None else pair
+            for pair, new, chosen in zip(self._pairs, seeds, mask, strict=True)
+        ])  # fmt: skip
+        self._restart(mask)
+        return self._observe(), self._infos(mask)
 
     def step(
         self, actions: ArrayLike
@@ -449,93 +510,64 @@ class AssemblyVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]
         restarted = self._ended
         if self.autoreset_mode is AutoresetMode.DISABLED and restarted.any():
             raise ResetNeeded("some worlds have ended: reset them with options['reset_mask']")
-        transition, clipped = self._worlds.place(actions)
-        ended, final = transition.terminated, {}
-        self._ended = ended.copy()
+        done, told = self._place(actions)
+        ended, final = done.terminated, {}
         stepped = ~restarted
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
-            final = self._final(transition, clipped)
+            final = self._final(ended, told)
             restarted, stepped = ended, ~ended
-        self._restart(np.flatnonzero(restarted))
+        self._restart(restarted)
         infos = final | self._infos(np.ones(self.num_envs, np.bool_))
-        self._add_step(infos, transition, clipped, stepped)
+        for key, kind in ("verdict", object), ("success", bool), ("clipped", bool):
+            if stepped.any():
+                values = [one[key] if s else None for one, s in zip(told, stepped, strict=True)]
+                infos[key], infos[f"_{key}"] = np.array(values, kind), stepped.copy()
         truncated = np.zeros(self.num_envs, np.bool_)
-        return self._worlds.observation(), transition.reward, ended, truncated, infos
+        return self._observe(), done.reward, ended, truncated, infos
 
     def action_masks(self) -> np.ndarray:
         """bool[B, N * N * Na]: the legal actions; none for a world that has ended."""
-        self._require_reset()
-        return self._worlds.action_masks()
+        return self._legal()
 
     def render(self) -> tuple[Any, ...]:
         """The drawing of every world; see :class:`~learn2assemble.envs.assembly.AssemblyEnv`."""
-        self._require_reset()
-        return tuple(self._worlds.render(self.render_mode, row) for row in range(self.num_envs))
+        return tuple(map(self._draw, range(self.num_envs)))
 
-    def _restart(self, rows: np.ndarray) -> None:
-        for row in rows:
-            self._worlds.reset(int(row), self._generators[row])
-            self._ended[row] = False
+    def _restart(self, mask: np.ndarray) -> None:
+        for row in np.flatnonzero(mask).tolist():
+            self._begin(row, self._pairs[row][0])
 
-    def _reset_rows(self, options: dict[str, Any] | None) -> np.ndarray:
+    def _reset_mask(self, options: dict[str, Any] | None) -> np.ndarray:
         mask = (options or {}).get("reset_mask")
         if mask is None:
-            return np.arange(self.num_envs)
-        mask = np.asarray(mask)
+            return np.ones(self.num_envs, np.bool_)
+        mask = np.array(mask)
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
             expected = f"bool[{self.num_envs}] with at least one True"
             raise InputError("options['reset_mask']", mask.tolist(), expected)
         if not self._started:
             raise ResetNeeded("the first reset must reset every world")
-        return np.flatnonzero(mask)
+        return mask
 
     def _infos(self, present: np.ndarray) -> dict[str, Any]:
         """Infos of the state; ``_key`` says which worlds have the key, as Gymnasium does."""
         infos: dict[str, Any] = {}
-        for key, value in self._worlds.info().items():
+        for key, value in self._known().items():
             infos[key], infos[f"_{key}"] = value, present.copy()
         return infos
 
-    def _add_step(
-        self,
-        infos: dict[str, Any],
-        transition: Transition,
-        clipped: np.ndarray,
-        stepped: np.ndarray,
-    ) -> None:
-        if not stepped.any():
-            return
-        for key, kind in self._STEP_KEYS.items():
-            infos[key] = np.full(self.num_envs, None if kind is object else False, kind)
-            infos[f"_{key}"] = stepped.copy()
-        for row in np.flatnonzero(stepped):
-            for key, value in self._worlds.step_info(transition, clipped, int(row)).items():
-                infos[key][row] = value
-
-    def _final(self, transition: Transition, clipped: np.ndarray) -> dict[str, Any]:
+    def _final(self, ended: np.ndarray, told: list[dict[str, Any]]) -> dict[str, Any]:
         """``final_obs`` and ``final_info`` of the worlds that end with this step."""
         infos: dict[str, Any] = {}
-        rows = np.flatnonzero(transition.terminated)
-        if len(rows) == 0:
-            return infos
-        observations, info = self._worlds.observation(), self._worlds.info()
-        for row in rows:
-            last = {key: value[row] for key, value in info.items()}
-            last |= self._worlds.step_info(transition, clipped, int(row))
-            final = {key: value[row] for key, value in observations.items()}
-            self._add_info(infos, {"final_obs": final, "final_info": last}, int(row))
+        if ended.any():
+            observations, known = self._observe(), self._known()
+            for row in np.flatnonzero(ended).tolist():
+                final, last = (
+                    {key: value[row] for key, value in found.items()}
+                    for found in (observations, known)
+                )
+                self._add_info(infos, {"final_obs": final, "final_info": last | told[row]}, row)
         return infos
-
-    def _require_reset(self) -> None:
-        if not self._started:
-            raise ResetNeeded("call reset() first")
-
-
-def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
-    names = [m.value for m in AutoresetMode]
-    if not isinstance(mode, AutoresetMode) and mode not in names:
-        raise UnknownNameError("autoreset_mode", mode, names)
-    return AutoresetMode(mode)
 
 
 def _seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:

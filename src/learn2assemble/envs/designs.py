@@ -3,6 +3,7 @@ is filled or fixed goals are met."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Any, ClassVar
 
 import gymnasium
@@ -25,22 +26,22 @@ _MOST, _BLOCK_COST = 100.0, 0.05
 
 
 class _CandidateEnv(gymnasium.Env[dict[str, Any], np.int64]):
-    """Actions are numbers of the candidates offered; observations their features.
+    """Actions are numbers of the candidates offered.
 
-    Observations are ``candidates`` (one row each, zeros after the last), ``summary`` and ``mask``.
+    Observations are ``candidates`` (features, one row each, zeros after the last), ``summary`` and
+    ``mask``. A block that would not stand is not put down, and not offered again until another has
+    been.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "render_fps": 2}
 
-    def __init__(
-        self, most: int, num_features: int, num_summary: int, render_mode: str | None
-    ) -> None:
+    def __init__(self, most: int, features: Any, render_mode: str | None) -> None:
         if render_mode is not None:
             raise InputError("render_mode", render_mode, "none")
         self.render_mode = None
         self.observation_space = spaces.Dict({
-            "candidates": spaces.Box(-_MOST, _MOST, (most, num_features), np.float32),
-            "summary": spaces.Box(-_MOST, _MOST, (num_summary,), np.float32),
+            "candidates": spaces.Box(-_MOST, _MOST, (most, features.NUM_FEATURES), np.float32),
+            "summary": spaces.Box(-_MOST, _MOST, (features.NUM_SUMMARY,), np.float32),
             "mask": spaces.MultiBinary(most),
         })  # fmt: skip
         self.action_space = spaces.Discrete(most)
@@ -55,31 +56,76 @@ class _CandidateEnv(gymnasium.Env[dict[str, Any], np.int64]):
         """bool[max_candidates]: the actions that are offered."""
         return np.arange(self._most) < len(self._offered)
 
-    def _begun(self, action: np.int64 | int) -> World:
-        """The world to act on, after the checks that every step makes."""
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Begin anew; ``seed`` restarts the random numbers. There are no options."""
+        super().reset(seed=seed)
+        self._fallen, self._ended = set(), False
+        self.world = self._draw()
+        return self._observe(self.world), self._info(self.world, True)
+
+    def step(
+        self, action: np.int64 | int
+    ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
+        """Put down one block.
+
+        Raises:
+            InputError: for an action outside the action space.
+            ResetNeeded: before the first reset and after the end of an episode.
+        """
         if self.world is None or self._ended:
             raise ResetNeeded("call reset() before step()")
         if not self.action_space.contains(np.int64(action)):
             raise InputError("action", action, f"0 to {self._most - 1}")
-        return self.world
+        stood, reward = False, 0.0
+        if action < len(self._offered):
+            candidate = int(self._offered[action])
+            stood, reward = self._put(self.world, candidate)
+            self._fallen = set() if stood else self._fallen | {candidate}
+        observation = self._observe(self.world)
+        self._ended = self._over(self.world)
+        return observation, float(reward), self._ended, False, self._info(self.world, stood)
 
-    def _offer(self, candidates: np.ndarray, cost: np.ndarray) -> None:
-        """Offer the cheapest of these candidates."""
-        self._offered = candidates[np.argsort(cost, kind="stable")[: self._most]]
-
-    def _observation(self, rows: np.ndarray, summary: np.ndarray) -> dict[str, Any]:
+    def _observe(self, world: World) -> dict[str, Any]:
+        """Offer the cheapest candidates, and describe them."""
+        candidates, cost = self._candidates(world)
+        new = ~np.isin(candidates, list(self._fallen))
+        cheapest = np.argsort(cost[new], kind="stable")[: self._most]
+        self._offered = candidates[new][cheapest]
+        rows, summary = self._describe(world)
         padded = np.zeros((self._most, rows.shape[1]), np.float32)
         padded[: len(rows)] = np.clip(rows, -_MOST, _MOST)
         mask = self.action_masks().astype(np.int8)
         return {"candidates": padded, "summary": summary, "mask": mask}
 
+    def _over(self, world: World) -> bool:
+        return not len(self._offered)
+
+    @abstractmethod
+    def _draw(self) -> World:
+        """The world of a new episode."""
+
+    @abstractmethod
+    def _put(self, world: World, candidate: int) -> tuple[bool, float]:
+        """Put down a block in ``self.world``; whether it stood, and the reward."""
+
+    @abstractmethod
+    def _candidates(self, world: World) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers and costs of what may be put down."""
+
+    @abstractmethod
+    def _describe(self, world: World) -> tuple[np.ndarray, np.ndarray]:
+        """Features of what is offered, a row each, and the summary."""
+
+    @abstractmethod
+    def _info(self, world: World, stood: bool) -> dict[str, Any]: ...
+
 
 class DesignEnv(_CandidateEnv):
     """Build random designs with a known solution.
 
-    An action is the number of a candidate among those offered; legal ones come from below. A block
-    that would not stand is not put down, and not offered again until another has been. Observations
-    are ``candidates`` (features, one row each, zeros after the last), ``summary`` and ``mask``.
+    An action is the number of a candidate among those offered; legal ones come from below.
 
     The reward is the share of wanted cells newly filled, and 1 more for the finished design: the
     share is a potential, so it pays the same by whatever way, and half of every return is for the
@@ -94,63 +140,37 @@ class DesignEnv(_CandidateEnv):
 
     def __init__(self, task: DesignTask | str, render_mode: str | None = None) -> None:
         self.task = DESIGN_TASKS[task] if isinstance(task, str) else task
-        super().__init__(
-            self.task.max_candidates,
-            design_features.NUM_FEATURES,
-            design_features.NUM_SUMMARY,
-            render_mode,
-        )
+        super().__init__(self.task.max_candidates, design_features, render_mode)
         self.solved: Solved | None = None
         """The design with the solution that was found for it."""
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Draw a fresh design; ``seed`` restarts the random numbers. There are no options."""
-        super().reset(seed=seed)
+    def _draw(self) -> World:
         self.solved = make_design(self.task, self.np_random)
-        self.world, self._fallen, self._ended = World(self.solved.site), set(), False
-        return self._observe(), self._info(True)
+        return World(self.solved.site)
 
-    def step(
-        self, action: np.int64 | int
-    ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Put down one block.
-
-        Raises:
-            InputError: for an action outside the action space.
-            ResetNeeded: before the first reset and after the end of an episode.
-        """
-        world = self._begun(action)
-        before, stood = world.open, False
-        if action < len(self._offered):
-            candidate = int(self._offered[action])
-            stood = world.place(candidate, program=True)
-            self._fallen = set() if stood else self._fallen | {candidate}
+    def _put(self, world: World, candidate: int) -> tuple[bool, float]:
+        before = world.open
+        stood = world.place(candidate, program=True)
         reward = (before - world.open) / int(world.site.wanted.sum())
-        observation = self._observe()
-        self._ended = not len(self._offered)
-        return observation, reward + world.complete, self._ended, False, self._info(stood)
+        return stood, reward + world.complete
 
-    def _observe(self) -> dict[str, Any]:
-        assert self.world is not None
-        candidates = self.world.legal()
-        candidates = candidates[~np.isin(candidates, list(self._fallen))]
-        self._offer(candidates, self.world.site.found.origin[candidates, 2])
-        return self._observation(*design_features.describe(self.world, self._offered))
+    def _candidates(self, world: World) -> tuple[np.ndarray, np.ndarray]:
+        candidates = world.legal()
+        return candidates, world.site.found.origin[candidates, 2]
 
-    def _info(self, stood: bool) -> dict[str, Any]:
-        assert self.world is not None
+    def _describe(self, world: World) -> tuple[np.ndarray, np.ndarray]:
+        return design_features.describe(world, self._offered)
+
+    def _info(self, world: World, stood: bool) -> dict[str, Any]:
         assert self.solved is not None
-        total = int(self.world.site.wanted.sum())
         return {
             "action_masks": self.action_masks().astype(np.int8),
             "family": self.solved.family,
             "blocks": len(self.solved.order),
-            "coverage": 1 - self.world.open / total,
-            "open": self.world.open,
-            "stranded": len(self.world.stranded()),
-            "success": self.world.complete,
+            "coverage": 1 - world.open / int(world.site.wanted.sum()),
+            "open": world.open,
+            "stranded": len(world.stranded()),
+            "success": world.complete,
             "stood": stood,
         }
 
@@ -158,10 +178,7 @@ class DesignEnv(_CandidateEnv):
 class GoalsEnv(_CandidateEnv):
     """Invent a structure that meets fixed goals.
 
-    An action is the number of a candidate among those offered, the cheapest ways to a goal first. A
-    block that would not stand is not put down, and not offered again until another has been.
-    Observations are ``candidates`` (features, one row each, zeros after the last), ``summary`` and
-    ``mask``.
+    An action is the number of a candidate among those offered, the cheapest ways to a goal first.
 
     The reward is the share of the relaxed plan that a block saves (a potential), less 0.05 for
     every block, and 1 where all goals are met and all loads are borne, which ends the episode. It
@@ -177,68 +194,42 @@ class GoalsEnv(_CandidateEnv):
         self.task = GOAL_TASKS[task] if isinstance(task, str) else task
         self.yard = make_yard(fixed_goals(self.task.goals))
         self._look = Search(self.yard, None)
-        super().__init__(
-            self.task.max_candidates,
-            goal_features.NUM_FEATURES,
-            goal_features.NUM_SUMMARY,
-            render_mode,
-        )
+        super().__init__(self.task.max_candidates, goal_features, render_mode)
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin with nothing. There are no options, and nothing is random."""
-        super().reset(seed=seed)
-        self.world, self._ended = World(self.yard.site), False
-        self._relaxed = relax(self.yard, self.world)
+    def _draw(self) -> World:
+        world = World(self.yard.site)
+        self._relaxed = relax(self.yard, world)
         self._start = self._relaxed.blocks
-        self._fallen = set()
-        return self._observe(), self._info(True)
+        return world
 
-    def step(
-        self, action: np.int64 | int
-    ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Put down one block.
+    def _put(self, world: World, candidate: int) -> tuple[bool, float]:
+        grown, reward = put(world, candidate), 0.0
+        if grown is None:
+            return False, reward
+        before, self.world = self._relaxed.blocks, grown
+        self._relaxed = relax(self.yard, grown, self._relaxed.price)
+        if np.isfinite(self._relaxed.blocks):
+            reward = (before - self._relaxed.blocks) / self._start
+        return True, reward + (self._success(grown) - _BLOCK_COST)
 
-        Raises:
-            InputError: for an action outside the action space.
-            ResetNeeded: before the first reset and after the end of an episode.
-        """
-        world = self._begun(action)
-        grown, reward = None, 0.0
-        if action < len(self._offered):
-            grown = put(world, int(self._offered[action]))
-            self._fallen.add(int(self._offered[action]))
-        if grown is not None:
-            before, self.world, self._fallen = self._relaxed.blocks, grown, set()
-            self._relaxed = relax(self.yard, grown, self._relaxed.price)
-            if np.isfinite(self._relaxed.blocks):
-                reward = (before - self._relaxed.blocks) / self._start
-            reward += self._success() - _BLOCK_COST
-        observation = self._observe()
+    def _success(self, world: World) -> bool:
+        return self._relaxed.blocks == 0 and bears(self.yard, world)
+
+    def _over(self, world: World) -> bool:
         lost = not np.isfinite(self._relaxed.blocks) or not len(self._offered)
-        self._ended = bool(lost or self._success())
-        return observation, float(reward), self._ended, False, self._info(grown is not None)
+        return bool(lost or self._success(world))
 
-    def _success(self) -> bool:
-        assert self.world is not None
-        return self._relaxed.blocks == 0 and bears(self.yard, self.world)
+    def _candidates(self, world: World) -> tuple[np.ndarray, np.ndarray]:
+        children = legal(self.yard, world)
+        return children, self._relaxed.detour[children] - self._relaxed.used[children]
 
-    def _observe(self) -> dict[str, Any]:
-        assert self.world is not None
-        children = legal(self.yard, self.world)
-        children = children[~np.isin(children, list(self._fallen))]
-        detour = self._relaxed.detour[children] - self._relaxed.used[children]
-        self._offer(children, detour)
-        helps, _ = self._look.advice(self.world, self._relaxed, self._offered)
-        return self._observation(
-            *goal_features.describe(self.yard, self.world, self._relaxed, self._offered, helps)
-        )
+    def _describe(self, world: World) -> tuple[np.ndarray, np.ndarray]:
+        helps, _ = self._look.advice(world, self._relaxed, self._offered)
+        return goal_features.describe(self.yard, world, self._relaxed, self._offered, helps)
 
-    def _info(self, stood: bool) -> dict[str, Any]:
-        assert self.world is not None
+    def _info(self, world: World, stood: bool) -> dict[str, Any]:
         return {
             "action_masks": self.action_masks().astype(np.int8),
-            "blocks": len(self.world.placed), "missing": self._relaxed.blocks,
-            "success": self._success(), "stood": stood,
+            "blocks": len(world.placed), "missing": self._relaxed.blocks,
+            "success": self._success(world), "stood": stood,
         }  # fmt: skip
