@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 
 from learn2assemble.errors import InputError
 from learn2assemble.reproduction import builds
+from learn2assemble.reproduction.measured import measure
 
 
 def test_every_measurement_has_a_name_of_its_own() -> None:
@@ -19,9 +21,7 @@ def test_every_measurement_has_a_name_of_its_own() -> None:
     assert sum(name.startswith("noise/") for name in names) == builds.SEEDS * count == 160
 
 
-def test_what_was_measured_is_not_measured_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_was_measured_is_not_measured_again(tmp_path: Path) -> None:
     calls: list[str] = []
 
     def fake(name: str) -> dict[str, Any]:
@@ -30,14 +30,14 @@ def test_what_was_measured_is_not_measured_again(
             raise KeyboardInterrupt
         return {"status": "complete", "reason": None}
 
-    monkeypatch.setattr(builds, "entry", fake)
+    figures = replace(builds.FIGURES, entry=fake)
     out = tmp_path / "builds.json"
     with pytest.raises(KeyboardInterrupt):
-        builds.measure(out, only="pyramid.json/panda")
+        measure(figures, out, only="pyramid.json/panda")
     first = set(json.loads(out.read_text())["entries"])
     assert len(first) == 2
     calls[:] = [""] * 3
-    found = builds.measure(out, only="pyramid.json/panda")
+    found = measure(figures, out, only="pyramid.json/panda")
     assert not first & set(calls)
     assert set(found["entries"]) == {n for n in builds.names() if "pyramid.json/panda" in n}
     rows = builds.summary(found["entries"])
@@ -48,10 +48,10 @@ def test_other_files_are_not_overwritten(tmp_path: Path) -> None:
     out = tmp_path / "builds.json"
     out.write_text("{}")
     with pytest.raises(InputError, match="--out"):
-        builds.measure(out, only="pyramid")
+        measure(builds.FIGURES, out, only="pyramid")
     assert out.read_text() == "{}"
     with pytest.raises(InputError, match="--only"):
-        builds.measure(tmp_path / "new.json", only="pyramdi")
+        measure(builds.FIGURES, tmp_path / "new.json", only="pyramdi")
 
 
 @pytest.mark.slow

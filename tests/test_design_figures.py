@@ -16,6 +16,7 @@ from learn2assemble.planning.props import choose_props, unsupported
 from learn2assemble.planning.tiling import Tiling
 from learn2assemble.reproduction import designs as figures
 from learn2assemble.reproduction import shapes
+from learn2assemble.reproduction.measured import measure
 from test_tiling import LINTELS, SMALL, blocks_of, covers, designs
 
 
@@ -23,7 +24,7 @@ def test_entries_are_measured_once_and_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "designs.json"
-    call = ["measure-designs", "--out", str(out), "--designs", str(tmp_path), "--only", "/arch-4"]
+    call = ["measure-designs", "--out", str(out), "--only", "/arch-4"]
     assert main([*call, "--json"]) == 0
     rows = {what: got for what, _, got in json.loads(capsys.readouterr().out)["rows"]}
     assert rows["shapes built"] == "1 of 1; not: none"
@@ -34,12 +35,12 @@ def test_entries_are_measured_once_and_kept(
     assert set(before["entries"]) == {"shape/arch-4", "heap/arch-4", "proofs/arch-4"}
     assert before["configuration"]["seed"] == figures.SEED
     monkeypatch.setattr(figures, "shape_entry", lambda *_: pytest.fail("measured again"))
-    assert figures.measure(out, only="shape/arch-4") == before
+    assert measure(figures.FIGURES, out, only="shape/arch-4") == before
     with pytest.raises(InputError, match="--only"):
-        figures.measure(out, only="no such thing")
+        measure(figures.FIGURES, out, only="no such thing")
     out.write_text("{}")
     with pytest.raises(InputError, match="--out"):
-        figures.measure(out, only="shape/arch-4")
+        measure(figures.FIGURES, out, only="shape/arch-4")
     assert out.read_text() == "{}"
 
 

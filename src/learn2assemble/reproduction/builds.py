@@ -22,10 +22,9 @@ from learn2assemble.planning.construct import DEFAULT_KIT, plan_cells
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.workcell import Disturbance
 from learn2assemble.planning.workcell_plan import Workcell, carry_out_cells
-from learn2assemble.reproduction import measured, shapes
-from learn2assemble.reproduction.measured import Result
+from learn2assemble.reproduction import shapes
+from learn2assemble.reproduction.measured import Figures, Result
 
-FORMAT = "learn2assemble-build-figures"
 EXAMPLES = Path("examples/designs")
 DESIGNS = (
     "arch_pair.json", "gabled_house.json", "gate.svg", "keep.json", "pavilion.json",
@@ -64,19 +63,12 @@ def names() -> list[str]:
     return found
 
 
-def measure(
-    out: Path, *, only: str = "", again: bool = False, workers: int = 1,
-    progress: Callable[[str], None] = lambda text: None,
-) -> Result:  # fmt: skip
-    """Builds by an arm, see :func:`learn2assemble.reproduction.measured.measure`."""
-    configuration = {
+def configuration() -> Result:
+    """The disturbances of the entries ``noise``."""
+    return {
         "supply_mm": 1.0, "supply_deg": 1.0, "friction_share": 0.2, "mass_share": 0.1,
         "sensing_mm": 1e3 * SENSING,
     }  # fmt: skip
-    return measured.measure(
-        out, FORMAT, entry, names(), configuration=configuration, only=only, again=again,
-        workers=workers, progress=progress,
-    )  # fmt: skip
 
 
 def entry(name: str) -> Result:
@@ -205,3 +197,6 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
                         default=0.0)  # fmt: skip
             rows.append(("blocks of exported programs off by", "2 mm", f"{1e3 * worst:.2f} mm"))
     return rows
+
+
+FIGURES = Figures("learn2assemble-build-figures", names, entry, configuration, summary)

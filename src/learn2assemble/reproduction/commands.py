@@ -8,7 +8,6 @@ import importlib
 import math
 import os
 from collections import Counter
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -244,13 +243,11 @@ def _curves_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run_scaling(options: argparse.Namespace, output: Output) -> None:
-    from learn2assemble.reproduction import curves, measured
+    from learn2assemble.reproduction import curves
+    from learn2assemble.reproduction.measured import measure
 
     _prepare(options.out)
-    found = measured.measure(
-        options.out / "decisions.json", "learn2assemble-decisions", curves.decision_time,
-        curves.timed_names(), configuration={"worlds": curves.TIMED_WORLDS}, progress=output.say,
-    )  # fmt: skip
+    found = measure(curves.TIMES, options.out / "decisions.json", progress=output.say)
     rows = curves.load_scaled(options.out.parent, found["entries"])
     path: Path = options.out / f"{curves.SIZES}.png"
     curves.write_curves(
@@ -421,54 +418,33 @@ def _row(one: Comparison) -> tuple[object, ...]:
     )  # fmt: skip
 
 
-# ---------------------------------------------------------------- designs
+# ---------------------------------------------------------------- figures
 
 
-def _figure_arguments(parser: argparse.ArgumentParser, out: str, workers: bool = True) -> None:
-    add = parser.add_argument
-    add("--out", type=Path, default=Path(out), help="file of the results")
-    add("--only", default="", metavar="WORD", help="entries with this in their name")
-    add("--again", action="store_true", help="also those that were measured before")
-    if workers:
+def _figures(module: str, title: str, help: str, example: str) -> Command:
+    """The command that measures the figures of a module and prints what was asked beside them."""
+
+    def arguments(parser: argparse.ArgumentParser) -> None:
+        add = parser.add_argument
+        add("--out", type=Path, default=Path(f"results/{module}.json"), help="file of the results")
+        add("--only", default="", metavar="WORD", help="entries with this in their name")
+        add("--again", action="store_true", help="also those that were measured before")
         add("--workers", type=count, default=1, help="entries measured at once")
 
+    def run(options: argparse.Namespace, output: Output) -> None:
+        from learn2assemble.reproduction.measured import measure
 
-def _run_figures(
-    options: argparse.Namespace, output: Output, module: str, title: str, **extra: object
-) -> None:
-    """Measure the figures of a module of this room and print what was asked beside what came."""
-    figures = importlib.import_module(f"learn2assemble.reproduction.{module}")
-    _prepare(options.out.parent)
-    found = figures.measure(
-        options.out, only=options.only, again=options.again, progress=output.progress, **extra
-    )
-    rows = figures.summary(found["entries"])
-    output.table(title, ("what", "asked", "got"), rows)
-    output.finish({"rows": [list(row) for row in rows], "file": str(options.out)})
+        figures = importlib.import_module(f"learn2assemble.reproduction.{module}").FIGURES
+        _prepare(options.out.parent)
+        found = measure(
+            figures, options.out, only=options.only, again=options.again, workers=options.workers,
+            progress=output.progress,
+        )  # fmt: skip
+        rows = figures.summary(found["entries"])
+        output.table(title, ("what", "asked", "got"), rows)
+        output.finish({"rows": [list(row) for row in rows], "file": str(options.out)})
 
-
-def _designs_arguments(parser: argparse.ArgumentParser) -> None:
-    _figure_arguments(parser, "results/designs.json", workers=False)
-    add = parser.add_argument
-    add("--designs", type=Path, default=Path("examples/designs"), help="folder of the examples")
-    add("--reference", type=Path, default=Path("../shared/reference"), help="recorded verdicts")
-
-
-def _run_designs(options: argparse.Namespace, output: Output) -> None:
-    designs = options.designs if options.designs.is_dir() else None
-    _run_figures(
-        options, output, "designs", "figures of the exact planner and the check",
-        designs=designs, reference=options.reference,
-    )  # fmt: skip
-
-
-def _run_builds(options: argparse.Namespace, output: Output) -> None:
-    _run_figures(options, output, "builds", "figures of builds by an arm", workers=options.workers)
-
-
-def _run_goals(options: argparse.Namespace, output: Output) -> None:
-    title = "figures of goals without a drawing"
-    _run_figures(options, output, "goals", title, workers=options.workers)
+    return Command(help, example, arguments, run)
 
 
 def _train_goals_arguments(parser: argparse.ArgumentParser) -> None:
@@ -496,23 +472,24 @@ def _run_train_goals(options: argparse.Namespace, output: Output) -> None:
 
 
 _COMMANDS = {
-    "measure-goals": Command(
+    "measure-goals": _figures(
+        "goals", "figures of goals without a drawing",
         "measure the search for structures that meet goals, beside the exact program",
         "l2a measure-goals --only planar/ --workers 2",
-        partial(_figure_arguments, out="results/goals.json"), _run_goals,
     ),
     "train-goals": Command(
         "train the network that guides this search", "l2a train-goals --out runs/goals",
         _train_goals_arguments, _run_train_goals,
     ),
-    "measure-builds": Command(
+    "measure-builds": _figures(
+        "builds", "figures of builds by an arm",
         "measure builds by an arm: large ones, with noise, with faults",
         "l2a measure-builds --only noise/ --workers 2",
-        partial(_figure_arguments, out="results/builds.json"), _run_builds,
     ),
-    "measure-designs": Command(
+    "measure-designs": _figures(
+        "designs", "figures of the exact planner and the check",
         "measure the exact planner and the check on shapes and drawings",
-        "l2a measure-designs --only shape/", _designs_arguments, _run_designs,
+        "l2a measure-designs --only shape/ --workers 2",
     ),
     "table": Command(
         "measure a table of the paper and print it beside the paper's numbers", "l2a table T2",

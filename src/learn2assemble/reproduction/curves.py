@@ -27,6 +27,7 @@ from learn2assemble.files import write_file
 from learn2assemble.networks.agent import agent_files, one_thread
 from learn2assemble.planning.world_model import lookahead_actions
 from learn2assemble.reproduction.cells import make_cell_policy, row_cells
+from learn2assemble.reproduction.measured import Figures
 from learn2assemble.reproduction.report import load_table
 from learn2assemble.reproduction.tables import Condition, Row, get_table
 from learn2assemble.simulator import Simulator
@@ -282,6 +283,11 @@ def decision_time(name: str) -> dict[str, float]:
             policy(state, rng)
             rounds += 1
     return {"ms": round(1000 * spent / (rounds * state.batch_size), 4)}
+
+
+TIMES = Figures(
+    "learn2assemble-decisions", timed_names, decision_time, lambda: {"worlds": TIMED_WORLDS}
+)
 
 
 _COLOURS = (ACCENT, "#d9480f", "#5f3dc4", "#2b8a3e", "#e67700", INK)

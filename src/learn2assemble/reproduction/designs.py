@@ -13,6 +13,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -26,10 +27,10 @@ from learn2assemble.planning.construct import plan_cells
 from learn2assemble.planning.exact import plan_exact
 from learn2assemble.planning.ordering import TIGHT, Ordering, to_assembly
 from learn2assemble.planning.tiling import Tiling, cover, find_candidates, seams_bridged
-from learn2assemble.reproduction import measured, shapes
-from learn2assemble.reproduction.measured import Result
+from learn2assemble.reproduction import shapes
+from learn2assemble.reproduction.measured import Figures, Result
 
-FORMAT = "learn2assemble-design-figures"
+EXAMPLES, REFERENCE = Path("examples/designs"), Path("../shared/reference")
 KIT, SEED, SECONDS, FRICTION = "bricks-lintels", 0, 120.0, 0.5
 LARGE: dict[str, tuple[Callable[[], np.ndarray], float]] = {
     "dome of about 100 blocks": (lambda: shapes.dome(7, 2.5), 2.0),
@@ -54,45 +55,40 @@ PREFIXES, SIMULATED = 6, 60
 """Random states of a shape that another solver judges; most blocks of one that is simulated."""
 
 
-def measure(
-    out: Path, *, designs: Path | None = None, reference: Path | None = None,
-    only: str = "", again: bool = False, progress: Callable[[str], None] = lambda text: None,
-) -> Result:  # fmt: skip
-    """The exact planner and the check, see
-    :func:`learn2assemble.reproduction.measured.measure`.
-
-    Args:
-        designs: folder of the examples; their entries are left out without it.
-        reference: folder with ``masonry.jsonl.gz``; likewise.
-    """
-    jobs = measurements(designs, reference)
-    plan_exact(np.ones((3, 1, 2), bool), load_kit(KIT))  # compiles
-    return measured.measure(
-        out, FORMAT, lambda name: jobs[name](), list(jobs),
-        configuration={
-            "kit": KIT, "seed": SEED, "seconds_limit": SECONDS, "friction": FRICTION,
-        },
-        only=only, again=again, progress=progress,
-    )  # fmt: skip
-
-
-def measurements(designs: Path | None, reference: Path | None) -> dict[str, Callable[[], Result]]:
-    """Every measurement by name."""
+@cache
+def _kit() -> Kit:
+    """The kit of all shapes; a first plan with it compiles."""
     kit = load_kit(KIT)
-    jobs: dict[str, Callable[[], Result]] = {}
-    for name, make in shapes.SHAPES.items():
-        jobs[f"shape/{name}"] = lambda make=make: shape_entry(make(), kit)
-        jobs[f"heap/{name}"] = lambda make=make: heap_entry(make(), kit)
-        jobs[f"proofs/{name}"] = lambda make=make: proof_entry(make(), kit)
-    for name, (make, asked) in LARGE.items():
-        jobs[f"large/{name}"] = lambda make=make, asked=asked: large_entry(make(), kit, asked)
-    for path in [designs / name for name in DRAWN] if designs is not None else ():
-        jobs[f"drawn/{path.name}"] = lambda path=path: drawn_entry(path)
-    jobs["check/wall of 1,000 blocks"] = lambda: wall_entry(kit)
-    if reference is not None and (reference / "masonry.jsonl.gz").exists():
-        jobs["check/masonry"] = lambda: masonry_entry(reference / "masonry.jsonl.gz")
-        jobs["check/armadillo"] = lambda: armadillo_entry(reference / "masonry_armadillo.json.gz")
-    return jobs
+    plan_exact(np.ones((3, 1, 2), bool), kit)
+    return kit
+
+
+def names() -> list[str]:
+    """Every measurement: kind / design. Drawings and recorded verdicts where their files are."""
+    found = [f"{kind}/{name}" for name in shapes.SHAPES for kind in ("shape", "heap", "proofs")]
+    found += [f"large/{name}" for name in LARGE]
+    found += [f"drawn/{name}" for name in DRAWN if EXAMPLES.is_dir()]
+    return found + [f"check/{name}" for name, (file, _) in CHECKS.items() if file.exists()]
+
+
+def configuration() -> Result:
+    """Kit and limits."""
+    return {"kit": KIT, "seed": SEED, "seconds_limit": SECONDS, "friction": FRICTION}
+
+
+def entry(name: str) -> Result:
+    """One measurement by its name."""
+    kind, _, what = name.partition("/")
+    if kind == "drawn":
+        return drawn_entry(EXAMPLES / what)
+    if kind == "check":
+        file, check = CHECKS[what]
+        return check(file)
+    if kind == "large":
+        make, asked = LARGE[what]
+        return large_entry(make(), _kit(), asked)
+    measure = {"shape": shape_entry, "heap": heap_entry, "proofs": proof_entry}[kind]
+    return measure(shapes.SHAPES[what](), _kit())
 
 
 # ---------------------------------------------------------------- entries
@@ -266,9 +262,9 @@ def drawn_entry(path: Path) -> Result:
     }  # fmt: skip
 
 
-def wall_entry(kit: Kit) -> Result:
+def wall_entry(_: Path) -> Result:
     """The check of a wall in bond, of 1,000 blocks of 1x2."""
-    wanted = np.ones((50, 1, 40), bool)
+    wanted, kit = np.ones((50, 1, 40), bool), _kit()
     pair = replace(kit, kinds=tuple(k for k in kit.kinds if k.name in ("1x1", "1x2")))
     tiling, _ = plan_exact(wanted, pair, seconds=SECONDS)
     return _checked(to_assembly(tiling, None, pair))
@@ -321,6 +317,14 @@ def armadillo_entry(path: Path) -> Result:
     """The check of 399 blocks with warped faces."""
     ((_, assembly),) = _masonry(path)
     return _checked(assembly)
+
+
+CHECKS: dict[str, tuple[Path, Callable[[Path], Result]]] = {
+    "wall of 1,000 blocks": (Path(), wall_entry),
+    "masonry": (REFERENCE / "masonry.jsonl.gz", masonry_entry),
+    "armadillo": (REFERENCE / "masonry_armadillo.json.gz", armadillo_entry),
+}
+"""The file of verdicts a check is held against, and the check."""
 
 
 # ---------------------------------------------------------------- in words
@@ -394,3 +398,6 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
             row(f"check: {name}", "<= 10 s", f"{entry['seconds']:.1f} s,",
                 f"{entry['blocks']} blocks, {entry['verdict']}")  # fmt: skip
     return rows
+
+
+FIGURES = Figures("learn2assemble-design-figures", names, entry, configuration, summary)

@@ -8,8 +8,6 @@ the program without a limit of its own, asked again and again for fewer blocks t
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from pathlib import Path
 
 from learn2assemble.errors import InputError
 from learn2assemble.planning.goals.network import default_guide
@@ -27,10 +25,8 @@ from learn2assemble.planning.goals.tasks import (
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.programs import Clock
 from learn2assemble.planning.workcell_plan import Workcell, carry_out
-from learn2assemble.reproduction import measured
-from learn2assemble.reproduction.measured import Result
+from learn2assemble.reproduction.measured import Figures, Result
 
-FORMAT = "learn2assemble-goals-figures"
 PLAYERS = ("learned", "search", "program", "optimum")
 SECONDS = {PLANAR: 10.0, SPATIAL: 30.0, IMPOSSIBLE: 30.0}
 """Limits of a search, in processor time."""
@@ -47,22 +43,15 @@ def names() -> list[str]:
     ]  # fmt: skip
 
 
-def measure(
-    out: Path, *, only: str = "", again: bool = False, workers: int = 1,
-    progress: Callable[[str], None] = lambda text: None,
-) -> Result:  # fmt: skip
-    """Goals by every player, see :func:`learn2assemble.reproduction.measured.measure`."""
+def configuration() -> Result:
+    """Limits of the players, the arm and the guide."""
     guide = default_guide()
-    configuration = {
+    return {
         "seconds": SECONDS, "program_seconds": PROGRAM_SECONDS, "optimum_seconds": OPTIMUM_SECONDS,
         "arm": ARM, "tool": "suction",
         "guide": guide.name if guide else None, "guide_origin": guide.origin if guide else None,
         "trained_families": list(TRAINED),
     }  # fmt: skip
-    return measured.measure(
-        out, FORMAT, entry, names(), configuration=configuration, only=only, again=again,
-        workers=workers, progress=progress,
-    )  # fmt: skip
 
 
 def entry(name: str) -> Result:
@@ -159,3 +148,6 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
             words = f"{wrong} complete, {told} of {len(cannot)} refused with a reason"
             rows.append((f"{player}: impossible tasks", "none complete", words))
     return rows
+
+
+FIGURES = Figures("learn2assemble-goals-figures", names, entry, configuration, summary)

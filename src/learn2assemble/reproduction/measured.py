@@ -1,10 +1,11 @@
-"""Measurements by name in one result file: what is there is kept, so a stopped run goes on."""
+"""Figures by name in one result file: what is there is kept, so a stopped run goes on."""
 
 from __future__ import annotations
 
 import json
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,19 +19,34 @@ VERSION = 1
 Result = dict[str, Any]
 
 
+@dataclass(frozen=True)
+class Figures:
+    """A set of measurements.
+
+    Args:
+        format: what its result file is called in its head.
+        names: of all measurements.
+        entry: one measurement by its name; a function of a module, so that workers find it.
+        configuration: of all of them, written beside versions and hardware.
+        summary: what was asked, and what was reached, of all entries: (what, asked, got).
+    """
+
+    format: str
+    names: Callable[[], Sequence[str]]
+    entry: Callable[[str], Result]
+    configuration: Callable[[], Result]
+    summary: Callable[[dict[str, Result]], list[tuple[str, str, str]]] = lambda entries: []
+
+
 def measure(
-    out: Path, format: str, entry: Callable[[str], Result], names: Sequence[str], *,
-    configuration: Result, only: str = "", again: bool = False, workers: int = 1,
+    figures: Figures, out: Path, *, only: str = "", again: bool = False, workers: int = 1,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Result:  # fmt: skip
     """Measure what is missing in ``out`` and write it after every entry.
 
     Args:
+        figures: what is measured.
         out: the result file.
-        format: what it is called in its head.
-        entry: one measurement by its name; with workers a function of a module.
-        names: of all measurements.
-        configuration: of all of them, written beside versions and hardware.
         only: measure entries whose name has this in it.
         again: also those that are there.
         workers: measurements at once.
@@ -43,15 +59,15 @@ def measure(
     Raises:
         InputError: where ``out`` is no such file, or nothing is called ``only``.
     """
-    found = _load(out, format)
-    wanted = [name for name in names if only in name]
+    found = _load(out, figures.format)
+    wanted = [name for name in figures.names() if only in name]
     if not wanted:
         raise InputError("--only", only, "part of the name of a measurement")
     about = provenance("cpu")
     todo = [name for name in wanted if again or name not in found["entries"]]
-    for name, result in run_all(partial(_timed, entry), todo, workers=workers):
+    for name, result in run_all(partial(_timed, figures.entry), todo, workers=workers):
         found["entries"][name] = {**result, "commit": about["commit"]}
-        found["configuration"] = {**configuration, **about}
+        found["configuration"] = {**figures.configuration(), **about}
         write_file(out, json.dumps(found, indent=1, sort_keys=True) + "\n", "--out")
         progress(f"{name}: {result.get('status') or result.get('verdict') or 'measured'}")
     return found
