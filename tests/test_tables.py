@@ -26,7 +26,7 @@ from learn2assemble.networks.agent import Agent, load_agent, save_agent
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QNetwork
 from learn2assemble.reproduction import report as published_module
-from learn2assemble.reproduction.bounds import exact_return, return_bound
+from learn2assemble.reproduction.bounds import best_return, return_bound
 from learn2assemble.reproduction.cells import (
     BOUND,
     Cell,
@@ -219,7 +219,7 @@ def test_bound_and_look_ahead_meet_the_same_problems() -> None:
     reached = measure(Cell(TASK, LOOK_AHEAD, seed=3), None, 60)
     simulator = Simulator(TASK)
     state = simulator.new(60, episode_generators(3)[0])
-    exact = [exact_return(simulator, state, row).upper for row in range(60)]
+    exact = [best_return(simulator, state, row) for row in range(60)]
     np.testing.assert_allclose(bound, exact, atol=1e-6)
     assert (np.array(bound) <= return_bound(state, TASK.discount) + 1e-6).all()
     assert (np.array(reached["returns"]) <= np.array(bound) + 1e-5).all()
