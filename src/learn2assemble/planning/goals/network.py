@@ -1,41 +1,40 @@
-"""The network that guides the search: how likely each child is on the way to a structure.
+"""The network that guides the search: what it sees of a state, and how likely each child is.
 
-Two layers look at every candidate beside a summary of the state. A third, over what the likely ones
-look like, tells the blocks that will be needed beyond the relaxed plan: an auxiliary task of the
-training, which the search does not ask for. One function does it for NumPy arrays, with which the
-search plays, and for PyTorch tensors, with which it learns.
+The network sees a row of numbers for every legal candidate, and a summary. Besides the score of
+every candidate, a third layer, over what the likely ones look like, tells the blocks that will be
+needed beyond the relaxed plan: an auxiliary task of the training, which the search does not ask
+for.
 """
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from learn2assemble.errors import InputError
-from learn2assemble.files import mapping, read_json, write_file
-from learn2assemble.planning.goals.features import NUM_FEATURES, NUM_SUMMARY
+from learn2assemble.planning.agent.world import World
+from learn2assemble.planning.goals.world import Relaxed, Yard, unmet
+from learn2assemble.planning.scorer import (
+    Scorer,
+    ScorerFiles,
+    Shapes,
+    layer_shapes,
+    random_weights,
+    two_layers,
+)
 
-FORMAT = "learn2assemble-goals-guide"
 FOLDER = Path(__file__).parents[2] / "assets" / "goals"
 DEFAULT = "goals-s0"
 """The guide that comes with the package."""
-HIDDEN, WIDTH = 96, 64
+NUM_FEATURES, NUM_SUMMARY = 22, 9
+_FAR = 8.0
+"""Lengths are in so many cells, counts of blocks in as many blocks."""
 
 
-@dataclass(frozen=True, eq=False)
-class Guide:
-    """Weights and their origin."""
-
-    name: str
-    weights: dict[str, np.ndarray]
-    """float32, by name."""
-    origin: dict[str, Any] = field(default_factory=dict)
-    """Configuration of the training, its length and figures, commit, hardware."""
+class Guide(Scorer):
+    """Weights of a guide and their origin."""
 
     def scores(self, candidates: np.ndarray, summary: np.ndarray) -> np.ndarray:
         """float32[m]: logits of candidates.
@@ -51,16 +50,10 @@ def forward(weights: Any, candidates: Any, summary: Any, padding: Any) -> tuple[
     """Logits of candidates [..., m], and blocks beyond the relaxed plan [...].
 
     Args:
-        weights: arrays by name, or tensors.
-        candidates: [..., m, NUM_FEATURES].
-        summary: [..., 1, NUM_SUMMARY].
+        weights, candidates, summary: as for :func:`~learn2assemble.planning.scorer.two_layers`.
         padding: [..., m], 0 for a candidate and a large negative number for none.
     """
-    w = weights
-    hidden = candidates @ w["first"] + summary @ w["whole"] + w["first_bias"]
-    hidden = hidden * (hidden > 0)
-    hidden = hidden @ w["second"] + w["second_bias"]
-    hidden = hidden * (hidden > 0)
+    w, hidden = weights, two_layers(weights, candidates, summary)
     logits = (hidden @ w["score"])[..., 0] + padding
     # A softmax whose logits are bounded: the mean of what the likely candidates look like.
     likely = 2.718281828 ** logits.clip(-30, 30)
@@ -71,36 +64,25 @@ def forward(weights: Any, candidates: Any, summary: Any, padding: Any) -> tuple[
     return logits, (value @ w["value"])[..., 0] + w["final_bias"][0]
 
 
-def initial_weights(seed: int, hidden: int = HIDDEN, width: int = WIDTH) -> dict[str, np.ndarray]:
-    """Random weights."""
-    rng = np.random.default_rng(seed)
-
-    def matrix(rows: int, columns: int, scale: float = 1.4) -> np.ndarray:
-        return (rng.normal(size=(rows, columns)) * scale / np.sqrt(rows)).astype(np.float32)
-
+def _shapes(hidden: int, width: int) -> Shapes:
     return {
-        "first": matrix(NUM_FEATURES, hidden), "whole": matrix(NUM_SUMMARY, hidden),
-        "first_bias": np.zeros(hidden, np.float32), "second": matrix(hidden, width),
-        "second_bias": np.zeros(width, np.float32), "score": matrix(width, 1, 0.3),
-        "likely": matrix(width, width), "state": matrix(NUM_SUMMARY, width),
-        "value_bias": np.zeros(width, np.float32), "value": matrix(width, 1, 0.3),
-        "final_bias": np.zeros(1, np.float32),
+        **layer_shapes(NUM_FEATURES, NUM_SUMMARY, hidden, width), "likely": (width, width),
+        "state": (NUM_SUMMARY, width), "value_bias": (width,), "value": (width, 1),
+        "final_bias": (1,),
     }  # fmt: skip
 
 
-# ---------------------------------------------------------------- files
+_FILES = ScorerFiles("learn2assemble-goals-guide", "guide of goals", FOLDER, _shapes)
+
+
+def initial_weights(seed: int, hidden: int = 96, width: int = 64) -> dict[str, np.ndarray]:
+    """Random weights."""
+    return random_weights(_shapes(hidden, width), seed)
 
 
 def save_guide(guide: Guide, folder: Path) -> Path:
     """Write ``NAME.safetensors`` and ``NAME.json`` into ``folder``; the path of the weights."""
-    from safetensors.numpy import save
-
-    weights = folder / f"{guide.name}.safetensors"
-    content = save({k: np.ascontiguousarray(v) for k, v in guide.weights.items()})
-    write_file(weights, content, "agent")
-    info = {"format": FORMAT, "version": 1, "name": guide.name, "origin": guide.origin}
-    write_file(weights.with_suffix(".json"), json.dumps(info, indent=1) + "\n", "agent")
-    return weights
+    return _FILES.save(guide, folder)
 
 
 @cache
@@ -110,30 +92,106 @@ def load_guide(name_or_path: str = DEFAULT) -> Guide:
     Raises:
         InputError: for files that do not exist, are damaged, or are no guide's.
     """
-    from safetensors import SafetensorError
-    from safetensors.numpy import load_file
-
-    path = Path(name_or_path)
-    if path.suffix != ".safetensors":
-        path = FOLDER / f"{name_or_path}.safetensors"
-    info_file = path.with_suffix(".json")
-    if not (path.is_file() and info_file.is_file()):
-        raise InputError("agent", name_or_path, "an existing guide of goals")
-    info = mapping(read_json(info_file, "agent")[0], "agent")
-    try:
-        if info["format"] != FORMAT:
-            raise ValueError(f"format {info['format']!r}")
-        weights = load_file(path)
-        sizes = len(weights["first_bias"]), len(weights["second_bias"])
-        for name, expected in initial_weights(0, *sizes).items():
-            if weights[name].shape != expected.shape or not np.isfinite(weights[name]).all():
-                raise ValueError(f"{name} has another shape or is not finite")
-        return Guide(info["name"], weights, info.get("origin", {}))
-    except (SafetensorError, OSError, ValueError, KeyError, TypeError) as error:
-        reason = " ".join(str(error).split())[:120]
-        raise InputError("agent", str(path), f"a guide of goals ({reason})") from None
+    return Guide(*_FILES.load(name_or_path))
 
 
 def default_guide() -> Guide | None:
     """The guide of the package; None where it has none."""
-    return load_guide() if (FOLDER / f"{DEFAULT}.safetensors").is_file() else None
+    return load_guide() if _FILES.path(DEFAULT).is_file() else None
+
+
+# ---------------------------------------------------------------- what it sees
+
+
+def describe(
+    yard: Yard, world: World, relaxed: Relaxed, children: np.ndarray, ballast: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Features of candidates, float32[m, NUM_FEATURES], and of the state, float32[NUM_SUMMARY].
+
+    Args:
+        relaxed: the relaxed plan of the state.
+        children: int64[m], legal candidates.
+        ballast: float64[m]: how well each lies where weight is asked for.
+    """
+    site, found, shape = yard.site, yard.site.found, yard.goals.shape
+    ways = np.array([np.max(way.cells, axis=0) + 1 for way in found.ways])
+    extent = ways[found.way[children]]
+    origin, size = found.origin[children], found.size()[children]
+    part = found.take(children)
+    row = np.repeat(np.arange(len(children)), size)
+    planned = np.zeros(site.wanted.size, bool)
+    used = np.flatnonzero(relaxed.used)
+    planned[np.concatenate([site.cells(int(k)) for k in used] or [np.empty(0, np.int64)])] = True
+    above = np.append(planned[1:], False)
+    above[shape[2] - 1 :: shape[2]] = False
+    goals = unmet(yard, world)
+    wanted = np.zeros(site.wanted.size, bool)
+    wanted[goals] = True
+    column = wanted.reshape(shape).any(2).repeat(shape[2])
+
+    def share(mask: np.ndarray) -> np.ndarray:
+        return np.bincount(row, mask[part.cell], len(children)) / size
+
+    centre = yard.centre[children]
+    at = np.stack(np.unravel_index(goals, shape), -1) if len(goals) else np.zeros((1, 3), int)
+    away = np.abs(centre[:, None] - at[None, :, :2] - 0.5).sum(-1)
+    nearest = away.argmin(1)
+    carried = (site.rests[children] - world.waits[children]) / np.diff(yard.bed_start)[children]
+    carried[origin[:, 2] == 0] = 1.0
+    lean, lever = _levers(yard, world, children, centre)
+    kinds = site.kind[children]
+    heap = world.heap[kinds].astype(float)
+    needed = np.bincount(site.kind[used], minlength=len(world.heap))[kinds]
+    limited = heap >= 0
+    rows = [
+        relaxed.used[children], np.minimum(relaxed.cost[children] - 1, 20) / _FAR, size / _FAR,
+        extent[:, :2].max(1) / _FAR, extent[:, :2].min(1) / _FAR, origin[:, 2] / _FAR,
+        share(wanted) * size / 4, carried, away.min(1) / _FAR,
+        (at[nearest, 2] - origin[:, 2]) / _FAR, share(column), share(planned), share(above),
+        lean, lever, np.where(limited, np.minimum(heap, 10) / 10, 1.0), limited,
+        np.where(limited, np.minimum(needed / np.maximum(heap, 1), 4), 0.0), ballast,
+        ballast > 0, ballast >= ballast.max() if len(ballast) else ballast,
+        np.clip(relaxed.detour[children], 0, 6) / 3,
+    ]  # fmt: skip
+    state = [
+        relaxed.blocks / _FAR, len(goals) / _FAR, len(world.placed) / _FAR, not len(goals),
+        (ballast > 0).any(), len(children) / 200, (world.heap >= 0).mean(), min(shape[:2]) > 1,
+        sum(load.mass for load in yard.goals.loads) / max(world.proof.stack.weight.sum(), 0.1) / 4,
+    ]  # fmt: skip
+    return (
+        np.stack(rows, 1).astype(np.float32), np.minimum(np.array(state), 10).astype(np.float32)
+    )  # fmt: skip
+
+
+def _levers(
+    yard: Yard, world: World, children: np.ndarray, centre: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """How far the block below each candidate leans (0 to 1, from the middle of its support to its
+    edge), and how far out on that side the candidate would lie [cells / 8], negative behind."""
+    stack, force = world.proof.stack, world.proof.force
+    lean, lever = np.zeros(len(children)), np.zeros(len(children))
+    if not len(stack):
+        return lean, lever
+    count = np.maximum(np.bincount(stack.upper, minlength=len(stack)), 1)
+    total = np.maximum(np.bincount(stack.upper, force, len(stack)), 1e-12)
+    middle, press, half = (np.zeros((len(stack), 2)) for _ in range(3))
+    for axis in range(2):
+        place = stack.point[:, axis] / yard.goals.kit.pitch[axis] + yard.goals.shape[axis] / 2
+        middle[:, axis] = np.bincount(stack.upper, place, len(stack)) / count
+        press[:, axis] = np.bincount(stack.upper, place * force, len(stack)) / total
+        np.maximum.at(half[:, axis], stack.upper, np.abs(place - middle[stack.upper, axis]))
+    tip = press - middle
+    length = np.linalg.norm(tip, axis=1)
+    relative = (np.abs(tip) / np.maximum(half, 0.25)).max(1)
+    bed = yard.bed[yard.bed_start[children]]
+    for n, k in enumerate(children):
+        bed = yard.bed[yard.bed_start[k] : yard.bed_start[k + 1]]
+        bed = bed[bed % yard.goals.shape[2] > 0]
+        below = np.unique(world.owner[bed - 1]) if len(bed) else bed
+        below = below[below >= 0]
+        if len(below):
+            base = below[relative[below].argmax()]
+            lean[n] = min(relative[base], 1.0)
+            if length[base] > 1e-6:
+                lever[n] = (centre[n] - middle[base]) @ tip[base] / length[base] / _FAR
+    return lean, lever

@@ -29,8 +29,7 @@ from itertools import count
 import numpy as np
 
 from learn2assemble.planning.agent.world import World, grow
-from learn2assemble.planning.goals.features import describe
-from learn2assemble.planning.goals.network import Guide
+from learn2assemble.planning.goals.network import Guide, describe
 from learn2assemble.planning.goals.world import (
     Relaxed,
     Yard,

@@ -16,8 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from learn2assemble.planning.agent.world import World
-from learn2assemble.planning.goals.features import NUM_SUMMARY, describe
-from learn2assemble.planning.goals.network import Guide, forward, initial_weights
+from learn2assemble.planning.goals.network import (
+    NUM_SUMMARY,
+    Guide,
+    describe,
+    forward,
+    initial_weights,
+)
 from learn2assemble.planning.goals.search import Search, search
 from learn2assemble.planning.goals.tasks import FIRST_TRAINING_SEED, TRAINED, draw_goals
 from learn2assemble.planning.goals.world import Yard, legal, make_yard, put, relax
