@@ -7,7 +7,8 @@ command line can print it unchanged and leave with exit code 2.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Generator, Iterable, Mapping
+from contextlib import contextmanager
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -72,6 +73,19 @@ class MissingExtraError(Learn2AssembleError, ImportError):
 
     def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str]]:
         return MissingExtraError, (self.module, self.extra)
+
+
+@contextmanager
+def extra(module: str, name: str) -> Generator[None, None, None]:
+    """Imports that need the optional dependency ``name``.
+
+    Raises:
+        MissingExtraError: where one of them fails.
+    """
+    try:
+        yield
+    except ImportError as error:
+        raise MissingExtraError(module, name) from error
 
 
 def _short(value: object, limit: int = 120) -> str:

@@ -132,17 +132,7 @@ def bill_of_blocks(assembly: Assembly) -> str:
     return out.getvalue()
 
 
-def write_bill(assembly: Assembly, path: Path) -> None:
-    """:func:`bill_of_blocks` as a file."""
-    write_file(path, bill_of_blocks(assembly), "bill of blocks")
-
-
-def write_cards(assembly: Assembly, path: Path) -> None:
-    """:func:`~.cards.step_cards` as a file."""
-    write_file(path, step_cards(assembly), "step cards")
-
-
-def write_glb(assembly: Assembly, path: Path) -> None:
+def glb(assembly: Assembly) -> bytes:
     """The finished structure as binary glTF, one named node a block, z up turned to y up."""
     import trimesh
 
@@ -151,19 +141,18 @@ def write_glb(assembly: Assembly, path: Path) -> None:
         triangles = np.concatenate(
             [fan_triangles(part.vertices, part.faces) for part in convex_parts(block)]
         )
-        mesh = trimesh.Trimesh(
-            triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3), process=False
-        )
-        mesh.visual.face_colors = (*(block.colour or GREY), 255)  # type: ignore[union-attr]
+        corners, faces = triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)
+        colour = np.array((*(block.colour or GREY), 255), np.uint8)
+        mesh = trimesh.Trimesh(corners, faces, face_colors=colour, process=False)
         scene.add_geometry(mesh, node_name=block.id, geom_name=block.id)
     # glTF has y up.
     scene.apply_transform(np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]]))
     data = scene.export(file_type="glb")
     assert isinstance(data, bytes)
-    write_file(path, data, "GLB file")
+    return data
 
 
-def write_mjcf(assembly: Assembly, path: Path) -> None:
+def mjcf(assembly: Assembly) -> bytes:
     """The finished structure as a MuJoCo model: every block a free body on a plane at z = 0.
 
     Convex parts of a block are geoms of one body; blocks that are supports do not move. Contact
@@ -204,8 +193,7 @@ def write_mjcf(assembly: Assembly, path: Path) -> None:
                 attributes |= {"type": "mesh", "mesh": mesh}
             ElementTree.SubElement(body, "geom", attributes)
     ElementTree.indent(root)
-    text = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
-    write_file(path, text, "MJCF file")
+    return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
 
 
 def is_box(block: Block) -> bool:
@@ -216,18 +204,19 @@ def is_box(block: Block) -> bool:
     return bool(near.all()) and abs(size.prod() - block.volume) <= 1e-6 * size.prod()
 
 
-def _write_compas(assembly: Assembly, path: Path) -> None:
-    write_compas(assembly.finished, path)
+def _writer(make: Callable[[Assembly], str | bytes], what: str) -> Callable[[Assembly, Path], None]:
+    return lambda assembly, path: write_file(path, make(assembly), what)
 
 
+write_mjcf = _writer(mjcf, "MJCF file")
 FORMATS: Registry[tuple[str, Callable[[Assembly, Path], None]]] = Registry(
     "format",
     {
         "assembly": ("assembly.json", write_assembly),
-        "bill": ("bill.csv", write_bill),
-        "cards": ("cards.html", write_cards),
-        "compas": ("compas.json", _write_compas),
-        "glb": ("structure.glb", write_glb),
+        "bill": ("bill.csv", _writer(bill_of_blocks, "bill of blocks")),
+        "cards": ("cards.html", _writer(step_cards, "step cards")),
+        "compas": ("compas.json", lambda assembly, path: write_compas(assembly.finished, path)),
+        "glb": ("structure.glb", _writer(glb, "GLB file")),
         "mjcf": ("structure.xml", write_mjcf),
     },
 )
@@ -249,11 +238,14 @@ def export_assembly(assembly: Assembly, format: str, path: str | Path) -> Path:
         UnknownNameError: naming the nearest format.
     """
     name, write = FORMATS[format]
-    file = Path(path)
-    if file.is_dir():
-        file = file / name
+    file = file_at(path, name)
     write(assembly, file)
     return file
+
+
+def file_at(path: str | Path, name: str) -> Path:
+    """The file ``path``, or the one called ``name`` in the folder ``path``."""
+    return Path(path) / name if Path(path).is_dir() else Path(path)
 
 
 def _kind(block: Block) -> str:

@@ -7,6 +7,7 @@ All of them are made from the record that a build with an arm leaves, by way of 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from importlib import resources
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from learn2assemble.errors import InputError, look_up
-from learn2assemble.export.robot_tables import read_table, write_franka, write_table
+from learn2assemble.export.formats import file_at
+from learn2assemble.export.robot_tables import (
+    changes,
+    motions,
+    read_table,
+    write_franka,
+    write_table,
+)
 from learn2assemble.export.ros2 import read_bag, write_bag
 from learn2assemble.files import write_file
 from learn2assemble.registry import Registry
@@ -47,39 +55,6 @@ own."""
 SLOWEST = 0.02
 """No part of a path is moved along slower [rad/s], as some parts are hardly moved along at all."""
 
-_URSCRIPT = """\
-def l2a_build():
-  # {about}
-  # Frames: base of the controller; the tool point is set below. Adapt the three functions to the
-  # tool: tool output 0 closes the gripper (or turns the vacuum on), tool input 0 says that
-  # something is held (or that there is vacuum).
-  def l2a_close(width, speed, force):
-    set_tool_digital_out(0, True)
-    sleep({close_time})
-  end
-  def l2a_open(width, speed):
-    set_tool_digital_out(0, False)
-    sleep({open_time})
-  end
-  def l2a_held():
-    return get_tool_digital_in(0)
-  end
-  def l2a_check(step, block):
-    local waited = 0.0
-    while ((not l2a_held()) and (waited < {patience})):
-      sleep(0.02)
-      waited = waited + 0.02
-    end
-    if (not l2a_held()):
-      textmsg("learn2assemble: nothing is held, step ", step)
-      textmsg("learn2assemble: block ", block)
-      popup("Nothing is held: the program stops.", title="l2a", error=True, blocking=True)
-      halt
-    end
-  end
-  set_tcp(p[{tcp}])
-"""
-
 
 def write_urscript(program: Program, arm: Arm, path: Path) -> None:
     """A URScript program: moves along the joint positions of the planned path.
@@ -98,14 +73,14 @@ def write_urscript(program: Program, arm: Arm, path: Path) -> None:
         raise InputError("format", f"urscript for {arm.name}", "the arm ur5e")
     driver = driver_of(arm)
     about = f"{len(program.steps)} moves, {program.seconds:.0f} s, tool {program.tool}"
-    text = _URSCRIPT.format(
-        about=about, tcp=_list([*driver.tcp[:3], *_rotation_vector(driver)]),
-        close_time="0.5", open_time="0.5", patience="1.0",
-    )  # fmt: skip
+    text = (resources.files("learn2assemble.export") / "assets" / "urscript.script").read_text(
+        "utf-8"
+    )
+    text = text.format(about=about, tcp=_list([*driver.tcp[:3], *_rotation_vector(driver)]))
     told = sorted(_told(program, float(driver.tcp[2])), key=lambda one: one.time)
     checks = [time for step in program.steps for time in step.checks]
     lines = [f"movej([{_list(program.knots.position[0])}], a=0.5, v=0.5)"]
-    for begin, end in _motions(program):
+    for begin, end in motions(program):
         for part in _lines(program, arm, begin, end, checks):
             while told and told[0].time <= part.time + 1e-6:
                 lines.append(told.pop(0).text)
@@ -119,14 +94,6 @@ class _Line(NamedTuple):
     time: float
     """When it begins in the program [s]."""
     text: str
-
-
-def _motions(program: Program) -> Iterator[tuple[int, int]]:
-    """First and last knot of every motion from rest to rest."""
-    moving = np.concatenate([[0], program.motion, [0]])
-    for begin, end in pairwise(np.flatnonzero(np.diff(moving)).tolist()):
-        if program.motion[begin]:
-            yield begin, end
 
 
 def _lines(
@@ -184,18 +151,19 @@ def _told(program: Program, length: float) -> Iterator[_Line]:
         for time in step.checks:
             yield _Line(time, f"l2a_check({step.number}, {step.cells[0]})")
         begin = step.end
-    before = program.states[0]
-    yield _Line(0.0, f"l2a_open({before.width:.4f}, {before.speed:.3f})")
+    (first, _), *later = changes(program)
+    yield _Line(0.0, f"l2a_open({first.width:.4f}, {first.speed:.3f})")
     yield _Line(0.0, "set_payload(0.0, [0, 0, 0])")
-    for state in program.states[1:]:
-        if state.load != before.load:
+    was_closed = bool(first.force) or first.vacuum
+    for state, new in later:
+        if "load" in new:
             yield _Line(state.time, f"set_payload({state.load:.3f}, [0, 0, {length:.4f}])")
         closed = bool(state.force) or state.vacuum
-        if closed != (bool(before.force) or before.vacuum):
+        if closed != was_closed:
             numbers = f"{state.width:.4f}, {state.speed:.3f}"
             call = f"close({numbers}, {state.force:.1f})" if closed else f"open({numbers})"
             yield _Line(state.time, f"l2a_{call}")
-        before = state
+        was_closed = closed
 
 
 def _rotation_vector(driver: Driver) -> np.ndarray:
@@ -256,9 +224,7 @@ def export_program(source: BuildRecord | str | Path, format: str, path: str | Pa
         source = _read_record(Path(source))
     arm = arm_of(source.arm)
     program = make_program(source, arm)
-    file = Path(path)
-    if file.is_dir():
-        file = file / name
+    file = file_at(path, name)
     write(program, arm, file)
     used = usage(program.knots, limits_of(arm))
     return Exported(file, program.seconds, program.stretch, used)

@@ -10,7 +10,9 @@ from __future__ import annotations
 import gzip
 import io
 import json
+from collections.abc import Iterator
 from contextlib import nullcontext
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -61,8 +63,7 @@ def header(program: Program, arm: Arm) -> dict[str, Any]:
         "seconds": round(program.seconds, 6), "stretch": round(program.stretch, 6),
         "gripper_speed": program.states[0].speed,
         "blocks": {
-            "edge": blocks.edge, "half": None if blocks.half is None else _plain(blocks.half),
-            "density": None if blocks.density is None else _plain(blocks.density),
+            "edge": blocks.edge, "half": _plain(blocks.half), "density": _plain(blocks.density),
             "objects": [list(cells) for cells in blocks.objects],
             "start": _plain(blocks.start), "end": _plain(blocks.end),
             "supply": [
@@ -154,8 +155,26 @@ def _array(value: Any, *shape: int) -> np.ndarray:
     return array
 
 
-def _plain(values: np.ndarray) -> list[Any]:
-    return (np.round(values, 9) + 0.0).tolist()
+def _plain(values: np.ndarray | None) -> list[Any] | None:
+    return None if values is None else (np.round(values, 9) + 0.0).tolist()
+
+
+def motions(program: Program) -> Iterator[tuple[int, int]]:
+    """First and last knot of every motion from rest to rest."""
+    moving = np.concatenate([[0], program.motion, [0]])
+    for begin, end in pairwise(np.flatnonzero(np.diff(moving)).tolist()):
+        if program.motion[begin]:
+            yield begin, end
+
+
+def changes(program: Program) -> Iterator[tuple[ToolState, set[str]]]:
+    """Every state of the tool, and the names of what is new in it: in the first one, all."""
+    before = None
+    for state in program.states:
+        pairs = zip(state, before or state, strict=True)
+        new = [before is None or now != old for now, old in pairs]
+        yield state, {name for name, told in zip(state._fields, new, strict=True) if told}
+        before = state
 
 
 # ---------------------------------------------------------------- tables
@@ -173,7 +192,8 @@ def write_table(program: Program, arm: Arm, path: Path, more: dict[str, Any] | N
     with gzip.GzipFile("", "wb", 6, out, mtime=0) if packed else nullcontext(out) as file:
         file.write(("\n".join(lines) + "\n").encode())
         pattern = ",".join(form for _, form in columns).replace("%s", "%%s") + "\n"
-        blocks, tool = _block_of(program), _tool_columns(program)
+        blocks, fields = _block_of(program), _tool_fields(program.suction)
+        tool = np.array([[float(getattr(s, f)) for f in fields] for s in program.states])
         for first in range(0, count, CHUNK):
             time = np.arange(first, min(first + CHUNK, count)) / RATE
             piece = program.knots.pieces(time)
@@ -187,6 +207,11 @@ def write_table(program: Program, arm: Arm, path: Path, more: dict[str, Any] | N
     write_file(path, out.getvalue(), "program")
 
 
+def _tool_fields(suction: bool) -> list[str]:
+    """What a table says of the tool, a column each."""
+    return ["vacuum", "load"] if suction else ["width", "speed", "force", "load"]
+
+
 def _columns(joints: list[str], suction: bool) -> list[tuple[str, str]]:
     """Names of the columns of a table, and how their numbers are written.
 
@@ -195,19 +220,8 @@ def _columns(joints: list[str], suction: bool) -> list[tuple[str, str]]:
     columns = [("time", "%.3f"), ("motion", "%d"), ("step", "%d"), ("block", "%d")]
     for what, form in (("q", "%.10f"), ("dq", "%.8f"), ("ddq", "%.5f")):
         columns += [(f"{what}_{joint}", form) for joint in joints]
-    if suction:
-        columns.append(("vacuum", "%d"))
-    else:
-        columns += [("width", "%.6g"), ("speed", "%.6g"), ("force", "%.6g")]
-    return [*columns, ("load", "%.6g"), ("stage", "%s")]
-
-
-def _tool_columns(program: Program) -> np.ndarray:
-    """float64[s, c]: the columns of every state of the tool."""
-    fields = ("vacuum",) if program.suction else ("width", "speed", "force")
-    return np.array(
-        [[float(getattr(s, field)) for field in (*fields, "load")] for s in program.states]
-    )
+    columns += [(f, "%d" if f == "vacuum" else "%.6g") for f in _tool_fields(suction)]
+    return [*columns, ("stage", "%s")]
 
 
 def _block_of(program: Program) -> np.ndarray:
@@ -307,15 +321,16 @@ def _check_motion(knots: Knots, arm: Arm, source: str) -> None:
 
 
 def _states(rows: np.ndarray, suction: bool) -> tuple[ToolState, ...]:
-    fields = ("vacuum",) if suction else ("width", "speed", "force")
-    told = np.column_stack([rows[name] for name in (*fields, "load")])
-    new = np.flatnonzero(np.concatenate([[True], np.any(np.diff(told, axis=0), axis=1)]))
+    fields = _tool_fields(suction)
+    told = np.column_stack([rows[name] for name in fields])
+    new = np.flatnonzero(np.any(np.diff(told, axis=0, prepend=np.nan), axis=1))
+    nothing = ToolState(0.0, 0.0, 0.0, 0.0, False, 0.0)
     found = []
     for k in new.tolist():
-        values = dict(zip((*fields, "load"), told[k].tolist(), strict=True))
-        values["vacuum"] = bool(values.get("vacuum", 0))
-        plain = {"width": 0.0, "speed": 0.0, "force": 0.0}
-        found.append(ToolState(time=float(rows["time"][k]), **{**plain, **values}))
+        state = nothing._replace(
+            time=float(rows["time"][k]), **dict(zip(fields, told[k].tolist(), strict=True))
+        )
+        found.append(state._replace(vacuum=bool(state.vacuum)))
     return tuple(found)
 
 
@@ -328,25 +343,24 @@ def write_franka(program: Program, arm: Arm, path: Path) -> None:
     """
     if arm.name != "panda":
         raise InputError("format", f"franka for {arm.name}", "the arm panda, or the format csv")
-    driver, calls, before = driver_of(arm), [], program.states[0]
-    first = program.states[0]
+    driver, calls, (first, *later) = driver_of(arm), [], changes(program)
     if not program.suction:
-        calls.append({"time": 0.0, "call": "move", "width": first.width, "speed": first.speed})
-    for state in program.states[1:]:
+        width, speed = first[0].width, first[0].speed
+        calls.append({"time": 0.0, "call": "move", "width": width, "speed": speed})
+    for state, new in later:
         time = round(state.time, 6)
-        if state.load != before.load:
+        if "load" in new:
             # The load hangs half a block below the tool point at most; its inertia is left out.
             centre = _plain(driver.tcp[:3])
             calls.append({"time": time, "call": "setLoad", "load": state.load, "centre": centre})
-        if state.vacuum != before.vacuum:
+        if "vacuum" in new:
             calls.append({"time": time, "call": "vacuum" if state.vacuum else "dropOff"})
-        if (state.width, state.force) != (before.width, before.force):
+        if new & {"width", "force"}:
             call = {"time": time, "call": "move", "width": state.width, "speed": state.speed}
             if state.force:
                 epsilon = {"epsilon_inner": 0.005, "epsilon_outer": 0.005}
                 call |= {"call": "grasp", "force": state.force, **epsilon}
             calls.append(call)
-        before = state
     frame = np.eye(4)
     frame[:3, :3], frame[:3, 3] = quaternion_matrix(driver.tcp[3:]), driver.tcp[:3]
     more = {"F_T_EE": _plain(frame.T.ravel()), "calls": calls}
