@@ -14,7 +14,6 @@ from learn2assemble.graph.features import Graph, node_offset
 from learn2assemble.graph.placements import Placements, distinct_placements
 from learn2assemble.learning.config import TrainConfig
 from learn2assemble.learning.replay import Batch
-from learn2assemble.learning.trainer import random_actions, to_local
 from learn2assemble.networks.agent import Network, make_network
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.simulator import Simulator
@@ -46,6 +45,13 @@ def look_ahead(simulator: Simulator, state: State) -> tuple[Placements, Outcomes
     return placements, simulator.outcomes(state, graph, placements)
 
 
+def random_actions(graph: Graph, num_actions: int, rng: np.random.Generator) -> np.ndarray:
+    """A uniform legal node action for every row: int64[B, 3]."""
+    unplaced = graph.num_nodes - graph.num_targets - graph.num_placed
+    counts = np.stack([unplaced, graph.num_placed, np.full(len(unplaced), num_actions)], -1)
+    return (rng.random(counts.shape) * counts).astype(np.int64) + node_offset(graph)
+
+
 def advance(simulator: Simulator, state: State, steps: int, rng: np.random.Generator) -> State:
     """Worlds after up to ``steps`` valid placements, without those that have ended."""
     for _ in range(steps):
@@ -71,7 +77,7 @@ class Recorded:
         graph = self.simulator.observe(self.before)
         self.placements, options = look_ahead(self.simulator, self.before)
         action = random_actions(graph, task.num_actions, rng)
-        self.local = to_local(graph, action)
+        self.local = action - node_offset(graph)
         self.step = self.simulator.step(self.after, self.local)
         size = len(action)
         self.batch = Batch(

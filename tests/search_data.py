@@ -30,9 +30,6 @@ class TreeModel:
         self.groups: dict[str, list[int]] = {}
         """By state, where several of its actions lead to the same structure."""
 
-    def batch_size(self, states: np.ndarray) -> int:
-        return len(states)
-
     def take(self, states: np.ndarray, rows: np.ndarray) -> np.ndarray:
         return states[rows].copy()
 

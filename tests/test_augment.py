@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from learn2assemble.geometry.images import paper_mask
+from learn2assemble.graph.features import node_offset
 from learn2assemble.learning.replay import EXCHANGE, MIRROR, Searched, random_symmetry
-from learn2assemble.learning.trainer import random_actions, to_local
 from learn2assemble.simulator import Simulator
 from learn2assemble.world.blocks import EDGE, HALF
 from learn2assemble.world.layouts import to_world
 from learn2assemble.world.rules import count_row, recover_all
 from learn2assemble.world.state import State
-from learning_data import TASKS, Recorded, rows_of
+from learning_data import TASKS, Recorded, random_actions, rows_of
 
 
 def in_frame(frame: np.ndarray, world: np.ndarray) -> np.ndarray:
@@ -93,7 +93,7 @@ def test_augmented_transitions_are_true(sides: int, mirror: bool, exchange: bool
     coins = cast(Any, Coins(mirror, exchange))
     got = random_symmetry(data.batch, sides, coins)
     graph = data.simulator.observe(mirrored)
-    step = data.simulator.step(mirrored, to_local(got.graph, got.action)[rows])
+    step = data.simulator.step(mirrored, (got.action - node_offset(got.graph))[rows])
     np.testing.assert_array_equal(got.reward[rows], step.reward.astype(np.float32))
     np.testing.assert_array_equal(got.terminal[rows], step.terminated)
     successors = data.simulator.observe(mirrored)

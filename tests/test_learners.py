@@ -23,7 +23,6 @@ from learn2assemble.learning.trainer import (
     q_loss,
     search_cross_entropy,
     td_targets,
-    to_local,
 )
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QFactors
@@ -43,7 +42,7 @@ def play_well(simulator: Simulator) -> Callable[[State, np.random.Generator], np
         placements, options = look_ahead(simulator, state)
         worth = np.where(options.valid, options.reward + options.gain, -9.0)
         chosen = placements.action[np.arange(len(worth)), worth.argmax(1)]
-        return to_local(simulator.observe(state), chosen)
+        return chosen - node_offset(simulator.observe(state))
 
     return act
 

@@ -16,7 +16,6 @@ from learn2assemble.graph.batch import GraphTensors, to_tensors
 from learn2assemble.graph.features import Graph
 from learn2assemble.graph.placements import MAX_CELLS, distinct_placements
 from learn2assemble.graph.relations import EDGE_FEATURES, OFFSETS
-from learn2assemble.learning.trainer import random_actions
 from learn2assemble.networks.agent import at_pitch, make_network
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.placement import PlacementNetwork, PlacementValues
@@ -26,7 +25,7 @@ from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import Task
 from learn2assemble.world.blocks import EDGE, get_action_spec
 from learn2assemble.world.state import State
-from learning_data import advance
+from learning_data import advance, random_actions
 from turned import turned_graph
 
 _GRIPPED = Task(

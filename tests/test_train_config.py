@@ -12,10 +12,12 @@ import torch
 
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.graph.batch import to_tensors
+from learn2assemble.graph.features import node_offset
 from learn2assemble.learning.config import CONFIGS, TrainConfig, fit_to, get_config, override
 from learn2assemble.learning.run import choose_device
-from learn2assemble.learning.trainer import Trainer, epsilon_greedy, to_local
+from learn2assemble.learning.trainer import Trainer, epsilon_greedy
 from learn2assemble.networks.config import NetworkConfig
+from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import get_task
 from learning_data import RELATIONAL, SMALL, TINY, network
@@ -24,20 +26,21 @@ from learning_data import RELATIONAL, SMALL, TINY, network
 @pytest.mark.parametrize("config", [SMALL, RELATIONAL], ids=lambda c: c.encoder)
 def test_epsilon_greedy_rate_and_legality(config: NetworkConfig) -> None:
     simulator = Simulator(TINY)
-    graph = simulator.observe(simulator.new(2000, np.random.default_rng(0)))
+    state = simulator.new(2000, np.random.default_rng(0))
+    graph = simulator.observe(state)
     net = network(0, config)
-    action, greedy = epsilon_greedy(net, graph, 0.3, np.random.default_rng(1), "cpu")
+    model = WorldModel(simulator, net)
+    local, greedy = epsilon_greedy(model, state, 0.3, np.random.default_rng(1))
     assert greedy.mean() == pytest.approx(0.7, abs=0.04)
     tensors = to_tensors(graph)
     with torch.inference_mode():
-        best = net(tensors).best(tensors)[1].numpy()
-    np.testing.assert_array_equal(action[greedy], best[greedy])
-    local = to_local(graph, action)
+        best = net(tensors).best(tensors)[1].numpy() - node_offset(graph)
+    np.testing.assert_array_equal(local[greedy], best[greedy])
     unplaced = graph.num_nodes - graph.num_targets - graph.num_placed
     assert (local >= 0).all()
     assert (local[:, 0] < unplaced).all()
     assert (local[:, 1] < graph.num_placed).all()
-    counts = np.bincount(action[~greedy, 2], minlength=5)
+    counts = np.bincount(local[~greedy, 2], minlength=5)
     assert (np.abs(counts - counts.mean()) < 5 * math.sqrt(counts.mean())).all()
 
 

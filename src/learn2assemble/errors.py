@@ -7,7 +7,7 @@ command line can print it unchanged and leave with exit code 2.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Generator, Iterable, Mapping
+from collections.abc import Collection, Generator, Iterable, Mapping
 from contextlib import contextmanager
 from typing import TypeVar
 
@@ -51,15 +51,32 @@ class UnknownNameError(InputError):
         super().__init__(what, got, f"one of {shown}{hint}")
 
 
-def look_up(what: str, name: str, table: Mapping[str, T]) -> T:
-    """The entry of ``table`` called ``name``.
+def check_name(what: str, name: object, valid: Collection[str]) -> None:
+    """Refuse a name that is not among the ``valid`` ones.
 
     Raises:
         UnknownNameError: naming the nearest one; ``what`` says what kind of thing it is.
     """
-    if name not in table:
-        raise UnknownNameError(what, name, table)
+    if name not in valid:
+        raise UnknownNameError(what, name, valid)
+
+
+def look_up(what: str, name: str, table: Mapping[str, T]) -> T:
+    """The entry of ``table`` called ``name``, see :func:`check_name`."""
+    check_name(what, name, table)
     return table[name]
+
+
+def check_fields(value: object, *rules: tuple[str, bool, str]) -> None:
+    """Refuse a value by the first rule it breaks: name of a field, whether it is as it should be,
+    and what is expected of it.
+
+    Raises:
+        InputError: naming the field.
+    """
+    for name, kept, expected in rules:
+        if not kept:
+            raise InputError(name, getattr(value, name), expected)
 
 
 class MissingExtraError(Learn2AssembleError, ImportError):

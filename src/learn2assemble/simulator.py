@@ -185,6 +185,12 @@ class Simulator:
         )  # fmt: skip
         return Transition(reward, ended, success, verdicts)
 
+    def random_actions(self, state: State, rng: np.random.Generator) -> np.ndarray:
+        """A uniform legal action for every row: int64[B, 3]."""
+        kinds = np.full(state.batch_size, self.task.num_actions)
+        counts = np.stack([state.num_unplaced, state.num_placed, kinds], -1)
+        return (rng.random(counts.shape) * counts).astype(np.int64)
+
     def observe(self, state: State) -> Graph:
         """The graph of every row."""
         return build_graph(state, self.frames, self.task.num_nodes)

@@ -18,7 +18,7 @@ import torch
 from learn2assemble.assembly.blocks import Assembly, box_block
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.learning.config import TrainConfig, get_config
-from learn2assemble.learning.trainer import Trainer, random_actions, to_local
+from learn2assemble.learning.trainer import Trainer
 from learn2assemble.networks.agent import make_network
 from learn2assemble.physics.rigid import RigidPhysics
 from learn2assemble.physics.rigid_blocks import check
@@ -265,14 +265,13 @@ def machine() -> dict[str, Any]:
 def _random_play(simulator: Simulator, batch: int, seconds: float) -> float:
     rng = np.random.default_rng(0)
     state = simulator.new(batch, rng)
-    graph = simulator.observe(state)
 
     def step() -> int:
-        nonlocal graph
-        action = to_local(graph, random_actions(graph, simulator.task.num_actions, rng))
-        ended = np.flatnonzero(simulator.step(state, action).terminated)
+        ended = np.flatnonzero(
+            simulator.step(state, simulator.random_actions(state, rng)).terminated
+        )
         simulator.reset(state, ended, rng)
-        graph = simulator.observe(state)
+        simulator.observe(state)
         return batch
 
     return _rate(step, seconds)

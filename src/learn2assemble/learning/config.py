@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from learn2assemble.errors import InputError, UnknownNameError, look_up
+from learn2assemble.errors import InputError, check_fields, check_name, look_up
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.registry import Registry
 from learn2assemble.search.config import SearchConfig, training_search
@@ -21,8 +21,10 @@ from learn2assemble.world.blocks import with_current_names
 LARGEST = {
     "num_envs": 10**5, "batch_size": 10**5, "replay_size": 10**7, "steps": 1000,
     "steps_per_round": 10**6, "updates_per_round": 10**6, "search_budget": 10**5,
+    "num_samples": 10**12, "initial_samples": 10**12, "epsilon_samples": 10**12,
+    "target_period": 10**12,
 }  # fmt: skip
-"""Beyond these a training would not fit into any machine's memory or time."""
+"""Whole numbers from 1; beyond these no training would fit into any machine's memory or time."""
 
 
 @dataclass(frozen=True)
@@ -83,30 +85,21 @@ class TrainConfig:
     search_weight: float = 0.5
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise UnknownNameError("method", self.method, METHODS)
-        for name in ("num_samples", "num_envs", "steps_per_round", "updates_per_round",
-                     "batch_size", "replay_size", "initial_samples", "epsilon_samples",
-                     "target_period", "steps", "search_budget"):  # fmt: skip
-            most = LARGEST.get(name, 10**12)
-            if not 1 <= getattr(self, name) <= most:
-                raise InputError(name, getattr(self, name), f"a whole number from 1 to {most}")
-        for name in ("learning_rate", "final_learning_rate"):
-            if not 0 < getattr(self, name) < 1:
-                raise InputError(name, getattr(self, name), "a rate between 0 and 1")
-        if not 0 <= self.target_rate <= 1:
-            raise InputError("target_rate", self.target_rate, "a share between 0 and 1")
-        if not 0 <= self.search_weight <= 1:
-            raise InputError("search_weight", self.search_weight, "a share between 0 and 1")
-        if not 0 <= self.epsilon_final <= 1:
-            raise InputError("epsilon_final", self.epsilon_final, "0 <= epsilon <= 1")
-        if not 0 <= self.dense_weight < math.inf:
-            raise InputError("dense_weight", self.dense_weight, "a weight of at least 0")
+        check_name("method", self.method, METHODS)
         relational, encoder = self.network.values_placements, self.network.encoder
-        if self.dense_weight and not relational:
-            raise InputError("dense_weight", self.dense_weight, "0 unless encoder is relational")
-        if self.augment and relational:
-            raise InputError("augment", self.augment, f"false for the encoder {encoder}")
+        check_fields(
+            self,
+            *((name, 1 <= getattr(self, name) <= most, f"a whole number from 1 to {most}")
+              for name, most in LARGEST.items()),
+            *((name, 0 < getattr(self, name) < 1, "a rate between 0 and 1")
+              for name in ("learning_rate", "final_learning_rate")),
+            *((name, 0 <= getattr(self, name) <= 1, "a share between 0 and 1")
+              for name in ("target_rate", "search_weight")),
+            ("epsilon_final", 0 <= self.epsilon_final <= 1, "0 <= epsilon <= 1"),
+            ("dense_weight", 0 <= self.dense_weight < math.inf, "a weight of at least 0"),
+            ("dense_weight", relational or not self.dense_weight, "0 unless encoder is relational"),
+            ("augment", not (self.augment and relational), f"false for the encoder {encoder}"),
+        )  # fmt: skip
 
     @property
     def searches(self) -> bool:
@@ -120,18 +113,11 @@ class TrainConfig:
     def from_dict(values: dict[str, Any]) -> TrainConfig:
         """Inverse of :meth:`to_dict`; unknown keys raise :class:`UnknownNameError`."""
         values = dict(values)
-        network = values.pop("network", {})
-        return _build(
-            TrainConfig, {**values, "network": _build(NetworkConfig, with_current_names(network))}
-        )
-
-
-def _build(cls: type, values: dict[str, Any]) -> Any:
-    names = {f.name for f in dataclasses.fields(cls)}
-    for key in values:
-        if key not in names:
-            raise UnknownNameError(f"{cls.__name__} field", key, names)
-    return cls(**values)
+        network = with_current_names(values.pop("network", {}))
+        for kind, given in ((TrainConfig, values), (NetworkConfig, network)):
+            for key in given:
+                check_name(f"{kind.__name__} field", key, kind.__dataclass_fields__)
+        return TrainConfig(network=NetworkConfig(**network), **values)
 
 
 def override(config: TrainConfig, assignments: list[str]) -> TrainConfig:
@@ -149,8 +135,7 @@ def override(config: TrainConfig, assignments: list[str]) -> TrainConfig:
         part = "network." if key.startswith("network.") else ""
         key, owner = key.removeprefix(part), config.network if part else config
         hints = typing.get_type_hints(type(owner))
-        if key not in hints or key == "network":
-            raise UnknownNameError("--set", key, hints)
+        check_name("--set", key, hints.keys() - {"network"})
         changes[part][key] = _parse(key, value, getattr(owner, key))
     # All at once: what is valid together need not be valid one after the other.
     network = dataclasses.replace(config.network, **changes["network."])
@@ -198,53 +183,28 @@ def register_learner(name: str, learner: Learner) -> None:
 
 CONFIGS: dict[str, TrainConfig] = {
     "paper": TrainConfig(
-        network=NetworkConfig(feed_forward="wide"),
-        num_samples=500_000,
-        num_envs=4,
-        steps_per_round=25,
-        updates_per_round=25,
-        batch_size=32,
-        learning_rate=1e-4,
-        final_learning_rate=1e-4,
-        replay_size=30_000,
-        epsilon_samples=100_000,
-        target_period=1250,
+        network=NetworkConfig(feed_forward="wide"), num_samples=500_000, num_envs=4,
+        steps_per_round=25, updates_per_round=25, batch_size=32, learning_rate=1e-4,
+        final_learning_rate=1e-4, replay_size=30_000, epsilon_samples=100_000, target_period=1250,
         double=False,
     ),
     # The published learners and networks with a quarter of the gradient steps (deviation D8).
     "published": TrainConfig(
-        num_samples=240_000,
-        learning_rate=2e-3,
-        final_learning_rate=1e-4,
-        epsilon_samples=25_000,
-        batch_size=32,
-        updates_per_round=4,
-        augment=True,
+        num_samples=240_000, learning_rate=2e-3, final_learning_rate=1e-4, epsilon_samples=25_000,
+        batch_size=32, updates_per_round=4, augment=True,
     ),
     # Our own method.
     "relational": TrainConfig(
-        network=NetworkConfig(encoder="relational", rounds=2),
-        num_samples=100_000,
-        learning_rate=1e-3,
-        final_learning_rate=3e-5,
-        epsilon_samples=20_000,
-        batch_size=32,
-        updates_per_round=4,
-        dense_weight=1.0,
+        network=NetworkConfig(encoder="relational", rounds=2), num_samples=100_000,
+        learning_rate=1e-3, final_learning_rate=3e-5, epsilon_samples=20_000, batch_size=32,
+        updates_per_round=4, dense_weight=1.0,
     ),
-    # The same for objects of several cells, whose states have ten times as many placements.
-    "relational-objects": TrainConfig(
-        network=NetworkConfig(encoder="relational", rounds=2),
-        num_samples=60_000,
-        learning_rate=1e-3,
-        final_learning_rate=3e-5,
-        replay_size=20_000,
-        epsilon_samples=15_000,
-        batch_size=16,
-        updates_per_round=4,
-        dense_weight=1.0,
-    ),
-}
+}  # fmt: skip
+# Objects of several cells have ten times as many placements.
+CONFIGS["relational-objects"] = dataclasses.replace(
+    CONFIGS["relational"], num_samples=60_000, replay_size=20_000, epsilon_samples=15_000,
+    batch_size=16,
+)  # fmt: skip
 
 
 def fit_to(config: TrainConfig, task: Task) -> TrainConfig:

@@ -6,7 +6,7 @@ targets and placed blocks only: where blocks wait changes nothing about what is 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -61,54 +61,40 @@ class Replay:
     """
 
     def __init__(
-        self,
-        size: int,
-        num_nodes: int,
-        *,
-        worlds: int,
-        outcomes: bool = False,
-        explored: int = 0,
+        self, size: int, num_nodes: int, *, worlds: int, outcomes: bool = False, explored: int = 0
     ) -> None:
-        self.size, self.length, self.cursor = size, 0, 0
-        self.worlds, self.outcomes, self.explored = worlds, outcomes, explored
-        self.arrays: dict[str, np.ndarray] = {
-            "action": np.zeros((size, 3), np.int64),
-            "reward": np.zeros(size, np.float32),
-            "terminal": np.zeros(size, np.bool_),
-            "discount": np.zeros(size, np.float32),
-            "greedy": np.zeros(size, np.bool_),
-        }
+        self.size, self.length, self.cursor, self.worlds = size, 0, 0, worlds
+        columns: dict[str, tuple[Any, ...]] = {
+            "action": (np.int64, 3), "reward": (np.float32,), "terminal": (np.bool_,),
+            "discount": (np.float32,), "greedy": (np.bool_,),
+        }  # fmt: skip
         for prefix in ("", "next_"):
-            self.arrays[f"{prefix}position"] = np.zeros((size, num_nodes, 3), np.float32)
-            self.arrays[f"{prefix}object_id"] = np.zeros((size, num_nodes), np.int16)
-            for name in _COUNTS:
-                self.arrays[prefix + name] = np.zeros(size, np.int16)
+            columns[f"{prefix}position"] = np.float32, num_nodes, 3
+            columns[f"{prefix}object_id"] = np.int16, num_nodes
+            columns |= {prefix + name: (np.int16,) for name in _COUNTS}
         if outcomes:
-            self.arrays["outcome.reward"] = np.zeros((size, 64), np.float16)
-            self.arrays["outcome.flags"] = np.zeros((size, 64), np.uint8)
+            columns |= {"outcome.reward": (np.float16, 64), "outcome.flags": (np.uint8, 64)}
         if explored:
-            self.arrays["searched.action"] = np.zeros((size, explored, 3), np.int16)
-            self.arrays["searched.value"] = np.zeros((size, explored), np.float32)
-            self.arrays["searched.count"] = np.zeros(size, np.int16)
+            columns |= {
+                "searched.action": (np.int16, explored, 3),
+                "searched.value": (np.float32, explored),
+                "searched.count": (np.int16,),
+            }
+        self.arrays: dict[str, np.ndarray] = {
+            name: np.zeros((size, *shape), kind) for name, (kind, *shape) in columns.items()
+        }
 
     def add(self, batch: Batch) -> None:
         """Append transitions, overwriting the oldest."""
         count = len(batch.reward)
         where = (self.cursor + np.arange(count)) % self.size
-        for prefix, graph in (("", batch.graph), ("next_", batch.next_graph)):
-            self.arrays[f"{prefix}position"][where] = graph.nodes[..., :3]
-            self.arrays[f"{prefix}object_id"][where] = graph.object_id
-            for name in _COUNTS:
-                self.arrays[prefix + name][where] = getattr(graph, name)
-        for name in ("action", "reward", "terminal", "discount", "greedy"):
-            self.arrays[name][where] = getattr(batch, name)
-        if self.outcomes:
-            assert batch.outcomes is not None
-            self._store_outcomes(where, batch.outcomes)
-        if self.explored:
-            assert batch.searched is not None
-            for name, value in batch.searched._asdict().items():
-                self.arrays[f"searched.{name}"][where] = value
+        for name, values in _columns(batch).items():
+            if name.startswith("outcome."):
+                while values.shape[1] > self.arrays[name].shape[1]:
+                    self.arrays[name] = np.tile(self.arrays[name], 2)
+                self.arrays[name][where, : values.shape[1]] = values
+            else:
+                self.arrays[name][where] = values
         self.cursor = int((self.cursor + count) % self.size)
         self.length = min(self.length + count, self.size)
 
@@ -121,33 +107,18 @@ class Replay:
         rows = rng.integers(0, self.length, count)
         a = self.arrays
         last, reward, discount = self._follow(rows, steps)
+        outcomes = searched = None
+        if "outcome.flags" in a:
+            values, flags = a["outcome.reward"][rows].astype(np.float32), a["outcome.flags"][rows]
+            # The gain is not kept: learning does not use it.
+            outcomes = Outcomes(values, (flags & 1) > 0, (flags & 2) > 0, np.zeros_like(values))
+        if "searched.count" in a:
+            action, value, explored = (a[f"searched.{name}"][rows] for name in Searched._fields)
+            searched = Searched(action.astype(np.int64), value, explored.astype(np.int64))
         return Batch(
             self._graph("", rows), a["action"][rows], reward, a["terminal"][last],
-            self._graph("next_", last), discount, a["greedy"][rows],
-            self._outcomes(rows), self._searched(rows),
+            self._graph("next_", last), discount, a["greedy"][rows], outcomes, searched,
         )  # fmt: skip
-
-    def _store_outcomes(self, where: np.ndarray, outcomes: Outcomes) -> None:
-        count = outcomes.reward.shape[1]
-        while count > self.arrays["outcome.reward"].shape[1]:
-            for name in ("outcome.reward", "outcome.flags"):
-                self.arrays[name] = np.tile(self.arrays[name], 2)
-        self.arrays["outcome.reward"][where, :count] = outcomes.reward
-        self.arrays["outcome.flags"][where, :count] = outcomes.terminal + 2 * outcomes.valid
-
-    def _outcomes(self, rows: np.ndarray) -> Outcomes | None:
-        if not self.outcomes:
-            return None
-        reward = self.arrays["outcome.reward"][rows].astype(np.float32)
-        flags = self.arrays["outcome.flags"][rows]
-        # The gain is not kept: learning does not use it.
-        return Outcomes(reward, (flags & 1) > 0, (flags & 2) > 0, np.zeros_like(reward))
-
-    def _searched(self, rows: np.ndarray) -> Searched | None:
-        if not self.explored:
-            return None
-        action, value, count = (self.arrays[f"searched.{n}"][rows] for n in Searched._fields)
-        return Searched(action.astype(np.int64), value, count.astype(np.int64))
 
     def _follow(self, rows: np.ndarray, steps: int) -> tuple[np.ndarray, ...]:
         """Last joined transition, discounted reward up to it and discount after it."""
@@ -190,12 +161,25 @@ class Replay:
         self.cursor = cursor
 
 
-MIRROR = np.array([0, 2, 1, 3, 4])
-"""Relative actions under x -> -x: left and right exchange."""
-EXCHANGE = np.array([0, 1, 2, 4, 3])
-"""Relative actions under y -> c - y: front and behind exchange."""
-_MIRRORED_SIDES, _EXCHANGED_SIDES = np.array([0, 1, 3, 2]), np.array([1, 0, 2, 3])
-"""Which side each side becomes."""
+def _columns(batch: Batch) -> dict[str, np.ndarray]:
+    """What is kept of transitions, by the names of the arrays."""
+    names = ("action", "reward", "terminal", "discount", "greedy")
+    out = {name: getattr(batch, name) for name in names}
+    for prefix, graph in (("", batch.graph), ("next_", batch.next_graph)):
+        out[f"{prefix}position"] = graph.nodes[..., :3]
+        out |= {prefix + name: getattr(graph, name) for name in ("object_id", *_COUNTS)}
+    if batch.outcomes is not None:
+        reward, terminal, valid, _ = batch.outcomes
+        out |= {"outcome.reward": reward, "outcome.flags": terminal + 2 * valid}
+    if batch.searched is not None:
+        out |= {f"searched.{name}": value for name, value in batch.searched._asdict().items()}
+    return out
+
+
+MIRROR, MIRRORED_SIDES = np.array([0, 2, 1, 3, 4]), np.array([0, 1, 3, 2])
+"""Relative actions and sides under x -> -x: left and right exchange."""
+EXCHANGE, EXCHANGED_SIDES = np.array([0, 1, 2, 4, 3]), np.array([1, 0, 2, 3])
+"""The same under y -> c - y: front and behind exchange."""
 _MIDDLE = {2: EDGE, 4: 2 * EDGE}
 """c for the structures that exchange maps onto themselves."""
 
@@ -206,16 +190,13 @@ def random_symmetry(batch: Batch, num_sides: int, rng: np.random.Generator) -> B
     mirror = rng.random(count) < 0.5
     exchange = (rng.random(count) < 0.5) & (num_sides in _MIDDLE)
     middle = _MIDDLE.get(num_sides, 0.0)
-    action = batch.action.copy()
-    for chosen, permutation in ((mirror, MIRROR), (exchange, EXCHANGE)):
-        action[chosen, 2] = permutation[action[chosen, 2]]
-
     searched = batch.searched
-    if searched is not None:
-        explored = searched.action.copy()
+
+    def act(action: np.ndarray) -> np.ndarray:
+        action = action.copy()
         for chosen, permutation in ((mirror, MIRROR), (exchange, EXCHANGE)):
-            explored[chosen, :, 2] = permutation[explored[chosen, :, 2]]
-        searched = searched._replace(action=explored)
+            action[chosen, ..., 2] = permutation[action[chosen, ..., 2]]
+        return action
 
     def turn(graph: Graph) -> Graph:
         nodes = graph.nodes.copy()
@@ -225,12 +206,12 @@ def random_symmetry(batch: Batch, num_sides: int, rng: np.random.Generator) -> B
         nodes[..., 1] = np.where(settled & exchange[:, None], middle - y, y)
         object_id = graph.object_id.copy()
         vertex = np.arange(nodes.shape[1]) < graph.num_targets[:, None]
-        for chosen, permutation in ((mirror, _MIRRORED_SIDES), (exchange, _EXCHANGED_SIDES)):
+        for chosen, permutation in ((mirror, MIRRORED_SIDES), (exchange, EXCHANGED_SIDES)):
             turned = vertex & chosen[:, None]
             object_id[turned] = -1 - permutation[-1 - object_id[turned]]
         return graph._replace(nodes=nodes, object_id=object_id)
 
     return batch._replace(
-        graph=turn(batch.graph), next_graph=turn(batch.next_graph), action=action,
-        searched=searched,
+        graph=turn(batch.graph), next_graph=turn(batch.next_graph), action=act(batch.action),
+        searched=searched and searched._replace(action=act(searched.action)),
     )  # fmt: skip

@@ -8,17 +8,19 @@ on), ``agent.safetensors`` and ``agent.json`` (the network so far).
 from __future__ import annotations
 
 import dataclasses
+import functools
 import importlib.metadata
 import importlib.util
 import json
+import math
 import os
 import platform
 import subprocess
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from tqdm import tqdm
@@ -66,18 +68,15 @@ def _commit() -> str:
     here = Path(__file__)
     # Variables of git that a hook sets would point to another repository.
     env = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
-    found = ""
+    git = functools.partial(
+        subprocess.run, cwd=here.parent, env=env, capture_output=True, text=True, check=True,
+        timeout=5,
+    )  # fmt: skip
     try:
-        for words in (["ls-files", "--error-unmatch", here.name], ["rev-parse", "--short", "HEAD"]):
-            done = subprocess.run(
-                ["git", *words], cwd=here.parent, env=env, capture_output=True, text=True,
-                check=True, timeout=5,
-            )  # fmt: skip
-            found = done.stdout.strip()
+        git(["git", "ls-files", "--error-unmatch", here.name])
+        return git(["git", "rev-parse", "--short", "HEAD"]).stdout.strip()
     except (OSError, subprocess.SubprocessError):
-        found = ""
-    if found:
-        return found
+        pass
     try:
         return f"version {importlib.metadata.version('learn2assemble')}"
     except importlib.metadata.PackageNotFoundError:
@@ -218,20 +217,21 @@ def train(
         task, config, seed, saved_minutes = _saved(out, task)
         minutes = saved_minutes if minutes is None else minutes
     else:
-        chosen = get_config(config) if isinstance(config, str) else config
         wanted = [] if method is None else [f"method={method}"]
-        config = override(fit_to(chosen, task), [*wanted, *settings])
+        config = override(_fitted(config, task), [*wanted, *settings])
         if samples is not None:
             config = dataclasses.replace(config, num_samples=samples)
     if threads is not None:
         torch.set_num_threads(threads)
-    if isinstance(init, str):
-        init = load_agent(init)
     metrics = run_training(
         task, config, out, seed=seed or 0, minutes=minutes, device=device, resume=resume,
-        init=init, quiet=quiet,
+        init=load_agent(init) if isinstance(init, str) else init, quiet=quiet,
     )  # fmt: skip
     return TrainingRun(task.name, out, words, metrics)
+
+
+def _fitted(config: str | TrainConfig, task: Task) -> TrainConfig:
+    return fit_to(get_config(config) if isinstance(config, str) else config, task)
 
 
 def train_seeds(
@@ -266,40 +266,31 @@ def train_seeds(
     taken = [folder for folder in folders if folder.exists() and any(folder.iterdir())]
     if taken and not resume:
         raise InputError("--out", str(taken[0]), "a new or empty folder, or --resume")
-    config = options.get("config", "relational")
-    fit_to(get_config(config) if isinstance(config, str) else config, task)
-    jobs = [
-        _Seed(task, folder, {**options, "quiet": True, "seed": seed})
-        for seed, folder in enumerate(folders)
-    ]
+    _fitted(options.get("config", "relational"), task)
+    options["quiet"] = True
+    jobs = [(task, folder, {**options, "seed": seed}) for seed, folder in enumerate(folders)]
     runs: dict[Path, TrainingRun] = {}
-    for job, run in run_all(_train_seed, jobs, workers=workers, ray=ray):
-        runs[job.out] = run
-        progress(f"{job.out}: R {run.metrics.get('R', float('nan')):.2f} in training")
+    for (_, folder, _), run in run_all(_train_seed, jobs, workers=workers, ray=ray):
+        runs[folder] = run
+        progress(f"{folder}: R {run.metrics.get('R', float('nan')):.2f} in training")
     return [runs[folder] for folder in folders]
 
 
-class _Seed(NamedTuple):
-    task: Task
-    out: Path
-    options: dict[str, Any]
-
-
-def _train_seed(job: _Seed) -> TrainingRun:
-    if not (job.out / "state.safetensors").is_file():
-        return train(job.task, job.out, **job.options)
-    kept = {key: job.options[key] for key in ("minutes", "device", "quiet") if key in job.options}
-    return train(job.task, job.out, resume=True, **kept)
+def _train_seed(job: tuple[Task, Path, dict[str, Any]]) -> TrainingRun:
+    task, out, options = job
+    if not (out / "state.safetensors").is_file():
+        return train(task, out, **options)
+    kept = {key: options[key] for key in ("minutes", "device", "quiet") if key in options}
+    return train(task, out, resume=True, **kept)
 
 
 def _saved(out: Path, task: Task) -> tuple[Task, TrainConfig, int, float | None]:
     """Task, configuration, seed and minutes of the run to resume."""
-    file = out / "config.json"
     refused = InputError("--resume", str(out), "the folder of a training run")
-    if not file.is_file():
+    if not (out / "config.json").is_file():
         raise refused
     try:
-        saved = mapping(read_json(file, "configuration")[0], str(file))
+        saved = _read_config(out)
         config = TrainConfig.from_dict(saved["config"])
         name, seed = text(saved["task"]["name"], "task"), integer(saved["seed"], "seed")
         arm = saved["task"].get("arm", NO_ARM)
@@ -309,6 +300,15 @@ def _saved(out: Path, task: Task) -> tuple[Task, TrainConfig, int, float | None]
     if name != task.name:
         raise InputError("TASK", task.name, f"{name}, the task of the run to resume")
     return get_task(task, arm if task.has_arm else None), config, seed, minutes
+
+
+def _read_config(out: Path) -> Mapping[str, Any]:
+    """What ``config.json`` of a run says."""
+    file = out / "config.json"
+    try:
+        return mapping(read_json(file, "configuration")[0], str(file))
+    except InputError:
+        raise InputError("--resume", str(file), "the configuration of a run") from None
 
 
 def run_training(
@@ -335,49 +335,50 @@ def run_training(
     Raises:
         InputError: for an output folder that is not usable, or nothing to resume.
     """
-    device = choose_device(device)
-    state_file = out / "state.safetensors"
     # First what can be refused without leaving a folder behind.
-    trainer = Trainer(task, config, seed or 0, device)
+    trainer = Trainer(task, config, seed or 0, choose_device(device))
     started_from = None
     if init is not None:
         trainer.start_from(init.network)
         started_from = {"name": init.name, "origin": init.origin}
-    if resume and not state_file.is_file():
+    if resume and not (out / "state.safetensors").is_file():
         raise InputError("--resume", str(out), "a folder with a state.safetensors")
     with claim_folder(out, resume, "a new or empty folder, or --resume"):
-        return _run(trainer, out, state_file, seed, minutes, started_from, resume, quiet)
+        if resume:
+            trainer.load(out / "state.safetensors")
+            if seed not in (None, trainer.seed):
+                raise InputError("--resume --seed", seed, f"the run's own: {trainer.seed}")
+            started_from = _read_config(out).get("init")
+        else:
+            run = {
+                "task": dataclasses.asdict(task), "seed": trainer.seed, "minutes": minutes,
+                "init": started_from, "config": config.to_dict(), **provenance(trainer.device),
+            }  # fmt: skip
+            write_file(out / "config.json", json.dumps(run, indent=1) + "\n", "configuration")
+        logs = _Logs(out, trainer.samples)
+        if not resume:
+            _save(trainer, out, started_from)
+        try:
+            _rounds(trainer, minutes, quiet, logs, lambda: _save(trainer, out, started_from))
+        finally:
+            if trainer.between_rounds:
+                _save(trainer, out, started_from)
+                logs.write(trainer.metrics())
+            logs.close()
+    return trainer.metrics()
 
 
-def _run(
-    trainer: Trainer, out: Path, state_file: Path, seed: int | None, minutes: float | None,
-    started_from: dict[str, Any] | None, resume: bool, quiet: bool,
-) -> dict[str, float]:  # fmt: skip
-    """Rounds of training in a folder that is ours, until it is finished or time is up."""
-    task, config = trainer.task, trainer.config
-    if resume:
-        trainer.load(state_file)
-        if seed not in (None, trainer.seed):
-            raise InputError("--resume --seed", seed, f"the run's own: {trainer.seed}")
-        started_from = _started_from(out / "config.json")
-    else:
-        run = {
-            "task": dataclasses.asdict(task), "seed": trainer.seed, "minutes": minutes,
-            "init": started_from,
-            "config": config.to_dict(), **provenance(trainer.device),
-        }  # fmt: skip
-        write_file(out / "config.json", json.dumps(run, indent=1) + "\n", "configuration")
-    logs = _Logs(out, trainer.samples)
-    limit = float("inf") if minutes is None else minutes * 60
-    bar = tqdm(
-        total=config.num_samples, initial=trainer.samples, unit=" samples", disable=quiet,
-        desc=task.name, dynamic_ncols=True,
-    )  # fmt: skip
-    if not resume:
-        _save(trainer, out, state_file, started_from)
+def _rounds(
+    trainer: Trainer, minutes: float | None, quiet: bool, logs: _Logs, save: Callable[[], None]
+) -> None:
+    """Rounds of training until it is finished or time is up."""
+    limit = math.inf if minutes is None else minutes * 60
     started, base = time.monotonic(), trainer.seconds
     next_log, next_save = started + LOG_SECONDS, started + CHECKPOINT_SECONDS
-    try:
+    with tqdm(
+        total=trainer.config.num_samples, initial=trainer.samples, unit=" samples", disable=quiet,
+        desc=trainer.task.name, dynamic_ncols=True,
+    ) as bar:  # fmt: skip
         while not trainer.finished and trainer.seconds < limit:
             before = trainer.samples
             trainer.round()
@@ -393,36 +394,15 @@ def _run(
                 )
                 next_log = now + LOG_SECONDS
             if now >= next_save:
-                _save(trainer, out, state_file, started_from)
+                save()
                 next_save = time.monotonic() + CHECKPOINT_SECONDS
-    finally:
-        if trainer.between_rounds:
-            _save(trainer, out, state_file, started_from)
-            logs.write(trainer.metrics())
-        logs.close()
-        bar.close()
-    return trainer.metrics()
 
 
-def _started_from(file: Path) -> dict[str, Any] | None:
-    """The agent whose weights the run in ``config.json`` began with."""
-    try:
-        return mapping(read_json(file, "configuration")[0], str(file)).get("init")
-    except InputError:
-        raise InputError("--resume", str(file), "the configuration of a run") from None
-
-
-def _save(
-    trainer: Trainer, out: Path, state_file: Path, started_from: dict[str, Any] | None
-) -> None:
-    trainer.save(state_file)
+def _save(trainer: Trainer, out: Path, started_from: dict[str, Any] | None) -> None:
+    trainer.save(out / "state.safetensors")
     origin = {
-        "config": trainer.config.to_dict(),
-        "seed": trainer.seed,
-        "samples": trainer.samples,
-        "updates": trainer.updates,
-        "seconds": round(trainer.seconds, 1),
-        "init": started_from,
+        "config": trainer.config.to_dict(), "seed": trainer.seed, "samples": trainer.samples,
+        "updates": trainer.updates, "seconds": round(trainer.seconds, 1), "init": started_from,
         **provenance(trainer.device),
-    }
+    }  # fmt: skip
     save_agent(Agent("agent", trainer.agent_network, trainer.task.name, origin), out)

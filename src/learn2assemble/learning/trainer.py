@@ -21,7 +21,7 @@ from torch.nn import functional as F
 
 from learn2assemble.errors import InputError
 from learn2assemble.graph.batch import to_tensors
-from learn2assemble.graph.features import Graph, node_offset
+from learn2assemble.graph.features import node_offset
 from learn2assemble.graph.placements import distinct_placements
 from learn2assemble.learning.config import METHODS, TrainConfig
 from learn2assemble.learning.replay import Batch, Replay, Searched, random_symmetry
@@ -31,7 +31,6 @@ from learn2assemble.networks.qnetwork import NEGATIVE
 from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.search.config import SearchConfig
 from learn2assemble.search.mcts import search
-from learn2assemble.search.tree import SearchModel
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import Task, check_actions
 from learn2assemble.world.outcomes import Outcomes
@@ -121,87 +120,65 @@ def dense_error(
     Three means: the reward part of Q against the reward; Q against the reward where the placement
     is invalid; the same where it ends the episode otherwise (there the reward is the exact Q).
     """
-    device = values.q.device
-    shape = values.q.shape
-
-    def put(a: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy(a[:, : shape[1]]).to(device)
-
-    reward, terminal, valid = put(outcomes.reward), put(outcomes.terminal), put(outcomes.valid)
+    rows, width = values.q.shape
+    reward, terminal, valid = (
+        torch.from_numpy(field[:, :width]).to(values.q.device) for field in outcomes[:3]
+    )
     used = values.cells.legal & (terminal | valid)
-    error = F.smooth_l1_loss(values.reward, reward, reduction="none") * used
-    rewards = error.sum() / used.sum().clamp(min=1)
-    error = F.smooth_l1_loss(values.q, reward, reduction="none")
-    ends, kept = used & terminal & ~valid, used & terminal & valid
-    invalid = (error * ends).sum() / ends.sum().clamp(min=1)
-    # Placements that finish the structure are few: one counts like one action of the batch.
-    final = (error * kept).sum() / kept.sum().clamp(min=shape[0])
-    parts = {"reward": rewards, "invalid": invalid, "final": final}
-    return rewards + invalid + final, {k: float(v.detach()) for k, v in parts.items()}
 
+    def mean(q: torch.Tensor, where: torch.Tensor, least: int = 1) -> torch.Tensor:
+        error = F.smooth_l1_loss(q, reward, reduction="none")
+        return (error * where).sum() / where.sum().clamp(min=least)
 
-def greedy_actions(network: Network, graph: Graph, device: str) -> np.ndarray:
-    """Legal node action with the largest Q of every row: int64[B, 3]."""
-    with torch.inference_mode():
-        tensors = to_tensors(graph, device)
-        _, action = network(tensors).best(tensors)
-    return action.cpu().numpy()
-
-
-def random_actions(graph: Graph, num_actions: int, rng: np.random.Generator) -> np.ndarray:
-    """A uniform legal node action for every row: int64[B, 3]."""
-    first = graph.num_targets + graph.num_placed
-    draw = rng.random((len(first), 3))
-    block = first + draw[:, 0] * (graph.num_nodes - first)
-    reference = graph.num_targets + draw[:, 1] * graph.num_placed
-    return np.stack([block, reference, draw[:, 2] * num_actions], -1).astype(np.int64)
+    parts = {
+        "reward": mean(values.reward, used),
+        "invalid": mean(values.q, used & terminal & ~valid),
+        # Placements that finish the structure are few: one counts like one action of the batch.
+        "final": mean(values.q, used & terminal & valid, rows),
+    }
+    error = parts["reward"] + parts["invalid"] + parts["final"]
+    return error, {k: float(v.detach()) for k, v in parts.items()}
 
 
 def epsilon_greedy(
-    network: Network, graph: Graph, epsilon: float, rng: np.random.Generator, device: str
+    model: WorldModel, state: State, epsilon: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Node actions int64[B, 3], uniform with probability ``epsilon``, and which are greedy."""
-    action = random_actions(graph, network.config.num_actions, rng)
+    """Actions int64[B, 3], uniform with probability ``epsilon``, and which are greedy."""
+    action = model.random_actions(state, rng)
     greedy = rng.random(len(action)) >= epsilon
-    if greedy.any():
-        rows = np.flatnonzero(greedy)
-        action[rows] = greedy_actions(network, graph.take(rows), device)
+    rows = np.flatnonzero(greedy)
+    if len(rows):
+        _, action[rows] = model.best(state.take(rows))
     return action, greedy
 
 
 def searching(
-    model: SearchModel,
-    state: State,
-    graph: Graph,
-    config: SearchConfig,
-    rng: np.random.Generator,
+    model: WorldModel, state: State, config: SearchConfig, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, Searched]:
-    """One search for every row: node actions int64[B, 3], which of them no draw of epsilon
-    chose, and what the searches found at their roots."""
+    """One search for every row: actions int64[B, 3], which of them no draw of epsilon chose, and
+    what the searches found at their roots."""
     decisions = search(model, state, config, rng)
-    offset = node_offset(graph)
-    action = np.stack([decision.action for decision in decisions]) + offset
+    count = len(decisions)
     found = Searched(
-        np.zeros((len(decisions), config.budget, 3), np.int64),
-        np.zeros((len(decisions), config.budget), np.float32),
-        np.zeros(len(decisions), np.int64),
+        np.zeros((count, config.budget, 3), np.int64),
+        np.zeros((count, config.budget), np.float32),
+        np.zeros(count, np.int64),
     )
+    offset = node_offset(model.simulator.observe(state))
     for row, decision in enumerate(decisions):
         explored = decision.explored()
         found.count[row] = len(explored)
         for n, (local, value, _) in enumerate(explored):
             found.action[row, n], found.value[row, n] = local + offset[row], value
+    action = np.stack([decision.action for decision in decisions])
     return action, ~np.array([decision.random for decision in decisions]), found
-
-
-def to_local(graph: Graph, action: np.ndarray) -> np.ndarray:
-    """Node indices to indices within the unplaced and the placed blocks: int64[B, 3]."""
-    return action - node_offset(graph)
 
 
 TRAINING_STREAM = 1
 """First word of every training seed; evaluation uses another, so no problem is seen twice."""
 EPISODES_AVERAGED = 300
+_COUNTERS = ("seed", "samples", "updates", "episodes")
+_LOGGED = ("samples", "updates", "episodes", "seconds", "epsilon", "learning_rate")
 
 
 class Trainer:
@@ -230,9 +207,9 @@ class Trainer:
             self.online.parameters(), lr=config.learning_rate, fused=True
         )
         self.replay = Replay(
-            config.replay_size, task.num_nodes,
-            worlds=config.num_envs, outcomes=config.dense_weight > 0,
-            explored=config.search_budget if config.searches else 0,
+            config.replay_size, task.num_nodes, worlds=config.num_envs,
+            outcomes=config.dense_weight > 0,
+            explored=config.search_budget if self.learner.search else 0,
         )  # fmt: skip
         self.state = self.simulator.new(config.num_envs, self.rng)
         self.graph = self.simulator.observe(self.state)
@@ -293,33 +270,25 @@ class Trainer:
 
     def collect(self) -> None:
         """One step of every world by the learner's policy, into the replay memory."""
-        state, graph = self.state, self.graph
+        state, graph, offset = self.state, self.graph, node_offset(self.graph)
         searched = outcomes = None
         if self.config.dense_weight:
             placements = distinct_placements(graph, self.task.action_spec)
             outcomes = self.simulator.outcomes(state, graph, placements)
         if self.learner.search is not None:
             how = self.learner.search(self.config.search_budget, self.epsilon)
-            action, greedy, searched = searching(self.model, state, graph, how, self.rng)
+            action, greedy, searched = searching(self.model, state, how, self.rng)
         else:
-            action, greedy = epsilon_greedy(self.online, graph, self.epsilon, self.rng, self.device)
-        step = self.simulator.step(state, to_local(graph, action))
+            action, greedy = epsilon_greedy(self.model, state, self.epsilon, self.rng)
+        step = self.simulator.step(state, action)
         after = self.simulator.observe(state)
         discount = np.full(len(action), self.task.discount, np.float32)
-        reward = step.reward.astype(np.float32)
         self.replay.add(
             Batch(
-                graph,
-                action,
-                reward,
-                step.terminated,
-                after,
-                discount,
-                greedy,
-                outcomes=outcomes,
-                searched=searched,
+                graph, action + offset, step.reward.astype(np.float32), step.terminated, after,
+                discount, greedy, outcomes, searched,
             )
-        )
+        )  # fmt: skip
         self.samples += len(action)
         self.running_return += self.running_discount * step.reward
         self.running_discount *= self.task.discount
@@ -347,9 +316,10 @@ class Trainer:
         self.optimizer.step()
         self.updates += 1
         if config.target_rate:
-            pairs = zip(self.target.parameters(), self.online.parameters(), strict=True)
             with torch.no_grad():
-                for mine, theirs in pairs:
+                for mine, theirs in zip(
+                    self.target.parameters(), self.online.parameters(), strict=True
+                ):
                     mine.lerp_(theirs, config.target_rate)
         elif self.updates % config.target_period == 0:
             self.target.load_state_dict(self.online.state_dict())
@@ -359,14 +329,7 @@ class Trainer:
 
         Those of episodes are left out until one has ended.
         """
-        out: dict[str, float] = {
-            "samples": self.samples,
-            "updates": self.updates,
-            "episodes": self.episodes,
-            "seconds": self.seconds,
-            "epsilon": self.epsilon,
-            "learning_rate": self.learning_rate,
-        }
+        out = {name: getattr(self, name) for name in _LOGGED}
         if self.recent:
             means = np.asarray(self.recent, float).reshape(-1, 3).mean(0)
             out |= dict(zip(("R", "success", "f"), means.tolist(), strict=True))
@@ -378,26 +341,23 @@ class Trainer:
         for number, slots in self.optimizer.state_dict()["state"].items():
             tensors |= {f"adam.{number}.{k}": v.cpu() for k, v in slots.items()}
         counters = {
-            "seed": self.seed,
-            "task": self.task.name,
-            "config": self.config.to_dict(),
-            "samples": self.samples,
-            "updates": self.updates,
-            "episodes": self.episodes,
-            "seconds": self.seconds,
-            "cursor": self.replay.cursor,
+            **{name: getattr(self, name) for name in (*_COUNTERS, "seconds")},
+            "task": self.task.name, "config": self.config.to_dict(), "cursor": self.replay.cursor,
             "rng": self.rng.bit_generator.state,
-        }
+        }  # fmt: skip
         partial = path.with_suffix(".partial")
         save_file(tensors, partial, metadata={"counters": json.dumps(counters)})
         os.replace(partial, path)
 
+    def _worlds(self) -> dict[str, np.ndarray]:
+        """State and running sums of the worlds, by their names in a state file."""
+        fields = {f"state.{name}": field for name, field in self.state._asdict().items()}
+        names = ("running_return", "running_discount")
+        return {**fields, **{name: getattr(self, name) for name in names}}
+
     def _tensors(self) -> dict[str, torch.Tensor]:
         """Everything but the counters and the optimiser's moments, by its name in a state file."""
-        arrays: dict[str, np.ndarray] = {f"state.{k}": v for k, v in self.state._asdict().items()}
-        arrays |= self.replay.state()
-        arrays["running_return"] = self.running_return
-        arrays["running_discount"] = self.running_discount
+        arrays = {**self._worlds(), **self.replay.state()}
         arrays["recent"] = np.asarray(self.recent, float).reshape(-1, 3)
         tensors = {k: torch.from_numpy(np.ascontiguousarray(v)) for k, v in arrays.items()}
         for prefix, network in (("online", self.online), ("target", self.target)):
@@ -415,10 +375,8 @@ class Trainer:
                 counters: dict[str, Any] = json.loads(file.metadata()["counters"])
                 tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
             self._restore(counters, tensors)
-        except (
-            SafetensorError, OSError, LookupError, ValueError, TypeError, RuntimeError,
-            AttributeError,
-        ) as error:  # fmt: skip
+        except (SafetensorError, OSError, LookupError, ValueError, TypeError, RuntimeError,
+                AttributeError) as error:  # fmt: skip
             if isinstance(error, InputError):
                 raise
             reason = " ".join(str(error).split())[:120]
@@ -460,15 +418,19 @@ class Trainer:
         for key, value in mine.items():
             if theirs[key] != value:
                 raise InputError(f"--resume {key}", value, f"the run's own: {theirs[key]}")
-        _check_counters(counters, self.config.replay_size)
+        for name in (*_COUNTERS, "cursor"):
+            if type(counters[name]) is not int or counters[name] < 0:
+                raise ValueError(f"{name} is {counters[name]!r}")
+        if counters["cursor"] >= self.config.replay_size:
+            raise ValueError(f"cursor is {counters['cursor']} of {self.config.replay_size}")
+        if not 0 <= counters["seconds"] < math.inf:
+            raise ValueError(f"seconds is {counters['seconds']!r}")
         self._check_tensors(tensors)
         arrays = {k: v.numpy() for k, v in tensors.items() if not k.startswith("adam.")}
-        for name, field in self.state._asdict().items():
-            field[:] = arrays[f"state.{name}"]
+        for name, field in self._worlds().items():
+            field[:] = arrays[name]
         self.graph = self.simulator.observe(self.state)
         self.replay.load(arrays, counters["cursor"])
-        self.running_return[:] = arrays["running_return"]
-        self.running_discount[:] = arrays["running_discount"]
         self.recent.extend((r, bool(s), bool(f)) for r, s, f in arrays["recent"].tolist())
         for prefix, network in (("online", self.online), ("target", self.target)):
             network.load_state_dict({k: tensors[f"{prefix}.{k}"] for k in network.state_dict()})
@@ -478,18 +440,6 @@ class Trainer:
                 _, number, slot = key.split(".")
                 optimizer["state"].setdefault(int(number), {})[slot] = value
         self.optimizer.load_state_dict(optimizer)
-        self.seed = counters["seed"]
-        self.samples, self.updates = counters["samples"], counters["updates"]
-        self.episodes, self.seconds = counters["episodes"], counters["seconds"]
+        for name in (*_COUNTERS, "seconds"):
+            setattr(self, name, counters[name])
         self.rng.bit_generator.state = counters["rng"]
-
-
-def _check_counters(counters: dict[str, Any], replay_size: int) -> None:
-    """ValueError for counters that no training can have."""
-    for name in ("seed", "samples", "updates", "episodes", "cursor"):
-        if type(counters[name]) is not int or counters[name] < 0:
-            raise ValueError(f"{name} is {counters[name]!r}")
-    if counters["cursor"] >= replay_size:
-        raise ValueError(f"cursor is {counters['cursor']} of {replay_size}")
-    if not 0 <= counters["seconds"] < math.inf:
-        raise ValueError(f"seconds is {counters['seconds']!r}")

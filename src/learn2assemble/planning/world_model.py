@@ -46,9 +46,6 @@ class WorldModel:
         self.network = at_pitch(network, task.pitch)
         self.discount = simulator.task.discount
 
-    def batch_size(self, states: State) -> int:
-        return states.batch_size
-
     def take(self, states: State, rows: np.ndarray) -> State:
         return states.take(rows)
 
@@ -83,9 +80,7 @@ class WorldModel:
         ]
 
     def random_actions(self, states: State, rng: np.random.Generator) -> np.ndarray:
-        relations = np.full(states.batch_size, self.simulator.task.num_actions)
-        counts = np.stack([states.num_unplaced, states.num_placed, relations], -1)
-        return (rng.random(counts.shape) * counts).astype(np.int64)
+        return self.simulator.random_actions(states, rng)
 
     def best(self, states: State) -> tuple[np.ndarray, np.ndarray]:
         graph = self.simulator.observe(states)

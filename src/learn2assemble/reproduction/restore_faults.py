@@ -51,9 +51,6 @@ class LegacyModel:
     def __init__(self, model: WorldModel, rng: np.random.Generator) -> None:
         self.model, self.rng, self.discount = model, rng, model.discount
 
-    def batch_size(self, states: State | Copies) -> int:
-        return _state(states).batch_size
-
     def take(self, states: State | Copies, rows: np.ndarray) -> Copies:
         copies = _copies(states)
         return Copies(copies.state.take(rows), copies.real[rows])

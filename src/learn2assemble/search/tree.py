@@ -46,8 +46,6 @@ class SearchModel(Protocol):
 
     discount: float
 
-    def batch_size(self, states: Any) -> int: ...
-
     def take(self, states: Any, rows: np.ndarray) -> Any:
         """Independent copies of some rows."""
         ...
