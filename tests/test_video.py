@@ -30,8 +30,16 @@ from learn2assemble.viewer.renderer import (
     fill,
     render,
 )
-from learn2assemble.viewer.video import FRAMES_PER_SECOND, Frames, moments, write_video
-from learn2assemble.viewer.workcell import fill_box, lettering, rgb, write
+from learn2assemble.viewer.video import (
+    FRAMES_PER_SECOND,
+    Frames,
+    fill_box,
+    lettering,
+    moments,
+    rgb,
+    write,
+    write_video,
+)
 
 COUNT = 3
 SIZE = 64

@@ -12,8 +12,8 @@ from learn2assemble.geometry.rotations import matrix_quaternion
 from learn2assemble.robot.motion.record import StepRecord
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.shape import Part
-from learn2assemble.viewer.html import packed, speed_options, to_base64
-from learn2assemble.viewer.playback import Glide, Playback, split
+from learn2assemble.viewer.html import NUMBER, packed, row, speed_options, to_base64
+from learn2assemble.viewer.playback import Playback, split
 from learn2assemble.viewer.words import (
     OUTCOME_WORDS,
     arm_summary,
@@ -27,10 +27,6 @@ _SPEED = 4
 
 
 NEAR_VIEW = '<button type="button" id="near-view">Near view</button>'
-LEGEND = (
-    '<li><i class="waiting"></i>waiting block</li>'
-    '<li><i class="goal"></i>where this step puts it</li>'
-)
 
 
 class Labels(NamedTuple):
@@ -78,40 +74,30 @@ def arm_values(playback: Playback) -> dict[str, str]:
 def arm_section(playback: Playback, names: Sequence[str]) -> str:
     """The table of attempts with its heading; names of the blocks by cell."""
     record = playback.record
+    rows = "".join(
+        _attempt(k, step, names[step.cells[0]]) for k, step in enumerate(record.steps, 1)
+    )
     return (
         '<section class="attempts" aria-labelledby="arm-title"><h2 id="arm-title">What the arm '
         f'did</h2><p class="lead">Arm {escape(record.arm.name)}, {escape(arm_summary(record))}, '
         f"simulated by {escape(record.simulated_by)}.</p>"
         '<div class="scroll"><table><thead><tr><th>Attempt</th><th>Object</th><th>Outcome</th>'
         '<th>Why</th><th class="number">Off by</th><th class="number">Time</th></tr></thead>'
-        f"<tbody>{_rows(playback, names)}</tbody></table></div></section>\n  "
+        f"<tbody>{rows}</tbody></table></div></section>\n  "
     )
 
 
-def _rows(playback: Playback, names: Sequence[str]) -> str:
-    """What became of every step."""
-    rows = []
-    for k, segment in enumerate(playback.segments):
-        step = segment.step
-        good = step.outcome == Outcome.REACHED
-        name = names[step.cells[0]]
-        again = ' <span class="tag">planned anew</span>' if step.replanned else ""
-        rows.append(
-            f'<tr data-segment="{k}"><td><button type="button" data-segment="{k}" '
-            f'aria-label="Show attempt {k + 1}">{k + 1}</button></td>'
-            f"<td>{escape(name)}</td>"
-            f'<td class="{"yes" if good else "no"}" title="{escape(OUTCOME_WORDS[step.outcome])}">'
-            f"{step.outcome.label}</td>"
-            f"<td>{escape(sentence(step.detail))}{again}</td>"
-            f'<td class="number">{_error(step) if good else "–"}</td>'
-            f'<td class="number">{step.seconds:.1f} s</td></tr>'
-        )  # fmt: skip
-    return "".join(rows)
-
-
-def _error(step: StepRecord) -> str:
-    """How far the grasped cell stands from where it should [mm]."""
-    return f"{1000 * step.error:.1f} mm"
+def _attempt(number: int, step: StepRecord, name: str) -> str:
+    """What became of a step: how far the cell stands from where it should, and how long it took."""
+    good = step.outcome == Outcome.REACHED
+    again = ' <span class="tag">planned anew</span>' if step.replanned else ""
+    outcome = f'class="{"yes" if good else "no"}" title="{escape(OUTCOME_WORDS[step.outcome])}"'
+    cells = [
+        str(number), escape(name), step.outcome.label, escape(sentence(step.detail)) + again,
+        f"{1000 * step.error:.1f} mm" if good else "–", f"{step.seconds:.1f} s",
+    ]  # fmt: skip
+    of_cells = {2: outcome, 4: NUMBER, 5: NUMBER}
+    return row(cells, of_cells, f'data-segment="{number - 1}"', f"Show attempt {number}")
 
 
 def ribbon(playback: Playback) -> str:
@@ -138,36 +124,33 @@ def arm_data(playback: Playback, labels: Labels) -> dict[str, Any]:
     """What the scripts need to move the arm: metres, seconds, radians, quaternions (w, x, y, z)."""
     record, shape = playback.record, playback.shape
     chain, samples = shape.chain, playback.samples
-    first = record.steps[0].before
-    tool_turn = matrix_quaternion(chain.tool_turn)
     return {
         "rate": record.rate,
         "duration": _short(playback.duration),
         "joints": [
-            {"offset": _list(offset), "turn": _list(matrix_quaternion(turn))}
+            {"offset": offset, "turn": matrix_quaternion(turn)}
             for offset, turn in zip(chain.offset, chain.turn, strict=True)
         ],
-        "tool": {"offset": _list(chain.tool_offset), "turn": _list(tool_turn)},
+        "tool": {"offset": chain.tool_offset, "turn": matrix_quaternion(chain.tool_turn)},
         "fingers": [
-            {"offset": _list(f.offset), "turn": _list(matrix_quaternion(f.turn)),
-             "travel": _list(f.travel)}
+            {"offset": f.offset, "turn": matrix_quaternion(f.turn), "travel": f.travel}
             for f in shape.fingers
         ],
         "parts": [_part(part) for part in shape.parts],
         "samples": packed(np.column_stack([samples.joints, samples.width]), np.uint16),
         "cells": [
-            {"kind": colour, "fixed": fixed, "half": _list(size),
+            {"kind": colour, "fixed": fixed, "half": size,
              "position": position, "quaternion": quaternion}
             for colour, fixed, size, position, quaternion in zip(
-                labels.colours, labels.fixed, playback.half,
-                *map(_list, split(first)), strict=True,
+                labels.colours, labels.fixed, playback.half, *split(record.steps[0].before),
+                strict=True,
             )
         ],
         "segments": [
             _segment(playback, number, labels) for number in range(len(playback.segments))
         ],
         "start": labels.captions[0],
-        "extent": _list(extent(playback)),
+        "extent": extent(playback),
         "turn": _short(playback.side),
     }  # fmt: skip
 
@@ -185,7 +168,7 @@ def _segment(playback: Playback, number: int, labels: Labels) -> dict[str, Any]:
         "moves": bool(len(step.samples.time)),
         "step": step.plan_step,
         "cells": list(step.cells),
-        "target": _list(step.target),
+        "target": step.target,
         "reached": step.outcome == Outcome.REACHED,
         "outcome": step.outcome.label,
         "caption": labels.of_step(step),
@@ -194,22 +177,13 @@ def _segment(playback: Playback, number: int, labels: Labels) -> dict[str, Any]:
             [_short(s.start + delay), _short(s.end + delay), stage_words(step, s, block, suction)]
             for s in step.stages
         ],
-        "before": {str(cell): [_list(v) for v in split(step.before[cell])] for cell in appeared},
-        "glides": [_glide(glide) for glide in segment.glides],
-        "after": {
-            str(glide.cell): [_list(v) for v in split(step.after[glide.cell])]
+        "before": {str(cell): split(step.before[cell]) for cell in appeared},
+        "glides": [
+            {name: _short(value) if isinstance(value, float) else value
+             for name, value in glide._asdict().items()}
             for glide in segment.glides
-        },
-    }
-
-
-def _glide(glide: Glide) -> dict[str, Any]:
-    return {
-        "cell": glide.cell, "grip": _time(glide.grip), "release": _short(glide.release),
-        "offset": _list(glide.offset), "turn": _list(glide.turn),
-        "end": _short(glide.end),
-        "position": _list(glide.position), "quaternion": _list(glide.quaternion),
-        "falls": glide.falls,
+        ],
+        "after": {str(glide.cell): split(step.after[glide.cell]) for glide in segment.glides},
     }  # fmt: skip
 
 
@@ -236,13 +210,5 @@ def _part(part: Part) -> dict[str, Any]:
     }
 
 
-def _list(values: np.ndarray) -> list[Any]:
-    return (np.round(values, 6) + 0.0).tolist()
-
-
 def _short(value: float) -> float:
     return round(float(value), 4) + 0.0
-
-
-def _time(value: float | None) -> float | None:
-    return None if value is None else _short(value)

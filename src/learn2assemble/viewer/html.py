@@ -13,6 +13,9 @@ from typing import Any
 
 import numpy as np
 
+NUMBER = 'class="number"'
+"""Attribute of a cell with a number."""
+
 
 def fill(template: str, values: Mapping[str, str]) -> str:
     """An asset with its ``{{places}}`` filled in, in one pass: braces in a value stay."""
@@ -56,17 +59,37 @@ def _hash(text: str) -> str:
 
 
 def to_json(value: Any) -> str:
-    """JSON that cannot end the script element it stands in."""
-    text = json.dumps(value, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    """JSON that cannot end the script element it stands in; arrays are rounded to 1e-6."""
+    text = json.dumps(
+        value, ensure_ascii=True, allow_nan=False, separators=(",", ":"),
+        default=lambda array: (np.round(array, 6) + 0.0).tolist(),
+    )  # fmt: skip
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def fact_list(facts: Iterable[tuple[str, str, str]]) -> str:
-    """Name, value and small print of each fact, for the head of a page."""
+def row(cells: Iterable[str], attributes: Mapping[int, str], key: str = "", label: str = "") -> str:
+    """A row of a table.
+
+    Args:
+        cells: HTML.
+        attributes: of some of the cells, by column.
+        key: attribute of the row and of the button that its first cell becomes.
+        label: what the button does.
+    """
+    columns = list(cells)
+    if key:
+        columns[0] = f'<button type="button" {key} aria-label="{label}">{columns[0]}</button>'
+    told = [f"<td {attributes[k]}>" if k in attributes else "<td>" for k in range(len(columns))]
+    inner = "".join(f"{td}{cell}</td>" for td, cell in zip(told, columns, strict=True))
+    return f"<tr{key and f' {key}'}>{inner}</tr>"
+
+
+def fact_list(facts: Iterable[tuple[str, str]]) -> str:
+    """Name and value of each fact, for the head of a page."""
     return "".join(
         f'<div><dt>{escape(name)}</dt><dd><span class="{"figure" if len(value) < 9 else "words"}">'
-        f"{escape(value)}</span><small>{escape(note)}</small></dd></div>"
-        for name, value, note in facts
+        f"{escape(value)}</span><small></small></dd></div>"
+        for name, value in facts
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -20,7 +20,6 @@ from learn2assemble.assembly.contacts import Contacts
 from learn2assemble.errors import InputError
 from learn2assemble.files import write_file
 from learn2assemble.viewer.arm import (
-    LEGEND,
     NEAR_VIEW,
     Labels,
     arm_data,
@@ -28,9 +27,11 @@ from learn2assemble.viewer.arm import (
     arm_values,
 )
 from learn2assemble.viewer.html import (
+    NUMBER,
     fact_list,
     fill,
     packed,
+    row,
     speed_options,
     stand_alone,
     to_base64,
@@ -82,6 +83,8 @@ class _Part(NamedTuple):
     origin: np.ndarray
     """float64[3]: lower corner of its bounding box [m]."""
     kind: str
+    colour: str
+    """``#rrggbb``, or the name of a colour of the style sheet."""
     layer: int
     placed: int
     """The step that places it; 0: it stands from the start."""
@@ -134,90 +137,98 @@ def render_assembly_page(
     if step_notes and len(step_notes) != len(steps):
         raise InputError("step_notes", len(step_notes), f"one for each of {len(steps)} steps")
     notes = list(step_notes) or [StepNote()] * len(steps)
-    parts, shapes, layers = _parts(assembly)
+    parts, shapes, layers = _parts(assembly, moving)
     distinct = list({part.block.id: part for part in parts}.values())
     of_step = {number: part for part in parts for number in (part.placed, part.removed)}
     stepped = [of_step[number] for number in range(1, len(steps) + 1)]
-    captions = [_start(parts), *map(_caption, range(1, len(steps) + 1), stepped, notes)]
-    colours = _colours(parts, set(moving))
-    kinds = list(dict.fromkeys(part.kind for part in parts))
-    size = _typical_size(assembly)
+    standing = sum(not part.placed for part in parts)
+    captions = [f"Start: {_count(standing, 'block')} in place."]
+    captions += map(_caption, range(1, len(steps) + 1), stepped, notes)
+    kinds, colours = _numbered(part.kind for part in parts), _numbered(p.colour for p in parts)
+    # Edge of the cube with the volume of a median block [m].
+    size = _round(float(np.median([block.volume for block in assembly.blocks])) ** (1 / 3))
+    low = np.min([part.origin for part in parts], 0)
+    high = np.max([part.block.vertices.max(0) for part in parts], 0)
     data = {
         "edge": size,
-        "floor": _round(min(part.origin[2] for part in parts)),
+        "floor": _round(low[2]),
         "steps": len(steps),
         "captions": captions,
-        "kinds": kinds,
-        "colours": list(dict.fromkeys(colours)),
+        "kinds": list(kinds),
+        "colours": list(colours),
         "layers": _layer_words(distinct, layers),
         "shapes": _shape_data(shapes),
-        "blocks": _block_data(parts, kinds, colours),
+        "blocks": [
+            [part.shape, *map(_round, part.origin), kinds[part.kind], colours[part.colour],
+             part.layer, part.placed, part.removed, part.block.id]
+            for part in parts
+        ],
         "covers": _covers([part.block for part in parts]),
         "joints": _joints(forces) if forces is not None else None,
         "targets": [
-            {"outline": target.outline, "outward": list(map(_round, target.outward))}
-            for target in targets
+            {"outline": target.outline, "outward": np.array(target.outward)} for target in targets
         ],
         "boxes": [
-            {
-                "what": box.what,
-                "low": list(map(_round, box.low)),
-                "high": list(map(_round, box.high)),
-            }
+            {"what": box.what, "low": np.array(box.low), "high": np.array(box.high)}
             for box in boxes
         ],
-    }
-    labels = None
-    if playback is not None:
-        labels = _labels(assembly, parts, colours, captions, blocks)
-        data["arm"] = arm_data(playback, labels)
-    low, high = _extent([part.block for part in parts])
+    }  # fmt: skip
     covered = any(note.coverage is not None for note in notes)
+    pad = 300 * size
+    width, depth = 1000 * (high - low)[:2] + 2 * pad
     values = {
-        "layer_box": _view_box(low, high, size),
+        "layer_box": f"{1000 * low[0] - pad:.1f} {-1000 * high[1] - pad:.1f} "
+        f"{width:.1f} {depth:.1f}",
         "layers": str(len(layers)),
         "last_layer": escape(data["layers"][-1]),
         "bill": _bill(distinct),
-        "steps": _rows(stepped, notes),
+        "steps": "".join(_row(k, part, note, covered)
+                         for k, (part, note) in enumerate(zip(stepped, notes, strict=True), 1))
+        or '<tr><td colspan="8">The order of building is not given.</td></tr>',
         "coverage": '<th class="number">Coverage</th>' * covered,
         "more": "<th></th>" * covered,
         "tried": _tried(tried),
-    }
+    }  # fmt: skip
     count = str(len(steps))
     wanted = _SECONDS_PER_STEP * len(steps) / _LONGEST
-    tone = TONES.get(status, "warn")
+    tone = f' <span class="status {TONES.get(status, "warn")}">{escape(status)}</span>'
     page = {
         "what": "assembly",
         "title": escape(title),
-        "eyebrow": f'Assembly <span class="status {tone}">{escape(status)}</span>'
-        if status else "Assembly",
-        "reason": f'<div class="reason" role="alert"><p>{escape(reason)}</p></div>'
-        if reason else "",
-        "summary": escape(_summary(assembly, distinct, low, high)),
-        "facts": fact_list((name, value, "") for name, value in facts),
+        "eyebrow": "Assembly" + tone * bool(status),
+        "reason": f'<div class="reason" role="alert"><p>{escape(reason)}</p></div>' * bool(reason),
+        "summary": escape(_summary(assembly, distinct, high - low)),
+        "facts": fact_list(facts),
         "body": "movable assembly" if steps else "fixed assembly",
         "shown": "the assembly",
-        "views": _views(targets),
+        "views": "".join(
+            f'<button type="button" data-side="{k}">{escape(target.name.capitalize())}</button>'
+            for k, target in enumerate(targets)
+        ) + '<button type="button" id="from-above">From above</button>',
         "slider_last": count,
         "slider_step": "1",
         "slider_name": "Step",
         "count": f"{count} / {count}",
         "speeds": speed_options(_SPEEDS, next((s for s in _SPEEDS if s >= max(wanted, 1)), 64)),
         "caption": escape(captions[-1]),
-        "legend": _legend(parts, colours) + _TARGET_LEGEND * bool(targets)
-        + _GOAL_LEGEND * any(box.what != "obstacle" for box in boxes)
-        + _OBSTACLE_LEGEND * any(box.what == "obstacle" for box in boxes),
+        "legend": _legend(parts) + _entry("target", "target outline") * bool(targets)
+        + _entry("target", "to be filled, reached or loaded")
+        * any(box.what != "obstacle" for box in boxes)
+        + _entry("bad", "obstacle") * any(box.what == "obstacle" for box in boxes),
         "under_legend": _toggles(data["joints"]),
         "view_note": "A click on a block names it.",
         "sections": fill("plan.html", values),
         "source": escape(note),
     }  # fmt: skip
     scripts = _SCRIPTS
-    if playback is not None and labels is not None:
+    if playback is not None:
+        labels = cell_labels(assembly, blocks, captions)
+        data["arm"] = arm_data(playback, labels)
         page |= {**arm_values(playback), "body": "movable assembly with-arm"}
         page["views"] += NEAR_VIEW
-        page["legend"] += LEGEND
-        page["legend"] += '<li><i class="soft"></i>not in use</li>' * (None in blocks)
+        page["legend"] += _entry("waiting", "waiting block")
+        page["legend"] += _entry("goal", "where this step puts it")
+        page["legend"] += _entry("soft", "not in use") * (None in blocks)
         page["summary"] += escape(
             f" Built by the arm {playback.record.arm.name}: {arm_summary(playback.record)}."
         )
@@ -226,18 +237,12 @@ def render_assembly_page(
     return stand_alone(page, data, scripts)
 
 
-def cell_labels(assembly: Assembly, blocks: Sequence[int | None]) -> Labels:
-    """What cells of a record are called, without captions; see :func:`~.playback.block_of_cell`."""
-    parts, _, _ = _parts(assembly)
-    return _labels(assembly, parts, _colours(parts, set()), [], blocks)
-
-
-def _labels(
-    assembly: Assembly, parts: list[_Part], colours: list[str], captions: list[str],
-    blocks: Sequence[int | None],
-) -> Labels:  # fmt: skip
-    """What the page calls the cells of a record."""
-    colour = {part.block.id: colour for part, colour in zip(parts, colours, strict=True)}
+def cell_labels(
+    assembly: Assembly, blocks: Sequence[int | None], captions: Sequence[str] = ()
+) -> Labels:
+    """What the cells of a record are called, see :func:`~.playback.block_of_cell`; ``captions`` of
+    the start and of every step."""
+    colour = {part.block.id: part.colour for part in _parts(assembly)[0]}
     ids = [None if block is None else assembly.blocks[block].id for block in blocks]
     placed = {step.place for step in assembly.steps}
     return Labels(
@@ -248,7 +253,14 @@ def _labels(
     )
 
 
-def _parts(assembly: Assembly) -> tuple[list[_Part], list[Block], list[float]]:
+def _numbered(names: Iterable[str]) -> dict[str, int]:
+    """The different names, numbered in the order in which they first appear."""
+    return {name: k for k, name in enumerate(dict.fromkeys(names))}
+
+
+def _parts(
+    assembly: Assembly, moving: Collection[str] = ()
+) -> tuple[list[_Part], list[Block], list[float]]:
     """The stays of all blocks, one block of every shape, and where layers begin [m]."""
     stays: dict[str, list[list[int]]] = {}
     for number, step in enumerate(assembly.steps, 1):
@@ -261,7 +273,7 @@ def _parts(assembly: Assembly) -> tuple[list[_Part], list[Block], list[float]]:
     numbers: dict[Any, int] = {}
     shapes: list[Block] = []
     unnamed = {_size_words(block) for block in assembly.blocks if not block.kind}
-    parts = []
+    parts, of_kind = [], {}
     level = np.searchsorted(layers, bottoms, side="right") - 1
     for block, layer in zip(assembly.blocks, level.tolist(), strict=True):
         origin = block.vertices.min(0)
@@ -271,8 +283,13 @@ def _parts(assembly: Assembly) -> tuple[list[_Part], list[Block], list[float]]:
             numbers[key] = len(shapes)
             shapes.append(block)
         kind = block.kind or (_size_words(block) if len(unnamed) <= len(PALETTE) else "block")
+        colour = "prop" if block.prop else "support" if block.support else ""
+        if not colour and block.colour:
+            colour = "#{:02x}{:02x}{:02x}".format(*block.colour)
+        colour = colour or of_kind.setdefault(kind, PALETTE[len(of_kind) % len(PALETTE)])
+        colour = "bad" if block.id in moving else colour
         for placed, removed in stays.get(block.id, [[0, 0]]):
-            parts.append(_Part(block, numbers[key], origin, kind, layer, placed, removed))
+            parts.append(_Part(block, numbers[key], origin, kind, colour, layer, placed, removed))
     return parts, shapes, layers
 
 
@@ -290,36 +307,9 @@ def _layers(bottoms: np.ndarray, heights: list[float]) -> list[float]:
     return [levels[k] - 1e-9 for k in used.tolist()]
 
 
-def _typical_size(assembly: Assembly) -> float:
-    """Edge of the cube with the volume of a median block [m]."""
-    return _round(float(np.median([block.volume for block in assembly.blocks])) ** (1 / 3))
-
-
-def _extent(blocks: list[Block]) -> tuple[np.ndarray, np.ndarray]:
-    low = np.min([block.vertices.min(0) for block in blocks], 0)
-    return low, np.max([block.vertices.max(0) for block in blocks], 0)
-
-
 def _size_words(block: Block) -> str:
     """Bounding box in millimetres, e.g. ``100 × 50 × 50 mm``."""
     return " × ".join(f"{1000 * v:.4g}" for v in np.ptp(block.vertices, axis=0)) + " mm"
-
-
-def _colours(parts: list[_Part], moving: set[str]) -> list[str]:
-    """Of every block: ``#rrggbb``, or the name of a colour of the style sheet."""
-    plain = [p.kind for p in parts if not (p.block.prop or p.block.support or p.block.colour)]
-    of_kind = {kind: PALETTE[k % len(PALETTE)] for k, kind in enumerate(dict.fromkeys(plain))}
-
-    def colour(part: _Part) -> str:
-        block = part.block
-        if block.id in moving:
-            return "bad"
-        if block.prop or block.support:
-            return "prop" if block.prop else "support"
-        own = block.colour and "#{:02x}{:02x}{:02x}".format(*block.colour)
-        return own or of_kind[part.kind]
-
-    return [colour(part) for part in parts]
 
 
 def _shape_data(shapes: list[Block]) -> dict[str, Any]:
@@ -380,16 +370,6 @@ def _rings(area: Any) -> tuple[list[list[list[float]]], list[float]]:
     return outline, [_round(middle.x), _round(middle.y)]
 
 
-def _block_data(parts: list[_Part], kinds: list[str], colours: list[str]) -> list[list[Any]]:
-    kind = {name: k for k, name in enumerate(kinds)}
-    colour = {name: k for k, name in enumerate(dict.fromkeys(colours))}
-    return [
-        [part.shape, *map(_round, part.origin), kind[part.kind], colour[own], part.layer,
-         part.placed, part.removed, part.block.id]
-        for part, own in zip(parts, colours, strict=True)
-    ]  # fmt: skip
-
-
 def _covers(blocks: list[Block]) -> list[list[list[int]] | None]:
     """Of every box, the blocks that together cover each of its sides; the sides are not seen while
     all of these stand.
@@ -446,10 +426,10 @@ def _joints(forces: tuple[Contacts, np.ndarray | None]) -> dict[str, Any] | None
     return found
 
 
-def _summary(assembly: Assembly, parts: list[_Part], low: np.ndarray, high: np.ndarray) -> str:
+def _summary(assembly: Assembly, parts: list[_Part], extent: np.ndarray) -> str:
     props = sum(part.block.prop for part in parts)
     supports = sum(part.block.support for part in parts)
-    size = " × ".join(f"{v:.3g}" for v in high - low)
+    size = " × ".join(f"{v:.3g}" for v in extent)
     words = [_count(len(parts) - props - supports, "block"), f"{size} m"]
     words += [_count(props, "prop")] if props else []
     words += [_count(supports, "fixed support")] if supports else []
@@ -461,19 +441,9 @@ def _count(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def _start(parts: list[_Part]) -> str:
-    standing = sum(not part.placed for part in parts)
-    return f"Start: {_count(standing, 'block')} in place."
-
-
-def _action(number: int, part: _Part) -> str:
-    return "remove" if part.removed == number else "place"
-
-
 def _caption(number: int, part: _Part, note: StepNote) -> str:
-    prop = "prop " if part.block.prop else ""
-    text = f"{_action(number, part).capitalize()} {prop}{part.block.id} ({part.kind})"
-    text += f", layer {part.layer + 1}."
+    action, prop = "Remove" if part.removed == number else "Place", "prop " * part.block.prop
+    text = f"{action} {prop}{part.block.id} ({part.kind}), layer {part.layer + 1}."
     if note.proof:
         text += f" Stands: {note.proof}."
     if note.margin_g is not None:
@@ -488,26 +458,19 @@ def _tilt(margin_g: float) -> str:
     return f"{math.degrees(math.atan(margin_g)):.1f}"
 
 
-def _rows(stepped: list[_Part], notes: list[StepNote]) -> str:
-    rows, covered = [], any(note.coverage is not None for note in notes)
-    for number, (part, note) in enumerate(zip(stepped, notes, strict=True), 1):
-        tag = ' <span class="tag">prop</span>' if part.block.prop else ""
-        margin = "–" if note.margin_g is None else f"{note.margin_g:.2f}"
-        tilt = "–" if note.margin_g is None else _tilt(note.margin_g)
-        rows.append(
-            f'<tr data-step="{number}"><td><button type="button" data-step="{number}" '
-            f'aria-label="Show step {number}">{number}</button></td>'
-            f"<td>{_action(number, part)}</td><td>{escape(part.block.id)}{tag}</td>"
-            f'<td>{escape(part.kind)}</td><td class="number">{part.layer + 1}</td>'
-            f'<td>{escape(note.proof) or "–"}</td><td class="number">{margin}</td>'
-            f'<td class="number">{tilt}</td>'
-        )  # fmt: skip
-        if covered:
-            rows.append(
-                f'<td class="number">{percent(note.coverage)}</td><td>{escape(note.more)}</td>'
-            )
-        rows.append("</tr>")
-    return "".join(rows) or '<tr><td colspan="8">The order of building is not given.</td></tr>'
+def _row(number: int, part: _Part, note: StepNote, covered: bool) -> str:
+    """A step in the table; with columns of a target where one is covered."""
+    margin = note.margin_g
+    cells = [
+        str(number), "remove" if part.removed == number else "place",
+        escape(part.block.id) + ' <span class="tag">prop</span>' * part.block.prop,
+        escape(part.kind), str(part.layer + 1), escape(note.proof) or "–",
+        "–" if margin is None else f"{margin:.2f}", "–" if margin is None else _tilt(margin),
+    ]  # fmt: skip
+    if covered:
+        cells += [percent(note.coverage), escape(note.more)]
+    numbers: dict[int, str] = dict.fromkeys((4, 6, 7, 8), NUMBER)
+    return row(cells, numbers, f'data-step="{number}"', f"Show step {number}")
 
 
 def _bill(parts: list[_Part]) -> str:
@@ -520,11 +483,9 @@ def _bill(parts: list[_Part]) -> str:
     for (kind, use), members in sorted(groups.items()):
         sizes = {_size_words(part.block) for part in members}
         size = sizes.pop() if len(sizes) == 1 else "several sizes"
-        mass = sum(part.block.mass for part in members)
-        rows.append(
-            f'<tr><td>{escape(kind)}</td><td>{use}</td><td class="number">{len(members)}</td>'
-            f'<td>{size}</td><td class="number">{mass:.3g} kg</td></tr>'
-        )
+        mass = f"{sum(part.block.mass for part in members):.3g} kg"
+        cells = [escape(kind), use, str(len(members)), size, mass]
+        rows.append(row(cells, {2: NUMBER, 4: NUMBER}))
     return "".join(rows)
 
 
@@ -538,33 +499,27 @@ def _layer_words(parts: list[_Part], layers: list[float]) -> list[str]:
     ]
 
 
-def _view_box(low: np.ndarray, high: np.ndarray, size: float) -> str:
-    pad = 300 * size
-    width, height = 1000 * (high - low)[:2] + 2 * pad
-    return f"{1000 * low[0] - pad:.1f} {-1000 * high[1] - pad:.1f} {width:.1f} {height:.1f}"
-
-
-def _legend(parts: list[_Part], colours: list[str]) -> str:
+def _legend(parts: list[_Part]) -> str:
     """Kinds by colour; the swatches are SVG, whose colours need no style sheet."""
-    named: dict[str, list[str]] = {}
-    for part, colour in zip(parts, colours, strict=True):
-        words = {"prop": "prop, removed again", "support": "fixed support", "bad": "starts to move"}
-        kinds = named.setdefault(colour, [])
-        if (word := words.get(colour, part.kind)) not in kinds:
-            kinds.append(word)
-    rows = [
-        (colour, ", ".join(kinds[:3]) + (", …" if len(kinds) > 3 else ""))
-        for colour, kinds in list(named.items())[:16]
-    ]
-    swatch = '<svg class="swatch" viewBox="0 0 14 14"><rect width="14" height="14" {}/></svg>'
+    words = {"prop": "prop, removed again", "support": "fixed support", "bad": "starts to move"}
+    named: dict[str, dict[str, None]] = {}
+    for part in parts:
+        named.setdefault(part.colour, {})[words.get(part.colour, part.kind)] = None
     current = any(part.placed for part in parts)
-    return '<li><i class="current"></i>block of this step</li>' * current + "".join(
-        f"<li>{swatch.format(_paint(colour))}{escape(words)}</li>" for colour, words in rows
-    )
+    text = _entry("current", "block of this step") * current
+    for colour, kinds in list(named.items())[:16]:
+        paint = f'fill="{colour}"' if colour.startswith("#") else f'class="{colour}"'
+        several = ", ".join(list(kinds)[:3]) + ", …" * (len(kinds) > 3)
+        text += (
+            f'<li><svg class="swatch" viewBox="0 0 14 14"><rect width="14" height="14" {paint}/>'
+            f"</svg>{escape(several)}</li>"
+        )
+    return text
 
 
-def _paint(colour: str) -> str:
-    return f'fill="{colour}"' if colour.startswith("#") else f'class="{colour}"'
+def _entry(name: str, words: str) -> str:
+    """An entry of the legend, by the name of its style."""
+    return f'<li><i class="{name}"></i>{words}</li>'
 
 
 def _toggles(joints: dict[str, Any] | None) -> str:
@@ -576,24 +531,10 @@ def _toggles(joints: dict[str, Any] | None) -> str:
     return f'<p class="toggles">{boxes}{note}</p><p class="picked" id="picked" role="status"></p>'
 
 
-_GOAL_LEGEND = '<li><i class="target"></i>to be filled, reached or loaded</li>'
-_OBSTACLE_LEGEND = '<li><i class="bad"></i>obstacle</li>'
-_TARGET_LEGEND = '<li><i class="target"></i>target outline</li>'
-
-
-def _views(targets: Sequence[PlanTarget]) -> str:
-    sides = "".join(
-        f'<button type="button" data-side="{k}">{escape(target.name.capitalize())}</button>'
-        for k, target in enumerate(targets)
-    )
-    return sides + '<button type="button" id="from-above">From above</button>'
-
-
 def _tried(stages: Sequence[SearchStage]) -> str:
     """What the planner tried, as a table; nothing where it tried nothing."""
     rows = "".join(
-        f"<tr><td>{escape(item.stage)}</td><td>{escape(item.result)}</td>"
-        f'<td class="number">{item.seconds:.2f} s</td></tr>'
+        row([escape(item.stage), escape(item.result), f"{item.seconds:.2f} s"], {2: NUMBER})
         for item in stages
     )
     head = '<tr><th>Stage</th><th>Result</th><th class="number">Time</th></tr>'

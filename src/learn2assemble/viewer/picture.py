@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import itertools
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,20 +12,22 @@ from learn2assemble.assembly.blocks import Assembly, convex_parts
 from learn2assemble.errors import InputError
 from learn2assemble.files import write_file
 from learn2assemble.planning.plan import Plan, PlanBox
+from learn2assemble.robot.shape import Mesh
 from learn2assemble.viewer.renderer import (
     BLOCK,
     GROUND,
     LIT,
-    PLAIN,
+    Bodies,
     Buffers,
     Camera,
     Triangles,
+    around,
+    box_edges,
     render,
     sunlight,
     view_axes,
 )
 from learn2assemble.viewer.words import percent
-from learn2assemble.viewer.workcell import rod
 
 MOMENTS, COLUMNS = 6, 3
 WIDTH, HEIGHT = 480, 400
@@ -106,59 +107,42 @@ def _triangles(
     assembly: Assembly, targets: list[np.ndarray], boxes: Sequence[PlanBox] = ()
 ) -> tuple[Triangles, np.ndarray]:
     """One body a block, then table, outlines or goals, obstacles; colours float32[B + 3, 3]."""
-    columns: tuple[list[np.ndarray], ...] = tuple([] for _ in range(6))
-    count = 0
-
-    def add(corners: np.ndarray, body: int, kind: int) -> None:
-        nonlocal count
-        normal = np.cross(corners, np.roll(corners, -1, 0)).sum(0)
-        length = np.linalg.norm(normal)
-        if not length > 0:
-            return
-        n = len(corners)
-        rim = np.full((n, 2), 0.5)
-        fan = np.array([(0, k, k + 1) for k in range(1, n - 1)])
-        if n == 4:
-            corners, rim = _rim(corners)
-            n, fan = 8, np.array([(k, k + 1, k + 5) for k in (0, 1, 2)])
-            fan = np.concatenate([fan, np.array([(k, k + 5, k + 4) for k in (0, 1, 2)])])
-        values = (
-            corners, np.tile(normal / length, (n, 1)), rim, np.full(n, body), fan + count,
-            np.full(len(fan), kind),
-        )  # fmt: skip
-        for column, value in zip(columns, values, strict=True):
-            column.append(value)
-        count += n
-
+    bodies, table = Bodies(), len(assembly.blocks)
     for number, block in enumerate(assembly.blocks):
         for part in convex_parts(block):
             for face in part.faces:
-                add(part.vertices[list(face)], number, BLOCK if len(face) == 4 else LIT)
+                _add_face(bodies, number, part.vertices[list(face)])
     points = np.concatenate([block.vertices for block in assembly.blocks])
     low, high = points.min(0), points.max(0)
     (x0, y0), (x1, y1) = low[:2] - (high - low).max(), high[:2] + (high - low).max()
-    table = np.array([[x0, y0, 0], [x1, y0, 0], [x1, y1, 0], [x0, y1, 0]]) - [0, 0, 1e-4]
-    add(table, len(assembly.blocks), GROUND)
+    corners = np.array([[x0, y0, 0], [x1, y0, 0], [x1, y1, 0], [x0, y1, 0]]) - [0, 0, 1e-4]
+    _add_face(bodies, table, corners, GROUND)
     thick = 0.015 * float(np.median([np.ptp(b.vertices, axis=0).min() for b in assembly.blocks]))
-    bars = [(a, b, 1) for o in targets for a, b in zip(o, np.roll(o, -1, 0), strict=True)]
-    bars += [(*ends, 1 + (box.what == "obstacle")) for box in boxes for ends in _edges(box)]
-    for a, b, kind in bars:
-        bar = rod(a, b, thick)
-        for face in bar.faces:
-            add(bar.vertices[face], len(assembly.blocks) + kind, PLAIN)
-    kinds = (np.float32, np.float32, np.float32, np.int32, np.int32, np.uint8)
-    joined = [np.concatenate(c).astype(k) for c, k in zip(columns, kinds, strict=True)]
+    for outline in targets:
+        bodies.add_bars(table + 1, around(outline), thick)
+    for given in boxes:
+        kind = 1 + (given.what == "obstacle")
+        bodies.add_bars(table + kind, box_edges(given.low, given.high), thick)
     colours = [_PROP if block.prop else block.colour or _BLOCK for block in assembly.blocks]
-    corners, normals, rims, body, faces, kind = joined
-    made = Triangles(corners, normals, rims, body, faces, kind)
-    return made, np.array([*colours, _TABLE, _TARGET, _OBSTACLE], np.float32)
+    return bodies.triangles(), np.array([*colours, _TABLE, _TARGET, _OBSTACLE], np.float32)
 
 
-def _edges(box: PlanBox) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The ends of the edges of a box that have a length."""
-    corners = np.array(list(itertools.product(*zip(box.low, box.high, strict=True))))
-    pairs = itertools.combinations(corners, 2)
-    return [(a, b) for a, b in pairs if np.count_nonzero(a != b) == 1]
+def _add_face(bodies: Bodies, body: int, corners: np.ndarray, kind: int | None = None) -> None:
+    """Add a convex face, float64[n, 3]; one of a block, without a kind, has a rim where it has four
+    corners."""
+    normal = np.cross(corners, np.roll(corners, -1, 0)).sum(0)
+    length = np.linalg.norm(normal)
+    if not length > 0:
+        return
+    kind = (BLOCK if len(corners) == 4 else LIT) if kind is None else kind
+    marks = np.full((len(corners), 2), 0.5)
+    fan = np.array([(0, k, k + 1) for k in range(1, len(corners) - 1)])
+    if len(corners) == 4:
+        corners, marks = _rim(corners)
+        fan = np.array([(k, k + 1, k + 5) for k in (0, 1, 2)])
+        fan = np.concatenate([fan, np.array([(k, k + 5, k + 4) for k in (0, 1, 2)])])
+    normals = np.tile(normal / length, (len(corners), 1))
+    bodies.add(body, Mesh(corners, normals, fan), kind, marks)
 
 
 def _rim(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -6,11 +6,15 @@ so that they are linear in the picture and larger is nearer. Why there is one: d
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+
+from learn2assemble.robot.shape import Mesh, box
 
 SAMPLES = 2
 """Samples per pixel along each axis."""
@@ -342,6 +346,55 @@ class Triangles(NamedTuple):
     """int32[f, 3]."""
     kind: np.ndarray
     """uint8[f]."""
+
+
+class Bodies:
+    """Collects the triangles of a scene, on bodies that are numbered as they come."""
+
+    def __init__(self) -> None:
+        self._rows: list[tuple[np.ndarray, ...]] = []
+        self._vertices = 0
+
+    def add(self, body: int, mesh: Mesh, kind: int, marks: np.ndarray | None = None) -> None:
+        """Add a mesh in the frame of its body; ``marks`` as in :class:`Triangles`."""
+        v, f = len(mesh.vertices), len(mesh.faces)
+        self._rows.append((
+            mesh.vertices, mesh.normals, np.zeros((v, 2)) if marks is None else marks,
+            np.full(v, body), mesh.faces + self._vertices, np.full(f, kind),
+        ))  # fmt: skip
+        self._vertices += v
+
+    def add_bars(
+        self, body: int, ends: Iterable[tuple[np.ndarray, np.ndarray]], radius: float
+    ) -> None:
+        """Add thin square bars between two points each, float64[3] [m], which are not shaded."""
+        for a, b in ends:
+            length = float(np.linalg.norm(b - a))
+            along = (b - a) / max(length, 1e-9)
+            side = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
+            side /= np.linalg.norm(side)
+            turn = np.stack([along, side, np.cross(along, side)], 1)
+            bar = box(np.array([length / 2 + radius, radius, radius]))
+            place = bar.vertices @ turn.T + (a + b) / 2
+            self.add(body, Mesh(place, bar.normals @ turn.T, bar.faces), PLAIN)
+
+    def triangles(self) -> Triangles:
+        """All of them."""
+        columns = [np.concatenate(column) for column in zip(*self._rows, strict=True)]
+        kinds = (np.float32, np.float32, np.float32, np.int32, np.int32, np.uint8)
+        return Triangles(*(c.astype(k) for c, k in zip(columns, kinds, strict=True)))
+
+
+def around(corners: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """The ends of the sides of a polygon float64[n, 3]."""
+    return zip(corners, np.roll(corners, -1, 0), strict=True)
+
+
+def box_edges(low: Sequence[float], high: Sequence[float]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The ends of the edges of a box that have a length."""
+    corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
+    pairs = itertools.combinations(corners, 2)
+    return [(a, b) for a, b in pairs if np.count_nonzero(a != b) == 1]
 
 
 class Buffers:

@@ -8,32 +8,109 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 
+import matplotlib
 import numpy as np
+from matplotlib.font_manager import get_font
 
-from learn2assemble.errors import InputError, MissingExtraError
+from learn2assemble.errors import InputError, extra
 from learn2assemble.files import unwritable
-from learn2assemble.geometry.rotations import yaw_matrix
+from learn2assemble.geometry.rotations import quaternion_matrix, yaw_matrix
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.motion.record import BuildRecord
 from learn2assemble.robot.moves import Outcome
+from learn2assemble.robot.shape import Mesh, box
 from learn2assemble.viewer.arm import extent
 from learn2assemble.viewer.page import cell_labels
 from learn2assemble.viewer.picture import ACCENT, COLOURS, INK, LINE, PAPER, RIM, SOFT
-from learn2assemble.viewer.playback import Playback, Segment, block_of_cell
+from learn2assemble.viewer.playback import Playback, Segment, block_of_cell, split
 from learn2assemble.viewer.renderer import (
+    BLOCK,
+    GROUND,
+    LIT,
+    Bodies,
     Buffers,
     Camera,
+    Triangles,
+    around,
     blend_sheet,
+    box_edges,
     project,
     render,
     sunlight,
     view_axes,
 )
 from learn2assemble.viewer.words import clock_words, stage_words
-from learn2assemble.viewer.workcell import body_poses, fill_box, rgb, workcell, write
+
+# ---------------------------------------------------------------- words and bars
+
+
+_FONTS = {False: "DejaVuSans.ttf", True: "DejaVuSans-Bold.ttf"}
+
+
+@lru_cache(maxsize=512)
+def lettering(text: str, size: float, bold: bool = False) -> tuple[np.ndarray, int]:
+    """A line of text: how much ink, float32[h, w] from 0 to 1, and the row of its base line.
+
+    Args:
+        size: height of the font [px].
+    """
+    font = get_font(str(Path(matplotlib.get_data_path(), "fonts", "ttf", _FONTS[bold])))
+    font.set_size(size, 72)
+    font.set_text(text, 0.0)
+    font.draw_glyphs_to_bitmap(antialiased=True)
+    ink = np.asarray(font.get_image(), np.float32) / 255
+    return ink, ink.shape[0] - round(font.get_descent() / 64)
+
+
+def write(
+    image: np.ndarray, text: str, x: float, y: float, size: float, colour: np.ndarray,
+    bold: bool = False, align: str = "left",
+) -> float:  # fmt: skip
+    """Write a line of text with its base line at row ``y``; what does not fit is cut off.
+
+    Args:
+        image: uint8[h, w, 3], changed in place.
+        x: left end, right end or middle [px], as ``align`` says.
+        colour: 0 to 255.
+
+    Returns:
+        Where it ends [px].
+    """
+    if not text.strip():
+        return x
+    ink, base = lettering(text, size, bold)
+    shift = {"left": 0.0, "right": ink.shape[1], "middle": ink.shape[1] / 2}[align]
+    left, top = round(x - shift), round(y) - base
+    cut = ink[max(-top, 0) :, max(-left, 0) :]
+    part = image[max(top, 0) : top + ink.shape[0], max(left, 0) : left + ink.shape[1]]
+    cut = cut[: part.shape[0], : part.shape[1], None]
+    part[:] = np.round(part + cut * (colour - part)).astype(np.uint8)
+    return left + ink.shape[1]
+
+
+def fill_box(
+    image: np.ndarray, x0: float, y0: float, x1: float, y1: float, colour: np.ndarray
+) -> None:
+    """Fill a rectangle; pixels that it covers in part along x are blended."""
+    top, bottom = round(y0), round(y1)
+    first = int(np.floor(x0))
+    columns = np.arange(first, int(np.ceil(x1)))
+    share = np.clip(np.minimum(columns + 1, x1) - np.maximum(columns, x0), 0, 1)[:, None]
+    part = image[top:bottom, first : first + len(columns)]
+    part[:] = np.round(part + share[: part.shape[1]] * (colour - part)).astype(np.uint8)
+
+
+def rgb(colour: str) -> np.ndarray:
+    """``"#0b7285"`` as float32[3], 0 to 255."""
+    return np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)], np.float32)
+
+
+# ---------------------------------------------------------------- frames
+
 
 WIDTH, HEIGHT = 800, 544
 _FOOT = 92
@@ -46,6 +123,11 @@ _FROM = np.array([0.5, -1.0, 0.6])
 _SUN = np.array([-0.9, -1.9, 2.5])
 _FIELD = 16.0
 """Angle of view, up and down [degrees]."""
+
+
+OUTLINE, PLACES, GOAL, TOP, PARTS = range(5)
+"""Bodies: the outlines and the waiting places, which stand still and are never shaded, the frame
+that shows where a block goes, the table, the parts of the arm; then the cells."""
 
 
 class Frames:
@@ -65,12 +147,15 @@ class Frames:
             raise InputError("plan", "no blocks", "assembly.json beside plan.json")
         self.targets = [np.array(target.outline) for target in plan.design.targets]
         self.labels = cell_labels(plan.assembly, block_of_cell(record, plan))
-        self.model = workcell(self.playback, self.targets, self.labels)
+        self.cells = PARTS + len(self.playback.shape.parts)
+        """Body of the first cell; they are the last ones."""
+        self.count = self.cells + record.num_cells
+        self.triangles = self._triangles()
         self.placed_by = {
             cell: step.number for step in record.steps if step.outcome == Outcome.REACHED
             for cell in step.cells
         }  # fmt: skip
-        self.buffers = Buffers(self.model.triangles, width, height - _FOOT)
+        self.buffers = Buffers(self.triangles, width, height - _FOOT)
         self.camera = self._camera()
         self.light = sunlight(self._turned(_SUN), self._points(), 0.12)
         self.sheets = self._sheets()
@@ -85,23 +170,78 @@ class Frames:
         return image
 
     def _picture(self, clock: float) -> np.ndarray:
-        model, segment = self.model, self.playback.segment_at(clock)
-        shown = np.ones(model.count, bool)
+        segment = self.playback.segment_at(clock)
+        shown = np.ones(self.count, bool)
         release = segment.step.release
         done = release is not None and clock > release + segment.delay
-        poses = body_poses(model, self.playback, clock)
+        poses = self._poses(clock)
         # What waits in a magazine is below the table.
-        cells = slice(model.cells, model.cells + self.playback.record.num_cells)
-        shown[cells] = poses[0][cells, 2] > 0
-        shown[model.goal] = 0 < clock < self.playback.duration and not done
+        shown[self.cells :] = poses[0][self.cells :, 2] > 0
+        shown[GOAL] = 0 < clock < self.playback.duration and not done
         picture = render(
-            model.triangles, self.buffers, self.camera, self.light,
+            self.triangles, self.buffers, self.camera, self.light,
             *poses, shown, self._colours(segment, clock),
             SKY, rgb(RIM),
         )  # fmt: skip
         for corners in self.sheets:
             blend_sheet(corners, rgb(ACCENT), 0.2, self.buffers.depth, picture)
         return picture
+
+    def _triangles(self) -> Triangles:
+        playback, labels, bodies = self.playback, self.labels, Bodies()
+        edge, first = playback.record.block_edge, playback.record.steps[0].before
+        for corners in self.targets:
+            bodies.add_bars(OUTLINE, around(corners), edge / 22)
+        square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        for cell, half in enumerate(playback.half):
+            if not labels.fixed[cell] and first[cell, 2] > 0:
+                at = np.column_stack([first[cell, :2] + half[:2] * square, np.full(4, edge / 90)])
+                bodies.add_bars(PLACES, around(at), edge / 90)
+        # The frame is a cube with edge 1, stretched to the block it is for.
+        bodies.add_bars(GOAL, box_edges([-0.5] * 3, [0.5] * 3), 1 / 40)
+        bodies.add(TOP, self._table(), GROUND)
+        for k, part in enumerate(playback.shape.parts):
+            bodies.add(PARTS + k, part.mesh, LIT)
+        for cell, half in enumerate(playback.half):
+            block = box(half)
+            # What is left and right, below and above on each face: all but where it looks.
+            marks = (block.vertices[np.abs(block.normals) < 0.5] > 0).reshape(-1, 2)
+            bodies.add(self.cells + cell, block, BLOCK, marks)
+        return bodies.triangles()
+
+    def _table(self) -> Mesh:
+        """The table top under all there is, its corners round."""
+        record, edge = self.playback.record, self.playback.record.block_edge
+        points = [record.steps[0].before[:, :2], self.playback.shape.chain.offset[:1, :2]]
+        every = np.concatenate([*points, *(corners[:, :2] for corners in self.targets)])
+        low, high = every.min(0) - 2.2 * edge, every.max(0) + 2.2 * edge
+        quarter, ring = np.linspace(0, np.pi / 2, 9), []
+        for k, (sx, sy) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
+            centre = np.where(np.array([sx, sy]) > 0, high, low) - edge * np.array([sx, sy])
+            turn = quarter + k * np.pi / 2
+            ring.append(centre + edge * np.column_stack([np.cos(turn), np.sin(turn)]))
+        rim = np.concatenate(ring)
+        flat = np.vstack([rim.mean(0), rim])
+        n = len(rim)
+        faces = np.column_stack([np.zeros(n), 1 + np.arange(n), 1 + (np.arange(n) + 1) % n])
+        vertices = np.column_stack([flat, np.full(len(flat), -0.0004)])
+        return Mesh(vertices, np.tile([0.0, 0.0, 1.0], (len(flat), 1)), faces.astype(np.int32))
+
+    def _poses(self, clock: float) -> tuple[np.ndarray, np.ndarray]:
+        """Where all bodies are at a time of the replay: float64[b, 3] [m], float64[b, 3, 3]."""
+        playback = self.playback
+        position, rotation = np.zeros((self.count, 3)), np.tile(np.eye(3), (self.count, 1, 1))
+        where, turned = playback.shape.frames(*playback.arm_at(clock))
+        for k, part in enumerate(playback.shape.parts):
+            if part.frame >= 0:
+                position[PARTS + k], rotation[PARTS + k] = where[part.frame], turned[part.frame]
+        position[self.cells :], quaternions = playback.cells_at(clock)
+        rotation[self.cells :] = quaternion_matrix(quaternions)
+        step = playback.segment_at(clock).step
+        position[GOAL], quaternion = split(step.target)
+        size = np.diag(2 * playback.half[step.cells[0]])
+        rotation[GOAL] = quaternion_matrix(quaternion) @ size
+        return position, rotation
 
     def _sheets(self) -> list[np.ndarray]:
         """The targets as triangles in the picture, a hair behind the faces of the blocks."""
@@ -130,22 +270,21 @@ class Frames:
         return done, ahead
 
     def _colours(self, segment: Segment, clock: float) -> np.ndarray:
-        model = self.model
-        colour = np.tile(WAITING, (model.count, 1))
-        colour[model.outline], colour[model.table] = rgb(ACCENT), TABLE
-        colour[model.places] = 0.5 * (TABLE + rgb(SOFT))
-        colour[model.goal] = rgb(COLOURS["current"])
+        colour = np.tile(WAITING, (self.count, 1))
+        colour[OUTLINE], colour[TOP] = rgb(ACCENT), TABLE
+        colour[PLACES] = 0.5 * (TABLE + rgb(SOFT))
+        colour[GOAL] = rgb(COLOURS["current"])
         for k, part in enumerate(self.playback.shape.parts):
-            colour[model.arm + k] = 255 * np.array(part.colour)
+            colour[PARTS + k] = 255 * np.array(part.colour)
         for cell in range(self.playback.record.num_cells):
             name = self.labels.colours[cell]
             own = rgb(name if name.startswith("#") else COLOURS[name])
             if self.labels.fixed[cell] or self.placed_by.get(cell, np.inf) < segment.step.number:
-                colour[model.cells + cell] = own
+                colour[self.cells + cell] = own
             if cell in segment.step.cells and 0 < clock < self.playback.duration:
-                colour[model.cells + cell] = rgb(COLOURS["current"])
+                colour[self.cells + cell] = rgb(COLOURS["current"])
             elif cell in segment.step.cells and clock and cell in self.placed_by:
-                colour[model.cells + cell] = own
+                colour[self.cells + cell] = own
         return colour
 
     def _words(self, image: np.ndarray, clock: float) -> None:
@@ -229,10 +368,8 @@ def require_video() -> ModuleType:
     Raises:
         MissingExtraError: without the extra ``video``.
     """
-    try:
+    with extra("av", "video"):
         import av
-    except ImportError as error:
-        raise MissingExtraError("av", "video") from error
     return av
 
 
