@@ -16,7 +16,7 @@ import pytest
 from learn2assemble.errors import InputError
 from learn2assemble.physics.rigid import RigidPhysics
 from learn2assemble.reproduction.recordings import fit_tilt, read_lines
-from learn2assemble.reproduction.replay import ReplayReport, replay_file, replay_files
+from learn2assemble.reproduction.replay import ReplayReport, replay_file
 from learn2assemble.world.blocks import DIRECTIONS, EDGE
 from make_recordings import REFERENCE, SAMPLE, sample_files, sample_lines
 
@@ -251,7 +251,6 @@ def test_sample_agrees(data: Path) -> None:
     assert stuck(differ[0])
     wrong = sum(line["kind"] == "real" for line in {line["t"]: line for line in differ}.values())
     assert report.reward == report.done == 1 - wrong / report.real_lines
-    assert replay_files([path, path])[1].lines == report.lines
 
 
 def test_a_changed_record_is_noticed(data: Path, tmp_path: Path) -> None:

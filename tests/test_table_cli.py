@@ -55,7 +55,7 @@ TINY = Recipe("tiny", NAME, (Stage("published", TINY_CHANGES),), seeds=2)
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """The table ``small`` and the recipe of its agents."""
-    monkeypatch.setitem(TABLES, "small", dataclasses.replace(SMALL, trainings=("tiny",)))
+    monkeypatch.setitem(TABLES, "small", SMALL)
     monkeypatch.setitem(RECIPES, "tiny", TINY)
 
 
@@ -85,11 +85,12 @@ def test_a_table_is_measured_once(
     assert first["measured"] == 11
     assert not first["quick"]
     assert QUICK not in text
-    for word in ("not trained", "not available", NAME, "paper"):
+    for word in ("not trained", NAME, "paper"):
         assert word in text
     states = {(row["task"], row["method"]): row["state"] for row in first["rows"]}
     assert states[NAME, "plain"] == "measured"
     assert states[NAME, "absent"] == "not trained"
+    assert states[NAME, "played elsewhere"] == "not available"
     page = Path(first["files"]["markdown"])
     picture = Path(first["files"]["picture"])
     assert page == tmp_path / "out" / "tables" / "small.md"
@@ -147,9 +148,7 @@ def test_training_the_agents_of_a_table(tmp_path: Path, capsys: pytest.CaptureFi
     words = ["table", "small", "--train", "--runs", tmp_path / "runs", "--out", tmp_path / "out",
              "--episodes", 1, "--workers", 1]  # fmt: skip
     first, _ = l2a(capsys, *words)
-    assert {row["state"] for row in first["rows"] if row["method"] == "plain"} == {
-        "measured", "not available"
-    }  # fmt: skip
+    assert {row["state"] for row in first["rows"] if row["method"] == "plain"} == {"measured"}
     assert first["rows"][0]["ours"][0]["agents"] == 2
     weights = (tmp_path / "runs" / "tiny-s1" / "agent.safetensors").read_bytes()
     logs = tmp_path / "out" / "runs" / "tiny-s0"

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from learn2assemble.checkers import checker_names
 from learn2assemble.errors import InputError
 from learn2assemble.evaluation.episodes import (
     DISCOUNTS,
@@ -30,6 +29,7 @@ from learn2assemble.evaluation.episodes import (
     play_episodes,
     random_policy,
 )
+from learn2assemble.files import from_plain
 from learn2assemble.learning.run import provenance
 from learn2assemble.networks.agent import agent_files, load_agent, one_thread
 from learn2assemble.networks.config import NetworkConfig
@@ -96,26 +96,10 @@ class Cell:
         """Inverse of :meth:`to_dict`; fields that came later get their defaults.
 
         Raises:
-            TypeError, KeyError, ValueError: for what is no cell.
+            InputError, KeyError, TypeError: for what is no cell.
         """
-        search = values["search"]
-        return Cell(
-            **{
-                **values,
-                "task": Task(**with_current_names(values["task"])),
-                "search": None if search is None else _rebuild(SearchConfig(), search),
-            }
-        )
-
-
-def _rebuild(default: Any, values: dict[str, Any]) -> Any:
-    """A configuration from its dictionary, other configurations inside it too."""
-    inner = {
-        name: _rebuild(getattr(default, name), value)
-        for name, value in values.items()
-        if dataclasses.is_dataclass(getattr(default, name, None))
-    }
-    return type(default)(**{**values, **inner})
+        values = {**values, "task": with_current_names(values["task"])}
+        return from_plain(Cell, values, "cell")
 
 
 def _slug(search: SearchConfig | None) -> str:
@@ -136,13 +120,6 @@ def _changes(config: Any, default: Any, prefix: str) -> list[str]:
         else:
             words.append(f"{prefix}{f.name}={value}")
     return words
-
-
-def measurable(cell: Cell) -> bool:
-    """Whether this version can play it."""
-    if cell.policy == BOUND:
-        return has_bound(cell.task)
-    return cell.physics in checker_names()
 
 
 def measure(cell: Cell, agent_file: str | None, episodes: int) -> dict[str, Any]:
@@ -343,17 +320,14 @@ class Job:
 
 def row_cells(table: Table, row: Row, column: int, agents: list[str]) -> list[Cell]:
     """The cells of one row in one column, for all conditions and the given agents."""
-    task = table.columns[column].preset
-    played = row.columns is None or column in row.columns
-    if task is None or not row.known or not played:
+    if row.columns is not None and column not in row.columns:
         return []
-    names = agents if row.agents else [""]
-    cells = [
+    task, names = table.columns[column].preset, agents if row.agents else [""]
+    return [
         Cell(task, row.policy, name, row.search_config(condition.epsilon), condition.epsilon,
              condition.physics)
         for condition in table.conditions for name in names
     ]  # fmt: skip
-    return [cell for cell in cells if measurable(cell)]
 
 
 def jobs(
@@ -376,8 +350,8 @@ def jobs(
             for cell in row_cells(table, row, column, names):
                 cells[cell.path] = cell
     for cell in list(cells.values()):
-        bound = Cell(cell.task, BOUND, seed=cell.seed)
-        if measurable(bound):
+        if has_bound(cell.task):
+            bound = Cell(cell.task, BOUND, seed=cell.seed)
             cells.setdefault(bound.path, bound)
     hashes = {name: agent_hash(agents[name]) for name in {c.agent for c in cells.values()} if name}
     return [

@@ -119,7 +119,7 @@ def _prepare(folder: Path) -> None:
 def _train(table: Table, root: Path, options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.reproduction import recipes
 
-    wanted = [recipes.get_recipe(name) for name in table.trainings]
+    wanted = [recipes.RECIPES[name] for name in table.stems if name in recipes.RECIPES]
     seeds = 1 if options.quick else None
     recipes.train_recipes(
         wanted, options.runs, seeds=seeds, workers=_workers(options), ray=options.ray,
@@ -162,12 +162,7 @@ def _write(data: TableData, root: Path) -> dict[str, Path]:
     _prepare(folder)
     write_file(text, report.markdown(data), "--out")
     title = f"{data.table.name}  {data.table.title}{'  (quick look)' if data.quick else ''}"
-    curves.write_table(
-        title,
-        [curves.Block(*section) for section in report.sections(data)],
-        report.notes(data),
-        picture,
-    )
+    curves.write_table(title, report.sections(data), report.notes(data), picture)
     return {"markdown": text, "picture": picture}
 
 
@@ -188,17 +183,18 @@ def _print(output: Output, data: TableData, files: dict[str, Path]) -> None:
 
 
 def _summary(data: TableData, measured: int, files: dict[str, Path]) -> dict[str, Any]:
-    rows = []
-    for row, entries in zip(data.table.rows, data.entries, strict=True):
-        for column, entry in zip(data.table.columns, entries, strict=True):
-            rows.append({
-                "task": column.name, "method": row.name, "state": entry.state or "measured",
-                "paper": entry.paper and dataclasses.asdict(entry.paper),
-                "ours": [
-                    {**dataclasses.asdict(condition), **dataclasses.asdict(summary)}
-                    for condition, summary in entry.results.items()
-                ],
-            })  # fmt: skip
+    rows = [
+        {
+            "task": entry.column.name, "method": entry.row.name,
+            "state": entry.state or "measured",
+            "paper": entry.paper and dataclasses.asdict(entry.paper),
+            "ours": [
+                {**dataclasses.asdict(condition), **dataclasses.asdict(summary)}
+                for condition, summary in entry.results.items()
+            ],
+        }
+        for line in data.entries for entry in line
+    ]  # fmt: skip
     return {
         "table": data.table.name, "quick": data.quick, "measured": measured, "rows": rows,
         "files": {name: str(path) for name, path in files.items()},

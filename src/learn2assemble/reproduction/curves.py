@@ -28,7 +28,7 @@ from learn2assemble.networks.agent import agent_files, one_thread
 from learn2assemble.planning.world_model import lookahead_actions
 from learn2assemble.reproduction.cells import make_cell_policy, row_cells
 from learn2assemble.reproduction.measured import Figures
-from learn2assemble.reproduction.report import load_table
+from learn2assemble.reproduction.report import Section, load_table
 from learn2assemble.reproduction.tables import Condition, Row, get_table
 from learn2assemble.simulator import Simulator
 from learn2assemble.viewer.picture import ACCENT, INK, LINE, PAPER, SOFT
@@ -232,7 +232,7 @@ def load_scaled(root: Path, times: dict[str, dict[str, float]]) -> list[Scaled]:
         InputError: where there are none.
     """
     table = get_table(SIZES)
-    grid = np.array([column.preset.grid for column in table.columns if column.preset], float)
+    grid = np.array([column.preset.grid for column in table.columns], float)
     out: list[Scaled] = []
     for row, entries in zip(table.rows, load_table(table, root).entries, strict=True):
         found = [entry.results.get(Condition(0.0)) for entry in entries]
@@ -386,19 +386,7 @@ _TINTS = {"own": "#e3f1f2", "reference": "#f1eee7"}
 """Background of rows by kind; published methods have none."""
 
 
-class Block(NamedTuple):
-    """One section: a head of two lines, then rows of words; the first column is flush left."""
-
-    title: str
-    groups: Sequence[tuple[str, int]]
-    """Name and number of columns of each group."""
-    columns: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    kinds: Sequence[str]
-    """``own``, ``reference`` or anything else, a row."""
-
-
-def write_table(title: str, blocks: Sequence[Block], notes: Sequence[str], path: Path) -> None:
+def write_table(title: str, blocks: Sequence[Section], notes: Sequence[str], path: Path) -> None:
     """Draw sections below each other, with notes at the foot, into a PNG.
 
     Raises:
@@ -425,7 +413,7 @@ def write_table(title: str, blocks: Sequence[Block], notes: Sequence[str], path:
     save(figure, path, _TABLE_DPI)
 
 
-def _widths(blocks: Sequence[Block]) -> list[float]:
+def _widths(blocks: Sequence[Section]) -> list[float]:
     """Width of every column [inch], the same in all blocks."""
     out = []
     for number in range(len(blocks[0].columns)):
@@ -440,7 +428,7 @@ def _widths(blocks: Sequence[Block]) -> list[float]:
     return out
 
 
-def _draw(axes: Axes, block: Block, widths: Sequence[float], top: float) -> None:
+def _draw(axes: Axes, block: Section, widths: Sequence[float], top: float) -> None:
     right = [_SIDE + sum(widths[: n + 1]) for n in range(len(widths))]
     write(axes, _SIDE, top + 0.12, block.title, fontsize=11.5, fontweight="bold", color=ACCENT)
     start = 0

@@ -66,19 +66,17 @@ class Log:
 
     Raises:
         InputError: for a file without lines.
+        KeyError: for a line that has no step number.
     """
 
     def __init__(self, path: Path) -> None:
-        self.name = path.name
         self.lines = list(read_lines(path))
         if not self.lines:
             raise InputError("recorded transitions", path.name, "a file with at least one line")
         # A probe comes before the real step of the same state, which holds the problem.
-        self.problems: dict[tuple[int, int], Line] = {}
-
-    def index(self) -> None:
-        """Find the real lines; KeyError for a line that has no step number."""
-        self.problems = {(line["ep"], line["t"]): line for line in self.lines if is_real(line)}
+        self.problems: dict[tuple[int, int], Line] = {
+            (line["ep"], line["t"]): line for line in self.lines if is_real(line)
+        }
 
     def placed_objects(self, line: Line) -> list[int]:
         """Number of the object that each placed block belongs to.

@@ -16,7 +16,9 @@ earlier step pushed are turned, and what moved at that moment.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections import defaultdict
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -41,10 +43,8 @@ from learn2assemble.reproduction.recordings import (
     waiting_rows,
 )
 from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.checker import Cell
 from learn2assemble.robot.grasps import get_grasps
-from learn2assemble.robot.kinematic.cell import KinematicCell
-from learn2assemble.robot.moves import Attempt, Move, Scene
+from learn2assemble.robot.moves import Move, Scene
 from learn2assemble.tasks import Task, get_task
 from learn2assemble.world.blocks import DIRECTIONS, EDGE, HALF
 from learn2assemble.world.rules import (
@@ -95,26 +95,25 @@ class ReplayReport:
         return asdict(self)
 
 
-class Tally:
-    """Running agreement of one quantity."""
-
-    def __init__(self) -> None:
-        self.good, self.all = 0, 0
-
-    def add(self, agrees: bool) -> bool:
-        self.good += int(agrees)
-        self.all += 1
-        return agrees
-
-    @property
-    def fraction(self) -> float:
-        return self.good / self.all if self.all else 1.0
-
-
 TILT_LIMIT = 2e-3
 """Structures with a block tilted by more than this [rad] are excepted from the pixel comparison:
 the logs hold positions only, and at this tilt an edge of a block is off by 0.1 mm."""
 REWARD_TOLERANCE = 1e-9
+Agreement = defaultdict[str, list[bool]]
+"""Comparisons by the field of the report that says which share of them agrees."""
+
+
+@contextmanager
+def _reading(report: ReplayReport | RobotReport, what: str) -> Generator[None, None, None]:
+    """What a log lacks, as an error that names file and line."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        if isinstance(error, InputError):
+            raise
+        got = f"no field {error}" if isinstance(error, KeyError) else str(error)
+        where = f"{report.file} line {max(report.lines, 1)}"
+        raise InputError(where, got, f"a recorded transition{what}") from None
 
 
 def replay_file(path: Path, rigid: Callable[[str], Physics] | None = None) -> ReplayReport:
@@ -128,45 +127,19 @@ def replay_file(path: Path, rigid: Callable[[str], Physics] | None = None) -> Re
     Raises:
         InputError: for a file that is not such a log.
     """
-    report = ReplayReport(file=path.name)
-    names = (
-        "mask", "plane", "complete", "static", "rigid", "static_firm", "rigid_firm", "reward",
-        "done",
-    )  # fmt: skip
-    tallies = {name: Tally() for name in names}
-    log = Log(path)
-    try:
-        log.index()
-        judges: dict[str, Physics] = {}
+    report, agreement = ReplayReport(file=path.name), Agreement(list)
+    judges: dict[str, Physics] = {}
+    with _reading(report, ""):
+        log = Log(path)
         for line in log.lines:
             report.lines += 1
             task = _task(line, report)
             if rigid is not None and task.stability not in judges:
                 judges[task.stability] = rigid(task.stability)
-            _replay_line(line, task, log, report, tallies, judges.get(task.stability))
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        if isinstance(error, InputError):
-            raise
-        got = f"no field {error}" if isinstance(error, KeyError) else str(error)
-        where = f"{path.name} line {max(report.lines, 1)}"
-        raise InputError(where, got, "a recorded transition") from None
-    report.mask_exact = tallies["mask"].fraction
-    report.plane_exact = tallies["plane"].fraction
-    report.complete_exact = tallies["complete"].fraction
-    report.valid_static = tallies["static"].fraction
-    report.valid_static_firm = tallies["static_firm"].fraction
-    if tallies["rigid"].all:
-        report.valid_rigid = tallies["rigid"].fraction
-        report.valid_rigid_firm = tallies["rigid_firm"].fraction
-    report.reward, report.done = tallies["reward"].fraction, tallies["done"].fraction
+            _replay_line(line, task, log, report, agreement, judges.get(task.stability))
+    for name, found in agreement.items():
+        setattr(report, name, sum(found) / len(found))
     return report
-
-
-def replay_files(
-    paths: Iterable[Path], rigid: Callable[[str], Physics] | None = None
-) -> list[ReplayReport]:
-    """One report per file."""
-    return [replay_file(path, rigid) for path in paths]
 
 
 def _task(line: Line, report: ReplayReport) -> Task:
@@ -177,13 +150,9 @@ def _task(line: Line, report: ReplayReport) -> Task:
 
 
 def _replay_line(
-    line: Line,
-    task: Task,
-    log: Log,
-    report: ReplayReport,
-    tallies: dict[str, Tally],
+    line: Line, task: Task, log: Log, report: ReplayReport, agreement: Agreement,
     rigid: Physics | None,
-) -> None:
+) -> None:  # fmt: skip
     real, robot, several = is_real(line), not task.touching, task.objects != "cubes"
     key = (line["ep"], line["t"])
     if key not in log.problems:
@@ -200,8 +169,8 @@ def _replay_line(
             if not exact and scene.rounding_explains(side, theirs):
                 exact = True
                 report.masks_within_rounding += 1
-            tallies["mask"].add(exact)
-    _compare_pixels(line, log, scene, report, tallies)
+            agreement["mask_exact"].append(exact)
+    _compare_pixels(line, log, scene, report, agreement)
     if robot and line["invalid"]:
         return
 
@@ -209,17 +178,21 @@ def _replay_line(
     report.judged_lines += 1
     note = {name: line[name] for name in (("ep", "t") if robot else ("ep", "t", "accv"))}
     speeds = [] if robot else line["accv_obj"]
-    edge = None
-    for physics in (StaticPhysics(), None if robot else rigid):
-        if physics is None:
-            continue
-        outcome = _repeat(scene, line, unplaced, objects, physics)
-        agrees = tallies[physics.name].add(outcome.valid == (not line["invalid"]))
-        if edge is None:
-            edge = several and not robot and starts_or_ends_on_edge(*outcome.structure)
-            report.edge_lines += int(edge)
+    outcome = _repeat(scene, line, unplaced, objects, StaticPhysics())
+    if real:
+        report.real_lines += 1
+        agreement["reward"].append(abs(outcome.reward - line["reward"]) <= REWARD_TOLERANCE)
+        agreement["done"].append(outcome.done == line["done"])
+    edge = several and not robot and starts_or_ends_on_edge(*outcome.structure)
+    report.edge_lines += int(edge)
+    outcomes = {"static": outcome}
+    if rigid is not None and not robot:
+        outcomes["rigid"] = _repeat(scene, line, unplaced, objects, rigid)
+    for name, outcome in outcomes.items():
+        agrees = outcome.valid != line["invalid"]
+        agreement[f"valid_{name}"].append(agrees)
         if not edge:
-            tallies[f"{physics.name}_firm"].add(agrees)
+            agreement[f"valid_{name}_firm"].append(agrees)
         if not agrees:
             if robot:
                 why = _why_not_here(line, outcome)
@@ -227,12 +200,8 @@ def _replay_line(
                 why = explain(*outcome.structure, line["invalid"], speeds)
             report.disagreements.append(
                 {"line": report.lines, **note, "recorded_invalid": line["invalid"],
-                 "physics": physics.name, "why": why}
+                 "physics": name, "why": why}
             )  # fmt: skip
-        if real and physics.name == "static":
-            report.real_lines += 1
-            tallies["reward"].add(abs(outcome.reward - line["reward"]) <= REWARD_TOLERANCE)
-            tallies["done"].add(outcome.done == line["done"])
 
 
 def _why_not_here(line: Line, outcome: _Outcome) -> str:
@@ -242,7 +211,7 @@ def _why_not_here(line: Line, outcome: _Outcome) -> str:
 
 
 def _compare_pixels(
-    line: Line, log: Log, scene: RecordedScene, report: ReplayReport, tallies: dict[str, Tally]
+    line: Line, log: Log, scene: RecordedScene, report: ReplayReport, agreement: Agreement
 ) -> None:
     """Both covers on the recorded poses before and after the step."""
     robot = not scene.task.touching
@@ -264,7 +233,7 @@ def _compare_pixels(
         for name, mine in zip(("plane", "complete"), scene.counts(), strict=True):
             theirs = line[f"px_{'plane' if name == 'plane' else 'comp'}_{when}"]
             for a, b in zip(mine, theirs, strict=True):
-                tallies[name].add(a == b)
+                agreement[f"{name}_exact"].append(a == b)
                 report.max_px_diff = max(report.max_px_diff, abs(a - b))
         report.views += views
 
@@ -296,12 +265,9 @@ class _Outcome(NamedTuple):
 
 
 def _repeat(
-    scene: RecordedScene,
-    line: Line,
-    unplaced: list[list[float]],
-    objects: list[int] | None,
+    scene: RecordedScene, line: Line, unplaced: list[list[float]], objects: list[int] | None,
     physics: Physics,
-) -> _Outcome:
+) -> _Outcome:  # fmt: skip
     """Our outcome of the recorded action from the recorded state."""
     task, spec = scene.task, scene.task.action_spec
     state = scene.place(line["placed"], len(unplaced))
@@ -348,26 +314,16 @@ MAX_CELLS = 40
 """Cells a recorded scene has at most."""
 
 
-def published(rules: str) -> Cell:
-    """The authors' fast mode."""
-    return PublishedCell(get_arm("panda"), rules)
-
-
-def kinematic(rules: str) -> Cell:
-    """Reach and collisions alone, with all links, joint limits and planned ways."""
-    return KinematicCell(get_arm("panda"), MAX_CELLS)
-
-
 @dataclass
 class RobotReport:
     """Agreement of one file on success or failure; ``rule`` is that of :func:`simple_rule`."""
 
     file: str
-    cell: str = ""
+    cell: str = PublishedCell.name
     lines: int = 0
     agree: int = 0
     same_class: int = 0
-    """Also in the reason. Reasons of other cells than the published one have other names."""
+    """Also in the reason."""
     rule: int = 0
     classes: dict[str, list[int]] = field(default_factory=dict)
     """Per recorded reason: lines, and those that agree on success or failure."""
@@ -388,20 +344,16 @@ def is_robot_line(line: Line) -> bool:
     return "grasp_variant" in line
 
 
-def replay_robot_file(path: Path, cell: Callable[[str], Cell] = published) -> RobotReport:
-    """Replay one file of environments with an arm.
-
-    Args:
-        path: ``transitions_*robo*`` in the format of the reference.
-        cell: makes a cell for rules, a name in :data:`.bullet.cell.RULES`.
+def replay_robot_file(path: Path) -> RobotReport:
+    """Replay one file of environments with an arm, ``transitions_*robo*``, in the published cell.
 
     Raises:
         InputError: for a file that is not such a log.
     """
-    report, log = RobotReport(file=path.name), Log(path)
-    cells: dict[str, Cell] = {}
-    try:
-        log.index()
+    report = RobotReport(file=path.name)
+    cells: dict[str, PublishedCell] = {}
+    with _reading(report, " of an arm"):
+        log = Log(path)
         for line in log.lines:
             report.lines += 1
             if not is_robot_line(line):
@@ -409,15 +361,8 @@ def replay_robot_file(path: Path, cell: Callable[[str], Cell] = published) -> Ro
             order = recorded_order(line, log)
             rules = published_rules(order.task)
             if rules not in cells:
-                cells[rules] = cell(rules)
-                report.cell = cells[rules].name
+                cells[rules] = PublishedCell(get_arm("panda"), rules)
             _compare(line, order, cells[rules], report)
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        if isinstance(error, InputError):
-            raise
-        got = f"no field {error}" if isinstance(error, KeyError) else str(error)
-        where = f"{path.name} line {max(report.lines, 1)}"
-        raise InputError(where, got, "a recorded transition of an arm") from None
     return report
 
 
@@ -471,8 +416,8 @@ def simple_rule(order: Order) -> bool:
     return not (high & (across < reach) & (along < 3 * reach)).any()
 
 
-def _compare(line: Line, order: Order, cell: Cell, report: RobotReport) -> None:
-    attempt = _attempt(cell, order)
+def _compare(line: Line, order: Order, cell: PublishedCell, report: RobotReport) -> None:
+    attempt = cell.attempt(order.scene, order.move, order.top)
     theirs = SUCCESS if line["fail"] is None else look_up("fail", line["fail"], CLASSES)
     agrees = attempt.reached == (not line["invalid"])
     tally = report.classes.setdefault(theirs, [0, 0])
@@ -487,9 +432,3 @@ def _compare(line: Line, order: Order, cell: Cell, report: RobotReport) -> None:
             {"line": report.lines, "ep": line["ep"], "t": line["t"], "recorded": theirs,
              "here": here, "detail": attempt.detail}
         )  # fmt: skip
-
-
-def _attempt(cell: Cell, order: Order) -> Attempt:
-    if isinstance(cell, PublishedCell):
-        return cell.attempt(order.scene, order.move, order.top)
-    return cell.attempt(order.scene, order.move)

@@ -8,29 +8,25 @@ from __future__ import annotations
 import csv
 import functools
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from learn2assemble.reproduction.bounds import has_bound
 from learn2assemble.reproduction.cells import (
     BOUND,
     Cell,
     Result,
-    measurable,
     measured_agents,
     read_result,
     row_cells,
 )
-from learn2assemble.reproduction.tables import (
-    HELPS,
-    PAPER_PROTOCOL,
-    Column,
-    Condition,
-    Row,
-    Table,
-)
+from learn2assemble.reproduction.tables import HELPS, PAPER_PROTOCOL, Column, Condition, Row, Table
 
 FILE = Path(__file__).with_name("published.csv")
 EPISODES = 500
@@ -68,12 +64,8 @@ def published(table: Table, row: Row, column: Column) -> Published | None:
         raise LookupError(f"table {table.name}: {len(found)} published lines fit {wanted}")
     if not found:
         return None
-    line = found[0]
-    number = {
-        key: float(line[name]) if line[name] else None
-        for key, name in (("R", "R"), ("R_ci95", "R_ci95"), ("a", "a_mean"), ("b", "b"), ("f", "f"))
-    }
-    return Published(**number)
+    names = ("R", "R_ci95", "a_mean", "b", "f")
+    return Published(*[float(found[0][name]) if found[0][name] else None for name in names])
 
 
 NOT_AVAILABLE, NOT_TRAINED, NOT_MEASURED = "not available", "not trained", "not measured"
@@ -111,10 +103,17 @@ class Summary:
 class Entry:
     """One row in one column."""
 
+    row: Row
+    column: Column
     paper: Published | None
     state: str
     """Empty where there are results, else the reason why not."""
     results: dict[Condition, Summary]
+
+    @property
+    def title(self) -> str:
+        """The task, with a star where the agents were trained on it."""
+        return f"{self.column.name}{'*' if self.column.star else ''}"
 
 
 @dataclass(frozen=True)
@@ -132,80 +131,82 @@ class TableData:
 
 def load_table(table: Table, root: Path, quick: bool = False) -> TableData:
     """Read the numbers of ``table`` from the result files below ``root`` and nothing else."""
-    played: list[int] = []
-    missing: list[str] = []
-    entries = []
-    compared_with: dict[tuple[int, Condition], np.ndarray] = {}
-    reference = table.reference
-    # The reference first: all others are compared with it.
-    order = sorted(range(len(table.rows)), key=lambda n: n != reference)
-    for row in (table.rows[n] for n in order):
-        line = []
-        for number, column in enumerate(table.columns):
-            agents = row.pick(measured_agents(root, column.name)) if row.agents else []
-            cells = row_cells(table, row, number, agents)
-            results = {}
-            for condition in table.conditions:
-                wanted = [
-                    cell for cell in cells
-                    if (cell.epsilon, cell.physics) == (condition.epsilon, condition.physics)
-                ]  # fmt: skip
-                found = [(cell, read_result(root / cell.path)) for cell in wanted]
-                missing += [cell.path for cell, result in found if result is None]
-                good = [r for cell, r in found if r is not None and r.cell == cell]
-                if good:
-                    returns = _by_problem(good)
-                    base = compared_with.get((number, condition))
-                    if not entries and reference is not None:
-                        compared_with[number, condition] = returns
-                    results[condition] = replace(
-                        _summary(table, condition, good, root),
-                        difference=None if base is None else paired(returns, base),
-                    )
-                    played += [r.episodes for r in good]
-            paper = published(table, row, column)
-            line.append(Entry(paper, _state(table, row, number, cells, results), results))
-        entries.append(tuple(line))
+    missing: set[str] = set()
+    found = [
+        [_results(table, row, number, root, missing) for number in range(len(table.columns))]
+        for row in table.rows
+    ]
+    reference = found[table.reference] if table.reference is not None else None
+    entries = tuple(
+        tuple(
+            _entry(table, row, number, root, results, reference[number] if reference else None)
+            for number, results in enumerate(line)
+        )
+        for row, line in zip(table.rows, found, strict=True)
+    )
+    played = [
+        result.episodes for line in found for results in line
+        for good in (results or {}).values() for result in good
+    ]  # fmt: skip
     span = (min(played), max(played)) if played else (0, 0)
-    entries = [entries[order.index(n)] for n in range(len(entries))]
-    return TableData(table, tuple(entries), span, quick, tuple(sorted(set(missing))))
+    return TableData(table, entries, span, quick, tuple(sorted(missing)))
 
 
-def _state(
-    table: Table, row: Row, number: int, cells: list[Cell], results: dict[Condition, Summary]
-) -> str:
-    """Why there is nothing to show; empty where there is."""
-    if results:
-        return ""
-    if table.columns[number].preset is None:
-        return NOT_AVAILABLE
-    if not row.known or (row.columns is not None and number not in row.columns):
-        return NOT_AVAILABLE
-    if not cells:
-        return NOT_TRAINED if row.agents else NOT_AVAILABLE
-    return NOT_MEASURED
+Results = dict[Condition, list[Result]]
+"""Of one row in one column; of all its agents."""
 
 
-def _summary(table: Table, condition: Condition, results: list[Result], root: Path) -> Summary:
+def _results(table: Table, row: Row, number: int, root: Path, missing: set[str]) -> Results | None:
+    """What has been measured; ``None`` where nothing can be. Adds absent files to ``missing``."""
+    agents = row.pick(measured_agents(root, table.columns[number].name)) if row.agents else []
+    cells = row_cells(table, row, number, agents)
+    found: Results = {}
+    for cell in cells:
+        result = read_result(root / cell.path)
+        if result is None:
+            missing.add(cell.path)
+        elif result.cell == cell:
+            found.setdefault(Condition(cell.epsilon, cell.physics), []).append(result)
+    return found if cells else None
+
+
+def _entry(
+    table: Table, row: Row, number: int, root: Path, results: Results | None,
+    reference: Results | None,
+) -> Entry:  # fmt: skip
+    column, state = table.columns[number], ""
+    if results is None:
+        state = NOT_TRAINED if row.agents else NOT_AVAILABLE
+    elif not results:
+        state = NOT_MEASURED
+    summaries = {}
+    for condition in table.conditions:
+        good, base = (results or {}).get(condition), (reference or {}).get(condition)
+        if good:
+            other = None if results is reference else base
+            summaries[condition] = _summary(table, condition, good, other, root)
+    return Entry(row, column, published(table, row, column), state, summaries)
+
+
+def _summary(
+    table: Table, condition: Condition, results: list[Result], base: list[Result] | None,
+    root: Path,
+) -> Summary:  # fmt: skip
+    def mean(name: str) -> float:
+        return float(np.mean([result.array(name).mean() for result in results]))
+
     returns = [result.array("returns") for result in results]
     means = np.array([r.mean() for r in returns])
-    failed = [result.array("failed") for result in results]
-    success = [result.array("success") for result in results]
-    other = None
-    if table.other_discount is not None:
-        key = f"returns_at_{table.other_discount:g}"
-        other = _mean([r.array(key) for r in results if key in r.data])
-    share = None
-    if condition == Condition(0.0):
-        share = _share(results, root)
+    ran_out = [((1 - r.array("failed")) * (1 - r.array("success"))).mean() for r in results]
+    problems, other = _by_problem(results), f"returns_at_{table.other_discount or 0:g}"
     return Summary(
         R=float(means.mean()), R_ci95=_half_width(returns, means),
-        R_ci95_problems=_half_width([_by_problem(results)], means[:1]),
-        a=_mean([r.array("actions") for r in results]) or 0.0,
-        b=_mean([(1 - f) * (1 - s) for f, s in zip(failed, success, strict=True)]) or 0.0,
-        f=_mean(failed) or 0.0, success=_mean(success) or 0.0,
+        R_ci95_problems=_half_width([problems], means[:1]),
+        a=mean("actions"), b=float(np.mean(ran_out)), f=mean("failed"), success=mean("success"),
         agents=len(results), episodes=sum(r.episodes for r in results),
-        R_other=other, share=share,
+        R_other=mean(other) if all(other in r.data for r in results) else None,
+        share=_share(results, root) if condition == Condition(0.0) else None,
+        difference=None if base is None else paired(problems, _by_problem(base)),
     )  # fmt: skip
 
 
@@ -224,10 +225,6 @@ def paired(returns: np.ndarray, others: np.ndarray) -> tuple[float, float]:
     count = min(len(returns), len(others))
     apart = returns[:count] - others[:count]
     return float(apart.mean()), _half_width([apart], apart[:1])
-
-
-def _mean(arrays: list[np.ndarray]) -> float | None:
-    return float(np.mean([array.mean() for array in arrays])) if arrays else None
 
 
 def _half_width(returns: list[np.ndarray], means: np.ndarray) -> float:
@@ -249,7 +246,7 @@ def _share(results: list[Result], root: Path) -> float | None:
     reached, bounds = [], []
     for result in results:
         cell = Cell(result.cell.task, BOUND, seed=result.cell.seed)
-        bound = read_result(root / cell.path) if measurable(cell) else None
+        bound = read_result(root / cell.path) if has_bound(cell.task) else None
         if bound is None or bound.cell != cell or bound.episodes < result.episodes:
             return None
         reached.append(result.array("returns").mean())
@@ -261,8 +258,7 @@ def below_paper(paper: Published | None, ours: Summary) -> bool:
     """R under the paper's 95 % interval."""
     if paper is None or paper.R is None or paper.R_ci95 is None:
         return False
-    mean, lowest = ours.R, paper.R - paper.R_ci95
-    return mean < lowest
+    return paper.R - paper.R_ci95 > ours.R
 
 
 def fails_more(paper: Published | None, ours: Summary) -> bool:
@@ -285,7 +281,7 @@ PAPER = "paper"
 
 
 class Section(NamedTuple):
-    """A block of the table: one task, or all of them."""
+    """A block of the table, one task or all of them: a head of two lines, then rows of words."""
 
     title: str
     groups: list[tuple[str, int]]
@@ -293,70 +289,75 @@ class Section(NamedTuple):
     columns: list[str]
     rows: list[list[str]]
     kinds: list[str]
-    """Kind of every row (``table_spec``)."""
+    """Kind of every row: ``method``, ``own`` or ``reference``."""
 
 
 BRIEF = ("R", "f", "success", "of bound")
 """What fits into a terminal."""
 
 
+class _Column(NamedTuple):
+    group: str
+    name: str
+    text: Callable[[Entry], str]
+
+
+def _section(title: str, columns: list[_Column], entries: list[Entry]) -> Section:
+    groups = [(name, len(list(of))) for name, of in groupby(column.group for column in columns)]
+    rows = [[column.text(entry) for column in columns] for entry in entries]
+    kinds = [entry.row.kind for entry in entries]
+    return Section(title, groups, [column.name for column in columns], rows, kinds)
+
+
 def sections(data: TableData, brief: bool = False) -> list[Section]:
     """Everything that was measured, one section a task; ``brief``: the main numbers."""
-    table, out = data.table, []
-    fields = [
-        name for name in ("R", "a", "b", "f") if not brief or name in BRIEF
-        if any(e.paper and getattr(e.paper, name) is not None for row in data.entries for e in row)
+    table, all_entries = data.table, [entry for line in data.entries for entry in line]
+    paper = PAPER if brief else f"{PAPER}, {PAPER_PROTOCOL.label}"
+    columns = [_Column("", "method", lambda entry: entry.row.name), _Column("", "agents", _agents)]
+    columns += [
+        _Column(paper, name, partial(_paper, name)) for name in ("R", "a", "b", "f")
+        if any(e.paper and getattr(e.paper, name) is not None for e in all_entries)
     ]  # fmt: skip
-    names = {condition: _names(data, condition, brief) for condition in table.conditions}
-    for number in range(len(table.columns)):
-        paper = PAPER if brief else f"{PAPER}, {PAPER_PROTOCOL.label}"
-        groups = [("", 2)] + ([(paper, len(fields))] if fields else [])
-        columns = ["method", "agents", *fields]
-        for condition in table.conditions:
-            ours = condition.label if brief else f"ours, {condition.label}"
-            groups.append((ours, len(names[condition])))
-            columns += names[condition]
-        rows, kinds = [], []
-        for row, entries in zip(table.rows, data.entries, strict=True):
-            if row.columns is not None and number not in row.columns:
-                continue
-            entry = entries[number]
-            agents = _agents(entry) if row.agents or entry.state else DASH
-            line = [row.name, agents, *_paper(entry.paper, fields)]
-            kinds.append(row.kind)
-            for condition in table.conditions:
-                line += _ours(entry, condition, names[condition])
-            rows.append(line)
-        out.append(Section(_title(data, number), groups, columns, rows, kinds))
-    return out
+    for condition in table.conditions:
+        ours = condition.label if brief else f"ours, {condition.label}"
+        names = ["R", "− ours", "R'", "a", "b", "f", "success", "of bound"]
+        absent = {
+            "− ours": table.reference is None, "R'": table.other_discount is None,
+            "of bound": condition != Condition(0.0),
+        }  # fmt: skip
+        columns += [
+            _Column(ours, name, partial(_ours, condition, name))
+            for name in names if not absent.get(name)
+        ]  # fmt: skip
+    if brief:
+        columns = [column for column in columns if not column.group or column.name in BRIEF]
+    shown = [[entry for entry in line if _is_played(entry, n)] for n, line in
+             enumerate(zip(*data.entries, strict=True))]  # fmt: skip
+    return [_section(entries[0].title, columns, entries) for entries in shown]
+
+
+def _is_played(entry: Entry, number: int) -> bool:
+    return entry.row.columns is None or number in entry.row.columns
 
 
 def compact(data: TableData) -> Section:
     """The main numbers of all tasks in one section: for a terminal and the README."""
-    table = data.table
-    groups = [("", 2), (f"{PAPER}, {PAPER_PROTOCOL.label}", 1)]
-    columns = ["task", "method", "R / f"]
-    for condition in table.conditions:
-        clean = condition == Condition(0.0)
-        groups.append((f"ours, {condition.label}", 1 + clean))
-        columns += ["R / f / success"] + (["of bound"] if clean else [])
-    rows, kinds = [], []
-    for number in range(len(table.columns)):
-        for row, entries in zip(table.rows, data.entries, strict=True):
-            entry, paper = entries[number], entries[number].paper
-            if not entry.results and not paper:
-                continue
-            line = [_title(data, number), row.name, DASH]
-            if paper is not None:
-                line[2] = f"{_two(paper.R)} / {_two(paper.f)}"
-            for condition in table.conditions:
-                ours = entry.results.get(condition)
-                line.append(_main(entry, condition, ours) if ours else entry.state or DASH)
-                if condition == Condition(0.0):
-                    line.append(_percent(ours.share) if ours else DASH)
-            rows.append(line)
-            kinds.append(row.kind)
-    return Section(table.title, groups, columns, rows, kinds)
+    columns = [
+        _Column("", "task", lambda entry: entry.title),
+        _Column("", "method", lambda entry: entry.row.name),
+        _Column(f"{PAPER}, {PAPER_PROTOCOL.label}", "R / f", lambda entry: DASH
+                if entry.paper is None else f"{_two(entry.paper.R)} / {_two(entry.paper.f)}"),
+    ]  # fmt: skip
+    for condition in data.table.conditions:
+        ours = f"ours, {condition.label}"
+        columns.append(_Column(ours, "R / f / success", partial(_main, condition)))
+        if condition == Condition(0.0):
+            columns.append(_Column(ours, "of bound", partial(_ours, condition, "of bound")))
+    entries = [
+        entry for line in zip(*data.entries, strict=True) for entry in line
+        if entry.results or entry.paper
+    ]  # fmt: skip
+    return _section(data.table.title, columns, entries)
 
 
 def markdown(data: TableData) -> str:
@@ -439,50 +440,34 @@ def _escape(text: str) -> str:
     return text.replace("*", "\\*").replace("|", "\\|")
 
 
-def _title(data: TableData, number: int) -> str:
-    column = data.table.columns[number]
-    return f"{column.name}{'*' if column.star else ''}"
-
-
-def _names(data: TableData, condition: Condition, brief: bool) -> list[str]:
-    other = ["R'"] if data.table.other_discount is not None else []
-    bound = ["of bound"] if condition == Condition(0.0) else []
-    paired_with = ["− ours"] if data.table.reference is not None else []
-    names = ["R", *paired_with, *other, "a", "b", "f", "success", *bound]
-    return [name for name in names if name in BRIEF] if brief else names
-
-
 def _agents(entry: Entry) -> str:
-    if entry.state:
-        return entry.state
     counts = sorted({summary.agents for summary in entry.results.values()})
-    return "–".join(str(n) for n in counts)
+    return entry.state or (DASH if not entry.row.agents else "–".join(map(str, counts)))
 
 
-def _paper(paper: Published | None, fields: list[str]) -> list[str]:
-    if paper is None:
-        return [DASH] * len(fields)
-    out = [_two(getattr(paper, name)) for name in fields]
-    if fields[:1] == ["R"] and paper.R_ci95 is not None:
-        out[0] += f" ± {paper.R_ci95:.2f}"
-    return out
+def _paper(name: str, entry: Entry) -> str:
+    paper = entry.paper
+    more = f" ± {paper.R_ci95:.2f}" if paper and name == "R" and paper.R_ci95 is not None else ""
+    return DASH if paper is None else f"{_two(getattr(paper, name))}{more}"
 
 
-def _ours(entry: Entry, condition: Condition, names: list[str]) -> list[str]:
+def _ours(condition: Condition, name: str, entry: Entry) -> str:
     ours = entry.results.get(condition)
     if ours is None:
-        return [DASH] * len(names)
+        return DASH
     low, high = _marks(entry, condition, ours)
-    words = {
+    return {
         "R": f"{_interval_text(ours)}{low}", "− ours": _difference(ours),
         "R'": _two(ours.R_other), "a": f"{ours.a:.2f}",
         "b": _two(ours.b), "f": f"{ours.f:.2f}{high}", "success": _two(ours.success),
-        "of bound": _percent(ours.share),
-    }  # fmt: skip
-    return [words[name] for name in names]
+        "of bound": DASH if ours.share is None else f"{100 * ours.share:.1f} %",
+    }[name]  # fmt: skip
 
 
-def _main(entry: Entry, condition: Condition, ours: Summary) -> str:
+def _main(condition: Condition, entry: Entry) -> str:
+    ours = entry.results.get(condition)
+    if ours is None:
+        return entry.state or DASH
     low, high = _marks(entry, condition, ours)
     return f"{_interval_text(ours)}{low} / {ours.f:.2f}{high} / {ours.success:.2f}"
 
@@ -505,7 +490,3 @@ def _difference(ours: Summary) -> str:
 
 def _two(value: float | None) -> str:
     return DASH if value is None else f"{value:.2f}"
-
-
-def _percent(value: float | None) -> str:
-    return DASH if value is None else f"{100 * value:.1f} %"
