@@ -16,13 +16,13 @@ from learn2assemble.graph.batch import GraphTensors, to_tensors
 from learn2assemble.graph.features import Graph
 from learn2assemble.graph.placements import MAX_CELLS, distinct_placements
 from learn2assemble.graph.relations import EDGE_FEATURES, OFFSETS
-from learn2assemble.networks.agent import at_pitch, make_network
+from learn2assemble.networks.agent import fitted, make_network
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.placement import PlacementNetwork, PlacementValues
 from learn2assemble.networks.qnetwork import QNetwork
 from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import Task
+from learn2assemble.tasks import Task, get_task
 from learn2assemble.world.blocks import EDGE, get_action_spec
 from learn2assemble.world.state import State
 from learning_data import advance, random_actions
@@ -316,13 +316,15 @@ def test_q_knows_the_grip(name: str) -> None:
 def test_a_network_moves_to_another_pitch_with_its_weights() -> None:
     """Trained where blocks touch, asked where they leave a gap: cells are those of the gap."""
     net = network(TASKS["one"], 3)
-    moved = at_pitch(net, 0.055)
-    assert at_pitch(net, EDGE) is net
+    moved = fitted(net, 0.055, 0)
+    assert fitted(net, EDGE, 0) is net
     assert (net.config.pitch, moved.config.pitch) == (EDGE, 0.055)
     assert all(a is b for a, b in zip(net.parameters(), moved.parameters(), strict=True))
     spaced = TASKS["one"].replace(name="spaced", pitch=0.055)
     model = WorldModel(Simulator(spaced), net)
-    assert model.network.config.pitch == 0.055
+    assert (model.network.config.pitch, model.network.config.sight) == (0.055, 0)
+    large = WorldModel(Simulator(get_task("two-sided-8x8-90-94")), net)
+    assert large.network.config.sight == 4, "no sum over more blocks than were met in training"
     state = model.simulator.new(1, np.random.default_rng(0))
     before = state.copy()
     cells = {tuple(np.round(p - before.position[0, 0], 6)) for p in _first_cells(model, state)}

@@ -121,14 +121,16 @@ def test_edges_against_polygons(drawn: bool, number: int, seed: int) -> None:
     assert found.area[0] == pytest.approx(area, rel=1e-4)
 
 
-@given(number=st.sampled_from([1, 2, 3, 4, 5]), seed=st.integers(0, 10_000))
+@given(
+    number=st.sampled_from([1, 2, 3, 4, 5]), seed=st.integers(0, 10_000), sight=st.integers(0, 3)
+)
 @settings(max_examples=25, deadline=None)
-def test_offsets_written_out(number: int, seed: int) -> None:
-    """To every placed block, in whole cells in the frame of every side; padding beyond."""
+def test_offsets_written_out(number: int, seed: int, sight: int) -> None:
+    """To every placed block in sight, in whole cells in the frame of every side; else padding."""
     simulator, state = some_state(TASKS[number], seed, count=2)
     graph, pitch = simulator.observe(state), simulator.task.pitch
     placements = distinct_placements(graph, simulator.action_spec)
-    found = relate(graph, placements, pitch)
+    found = relate(graph, placements, pitch, sight)
     for row in range(state.batch_size):
         placed = int(state.num_placed[row])
         assert (found.offsets[row, :, :, placed:] == OFFSETS).all()
@@ -140,6 +142,8 @@ def test_offsets_written_out(number: int, seed: int) -> None:
                 steps = np.rint((theirs - mine) * [1, -1, 1] / [pitch, pitch, EDGE]).astype(int)
                 i, j, k = (np.clip(steps, -REACH, REACH) + REACH).T
                 numbers = (i * WINDOW + j) * WINDOW + k
+                if sight:
+                    numbers[np.abs(steps).max(1) > sight] = OFFSETS
                 assert found.offsets[row, c, side, :placed].tolist() == numbers.tolist()
 
 

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 
 MIN_VERTICES, MAX_VERTICES = 3, 5
 NO_ARM = "none"
+LARGEST_SEEN, SIGHT = 6, 4
+"""On larger grids a cell looks at the blocks within so many cells only: the sum over all would grow
+beyond what was met in training, and hide what is near."""
 MAX_PITCH = 0.07
 """Cells farther apart [m] would need other rules for what fills the gaps of objects."""
 
@@ -168,6 +171,11 @@ class Task:
     def touching(self) -> bool:
         """Whether blocks side by side touch; else they leave room for the fingers of a gripper."""
         return self.pitch == EDGE
+
+    @property
+    def sight(self) -> int:
+        """How many cells away our network sees blocks; 0: at any distance."""
+        return SIGHT if self.grid > LARGEST_SEEN else 0
 
     @property
     def max_blocks(self) -> int:

@@ -126,16 +126,19 @@ class HandTensors(NamedTuple):
     """float32[p, 6]."""
 
 
-def cell_tensors(graph: GraphTensors, spec: ActionSpec, hand: bool = False) -> CellTensors:
+def cell_tensors(
+    graph: GraphTensors, spec: ActionSpec, hand: bool = False, sight: int = 0
+) -> CellTensors:
     """Enumerate placements and relate their cells to the graph, on the device of ``graph``.
 
     Args:
         spec: what the actions mean, :attr:`Task.action_spec`.
         hand: whether to look around the hand, too.
+        sight: how many cells away blocks are seen, see :func:`relate`.
     """
     plain = Graph(*[t.cpu().numpy() for t in graph])
     placements = distinct_placements(plain, spec)
-    relations = relate(plain, placements, spec.pitch)
+    relations = relate(plain, placements, spec.pitch, sight)
     device = graph.nodes.device
     used = np.arange(placements.cells.shape[1]) < placements.num_cells[:, None]
     row = used.nonzero()[0]

@@ -88,7 +88,7 @@ def offset_number(right, out, up, pitch):
 @njit(cache=True)
 def _relate(
     nodes, object_id, num_targets, num_placed, cells, num_cells, most_edges, frames,
-    pitch, edges, edge_used, offsets, total_area,
+    pitch, sight, edges, edge_used, offsets, total_area,
 ):  # fmt: skip
     corner = np.empty((most_edges, 2))
     for row in range(len(num_targets)):
@@ -133,17 +133,20 @@ def _relate(
                 for b in range(placed):
                     node = nodes[row, targets + b]
                     dx, dy = node[0] - cells[row, c, 0], node[1] - cells[row, c, 1]
+                    if max(abs(dx) / pitch, abs(dy) / pitch, abs(node[2] - z) / EDGE) > sight:
+                        continue
                     offsets[row, c, side, b] = offset_number(
                         dx * right_x + dy * right_y, dx * out_x + dy * out_y, node[2] - z, pitch
                     )
             first = last
 
 
-def relate(graph: Graph, placements: Placements, pitch: float = EDGE) -> Relations:
+def relate(graph: Graph, placements: Placements, pitch: float = EDGE, sight: int = 0) -> Relations:
     """Relations of every cell of ``placements`` to its graph.
 
     Args:
         pitch: horizontal distance of the centres of neighbouring cells [m].
+        sight: cells do not look at blocks farther than this many cells along any axis; 0: at all.
     """
     batch, most = placements.cells.shape[:2]
     targets = np.arange(graph.nodes.shape[1]) < graph.num_targets[:, None]
@@ -157,7 +160,7 @@ def relate(graph: Graph, placements: Placements, pitch: float = EDGE) -> Relatio
     _relate(
         graph.nodes, graph.object_id, graph.num_targets, graph.num_placed, placements.cells,
         placements.num_cells, most_edges, side_frames(sides, pitch), pitch,
-        edges, edge_used, offsets, area,
+        sight + 0.5 if sight else np.inf, edges, edge_used, offsets, area,
     )  # fmt: skip
     return Relations(edges, edge_used, offsets, area)
 

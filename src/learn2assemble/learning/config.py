@@ -212,7 +212,8 @@ def fit_to(config: TrainConfig, task: Task) -> TrainConfig:
     hand to look around, and no symmetries that only cubes without a robot have."""
     network = dataclasses.replace(
         config.network, num_actions=task.num_actions, action_mode=task.action_mode,
-        pitch=task.pitch, hand=task.has_arm and config.network.encoder == "relational",
+        pitch=task.pitch, sight=task.sight,
+        hand=task.has_arm and config.network.encoder == "relational",
     )  # fmt: skip
     augment = config.augment and task.objects == "cubes" and task.touching
     return dataclasses.replace(config, network=network, augment=augment)

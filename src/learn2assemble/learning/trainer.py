@@ -25,7 +25,7 @@ from learn2assemble.graph.features import node_offset
 from learn2assemble.graph.placements import distinct_placements
 from learn2assemble.learning.config import METHODS, TrainConfig
 from learn2assemble.learning.replay import Batch, Replay, Searched, random_symmetry
-from learn2assemble.networks.agent import Network, Values, at_pitch, make_network
+from learn2assemble.networks.agent import Network, Values, fitted, make_network
 from learn2assemble.networks.placement import PlacementValues
 from learn2assemble.networks.qnetwork import NEGATIVE
 from learn2assemble.planning.world_model import WorldModel
@@ -229,7 +229,8 @@ class Trainer:
         Raises:
             InputError: where its architecture is another one.
         """
-        if at_pitch(network, self.config.network.pitch).config != self.config.network:
+        config = self.config.network
+        if fitted(network, config.pitch, config.sight).config != config:
             raise InputError("--init", network.config, f"an agent with {self.config.network}")
         for mine in (self.online, self.target):
             mine.load_state_dict(network.state_dict())

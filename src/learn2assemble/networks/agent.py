@@ -37,15 +37,16 @@ def make_network(config: NetworkConfig) -> Network:
     return NETWORKS[config.encoder].make(config)
 
 
-def at_pitch(network: Network, pitch: float) -> Network:
-    """The network for blocks at another distance [m]; weights are shared.
+def fitted(network: Network, pitch: float, sight: int) -> Network:
+    """The network for blocks at another distance [m] and another sight; weights are shared.
 
     What it has learned in block edges may hold on another lattice, too.
     """
-    if network.config.pitch == pitch:
+    config = dataclasses.replace(network.config, pitch=pitch, sight=sight)
+    if network.config == config:
         return network
     other = copy.copy(network)
-    other.config = dataclasses.replace(network.config, pitch=pitch)
+    other.config = config
     return other
 
 

@@ -35,6 +35,8 @@ class NetworkConfig:
         action_mode: what the ways of an action are, :attr:`Task.action_mode`; counts for
             ``relational`` only, like ``pitch``.
         pitch: horizontal distance of neighbouring blocks of the task [m].
+        sight: cells of ``relational`` do not look at blocks farther than this many cells along
+            any axis; 0: at all. See :attr:`Task.sight`.
         hand: whether a placement also knows what is around the hand, and where in the world it is
             (:mod:`learn2assemble.graph.relations`); for ``relational``, where an arm builds.
         position_scale: positions are divided by this [m] (1.025 in the published code).
@@ -50,6 +52,7 @@ class NetworkConfig:
     num_actions: int = 5
     action_mode: str = "turns"
     pitch: float = EDGE
+    sight: int = 0
     hand: bool = False
     position_scale: float = 1.025
     rotary: bool = False
@@ -80,6 +83,8 @@ class NetworkConfig:
             raise UnknownNameError("action_mode", self.action_mode, ACTION_MODES)
         if not 0 < self.pitch < math.inf:
             raise InputError("pitch", self.pitch, "a positive length [m]")
+        if not 0 <= self.sight <= 1000:
+            raise InputError("sight", self.sight, "a whole number from 0 to 1000")
         if self.hand and self.encoder != "relational":
             raise InputError("hand", self.hand, "false unless encoder is relational")
         if not 0 < self.position_scale < math.inf:

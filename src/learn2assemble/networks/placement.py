@@ -50,8 +50,8 @@ class PlacementNetwork(nn.Module):
     """Relational encoder of cells and read-out of placements.
 
     Args:
-        config: its ``width``, ``rounds``, ``num_actions``, ``action_mode``, ``pitch`` and ``hand``
-            count.
+        config: its ``width``, ``rounds``, ``num_actions``, ``action_mode``, ``pitch``, ``sight``
+            and ``hand`` count.
     """
 
     def __init__(self, config: NetworkConfig) -> None:
@@ -81,7 +81,7 @@ class PlacementNetwork(nn.Module):
         spec = get_action_spec(
             config.action_mode, config.num_actions // len(RELATIONS), config.pitch
         )
-        cells = cell_tensors(graph, spec, config.hand)
+        cells = cell_tensors(graph, spec, config.hand, config.sight)
         x, context = self.encode(cells)
         parts = F.embedding(cells.cell, self.member(x)) + self.lever(cells.lever)
         if self.grip is not None:

@@ -16,7 +16,7 @@ import torch
 from learn2assemble.graph.batch import GraphTensors, to_tensors
 from learn2assemble.graph.features import Graph, node_offset
 from learn2assemble.graph.placements import Placements, action_keys, distinct_placements
-from learn2assemble.networks.agent import Network, at_pitch
+from learn2assemble.networks.agent import Network, fitted
 from learn2assemble.networks.placement import PlacementValues
 from learn2assemble.networks.qnetwork import QFactors
 from learn2assemble.search.tree import ActionValues, StepResult
@@ -43,7 +43,7 @@ class WorldModel:
         task, config = simulator.task, network.config
         check_actions(config.num_actions, config.action_mode, task)
         self.simulator, self.device = simulator, device
-        self.network = at_pitch(network, task.pitch)
+        self.network = fitted(network, task.pitch, task.sight)
         self.discount = simulator.task.discount
 
     def take(self, states: State, rows: np.ndarray) -> State:
