@@ -15,7 +15,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.planning.agent import features as design_features
 from learn2assemble.planning.agent.designs import Solved, make_design
 from learn2assemble.planning.agent.world import World
-from learn2assemble.planning.goals import features as goal_features
+from learn2assemble.planning.goals import network as goal_features
 from learn2assemble.planning.goals.search import Search
 from learn2assemble.planning.goals.tasks import fixed_goals
 from learn2assemble.planning.goals.world import bears, legal, make_yard, put, relax
