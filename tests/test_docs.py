@@ -118,7 +118,7 @@ def test_the_site_names_every_page_and_public_name() -> None:
     reference = (ROOT / "docs" / "reference.md").read_text(encoding="utf-8")
     left = {"Learn2AssembleError", "Shape", "Simulator", "load_design"}
     for name in set(l2a.__all__) - left:
-        home = l2a._HOME[name]
+        home, _ = l2a._PLACES[name]
         assert f"::: learn2assemble.{home}.{name}\n" in reference, name
 
 

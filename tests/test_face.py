@@ -29,7 +29,7 @@ def python(code: str) -> str:
 
 
 def test_every_public_name_is_there() -> None:
-    assert sorted(l2a._HOME) == list(l2a.__all__)
+    assert sorted(l2a._PLACES) == list(l2a.__all__)
     for name in l2a.__all__:
         assert getattr(l2a, name).__doc__
         assert name in dir(l2a)

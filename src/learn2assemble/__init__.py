@@ -41,98 +41,49 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
-    "Agent": "networks.agent",
-    "Assembly": "assembly.blocks",
-    "Block": "assembly.blocks",
-    "CellDesign": "design.cells",
-    "Check": "physics.rigid_blocks",
-    "Evaluation": "evaluation.episodes",
-    "InputError": "errors",
-    "Kit": "assembly.kit",
-    "Learn2AssembleError": "errors",
-    "Learner": "learning.config",
-    "NetworkConfig": "networks.config",
-    "Plan": "planning.plan",
-    "SearchConfig": "search.config",
-    "Shape": "world.blocks",
-    "Simulator": "simulator",
-    "Step": "planning.plan",
-    "Task": "tasks",
-    "TrainConfig": "learning.config",
-    "TrainingRun": "learning.run",
-    "build": "planning.build",
-    "check": "physics.rigid_blocks",
-    "evaluate": "evaluation.episodes",
-    "export_assembly": "export.formats",
-    "export_program": "export.robot_programs",
-    "get_task": "tasks",
-    "load_agent": "networks.agent",
-    "load_design": "design.cells:read_design",
-    "load_kit": "assembly.kit",
-    "load_plan": "planning.plan",
-    "reach": "planning.build",
-    "read_assembly": "assembly.files",
-    "register_arm": "robot.registry",
-    "replay_program": "export.robot_programs",
-    "register_learner": "learning.config",
-    "register_network": "networks.config",
-    "register_object_set": "world.blocks",
-    "register_search": "search.config",
-    "register_task": "tasks",
-    "register_tool": "robot.registry",
-    "train": "learning.run",
+    "assembly.blocks": "Assembly Block",
+    "assembly.files": "read_assembly",
+    "assembly.kit": "Kit load_kit",
+    "design.cells": "CellDesign load_design=read_design",
+    "errors": "InputError Learn2AssembleError",
+    "evaluation.episodes": "Evaluation evaluate",
+    "export.formats": "export_assembly",
+    "export.robot_programs": "export_program replay_program",
+    "learning.config": "Learner TrainConfig register_learner",
+    "learning.run": "TrainingRun train",
+    "networks.agent": "Agent load_agent",
+    "networks.config": "NetworkConfig register_network",
+    "physics.rigid_blocks": "Check check",
+    "planning.build": "build reach",
+    "planning.plan": "Plan Step load_plan",
+    "robot.registry": "register_arm register_tool",
+    "search.config": "SearchConfig register_search",
+    "simulator": "Simulator",
+    "tasks": "Task get_task register_task",
+    "world.blocks": "Shape register_object_set",
 }
-"""The module of every public name, and its name there where it is another one."""
+"""The public names of every module; with its name there where that is another one."""
+_PLACES = {
+    public: (module, name or public)
+    for module, names in _HOME.items()
+    for public, _, name in (told.partition("=") for told in names.split())
+}
 
 __all__ = [
-    "Agent",
-    "Assembly",
-    "Block",
-    "CellDesign",
-    "Check",
-    "Evaluation",
-    "InputError",
-    "Kit",
-    "Learn2AssembleError",
-    "Learner",
-    "NetworkConfig",
-    "Plan",
-    "SearchConfig",
-    "Shape",
-    "Simulator",
-    "Step",
-    "Task",
-    "TrainConfig",
-    "TrainingRun",
-    "build",
-    "check",
-    "evaluate",
-    "export_assembly",
-    "export_program",
-    "get_task",
-    "load_agent",
-    "load_design",
-    "load_kit",
-    "load_plan",
-    "reach",
-    "read_assembly",
-    "register_arm",
-    "register_learner",
-    "register_network",
-    "register_object_set",
-    "register_search",
-    "register_task",
-    "register_tool",
-    "replay_program",
-    "train",
-]
+    "Agent", "Assembly", "Block", "CellDesign", "Check", "Evaluation", "InputError", "Kit",
+    "Learn2AssembleError", "Learner", "NetworkConfig", "Plan", "SearchConfig", "Shape", "Simulator",
+    "Step", "Task", "TrainConfig", "TrainingRun", "build", "check", "evaluate", "export_assembly",
+    "export_program", "get_task", "load_agent", "load_design", "load_kit", "load_plan", "reach",
+    "read_assembly", "register_arm", "register_learner", "register_network", "register_object_set",
+    "register_search", "register_task", "register_tool", "replay_program", "train",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
+    if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, _, other = _HOME[name].partition(":")
-    value = getattr(importlib.import_module(f"{__name__}.{module}"), other or name)
+    module, there = _PLACES[name]
+    value = getattr(importlib.import_module(f"{__name__}.{module}"), there)
     globals()[name] = value
     return value
 

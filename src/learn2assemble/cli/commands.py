@@ -3,18 +3,33 @@
 from __future__ import annotations
 
 import argparse
-import json
-import math
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from learn2assemble.cli.builders import COMMANDS as BUILDERS
-from learn2assemble.cli.parser import Command, count, natural, number, positive, share
+from learn2assemble.cli.output import check_new_file, write_result
+from learn2assemble.cli.parser import (
+    Command,
+    arg,
+    arm_argument,
+    command,
+    count,
+    either,
+    friction,
+    group,
+    length,
+    natural,
+    noise,
+    number,
+    positive,
+    share,
+    span_of,
+    workers_arguments,
+)
 from learn2assemble.cli.structures import COMMANDS as STRUCTURES
-from learn2assemble.cli.structures import friction, length, span_of
-from learn2assemble.errors import InputError
-from learn2assemble.files import claim_folder, to_plain, write_file
+from learn2assemble.errors import InputError, MissingExtraError
+from learn2assemble.files import claim_folder, to_plain
 from learn2assemble.registry import Registry
 from learn2assemble.robot.registry import ARMS
 from learn2assemble.search.config import SEARCHES
@@ -23,119 +38,66 @@ if TYPE_CHECKING:
     from learn2assemble.cli.output import Output
     from learn2assemble.planning.plan import ArmReport, Plan
 
-_READING = ("unit", "cell", "size", "up", "depth", "cells_wide")
-"""Options that say how to read a design file."""
+_COMMANDS: dict[str, Command] = {}
 AGENT_HELP = "shipped agent, .safetensors or run folder"
 
 
 def register_command(commands: Registry[Command]) -> None:
     """Add the commands of the product."""
-    for name, command in {**_COMMANDS, **STRUCTURES, **BUILDERS}.items():
-        commands.register(name, command)
-
-
-def arm_argument(parser: argparse.ArgumentParser) -> None:
-    """Add ``--arm`` for tasks with a robot."""
-    names = ", ".join(ARMS)
-    parser.add_argument("--arm", default=None, help=f"{names} or none; the task's own")
-
-
-def workers_arguments(parser: argparse.ArgumentParser, what: str) -> None:
-    """Add ``--workers`` and ``--ray``, see :func:`learn2assemble.workers.run_all`."""
-    parser.add_argument("--workers", type=count, default=None, help=what)
-    parser.add_argument(
-        "--ray", metavar="ADDRESS", default=None,
-        help="work on a Ray cluster: HOST:PORT, auto or local (extra ray)",
-    )  # fmt: skip
-
-
-def check_new_file(path: Path | None) -> None:
-    """Refuse a result file that could not be written, before hours of episodes.
-
-    Raises:
-        InputError: where it exists, or its folder does not or cannot be written.
-    """
-    if path is None:
-        return
-    try:
-        if path.exists():
-            raise InputError("--out", str(path), "a new file")
-        path.touch()
-        path.unlink()
-    except OSError as error:
-        reason = error.strerror or "unwritable"
-        raise InputError("--out", str(path), f"a writable file ({reason})") from None
-
-
-def write_result(path: Path | None, result: dict[str, Any]) -> None:
-    """Write a result file where one is asked for."""
-    if path is not None:
-        write_file(path, json.dumps(result, indent=1) + "\n", "--out")
+    for name, made in {**_COMMANDS, **STRUCTURES, **BUILDERS}.items():
+        commands.register(name, made)
 
 
 # ---------------------------------------------------------------- build
 
-
-def _build_arguments(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("design", metavar="DESIGN", help="a drawing, picture, mesh, voxels, blocks, or a task")
-    add("--out", type=Path, required=True, help="new or empty folder")
-    add("--planner", default="auto", help="exact, agent, or auto (what the record says)")
-    exact = parser.add_argument_group("exact planner (docs/building.md)")
-    exact.add_argument("--kit", default=None, help="name or .toml file (the design's own)")
-    exact.add_argument("--unit", default=None, help="of the file where it does not say: mm, cm, m")
-    exact.add_argument("--cell", type=length, default=None, help="edge of a cell, and so of blocks")
-    exact.add_argument("--size", type=length, default=None, help="largest side, instead of a unit")
-    exact.add_argument("--up", default=None, help="the axis that points up: y or z")
-    exact.add_argument("--depth", type=length, default=None, help="of the wall of a drawing")
-    exact.add_argument("--cells-wide", type=count, default=None, help="of a drawing or picture")
-    exact.add_argument(
-        "--friction", type=span_of(friction), default=None, metavar="MU[:MU]",
-        help="prove every step for this coefficient or range (the kit's)",
-    )  # fmt: skip
-    exact.add_argument(
-        "--gap", type=span_of(length), default=None, metavar="W[:W]",
-        help="width of vertical joints or range of it, e.g. 0:0.5mm (the kit's)",
-    )  # fmt: skip
-    exact.add_argument("--no-props", action="store_true", help="refuse temporary blocks")
-    add("--arm", default=None, help=f"an arm builds it: {' or '.join(ARMS)}")
-    add(
-        "--layout", type=Path, default=None, metavar="FILE",
-        help="where the blocks wait for the arm (docs/layouts.md); by default around the site",
-    )  # fmt: skip
-    add(
-        "--video", action=argparse.BooleanOptionalAction, default=True,
-        help="of the arm, build.mp4 (needs the extra video)",
-    )  # fmt: skip
-    add("--tool", default=None, help="of the arm: suction (default), suction-side or gripper")
-    add(
-        "--physics", default="dynamic",
-        help="cell in which the arm carries out an exact plan: dynamic or kinematic",
-    )  # fmt: skip
-    add(
-        "--sense-noise", type=noise, default=(0.0, 0.0), metavar="MM[:DEG]",
-        help="standard deviations of the poses that are read back after every placement",
-    )  # fmt: skip
-    add("--resume", action="store_true", help="go on with the interrupted build in --out")
-    add("--seed", type=natural, default=0, help="of the search and of a task's problem")
-    add("--agent", default=None, help=f"of a design, a builder; of a task, a {AGENT_HELP}")
-    add(
-        "--seconds", type=positive, default=None,
-        help="limit of planning and proof (60), or of the widest search of a task (20)",
-    )  # fmt: skip
-
-
 STATE = "build.jsonl"
 """What a build by an arm appends to, in its folder; gone when the plan is written."""
+_READING = ("unit", "cell", "size", "up", "depth", "cells_wide")
+"""Options that say how to read a design file."""
+_BUILD = (
+    "planner", "kit", "friction", "gap", "arm", "agent", "layout", "seed", "seconds", "tool",
+    "physics",
+)  # fmt: skip
+"""Options that are arguments of :func:`learn2assemble.build`."""
 
 
-def noise(text: str) -> tuple[float, float]:
-    """Standard deviations ``MM[:DEG]`` as metres and radians."""
-    parse = number(float, 0, 100, "millimetres and degrees, such as 0.5:0.2")
-    place, _, turn = text.partition(":")
-    return parse(place) / 1e3, math.radians(parse(turn)) if turn else 0.0
-
-
+@command(
+    _COMMANDS, "build", "plan a design, prove every step, write the report",
+    "l2a build examples/designs/gabled_house.json --arm panda --out out/house",
+    arg("design", metavar="DESIGN", help="a drawing, picture, mesh, voxels, blocks, or a task"),
+    arg("--out", type=Path, required=True, help="new or empty folder"),
+    arg("--planner", default="auto", help="exact, agent, or auto (what the record says)"),
+    group(
+        "exact planner (docs/building.md)",
+        arg("--kit", default=None, help="name or .toml file (the design's own)"),
+        arg("--unit", default=None, help="of the file where it does not say: mm, cm, m"),
+        arg("--cell", type=length, default=None, help="edge of a cell, and so of blocks"),
+        arg("--size", type=length, default=None, help="largest side, instead of a unit"),
+        arg("--up", default=None, help="the axis that points up: y or z"),
+        arg("--depth", type=length, default=None, help="of the wall of a drawing"),
+        arg("--cells-wide", type=count, default=None, help="of a drawing or picture"),
+        arg("--friction", type=span_of(friction), default=None, metavar="MU[:MU]",
+            help="prove every step for this coefficient or range (the kit's)"),
+        arg("--gap", type=span_of(length), default=None, metavar="W[:W]",
+            help="width of vertical joints or range of it, e.g. 0:0.5mm (the kit's)"),
+        arg("--no-props", action="store_true", help="refuse temporary blocks"),
+    ),
+    arg("--arm", default=None, help=f"an arm builds it: {' or '.join(ARMS)}"),
+    arg("--layout", type=Path, default=None, metavar="FILE",
+        help="where the blocks wait for the arm (docs/layouts.md); by default around the site"),
+    arg("--video", action=argparse.BooleanOptionalAction, default=True,
+        help="of the arm, build.mp4 (needs the extra video)"),
+    arg("--tool", default=None, help="of the arm: suction (default), suction-side or gripper"),
+    arg("--physics", default="dynamic",
+        help="cell in which the arm carries out an exact plan: dynamic or kinematic"),
+    arg("--sense-noise", type=noise, default=(0.0, 0.0), metavar="MM[:DEG]",
+        help="standard deviations of the poses that are read back after every placement"),
+    arg("--resume", action="store_true", help="go on with the interrupted build in --out"),
+    arg("--seed", type=natural, default=0, help="of the search and of a task's problem"),
+    arg("--agent", default=None, help=f"of a design, a builder; of a task, a {AGENT_HELP}"),
+    arg("--seconds", type=positive, default=None,
+        help="limit of planning and proof (60), or of the widest search of a task (20)"),
+)  # fmt: skip
 def _build(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 for a complete plan, 1 for an incomplete or refused one."""
     from learn2assemble.planning.build import build, builds_with_arm, is_task
@@ -152,11 +114,9 @@ def _build(options: argparse.Namespace, output: Output) -> int:
         raise InputError("--resume", str(options.out), f"a folder with {STATE}")
     with claim_folder(options.out, options.resume):
         plan = build(
-            options.design, planner=options.planner, kit=options.kit, friction=options.friction,
-            gap=options.gap, props=not options.no_props, reading=reading, arm=options.arm,
-            agent=options.agent, layout=options.layout, seed=options.seed,
-            seconds=options.seconds, progress=output.progress, tool=options.tool,
-            physics=options.physics, noise=options.sense_noise, state=state,
+            options.design, **{name: getattr(options, name) for name in _BUILD},
+            props=not options.no_props, reading=reading, noise=options.sense_noise, state=state,
+            progress=output.progress,
         )  # fmt: skip
         files = plan.save(options.out, video=video, progress=output.progress)
         if state is not None and plan.complete:
@@ -167,32 +127,20 @@ def _build(options: argparse.Namespace, output: Output) -> int:
 
 
 def _summary(plan: Plan) -> dict[str, Any]:
-    cells = plan.cells
+    cells, design = plan.cells, plan.design
     return {
-        "design": plan.design.name,
-        "status": plan.status,
-        "reason": plan.reason,
-        "planner": plan.planner,
-        "agent": plan.agent,
+        "design": design.name, "status": plan.status, "reason": plan.reason,
+        "planner": plan.planner, "agent": plan.agent,
         "planner_chosen": [a.result for a in plan.search.attempts] if plan.search else [],
-        "kit": plan.kit,
-        "blocks": plan.blocks.used,
+        "kit": plan.kit, "blocks": plan.blocks.used,
         "props": sum(step.prop and step.action == "place" for step in plan.steps),
-        "steps": len(plan.steps),
-        "coverage": plan.coverage,
-        "cells_wanted": cells and cells.wanted,
-        "cells_missing": cells and cells.missing,
-        "cells_outside": cells and cells.outside,
-        "iou": plan.design.iou,
-        "volume_error": plan.design.volume_error,
-        "planning_s": plan.planning_s,
-        "proof_s": plan.proof_s,
-        "seconds": plan.seconds,
-        "margin_g": plan.margin_g,
-        "friction_range": plan.friction_range,
-        "gap_range": plan.gap_range,
+        "steps": len(plan.steps), "coverage": plan.coverage,
+        **{f"cells_{k}": cells and getattr(cells, k) for k in ("wanted", "missing", "outside")},
+        "iou": design.iou, "volume_error": design.volume_error, "planning_s": plan.planning_s,
+        "proof_s": plan.proof_s, "seconds": plan.seconds, "margin_g": plan.margin_g,
+        "friction_range": plan.friction_range, "gap_range": plan.gap_range,
         **({"arm": to_plain(plan.arm)} if plan.arm else {}),
-    }
+    }  # fmt: skip
 
 
 def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
@@ -253,45 +201,42 @@ def _print_arm(output: Output, arm: ArmReport) -> None:
 # ---------------------------------------------------------------- train
 
 
-def _train_arguments(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("task", metavar="TASK")
-    add("--method", default=None, help="learner: dqn, q-mcts or eps-mcts")
-    add(
-        "--config", default="relational",
-        help="relational, relational-objects (ours), published or paper",
-    )  # fmt: skip
-    add("--out", type=Path, required=True, help="new or empty folder, or --resume")
-    length = parser.add_mutually_exclusive_group()
-    length.add_argument("--minutes", type=positive, default=None)
-    length.add_argument("--samples", type=count, default=None)
-    add("--seed", type=natural, default=None, help="of everything random (0)")
-    add("--seeds", type=count, default=None, help="train so many agents: OUT-s0, OUT-s1, ...")
-    workers_arguments(parser, "trainings at once, with --seeds (1)")
-    add("--device", default="auto", help="auto, cpu or cuda")
-    add("--threads", type=count, default=None, help="CPU threads of PyTorch")
-    arm_argument(parser)
-    add("--init", default=None, help="agent whose weights to start from")
-    add("--resume", action="store_true", help="go on with the run in --out")
-    add(
-        "--set", action="append", default=[], metavar="KEY=VALUE",
-        help="change one setting, e.g. learning_rate=1e-3 or network.heads=1",
-    )  # fmt: skip
+_TRAIN = (
+    "minutes", "samples", "config", "method", "seed", "device", "threads", "arm", "init", "resume",
+)  # fmt: skip
+"""Options that are arguments of :func:`learn2assemble.train`."""
 
 
+@command(
+    _COMMANDS, "train", "train an agent",
+    "l2a train two-sided-3x3-20-24 --out runs/first --minutes 15",
+    arg("task", metavar="TASK"),
+    arg("--method", default=None, help="learner: dqn, q-mcts or eps-mcts"),
+    arg("--config", default="relational",
+        help="relational, relational-objects (ours), published or paper"),
+    arg("--out", type=Path, required=True, help="new or empty folder, or --resume"),
+    either(
+        arg("--minutes", type=positive, default=None), arg("--samples", type=count, default=None)
+    ),
+    arg("--seed", type=natural, default=None, help="of everything random (0)"),
+    arg("--seeds", type=count, default=None, help="train so many agents: OUT-s0, OUT-s1, ..."),
+    lambda parser: workers_arguments(parser, "trainings at once, with --seeds (1)"),
+    arg("--device", default="auto", help="auto, cpu or cuda"),
+    arg("--threads", type=count, default=None, help="CPU threads of PyTorch"),
+    arm_argument,
+    arg("--init", default=None, help="agent whose weights to start from"),
+    arg("--resume", action="store_true", help="go on with the run in --out"),
+    arg("--set", action="append", default=[], metavar="KEY=VALUE",
+        help="change one setting, e.g. learning_rate=1e-3 or network.heads=1"),
+)  # fmt: skip
 def _train(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.learning.run import train, train_seeds
 
-    chosen = {
-        "minutes": options.minutes, "samples": options.samples, "config": options.config,
-        "method": options.method, "settings": options.set, "seed": options.seed,
-        "device": options.device, "threads": options.threads, "arm": options.arm,
-        "init": options.init,
-    }  # fmt: skip
+    chosen = {name: getattr(options, name) for name in _TRAIN} | {"settings": options.set}
     if options.seeds is not None:
         runs = train_seeds(
             options.task, options.out, seeds=options.seeds, workers=options.workers or 1,
-            ray=options.ray, resume=options.resume, progress=output.progress, **chosen,
+            ray=options.ray, progress=output.progress, **chosen,
         )  # fmt: skip
         names = sorted({name for run in runs for name in run.metrics})
         output.table(f"{runs[0].task} ({runs[0].config})", ("agent", *names), [
@@ -303,7 +248,7 @@ def _train(options: argparse.Namespace, output: Output) -> None:
         return
     if options.workers or options.ray:
         raise InputError("--workers or --ray", "given", "--seeds N beside it")
-    run = train(options.task, options.out, resume=options.resume, **chosen)
+    run = train(options.task, options.out, **chosen)
     output.table(f"{run.task} ({run.config})", ("quantity", "value"), list(run.metrics.items()))
     output.say(f"agent: {options.out / 'agent.safetensors'}")
     output.finish({"task": run.task, "out": str(options.out), **run.metrics})
@@ -312,40 +257,38 @@ def _train(options: argparse.Namespace, output: Output) -> None:
 # ---------------------------------------------------------------- eval
 
 
+_EVAL = (
+    "agent", "search", "budget", "rollout", "distinct", "epsilon", "episodes", "seed", "physics",
+)  # fmt: skip
+"""Options that are arguments of :func:`learn2assemble.evaluate`."""
+
+
 def _rollout(text: str) -> int:
     return 10_000 if text == "end" else count(text)
 
 
-def _evaluate_arguments(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("task", metavar="TASK")
-    add("--agent", default=None, help=AGENT_HELP)
-    names = ("none", *SEARCHES, "mcts")
-    add(
-        "--search", choices=names, default="none",
-        help=f"none, {', '.join(SEARCHES)}, or mcts for dqn-mcts",
-    )  # fmt: skip
-    add("--budget", type=natural, default=None, help="the search's own: mostly 10")
-    add(
-        "--rollout", type=_rollout, default=None, help="steps, or 'end'; the search's own: mostly 1"
-    )
-    add(
-        "--distinct", action="store_true", default=None,
-        help="expand one of several placements that lead to the same structure (ours, D14)",
-    )  # fmt: skip
-    add("--legacy", action="store_true", help="search in copies with the published restore faults")
-    add("--epsilon", type=share, default=0.05)
-    add("--episodes", type=count, default=100)
-    add("--seed", type=natural, default=0)
-    add(
-        "--physics", default=None,
+@command(
+    _COMMANDS, "eval", "play whole episodes and report the paper's metrics",
+    "l2a eval two-sided-3x3-20-24 --search mcts --budget 10 --epsilon 0.05 --episodes 100",
+    arg("task", metavar="TASK"),
+    arg("--agent", default=None, help=AGENT_HELP),
+    arg("--search", choices=("none", *SEARCHES, "mcts"), default="none",
+        help=f"none, {', '.join(SEARCHES)}, or mcts for dqn-mcts"),
+    arg("--budget", type=natural, default=None, help="the search's own: mostly 10"),
+    arg("--rollout", type=_rollout, default=None,
+        help="steps, or 'end'; the search's own: mostly 1"),
+    arg("--distinct", action="store_true", default=None,
+        help="expand one of several placements that lead to the same structure (ours, D14)"),
+    arg("--legacy", action="store_true", help="search in copies with the published restore faults"),
+    arg("--epsilon", type=share, default=0.05),
+    arg("--episodes", type=count, default=100),
+    arg("--seed", type=natural, default=0),
+    arg("--physics", default=None,
         help="what checks placements: static or rigid; with an arm these stand for its kinematic "
-        "workcell, and dynamic and published are others",
-    )  # fmt: skip
-    arm_argument(parser)
-    add("--out", type=Path, default=None, help="write the result to this file")
-
-
+        "workcell, and dynamic and published are others"),
+    arm_argument,
+    arg("--out", type=Path, default=None, help="write the result to this file"),
+)  # fmt: skip
 def _evaluate(options: argparse.Namespace, output: Output) -> None:
     from tqdm import tqdm
 
@@ -354,20 +297,15 @@ def _evaluate(options: argparse.Namespace, output: Output) -> None:
 
     task = get_task(options.task, options.arm)
     check_new_file(options.out)
-    bar = tqdm(total=options.episodes, unit=" episodes", desc=task.name, delay=1)
+    with tqdm(total=options.episodes, unit=" episodes", desc=task.name, delay=1) as bar:
 
-    def advance(done: int) -> None:
-        bar.update(done - bar.n)
+        def advance(done: int) -> None:
+            bar.update(done - bar.n)
 
-    try:
         result = evaluate(
-            task, agent=options.agent, search=options.search, budget=options.budget,
-            rollout=options.rollout, distinct=options.distinct, epsilon=options.epsilon,
-            episodes=options.episodes, seed=options.seed, physics=options.physics,
+            task, **{name: getattr(options, name) for name in _EVAL},
             search_model=SEARCH_MODELS["published"] if options.legacy else None, progress=advance,
         )  # fmt: skip
-    finally:
-        bar.close()
     write_result(options.out, result.to_dict())
     output.table(task.name, ("metric", "value"), list(result.metrics.to_dict().items()))
     output.finish(result.to_dict())
@@ -376,12 +314,11 @@ def _evaluate(options: argparse.Namespace, output: Output) -> None:
 # ---------------------------------------------------------------- bench, tasks, view
 
 
-def _bench_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seconds", type=positive, default=2.0, help="per measurement")
-
-
+@command(
+    _COMMANDS, "bench", "measure the speed of this machine", "l2a bench --seconds 2",
+    arg("--seconds", type=positive, default=2.0, help="per measurement"),
+)  # fmt: skip
 def _bench(options: argparse.Namespace, output: Output) -> None:
-    from learn2assemble.errors import MissingExtraError
     from learn2assemble.evaluation.bench import MEASUREMENTS, machine
 
     results: dict[str, float] = {}
@@ -391,14 +328,12 @@ def _bench(options: argparse.Namespace, output: Output) -> None:
             results[name] = measure(options.seconds)
         except MissingExtraError as error:
             output.progress(f"left out: {error}")
-    output.table(
-        "speed",
-        ("measurement", "value"),
-        [(k, f"{v:,.3g}" if v < 10 else f"{v:,.1f}") for k, v in results.items()],
-    )
+    rows = [(k, f"{v:,.3g}" if v < 10 else f"{v:,.1f}") for k, v in results.items()]
+    output.table("speed", ("measurement", "value"), rows)
     output.finish({**results, "seconds": options.seconds, **machine()})
 
 
+@command(_COMMANDS, "tasks", "list the tasks and their agents", "l2a tasks")
 def _tasks(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.networks.agent import agent_info, pretrained_names
     from learn2assemble.tasks import DESIGN_TASKS, GOAL_TASKS, PRESETS
@@ -438,12 +373,12 @@ def _tasks(options: argparse.Namespace, output: Output) -> None:
     output.finish({"tasks": rows, "designs": designs, "goals": goals})
 
 
-def _view_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("plan", metavar="PLAN", type=Path, help="plan.json or its folder")
-    parser.add_argument("--port", type=number(int, 0, 65535, "a port number"), default=0)
-    parser.add_argument("--no-browser", action="store_true", help="only serve the page")
-
-
+@command(
+    _COMMANDS, "view", "open the page of a finished plan", "l2a view out/house",
+    arg("plan", metavar="PLAN", type=Path, help="plan.json or its folder"),
+    arg("--port", type=number(int, 0, 65535, "a port number"), default=0),
+    arg("--no-browser", action="store_true", help="only serve the page"),
+)  # fmt: skip
 def _view(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.planning.plan import Plan
 
@@ -460,32 +395,3 @@ def _view(options: argparse.Namespace, output: Output) -> None:
         output.finish({"url": url, "page": str(page)})
 
     serve(page, options.port, not options.no_browser, tell)
-
-
-def _nothing(parser: argparse.ArgumentParser) -> None:
-    pass
-
-
-_COMMANDS = {
-    "build": Command(
-        "plan a design, prove every step, write the report",
-        "l2a build examples/designs/gabled_house.json --arm panda --out out/house",
-        _build_arguments, _build,
-    ),
-    "train": Command(
-        "train an agent", "l2a train two-sided-3x3-20-24 --out runs/first --minutes 15",
-        _train_arguments, _train,
-    ),
-    "eval": Command(
-        "play whole episodes and report the paper's metrics",
-        "l2a eval two-sided-3x3-20-24 --search mcts --budget 10 --epsilon 0.05 --episodes 100",
-        _evaluate_arguments, _evaluate,
-    ),
-    "bench": Command(
-        "measure the speed of this machine", "l2a bench --seconds 2", _bench_arguments, _bench
-    ),
-    "tasks": Command("list the tasks and their agents", "l2a tasks", _nothing, _tasks),
-    "view": Command(
-        "open the page of a finished plan", "l2a view out/house", _view_arguments, _view
-    ),
-}  # fmt: skip

@@ -6,7 +6,11 @@ import json
 import os
 import sys
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
+
+from learn2assemble.errors import InputError
+from learn2assemble.files import write_file
 
 
 class Output:
@@ -52,6 +56,30 @@ class Output:
         if self.as_json:
             sys.stdout.write(json.dumps(result) + "\n")
             sys.stdout.flush()
+
+
+def check_new_file(path: Path | None) -> None:
+    """Refuse a result file that could not be written, before hours of episodes.
+
+    Raises:
+        InputError: where it exists, or its folder does not or cannot be written.
+    """
+    if path is None:
+        return
+    try:
+        if path.exists():
+            raise InputError("--out", str(path), "a new file")
+        path.touch()
+        path.unlink()
+    except OSError as error:
+        reason = error.strerror or "unwritable"
+        raise InputError("--out", str(path), f"a writable file ({reason})") from None
+
+
+def write_result(path: Path | None, result: dict[str, Any]) -> None:
+    """Write a result file where one is asked for."""
+    if path is not None:
+        write_file(path, json.dumps(result, indent=1) + "\n", "--out")
 
 
 def _cell(value: Any) -> str:

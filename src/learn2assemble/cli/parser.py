@@ -6,15 +6,20 @@ import argparse
 import difflib
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 from learn2assemble import __version__
 from learn2assemble.registry import Registry, add_plugin
+from learn2assemble.robot.registry import ARMS
 
 if TYPE_CHECKING:
     from learn2assemble.cli.output import Output
+
+
+Run = Callable[[argparse.Namespace, "Output"], "int | None"]
+"""What a command does; returns the exit code."""
 
 
 @dataclass(frozen=True)
@@ -25,14 +30,47 @@ class Command:
     example: str
     arguments: Callable[[argparse.ArgumentParser], None]
     """Adds the arguments to its parser."""
-    run: Callable[[argparse.Namespace, Output], int | None]
-    """Returns the exit code."""
+    run: Run
 
 
+Adder = Callable[[argparse.ArgumentParser], object]
+"""Adds arguments to a parser."""
 COMMANDS: Registry[Command] = Registry("command", {})
 """Every command by name, in the order of the help."""
 add_plugin("learn2assemble.cli.commands", "command")
 add_plugin("learn2assemble.reproduction.commands", "command")
+
+
+def arg(*names: str, **options: Any) -> Adder:
+    """An argument of a command, as ``add_argument`` takes it."""
+    return lambda parser: parser.add_argument(*names, **options)
+
+
+def group(title: str, *arguments: Adder) -> Adder:
+    """Arguments under a title of their own in the help."""
+    return lambda parser: _add_all(cast("Any", parser.add_argument_group(title)), arguments)
+
+
+def either(*arguments: Adder) -> Adder:
+    """Arguments of which only one may be given."""
+    return lambda parser: _add_all(cast("Any", parser.add_mutually_exclusive_group()), arguments)
+
+
+def _add_all(parser: argparse.ArgumentParser, arguments: Iterable[Adder]) -> None:
+    for add in arguments:
+        add(parser)
+
+
+def command(
+    table: dict[str, Command], name: str, help: str, example: str, *arguments: Adder
+) -> Callable[[Run], Run]:
+    """Enter a function in a table of commands."""
+
+    def enter(run: Run) -> Run:
+        table[name] = Command(help, example, lambda parser: _add_all(parser, arguments), run)
+        return run
+
+    return enter
 
 
 class _Parser(argparse.ArgumentParser):
@@ -86,6 +124,63 @@ count = number(int, 1, 10**9, "a whole number of at least 1")
 natural = number(int, 0, 2**31 - 1, "a whole number of at least 0")
 share = number(float, 0, 1, "a number between 0 and 1")
 positive = number(float, 1e-3, 1e7, "a positive number")
+friction = number(float, 0, 10, "a coefficient of friction from 0 to 10")
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+
+
+def length(text: str) -> float:
+    """A length with its unit, ``0.5mm`` or ``3 cm``; a bare number is metres."""
+    body = text.strip()
+    unit = next((name for name in ("mm", "cm", "in", "m") if body.endswith(name)), "")
+    try:
+        value = float(body.removesuffix(unit)) * UNITS.get(unit, 1.0)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value <= 1e3:
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected a length such as 0.5mm")
+    return value
+
+
+def span_of(parse: Any) -> Any:
+    """An argparse type for one value or a range of two, ``LOW:HIGH``.
+
+    A unit may stand behind the last only: ``0:0.5mm``.
+    """
+
+    def parse_span(text: str) -> Any:
+        low, colon, high = text.partition(":")
+        if not colon:
+            return parse(low)
+        unit = high.lstrip("0123456789.+-eE ") if parse is length else ""
+        first = parse(low if low.endswith(unit) else low + unit)
+        second = parse(high)
+        if first > second:
+            raise argparse.ArgumentTypeError(f"got {text!r}, expected LOW:HIGH")
+        return first, second
+
+    return parse_span
+
+
+def noise(text: str) -> tuple[float, float]:
+    """Standard deviations ``MM[:DEG]`` as metres and radians."""
+    parse = number(float, 0, 100, "millimetres and degrees, such as 0.5:0.2")
+    place, _, turn = text.partition(":")
+    return parse(place) / 1e3, math.radians(parse(turn)) if turn else 0.0
+
+
+def arm_argument(parser: argparse.ArgumentParser) -> None:
+    """Add ``--arm`` for tasks with a robot."""
+    names = ", ".join(ARMS)
+    parser.add_argument("--arm", default=None, help=f"{names} or none; the task's own")
+
+
+def workers_arguments(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add ``--workers`` and ``--ray``, see :func:`learn2assemble.workers.run_all`."""
+    parser.add_argument("--workers", type=count, default=None, help=what)
+    parser.add_argument(
+        "--ray", metavar="ADDRESS", default=None,
+        help="work on a Ray cluster: HOST:PORT, auto or local (extra ray)",
+    )  # fmt: skip
 
 
 def make_parser() -> argparse.ArgumentParser:

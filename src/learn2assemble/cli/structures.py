@@ -6,76 +6,97 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from learn2assemble.cli.parser import Command, number
+from learn2assemble.cli.parser import UNITS, Command, arg, command, friction
 from learn2assemble.errors import InputError, look_up
 from learn2assemble.files import claim_folder, write_file
 from learn2assemble.robot.registry import ARMS
 
 if TYPE_CHECKING:
+    from learn2assemble.assembly.blocks import Assembly
     from learn2assemble.cli.output import Output
 
+COMMANDS: dict[str, Command] = {}
 FALLS = 1
 """Exit code of ``l2a check`` where the assembly falls."""
 DIFFERS = 1
 """Exit code of ``l2a replay-trajectory`` where another structure results."""
-_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 
 
-def length(text: str) -> float:
-    """A length with its unit, ``0.5mm`` or ``3 cm``; a bare number is metres."""
-    body = text.strip()
-    for unit in ("mm", "cm", "in", "m"):
-        if body.endswith(unit):
-            body, scale = body.removesuffix(unit), _UNITS[unit]
-            break
-    else:
-        scale = 1.0
-    try:
-        value = float(body) * scale
-    except ValueError:
-        value = -1.0
-    if not 0 <= value <= 1e3:
-        raise argparse.ArgumentTypeError(f"got {text!r}, expected a length such as 0.5mm")
-    return value
+def _write_page(
+    folder: Path | None, output: Output, assembly: Assembly, **words: Any
+) -> dict[str, str]:
+    """The page of an assembly in a new folder, where one is asked for; the files written."""
+    if folder is None:
+        return {}
+    from learn2assemble.viewer.page import render_assembly_page
+
+    page = folder / "view.html"
+    with claim_folder(folder):
+        write_file(page, render_assembly_page(assembly, **words), "page")
+    output.say(f"page: {page}")
+    return {"page": str(page)}
 
 
-def span_of(parse: Any) -> Any:
-    """An argparse type for one value or a range of two, ``LOW:HIGH``.
+@command(
+    COMMANDS, "reach", "what of a design an arm reaches, and from where it reaches most",
+    "l2a reach examples/designs/h.svg --arm panda --out out/reach",
+    arg("design", metavar="DESIGN", help="a drawing, picture, mesh, voxels or blocks"),
+    arg("--arm", required=True, help=" or ".join(ARMS)),
+    arg("--tool", default="suction", help="suction (default), suction-side or gripper"),
+    arg("--kit", default=None, help="name or .toml file (the design's own)"),
+    arg("--unit", default=None, help="of the file where it does not say: mm, cm, m"),
+    arg("--layout", type=Path, default=None, metavar="FILE", help="with the base asked about"),
+    arg("--out", type=Path, default=None, metavar="DIR", help="write a page that shows it there"),
+)  # fmt: skip
+def _reach(options: argparse.Namespace, output: Output) -> int:
+    """Exit code 0 where everything is within reach, else 1."""
+    from learn2assemble.planning.build import reach
 
-    A unit may stand behind the last only: ``0:0.5mm``.
-    """
+    reading = {} if options.unit is None else {"unit": options.unit}
+    found = reach(
+        options.design, arm=options.arm, tool=options.tool, kit=options.kit,
+        layout=options.layout, reading=reading,
+    )  # fmt: skip
+    here, best, blocks = found.here, found.best, found.assembly.blocks
+    rows = [(blocks[k].id, blocks[k].kind, *(f"{v:.3f}" for v in blocks[k].centroid), why)
+            for k, why in here.out.items()]  # fmt: skip
+    if rows:
+        output.table("out of reach", ("block", "kind", "x [m]", "y [m]", "z [m]", "why"), rows)
+    within = here.count - len(here.out)
+    output.say(f"{found.arm} with {found.tool} at {here.words}: {within} of {here.count} blocks")
+    if best.base != here.base:
+        reached = best.count - len(best.out)
+        output.say(f"a base at {best.words} reaches {reached} of {best.count}")
+    facts = [("arm", f"{found.arm} with {found.tool}"), ("base", here.words),
+             ("within reach", f"{within} of {here.count} blocks"),
+             ("base that reaches most", best.words)]  # fmt: skip
+    files = _write_page(
+        options.out, output, found.assembly, title=found.assembly.name or "reach", facts=facts,
+        moving=[blocks[k].id for k in here.out],
+        status="within reach" if found.complete else "out of reach",
+    )  # fmt: skip
+    output.finish({
+        "arm": found.arm, "tool": found.tool, "base": list(here.base), "blocks": here.count,
+        "out_of_reach": {blocks[k].id: why for k, why in here.out.items()},
+        "best_base": list(best.base), "best_reaches": best.count - len(best.out), "files": files,
+    })  # fmt: skip
+    return 0 if found.complete else 1
 
-    def parse_span(text: str) -> Any:
-        low, colon, high = text.partition(":")
-        if not colon:
-            return parse(low)
-        unit = high.lstrip("0123456789.+-eE ") if parse is length else ""
-        first = parse(low if low.endswith(unit) else low + unit)
-        second = parse(high)
-        if first > second:
-            raise argparse.ArgumentTypeError(f"got {text!r}, expected LOW:HIGH")
-        return first, second
 
-    return parse_span
-
-
-friction = number(float, 0, 10, "a coefficient of friction from 0 to 10")
-
-
-def _check_arguments(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("file", metavar="FILE", type=Path, help="assembly JSON, COMPAS JSON, meshes or a folder")
-    add("--friction", type=friction, default=None, help="instead of the file's coefficient")
-    add("--unit", default="m", choices=tuple(_UNITS), help="of the coordinates in meshes")
-    add("--out", type=Path, default=None, metavar="DIR", help="write a page with the forces there")
-
-
+@command(
+    COMMANDS, "check", "whether an assembly of blocks stands, and what moves first",
+    "l2a check wall.json --out out/check",
+    arg("file", metavar="FILE", type=Path, help="assembly JSON, COMPAS JSON, meshes or a folder"),
+    arg("--friction", type=friction, default=None, help="instead of the file's coefficient"),
+    arg("--unit", default="m", choices=tuple(UNITS), help="of the coordinates in meshes"),
+    arg("--out", type=Path, default=None, metavar="DIR", help="write a page with the forces there"),
+)  # fmt: skip
 def _check(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where it stands, if only with tight joints, and 1 where it falls."""
     from learn2assemble.assembly.files import read_assembly
     from learn2assemble.physics.rigid_blocks import check
 
-    assembly = read_assembly(options.file, unit=_UNITS[options.unit])
+    assembly = read_assembly(options.file, unit=UNITS[options.unit])
     found = check(assembly, friction=options.friction)
     rows = [
         ("shown", found.proof),
@@ -86,20 +107,11 @@ def _check(options: argparse.Namespace, output: Output) -> int:
         ("seconds", f"{found.seconds:.2f}"),
     ]  # fmt: skip
     output.table(f"{options.file.name}: {found.verdict}", ("quantity", "value"), rows)
-    files: dict[str, str] = {}
-    if options.out is not None:
-        from learn2assemble.viewer.page import render_assembly_page
-
-        with claim_folder(options.out):
-            page = options.out / "view.html"
-            text = render_assembly_page(
-                assembly.finished, title=assembly.name or options.file.stem,
-                facts=[(name, str(value)) for name, value in rows], moving=found.moving,
-                forces=(found.contacts, found.forces), status=found.verdict,
-            )  # fmt: skip
-            write_file(page, text, "page")
-        files["page"] = str(page)
-        output.say(f"page: {page}")
+    files = _write_page(
+        options.out, output, assembly.finished, title=assembly.name or options.file.stem,
+        facts=[(name, str(value)) for name, value in rows], moving=found.moving,
+        forces=(found.contacts, found.forces), status=found.verdict,
+    )  # fmt: skip
     output.finish({
         "verdict": found.verdict, "proof": found.proof,
         "margin_g": found.margin_g, "tilt_deg": found.tilt,
@@ -110,19 +122,22 @@ def _check(options: argparse.Namespace, output: Output) -> int:
     return FALLS if found.verdict == "falls" else 0
 
 
-def _export_arguments(parser: argparse.ArgumentParser) -> None:
+def _format_argument(parser: argparse.ArgumentParser) -> None:
     from learn2assemble.export import PROGRAM_FORMATS
     from learn2assemble.export.formats import FORMATS
 
-    add = parser.add_argument
-    add("plan", metavar="PLAN", type=Path, help="folder of a plan, its plan.json, or an assembly")
-    add(
-        "--format", required=True,
-        help=f"{', '.join(FORMATS)}; of a build with an arm: {', '.join(PROGRAM_FORMATS)}",
-    )  # fmt: skip
-    add("--out", type=Path, default=Path(), metavar="PATH", help="file or folder (here)")
+    words = f"{', '.join(FORMATS)}; of a build with an arm: {', '.join(PROGRAM_FORMATS)}"
+    parser.add_argument("--format", required=True, help=words)
 
 
+@command(
+    COMMANDS, "export",
+    "a plan as GLB, MJCF, COMPAS, bill of blocks or step cards, or as program of a robot",
+    "l2a export out/house --format glb",
+    arg("plan", metavar="PLAN", type=Path, help="folder of a plan, its plan.json, or an assembly"),
+    _format_argument,
+    arg("--out", type=Path, default=Path(), metavar="PATH", help="file or folder (here)"),
+)  # fmt: skip
 def _export(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.assembly.files import read_assembly
     from learn2assemble.export import PROGRAM_FORMATS
@@ -161,12 +176,13 @@ def _export_program(options: argparse.Namespace, output: Output) -> None:
     })  # fmt: skip
 
 
-def _replay_arguments(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("file", metavar="FILE", type=Path, help="what l2a export has written as csv, franka, ros2")
-    add("--arm", required=True, help=f"which arm: {' or '.join(ARMS)}")
-
-
+@command(
+    COMMANDS, "replay-trajectory",
+    "play an exported program of a robot in the simulation, without looking",
+    "l2a replay-trajectory out/program.csv --arm panda",
+    arg("file", metavar="FILE", type=Path, help="what l2a export has written as csv, franka, ros2"),
+    arg("--arm", required=True, help=f"which arm: {' or '.join(ARMS)}"),
+)  # fmt: skip
 def _replay(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where the same structure results, and 1 where it does not."""
     from learn2assemble.export.robot_programs import replay_program
@@ -187,78 +203,3 @@ def _replay(options: argparse.Namespace, output: Output) -> int:
         "worst_error_m": round(float(done.error[worst]), 7), "worst_block": worst,
     })  # fmt: skip
     return 0 if done.same else DIFFERS
-
-
-def _reach_arguments(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("design", metavar="DESIGN", help="a drawing, picture, mesh, voxels or blocks")
-    add("--arm", required=True, help=" or ".join(ARMS))
-    add("--tool", default="suction", help="suction (default), suction-side or gripper")
-    add("--kit", default=None, help="name or .toml file (the design's own)")
-    add("--unit", default=None, help="of the file where it does not say: mm, cm, m")
-    add("--layout", type=Path, default=None, metavar="FILE", help="with the base asked about")
-    add("--out", type=Path, default=None, metavar="DIR", help="write a page that shows it there")
-
-
-def _reach(options: argparse.Namespace, output: Output) -> int:
-    """Exit code 0 where everything is within reach, else 1."""
-    from learn2assemble.planning.build import reach
-
-    reading = {} if options.unit is None else {"unit": options.unit}
-    found = reach(
-        options.design, arm=options.arm, tool=options.tool, kit=options.kit,
-        layout=options.layout, reading=reading,
-    )  # fmt: skip
-    here, best, blocks = found.here, found.best, found.assembly.blocks
-    rows = [(blocks[k].id, blocks[k].kind, *(f"{v:.3f}" for v in blocks[k].centroid), why)
-            for k, why in here.out.items()]  # fmt: skip
-    if rows:
-        output.table("out of reach", ("block", "kind", "x [m]", "y [m]", "z [m]", "why"), rows)
-    within = here.count - len(here.out)
-    output.say(f"{found.arm} with {found.tool} at {here.words}: {within} of {here.count} blocks")
-    if best.base != here.base:
-        reached = best.count - len(best.out)
-        output.say(f"a base at {best.words} reaches {reached} of {best.count}")
-    files: dict[str, str] = {}
-    if options.out is not None:
-        from learn2assemble.viewer.page import render_assembly_page
-
-        with claim_folder(options.out):
-            page = options.out / "view.html"
-            facts = [("arm", f"{found.arm} with {found.tool}"), ("base", here.words),
-                     ("within reach", f"{within} of {here.count} blocks"),
-                     ("base that reaches most", best.words)]  # fmt: skip
-            text = render_assembly_page(
-                found.assembly, title=found.assembly.name or "reach", facts=facts,
-                moving=[blocks[k].id for k in here.out],
-                status="within reach" if found.complete else "out of reach",
-            )  # fmt: skip
-            write_file(page, text, "page")
-        files["page"] = str(page)
-        output.say(f"page: {page}")
-    output.finish({
-        "arm": found.arm, "tool": found.tool, "base": list(here.base), "blocks": here.count,
-        "out_of_reach": {blocks[k].id: why for k, why in here.out.items()},
-        "best_base": list(best.base), "best_reaches": best.count - len(best.out), "files": files,
-    })  # fmt: skip
-    return 0 if found.complete else 1
-
-
-COMMANDS = {
-    "reach": Command(
-        "what of a design an arm reaches, and from where it reaches most",
-        "l2a reach examples/designs/h.svg --arm panda --out out/reach", _reach_arguments, _reach,
-    ),
-    "check": Command(
-        "whether an assembly of blocks stands, and what moves first",
-        "l2a check wall.json --out out/check", _check_arguments, _check,
-    ),
-    "export": Command(
-        "a plan as GLB, MJCF, COMPAS, bill of blocks or step cards, or as program of a robot",
-        "l2a export out/house --format glb", _export_arguments, _export,
-    ),
-    "replay-trajectory": Command(
-        "play an exported program of a robot in the simulation, without looking",
-        "l2a replay-trajectory out/program.csv --arm panda", _replay_arguments, _replay,
-    ),
-}  # fmt: skip

@@ -11,13 +11,15 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from learn2assemble.cli.commands import (
+from learn2assemble.cli.output import check_new_file, write_result
+from learn2assemble.cli.parser import (
+    Command,
     arm_argument,
-    check_new_file,
+    count,
+    natural,
+    positive,
     workers_arguments,
-    write_result,
 )
-from learn2assemble.cli.parser import Command, count, natural, positive
 from learn2assemble.errors import InputError
 from learn2assemble.files import claim_folder, write_file
 from learn2assemble.registry import Registry
