@@ -291,9 +291,9 @@ def test_sizes_and_times_come_from_the_same_rows(tmp_path: Path) -> None:
     rows = load_scaled(Path(__file__).parent.parent / "results", {quick: {"ms": 7.0}})
     assert {row.label for row in rows} <= {name.rpartition(" / ")[0] for name in names}
     for row in rows:
-        at = np.flatnonzero(np.isfinite(row.values["ms"]))
+        at = np.flatnonzero(np.isfinite(row.mean["ms"]))
         assert at.tolist() == ([0] if row.label == quick.rpartition(" / ")[0] else [])
-        assert row.grid[0] == 3
+        assert row.samples[0] == 3
     with pytest.raises(InputError, match="cells"):
         load_scaled(tmp_path, {})
 

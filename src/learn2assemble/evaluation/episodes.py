@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -79,45 +80,37 @@ class Metrics:
         return asdict(self)
 
 
-def greedy_policy(model: WorldModel, epsilon: float, num_actions: int = 5) -> Policy:
-    """The Q-policy, with a uniform legal action at the rate ``epsilon`` (the paper's DQN)."""
+def sometimes_random(
+    choose: Callable[[State], np.ndarray], num_actions: int, epsilon: float
+) -> Policy:
+    """What ``choose`` chooses, int64[B, 3], with a uniform legal action in every row at the rate
+    ``epsilon``."""
 
     def act(state: State, rng: np.random.Generator) -> np.ndarray:
-        _, actions = model.best(state)
-        return sometimes_random(actions, state, num_actions, epsilon, rng)
+        actions = choose(state)
+        for row in np.flatnonzero(rng.random(len(actions)) < epsilon):
+            shape = (state.num_unplaced[row], state.num_placed[row], num_actions)
+            actions[row] = [int(rng.integers(n)) for n in shape]
+        return actions
 
     return act
 
 
-def sometimes_random(
-    actions: np.ndarray, state: State, num_actions: int, epsilon: float, rng: np.random.Generator
-) -> np.ndarray:
-    """``actions`` int64[B, 3] with a uniform legal one in every row at the rate ``epsilon``."""
-    for row in np.flatnonzero(rng.random(len(actions)) < epsilon):
-        shape = (state.num_unplaced[row], state.num_placed[row], num_actions)
-        actions[row] = [int(rng.integers(n)) for n in shape]
-    return actions
+def greedy_policy(model: WorldModel, epsilon: float, num_actions: int = 5) -> Policy:
+    """The Q-policy (the paper's DQN)."""
+    return sometimes_random(lambda state: model.best(state)[1], num_actions, epsilon)
 
 
 def lookahead_policy(task: Task, epsilon: float) -> Policy:
-    """The exact one-step look-ahead, with random actions as in :func:`greedy_policy`."""
-    simulator = Simulator(task)
-
-    def act(state: State, rng: np.random.Generator) -> np.ndarray:
-        actions = lookahead_actions(simulator, state)
-        return sometimes_random(actions, state, task.num_actions, epsilon, rng)
-
-    return act
+    """The exact one-step look-ahead."""
+    return sometimes_random(partial(lookahead_actions, Simulator(task)), task.num_actions, epsilon)
 
 
 def random_policy(num_actions: int) -> Policy:
     """A uniform legal action always."""
-
-    def act(state: State, rng: np.random.Generator) -> np.ndarray:
-        none = np.zeros((state.batch_size, 3), np.int64)
-        return sometimes_random(none, state, num_actions, 1.0, rng)
-
-    return act
+    return sometimes_random(
+        lambda state: np.zeros((state.batch_size, 3), np.int64), num_actions, 1.0
+    )
 
 
 def search_policy(model: SearchModel, config: SearchConfig) -> Policy:
@@ -130,13 +123,9 @@ def search_policy(model: SearchModel, config: SearchConfig) -> Policy:
 
 
 def make_policy(
-    task: Task,
-    network: Network,
-    config: SearchConfig | None,
-    epsilon: float,
-    *,
-    search_model: Callable[[WorldModel], SearchModel] = lambda model: model,
-) -> Policy:
+    task: Task, network: Network, config: SearchConfig | None, epsilon: float, *,
+    search_model: Callable[[WorldModel], SearchModel] | None = None,
+) -> Policy:  # fmt: skip
     """The policy of an agent: plain Q without ``config``, with search otherwise.
 
     The search always looks ahead with static physics, whatever judges the episode.
@@ -145,7 +134,7 @@ def make_policy(
     model = WorldModel(Simulator(task), network)
     if config is None or config.budget == 0:
         return greedy_policy(model, epsilon, task.num_actions)
-    return search_policy(search_model(model), config)
+    return search_policy(search_model(model) if search_model else model, config)
 
 
 def episode_generators(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
@@ -320,9 +309,7 @@ def evaluate(
     if agent is None or isinstance(agent, str):
         agent = load_agent(agent or default_agent(task.name))
     with one_thread():
-        policy = make_policy(
-            task, agent.network, config, epsilon, search_model=search_model or (lambda model: model)
-        )
+        policy = make_policy(task, agent.network, config, epsilon, search_model=search_model)
         metrics = run_episodes(task, policy, episodes, seed, checker, progress)
         return Evaluation(
             metrics=metrics,

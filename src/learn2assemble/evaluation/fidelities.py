@@ -6,14 +6,13 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from learn2assemble.checkers import resolve_checker
 from learn2assemble.learning.run import provenance
 from learn2assemble.networks.agent import Agent
-from learn2assemble.physics.static import StaticPhysics
 from learn2assemble.planning.world_model import WorldModel
 from learn2assemble.robot.checker import ArmPhysics
 from learn2assemble.robot.moves import Attempt
@@ -25,6 +24,21 @@ EPSILON = 0.3
 """Share of random steps in the builds the moves are drawn from, so that states differ."""
 STREAM = 5
 """First word of the seeds: neither training's nor evaluation's stream."""
+TRIES = 200
+"""Random actions looked at for one that physics holds."""
+
+
+class Trial(NamedTuple):
+    """One move in both cells: what became of it, and how long it took [s]."""
+
+    kinematic: Attempt
+    dynamic: Attempt
+    seconds: tuple[float, float]
+
+    @property
+    def agrees(self) -> bool:
+        """Both reach the target, or neither does."""
+        return self.kinematic.reached == self.dynamic.reached
 
 
 @dataclass
@@ -35,35 +49,37 @@ class Comparison:
     arm: str
     agent: str
     seed: int
-    actions: int = 0
-    agree: int = 0
-    """Both reach the target, or neither does."""
-    same_outcome: int = 0
-    outcomes: Counter[tuple[str, str]] = field(default_factory=Counter[tuple[str, str]])
-    """Kinematic and dynamic outcome, by name."""
-    kinematic_seconds: float = 0.0
-    dynamic_seconds: float = 0.0
-    disagreements: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
+    trials: list[Trial] = field(default_factory=list[Trial])
+
+    @property
+    def outcomes(self) -> Counter[tuple[str, str]]:
+        """How often what came of a move in the kinematic cell and in the dynamic one, by name."""
+        return Counter((t.kinematic.outcome.label, t.dynamic.outcome.label) for t in self.trials)
 
     @property
     def share(self) -> float:
-        return self.agree / self.actions if self.actions else float("nan")
-
-    @property
-    def faster(self) -> float:
-        """How many times faster the kinematic cell is."""
-        return self.dynamic_seconds / max(self.kinematic_seconds, 1e-9)
+        """Share of the moves that agree."""
+        return float(np.mean([trial.agrees for trial in self.trials]))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, with what it was measured on."""
+        count = len(self.trials)
+        # The first one compiles.
+        kinematic, dynamic = np.array([trial.seconds for trial in self.trials])[1:].sum(0).tolist()
         return {
             "task": self.task, "arm": self.arm, "agent": self.agent, "seed": self.seed,
-            "actions": self.actions, "agree": self.agree, "share": round(self.share, 4),
-            "same_outcome": self.same_outcome,
+            "actions": count, "agree": sum(trial.agrees for trial in self.trials),
+            "share": round(self.share, 4),
+            "same_outcome": sum(t.kinematic.outcome == t.dynamic.outcome for t in self.trials),
             "outcomes": {f"{a} / {b}": n for (a, b), n in sorted(self.outcomes.items())},
-            "kinematic_ms": round(1000 * self.kinematic_seconds / max(self.actions, 1), 3),
-            "dynamic_ms": round(1000 * self.dynamic_seconds / max(self.actions, 1), 1),
-            "times_faster": round(self.faster, 1), "disagreements": self.disagreements,
+            "kinematic_ms": round(1000 * kinematic / count, 3),
+            "dynamic_ms": round(1000 * dynamic / count, 1),
+            "times_faster": round(dynamic / max(kinematic, 1e-9), 1),
+            "disagreements": [
+                {"kinematic": f"{one.outcome.label}: {one.detail}",
+                 "dynamic": f"{two.outcome.label}: {two.detail}"}
+                for one, two, _ in self.trials if one.reached != two.reached
+            ],
             **provenance("cpu"),
         }  # fmt: skip
 
@@ -88,16 +104,16 @@ def compare(
     """
     rng = np.random.default_rng([STREAM, seed])
     real, without_arm = Simulator(task), Simulator(task.replace(arm="none"))
-    model, static = WorldModel(real, agent.network), StaticPhysics()
+    model = WorldModel(real, agent.network)
     cells = [_arm(task, name) for name in ("kinematic", "dynamic")]
     found = Comparison(task.name, task.arm, agent.name, seed)
-    while found.actions < actions:
+    while len(found.trials) < actions:
         state = real.new(1, rng)
-        while not state.terminated[0] and found.actions < actions:
-            action = _held(without_arm, static, model, state, rng)
+        while not state.terminated[0] and len(found.trials) < actions:
+            action = _held(without_arm, model, state, rng)
             if action is not None:
-                _try_both(found, cells, without_arm, state, action)
-                progress(found.actions)
+                found.trials.append(_try_both(cells, without_arm, state, action))
+                progress(len(found.trials))
             best = model.best(state)[1] if rng.random() > EPSILON else None
             real.step(state, model.random_actions(state, rng) if best is None else best)
     return found
@@ -110,11 +126,10 @@ def _arm(task: Task, name: str) -> ArmPhysics:
 
 
 def _held(
-    without_arm: Simulator, static: StaticPhysics, model: WorldModel, state: State,
-    rng: np.random.Generator, tries: int = 200,
-) -> np.ndarray | None:  # fmt: skip
+    without_arm: Simulator, model: WorldModel, state: State, rng: np.random.Generator
+) -> np.ndarray | None:
     """A random action int64[1, 3] that physics holds; None where none is found."""
-    for _ in range(tries):
+    for _ in range(TRIES):
         action = model.random_actions(state, rng)
         if without_arm.step(state.copy(), action).verdict[0] == 0:
             return action
@@ -122,12 +137,8 @@ def _held(
 
 
 def _try_both(
-    found: Comparison,
-    cells: list[ArmPhysics],
-    without_arm: Simulator,
-    state: State,
-    action: np.ndarray,
-) -> None:
+    cells: list[ArmPhysics], without_arm: Simulator, state: State, action: np.ndarray
+) -> Trial:
     attempts: list[Attempt] = []
     seconds: list[float] = []
     row = np.zeros(1, np.int64)
@@ -139,17 +150,4 @@ def _try_both(
         started = time.perf_counter()
         attempts.append(checker.cell.attempt(scene, move))
         seconds.append(time.perf_counter() - started)
-    first, second = attempts
-    found.actions += 1
-    if found.actions > 1:  # the first one compiles
-        found.kinematic_seconds += seconds[0]
-        found.dynamic_seconds += seconds[1]
-    agree = first.reached == second.reached
-    found.agree += agree
-    found.same_outcome += first.outcome == second.outcome
-    found.outcomes[first.outcome.label, second.outcome.label] += 1
-    if not agree:
-        found.disagreements.append({
-            "kinematic": f"{first.outcome.label}: {first.detail}",
-            "dynamic": f"{second.outcome.label}: {second.detail}",
-        })  # fmt: skip
+    return Trial(attempts[0], attempts[1], (seconds[0], seconds[1]))

@@ -250,13 +250,13 @@ def _run_scaling(options: argparse.Namespace, output: Output) -> None:
     path: Path = options.out / f"{curves.SIZES}.png"
     curves.write_curves(
         "Targets larger than those of training (DQN: 3x3, ours: 5x5)",
-        [curves.Line(r.label, r.grid, r.values, r.values, r.values) for r in rows],
+        rows,
         "ε = 0. Decisions: of one core, worlds a third built, "
         f"{curves.TIMED_WORLDS} at a time.", path, curves.SCALING, "grid",
     )  # fmt: skip
     output.table("targets by size", ("row", "grid", *curves.SCALING), [
-        (r.label, int(grid), *[float(r.values[key][n]) for key in curves.SCALING])
-        for r in rows for n, grid in enumerate(r.grid) if math.isfinite(r.values["f"][n])
+        (r.label, int(grid), *[float(r.mean[key][n]) for key in curves.SCALING])
+        for r in rows for n, grid in enumerate(r.samples) if math.isfinite(r.mean["f"][n])
     ])  # fmt: skip
     output.say(str(path))
     output.finish({"figure": curves.SIZES, "picture": str(path), "rows": [r.label for r in rows]})
@@ -265,7 +265,6 @@ def _run_scaling(options: argparse.Namespace, output: Output) -> None:
 def _run_curves(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.reproduction.curves import (
         SIZES,
-        Line,
         get_figure,
         load_curves,
         time_to,
@@ -279,14 +278,11 @@ def _run_curves(options: argparse.Namespace, output: Output) -> None:
     reached = time_to(figure, options.runs)
     path: Path = options.out / f"{figure.name}.png"
     _prepare(options.out)
-    lines = [
-        Line(f"{c.label} ({_agents(c.seeds)})", c.samples, c.mean, c.low, c.high) for c in curves
-    ]
     note = (
         "Training episodes, exploration included; mean over agents, band from the lowest to the "
         "highest, smoothed. " + figure.note
     ).strip()
-    write_curves(figure.title, lines, note, path)
+    write_curves(figure.title, curves, note, path)
     output.table(figure.title, ("line", "agents", "samples", "R", "f", "success"), [
         (c.label, c.seeds, int(c.samples[-1]), *[float(c.mean[q][-1]) for q in
          ("R", "f", "success")]) for c in curves
@@ -318,10 +314,6 @@ def _known(number: float, unit: float = 1) -> str:
 
 def _finite(number: float) -> float | None:
     return number if math.isfinite(number) else None
-
-
-def _agents(seeds: int) -> str:
-    return "1 agent" if seeds == 1 else f"{seeds} agents"
 
 
 # ---------------------------------------------------------------- replay
@@ -398,22 +390,18 @@ def _run_fidelities(options: argparse.Namespace, output: Output) -> None:
 
         with one_thread():
             found.append(compare(task, agent, options.actions, options.seed, progress))
-    output.table("the same moves in both cells", FIDELITY_COLUMNS, [_row(one) for one in found])
+    result = {"fidelities": [one.to_dict() for one in found]}
+    output.table("the same moves in both cells", FIDELITY_COLUMNS, [
+        (one["task"], one["arm"], one["actions"], f"{one['share']:.1%}", one["same_outcome"],
+         one["kinematic_ms"], one["dynamic_ms"], one["times_faster"])
+        for one in result["fidelities"]
+    ])  # fmt: skip
     outcomes: Counter[tuple[str, str]] = sum((one.outcomes for one in found), Counter())
     output.table("outcomes", ("kinematic", "dynamic", "moves"), [
         (*pair, count) for pair, count in outcomes.most_common()
     ])  # fmt: skip
-    result = {"fidelities": [one.to_dict() for one in found]}
     write_result(options.out, result)
     output.finish(result)
-
-
-def _row(one: Comparison) -> tuple[object, ...]:
-    data = one.to_dict()
-    return (
-        one.task, one.arm, one.actions, f"{one.share:.1%}", one.same_outcome,
-        data["kinematic_ms"], data["dynamic_ms"], data["times_faster"],
-    )  # fmt: skip
 
 
 # ---------------------------------------------------------------- figures

@@ -8,11 +8,11 @@ import json
 import textwrap
 import time
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -60,12 +60,19 @@ class Curve:
 
     label: str
     seeds: int
+    """0 where agents are not seeds of one training."""
     samples: np.ndarray
-    """float64[P]."""
-    mean: dict[str, np.ndarray]
-    """float64[P] of every quantity."""
-    low: dict[str, np.ndarray]
-    high: dict[str, np.ndarray]
+    """float64[P]: what it is drawn over."""
+    mean: Mapping[str, np.ndarray]
+    """float64[P] of every quantity, NaN where not measured; likewise the next two."""
+    low: Mapping[str, np.ndarray]
+    high: Mapping[str, np.ndarray]
+
+    @property
+    def legend(self) -> str:
+        """The label with the number of agents."""
+        agents = "1 agent" if self.seeds == 1 else f"{self.seeds} agents"
+        return f"{self.label} ({agents})" if self.seeds else self.label
 
 
 @dataclass(frozen=True)
@@ -110,13 +117,7 @@ def load_curves(figure: Curves, runs: Path) -> list[Curve]:
     Raises:
         InputError: where there are none at all, or a log is damaged.
     """
-    names = sorted(file.parent.name for file in runs.glob("*/log.jsonl"))
-    curves = []
-    for label, stem in figure.lines:
-        logs = [read_stages(runs, name) for name in Row(label, stem).pick(names)]
-        logs = [log for log in logs if len(log["samples"]) >= 2]
-        if logs:
-            curves.append(_average(label, logs))
+    curves = [_average(label, logs) for label, logs in _logs(figure, runs)]
     if not curves:
         wanted = ", ".join(f"{stem}-s0" for _, stem in figure.lines)
         raise InputError("--runs", str(runs), f"a folder with runs such as {wanted}")
@@ -132,12 +133,9 @@ def time_to(figure: Curves, runs: Path, levels: tuple[float, ...] = LEVELS) -> l
     Raises:
         InputError: see :func:`read_log`.
     """
-    names = sorted(file.parent.name for file in runs.glob("*/log.jsonl"))
     out: list[Reached] = []
-    for label, stem in figure.lines:
-        logs = [read_stages(runs, name) for name in Row(label, stem).pick(names)]
-        logs = [log for log in logs if len(log["samples"]) >= 2]
-        for level in levels if logs else ():
+    for label, logs in _logs(figure, runs):
+        for level in levels:
             first = np.full((len(logs), 2), np.inf)
             for row, log in zip(first, logs, strict=True):
                 above = np.flatnonzero(_smooth(log["R"]) >= level)
@@ -149,6 +147,16 @@ def time_to(figure: Curves, runs: Path, levels: tuple[float, ...] = LEVELS) -> l
             reached = int(np.isfinite(first[:, 0]).sum())
             out.append(Reached(label, level, len(logs), reached, samples, seconds))
     return out
+
+
+def _logs(figure: Curves, runs: Path) -> Iterator[tuple[str, list[dict[str, np.ndarray]]]]:
+    """Label and logs of every line that has runs; logs of one entry say nothing."""
+    names = sorted(file.parent.name for file in runs.glob("*/log.jsonl"))
+    for label, stem in figure.lines:
+        logs = [read_stages(runs, name) for name in Row(label, stem).pick(names)]
+        logs = [log for log in logs if len(log["samples"]) >= 2]
+        if logs:
+            yield label, logs
 
 
 def read_stages(runs: Path, name: str) -> dict[str, np.ndarray]:
@@ -211,19 +219,9 @@ TIMED_WORLDS, TIMED_SECONDS = 16, 0.5
 """Worlds that decide side by side, and processor time a measurement takes at least."""
 
 
-@dataclass(frozen=True)
-class Scaled:
-    """One row of the table over the size of targets."""
-
-    label: str
-    grid: np.ndarray
-    """float64[G]."""
-    values: dict[str, np.ndarray]
-    """float64[G] of ``share``, ``f``, ``success`` and ``ms``; NaN where not measured."""
-
-
-def load_scaled(root: Path, times: dict[str, dict[str, float]]) -> list[Scaled]:
-    """The rows with numbers below ``root``, one agent's or a mean over agents.
+def load_scaled(root: Path, times: dict[str, dict[str, float]]) -> list[Curve]:
+    """The rows with numbers below ``root`` over the grid, one agent's or a mean over agents, of
+    the quantities ``SCALING``.
 
     Args:
         times: what :func:`decision_time` has measured, by :func:`timed_names`.
@@ -233,18 +231,17 @@ def load_scaled(root: Path, times: dict[str, dict[str, float]]) -> list[Scaled]:
     """
     table = get_table(SIZES)
     grid = np.array([column.preset.grid for column in table.columns], float)
-    out: list[Scaled] = []
+    out: list[Curve] = []
     for row, entries in zip(table.rows, load_table(table, root).entries, strict=True):
         found = [entry.results.get(Condition(0.0)) for entry in entries]
-        if not any(found):
-            continue
-        values = {
-            key: np.array([np.nan if s is None else getattr(s, key) for s in found], float)
-            for key in ("share", "f", "success")
-        }
-        measured = [times.get(_timed_name(row, c.task), {}) for c in table.columns]
-        values["ms"] = np.array([entry.get("ms", np.nan) for entry in measured])
-        out.append(Scaled(row.name, grid, values))
+        if any(found):
+            values = {
+                key: np.array([np.nan if s is None else getattr(s, key) for s in found], float)
+                for key in ("success", "share", "f")
+            }
+            measured = [times.get(_timed_name(row, c.task), {}) for c in table.columns]
+            values["ms"] = np.array([entry.get("ms", np.nan) for entry in measured])
+            out.append(Curve(row.name, 0, grid, values, values, values))
     if not out:
         raise InputError("results", str(root), f"a folder with cells of the table {SIZES}")
     return out
@@ -303,23 +300,11 @@ SCALING = ("success", "share", "f", "ms")
 """The same over the size of targets."""
 
 
-class Line(NamedTuple):
-    """One curve with the range it stands for."""
-
-    label: str
-    samples: np.ndarray
-    """float64[P]: what it is drawn over."""
-    mean: Mapping[str, np.ndarray]
-    """float64[P] of every quantity; likewise the next two."""
-    low: Mapping[str, np.ndarray]
-    high: Mapping[str, np.ndarray]
-
-
 def write_curves(
-    title: str, lines: Sequence[Line], note: str, path: Path,
+    title: str, lines: Sequence[Curve], note: str, path: Path,
     panels: Sequence[str] = LEARNING, axis: str = "training samples",
 ) -> None:  # fmt: skip
-    """Draw the first of ``panels`` large and the others beside it, over samples, into a PNG.
+    """Draw curves of the first of ``panels`` large and of the others beside it into a PNG.
 
     Raises:
         InputError: where ``path`` cannot be written.
@@ -343,11 +328,11 @@ def write_curves(
     save(figure, path, _DPI)
 
 
-def _panel(axes: Axes, quantity: str, lines: Sequence[Line]) -> None:
+def _panel(axes: Axes, quantity: str, lines: Sequence[Curve]) -> None:
     for line, colour in zip(lines, _COLOURS, strict=False):
         marker = "o" if len(line.samples) < 20 else None
         axes.plot(
-            line.samples, line.mean[quantity], color=colour, linewidth=1.8, label=line.label,
+            line.samples, line.mean[quantity], color=colour, linewidth=1.8, label=line.legend,
             marker=marker, markersize=3.5,
         )  # fmt: skip
         axes.fill_between(

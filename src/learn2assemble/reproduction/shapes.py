@@ -136,20 +136,11 @@ def blob(seed: int, n: int, balls: int) -> Cells:
 
 def grounded(cells: Cells) -> Cells:
     """The part that hangs together with the lowest level, moved down to the table."""
+    from scipy import ndimage
+
     cells = cells[:, :, np.flatnonzero(cells.any((0, 1)))[0] :]
-    kept = np.zeros_like(cells)
-    kept[:, :, 0] = cells[:, :, 0]
-    while True:
-        grown = kept.copy()
-        for axis in range(3):
-            low, high = [slice(None)] * 3, [slice(None)] * 3
-            low[axis], high[axis] = slice(None, -1), slice(1, None)
-            grown[tuple(high)] |= kept[tuple(low)]
-            grown[tuple(low)] |= kept[tuple(high)]
-        grown &= cells
-        if (grown == kept).all():
-            return kept
-        kept = grown
+    parts = ndimage.label(cells)[0]
+    return cells & np.isin(parts, parts[:, :, 0])
 
 
 def letter(rows: str, thick: int, scale: int = 1) -> Cells:
