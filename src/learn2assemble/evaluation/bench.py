@@ -9,6 +9,7 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -17,7 +18,7 @@ import torch
 
 from learn2assemble.assembly.blocks import Assembly, box_block
 from learn2assemble.assembly.kit import load_kit
-from learn2assemble.learning.config import TrainConfig, get_config
+from learn2assemble.learning.config import get_config
 from learn2assemble.learning.trainer import Trainer
 from learn2assemble.networks.agent import make_network
 from learn2assemble.physics.rigid import RigidPhysics
@@ -43,8 +44,8 @@ class WallReport(NamedTuple):
 
     attempts: list[Attempt]
     """One per cube, in order; the last one is the first that failed, if any."""
-    seconds: np.ndarray
-    """float64[k]: processor time of each [s]."""
+    seconds: list[float]
+    """Processor time of each [s]."""
     target: np.ndarray
     """float64[k, 3]: where the cubes should be [m]."""
 
@@ -62,27 +63,21 @@ def build_wall(cell: DynamicCell, columns: int = 5, rows: int = 4) -> WallReport
     count = columns * rows
     waiting = waiting_places("slanted-rows", count).position[::-1]
     scene = Scene(waiting.copy(), np.zeros(count), np.arange(count), 0)
-    pair = get_grasps("along-y")[0]
-    report = WallReport([], np.empty(0), np.empty((0, 3)))
+    x, z = np.arange(count) % columns - columns // 2, np.arange(count) // columns
+    target = np.stack([x * PITCH, np.zeros(count), HALF + EDGE * z], -1)
+    attempts: list[Attempt] = []
+    seconds: list[float] = []
     joints = quaternion = None
     for k in range(count):
-        target = np.array(
-            [((k % columns) - columns // 2) * PITCH, 0.0, HALF + EDGE * (k // columns)]
-        )
-        begun = time.process_time()
-        done = cell.attempt(
-            scene, Move(k, target, *pair), joints=joints, quaternion=quaternion
-        )  # fmt: skip
-        report = WallReport(
-            [*report.attempts, done],
-            np.append(report.seconds, time.process_time() - begun),
-            np.vstack([report.target, target]),
-        )
+        move, begun = Move(k, target[k], *get_grasps("along-y")[0]), time.process_time()
+        done = cell.attempt(scene, move, joints=joints, quaternion=quaternion)
+        attempts.append(done)
+        seconds.append(time.process_time() - begun)
         if not done.reached:
             break
         assert done.after is not None
         scene, quaternion, joints = done.after, done.quaternion, done.joints
-    return report
+    return WallReport(attempts, seconds, target[: len(attempts)])
 
 
 TASK = "two-sided-3x3-20-24"
@@ -120,44 +115,31 @@ def static_single_steps_per_s(seconds: float) -> float:
 
 def rigid_actions_per_s(seconds: float) -> float:
     """Random stable placements, each settled in MuJoCo, until the blocks are used up."""
-    simulator = Simulator(get_task(TASK), RigidPhysics())
-    rng = np.random.default_rng(0)
-    state = simulator.new(1, rng)
-
-    def step() -> int:
-        good = np.argwhere(simulator.physics_mask(state)[0])
-        reference, relation = good[rng.integers(len(good))]
-        unplaced = rng.integers(state.num_unplaced[0])
-        done = simulator.step(state, np.array([[unplaced, reference, relation]])).terminated
-        if done[0]:
-            simulator.reset(state, np.array([0]), rng)
-        return 1
-
-    return _rate(step, seconds)
+    return _placements(Simulator(get_task(TASK), RigidPhysics()), seconds)
 
 
 def kinematic_actions_per_s(seconds: float) -> float:
     """Attempts of the Panda without dynamics: random legal placements that would stand, in two
     walls on the way up; those that fail are tried again with another."""
-    task = get_task(ARM_TASK)
-    arm = Simulator(task)
+    return _placements(Simulator(get_task(ARM_TASK)), seconds)
+
+
+def _placements(simulator: Simulator, seconds: float) -> float:
     rng = np.random.default_rng(0)
-    state = arm.new(1, rng)
+    state = simulator.new(1, rng)
 
     def step() -> int:
-        good = np.argwhere(arm.physics_mask(state)[0])
-        if not len(good):
-            arm.reset(state, np.array([0]), rng)
-            return 0
-        reference, action = good[rng.integers(len(good))]
-        unplaced = rng.integers(state.num_unplaced[0])
-        trial = state.copy()
-        done = arm.step(trial, np.array([[unplaced, reference, action]]))
-        if done.verdict[0] == 0:
-            state.put(np.array([0]), trial)
-        if state.terminated[0]:
-            arm.reset(state, np.array([0]), rng)
-        return 1
+        good = np.argwhere(simulator.physics_mask(state)[0])
+        if len(good):
+            reference, action = good[rng.integers(len(good))]
+            unplaced = rng.integers(state.num_unplaced[0])
+            trial = state.copy()
+            done = simulator.step(trial, np.array([[unplaced, reference, action]]))
+            if done.verdict[0] == 0:
+                state.put(np.array([0]), trial)
+        if not len(good) or state.terminated[0]:
+            simulator.reset(state, np.array([0]), rng)
+        return min(len(good), 1)
 
     return _rate(step, seconds)
 
@@ -167,7 +149,7 @@ def dynamic_move_s(seconds: float) -> float:
     cell, spent = DynamicCell(get_arm("panda")), []
     build_wall(cell, 1, 1)  # compiles
     while sum(spent) < seconds:
-        spent += build_wall(cell, 3, 2).seconds.tolist()
+        spent += build_wall(cell, 3, 2).seconds
     return float(np.mean(spent))
 
 
@@ -192,12 +174,8 @@ def decision_ms(seconds: float) -> float:
     return 1000 / _decisions("relational", 1, seconds)
 
 
-def decisions_per_s(config: str) -> Callable[[float], float]:
-    """Decisions with budget 10 on N = 30 nodes, 64 worlds at once, one thread."""
-    return lambda seconds: _decisions(config, 64, seconds)
-
-
 def _decisions(config: str, worlds: int, seconds: float) -> float:
+    """Decisions a second with budget 10 on N = 30 nodes, of so many worlds at once, one thread."""
     torch.set_num_threads(1)
     simulator = Simulator(get_task(TASK))
     rng = np.random.default_rng(0)
@@ -216,22 +194,18 @@ def _decisions(config: str, worlds: int, seconds: float) -> float:
     return _rate(step, seconds)
 
 
-def gradient_steps_per_s(config: TrainConfig) -> Callable[[float], float]:
-    """Gradient steps a second of a configuration, memory filled by its first steps."""
+def _gradient_steps(config: str, seconds: float) -> float:
+    """Of a configuration, memory filled by its first steps."""
+    torch.set_num_threads(1)
+    trainer = Trainer(get_task(TASK), get_config(config), seed=0)
+    while trainer.replay.length < 1024:
+        trainer.collect()
 
-    def measure(seconds: float) -> float:
-        torch.set_num_threads(1)
-        trainer = Trainer(get_task(TASK), config, seed=0)
-        while trainer.replay.length < 1024:
-            trainer.collect()
+    def step() -> int:
+        trainer.update()
+        return 1
 
-        def step() -> int:
-            trainer.update()
-            return 1
-
-        return _rate(step, seconds)
-
-    return measure
+    return _rate(step, seconds)
 
 
 MEASUREMENTS: dict[str, Callable[[float], float]] = {
@@ -244,22 +218,18 @@ MEASUREMENTS: dict[str, Callable[[float], float]] = {
     "exact_plan_s": exact_plan_s,
     "check_s": check_s,
     "decision_ms": decision_ms,
-    "decisions_per_s": decisions_per_s("relational"),
-    "decisions_per_s_published": decisions_per_s("published"),
-    "gradient_steps_per_s": gradient_steps_per_s(get_config("relational")),
-    "gradient_steps_per_s_published": gradient_steps_per_s(get_config("published")),
-    "gradient_steps_per_s_paper": gradient_steps_per_s(get_config("paper")),
+    "decisions_per_s": partial(_decisions, "relational", 64),
+    "decisions_per_s_published": partial(_decisions, "published", 64),
+    "gradient_steps_per_s": partial(_gradient_steps, "relational"),
+    "gradient_steps_per_s_published": partial(_gradient_steps, "published"),
+    "gradient_steps_per_s_paper": partial(_gradient_steps, "paper"),
 }
 
 
 def machine() -> dict[str, Any]:
     """What was measured on."""
-    return {
-        "python": platform.python_version(),
-        "torch": torch.__version__,
-        "machine": platform.machine(),
-        "batch": BATCH,
-    }
+    versions = {"python": platform.python_version(), "torch": torch.__version__}
+    return {**versions, "machine": platform.machine(), "batch": BATCH}
 
 
 def _random_play(simulator: Simulator, batch: int, seconds: float) -> float:

@@ -139,7 +139,8 @@ def grounded(cells: Cells) -> Cells:
     from scipy import ndimage
 
     cells = cells[:, :, np.flatnonzero(cells.any((0, 1)))[0] :]
-    parts = ndimage.label(cells)[0]
+    parts = np.zeros(cells.shape, np.int32)
+    ndimage.label(cells, output=parts)
     return cells & np.isin(parts, parts[:, :, 0])
 
 
