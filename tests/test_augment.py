@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from learn2assemble.geometry.images import paper_mask
+from learn2assemble.geometry.coverage import paper_mask
 from learn2assemble.graph.features import node_offset
 from learn2assemble.learning.replay import EXCHANGE, MIRROR, Searched, random_symmetry
 from learn2assemble.simulator import Simulator

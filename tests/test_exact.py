@@ -10,8 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.errors import InputError
-from learn2assemble.geometry.coverage import add_box, clear_to_ground
-from learn2assemble.geometry.images import ROWS, WORDS, from_pixels, to_pixels
+from learn2assemble.geometry.coverage import ROWS, WORDS, add_box, clear_to_ground, to_pixels
 from learn2assemble.graph.features import node_offset
 from learn2assemble.planning.world_model import lookahead_actions
 from learn2assemble.reproduction import bounds
@@ -38,10 +37,10 @@ from learn2assemble.reproduction.bounds import (
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import Task, get_task
 from learn2assemble.world.blocks import DIRECTIONS, EDGE, HALF
-from learn2assemble.world.layouts import waiting_places
-from learn2assemble.world.sampling import start_objects
+from learn2assemble.world.layouts import start_objects, waiting_places
 from learn2assemble.world.state import State
 from learning_data import look_ahead
+from pixel_data import from_pixels
 
 Cell = tuple[int, int, int]
 

@@ -12,19 +12,16 @@ from hypothesis import Phase, assume, example, given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.geometry.coverage import (
+    HALF_EXTENT,
+    IMAGE_SIZE,
     NARROW,
+    ROWS,
     WIDE,
+    WORDS,
     DepthFilter,
     add_box,
     clear_to_ground,
     count_cover,
-)
-from learn2assemble.geometry.images import (
-    HALF_EXTENT,
-    IMAGE_SIZE,
-    ROWS,
-    WORDS,
-    from_pixels,
     paper_mask,
     popcount,
     project,
@@ -32,7 +29,8 @@ from learn2assemble.geometry.images import (
     to_pixels,
     unproject,
 )
-from learn2assemble.world.sampling import sample_outline
+from learn2assemble.world.layouts import sample_outline
+from pixel_data import from_pixels
 
 HALF = 0.025
 SIZE = 100
@@ -85,6 +83,7 @@ def test_a_column_is_the_bit_that_the_words_promise() -> None:
 
 
 @given(x=real(-0.6, 0.6), z=real(-0.3, 0.9))
+@settings(deadline=None)
 def test_project_and_unproject_are_inverse(x: float, z: float) -> None:
     assert unproject(*project(x, z)) == pytest.approx((x, z), abs=1e-12)
     u, v = project(x, z)

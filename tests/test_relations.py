@@ -8,7 +8,7 @@ import shapely
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from learn2assemble.geometry.images import pixel_vertex, unproject
+from learn2assemble.geometry.coverage import pixel_vertex, unproject
 from learn2assemble.graph.features import Graph
 from learn2assemble.graph.placements import Placements, distinct_placements
 from learn2assemble.graph.relations import OFFSETS, REACH, WINDOW, relate

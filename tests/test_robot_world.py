@@ -47,7 +47,7 @@ from learn2assemble.world.blocks import (
     get_action_spec,
     quarter_turn,
 )
-from learn2assemble.world.layouts import side_frames, waiting_places
+from learn2assemble.world.layouts import scatter, side_frames, waiting_places
 from learn2assemble.world.rules import (
     last_object,
     move_block,
@@ -55,7 +55,6 @@ from learn2assemble.world.rules import (
     target_cell,
     waiting_level,
 )
-from learn2assemble.world.sampling import scatter
 from learn2assemble.world.state import State, empty_state
 
 SEEDS = st.integers(0, 2**32 - 1)

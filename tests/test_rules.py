@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from learn2assemble.geometry.images import IMAGE_SIZE, ROWS, from_pixels
+from learn2assemble.geometry.coverage import IMAGE_SIZE, ROWS
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import PRESETS, Task, get_task
 from learn2assemble.world.blocks import DIRECTIONS, EDGE, HALF, RELATIONS
@@ -25,6 +25,7 @@ from learn2assemble.world.rules import (
     target_cell,
 )
 from learn2assemble.world.state import State, empty_state
+from pixel_data import from_pixels
 
 SEEDS = st.integers(0, 2**32 - 1)
 SMALL = get_task("two-sided-3x3-20-24")

@@ -21,7 +21,7 @@ from learn2assemble.physics.protocol import Physics
 from learn2assemble.physics.static import survey, survey_objects
 from learn2assemble.tasks import MAX_VERTICES, Task
 from learn2assemble.world.blocks import inventory
-from learn2assemble.world.layouts import side_frames, waiting_places
+from learn2assemble.world.layouts import Problems, sample_problem, side_frames, waiting_places
 from learn2assemble.world.outcomes import Outcomes, outcomes
 from learn2assemble.world.rules import (
     REWARDS,
@@ -35,7 +35,6 @@ from learn2assemble.world.rules import (
     target_cell,
     waiting_level,
 )
-from learn2assemble.world.sampling import Problems, sample_problem
 from learn2assemble.world.state import State, empty_state
 
 
@@ -97,7 +96,7 @@ def _score(
 
 
 @njit(cache=True)
-def _reset(state, rows, rng, frames, stock, waiting, problems):
+def _reset_rows(state, rows, rng, frames, stock, waiting, problems):
     draws = 0
     for n in range(len(rows)):
         d = sample_problem(state, rows[n], rng, frames, stock, waiting, problems)
@@ -144,7 +143,7 @@ class Simulator:
         """
         if not len(rows):
             return 0
-        draws = _reset(
+        draws = _reset_rows(
             state, np.asarray(rows, np.int64), rng, self.frames, self._stock, self._waiting,
             self._problems,
         )  # fmt: skip

@@ -17,7 +17,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.errors import InputError, check_fields, check_name
 from learn2assemble.registry import Registry
 from learn2assemble.robot.registry import ARMS
 from learn2assemble.world import EDGE
@@ -40,14 +40,12 @@ def check_actions(num_actions: int, action_mode: str, task: Task) -> None:
     Raises:
         InputError: naming what differs.
     """
-    if num_actions != task.num_actions:
-        raise InputError(
-            "network.num_actions", num_actions, f"{task.num_actions}, the actions of {task.name}"
-        )
-    if action_mode != task.action_mode:
-        raise InputError(
-            "network.action_mode", action_mode, f"{task.action_mode}, those of {task.name}"
-        )
+    for name, given, own in (
+        ("num_actions", num_actions, f"{task.num_actions}, the actions of {task.name}"),
+        ("action_mode", action_mode, f"{task.action_mode}, those of {task.name}"),
+    ):
+        if given != getattr(task, name):
+            raise InputError(f"network.{name}", given, own)
 
 
 @dataclass(frozen=True)
@@ -109,40 +107,33 @@ class Task:
         # Compiled code is loaded by those who have a task, not by those who list their names.
         from learn2assemble.geometry.coverage import FILTERS
         from learn2assemble.world.blocks import OBJECT_SETS, get_action_spec
-        from learn2assemble.world.layouts import LAYOUTS, RANDOM  # pyright: ignore
+        from learn2assemble.world.layouts import LAYOUTS, RANDOM
         from learn2assemble.world.rules import REWARDS, STABILITY
 
-        if self.num_sides not in (1, 2, 3, 4):
-            raise InputError("num_sides", self.num_sides, "1, 2, 3 or 4")
-        if not 1 <= self.grid <= 12:
-            raise InputError("grid", self.grid, "1 to 12 block edges")
-        if self.num_nodes <= MAX_VERTICES * self.num_sides + 1:
-            raise InputError(
-                "num_nodes", self.num_nodes, f"more than {MAX_VERTICES * self.num_sides + 1}"
-            )
-        if self.objects not in OBJECT_SETS:
-            raise UnknownNameError("object set", self.objects, OBJECT_SETS)
+        for name, what, valid in (
+            ("objects", "object set", OBJECT_SETS),
+            ("cover_filter", "cover filter", FILTERS),
+            ("stability", "stability rule", STABILITY),
+            ("arm", "arm", (NO_ARM, *ARMS)),
+            ("layout", "layout", LAYOUTS),
+            ("reward", "reward", REWARDS),
+        ):
+            check_name(what, getattr(self, name), valid)
         get_action_spec(self.action_mode, self.rotations, self.pitch)
-        if not EDGE <= self.pitch <= MAX_PITCH:
-            raise InputError("pitch", self.pitch, f"{EDGE} to {MAX_PITCH} m")
-        if self.aisle not in ((0, 1, 2) if self.num_sides == 2 else (0,)):
-            raise InputError("aisle", self.aisle, "0 to 2 rows between two walls, else 0")
-        if self.cover_filter not in FILTERS:
-            raise UnknownNameError("cover filter", self.cover_filter, FILTERS)
-        if self.stability not in STABILITY:
-            raise UnknownNameError("stability rule", self.stability, STABILITY)
-        if self.arm not in (NO_ARM, *ARMS):
-            raise UnknownNameError("arm", self.arm, (NO_ARM, *ARMS))
-        if self.layout not in LAYOUTS:
-            raise UnknownNameError("layout", self.layout, LAYOUTS)  # pyright: ignore
-        if self.layout == RANDOM and self.objects != "cubes":
-            raise InputError("layout", self.layout, "one for objects of several cells")
-        if self.reward not in REWARDS:
-            raise UnknownNameError("reward", self.reward, REWARDS)
-        if not 0 < self.discount <= 1:
-            raise InputError("discount", self.discount, "0 < gamma <= 1")
-        if not 0 < self.success_threshold < 1:
-            raise InputError("success_threshold", self.success_threshold, "0 < Delta < 1")
+        least = MAX_VERTICES * self.num_sides + 1
+        aisles = range(3 if self.num_sides == 2 else 1)
+        cubes = self.objects == "cubes"
+        check_fields(
+            self,
+            ("num_sides", self.num_sides in (1, 2, 3, 4), "1, 2, 3 or 4"),
+            ("grid", 1 <= self.grid <= 12, "1 to 12 block edges"),
+            ("num_nodes", self.num_nodes > least, f"more than {least}"),
+            ("pitch", EDGE <= self.pitch <= MAX_PITCH, f"{EDGE} to {MAX_PITCH} m"),
+            ("aisle", self.aisle in aisles, "0 to 2 rows between two walls, else 0"),
+            ("layout", cubes or self.layout != RANDOM, "one for objects of several cells"),
+            ("discount", 0 < self.discount <= 1, "0 < gamma <= 1"),
+            ("success_threshold", 0 < self.success_threshold < 1, "0 < Delta < 1"),
+        )
 
     @property
     def num_actions(self) -> int:
@@ -192,85 +183,85 @@ class Task:
         return dataclasses.replace(self, **changes)
 
 
-def _draft(*parts: dict[str, Any], **changes: Any) -> dict[str, Any]:
-    """Arguments of a task but its name: those of the parts, with changes."""
-    return {key: value for part in (*parts, changes) for key, value in part.items()}
+def _draft(num_sides: int, grid: int, num_nodes: int, **more: Any) -> dict[str, Any]:
+    """Arguments of a task but its name."""
+    return {"num_sides": num_sides, "grid": grid, "num_nodes": num_nodes, **more}
 
 
 _OBJECTS = _draft(
-    num_sides=2, grid=5, num_nodes=30, objects="set-26", rotations=4,
+    2, 5, 30, objects="set-26", rotations=4,
     layout="narrow-field", reward="scaled", discount=0.95, success_threshold=0.75,
     stability="object",
 )  # fmt: skip
 _BARS = _draft(
-    num_sides=1, grid=5, num_nodes=30, objects="bars", layout="field", reward="scaled",
+    1, 5, 30, objects="bars", layout="field", reward="scaled",
 )  # fmt: skip
 
 # Shared by all workcells: room for the fingers, a tolerant camera, coverage of the whole
 # target. One side has five actions, all by one grip.
 _ROBOT = _draft(
-    num_sides=2, grid=3, num_nodes=20, rotations=4, action_mode="grips", pitch=0.06,
+    2, 3, 20, rotations=4, action_mode="grips", pitch=0.06,
     layout="slanted-rows", success_threshold=0.75, cover_filter="wide", normalise_initial=False,
     max_initial_cover=0.6, arm="panda",
 )  # fmt: skip
-_ROBOT_MORE = _draft(_ROBOT, num_nodes=24, unseen_shapes_only=True)
-_ROBOT_ONE_SIDED = _draft(
+_ROBOT_MORE = dict(_ROBOT, num_nodes=24, unseen_shapes_only=True)
+_ROBOT_ONE_SIDED = dict(
     _ROBOT, num_sides=1, grid=5, rotations=1, action_mode="turns", pitch=0.055, layout="rows"
 )
-_ROBOT_OBJECTS = _draft(
+_ROBOT_OBJECTS = dict(
     _ROBOT, grid=5, num_nodes=30, objects="set-26", layout="columns", reward="scaled",
     discount=0.95, stability="object",
 )  # fmt: skip
 
 _ALL = {
-    "two-sided-3x3-20-24": _draft(num_sides=2, grid=3, num_nodes=30),
-    "two-sided-3x3-30-34": _draft(num_sides=2, grid=3, num_nodes=40, unseen_shapes_only=True),
+    "two-sided-3x3-20-24": _draft(2, 3, 30),
+    "two-sided-3x3-30-34": _draft(2, 3, 40, unseen_shapes_only=True),
     # The same with the shapes of training, the other reading of the paper's column.
-    "two-sided-3x3-30-34-trained-shapes": _draft(num_sides=2, grid=3, num_nodes=40),
-    "two-sided-4x4-20-24": _draft(num_sides=2, grid=4, num_nodes=30, unseen_shapes_only=True),
-    "two-sided-4x4-30-34": _draft(num_sides=2, grid=4, num_nodes=40, unseen_shapes_only=True),
-    "two-sided-5x5-40-44": _draft(num_sides=2, grid=5, num_nodes=50, unseen_shapes_only=True),
-    "two-sided-6x6-50-54": _draft(num_sides=2, grid=6, num_nodes=60, unseen_shapes_only=True),
+    "two-sided-3x3-30-34-trained-shapes": _draft(2, 3, 40),
+    "two-sided-4x4-20-24": _draft(2, 4, 30, unseen_shapes_only=True),
+    "two-sided-4x4-30-34": _draft(2, 4, 40, unseen_shapes_only=True),
+    "two-sided-5x5-40-44": _draft(2, 5, 50, unseen_shapes_only=True),
+    "two-sided-6x6-50-54": _draft(2, 6, 60, unseen_shapes_only=True),
     # Ours: how far agents trained on small targets get.
-    "two-sided-8x8-90-94": _draft(num_sides=2, grid=8, num_nodes=100, unseen_shapes_only=True),
-    "two-sided-10x10-140-144": _draft(num_sides=2, grid=10, num_nodes=150, unseen_shapes_only=True),
-    "two-sided-12x12-200-204": _draft(num_sides=2, grid=12, num_nodes=210, unseen_shapes_only=True),
-    "one-sided-3x3-22-24": _draft(num_sides=1, grid=3, num_nodes=27, layout="rows"),
+    "two-sided-8x8-90-94": _draft(2, 8, 100, unseen_shapes_only=True),
+    "two-sided-10x10-140-144": _draft(2, 10, 150, unseen_shapes_only=True),
+    "two-sided-12x12-200-204": _draft(2, 12, 210, unseen_shapes_only=True),
+    "one-sided-3x3-22-24": _draft(1, 3, 27, layout="rows"),
     # The twin of the one-sided robot cell for agents trained without a robot (appendix table 5).
-    "one-sided-5x5-15-17": _draft(num_sides=1, grid=5, num_nodes=20, layout="rows"),
-    "four-sided-3x3-10-18": _draft(num_sides=4, grid=3, num_nodes=30),
-    "four-sided-5x5-30-38": _draft(num_sides=4, grid=5, num_nodes=50, unseen_shapes_only=True),
+    "one-sided-5x5-15-17": _draft(1, 5, 20, layout="rows"),
+    "four-sided-3x3-10-18": _draft(4, 3, 30),
+    "four-sided-5x5-30-38": _draft(4, 5, 50, unseen_shapes_only=True),
     # The paper's four shapes: cube, standing pair, L, S (table 5, appendix table 6).
     "objects-two-sided-5x5-20-24": _OBJECTS,
-    "objects-two-sided-5x5-30-34": _draft(_OBJECTS, num_nodes=40),
-    "objects-two-sided-6x6-30-34": _draft(_OBJECTS, num_nodes=40, grid=6),
+    "objects-two-sided-5x5-30-34": dict(_OBJECTS, num_nodes=40),
+    "objects-two-sided-6x6-30-34": dict(_OBJECTS, num_nodes=40, grid=6),
     # The set the released environment without a robot draws from.
-    "objects21-two-sided-5x5-20-24": _draft(_OBJECTS, objects="set-21"),
-    "objects21-two-sided-6x6-30-34": _draft(_OBJECTS, objects="set-21", num_nodes=40, grid=6),
+    "objects21-two-sided-5x5-20-24": dict(_OBJECTS, objects="set-21"),
+    "objects21-two-sided-6x6-30-34": dict(_OBJECTS, objects="set-21", num_nodes=40, grid=6),
     # Cubes, bars and standing pairs (appendix table 3).
     "bars-one-sided-5x5-25-27": _BARS,
-    "bars-one-sided-5x5-35-37": _draft(_BARS, num_nodes=40),
-    "bars-one-sided-6x6-35-37": _draft(_BARS, num_nodes=40, grid=6),
+    "bars-one-sided-5x5-35-37": dict(_BARS, num_nodes=40),
+    "bars-one-sided-6x6-35-37": dict(_BARS, num_nodes=40, grid=6),
     # "Different types of objects" in the same table; which ones is not said. Our reading: set 21.
-    "other-bars-one-sided-5x5-25-27": _draft(_BARS, objects="set-21", stability="object"),
+    "other-bars-one-sided-5x5-25-27": dict(_BARS, objects="set-21", stability="object"),
     # With a robot: appendix table 5, table 4 (blocks in rows, at random places), table 3, table 5.
     "robot-one-sided-5x5-15-17": _ROBOT_ONE_SIDED,
-    "robot-one-sided-6x6-16-18": _draft(_ROBOT_ONE_SIDED, grid=6, num_nodes=21),
+    "robot-one-sided-6x6-16-18": dict(_ROBOT_ONE_SIDED, grid=6, num_nodes=21),
     "robot-two-sided-3x3-10-14": _ROBOT,
     "robot-two-sided-3x3-14-18": _ROBOT_MORE,
-    "robot-two-sided-5x5-14-18": _draft(_ROBOT_MORE, grid=5),
-    "robot-random-two-sided-3x3-10-14": _draft(_ROBOT, layout="random"),
-    "robot-random-two-sided-3x3-14-18": _draft(_ROBOT_MORE, layout="random"),
-    "robot-random-two-sided-5x5-14-18": _draft(_ROBOT_MORE, layout="random", grid=5),
+    "robot-two-sided-5x5-14-18": dict(_ROBOT_MORE, grid=5),
+    "robot-random-two-sided-3x3-10-14": dict(_ROBOT, layout="random"),
+    "robot-random-two-sided-3x3-14-18": dict(_ROBOT_MORE, layout="random"),
+    "robot-random-two-sided-5x5-14-18": dict(_ROBOT_MORE, layout="random", grid=5),
     # Ours, for building designs: walls with an aisle for the fingers, filled as far as gaps allow.
-    "robot-walls-two-sided-5x5-26-30": _draft(
+    "robot-walls-two-sided-5x5-26-30": dict(
         _ROBOT, grid=5, num_nodes=36, aisle=1, layout="around", success_threshold=0.85,
     ),
-    "robot-four-sided-3x3-10-18": _draft(_ROBOT, num_sides=4, num_nodes=30),
-    "robot-four-sided-3x3-16-24": _draft(_ROBOT_MORE, num_sides=4, num_nodes=36),
+    "robot-four-sided-3x3-10-18": dict(_ROBOT, num_sides=4, num_nodes=30),
+    "robot-four-sided-3x3-16-24": dict(_ROBOT_MORE, num_sides=4, num_nodes=36),
     "robot-objects-two-sided-5x5-20-24": _ROBOT_OBJECTS,
-    "robot-objects-two-sided-5x5-30-34": _draft(_ROBOT_OBJECTS, num_nodes=40),
-    "robot-objects-two-sided-6x6-30-34": _draft(_ROBOT_OBJECTS, num_nodes=40, grid=6),
+    "robot-objects-two-sided-5x5-30-34": dict(_ROBOT_OBJECTS, num_nodes=40),
+    "robot-objects-two-sided-6x6-30-34": dict(_ROBOT_OBJECTS, num_nodes=40, grid=6),
 }  # fmt: skip
 
 PRESETS: Registry[Task] = Registry("task", _ALL, lambda name, given: Task(name, **given))

@@ -22,8 +22,17 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.geometry.coverage import NARROW, DepthFilter, clear_to_ground
-from learn2assemble.geometry.images import HALF_EXTENT, IMAGE_SIZE, ROWS, WORDS, project, to_pixels
+from learn2assemble.geometry.coverage import (
+    HALF_EXTENT,
+    IMAGE_SIZE,
+    NARROW,
+    ROWS,
+    WORDS,
+    DepthFilter,
+    clear_to_ground,
+    project,
+    to_pixels,
+)
 from learn2assemble.graph.features import NUM_FEATURES, POSITION
 from learn2assemble.physics.protocol import Physics, Verdict
 from learn2assemble.simulator import Simulator, Transition

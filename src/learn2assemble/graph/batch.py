@@ -7,25 +7,20 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from learn2assemble.graph.features import Graph
+from learn2assemble.graph.features import Graph, connectivity
 from learn2assemble.graph.placements import Placements, distinct_placements, locate
 from learn2assemble.graph.relations import look_around, relate
 from learn2assemble.world.blocks import EDGE, ActionSpec
 
 
 class GraphTensors(NamedTuple):
-    """:class:`Graph` on a device. Masks are derived from the three counts."""
+    """:class:`Graph` on a device, with the same fields. Masks are derived from the three counts."""
 
     nodes: torch.Tensor
-    """float32[B, N, 5]."""
     object_id: torch.Tensor
-    """int32[B, N]."""
     num_targets: torch.Tensor
-    """int64[B]."""
     num_placed: torch.Tensor
-    """int64[B]."""
     num_nodes: torch.Tensor
-    """int64[B]."""
 
     @property
     def used(self) -> torch.Tensor:
@@ -47,22 +42,12 @@ class GraphTensors(NamedTuple):
         return (index >= first) & (index < self.num_nodes[:, None])
 
     def adjacency(self, kind: str) -> torch.Tensor:
-        """bool[B, N, N] like :func:`learn2assemble.graph.features.connectivity`.
+        """bool[B, N, N] of :func:`learn2assemble.graph.features.connectivity`.
 
         Rows of padding attend to themselves only, so that their softmax is defined.
         """
-        used, index = self.used, self._index()
-        allowed = used[:, None, :].expand(-1, used.shape[1], -1)
-        if kind == "partial":
-            settled = index < (self.num_targets + self.num_placed)[:, None]
-            same = self.object_id[:, :, None] == self.object_id[:, None, :]
-            allowed = allowed & (settled[:, :, None] | settled[:, None, :] | same)
-        return (allowed & used[:, :, None]) | torch.eye(
-            used.shape[1], dtype=torch.bool, device=used.device
-        )
-
-    def to(self, device: torch.device | str) -> GraphTensors:
-        return GraphTensors(*[t.to(device, non_blocking=True) for t in self])
+        alone = torch.eye(self.nodes.shape[1], dtype=torch.bool, device=self.nodes.device)
+        return connectivity(self, kind, self._index()) | alone
 
     def _index(self) -> torch.Tensor:
         return torch.arange(self.nodes.shape[1], device=self.nodes.device)
@@ -70,7 +55,8 @@ class GraphTensors(NamedTuple):
 
 def to_tensors(graph: Graph, device: torch.device | str = "cpu") -> GraphTensors:
     """Copy a graph to ``device``."""
-    return GraphTensors(*[torch.from_numpy(field) for field in graph]).to(device)
+    fields = [torch.from_numpy(field) for field in graph]
+    return GraphTensors(*[t.to(device, non_blocking=True) for t in fields])
 
 
 NUM_SUMMARY = 4
@@ -105,8 +91,8 @@ class CellTensors(NamedTuple):
     """int64[B, P, 3]: node action of each placement."""
     grip: torch.Tensor
     """int64[p]: grip of each of the ``p`` legal placements, see :class:`ActionSpec`."""
-    hands: HandTensors | None
-    """What the hand meets there, if it was asked for."""
+    hands: tuple[torch.Tensor, torch.Tensor] | None
+    """int64[p, L], float32[p, 6]: :class:`Hands` of the legal placements, if asked for."""
     placements: Placements
     graph: Graph
     action_spec: ActionSpec
@@ -115,15 +101,6 @@ class CellTensors(NamedTuple):
         """Number of the placement with the result of each node action int64[B, 3]: int64[B]."""
         found = locate(self.placements, self.graph, action.cpu().numpy(), self.action_spec)
         return torch.from_numpy(found).to(action.device)
-
-
-class HandTensors(NamedTuple):
-    """:class:`Hands` of the ``p`` legal placements."""
-
-    around: torch.Tensor
-    """int64[p, L]."""
-    place: torch.Tensor
-    """float32[p, 6]."""
 
 
 def cell_tensors(
@@ -155,25 +132,13 @@ def cell_tensors(
     hands = None
     if hand:
         found = look_around(plain, placements, spec)
-        hands = HandTensors(put(found.around[legal]), put(found.place[legal]))
+        hands = put(found.around[legal]), put(found.place[legal])
     return CellTensors(
-        row=put(row),
-        used=put(used),
-        edges=put(relations.edges[used]),
-        edge_used=put(relations.edge_used[row]),
-        offsets=put(relations.offsets[used]),
-        summary=put(summary.astype(np.float32)),
-        cell=put(cell),
-        part_of=put(part_of),
-        lever=put(lever),
-        legal=put(legal),
-        action=put(placements.action),
-        grip=put(spec.grips[way]),
-        hands=hands,
-        placements=placements,
-        graph=plain,
-        action_spec=spec,
-    )
+        put(row), put(used), put(relations.edges[used]), put(relations.edge_used[row]),
+        put(relations.offsets[used]), put(summary.astype(np.float32)), put(cell), put(part_of),
+        put(lever), put(legal), put(placements.action), put(spec.grips[way]), hands, placements,
+        plain, spec,
+    )  # fmt: skip
 
 
 def _parts(placements: Placements, ends: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -63,17 +63,22 @@ def node_offset(graph: Graph) -> np.ndarray:
     return np.stack([first, graph.num_targets, 0 * first], -1)
 
 
-def connectivity(graph: Graph, kind: str = "partial") -> np.ndarray:
+def connectivity(graph: Any, kind: str = "partial", index: Any = None) -> Any:
     """Adjacency bool[B, N, N]; row i lists the nodes that node i attends to.
 
     ``full``: everyone. ``partial``: targets and placed blocks attend to everyone, an unplaced
     block to targets, placed blocks, itself and the cells of its own object.
+
+    Args:
+        graph: a :class:`Graph`, or the same as tensors.
+        index: int64[N], 0 to N - 1, as such a tensor.
     """
-    index = np.arange(graph.nodes.shape[1])
+    if index is None:
+        index = np.arange(graph.nodes.shape[1])
     used = index < graph.num_nodes[:, None]
-    allowed = np.broadcast_to(used[:, None, :], (*used.shape, used.shape[1])).copy()
+    pairs = used[:, :, None] & used[:, None, :]
     if kind == "partial":
         settled = index < (graph.num_targets + graph.num_placed)[:, None]
-        same = (graph.object_id[:, :, None] == graph.object_id[:, None, :]) & used[:, :, None]
-        allowed &= settled[:, :, None] | settled[:, None, :] | same
-    return allowed & used[:, :, None]
+        same = graph.object_id[:, :, None] == graph.object_id[:, None, :]
+        pairs = pairs & (settled[:, :, None] | settled[:, None, :] | same)
+    return pairs

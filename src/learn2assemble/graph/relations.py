@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from learn2assemble.geometry.images import CAMERA_Z, CENTRE, HALF_EXTENT, pixel_vertex
+from learn2assemble.geometry.coverage import pixel_vertex, unproject
 from learn2assemble.graph.features import Graph
 from learn2assemble.graph.placements import Placements, in_the_way
 from learn2assemble.world.blocks import EDGE, HALF, ActionSpec, quarter_turn
@@ -49,13 +49,6 @@ class Relations(NamedTuple):
 @njit(cache=True, inline="always")
 def _clip(value, limit):
     return min(max(value, -limit), limit)
-
-
-@njit(cache=True)
-def _pixel_corner(x, z):
-    """A vertex where the mask has it: moved to its image point."""
-    u, v = pixel_vertex(x, z)
-    return (u / CENTRE - 1) * HALF_EXTENT, (1 - v / CENTRE) * HALF_EXTENT + CAMERA_Z
 
 
 @njit(cache=True)
@@ -108,7 +101,8 @@ def _relate(
             for k in range(last - first):
                 node = nodes[row, first + k]
                 x = (node[0] - middle_x) * right_x + (node[1] - middle_y) * right_y
-                corner[k, 0], corner[k, 1] = _pixel_corner(x, node[2])
+                u, v = pixel_vertex(x, node[2])  # where the mask has it
+                corner[k, 0], corner[k, 1] = unproject(u, v)
             for k in range(last - first):
                 n = (k + 1) % (last - first)
                 area += corner[k, 0] * corner[n, 1] - corner[n, 0] * corner[k, 1]

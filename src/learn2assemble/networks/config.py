@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any
 
-from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.errors import check_fields, check_name
 from learn2assemble.registry import Registry
 from learn2assemble.world.blocks import ACTION_MODES, EDGE
-
-FEED_FORWARDS = ("light", "wide", "none")
-CONNECTIVITIES = ("partial", "full")
 
 
 @dataclass(frozen=True)
@@ -59,36 +56,25 @@ class NetworkConfig:
     encoder: str = "attention"
 
     def __post_init__(self) -> None:
-        if self.feed_forward not in FEED_FORWARDS:
-            raise UnknownNameError("feed_forward", self.feed_forward, FEED_FORWARDS)
-        if self.encoder not in NETWORKS:
-            raise UnknownNameError("encoder", self.encoder, NETWORKS)
-        if self.connectivity not in CONNECTIVITIES:
-            raise UnknownNameError("connectivity", self.connectivity, CONNECTIVITIES)
-        for name, most in (
-            ("width", 4096),
-            ("heads", 4096),
-            ("rounds", 100),
-            ("num_actions", 1000),
-        ):
-            if not 1 <= getattr(self, name) <= most:
-                raise InputError(name, getattr(self, name), f"a whole number from 1 to {most}")
-        if self.width % self.heads:
-            raise InputError("heads", self.heads, f"a divisor of width {self.width}")
-        if self.encoder == "s2v" and self.width < 2:
-            raise InputError("width", self.width, "at least 2 for the encoder s2v")
-        if self.encoder == "s2v" and self.rotary:
-            raise InputError("rotary", self.rotary, "false for the encoder s2v (it has no scores)")
-        if self.action_mode not in ACTION_MODES:
-            raise UnknownNameError("action_mode", self.action_mode, ACTION_MODES)
-        if not 0 < self.pitch < math.inf:
-            raise InputError("pitch", self.pitch, "a positive length [m]")
-        if not 0 <= self.sight <= 1000:
-            raise InputError("sight", self.sight, "a whole number from 0 to 1000")
-        if self.hand and self.encoder != "relational":
-            raise InputError("hand", self.hand, "false unless encoder is relational")
-        if not 0 < self.position_scale < math.inf:
-            raise InputError("position_scale", self.position_scale, "a positive length [m]")
+        whole = {"width": 4096, "heads": 4096, "rounds": 100, "num_actions": 1000}
+        for name, valid in NAMES.items():
+            check_name(name, getattr(self, name), valid)
+        check_fields(
+            self,
+            *((name, 1 <= getattr(self, name) <= most, f"a whole number from 1 to {most}")
+              for name, most in whole.items()),
+            ("pitch", 0 < self.pitch < math.inf, "a positive length [m]"),
+            ("sight", 0 <= self.sight <= 1000, "a whole number from 0 to 1000"),
+            ("position_scale", 0 < self.position_scale < math.inf, "a positive length [m]"),
+        )  # fmt: skip
+        s2v, relational = self.encoder == "s2v", self.encoder == "relational"
+        check_fields(
+            self,
+            ("heads", self.width % self.heads == 0, f"a divisor of width {self.width}"),
+            ("width", not s2v or self.width >= 2, "at least 2 for the encoder s2v"),
+            ("rotary", not (s2v and self.rotary), "false for the encoder s2v (it has no scores)"),
+            ("hand", relational or not self.hand, "false unless encoder is relational"),
+        )
 
     @property
     def values_placements(self) -> bool:
@@ -123,6 +109,13 @@ NETWORKS: Registry[NetworkKind] = Registry("network", {
     "attention": _published, "s2v": _published,
     "relational": NetworkKind(_relational, values_placements=True),
 })  # fmt: skip
+NAMES: dict[str, Collection[str]] = {
+    "feed_forward": ("light", "wide", "none"),
+    "encoder": NETWORKS,
+    "connectivity": ("partial", "full"),
+    "action_mode": ACTION_MODES,
+}
+"""What fields of a configuration can be called."""
 
 
 def register_network(

@@ -135,8 +135,9 @@ class Hand(nn.Module):
     def forward(self, cells: CellTensors) -> torch.Tensor:
         """float[p, F] of the legal placements."""
         assert cells.hands is not None
-        place = self.place(cells.hands.place / REACH_OF_ARM)
-        return self.out(F.relu(self.around(cells.hands.around) + place + self.grip(cells.grip)))
+        around, place = cells.hands
+        place = self.place(place / REACH_OF_ARM)
+        return self.out(F.relu(self.around(around) + place + self.grip(cells.grip)))
 
 
 def _two_layers(inputs: int, width: int) -> nn.Module:

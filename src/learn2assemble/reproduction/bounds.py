@@ -52,8 +52,14 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.errors import InputError, Learn2AssembleError
-from learn2assemble.geometry.coverage import NARROW, add_box, clear_to_ground
-from learn2assemble.geometry.images import ROWS, WORDS, to_pixels
+from learn2assemble.geometry.coverage import (
+    NARROW,
+    ROWS,
+    WORDS,
+    add_box,
+    clear_to_ground,
+    to_pixels,
+)
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import Task
 from learn2assemble.world.blocks import EDGE, HALF

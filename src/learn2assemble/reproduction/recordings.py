@@ -12,8 +12,7 @@ import numpy as np
 
 from learn2assemble.errors import InputError
 from learn2assemble.files import read_json_lines
-from learn2assemble.geometry.coverage import FILTERS
-from learn2assemble.geometry.images import paper_mask
+from learn2assemble.geometry.coverage import FILTERS, paper_mask
 from learn2assemble.geometry.support import BALANCE_TOLERANCE
 from learn2assemble.physics.equilibrium import find_contacts, is_stable
 from learn2assemble.physics.rigid import RULES

@@ -8,18 +8,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.errors import InputError, check_fields, check_name
 from learn2assemble.registry import Registry
 
-TO_THE_END = 10_000
-"""Rollout depth that no episode reaches: play every rollout to termination."""
-NO_LIMIT = 10_000
-"""Tree depth that no episode reaches."""
-
-EXPANSIONS = ("epsilon-greedy", "uct", "gumbel")
-ROLLOUT_POLICIES = ("greedy", "random")
-FINALS = ("best-mean", "most-visits", "gumbel")
-BACKUPS = ("mean", "max")
+TO_THE_END = NO_LIMIT = 10_000
+"""Rollout depth and tree depth that no episode reaches."""
+NAMES = {
+    "expansion": ("epsilon-greedy", "uct", "gumbel"),
+    "rollout_policy": ("greedy", "random"),
+    "final": ("best-mean", "most-visits", "gumbel"),
+    "backup": ("mean", "max"),
+}
+"""What fields of a search can be called."""
 
 
 @dataclass(frozen=True)
@@ -41,13 +41,13 @@ class GumbelConfig:
     noise: bool = False
 
     def __post_init__(self) -> None:
-        if self.considered < 1:
-            raise InputError("considered", self.considered, "at least 1 action")
-        for name in ("temperature", "value_scale"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise InputError(name, getattr(self, name), "a positive number")
-        if not 0 <= self.visit_offset < math.inf:
-            raise InputError("visit_offset", self.visit_offset, "a number of at least 0")
+        check_fields(
+            self,
+            ("considered", self.considered >= 1, "at least 1 action"),
+            ("temperature", 0 < self.temperature < math.inf, "a positive number"),
+            ("value_scale", 0 < self.value_scale < math.inf, "a positive number"),
+            ("visit_offset", 0 <= self.visit_offset < math.inf, "a number of at least 0"),
+        )
 
 
 @dataclass(frozen=True)
@@ -98,23 +98,17 @@ class SearchConfig:
     gumbel: GumbelConfig = field(default_factory=GumbelConfig)
 
     def __post_init__(self) -> None:
-        if self.budget < 0:
-            raise InputError("budget", self.budget, "a whole number of at least 0")
-        if not 0 <= self.epsilon <= 1:
-            raise InputError("epsilon", self.epsilon, "0 <= epsilon <= 1")
-        if self.rollout < 1:
-            raise InputError("rollout", self.rollout, "at least 1 step")
-        if not 0 <= self.exploration < math.inf:
-            raise InputError("exploration", self.exploration, "a number of at least 0")
-        if not 0 < self.widening <= 1:
-            raise InputError("widening", self.widening, "0 < widening <= 1")
-        if self.depth < 1:
-            raise InputError("depth", self.depth, "at least 1 level")
-        names = {"expansion": EXPANSIONS, "rollout_policy": ROLLOUT_POLICIES,
-                 "backup": BACKUPS, "final": FINALS}  # fmt: skip
-        for name, valid in names.items():
-            if getattr(self, name) not in valid:
-                raise UnknownNameError(name, getattr(self, name), valid)
+        check_fields(
+            self,
+            ("budget", self.budget >= 0, "a whole number of at least 0"),
+            ("epsilon", 0 <= self.epsilon <= 1, "0 <= epsilon <= 1"),
+            ("rollout", self.rollout >= 1, "at least 1 step"),
+            ("exploration", 0 <= self.exploration < math.inf, "a number of at least 0"),
+            ("widening", 0 < self.widening <= 1, "0 < widening <= 1"),
+            ("depth", self.depth >= 1, "at least 1 level"),
+        )
+        for name, valid in NAMES.items():
+            check_name(name, getattr(self, name), valid)
         if self.final == "gumbel" and self.expansion != "gumbel":
             raise InputError("final", self.final, "best-mean or most-visits, or expansion gumbel")
 

@@ -1,7 +1,7 @@
 """The state of many worlds at once: one structure of arrays with a leading batch dimension.
 
 ``B`` worlds, ``S`` sides, ``V`` vertices a side at most, ``M`` blocks at most, images of
-``ROWS x WORDS`` words (:mod:`learn2assemble.geometry.images`). A single world is a batch of one.
+``ROWS x WORDS`` words (:mod:`learn2assemble.geometry.coverage`). A single world is a batch of one.
 Blocks are kept in node order: the placed ones by time of placement, then the unplaced ones.
 """
 
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from learn2assemble.geometry.images import ROWS, WORDS
+from learn2assemble.geometry.coverage import ROWS, WORDS
 
 
 class State(NamedTuple):
