@@ -13,10 +13,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeGuard
 
-from learn2assemble.errors import InputError, UnknownNameError, look_up
+from learn2assemble.errors import InputError, UnknownNameError, check_name
 from learn2assemble.files import MAX_BYTES, MAX_GENERATED, load_json, read_bytes
 from learn2assemble.planning.plan import Plan
-from learn2assemble.robot.registry import ARMS
+from learn2assemble.robot.registry import ARMS, TOOLS
 from learn2assemble.tasks import NO_ARM, PRESETS, get_task
 
 if TYPE_CHECKING:
@@ -105,8 +105,7 @@ def build(
         InputError: for a design, arm, agent or layout that cannot be used.
     """
     # What can be refused at once comes before the libraries that take seconds to load.
-    if planner not in PLANNERS:
-        raise UnknownNameError("planner", planner, PLANNERS)
+    check_name("planner", planner, PLANNERS)
     if is_task(design):
         if planner == "exact":
             raise InputError("planner", "exact", f"agent, for the task {design}")
@@ -118,7 +117,7 @@ def build(
         if named := [name for name, value in given.items() if value]:
             raise InputError(", ".join(named), "given", f"a design (not the task {design})")
         if arm is not None:
-            look_up("arm", arm, dict.fromkeys((*ARMS, NO_ARM)))
+            check_name("arm", arm, (*ARMS, NO_ARM))
         from learn2assemble.planning.episode import build_task
 
         limit = AGENT_SECONDS if seconds is None else seconds
@@ -137,10 +136,13 @@ def build(
     elif tool is not None or layout is not None or state is not None:
         got = tool or str(layout or state)
         raise InputError("tool, layout or state", got, "an arm to build with (--arm)")
+    given = {
+        "friction": friction, "gap": gap, "progress": progress,
+        "seconds": EXACT_SECONDS if seconds is None else seconds,
+    }  # fmt: skip
     return _build_design(
-        design, kit, friction, gap, props, dict(reading or {}),
-        EXACT_SECONDS if seconds is None else seconds, progress, how, planner, builder, seed,
-    )  # fmt: skip
+        design, kit, props, dict(reading or {}), how, planner, builder, seed, given
+    )
 
 
 def reach(
@@ -206,12 +208,10 @@ class _Arm(NamedTuple):
 
     def check(self) -> None:
         """Refuse names that do not exist, before libraries load."""
-        from learn2assemble.robot.registry import TOOLS
-
-        look_up("arm", self.arm, ARMS)
+        check_name("arm", self.arm, ARMS)
         if self.tool is not None:
-            look_up("tool", self.tool, TOOLS)
-        look_up("physics", self.physics, dict.fromkeys(PHYSICS))
+            check_name("tool", self.tool, TOOLS)
+        check_name("physics", self.physics, PHYSICS)
 
     def workcell(self) -> Workcell:
         """The same with defaults, the layout read."""
@@ -226,37 +226,30 @@ class _Arm(NamedTuple):
 
 
 def _build_design(
-    design: object, kit: Any, friction: Any, gap: Any, props: bool, reading: dict[str, Any],
-    seconds: float, progress: Progress, how: _Arm | None, planner: str, builder: str | None,
-    seed: int,
+    design: object, kit: Any, props: bool, reading: dict[str, Any], how: _Arm | None,
+    planner: str, builder: str | None, seed: int, given: dict[str, Any],
 ) -> Plan:  # fmt: skip
+    """Plan what is no task, and carry it out where an arm is named.
+
+    Args:
+        given: friction, gap, seconds and progress, as every planner takes them.
+    """
     from learn2assemble.assembly.blocks import Assembly
     from learn2assemble.assembly.kit import load_kit
     from learn2assemble.design.cells import CellDesign, read_design
+    from learn2assemble.design.goals import Goals
     from learn2assemble.planning.construct import DEFAULT_KIT, plan_assembly, plan_cells
 
     if isinstance(kit, str | Path):
         kit = load_kit(str(kit))
+    source = ""
     goals = _goals(design, kit, props, reading)
     if goals is not None:
-        from learn2assemble.planning.goals.planner import plan_goals, with_obstacles
-        from learn2assemble.planning.workcell_plan import carry_out
-
-        workcell = None if how is None else how.workcell()
-        plan = plan_goals(
-            goals, planner=planner, seed=seed, seconds=seconds, friction=friction, gap=gap,
-            progress=progress,
-        )  # fmt: skip
-        if workcell is None:
-            return plan
-        workcell = replace(workcell, site=with_obstacles(workcell.site, goals))
-        return carry_out(plan, workcell, joint=goals.kit.joint_gap, progress=progress)
-    source = ""
-    if isinstance(design, str | Path):
-        path = Path(design)
-        source = path.name
+        design = goals
+    elif isinstance(design, str | Path):
+        source = Path(design).name
         cell = reading.pop("cell", None) or (None if kit is None else kit.pitch)
-        design = read_design(path, cell=cell, **reading)
+        design = read_design(Path(design), cell=cell, **reading)
     elif reading:
         raise InputError("reading", sorted(reading), "a design file, which it tells how to read")
     if isinstance(design, Assembly):
@@ -264,27 +257,32 @@ def _build_design(
             raise InputError("kit", kit.name, "a design of cells; these blocks are given")
         if planner == "agent":
             raise InputError("planner", planner, "exact, for blocks that are given")
-        workcell = None if how is None else how.workcell()
-        plan = plan_assembly(
-            design, friction=friction, gap=gap, seconds=seconds, progress=progress, source=source
-        )
+    elif not isinstance(design, CellDesign | Goals):
+        raise InputError("design", type(design).__name__, "a file, cells or an assembly")
+    workcell, progress = None if how is None else how.workcell(), given["progress"]
+    if not isinstance(design, CellDesign):
+        if isinstance(design, Goals):
+            from learn2assemble.planning.goals.planner import plan_goals, with_obstacles
+
+            plan = plan_goals(design, planner=planner, seed=seed, **given)
+            if workcell is not None:
+                workcell = replace(workcell, site=with_obstacles(workcell.site, design))
+        else:
+            plan = plan_assembly(design, source=source, **given)
         if workcell is None:
             return plan
         from learn2assemble.planning.workcell_plan import carry_out
 
-        return carry_out(plan, workcell, joint=0.0, progress=progress)
-    if not isinstance(design, CellDesign):
-        raise InputError("design", type(design).__name__, "a file, cells or an assembly")
+        joint = design.kit.joint_gap if isinstance(design, Goals) else 0.0
+        return carry_out(plan, workcell, joint=joint, progress=progress)
     # Blocks are as large as the cells that were asked for.
     kit = (kit or load_kit(design.kit or DEFAULT_KIT)).at_pitch(design.cell)
-    workcell = None if how is None else how.workcell()
 
     def plan_with(blocks: Kit, hand: Hand | None = None) -> Plan:
+        options: dict[str, Any] = given if blocks is kit else {**given, "gap": None}
         return plan_cells(
-            design, blocks, friction=friction, gap=gap if blocks is kit else None, props=props,
-            seconds=seconds,
-            progress=progress, planner=planner if how is None or planner == "agent" else "exact",
-            builder=builder, seed=seed, hand=hand,
+            design, blocks, props=props, builder=builder, seed=seed, hand=hand,
+            planner=planner if how is None or planner == "agent" else "exact", **options,
         )  # fmt: skip
 
     if workcell is None:

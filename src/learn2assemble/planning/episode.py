@@ -76,10 +76,10 @@ def sample_problem(task: Task, seed: int) -> State:
     return Simulator(task).new(1, np.random.default_rng([PROBLEM_STREAM, seed]))
 
 
-def placement_key(task: Task, state: State, action: np.ndarray) -> Key:
-    """A placement in row 0 with another of its kind nearby: target in half edges, and the way."""
+def placement_key(task: Task, state: State, action: np.ndarray, row: int = 0) -> Key:
+    """A placement in a row with another of its kind nearby: target in half edges, and the way."""
     relation, way = divmod(int(action[2]), task.rotations)
-    x, y, z = target_cell(state, 0, int(action[1]), relation, task.pitch)
+    x, y, z = target_cell(state, row, int(action[1]), relation, task.pitch)
     return round(x / HALF), round(y / HALF), round(z / HALF), way
 
 
@@ -105,16 +105,13 @@ class _Without(WorldModel):
         self.avoid = avoid
 
     def action_values(self, states: State) -> list[ActionValues]:
-        values = super().action_values(states)
-        return (
-            [self._kept(states, row, v) for row, v in enumerate(values)] if self.avoid else values
-        )
-
-    def _kept(self, states: State, row: int, values: ActionValues) -> ActionValues:
-        one, task = states.take(np.array([row])), self.simulator.task
-        keep = [placement_key(task, one, action) not in self.avoid for action in values.actions]
-        # A search needs something to choose from.
-        return ActionValues(*(field[keep] for field in values)) if any(keep) else values
+        found, task = super().action_values(states), self.simulator.task
+        for row, values in enumerate(found if self.avoid else ()):
+            keys = [placement_key(task, states, action, row) for action in values.actions]
+            keep = [key not in self.avoid for key in keys]
+            if any(keep):  # a search needs something to choose from
+                found[row] = ActionValues(*(field[keep] for field in values))
+        return found
 
 
 def plan_episode(
@@ -177,26 +174,24 @@ def _try_all(
     """Depth first over every legal placement, as :func:`_play`."""
     deadline = time.perf_counter() + seconds
     state = start.copy()
-    stack, path, seen = [(state, _candidates(simulator, state, avoid))], [], {_filled(state)}
+    stack, seen = [(state, [], _candidates(simulator, state, avoid))], {_filled(state)}
     best, most = [], float(state.complete_coverage[0])
     while stack and time.perf_counter() < deadline:
-        state, candidates = stack[-1]
+        state, path, candidates = stack[-1]
         if not candidates:
             stack.pop()
-            path = path[:-1]
             continue
         action, after = candidates.pop(0), state.copy()
-        step = simulator.step(after, action[None])
+        step, path = simulator.step(after, action[None]), [*path, action]
         if step.verdict[0] != 0 or _filled(after) in seen:
             continue
         seen.add(_filled(after))
         if after.complete_coverage[0] > most:
-            best, most = [*path, action], float(after.complete_coverage[0])
+            best, most = path, float(after.complete_coverage[0])
         if step.success[0]:
-            return [*path, action], most, True
+            return path, most, True
         if not step.terminated[0]:
-            path = [*path, action]
-            stack.append((after, _candidates(simulator, after, avoid)))
+            stack.append((after, path, _candidates(simulator, after, avoid)))
     return best, most, False
 
 
@@ -347,12 +342,11 @@ class _Made:
     """Of the object."""
     reference: int
     """Number of the object it was placed against."""
-    action: int
     cells: np.ndarray
     """float64[n, 7]: poses of its cells, the chosen one first."""
     coverage: float
-    sides: tuple[float, ...]
-    margin: float
+    step: plans.Step
+    """What the plan says of it, but for the numbers of blocks."""
     attempt: int
     """Number of the attempt of the arm, from 1."""
 
@@ -447,7 +441,10 @@ class _Build:
             before = self.state.copy()
             step = self.judge.step(self.state, action[None])
             held = step.verdict[0] == 0
-            what, why = _result(self.real, held)
+            what, why = "stands" if held else "does not stand", "in rigid-body simulation"
+            if self.real is not None:
+                last = self.real.log.steps[-1]
+                what, why = last.outcome.label, last.detail or "failed"
             progress(f"block {number} of {len(actions)}: {what}")
             if not held:
                 self.failed += 1
@@ -478,30 +475,26 @@ class _Build:
 
     def _note(self, before: State, action: np.ndarray) -> None:
         """Keep what has just been placed, as it stands."""
-        state, count = self.state, int(self.state.num_placed[0])
+        state, count, task = self.state, int(self.state.num_placed[0]), self.task
         number = int(before.object_id[0, before.num_placed[0] + action[0]])
         ids = state.object_id[0, :count]
         cells = np.flatnonzero(ids == number)
         poses = np.hstack([state.position[0, cells], state.quaternion[0, cells]])
         seen = np.bitwise_count(state.covered[0] & state.mask[0]).sum((1, 2))
         sides = seen / np.maximum(np.bitwise_count(state.mask[0]).sum((1, 2)), 1)
-        self.made.append(
-            _Made(
-                number, int(before.object_id[0, action[1]]), int(action[2]), poses,
-                float(state.complete_coverage[0]), tuple(sides.round(6).tolist()),
-                stability_margin(state.position[0, :count], ids),
-                len(self.real.log.steps) if self.real else 0,
-            )
+        coverage = float(state.complete_coverage[0])
+        margin = stability_margin(state.position[0, :count], ids)
+        x, y, z, *turn = (round(float(v), 6) for v in poses[0])
+        attempts = self.real.log.steps if self.real else []
+        step = plans.Step(
+            0, 0, (x, y, z), (turn[0], turn[1], turn[2], turn[3]), kind=_kind(len(cells)),
+            relation=RELATIONS[int(action[2]) // task.rotations], coverage=round(coverage, 6),
+            sides=tuple(sides.round(6).tolist()), margin_g=round(margin, 4),
+            proof="arm" if self.real else "rigid bodies",
+            outcome=attempts[-1].outcome.label if attempts else None,
         )  # fmt: skip
-
-
-def _result(real: RealCell | None, held: bool) -> tuple[str, str]:
-    """What came of a placement, and why."""
-    if real is None:
-        words = "stands" if held else "does not stand"
-        return words, "in rigid-body simulation"
-    step = real.log.steps[-1]
-    return step.outcome.label, step.detail or "failed"
+        reference = int(before.object_id[0, action[1]])
+        self.made.append(_Made(number, reference, poses, coverage, step, len(attempts)))
 
 
 # ---------------------------------------------------------------- the plan
@@ -528,7 +521,7 @@ def _plan(build: _Build, agent: str, source: str, started: float) -> Plan:
         # A block that fell and is part of the structure all the same has no step of its own.
         reference = known.get(item.reference, number - 1)
         known[item.number] = number
-        steps.append(_step(number, reference, item, task, real))
+        steps.append(replace(item.step, step=number, block=number, reference=reference))
     cells = np.flatnonzero(start.object_id[0, : start.num_placed[0]] == first)
     stands = np.hstack([start.position[0, cells], start.quaternion[0, cells]])
     placed = [stands, *(item.cells for item in made)]
@@ -542,14 +535,9 @@ def _plan(build: _Build, agent: str, source: str, started: float) -> Plan:
             targets=tuple(map(_target, SIDES, frames, outlines)),
             success_threshold=task.success_threshold,
         ),
-        status="complete" if build.filled else "incomplete",
-        reason=reason,
-        blocks=plans.BlockSupply(available, len(made) + 1),
-        steps=tuple(steps),
-        coverage=reached,
-        seconds=round(time.perf_counter() - started, 3),
-        agent=agent,
-        planner="agent",
+        status="complete" if build.filled else "incomplete", reason=reason,
+        blocks=plans.BlockSupply(available, len(made) + 1), steps=tuple(steps), coverage=reached,
+        seconds=round(time.perf_counter() - started, 3), agent=agent, planner="agent",
         search=plans.SearchReport(
             STAGES[build.stage], (*BUDGETS, 0)[build.stage], tuple(build.tried)
         ),
@@ -570,18 +558,6 @@ def _plan(build: _Build, agent: str, source: str, started: float) -> Plan:
         real.cell.arm.name, task.pitch, len(real.log.steps), failures, round(real.log.now, 2)
     )
     return replace(plan, arm=report, record=_renumbered(real.log.record(), list(known)))
-
-
-def _step(
-    number: int, reference: int, item: _Made, task: Task, real: RealCell | None
-) -> plans.Step:
-    x, y, z, w, a, b, c = (round(float(v), 6) for v in item.cells[0])
-    return plans.Step(
-        number, number, (x, y, z), (w, a, b, c), kind=_kind(len(item.cells)), reference=reference,
-        relation=RELATIONS[item.action // task.rotations], coverage=round(item.coverage, 6),
-        sides=item.sides, margin_g=round(item.margin, 4), proof="arm" if real else "rigid bodies",
-        outcome=real.log.steps[item.attempt - 1].outcome.label if real else None,
-    )  # fmt: skip
 
 
 def _target(name: str, frame: np.ndarray, outline: np.ndarray) -> plans.PlanTarget:
