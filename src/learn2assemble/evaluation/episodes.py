@@ -16,6 +16,8 @@ from learn2assemble.errors import InputError
 from learn2assemble.learning.run import provenance
 from learn2assemble.networks.agent import Agent, Network, default_agent, load_agent, one_thread
 from learn2assemble.physics.protocol import Physics, Verdict
+from learn2assemble.planning.agent.network import Builder, is_builder, load_builder
+from learn2assemble.planning.agent.tasks import TaskModel
 from learn2assemble.planning.world_model import WorldModel, lookahead_actions
 from learn2assemble.registry import Registry
 from learn2assemble.search.config import SearchConfig, get_search
@@ -122,16 +124,24 @@ def search_policy(model: SearchModel, config: SearchConfig) -> Policy:
     return act
 
 
+def load_player(name_or_path: str) -> Agent | Builder:
+    """An agent of the paper's kind or a builder of designs, by name or file."""
+    return (load_builder if is_builder(name_or_path) else load_agent)(name_or_path)
+
+
 def make_policy(
-    task: Task, network: Network, config: SearchConfig | None, epsilon: float, *,
+    task: Task, player: Network | Builder, config: SearchConfig | None, epsilon: float, *,
     search_model: Callable[[WorldModel], SearchModel] | None = None,
 ) -> Policy:  # fmt: skip
-    """The policy of an agent: plain Q without ``config``, with search otherwise.
+    """The policy of a network or a builder: plain Q without ``config``, with search otherwise.
 
     The search always looks ahead with static physics, whatever judges the episode.
     ``search_model`` may put another model of the world around the exact one.
     """
-    model = WorldModel(Simulator(task), network)
+    model = (
+        TaskModel(Simulator(task), player) if isinstance(player, Builder)
+        else WorldModel(Simulator(task), player)
+    )  # fmt: skip
     if config is None or config.budget == 0:
         return greedy_policy(model, epsilon, task.num_actions)
     return search_policy(search_model(model) if search_model else model, config)
@@ -266,7 +276,7 @@ def search_config(
 def evaluate(
     task: str | Task,
     *,
-    agent: str | Agent | None = None,
+    agent: str | Agent | Builder | None = None,
     search: str | SearchConfig | None = None,
     budget: int | None = None,
     rollout: int | None = None,
@@ -284,7 +294,8 @@ def evaluate(
     Args:
         task: a task or its name.
         agent: an agent, a shipped one by name, a ``.safetensors`` file or the folder of a training;
-            by default the shipped one for tasks like this.
+            by default the shipped one for tasks like this. A builder of designs plays with
+            outcomes from the exact model (:mod:`learn2assemble.planning.agent.tasks`).
         search: its name, ``mcts`` for the paper's, or its arguments; by default none.
         budget: simulations before every decision, in place of the search's own.
         rollout: steps of a simulation, in place of the search's own.
@@ -307,9 +318,10 @@ def evaluate(
         got = (episodes, seed, epsilon)
         raise InputError("(episodes, seed, epsilon)", got, ">= 1, >= 0, 0 to 1")
     if agent is None or isinstance(agent, str):
-        agent = load_agent(agent or default_agent(task.name))
+        agent = load_player(agent or default_agent(task.name))
     with one_thread():
-        policy = make_policy(task, agent.network, config, epsilon, search_model=search_model)
+        player = agent if isinstance(agent, Builder) else agent.network
+        policy = make_policy(task, player, config, epsilon, search_model=search_model)
         metrics = run_episodes(task, policy, episodes, seed, checker, progress)
         return Evaluation(
             metrics=metrics,

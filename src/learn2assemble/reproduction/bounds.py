@@ -52,14 +52,8 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.errors import InputError, Learn2AssembleError
-from learn2assemble.geometry.coverage import (
-    NARROW,
-    ROWS,
-    WORDS,
-    add_box,
-    clear_to_ground,
-    to_pixels,
-)
+from learn2assemble.geometry.coverage import ROWS, WORDS, add_box, to_pixels
+from learn2assemble.planning.agent.tasks import MAX_COLUMN, NUM_LEVELS, cell_pixels
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import Task
 from learn2assemble.world.blocks import EDGE, HALF
@@ -67,9 +61,6 @@ from learn2assemble.world.layouts import to_world
 from learn2assemble.world.rules import DISCRETE, SCALED_GAIN, reward_and_success
 from learn2assemble.world.state import State
 
-MAX_COLUMN, NUM_LEVELS = 7, 12
-"""Columns of cells on a side run from -MAX_COLUMN to MAX_COLUMN, levels from 0 to NUM_LEVELS - 1;
-their faces are inside the view."""
 MAX_STRUCTURES = 1_000_000
 """Structures swept at most: 8 bytes and about 0.7 us each, in up to three sweeps."""
 DETOUR = 3
@@ -102,26 +93,6 @@ def best_returns(simulator: Simulator, count: int, rng: np.random.Generator) -> 
     if task.num_sides <= 2:
         return np.array([best_return(simulator, state, row) for row in range(count)])
     return return_bound(state, task.discount)
-
-
-@lru_cache(maxsize=1)
-def cell_pixels() -> np.ndarray:
-    """Pixels each cell in the face plane of a side fills that the table does not, by the complete
-    filter: ``uint64[2 MAX_COLUMN + 1, NUM_LEVELS, ROWS, WORDS]``, read-only.
-
-    Index ``k + MAX_COLUMN`` is column ``k``, at local ``x = EDGE k``. Two neighbouring cells may
-    both fill a pixel that sees their common edge.
-    """
-    table, unused = np.zeros((2, ROWS, WORDS), np.uint64)
-    clear_to_ground(table, unused, NARROW)
-    cells = np.zeros((2 * MAX_COLUMN + 1, NUM_LEVELS, ROWS, WORDS), np.uint64)
-    for index in range(len(cells)):
-        for level in range(NUM_LEVELS):
-            x, z = EDGE * (index - MAX_COLUMN), HALF + EDGE * level
-            add_box(cells[index, level], unused, x, 0.0, z, HALF)
-    cells &= ~table
-    cells.setflags(write=False)
-    return cells
 
 
 @lru_cache(maxsize=1)

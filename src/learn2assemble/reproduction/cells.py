@@ -24,6 +24,7 @@ from learn2assemble.evaluation.episodes import (
     DISCOUNTS,
     Policy,
     episode_generators,
+    load_player,
     lookahead_policy,
     make_policy,
     play_episodes,
@@ -31,9 +32,10 @@ from learn2assemble.evaluation.episodes import (
 )
 from learn2assemble.files import from_plain
 from learn2assemble.learning.run import provenance
-from learn2assemble.networks.agent import agent_files, load_agent, one_thread
+from learn2assemble.networks.agent import agent_files, one_thread
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QNetwork
+from learn2assemble.planning.agent.network import Builder, builder_files
 from learn2assemble.planning.world_model import lookahead_actions
 from learn2assemble.reproduction.bounds import best_returns, has_bound
 from learn2assemble.reproduction.tables import LOOK_AHEAD, MENDED, RANDOM, Row, Table
@@ -157,7 +159,8 @@ def make_cell_policy(cell: Cell, agent_file: str | None) -> Policy:
         return random_policy(cell.task.num_actions)
     if cell.agent:
         assert agent_file is not None
-        network = load_agent(str(Path(agent_file))).network
+        player = load_player(agent_file)
+        network = player if isinstance(player, Builder) else player.network.eval()
     else:
         # Its values are never asked for: without a prior and with rollouts to the end.
         task = cell.task
@@ -165,8 +168,8 @@ def make_cell_policy(cell: Cell, agent_file: str | None) -> Policy:
             width=8, heads=1, rounds=1, num_actions=task.num_actions, action_mode=task.action_mode
         )
         torch.manual_seed(0)
-        network = QNetwork(config)
-    policy = make_policy(cell.task, network.eval(), cell.search, cell.epsilon)
+        network = QNetwork(config).eval()
+    policy = make_policy(cell.task, network, cell.search, cell.epsilon)
     return mended_policy(cell.task, policy) if cell.policy == MENDED else policy
 
 
@@ -277,7 +280,7 @@ def find_agents(folder: Path | None) -> dict[str, Path]:
         InputError: where the folder does not exist.
     """
     if folder is None:
-        return agent_files()
+        return {**agent_files(), **builder_files()}
     if not folder.is_dir():
         raise InputError("--agents", str(folder), "an existing folder")
     runs = {f.parent.name: f for f in folder.glob("*/agent.safetensors")}
@@ -288,7 +291,8 @@ def find_agents(folder: Path | None) -> dict[str, Path]:
 def agent_hash(weights: Path) -> str:
     """16 hexadecimal digits that change with the weights or the architecture of an agent."""
     try:
-        network = json.loads(_info(weights).read_text(encoding="utf-8"))["network"]
+        info = json.loads(_info(weights).read_text(encoding="utf-8"))
+        network = info.get("network", info["format"])
         digest = hashlib.sha256(weights.read_bytes())
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError("agent", str(weights), "a trained agent") from None

@@ -16,11 +16,15 @@ MENDED = "mended"
 """What chooses actions: trained agents, the exact look-ahead, search without learning, chance;
 agents whose placements are mended by the look-ahead (:func:`.cells.mended_policy`)."""
 MODEL_LABELS, KNOWS, HELPED = "model labels", "knows outcomes", "helped by look-ahead"
+DESIGNS = "knows outcomes, trained on designs"
 HELPS = {
     MODEL_LABELS: "trained with rewards the one-step model gives for placements that were not "
     "made (deviation D6); plays without any mask.",
     HELPED: "trained with model labels; where the placement it chose would bring nothing, which "
     "the exact model tells, the exact look-ahead chooses another.",
+    DESIGNS: "the exact model tells it what every placement pays and which are valid; among "
+    "those that pay the same it chooses by a network trained on designs alone, with solutions of "
+    "the exact planner, never on these tasks.",
     KNOWS: "no learning; the exact model tells it what every placement brings and which are valid.",
 }
 """Help that the paper's agent does not have: the words in a row's name, and what they mean."""
@@ -160,7 +164,8 @@ class Table:
 # ---------------------------------------------------------------- rows
 
 OWN_CUBES, OWN_BARS, OWN_OBJECTS = "relational-cubes", "relational-bars", "relational-objects"
-"""Stems of our own agents."""
+BUILDER = "builder"
+"""Stems of our own agents, and of the builder of designs."""
 _LEARNERS = {"DQN": ("dqn", "dqn-mcts"), "ε-MCTS": ("eps-mcts",) * 2, "Q-MCTS": ("q-mcts",) * 2}
 """Learner -> stem of its agents and its search."""
 
@@ -207,6 +212,7 @@ def _own(agents: str) -> tuple[Row, ...]:
     )
 
 
+_BUILDER = _ours("builder, budget 10", BUILDER, "dqn-mcts", help=DESIGNS)
 _LOOK_AHEAD = Row("exact look-ahead", help=KNOWS, policy=LOOK_AHEAD, kind=REFERENCE)
 _UCT = Row(
     "UCT, budget 1000", "", "uct", 1000, TO_THE_END, policy=UNTRAINED, columns=(0,),
@@ -332,7 +338,7 @@ _ALL = (
         "A3", "Connectivity (appendix Table 3; bars, one side)", _A3_COLUMNS,
         (_network("MHA", "bars-full", "full", "fully connected"),
          _network("MHA", "bars-partial", "partial", "partially connected"),
-         *_own(OWN_BARS), _LOOK_AHEAD),
+         *_own(OWN_BARS), _BUILDER, _LOOK_AHEAD),
         {"source_table": "app_T3"}, other_discount=0.95,
     ),
     Table(
@@ -341,7 +347,8 @@ _ALL = (
     ),
     Table(
         "A6", "Several objects (appendix Table 6, rows without robot)",
-        _objects("objects-two-sided"), (*_played("objects"), *_own(OWN_OBJECTS), _LOOK_AHEAD),
+        _objects("objects-two-sided"),
+        (*_played("objects"), *_own(OWN_OBJECTS), _BUILDER, _LOOK_AHEAD),
         {**_NO_ROBOT, "source_table": "app_T6"}, other_discount=0.8,
     ),
     Table(
@@ -369,7 +376,7 @@ _ALL = (
         (_ours("no search", OWN_CUBES, paper={"method": "DQN", "search_budget": "0"}),
          _ours("budget 10", OWN_CUBES, "dqn-mcts",
                paper={"method": "DQN+MCTS", "search_budget": "10"}),
-         _LOOK_AHEAD),
+         _BUILDER, _LOOK_AHEAD),
         {"source_table": "main_T2"},
         (Condition(0.05), Condition(0.0), Condition(0.05, "rigid")), notes=_READINGS,
     ),

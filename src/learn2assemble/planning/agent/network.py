@@ -21,6 +21,7 @@ FOLDER = Path(__file__).parents[2] / "assets" / "builders"
 """The builders that come with the package."""
 DEFAULT = "builder-s0"
 """The agent that builds where none is named."""
+MAX_LOGIT = 30.0
 
 
 class Builder(Scorer):
@@ -39,7 +40,7 @@ class Builder(Scorer):
 def forward(weights: Any, candidates: Any, summary: Any) -> Any:
     """Logits of candidates [..., m]; arguments as :func:`~..scorer.two_layers`."""
     hidden = two_layers(weights, candidates, summary)
-    return (hidden @ weights["score"] + weights["score_bias"]).clip(-30, 30)[..., 0]
+    return (hidden @ weights["score"] + weights["score_bias"]).clip(-MAX_LOGIT, MAX_LOGIT)[..., 0]
 
 
 def _shapes(hidden: int, width: int) -> Shapes:
@@ -61,6 +62,11 @@ def initial_weights(seed: int, hidden: int = 128, width: int = 64) -> dict[str, 
 def save_builder(builder: Builder, folder: Path) -> Path:
     """Write ``NAME.safetensors`` and ``NAME.json`` into ``folder``; the path of the weights."""
     return _FILES.save(builder, folder)
+
+
+def builder_files() -> dict[str, Path]:
+    """Name and weights of the builders that come with the package."""
+    return {file.stem: file for file in sorted(FOLDER.glob("*.safetensors"))}
 
 
 def is_builder(name_or_path: str) -> bool:

@@ -16,6 +16,7 @@ the new state stands. Candidates are found once; every placement then changes on
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -159,7 +160,7 @@ class World:
         """Candidates in the order they were put down."""
         self.open = int(site.wanted.sum())
         """Number of wanted cells that are open."""
-        self.proof = Proof(_empty_stack(site.kit))
+        self.proof = _nothing(site.kit)
         for kind in np.flatnonzero(self.heap == 0):
             self._run_out(int(kind))
 
@@ -206,6 +207,11 @@ class World:
         if proof is None:
             return False
         self.proof = proof
+        self.put(candidate)
+        return True
+
+    def put(self, candidate: int) -> None:
+        """Put down a candidate that is known to stand."""
         site, kind = self.site, int(self.site.kind[candidate])
         _fill(
             site.cells(candidate), len(self.placed), self.owner, self.alive, self.waits,
@@ -218,7 +224,6 @@ class World:
             self.heap[kind] -= 1
             if self.heap[kind] == 0:
                 self._run_out(kind)
-        return True
 
     def _run_out(self, kind: int) -> None:
         gone = np.flatnonzero(self.alive & (self.site.kind == kind))
@@ -283,12 +288,14 @@ def _pack(alive, kind, kinds, start, cell, cells):
 # ---------------------------------------------------------------- equilibrium, one block at a time
 
 
-def _empty_stack(kit: Kit) -> Stack:
-    return Stack(
+@lru_cache(maxsize=64)
+def _nothing(kit: Kit) -> Proof:
+    """The proof of no block at all."""
+    return Proof(Stack(
         np.empty(0), np.empty((0, 3)), np.empty((0, 3)), np.empty(0, np.int64),
         np.empty(0, np.int64), np.empty(0), np.zeros(1, np.int64), np.empty(0, np.int64),
         np.array(kit.pitch[:2]),
-    )  # fmt: skip
+    ))  # fmt: skip
 
 
 def grow(world: World, candidate: int) -> Stack:
