@@ -348,6 +348,29 @@ def test_what_the_agent_cannot_build_is_said() -> None:
     assert "cells are open, the first at" in plan.reason
 
 
+@pytest.mark.parametrize(("span", "kit"), [(4, "bricks"), (8, "bricks-lintels")])
+def test_props_hold_what_does_not_stand_yet(span: int, kit: str) -> None:
+    """A bridge whose halves only balance once the deck is whole: as many props as the exact
+    planner takes, all gone in the end, every state proven."""
+    pier = span // 2 + 1
+    wall = "/".join(["#" * (2 * pier + span)] * 4 + ["#" * pier + "." * span + "#" * pier])
+    cells = cells_of(wall)
+    design = CellDesign("bridge", cells, (0.05, 0.05, 0.05), None, 0.0, None, "bridge", None)
+    plan, exact = (plan_cells(design, kit, planner=who) for who in ("agent", "exact"))
+    assert plan.complete, plan.reason
+    assert plan.planner == "agent"
+    assert plan.cells == CellCount(int(cells.sum()), 0, 0)
+    props = {step.block for step in plan.steps if step.action == "remove"}
+    assert len(props) == sum(step.action == "remove" for step in exact.steps) > 0
+    assert plan.assembly is not None
+    assert props == {n for n, block in enumerate(plan.assembly.blocks) if block.prop}
+    standing = dataclasses.replace(
+        plan.assembly, steps=(), blocks=tuple(b for b in plan.assembly.blocks if not b.prop)
+    )
+    assert check(standing).verdict == "stands"
+    assert not plan_cells(design, kit, planner="agent", props=False).complete
+
+
 def test_a_design_too_large_for_the_agent_is_refused() -> None:
     solid = np.ones((64, 64, 16), bool)
     design = CellDesign("solid", solid, (0.05, 0.05, 0.05), None, 0.0, None, "solid", None)

@@ -207,6 +207,8 @@ _DRAWN = {
     "bridge, too wide": "############/############/##........##/##........##",
     "stair": "........##/......####/....######/..########/##########",
     "off-centre tower": ".......##./.......##./.......##./.......##./##########",
+    "bridge on props": "/".join(["#" * 18] * 4 + ["#####........#####"] * 2),
+    "window on props": "/".join(["#" * 16] * 4 + ["####........####"] * 3 + ["#" * 16] * 2),
 }
 """Rows from the top; a wall one cell thick."""
 
@@ -246,7 +248,9 @@ def measure_examples(
             "kit": kit.name, "cells": int(wanted.sum()),
             "agent": tiling.status if tiling.status != "complete" else ordering.status,
             "agent_reason": tiling.reason or ordering.reason,
-            "blocks": len(tiling.placements), "how": report.attempts[0].result,
+            "blocks": sum(not block.prop for block in tiling.placements),
+            "props": sum(block.prop for block in tiling.placements),
+            "how": report.attempts[0].result,
             "agent_s": round(agent, 3),
             "exact": exact.status if exact.status != "complete" else ordered and ordered.status,
             "exact_reason": exact.reason or (ordered.reason if ordered else ""),

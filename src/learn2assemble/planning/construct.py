@@ -93,7 +93,7 @@ def plan_cells(
         if chosen == AGENT:
             tiling, ordering, search, agent = plan_with_agent(
                 design.wanted, kit, builder=builder, seed=seed, seconds=seconds,
-                friction=friction, gap=gap, hand=hand,
+                friction=friction, gap=gap, hand=hand, props=props,
             )  # fmt: skip
             stages += search.attempts
             if planner == AUTO and tiling.status != "complete":

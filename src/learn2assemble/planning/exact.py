@@ -80,8 +80,8 @@ def plan_exact(
         return stood, None
 
     def order_with_props(structure: Tiling, tight: bool) -> tuple[Tiling, Ordering | None]:
-        return _order_with_props(structure, kit, clock, friction=friction, gap=gap,
-                                 props_allowed=props_allowed, tight=tight)  # fmt: skip
+        return prop_and_order(structure, kit, clock, friction=friction, gap=gap,
+                              props_allowed=props_allowed, tight=tight)  # fmt: skip
 
     if pressed is None:
         made, ordering = order_with_props(stood, False)
@@ -135,7 +135,7 @@ def stand_pressed(
     return None, "; nor was a way found that holds it with tight joints" if rounds else ""
 
 
-def _order_with_props(
+def prop_and_order(
     structure: Tiling, kit: Kit, clock: Clock, *,
     friction: float | tuple[float, float] | None, gap: float | tuple[float, float] | None,
     props_allowed: bool, tight: bool,

@@ -8,6 +8,7 @@ how long, planning and proof together.
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import cache
 from importlib import resources
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,8 @@ from learn2assemble.assembly.kit import Kit, orientations
 from learn2assemble.errors import InputError
 from learn2assemble.planning.agent.network import DEFAULT, Builder, load_builder
 from learn2assemble.planning.agent.search import BUDGET, Outcome, build
-from learn2assemble.planning.agent.world import make_site
+from learn2assemble.planning.agent.world import World, make_site, run
+from learn2assemble.planning.exact import prop_and_order
 from learn2assemble.planning.ordering import Ordering, order
 from learn2assemble.planning.plan import SearchReport, SearchStage
 from learn2assemble.planning.programs import Clock
@@ -40,6 +42,7 @@ def plan_with_agent(
     wanted: np.ndarray, kit: Kit, *, builder: str | Builder | None = None, seed: int = 0,
     seconds: float = 60.0, friction: float | tuple[float, float] | None = None,
     gap: float | tuple[float, float] | None = None, budget: int = BUDGET, hand: Hand | None = None,
+    props: bool = True,
 ) -> tuple[Tiling, Ordering, SearchReport, str]:  # fmt: skip
     """Blocks of ``kit`` that fill ``wanted``, chosen by the builder, every state proven again.
 
@@ -51,6 +54,9 @@ def plan_with_agent(
         friction, gap: as for :func:`learn2assemble.planning.ordering.order`.
         budget: see :mod:`.search`.
         hand: an arm that makes the placements; without one they make themselves.
+        props: whether temporary blocks may be used where no arm builds: at once where some cell is
+            filled by nothing that stands by itself, else in a second search, with a budget of its
+            own, where the first finds no way without.
 
     Returns:
         as :func:`learn2assemble.planning.exact.plan_exact`, of what was built where not all could
@@ -62,8 +68,16 @@ def plan_with_agent(
     clock = Clock(seconds)
     agent = builder if isinstance(builder, Builder) else load_builder(builder or DEFAULT)
     site = make_site(wanted, kit if hand is None else hand.holds(kit))
+    props = props and hand is None
+    if props and len(World(site).stranded()):
+        site = make_site(wanted, kit, props)
     outcome = build(site, agent, budget=budget, seed=seed, seconds=seconds)
     expanded, first = outcome.expanded, outcome.world
+    if props and not site.props and not outcome.complete:
+        again = build(make_site(wanted, kit, props), agent, budget=budget, seed=seed,
+                      seconds=clock.left)  # fmt: skip
+        expanded += again.expanded
+        outcome, site = (again, again.world.site) if again.complete else (outcome, site)
     if hand is not None and outcome.complete:
         outcome = None
         for turn in range(4 if hand.workcell.site.base is None else 1):
@@ -86,6 +100,10 @@ def plan_with_agent(
             if tried.complete:
                 break
         assert outcome is not None
+    if outcome.world.propped and not outcome.complete:
+        # Nobody places props for what is not finished: up to there it stands by itself.
+        alone = run(site, outcome.world.placed[: outcome.world.propped[0]])
+        outcome = replace(outcome, world=alone or World(site))
     world, spent = outcome.world, clock.spent
     placements = tuple(site.placement(candidate) for candidate in world.placed)
     missing = tuple(world.cells_open())
@@ -94,7 +112,11 @@ def plan_with_agent(
         _reason(outcome, seconds), missing, spent,
     )  # fmt: skip
     ordering = Ordering((), tiling.status, tiling.reason)
-    if placements:
+    if world.complete and world.propped:
+        propped = prop_and_order(tiling, kit, clock, friction=friction, gap=gap,
+                                 props_allowed=True, tight=False)  # fmt: skip
+        tiling, ordering = propped[0], propped[1] or ordering
+    elif placements:
         ordering = order(
             tiling, kit, friction=friction, gap=gap, seconds=max(clock.left, 1.0), given=True
         )

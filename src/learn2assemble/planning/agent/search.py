@@ -13,6 +13,9 @@ With more, a candidate is passed over where it would leave an open cell that no 
 a heap that cannot fill what is open. Where no candidate is left, the blocks around the cells in
 question are taken out again, more of them every time, and are tried later than before. What rested
 on them is put back where it was as soon as it can be, which expands nothing.
+
+On a site for props, where nothing else is left, a block that would fall is put down all the same if
+a stack of blocks below it can be its prop; what is finished has to stand without any.
 """
 
 from __future__ import annotations
@@ -27,6 +30,7 @@ from learn2assemble.planning.agent.features import describe
 from learn2assemble.planning.agent.network import Builder
 from learn2assemble.planning.agent.world import Site, World
 from learn2assemble.planning.programs import INF, Clock
+from learn2assemble.planning.props import FIRM
 
 if TYPE_CHECKING:
     from learn2assemble.planning.agent.arm import Hand
@@ -40,6 +44,8 @@ _PENALTY = 0.5
 """Taken from the logit of a candidate every time it has been taken out."""
 _NOISE = 0.5
 """Scale of the noise of logits once something has been taken out."""
+_HANGING = 4.0
+"""A logit for every cell by which a centroid is beside what carries it."""
 _SNAPSHOT = 16
 """Blocks between two states that are kept to go back to."""
 
@@ -104,6 +110,8 @@ class _Search:
             logits = self.builder.scores(*describe(self.world, candidates))
         if self.hand is not None:
             logits = logits + self.hand.prefers(candidates)
+        if self.site.props:
+            logits = logits + _HANGING * np.minimum(self.site.found.support[candidates], 0.0)
         if self.taken:
             logits = logits - _PENALTY * np.array([self.taken[int(c)] for c in candidates])
             logits = logits + _NOISE * self.rng.gumbel(size=len(logits))
@@ -114,8 +122,11 @@ class _Search:
             self.kept.append(self.world.copy())
 
     def dead_end(self, world: World) -> np.ndarray | None:
-        """Cells that cannot be filled any more; none where the heap is to blame; else None."""
+        """Cells that cannot be filled any more, or whose blocks have to be held when all is done;
+        none where the heap is to blame; else None."""
         stranded = world.stranded()
+        if world.complete and (falls := world.falls()):
+            return np.concatenate([self.site.cells(world.placed[n]) for n in falls])
         if len(stranded) > self.hopeless:
             return stranded
         if self.limited:
@@ -136,7 +147,8 @@ class _Search:
         tried = 0
         for candidate in self.expand():
             trial = self.world.copy()
-            if not trial.place(int(candidate)):
+            hangs = self.site.found.support[candidate] <= FIRM
+            if not (trial.place(int(candidate)) or (hangs and trial.prop_up(int(candidate)))):
                 fallen.append(int(candidate))
                 continue
             dead = self.dead_end(trial)
@@ -150,11 +162,21 @@ class _Search:
             tried += 1
             if tried == _TRIES:
                 break
-        if not blame:
+        if not blame or self.site.props:
             for candidate in fallen[:_TRIES]:
                 if self.blocked(candidate) is None and self.world.place(candidate, program=True):
                     self.keep()
                     return None
+            for candidate in fallen[:_TRIES] if self.site.props else ():
+                trial = self.world.copy()
+                if trial.prop_up(candidate):
+                    dead = self.dead_end(trial)
+                    if dead is None:
+                        self.world = trial
+                        self.keep()
+                        return None
+                    blame.append(dead)
+        if not blame:
             # What carries the blocks that fall.
             below = [self.site.cells(c) - 1 for c in fallen[:_TRIES]]
             return np.concatenate(below) if below else np.flatnonzero(self.world.cover < 0)

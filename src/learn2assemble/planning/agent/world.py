@@ -22,6 +22,7 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.assembly.kit import Cell, Kit, orientations
+from learn2assemble.planning.props import FIRM, choose_props
 from learn2assemble.planning.step_proof import (
     EDGE_INSET,
     Proof,
@@ -32,13 +33,11 @@ from learn2assemble.planning.step_proof import (
 from learn2assemble.planning.tiling import (
     BlockPlacement,
     Candidates,
+    Tiling,
     check_cells,
     convex_hull,
     find_candidates,
 )
-
-_FIRM = 1e-9
-"""How far inside its support a centroid has to be [cells]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +48,8 @@ class Site:
     """bool[X, Y, Z]."""
     kit: Kit
     found: Candidates
-    """Every placement whose centroid is above what the design gives it as support."""
+    """Every placement whose centroid is above what the design gives it as support; where props may
+    be used, also those that fill a cell which none of these does."""
     kind: np.ndarray
     """int64[n]: index of the kind of every candidate."""
     over_start: np.ndarray
@@ -66,6 +66,8 @@ class Site:
     """float64[ways, 3]: its centre of mass from the corner of its cells [m]."""
     limits: np.ndarray
     """int64[kinds]: blocks in the heap at the start, -1 without limit."""
+    props: bool = False
+    """Whether blocks that fall may be propped up."""
 
     def __len__(self) -> int:
         return len(self.found)
@@ -96,15 +98,24 @@ class Site:
         raise KeyError(placement)
 
 
-def make_site(wanted: np.ndarray, kit: Kit) -> Site:
+def make_site(wanted: np.ndarray, kit: Kit, props: bool = False) -> Site:
     """Every candidate of a design.
+
+    Args:
+        props: also those that only a prop carries, for cells that nothing else fills.
 
     Raises:
         InputError: for cells that cannot be used.
     """
     wanted = check_cells(wanted)
     found = find_candidates(wanted, kit)
-    found = found.take(np.flatnonzero(found.support > _FIRM))
+    good = found.support > FIRM
+    if props:
+        firm = np.zeros(wanted.size, bool)
+        firm[found.take(np.flatnonzero(good)).cell] = True
+        needed = np.logical_or.reduceat(~firm[found.cell], found.start[:-1])
+        good |= needed & (found.support > -np.inf)
+    found = found.take(np.flatnonzero(good))
     ways = orientations(kit)
     kinds = np.array([way.kind for way in ways], np.int64)
     n, cells = len(found), wanted.size
@@ -127,6 +138,7 @@ def make_site(wanted: np.ndarray, kit: Kit) -> Site:
     return Site(
         wanted, kit, found, kinds[found.way], over_start, over, on_start, on,
         np.bincount(candidate[rests], minlength=n), weight, centre, np.array(limits, np.int64),
+        props,
     )  # fmt: skip
 
 
@@ -158,6 +170,9 @@ class World:
         """int64[kinds]: blocks that are left, -1 without limit."""
         self.placed: list[int] = []
         """Candidates in the order they were put down."""
+        self.propped: list[int] = []
+        """Numbers of those of them that did not stand when they were put down: props hold them, so
+        they carry what is put on them, and are not balanced before all is built."""
         self.open = int(site.wanted.sum())
         """Number of wanted cells that are open."""
         self.proof = _nothing(site.kit)
@@ -168,7 +183,7 @@ class World:
         """A world that goes its own way."""
         other = object.__new__(World)
         other.site, other.open, other.proof = self.site, self.open, self.proof
-        for name in ("owner", "alive", "waits", "cover", "heap", "placed"):
+        for name in ("owner", "alive", "waits", "cover", "heap", "placed", "propped"):
             setattr(other, name, getattr(self, name).copy())
         return other
 
@@ -210,6 +225,28 @@ class World:
         self.put(candidate)
         return True
 
+    def prop_up(self, candidate: int) -> bool:
+        """Put down a legal candidate that falls, where a stack of blocks below it can be a prop."""
+        site, block = self.site, self.site.placement(candidate)
+        alone = Tiling((block,), site.wanted, "complete")
+        if choose_props(alone, site.kit, {0: frozenset((0,))}) is None:
+            return False
+        self.proof = self._grown(candidate)
+        self.propped.append(len(self.placed))
+        self.put(candidate)
+        return True
+
+    def falls(self) -> list[int]:
+        """Numbers of blocks that would have to be held, were all props taken away."""
+        if not self.propped:
+            return []
+        blocks = tuple(self.site.placement(c) for c in self.placed)
+        proof = Proof(find_stack(blocks, self.site.kit, self.site.wanted.shape))
+        every = np.ones(len(blocks), bool)
+        if proof.settle(every, every) or proof.program(every, every):
+            return []
+        return proof.held(every) or self.propped
+
     def put(self, candidate: int) -> None:
         """Put down a candidate that is known to stand."""
         site, kind = self.site, int(self.site.kind[candidate])
@@ -233,18 +270,25 @@ class World:
             self.cover[found.cell[found.start[candidate] : found.start[candidate + 1]]] -= 1
 
     def _prove(self, candidate: int, program: bool) -> Proof | None:
-        stack = grow(self, candidate)
-        proof, count = Proof(stack), len(stack)
-        proof.force[: len(self.proof.force)] = self.proof.force
+        proof = self._grown(candidate)
+        stack, count = proof.stack, len(proof.stack)
         placed, dirty = np.ones(count, bool), np.zeros(count, bool)
         dirty[-1] = True
         if proof.settle(dirty, placed):
             return proof
         if program:
-            for changing in (lies_below(stack, count - 1, placed), placed):
+            free = placed.copy()
+            free[self.propped] = False
+            for changing in (lies_below(stack, count - 1, placed), free):
                 if proof.program(placed, changing):
                     return proof
         return None
+
+    def _grown(self, candidate: int) -> Proof:
+        """The forces with one more block, which nothing balances yet."""
+        proof = Proof(grow(self, candidate))
+        proof.force[: len(self.proof.force)] = self.proof.force
+        return proof
 
     def cells_open(self) -> list[Cell]:
         """Wanted cells that are open."""
@@ -366,7 +410,7 @@ def _beds(world: World, candidate: int) -> tuple[np.ndarray, list[int], list[flo
             every = [(x, y) for box in boxes for x in box[:2] for y in box[2:]]
             corners = [(float(x), float(y)) for x, y in convex_hull(np.array(every))]
         points += [(x, y, z * dz) for x, y in corners]
-        lower += [base] * len(corners)
+        lower += [-1 if base in world.propped else base] * len(corners)
         share += [area / len(corners)] * len(corners)
     return np.array(points), lower, share
 
