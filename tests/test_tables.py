@@ -60,6 +60,7 @@ from learn2assemble.reproduction.report import (
     student,
 )
 from learn2assemble.reproduction.tables import (
+    BUILDER,
     LOOK_AHEAD,
     RANDOM,
     TABLES,
@@ -151,7 +152,7 @@ def test_two_published_lines_for_one_cell_are_a_mistake() -> None:
 
 @pytest.mark.parametrize("table", TABLES.values(), ids=str)
 def test_tables_name_what_exists(table: Table) -> None:
-    for name in table.stems:
+    for name in set(table.stems) - {BUILDER}:
         for stage in RECIPES[name].stages:
             stage.resolve(RECIPES[name].task)
     assert all(row.pick([f"{name}-s0"]) for row in table.rows for name in [row.agents] if name)
