@@ -324,7 +324,7 @@ def test_a_network_moves_to_another_pitch_with_its_weights() -> None:
     model = WorldModel(Simulator(spaced), net)
     assert (model.network.config.pitch, model.network.config.sight) == (0.055, 0)
     large = WorldModel(Simulator(get_task("two-sided-8x8-90-94")), net)
-    assert large.network.config.sight == 4, "no sum over more blocks than were met in training"
+    assert large.network.config.sight == 3, "no sum over more blocks than were met in training"
     state = model.simulator.new(1, np.random.default_rng(0))
     before = state.copy()
     cells = {tuple(np.round(p - before.position[0, 0], 6)) for p in _first_cells(model, state)}

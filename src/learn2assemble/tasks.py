@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 MIN_VERTICES, MAX_VERTICES = 3, 5
 NO_ARM = "none"
-LARGEST_SEEN, SIGHT = 6, 4
+LARGEST_SEEN, SIGHT = 6, 3
 """On larger grids a cell looks at the blocks within so many cells only: the sum over all would grow
 beyond what was met in training, and hide what is near."""
 MAX_PITCH = 0.07
