@@ -89,6 +89,11 @@ class Kit:
         """Whether there is a limited number of any kind."""
         return any(kind.count is not None for kind in self.kinds)
 
+    @property
+    def flat(self) -> bool:
+        """Whether every block, however it is put down, is one cell high."""
+        return not any(cell[2] for way in orientations(self) for cell in way.cells)
+
     def at_pitch(self, cell: tuple[float, float, float]) -> Kit:
         """The kit with blocks of another size: a lattice cell has the edges ``cell`` [m].
 

@@ -258,8 +258,7 @@ def _stand_near(
     """
     near, above = region_near(tiling, kit, held), region_above(tiling, kit, held)
     # Where blocks below could be of other kinds or reach up, what is above alone proves nothing.
-    flat = all(cell[2] == 0 for way in orientations(kit) for cell in way.cells)
-    proves = (flat and not kit.limited) or bool((above == tiling.wanted).all())
+    proves = (kit.flat and not kit.limited) or bool((above == tiling.wanted).all())
     for region, most in ((near, MAX_NEAR), (above, MAX_ABOVE)):
         key = np.packbits(region).tobytes()
         if key in tried or region.sum() > most:

@@ -9,24 +9,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from learn2assemble.assembly.kit import Kit
-from learn2assemble.planning.programs import INF, Clock, Program, by_column, solve
+from learn2assemble.planning.programs import INF, Clock, Entry, Model, solve
 from learn2assemble.planning.step_proof import Stack
 from learn2assemble.planning.tiling import (
-    COSTS,
     TIME_OPTION,
     Candidates,
-    Costs,
     Tiling,
-    chosen_blocks,
+    bond_cost,
     components,
     cover,
     find_candidates,
-    find_seams,
+    from_below,
     glued,
+    heap_of,
     owners,
     placement_cells,
-    standing_cost,
-    to_placements,
+    seams_below,
 )
 
 if TYPE_CHECKING:
@@ -65,54 +63,41 @@ def find_mechanisms(
     foot = (
         at + np.stack([1 - axis / 2, 0.5 + axis / 2], -1) - np.array(owner.shape[:2]) / 2
     ) * size
-    rows, columns, values = [], [], []
-
-    def motion(row: np.ndarray, block: np.ndarray, xy: np.ndarray, sign: float) -> None:
-        """Velocity along z of points of blocks."""
-        lever = (xy - stack.centre[block, :2]) / unit
-        for k, value in enumerate((np.ones(len(row)), lever[:, 0], lever[:, 1])):
-            rows.append(row)
-            columns.append(3 * block + k)
-            values.append(sign * value)
-
-    count = len(stack.point)
-    point = np.arange(count)
-    motion(point, stack.upper, stack.point[:, :2], 1.0)
-    bears = np.flatnonzero(stack.lower >= 0)
-    motion(bears, stack.lower[bears], stack.point[bears, :2], -1.0)
-    rows.append(np.full(n, count))
-    columns.append(3 * np.arange(n))
-    values.append(-stack.weight / stack.weight.mean())
-    number = count + 1 + 3 * np.arange(m)
-    motion(number, sides[:, 0], foot, 1.0)
-    motion(number, sides[:, 1], foot, -1.0)
-    for k in (1, 2):
-        for side, sign in ((0, 1.0), (1, -1.0)):
-            rows.append(number + k)
-            columns.append(3 * sides[:, side] + k)
-            values.append(np.full(m, sign))
-    jump = np.arange(3 * m)
-    for first, sign in ((3 * n, -1.0), (3 * n + 3 * m, 1.0)):
-        rows.append(count + 1 + jump)
-        columns.append(first + jump)
-        values.append(np.full(3 * m, sign))
-    total = 3 * n + 6 * m
-    matrix = by_column(rows, columns, values, total)
+    model = Model()
     free = np.full(3 * n, INF) if moving is None else np.where(np.repeat(moving, 3), INF, 0.0)
-    lower = np.concatenate([-free, np.zeros(6 * m)])
-    row_lower = np.zeros(count + 1 + 3 * m)
-    row_lower[count] = 1.0
-    row_upper = np.concatenate([np.full(count, INF), [1.0], np.zeros(3 * m)])
-    clock = Clock(seconds)
+    motion = model.columns(np.zeros(3 * n), free, lower=-free).reshape(n, 3)
+    jumps = model.columns(np.zeros(6 * m)).reshape(2, 3 * m)
+
+    def along_z(row: np.ndarray, block: np.ndarray, xy: np.ndarray, sign: float) -> list[Entry]:
+        """Velocity of points of blocks."""
+        lever = (xy - stack.centre[block, :2]) / unit
+        arms = (np.ones(len(row)), lever[:, 0], lever[:, 1])
+        return [(row, motion[block, k], sign * arm) for k, arm in enumerate(arms)]
+
+    point, bears = np.arange(len(stack.point)), np.flatnonzero(stack.lower >= 0)
+    model.rows(
+        np.zeros(len(point)), INF, *along_z(point, stack.upper, stack.point[:, :2], 1.0),
+        *along_z(bears, stack.lower[bears], stack.point[bears, :2], -1.0),
+    )  # fmt: skip
+    model.rows(1.0, 1.0, (0, motion[:, 0], -stack.weight / stack.weight.mean()))
+    number = 3 * np.arange(m)
+    model.rows(
+        np.zeros(3 * m), 0.0,
+        *((np.arange(3 * m), jump, sign) for jump, sign in zip(jumps, (-1.0, 1.0), strict=True)),
+        *along_z(number, sides[:, 0], foot, 1.0), *along_z(number, sides[:, 1], foot, -1.0),
+        *((number + k, motion[sides[:, side], k], sign)
+          for k in (1, 2) for side, sign in ((0, 1.0), (1, -1.0))),
+    )  # fmt: skip
+    program, clock = model.program(), Clock(seconds)
 
     def part(price: np.ndarray, closed: np.ndarray) -> np.ndarray | None:
         opens = np.tile(np.repeat(~closed, 3), 2)
         upper = np.concatenate([free, np.where(opens, INF, 0.0)])
         cost = np.concatenate([np.zeros(3 * n), np.tile(np.repeat(price, 3), 2)])
-        answer = solve(Program(cost, lower, upper, row_lower, row_upper, *matrix), clock.left)
+        answer = solve(replace(program, cost=cost, upper=upper), clock.left)
         if answer.x is None:
             return None
-        gap = np.abs(answer.x[3 * n : 3 * n + 3 * m] - answer.x[3 * n + 3 * m :])
+        gap = np.abs(answer.x[jumps[0]] - answer.x[jumps[1]])
         return gap.reshape(-1, 3).max(1)
 
     return [_edges(owner, places, opened) for opened in _partings(part, np.ones(m), most, 1e-7)]
@@ -244,7 +229,7 @@ def mirrored(
 
 
 def bonded_candidates(
-    tiling: Tiling, kit: Kit, costs: Costs = COSTS, tight: bool = False
+    tiling: Tiling, kit: Kit, tight: bool = False
 ) -> tuple[Candidates, np.ndarray]:
     """Every block that may be part of a tiling that stands, and what it costs (float64[n]).
 
@@ -255,13 +240,7 @@ def bonded_candidates(
     if not tight:
         found = found.take(np.flatnonzero(np.isfinite(found.support)))
     owner = owners(tiling.placements, kit, tiling.wanted.shape)
-    seams = [find_seams(owner[:, :, z]) for z in range(owner.shape[2])]
-    below = [
-        np.stack([np.zeros_like(seams[0][axis]), *[joint[axis] for joint in seams[:-1]]], -1)
-        for axis in (0, 1)
-    ]
-    cost = standing_cost(found, costs) - costs.seam * glued(found, (below[0], below[1]))
-    return found, cost
+    return found, bond_cost(found, seams_below(owner))
 
 
 class Retiling:
@@ -281,9 +260,9 @@ class Retiling:
 
     def _parts(self) -> np.ndarray:
         """int64[cells of the lattice]: the part of its layer each cell belongs to."""
-        wanted, limited = self.tiling.wanted, self.kit.limited
+        wanted = self.tiling.wanted
         part = np.zeros(wanted.shape, np.int64)
-        if limited or any(cell[2] for way in self.found.ways for cell in way.cells):
+        if self.kit.limited or not self.kit.flat:
             return part.reshape(-1)
         number = 0
         for z in range(wanted.shape[2]):
@@ -318,9 +297,10 @@ class Retiling:
         number[keep] = np.arange(len(keep))
         cuts = [number[cut][number[cut] >= 0] for cut in self.cuts.values()]
         must = np.flatnonzero(live & old.wanted.reshape(-1))
-        heap = {k: kind.count for k, kind in enumerate(kit.kinds) if kind.count is not None}
-        answer, picked, _, _ = cover(self.found.take(keep), self.cost[keep], must, kit=kit,
-                                     counts=heap, cuts=cuts, seconds=clock.left)  # fmt: skip
+        answer, picked, _, _ = cover(
+            self.found.take(keep), self.cost[keep], must, kit=kit, counts=heap_of(kit), cuts=cuts,
+            seconds=clock.left,
+        )  # fmt: skip
         if answer.status == "infeasible":
             return None
         if answer.status == "time":
@@ -329,6 +309,5 @@ class Retiling:
         first = [placement_cells(block, kit)[0] for block in old.placements]
         again = live[np.ravel_multi_index(tuple(np.array(first).T), old.wanted.shape)]
         stays = [block for block, anew in zip(old.placements, again, strict=True) if not anew]
-        blocks = [*stays, *to_placements(chosen_blocks(self.found, keep[picked]), kit)]
-        blocks.sort(key=lambda block: block.origin[::-1])
-        return replace(old, placements=tuple(blocks))
+        blocks = [*stays, *self.found.blocks(kit, keep[picked])]
+        return replace(old, placements=from_below(blocks))

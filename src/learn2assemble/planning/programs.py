@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import highspy
@@ -75,18 +75,60 @@ class Answer:
     objective: float
     bound: float
     """No solution is better than this."""
-    dual: np.ndarray | None = None
-    """float64[m]: prices of the rows, of an optimal linear program."""
 
 
-def by_column(
-    rows: Sequence[np.ndarray], columns: Sequence[np.ndarray], values: Sequence[np.ndarray], n: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """``start, index, value`` of a matrix of ``n`` columns from groups of entries."""
-    row, column, value = np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
-    order = np.lexsort((row, column))
-    start = np.searchsorted(column[order], np.arange(n + 1))
-    return start, row[order], value[order]
+Entry = tuple[np.ndarray | int, np.ndarray, np.ndarray | float]
+"""Rows, columns and values of one shape."""
+
+
+class Model:
+    """A program in the making: columns, and rows with their entries."""
+
+    def __init__(self) -> None:
+        self._columns: list[np.ndarray] = []
+        self._rows: list[np.ndarray] = []
+        self._entries: list[np.ndarray] = []
+        self._count = self._height = 0
+
+    def columns(
+        self, cost: np.ndarray, upper: np.ndarray | float = INF, *,
+        lower: np.ndarray | float = 0.0, integer: bool = False,
+    ) -> np.ndarray:  # fmt: skip
+        """Add columns; int64[n], their numbers."""
+        self._columns.append(np.stack(np.broadcast_arrays(cost, lower, upper, integer)))
+        self._count += len(cost)
+        return np.arange(self._count - len(cost), self._count)
+
+    def rows(
+        self,
+        lower: np.ndarray | float,
+        upper: np.ndarray | float,
+        *entries: Entry,
+    ) -> None:
+        """Add rows; one where both bounds are numbers.
+
+        Args:
+            entries: their first row is 0; values of 0 are left out.
+        """
+        bounds = np.stack(np.broadcast_arrays(np.atleast_1d(lower), upper))
+        for row, column, value in entries:
+            group = np.stack([a.reshape(-1) for a in np.broadcast_arrays(row, column, value)])
+            group = group[:, group[2] != 0].astype(float)
+            group[0] += self._height
+            self._entries.append(group)
+        self._rows.append(bounds)
+        self._height += bounds.shape[1]
+
+    def program(self) -> Program:
+        """What was added, as a program."""
+        cost, lower, upper, integer = np.concatenate(self._columns, 1)
+        row_lower, row_upper = np.concatenate(self._rows, 1)
+        row, column, value = np.concatenate(self._entries, 1)
+        row, column = row.astype(np.int64), column.astype(np.int64)
+        order = np.lexsort((row, column))
+        start = np.searchsorted(column[order], np.arange(len(cost) + 1))
+        return Program(cost, lower, upper, row_lower, row_upper, start, row[order], value[order],
+                       integer.astype(bool))  # fmt: skip
 
 
 def solve(
@@ -136,13 +178,11 @@ def solve(
     known = highspy.HighsModelStatus
     if found == known.kInfeasible:
         return Answer("infeasible", None, INF, INF)
-    solution = solver.getSolution()
     feasible = info.primal_solution_status == int(highspy.SolutionStatus.kSolutionStatusFeasible)
-    x = np.array(solution.col_value) if feasible else None
+    x = np.array(solver.getSolution().col_value) if feasible else None
     objective = float(info.objective_function_value) if feasible else INF
     if found == known.kOptimal:
-        dual = None if mixed else np.array(solution.row_dual)
-        return Answer("optimal", x, objective, objective, dual)
+        return Answer("optimal", x, objective, objective)
     if found in (known.kTimeLimit, known.kIterationLimit, known.kSolutionLimit):
         bound = float(info.mip_dual_bound) if mixed else -INF
         return Answer("time", x, objective, bound)

@@ -9,10 +9,11 @@ import numpy as np
 
 from learn2assemble.assembly.kit import Cell, Kit, orientations
 from learn2assemble.planning.ordering import leaves, way_out
-from learn2assemble.planning.programs import INF, Clock, Program, by_column, solve
+from learn2assemble.planning.programs import INF, Clock, Model, solve
 from learn2assemble.planning.tiling import (
     BlockPlacement,
     Tiling,
+    from_below,
     placement_cells,
     support_margin,
 )
@@ -142,30 +143,21 @@ def _fewest_props(
         [z - (b or 0) for (_, _, _, z), b in zip(listed, bottoms, strict=True)], float
     )
     width = np.array([len(ways[way].cells) for way, *_ in listed])
+    model = Model()
+    used = model.columns(height - 1e-3 * width / width.max(), 1.0, integer=True)
     row, column = np.array(sorted(set(serves))).T
-    rows, columns = [row], [column]
+    model.rows(np.ones(len(need)), INF, (row, column, 1.0))
     cell_rows: dict[Cell, int] = {}
-    for number, ((way, x, y, z), base) in enumerate(zip(listed, bottoms, strict=True)):
-        taken = [(x + u, y + v, w) for u, v, _ in ways[way].cells for w in range(base or 0, z)]
-        rows.append(np.array([len(need) + cell_rows.setdefault(c, len(cell_rows)) for c in taken]))
-        columns.append(np.full(len(taken), number))
-    limits = sorted(heap)
-    first = len(need) + len(cell_rows)
+    taken = [(cell_rows.setdefault((x + u, y + v, w), len(cell_rows)), number)
+             for number, ((way, x, y, z), base) in enumerate(zip(listed, bottoms, strict=True))
+             for u, v, _ in ways[way].cells for w in range(base or 0, z)]  # fmt: skip
+    row, column = np.array(taken).T
+    model.rows(np.full(len(cell_rows), -INF), 1.0, (row, column, 1.0))
     kinds = [kit.kinds[ways[way].kind].name for way, *_ in listed]
-    for k, name in enumerate(limits):
-        mine = np.array([j for j, kind in enumerate(kinds) if kind == name], np.int64)
-        rows.append(np.full(len(mine), first + k))
-        columns.append(mine)
-    values = [np.ones(len(r)) for r in rows]
-    for k in range(len(limits)):
-        values[len(values) - len(limits) + k] = height[columns[len(columns) - len(limits) + k]]
-    n = len(listed)
-    upper = np.concatenate([np.full(len(need), INF), np.ones(len(cell_rows)),
-                            [float(heap[name]) for name in limits]])  # fmt: skip
-    lower = np.concatenate([np.ones(len(need)), np.full(len(upper) - len(need), -INF)])
-    answer = solve(Program(height - 1e-3 * width / width.max(), np.zeros(n), np.ones(n), lower,
-                           np.maximum(upper, 0.0), *by_column(rows, columns, values, n),
-                           integer=True), seconds)  # fmt: skip
+    for name in sorted(heap):
+        mine = np.flatnonzero(np.array(kinds) == name)
+        model.rows(-INF, float(max(heap[name], 0)), (0, used[mine], height[mine]))
+    answer = solve(model.program(), seconds)
     if answer.x is None:
         return None
     made = []
@@ -173,7 +165,7 @@ def _fewest_props(
         way, x, y, z = listed[number]
         made += [BlockPlacement(kinds[number], ways[way].turn, (x, y, w), True)
                  for w in range(bottoms[number] or 0, z)]  # fmt: skip
-    return sorted(made, key=lambda block: block.origin[::-1])
+    return list(from_below(made))
 
 
 def _stacks_below(

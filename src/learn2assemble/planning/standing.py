@@ -18,22 +18,15 @@ top, *infeasible* proves that no tiling of the design stands.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from learn2assemble.assembly.kit import Kit, orientations
+from learn2assemble.assembly.kit import Kit
 from learn2assemble.planning.mechanisms import bonded_candidates
-from learn2assemble.planning.programs import INF, Program, by_column, solve
+from learn2assemble.planning.programs import INF, Model, Program, solve
 from learn2assemble.planning.step_proof import EDGE_INSET, Stack, block_masses, lies_above
-from learn2assemble.planning.tiling import (
-    COSTS,
-    BlockPlacement,
-    Costs,
-    Tiling,
-    chosen_blocks,
-    placement_cells,
-)
+from learn2assemble.planning.tiling import BlockPlacement, Tiling, from_below, placement_cells
 
 NEAR, LEVELS = 4, 3
 """How far round a block that falls the tiling is decided again [cells], and on how many levels."""
@@ -72,7 +65,6 @@ def _whole_blocks(tiling: Tiling, kit: Kit, region: np.ndarray) -> np.ndarray:
 
 def tile_standing(
     tiling: Tiling, kit: Kit, stack: Stack, region: np.ndarray, *, seconds: float = INF,
-    costs: Costs = COSTS,
 ) -> tuple[str, Tiling | None]:  # fmt: skip
     """The tiling, with the blocks of a region chosen anew so that they stand.
 
@@ -83,34 +75,28 @@ def tile_standing(
     Returns:
         ``"optimal"``, ``"infeasible"`` or ``"time"``, and the tiling where there is one.
     """
-    found, cost = bonded_candidates(tiling, kit, costs)
+    found, cost = bonded_candidates(tiling, kit)
     inside = np.logical_and.reduceat(region.reshape(-1)[found.cell], found.start[:-1])
     found, cost = found.take(np.flatnonzero(inside)), cost[inside]
     blocks = tiling.placements
     anew = np.array([region[tuple(placement_cells(block, kit)[0])] for block in blocks])
     rests = lies_above(stack, np.flatnonzero(anew).tolist()) & ~anew
     stays = [block for block, again in zip(blocks, anew, strict=True) if not again]
-    ways = orientations(kit)
-    bodies = [
-        BlockPlacement(kit.kinds[ways[way].kind].name, ways[way].turn, origin)
-        for way, origin in chosen_blocks(found, np.arange(len(found)))
-    ]
+    bodies = found.blocks(kit, np.arange(len(found)))
     bodies += [blocks[b] for b in np.flatnonzero(rests)]
     used = Counter(block.kind for block in stays)
-    heap = [(kind.name, kind.count - used[kind.name]) for kind in kit.kinds
-            if kind.count is not None]  # fmt: skip
-    program = _program(tiling.wanted, kit, region, bodies, cost, heap)
-    answer = solve(program, seconds, gap=_GAP)
+    heap = {kind.name: kind.count - used[kind.name] for kind in kit.kinds
+            if kind.count is not None}  # fmt: skip
+    answer = solve(_program(tiling.wanted, kit, region, bodies, cost, heap), seconds, gap=_GAP)
     if answer.x is None:
         return answer.status, None
     made = [*stays, *(bodies[p] for p in np.flatnonzero(answer.x[: len(found)] > 0.5))]
-    made.sort(key=lambda block: block.origin[::-1])
-    return answer.status, replace(tiling, placements=tuple(made))
+    return answer.status, replace(tiling, placements=from_below(made))
 
 
 def _program(
     wanted: np.ndarray, kit: Kit, region: np.ndarray, bodies: list[BlockPlacement],
-    cost: np.ndarray, heap: list[tuple[str, int]],
+    cost: np.ndarray, heap: dict[str, int],
 ) -> Program:  # fmt: skip
     """Columns: whether each candidate is used, then the forces at four corners of every face.
 
@@ -118,82 +104,110 @@ def _program(
         bodies: the candidates, as many as ``cost`` has, then the blocks that rest on the region.
         heap: how many blocks of these kinds may be used.
     """
-    n, count, shape = len(cost), len(bodies), wanted.shape
-    cells = [placement_cells(block, kit) for block in bodies]
-    body = np.repeat(np.arange(count), [len(c) for c in cells])
-    cell = np.concatenate(cells)
-    flat: np.ndarray = np.asarray(np.ravel_multi_index(tuple(cell.T), shape))
+    n, cells = len(cost), [placement_cells(block, kit) for block in bodies]
+    body, cell = np.repeat(np.arange(len(bodies)), [len(c) for c in cells]), np.concatenate(cells)
     loose = region.copy()  # cells of blocks whose balance is part of the program
     for own in cells[n:]:
         loose[tuple(own.T)] = True
-    key, size = body * wanted.size + flat, wanted.size
-    bottom = ~np.isin(key - 1, key) | (cell[:, 2] == 0)
-    under = np.concatenate([np.ones((*shape[:2], 1), bool), wanted[:, :, :-1]], 2).reshape(-1)
-    bottom &= under[flat]
-    roof = np.concatenate([loose[:, :, 1:], np.zeros((*shape[:2], 1), bool)], 2).reshape(-1)
-    top = roof[flat] & (~np.isin(key + 1, key) | (cell[:, 2] == shape[2] - 1))
+    weight, centre = block_masses(tuple(bodies), kit, wanted.shape)
+    weight = weight / float(weight.mean())
+    middle = centre[:, :2] / np.array(kit.pitch[:2]) + np.array(wanted.shape[:2]) / 2
+    boxes = all(len(c) == np.prod(np.ptp(c, axis=0) + 1) for c in cells)
+    corner = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
+    faces = find_faces(body, cell, wanted, loose, middle, face_points(kit, corner, boxes))
+    must: np.ndarray = np.flatnonzero(region.reshape(-1))
+    row_of_cell = np.full(wanted.size, -1)
+    row_of_cell[must] = np.arange(len(must))
+    optional = body < n
+    flat: np.ndarray = np.asarray(np.ravel_multi_index(tuple(cell[optional].T), wanted.shape))
+    model = Model()
+    used = model.columns(cost, 1.0, integer=True)
+    model.rows(np.ones(len(must)), 1.0, (row_of_cell[flat], body[optional], 1.0))
+    own = np.stack([weight, np.zeros_like(weight), np.zeros_like(weight)], 1)
+    add_forces(model, used, faces, own, float(weight.sum()))
+    kinds = np.array([block.kind for block in bodies[:n]])
+    for name, count in heap.items():
+        mine = np.flatnonzero(kinds == name)
+        model.rows(-INF, float(max(count, 0)), (0, mine, 1.0))
+    return model.program()
+
+
+# ---------------------------------------------------------------- forces
+
+
+@dataclass(frozen=True)
+class Faces:
+    """Faces on which bodies may press: first those they lie on, then tops on which others lie."""
+
+    body: np.ndarray
+    """int64[f]"""
+    sign: np.ndarray
+    """float64[f]: 1 below the body, -1 on top of it."""
+    lever: np.ndarray
+    """float64[f, m, 2]: of the points where forces act, about the centre of mass [cells]."""
+    joined: np.ndarray
+    """int64[j]: the faces between two bodies."""
+    plane: np.ndarray
+    """int64[j]: which of them are one."""
+
+
+def face_points(kit: Kit, points: np.ndarray, inset: bool = True) -> np.ndarray:
+    """float64[m, 2]: ``points`` (0 to 1) of the face of a cell [cells], those on its edge by half
+    a joint and ``EDGE_INSET`` inside it."""
+    room = (EDGE_INSET * min(kit.pitch[:2]) + kit.joint_gap / 2) / np.array(kit.pitch[:2]) * inset
+    return np.where(points == 0, room, np.where(points == 1, 1 - room, points))
+
+
+def find_faces(
+    body: np.ndarray, cell: np.ndarray, wanted: np.ndarray, loose: np.ndarray,
+    middle: np.ndarray, points: np.ndarray,
+) -> Faces:  # fmt: skip
+    """The faces of bodies, each a set of cells.
+
+    Args:
+        body, cell: int64[c] and int64[c, 3], the cells of all bodies.
+        wanted: bool[X, Y, Z], what may carry a cell.
+        loose: bool[X, Y, Z], cells of blocks whose balance is asked for.
+        middle: float64[bodies, 2], centres of mass [cells].
+        points: float64[m, 2], see :func:`face_points`.
+    """
+    shape, size = wanted.shape, wanted.size
+    flat: np.ndarray = np.asarray(np.ravel_multi_index(tuple(cell.T), shape))
+    key = body * size + flat
+    under = np.pad(wanted[:, :, :-1], ((0, 0), (0, 0), (1, 0)), constant_values=True)
+    roof = np.pad(loose[:, :, 1:], ((0, 0), (0, 0), (0, 1)))
+    bottom = (~np.isin(key - 1, key) | (cell[:, 2] == 0)) & under.reshape(-1)[flat]
+    top = ~np.isin(key + 1, key) & roof.reshape(-1)[flat]
     face = np.concatenate([np.flatnonzero(bottom), np.flatnonzero(top)])
     sign = np.where(np.arange(len(face)) < bottom.sum(), 1.0, -1.0)
     plane = flat[face] + (sign < 0)  # the cell above the face
-    above_loose = loose.reshape(-1)[np.maximum(plane - 1, 0)] & (plane % shape[2] > 0)
+    joined = np.flatnonzero(loose.reshape(-1)[np.maximum(plane - 1, 0)] & (plane % shape[2] > 0))
+    _, which = np.unique(plane[joined], return_inverse=True)
+    lever = cell[face, None, :2] + points - middle[body[face], None]
+    return Faces(body[face], sign, lever, joined, which.reshape(-1))
 
-    weight, centre = block_masses(tuple(bodies), kit, shape)
-    unit = float(weight.mean())
-    weight = weight / unit
-    middle = centre[:, :2] / np.array(kit.pitch[:2]) + np.array(shape[:2]) / 2
-    boxes = all(len(c) == np.prod(np.ptp(c, axis=0) + 1) for c in cells)
-    inset = np.full(2, EDGE_INSET * min(kit.pitch[:2])) + kit.joint_gap / 2
-    inset = inset / np.array(kit.pitch[:2]) if boxes else np.zeros(2)
-    corner = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
-    corner = np.where(corner == 0, inset, 1 - inset)
-    point = cell[face, None, :2] + corner  # float64[faces, 4, 2], in cells
-    lever = point - middle[body[face], None]
-    column = n + np.arange(4 * len(face)).reshape(-1, 4)
 
-    must: np.ndarray = np.flatnonzero(region.reshape(-1))
-    row_of_cell = np.full(size, -1)
-    row_of_cell[must] = np.arange(len(must))
-    optional = body < n
-    rows, columns = [row_of_cell[flat[optional]]], [body[optional]]
-    values = [np.ones(len(rows[0]))]
+def add_forces(model: Model, used: np.ndarray, faces: Faces, own: np.ndarray, most: float) -> None:
+    """Forces at the points of all faces that balance all bodies, action being reaction.
 
-    def add(row: np.ndarray, col: np.ndarray, value: np.ndarray) -> None:
-        row, col, value = np.broadcast_arrays(row, col, value)
-        live = value.reshape(-1) != 0
-        rows.append(row.reshape(-1)[live])
-        columns.append(col.reshape(-1)[live])
-        values.append(value.reshape(-1)[live].astype(float))
-
-    first = len(must)  # balance of every body: force and two moments
-    at = first + 3 * body[face]
-    for k, arm in enumerate((np.ones_like(lever[:, :, 0]), lever[:, :, 0], lever[:, :, 1])):
-        add(at[:, None] + k, column, sign[:, None] * arm)
-    add(first + 3 * np.arange(n), np.arange(n), -weight[:n])
-    balance = np.zeros((count, 3))
-    balance[n:, 0] = weight[n:]
-    first += 3 * count  # what is not used bears nothing
-    loads = (sign < 0) & (body[face] < n)
-    add((first + body[face])[loads, None], column[loads], np.ones(1))
-    add(first + np.arange(n), np.arange(n), np.full(n, -float(weight.sum())))
-    first += n  # action is reaction
-    joined = np.flatnonzero(above_loose)
-    shared, which = np.unique(plane[joined], return_inverse=True)
-    row = first + 4 * which.reshape(-1)[:, None] + np.arange(4)
-    add(row, column[joined], sign[joined, None])
-    first += 4 * len(shared)  # the heap
-    for k, (name, _) in enumerate(heap):
-        mine = np.array([p for p in range(n) if bodies[p].kind == name], np.int64)
-        add(np.full(len(mine), first + k), mine, np.ones(len(mine)))
-    nothing = np.zeros(4 * len(shared))
-    has = np.array([amount for _, amount in heap], float)
-    low = np.concatenate([np.ones(len(must)), balance.reshape(-1), np.full(n, -INF), nothing,
-                          np.full(len(heap), -INF)])  # fmt: skip
-    high = np.concatenate([np.ones(len(must)), balance.reshape(-1), np.zeros(n), nothing,
-                           np.maximum(has, 0.0)])  # fmt: skip
-    forces = 4 * len(face)
-    return Program(
-        np.concatenate([cost, np.zeros(forces)]), np.zeros(n + forces),
-        np.concatenate([np.ones(n), np.full(forces, INF)]), low, high,
-        *by_column(rows, columns, values, n + forces),
-        integer=np.arange(n + forces) < n,
+    Args:
+        used: columns that say whether each of the first bodies is used; all others are.
+        own: float64[bodies, 2 or 3]: weight of every body, and its moments about the centre of
+            mass; without the last one, in x and z alone.
+        most: no force on top of a body is larger.
+    """
+    n, (count, arms), m = len(used), own.shape, faces.lever.shape[1]
+    force = model.columns(np.zeros(faces.lever[:, :, 0].size)).reshape(-1, m)
+    row, sign = arms * faces.body[:, None], faces.sign[:, None]
+    lever = (np.ones_like(faces.lever[:, :, 0]), *np.moveaxis(faces.lever, 2, 0))
+    balance = np.where(np.arange(count)[:, None] < n, 0.0, own).reshape(-1)
+    model.rows(
+        balance, balance, *((row + k, force, sign * lever[k]) for k in range(arms)),
+        *((arms * np.arange(n) + k, used, -own[:n, k]) for k in range(arms)),
     )  # fmt: skip
+    loads = (faces.sign < 0) & (faces.body < n)  # what is not used bears nothing
+    model.rows(np.full(n, -INF), 0.0, (faces.body[loads, None], force[loads], 1.0),
+               (np.arange(n), used, -most))  # fmt: skip
+    row = m * faces.plane[:, None] + np.arange(m)
+    model.rows(np.zeros(m * (faces.plane.max(initial=-1) + 1)), 0.0,
+               (row, force[faces.joined], sign[faces.joined]))  # fmt: skip

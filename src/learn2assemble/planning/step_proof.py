@@ -35,7 +35,7 @@ from numba import njit
 
 from learn2assemble.assembly.kit import Kit
 from learn2assemble.planning.programs import INF, Program, solve
-from learn2assemble.planning.tiling import BlockPlacement, convex_hull, owners, placement_cells
+from learn2assemble.planning.tiling import BlockPlacement, hull_of_boxes, owners, placement_cells
 
 GROUND = -1
 EDGE_INSET = 1e-3
@@ -123,12 +123,7 @@ def find_stack(
         area = float(np.prod(high[patch] - low[patch], axis=1).sum())
         corners = np.array([[a[0], a[1]], [b[0], a[1]], [b[0], b[1]], [a[0], b[1]]])
         if len(patch) > 1 and area < 0.999 * np.prod(b - a):
-            c, d = low[patch], high[patch]
-            corners = convex_hull(
-                np.concatenate(
-                    [c, d, np.stack([c[:, 0], d[:, 1]], -1), np.stack([d[:, 0], c[:, 1]], -1)]
-                )
-            )
+            corners = hull_of_boxes(low[patch], high[patch])
         height = np.full((len(corners), 1), z[patch[0]] * dz)
         points.append(np.concatenate([corners, height], 1))
         upper += [top[patch[0]]] * len(corners)

@@ -20,14 +20,16 @@ limited heap the layers are then bonded again, each with the blocks that program
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 from learn2assemble.assembly.kit import Cell, Kit, Orientation, orientations
 from learn2assemble.errors import InputError
-from learn2assemble.planning.programs import INF, Answer, Clock, Program, by_column, solve
+from learn2assemble.planning.programs import INF, Answer, Clock, Model, solve
 
 MAX_EXTENT, MAX_CELLS = 64, 64 * 64 * 64
 STRIP = 240
@@ -107,6 +109,11 @@ class Candidates:
     def __len__(self) -> int:
         return len(self.way)
 
+    @property
+    def kind(self) -> np.ndarray:
+        """int64[n]: index into the kinds of the kit."""
+        return np.array([way.kind for way in self.ways], np.int64)[self.way]
+
     def size(self) -> np.ndarray:
         """int64[n]: cells of every candidate."""
         return np.diff(self.start)
@@ -119,6 +126,14 @@ class Candidates:
         cell = self.cell[np.repeat(self.start[keep], size) + inner]
         return Candidates(self.ways, self.way[keep], self.origin[keep], start, cell,
                           self.support[keep], self.hanging[keep])  # fmt: skip
+
+    def blocks(self, kit: Kit, picked: np.ndarray) -> list[BlockPlacement]:
+        """The candidates with the given indices as blocks of ``kit``."""
+        ways = [self.ways[k] for k in self.way[picked].tolist()]
+        return [
+            BlockPlacement(kit.kinds[way.kind].name, way.turn, (x, y, z))
+            for way, (x, y, z) in zip(ways, self.origin[picked].tolist(), strict=True)
+        ]
 
 
 def check_cells(wanted: object) -> np.ndarray:
@@ -143,8 +158,17 @@ def check_cells(wanted: object) -> np.ndarray:
 
 def placement_cells(placement: BlockPlacement, kit: Kit) -> np.ndarray:
     """int64[m, 3]: the lattice cells of a block."""
-    ways = {(kit.kinds[way.kind].name, way.turn): way.cells for way in orientations(kit)}
-    return np.array(ways[placement.kind, placement.turn]) + placement.origin
+    return _cells_by_way(kit)[placement.kind, placement.turn] + placement.origin
+
+
+@lru_cache(maxsize=64)
+def _cells_by_way(kit: Kit) -> dict[tuple[str, int], np.ndarray]:
+    return {(kit.kinds[way.kind].name, way.turn): np.array(way.cells) for way in orientations(kit)}
+
+
+def from_below(blocks: Iterable[BlockPlacement]) -> tuple[BlockPlacement, ...]:
+    """Blocks in the order in which a tiling holds them."""
+    return tuple(sorted(blocks, key=lambda block: block.origin[::-1]))
 
 
 # ---------------------------------------------------------------- candidates
@@ -162,13 +186,17 @@ def support_margin(cells: np.ndarray, carried: np.ndarray, kit: Kit) -> float:
         return -INF
     centre = cells[:, :2].mean(0) + 0.5
     inset = kit.joint_gap / 2 / np.array(kit.pitch[:2])
-    low, high = cells[carried, :2] + inset, cells[carried, :2] + 1 - inset
-    corners = np.concatenate([low, high, np.stack([low[:, 0], high[:, 1]], -1),
-                              np.stack([high[:, 0], low[:, 1]], -1)])  # fmt: skip
-    hull = convex_hull(corners)
+    hull = hull_of_boxes(cells[carried, :2] + inset, cells[carried, :2] + 1 - inset)
     edge = np.roll(hull, -1, 0) - hull
     beyond = edge[:, 0] * (centre[1] - hull[:, 1]) - edge[:, 1] * (centre[0] - hull[:, 0])
     return float((beyond / np.hypot(edge[:, 0], edge[:, 1])).min())
+
+
+def hull_of_boxes(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """float64[h, 2]: the convex hull of rectangles with the corners float64[n, 2]."""
+    ends = np.stack([low, high])
+    return convex_hull(np.concatenate([np.stack([ends[i, :, 0], ends[j, :, 1]], -1)
+                                       for i in (0, 1) for j in (0, 1)]))  # fmt: skip
 
 
 def convex_hull(points: np.ndarray) -> np.ndarray:
@@ -204,9 +232,11 @@ def find_candidates(
     ground = np.ones(wanted.shape[:2], bool) if below is None else below
     carried = np.concatenate([ground[:, :, None], wanted[:, :, :-1]], 2)
     flat_carried = carried.reshape(-1)
-    ways = orientations(kit)
-    part_way, part_origin, part_cell, part_size, part_support, part_hanging = [], [], [], [], [], []
-    strides = np.array([wanted.shape[1] * wanted.shape[2], wanted.shape[2], 1])
+    ways, strides = orientations(kit), np.array([*wanted.shape[1:], 1])[::-1].cumprod()[::-1]
+    parts: list[tuple[Any, ...]] = [
+        (none := np.empty(0, np.int64), np.empty((0, 3), np.int64), none, none,
+         np.empty(0), np.empty(0)),
+    ]  # fmt: skip
     for number, way in enumerate(ways):
         cells = np.array(way.cells)
         extent = cells.max(0) + 1
@@ -220,28 +250,21 @@ def find_candidates(
         if not len(origin):
             continue
         index = (origin @ strides)[:, None] + cells @ strides
-        own = set(way.cells)
-        lowest = np.array([(x, y, z - 1) not in own for x, y, z in way.cells])
+        lowest = np.array([(x, y, z - 1) not in way.cells for x, y, z in way.cells])
         bears = flat_carried[index] & lowest
         patterns, which = np.unique(bears, axis=0, return_inverse=True)
         margins = np.array([support_margin(cells, pattern, kit) for pattern in patterns])
-        part_way.append(np.full(len(origin), number))
-        part_origin.append(origin)
-        part_cell.append(index.reshape(-1))
-        part_size.append(np.full(len(origin), len(cells)))
-        part_support.append(margins[which.reshape(-1)])
-        part_hanging.append(1 - bears.sum(1) / lowest.sum())
-    if not part_way:
-        none = np.empty(0, np.int64)
-        return Candidates(ways, none, np.empty((0, 3), np.int64), np.zeros(1, np.int64), none,
-                          np.empty(0), np.empty(0))  # fmt: skip
-    start = np.concatenate([[0], np.cumsum(np.concatenate(part_size))])
-    return Candidates(ways, np.concatenate(part_way), np.concatenate(part_origin), start,
-                      np.concatenate(part_cell), np.concatenate(part_support),
-                      np.concatenate(part_hanging))  # fmt: skip
+        parts.append((
+            np.full(len(origin), number), origin, index.reshape(-1),
+            np.full(len(origin), len(cells)), margins[which.reshape(-1)],
+            1 - bears.sum(1) / lowest.sum(),
+        ))  # fmt: skip
+    which, origin, cell, size, support, hanging = map(np.concatenate, zip(*parts, strict=True))
+    start = np.concatenate([[0], np.cumsum(size)])
+    return Candidates(ways, which, origin, start, cell, support, hanging)
 
 
-def standing_cost(candidates: Candidates, costs: Costs) -> np.ndarray:
+def standing_cost(candidates: Candidates) -> np.ndarray:
     """float64[n]: 1 for the block, and what its overhang costs."""
     bad = candidates.support <= 1e-9
     slender = np.clip(1 - candidates.support / 0.5, 0.0, 1.0)
@@ -249,10 +272,16 @@ def standing_cost(candidates: Candidates, costs: Costs) -> np.ndarray:
     depth = np.where(np.isfinite(candidates.support), -candidates.support, 8.0)
     return (
         1
-        + costs.overhang * candidates.hanging
-        + costs.slender * slender
-        + np.where(bad, costs.prop * (1 + 0.05 * np.clip(depth, 0, 8)), 0.0)
+        + COSTS.overhang * candidates.hanging
+        + COSTS.slender * slender
+        + np.where(bad, COSTS.prop * (1 + 0.05 * np.clip(depth, 0, 8)), 0.0)
     )
+
+
+def bond_cost(candidates: Candidates, joints: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """float64[n]: :func:`standing_cost`, less what bridging ``joints`` is worth, see
+    :func:`glued`."""
+    return standing_cost(candidates) - COSTS.seam * glued(candidates, joints)
 
 
 def glued(candidates: Candidates, edges: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
@@ -261,32 +290,44 @@ def glued(candidates: Candidates, edges: tuple[np.ndarray, np.ndarray]) -> np.nd
     Args:
         edges: bool[X - 1, Y, Z] and bool[X, Y - 1, Z]: pairs of neighbours in x, and in y.
     """
-    worth = np.zeros(len(candidates))
+    found = [(*filled_pairs(candidates, axis), edge) for axis, edge in enumerate(edges)]
+    one, other = (np.bincount(which, edge[tuple(place.T)], len(candidates))
+                  for which, place, edge in found)  # fmt: skip
+    return one + other
+
+
+def filled_pairs(candidates: Candidates, axis: int) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of neighbours along an axis both of which a candidate fills: the candidates (int64[m]),
+    and the first cell of each pair (int64[m, 3])."""
+    which: list[np.ndarray] = [np.empty(0, np.int64)]
+    place: list[np.ndarray] = [np.empty((0, 3), np.int64)]
     for number, way in enumerate(candidates.ways):
         chosen = np.flatnonzero(candidates.way == number)
-        if not len(chosen):
-            continue
-        own, (x, y, z) = set(way.cells), candidates.origin[chosen].T
-        for u, v, w in way.cells:
-            if (u + 1, v, w) in own:
-                worth[chosen] += edges[0][x + u, y + v, z + w]
-            if (u, v + 1, w) in own:
-                worth[chosen] += edges[1][x + u, y + v, z + w]
-    return worth
+        for x, y, z in way.cells:
+            if (x + (axis == 0), y + (axis == 1), z) in way.cells:
+                which.append(chosen)
+                place.append(candidates.origin[chosen] + (x, y, z))
+    return np.concatenate(which), np.concatenate(place)
 
 
 def find_seams(owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vertical joints of one layer between neighbours in x, and in y.
+    """Vertical joints between neighbours in x, and in y.
 
     Args:
-        owner: int[X, Y], which block fills the cell, -1 for none.
+        owner: int[X, Y] or int[X, Y, Z], which block fills the cell, -1 for none.
     """
     x = (owner[1:] != owner[:-1]) & (owner[1:] >= 0) & (owner[:-1] >= 0)
     y = (owner[:, 1:] != owner[:, :-1]) & (owner[:, 1:] >= 0) & (owner[:, :-1] >= 0)
     return x, y
 
 
-def owners(placements: tuple[BlockPlacement, ...], kit: Kit, shape: tuple[int, ...]) -> np.ndarray:
+def seams_below(owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The joints of the layer below each layer of int[X, Y, Z], see :func:`find_seams`."""
+    x, y = (np.pad(seam[:, :, :-1], ((0, 0), (0, 0), (1, 0))) for seam in find_seams(owner))
+    return x, y
+
+
+def owners(placements: Iterable[BlockPlacement], kit: Kit, shape: tuple[int, ...]) -> np.ndarray:
     """int64[X, Y, Z]: which placement fills each cell, -1 for none."""
     owner = np.full(shape, -1)
     for number, placement in enumerate(placements):
@@ -302,13 +343,11 @@ def seams_bridged(tiling: Tiling, kit: Kit) -> tuple[int, int]:
     stays = tuple(p for p in tiling.placements if not p.prop)
     owner = owners(stays, kit, tiling.wanted.shape)
     bridged = total = 0
-    for z in range(owner.shape[2] - 1):
-        for axis, seam in enumerate(find_seams(owner[:, :, z])):
-            above = owner[:, :, z + 1]
-            first, second = (above[:-1], above[1:]) if axis == 0 else (above[:, :-1], above[:, 1:])
-            counts = seam & (first >= 0) & (second >= 0)
-            total += int(counts.sum())
-            bridged += int((counts & (first == second)).sum())
+    pairs = (owner[:-1], owner[1:]), (owner[:, :-1], owner[:, 1:])
+    for seam, (first, second) in zip(seams_below(owner), pairs, strict=True):
+        counts = seam & (first >= 0) & (second >= 0)
+        total += int(counts.sum())
+        bridged += int((counts & (first == second)).sum())
     return bridged, total
 
 
@@ -335,101 +374,77 @@ def cover(
         heap does not have, by kind.
     """
     may = np.empty(0, np.int64) if may is None else may
-    counts = counts or {}
-    limits = sorted(counts)
-    n, cells = len(candidates), np.concatenate([must, may])
+    limits, number = sorted(counts or {}), np.array([n for _, n in sorted((counts or {}).items())])
+    cells = np.concatenate([must, may])
     row_of_cell = np.full(int(cells.max(initial=0)) + 1, -1)
     row_of_cell[cells] = np.arange(len(cells))
-    kinds = np.array([way.kind for way in candidates.ways])[candidates.way]
     row_of_kind = np.full(len(kit.kinds), -1)
-    row_of_kind[limits] = len(cells) + np.arange(len(limits))
-    counted = np.flatnonzero(row_of_kind[kinds] >= 0)
-    rows = [row_of_cell[candidates.cell], row_of_kind[kinds[counted]]]
-    columns = [np.repeat(np.arange(n), candidates.size()), counted]
-    first = len(cells) + len(limits)
-    for number, cut in enumerate(cuts):
-        rows.append(np.full(len(cut), first + number))
-        columns.append(cut)
-    price, upper = cost, np.ones(n)
-    signs = [np.ones(len(row)) for row in rows]
+    row_of_kind[limits] = np.arange(len(limits))
+    kinds = row_of_kind[candidates.kind]
+    counted = np.flatnonzero(kinds >= 0)
+    model = Model()
+    used = model.columns(cost, 1.0, integer=True)
+    left = lack = used[:0]
     if open_cost > 0:
         # A block that the heap lacks is a better answer than cells left open.
         sizes = 0.5 * np.array([len(kit.kinds[k].cells) for k in limits])
-        spare = np.concatenate([np.arange(len(must)), len(cells) + np.arange(len(limits))])
-        rows.append(spare)
-        columns.append(n + np.arange(len(spare)))
-        signs += [np.ones(len(must)), -np.ones(len(limits))]
-        price = np.concatenate([cost, np.full(len(must), open_cost), open_cost * sizes])
-        upper = np.concatenate([upper, np.ones(len(must)), np.full(len(limits), 1e5)])
-    number = np.array([counts[k] for k in limits], float)
-    lower = number if exact else np.full(len(limits), -INF)
-    row_lower = np.concatenate([np.ones(len(must)), np.zeros(len(may)), lower, np.ones(len(cuts))])
-    row_upper = np.concatenate([np.ones(len(cells)), number, np.full(len(cuts), INF)])
-    program = Program(price, np.zeros(len(price)), upper, row_lower, row_upper,
-                      *by_column(rows, columns, signs, len(price)), integer=True)  # fmt: skip
-    answer = solve(program, seconds)
+        left = model.columns(np.full(len(must), open_cost), 1.0, integer=True)
+        lack = model.columns(open_cost * sizes, 1e5, integer=True)
+    model.rows(
+        np.arange(len(cells)) < len(must), 1.0, (np.arange(len(left)), left, 1.0),
+        (row_of_cell[candidates.cell], np.repeat(used, candidates.size()), 1.0),
+    )  # fmt: skip
+    model.rows(number if exact else -INF, number.astype(float),
+               (kinds[counted], counted, 1.0), (np.arange(len(lack)), lack, -1.0))  # fmt: skip
+    for cut in cuts:
+        model.rows(1.0, INF, (0, cut, 1.0))
+    answer = solve(model.program(), seconds)
     if answer.x is None:
-        return answer, np.empty(0, np.int64), must, {}
+        return answer, used[:0], must, {}
     x = np.round(answer.x).astype(int)
-    left = must[x[n : n + len(must)] > 0] if open_cost > 0 else must[:0]
-    lack = x[n + len(must) :] if open_cost > 0 else []
-    short = {k: int(amount) for k, amount in zip(limits, lack, strict=False) if amount > 0}
-    return answer, np.flatnonzero(x[:n]), left, short
+    short = {k: int(n) for k, n in zip(limits, x[lack], strict=False) if n > 0}
+    return answer, np.flatnonzero(x[used]), must[: len(left)][x[left] > 0], short
 
 
 # ---------------------------------------------------------------- layers
 
 
 def components(mask: np.ndarray) -> list[np.ndarray]:
-    """bool[X, Y] each: parts of ``mask`` that hang together by edges of cells."""
-    label = np.zeros(mask.shape, np.int64)
-    found = []
-    for seed in map(tuple, np.argwhere(mask).tolist()):
-        if label[seed]:
-            continue
-        label[seed] = len(found) + 1
-        queue = [seed]
-        for x, y in queue:
-            for u, v in ((x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)):
-                inside = 0 <= u < mask.shape[0] and 0 <= v < mask.shape[1]
-                if inside and mask[u, v] and not label[u, v]:
-                    label[u, v] = len(found) + 1
-                    queue.append((u, v))
-        found.append(label == len(found) + 1)
-    return found
+    """bool[...] each: parts of ``mask`` that hang together by edges (faces) of cells."""
+    from scipy.ndimage import label
+
+    labels, count = label(mask)  # pyright: ignore[reportGeneralTypeIssues]
+    return [labels == number for number in range(1, count + 1)]
 
 
 class _Layers:
     """Tiles a building layer by layer and remembers layers it has seen."""
 
-    def __init__(self, wanted: np.ndarray, kit: Kit, costs: Costs, clock: Clock) -> None:
-        self.wanted, self.kit, self.costs, self.clock = wanted, kit, costs, clock
-        self.known: dict[bytes, tuple[list[tuple[int, int, int]], list[tuple[int, int]]]] = {}
+    def __init__(self, wanted: np.ndarray, kit: Kit, clock: Clock) -> None:
+        self.wanted, self.kit, self.clock = wanted, kit, clock
+        self.known: dict[bytes, tuple[list[BlockPlacement], list[Cell]]] = {}
         self.fills_any = any(kind.cells == ((0, 0, 0),) for kind in kit.kinds)
         self.timed_out = False
         self.left: list[Cell] = []
 
-    def run(self, heaps: list[dict[int, int]] | None = None) -> list[tuple[int, Cell]]:
-        """Ways and origins of blocks; ``heaps`` are the blocks each layer has to use."""
-        chosen: list[tuple[int, Cell]] = []
+    def run(self, heaps: list[dict[int, int]] | None = None) -> list[BlockPlacement]:
+        """The blocks; ``heaps`` are those each layer has to use."""
+        chosen: list[BlockPlacement] = []
         owner = np.full(self.wanted.shape[:2], -1)
         for z in range(self.wanted.shape[2]):
             layer = self.wanted[:, :, z]
             below = np.ones_like(layer) if z == 0 else self.wanted[:, :, z - 1]
             seams = find_seams(owner)
             owner = np.full_like(owner, -1)
-            parts = [layer] if heaps else components(layer)
-            for part in parts:
-                heap = heaps[z] if heaps else None
-                for way, x, y in self._part(part, below, seams, z, heap):
-                    cells = np.array(orientations(self.kit)[way].cells, np.int64)
-                    owner[cells[:, 0] + x, cells[:, 1] + y] = len(chosen)
-                    chosen.append((way, (x, y, z)))
+            for part in [layer] if heaps else components(layer):
+                for block in self._part(part, below, seams, z, heaps[z] if heaps else None):
+                    owner[tuple(placement_cells(block, self.kit)[:, :2].T)] = len(chosen)
+                    chosen.append(block)
         return chosen
 
     def _part(self, part: np.ndarray, below: np.ndarray, seams: tuple[np.ndarray, ...],
-              z: int, heap: dict[int, int] | None) -> list[tuple[int, int, int]]:  # fmt: skip
-        """``way, x, y`` of the blocks of one part of the layer at level ``z``."""
+              z: int, heap: dict[int, int] | None) -> list[BlockPlacement]:  # fmt: skip
+        """The blocks of one part of the layer at level ``z``."""
         if not part.any():
             return []
         x0, y0 = (int(np.flatnonzero(part.any(axis))[0]) for axis in (1, 0))
@@ -439,31 +454,31 @@ class _Layers:
         key = b"|".join([repr((mask.shape, heap)).encode(), mask.tobytes(), under.tobytes(),
                          near[0].tobytes(), near[1].tobytes()])  # fmt: skip
         if key not in self.known:
-            self.known[key] = self._solve(mask, under, near, heap)
+            self.known[key] = self._solve(mask[:, :, None], under, near, heap)
         blocks, left = self.known[key]
-        self.left += [(x + x0, y + y0, z) for x, y in left]
-        return [(way, x + x0, y + y0) for way, x, y in blocks]
+        self.left += [(x + x0, y + y0, z) for x, y, _ in left]
+        return [replace(block, origin=(block.origin[0] + x0, block.origin[1] + y0, z))
+                for block in blocks]  # fmt: skip
 
     def _solve(
         self, mask: np.ndarray, under: np.ndarray, seams: tuple[np.ndarray, np.ndarray],
         heap: dict[int, int] | None,
-    ) -> tuple[list[tuple[int, int, int]], list[tuple[int, int]]]:  # fmt: skip
-        """Blocks and open cells of a mask, about its corner."""
-        found = find_candidates(mask[:, :, None], self.kit, under, flat_only=True)
-        joints = seams[0][:, :, None], seams[1][:, :, None]
-        cost = standing_cost(found, self.costs) - self.costs.seam * glued(found, joints)
+    ) -> tuple[list[BlockPlacement], list[Cell]]:  # fmt: skip
+        """Blocks and open cells of a mask (bool[X, Y, 1]), about its corner."""
+        found = find_candidates(mask, self.kit, under, flat_only=True)
+        cost = bond_cost(found, (seams[0][:, :, None], seams[1][:, :, None]))
         along = int(mask.shape[0] < mask.shape[1])
         width = max(4, STRIP // max(1, int(mask.sum(1 - along).max())))
         whole = heap is not None or not self.fills_any or mask.sum() <= 1.5 * STRIP
-        chosen, open_, open_cells = [], [], np.flatnonzero(mask.reshape(-1))
+        chosen: list[BlockPlacement] = []
+        open_: list[Cell] = []
+        open_cells = np.flatnonzero(mask)
         while len(open_cells):
-            at = open_cells // mask.shape[1] if along == 0 else open_cells % mask.shape[1]
+            at = np.unravel_index(open_cells, mask.shape)[along]
             inside = np.ones(len(open_cells), bool) if whole else at < at.min() + width
             must, may = open_cells[inside], open_cells[~inside]
-            covers = np.zeros(mask.size, np.int64)
-            covers[must], covers[may] = 1, 0
-            free = np.zeros(mask.size, bool)
-            free[open_cells] = True
+            covers, free = np.zeros(mask.size, np.int64), np.zeros(mask.size, bool)
+            covers[must], free[open_cells] = 1, True
             starts = found.start[:-1]
             fits = np.logical_and.reduceat(free[found.cell], starts)
             share = np.add.reduceat(covers[found.cell], starts)
@@ -473,25 +488,20 @@ class _Layers:
             price = cost[keep] - (1 - share[keep] / part.size())
             answer, picked, left, _ = cover(
                 part, price, must, may=may, kit=self.kit, counts=heap, exact=heap is not None,
-                open_cost=0.0 if self.fills_any and heap is None else self.costs.open_cell,
+                open_cost=0.0 if self.fills_any and heap is None else COSTS.open_cell,
                 seconds=self.clock.left,
             )  # fmt: skip
-            if answer.status == "time":
-                self.timed_out = True
-            open_ += [(int(c) // mask.shape[1], int(c) % mask.shape[1]) for c in left]
-            used = part.take(picked)
-            chosen += [(int(way), int(o[0]), int(o[1]))
-                       for way, o in zip(used.way, used.origin, strict=True)]  # fmt: skip
-            open_cells = np.setdiff1d(may, used.cell)
-        return sorted(chosen, key=lambda block: block[1:]), open_
+            self.timed_out |= answer.status == "time"
+            open_ += to_cells(left, mask.shape)
+            chosen += part.blocks(self.kit, picked)
+            open_cells = np.setdiff1d(may, part.take(picked).cell)
+        return sorted(chosen, key=lambda block: block.origin), open_
 
 
 # ---------------------------------------------------------------- the building
 
 
-def tile(
-    wanted: np.ndarray, kit: Kit, *, seconds: float = 60.0, costs: Costs = COSTS,
-) -> Tiling:  # fmt: skip
+def tile(wanted: np.ndarray, kit: Kit, *, seconds: float = 60.0) -> Tiling:
     """Fill the cells of ``wanted``, and no others, with blocks of ``kit``.
 
     Args:
@@ -502,57 +512,40 @@ def tile(
         InputError: for cells that cannot be used, see :func:`check_cells`.
     """
     wanted = check_cells(wanted)
-    clock, ways = Clock(seconds), orientations(kit)
-    flat = all(cell[2] == 0 for way in ways for cell in way.cells)
-    layers = _Layers(wanted, kit, costs, clock)
-    heap = {k: kind.count for k, kind in enumerate(kit.kinds) if kind.count is not None}
+    clock = Clock(seconds)
+    layers = _Layers(wanted, kit, clock)
     short: dict[int, int] = {}
-    if flat and not heap:
+    if kit.flat and not kit.limited:
         chosen, left = layers.run(), layers.left
     else:
-        chosen, left, short, done = _whole(wanted, kit, costs, clock, heap)
-        layers.timed_out |= not done
-        if flat and chosen and not left and not short and clock.left > 0:
-            used = [Counter(ways[way].kind for way, o in chosen if o[2] == z)
-                    for z in range(wanted.shape[2])]  # fmt: skip
-            kinds = range(len(kit.kinds))
-            bonded = layers.run([{k: counter[k] for k in kinds} for counter in used])
+        found = find_candidates(wanted, kit)
+        answer, picked, open_, short = cover(
+            found, standing_cost(found), np.flatnonzero(wanted), kit=kit, counts=heap_of(kit),
+            open_cost=COSTS.open_cell, seconds=clock.left,
+        )  # fmt: skip
+        layers.timed_out = answer.status == "time"
+        chosen, left = found.blocks(kit, picked), to_cells(open_, wanted.shape)
+        if kit.flat and chosen and not left and not short and clock.left > 0:
+            used = Counter((block.kind, block.origin[2]) for block in chosen)
+            bonded = layers.run([
+                {k: used[kind.name, z] for k, kind in enumerate(kit.kinds)}
+                for z in range(wanted.shape[2])
+            ])  # fmt: skip
             if not layers.left:
                 chosen = bonded
-    made = Tiling(
-        to_placements(chosen, kit), wanted, missing=tuple(sorted(left)), seconds=clock.spent
-    )
+    made = Tiling(from_below(chosen), wanted, missing=tuple(sorted(left)), seconds=clock.spent)
     return _judged(made, kit, layers.timed_out, short, seconds)
 
 
-def to_placements(chosen: list[tuple[int, Cell]], kit: Kit) -> tuple[BlockPlacement, ...]:
-    """Blocks from ways and origins, from below."""
-    ways = orientations(kit)
-    return tuple(
-        BlockPlacement(kit.kinds[ways[way].kind].name, ways[way].turn, origin)
-        for way, origin in sorted(chosen, key=lambda block: block[1][::-1])
-    )
+def heap_of(kit: Kit) -> dict[int, int]:
+    """How many blocks there are of the kinds that are limited, by their index."""
+    return {k: kind.count for k, kind in enumerate(kit.kinds) if kind.count is not None}
 
 
-def chosen_blocks(candidates: Candidates, picked: np.ndarray) -> list[tuple[int, Cell]]:
-    """Ways and origins of the candidates ``picked``."""
-    return [(int(candidates.way[p]), (int(x), int(y), int(z)))
-            for p, (x, y, z) in zip(picked, candidates.origin[picked], strict=True)]  # fmt: skip
-
-
-def _whole(
-    wanted: np.ndarray, kit: Kit, costs: Costs, clock: Clock, heap: dict[int, int]
-) -> tuple[list[tuple[int, Cell]], list[Cell], dict[int, int], bool]:  # fmt: skip
-    """One program over the whole building: blocks, open cells, what the heap lacks, in time."""
-    found = find_candidates(wanted, kit)
-    cost = standing_cost(found, costs)
-    must = np.flatnonzero(wanted.reshape(-1))
-    answer, picked, left, short = cover(
-        found, cost, must, kit=kit, counts=heap, open_cost=costs.open_cell, seconds=clock.left
-    )
-    at = np.stack(np.unravel_index(left, wanted.shape), -1)
-    cells = [(int(x), int(y), int(z)) for x, y, z in at]
-    return chosen_blocks(found, picked), cells, short, answer.status != "time"
+def to_cells(flat: np.ndarray, shape: tuple[int, ...]) -> list[Cell]:
+    """Cells from flat indices (C order)."""
+    x, y, z = (axis.tolist() for axis in np.unravel_index(flat, shape))
+    return list(zip(x, y, z, strict=True))
 
 
 def _judged(

@@ -28,7 +28,7 @@ from learn2assemble.planning.agent.features import NUM_SUMMARY, describe, mirror
 from learn2assemble.planning.agent.network import Builder, forward, initial_weights
 from learn2assemble.planning.agent.search import build, window
 from learn2assemble.planning.agent.world import Site, World
-from learn2assemble.planning.tiling import COSTS, cover, find_seams, glued, standing_cost
+from learn2assemble.planning.tiling import bond_cost, cover, seams_below
 from learn2assemble.tasks import DESIGN_TASKS
 
 TEACHERS = ("exact", "search")
@@ -114,14 +114,8 @@ def complete(world: World, target: np.ndarray, level: int) -> np.ndarray | None:
     part = found.take(index)
     if not np.isin(must, part.cell).all():
         return None
-    seams = [np.zeros((site.wanted.shape[0] - 1, *site.wanted.shape[1:]), bool)]
-    seams += [
-        np.zeros((site.wanted.shape[0], site.wanted.shape[1] - 1, site.wanted.shape[2]), bool)
-    ]
-    owner = world.owner.reshape(site.wanted.shape)
-    for z in range(1, site.wanted.shape[2]):
-        seams[0][:, :, z], seams[1][:, :, z] = find_seams(owner[:, :, z - 1])
-    cost = standing_cost(part, COSTS) - COSTS.seam * glued(part, (seams[0], seams[1]))
+    seams = seams_below(world.owner.reshape(site.wanted.shape))
+    cost = bond_cost(part, seams)
     counts = {k: int(n) for k, n in enumerate(world.heap) if n >= 0}
     try:
         answer, picked, _, _ = cover(part, cost, must, kit=site.kit, counts=counts, seconds=2.0)

@@ -25,8 +25,9 @@ from learn2assemble.design.goals import Surface
 from learn2assemble.planning.agent.world import World
 from learn2assemble.planning.goals.search import finished
 from learn2assemble.planning.goals.world import Yard, failing_load, legal, put
-from learn2assemble.planning.programs import INF, Clock, Program, by_column, solve
-from learn2assemble.planning.step_proof import EDGE_INSET, find_stack
+from learn2assemble.planning.programs import INF, Clock, Model, Program, solve
+from learn2assemble.planning.standing import add_forces, face_points, find_faces
+from learn2assemble.planning.step_proof import find_stack
 from learn2assemble.planning.tiling import BlockPlacement, owners
 
 MOST = 24
@@ -119,52 +120,26 @@ def _program(
     bed faces and of top faces."""
     site, found, goals = yard.site, yard.site.found, yard.goals
     n, shape, kit = len(site), goals.shape, goals.kit
-    size, depth = site.wanted.size, shape[2]
     planar = shape[1] == 1
     cell, body = found.cell, np.repeat(np.arange(n), found.size())
     where = np.stack(np.unravel_index(cell, shape), -1)
-    rows: list[np.ndarray] = []
-    columns: list[np.ndarray] = []
-    values: list[np.ndarray] = []
-    low: list[np.ndarray] = []
-    high: list[np.ndarray] = []
-    first = 0
-
-    def add(row: np.ndarray, col: np.ndarray, value: np.ndarray | float) -> None:
-        row, col, value = np.broadcast_arrays(row, col, value)
-        live = value.reshape(-1) != 0
-        rows.append(first + row.reshape(-1)[live])
-        columns.append(col.reshape(-1)[live])
-        values.append(value.reshape(-1)[live].astype(float))
-
-    def close(lowest: np.ndarray, highest: np.ndarray) -> None:
-        nonlocal first
-        low.append(lowest)
-        high.append(highest)
-        first += len(lowest)
-
+    model = Model()
+    used = model.columns(np.ones(n), 1.0, integer=True)
     # Cells and heap.
-    add(cell, body, 1.0)
-    close(goals.must.reshape(-1).astype(float), np.ones(size))
+    model.rows(goals.must.reshape(-1), 1.0, (cell, body, 1.0))
     limited = np.flatnonzero(site.limits >= 0)
     of_kind = np.full(len(site.limits) + 1, -1)
     of_kind[limited] = np.arange(len(limited))
     counted = np.flatnonzero(of_kind[site.kind] >= 0)
-    add(of_kind[site.kind[counted]], counted, 1.0)
-    close(np.zeros(len(limited)), site.limits[limited].astype(float))
-    add(np.zeros(n, np.int64), np.arange(n), 1.0)
-    close(np.zeros(1), np.array([float(most)]))
+    model.rows(np.zeros(len(limited)), site.limits[limited],
+               (of_kind[site.kind[counted]], counted, 1.0))  # fmt: skip
+    model.rows(0.0, float(most), (0, used, 1.0))
     for chosen in ruled_out:
-        sign = np.full(n, -1.0)
-        sign[chosen] = 1.0
-        add(np.zeros(n, np.int64), np.arange(n), sign)
-        close(np.array([-INF]), np.array([len(chosen) - 1.0]))
+        model.rows(-INF, len(chosen) - 1.0, (0, used, np.where(np.isin(used, chosen), 1.0, -1.0)))
     # A way down from the highest goal: a block on every level.
-    level = where[:, 2]
-    pairs = np.unique(np.stack([level, body]), axis=1)
+    pairs = np.unique(np.stack([where[:, 2], body]), axis=1)
     pairs = pairs[:, pairs[0] <= int(np.argwhere(goals.must)[:, 2].max())]
-    add(pairs[0], pairs[1], 1.0)
-    close(np.ones(int(pairs[0].max()) + 1), np.full(int(pairs[0].max()) + 1, INF))
+    model.rows(np.ones(int(pairs[0].max()) + 1), INF, (pairs[0], pairs[1], 1.0))
     # On every side of the centroid something that carries.
     bed_body = np.repeat(np.arange(n), np.diff(yard.bed_start))
     bed_at = np.stack(np.unravel_index(yard.bed, shape), -1)
@@ -173,73 +148,34 @@ def _program(
     row_of = np.full(n, -1)
     row_of[raised] = np.arange(len(raised))
     away = bed_at[:, :2] - yard.centre[bed_body]
-    sides = [away[:, 0] > -1 + 1e-6, away[:, 0] < -1e-6]
-    sides += [] if planar else [away[:, 1] > -1 + 1e-6, away[:, 1] < -1e-6]
+    sides = [side for axis in range(1 if planar else 2)
+             for side in (away[:, axis] > -1 + 1e-6, away[:, axis] < -1e-6)]  # fmt: skip
     for side in sides if not goals.props else [np.ones(len(away), bool)]:
         pairs = np.flatnonzero(side & above)
         below = yard.bed[pairs] - 1
         counts = np.diff(site.over_start)[below]
         inner = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
         q = site.over[np.repeat(site.over_start[below], counts) + inner]
-        p = np.repeat(bed_body[pairs], counts)
-        p, q = np.unique(np.stack([p, q]), axis=1)
-        add(row_of[p], q, 1.0)
-        add(np.arange(len(raised)), raised, -1.0)
-        close(np.zeros(len(raised)), np.full(len(raised), INF))
+        p, q = np.unique(np.stack([np.repeat(bed_body[pairs], counts), q]), axis=1)
+        model.rows(np.zeros(len(raised)), INF, (row_of[p], q, 1.0),
+                   (np.arange(len(raised)), raised, -1.0))  # fmt: skip
     # Forces.
-    key = body * size + cell
-    on_table = where[:, 2] == 0
-    bottom = (~np.isin(key - 1, key) | on_table) & (
-        on_table | site.wanted.reshape(-1)[np.maximum(cell - 1, 0)]
-    )
-    top = (~np.isin(key + 1, key)) & (where[:, 2] < depth - 1)
-    top &= site.wanted.reshape(-1)[np.minimum(cell + 1, size - 1)]
-    face = np.concatenate([np.flatnonzero(bottom), np.flatnonzero(top)])
-    sign = np.where(np.arange(len(face)) < bottom.sum(), 1.0, -1.0)
-    plane = cell[face] + (sign < 0)
     weight = site.weight[found.way]
     unit = float(weight.mean())
     weight = weight / unit
     middle = site.centre[found.way][:, :2] / np.array(kit.pitch[:2]) + found.origin[:, :2]
-    inset = (EDGE_INSET * min(kit.pitch[:2]) + kit.joint_gap / 2) / np.array(kit.pitch[:2])
-    corner = np.array([[0.0, 0.5], [1, 0.5]] if planar else [[0.0, 0], [1, 0], [0, 1], [1, 1]])
-    corner = np.where(corner == 0, inset, np.where(corner == 1, 1 - inset, 0.5))
-    m = len(corner)
-    lever = where[face, None, :2] + corner - middle[body[face], None]
-    arms = [np.ones(lever.shape[:2]), lever[:, :, 0]] + ([] if planar else [lever[:, :, 1]])
-    of_body = body[face]
-    joined = np.flatnonzero(plane % depth > 0)
-    shared, which = np.unique(plane[joined], return_inverse=True)
-    columns_now = n
+    points = np.array([[0, 0.5], [1, 0.5]] if planar else [[0, 0], [1, 0], [0, 1], [1, 1]])
+    faces = find_faces(body, where, site.wanted, site.wanted, middle, face_points(kit, points))
     for case in cases:
-        column = columns_now + np.arange(m * len(face)).reshape(-1, m)
-        columns_now += m * len(face)
-        for k, arm in enumerate(arms):
-            add(len(arms) * of_body[:, None] + k, column, sign[:, None] * arm)
-        own = np.zeros((n, len(arms)))
+        own = np.zeros((n, 2 if planar else 3))
         own[:, 0] = weight
         for load in case:
             at = np.array(load.point[:2]) / kit.pitch[:2] + np.array(shape[:2]) / 2
             bears = body[cell == np.ravel_multi_index(load.cell, shape)]
             mass = load.mass / unit
             own[bears, 0] += mass
-            for axis in range(len(arms) - 1):
-                own[bears, axis + 1] += mass * (at[axis] - middle[bears, axis])
-        for k in range(len(arms)):
-            add(len(arms) * np.arange(n) + k, np.arange(n), -own[:, k])
-        close(np.zeros(len(arms) * n), np.zeros(len(arms) * n))
-        loads = sign < 0
-        add(of_body[loads, None], column[loads], 1.0)
-        total = min(weight.max() * most, float(weight.max()) * size)
+            own[bears, 1:] += mass * (at - middle[bears])[:, : own.shape[1] - 1]
+        total = float(weight.max()) * min(most, site.wanted.size)
         total += sum(load.mass for load in case) / unit
-        add(np.arange(n), np.arange(n), -total)
-        close(np.full(n, -INF), np.zeros(n))
-        add(m * which.reshape(-1)[:, None] + np.arange(m), column[joined], sign[joined, None])
-        close(np.zeros(m * len(shared)), np.zeros(m * len(shared)))
-    cost = np.zeros(columns_now)
-    cost[:n] = 1.0
-    upper = np.where(np.arange(columns_now) < n, 1.0, INF)
-    return Program(
-        cost, np.zeros(columns_now), upper, np.concatenate(low), np.concatenate(high),
-        *by_column(rows, columns, values, columns_now), integer=np.arange(columns_now) < n,
-    )  # fmt: skip
+        add_forces(model, used, faces, own, total)
+    return model.program()

@@ -41,7 +41,7 @@ from learn2assemble.planning.goals.world import (
     relax,
     unmet,
 )
-from learn2assemble.planning.programs import INF, Clock, Program, by_column, solve
+from learn2assemble.planning.programs import INF, Clock, Model, solve
 from learn2assemble.planning.step_proof import Proof, Stack, find_stack
 from learn2assemble.planning.tiling import BlockPlacement, owners
 
@@ -328,29 +328,25 @@ def _least_ballast(yard: Yard, stack: Stack, owner: np.ndarray) -> tuple[np.ndar
     top = top[(owner[top + 1] < 0) & goals.open.reshape(-1)[top + 1]]
     x, y, _ = np.unravel_index(top, goals.shape)
     place = (np.stack([x, y], 1) + 0.5 - np.array(goals.shape[:2]) / 2) * goals.kit.pitch[:2]
-    points, count = len(stack.point), len(stack)
-    column = [np.arange(points), np.flatnonzero(stack.lower >= 0), points + np.arange(len(top))]
-    block = [stack.upper, stack.lower[column[1]], owner[top]]
-    where = [stack.point[:, :2], stack.point[column[1], :2], place]
-    rows, columns, values = [], [], []
-    for sign, col, b, at in zip((1.0, -1.0, -1.0), column, block, where, strict=True):
-        lever = (at - stack.centre[b, :2]) / stack.pitch
-        for k, arm in enumerate((np.ones(len(b)), lever[:, 0], lever[:, 1])):
-            rows.append(3 * b + k)
-            columns.append(col)
-            values.append(sign * arm)
-    right = np.zeros((count, 3))
+    bears = np.flatnonzero(stack.lower >= 0)
     unit = float(stack.weight.mean())
+    right = np.zeros((len(stack), 3))
     right[:, 0] = stack.weight / unit
-    n = points + len(top)
-    answer = solve(
-        Program(
-            (np.arange(n) >= points).astype(float), np.zeros(n), np.full(n, INF),
-            right.reshape(-1), right.reshape(-1), *by_column(rows, columns, values, n),
-        )
-    )  # fmt: skip
+    model = Model()
+    force, ballast = model.columns(np.zeros(len(stack.point))), model.columns(np.ones(len(top)))
+    entries = []
+    for sign, column, block, at in (
+        (1.0, force, stack.upper, stack.point[:, :2]),
+        (-1.0, force[bears], stack.lower[bears], stack.point[bears, :2]),
+        (-1.0, ballast, owner[top], place),
+    ):
+        lever = (at - stack.centre[block, :2]) / stack.pitch
+        for k, arm in enumerate((np.ones(len(block)), lever[:, 0], lever[:, 1])):
+            entries.append((3 * block + k, column, sign * arm))
+    model.rows(right.reshape(-1), right.reshape(-1), *entries)
+    answer = solve(model.program())
     if answer.x is None:
         return top[:0], np.empty(0)
-    weight = answer.x[points:] * unit
+    weight = answer.x[ballast] * unit
     chosen = weight > 1e-6 * unit
     return top[chosen], weight[chosen]
