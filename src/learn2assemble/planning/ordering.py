@@ -26,7 +26,6 @@ from learn2assemble.planning.programs import INF, Clock
 from learn2assemble.planning.step_proof import Proof, Stack, find_stack, lies_below
 from learn2assemble.planning.tiling import (
     TIME_OPTION,
-    BlockPlacement,
     Tiling,
     placement_cells,
 )
@@ -54,6 +53,13 @@ class OrderedStep:
     """``LOCAL``, ``PROGRAM`` or ``TIGHT``."""
     margin_g: float
     """Sideways acceleration along +-x and +-y that the state at least withstands [g]."""
+
+    @property
+    def block(self) -> int:
+        """What is placed or removed."""
+        index = self.remove if self.place is None else self.place
+        assert index is not None
+        return index
 
 
 @dataclass(frozen=True)
@@ -137,17 +143,54 @@ class _Site:
     """What stands, and the forces that prove it under gravity and under sideways acceleration."""
 
     def __init__(
-        self, stack: Stack, friction: float, clock: Clock, coupled: Coupled | None = None
-    ) -> None:
-        self.stack, self.friction, self.clock, self.coupled = stack, friction, clock, coupled
-        self.placed = np.zeros(len(stack), bool)
-        self.proof = Proof(stack)
+        self, tiling: Tiling, kit: Kit, gap: float, friction: float, clock: Clock,
+        coupled: Coupled | None,
+    ) -> None:  # fmt: skip
+        self.blocks, self.clock, self.coupled = tiling.placements, clock, coupled
+        self.cells = [placement_cells(block, kit) for block in self.blocks]
+        self.wanted, self.filled = tiling.wanted, np.zeros_like(tiling.wanted)
+        self.stack = stack = find_stack(self.blocks, kit, tiling.wanted.shape, gap)
+        self.placed, self.done = np.zeros((2, len(stack)), bool)  # done: or taken away again
+        self.proof, self.friction = Proof(stack), friction
         self.sideways = [_Sideways(stack, way, friction) for way in _DIRECTIONS]
         self.timed_out = self.tight = False
         self.pressed: dict[bytes, float | None] = {}
+        self.steps: list[OrderedStep] = []
 
-    def change(self, block: int, place: bool) -> str | None:
-        """Place or remove a block; how the state is proven, None (and no change) if it falls."""
+    @property
+    def late(self) -> bool:
+        """Whether time has run out."""
+        return self.clock.left <= 0 or self.timed_out
+
+    def fill(self, block: int, there: bool) -> None:
+        """Mark the cells of a block."""
+        self.filled[tuple(self.cells[block].T)] = there
+
+    def props_on(self, block: int) -> list[int]:
+        """Props that stand on a block."""
+        upper = np.unique(self.stack.upper[self.stack.lower == block]).tolist()
+        return [b for b in upper if self.placed[b] and self.blocks[b].prop]
+
+    def change(self, block: int, place: bool, raising: bool) -> bool:
+        """Place or remove a block where the state that this makes is proven; whether it was.
+
+        Args:
+            raising: look for larger margins than those of the state before.
+        """
+        method = self._proven(block, place)
+        if method is None:
+            return False
+        if raising:
+            self.raise_margins()
+        self.fill(block, place)
+        self.done |= self.placed
+        step = (block, None) if place else (None, block)
+        self.steps.append(OrderedStep(*step, method, self.margin()))
+        return True
+
+    def _proven(self, block: int, place: bool) -> str | None:
+        """How the state with a block placed or removed is proven; None (and no change) if it
+        falls."""
         placed, dirty = _changed(self.stack, self.placed, block, place)
         if self.tight:
             dirty = placed.copy()  # There are no bed forces to begin with.
@@ -195,6 +238,74 @@ class _Site:
         """Look for larger margins than those that have come down from states before."""
         for load in self.sideways if not self.tight else ():
             load.search(self.placed, self.proof.force, seconds=self.clock.left)
+
+    def place_all(self, given: bool) -> list[int]:
+        """Place everything; what is stuck, or all that is left where time ran out.
+
+        A prop that the finished building encloses is taken away before the block that would close
+        its way out; where all that is left waits for that, the props are what is stuck.
+        """
+        count = len(self.blocks)
+        below = [self.stack.below(b) for b in range(count)]
+        enclosed = [b for b in range(count)
+                    if self.blocks[b].prop and not way_out(self.wanted, self.cells[b])]  # fmt: skip
+        left, level = list(range(count)), 0
+        if not given:
+            left.sort(key=lambda b: (self.blocks[b].origin[::-1], b))
+        waits: dict[int, list[int]] = {}
+        # Props are kept as long as anything else can be placed.
+        freeing = False
+        while left:
+            before = len(left)
+            for b in list(left):
+                if self.late:
+                    return left
+                if not self.done[below[b]].all() or (freeing and not waits.get(b)):
+                    continue
+                self.fill(b, True)
+                waits[b] = self.trapped(enclosed)
+                self.fill(b, False)
+                if waits[b] and freeing:
+                    waits[b] = self.remove(waits[b])
+                high = self.blocks[b].origin[2]
+                if not waits[b] and self.change(b, True, high > level):
+                    level = max(level, high)
+                    left.remove(b)
+                    if freeing:
+                        break
+            if len(left) == before and freeing:
+                break
+            freeing = len(left) == before
+        ready = [b for b in left if self.done[below[b]].all()] or left
+        held = {p for b in ready for p in waits.get(b, ())}
+        return [b for b in ready if not waits.get(b)] or sorted(held)
+
+    def trapped(self, props: list[int]) -> list[int]:
+        """Those of ``props`` that stand and that the structure walls in, and the props on them."""
+        there = [p for p in props if self.placed[p]]
+        if not there:
+            return []
+        structure = self.filled.copy()
+        structure[tuple(np.concatenate([self.cells[p] for p in there]).T)] = False
+        found = [p for p in there if not way_out(structure, self.cells[p])]
+        for p in found:
+            found += [a for a in self.props_on(p) if a not in found]
+        return found
+
+    def remove(self, props: list[int]) -> list[int]:
+        """Take props away, from above; those that cannot be."""
+        left = sorted((b for b in props if self.placed[b]),
+                      key=lambda b: (-self.blocks[b].origin[2], self.blocks[b].origin))  # fmt: skip
+        before = None
+        while left != before:
+            before = list(left)
+            for b in before:
+                if self.late:
+                    return left
+                free = not self.props_on(b) and leaves(self.filled, self.cells[b])
+                if free and self.change(b, False, True):
+                    left.remove(b)
+        return left
 
 
 class _Sideways:
@@ -294,39 +405,33 @@ def order(
     limit = min(kit.pitch[:2]) / 2
     if widest >= limit:
         raise InputError("gap", widest, f"less than half the pitch, {limit:g} m")
-    blocks, shape = tiling.placements, tiling.wanted.shape
-    stack = find_stack(blocks, kit, shape, widest)
-    site = _Site(stack, ends[0], clock, Coupled(tiling, kit, ends) if tight else None)
-    steps: list[OrderedStep] = []
-    stuck, status = _place_all(site, tiling, kit, steps, given)
-    props = [b for b in range(len(blocks)) if blocks[b].prop and site.placed[b]]
-    if props and not stuck and status == "complete":
-        cells = [placement_cells(block, kit) for block in blocks]
-        filled = tiling.wanted.copy()
-        filled[tuple(np.concatenate([cells[b] for b in props]).T)] = True
-        stuck, status = _remove_props(site, blocks, cells, steps, props, filled)
-        if stuck and status == "time":
-            stuck = ()
-    falls, reason = (), ""
-    if status == "time":
+    blocks = tiling.placements
+    site = _Site(tiling, kit, widest, ends[0], clock, Coupled(tiling, kit, ends) if tight else None)
+    stuck = site.place_all(given) or site.remove([b for b in range(len(blocks)) if blocks[b].prop])
+    stuck.sort(key=lambda b: blocks[b].prop)
+    steps, status, reason, falls = site.steps, "complete", "", ()
+    if stuck and site.late:
+        status, stuck = "time", []
         reason = (f"time ran out after {seconds:g} s with {len(steps)} steps proven; "
                   f"{TIME_OPTION} gives more")  # fmt: skip
     elif stuck:
-        status = "refused"
-        stuck = tuple(sorted(stuck, key=lambda b: blocks[b].prop))
-        falls = _moving(site, stuck[0]) if not blocks[stuck[0]].prop else ()
-        reason = _why_stuck(site, blocks[stuck[0]], stuck[0])
+        status, reason = "refused", _why_stuck(site, stuck[0])
+        if not blocks[stuck[0]].prop:
+            placed = site.placed.copy()
+            placed[stuck[0]] = True
+            falls = tuple(site.proof.held(placed, clock.left))
     margin = min((step.margin_g for step in steps), default=0.0)
     pressed = any(step.proof == TIGHT for step in steps)
     gaps = (0.0, widest)
     if status == "complete" and not pressed:
         gaps = 0.0, _widest_gap(tiling, kit, steps, widest, clock)
     return Ordering(tuple(steps), status, reason, margin, ends if pressed else (0.0, INF), gaps,
-                    stuck, falls, clock.spent)  # fmt: skip
+                    tuple(stuck), falls, clock.spent)  # fmt: skip
 
 
-def _why_stuck(site: _Site, block: BlockPlacement, number: int) -> str:
+def _why_stuck(site: _Site, number: int) -> str:
     """Why a block cannot be placed, or a prop not be taken away, in one line."""
+    block = site.blocks[number]
     name = f"{'prop' if block.prop else 'block'} {block.kind} at {block.origin}"
     if not block.prop:
         return f"{name} does not stand: nothing balances it on bed faces"
@@ -346,88 +451,6 @@ def value_range(
     return float(low), float(high)
 
 
-def _place_all(
-    site: _Site, tiling: Tiling, kit: Kit, steps: list[OrderedStep], given: bool
-) -> tuple[tuple[int, ...], str]:
-    """Place everything; what is stuck, and ``"complete"`` or ``"time"``.
-
-    A prop that the finished building encloses is taken away before the block that would close
-    its way out; where all that is left waits for that, the props are what is stuck.
-    """
-    blocks = tiling.placements
-    cells = [placement_cells(block, kit) for block in blocks]
-    below = [site.stack.below(b) for b in range(len(blocks))]
-    filled = tiling.wanted.copy()
-    enclosed = [b for b in range(len(blocks)) if blocks[b].prop and not way_out(filled, cells[b])]
-    filled[:] = False
-    left = list(range(len(blocks)))
-    if not given:
-        left.sort(key=lambda b: (blocks[b].origin[::-1], b))
-    level = 0
-    waits: dict[int, tuple[int, ...]] = {}
-
-    def gone() -> np.ndarray:
-        """bool[N]: props that have been taken away, which nothing needs to wait for."""
-        away = np.zeros(len(blocks), bool)
-        away[[step.remove for step in steps if step.remove is not None]] = True
-        return away
-
-    def put(b: int, freeing: bool) -> bool:
-        """Place ``b``; with ``freeing``, after the props that it would wall in have gone."""
-        nonlocal level
-        filled[tuple(cells[b].T)] = True
-        trapped = _trapped(site, blocks, cells, enclosed, filled)
-        waits[b] = tuple(trapped)
-        if trapped and freeing:
-            waits[b] = _remove_props(site, blocks, cells, steps, trapped, filled, b)[0]
-        method = None if waits[b] else site.change(b, True)
-        if method is None:
-            filled[tuple(cells[b].T)] = False
-            return False
-        left.remove(b)
-        if blocks[b].origin[2] > level:
-            level = blocks[b].origin[2]
-            site.raise_margins()
-        steps.append(OrderedStep(b, None, method, site.margin()))
-        return True
-
-    # Props are kept as long as anything else can be placed.
-    freeing = False
-    while left:
-        before = len(left)
-        for b in list(left):
-            if site.clock.left <= 0 or site.timed_out:
-                return (), "time"
-            if not (site.placed | gone())[below[b]].all() or (freeing and not waits.get(b)):
-                continue
-            if put(b, freeing) and freeing:
-                break
-        if len(left) == before and freeing:
-            break
-        freeing = len(left) == before
-    ready = [b for b in left if (site.placed | gone())[below[b]].all()] or left
-    held = {p for b in ready for p in waits.get(b, ())}
-    return tuple([b for b in ready if not waits.get(b)] or sorted(held)), "complete"
-
-
-def _trapped(
-    site: _Site, blocks: tuple[BlockPlacement, ...], cells: list[np.ndarray], props: list[int],
-    filled: np.ndarray,
-) -> list[int]:  # fmt: skip
-    """Those of ``props`` that stand and that the structure walls in, and the props on them."""
-    there = [p for p in props if site.placed[p]]
-    if not there:
-        return []
-    structure = filled.copy()
-    structure[tuple(np.concatenate([cells[p] for p in there]).T)] = False
-    found = [p for p in there if not way_out(structure, cells[p])]
-    for p in found:
-        upper = site.stack.upper[site.stack.lower == p]
-        found += [int(a) for a in np.unique(upper)
-                  if site.placed[a] and blocks[a].prop and a not in found]  # fmt: skip
-    return found
-
-
 def leaves(filled: np.ndarray, cells: np.ndarray) -> bool:
     """Whether a block can be moved out from where it stands among the ``filled`` cells."""
     others = filled.copy()
@@ -442,6 +465,8 @@ def way_out(filled: np.ndarray, cells: np.ndarray) -> bool:
         filled: bool[X, Y, Z], cells it may not pass.
         cells: int[m, 3], its own.
     """
+    from scipy.ndimage import label
+
     corner = cells.min(0)
     shape, extent = cells - corner, np.ptp(cells, axis=0) + 1
     room = np.pad(filled, [(int(n), int(n)) for n in extent[:2]] + [(0, int(extent[2]))])
@@ -449,64 +474,8 @@ def way_out(filled: np.ndarray, cells: np.ndarray) -> bool:
     free = np.ones(places, bool)
     for x, y, z in shape:
         free &= ~room[x : x + places[0], y : y + places[1], z : z + places[2]]
-    reached = np.zeros_like(free)
-    reached[0, 0, 0] = True
-    while True:
-        before = int(reached.sum())
-        for axis in range(3):
-            low, high = [slice(None)] * 3, [slice(None)] * 3
-            low[axis], high[axis] = slice(None, -1), slice(1, None)
-            reached[tuple(high)] |= reached[tuple(low)] & free[tuple(high)]
-            reached[tuple(low)] |= reached[tuple(high)] & free[tuple(low)]
-        if reached[corner[0] + extent[0], corner[1] + extent[1], corner[2]]:
-            return True
-        if int(reached.sum()) == before:
-            return False
-
-
-def _remove_props(
-    site: _Site, blocks: tuple[BlockPlacement, ...], cells: list[np.ndarray],
-    steps: list[OrderedStep], props: list[int], filled: np.ndarray, closing: int | None = None,
-) -> tuple[tuple[int, ...], str]:  # fmt: skip
-    """Take props away, from above; what cannot be, and ``"complete"`` or ``"time"``.
-
-    Args:
-        filled: bool[X, Y, Z], changed: cells where blocks stand.
-        closing: a block that is marked there and not placed yet.
-    """
-    if closing is not None:
-        filled[tuple(cells[closing].T)] = False
-    left = sorted((b for b in props if site.placed[b]),
-                  key=lambda b: (-blocks[b].origin[2], blocks[b].origin))  # fmt: skip
-    progress = True
-    while left and progress:
-        progress = False
-        for b in list(left):
-            if site.clock.left <= 0 or site.timed_out:
-                return tuple(left), "time"
-            on_it = site.stack.upper[site.stack.lower == b]
-            if any(site.placed[a] and blocks[a].prop for a in on_it):
-                continue
-            if not leaves(filled, cells[b]):
-                continue
-            method = site.change(b, False)
-            if method is None:
-                continue
-            site.raise_margins()
-            steps.append(OrderedStep(None, b, method, site.margin()))
-            filled[tuple(cells[b].T)] = False
-            left.remove(b)
-            progress = True
-    if closing is not None:
-        filled[tuple(cells[closing].T)] = True
-    return tuple(left), "complete"
-
-
-def _moving(site: _Site, stuck: int) -> tuple[int, ...]:
-    """Blocks that would have to be held if ``stuck`` were placed."""
-    placed = site.placed.copy()
-    placed[stuck] = True
-    return tuple(site.proof.held(placed, site.clock.left))
+    part, _ = label(free)  # pyright: ignore[reportGeneralTypeIssues]
+    return bool(part[corner[0] + extent[0], corner[1] + extent[1], corner[2]] == part[0, 0, 0])
 
 
 def _widest_gap(
@@ -516,14 +485,12 @@ def _widest_gap(
     low, high = proven, min(kit.pitch[:2]) / 4
     trial = high
     for _ in range(_GAP_TRIALS if high > low else 0):
-        if clock.left <= 0:
+        if clock.left <= 0 or low == high:
             break
         if _holds(tiling, kit, steps, trial, clock):
             low = trial
         else:
             high = trial
-        if low == high:
-            break
         trial = (low + high) / 2
     return low
 
@@ -533,9 +500,7 @@ def _holds(tiling: Tiling, kit: Kit, steps: list[OrderedStep], gap: float, clock
     proof = Proof(find_stack(tiling.placements, kit, tiling.wanted.shape, gap))
     placed = np.zeros(len(proof.stack), bool)
     for step in steps:
-        block = step.remove if step.place is None else step.place
-        assert block is not None
-        placed, dirty = _changed(proof.stack, placed, block, step.place is not None)
+        placed, dirty = _changed(proof.stack, placed, step.block, step.place is not None)
         if not proof.settle(dirty, placed) and not proof.program(placed, placed, clock.left):
             return False
     return True
@@ -572,12 +537,8 @@ def to_assembly(
         density = kit.density if kind.density is None else kind.density
         blocks.append(Block(ids[-1], moved, faces, block.kind, density, prop=block.prop,
                             colour=kind.colour))  # fmt: skip
-    steps = []
-    for step in ordering.steps if ordering else ():
-        if step.place is not None:
-            steps.append(Step(place=ids[step.place]))
-        elif step.remove is not None:
-            steps.append(Step(remove=ids[step.remove]))
+    steps = [Step(ids[step.block]) if step.remove is None else Step(remove=ids[step.block])
+             for step in (ordering.steps if ordering else ())]  # fmt: skip
     friction = kit.friction if friction is None else friction
     return Assembly(tuple(blocks), tuple(steps), friction, name)
 
