@@ -16,11 +16,11 @@ from learn2assemble.assembly.kit import Kind, Kit, load_kit
 from learn2assemble.errors import InputError
 from learn2assemble.physics.rigid_blocks import solve
 from learn2assemble.planning.exact import plan_exact, stand_pressed, uncarried_cells
-from learn2assemble.planning.mechanisms import find_mechanisms, mirrored
 from learn2assemble.planning.ordering import LOCAL, Ordering, order, to_assembly, way_out
 from learn2assemble.planning.programs import Clock
 from learn2assemble.planning.props import choose_props, unsupported
-from learn2assemble.planning.standing import region_near, tile_standing
+from learn2assemble.planning.retiling import mirrored
+from learn2assemble.planning.standing import find_mechanisms, region_near, tile_standing
 from learn2assemble.planning.step_proof import TOLERANCE, Proof, find_stack
 from learn2assemble.planning.tiling import BlockPlacement, Tiling, owners, placement_cells, tile
 from learn2assemble.reproduction import shapes

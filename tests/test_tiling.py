@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from learn2assemble.assembly.kit import Kind, Kit, load_kit, orientations
 from learn2assemble.errors import InputError, Learn2AssembleError
-from learn2assemble.planning import bonding
-from learn2assemble.planning.bonding import improve_bond
+from learn2assemble.planning import retiling
 from learn2assemble.planning.programs import Clock, Program, solve
+from learn2assemble.planning.retiling import improve_bond
 from learn2assemble.planning.tiling import (
     COSTS,
     BlockPlacement,
@@ -196,7 +196,7 @@ def test_joints_are_bridged_with_a_limited_heap_too(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # A program that a busy machine would cut off must be solved all the same.
-    monkeypatch.setattr(bonding, "_SECONDS", 60.0)
+    monkeypatch.setattr(retiling, "_SECONDS", 60.0)
     wanted = shapes.SHAPES[name]()
     heap = Counter(block.kind for block in tile(wanted, LINTELS).placements)
     kinds = tuple(replace(kind, count=heap[kind.name]) for kind in LINTELS.kinds)

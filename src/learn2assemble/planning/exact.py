@@ -18,12 +18,17 @@ from dataclasses import replace
 import numpy as np
 
 from learn2assemble.assembly.kit import Kit, kit_names, load_kit, orientations
-from learn2assemble.planning.bonding import improve_bond
-from learn2assemble.planning.mechanisms import Retiling, find_mechanisms, find_slides, mirrored
 from learn2assemble.planning.ordering import Coupled, Ordering, order, value_range
 from learn2assemble.planning.programs import INF, Clock
 from learn2assemble.planning.props import FIRM, choose_props, unsupported
-from learn2assemble.planning.standing import region_above, region_near, tile_standing
+from learn2assemble.planning.retiling import Retiling, improve_bond, mirrored
+from learn2assemble.planning.standing import (
+    find_mechanisms,
+    find_slides,
+    region_above,
+    region_near,
+    tile_standing,
+)
 from learn2assemble.planning.step_proof import Proof, Stack, find_stack, lies_above
 from learn2assemble.planning.tiling import (
     TIME_OPTION,

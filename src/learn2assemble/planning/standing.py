@@ -1,5 +1,6 @@
-r"""Blocks chosen together with the bed forces that make them stand: one mixed-integer program.
+r"""What makes a finished building stand, and how it falls.
 
+Blocks are chosen together with their forces by one mixed-integer program.
 For every block :math:`p` that may be used, with binary :math:`x_p`, weight :math:`w_p` and centre
 :math:`c_p`, forces :math:`f \ge 0` at the corners of the cells below it and :math:`g \ge 0` at
 those above it belong to this block alone:
@@ -18,20 +19,29 @@ top, *infeasible* proves that no tiling of the design stands.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from learn2assemble.assembly.kit import Kit
-from learn2assemble.planning.mechanisms import bonded_candidates
-from learn2assemble.planning.programs import INF, Model, Program, solve
+from learn2assemble.planning.programs import INF, Clock, Entry, Model, Program, solve
+from learn2assemble.planning.retiling import bonded_candidates
 from learn2assemble.planning.step_proof import EDGE_INSET, Stack, block_masses, lies_above
 from learn2assemble.planning.tiling import BlockPlacement, Tiling, from_below, placement_cells
+
+if TYPE_CHECKING:
+    from learn2assemble.physics.rigid_blocks import System
 
 NEAR, LEVELS = 4, 3
 """How far round a block that falls the tiling is decided again [cells], and on how many levels."""
 _GAP = 0.02
 """Share of its price by which a tiling may be dearer than the cheapest that stands."""
+_SPARSER, _SPARSE = 6, 4
+"""How often a mechanism is looked for that opens fewer joints, and how few are enough."""
+_GLUED = 1e6
+"""Price of parting a pair of blocks that a motion found before has parted."""
 
 
 def region_near(tiling: Tiling, kit: Kit, blocks: list[int]) -> np.ndarray:
@@ -211,3 +221,176 @@ def add_forces(model: Model, used: np.ndarray, faces: Faces, own: np.ndarray, mo
     row = m * faces.plane[:, None] + np.arange(m)
     model.rows(np.zeros(m * (faces.plane.max(initial=-1) + 1)), 0.0,
                (row, force[faces.joined], sign[faces.joined]))  # fmt: skip
+
+
+# ---------------------------------------------------------------- how it falls
+
+
+def find_mechanisms(
+    stack: Stack, owner: np.ndarray, most: int = 12, seconds: float = INF,
+    moving: np.ndarray | None = None,
+) -> list[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
+    """Ways in which a stack falls down, as the joints that would have to be glued.
+
+    A mechanism is a virtual motion of the blocks, each along z and tilting about x and y, that
+    presses nothing into anything and lowers the centre of mass. It exists exactly where no bed
+    forces balance the blocks (Farkas). Of all of them a linear program takes one that opens the
+    vertical joints least. **Cut:** any tiling of the same cells in which no block bridges one of
+    the joints that open can move in the same way, so it falls, too.
+
+    Args:
+        owner: int64[X, Y, Z]: which block fills each cell, -1 for none.
+        most: how many mechanisms without a common joint are looked for.
+        moving: bool[n], blocks that may move; all by default.
+
+    Returns:
+        bool[X - 1, Y, Z] and bool[X, Y - 1, Z] for each: joints that open.
+    """
+    places, sides = _joints(owner)
+    n, m, unit = len(stack), len(sides), stack.pitch
+    axis, at = np.repeat([0, 1], [len(cells) for cells in places]), np.concatenate(places)[:, :2]
+    size = stack.cell
+    foot = (
+        at + np.stack([1 - axis / 2, 0.5 + axis / 2], -1) - np.array(owner.shape[:2]) / 2
+    ) * size
+    model = Model()
+    free = np.full(3 * n, INF) if moving is None else np.where(np.repeat(moving, 3), INF, 0.0)
+    motion = model.columns(np.zeros(3 * n), free, lower=-free).reshape(n, 3)
+    jumps = model.columns(np.zeros(6 * m)).reshape(2, 3 * m)
+
+    def along_z(row: np.ndarray, block: np.ndarray, xy: np.ndarray, sign: float) -> list[Entry]:
+        """Velocity of points of blocks."""
+        lever = (xy - stack.centre[block, :2]) / unit
+        arms = (np.ones(len(row)), lever[:, 0], lever[:, 1])
+        return [(row, motion[block, k], sign * arm) for k, arm in enumerate(arms)]
+
+    point, bears = np.arange(len(stack.point)), np.flatnonzero(stack.lower >= 0)
+    model.rows(
+        np.zeros(len(point)), INF, *along_z(point, stack.upper, stack.point[:, :2], 1.0),
+        *along_z(bears, stack.lower[bears], stack.point[bears, :2], -1.0),
+    )  # fmt: skip
+    model.rows(1.0, 1.0, (0, motion[:, 0], -stack.weight / stack.weight.mean()))
+    number = 3 * np.arange(m)
+    model.rows(
+        np.zeros(3 * m), 0.0,
+        *((np.arange(3 * m), jump, sign) for jump, sign in zip(jumps, (-1.0, 1.0), strict=True)),
+        *along_z(number, sides[:, 0], foot, 1.0), *along_z(number, sides[:, 1], foot, -1.0),
+        *((number + k, motion[sides[:, side], k], sign)
+          for k in (1, 2) for side, sign in ((0, 1.0), (1, -1.0))),
+    )  # fmt: skip
+    program, clock = model.program(), Clock(seconds)
+
+    def part(price: np.ndarray, closed: np.ndarray) -> np.ndarray | None:
+        opens = np.tile(np.repeat(~closed, 3), 2)
+        upper = np.concatenate([free, np.where(opens, INF, 0.0)])
+        cost = np.concatenate([np.zeros(3 * n), np.tile(np.repeat(price, 3), 2)])
+        answer = solve(replace(program, cost=cost, upper=upper), clock.left)
+        if answer.x is None:
+            return None
+        gap = np.abs(answer.x[jumps[0]] - answer.x[jumps[1]])
+        return gap.reshape(-1, 3).max(1)
+
+    return [_edges(owner, places, opened) for opened in _partings(part, np.ones(m), most, 1e-7)]
+
+
+def _partings(
+    part: Callable[[np.ndarray, np.ndarray], np.ndarray | None], size: np.ndarray, most: int,
+    rounding: float,
+) -> list[np.ndarray]:  # fmt: skip
+    """bool[m] for each of up to ``most`` motions without a common joint: which joints it opens.
+
+    Args:
+        part: how far each joint opens in the cheapest motion, from the prices of opening them and
+            which of them stay closed (bool[m]); None where there is no motion.
+        size: float64[m], prices to begin with.
+        rounding: what counts as closed, in the widest opening.
+    """
+    closed, found = np.zeros(len(size), bool), []
+    while len(found) < most:
+        price, opened = size, None
+        for _ in range(1 + _SPARSER):
+            gap = part(price, closed)
+            if gap is None:
+                break
+            widest = float(gap.max(initial=0.0))
+            now = gap > max(rounding * widest, 1e-7)
+            if opened is None or size[now].sum() < size[opened].sum():
+                opened = now
+            if size[opened].sum() <= _SPARSE:
+                break
+            # Joints that hardly open cost more: the next motion does without them.
+            price = size / (gap / widest + 1e-3)
+        if opened is None:
+            break
+        found.append(opened)
+        if not opened.any():
+            break
+        closed |= opened
+    return found
+
+
+def _joints(owner: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
+    """Where two blocks stand side by side: the cells of the lower ones of pairs in x and in y
+    (int64[., 3] each), and the blocks of all pairs (int64[m, 2])."""
+    places, sides = [], []
+    for low, high in ((owner[:-1], owner[1:]), (owner[:, :-1], owner[:, 1:])):
+        places.append(np.argwhere((low >= 0) & (high >= 0) & (low != high)))
+        sides.append(np.stack([cells[tuple(places[-1].T)] for cells in (low, high)], 1))
+    return places, np.concatenate(sides)
+
+
+def _edges(
+    owner: np.ndarray, places: list[np.ndarray], opened: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Opened joints (bool[m], those across x first) as pairs of neighbouring cells."""
+    edges = np.zeros_like(owner[:-1], bool), np.zeros_like(owner[:, :-1], bool)
+    for edge, at, open_ in zip(edges, places, np.split(opened, [len(places[0])]), strict=True):
+        edge[tuple(at[open_].T)] = True
+    return edges
+
+
+def find_slides(
+    system: System, owner: np.ndarray, friction: float, most: int = 4
+) -> list[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
+    """Ways in which blocks with tight joints fall down, as the joints that would have to be glued.
+
+    As :func:`find_mechanisms`, with motions in all six directions of every block that friction on
+    side faces does not hold back either. **Cut:** any tiling of boxes of the same cells in which no
+    block bridges one of these joints can move in the same way, since the same faces part.
+
+    Args:
+        system: of all blocks, in the order of ``owner``, with vertical joints of width 0.
+        owner: int64[X, Y, Z]: which block fills each cell, -1 for none.
+    """
+    import scipy.sparse as sp
+
+    places, sides = _joints(owner)
+    pairs, which = np.unique(sides, axis=0, return_inverse=True)
+    which, m = which.reshape(-1), len(pairs)
+    middle = system.centre[pairs].mean(1)
+    rows, columns, values = [], [], []
+    for side, sign in ((0, 1.0), (1, -1.0)):
+        body = pairs[:, side]
+        arm = middle - system.centre[body]
+        # Of a block that turns by w: its angle of a radius, and the velocity w x arm.
+        turn = sign / system.radius[body]
+        cross = np.cross(np.eye(3)[None], arm[:, None])
+        block = np.zeros((m, 6, 6))
+        block[:, :3, :3] = sign * np.eye(3)
+        block[:, :3, 3:] = turn[:, None, None] * cross.transpose(0, 2, 1)
+        block[:, 3:, 3:] = turn[:, None, None] * np.eye(3)
+        row = 6 * np.arange(m)[:, None, None] + np.arange(6)[:, None]
+        column = 6 * body[:, None, None] + np.arange(6)
+        for entries, whole in ((row, rows), (column, columns), (block, values)):
+            whole.append(np.broadcast_to(entries, block.shape).reshape(-1))
+    index = np.concatenate(rows), np.concatenate(columns)
+    jump = sp.csc_matrix((np.concatenate(values), index), (6 * m, 6 * system.count))
+
+    def part(price: np.ndarray, closed: np.ndarray) -> np.ndarray | None:
+        gap = system.least_parting(friction, jump, np.where(closed, _GLUED, price))
+        held = gap is not None and (gap[closed] <= 1e-5 * gap.max(initial=0.0)).all()
+        return gap if held else None
+
+    size = np.bincount(which, minlength=m).astype(float)
+    found = _partings(part, size, most, 1e-5)
+    return [_edges(owner, places, opened[which]) for opened in found]

@@ -14,7 +14,7 @@ hull of what carries it cannot be put down on its own: it costs as much as a pro
 Layers are decided from below, each connected part on its own, wide ones strip by strip. Where the
 heap is limited or blocks are taller than a layer, one program decides the whole building; with a
 limited heap the layers are then bonded again, each with the blocks that program gave it (and in
-:mod:`.bonding` with those of the layers around it).
+:mod:`.retiling` with those of the layers around it).
 """
 
 from __future__ import annotations

@@ -1,13 +1,17 @@
-r"""A better bond with the same blocks: layers exchange blocks, a few layers at a time.
+r"""A tiling decided again, under conditions that its layers have together.
 
-Where a heap is limited, which layer gets which block decides how many joints can be bridged. With
-:math:`g_e` the number of chosen blocks that fill both cells of an edge :math:`e` between
-neighbouring cells (0 or 1), a joint that is continued in the next layer is
+**Bond.** Where a heap is limited, which layer gets which block decides how many joints can be
+bridged, so layers exchange blocks, a few layers at a time. With :math:`g_e` the number of chosen
+blocks that fill both cells of an edge :math:`e` between neighbouring cells (0 or 1), a joint that
+is continued in the next layer is
 
 .. math:: u_e \ge 1 - g_e^{z} - g_e^{z+1}, \quad u_e \ge 0 ,
 
-which is linear, so one program decides neighbouring layers together. It uses exactly the blocks
-that these layers have, and the layers around them stay as they are.
+which is linear, so one program decides neighbouring layers. It uses exactly the blocks that these
+layers have, and the layers around them stay as they are.
+
+**Cuts.** Sets of pairs of neighbouring cells of which at least one has to be filled by one block,
+see :func:`learn2assemble.planning.standing.find_mechanisms`.
 """
 
 from __future__ import annotations
@@ -22,14 +26,22 @@ from learn2assemble.assembly.kit import Kit
 from learn2assemble.planning.programs import INF, Clock, Model, solve
 from learn2assemble.planning.tiling import (
     COSTS,
+    TIME_OPTION,
     BlockPlacement,
     Candidates,
     Tiling,
+    bond_cost,
+    components,
+    cover,
     filled_pairs,
     find_candidates,
     find_seams,
     from_below,
+    glued,
+    heap_of,
     owners,
+    placement_cells,
+    seams_below,
     standing_cost,
 )
 
@@ -148,3 +160,112 @@ def _window(
         return None
     blocks = part.blocks(kit, np.flatnonzero(answer.x[chosen] > 0.5))
     return [[block for block in blocks if block.origin[2] == z] for z in range(low, high)]
+
+
+# ---------------------------------------------------------------- cuts
+
+
+def mirrored(
+    edges: tuple[np.ndarray, np.ndarray], wanted: np.ndarray, square: bool
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """A cut under all symmetries of the design, itself among them.
+
+    Args:
+        square: whether cells are as wide as deep, so that x and y may be exchanged.
+    """
+    found = []
+    for swap in (False, True) if square and wanted.shape[0] == wanted.shape[1] else (False,):
+        for flip_x in (1, -1):
+            for flip_y in (1, -1):
+
+                def turn(a: np.ndarray, s: bool = swap, u: int = flip_x, v: int = flip_y):
+                    return (a.transpose(1, 0, 2) if s else a)[::u, ::v]
+
+                if np.array_equal(turn(wanted), wanted):
+                    x, y = turn(edges[0]), turn(edges[1])
+                    found.append((y, x) if swap else (x, y))
+    return found
+
+
+def bonded_candidates(
+    tiling: Tiling, kit: Kit, tight: bool = False
+) -> tuple[Candidates, np.ndarray]:
+    """Every block that may be part of a tiling that stands, and what it costs (float64[n]).
+
+    Joints of the layer below, as they are now, are worth bridging. What lies on nothing falls in
+    every tiling and is left out, unless side faces may hold it (``tight``).
+    """
+    found = find_candidates(tiling.wanted, kit)
+    if not tight:
+        found = found.take(np.flatnonzero(np.isfinite(found.support)))
+    owner = owners(tiling.placements, kit, tiling.wanted.shape)
+    return found, bond_cost(found, seams_below(owner))
+
+
+class Retiling:
+    """A tiling whose layers are decided again together, under conditions that cross them.
+
+    Only parts of layers that a cut touches are decided again, by one program; the others stay as
+    they were.
+    """
+
+    def __init__(self, tiling: Tiling, kit: Kit, tight: bool = False) -> None:
+        self.tiling, self.kit = tiling, kit
+        self.found, self.cost = bonded_candidates(tiling, kit, tight=tight)
+        self.cuts: dict[bytes, np.ndarray] = {}
+        self.part = self._parts()
+        self.active = np.zeros(self.part.max() + 1, bool)
+
+    def _parts(self) -> np.ndarray:
+        """int64[cells of the lattice]: the part of its layer each cell belongs to."""
+        wanted = self.tiling.wanted
+        part = np.zeros(wanted.shape, np.int64)
+        if self.kit.limited or not self.kit.flat:
+            return part.reshape(-1)
+        number = 0
+        for z in range(wanted.shape[2]):
+            for mask in components(wanted[:, :, z]):
+                number += 1
+                part[:, :, z][mask] = number
+        return part.reshape(-1)
+
+    def add(self, edges: tuple[np.ndarray, np.ndarray]) -> bool:
+        """Add a cut (bool[X - 1, Y, Z], bool[X, Y - 1, Z]); whether it is a new one."""
+        key = edges[0].tobytes() + edges[1].tobytes()
+        if key in self.cuts:
+            return False
+        self.cuts[key] = np.flatnonzero(glued(self.found, edges) > 0)
+        shape = self.tiling.wanted.shape
+        for axis, edge in enumerate(edges):
+            at = np.argwhere(edge)
+            self.active[self.part[np.ravel_multi_index(tuple(at.T), shape)]] = True
+            at[:, axis] += 1
+            self.active[self.part[np.ravel_multi_index(tuple(at.T), shape)]] = True
+        return True
+
+    def solve(self, seconds: float) -> Tiling | None:
+        """The cheapest tiling that meets all cuts, None where there is none.
+
+        Its status is ``"time"`` where time ran out; then it may violate cuts.
+        """
+        clock, kit, old = Clock(seconds), self.kit, self.tiling
+        live = self.active[self.part]
+        keep = np.flatnonzero(live[self.found.cell[self.found.start[:-1]]])
+        number = np.full(len(self.found), -1)
+        number[keep] = np.arange(len(keep))
+        cuts = [number[cut][number[cut] >= 0] for cut in self.cuts.values()]
+        must = np.flatnonzero(live & old.wanted.reshape(-1))
+        answer, picked, _, _ = cover(
+            self.found.take(keep), self.cost[keep], must, kit=kit, counts=heap_of(kit), cuts=cuts,
+            seconds=clock.left,
+        )  # fmt: skip
+        if answer.status == "infeasible":
+            return None
+        if answer.status == "time":
+            reason = f"time ran out after {seconds:g} s; {TIME_OPTION} gives more"
+            return replace(old, status="time", reason=reason)
+        first = [placement_cells(block, kit)[0] for block in old.placements]
+        again = live[np.ravel_multi_index(tuple(np.array(first).T), old.wanted.shape)]
+        stays = [block for block, anew in zip(old.placements, again, strict=True) if not anew]
+        blocks = [*stays, *self.found.blocks(kit, keep[picked])]
+        return replace(old, placements=from_below(blocks))
