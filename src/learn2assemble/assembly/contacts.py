@@ -9,7 +9,7 @@ a pressure on the patch with friction can.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
@@ -66,7 +66,7 @@ def shrunk(contacts: Contacts, distance: float) -> Contacts:
 
     Patches that nothing is left of are dropped.
     """
-    basis = _basis(contacts.normal)
+    basis = across(contacts.normal)
     foot = contacts.points[np.minimum(contacts.start[:-1], len(contacts.points) - 1)]
     flat = np.einsum("kij,kj->ki", basis[contacts.patch], contacts.points - foot[contacts.patch])
     shapes = shapely.polygons(shapely.linearrings(flat, indices=contacts.patch))
@@ -152,7 +152,7 @@ def check_overlaps(assembly: Assembly, tolerance: float | None = None) -> None:
     lower, upper = _bounds(facets, len(blocks))
     first = np.searchsorted(facets.block, np.arange(len(blocks) + 1))
     warp = np.maximum.reduceat(facets.warp, first[:-1])
-    solids: dict[int, object] = {}
+    solids: dict[int, Any] = {}
     for i, j in near_pairs(lower, upper, -float(width.min())).tolist():
         depth = float(min(width[i], width[j]))
         if any(_separates(facets, slice(first[p], first[p + 1]), blocks[p], blocks[q], depth)
@@ -161,7 +161,7 @@ def check_overlaps(assembly: Assembly, tolerance: float | None = None) -> None:
         for k in (i, j):
             if k not in solids:
                 solids[k] = to_manifold(blocks[k])
-        common = solids[i] ^ solids[j]  # type: ignore[operator]
+        common = solids[i] ^ solids[j]
         surface = common.surface_area()
         if 2 * common.volume() > (depth + warp[i] + warp[j]) * surface:
             names = f"{blocks[i].id!r} and {blocks[j].id!r}"
@@ -274,7 +274,7 @@ def _touching(
     return first[keep], second[keep]
 
 
-def _basis(normal: np.ndarray) -> np.ndarray:
+def across(normal: np.ndarray) -> np.ndarray:
     """float64[n, 2, 3]: two unit vectors across each unit normal."""
     axis = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
     u = np.cross(axis, normal)
@@ -297,7 +297,7 @@ def _patches(facets: _Facets, first: np.ndarray, second: np.ndarray) -> Contacts
     normal = facets.normal[first] - facets.normal[second]
     normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
     foot = (facets.centre[first] + facets.centre[second]) / 2
-    basis = _basis(normal)
+    basis = across(normal)
     shapes = shapely.intersection(
         _polygons(facets, first, basis, foot), _polygons(facets, second, basis, foot)
     )

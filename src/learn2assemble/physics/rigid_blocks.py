@@ -28,7 +28,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from learn2assemble.assembly.blocks import Assembly, check_friction
-from learn2assemble.assembly.contacts import Contacts, check_overlaps, find_contacts
+from learn2assemble.assembly.contacts import Contacts, across, check_overlaps, find_contacts
 from learn2assemble.errors import InputError, Learn2AssembleError
 
 _conic: Any = clarabel
@@ -91,6 +91,12 @@ class Equilibrium(NamedTuple):
     """Tangential over normal stiffness of the joints of the fixed point, where one was found."""
 
 
+def _standing(
+    method: Literal["frictionless", "rbe", "cra"], forces: np.ndarray, stiffness: float = 0.0
+) -> Equilibrium:
+    return Equilibrium(True, method, 0.0, np.empty(0, np.int64), forces, stiffness)
+
+
 @dataclass(frozen=True, eq=False)
 class Check:
     """The answer of :func:`check`.
@@ -106,7 +112,7 @@ class Check:
         blocks: how many there are, supports included.
         contacts: all patches; ``only(bed)`` are those that carry where it ``stands``.
         forces: float64[C, 3], at the corners of ``contacts`` on block ``b`` [N, world].
-        method: what decided; see :class:`Equilibrium`.
+        method: see :class:`Equilibrium`.
         proof: what was shown, and what was not, in one line. A fixed point is forces that balance
             and obey Coulomb's law to ``SLIP`` and ``HELD``; where friction is needed other forces
             may be possible, too, and other programs find none (Kao et al. 2022 solve a nonlinear
@@ -221,27 +227,25 @@ def solve(
     check_friction(friction)
     system = System(assembly, contacts, present)
     if system.count == 0:
-        return Equilibrium(True, "frictionless", 0.0, np.empty(0, np.int64), system.newtons(None))
+        return _standing("frictionless", system.newtons(None))
     if system.upright:
         # Forces that need no friction are a fixed point, and cost a third.
         still = system.frictionless()
         if still is not None:
-            return Equilibrium(True, "frictionless", 0.0, np.empty(0, np.int64), still)
+            return _standing("frictionless", still)
     forces, held, motion = system.least_holding(friction)
     if not system.is_small(held):
         return system.fall("rbe", forces, held, motion)
     if not coupled:
-        return Equilibrium(True, "rbe", 0.0, np.empty(0, np.int64), system.newtons(forces))
+        return _standing("rbe", system.newtons(forces))
     best = None
     for ratio in stiffness:
-        fixed, forces_at, held, motion = system.coupled(friction, forces, ratio)
+        fixed, *found = system.coupled(friction, forces, ratio)
         if fixed:
-            nothing = np.empty(0, np.int64)
-            forces_at = system.newtons(forces_at)
-            return Equilibrium(True, "cra", 0.0, nothing, forces_at, ratio)
-        if best is None or held.sum() < best[1].sum():
-            best = forces_at, held, motion
-        if system.excess(held) > _HOPELESS:
+            return _standing("cra", system.newtons(found[0]), ratio)
+        if best is None or found[1].sum() < best[1].sum():
+            best = found
+        if system.excess(found[1]) > _HOPELESS:
             break
     assert best is not None
     return system.fall("cra", *best)
@@ -346,12 +350,8 @@ class System:
         reach = [np.linalg.norm(blocks[k].vertices - c, axis=1).max()
                  for k, c in zip(self.free, centre, strict=True)]  # fmt: skip
         self.radius = np.array(reach) / self._length
-        normal = contacts.normal[contacts.patch]
-        axis = np.eye(3)[np.argmin(np.abs(contacts.normal), axis=1)]
-        first = np.cross(axis, contacts.normal)
-        first /= np.linalg.norm(first, axis=1)[:, None]
-        second = np.cross(contacts.normal, first)
-        self._frame = np.stack([normal, first[contacts.patch], second[contacts.patch]], 1)
+        frame = np.concatenate([contacts.normal[:, None], across(contacts.normal)], 1)
+        self._frame = frame[contacts.patch]
         self.upright = bool((np.abs(contacts.normal[:, 2]) > 1 - 1e-6).all())
         share = np.maximum(np.bincount(contacts.patch, minlength=len(contacts.a)), 1)
         area = (contacts.area / share)[contacts.patch] / self._length**2
@@ -454,20 +454,14 @@ class System:
         self, friction: float, forces: np.ndarray, stiffness: float
     ) -> tuple[bool, np.ndarray, np.ndarray, np.ndarray]:
         """CRA from the forces of RBE: whether a fixed point stands, and as least_holding."""
-        soft = self._soft[:, None] * [1.0, 1 / stiffness, 1 / stiffness]
-        soft = soft.reshape(-1)
+        soft = (self._soft[:, None] * [1.0, 1 / stiffness, 1 / stiffness]).reshape(-1)
         count, corners = 6 * self.count, self.corners
         energy = sp.diags(np.concatenate([soft, np.full(count, 1 / _FIRM)]))
         disc = sp.diags(np.tile([0.0, -1.0, -1.0], corners))
         pick = sp.csc_matrix((-np.ones(corners), (np.arange(corners), 3 * np.arange(corners))),
                              (corners, 3 * corners))  # fmt: skip
         signs = sp.vstack([pick, disc])
-        matrix = sp.vstack(
-            [
-                sp.hstack([self.balance, sp.identity(count)]),
-                sp.hstack([signs, sp.csc_matrix((4 * corners, count))]),
-            ]
-        ).tocsc()
+        matrix = sp.bmat([[self.balance, sp.identity(count)], [signs, None]]).tocsc()
         discs = [_conic.SecondOrderConeT(3)] * corners
         cones = [_conic.ZeroConeT(count), _conic.NonnegativeConeT(corners), *discs]
         radius = friction * np.maximum(forces[:, 0], 0)
@@ -500,12 +494,12 @@ class System:
                 break
             change = friction * np.maximum(forces[:, 0], 0) - radius
             ahead, mix = radius + _STEP * change, 0.0
+            last_ahead, last_change = before or (ahead, change)
             if before is not None:
-                turn = change - before[1]
+                turn = change - last_change
                 mix = float(np.clip(change @ turn / max(turn @ turn, 1e-300), *_MIX))
-            before_ahead = before[0] if before is not None else ahead
             before = ahead, change
-            radius = np.maximum((1 - mix) * ahead + mix * before_ahead, 0)
+            radius = np.maximum((1 - mix) * ahead + mix * last_ahead, 0)
         parts = [_conic.NonnegativeConeT(corners), *discs]
         return False, *self._with_holding(soft, _EXACT, signs, limits, parts)
 
@@ -532,17 +526,14 @@ class System:
         count, corners = self.count, 3 * self.corners
         energy = sp.diags(np.concatenate([soft, np.zeros(7 * count)]))
         cost = np.concatenate([np.zeros(corners + 6 * count), np.full(count, price)])
-        held = sp.kron(sp.identity(count), -np.eye(7, 6, -1))
-        norm = sp.kron(sp.identity(count), -np.eye(7, 1))
+        held, norm = (sp.kron(sp.identity(count), -part)
+                      for part in (np.eye(7, 6, -1), np.eye(7, 1)))  # fmt: skip
         rows = [
-            [self.balance, sp.identity(6 * count), None],
-            [signs, None, None],
-            [None, held, norm],
-        ]
+            [self.balance, sp.identity(6 * count), None], [signs, None, None], [None, held, norm],
+        ]  # fmt: skip
         matrix = sp.bmat(rows).tocsc()
         bound = np.concatenate([self.weight, limits, np.zeros(7 * count)])
-        cones = [_conic.ZeroConeT(6 * count), *parts]
-        cones += [_conic.SecondOrderConeT(7)] * count
+        cones = [_conic.ZeroConeT(6 * count), *parts, *[_conic.SecondOrderConeT(7)] * count]
         answer = _run(energy, cost, matrix, bound, cones)
         if answer is None:
             raise Learn2AssembleError("equilibrium program: the solver stopped without a solution")

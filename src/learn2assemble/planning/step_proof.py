@@ -27,7 +27,7 @@ with the loads of all else held, then over all blocks.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -345,7 +345,6 @@ class Proof:
         self._above = order[np.searchsorted(stack.lower[order], 0) :]
         self._above_start = np.searchsorted(stack.lower[self._above], np.arange(len(stack) + 1))
         self.force = np.zeros(len(stack.point))
-        self.placed = np.zeros(len(stack), bool)
 
     def settle(self, dirty: np.ndarray, placed: np.ndarray) -> bool:
         """Balance locally what is ``dirty`` (bool[n]) where ``placed`` stands; False: unchanged."""
@@ -357,9 +356,7 @@ class Proof:
         sound = _settle(self.force, self.px, self.py, self.cx, self.cy, s.weight, share, s.start,
                         s.lower, s.rank, placed, dirty.copy(), s.pitch, self._above,
                         self._above_start)  # fmt: skip
-        if sound:
-            self.placed = placed.copy()
-        else:
+        if not sound:
             self.force = before
         return bool(sound)
 
@@ -380,7 +377,6 @@ class Proof:
         unit = self.stack.weight[changing & placed].max()
         self.force[~self._live(placed)] = 0.0
         self.force[free] = np.maximum(answer.x, 0.0) * unit
-        self.placed = placed.copy()
         return True
 
     def held(self, placed: np.ndarray, seconds: float = INF) -> list[int]:
@@ -437,21 +433,6 @@ class Proof:
                           rows[keep], values[keep])  # fmt: skip
         return free, blocks, program
 
-    def imbalance(self) -> float:
-        """Largest force or moment left over, in weights of the heaviest block and of the pitch."""
-        s = self.stack
-        rest = np.zeros((len(s), 3))
-        rest[:, 0] = -s.weight
-        live = self.force > 0
-        for k, lever in enumerate(self._levers(np.arange(len(s.point)), s.upper)):
-            np.add.at(rest[:, k], s.upper, np.where(live, self.force * lever, 0.0))
-        bears = np.flatnonzero(s.lower >= 0)
-        for k, lever in enumerate(self._levers(bears, s.lower[bears])):
-            np.add.at(rest[:, k], s.lower[bears], -self.force[bears] * lever)
-        if not self.placed.any():
-            return 0.0
-        return float(np.abs(rest[self.placed]).max() / s.weight[self.placed].max())
-
     def _levers(self, points: np.ndarray, block: np.ndarray) -> tuple[np.ndarray, ...]:
         """1 and the two lever arms of points about the centres of blocks [pitch]."""
         unit = self.stack.pitch
@@ -464,25 +445,20 @@ class Proof:
 
 def lies_below(stack: Stack, block: int, placed: np.ndarray) -> np.ndarray:
     """bool[n]: ``block`` and all placed blocks that carry it."""
-    found = np.zeros(len(stack), bool)
-    found[block] = True
-    queue = [block]
-    for top in queue:
-        for base in stack.below(top):
-            if placed[base] and not found[base]:
-                found[base] = True
-                queue.append(int(base))
-    return found
+    return _reached(stack, [block], lambda top: [b for b in stack.below(top).tolist() if placed[b]])
 
 
 def lies_above(stack: Stack, blocks: Iterable[int]) -> np.ndarray:
     """bool[n]: ``blocks`` and all that rest on them, directly or not."""
+    return _reached(stack, [*blocks], lambda base: stack.upper[stack.lower == base].tolist())
+
+
+def _reached(stack: Stack, queue: list[int], near: Callable[[int], Iterable[int]]) -> np.ndarray:
     found = np.zeros(len(stack), bool)
-    queue = list(blocks)
     found[queue] = True
-    for base in queue:
-        for top in np.unique(stack.upper[stack.lower == base]).tolist():
-            if not found[top]:
-                found[top] = True
-                queue.append(top)
+    for block in queue:
+        for other in near(block):
+            if not found[other]:
+                found[other] = True
+                queue.append(other)
     return found
