@@ -283,6 +283,7 @@ class Range(NamedTuple):
 
     low: float
     high: float
+    unit: str = ""
 
 
 def to_plain(value: Any) -> Any:
@@ -321,9 +322,9 @@ def from_plain(kind: Any, value: Any, source: str, path: str = "") -> Any:
     origin, inside = typing.get_origin(kind), typing.get_args(kind)
     if origin is Annotated:
         made = from_plain(inside[0], value, source, path)
-        for low, high in (bound for bound in inside[1:] if isinstance(bound, Range)):
+        for low, high, unit in (bound for bound in inside[1:] if isinstance(bound, Range)):
             if made is not None and not low <= made <= high:
-                raise InputError(where, value, f"{low:g} to {high:g}")
+                raise InputError(where, value, f"{low:g} to {high:g} {unit}".rstrip())
         return made
     if origin in (Union, types.UnionType):
         (other,) = (item for item in inside if item is not types.NoneType)

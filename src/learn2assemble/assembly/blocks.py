@@ -217,16 +217,6 @@ def box_block(id: str, lower: Sequence[float], upper: Sequence[float], **kwargs)
     return Block(id, np.stack(corners, -1), _BOX_FACES, **kwargs)
 
 
-def volume(block: Block) -> float:
-    """Volume of any closed polyhedron [m³]."""
-    return block.volume
-
-
-def centroid(block: Block) -> np.ndarray:
-    """float64[3]: centre of mass of any closed polyhedron of one density [m]."""
-    return block.centroid
-
-
 def check_friction(friction: float) -> None:
     """Refuse what is no Coulomb coefficient."""
     number = isinstance(friction, int | float | np.floating) and not isinstance(friction, bool)
@@ -303,7 +293,8 @@ def check_simple(block: Block) -> None:
         faces = part.faces
         triangles = np.array([t for face in faces for t in _triangulate(part.vertices, face)])
         edges = {(min(e), max(e)) for f in faces for e in zip(f, (*f[1:], f[0]), strict=True)}
-        through = _piercing(part.vertices, np.array(sorted(edges)), triangles)
+        depth = _CROSSING * float(np.ptp(part.vertices, axis=0).max())
+        through = piercing(part.vertices, np.array(sorted(edges)), triangles, depth, -1e-9)
         if through is not None:
             where = part.vertices[through].mean(0).round(6).tolist()
             got = f"a surface crossing itself near {where}"
@@ -313,35 +304,43 @@ def check_simple(block: Block) -> None:
         raise InputError(f"block {block.id!r}", "shells that overlap", "parts that only touch")
 
 
-def _piercing(points: np.ndarray, edges: np.ndarray, triangles: np.ndarray) -> np.ndarray | None:
-    """int64[2]: an edge whose inside passes through a triangle, or None."""
+def piercing(
+    points: np.ndarray, edges: np.ndarray, triangles: np.ndarray, depth: float, inside: float
+) -> np.ndarray | None:
+    """int64[2]: an edge that runs through the inside of a triangle, or None.
+
+    Args:
+        points: float64[V, 3].
+        edges, triangles: int64[E, 2] and int64[T, 3], vertices; those that share one are no pair.
+        depth: how far both ends have to be from the plane of the triangle, on either side.
+        inside: how far within its edges the triangle has to be met, as a share of its size.
+    """
     import shapely
 
-    corners, ends = points[triangles], points[edges]
+    corners = points[triangles]
     low, high = corners.min(1), corners.max(1)
-    start, stop = ends.min(1), ends.max(1)
-    boxes = shapely.box(low[:, 0], low[:, 1], high[:, 0], high[:, 1])
-    tree = shapely.STRtree(boxes)
-    e, t = tree.query(shapely.box(start[:, 0], start[:, 1], stop[:, 0], stop[:, 1]))
-    near = (start[e, 2] <= high[t, 2]) & (low[t, 2] <= stop[e, 2])
-    near &= (edges[e][:, :, None] != triangles[t][:, None, :]).all((1, 2))
-    e, t = e[near], t[near]
-    a, ab, ac = corners[t, 0], corners[t, 1] - corners[t, 0], corners[t, 2] - corners[t, 0]
-    along, arm = ends[e, 1] - ends[e, 0], ends[e, 0] - a
-    normal = np.cross(ab, ac)
-    steep = -np.einsum("ij,ij->i", along, normal)
-    size = np.linalg.norm(along, axis=1) * np.linalg.norm(normal, axis=1)
-    crossing = np.abs(steep) > 1e-6 * size
-    safe = np.where(crossing, steep, 1.0)
-    turn = np.cross(arm, along)
-    u = np.einsum("ij,ij->i", ac, turn) / safe
-    v = -np.einsum("ij,ij->i", ab, turn) / safe
-    where = np.einsum("ij,ij->i", arm, normal) / safe
-    inside = np.minimum(np.minimum(u, v), 1 - u - v) > -1e-9
-    # How deep it reaches on the side where it reaches less; warped faces cross a little.
-    depth = np.minimum(where, 1 - where) * np.abs(steep) / np.linalg.norm(normal, axis=1)
-    hit = np.flatnonzero(crossing & inside & (depth > _CROSSING * np.ptp(points, axis=0).max()))
-    return edges[e[hit[0]]] if len(hit) else None
+    # The two axes along which the boxes overlap least are those of the tree.
+    u, v, w = np.argsort((high - low).mean(0) / np.maximum(np.ptp(points, axis=0), 1e-9))
+    tree = shapely.STRtree(shapely.box(low[:, u], low[:, v], high[:, u], high[:, v]))
+    for start in range(0, len(edges), 2048):
+        chunk = edges[start : start + 2048]
+        lower, upper = points[chunk].min(1), points[chunk].max(1)
+        e, t = tree.query(shapely.box(lower[:, u], lower[:, v], upper[:, u], upper[:, v]))
+        near = (lower[e, w] <= high[t, w]) & (upper[e, w] >= low[t, w])
+        near &= (chunk[e][:, :, None] != triangles[t][:, None, :]).all((1, 2))
+        e, t = e[near], t[near]
+        (p, q), (a, b, c) = np.moveaxis(points[chunk[e]], 1, 0), np.moveaxis(corners[t], 1, 0)
+        normal = np.cross(b - a, c - a)
+        length = np.maximum(np.linalg.norm(normal, axis=1), 1e-300)
+        sides = [np.einsum("ni,ni->n", end - a, normal) / length for end in (p, q)]
+        apart = (np.minimum(*sides) < -depth) & (np.maximum(*sides) > depth)
+        turns = np.stack([np.einsum("ni,ni->n", np.cross(i - p, j - p), q - p)
+                          for i, j in ((a, b), (b, c), (c, a))])  # fmt: skip
+        room = inside * length * np.linalg.norm(q - p, axis=1)
+        hit = np.flatnonzero(apart & ((turns > room).all(0) | (turns < -room).all(0)))
+        if len(hit):
+            return chunk[e[hit[0]]]
+    return None
 
 
 def to_manifold(block: Block):

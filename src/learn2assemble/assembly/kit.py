@@ -23,35 +23,29 @@ turned by quarters about the vertical, or lie on any of its sides, as the kit al
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Literal
 
 import numpy as np
 
 from learn2assemble.errors import InputError, look_up
-from learn2assemble.files import (
-    check_keys,
-    integer,
-    number,
-    printable,
-    read_head,
-    read_text,
-    sequence,
-    text,
-)
+from learn2assemble.files import Range, from_plain, printable, read_head, read_text, sequence
 
 Cell = tuple[int, int, int]
 FORMAT, VERSION = "learn2assemble-kit", 1
-TURNS = ("none", "z", "any")
+Turns = Literal["none", "z", "any"]
 MAX_KINDS, MAX_CELLS, MAX_EXTENT, MAX_COUNT, MAX_NAME = 64, 512, 64, 100_000, 40
-_KEYS = ("format", "version", "units", "name", "pitch", "density", "friction", "joint_gap", "kinds")
-_KIND_KEYS = ("name", "box", "cells", "count", "colour", "density", "turns")
+Length = Annotated[float, Range(1e-4, 10.0, "m")]
+Density = Annotated[float, Range(1.0, 30_000.0, "kg/m3")]
+_Size = Annotated[int, Range(1, MAX_EXTENT, "cells")]
+_Place = Annotated[int, Range(-MAX_EXTENT, MAX_EXTENT, "cells")]
+_Byte = Annotated[int, Range(0, 255)]
 
 
 @dataclass(frozen=True)
@@ -66,7 +60,7 @@ class Kind:
     colour: tuple[int, int, int] | None = None
     density: float | None = None
     """[kg/m3]; None: that of the kit."""
-    turns: str = "z"
+    turns: Turns = "z"
     """``"none"``, ``"z"``: quarter turns about the vertical, ``"any"``: all 24."""
 
 
@@ -110,6 +104,27 @@ class Kit:
     def kind(self, name: str) -> Kind:
         """The kind called ``name``."""
         return look_up("kind of block", name, {kind.name: kind for kind in self.kinds})
+
+
+@dataclass(frozen=True)
+class _KindFile:
+    name: str
+    box: tuple[_Size, _Size, _Size] | None = None
+    cells: tuple[tuple[_Place, _Place, _Place], ...] | None = None
+    count: Annotated[int, Range(0, MAX_COUNT, "blocks")] | None = None
+    colour: tuple[_Byte, _Byte, _Byte] | None = None
+    density: Density | None = None
+    turns: Turns = "z"
+
+
+@dataclass(frozen=True)
+class _KitFile:
+    name: str
+    kinds: tuple[_KindFile, ...]
+    pitch: tuple[Length, Length, Length] = Kit.pitch
+    density: Density = Kit.density
+    friction: Annotated[float, Range(0.0, 5.0, "(Coulomb coefficient)")] = Kit.friction
+    joint_gap: Annotated[float, Range(0.0, 10.0, "m")] = Kit.joint_gap
 
 
 @dataclass(frozen=True)
@@ -196,10 +211,10 @@ def load_kit(name_or_path: str | Path) -> Kit:
     given = str(name_or_path)
     if isinstance(name_or_path, str) and not (given.endswith(".toml") or "/" in given):
         if Path(given).is_file():
-            return read_kit(Path(given))
+            return parse_kit(*read_text(Path(given), "kit file"))
         look_up("kit", given, dict.fromkeys(kit_names()))
         return _built_in(given)
-    return read_kit(Path(given))
+    return parse_kit(*read_text(Path(given), "kit file"))
 
 
 @cache
@@ -208,154 +223,85 @@ def _built_in(name: str) -> Kit:
     return parse_kit(source.read_text(encoding="utf-8"), f"{name}.toml")
 
 
-def read_kit(path: Path) -> Kit:
-    """The kit of a TOML file of at most 1 MB; every fault is an :class:`InputError`."""
-    content, source = read_text(path, "kit file")
-    return parse_kit(content, source)
-
-
 def parse_kit(content: str, source: str = "kit") -> Kit:
     """The kit of TOML text; messages call it ``source``."""
     try:
         root = tomllib.loads(content)
     except (tomllib.TOMLDecodeError, ValueError, RecursionError) as error:
         raise InputError(source, printable(str(error)), "TOML") from None
-    head = read_head(root, source, FORMAT, VERSION, _KEYS, ("format", "version", "name", "kinds"))
-    default = Kit("", ())
-    pitch = _vector(head.get("pitch", default.pitch), f"{source}: pitch")
-    for value in pitch:
-        _within(value, f"{source}: pitch", 1e-4, 10.0, "m")
-    gap = number(head.get("joint_gap", default.joint_gap), f"{source}: joint_gap")
-    _within(gap, f"{source}: joint_gap", 0.0, min(pitch) / 4, "m, a quarter of the pitch")
-    density = number(head.get("density", default.density), f"{source}: density")
-    friction = number(head.get("friction", default.friction), f"{source}: friction")
-    _within(density, f"{source}: density", 1.0, 30_000.0, "kg/m3")
-    _within(friction, f"{source}: friction", 0.0, 5.0, "(Coulomb coefficient)")
-    given = sequence(head["kinds"], f"{source}: kinds", "a list of kinds")
+    keys = tuple(_KitFile.__dataclass_fields__)
+    head = read_head(root, source, FORMAT, VERSION, ("format", "version", "units", *keys),
+                     ("format", "version", "name", "kinds"))  # fmt: skip
+    given = [
+        {**entry, "colour": _from_hex(entry["colour"], f"{source}: kinds[{k}].colour")}
+        if isinstance(entry, dict) and isinstance(entry.get("colour"), str) else entry
+        for k, entry in enumerate(sequence(head["kinds"], f"{source}: kinds", "a list of kinds"))
+    ]  # fmt: skip
     if not 1 <= len(given) <= MAX_KINDS:
         raise InputError(f"{source}: kinds", f"{len(given)} kinds", f"1 to {MAX_KINDS}")
-    kinds = tuple(_kind(entry, f"{source}: kinds[{k}]") for k, entry in enumerate(given))
+    plain = {**{key: head[key] for key in keys if key in head}, "kinds": given}
+    file: _KitFile = from_plain(_KitFile, plain, source)
+    if file.joint_gap > min(file.pitch) / 4:
+        expected = f"0 to {min(file.pitch) / 4:g} m, a quarter of the pitch"
+        raise InputError(f"{source}: joint_gap", file.joint_gap, expected)
+    kinds = tuple(_kind(kind, f"{source}: kinds[{k}]") for k, kind in enumerate(file.kinds))
     repeated = [name for name, n in Counter(kind.name for kind in kinds).items() if n > 1]
     if repeated:
         raise InputError(f"{source}: kinds", repeated[0], "every name once")
-    return Kit(_name(head["name"], f"{source}: name"), kinds, pitch, density, friction, gap)
+    _check_name(file.name, f"{source}: name")
+    return Kit(file.name, kinds, file.pitch, file.density, file.friction, file.joint_gap)
 
 
-def _kind(given: Any, where: str) -> Kind:
-    if not isinstance(given, Mapping):
-        raise InputError(where, given, "a table with a name and a box or cells")
-    check_keys(given, where, "", _KIND_KEYS, ("name",))
-    if ("box" in given) == ("cells" in given):
-        raise InputError(where, sorted(given), "either 'box' or 'cells'")
-    count = given.get("count")
-    if count is not None:
-        count = integer(count, f"{where}.count")
-        _within(count, f"{where}.count", 0, MAX_COUNT, "blocks")
-    density = given.get("density")
-    if density is not None:
-        density = number(density, f"{where}.density")
-        _within(density, f"{where}.density", 1.0, 30_000.0, "kg/m3")
-    turns = text(given.get("turns", "z"), f"{where}.turns")
-    look_up(f"{where}.turns", turns, dict.fromkeys(TURNS))
-    cells = _box(given["box"], where) if "box" in given else _cells(given["cells"], where)
-    colour = None if given.get("colour") is None else _colour(given["colour"], f"{where}.colour")
-    return Kind(_name(given["name"], f"{where}.name"), cells, count, colour, density, turns)
+def _kind(given: _KindFile, where: str) -> Kind:
+    _check_name(given.name, f"{where}.name")
+    if given.box is not None and given.cells is None:
+        if math.prod(given.box) > MAX_CELLS:
+            raise InputError(f"{where}.box", list(given.box), f"at most {MAX_CELLS} cells")
+        cells = _normal(np.argwhere(np.ones(given.box, bool)))
+    elif given.cells is not None and given.box is None:
+        cells = _checked(given.cells, f"{where}.cells")
+    else:
+        found = sorted(key for key, value in vars(given).items() if value is not None)
+        raise InputError(where, found, "either 'box' or 'cells'")
+    return Kind(given.name, cells, given.count, given.colour, given.density, given.turns)
 
 
-def _box(given: Any, where: str) -> tuple[Cell, ...]:
-    sizes = sequence(given, f"{where}.box", "three whole numbers")
-    if len(sizes) != 3:
-        raise InputError(f"{where}.box", given, "three whole numbers")
-    edges = [integer(size, f"{where}.box") for size in sizes]
-    for edge in edges:
-        _within(edge, f"{where}.box", 1, MAX_EXTENT, "cells")
-    if math.prod(edges) > MAX_CELLS:
-        raise InputError(f"{where}.box", given, f"at most {MAX_CELLS} cells")
-    return _normal(np.argwhere(np.ones(edges, bool)))
+def _check_name(name: str, where: str) -> None:
+    if not (name and len(name) <= MAX_NAME and name.isprintable() and name == name.strip()):
+        raise InputError(where, name, f"1 to {MAX_NAME} printable characters")
 
 
-def _cells(given: Any, where: str) -> tuple[Cell, ...]:
+def _from_hex(digits: str, where: str) -> list[int]:
+    """Red, green and blue of ``#rrggbb``."""
+    if not re.fullmatch("#?[0-9a-fA-F]{6}", digits):
+        raise InputError(where, digits, "'#rrggbb' or three whole numbers from 0 to 255")
+    return list(bytes.fromhex(digits.removeprefix("#")))
+
+
+def _checked(listed: tuple[Cell, ...], where: str) -> tuple[Cell, ...]:
     """Cells that hang together by their faces and touch themselves nowhere by an edge alone."""
-    where = f"{where}.cells"
-    listed = sequence(given, where, "a list of [x, y, z]")
     if not 1 <= len(listed) <= MAX_CELLS:
         raise InputError(where, f"{len(listed)} cells", f"1 to {MAX_CELLS}")
-    rows = []
-    for k, entry in enumerate(listed):
-        cell = sequence(entry, f"{where}[{k}]", "[x, y, z]")
-        if len(cell) != 3:
-            raise InputError(f"{where}[{k}]", entry, "[x, y, z]")
-        rows.append([integer(value, f"{where}[{k}]") for value in cell])
-        for value in rows[-1]:
-            _within(value, f"{where}[{k}]", -MAX_EXTENT, MAX_EXTENT, "cells")
-    cells = _normal(np.array(rows, np.int64))
+    cells = _normal(np.array(listed, np.int64))
     if len(set(cells)) < len(cells):
-        raise InputError(where, listed, "every cell once")
+        raise InputError(where, list(listed), "every cell once")
     if max(max(cell) for cell in cells) >= MAX_EXTENT:
         raise InputError(where, "a wider block", f"at most {MAX_EXTENT} cells along an axis")
-    if not _connected(cells):
-        raise InputError(where, listed, "cells that hang together by their faces")
-    if _pinched(cells):
-        raise InputError(where, listed, "no two cells that touch along an edge alone")
-    return cells
-
-
-def _connected(cells: tuple[Cell, ...]) -> bool:
-    left, queue = set(cells), [cells[0]]
-    left.discard(cells[0])
-    while queue:
-        x, y, z = queue.pop()
-        for near in ((x - 1, y, z), (x + 1, y, z), (x, y - 1, z), (x, y + 1, z),
-                     (x, y, z - 1), (x, y, z + 1)):  # fmt: skip
-            if near in left:
-                left.discard(near)
-                queue.append(near)
-    return not left
-
-
-def _pinched(cells: tuple[Cell, ...]) -> bool:
-    """Whether two diagonal cells of a square of four are there and the two others are not."""
     taken = np.zeros(np.max(cells, 0) + 1, bool)
     taken[tuple(np.array(cells).T)] = True
-    for a, b in ((0, 1), (0, 2), (1, 2)):
+    if len(parts_of(taken)) > 1:
+        raise InputError(where, list(listed), "cells that hang together by their faces")
+    for a, b in ((0, 1), (0, 2), (1, 2)):  # two diagonal cells of a square of four
         grid = np.moveaxis(taken, (a, b), (0, 1))
         p, q, r, s = grid[:-1, :-1], grid[1:, 1:], grid[1:, :-1], grid[:-1, 1:]
         if ((p & q & ~r & ~s) | (r & s & ~p & ~q)).any():
-            return True
-    return False
+            raise InputError(where, list(listed), "no two cells that touch along an edge alone")
+    return cells
 
 
-def _colour(given: Any, where: str) -> tuple[int, int, int]:
-    expected = "'#rrggbb' or three whole numbers from 0 to 255"
-    if isinstance(given, str):
-        digits = given.removeprefix("#")
-        if len(digits) != 6 or any(c not in "0123456789abcdefABCDEF" for c in digits):
-            raise InputError(where, given, expected)
-        return int(digits[:2], 16), int(digits[2:4], 16), int(digits[4:], 16)
-    parts = sequence(given, where, expected)
-    if len(parts) != 3:
-        raise InputError(where, given, expected)
-    red, green, blue = (integer(value, where) for value in parts)
-    if not all(0 <= value <= 255 for value in (red, green, blue)):
-        raise InputError(where, given, expected)
-    return red, green, blue
+def parts_of(mask: np.ndarray) -> list[np.ndarray]:
+    """bool[...] each: parts of ``mask`` that hang together by faces (edges) of cells."""
+    from scipy.ndimage import label
 
-
-def _vector(given: Any, where: str) -> tuple[float, float, float]:
-    parts = sequence(given, where, "three numbers")
-    if len(parts) != 3:
-        raise InputError(where, given, "three numbers")
-    x, y, z = (number(value, where) for value in parts)
-    return x, y, z
-
-
-def _within(value: float, where: str, low: float, high: float, unit: str) -> None:
-    if not low <= value <= high:
-        raise InputError(where, value, f"{low:g} to {high:g} {unit}")
-
-
-def _name(given: Any, where: str) -> str:
-    name = text(given, where)
-    if not (name and len(name) <= MAX_NAME and name.isprintable() and name == name.strip()):
-        raise InputError(where, name, f"1 to {MAX_NAME} printable characters")
-    return name
+    labels, count = label(mask)  # pyright: ignore[reportGeneralTypeIssues]
+    return [labels == number for number in range(1, count + 1)]

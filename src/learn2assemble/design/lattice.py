@@ -114,12 +114,6 @@ def misfit(share: np.ndarray) -> float:
     return float(np.where(share >= HALF, np.abs(1 - share), np.abs(share)).sum())
 
 
-def extent(triangles: np.ndarray) -> np.ndarray:
-    """Edges of the box around the triangles, ``float64[3]``."""
-    points = triangles.reshape(-1, 3)
-    return points.max(0) - points.min(0)
-
-
 def _laid(triangles: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     moved = triangles - offset
     points = moved.reshape(-1, 3)

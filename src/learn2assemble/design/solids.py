@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from learn2assemble.assembly.blocks import piercing
 from learn2assemble.errors import InputError, MissingExtraError
 
 if TYPE_CHECKING:
@@ -337,48 +338,9 @@ def crossed(vertices: np.ndarray, faces: np.ndarray) -> bool:
 
     Contact (a vertex on a face, faces in one plane) is no crossing.
     """
-    import shapely
-
     points = (vertices - vertices.min(0)) / max(float(np.ptp(vertices, axis=0).max()), 1e-12)
     edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
-    corners = points[faces]
-    low, high = corners.min(1), corners.max(1)
-    # The two axes along which the boxes overlap least are those of the tree.
-    first, second, third = np.argsort(
-        (high - low).mean(0) / np.maximum(np.ptp(points, axis=0), 1e-9)
-    )
-    tree = shapely.STRtree(
-        shapely.box(low[:, first], low[:, second], high[:, first], high[:, second])
-    )
-    for start in range(0, len(edges), 2048):
-        chunk = edges[start : start + 2048]
-        ends = points[chunk]
-        lower, upper = ends.min(1), ends.max(1)
-        e, f = tree.query(
-            shapely.box(lower[:, first], lower[:, second], upper[:, first], upper[:, second])
-        )
-        near = (lower[e, third] <= high[f, third]) & (upper[e, third] >= low[f, third])
-        e, f = e[near], f[near]
-        apart = (chunk[e][:, :, None] != faces[f][:, None, :]).all((1, 2))
-        if _pierces(ends[e[apart]], corners[f[apart]]).any():
-            return True
-    return False
-
-
-def _pierces(edges: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Whether every edge ``[N, 2, 3]`` runs through the inside of its triangle ``[N, 3, 3]``."""
-    a, b, c = np.moveaxis(triangles, 1, 0)
-    p, q = np.moveaxis(edges, 1, 0)
-    normal = np.cross(b - a, c - a)
-    length = np.maximum(np.linalg.norm(normal, axis=1), 1e-300)
-    side_p = np.einsum("ni,ni->n", p - a, normal) / length
-    side_q = np.einsum("ni,ni->n", q - a, normal) / length
-    apart = (np.minimum(side_p, side_q) < -1e-7) & (np.maximum(side_p, side_q) > 1e-7)
-    turns = np.stack(
-        [np.einsum("ni,ni->n", np.cross(u - p, v - p), q - p) for u, v in ((a, b), (b, c), (c, a))]
-    )
-    room = 1e-7 * length * np.linalg.norm(q - p, axis=1)
-    return apart & ((turns > room).all(0) | (turns < -room).all(0))
+    return piercing(points, edges, faces, 1e-7, 1e-7) is not None
 
 
 def _united(parts: list[np.ndarray], source: str) -> np.ndarray:

@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from learn2assemble.assembly.kit import Kit, kit_names, load_kit, orientations
+from learn2assemble.assembly.kit import Kit, kit_names, load_kit, orientations, parts_of
 from learn2assemble.planning.ordering import Coupled, Ordering, order, value_range
 from learn2assemble.planning.programs import INF, Clock
 from learn2assemble.planning.props import FIRM, choose_props, unsupported
@@ -33,7 +33,6 @@ from learn2assemble.planning.step_proof import Proof, Stack, find_stack, lies_ab
 from learn2assemble.planning.tiling import (
     TIME_OPTION,
     Tiling,
-    components,
     find_candidates,
     owners,
     placement_cells,
@@ -323,7 +322,7 @@ def describe_lack(wanted: np.ndarray, kit: Kit, cells: np.ndarray) -> str:
     level = int(cells[:, 2].min())
     mask = np.zeros(wanted.shape[:2], bool)
     mask[tuple(cells[cells[:, 2] == level, :2].T)] = True
-    group = components(mask)[0]
+    group = parts_of(mask)[0]
     at = np.argwhere(group)
     run = int(max(group.sum(0).max(), group.sum(1).max()))
     first = (int(at[0, 0]), int(at[0, 1]), level)

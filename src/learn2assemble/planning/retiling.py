@@ -22,7 +22,7 @@ from itertools import chain
 
 import numpy as np
 
-from learn2assemble.assembly.kit import Kit
+from learn2assemble.assembly.kit import Kit, parts_of
 from learn2assemble.planning.programs import INF, Clock, Model, solve
 from learn2assemble.planning.tiling import (
     COSTS,
@@ -31,7 +31,6 @@ from learn2assemble.planning.tiling import (
     Candidates,
     Tiling,
     bond_cost,
-    components,
     cover,
     filled_pairs,
     find_candidates,
@@ -224,7 +223,7 @@ class Retiling:
             return part.reshape(-1)
         number = 0
         for z in range(wanted.shape[2]):
-            for mask in components(wanted[:, :, z]):
+            for mask in parts_of(wanted[:, :, z]):
                 number += 1
                 part[:, :, z][mask] = number
         return part.reshape(-1)

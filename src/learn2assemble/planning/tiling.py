@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from learn2assemble.assembly.kit import Cell, Kit, Orientation, orientations
+from learn2assemble.assembly.kit import Cell, Kit, Orientation, orientations, parts_of
 from learn2assemble.errors import InputError
 from learn2assemble.planning.programs import INF, Answer, Clock, Model, solve
 
@@ -409,14 +409,6 @@ def cover(
 # ---------------------------------------------------------------- layers
 
 
-def components(mask: np.ndarray) -> list[np.ndarray]:
-    """bool[...] each: parts of ``mask`` that hang together by edges (faces) of cells."""
-    from scipy.ndimage import label
-
-    labels, count = label(mask)  # pyright: ignore[reportGeneralTypeIssues]
-    return [labels == number for number in range(1, count + 1)]
-
-
 class _Layers:
     """Tiles a building layer by layer and remembers layers it has seen."""
 
@@ -436,7 +428,7 @@ class _Layers:
             below = np.ones_like(layer) if z == 0 else self.wanted[:, :, z - 1]
             seams = find_seams(owner)
             owner = np.full_like(owner, -1)
-            for part in [layer] if heaps else components(layer):
+            for part in [layer] if heaps else parts_of(layer):
                 for block in self._part(part, below, seams, z, heaps[z] if heaps else None):
                     owner[tuple(placement_cells(block, self.kit)[:, :2].T)] = len(chosen)
                     chosen.append(block)
