@@ -513,26 +513,14 @@ def _design(
 
 def _check_carried(wanted: np.ndarray, cell: Lengths, source: str) -> None:
     """Refuse cells that are joined to the table by no chain of cells with common faces."""
+    from scipy.ndimage import label
+
     if not wanted[:, :, 0].any():
         _floating(float(np.flatnonzero(wanted.any((0, 1)))[0]) * cell[2], cell, source)
-    padded = np.pad(wanted, 1)
-    strides = (padded.shape[1] * padded.shape[2], padded.shape[2], 1)
-    left = bytearray(padded.tobytes())
-    ground = np.zeros_like(padded)
-    ground[:, :, 1] = padded[:, :, 1]
-    queue = np.flatnonzero(ground).tolist()
-    for index in queue:
-        left[index] = 0
-    while queue:
-        index = queue.pop()
-        for stride in strides:
-            for near in (index - stride, index + stride):
-                if left[near]:
-                    left[near] = 0
-                    queue.append(near)
-    rest = np.frombuffer(left, bool).reshape(padded.shape)
+    part, _ = label(wanted)  # pyright: ignore[reportGeneralTypeIssues]
+    rest = wanted & ~np.isin(part, part[:, :, 0])
     if rest.any():
-        level = int(np.flatnonzero(rest.any((0, 1)))[0]) - 1
+        level = int(np.flatnonzero(rest.any((0, 1)))[0])
         _floating(level * cell[2], cell, source)
 
 

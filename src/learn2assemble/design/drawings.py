@@ -11,22 +11,14 @@ import logging
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.files import (
-    MAX_BYTES,
-    check_keys,
-    integer,
-    load_json,
-    mapping,
-    number,
-    sequence,
-    text,
-)
+from learn2assemble.files import MAX_BYTES, Range, from_plain, load_json, mapping, read_head
 
 if TYPE_CHECKING:
     from manifold3d import CrossSection
@@ -84,8 +76,22 @@ class Drawing:
 # ---------------------------------------------------------------- elevation JSON
 
 _FORMAT = "learn2assemble-design"
-_KEYS = ("format", "version", "name", "description", "units", "elevations", "kit",
-         "blocks", "first_block", "success_threshold", "supports")  # fmt: skip
+_IGNORED = ("description", "first_block", "success_threshold", "supports")
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class _Elevation:
+    outline: tuple[Point, ...]
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class _Elevations:
+    elevations: tuple[_Elevation, ...]
+    name: str | None = None
+    kit: str | None = None
+    blocks: Annotated[int, Range(1, 1e9)] | None = None
 
 
 def read_elevations(content: bytes, source: str) -> Drawing:
@@ -96,44 +102,35 @@ def read_elevations(content: bytes, source: str) -> Drawing:
         root = mapping(load_json(content.decode("utf-8-sig"), source, _FORMAT), source)
     except UnicodeDecodeError as error:
         raise InputError(source, f"a bad byte at offset {error.start}", "UTF-8 text") from None
-    if root.get("format", _FORMAT) != _FORMAT:
-        raise InputError(f"{source}: format", root["format"], repr(_FORMAT))
-    check_keys(root, source, "", _KEYS, ("elevations",))
-    for key, only in (("version", 1), ("units", "m")):
-        if root.get(key, only) != only or isinstance(root.get(key), bool):
-            raise InputError(f"{source}: {key}", root[key], repr(only))
-    given = sequence(root["elevations"], f"{source}: elevations", "1 to 4 elevations")
-    if not 1 <= len(given) <= len(SIDES):
-        raise InputError(f"{source}: elevations", f"{len(given)} of them", "1 to 4 elevations")
+    keys = tuple(_Elevations.__dataclass_fields__)
+    valid = ("format", "version", "units", *keys, *_IGNORED)
+    root = read_head({"version": 1, **root}, source, _FORMAT, 1, valid, ("elevations",))
+    file: _Elevations = from_plain(_Elevations, {k: root[k] for k in keys if k in root}, source)
+    if not 1 <= len(file.elevations) <= len(SIDES):
+        got = f"{len(file.elevations)} of them"
+        raise InputError(f"{source}: elevations", got, "1 to 4 elevations")
+    for key in ("name", "kit"):
+        check_line(getattr(file, key) or "", f"{source}: {key}")
     sides = {
-        side: _outline(elevation, source, f"elevations[{k}]")
-        for k, (side, elevation) in enumerate(zip(SIDES, given, strict=False))
+        side: _outline(elevation.outline, f"{source}: elevations[{k}].outline")
+        for k, (side, elevation) in enumerate(zip(SIDES, file.elevations, strict=False))
     }
-    name, kit = (
-        None if key not in root else text(root[key], f"{source}: {key}") for key in ("name", "kit")
-    )
-    blocks = None
-    if root.get("blocks") is not None:
-        blocks = integer(root["blocks"], f"{source}: blocks")
-        if blocks < 1:
-            raise InputError(f"{source}: blocks", blocks, "a whole number from 1")
-    return Drawing(sides, 1.0, True, name, kit, blocks)
+    return Drawing(sides, 1.0, True, file.name, file.kit, file.blocks)
 
 
-def _outline(elevation: Any, source: str, path: str) -> Contours:
+def check_line(given: str, where: str) -> None:
+    """Refuse text that is not one line of printable characters."""
+    if not given.isprintable():
+        raise InputError(where, given, "one line of printable characters")
+
+
+def _outline(points: tuple[Point, ...], where: str) -> Contours:
     import shapely
 
-    given = mapping(elevation, f"{source}: {path}")
-    check_keys(given, source, path, ("name", "outline"), ("outline",))
-    where, expected = f"{source}: {path}.outline", "[x, z], two numbers in metres"
-    points = []
-    for k, vertex in enumerate(sequence(given["outline"], where, "a list of [x, z] vertices")):
-        pair = sequence(vertex, f"{where}[{k}]", expected)
-        if len(pair) != 2:
-            raise InputError(f"{where}[{k}]", vertex, expected)
-        points.append([number(value, f"{where}[{k}]") for value in pair])
-        if points[-1][1] < -1e-9:
-            raise InputError(f"{where}[{k}]", vertex, "z >= 0: nothing is below the table")
+    for k, point in enumerate(points):
+        if point[1] < -1e-9:
+            expected = "z >= 0: nothing is below the table"
+            raise InputError(f"{where}[{k}]", list(point), expected)
     if not 3 <= len(points) <= MAX_ENTITIES:
         raise InputError(where, f"{len(points)} vertices", f"3 to {MAX_ENTITIES} vertices")
     polygon = shapely.Polygon(points)
@@ -147,55 +144,61 @@ def _outline(elevation: Any, source: str, path: str) -> Contours:
 # ---------------------------------------------------------------- regions
 
 
-_Filled = tuple[Contours, bool, bool, "Colour | None"]
+@dataclass(frozen=True)
+class _Shape:
+    """What is drawn at once."""
+
+    contours: Contours
+    even_odd: bool
+    """Whether it is filled by the even-odd rule."""
+    paper: bool = False
+    """Whether it is painted in the colour of paper, over what is below it."""
+    colour: Colour | None = None
+
+    def region(self, scale: float) -> CrossSection:
+        """What it fills."""
+        from manifold3d import CrossSection, FillRule
+
+        rule = FillRule.EvenOdd if self.even_odd else FillRule.NonZero
+        return CrossSection([contour * scale for contour in self.contours], rule)
 
 
 @dataclass
 class _Layer:
-    """What is drawn on one layer, in the order of drawing."""
+    """What is drawn on one layer."""
 
-    filled: list[_Filled] = field(default_factory=list)
-    """Contours of a filled shape, whether by the even-odd rule, whether it is paper, its colour."""
+    filled: list[_Shape] = field(default_factory=list)
+    """In the order of drawing."""
     lines: Contours = field(default_factory=list)
     """Closed outlines that are only drawn as lines: those inside others are holes."""
 
     def contours(self) -> Contours:
         """All contours of the layer."""
-        return [*self.lines, *(c for contours, *_ in self.filled for c in contours)]
+        return [*self.lines, *(c for shape in self.filled for c in shape.contours)]
 
     def simplify(self, tolerance: float) -> None:
         """Leave out vertices that matter less than ``tolerance``."""
         self.lines = _simple(self.lines, tolerance)
-        self.filled = [
-            (_simple(c, tolerance), rule, paper, colour) for c, rule, paper, colour in self.filled
-        ]
+        self.filled = [replace(s, contours=_simple(s.contours, tolerance)) for s in self.filled]
 
     def region(self, scale: float) -> CrossSection:
         """The material of the layer; even-odd among lines, filled shapes painted over another."""
-        from manifold3d import CrossSection, FillRule, OpType
+        from manifold3d import CrossSection, OpType
 
-        rules = {True: FillRule.EvenOdd, False: FillRule.NonZero}
         made = CrossSection()
-        for paper, shapes in itertools.groupby(self.filled, key=lambda shape: shape[2]):
-            parts = [
-                CrossSection([c * scale for c in contours], rules[even_odd])
-                for contours, even_odd, *_ in shapes
-            ]
-            kind = OpType.Subtract if paper else OpType.Add
-            made = CrossSection.batch_boolean([made, *parts], kind)
-        lines = CrossSection([line * scale for line in self.lines], FillRule.EvenOdd)
-        return (made + lines).simplify(_FINE * _SPAN)
+        for paper, shapes in itertools.groupby(self.filled, key=lambda shape: shape.paper):
+            parts = [made, *(shape.region(scale) for shape in shapes)]
+            made = CrossSection.batch_boolean(parts, OpType.Subtract if paper else OpType.Add)
+        return (made + _Shape(self.lines, True).region(scale)).simplify(_FINE * _SPAN)
 
     def paints(self, scale: float) -> list[Paint]:
         """What is filled in which colour, in the order of painting; neighbours in one joined."""
-        from manifold3d import CrossSection, FillRule, OpType
+        from manifold3d import CrossSection, OpType
 
-        rules, made = {True: FillRule.EvenOdd, False: FillRule.NonZero}, []
-        material = self.region(scale)
-        shapes = [shape for shape in self.filled if not shape[2] and shape[3] is not None]
-        for colour, group in itertools.groupby(shapes, key=lambda shape: shape[3]):
-            parts = [CrossSection([c * scale for c in contours], rules[even_odd])
-                     for contours, even_odd, *_ in group]  # fmt: skip
+        made, material = [], self.region(scale)
+        shapes = [shape for shape in self.filled if not shape.paper and shape.colour is not None]
+        for colour, group in itertools.groupby(shapes, key=lambda shape: shape.colour):
+            parts = [shape.region(scale) for shape in group]
             region = CrossSection.batch_boolean(parts, OpType.Add) ^ material
             if colour is not None and not region.is_empty():
                 made.append(([p / scale for p in region.to_polygons()], colour))
@@ -272,6 +275,18 @@ def _check_overlaps(contours: Contours, source: str) -> None:
                 raise InputError(source, got, f"at most {most} pairs of {what} that might cross")
 
 
+@contextmanager
+def trusted(source: str, expected: str, how: str = "") -> Iterator[None]:
+    """Whatever a library raises about a damaged file, as one line."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:  # noqa: BLE001  the libraries trust their input
+        reason = f"{type(error).__name__} while reading it{how}"
+        raise InputError(source, reason, expected) from None
+
+
 def _expanded(
     start: Any, parts: Callable[[Any], Iterable[tuple[Any, int]]],
     weight: Callable[[Any], tuple[int, int]], source: str,
@@ -330,18 +345,13 @@ def read_svg(content: bytes, source: str) -> Drawing:
     for key in ("width", "height", "viewBox", "preserveAspectRatio"):
         root.attrib.pop(key, None)
     layers: dict[str | None, _Layer] = {}
-    try:
+    with trusted(source, "a valid SVG drawing"):
         parsed = SVG.parse(io.BytesIO(ElementTree.tostring(root)), reify=True, ppi=96.0)
         shapes = list(_svg_shapes(parsed, root))
         curves = sum(type(part).__name__ in _CURVED for _, path in shapes for part in path)
         sampled = np.linspace(0, 1, int(np.clip(MAX_VERTICES // 2 // max(curves, 1), 4, 49)))
         for name, path in shapes:
             _add_svg_shape(layers.setdefault(name, _Layer()), path, sampled, source)
-    except InputError:
-        raise
-    except Exception as error:  # noqa: BLE001  the library trusts its input
-        reason = f"{type(error).__name__} while reading it"
-        raise InputError(source, reason, "a valid SVG drawing") from None
     return _drawing(layers, metres, source, "a rect, circle, polygon, or a path that ends in Z")
 
 
@@ -358,9 +368,8 @@ def _svg_root(content: bytes, source: str) -> ElementTree.Element:
     try:
         root = ElementTree.fromstring(content)
     except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise InputError(source, f"XML that cannot be read ({error})", "a valid SVG drawing") from (
-            None
-        )
+        got = f"XML that cannot be read ({error})"
+        raise InputError(source, got, "a valid SVG drawing") from None
     named = {e.get("id"): e for e in root.iter() if e.get("id")}
 
     def parts(element: ElementTree.Element) -> Iterator[tuple[ElementTree.Element, int]]:
@@ -427,10 +436,8 @@ def _add_svg_shape(layer: _Layer, path: Any, sampled: np.ndarray, source: str) -
         reach = np.ptp(points, axis=0).max() if len(points) else 0.0
         if len(points) < 3 or not reach > 0:
             continue
-        if (
-            type(part[-1]).__name__ != "Close"
-            and np.abs(points[0] - points[-1]).max() > 1e-3 * reach
-        ):
+        gap = np.abs(points[0] - points[-1]).max()
+        if type(part[-1]).__name__ != "Close" and gap > 1e-3 * reach:
             is_open = True
         else:
             closed.append(points * (1, -1))  # z up
@@ -439,7 +446,8 @@ def _add_svg_shape(layer: _Layer, path: Any, sampled: np.ndarray, source: str) -
         raise InputError(source, f"a filled path{name} that is open", "closed outlines (end in Z)")
     if closed and filled and not (paper and stroked):
         colour = (path.fill.red, path.fill.green, path.fill.blue)
-        layer.filled.append((closed, path.values.get("fill-rule") == "evenodd", paper, colour))
+        even_odd = path.values.get("fill-rule") == "evenodd"
+        layer.filled.append(_Shape(closed, even_odd, paper, colour))
     elif closed:
         layer.lines.extend(closed)
 
@@ -474,7 +482,7 @@ def read_dxf(content: bytes, source: str) -> Drawing:
     Lines and arcs that meet end to end are outlines, too. Texts, dimensions and points are not
     read.
     """
-    import ezdxf
+    from ezdxf import filemanagement
 
     if content.startswith(b"AutoCAD Binary DXF"):
         raise InputError(source, "a binary DXF drawing", "one saved as ASCII DXF")
@@ -487,8 +495,8 @@ def read_dxf(content: bytes, source: str) -> Drawing:
     logging.getLogger("ezdxf").addHandler(logging.NullHandler())
     chains: dict[str | None, list[np.ndarray]] = {}
     layers: dict[str | None, _Layer] = {}
-    try:
-        document = ezdxf.read(io.StringIO(content.decode("utf-8", "replace")))  # type: ignore[attr-defined]
+    with trusted(source, "a valid DXF drawing"):
+        document = filemanagement.read(io.StringIO(content.decode("utf-8", "replace")))
         _dxf_bounded(document, source)
         paths = [
             (name, path, entity.dxftype() in _DXF_FILLED)
@@ -497,14 +505,9 @@ def read_dxf(content: bytes, source: str) -> Drawing:
         ]
         for name, filled, points in _dxf_flat(paths):
             if filled:
-                layers.setdefault(name, _Layer()).filled.append(([points], True, False, None))
+                layers.setdefault(name, _Layer()).filled.append(_Shape([points], True))
             else:
                 chains.setdefault(name, []).append(points)
-    except InputError:
-        raise
-    except Exception as error:  # noqa: BLE001  the library trusts its input
-        reason = f"{type(error).__name__} while reading it"
-        raise InputError(source, reason, "a valid DXF drawing") from None
     for name, lines in chains.items():
         layers.setdefault(name, _Layer()).lines.extend(_closed(lines))
     metres = _DXF_UNITS.get(int(document.header.get("$INSUNITS", 0)))
@@ -514,13 +517,16 @@ def read_dxf(content: bytes, source: str) -> Drawing:
 def _dxf_bounded(document: Any, source: str) -> None:
     """Refuse blocks that expand to too much, before they are expanded."""
 
+    def entities(name: str | None) -> Any:
+        return document.modelspace() if name is None else document.blocks.get(name) or ()
+
     def parts(name: str | None) -> Iterator[tuple[str, int]]:
-        for entity in document.modelspace() if name is None else document.blocks.get(name) or ():
+        for entity in entities(name):
             if entity.dxftype() == "INSERT":
                 yield entity.dxf.name, max(entity.mcount, 1)
 
     def weight(name: str | None) -> tuple[int, int]:
-        return len(document.modelspace() if name is None else document.blocks.get(name) or ()), 0
+        return len(entities(name)), 0
 
     _expanded(None, parts, weight, source)
 
@@ -532,10 +538,10 @@ def _dxf_entities(entities: Iterable[Any], inherited: str) -> Iterator[tuple[str
         layer = inherited if own == "0" else own
         if entity.dxftype() != "INSERT":
             yield layer, entity
-        elif entity.mcount > 1:
-            yield from _dxf_entities(entity.multi_insert(), layer)
         else:
-            yield from _dxf_entities(entity.virtual_entities(), layer)
+            many = entity.mcount > 1
+            inside = entity.multi_insert() if many else entity.virtual_entities()
+            yield from _dxf_entities(inside, layer)
 
 
 def _dxf_paths(entity: Any) -> list[Any]:
@@ -689,12 +695,11 @@ def _pixels(content: bytes, source: str) -> np.ndarray:
     width, height = (int.from_bytes(content[k : k + 4], "big") for k in (16, 20))
     if not 0 < width * height <= MAX_PIXELS:
         raise InputError(source, f"{width} x {height} pixels", expected)
-    try:
-        with Image.open(io.BytesIO(content), formats=["PNG"]) as image:
-            image.load()
-            if image.mode.startswith("I"):
-                image = Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
-            return np.asarray(image.convert("RGBA"))
-    except Exception as error:  # noqa: BLE001  damaged pictures raise a dozen kinds of errors
-        reason = f"{type(error).__name__} while reading it"
-        raise InputError(source, reason, expected) from None
+    with (
+        trusted(source, expected),
+        Image.open(io.BytesIO(content), formats=["PNG"]) as image,
+    ):
+        image.load()
+        if image.mode.startswith("I"):
+            image = Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
+        return np.asarray(image.convert("RGBA"))

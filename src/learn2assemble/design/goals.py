@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from learn2assemble.assembly.kit import MAX_COUNT, Cell, Kit, load_kit
+from learn2assemble.design.drawings import check_line
 from learn2assemble.design.lattice import MAX_CELLS
 from learn2assemble.errors import InputError, look_up
 from learn2assemble.files import (
@@ -181,6 +182,7 @@ def parse_goals(
     file: GoalsFile = from_plain(
         GoalsFile, {key: value for key, value in root.items() if key in keys}, source
     )
+    check_line(file.name, f"{source}: name")
     if not isinstance(kit, Kit):
         kit = load_kit(kit or file.kit or DEFAULT_KIT)
     edges = file.cell if cell is None else cell

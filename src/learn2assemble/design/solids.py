@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from learn2assemble.assembly.blocks import piercing
+from learn2assemble.design.drawings import trusted
 from learn2assemble.errors import InputError, MissingExtraError
 
 if TYPE_CHECKING:
@@ -121,18 +122,15 @@ def _trimesh(content: bytes, kind: str, source: str) -> list[Mesh]:
     options: dict[str, Any] = {"process": False}
     if kind == "obj":
         options |= {"split_objects": True, "group_material": False, "skip_materials": True}
-    try:
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
+    expected = "a whole mesh file"
+    with trusted(source, expected, f" as {kind.upper()}"), np.errstate(all="ignore"):
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, **options)
-            return [
-                (np.asarray(g.vertices, np.float64), np.asarray(g.faces, np.int64))
-                for g in scene.dump()
-                if isinstance(g, trimesh.Trimesh)
-            ]
-    except Exception as error:  # noqa: BLE001  the library trusts its input
-        reason = f"{type(error).__name__} while reading it as {kind.upper()}"
-        raise InputError(source, reason, "a whole mesh file") from None
+        return [
+            (np.asarray(g.vertices, np.float64), np.asarray(g.faces, np.int64))
+            for g in scene.dump() if isinstance(g, trimesh.Trimesh)
+        ]  # fmt: skip
 
 
 def _promises(content: bytes, kind: str, source: str) -> None:
