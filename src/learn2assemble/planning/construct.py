@@ -22,7 +22,7 @@ from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
 from learn2assemble.planning import plan as plans
 from learn2assemble.planning.exact import plan_exact
-from learn2assemble.planning.ordering import TIGHT, Ordering, to_assembly, value_range
+from learn2assemble.planning.ordering import TIGHT, Bounds, Ordering, to_assembly, value_range
 from learn2assemble.planning.plan import Plan, PlanDesign
 from learn2assemble.planning.tiling import Tiling, placement_cells
 
@@ -42,8 +42,8 @@ def plan_cells(
     design: CellDesign,
     kit: Kit | str | None = None,
     *,
-    friction: float | tuple[float, float] | None = None,
-    gap: float | tuple[float, float] | None = None,
+    friction: Bounds = None,
+    gap: Bounds = None,
     props: bool = True,
     seconds: float = 60.0,
     progress: Callable[[str], None] = lambda text: None,
@@ -126,20 +126,14 @@ def report_plan(
     """
     started = time.perf_counter()
     ordered = ordering or Ordering((), tiling.status, tiling.reason)
-    standing: set[int] = set()
-    for step in ordered.steps:
-        standing = standing - {step.remove} if step.place is None else standing | {step.place}
-    filled = np.zeros_like(design.wanted, dtype=bool)
-    outside = 0
-    for number in standing:
-        i, j, k = placement_cells(tiling.placements[number], kit).T
-        inside = (i >= 0) & (j >= 0) & (k >= 0)
-        inside &= (i < filled.shape[0]) & (j < filled.shape[1]) & (k < filled.shape[2])
-        outside += int((~inside).sum())
-        filled[i[inside], j[inside], k[inside]] = True
+    standing = {s.block for s in ordered.steps} - {s.remove for s in ordered.steps}
+    filled, cells = np.zeros_like(design.wanted), [np.empty((0, 3), np.int64)]
+    at = np.concatenate(cells + [placement_cells(tiling.placements[n], kit) for n in standing])
+    inside = ((at >= 0) & (at < filled.shape)).all(1)
+    filled[tuple(at[inside].T)] = True
+    outside = int((~inside).sum() + (filled & ~design.wanted).sum())
     wanted = int(design.wanted.sum())
     missing = int((design.wanted & ~filled).sum())
-    outside += int((filled & ~design.wanted).sum())
     done = bool(tiling.status == ordered.status == "complete" and not missing and not outside)
     reason = None if done else ordered.reason or tiling.reason or f"{missing} cells are open"
     refused = "refused" in (tiling.status, ordered.status)
@@ -157,14 +151,12 @@ def report_plan(
         assembly = _coloured(made, design, kit.pitch)
     steps, covered = [], 0
     for number, step in enumerate(ordered.steps, 1):
-        index = step.remove if step.place is None else step.place
-        assert index is not None
         assert assembly is not None
-        placement, block = tiling.placements[index], assembly.blocks[index]
+        placement, block = tiling.placements[step.block], assembly.blocks[step.block]
         if step.place is not None and not placement.prop:
             covered += len(placement_cells(placement, kit))
-        steps.append(_step(number, index, block, step.place is None, step.margin_g, step.proof,
-                           covered / max(wanted, 1)))  # fmt: skip
+        steps.append(_step(number, step.block, block, step.place is None, step.margin_g,
+                           step.proof, covered / max(wanted, 1)))  # fmt: skip
     low, high = ordered.friction_range
     return Plan(
         design=PlanDesign(
@@ -198,8 +190,8 @@ def report_plan(
 def plan_assembly(
     assembly: Assembly,
     *,
-    friction: float | tuple[float, float] | None = None,
-    gap: float | tuple[float, float] | None = None,
+    friction: Bounds = None,
+    gap: Bounds = None,
     seconds: float = 60.0,
     progress: Callable[[str], None] = lambda text: None,
     source: str = "",

@@ -14,11 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from learn2assemble.assembly.kit import Kit, kit_names, load_kit, orientations, parts_of
-from learn2assemble.planning.ordering import Coupled, Ordering, order, value_range
+from learn2assemble.planning.ordering import Bounds, Coupled, Ordering, order, value_range
 from learn2assemble.planning.programs import INF, Clock
 from learn2assemble.planning.props import FIRM, choose_props, unsupported
 from learn2assemble.planning.retiling import Retiling, improve_bond, mirrored
@@ -52,9 +53,8 @@ TIGHT_OPTION = "it stands only with tight joints (--gap 0)"
 
 
 def plan_exact(
-    wanted: np.ndarray, kit: Kit, *, seconds: float = 60.0,
-    friction: float | tuple[float, float] | None = None,
-    gap: float | tuple[float, float] | None = None, props_allowed: bool = True,
+    wanted: np.ndarray, kit: Kit, *, seconds: float = 60.0, friction: Bounds = None,
+    gap: Bounds = None, props_allowed: bool = True,
 ) -> tuple[Tiling, Ordering | None]:  # fmt: skip
     """Blocks of ``kit`` that fill ``wanted`` exactly, and an order in which every state stands.
 
@@ -83,15 +83,13 @@ def plan_exact(
     if stood.status != "complete" and not (pressed and tight):
         return stood, None
 
-    def order_with_props(structure: Tiling, tight: bool) -> tuple[Tiling, Ordering | None]:
-        return prop_and_order(structure, kit, clock, friction=friction, gap=gap,
-                              props_allowed=props_allowed, tight=tight)  # fmt: skip
-
+    ordered = partial(prop_and_order, kit=kit, clock=clock, friction=friction, gap=gap,
+                      props_allowed=props_allowed)  # fmt: skip
     if pressed is None:
-        made, ordering = order_with_props(stood, False)
+        made, ordering = ordered(stood, tight=False)
         if not tight or (ordering or made).status != "refused":
             return made, ordering
-    return order_with_props(pressed or stood, True)
+    return ordered(pressed or stood, tight=True)
 
 
 def stand_pressed(
@@ -121,10 +119,8 @@ def stand_pressed(
             return tiling, f"; {TIGHT_OPTION}"
         slides = []
         if boxes and number < rounds:
-            system, owner = (
-                System(*coupled.assembly),
-                owners(tiling.placements, kit, tiling.wanted.shape),
-            )
+            system = System(*coupled.assembly)
+            owner = owners(tiling.placements, kit, tiling.wanted.shape)
             slides = find_slides(system, owner, friction[0])
         if not slides:
             break
@@ -140,8 +136,7 @@ def stand_pressed(
 
 
 def prop_and_order(
-    structure: Tiling, kit: Kit, clock: Clock, *,
-    friction: float | tuple[float, float] | None, gap: float | tuple[float, float] | None,
+    structure: Tiling, kit: Kit, clock: Clock, *, friction: Bounds, gap: Bounds,
     props_allowed: bool, tight: bool,
 ) -> tuple[Tiling, Ordering | None]:  # fmt: skip
     """The order of a building that stands, with the fewest props it takes.
@@ -178,7 +173,7 @@ def prop_and_order(
         else:
             break
     assert ordering is not None
-    return replace(tiling, seconds=clock.spent - ordering.seconds), ordering
+    return tiling, ordering
 
 
 def _not_carried(structure: Tiling, kit: Kit, blocks: list[int], why: str) -> Tiling:
@@ -201,7 +196,7 @@ def stand(tiling: Tiling, kit: Kit, clock: Clock) -> Tiling:
     """
     again: Retiling | None = None
     wanted, shape = tiling.wanted, tiling.wanted.shape
-    loose = unreached_cells(wanted, kit)
+    loose = uncarried_cells(wanted, kit, -INF)
     if len(loose):
         return _falls(tiling, kit, loose)
     square = bool(np.isclose(kit.pitch[0], kit.pitch[1]))
@@ -293,19 +288,13 @@ def _opened(edges: tuple[np.ndarray, np.ndarray], owner: np.ndarray) -> np.ndarr
 # ---------------------------------------------------------------- what is not carried
 
 
-def uncarried_cells(wanted: np.ndarray, kit: Kit) -> np.ndarray:
-    """int64[n, 3]: cells in no block of ``kit`` whose centroid is above what carries it."""
-    return _not_in(wanted, kit, FIRM)
+def uncarried_cells(wanted: np.ndarray, kit: Kit, least: float = FIRM) -> np.ndarray:
+    """int64[n, 3]: cells in no block of ``kit`` whose centroid is above what carries it.
 
-
-def unreached_cells(wanted: np.ndarray, kit: Kit) -> np.ndarray:
-    """int64[n, 3]: cells in no block of ``kit`` that lies on anything, so that no tiling of the
-    design stands on bed faces."""
-    return _not_in(wanted, kit, -INF)
-
-
-def _not_in(wanted: np.ndarray, kit: Kit, least: float) -> np.ndarray:
-    """int64[n, 3]: cells in no block that is supported by more than ``least``."""
+    Args:
+        least: how far inside; with -INF, cells in no block that lies on anything, so that no tiling
+            of the design stands on bed faces.
+    """
     found = find_candidates(wanted, kit)
     good = found.take(np.flatnonzero(found.support > least))
     carried = np.zeros(wanted.size, bool)

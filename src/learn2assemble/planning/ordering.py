@@ -42,6 +42,10 @@ _LEAST, _PRECISION = 2e-3, 0.02
 _GAP_TRIALS = 7
 
 
+Bounds = float | tuple[float, float] | None
+"""A number, or the smallest and the largest of a range; None: that of the kit."""
+
+
 @dataclass(frozen=True)
 class OrderedStep:
     """One step of building and what is proven about the state after it."""
@@ -383,9 +387,8 @@ class _Sideways:
 
 
 def order(
-    tiling: Tiling, kit: Kit, *, friction: float | tuple[float, float] | None = None,
-    gap: float | tuple[float, float] | None = None, seconds: float = 60.0, tight: bool = False,
-    given: bool = False,
+    tiling: Tiling, kit: Kit, *, friction: Bounds = None, gap: Bounds = None,
+    seconds: float = 60.0, tight: bool = False, given: bool = False,
 ) -> Ordering:  # fmt: skip
     """The order of building ``tiling``, every state proven before the next.
 
@@ -440,9 +443,7 @@ def _why_stuck(site: _Site, number: int) -> str:
     return f"{name} cannot be taken away: it is walled in, or what it carries would fall"
 
 
-def value_range(
-    given: float | tuple[float, float] | None, default: float, what: str
-) -> tuple[float, float]:
+def value_range(given: Bounds, default: float, what: str) -> tuple[float, float]:
     """Smallest and largest of a number or a range that was asked for, else of ``default``."""
     low, high = given if isinstance(given, tuple) else (given, given)
     low, high = default if low is None else low, default if high is None else high

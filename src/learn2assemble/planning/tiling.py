@@ -84,7 +84,6 @@ class Tiling:
     """Why it is not complete, in one line."""
     missing: tuple[Cell, ...] = ()
     """Wanted cells without a block."""
-    seconds: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -525,7 +524,7 @@ def tile(wanted: np.ndarray, kit: Kit, *, seconds: float = 60.0) -> Tiling:
             ])  # fmt: skip
             if not layers.left:
                 chosen = bonded
-    made = Tiling(from_below(chosen), wanted, missing=tuple(sorted(left)), seconds=clock.spent)
+    made = Tiling(from_below(chosen), wanted, missing=tuple(sorted(left)))
     return _judged(made, kit, layers.timed_out, short, seconds)
 
 

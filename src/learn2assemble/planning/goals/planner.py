@@ -24,7 +24,7 @@ from learn2assemble.planning.goals.world import (
     make_yard,
     relax,
 )
-from learn2assemble.planning.ordering import order, value_range
+from learn2assemble.planning.ordering import Bounds, order, value_range
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.step_proof import find_stack
 from learn2assemble.planning.tiling import BlockPlacement, Tiling, owners, placement_cells
@@ -39,8 +39,7 @@ _DIRECTIONS = 16
 
 def plan_goals(
     goals: Goals, *, planner: str = AUTO, guide: Guide | None = None, learned: bool = True,
-    seed: int = 0, seconds: float = 60.0, friction: float | tuple[float, float] | None = None,
-    gap: float | tuple[float, float] | None = None,
+    seed: int = 0, seconds: float = 60.0, friction: Bounds = None, gap: Bounds = None,
     timer: Callable[[], float] = time.monotonic,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Plan:  # fmt: skip
@@ -83,12 +82,10 @@ def plan_goals(
             reason = "" if blocks else _nothing(found, limit)
             if blocks:
                 break
-        left = seconds - (time.perf_counter() - started)
-    else:
-        left = seconds
     if planner != AGENT and not blocks and status != "refused":
         progress("solving the exact program")
-        exact = plan_program(yard, seconds=left)
+        spent = time.perf_counter() - started if stages else 0.0
+        exact = plan_program(yard, seconds=seconds - spent)
         blocks, chosen = exact.placements, EXACT
         words = f"{exact.status}: {len(blocks)} blocks, at least {exact.bound}"
         stages.append(plans.SearchStage("exact program", words, round(exact.seconds, 3)))
@@ -190,8 +187,8 @@ def with_obstacles(site: Site, goals: Goals) -> Site:
 
 
 def _report(
-    goals: Goals, blocks: tuple[BlockPlacement, ...], reason: str, status: str, friction: object,
-    gap: object, seconds: float, planner: str, limit: float, guide: str | None,
+    goals: Goals, blocks: tuple[BlockPlacement, ...], reason: str, status: str, friction: Bounds,
+    gap: Bounds, seconds: float, planner: str, limit: float, guide: str | None,
 ) -> Plan:  # fmt: skip
     """The plan of blocks in their order, with the same proof as any other."""
     kit = goals.kit
@@ -202,9 +199,9 @@ def _report(
     tiling = Tiling(blocks, wanted, "complete" if blocks else status, reason)
     ordering = None
     if blocks:
-        ordering = order(tiling, kit, friction=friction, gap=gap, seconds=max(limit, 10.0),  # pyright: ignore
+        ordering = order(tiling, kit, friction=friction, gap=gap, seconds=max(limit, 10.0),
                          given=True)  # fmt: skip
-        widest = value_range(gap, kit.joint_gap, "gap")[1]  # pyright: ignore
+        widest = value_range(gap, kit.joint_gap, "gap")[1]
         kept = tuple(block for block in blocks if not block.prop)
         stack = find_stack(kept, kit, goals.shape, widest)
         owner = owners(kept, kit, goals.shape)

@@ -47,8 +47,6 @@ class Exact:
     bound: int
     """No structure has fewer blocks."""
     seconds: float
-    rounds: int = 0
-    """Programs that were solved."""
 
 
 def plan_program(yard: Yard, *, seconds: float = 60.0, most: int = MOST) -> Exact:
@@ -62,17 +60,16 @@ def plan_program(yard: Yard, *, seconds: float = 60.0, most: int = MOST) -> Exac
     goals = yard.goals
     cases: list[tuple[Surface, ...]] = [goals.loads]
     ruled_out: list[np.ndarray] = []
-    bound, rounds = 1, 0
+    bound = 1
     while True:
         answer = solve(_program(yard, cases, ruled_out, most), clock.left, gap=0.0)
-        rounds += 1
         if answer.status == "infeasible":
             status = "infeasible" if not ruled_out else "time"
-            return Exact(status, (), bound, clock.spent, rounds)
+            return Exact(status, (), bound, clock.spent)
         if np.isfinite(answer.bound):
             bound = max(bound, int(np.ceil(answer.bound - 1e-6)))
         if answer.x is None:
-            return Exact("time", (), bound, clock.spent, rounds)
+            return Exact("time", (), bound, clock.spent)
         chosen = np.flatnonzero(answer.x[: len(yard.site)] > 0.5)
         blocks = tuple(yard.site.placement(int(k)) for k in chosen)
         owner = owners(blocks, goals.kit, goals.shape)
@@ -86,10 +83,10 @@ def plan_program(yard: Yard, *, seconds: float = 60.0, most: int = MOST) -> Exac
         if order is not None:
             made = tuple(yard.site.placement(k) for k in order)
             status = "optimal" if answer.status == "optimal" else "feasible"
-            return Exact(status, made, bound, clock.spent, rounds)
+            return Exact(status, made, bound, clock.spent)
         ruled_out.append(chosen)
         if clock.left <= 0:
-            return Exact("time", (), bound, clock.spent, rounds)
+            return Exact("time", (), bound, clock.spent)
 
 
 def find_order(yard: Yard, candidates: list[int]) -> list[int] | None:

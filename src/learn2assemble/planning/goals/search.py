@@ -73,22 +73,14 @@ class Found:
     """In the order of building, temporary ones (``prop``) among them; empty: nothing was found."""
     expanded: int
     """Structures whose children were looked at."""
-    tried: int
-    """Children whose equilibrium was asked for."""
     seconds: float
-    first: float | None = None
-    """Seconds until the first structure that meets all goals."""
     exhausted: bool = False
     """Whether nothing was left to try."""
 
     @property
     def blocks(self) -> int:
         """Blocks of the finished structure."""
-        return _count(self.placements)
-
-
-def _count(placements: tuple[BlockPlacement, ...]) -> int:
-    return sum(not block.prop for block in placements)
+        return sum(not block.prop for block in self.placements)
 
 
 @dataclass(eq=False)
@@ -115,7 +107,7 @@ class Search:
         rng = np.random.default_rng(seed)
         self.rng, self.noise = rng, 0.0
         self.hash = rng.integers(0, 2**63, len(yard.site), dtype=np.int64)
-        self.expanded = self.tried = 0
+        self.expanded = 0
         self.best: World | None = None
         self.fewest = INF
         self.heaviest = float(yard.site.weight.max())
@@ -226,7 +218,6 @@ class Search:
             if key in seen:
                 continue
             seen.add(key)
-            self.tried += 1
             world = put(node.world, candidate)
             if world is None:
                 continue
@@ -250,8 +241,7 @@ def search(
         seconds: limit, as ``timer`` tells them.
     """
     clock, found = Clock(seconds, timer), Search(yard, guide, seed)
-    first: float | None = None
-    placements: tuple[BlockPlacement, ...] = ()
+    best = Found((), 0, 0.0)
     end, runs = clock, 0
     exhausted = not len(yard.site) or not np.isfinite(relax(yard, World(yard.site)).blocks)
     while end.left > 0 and not exhausted:
@@ -261,13 +251,11 @@ def search(
         runs += 1
         if found.best is None or found.fewest == before:
             continue
-        first = clock.spent if first is None else first
-        made = trim(yard, found.best)
-        if not placements or _count(made) < _count(placements):
-            placements = made
-        found.fewest = _count(placements)
+        made = Found(trim(yard, found.best), 0, 0.0)
+        best = made if not best.placements or made.blocks < best.blocks else best
+        found.fewest = best.blocks
         end = Clock(min(clock.left, PATIENCE[0] + PATIENCE[1] * clock.spent), timer)
-    return Found(placements, found.expanded, found.tried, clock.spent, first, exhausted)
+    return Found(best.placements, found.expanded, clock.spent, exhausted)
 
 
 def trim(yard: Yard, world: World) -> tuple[BlockPlacement, ...]:

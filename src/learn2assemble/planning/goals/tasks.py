@@ -239,8 +239,6 @@ _SEEDS: _Seeds = {
 }  # fmt: skip
 """Of every family the first seeds. A seed is left out only where its goals contradict one another,
 are proven impossible (by a bound or by the exact program), or are those of another task."""
-REFUTED: tuple[str, ...] = ()
-"""What was left out because the exact program, not a bound, proves that there is no structure."""
 _DEVELOPED: _Seeds = {
     PLANAR: {
         "bridge": (0, 1, 2, 3), "corbel": (0, 1, 2, 3), "tower": (0, 1, 2, 3),
