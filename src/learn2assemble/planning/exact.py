@@ -1,7 +1,7 @@
 """The exact planner: a design and a kit in, blocks in a proven order out.
 
 Tile; if the finished building would fall, rule that mechanism out and tile again, until it stands
-or no tiling does (:mod:`learn2assemble.planning.mechanisms`); prop up what cannot be put down on
+or no tiling does (:mod:`learn2assemble.planning.standing`); prop up what cannot be put down on
 its own; order, with more props where the order gets stuck. Where nothing helps, say which cells
 are not carried and what would carry them.
 
