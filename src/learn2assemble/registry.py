@@ -33,10 +33,7 @@ class Registry(Mapping[str, T]):
     """
 
     def __init__(
-        self,
-        kind: str,
-        entries: Mapping[str, Any],
-        make: Callable[[str, Any], T] | None = None,
+        self, kind: str, entries: Mapping[str, Any], make: Callable[[str, Any], T] | None = None
     ) -> None:
         self.kind = kind
         self._entries: dict[str, Any] = dict(entries)

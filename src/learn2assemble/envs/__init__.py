@@ -12,11 +12,12 @@ the registration waits for it (``learn2assemble/__init__.py``).
 
 from __future__ import annotations
 
-from functools import partial
+from typing import Any
 
 import gymnasium
 from gymnasium.envs.registration import registry
 
+from learn2assemble.registry import Registry
 from learn2assemble.tasks import DESIGN_TASKS, GOAL_TASKS, PRESETS, get_task
 
 __all__ = ["NAMESPACE", "VERSION", "env_id", "register_all"]
@@ -43,32 +44,27 @@ def register_all() -> None:
     The passive checker is off because a test runs Gymnasium's full checker over every preset;
     ``gymnasium.make(..., disable_env_checker=False)`` turns it on.
     """
-    for tasks, register in _ENVIRONMENTS:
+    for tasks, _ in _ENVIRONMENTS:
         for name in tasks:
-            register(name)
-        if register not in tasks.listeners:
-            tasks.listeners.append(register)
+            _register(name)
+        if _register not in tasks.listeners:
+            tasks.listeners.append(_register)
 
 
-def _register(name: str, entry_point: str, vector_entry_point: str | None = None) -> None:
-    name_in_gymnasium = f"{NAMESPACE}/{name}-v{VERSION}"
-    if name_in_gymnasium not in registry:
-        gymnasium.register(
-            name_in_gymnasium,
-            entry_point=entry_point,
-            vector_entry_point=vector_entry_point,
-            disable_env_checker=True,
-            kwargs={"task": name},
-        )
+def _register(name: str) -> None:
+    environment = f"{NAMESPACE}/{name}-v{VERSION}"
+    if environment not in registry:
+        points = next(points for tasks, points in _ENVIRONMENTS if name in tasks)
+        gymnasium.register(environment, disable_env_checker=True, kwargs={"task": name}, **points)
 
 
-_ENVIRONMENTS = (
-    (PRESETS, partial(
-        _register, entry_point="learn2assemble.envs.assembly:AssemblyEnv",
-        vector_entry_point="learn2assemble.envs.assembly:AssemblyVectorEnv",
-    )),
-    (DESIGN_TASKS, partial(_register, entry_point="learn2assemble.envs.designs:DesignEnv")),
-    (GOAL_TASKS, partial(_register, entry_point="learn2assemble.envs.designs:GoalsEnv")),
+_ENVIRONMENTS: tuple[tuple[Registry[Any], dict[str, Any]], ...] = (
+    (PRESETS, {
+        "entry_point": "learn2assemble.envs.assembly:AssemblyEnv",
+        "vector_entry_point": "learn2assemble.envs.assembly:AssemblyVectorEnv",
+    }),
+    (DESIGN_TASKS, {"entry_point": "learn2assemble.envs.designs:DesignEnv"}),
+    (GOAL_TASKS, {"entry_point": "learn2assemble.envs.designs:GoalsEnv"}),
 )  # fmt: skip
 """Which environment plays the tasks of each table."""
 

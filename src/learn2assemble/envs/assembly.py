@@ -431,11 +431,8 @@ class AssemblyVectorEnv(_Worlds, VectorEnv[dict[str, np.ndarray], np.ndarray, np
     :class:`~learn2assemble.envs.assembly.AssemblyEnv`, at the cost of one batched step.
 
     Args:
-        task: the task, or the name of a preset.
+        task, physics, physics_mask, render_mode: as of the single one.
         num_envs: B, number of worlds.
-        physics: ``static``, ``rigid`` or a physics.
-        physics_mask: whether infos carry ``physics_mask``.
-        render_mode: None, ``ansi`` or ``rgb_array``.
         autoreset_mode: ``NextStep`` (the call after an end resets that world and ignores its
             action), ``SameStep`` (the last observation and info are ``final_obs`` and
             ``final_info``) or ``Disabled`` (reset with ``options={"reset_mask": bool[B]}``).

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,11 @@ WITH_EVERY_PLAN = ("assembly", "bill", "cards")
 """Formats that are written beside every plan that has its blocks as polyhedra."""
 PROGRAM_FORMATS = ("csv", "franka", "ros2", "urscript")
 """Formats of programs of robots (:mod:`.robot_programs`); the others are of assemblies."""
+
+
+def asset(name: str) -> str:
+    """The text of a file that comes with the formats."""
+    return (resources.files(__name__) / "assets" / name).read_text(encoding="utf-8")
 
 
 def register_export(exports: Registry[Any]) -> None:

@@ -12,27 +12,16 @@ from collections import Counter
 from collections.abc import Callable
 from html import escape
 from pathlib import Path
+from string import Template
 from xml.etree import ElementTree
 
 import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, Block, convex_parts, fan_triangles
 from learn2assemble.assembly.files import write_assembly, write_compas
+from learn2assemble.export import asset
 from learn2assemble.files import write_file
 from learn2assemble.registry import Registry
-
-_STYLE = """
-body { font: 12px/1.4 system-ui, sans-serif; margin: 1rem; color: #111; }
-h1 { font-size: 1.3rem; } h2 { font-size: 1rem; margin: 1rem 0 .4rem; break-after: avoid; }
-main { display: grid; grid-template-columns: repeat(auto-fill, minmax(11rem, 1fr)); gap: .6rem; }
-h2 { grid-column: 1 / -1; }
-article { border: 1px solid #999; border-radius: 4px; padding: .4rem; break-inside: avoid; }
-article b { float: right; } svg { width: 100%; height: 9rem; display: block; }
-.below { fill: #e4e4e4; stroke: #bbb; } .beside { fill: #fff; stroke: #777; }
-.new { stroke: #000; stroke-width: 2; } .gone { fill: none; stroke: #b00; stroke-dasharray: 3 2; }
-path { vector-effect: non-scaling-stroke; stroke-width: 1; }
-@media print { body { margin: 0; } main { grid-template-columns: repeat(4, 1fr); } }
-"""
 
 
 def step_cards(assembly: Assembly) -> str:
@@ -79,11 +68,8 @@ def step_cards(assembly: Assembly) -> str:
             standing.add(id_)
         else:
             standing.discard(id_)
-    title = escape(assembly.name or "Assembly")
-    return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}: step cards</title>'
-        f"<style>{_STYLE}</style><h1>{title}</h1><p>{len(steps)} steps, seen from above; "
-        f"grey: what the layer stands on.</p><main>{''.join(parts)}</main></html>\n"
+    return Template(asset("cards.html")).substitute(
+        title=escape(assembly.name or "Assembly"), count=len(steps), cards="".join(parts)
     )
 
 

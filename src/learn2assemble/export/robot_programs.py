@@ -7,7 +7,6 @@ All of them are made from the record that a build with an arm leaves, by way of 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from importlib import resources
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from learn2assemble.errors import InputError, look_up
+from learn2assemble.export import asset
 from learn2assemble.export.formats import file_at
 from learn2assemble.export.robot_tables import (
     changes,
@@ -30,7 +30,6 @@ from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import forward_many, get_chain
 from learn2assemble.robot.motion.files import read_record
 from learn2assemble.robot.motion.program import (
-    Driver,
     DryRun,
     Program,
     arm_of,
@@ -71,13 +70,14 @@ def write_urscript(program: Program, arm: Arm, path: Path) -> None:
     """
     if len(arm.joints) != 6 or arm.name != "ur5e":
         raise InputError("format", f"urscript for {arm.name}", "the arm ur5e")
-    driver = driver_of(arm)
+    from scipy.spatial.transform import Rotation
+
+    tcp = driver_of(arm).tcp
+    turn = Rotation.from_quat(tcp[3:], scalar_first=True).as_rotvec()
     about = f"{len(program.steps)} moves, {program.seconds:.0f} s, tool {program.tool}"
-    text = (resources.files("learn2assemble.export") / "assets" / "urscript.script").read_text(
-        "utf-8"
-    )
-    text = text.format(about=about, tcp=_list([*driver.tcp[:3], *_rotation_vector(driver)]))
-    told = sorted(_told(program, float(driver.tcp[2])), key=lambda one: one.time)
+    text = asset("urscript.script")
+    text = text.format(about=about, tcp=_list([*tcp[:3], *turn]))
+    told = sorted(_told(program, float(tcp[2])), key=lambda one: one.time)
     checks = [time for step in program.steps for time in step.checks]
     lines = [f"movej([{_list(program.knots.position[0])}], a=0.5, v=0.5)"]
     for begin, end in motions(program):
@@ -164,13 +164,6 @@ def _told(program: Program, length: float) -> Iterator[_Line]:
             call = f"close({numbers}, {state.force:.1f})" if closed else f"open({numbers})"
             yield _Line(state.time, f"l2a_{call}")
         was_closed = closed
-
-
-def _rotation_vector(driver: Driver) -> np.ndarray:
-    """float64[3]: turn of the tool point in the flange, as axis times angle [rad]."""
-    w, *axis = driver.tcp[3:] * np.sign(driver.tcp[3] or 1.0)
-    length = float(np.linalg.norm(axis))
-    return 2 * np.arctan2(length, w) * np.array(axis) / length if length else np.zeros(3)
 
 
 def _list(values: Any) -> str:

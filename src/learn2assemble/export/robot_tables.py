@@ -50,35 +50,36 @@ SLACK = 0.005
 
 
 def header(program: Program, arm: Arm) -> dict[str, Any]:
-    """What a reader of a program has to know besides its motion: plain values."""
+    """What a reader of a program has to know besides its motion, for :func:`to_json`."""
     driver, limits, blocks = driver_of(arm), limits_of(arm), program.blocks
     return {
         "format": FORMAT, "version": VERSION, "arm": program.arm, "tool": program.tool,
-        "joints": list(driver.joints),
+        "joints": driver.joints,
         "units": "s, m, rad, N, kg; quaternions w, x, y, z; world: z up, table top z = 0",
-        "stand": _plain(np.append(arm.base_position, arm.base_yaw)),
-        "base": {"frame": driver.base_frame, "in": "world", "pose": _plain(driver.base)},
-        "tcp": {"frame": "tcp", "in": driver.flange_frame, "pose": _plain(driver.tcp)},
-        "limits": {name: _plain(getattr(limits, name)) for name in limits._fields},
+        "stand": np.append(arm.base_position, arm.base_yaw),
+        "base": {"frame": driver.base_frame, "in": "world", "pose": driver.base},
+        "tcp": {"frame": "tcp", "in": driver.flange_frame, "pose": driver.tcp},
+        "limits": limits._asdict(),
         "seconds": round(program.seconds, 6), "stretch": round(program.stretch, 6),
         "gripper_speed": program.states[0].speed,
         "blocks": {
-            "edge": blocks.edge, "half": _plain(blocks.half), "density": _plain(blocks.density),
-            "objects": [list(cells) for cells in blocks.objects],
-            "start": _plain(blocks.start), "end": _plain(blocks.end),
-            "supply": [
-                {"time": round(one.time, 6), "cells": list(one.cells), "poses": _plain(one.poses)}
-                for one in blocks.supply
-            ],
+            "edge": blocks.edge, "half": blocks.half, "density": blocks.density,
+            "objects": blocks.objects, "start": blocks.start, "end": blocks.end,
+            "supply": [one._asdict() | {"time": round(one.time, 6)} for one in blocks.supply],
         },
         "steps": [
             {
-                "step": step.number, "cells": list(step.cells), "target": _plain(step.target),
+                "step": step.number, "cells": step.cells, "target": step.target,
                 "end": round(step.end, 6), "reached": step.reached,
             }
             for step in program.steps
         ],
     }  # fmt: skip
+
+
+def to_json(value: Any) -> str:
+    """JSON, with arrays rounded to 1e-9."""
+    return json.dumps(value, default=lambda array: (np.round(array, 9) + 0.0).tolist())
 
 
 class Header(NamedTuple):
@@ -155,10 +156,6 @@ def _array(value: Any, *shape: int) -> np.ndarray:
     return array
 
 
-def _plain(values: np.ndarray | None) -> list[Any] | None:
-    return None if values is None else (np.round(values, 9) + 0.0).tolist()
-
-
 def motions(program: Program) -> Iterator[tuple[int, int]]:
     """First and last knot of every motion from rest to rest."""
     moving = np.concatenate([[0], program.motion, [0]])
@@ -183,9 +180,9 @@ def changes(program: Program) -> Iterator[tuple[ToolState, set[str]]]:
 def write_table(program: Program, arm: Arm, path: Path, more: dict[str, Any] | None = None) -> None:
     """Write a table: a header in lines that begin with ``#``, then a line per millisecond."""
     head = {**header(program, arm), "rate": RATE, **(more or {})}
-    columns = _columns(head["joints"], program.suction)
+    columns = _columns(program.suction, arm)
     count = int(np.ceil(program.seconds * RATE - 1e-6)) + 1
-    lines = [f"# {key}: {json.dumps(value)}" for key, value in {**head, "rows": count}.items()]
+    lines = [f"# {key}: {to_json(value)}" for key, value in {**head, "rows": count}.items()]
     lines.append(",".join(name for name, _ in columns))
     out = io.BytesIO()
     packed = path.suffix == ".gz"
@@ -212,14 +209,14 @@ def _tool_fields(suction: bool) -> list[str]:
     return ["vacuum", "load"] if suction else ["width", "speed", "force", "load"]
 
 
-def _columns(joints: list[str], suction: bool) -> list[tuple[str, str]]:
+def _columns(suction: bool, arm: Arm) -> list[tuple[str, str]]:
     """Names of the columns of a table, and how their numbers are written.
 
     Digits are such that differences over a millisecond show the jerk within 0.1 rad/s^3.
     """
     columns = [("time", "%.3f"), ("motion", "%d"), ("step", "%d"), ("block", "%d")]
     for what, form in (("q", "%.10f"), ("dq", "%.8f"), ("ddq", "%.5f")):
-        columns += [(f"{what}_{joint}", form) for joint in joints]
+        columns += [(f"{what}_{joint}", form) for joint in driver_of(arm).joints]
     columns += [(f, "%d" if f == "vacuum" else "%.6g") for f in _tool_fields(suction)]
     return [*columns, ("stage", "%s")]
 
@@ -241,7 +238,7 @@ def read_table(path: Path, name: str) -> tuple[Program, Arm]:
     head, names, skipped = _split(content, source)
     told = read_header(head, source, name)
     arm, suction = told.arm, told.arm.suction is not None
-    expected = [one for one, _ in _columns(list(driver_of(arm).joints), suction)]
+    expected = [one for one, _ in _columns(suction, arm)]
     if names != expected:
         wrong = next((a for a, b in zip(names, expected, strict=False) if a != b), len(names))
         raise InputError(f"{source}: columns", wrong, ", ".join(expected))
@@ -351,7 +348,7 @@ def write_franka(program: Program, arm: Arm, path: Path) -> None:
         time = round(state.time, 6)
         if "load" in new:
             # The load hangs half a block below the tool point at most; its inertia is left out.
-            centre = _plain(driver.tcp[:3])
+            centre = driver.tcp[:3]
             calls.append({"time": time, "call": "setLoad", "load": state.load, "centre": centre})
         if "vacuum" in new:
             calls.append({"time": time, "call": "vacuum" if state.vacuum else "dropOff"})
@@ -363,5 +360,4 @@ def write_franka(program: Program, arm: Arm, path: Path) -> None:
             calls.append(call)
     frame = np.eye(4)
     frame[:3, :3], frame[:3, 3] = quaternion_matrix(driver.tcp[3:]), driver.tcp[:3]
-    more = {"F_T_EE": _plain(frame.T.ravel()), "calls": calls}
-    write_table(program, arm, path, more)
+    write_table(program, arm, path, {"F_T_EE": frame.T.ravel(), "calls": calls})

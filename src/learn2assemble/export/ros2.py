@@ -9,10 +9,8 @@ from __future__ import annotations
 
 import colorsys
 import io
-import json
 import struct
 from collections.abc import Iterator
-from importlib import resources
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -20,12 +18,14 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.errors import InputError, extra
+from learn2assemble.export import asset
 from learn2assemble.export.robot_tables import (
     MOST_BYTES,
     changes,
     header,
     motions,
     read_header,
+    to_json,
 )
 from learn2assemble.files import load_json, read_bytes, write_file
 from learn2assemble.geometry.rotations import (
@@ -67,8 +67,8 @@ _TOPICS = {
 def _definitions() -> dict[str, str]:
     """The types of all topics, each followed by those it contains (ROS 2 Humble and later)."""
     rule = "=" * 80 + "\n"
-    text = (resources.files("learn2assemble.export") / "assets" / "ros2.msg").read_text("utf-8")
-    told = dict(part.removeprefix("MSG: ").split("\n", 1) for part in text.split(rule)[1:])
+    parts = asset("ros2.msg").split(rule)[1:]
+    told = dict(part.removeprefix("MSG: ").strip().split("\n", 1) for part in parts)
 
     def contained(kind: str, found: list[str]) -> list[str]:
         for line in told[kind].splitlines():
@@ -80,7 +80,7 @@ def _definitions() -> dict[str, str]:
 
     return {
         kind: f"\n{rule}".join(
-            [told[kind].strip(), *(f"MSG: {p}\n{told[p].strip()}" for p in contained(kind, []))]
+            [told[kind], *(f"MSG: {part}\n{told[part]}" for part in contained(kind, []))]
         )
         for kind in _TOPICS.values()
     }
@@ -113,7 +113,7 @@ Message = tuple[int, str, dict[str, Any]]
 
 
 def _head_messages(program: Program, arm: Arm) -> Iterator[Message]:
-    yield 0, "/program", {"data": json.dumps(header(program, arm))}
+    yield 0, "/program", {"data": to_json(header(program, arm))}
     pairs = np.column_stack([program.step, program.stage])
     cells = {step.number: step.cells[0] for step in program.steps}
     for k in np.flatnonzero(np.any(np.diff(pairs, axis=0, prepend=-1), axis=1)).tolist():
