@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from typing import Any
 
@@ -154,3 +155,10 @@ def test_the_measurement_counts_every_design(monkeypatch: pytest.MonkeyPatch) ->
     low, high = found["sets"]["suction"]["interval"]
     assert low < 1 <= high + 1e-9
     assert found["comparison"]["designs"] + found["comparison"]["left_out"] == 1
+    more = builder_arm.measure_arm(
+        "builder-s0", builder_arm.ArmMeasure(3, 1, 1, 5.0), known=json.loads(json.dumps(found))
+    )
+    assert more["sets"]["suction"]["designs"] == 3
+    assert more["sets"]["suction"]["rows"][:2] == found["sets"]["suction"]["rows"]
+    assert more["sets"]["gripper"] == json.loads(json.dumps(found["sets"]["gripper"]))
+    assert more["comparison"] == json.loads(json.dumps(found["comparison"]))

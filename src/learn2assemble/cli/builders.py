@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from learn2assemble.cli.parser import Command, count, natural, positive
 from learn2assemble.errors import InputError
-from learn2assemble.files import claim_folder
+from learn2assemble.files import claim_folder, mapping, read_json
 
 if TYPE_CHECKING:
     from learn2assemble.cli.output import Output
@@ -34,8 +35,9 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     measure.add_argument("--exact", type=count, default=40, help="of a set, for both planners")
     measure.add_argument("--examples", type=Path, default=None, help="folder of the examples")
     arm = parser.add_argument_group("arm")
-    arm.add_argument("--suction", type=count, default=200, help="designs built with suction")
-    arm.add_argument("--gripper", type=count, default=200, help="designs built with fingers")
+    arm.add_argument("--resume", action="store_true", help="go on with what --out holds")
+    arm.add_argument("--suction", type=natural, default=200, help="designs built with suction")
+    arm.add_argument("--gripper", type=natural, default=200, help="designs built with fingers")
     arm.add_argument("--prior", type=count, default=50, help="designs of four planners")
     arm.add_argument("--limit", type=positive, default=60.0, help="of one of them [s, processor]")
 
@@ -116,8 +118,13 @@ def _measure_arm(options: argparse.Namespace, output: Output) -> None:
         text = json.dumps({**head, **found}, indent=1)
         write_file(options.out / "builder_arm.json", text + "\n", "--out")
 
-    with claim_folder(options.out):
-        found = measure_arm(options.agent, config, output.progress, keep)
+    known = None
+    if options.resume:
+        known = mapping(read_json(options.out / "builder_arm.json", "--out")[0], "--out")
+        if known.get("agent") != options.agent:
+            raise InputError("--out", str(options.out), f"a measurement of {options.agent}")
+    with nullcontext() if options.resume else claim_folder(options.out):
+        found = measure_arm(options.agent, config, output.progress, keep, known)
     output.table("complete", ("tool", "designs", "complete"), [
         (tool, str(row["designs"]), f"{row['complete']:.1%}")
         for tool, row in found["sets"].items()

@@ -48,7 +48,7 @@ class ArmMeasure:
     """What is measured.
 
     Args:
-        suction, gripper: designs of each set, the first of the same ones.
+        suction, gripper: designs of each set, the first of the same ones; 0 leaves out a set.
         compared: designs of the comparison.
         seconds: of processor time for each of its planners.
         arm: which arm.
@@ -66,28 +66,32 @@ class ArmMeasure:
 def measure_arm(
     builder: str, config: ArmMeasure, progress: Progress = lambda text: None,
     keep: Callable[[dict[str, Any]], None] = lambda found: None,
+    known: dict[str, Any] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Sets and comparison.
 
     Args:
         builder: its name or file.
         keep: given what is known so far from time to time.
+        known: what such a measurement has found before; it goes on from there.
     """
-    agent = load_builder(builder)
-    sets: dict[str, Any] = {}
-    found: dict[str, Any] = {"sets": sets, "comparison": {}}
-    rows: dict[str, list[dict[str, Any]]] = {tool: [] for tool in ASKED}
-    beside: list[dict[str, Any]] = []
+    agent, known = load_builder(builder), known or {}
+    sets: dict[str, Any] = dict(known.get("sets", {}))
+    beside: list[dict[str, Any]] = list(known.get("comparison", {}).get("rows", []))
+    found: dict[str, Any] = {"sets": sets, "comparison": known.get("comparison", {})}
+    rows = {tool: list(sets.get(tool, {}).get("rows", [])) for tool in ASKED}
     # All of it grows together, so that what is known at any time is of use.
     for k in range(max(config.suction, config.gripper, config.compared)):
-        design = make_design(SMALL, np.random.default_rng((_SEED + config.seed, 9, k)))
-        for tool, asked in ASKED.items():
-            if k < getattr(config, tool):
-                progress(f"{tool}, design {k + 1} of {getattr(config, tool)}")
-                at = Workcell(config.arm, tool, physics="kinematic")
-                rows[tool].append(_built(design, at, builder))
-                sets[tool] = _counted(rows[tool], asked)
-        if k < config.compared:
+        tools = [tool for tool in ASKED if len(rows[tool]) <= k < getattr(config, tool)]
+        if not tools and not len(beside) <= k < config.compared:
+            continue
+        for tool in tools:
+            progress(f"{tool}, design {k + 1} of {getattr(config, tool)}")
+            design = make_design(SMALL, np.random.default_rng((_SEED + config.seed, 9, k)))
+            at = Workcell(config.arm, tool, physics="kinematic")
+            rows[tool].append(_built(design, at, builder))
+            sets[tool] = {**_counted(rows[tool], ASKED[tool]), "rows": rows[tool]}
+        if len(beside) <= k < config.compared:
             progress(f"comparison, design {k + 1} of {config.compared}")
             rng = np.random.default_rng((_SEED + config.seed, 11, k))
             beside.append(_compared(make_design(LARGE[k % len(LARGE)], rng), config, agent))
