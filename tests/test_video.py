@@ -32,12 +32,10 @@ from learn2assemble.viewer.renderer import (
 )
 from learn2assemble.viewer.video import (
     FRAMES_PER_SECOND,
+    HEIGHT,
+    WIDTH,
     Frames,
-    fill_box,
-    lettering,
     moments,
-    rgb,
-    write,
     write_video,
 )
 
@@ -47,7 +45,7 @@ SIZE = 64
 
 @pytest.fixture(scope="module")
 def film() -> Frames:
-    return Frames(arm_plan(COUNT), arm_record("panda", COUNT), 320, 240)
+    return Frames(arm_plan(COUNT), arm_record("panda", COUNT))
 
 
 # ---------------------------------------------------------------- what is seen
@@ -62,7 +60,7 @@ def test_every_sample_sees_the_nearest_triangle(corners: list[Any]) -> None:
     screen = np.array(corners, np.float32).reshape(-1, 3)
     faces = np.arange(len(screen), dtype=np.int32).reshape(-1, 3)
     depth, seen = np.zeros((SIZE, SIZE), np.float32), np.full((SIZE, SIZE), -1, np.int32)
-    fill(screen, faces, np.zeros(len(screen), np.int32), np.ones(1, bool), depth, seen)
+    fill(screen, faces, np.ones(len(faces), bool), -1, depth, seen)
     y, x = (grid + 0.5 for grid in np.mgrid[:SIZE, :SIZE])
     near, margin = np.zeros((SIZE, SIZE)), np.full((SIZE, SIZE), np.inf)
     for a, b, c in screen.astype(float).reshape(-1, 3, 3):
@@ -137,38 +135,12 @@ def test_a_sheet_tints_only_what_lies_behind_it() -> None:
     np.testing.assert_allclose(image[5, 10:], np.tile([50, 150, 100], (10, 1)), atol=1)
 
 
-# ---------------------------------------------------------------- words
-
-
-def test_words_stand_where_they_should_and_are_cut_at_the_border() -> None:
-    for align, x in (("left", 100), ("right", 300), ("middle", 200)):
-        image = np.full((60, 400, 3), 250, np.uint8)
-        write(image, "Hxg", x, 40, 20, rgb("#000000"), align=align)
-        rows, columns = np.nonzero((image < 120).any(-1))
-        assert rows.min() > 20, "capitals are about 15 pixels high"
-        assert 40 < rows.max() < 48, "the g hangs below the base line"
-        ends = {"left": columns.min(), "right": columns.max()}
-        assert abs(ends.get(align, (columns.min() + columns.max()) / 2) - x) < 4
-    image = np.full((20, 20, 3), 250, np.uint8)
-    write(image, "M" * 9, -10, 5, 30, rgb("#000000"))
-    write(image, "", 5, 5, 30, rgb("#000000"))
-    assert (image < 100).any()
-    assert lettering("Ä €", 12)[0].max() > 0.5
-
-
-def test_boxes_cover_pixels_in_part() -> None:
-    image = np.zeros((4, 10, 3), np.uint8)
-    fill_box(image, 1.5, 1, 4.25, 3, np.array([200, 100, 0], float))
-    assert image[1, :6, 0].tolist() == [0, 100, 200, 200, 50, 0]
-    assert (image[[0, 3]] == 0).all()
-
-
 # ---------------------------------------------------------------- frames and file
 
 
 def test_frames_show_the_build(film: Frames) -> None:
     first, last = film.frame(0.0).copy(), film.frame(film.playback.duration).copy()
-    assert first.shape == last.shape == (240, 320, 3)
+    assert first.shape == last.shape == (HEIGHT, WIDTH, 3)
     assert first.dtype == np.uint8
     np.testing.assert_array_equal(first, film.frame(0.0))
     segment = film.playback.segments[0]
@@ -181,7 +153,7 @@ def test_frames_show_the_build(film: Frames) -> None:
     assert blue[1] > 15 + max(blue[0], blue[2]), "the block of the step is blue"
     for a, b in ((first, carried), (carried, last), (first, last)):
         assert (np.abs(a.astype(int) - b).max(-1) > 40).mean() > 0.005
-    white = [(picture[:148].min(-1) > 200).mean() for picture in (first, carried, last)]
+    white = [(picture[:-92].min(-1) > 200).mean() for picture in (first, carried, last)]
     assert min(white) > 0.01, "the arm is always there"
 
 
@@ -193,6 +165,20 @@ def test_the_words_below_follow_the_arm(film: Frames) -> None:
     assert film.doing(film.playback.duration) == "The build is over."
 
 
+def test_the_words_are_in_the_picture(film: Frames) -> None:
+    """Ink where the lines of words stand, and the bar of attempts filled up to the clock."""
+    half = film.playback.duration / 2
+    picture = film.frame(half).astype(int)
+    for low, high in ((20, 48), (480, 510), (516, 536)):
+        assert (picture[low:high].max(-1) < 110).sum() > 100
+    bar = picture[468, 24:-24]
+    filled = (np.abs(bar - [11, 114, 133]).max(-1) < 20) | (
+        np.abs(bar - [163, 38, 28]).max(-1) < 20
+    )
+    assert filled[: len(bar) // 2 - 2].mean() > 0.8
+    assert not filled[len(bar) // 2 + 2 :].any()
+
+
 def test_moments_play_the_whole_build_and_hold_its_end() -> None:
     clocks = moments(10.0, 4.0)
     assert clocks[0] == 0
@@ -201,25 +187,25 @@ def test_moments_play_the_whole_build_and_hold_its_end() -> None:
     assert (np.diff(clocks) >= 0).all()
 
 
-def test_the_video_opens_and_has_its_length_and_size(tmp_path: Path) -> None:
+def test_the_video_opens_and_has_its_length_and_size(
+    film: Frames, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     av = pytest.importorskip("av")
+    monkeypatch.setattr("learn2assemble.viewer.video.SPEED", 20.0)
     plan, record = arm_plan(COUNT), arm_record("panda", COUNT)
-    done: list[float] = []
     for name in ("a.mp4", "b.mp4"):
-        write_video(plan, record, tmp_path / name, speed=20, width=320, height=240,
-                    progress=done.append)  # fmt: skip
-    assert done[-1] == 1.0
-    film = Frames(plan, record, 320, 240, ", shown 20 times as fast")
+        write_video(plan, record, tmp_path / name)
     clocks = moments(film.playback.duration, 20)
     with av.open(str(tmp_path / "a.mp4")) as file:
         stream = file.streams.video[0]
         assert (stream.codec_context.name, stream.average_rate) == ("h264", FRAMES_PER_SECOND)
-        assert (stream.width, stream.height) == (320, 240)
+        assert (stream.width, stream.height) == (WIDTH, HEIGHT)
         frames = [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
         length = float(stream.duration * stream.time_base)
     with av.open(str(tmp_path / "b.mp4")) as file:
         again = [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
-    assert all((a == b).all() for a, b in zip(frames, again, strict=True))
+    # The encoder's own threads may change a grey level here and there.
+    assert max(np.abs(a.astype(int) - b).mean() for a, b in zip(frames, again, strict=True)) < 1
     assert len(frames) == len(clocks)
     assert length == pytest.approx(len(clocks) / FRAMES_PER_SECOND, abs=0.05)
     for k in (0, len(frames) // 2, len(frames) - 1):
@@ -237,24 +223,10 @@ def test_without_the_extra_the_error_names_it(
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"speed": 0.0}, "speed"), ({"speed": float("nan")}, "speed"),
-        ({"width": 321}, "even numbers"), ({"height": 100}, "even numbers"),
-    ],
-)  # fmt: skip
-def test_nonsense_is_refused(tmp_path: Path, options: dict[str, Any], words: str) -> None:
-    pytest.importorskip("av")
-    with pytest.raises(InputError, match=words):
-        write_video(arm_plan(COUNT), arm_record("panda", COUNT), tmp_path / "a.mp4", **options)
-
-
 def test_a_path_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("av")
     with pytest.raises(InputError, match="can be written"):
-        write_video(arm_plan(COUNT), arm_record("panda", COUNT), tmp_path / "no" / "a.mp4",
-                    speed=100, width=320, height=240)  # fmt: skip
+        write_video(arm_plan(COUNT), arm_record("panda", COUNT), tmp_path / "no" / "a.mp4")
 
 
 # ---------------------------------------------------------------- all files of a build

@@ -17,11 +17,6 @@ NUMBER = 'class="number"'
 """Attribute of a cell with a number."""
 
 
-def fill(template: str, values: Mapping[str, str]) -> str:
-    """An asset with its ``{{places}}`` filled in, in one pass: braces in a value stay."""
-    return re.sub(r"\{\{(\w+)\}\}", lambda match: values[match[1]], asset(template))
-
-
 def stand_alone(values: Mapping[str, str], data: Mapping[str, Any], scripts: Iterable[str]) -> str:
     """The text of a page.
 
@@ -39,14 +34,15 @@ def stand_alone(values: Mapping[str, str], data: Mapping[str, Any], scripts: Ite
         "default-src 'none'; img-src data: blob:; base-uri 'none'; form-action 'none'; "
         f"style-src {_hash(style)}; script-src {' '.join(map(_hash, texts))}"
     )
-    empty = dict.fromkeys(re.findall(r"\{\{(\w+)\}\}", asset("page.html")), "")
-    fixed = {
+    places = {
+        **values,
         "policy": policy,
         "style": style,
         "data": to_json(data),
         "scripts": "\n".join(f"<script>{text}</script>" for text in texts),
     }
-    return fill("page.html", {**empty, **values, **fixed})
+    # In one pass: braces in a value stay.
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: places.get(match[1], ""), asset("page.html"))
 
 
 def asset(name: str) -> str:

@@ -19,28 +19,21 @@ from learn2assemble.assembly.blocks import Assembly, Block, fan_triangles, to_ma
 from learn2assemble.assembly.contacts import Contacts
 from learn2assemble.errors import InputError
 from learn2assemble.files import write_file
-from learn2assemble.viewer.arm import (
-    NEAR_VIEW,
-    Labels,
-    arm_data,
-    arm_section,
-    arm_values,
-)
+from learn2assemble.viewer.arm import NEAR_VIEW, Labels, arm_data, arm_section, arm_values
 from learn2assemble.viewer.html import (
     NUMBER,
     fact_list,
-    fill,
     packed,
     row,
     speed_options,
     stand_alone,
     to_base64,
 )
-from learn2assemble.viewer.playback import Playback, block_of_cell
+from learn2assemble.viewer.playback import Playback
 from learn2assemble.viewer.words import arm_summary, percent, placement
 
 if TYPE_CHECKING:
-    from learn2assemble.planning.plan import Plan, PlanBox, PlanTarget, SearchStage, Step
+    from learn2assemble.planning.plan import Plan, PlanTarget, SearchStage, Step
 
 PALETTE = (
     "#c96f4a", "#ecca90", "#8fae7a", "#b98bb0", "#d8a13f", "#7f9fa3", "#a88468", "#c7cf8b",
@@ -102,12 +95,7 @@ def render_assembly_page(
     moving: Collection[str] = (),
     status: str = "",
     reason: str = "",
-    playback: Playback | None = None,
-    blocks: Sequence[int | None] = (),
-    targets: Sequence[PlanTarget] = (),
-    boxes: Sequence[PlanBox] = (),
-    tried: Sequence[SearchStage] = (),
-    note: str = "",
+    plan: Plan | None = None,
 ) -> str:
     """The page of an assembly as the text of a stand-alone HTML file.
 
@@ -123,12 +111,8 @@ def render_assembly_page(
         moving: ids of blocks that start to move; they are marked.
         status: shown beside the title, e.g. ``complete`` or ``stands only with tight joints``.
         reason: why it is not complete, or does not stand.
-        playback: what an arm did, which the page plays.
-        blocks: of every cell of the record its block, see :func:`~.playback.block_of_cell`.
-        targets: outlines that the blocks shall cover, which the 3-D view shows.
-        boxes: goals and obstacles, which the 3-D view shows.
-        tried: by the planner, in order.
-        note: for the foot of the page.
+        plan: of the assembly, whose targets, goals and obstacles the 3-D view shows, with what was
+            tried for it and what an arm did, which the page plays.
 
     Raises:
         InputError: where the notes do not fit the steps.
@@ -137,6 +121,8 @@ def render_assembly_page(
     if step_notes and len(step_notes) != len(steps):
         raise InputError("step_notes", len(step_notes), f"one for each of {len(steps)} steps")
     notes = list(step_notes) or [StepNote()] * len(steps)
+    design = None if plan is None else plan.design
+    targets, boxes = ((), ()) if design is None else (design.targets, design.boxes)
     parts, shapes, layers = _parts(assembly, moving)
     distinct = list({part.block.id: part for part in parts}.values())
     of_step = {number: part for part in parts for number in (part.placed, part.removed)}
@@ -176,31 +162,16 @@ def render_assembly_page(
     covered = any(note.coverage is not None for note in notes)
     pad = 300 * size
     width, depth = 1000 * (high - low)[:2] + 2 * pad
-    values = {
-        "layer_box": f"{1000 * low[0] - pad:.1f} {-1000 * high[1] - pad:.1f} "
-        f"{width:.1f} {depth:.1f}",
-        "layers": str(len(layers)),
-        "last_layer": escape(data["layers"][-1]),
-        "bill": _bill(distinct),
-        "steps": "".join(_row(k, part, note, covered)
-                         for k, (part, note) in enumerate(zip(stepped, notes, strict=True), 1))
-        or '<tr><td colspan="8">The order of building is not given.</td></tr>',
-        "coverage": '<th class="number">Coverage</th>' * covered,
-        "more": "<th></th>" * covered,
-        "tried": _tried(tried),
-    }  # fmt: skip
     count = str(len(steps))
     wanted = _SECONDS_PER_STEP * len(steps) / _LONGEST
     tone = f' <span class="status {TONES.get(status, "warn")}">{escape(status)}</span>'
     page = {
-        "what": "assembly",
         "title": escape(title),
         "eyebrow": "Assembly" + tone * bool(status),
         "reason": f'<div class="reason" role="alert"><p>{escape(reason)}</p></div>' * bool(reason),
         "summary": escape(_summary(assembly, distinct, high - low)),
         "facts": fact_list(facts),
         "body": "movable assembly" if steps else "fixed assembly",
-        "shown": "the assembly",
         "views": "".join(
             f'<button type="button" data-side="{k}">{escape(target.name.capitalize())}</button>'
             for k, target in enumerate(targets)
@@ -216,23 +187,35 @@ def render_assembly_page(
         * any(box.what != "obstacle" for box in boxes)
         + _entry("bad", "obstacle") * any(box.what == "obstacle" for box in boxes),
         "under_legend": _toggles(data["joints"]),
-        "view_note": "A click on a block names it.",
-        "sections": fill("plan.html", values),
-        "source": escape(note),
+        "layer_box": f"{1000 * low[0] - pad:.1f} {-1000 * high[1] - pad:.1f} "
+        f"{width:.1f} {depth:.1f}",
+        "layers": str(len(layers)),
+        "last_layer": escape(data["layers"][-1]),
+        "bill": _bill(distinct),
+        "steps": "".join(_row(k, part, note, covered)
+                         for k, (part, note) in enumerate(zip(stepped, notes, strict=True), 1))
+        or '<tr><td colspan="8">The order of building is not given.</td></tr>',
+        "coverage": '<th class="number">Coverage</th>' * covered,
+        "more": "<th></th>" * covered,
     }  # fmt: skip
     scripts = _SCRIPTS
-    if playback is not None:
-        labels = cell_labels(assembly, blocks, captions)
+    if plan is not None:
+        page["tried"] = _tried(plan.search.attempts if plan.search else ())
+        told = (("Verified by", plan.verified_by), ("Made from", plan.design.source))
+        page["source"] = escape(" ".join(f"{name}: {words}." for name, words in told if words))
+    if plan is not None and plan.record is not None and plan.record.steps:
+        playback = Playback(plan.record, plan)
+        labels = cell_labels(assembly, playback.blocks, captions)
         data["arm"] = arm_data(playback, labels)
         page |= {**arm_values(playback), "body": "movable assembly with-arm"}
         page["views"] += NEAR_VIEW
         page["legend"] += _entry("waiting", "waiting block")
         page["legend"] += _entry("goal", "where this step puts it")
-        page["legend"] += _entry("soft", "not in use") * (None in blocks)
+        page["legend"] += _entry("soft", "not in use") * (None in playback.blocks)
         page["summary"] += escape(
             f" Built by the arm {playback.record.arm.name}: {arm_summary(playback.record)}."
         )
-        page["sections"] += arm_section(playback, labels.names)
+        page["attempts"] = arm_section(playback, labels.names)
         scripts = (*_SCRIPTS[:-1], "arm.js", _SCRIPTS[-1])
     return stand_alone(page, data, scripts)
 
@@ -387,26 +370,23 @@ def _covers(blocks: list[Block]) -> list[list[list[int]] | None]:
     found: list[list[list[int]]] = [[[] for _ in range(6)] for _ in blocks]
     near = _COVERED * float((high - low)[boxes].min()) if boxes.any() else 0.0
     for axis in range(3):
-        u, v = (axis + 1) % 3, (axis + 2) % 3
+        across = [(axis + 1) % 3, (axis + 2) % 3]
         ups = np.flatnonzero(boxes)[np.argsort(high[boxes, axis], kind="stable")]
         downs = np.flatnonzero(boxes)[np.argsort(low[boxes, axis], kind="stable")]
-        begin = np.searchsorted(low[downs, axis], high[ups, axis] - near)
-        stop = np.searchsorted(low[downs, axis], high[ups, axis] + near)
-        area = (high[:, u] - low[:, u]) * (high[:, v] - low[:, v])
+        begin, stop = (
+            np.searchsorted(low[downs, axis], high[ups, axis] + off) for off in (-near, near)
+        )
         covered = np.zeros((2, len(blocks)))
         for a, first, last in zip(ups.tolist(), begin.tolist(), stop.tolist(), strict=True):
             others = downs[first:last]
-            common = np.ones(len(others))
-            for k in (u, v):
-                shared = np.minimum(high[a, k], high[others, k]) - np.maximum(
-                    low[a, k], low[others, k]
-                )
-                common *= np.maximum(shared, 0.0)
+            shared = np.minimum(high[a], high[others]) - np.maximum(low[a], low[others])
+            common = np.maximum(shared[:, across], 0.0).prod(1)
             for b, size in zip(others[common > 0].tolist(), common[common > 0], strict=True):
                 found[a][2 * axis + 1].append(b)
                 found[b][2 * axis].append(a)
-                covered[1, a] += size
                 covered[0, b] += size
+                covered[1, a] += size
+        area = (high - low)[:, across].prod(1)
         for side in (0, 1):
             for k in np.flatnonzero(boxes & (covered[side] < (1 - _COVERED) * area)):
                 found[k][2 * axis + side] = []
@@ -558,19 +538,20 @@ def write_plan_page(plan: Plan, path: Path) -> None:
     """
     if plan.assembly is None:
         raise InputError("plan", "no blocks", "assembly.json beside plan.json")
-    record = plan.record if plan.record is not None and plan.record.steps else None
     used, available = plan.blocks.used, plan.blocks.available
-    facts = [("planner", plan.planner or ""), ("agent", plan.agent or "")]
-    facts.append(("search", plan.search.needed if plan.search and plan.design.targets else ""))
-    facts += [("kit", plan.kit or ""), ("steps", str(len(plan.steps)))]
-    facts.append(("blocks", f"{used} of {available}" if plan.design.targets else str(used)))
+    targets = plan.design.targets
     props = sum(step.prop and step.action == "place" for step in plan.steps)
-    facts.append(("props", str(props) if props else ""))
-    if plan.design.targets:
+    facts = [
+        ("planner", plan.planner), ("agent", plan.agent),
+        ("search", plan.search.needed if plan.search and targets else None), ("kit", plan.kit),
+        ("steps", str(len(plan.steps))),
+        ("blocks", f"{used} of {available}" if targets else str(used)),
+        ("props", str(props) if props else None),
+    ]  # fmt: skip
+    if targets:
         needed = percent(plan.design.success_threshold)
         facts.append(("covered", f"{percent(plan.coverage)} of the target ({needed} needed)"))
-    if plan.cells is not None:
-        cells = plan.cells
+    if (cells := plan.cells) is not None:
         words = f"{cells.wanted} wanted, {cells.missing} open, {cells.outside} outside"
         facts.append(("cells", words))
     if plan.design.iou is not None:
@@ -584,19 +565,10 @@ def write_plan_page(plan: Plan, path: Path) -> None:
         low, high = plan.friction_range
         upper = "more" if high >= 100 else f"{high:g}"
         facts.append(("proven for friction", f"{low:g} to {upper}"))
-    targets = plan.design.targets
     text = render_assembly_page(
         plan.assembly, title=plan.design.name, facts=[(a, b) for a, b in facts if b],
         step_notes=[_note(step, targets) for step in plan.steps],
-        status=plan.status, reason=plan.reason or "",
-        playback=None if record is None else Playback(record, plan),
-        blocks=[] if record is None else block_of_cell(record, plan), targets=targets,
-        boxes=plan.design.boxes,
-        tried=plan.search.attempts if plan.search else (),
-        note=" ".join(
-            f"{name}: {words}." for name, words in
-            (("Verified by", plan.verified_by), ("Made from", plan.design.source)) if words
-        ),
+        status=plan.status, reason=plan.reason or "", plan=plan,
     )  # fmt: skip
     write_file(path, text, "page")
 

@@ -13,20 +13,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.files import write_file
 from learn2assemble.planning.plan import Plan, PlanBox
 from learn2assemble.robot.shape import Mesh
-from learn2assemble.viewer.renderer import (
-    BLOCK,
-    GROUND,
-    LIT,
-    Bodies,
-    Buffers,
-    Camera,
-    Triangles,
-    around,
-    box_edges,
-    render,
-    sunlight,
-    view_axes,
-)
+from learn2assemble.viewer import renderer
 from learn2assemble.viewer.words import percent
 
 MOMENTS, COLUMNS = 6, 3
@@ -66,17 +53,20 @@ def write_progress(plan: Plan, path: Path) -> None:
     font = ImageFont.load_default(18)
     targets = [np.array(target.outline) for target in plan.design.targets]
     triangles, colour = _triangles(assembly, targets, plan.design.boxes)
-    buffers = Buffers(triangles, WIDTH, HEIGHT)
+    buffers = renderer.Buffers(triangles, WIDTH, HEIGHT)
     bodies = len(assembly.blocks) + 3
     place, turn = np.zeros((bodies, 3)), np.tile(np.eye(3), (bodies, 1, 1))
     points = np.concatenate([block.vertices for block in assembly.blocks])
     ends = [corner for box in plan.design.boxes for corner in (box.low, box.high)]
     seen = np.array([points.min(0), points.max(0), *ends])
     low, high = seen.min(0), seen.max(0)
-    camera, light = _camera(low, high), sunlight(_SUN, points, 0.1 * float((high - low).max()))
+    camera, light = (
+        _camera(low, high),
+        renderer.sunlight(_SUN, points, 0.1 * float((high - low).max())),
+    )
     for number, step in enumerate(moments.tolist()):
         shown = np.append(_standing(assembly, step), [True] * 3)
-        picture = render(
+        picture = renderer.render(
             triangles, buffers, camera, light, place, turn, shown, colour,
             np.array(_SKY, np.float32), np.array(_RIM, np.float32),
         )  # fmt: skip
@@ -105,9 +95,9 @@ def _standing(assembly: Assembly, count: int) -> np.ndarray:
 
 def _triangles(
     assembly: Assembly, targets: list[np.ndarray], boxes: Sequence[PlanBox] = ()
-) -> tuple[Triangles, np.ndarray]:
+) -> tuple[renderer.Triangles, np.ndarray]:
     """One body a block, then table, outlines or goals, obstacles; colours float32[B + 3, 3]."""
-    bodies, table = Bodies(), len(assembly.blocks)
+    bodies, table = renderer.Bodies(), len(assembly.blocks)
     for number, block in enumerate(assembly.blocks):
         for part in convex_parts(block):
             for face in part.faces:
@@ -116,25 +106,27 @@ def _triangles(
     low, high = points.min(0), points.max(0)
     (x0, y0), (x1, y1) = low[:2] - (high - low).max(), high[:2] + (high - low).max()
     corners = np.array([[x0, y0, 0], [x1, y0, 0], [x1, y1, 0], [x0, y1, 0]]) - [0, 0, 1e-4]
-    _add_face(bodies, table, corners, GROUND)
+    _add_face(bodies, table, corners, renderer.GROUND)
     thick = 0.015 * float(np.median([np.ptp(b.vertices, axis=0).min() for b in assembly.blocks]))
     for outline in targets:
-        bodies.add_bars(table + 1, around(outline), thick)
+        bodies.add_bars(table + 1, renderer.around(outline), thick)
     for given in boxes:
         kind = 1 + (given.what == "obstacle")
-        bodies.add_bars(table + kind, box_edges(given.low, given.high), thick)
+        bodies.add_bars(table + kind, renderer.box_edges(given.low, given.high), thick)
     colours = [_PROP if block.prop else block.colour or _BLOCK for block in assembly.blocks]
     return bodies.triangles(), np.array([*colours, _TABLE, _TARGET, _OBSTACLE], np.float32)
 
 
-def _add_face(bodies: Bodies, body: int, corners: np.ndarray, kind: int | None = None) -> None:
+def _add_face(
+    bodies: renderer.Bodies, body: int, corners: np.ndarray, kind: int | None = None
+) -> None:
     """Add a convex face, float64[n, 3]; one of a block, without a kind, has a rim where it has four
     corners."""
     normal = np.cross(corners, np.roll(corners, -1, 0)).sum(0)
     length = np.linalg.norm(normal)
     if not length > 0:
         return
-    kind = (BLOCK if len(corners) == 4 else LIT) if kind is None else kind
+    kind = (renderer.BLOCK if len(corners) == 4 else renderer.LIT) if kind is None else kind
     marks = np.full((len(corners), 2), 0.5)
     fan = np.array([(0, k, k + 1) for k in range(1, len(corners) - 1)])
     if len(corners) == 4:
@@ -159,11 +151,11 @@ def _rim(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([lower, upper]), np.concatenate(marks)
 
 
-def _camera(low: np.ndarray, high: np.ndarray) -> Camera:
+def _camera(low: np.ndarray, high: np.ndarray) -> renderer.Camera:
     """Sees all between these corners, float64[3] each [m]."""
     centre, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
     back = _VIEW / np.linalg.norm(_VIEW)
     focal = _FOCAL * WIDTH
     distance = radius * (1.15 * focal / (min(WIDTH, HEIGHT) / 2))
     middle = np.array([WIDTH / 2, HEIGHT / 2 + 14])
-    return Camera(centre + distance * back, view_axes(back), focal, middle)
+    return renderer.Camera(centre + distance * back, renderer.view_axes(back), focal, middle)

@@ -81,6 +81,7 @@ class Playback:
         arm = get_arm(facts.name, facts.tool_name, (*facts.base_position.tolist(), facts.base_yaw))
         _fits(record, plan, arm)
         self.record = record
+        self.blocks = block_of_cell(record, plan)
         cube = np.full((record.num_cells, 3), record.block_edge / 2)
         self.half = cube if record.half is None else record.half
         """float64[C, 3]: half extents of every cell [m]."""
@@ -112,37 +113,36 @@ class Playback:
     def arm_at(self, clock: float) -> tuple[np.ndarray, float]:
         """Joints float64[n] [rad] and opening [m]."""
         segment = self.segment_at(clock)
-        time = clock - segment.delay if len(segment.step.samples.time) else self._before(segment)
-        return self._arm(time)
+        # A step without samples finds the arm as the one before has left it.
+        return self._arm(
+            (clock if len(segment.step.samples.time) else segment.start) - segment.delay
+        )
 
     def cells_at(self, clock: float) -> tuple[np.ndarray, np.ndarray]:
         """Where all cells are: float64[C, 3] [m, world] and float64[C, 4] (w, x, y, z)."""
         segment = self.segment_at(clock)
         position, quaternion = split(segment.step.before)
         for glide in segment.glides:
-            place = self._place(segment, glide, clock)
-            if place is not None:
-                position[glide.cell], quaternion[glide.cell] = place
+            c = glide.cell
+            if glide.grip is None or clock >= glide.release:
+                share = (clock - glide.release) / max(glide.end - glide.release, 1e-9)
+                share = min(max(share, 0.0), 1.0)
+                share = share * share if glide.falls else share * share * (3 - 2 * share)
+                end, turn = split(segment.step.after[c])
+                position[c] = glide.position + share * (end - glide.position)
+                quaternion[c] = interpolate_quaternions(glide.quaternion, turn, share)
+            elif clock >= glide.grip:
+                position[c], quaternion[c] = self._held(
+                    clock - segment.delay, glide.offset, glide.turn
+                )
         return position, quaternion
 
-    def _place(
-        self, segment: Segment, glide: Glide, clock: float
-    ) -> tuple[np.ndarray, np.ndarray] | None:
-        if glide.grip is not None and clock < glide.release:
-            if clock < glide.grip:
-                return None
-            where, rotation = self.shape.tool(self._arm(clock - segment.delay)[0])
-            return where + rotation @ glide.offset, quaternion_product(
-                matrix_quaternion(rotation), glide.turn
-            )
-        share = (clock - glide.release) / max(glide.end - glide.release, 1e-9)
-        share = min(max(share, 0.0), 1.0)
-        share = share * share if glide.falls else share * share * (3 - 2 * share)
-        end, turn = split(segment.step.after[glide.cell])
-        return (
-            glide.position + share * (end - glide.position),
-            interpolate_quaternions(glide.quaternion, turn, share),
-        )
+    def _held(
+        self, time: float, offset: np.ndarray, turn: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Where something is that the tool holds there, at a time of the record."""
+        tool, rotation = self.shape.tool(self._arm(time)[0])
+        return tool + rotation @ offset, quaternion_product(matrix_quaternion(rotation), turn)
 
     def _arm(self, time: float) -> tuple[np.ndarray, float]:
         samples = self.samples
@@ -153,10 +153,6 @@ class Playback:
         joints = samples.joints[low] + share * (samples.joints[high] - samples.joints[low])
         width = samples.width[low] + share * (samples.width[high] - samples.width[low])
         return joints, float(width)
-
-    def _before(self, segment: Segment) -> float:
-        """Time of the record at which a step without samples finds the arm."""
-        return segment.start - segment.delay
 
     def _segments(self) -> list[Segment]:
         delay, found = 0.0, []
@@ -183,11 +179,7 @@ class Playback:
                 tool, rotation = self.shape.tool(self._arm(step.grip)[0])
                 offset = rotation.T @ (where - tool)
                 turn = quaternion_product(matrix_quaternion(rotation.T), turned)
-                tool, rotation = self.shape.tool(self._arm(let_go)[0])
-                where, turned = (
-                    tool + rotation @ offset,
-                    quaternion_product(matrix_quaternion(rotation), turn),
-                )
+                where, turned = self._held(let_go, offset, turn)
                 grip, release = step.grip + delay, let_go + delay
             drop = float(where[2] - step.after[cell, 2])
             falls = drop > 0.01

@@ -65,7 +65,7 @@ def _area(a, b, c):
 
 @njit(cache=True, error_model="numpy")
 def _cover(a, b, c, area, nearest, marks, mark):
-    """Enter a triangle where it is nearer than anything before it; ``marks`` it, unless negative.
+    """Enter a triangle where it is nearer than anything before it, and ``mark`` it there.
 
     Args:
         a, b, c: float32[3]: its corners, right, down and near.
@@ -94,78 +94,50 @@ def _cover(a, b, c, area, nearest, marks, mark):
             if u >= 0 and v >= 0 and w >= 0:
                 near = u * az + v * bz + w * cz
                 if near > nearest[y, x]:
-                    nearest[y, x] = near
-                    if mark >= 0:
-                        marks[y, x] = mark
+                    nearest[y, x], marks[y, x] = near, mark
             u += u_step
             v += v_step
 
 
 @njit(cache=True, error_model="numpy")
-def fill(screen, faces, body, shown, depth, seen):
-    """Which triangle each sample sees; triangles turned away are left out."""
-    for f in range(faces.shape[0]):
-        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-        if not shown[body[i]]:
-            continue
-        # Down is positive in the picture, so what faces the camera has a negative area.
-        area = _area(screen[i], screen[j], screen[k])
-        if area > -1e-6 or screen[i, 2] <= 0 or screen[j, 2] <= 0 or screen[k, 2] <= 0:
-            continue
-        _cover(screen[i], screen[j], screen[k], area, depth, seen, f)
+def fill(screen, faces, wanted, towards, nearest, seen):
+    """Which triangle each sample sees, and how near it is.
 
-
-@njit(cache=True, error_model="numpy")
-def fill_shadow(screen, faces, kind, body, shown, height_of):
-    """How near to the sun the nearest thing is, for every place of the map.
-
-    Surfaces turned away from the sun are left out: one turned to it lies nearer.
+    Args:
+        wanted: bool[f]; others are left out, as are those that are turned away.
+        towards: sign of the area of a triangle that is turned to the viewer.
     """
-    unused = np.empty((1, 1), np.int32)
     for f in range(faces.shape[0]):
-        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-        if kind[f] == PLAIN or kind[f] == GROUND or not shown[body[i]]:
-            continue
-        area = _area(screen[i], screen[j], screen[k])
-        if area < 1e-6:
-            continue
-        _cover(screen[i], screen[j], screen[k], area, height_of, unused, -1)
+        if wanted[f]:
+            a, b, c = screen[faces[f, 0]], screen[faces[f, 1]], screen[faces[f, 2]]
+            area = _area(a, b, c)
+            if towards * area >= 1e-6:
+                _cover(a, b, c, area, nearest, seen, f)
 
 
-@njit(cache=True, error_model="numpy")
-def blend_sheet(corners, colour, share, depth, image):
+def blend_sheet(
+    corners: np.ndarray, colour: np.ndarray, share: float, depth: np.ndarray, image: np.ndarray
+) -> None:
     """A transparent triangle over a finished picture, hidden where something is nearer.
 
     Args:
-        corners: float64[3, 3], projected: samples right and down, inverse distance.
+        corners: float[3, 3], projected: samples right and down, inverse distance.
         colour: float32[3], 0 to 255.
         share: opacity.
         depth: of the picture's samples; changed nowhere.
     """
-    a, b, c = corners[0], corners[1], corners[2]
-    area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-    if abs(area) < 1e-6:
-        return
-    over = 1.0 / area
     height, width = image.shape[:2]
-    x0, x1 = _span(min(a[0], b[0], c[0]), max(a[0], b[0], c[0]), depth.shape[1])
-    y0, y1 = _span(min(a[1], b[1], c[1]), max(a[1], b[1], c[1]), depth.shape[0])
-    for y in range(y0 // SAMPLES, min(y1 // SAMPLES + 1, height)):
-        for x in range(x0 // SAMPLES, min(x1 // SAMPLES + 1, width)):
-            hits = 0
-            for n in range(SAMPLES * SAMPLES):
-                i, j = SAMPLES * x + n % SAMPLES, SAMPLES * y + n // SAMPLES
-                px, py = i + 0.5, j + 0.5
-                u = ((c[0] - b[0]) * (py - b[1]) - (c[1] - b[1]) * (px - b[0])) * over
-                v = ((a[0] - c[0]) * (py - c[1]) - (a[1] - c[1]) * (px - c[0])) * over
-                w = 1.0 - u - v
-                near = u * a[2] + v * b[2] + w * c[2]
-                if u >= 0 and v >= 0 and w >= 0 and near > depth[j, i]:
-                    hits += 1
-            part = share * hits / (SAMPLES * SAMPLES)
-            for channel in range(3):
-                old = image[y, x, channel]
-                image[y, x, channel] = np.uint8(old + part * (colour[channel] - old) + 0.5)
+    x0, y0 = np.clip(corners[:, :2].min(0) // SAMPLES, 0, (width, height)).astype(int).tolist()
+    x1, y1 = np.clip(corners[:, :2].max(0) // SAMPLES + 1, 0, (width, height)).astype(int).tolist()
+    a, b, c = (corners - [SAMPLES * x0, SAMPLES * y0, 0]).astype(np.float32)
+    if (area := _area(a, b, c)) == 0 or x0 >= x1 or y0 >= y1:
+        return
+    nearest = depth[SAMPLES * y0 : SAMPLES * y1, SAMPLES * x0 : SAMPLES * x1].copy()
+    seen = np.full(nearest.shape, -1, np.int32)
+    _cover(a, b, c, area, nearest, seen, 0)
+    hits = (seen == 0).reshape(y1 - y0, SAMPLES, x1 - x0, SAMPLES).mean((1, 3))
+    part = image[y0:y1, x0:x1]
+    part[:] = part + share * hits[..., None] * (colour - part) + 0.5
 
 
 AMBIENT, UPWARD, DIRECT = 0.6, 0.08, 0.42
@@ -404,6 +376,8 @@ class Buffers:
         self.depth = np.empty((height * SAMPLES, width * SAMPLES), np.float32)
         self.seen = np.empty((height * SAMPLES, width * SAMPLES), np.int32)
         self.shadow = np.empty((SHADOW_SIZE, SHADOW_SIZE), np.float32)
+        self.shading = np.empty((SHADOW_SIZE, SHADOW_SIZE), np.int32)
+        self.casts = ~np.isin(triangles.kind, (PLAIN, GROUND))
         self.slope = np.zeros((len(triangles.faces), 2 + 3 * VALUES), np.float32)
         self.owner = triangles.body[triangles.faces[:, 0]]
         self.image = np.empty((height, width, 3), np.uint8)
@@ -429,14 +403,16 @@ def render(
     lit = world @ light.axes.T - [*light.low, 0.0]
     lit[:, :2] *= SHADOW_SIZE / light.size
     b.shadow.fill(-1e9)
-    kind, body = triangles.kind, triangles.body
-    fill_shadow(lit.astype(np.float32), triangles.faces, kind, body, shown, b.shadow)
+    faces, there = triangles.faces, shown[b.owner]
+    # What is turned away from the sun is left out: something turned to it lies nearer.
+    fill(lit.astype(np.float32), faces, there & b.casts, 1, b.shadow, b.shading)
     screen = project(world, camera)
     b.depth.fill(0.0)
     b.seen.fill(-1)
-    fill(screen, triangles.faces, body, shown, b.depth, b.seen)
+    # Down is positive in the picture, so what faces the camera has a negative area.
+    fill(screen, faces, there & (screen[faces, 2] > 0).all(1), -1, b.depth, b.seen)
     slopes(
-        screen, world, normals, triangles.faces, triangles.body, shown, triangles.marks,
+        screen, world, normals, faces, triangles.body, shown, triangles.marks,
         light.axes, light.low, SHADOW_SIZE / light.size, b.slope,
     )  # fmt: skip
     shade(

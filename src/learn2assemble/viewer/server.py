@@ -36,22 +36,14 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = 30
 
     def do_GET(self) -> None:
-        hosts = {f"{name}:{self.server.server_port}" for name in _NAMES}
-        if self.headers.get("Host", "").lower() not in hosts:
+        page, content = self.server.page, None
+        here = {f"{name}:{self.server.server_port}" for name in _NAMES}
+        if self.headers.get("Host", "").lower() not in here:
             self.send_error(HTTPStatus.FORBIDDEN, "Only for this machine")
-        elif urlsplit(self.path).path not in ("/", "/" + quote(self.server.page.name)):
-            self.send_error(HTTPStatus.NOT_FOUND)
-        else:
-            self._send_page()
-
-    do_HEAD = do_GET
-
-    def _send_page(self) -> None:
-        page = self.server.page
-        try:
-            content = None if page.is_symlink() else page.read_bytes()
-        except OSError:
-            content = None
+            return
+        if urlsplit(self.path).path in ("/", "/" + quote(page.name)) and not page.is_symlink():
+            with suppress(OSError):
+                content = page.read_bytes()
         if content is None:
             self.send_error(HTTPStatus.NOT_FOUND)
             return
@@ -62,6 +54,8 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
         if self.command != "HEAD":
             self.wfile.write(content)
+
+    do_HEAD = do_GET
 
     def log_message(self, format: str, *args: object) -> None:
         """No line for every request."""

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 
 import matplotlib
 import numpy as np
-from matplotlib.font_manager import get_font
+from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from learn2assemble.errors import InputError, extra
 from learn2assemble.files import unwritable
@@ -23,101 +22,37 @@ from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.motion.record import BuildRecord
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.shape import Mesh, box
+from learn2assemble.viewer import renderer
 from learn2assemble.viewer.arm import extent
 from learn2assemble.viewer.page import cell_labels
 from learn2assemble.viewer.picture import ACCENT, COLOURS, INK, LINE, PAPER, RIM, SOFT
-from learn2assemble.viewer.playback import Playback, Segment, block_of_cell, split
-from learn2assemble.viewer.renderer import (
-    BLOCK,
-    GROUND,
-    LIT,
-    Bodies,
-    Buffers,
-    Camera,
-    Triangles,
-    around,
-    blend_sheet,
-    box_edges,
-    project,
-    render,
-    sunlight,
-    view_axes,
-)
+from learn2assemble.viewer.playback import Playback, Segment, split
 from learn2assemble.viewer.words import clock_words, stage_words
-
-# ---------------------------------------------------------------- words and bars
-
-
-_FONTS = {False: "DejaVuSans.ttf", True: "DejaVuSans-Bold.ttf"}
-
-
-@lru_cache(maxsize=512)
-def lettering(text: str, size: float, bold: bool = False) -> tuple[np.ndarray, int]:
-    """A line of text: how much ink, float32[h, w] from 0 to 1, and the row of its base line.
-
-    Args:
-        size: height of the font [px].
-    """
-    font = get_font(str(Path(matplotlib.get_data_path(), "fonts", "ttf", _FONTS[bold])))
-    font.set_size(size, 72)
-    font.set_text(text, 0.0)
-    font.draw_glyphs_to_bitmap(antialiased=True)
-    ink = np.asarray(font.get_image(), np.float32) / 255
-    return ink, ink.shape[0] - round(font.get_descent() / 64)
-
-
-def write(
-    image: np.ndarray, text: str, x: float, y: float, size: float, colour: np.ndarray,
-    bold: bool = False, align: str = "left",
-) -> float:  # fmt: skip
-    """Write a line of text with its base line at row ``y``; what does not fit is cut off.
-
-    Args:
-        image: uint8[h, w, 3], changed in place.
-        x: left end, right end or middle [px], as ``align`` says.
-        colour: 0 to 255.
-
-    Returns:
-        Where it ends [px].
-    """
-    if not text.strip():
-        return x
-    ink, base = lettering(text, size, bold)
-    shift = {"left": 0.0, "right": ink.shape[1], "middle": ink.shape[1] / 2}[align]
-    left, top = round(x - shift), round(y) - base
-    cut = ink[max(-top, 0) :, max(-left, 0) :]
-    part = image[max(top, 0) : top + ink.shape[0], max(left, 0) : left + ink.shape[1]]
-    cut = cut[: part.shape[0], : part.shape[1], None]
-    part[:] = np.round(part + cut * (colour - part)).astype(np.uint8)
-    return left + ink.shape[1]
-
-
-def fill_box(
-    image: np.ndarray, x0: float, y0: float, x1: float, y1: float, colour: np.ndarray
-) -> None:
-    """Fill a rectangle; pixels that it covers in part along x are blended."""
-    top, bottom = round(y0), round(y1)
-    first = int(np.floor(x0))
-    columns = np.arange(first, int(np.ceil(x1)))
-    share = np.clip(np.minimum(columns + 1, x1) - np.maximum(columns, x0), 0, 1)[:, None]
-    part = image[top:bottom, first : first + len(columns)]
-    part[:] = np.round(part + share[: part.shape[1]] * (colour - part)).astype(np.uint8)
 
 
 def rgb(colour: str) -> np.ndarray:
     """``"#0b7285"`` as float32[3], 0 to 255."""
-    return np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)], np.float32)
+    return np.array(ImageColor.getrgb(colour), np.float32)
 
 
-# ---------------------------------------------------------------- frames
+@lru_cache(maxsize=16)
+def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
+    """``size``: height of the font [px]."""
+    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
+    return ImageFont.truetype(str(Path(matplotlib.get_data_path(), "fonts", "ttf", name)), size)
 
 
 WIDTH, HEIGHT = 800, 544
+FRAMES_PER_SECOND = 25
+SPEED, LONGEST = 4.0, 45.0
+"""How many times faster than the arm the video plays at least, and how long it may be [s]."""
+_HOLD = 1.5
+"""How long the finished build is shown at the end [s]."""
 _FOOT = 92
 """Height of the words under the picture [px]."""
 SKY, TABLE, WAITING = rgb("#f1efea"), np.array([228, 223, 213], np.float32), rgb("#e9ddc7")
-_BAD = rgb("#a3261c")
-_GOOD = rgb("#17663c")
+_BAD, _GOOD, _UNDONE = "#a3261c", "#17663c", "#ddb0ac"
+"""Of words and of attempts; the last one of what failed, before it is done."""
 _FROM = np.array([0.5, -1.0, 0.6])
 """Direction from the structure to the camera, world frame."""
 _SUN = np.array([-0.9, -1.9, 2.5])
@@ -131,22 +66,20 @@ that shows where a block goes, the table, the parts of the arm; then the cells."
 
 
 class Frames:
-    """The frames of the video of one record; ``note`` stands behind the name of the arm.
+    """The frames of the video of one record.
 
     Raises:
         InputError: where the record does not fit the plan.
     """
 
-    def __init__(
-        self, plan: Plan, record: BuildRecord, width: int = WIDTH,
-        height: int = HEIGHT, note: str = "",
-    ) -> None:  # fmt: skip
+    def __init__(self, plan: Plan, record: BuildRecord) -> None:
         self.plan, self.playback = plan, Playback(record, plan)
-        self.width, self.height, self.note = width, height, note
+        self.speed = max(SPEED, math.ceil(record.spans()[-1][1] / LONGEST))
+        """How many times faster than the arm the video plays."""
         if plan.assembly is None:
             raise InputError("plan", "no blocks", "assembly.json beside plan.json")
         self.targets = [np.array(target.outline) for target in plan.design.targets]
-        self.labels = cell_labels(plan.assembly, block_of_cell(record, plan))
+        self.labels = cell_labels(plan.assembly, self.playback.blocks)
         self.cells = PARTS + len(self.playback.shape.parts)
         """Body of the first cell; they are the last ones."""
         self.count = self.cells + record.num_cells
@@ -155,19 +88,18 @@ class Frames:
             cell: step.number for step in record.steps if step.outcome == Outcome.REACHED
             for cell in step.cells
         }  # fmt: skip
-        self.buffers = Buffers(self.triangles, width, height - _FOOT)
+        self.buffers = renderer.Buffers(self.triangles, WIDTH, HEIGHT - _FOOT)
         self.camera = self._camera()
-        self.light = sunlight(self._turned(_SUN), self._points(), 0.12)
+        self.light = renderer.sunlight(self._turned(_SUN), self._points(), 0.12)
         self.sheets = self._sheets()
         self.ribbons = self._ribbons()
 
     def frame(self, clock: float) -> np.ndarray:
-        """uint8[height, width, 3] at a time of the replay [s]."""
-        image = np.empty((self.height, self.width, 3), np.uint8)
-        image[:-_FOOT] = self._picture(clock)
-        image[-_FOOT:] = rgb(PAPER).astype(np.uint8)
+        """uint8[HEIGHT, WIDTH, 3] at a time of the replay [s]."""
+        image = Image.new("RGB", (WIDTH, HEIGHT), PAPER)
+        image.paste(Image.fromarray(self._picture(clock)))
         self._words(image, clock)
-        return image
+        return np.array(image)
 
     def _picture(self, clock: float) -> np.ndarray:
         segment = self.playback.segment_at(clock)
@@ -178,35 +110,35 @@ class Frames:
         # What waits in a magazine is below the table.
         shown[self.cells :] = poses[0][self.cells :, 2] > 0
         shown[GOAL] = 0 < clock < self.playback.duration and not done
-        picture = render(
+        picture = renderer.render(
             self.triangles, self.buffers, self.camera, self.light,
             *poses, shown, self._colours(segment, clock),
             SKY, rgb(RIM),
         )  # fmt: skip
         for corners in self.sheets:
-            blend_sheet(corners, rgb(ACCENT), 0.2, self.buffers.depth, picture)
+            renderer.blend_sheet(corners, rgb(ACCENT), 0.2, self.buffers.depth, picture)
         return picture
 
-    def _triangles(self) -> Triangles:
-        playback, labels, bodies = self.playback, self.labels, Bodies()
+    def _triangles(self) -> renderer.Triangles:
+        playback, labels, bodies = self.playback, self.labels, renderer.Bodies()
         edge, first = playback.record.block_edge, playback.record.steps[0].before
         for corners in self.targets:
-            bodies.add_bars(OUTLINE, around(corners), edge / 22)
+            bodies.add_bars(OUTLINE, renderer.around(corners), edge / 22)
         square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         for cell, half in enumerate(playback.half):
             if not labels.fixed[cell] and first[cell, 2] > 0:
                 at = np.column_stack([first[cell, :2] + half[:2] * square, np.full(4, edge / 90)])
-                bodies.add_bars(PLACES, around(at), edge / 90)
+                bodies.add_bars(PLACES, renderer.around(at), edge / 90)
         # The frame is a cube with edge 1, stretched to the block it is for.
-        bodies.add_bars(GOAL, box_edges([-0.5] * 3, [0.5] * 3), 1 / 40)
-        bodies.add(TOP, self._table(), GROUND)
+        bodies.add_bars(GOAL, renderer.box_edges([-0.5] * 3, [0.5] * 3), 1 / 40)
+        bodies.add(TOP, self._table(), renderer.GROUND)
         for k, part in enumerate(playback.shape.parts):
-            bodies.add(PARTS + k, part.mesh, LIT)
+            bodies.add(PARTS + k, part.mesh, renderer.LIT)
         for cell, half in enumerate(playback.half):
             block = box(half)
             # What is left and right, below and above on each face: all but where it looks.
             marks = (block.vertices[np.abs(block.normals) < 0.5] > 0).reshape(-1, 2)
-            bodies.add(self.cells + cell, block, BLOCK, marks)
+            bodies.add(self.cells + cell, block, renderer.BLOCK, marks)
         return bodies.triangles()
 
     def _table(self) -> Mesh:
@@ -252,21 +184,20 @@ class Frames:
             x, y, _ = normal = np.array(target.outward)
             corners = np.array(target.outline)[::-1] - edge / 50 * normal
             flat = np.stack([corners @ [-y, x, 0.0], corners[:, 2]], 1)
-            screen = project(corners, self.camera)
+            screen = renderer.project(corners, self.camera)
             found += [screen[ear] for ear in manifold3d.triangulate([flat])]
         return found
 
-    def _ribbons(self) -> tuple[np.ndarray, np.ndarray]:
-        """All attempts side by side, as they look when done and before: uint8[8, width, 3]."""
-        paper = np.tile(rgb(PAPER).astype(np.uint8), (8, self.width, 1))
-        done, ahead = paper.copy(), paper
-        scale = (self.width - 48) / max(self.playback.duration, 1e-9)
+    def _ribbons(self) -> tuple[Image.Image, Image.Image]:
+        """All attempts side by side, as they look when done and before."""
+        done, ahead = (Image.new("RGB", (WIDTH, 8), PAPER) for _ in range(2))
+        scale = (WIDTH - 48) / max(self.playback.duration, 1e-9)
         for s in self.playback.segments:
             good = s.step.outcome == Outcome.REACHED
-            x0 = 24 + s.start * scale
-            x1 = max(24 + s.end * scale - 1.5, x0 + 1)
-            fill_box(done, x0, 0, x1, 8, rgb(ACCENT) if good else _BAD)
-            fill_box(ahead, x0, 0, x1, 8, rgb(LINE) if good else 0.35 * _BAD + 0.65 * rgb(PAPER))
+            x0, x1 = 24 + round(s.start * scale), 24 + round(s.end * scale)
+            place = (x0, 0, max(x1 - 3, x0), 8)
+            ImageDraw.Draw(done).rectangle(place, ACCENT if good else _BAD)
+            ImageDraw.Draw(ahead).rectangle(place, LINE if good else _UNDONE)
         return done, ahead
 
     def _colours(self, segment: Segment, clock: float) -> np.ndarray:
@@ -287,27 +218,33 @@ class Frames:
                 colour[self.cells + cell] = own
         return colour
 
-    def _words(self, image: np.ndarray, clock: float) -> None:
-        playback, record = self.playback, self.playback.record
-        segment, top = playback.segment_at(clock), self.height - _FOOT
-        ink, soft = rgb(INK), rgb(SOFT)
-        title = " ".join(self.plan.design.name.split())
-        write(image, title, 24, 42, 24, ink, bold=True)
-        write(image, f"arm {record.arm.name}{self.note}", 24, 66, 14, soft)
-        now = 24 + round((self.width - 48) * clock / max(playback.duration, 1e-9))
-        for strip, columns in zip(self.ribbons, (slice(0, now), slice(now, None)), strict=True):
-            image[top + 12 : top + 20, columns] = strip[:, columns]
-        good = segment.step.outcome == Outcome.REACHED
-        write(image, self.doing(clock), 24, top + 50, 19, ink, bold=True)
+    def _words(self, image: Image.Image, clock: float) -> None:
+        playback, record, draw = self.playback, self.playback.record, ImageDraw.Draw(image)
+        segment, top = playback.segment_at(clock), HEIGHT - _FOOT
+
+        def write(
+            text: str, x: float, y: float, size: int, colour: str, bold: bool = False,
+            anchor: str = "ls",
+        ) -> float:  # fmt: skip
+            """A line of text with its base line at row ``y``; where it ends [px]."""
+            draw.text((x, y), text, colour, _font(size, bold), anchor)
+            return x + draw.textlength(text, _font(size, bold))
+
+        write(" ".join(self.plan.design.name.split()), 24, 42, 24, INK, bold=True)
+        write(f"arm {record.arm.name}, shown {self.speed:g} times as fast", 24, 66, 14, SOFT)
+        now = 24 + round((WIDTH - 48) * clock / max(playback.duration, 1e-9))
+        done, ahead = self.ribbons
+        image.paste(ahead, (0, top + 12))
+        image.paste(done.crop((0, 0, now, 8)), (0, top + 12))
+        write(self.doing(clock), 24, top + 50, 19, INK, bold=True)
         spent = f"{clock_words(clock)} / {clock_words(playback.duration)}"
-        write(image, spent, self.width - 24, top + 50, 19, soft, align="right")
+        write(spent, WIDTH - 24, top + 50, 19, SOFT, anchor="rs")
         if clock > 0:
-            total = len(playback.segments)
-            x = write(image, f"attempt {segment.step.number} of {total}: ", 24, top + 77, 15, soft)
-            words = segment.step.outcome.label
-            x = write(image, words, x + 7, top + 77, 15, _GOOD if good else _BAD, bold=True)
-            if segment.step.detail:
-                write(image, segment.step.detail, x + 10, top + 77, 15, soft)
+            number, total = segment.step.number, len(playback.segments)
+            x = write(f"attempt {number} of {total}: ", 24, top + 77, 15, SOFT)
+            colour = _GOOD if segment.step.outcome == Outcome.REACHED else _BAD
+            x = write(segment.step.outcome.label, x, top + 77, 15, colour, bold=True)
+            write(segment.step.detail, x + 10, top + 77, 15, SOFT)
 
     def doing(self, clock: float) -> str:
         """What the arm does at a time of the replay, as a sentence."""
@@ -330,14 +267,14 @@ class Frames:
         cells = [p[p[:, 2] > 0, :3] for p in (record.steps[0].before, record.steps[-1].after)]
         return np.concatenate([*cells, *self.targets, extent(self.playback)])
 
-    def _camera(self) -> Camera:
+    def _camera(self) -> renderer.Camera:
         """As near as shows everything, as the page does."""
-        points, width, height = self._points(), self.width, self.height - _FOOT
+        points, width, height = self._points(), WIDTH, HEIGHT - _FOOT
         pad = 0.75 * self.playback.record.block_edge
         corners = pad * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         cloud = (points[:, None] + corners).reshape(-1, 3)
         back = self._turned(_FROM)
-        axes = view_axes(back)
+        axes = renderer.view_axes(back)
         focal = height / 2 / np.tan(np.radians(_FIELD / 2))
         centre, distance = cloud.mean(0), 6 * float(np.ptp(cloud, axis=0).max())
         for _ in range(16):
@@ -348,18 +285,11 @@ class Frames:
             fit = (high - low) / (0.94 * width, 0.92 * height)
             distance *= min(max(float(fit.max()), 0.5), 2.0)
         eye = centre + distance * back
-        return Camera(eye, axes, float(focal), np.array([width / 2, height / 2]))
+        return renderer.Camera(eye, axes, float(focal), np.array([width / 2, height / 2]))
 
     def _turned(self, direction: np.ndarray) -> np.ndarray:
         """The unit vector of a direction that is meant for an arm on the left."""
         return yaw_matrix(self.playback.side) @ direction / np.linalg.norm(direction)
-
-
-FRAMES_PER_SECOND = 25
-SPEED, LONGEST = 4.0, 45.0
-"""How many times faster than the arm the video plays at least, and how long it may be [s]."""
-_HOLD = 1.5
-"""How long the finished build is shown at the end [s]."""
 
 
 def require_video() -> ModuleType:
@@ -373,52 +303,30 @@ def require_video() -> ModuleType:
     return av
 
 
-def write_video(
-    plan: Plan,
-    record: BuildRecord,
-    path: Path,
-    *,
-    speed: float | None = None,
-    width: int = WIDTH,
-    height: int = HEIGHT,
-    progress: Callable[[float], object] = lambda share: None,
-) -> None:
-    """Write ``build.mp4``. The same record gives the same file.
+def write_video(plan: Plan, record: BuildRecord, path: Path) -> None:
+    """Write ``build.mp4``. The same record gives the same pictures.
 
     Args:
         plan: that the record fits.
         record: what the arm did.
-        speed: how many times faster than the arm it plays; by default :data:`SPEED`, or as much as
-            it takes for the video to last no longer than :data:`LONGEST`.
-        width, height: of the picture [px], even.
-        progress: told the share that is done.
 
     Raises:
         MissingExtraError: without the extra ``video``.
-        InputError: where the record does not fit the plan, the speed is not positive, the size is
-            not even or too small, or ``path`` cannot be written.
+        InputError: where the record does not fit the plan, or ``path`` cannot be written.
     """
-    av = require_video()
-    if speed is None:
-        seconds = record.spans()[-1][1] if record.steps else 0.0
-        speed = max(SPEED, math.ceil(seconds / LONGEST))
-    if not 0 < speed < math.inf:
-        raise InputError("speed", speed, "a positive number")
-    if width % 2 or height % 2 or width < 320 or height < 240:
-        raise InputError("size of the video", (width, height), "even numbers from 320 x 240")
-    note = "" if speed == 1 else f", shown {speed:g} times as fast"
-    frames = Frames(plan, record, width, height, note)
-    clocks = moments(frames.playback.duration, speed)
+    av, film = require_video(), Frames(plan, record)
     part = path.with_name(f".{path.name}.part")
-    # One thread: how many there are would change the bytes.
     options = {"crf": "20", "preset": "veryfast", "threads": "1"}
     try:
         with av.open(
             str(part), "w", format="mp4", options={"movflags": "faststart", "fflags": "+bitexact"}
         ) as file:
             stream = file.add_stream("libx264", rate=FRAMES_PER_SECOND, options=options)
-            stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
-            for picture in _pictures(frames, clocks, progress):
+            stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+            last, picture = -1.0, None
+            for clock in moments(film.playback.duration, film.speed).tolist():
+                if picture is None or clock != last:
+                    picture, last = film.frame(clock), clock
                 file.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
             file.mux(stream.encode())
         os.replace(part, path)
@@ -433,14 +341,3 @@ def moments(duration: float, speed: float) -> np.ndarray:
     count = math.ceil(duration / speed * FRAMES_PER_SECOND)
     moving = np.minimum(np.arange(count) * (speed / FRAMES_PER_SECOND), duration)
     return np.concatenate([moving, np.full(round(_HOLD * FRAMES_PER_SECOND), duration)])
-
-
-def _pictures(
-    film: Frames, clocks: np.ndarray, progress: Callable[[float], object]
-) -> Iterator[np.ndarray]:
-    last, picture = -1.0, None
-    for k, clock in enumerate(clocks.tolist()):
-        if picture is None or clock != last:
-            picture, last = film.frame(clock), clock
-        yield picture
-        progress((k + 1) / len(clocks))
