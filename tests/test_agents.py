@@ -19,11 +19,11 @@ from learn2assemble.learning.config import TrainConfig
 from learn2assemble.networks import agent as agent_module
 from learn2assemble.networks.agent import (
     Agent,
+    agent_files,
     agent_info,
     default_agent,
     load_agent,
     make_network,
-    pretrained_names,
     save_agent,
 )
 from learn2assemble.networks.config import NetworkConfig
@@ -211,7 +211,7 @@ def test_default_agent_prefers_the_task(tmp_path: Path, monkeypatch: pytest.Monk
         default_agent(TASK)
     for name, task in (("a", "two-sided-3x3-20-24"), ("b", TASK)):
         save_agent(Agent(name, random_agent().network, task), tmp_path)
-    assert pretrained_names() == ["a", "b"]
+    assert list(agent_files()) == ["a", "b"]
     assert default_agent(TASK) == "b"
     assert load_agent("b").task == TASK
     for ask in (lambda: load_agent("bb"), lambda: default_agent("four-sided-3x3-10-18")):
@@ -239,16 +239,16 @@ def test_shipped_defaults_were_trained_on_such_tasks(task: str) -> None:
 
 
 def test_an_agent_is_shipped() -> None:
-    assert pretrained_names(), "no agent in src/learn2assemble/pretrained: l2a build cannot work"
+    assert agent_files(), "no agent in src/learn2assemble/pretrained: l2a build cannot work"
 
 
 def test_the_package_carries_only_defaults() -> None:
     carried = {path.stem for path in agent_module.PRETRAINED.iterdir()}
-    assert carried < set(agent_module.DEFAULTS.values()) <= set(pretrained_names())
+    assert carried < set(agent_module.DEFAULTS.values()) <= set(agent_files())
     assert not carried & {path.stem for path in agent_module.REPOSITORY.iterdir()}
 
 
-@pytest.mark.parametrize("name", pretrained_names())
+@pytest.mark.parametrize("name", agent_files())
 def test_shipped_agent_is_complete(name: str) -> None:
     """It loads, knows its task and how it came about, and runs on that task."""
     agent, info = load_agent(name), agent_info(name)

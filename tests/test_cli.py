@@ -19,7 +19,7 @@ from learn2assemble import __version__
 from learn2assemble.cli import main
 from learn2assemble.cli.parser import COMMANDS, make_parser
 from learn2assemble.evaluation.episodes import search_config
-from learn2assemble.networks.agent import Agent, load_agent, pretrained_names, save_agent
+from learn2assemble.networks.agent import Agent, agent_files, load_agent, save_agent
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QNetwork
 from learn2assemble.search.config import SEARCHES
@@ -154,7 +154,7 @@ def test_tasks(l2a: Call) -> None:
     tasks = result.json()["tasks"]
     assert [task["name"] for task in tasks] == list(PRESETS)
     assert tasks[0]["blocks"] == [20, 24]
-    assert {name for task in tasks for name in task["agents"]} == set(pretrained_names())
+    assert {name for task in tasks for name in task["agents"]} == set(agent_files())
     human = l2a("tasks")
     assert human.code == 0
     for name in PRESETS:
@@ -301,11 +301,11 @@ def test_build_of_what_cannot_be_built_exits_with_1(l2a: Call, tmp_path: Path) -
     assert result.json()["reason"]
 
 
-@pytest.mark.skipif(not pretrained_names(), reason="no agent is shipped")
+@pytest.mark.skipif(not agent_files(), reason="no agent is shipped")
 def test_build_with_the_shipped_agent(l2a: Call, tmp_path: Path) -> None:
     result = l2a("build", "two-sided-3x3-20-24", "--json", "--out", tmp_path / "out")
     assert result.code == 0
-    assert result.json()["agent"] in pretrained_names()
+    assert result.json()["agent"] in agent_files()
 
 
 @pytest.mark.parametrize("design", ["stepped_tower.json", "h.svg"])
@@ -318,14 +318,14 @@ def test_build_with_the_shipped_builder(l2a: Call, tmp_path: Path, design: str) 
     assert told["cells_missing"] == told["cells_outside"] == told["props"] == 0
 
 
-@pytest.mark.skipif(not pretrained_names(), reason="no agent is shipped")
+@pytest.mark.skipif(not agent_files(), reason="no agent is shipped")
 def test_eval_with_the_shipped_agent(l2a: Call) -> None:
     result = l2a("eval", TASK, "--episodes", "2", "--json")
     assert result.code == 0
-    assert result.json()["agent"] in pretrained_names()
+    assert result.json()["agent"] in agent_files()
 
 
-@pytest.mark.skipif(bool(pretrained_names()), reason="an agent is shipped")
+@pytest.mark.skipif(bool(agent_files()), reason="an agent is shipped")
 def test_without_a_shipped_agent_the_message_says_so(l2a: Call) -> None:
     result = l2a("eval", TASK, "--episodes", "2")
     assert result.code == 2

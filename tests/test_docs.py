@@ -10,7 +10,7 @@ import pytest
 
 from learn2assemble.cli import main
 from learn2assemble.cli.parser import make_parser
-from learn2assemble.networks.agent import pretrained_names
+from learn2assemble.networks.agent import agent_files
 from learn2assemble.tasks import PRESETS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -56,7 +56,7 @@ def test_a_command_of_a_document_is_accepted(page: str, words: list[str]) -> Non
     design = getattr(options, "design", None)
     assert design is None or (ROOT / design).is_file() or design in PRESETS, page
     agent = getattr(options, "agent", None)
-    assert agent is None or "/" in agent or agent in pretrained_names(), page
+    assert agent is None or "/" in agent or agent in agent_files(), page
 
 
 def test_the_commands_of_the_documents_run(

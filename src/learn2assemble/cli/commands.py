@@ -335,11 +335,11 @@ def _bench(options: argparse.Namespace, output: Output) -> None:
 
 @command(_COMMANDS, "tasks", "list the tasks and their agents", "l2a tasks")
 def _tasks(options: argparse.Namespace, output: Output) -> None:
-    from learn2assemble.networks.agent import agent_info, pretrained_names
+    from learn2assemble.networks.agent import agent_files, agent_info
     from learn2assemble.tasks import DESIGN_TASKS, GOAL_TASKS, PRESETS
 
     agents: dict[str, list[str]] = {}
-    for name in pretrained_names():
+    for name in agent_files():
         agents.setdefault(agent_info(name)["task"], []).append(name)
     rows: list[dict[str, Any]] = []
     for name, task in PRESETS.items():

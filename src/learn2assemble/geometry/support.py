@@ -73,18 +73,6 @@ _MAX_PATCHES = 12
 and more for tolerances."""
 
 
-@njit(cache=True, inline="always")
-def _has_filler(position, k, j, half):
-    """Whether two cells of an object are horizontal neighbours with a gap between them."""
-    dx, dy = abs(position[k, 0] - position[j, 0]), abs(position[k, 1] - position[j, 1])
-    along, across = max(dx, dy), min(dx, dy)
-    return (
-        2 * half + FILLER_SLACK < along < 3 * half
-        and across <= FILLER_SLACK
-        and abs(position[k, 2] - position[j, 2]) <= FILLER_SLACK
-    )
-
-
 @njit(cache=True)
 def find_fillers(position, first, count, half, centre):
     """Fillers of the object with cells ``position[first:count]``; returns their number.
@@ -98,7 +86,12 @@ def find_fillers(position, first, count, half, centre):
     found = 0
     for k in range(first, count):
         for j in range(first, k):
-            if _has_filler(position, k, j, half):
+            dx, dy = abs(position[k, 0] - position[j, 0]), abs(position[k, 1] - position[j, 1])
+            if (
+                2 * half + FILLER_SLACK < max(dx, dy) < 3 * half
+                and min(dx, dy) <= FILLER_SLACK
+                and abs(position[k, 2] - position[j, 2]) <= FILLER_SLACK
+            ):
                 for axis in range(3):
                     centre[found, axis] = (position[k, axis] + position[j, axis]) / 2
                 found += 1
@@ -184,13 +177,12 @@ def classify_object(position, first, count, half):
     lowest, highest = np.inf, -np.inf
     covered = False
     centre_x, centre_y = 0.0, 0.0
-    weight = size
-    for k in range(first + 1, count):
-        for j in range(first, k):
-            if _has_filler(position, k, j, half):
-                weight += 1
-                centre_x += (position[k, 0] + position[j, 0]) / 2
-                centre_y += (position[k, 1] + position[j, 1]) / 2
+    fillers = np.empty((2 * size, 3))
+    found = find_fillers(position, first, count, half, fillers)
+    weight = size + found
+    for k in range(found):
+        centre_x += fillers[k, 0]
+        centre_y += fillers[k, 1]
     centre_x, centre_y = centre_x / weight, centre_y / weight
     for k in range(first, count):
         x, y, z = position[k, 0], position[k, 1], position[k, 2]

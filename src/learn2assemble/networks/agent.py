@@ -21,7 +21,7 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file  # pyright: ignore[reportUnknownVariableType]
 
-from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.errors import InputError, look_up
 from learn2assemble.files import mapping, read_json, write_file
 from learn2assemble.networks.config import NETWORKS, NetworkConfig
 from learn2assemble.networks.placement import PlacementNetwork, PlacementValues
@@ -86,11 +86,6 @@ def agent_files() -> dict[str, Path]:
     return {f.stem: f for f in sorted(files, key=lambda f: f.stem) if _info_file(f).is_file()}
 
 
-def pretrained_names() -> list[str]:
-    """Names of the agents there are by name."""
-    return list(agent_files())
-
-
 def agent_info(name: str) -> dict[str, Any]:
     """The JSON part of an agent by name.
 
@@ -103,10 +98,8 @@ def agent_info(name: str) -> dict[str, Any]:
 def _named(name: str) -> Path:
     """Weights of the agent called ``name``."""
     files = agent_files()
-    if name in files:
-        return files[name]
-    if REPOSITORY.is_dir():
-        raise UnknownNameError("agent", name, files)
+    if name in files or REPOSITORY.is_dir():
+        return look_up("agent", name, files)
     known = ", ".join(files) or "none"
     raise InputError(
         "agent", name, f"one of {known}; all others lie in the folder agents of the source "
@@ -119,15 +112,11 @@ def _info_file(weights: Path) -> Path:
 
 
 DEFAULTS = {
-    "robot-four": "relational-four-sided-s0",
-    "robot-one": "robot-one-sided-s0",
-    "robot-objects": "relational-robot-objects-s0",
-    "robot": "relational-two-sided-s0",
-    "objects": "relational-objects-s0",
-    "bars": "relational-bars-s0",
-    "other-bars": "relational-bars-s0",
-    "": "relational-cubes-s0",
-}
+    "robot-four": "relational-four-sided-s0", "robot-one": "robot-one-sided-s0",
+    "robot-objects": "relational-robot-objects-s0", "robot": "relational-two-sided-s0",
+    "objects": "relational-objects-s0", "bars": "relational-bars-s0",
+    "other-bars": "relational-bars-s0", "": "relational-cubes-s0",
+}  # fmt: skip
 """Our agent for tasks by how their names begin: what is built with."""
 
 
@@ -138,24 +127,18 @@ def default_agent(task: str) -> str:
         InputError: where there is neither.
     """
     wanted = next(name for start, name in DEFAULTS.items() if task.startswith(start))
-    names = pretrained_names()
-    if wanted in names:
-        return wanted
-    trained = [name for name in names if agent_info(name)["task"] == task]
-    return trained[0] if trained else _named(wanted).stem
+    names = agent_files()
+    trained = (name for name in names if agent_info(name)["task"] == task)
+    return wanted if wanted in names else next(trained, None) or _named(wanted).stem
 
 
 def save_agent(agent: Agent, folder: Path) -> Path:
     """Write both files into ``folder``; returns the path of the weights."""
     weights = folder / f"{agent.name}.safetensors"
     info = {
-        "format": FORMAT,
-        "version": 1,
-        "name": agent.name,
-        "task": agent.task,
-        "network": dataclasses.asdict(agent.network.config),
-        "origin": agent.origin,
-    }
+        "format": FORMAT, "version": 1, "name": agent.name, "task": agent.task,
+        "network": dataclasses.asdict(agent.network.config), "origin": agent.origin,
+    }  # fmt: skip
     tensors = {k: v.detach().cpu().contiguous() for k, v in agent.network.state_dict().items()}
     part = weights.with_suffix(".part")
     try:

@@ -104,15 +104,6 @@ def barred(adjacency: torch.Tensor, heads: int, like: torch.Tensor) -> torch.Ten
     return scores[:, None].expand(-1, heads, -1, -1).reshape(-1, *adjacency.shape[1:])
 
 
-class Neighbourhood(NamedTuple):
-    """What all rounds share."""
-
-    mean: torch.Tensor
-    """float[B, N, N]: ``A_ij / c_i``; c_i counts the entries of *column* i, as published."""
-    edges: torch.Tensor
-    """float[B, N, F]: e_i, the summary of the edges of node i."""
-
-
 class EdgeSummary(nn.Module):
     """``e_i = ReLU(W_2 [1/c_i sum_j A_ij ReLU(W_1 [A_ij, x_j]), c_i / max c])``, no biases.
 
@@ -126,15 +117,18 @@ class EdgeSummary(nn.Module):
         self.pair = nn.Linear(1 + features, width - 1, bias=False)
         self.merge = nn.Linear(width, width, bias=False)
 
-    def forward(self, x: torch.Tensor, adjacency: torch.Tensor) -> Neighbourhood:
-        """``x`` float[B, N, features] scaled node inputs, ``adjacency`` bool[B, N, N]."""
+    def forward(self, x: torch.Tensor, adjacency: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """What all rounds share: ``A_ij / c_i`` float[B, N, N], and the summaries e_i of the edges
+        float[B, N, F]; c_i counts the entries of *column* i, as published.
+
+        ``x`` float[B, N, features] scaled node inputs, ``adjacency`` bool[B, N, N].
+        """
         connected = adjacency.to(x.dtype)
         count = connected.sum(1)
         mean = connected / count[..., None]
         pairs = F.relu(self.pair(torch.cat([torch.ones_like(x[..., :1]), x], -1)))
         degree = count / count.amax(1, keepdim=True)
-        edges = F.relu(self.merge(torch.cat([mean @ pairs, degree[..., None]], -1)))
-        return Neighbourhood(mean, edges)
+        return mean, F.relu(self.merge(torch.cat([mean @ pairs, degree[..., None]], -1)))
 
 
 class Structure2VecRound(nn.Module):
@@ -149,9 +143,9 @@ class Structure2VecRound(nn.Module):
         self.message = nn.Linear(2 * width, width, bias=False)
         self.update = nn.Linear(2 * width, width, bias=False)
 
-    def forward(self, h: torch.Tensor, near: Neighbourhood) -> torch.Tensor:
-        """``h`` float[B, N, F] to float[B, N, F]."""
-        message = F.relu(self.message(torch.cat([near.mean @ h, near.edges], -1)))
+    def forward(self, h: torch.Tensor, mean: torch.Tensor, edges: torch.Tensor) -> torch.Tensor:
+        """``h`` float[B, N, F] to float[B, N, F]; the others from :class:`EdgeSummary`."""
+        message = F.relu(self.message(torch.cat([mean @ h, edges], -1)))
         return F.relu(self.update(torch.cat([h, message], -1)))
 
 
@@ -223,9 +217,9 @@ class QNetwork(nn.Module):
         h = F.relu(self.embed(x))
         adjacency = graph.adjacency(self.config.connectivity)
         if self.edges is not None:
-            near = self.edges(x, adjacency)
+            shared = self.edges(x, adjacency)
             for layer in self.rounds:
-                h = layer(h, near)
+                h = layer(h, *shared)
             return h
         rotation = None
         if self.config.rotary:

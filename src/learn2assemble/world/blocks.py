@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.errors import InputError, check_name
 from learn2assemble.registry import Registry
 from learn2assemble.world import EDGE
 
@@ -92,8 +92,7 @@ def get_action_spec(
         UnknownNameError: for another action mode.
         InputError: for another number of ways.
     """
-    if action_mode not in ACTION_MODES:
-        raise UnknownNameError("action_mode", action_mode, ACTION_MODES)
+    check_name("action_mode", action_mode, ACTION_MODES)
     pairs, gripped = ACTION_MODES[action_mode]
     if rotations not in ROTATIONS:
         raise InputError("rotations", rotations, "1 or 4")
@@ -194,10 +193,10 @@ def register_object_set(
             reached |= {c for c in cells if any(_adjacent(c, other) for other in reached)}
         if len(reached) < len(cells):
             raise InputError(f"cells of {key}", cells, "cells that hang together")
-    known = {**SHAPES, **own}
-    for shape in (shape for group in groups for shape in group):
-        if shape not in known:
-            raise UnknownNameError("shape", shape, known)
+    known = SHAPES | own
+    for group in groups:
+        for shape in group:
+            check_name("shape", shape, known)
     if not groups or not all(groups) or groups[0][0] != "cube":
         raise InputError(f"groups of {name}", groups, "groups of shapes, the cube first")
     OBJECT_SETS.register(name, tuple(tuple(group) for group in groups))
@@ -240,21 +239,17 @@ def inventory(name: str) -> Inventory:
     groups = OBJECT_SETS[name]
     names = list(dict.fromkeys(shape for group in groups for shape in group))
     shapes = [SHAPES[shape] for shape in names]
-    cells = np.zeros((len(shapes), max(len(shape.cells) for shape in shapes), 3), np.int64)
+    sizes = np.array([len(shape.cells) for shape in shapes])
+    group_sizes = np.array([len(group) for group in groups])
+    cells = np.zeros((len(shapes), sizes.max(), 3), np.int64)
+    members = np.full((len(groups), group_sizes.max()), -1, np.int64)
     for row, shape in zip(cells, shapes, strict=True):
         row[: len(shape.cells)] = shape.cells
-    members = np.full((len(groups), max(map(len, groups))), -1, np.int64)
     for row, group in zip(members, groups, strict=True):
         row[: len(group)] = [names.index(shape) for shape in group]
-    return Inventory(
-        {"cubes": CUBES, "bars": BARS}.get(name, GROUPS),
-        cells,
-        np.array([len(shape.cells) for shape in shapes]),
-        np.array([shape.turned for shape in shapes]),
-        np.array([shape.shuffled for shape in shapes]),
-        members,
-        np.array([len(group) for group in groups]),
-    )
+    turned, shuffled = np.array([(shape.turned, shape.shuffled) for shape in shapes]).T.copy()
+    kind = {"cubes": CUBES, "bars": BARS}.get(name, GROUPS)
+    return Inventory(kind, cells, sizes, turned, shuffled, members, group_sizes)
 
 
 @njit(cache=True)
@@ -304,10 +299,8 @@ def draw_objects(rng, stock, count, position, object_id, pitch=EDGE):
             ``count`` gets numbers that no object has.
         pitch: horizontal distance of the centres of neighbouring cells [m].
     """
-    for k in range(len(object_id)):
-        object_id[k] = k
-        for axis in range(3):
-            position[k, axis] = 0.0
+    object_id[:] = np.arange(len(object_id))
+    position[:] = 0.0
     if stock.kind == CUBES:
         return
     chosen = np.empty(count, np.int64)
@@ -324,8 +317,7 @@ def draw_objects(rng, stock, count, position, object_id, pitch=EDGE):
         if stock.shuffled[shape]:
             for c in range(size - 1, 0, -1):
                 other = _below(rng, c + 1)
-                for axis in range(3):
-                    kept = position[k + c, axis]
-                    position[k + c, axis] = position[k + other, axis]
-                    position[k + other, axis] = kept
+                kept = position[k + c].copy()
+                position[k + c] = position[k + other]
+                position[k + other] = kept
         k += size

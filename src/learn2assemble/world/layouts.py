@@ -273,8 +273,7 @@ def _spread(position, object_id, waiting, apart, x, y, num_blocks):
     while start < num_blocks:
         stop = start
         while stop < num_blocks and object_id[stop] == object_id[start]:
-            for axis in range(3):
-                position[stop, axis] += waiting[number, axis]
+            position[stop] += waiting[number]
             stop += 1
         if apart > 0:
             _step_back(position, placed, start, stop, apart)
@@ -290,10 +289,8 @@ def start_objects(state, row, frames, waiting, side, num_blocks, depths=NARROW):
     """
     state.num_blocks[row] = num_blocks
     state.terminated[row] = False
-    for k in range(state.quaternion.shape[1]):
-        state.quaternion[row, k, 0] = 1.0
-        for q in range(1, 4):
-            state.quaternion[row, k, q] = 0.0
+    state.quaternion[row, :, 0] = 1.0
+    state.quaternion[row, :, 1:] = 0.0
     state.num_placed[row] = _spread(
         state.position[row], state.object_id[row], waiting.position,
         0.0 if waiting.random else waiting.apart, frames[side, 2], frames[side, 3], num_blocks,

@@ -79,19 +79,18 @@ def _try_all(
     reward, terminal, valid, gain, covered, occluded,
 ):  # fmt: skip
     position = np.empty((state.position.shape[1] + 8, 3))
-    turns, rotations, pitch, level = spec.turns, len(spec.turns), spec.pitch, spec.level
     for row in range(len(count)):
         placed = state.num_placed[row]
         position[:placed] = state.position[row, :placed]
         for n in range(count[row]):
             unplaced, reference = actions[row, n, 0], actions[row, n, 1]
-            relation, way = actions[row, n, 2] // rotations, actions[row, n, 2] % rotations
-            x, y, z = target_cell(state, row, reference, relation, pitch)
-            if level:
-                z += waiting_level(state.position[row, state.num_placed[row] + unplaced, 2])
+            relation, way = divmod(actions[row, n, 2], len(spec.turns))
+            x, y, z = target_cell(state, row, reference, relation, spec.pitch)
+            if spec.level:
+                z += waiting_level(state.position[row, placed + unplaced, 2])
             end = placed + lay_object(
-                state, row, unplaced, reference, x, y, z, turns[way], position[placed:],
-                pitch,
+                state, row, unplaced, reference, x, y, z, spec.turns[way], position[placed:],
+                spec.pitch,
             )  # fmt: skip
             verdict = _verdict(position, state.object_id[row], placed, end)
             if verdict == UNDECIDED:
@@ -114,15 +113,9 @@ def _try_all(
 
 
 def outcomes(
-    state: State,
-    actions: np.ndarray,
-    count: np.ndarray,
-    spec: ActionSpec,
-    frames: np.ndarray,
-    reward: str,
-    threshold: float,
-    depths: DepthFilter = NARROW,
-) -> Outcomes:
+    state: State, actions: np.ndarray, count: np.ndarray, spec: ActionSpec, frames: np.ndarray,
+    reward: str, threshold: float, depths: DepthFilter = NARROW,
+) -> Outcomes:  # fmt: skip
     """Try placements of every row by static physics.
 
     Args:
@@ -132,13 +125,8 @@ def outcomes(
         frames: float64[S, 4] of the sides.
         depths: which depths count as in the plane of a side.
     """
-    shape = actions.shape[:2]
-    out = Outcomes(
-        np.zeros(shape, np.float32),
-        np.zeros(shape, np.bool_),
-        np.zeros(shape, np.bool_),
-        np.zeros(shape, np.float32),
-    )
+    kinds = (np.float32, np.bool_, np.bool_, np.float32)
+    out = Outcomes(*[np.zeros(actions.shape[:2], kind) for kind in kinds])
     _try_all(
         state, actions, count, spec, frames, depths, REWARDS[reward], threshold, *out,
         np.empty_like(state.covered[0]), np.empty_like(state.occluded[0]),
