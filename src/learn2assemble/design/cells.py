@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from learn2assemble.design import drawings, solids
-from learn2assemble.design.drawings import SIDES, UNITS, Drawing
-from learn2assemble.design.lattice import HALF, MAX_CELLS, fit, shares
+from learn2assemble.design.drawings import SIDES, UNITS, Contours, Drawing
+from learn2assemble.design.lattice import HALF, MAX_CELLS, fit, read_png, shares
 from learn2assemble.design.solids import Solid, Voxels
 from learn2assemble.errors import InputError, look_up
 from learn2assemble.files import read_bytes
@@ -290,16 +290,16 @@ def _from_drawing(drawing: Drawing, given: _Options, name: str, source: str) -> 
     pairs = []
     for axis, (one, other) in enumerate((SIDES[:2], SIDES[2:])):
         names = [side for side in (one, other) if side in boxes]
-        # Seen from the right and from the front, x of the viewer runs along y and x; from the
-        # other two sides it runs against them.
-        walls = []
-        for k, side in enumerate(names):
-            contours = [
-                (c - origins[side]) * scale / (cell[axis], cell[2]) for c in drawing.sides[side]
-            ]
-            if side == other:
-                contours = [(c * (-1, 1))[::-1] for c in contours]
-            walls += [_prism(contour, k) for contour in contours]
+
+        def seen(contours: Contours, side: str) -> Contours:
+            """On the lattice. From the right and from the front, x of the viewer runs along y and
+            x; from the other two sides it runs against them."""
+            turn = -1 if side == other else 1  # noqa: B023
+            unit = (turn * cell[axis], cell[2])  # noqa: B023
+            return [((c - origins[side]) * scale / unit)[::turn] for c in contours]
+
+        walls = [_prism(contour, k) for k, side in enumerate(names)
+                 for contour in seen(drawing.sides[side], side)]  # fmt: skip
         if walls:
             triangles = np.concatenate(walls)
             points_ = triangles.reshape(-1, 3)
@@ -308,12 +308,8 @@ def _from_drawing(drawing: Drawing, given: _Options, name: str, source: str) -> 
             share, origin = fit(triangles, (0,))
             tint = np.zeros(share.shape, np.int64)
             for k, side in enumerate(names):
-                turn = -1 if side == other else 1
-                scales = (turn * cell[axis] / scale, cell[2] / scale)
-                paints = [
-                    ([((c - origins[side]) / scales)[::turn] for c in contours], colour)
-                    for contours, colour in drawing.paints.get(side, ())
-                ]
+                paints = [(seen(contours, side), colour)
+                          for contours, colour in drawing.paints.get(side, ())]  # fmt: skip
                 tint[:, k] = _tints(paints, palette, origin, (len(share), share.shape[2]))
             pairs.append((axis, names, share, origin, tint))
     least = 3 if drawing.placed and len(boxes) > 2 else 1
@@ -421,9 +417,7 @@ def _footprint(
 
 def _from_picture(content: bytes, given: _Options, name: str, source: str) -> CellDesign:
     cell = _cell(given, given.kit)
-    share, colours = drawings.read_png(
-        content, source, given.cells_wide, MAX_CELLS, cell[0] / cell[2]
-    )
+    share, colours = read_png(content, source, given.cells_wide, MAX_CELLS, cell[0] / cell[2])
     thick = max(1, round((given.depth or cell[1]) / cell[1]))
     shape = (len(share), thick, share.shape[1])
     share = np.broadcast_to(share[:, None, :], shape)

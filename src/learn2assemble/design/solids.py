@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from learn2assemble.assembly.blocks import piercing
-from learn2assemble.design.drawings import trusted
+from learn2assemble.design.lattice import trusted
 from learn2assemble.errors import InputError, MissingExtraError
 
 if TYPE_CHECKING:

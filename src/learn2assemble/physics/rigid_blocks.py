@@ -106,13 +106,12 @@ class Check:
             needs vertical faces to press, or ``falls``.
         margin_g: sideways acceleration [g] it withstands in every direction; 0 where it falls.
         tilt: inclination of the ground it withstands in every direction [deg].
-        holding_force: least force that would hold it, 0 where it stands; see
-            :class:`Equilibrium` [N].
+        holding_force: least force that would hold it, 0 where it stands [N].
         moving: ids of the blocks that move first; empty where it stands.
         blocks: how many there are, supports included.
         contacts: all patches; ``only(bed)`` are those that carry where it ``stands``.
         forces: float64[C, 3], at the corners of ``contacts`` on block ``b`` [N, world].
-        method: see :class:`Equilibrium`.
+        method: what decided; see :class:`Equilibrium`.
         proof: what was shown, and what was not, in one line. A fixed point is forces that balance
             and obey Coulomb's law to ``SLIP`` and ``HELD``; where friction is needed other forces
             may be possible, too, and other programs find none (Kao et al. 2022 solve a nonlinear
@@ -165,19 +164,12 @@ def check(
     margin_g = margin(standing, used, friction) if result.stands else 0.0
     forces = np.zeros_like(contacts.points)
     forces[keep[contacts.patch]] = result.forces
+    moving = tuple(standing.blocks[k].id for k in result.moving.tolist())
     return Check(
-        verdict=verdict,
-        margin_g=margin_g,
-        tilt=float(np.degrees(np.arctan(margin_g))),
-        holding_force=result.holding_force,
-        moving=tuple(standing.blocks[k].id for k in result.moving.tolist()),
-        blocks=len(standing.blocks),
-        contacts=contacts,
-        forces=forces,
-        method=result.method,
-        proof=_shown(result, margin_g),
-        seconds=time.perf_counter() - started,
-    )
+        verdict, margin_g, float(np.degrees(np.arctan(margin_g))), result.holding_force, moving,
+        len(standing.blocks), contacts, forces, result.method, _shown(result, margin_g),
+        time.perf_counter() - started,
+    )  # fmt: skip
 
 
 def _shown(result: Equilibrium, margin_g: float) -> str:
@@ -202,14 +194,10 @@ def bed_patches(contacts: Contacts) -> np.ndarray:
 
 
 def solve(
-    assembly: Assembly,
-    contacts: Contacts,
-    friction: float | None = None,
-    *,
-    present: np.ndarray | None = None,
-    coupled: bool = True,
+    assembly: Assembly, contacts: Contacts, friction: float | None = None, *,
+    present: np.ndarray | None = None, coupled: bool = True,
     stiffness: tuple[float, ...] = STIFFNESS,
-) -> Equilibrium:
+) -> Equilibrium:  # fmt: skip
     """Whether the blocks stand on some patches of contact.
 
     Args:
@@ -234,7 +222,7 @@ def solve(
         if still is not None:
             return _standing("frictionless", still)
     forces, held, motion = system.least_holding(friction)
-    if not system.is_small(held):
+    if system.excess(held) > 1:
         return system.fall("rbe", forces, held, motion)
     if not coupled:
         return _standing("rbe", system.newtons(forces))
@@ -252,13 +240,9 @@ def solve(
 
 
 def margin(
-    assembly: Assembly,
-    contacts: Contacts,
-    friction: float | None = None,
-    *,
-    present: np.ndarray | None = None,
-    only: tuple[float, ...] = (),
-) -> float:
+    assembly: Assembly, contacts: Contacts, friction: float | None = None, *,
+    present: np.ndarray | None = None, only: tuple[float, ...] = (),
+) -> float:  # fmt: skip
     """Sideways acceleration [g] that RBE withstands in every direction, from below.
 
     The accelerations that contact forces can balance are a convex set. Each program gives a point
@@ -385,10 +369,6 @@ class System:
         shape = 6 * self.count, 3 * self.corners
         return sp.csc_matrix((np.concatenate(values), index), shape)
 
-    def is_small(self, held: np.ndarray) -> bool:
-        """Whether holding forces float64[count] are rounding."""
-        return self.excess(held) <= 1
-
     def excess(self, held: np.ndarray) -> float:
         """Holding forces in what is taken for rounding."""
         every = held.sum() / (HELD * self.mass.sum())
@@ -428,8 +408,7 @@ class System:
         forces = np.zeros((count, 3))
         forces[:, 0] = np.maximum(answer.x, 0)
         rest = (self.weight - self.balance @ forces.reshape(-1)).reshape(-1, 6)
-        small = self.is_small(np.linalg.norm(rest, axis=1))
-        return self.newtons(forces) if small else None
+        return self.newtons(forces) if self.excess(np.linalg.norm(rest, axis=1)) <= 1 else None
 
     def _cones(self, friction: float) -> tuple[Any, list]:
         """Coulomb's law: the negated rows of forces, and the cones they are in."""
@@ -447,8 +426,9 @@ class System:
         """RBE: forces [corners, 3], holding forces [count], motion [count, 6]."""
         cone, parts = self._cones(friction)
         # A little elastic energy chooses among the forces where there are many.
-        soft = 1e-6 * np.repeat(self._soft, 3)
-        return self._with_holding(soft, 1.0, cone, np.zeros(3 * self.corners), parts)
+        return self._with_holding(
+            1e-6 * np.repeat(self._soft, 3), 1.0, cone, np.zeros(3 * self.corners), parts
+        )
 
     def coupled(
         self, friction: float, forces: np.ndarray, stiffness: float
@@ -484,7 +464,7 @@ class System:
             forces = x[: 3 * corners].reshape(-1, 3)
             held = np.linalg.norm(x[3 * corners :].reshape(-1, 6), axis=1)
             if self._slip(forces, friction) <= SLIP:
-                if self.is_small(held):
+                if self.excess(held) <= 1:
                     return True, forces, held, np.zeros((self.count, 6))
                 break
             # Holding forces that stay, round after round, do not go away.
