@@ -248,62 +248,56 @@ def _cover(cells, depth, owner, alive, over_start, over):
 
 
 @njit(cache=True)
+def _keep(least, at, k, value, cell):
+    """The cheapest so far of one kind, and its cell."""
+    if value < least[k]:
+        least[k], at[k] = value, cell
+
+
+@njit(cache=True)
 def _support(need, bed, first, last, cx, cy, step_x, step_y, size_y, ref_kind, ref_cell):
     """What it takes to carry a centroid (cx, cy); ``ref_*`` become the supports."""
     big = best = 1e9
     ref_kind[:] = -1
+    # The cell below the centroid; two of them, or four, where it is over an edge.
     ex = 1 if abs(cx - np.rint(cx)) < 1e-6 else 0
     ey = 1 if abs(cy - np.rint(cy)) < 1e-6 else 0
     bx = int(np.rint(cx)) - 1 if ex else int(np.floor(cx))
     b_y = int(np.rint(cy)) - 1 if ey else int(np.floor(cy))
-    low_x = low_y = high_x = high_y = big
-    at = np.zeros(8, np.int64)
-    side = np.full(4, big)  # nearest whole sides: left, right, front, back
+    # Straight to the left, to the right, in front and behind; then anywhere on these sides.
+    least, at = np.full(8, big), np.zeros(8, np.int64)
     for j in range(first, last):
         below = bed[j] - 1
         x, y = below // step_x, (below // step_y) % size_y
-        if x == bx and y == b_y:
-            value = need[ex + 2 * ey, below]
-            if value < best:
-                best = value
-                ref_kind[0], ref_cell[0] = ex + 2 * ey, below
-                ref_kind[1] = ref_kind[2] = ref_kind[3] = -1
-        if y == b_y:
-            if x < bx and need[2 * ey, below] < side[0]:
-                side[0], at[0] = need[2 * ey, below], below
-            if x > bx + ex and need[2 * ey, below] < side[1]:
-                side[1], at[1] = need[2 * ey, below], below
-            if ex and (x == bx) and need[2 * ey, below] < side[0]:
-                side[0], at[0] = need[2 * ey, below], below
-            if ex and (x == bx + 1) and need[2 * ey, below] < side[1]:
-                side[1], at[1] = need[2 * ey, below], below
-        if x == bx:
-            if y < b_y + ey and need[ex, below] < side[2]:
-                side[2], at[2] = need[ex, below], below
-            if y > b_y and need[ex, below] < side[3]:
-                side[3], at[3] = need[ex, below], below
-        value = need[0, below]
-        if x < bx + 1 and value < low_x:
-            low_x, at[4] = value, below
-        if x >= bx + ex and value < high_x:
-            high_x, at[5] = value, below
-        if y < b_y + 1 and value < low_y:
-            low_y, at[6] = value, below
-        if y >= b_y + ey and value < high_y:
-            high_y, at[7] = value, below
+        if x == bx and y == b_y and need[ex + 2 * ey, below] < best:
+            best = need[ex + 2 * ey, below]
+            ref_kind[0], ref_cell[0] = ex + 2 * ey, below
+        if y == b_y and x < bx + ex:
+            _keep(least, at, 0, need[2 * ey, below], below)
+        if y == b_y and x > bx:
+            _keep(least, at, 1, need[2 * ey, below], below)
+        if x == bx and y < b_y + ey:
+            _keep(least, at, 2, need[ex, below], below)
+        if x == bx and y > b_y:
+            _keep(least, at, 3, need[ex, below], below)
+        if x < bx + 1:
+            _keep(least, at, 4, need[0, below], below)
+        if x >= bx + ex:
+            _keep(least, at, 5, need[0, below], below)
+        if y < b_y + 1:
+            _keep(least, at, 6, need[0, below], below)
+        if y >= b_y + ey:
+            _keep(least, at, 7, need[0, below], below)
     for axis in range(2):
-        value = side[2 * axis] + side[2 * axis + 1]
+        value = least[2 * axis] + least[2 * axis + 1]
         if value < best:
             best = value
-            kind = 2 * ey if axis == 0 else ex
             for n in range(2):
-                ref_kind[n], ref_cell[n] = kind, at[2 * axis + n]
-            ref_kind[2] = ref_kind[3] = -1
-    worst = max(max(low_x, high_x), max(low_y, high_y))
+                ref_kind[n], ref_cell[n] = 2 * ey if axis == 0 else ex, at[2 * axis + n]
+    worst = least[4:].max()
     if best >= big and worst < big:
         best = worst + 1.0
-        for n in range(4):
-            ref_kind[n], ref_cell[n] = 0, at[4 + n]
+        ref_kind[:], ref_cell[:] = 0, at[4:]
     return best
 
 
