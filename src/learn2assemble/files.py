@@ -151,8 +151,13 @@ def read_text(path: Path, kind: str, limit: int = MAX_BYTES) -> tuple[str, str]:
         InputError: also for what is not UTF-8.
     """
     content, source = read_bytes(path, kind, limit)
+    return decoded(content, source), source
+
+
+def decoded(content: bytes, source: str) -> str:
+    """The text of UTF-8 bytes; messages call their file ``source``."""
     try:
-        return content.decode("utf-8-sig"), source
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         got = f"byte 0x{content[error.start]:02x} at offset {error.start}"
         raise InputError(source, got, "UTF-8 text") from None

@@ -31,6 +31,7 @@ from learn2assemble.errors import InputError, UnknownNameError, one_line
 from learn2assemble.files import (
     boolean,
     check_keys,
+    decoded,
     integer,
     load_json,
     mapping,
@@ -288,11 +289,7 @@ def outward(id: str, vertices: np.ndarray, faces: tuple[tuple[int, ...], ...], *
 
 
 def _read_json(content: bytes, path: Path, source: str, unit: float) -> Assembly:
-    try:
-        words = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(source, f"byte at offset {error.start}", "UTF-8 text") from None
-    document = mapping(load_json(words, source, FORMAT), source)
+    document = mapping(load_json(decoded(content, source), source, FORMAT), source)
     if "dtype" in document:
         assembly = from_compas(document, source, unit)
     else:

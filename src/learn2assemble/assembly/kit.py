@@ -84,6 +84,13 @@ class Kit:
         return any(kind.count is not None for kind in self.kinds)
 
     @property
+    def most_cells(self) -> int | None:
+        """How many cells all blocks together fill; None without a limit."""
+        if any(kind.count is None for kind in self.kinds):
+            return None
+        return sum(len(kind.cells) * (kind.count or 0) for kind in self.kinds)
+
+    @property
     def flat(self) -> bool:
         """Whether every block, however it is put down, is one cell high."""
         return not any(cell[2] for way in orientations(self) for cell in way.cells)

@@ -18,7 +18,15 @@ import numpy as np
 
 from learn2assemble.design.lattice import trusted
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.files import MAX_BYTES, Range, from_plain, load_json, mapping, read_head
+from learn2assemble.files import (
+    MAX_BYTES,
+    Range,
+    decoded,
+    from_plain,
+    load_json,
+    mapping,
+    read_head,
+)
 
 if TYPE_CHECKING:
     from manifold3d import CrossSection
@@ -98,10 +106,7 @@ def read_elevations(content: bytes, source: str) -> Drawing:
     """The elevation JSON of ``docs/designs.md``; its two format keys may be missing."""
     if len(content) > MAX_BYTES:
         raise InputError(source, f"{len(content)} bytes", f"at most {MAX_BYTES} bytes")
-    try:
-        root = mapping(load_json(content.decode("utf-8-sig"), source, _FORMAT), source)
-    except UnicodeDecodeError as error:
-        raise InputError(source, f"a bad byte at offset {error.start}", "UTF-8 text") from None
+    root = mapping(load_json(decoded(content, source), source, _FORMAT), source)
     keys = tuple(_Elevations.__dataclass_fields__)
     valid = ("format", "version", "units", *keys, *_IGNORED)
     root = read_head({"version": 1, **root}, source, _FORMAT, 1, valid, ("elevations",))

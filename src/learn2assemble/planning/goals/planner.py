@@ -124,10 +124,10 @@ def prepare(goals: Goals) -> tuple[Yard, str]:
 def impossible(yard: Yard) -> str:
     """Why no structure meets the goals, where a simple bound proves it; else an empty text."""
     goals, kit = yard.goals, yard.goals.kit
-    if kit.limited and all(kind.count is not None for kind in kit.kinds):
-        cells = sum(len(kind.cells) * (kind.count or 0) for kind in kit.kinds)
-        if int(goals.must.sum()) > cells:
-            return f"{int(goals.must.sum())} cells have to be filled; the heap fills {cells}"
+    cells, asked = kit.most_cells, int(goals.must.sum())
+    if cells is not None:
+        if asked > cells:
+            return f"{asked} cells have to be filled; the heap fills {cells}"
         sizes = [np.ptp(kind.cells, axis=0) + 1 for kind in kit.kinds]
         tall = [int(size.max() if kind.turns == "any" else size[2])
                 for kind, size in zip(kit.kinds, sizes, strict=True)]  # fmt: skip
@@ -152,9 +152,6 @@ def check_loads(goals: Goals) -> None:
     """
     kit, pitch = goals.kit, np.array(goals.kit.pitch)
     dense = max(kind.density or kit.density for kind in kit.kinds) * float(np.prod(pitch))
-    count = None
-    if all(kind.count is not None for kind in kit.kinds):
-        count = sum(len(kind.cells) * (kind.count or 0) for kind in kit.kinds)
     middle = np.array(goals.shape[:2]) / 2
     ground = (np.argwhere(goals.open[:, :, 0]) - middle) * pitch[:2]
     corners = np.concatenate([ground + np.array(c) * pitch[:2] for c in
@@ -167,7 +164,7 @@ def check_loads(goals: Goals) -> None:
             beyond = float(np.array(load.point[:2]) @ way) - edge
             if beyond <= 1e-9:
                 continue
-            levers = np.sort(edge - centres @ way)[::-1][:count]
+            levers = np.sort(edge - centres @ way)[::-1][: kit.most_cells]
             most = dense * float(np.maximum(levers, 0).sum()) / beyond
             if load.mass > most:
                 raise InputError(
