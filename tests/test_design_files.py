@@ -752,6 +752,8 @@ BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "digits.json": ('{"elevations": 1' + "0" * 9999 + "}", {}, "ordinary size"),
     "other.json": ("{}", {}, "elevations"),
     "format.json": ('{"format": "x", "elevations": []}', {}, "learn2assemble-design"),
+    "bell.json": ('{"name": "a\\u0007", "elevations": [{"outline": [[0,0],[1,0],[0,1]]}]}', {},
+                  "printable"),
     "none.json": ('{"elevations": []}', {}, "1 to 4"),
     "key.json": ('{"elevation": []}', {}, "did you mean 'elevations'"),
     "nan.json": ('{"elevations": [{"outline": [[0, 0], [1, NaN], [1, 0]]}]}', {}, "finite"),

@@ -58,6 +58,7 @@ def env_of(name: str) -> Any:
 
 BAD: list[tuple[dict[str, Any], str]] = [
     ({"reach": [[0.025, 0.0, math.nan]]}, "finite"),
+    ({"name": "a\x07b"}, "printable"),
     ({"reach": [[0.025, 0.0, 0.12]]}, "such as 0.1 m"),
     ({"reach": [[0.025, 0.0, 0.0]]}, "such as 0.05 m"),
     ({"reach": [[0.3, 0.0, 0.1]]}, "inside the site"),

@@ -217,9 +217,9 @@ def _on_lattice(file: GoalsFile, kit: Kit, source: str) -> Goals:
         words = f"1 to {MAX_CELLS} cells of {kit.pitch} m along every axis"
         raise InputError(f"{source}: site", list(file.site), words)
     for what in ("occupy", "reach", "load", "obstacles"):
-        if len(getattr(file, what)) > (MAX_LOADS if what == "load" else MAX_GOALS):
-            most = MAX_LOADS if what == "load" else MAX_GOALS
-            raise InputError(f"{source}: {what}", len(getattr(file, what)), f"at most {most}")
+        count, most = len(getattr(file, what)), MAX_LOADS if what == "load" else MAX_GOALS
+        if count > most:
+            raise InputError(f"{source}: {what}", count, f"at most {most}")
     corner = np.array([-shape[0] / 2, -shape[1] / 2, 0.0])
 
     def cell_of(point: Point, where: str) -> Cell:

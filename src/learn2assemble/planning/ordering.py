@@ -216,7 +216,6 @@ class _Site:
         return method
 
     def _by_program(self, placed: np.ndarray, dirty: np.ndarray) -> str | None:
-        changing = np.zeros_like(placed)
         for block in np.flatnonzero(dirty):
             alone = np.zeros_like(placed)
             alone[block] = True
@@ -224,7 +223,7 @@ class _Site:
             free = not (placed[self.stack.upper] & (self.stack.lower == block)).any()
             if free and self.proof.program(placed, alone, self.clock.left) is False:
                 return None
-            changing |= lies_below(self.stack, int(block), placed)
+        changing = lies_below(self.stack, np.flatnonzero(dirty).tolist(), placed)
         for blocks in (placed,) if self.tight else (changing, placed):
             found = self.proof.program(placed, blocks, self.clock.left)
             if found:
@@ -336,9 +335,7 @@ class _Sideways:
         before, self.level = self.level, 0.0
         self.search(placed, upright, before)
         if self.level <= 0:
-            changing = np.zeros_like(placed)
-            for block in np.flatnonzero(dirty):
-                changing |= lies_below(self.stack, int(block), placed)
+            changing = lies_below(self.stack, np.flatnonzero(dirty).tolist(), placed)
             if self.proof.program(placed, changing, seconds):
                 self.level = before
 

@@ -443,9 +443,11 @@ class Proof:
         )
 
 
-def lies_below(stack: Stack, block: int, placed: np.ndarray) -> np.ndarray:
-    """bool[n]: ``block`` and all placed blocks that carry it."""
-    return _reached(stack, [block], lambda top: [b for b in stack.below(top).tolist() if placed[b]])
+def lies_below(stack: Stack, blocks: Iterable[int], placed: np.ndarray) -> np.ndarray:
+    """bool[n]: ``blocks`` and all placed blocks that carry them."""
+    return _reached(
+        stack, [*blocks], lambda top: [b for b in stack.below(top).tolist() if placed[b]]
+    )
 
 
 def lies_above(stack: Stack, blocks: Iterable[int]) -> np.ndarray:

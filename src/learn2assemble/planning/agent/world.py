@@ -279,7 +279,7 @@ class World:
         if program:
             free = placed.copy()
             free[self.propped] = False
-            for changing in (lies_below(stack, count - 1, placed), free):
+            for changing in (lies_below(stack, [count - 1], placed), free):
                 if proof.program(placed, changing):
                     return proof
         return None
