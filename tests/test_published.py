@@ -28,7 +28,6 @@ from learn2assemble.reproduction.bullet.world import (
     HOME,
     TIMESTEP,
     BulletWorld,
-    MotorArm,
     hand_parts,
 )
 from learn2assemble.reproduction.recordings import Log, read_lines
@@ -214,15 +213,13 @@ def test_motors_go_a_twentieth_of_the_way_in_a_step_and_lag_on_a_long_one() -> N
     arm = get_arm("panda")
     left = {}
     for way in (0.01, 1.0):
-        motors = MotorArm(arm)
-        world = BulletWorld(arm, motors, OPENING)
+        world = BulletWorld(arm, OPENING)
         world.place(scene([(0, 0, 0)], []))
-        motors.reset()
         goal = HOME + way * np.array([1, 1, 0, 0, 0, 0, 0])
         for _ in range(20):
-            motors.drive(motors.joints + 0.5 * (goal - motors.joints))
+            world.drive(world.joints + 0.5 * (goal - world.joints))
             world.step()
-        left[way] = (goal - motors.joints)[:2] / way
+        left[way] = (goal - world.joints)[:2] / way
     assert left[0.01] == pytest.approx(0.95**20, abs=5e-3)
     # A radian ahead, 500 N m are not enough at first; the heavier joint is the later one.
     assert 0.95**20 + 0.02 < left[1.0][0] < left[1.0][1] < 0.6
@@ -230,15 +227,14 @@ def test_motors_go_a_twentieth_of_the_way_in_a_step_and_lag_on_a_long_one() -> N
 
 def test_stops_push_joints_back() -> None:
     arm = get_arm("panda")
-    motors = MotorArm(arm)
-    world = BulletWorld(arm, motors, OPENING)
+    world = BulletWorld(arm, OPENING)
     world.place(scene([(0, 0, 0)], []))
     beyond = HOME.copy()
     beyond[6] = 2.9671 + 0.1
-    motors.jump(beyond)
-    motors.drive(beyond)
+    world.jump(beyond)
+    world.drive(beyond)
     world.step()
-    assert motors.joints[6] == pytest.approx(beyond[6] - 0.2 * 0.1, abs=1e-4)
+    assert world.joints[6] == pytest.approx(beyond[6] - 0.2 * 0.1, abs=1e-4)
 
 
 def test_the_hand_has_three_parts_and_the_opening_between_the_fingers() -> None:

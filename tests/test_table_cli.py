@@ -16,8 +16,7 @@ from learn2assemble.cli import main
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.networks.agent import load_agent
 from learn2assemble.reproduction import curves as curves_module
-from learn2assemble.reproduction.commands import _insert as insert
-from learn2assemble.reproduction.commands import markers
+from learn2assemble.reproduction.commands import _around
 from learn2assemble.reproduction.curves import (
     FIGURES,
     decision_time,
@@ -128,7 +127,7 @@ def test_a_quick_look_says_so_and_stays_apart(
 def test_a_page_carries_the_main_numbers(
     agents: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    begin, end = markers(get_table("small"))
+    begin, end = "<!-- table small: begin -->", "<!-- table small: end -->"
     page = tmp_path / "page.md"
     page.write_text(f"before\n{begin}\nold\n{end}\nafter\n")
     words = ["table", "small", "--agents", agents, "--out", tmp_path / "out", "--episodes", 1,
@@ -159,8 +158,9 @@ def test_training_the_agents_of_a_table(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 def test_the_table_of_the_readme_is_generated() -> None:
-    readme, table = (ROOT / "README.md").read_text(encoding="utf-8"), get_table("shipped")
-    assert insert(readme, table, compact_markdown(load_table(table, ROOT / "results"))) == readme
+    readme, table = ROOT / "README.md", get_table("shipped")
+    text = compact_markdown(load_table(table, ROOT / "results")).join(_around(readme, table))
+    assert text == readme.read_text(encoding="utf-8")
 
 
 # Recipes.

@@ -130,24 +130,22 @@ def measure(cell: Cell, agent_file: str | None, episodes: int) -> dict[str, Any]
     Args:
         agent_file: weights of the agent, for cells with one.
     """
+    simulator = Simulator(cell.task, cell.physics)
     if cell.policy == BOUND:
         rng, _ = episode_generators(cell.seed)
-        arrays = {"returns": _rounded(best_returns(Simulator(cell.task), episodes, rng))}
+        arrays = {"returns": _rounded(best_returns(simulator, episodes, rng))}
     else:
-        simulator = Simulator(cell.task, cell.physics)
         played = play_episodes(simulator, make_cell_policy(cell, agent_file), episodes, cell.seed)
-        arrays = {
-            "returns": _rounded(played.returns),
-            **{
-                f"returns_at_{gamma:g}": _rounded(column)
-                for gamma, column in zip(DISCOUNTS, played.returns_at.T, strict=True)
-                if gamma != cell.task.discount
-            },
-            "actions": played.actions.tolist(),
-            "failed": played.failed.astype(int).tolist(),
-            "success": played.success.astype(int).tolist(),
-            "coverage": _rounded(played.coverage),
+        other = {
+            f"returns_at_{gamma:g}": _rounded(column)
+            for gamma, column in zip(DISCOUNTS, played.returns_at.T, strict=True)
+            if gamma != cell.task.discount
         }
+        arrays = {
+            "returns": _rounded(played.returns), **other, "actions": played.actions.tolist(),
+            "failed": played.failed.astype(int).tolist(),
+            "success": played.success.astype(int).tolist(), "coverage": _rounded(played.coverage),
+        }  # fmt: skip
     return {**provenance("cpu"), "episodes": episodes, **arrays}
 
 
@@ -335,11 +333,9 @@ def row_cells(table: Table, row: Row, column: int, agents: list[str]) -> list[Ce
 
 
 def jobs(
-    table: Table,
-    agents: dict[str, Path],
-    episodes: int | None = None,
+    table: Table, agents: dict[str, Path], episodes: int | None = None,
     max_agents: int | None = None,
-) -> list[Job]:
+) -> list[Job]:  # fmt: skip
     """Everything a table is made of, every cell once.
 
     Args:
@@ -351,28 +347,24 @@ def jobs(
     for row in table.rows:
         names = row.pick(agents)[:max_agents]
         for column in range(len(table.columns)):
-            for cell in row_cells(table, row, column, names):
-                cells[cell.path] = cell
-    for cell in list(cells.values()):
+            cells |= {cell.path: cell for cell in row_cells(table, row, column, names)}
+    count = {
+        path: episodes or EPISODES.get(cell.physics, MANY_EPISODES) for path, cell in cells.items()
+    }
+    for path, cell in list(cells.items()):
         if has_bound(cell.task):
+            # Of as many problems as any policy plays.
             bound = Cell(cell.task, BOUND, seed=cell.seed)
-            cells.setdefault(bound.path, bound)
+            cells[bound.path] = bound
+            count[bound.path] = max(count[path], count.get(bound.path, 0))
     hashes = {name: agent_hash(agents[name]) for name in {c.agent for c in cells.values()} if name}
     return [
         Job(
             cell, str(agents[cell.agent]) if cell.agent else None, hashes.get(cell.agent),
-            episodes or cell_episodes(cell, cells),
+            count[path],
         )
-        for cell in cells.values()
+        for path, cell in cells.items()
     ]  # fmt: skip
-
-
-def cell_episodes(cell: Cell, cells: dict[str, Cell]) -> int:
-    """Problems of a cell; of a bound as many as any policy plays of its task."""
-    if cell.policy != BOUND:
-        return EPISODES.get(cell.physics, MANY_EPISODES)
-    played = [c for c in cells.values() if c.task == cell.task and c.policy != BOUND]
-    return max(cell_episodes(c, cells) for c in played)
 
 
 def stale(root: Path, wanted: list[Job]) -> list[Job]:
@@ -382,12 +374,9 @@ def stale(root: Path, wanted: list[Job]) -> list[Job]:
 
 
 def run_jobs(
-    root: Path,
-    todo: list[Job],
-    workers: int,
-    progress: Callable[[Job], None] | None = None,
+    root: Path, todo: list[Job], workers: int, progress: Callable[[Job], None] = lambda job: None,
     ray: str | None = None,
-) -> None:
+) -> None:  # fmt: skip
     """Measure and write every job; those done before an interruption stay.
 
     Args:
@@ -397,8 +386,7 @@ def run_jobs(
     with one_thread():
         for job, data in run_all(_do, todo, workers=workers, ray=ray):
             write_result(root, job.cell, job.agent_hash, data)
-            if progress is not None:
-                progress(job)
+            progress(job)
 
 
 def _do(job: Job) -> dict[str, Any]:

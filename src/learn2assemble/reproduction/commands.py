@@ -78,35 +78,38 @@ def _run_table(options: argparse.Namespace, output: Output) -> None:
 
     table = get_table(options.name)
     page: Path | None = options.into
-    before = "" if page is None else _page(page, table)
+    around = ("", "") if page is None else _around(page, table)
     root: Path = options.out / "quick" if options.quick else options.out
+    workers: int = options.workers or os.cpu_count() or 1
+    most = 1 if options.quick else None
     agents = {} if options.train or options.from_files else cells.find_agents(options.agents)
     _prepare(root)
     if options.quick:
         output.progress(report.QUICK)
     if options.train:
-        _train(table, root, options, output)
+        from learn2assemble.reproduction.recipes import RECIPES, copy_logs, train_recipes
+
+        wanted = [RECIPES[name] for name in table.stems if name in RECIPES]
+        train_recipes(
+            wanted, options.runs, seeds=most, workers=workers, ray=options.ray,
+            progress=output.progress,
+        )  # fmt: skip
+        copy_logs(wanted, options.runs, root / "runs")
         agents = cells.find_agents(options.runs)
     todo: list[Job] = []
     if not options.from_files:
-        wanted = cells.jobs(table, agents, *_extent(options))
-        todo = cells.stale(root, wanted)
-        output.progress(f"{len(wanted)} cells, {len(todo)} to measure")
-        _measure(root, todo, options)
+        episodes = options.episodes or (QUICK_EPISODES if options.quick else None)
+        jobs = cells.jobs(table, agents, episodes, most)
+        todo = cells.stale(root, jobs)
+        output.progress(f"{len(jobs)} cells, {len(todo)} to measure")
+        _measure(root, todo, options.name, workers, options.ray)
     data = report.load_table(table, root, options.quick)
     files = _write(data, root)
     if page is not None:
-        write_file(page, _insert(before, table, report.compact_markdown(data)), "--into")
+        write_file(page, report.compact_markdown(data).join(around), "--into")
         files["page"] = page
     _print(output, data, files)
     output.finish(_summary(data, len(todo), files))
-
-
-def _extent(options: argparse.Namespace) -> tuple[int | None, int | None]:
-    """Episodes a cell and agents a row."""
-    if options.quick:
-        return options.episodes or QUICK_EPISODES, 1
-    return options.episodes, None
 
 
 def _prepare(folder: Path) -> None:
@@ -118,23 +121,7 @@ def _prepare(folder: Path) -> None:
         raise InputError("--out", str(folder), f"a writable folder ({reason})") from None
 
 
-def _train(table: Table, root: Path, options: argparse.Namespace, output: Output) -> None:
-    from learn2assemble.reproduction import recipes
-
-    wanted = [recipes.RECIPES[name] for name in table.stems if name in recipes.RECIPES]
-    seeds = 1 if options.quick else None
-    recipes.train_recipes(
-        wanted, options.runs, seeds=seeds, workers=_workers(options), ray=options.ray,
-        progress=output.progress,
-    )  # fmt: skip
-    recipes.copy_logs(wanted, options.runs, root / "runs")
-
-
-def _workers(options: argparse.Namespace) -> int:
-    return options.workers or os.cpu_count() or 1
-
-
-def _measure(root: Path, todo: list[Job], options: argparse.Namespace) -> None:
+def _measure(root: Path, todo: list[Job], name: str, workers: int, ray: str | None) -> None:
     from tqdm import tqdm
 
     from learn2assemble.reproduction import cells
@@ -142,7 +129,7 @@ def _measure(root: Path, todo: list[Job], options: argparse.Namespace) -> None:
     if not todo:
         return
     total = round(sum(job.cost for job in todo))
-    with tqdm(total=total, desc=options.name, unit="", unit_scale=True, dynamic_ncols=True,
+    with tqdm(total=total, desc=name, unit="", unit_scale=True, dynamic_ncols=True,
               bar_format="{desc} {percentage:3.0f}% |{bar}| {elapsed}<{remaining} {postfix}",
               ) as bar:  # fmt: skip
         done = 0
@@ -153,19 +140,20 @@ def _measure(root: Path, todo: list[Job], options: argparse.Namespace) -> None:
             bar.set_postfix_str(f"{done}/{len(todo)} cells, last: {job.cell.path[6:]}")
             bar.update(round(job.cost))
 
-        cells.run_jobs(root, todo, _workers(options), advance, options.ray)
+        cells.run_jobs(root, todo, workers, advance, ray)
 
 
 def _write(data: TableData, root: Path) -> dict[str, Path]:
     from learn2assemble.reproduction import curves, report
 
-    folder = root / "tables"
-    text, picture = folder / f"{data.table.name}.md", folder / f"{data.table.name}.png"
-    _prepare(folder)
-    write_file(text, report.markdown(data), "--out")
-    title = f"{data.table.name}  {data.table.title}{'  (quick look)' if data.quick else ''}"
-    curves.write_table(title, report.sections(data), report.notes(data), picture)
-    return {"markdown": text, "picture": picture}
+    name, title = data.table.name, data.table.title
+    _prepare(root / "tables")
+    files = {kind: root / "tables" / f"{name}{ending}" for kind, ending in
+             (("markdown", ".md"), ("picture", ".png"))}  # fmt: skip
+    write_file(files["markdown"], report.markdown(data), "--out")
+    title = f"{name}  {title}{'  (quick look)' if data.quick else ''}"
+    curves.write_table(title, report.sections(data), report.notes(data), files["picture"])
+    return files
 
 
 def _print(output: Output, data: TableData, files: dict[str, Path]) -> None:
@@ -203,26 +191,17 @@ def _summary(data: TableData, measured: int, files: dict[str, Path]) -> dict[str
     }  # fmt: skip
 
 
-def markers(table: Table) -> tuple[str, str]:
-    """The lines between which a page carries a table."""
-    return f"<!-- table {table.name}: begin -->", f"<!-- table {table.name}: end -->"
-
-
-def _page(path: Path, table: Table) -> str:
-    begin, end = markers(table)
+def _around(path: Path, table: Table) -> tuple[str, str]:
+    """What stands in a page before a table and after it, the lines that mark its place included."""
+    begin, end = (f"<!-- table {table.name}: {word} -->" for word in ("begin", "end"))
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, ValueError):
         raise InputError("--into", str(path), "an existing text file") from None
-    if text.count(begin) != 1 or end not in text.partition(begin)[2]:
+    head, _, rest = text.partition(begin)
+    if text.count(begin) != 1 or end not in rest:
         raise InputError("--into", str(path), f"a file with the lines {begin} and {end}")
-    return text
-
-
-def _insert(page: str, table: Table, text: str) -> str:
-    begin, end = markers(table)
-    head, _, rest = page.partition(begin)
-    return f"{head}{begin}\n{text}\n{end}{rest.partition(end)[2]}"
+    return f"{head}{begin}\n", f"\n{end}{rest.partition(end)[2]}"
 
 
 # ---------------------------------------------------------------- curves

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -94,36 +95,35 @@ def entry(name: str) -> Result:
 # ---------------------------------------------------------------- entries
 
 
-def shape_entry(wanted: np.ndarray, kit: Kit, props: bool = True) -> Result:
-    """Blocks, order and proof of one design; where it is refused, with tight joints, too."""
+def _planned(
+    wanted: np.ndarray, kit: Kit, **options: Any
+) -> tuple[Tiling, Ordering | None, Result]:
+    """Blocks and order of a design within ``SECONDS``, and what there is to say about them."""
     started = time.process_time()
-    tiling, ordering = plan_exact(
-        wanted, kit, seconds=SECONDS, friction=FRICTION, props_allowed=props
-    )
-    result = _described(tiling, ordering, kit, time.process_time() - started)
-    if result["props"]:
-        result["props_at_least"] = least_props(wanted, kit)
-    if result["status"] == "refused" and props:
-        started = time.process_time()
-        tiling, ordering = plan_exact(
-            wanted, kit, seconds=TIGHT_SECONDS, friction=FRICTION, gap=0.0
-        )
-        result["gap_0"] = _described(tiling, ordering, kit, time.process_time() - started)
-    return result
-
-
-def _described(tiling: Tiling, ordering: Ordering | None, kit: Kit, seconds: float) -> Result:
+    tiling, ordering = plan_exact(wanted, kit, **{"seconds": SECONDS, **options})
+    seconds = time.process_time() - started
     count = Counter(block.prop for block in tiling.placements)
     bridged, total = seams_bridged(tiling, kit)
     last = ordering or tiling
     steps = ordering.steps if ordering else ()
-    return {
+    return tiling, ordering, {
         "status": last.status, "reason": last.reason, "cells": int(tiling.wanted.sum()),
         "blocks": count[False], "props": count[True], "seconds": round(seconds, 3),
         "seams": [bridged, total], "seams_bridged": round(bridged / max(total, 1), 4),
         "margin_g": round(ordering.margin_g, 6) if ordering else None,
         "proofs": dict(Counter(step.proof for step in steps)),
     }  # fmt: skip
+
+
+def shape_entry(wanted: np.ndarray, kit: Kit) -> Result:
+    """Blocks, order and proof of one design; where it is refused, with tight joints, too."""
+    *_, result = _planned(wanted, kit, friction=FRICTION)
+    if result["props"]:
+        result["props_at_least"] = least_props(wanted, kit)
+    if result["status"] == "refused":
+        *_, tight = _planned(wanted, kit, seconds=TIGHT_SECONDS, friction=FRICTION, gap=0.0)
+        result["gap_0"] = tight
+    return result
 
 
 def least_props(wanted: np.ndarray, kit: Kit) -> int:
@@ -162,9 +162,7 @@ def heap_entry(wanted: np.ndarray, kit: Kit) -> Result:
         tiling = replace(tiling, placements=tuple(b for b in tiling.placements if not b.prop))
     heap = Counter(block.kind for block in tiling.placements)
     kinds = tuple(replace(kind, count=heap[kind.name]) for kind in kit.kinds)
-    started = time.process_time()
-    again, order = plan_exact(wanted, replace(kit, kinds=kinds), seconds=SECONDS)
-    result = _described(again, order, kit, time.process_time() - started)
+    again, _, result = _planned(wanted, replace(kit, kinds=kinds))
     used = Counter(block.kind for block in again.placements)
     result["within_heap"] = all(used[name] <= heap[name] for name in used)
     result["filled"] = not again.missing and "lacks" not in again.reason
@@ -220,23 +218,18 @@ def largest_move(assembly: Assembly, seconds: float = 1.0) -> float:
 
 def large_entry(wanted: np.ndarray, kit: Kit, asked: float) -> Result:
     """A large design with its page."""
-    started = time.process_time()
-    tiling, ordering = plan_exact(wanted, kit, seconds=SECONDS)
-    result = _described(tiling, ordering, kit, time.process_time() - started)
+    tiling, ordering, result = _planned(wanted, kit)
     result["seconds_asked"] = asked
     result["proof_s"] = round(ordering.seconds, 3) if ordering else None
     if ordering is not None:
         from learn2assemble.viewer.page import StepNote, render_assembly_page
 
         notes = [StepNote(step.proof, step.margin_g) for step in ordering.steps]
-        with tempfile.TemporaryDirectory() as folder:
-            page = Path(folder) / "view.html"
-            started = time.process_time()
-            made = to_assembly(tiling, ordering, kit)
-            text = render_assembly_page(made, title="figures", step_notes=notes)
-            page.write_text(text, encoding="utf-8")
-            result["page_bytes"] = page.stat().st_size
-            result["page_s"] = round(time.process_time() - started, 3)
+        started = time.process_time()
+        made = to_assembly(tiling, ordering, kit)
+        page = render_assembly_page(made, title="figures", step_notes=notes).encode()
+        result["page_bytes"] = len(page)
+        result["page_s"] = round(time.process_time() - started, 3)
     return result
 
 

@@ -116,35 +116,36 @@ def _optimum(task: str) -> Result:
 
 def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
     """What was asked, and what was reached: (what, asked, got)."""
+
+    def tasks(of: str) -> dict[str, Result]:
+        return {name.split("/", 1)[1]: one for name, one in entries.items() if name.startswith(of)}
+
     rows: list[tuple[str, str, str]] = []
-    best = {name.split("/", 1)[1]: one for name, one in entries.items() if name[:3] == "opt"}
+    best = {task: one for task, one in tasks("optimum/").items() if one["status"] == "optimal"}
     for player in PLAYERS[:3]:
         for kind, asked in ((PLANAR, ">= 28 of 30"), (SPATIAL, ">= 17 of 20")):
-            mine = {name.split("/", 1)[1]: one for name, one in entries.items()
-                    if name.startswith(f"{player}/{kind}/")}  # fmt: skip
+            mine = tasks(f"{player}/{kind}/")
             if not mine:
                 continue
             done = {task: one for task, one in mine.items() if one["status"] == "complete"}
             left = ", ".join(sorted(set(mine) - set(done))) or "none"
             rows.append((f"{player}: {kind} tasks solved", asked,
                          f"{len(done)} of {len(mine)}; not: {left}"))  # fmt: skip
-            known = [task for task in done if best.get(task, {}).get("status") == "optimal"]
-            if known:
-                ratio = [done[task]["blocks"] / best[task]["blocks"] for task in known]
+            ratio = [done[task]["blocks"] / best[task]["blocks"] for task in done if task in best]
+            if ratio:
                 rows.append((
                     f"{player}: {kind} blocks by the optimum, where it is known", "<= 1.15",
                     f"{sum(ratio) / len(ratio):.3f} on average, {max(ratio):.2f} at most, "
-                    f"{sum(r > 1.15 for r in ratio)} of {len(known)} above",
+                    f"{sum(r > 1.15 for r in ratio)} of {len(ratio)} above",
                 ))  # fmt: skip
             armed = [one["arm"]["status"] for one in done.values() if "arm" in one]
             if armed:
                 count = armed.count("complete")
                 rows.append((f"{player}: {kind} built by the {ARM}", ">= 80 %",
                              f"{count} of {len(armed)} ({count / len(armed):.0%})"))  # fmt: skip
-        cannot = [one for name, one in entries.items() if name.startswith(f"{player}/{IMPOSSIBLE}")]
+        cannot = [one["status"] for one in tasks(f"{player}/{IMPOSSIBLE}").values()]
         if cannot:
-            wrong = sum(one["status"] == "complete" for one in cannot)
-            told = sum(one["status"] == "refused" for one in cannot)
+            wrong, told = cannot.count("complete"), cannot.count("refused")
             words = f"{wrong} complete, {told} of {len(cannot)} refused with a reason"
             rows.append((f"{player}: impossible tasks", "none complete", words))
     return rows

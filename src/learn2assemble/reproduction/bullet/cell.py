@@ -19,7 +19,6 @@ from learn2assemble.reproduction.bullet.world import (
     PLACE_STARTS,
     TIMESTEP,
     BulletWorld,
-    MotorArm,
     turned,
 )
 from learn2assemble.robot.arm import Arm, get_arm
@@ -97,8 +96,7 @@ class PublishedCell:
         self.rules = look_up("rules", rules, RULES)
         if not opening > EDGE:
             raise InputError("opening", opening, f"more than the {EDGE} m of a block")
-        self.arm, self.motors = arm, MotorArm(arm)
-        self.world = BulletWorld(arm, self.motors, opening)
+        self.arm, self.world = arm, BulletWorld(arm, opening)
         self.steps = 0
         """Simulated steps so far."""
 
@@ -112,11 +110,10 @@ class PublishedCell:
         """
         self._scene, self._move = scene, move
         self.world.place(scene)
-        self.motors.reset()
         self._before = self._now = self.world.centres()
         self._speed = np.zeros_like(self._now)
         self._travel = np.zeros(len(self._now))
-        self._integral = np.zeros(len(self.motors.joints))
+        self._integral = np.zeros(len(self.world.joints))
         if top is None:
             gap = np.abs(scene.position[: scene.num_placed] - _over(move.target, -EDGE))
             top = bool((gap.max(1) < HALF).any())
@@ -136,9 +133,9 @@ class PublishedCell:
         if self.rules.objects and centre[1] > 0:
             start = GRASP_STARTS[turned(move.grasp)]
         self._jump(self._reach(_over(centre, ABOVE), rotation, start, "approach"))
-        joints = self._solve(_over(centre, BEFORE), rotation, self.motors.joints, "approach")
+        joints = self._solve(_over(centre, BEFORE), rotation, self.world.joints, "approach")
         self._jump(joints)
-        joints = self._solve(centre, rotation, self.motors.joints, "approach")
+        joints = self._solve(centre, rotation, self.world.joints, "approach")
         self._servo(joints, APPROACH_STEPS)
         if self.rules.objects:
             waiting = np.arange(scene.num_placed, len(scene.position))
@@ -148,11 +145,11 @@ class PublishedCell:
                 raise _FailedError(Outcome.GRASP_COLLISION, "grasp speed")
         self._idle(IDLE_STEPS)
         self.world.grip(move.cell)
-        self._jump(self._solve(_over(centre, LIFTED), rotation, self.motors.joints, "lift"))
+        self._jump(self._solve(_over(centre, LIFTED), rotation, self.world.joints, "lift"))
 
     def _place(self, top: bool) -> None:
         scene, move, rules = self._scene, self._move, self.rules
-        rotation, joints = move.place.rotation(), self.motors.joints
+        rotation, joints = move.place.rotation(), self.world.joints
         if rules.objects:
             joints = PLACE_STARTS[2 * turned(move.grasp) + turned(move.place)]
         waypoints = TOP_WAYPOINTS if top and not rules.objects else WAYPOINTS
@@ -221,32 +218,32 @@ class PublishedCell:
         """Only the position: the first three rows of the error to a pose with that rotation."""
         joints = np.array(start)
         state, *_ = published_least_squares(
-            self.motors.chain, point, rotation, 3, 1e-6, 1000, joints
+            self.world.chain, point, rotation, 3, 1e-6, 1000, joints
         )
         if state != CONVERGED:
             raise _FailedError(Outcome.UNREACHABLE, stage, "no convergence")
         return joints
 
     def _jump(self, joints: np.ndarray) -> None:
-        self.motors.jump(joints)
+        self.world.jump(joints)
         self._step()
 
     def _servo(self, goal: np.ndarray, steps: int, point: np.ndarray | None = None) -> None:
         """Towards joints; with a point, the held cell's centre shall get there."""
         near = False
         for _ in range(steps):
-            joints = self.motors.joints
+            joints = self.world.joints
             command = joints + SERVO_GAIN * (goal - joints)
             if point is not None:
                 left = point - self._now[self._move.cell]
                 near = near or np.abs(left).max() < NEAR
                 if near:
-                    rows = self.motors.spatial()
+                    rows = self.world.spatial()
                     self._integral += rows.T @ np.linalg.solve(rows @ rows.T, left)
                     command = command + INTEGRAL_GAIN * self._integral
                 else:
                     self._integral[:] = 0
-            self.motors.drive(command)
+            self.world.drive(command)
             self._step()
 
     def _idle(self, steps: int) -> None:

@@ -47,34 +47,20 @@ from learn2assemble.world.blocks import GRAVITY, HALF, MASS
 
 TIMESTEP = 0.004
 """[s]."""
-
-
 TORQUE = 500.0
 """Largest torque of a joint [N m]."""
-
-
 ARM = "panda"
 """The one arm the published cell knows; all numbers below are its own."""
-
-
 HOME = np.array([0.0, -0.215, 0.0, -2.57, 0.0, 2.356, 2.356])
 """Where every solution of a grasp starts [rad]."""
-
-
 LOWER = np.array([-2.9671, -1.8326, -2.9671, -3.1416, -2.9671, -0.0873, -2.9671])
-
-
 UPPER = np.array([2.9671, 1.8326, 2.9671, 0.0, 2.9671, 3.8223, 2.9671])
 """Stops that push the joints back [rad]; inverse kinematics does not know them."""
-
-
 GRASP_STARTS = (
     np.array([0.4904, -0.5005, 0.1023, -2.7084, 0.0610, 2.2092, 1.3292]),
     np.array([0.5402, 0.2053, -0.0501, -2.2307, 0.0150, 2.4366, 2.8357]),
 )
 """For objects behind the first side, by the attitude of the grasp (A, B) [rad]."""
-
-
 PLACE_STARTS = (
     np.array([0.1030, 0.3711, 0.0257, -2.5515, -0.0449, 2.9237, 0.9485]),
     np.array([-0.1668, 0.3903, 0.2273, -2.5430, -0.3584, 2.9223, 2.7669]),
@@ -82,8 +68,6 @@ PLACE_STARTS = (
     np.array([0.0652, 0.3777, 0.0531, -2.5578, -0.0884, 2.9480, 2.5584]),
 )
 """For placing objects, by both attitudes (AA, AB, BA, BB) [rad]."""
-
-
 LINKS = {
     "link1": (2.7, (0.0, -0.04, -0.05), (0.02297, 0.01777, 0.01148)),
     "link2": (2.73, (0.0, -0.04, 0.06), (0.02349, 0.01161, 0.01823)),
@@ -98,102 +82,23 @@ LINKS = {
 }
 """Mass [kg], its centre [m] and moments of inertia [kg m^2] in the frame of each body, as that
 simulator has them. They matter because motors of limited torque lag where the arm moves far."""
-
-
-def turned(attitude: Attitude) -> bool:
-    """Whether an attitude closes the fingers along x (B) rather than y (A)."""
-    return abs(math.sin(attitude.yaw)) > 0.5
-
-
-class MotorArm:
-    """The joints of the arm.
-
-    Raises:
-        InputError: for another arm than the published one.
-    """
-
-    def __init__(self, arm: Arm) -> None:
-        if arm.name != ARM:
-            raise InputError("arm of the published cell", arm.name, ARM)
-        self.arm, self.chain = arm, get_chain(arm)
-        spec = arm_spec(arm)
-        spec.option.gravity = [0, 0, -GRAVITY]
-        self._model = m = spec.compile()
-        for name, (mass, centre, inertia) in LINKS.items():
-            body = m.body(name).id
-            m.body_mass[body], m.body_ipos[body], m.body_inertia[body] = mass, centre, inertia
-            m.body_iquat[body] = 1, 0, 0, 0
-        m.dof_armature[:], m.dof_damping[:], m.body_gravcomp[:] = 0, 0, 0
-        self._data = mujoco.MjData(m)
-        mujoco.mj_setConst(m, self._data)
-        self._qpos = np.array([m.joint(name).qposadr[0] for name in arm.joints])
-        self._dof = np.array([m.joint(name).dofadr[0] for name in arm.joints])
-        self._mass = np.empty((m.nv, m.nv))
-        self.joints, self.rates, self.command = HOME.copy(), np.zeros(7), HOME.copy()
-        """float64[7]: angles [rad], rates [rad/s], and where the motors want the joints [rad]."""
-        self.powered = False
-        """Whether the motors have had a command; before, they give way."""
-
-    def reset(self) -> None:
-        """To the home pose, at rest, motors off."""
-        self.jump(HOME)
-        self.command, self.powered = HOME.copy(), False
-
-    def jump(self, joints: np.ndarray) -> None:
-        """Put the joints somewhere, at rest; the motors keep the command they had."""
-        self.joints, self.rates = joints.copy(), np.zeros(7)
-
-    def drive(self, command: np.ndarray) -> None:
-        """Where the motors want the joints from now on [rad]."""
-        self.command, self.powered = command, True
-
-    @property
-    def impulse(self) -> float:
-        """Largest impulse of a motor in a step [N m s]."""
-        return TORQUE * TIMESTEP if self.powered else 0.0
-
-    def tool(self) -> tuple[np.ndarray, np.ndarray]:
-        """Position float64[3] [m] and rotation float64[3, 3] of the tool, world frame."""
-        return forward(self.chain, self.joints)
-
-    def jacobian(self) -> np.ndarray:
-        """float64[6, 7] of the tool, world axes."""
-        return jacobian(self.chain, self.joints)
-
-    def spatial(self) -> np.ndarray:
-        """float64[3, 7]: velocity of that point of the hand which is at the arm's base.
-
-        The integral term of the published servo uses these rows for those of the
-        tool, so errors are corrected in directions a little beside their own.
-        """
-        jac = self.jacobian()
-        away = self.tool()[0] - self.arm.base_position
-        return jac[:3] + np.cross(away, jac[3:].T).T
-
-    def dynamics(self) -> np.ndarray:
-        """Inverse of the mass matrix, float64[7, 7]; lets gravity act on the rates."""
-        m, d = self._model, self._data
-        d.qpos[self._qpos], d.qvel[self._dof] = self.joints, self.rates
-        mujoco.mj_kinematics(m, d)
-        mujoco.mj_comPos(m, d)
-        mujoco.mj_crb(m, d)
-        mujoco.mj_comVel(m, d)
-        mujoco.mj_rne(m, d, 0, d.qfrc_bias)
-        mujoco.mj_fullM(m, d, self._mass)
-        inverse = np.linalg.inv(self._mass[np.ix_(self._dof, self._dof)])
-        self.rates = self.rates - TIMESTEP * inverse @ d.qfrc_bias[self._dof]
-        return inverse
-
-
 SKIN = 1e-3
 """The hand counts as this much thicker on every side [m]: the margin of that engine's hulls."""
 INERTIA = 3.0
 """The moments of inertia of a block are this many times those of a cube."""
 HAND_SHAPE, THING_SHAPE = 2, 1
 """Bits of contact: the hand's own parts do not touch each other."""
+GRAIN = 1e-3
+"""Cells of an object are multiples of this apart [m]."""
+MAX_MODELS = 64
 
 Cells = tuple[tuple[float, float, float], ...]
 """Centres of an object's cells relative to its first one [m]."""
+
+
+def turned(attitude: Attitude) -> bool:
+    """Whether an attitude closes the fingers along x (B) rather than y (A)."""
+    return abs(math.sin(attitude.yaw)) > 0.5
 
 
 @lru_cache(maxsize=16)
@@ -267,11 +172,6 @@ def inverse_inertia(model: mujoco.MjModel) -> np.ndarray:
     return out
 
 
-GRAIN = 1e-3
-"""Cells of an object are multiples of this apart [m]."""
-MAX_MODELS = 64
-
-
 class _Shapes(NamedTuple):
     """A compiled set of objects."""
 
@@ -288,23 +188,42 @@ class _Shapes(NamedTuple):
 
 
 class BulletWorld:
-    """Bodies are the world, the hand and the objects; all start asleep.
+    """The joints of the arm, and bodies: the world, the hand and the objects; all start asleep.
 
     One instance serves one thread.
 
     Args:
-        arm: whose hand.
-        motors: its joints.
+        arm: the published one.
         opening: between the pads [m].
+
+    Raises:
+        InputError: for another arm.
     """
 
-    def __init__(self, arm: Arm, motors: MotorArm, opening: float) -> None:
-        self.motors = motors
+    def __init__(self, arm: Arm, opening: float) -> None:
+        if arm.name != ARM:
+            raise InputError("arm of the published cell", arm.name, ARM)
+        self.arm, self.chain = arm, get_chain(arm)
+        spec = arm_spec(arm)
+        spec.option.gravity = [0, 0, -GRAVITY]
+        self._model = m = spec.compile()
+        for name, (mass, centre, inertia) in LINKS.items():
+            body = m.body(name).id
+            m.body_mass[body], m.body_ipos[body], m.body_inertia[body] = mass, centre, inertia
+            m.body_iquat[body] = 1, 0, 0, 0
+        m.dof_armature[:], m.dof_damping[:], m.body_gravcomp[:] = 0, 0, 0
+        self._data = mujoco.MjData(m)
+        mujoco.mj_setConst(m, self._data)
+        self._qpos = np.array([m.joint(name).qposadr[0] for name in arm.joints])
+        self._dof = np.array([m.joint(name).dofadr[0] for name in arm.joints])
+        self._mass = np.empty((m.nv, m.nv))
         self._parts = hand_parts(arm, opening)
         self._known: dict[tuple[Cells, ...], _Shapes] = {}
 
     def place(self, scene: Scene) -> None:
-        """Start over with the objects of ``scene`` at rest."""
+        """Start over: the objects of ``scene`` and the arm at home, at rest; motors off."""
+        self.jump(HOME)
+        self._command, self._impulse = HOME.copy(), 0.0
         objects, origin, yaw = self._group(scene)
         if objects not in self._known:
             if len(self._known) >= MAX_MODELS:
@@ -325,29 +244,59 @@ class BulletWorld:
         self._clock, self._held = 0, -1
         self._hold_offset, self._hold_turn = np.zeros(3), np.eye(3)
 
+    def jump(self, joints: np.ndarray) -> None:
+        """Put the joints somewhere [rad], at rest; the motors keep the command they had."""
+        self.joints, self._rates = joints.copy(), np.zeros(7)
+
+    def drive(self, command: np.ndarray) -> None:
+        """Where the motors want the joints from now on [rad]; before, they give way."""
+        self._command, self._impulse = command, TORQUE * TIMESTEP
+
+    def spatial(self) -> np.ndarray:
+        """float64[3, 7]: velocity of that point of the hand which is at the arm's base.
+
+        The integral term of the published servo uses these rows for those of the
+        tool, so errors are corrected in directions a little beside their own.
+        """
+        jac = jacobian(self.chain, self.joints)
+        away = forward(self.chain, self.joints)[0] - self.arm.base_position
+        return jac[:3] + np.cross(away, jac[3:].T).T
+
     def step(self) -> None:
         """One time step of arm and objects."""
-        motors, s = self.motors, self._shapes
+        s = self._shapes
         self._follow()
         self._find_contacts()
         self._touching = touching_bodies(self._manifolds, s.body)
         awake = wake(self._still, self._touching, self._held)
         contacts = contact_points(self._manifolds, s.body, self._position, self._rotation, awake)
-        jacobian, inverse = motors.jacobian(), motors.dynamics()
+        jac, inverse = jacobian(self.chain, self.joints), self._inverse_mass()
         accelerate(self._twist, awake, TIMESTEP)
-        self._twist[HAND] = jacobian @ motors.rates
-        drive = Drive(
-            jacobian, inverse, motors.joints, motors.command, LOWER, UPPER, motors.impulse
-        )
+        self._twist[HAND] = jac @ self._rates
+        drive = Drive(jac, inverse, self.joints, self._command, LOWER, UPPER, self._impulse)
         resolve(
-            self._position, self._twist, motors.rates,
+            self._position, self._twist, self._rates,
             inverse_mass_matrix(s.inverse_mass, s.inverse_inertia, self._rotation, awake),
             contacts, drive, self._hold(), TIMESTEP,
         )  # fmt: skip
         integrate(self._position, self._quaternion, self._twist, awake, self._still, TIMESTEP)
-        motors.joints = motors.joints + TIMESTEP * motors.rates
+        self.joints = self.joints + TIMESTEP * self._rates
         self._follow()
         self._rotation = quaternion_matrices(self._quaternion)
+
+    def _inverse_mass(self) -> np.ndarray:
+        """Inverse of the arm's mass matrix, float64[7, 7]; lets gravity act on the rates."""
+        m, d = self._model, self._data
+        d.qpos[self._qpos], d.qvel[self._dof] = self.joints, self._rates
+        mujoco.mj_kinematics(m, d)
+        mujoco.mj_comPos(m, d)
+        mujoco.mj_crb(m, d)
+        mujoco.mj_comVel(m, d)
+        mujoco.mj_rne(m, d, 0, d.qfrc_bias)
+        mujoco.mj_fullM(m, d, self._mass)
+        inverse = np.linalg.inv(self._mass[np.ix_(self._dof, self._dof)])
+        self._rates = self._rates - TIMESTEP * inverse @ d.qfrc_bias[self._dof]
+        return inverse
 
     def grip(self, cell: int) -> None:
         """Fix the object of a cell to the hand: the cell's centre to the tool point, axes kept."""
@@ -385,7 +334,7 @@ class BulletWorld:
 
     def _follow(self) -> None:
         """The hand is where the joints take it."""
-        position, rotation = self.motors.tool()
+        position, rotation = forward(self.chain, self.joints)
         self._position[HAND], self._rotation[HAND] = position, rotation
         mujoco.mju_mat2Quat(self._quaternion[HAND], np.ascontiguousarray(rotation).ravel())
 
