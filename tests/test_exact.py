@@ -163,7 +163,7 @@ def painted(
 def feasible_return(simulator: Simulator, state: State, row: int = 0) -> float:
     """What the best order of towers earns in the simulator, played step by step: no detours."""
     towers, discount = find_towers(simulator, state, row), simulator.task.discount
-    values = np.empty(towers.num_structures)
+    values = np.empty(np.prod(towers.cap - towers.low + 1))
     sweep(towers, discount, False, 0.0, np.empty(0), values)
     strides = np.cumprod(np.concatenate([[1], towers.cap - towers.low + 1]))
     heights, index, total, factor = towers.low.copy(), 0, 0.0, 1.0

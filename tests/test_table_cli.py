@@ -20,7 +20,6 @@ from learn2assemble.reproduction.commands import _around
 from learn2assemble.reproduction.curves import (
     FIGURES,
     decision_time,
-    get_figure,
     load_curves,
     load_scaled,
     read_log,
@@ -32,7 +31,6 @@ from learn2assemble.reproduction.recipes import (
     Recipe,
     Stage,
     copy_logs,
-    get_recipe,
     stage_folder,
     train_recipes,
 )
@@ -172,9 +170,8 @@ def test_every_recipe_resolves() -> None:
             config = stage.resolve(recipe.task)
             if recipe.task in PRESETS:
                 assert config.network.num_actions == PRESETS[recipe.task].num_actions
-    assert get_recipe("s2v-full").stages[0].resolve("two-sided-3x3-20-24").network.encoder == "s2v"
-    with pytest.raises(UnknownNameError, match="did you mean 'q-mcts'"):
-        get_recipe("qmcts")
+    stage = RECIPES["s2v-full"].stages[0]
+    assert stage.resolve("two-sided-3x3-20-24").network.encoder == "s2v"
 
 
 def test_a_later_stage_starts_from_the_earlier(tmp_path: Path) -> None:
@@ -225,7 +222,7 @@ def test_curves_are_means_over_seeds(tmp_path: Path) -> None:
     log(tmp_path, "dqn-s0", [(100, 1.0), (300, 3.0), (500, 5.0)])
     log(tmp_path, "dqn-s3", [(100, 3.0), (400, 6.0)])
     log(tmp_path, "q-mcts-s0", [(100, 2.0)])
-    (curve,) = load_curves(get_figure("algorithms"), tmp_path)
+    (curve,) = load_curves(FIGURES["algorithms"], tmp_path)
     assert (curve.label, curve.seeds) == ("DQN", 2)
     assert (curve.samples[0], curve.samples[-1]) == (100, 400)
     # Straight lines stay what they are, whatever the smoothing.
@@ -237,7 +234,7 @@ def test_curves_are_means_over_seeds(tmp_path: Path) -> None:
 def test_the_stages_of_a_training_are_one_curve(tmp_path: Path) -> None:
     log(tmp_path, "dqn-s0.stage1", [(100, 1.0), (300, 3.0)])
     log(tmp_path, "dqn-s0", [(100, 4.0), (200, 5.0)])
-    (curve,) = load_curves(get_figure("algorithms"), tmp_path)
+    (curve,) = load_curves(FIGURES["algorithms"], tmp_path)
     assert curve.seeds == 1
     assert (curve.samples[0], curve.samples[-1]) == (100, 500)
     np.testing.assert_allclose(curve.mean["R"], curve.samples / 100)
@@ -248,7 +245,7 @@ def test_time_to_a_return_counts_those_that_never_come_there(tmp_path: Path) -> 
     log(tmp_path, "dqn-s1.stage1", [(100, 1.0), (200, 1.0)])
     log(tmp_path, "dqn-s1", [(100, 1.0), (200, 4.0)])
     log(tmp_path, "dqn-s2", [(100, 1.0), (400, 1.5)])
-    low, high = time_to(get_figure("algorithms"), tmp_path, (1.5, 3.5))
+    low, high = time_to(FIGURES["algorithms"], tmp_path, (1.5, 3.5))
     assert (low.label, low.seeds, low.reached, high.reached) == ("DQN", 3, 3, 2)
     assert low.samples == (200, 300, 400)
     assert high.samples == (400, 400, math.inf)

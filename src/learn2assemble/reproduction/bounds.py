@@ -151,11 +151,6 @@ class Towers(NamedTuple):
     threshold: float
     """Delta."""
 
-    @property
-    def num_structures(self) -> int:
-        """Number of height lists from ``low`` to ``cap``."""
-        return int(np.prod((self.cap - self.low + 1).astype(object)))
-
 
 def find_towers(simulator: Simulator, state: State, row: int) -> Towers:
     """The towers of a fresh problem.
@@ -189,11 +184,15 @@ def find_towers(simulator: Simulator, state: State, row: int) -> Towers:
             both = seen[side[n], column[n] - 1][:, None] & seen[side[n], column[n]][None]
             shared[n] = np.bitwise_count(both).sum((-1, -2))
     low = first[side, column].astype(np.int64)
+    beside = np.full((len(place), 3), -1, np.int64)
+    for n, here in enumerate(place):
+        near = np.flatnonzero(np.abs(place - here).sum(-1) == 1)
+        beside[n, : len(near)] = near
     return Towers(
         place=place,
         cap=np.minimum(np.maximum(useful[side, column], 1), low + state.num_blocks[row] - 1),
         low=low,
-        beside=_neighbours(place),
+        beside=beside,
         own=own[side, column],
         shared=shared,
         counts=np.array([
@@ -210,14 +209,6 @@ def _places(frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     points = np.stack([to_world(f, column, 0 * column, 0 * column) for f in frames])
     index = np.rint(points[..., :2] / EDGE).astype(np.int64)
     return index[..., 0], index[..., 1]
-
-
-def _neighbours(place: np.ndarray) -> np.ndarray:
-    beside = np.full((len(place), 3), -1, np.int64)
-    for n, p in enumerate(place):
-        near = np.flatnonzero(np.abs(place - p).sum(-1) == 1)
-        beside[n, : len(near)] = near
-    return beside
 
 
 @njit(cache=True)
@@ -297,7 +288,8 @@ def best_return(simulator: Simulator, state: State, row: int = 0) -> float:
         InputError: where :func:`find_towers` refuses the problem.
     """
     towers, discount = find_towers(simulator, state, row), simulator.task.discount
-    closed, structures = tower_bound(towers, discount), towers.num_structures
+    closed = tower_bound(towers, discount)
+    structures = math.prod((towers.cap - towers.low + 1).tolist())
     if structures > MAX_STRUCTURES:
         return closed
     own, free = np.empty(structures), np.empty(0)

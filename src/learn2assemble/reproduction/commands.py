@@ -20,7 +20,7 @@ from learn2assemble.cli.parser import (
     positive,
     workers_arguments,
 )
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, look_up
 from learn2assemble.files import claim_folder, write_file
 from learn2assemble.registry import Registry
 
@@ -243,8 +243,8 @@ def _run_scaling(options: argparse.Namespace, output: Output) -> None:
 
 def _run_curves(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.reproduction.curves import (
+        FIGURES,
         SIZES,
-        get_figure,
         load_curves,
         time_to,
         write_curves,
@@ -252,7 +252,7 @@ def _run_curves(options: argparse.Namespace, output: Output) -> None:
 
     if options.name == SIZES:
         return _run_scaling(options, output)
-    figure = get_figure(options.name)
+    figure = look_up("figure", options.name, FIGURES)
     curves = load_curves(figure, options.runs)
     reached = time_to(figure, options.runs)
     path: Path = options.out / f"{figure.name}.png"
@@ -281,18 +281,16 @@ def _run_curves(options: argparse.Namespace, output: Output) -> None:
         "figure": figure.name, "picture": str(path), "absent": absent,
         "lines": [{"label": c.label, "seeds": c.seeds} for c in curves],
         "reached": [
-            {**dataclasses.asdict(r), "samples": [_finite(n) for n in r.samples],
-             "seconds": [_finite(n) for n in r.seconds]} for r in reached
+            {**r._asdict(), **{
+                key: [n if math.isfinite(n) else None for n in getattr(r, key)]
+                for key in ("samples", "seconds")
+            }} for r in reached
         ],
     })  # fmt: skip
 
 
 def _known(number: float, unit: float = 1) -> str:
     return f"{number / unit:,.0f}" if math.isfinite(number) else "never"
-
-
-def _finite(number: float) -> float | None:
-    return number if math.isfinite(number) else None
 
 
 # ---------------------------------------------------------------- replay

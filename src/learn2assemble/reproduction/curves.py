@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from learn2assemble.errors import InputError, look_up
+from learn2assemble.errors import InputError
 from learn2assemble.evaluation.episodes import episode_generators
 from learn2assemble.files import write_file
 from learn2assemble.networks.agent import agent_files, one_thread
@@ -75,8 +75,7 @@ class Curve:
         return f"{self.label} ({agents})" if self.seeds else self.label
 
 
-@dataclass(frozen=True)
-class Reached:
+class Reached(NamedTuple):
     """What it took the seeds of a line to reach a return."""
 
     label: str
@@ -84,9 +83,9 @@ class Reached:
     seeds: int
     reached: int
     """Seeds that came there; for the quartiles the others never do."""
-    samples: tuple[float, float, float]
+    samples: tuple[float, ...]
     """First quartile, median and third quartile over the seeds; infinite where too few did."""
-    seconds: tuple[float, float, float]
+    seconds: tuple[float, ...]
     """The same in wall time of the machines that trained."""
 
 
@@ -100,15 +99,6 @@ _ALL = (
            "Q-MCTS and ε-MCTS search while they collect: their curves are of the search."),
 )  # fmt: skip
 FIGURES: dict[str, Curves] = {figure.name: figure for figure in _ALL}
-
-
-def get_figure(name: str) -> Curves:
-    """The figure called ``name``.
-
-    Raises:
-        UnknownNameError: naming the nearest one.
-    """
-    return look_up("figure", name, FIGURES)
 
 
 def load_curves(figure: Curves, runs: Path) -> list[Curve]:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from learn2assemble.errors import InputError, look_up
+from learn2assemble.errors import InputError
 from learn2assemble.learning.config import TrainConfig, fit_to, get_config, override
 from learn2assemble.learning.run import run_training
 from learn2assemble.networks.agent import load_agent, one_thread
@@ -113,15 +113,6 @@ _ALL = (
 )
 
 RECIPES: dict[str, Recipe] = {recipe.name: recipe for recipe in _ALL}
-
-
-def get_recipe(name: str) -> Recipe:
-    """The recipe called ``name``.
-
-    Raises:
-        UnknownNameError: naming the nearest one.
-    """
-    return look_up("training", name, RECIPES)
 
 
 def train_recipes(

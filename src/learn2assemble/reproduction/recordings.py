@@ -132,15 +132,12 @@ class RecordedScene:
     def __init__(self, line: Line, task: Task) -> None:
         self.task, self.depths = task, FILTERS[task.cover_filter]
         frames = side_frames(task.num_sides, task.pitch, task.aisle)
-        targets = line["targets"]
-        sides = len(frames)
+        targets, sides = line["targets"], len(frames)
         if len(targets) != sides or any(not 3 <= len(side) <= 5 for side in targets):
             raise ValueError(f"targets are not {sides} outlines of 3 to 5 vertices")
         blocks = len(line["placed"]) + len(line["unplaced"]) + 1
-        vertices = max(len(side) for side in targets)
-        self.frames = frames
-        self.state: State = empty_state(1, sides, vertices, blocks)
-        self.mask_px = []
+        self.state: State = empty_state(1, sides, max(map(len, targets)), blocks)
+        self.frames, self.mask_px = frames, []
         for side, points in enumerate(targets):
             c, s, tx, ty = frames[side]
             world = np.asarray(points, float)
@@ -196,8 +193,9 @@ class RecordedScene:
     def counts(self) -> tuple[list[int], list[int]]:
         """Plane and complete pixels of every side."""
         mask, covered, occluded = self.state.mask[0], self.state.covered[0], self.state.occluded[0]
-        seen = mask & covered
-        return _count(seen & ~occluded), _count(seen)
+        seen = np.stack([mask & covered & ~occluded, mask & covered])
+        plane, complete = np.bitwise_count(seen).sum((-1, -2), dtype=np.int64).tolist()
+        return plane, complete
 
 
 def fit_tilt(cells: np.ndarray) -> np.ndarray:
@@ -214,10 +212,6 @@ def fit_tilt(cells: np.ndarray) -> np.ndarray:
     w = np.sqrt(max(1.0 + np.trace(r), 1e-9)) / 2
     x, y, z = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
     return np.array([w, x / (4 * w), y / (4 * w), z / (4 * w)])
-
-
-def _count(image: np.ndarray) -> list[int]:
-    return [int(np.bitwise_count(side).sum()) for side in image]
 
 
 EDGE_CASE, STUCK, JITTER, UNEXPLAINED = "edge", "stuck", "jitter", "unexplained"

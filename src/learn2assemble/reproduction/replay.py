@@ -133,20 +133,16 @@ def replay_file(path: Path, rigid: Callable[[str], Physics] | None = None) -> Re
         log = Log(path)
         for line in log.lines:
             report.lines += 1
-            task = _task(line, report)
+            name = line["variant"]
+            if name not in VARIANTS:
+                raise InputError(f"{path.name} variant", name, f"one of {', '.join(VARIANTS)}")
+            task = get_task(VARIANTS[name])
             if rigid is not None and task.stability not in judges:
                 judges[task.stability] = rigid(task.stability)
             _replay_line(line, task, log, report, agreement, judges.get(task.stability))
     for name, found in agreement.items():
         setattr(report, name, sum(found) / len(found))
     return report
-
-
-def _task(line: Line, report: ReplayReport) -> Task:
-    name = line["variant"]
-    if name not in VARIANTS:
-        raise InputError(f"{report.file} variant", name, f"one of {', '.join(VARIANTS)}")
-    return get_task(VARIANTS[name])
 
 
 def _replay_line(
@@ -195,19 +191,15 @@ def _replay_line(
             agreement[f"valid_{name}_firm"].append(agrees)
         if not agrees:
             if robot:
-                why = _why_not_here(line, outcome)
+                # What an arm drops in mid-air may fall softly.
+                drop = outcome.centres[outcome.new, 2] - line["placed_after"][outcome.new][2]
+                why = "fell" if drop > HALF else UNEXPLAINED
             else:
                 why = explain(*outcome.structure, line["invalid"], speeds)
             report.disagreements.append(
                 {"line": report.lines, **note, "recorded_invalid": line["invalid"],
                  "physics": name, "why": why}
             )  # fmt: skip
-
-
-def _why_not_here(line: Line, outcome: _Outcome) -> str:
-    """Why static physics refuses what an arm has done: what it drops in mid-air may fall softly."""
-    drop = outcome.centres[outcome.new, 2] - line["placed_after"][outcome.new][2]
-    return "fell" if drop > HALF else UNEXPLAINED
 
 
 def _compare_pixels(
