@@ -239,47 +239,36 @@ def _robot_rows(agents: str, own: str) -> tuple[Row, ...]:
 # ---------------------------------------------------------------- columns
 
 
-def _column(
-    kind: str, grid: str, blocks: str, star: bool = False, *, suffix: str = "", objects: str = ""
-) -> Column:
-    paper = {"grid": grid, "blocks": blocks, **({"objects": objects} if objects else {})}
-    return Column(f"{kind}-{grid}-{blocks}{suffix}", star, paper)
+def _columns(
+    kind: str, *sizes: str, star: bool = True, suffix: str = "", objects: str = ""
+) -> tuple[Column, ...]:
+    """Tasks of a kind by grid and blocks; the agents were trained on the first of them, or not."""
+    found = []
+    for size in sizes:
+        grid, _, blocks = size.partition("-")
+        paper = {"grid": grid, "blocks": blocks, **({"objects": objects} if objects else {})}
+        found.append(Column(f"{kind}-{size}{suffix}", star and not found, paper))
+    return tuple(found)
 
 
 _SMALL = (
-    _column("two-sided", "3x3", "20-24", True), _column("two-sided", "3x3", "30-34"),
-    _column("two-sided", "3x3", "30-34", suffix="-trained-shapes"),
-)  # fmt: skip
-"""The published column 3x3 30-34 in both readings."""
-_T1_COLUMNS = (*_SMALL, _column("two-sided", "4x4", "20-24"))
-_T2_COLUMNS = (
-    *_SMALL, _column("two-sided", "4x4", "30-34"), _column("two-sided", "5x5", "40-44"),
-)  # fmt: skip
-_SIZES = tuple(
-    _column("two-sided", grid, blocks) for grid, blocks in (
-        ("6x6", "50-54"), ("8x8", "90-94"), ("10x10", "140-144"), ("12x12", "200-204"),
-    )
-)  # fmt: skip
-_CUBES_AND_BARS = "cube+horizontal2+vertical2"
-_A3_COLUMNS = (
-    _column("bars-one-sided", "5x5", "25-27", True, objects=_CUBES_AND_BARS),
-    _column("bars-one-sided", "5x5", "35-37", objects=_CUBES_AND_BARS),
-    _column("bars-one-sided", "6x6", "35-37", objects=_CUBES_AND_BARS),
-    _column("other-bars-one-sided", "5x5", "25-27", objects="different types (unspecified)"),
+    *_columns("two-sided", "3x3-20-24", "3x3-30-34"),
+    *_columns("two-sided", "3x3-30-34", star=False, suffix="-trained-shapes"),
 )
-_A5_COLUMNS = (
-    _column("robot-one-sided", "5x5", "15-17", True), _column("robot-one-sided", "6x6", "16-18"),
+"""The published column 3x3 30-34 in both readings."""
+_T1_COLUMNS = (*_SMALL, *_columns("two-sided", "4x4-20-24", star=False))
+_T2_COLUMNS = (*_SMALL, *_columns("two-sided", "4x4-30-34", "5x5-40-44", star=False))
+_SIZES = _columns(
+    "two-sided", "6x6-50-54", "8x8-90-94", "10x10-140-144", "12x12-200-204", star=False
+)
+_A3_COLUMNS = (
+    *_columns("bars-one-sided", "5x5-25-27", "5x5-35-37", "6x6-35-37",
+              objects="cube+horizontal2+vertical2"),
+    *_columns("other-bars-one-sided", "5x5-25-27", star=False,
+              objects="different types (unspecified)"),
 )  # fmt: skip
-
-
-def _objects(kind: str) -> tuple[Column, ...]:
-    sizes = (("5x5", "20-24"), ("5x5", "30-34"), ("6x6", "30-34"))
-    return tuple(_column(kind, *size, size == sizes[0]) for size in sizes)
-
-
-def _two_sided(kind: str, star: bool) -> tuple[Column, ...]:
-    sizes = (("3x3", "10-14"), ("3x3", "14-18"), ("5x5", "14-18"))
-    return tuple(_column(kind, *size, star and size == sizes[0]) for size in sizes)
+_OBJECT_SIZES = ("5x5-20-24", "5x5-30-34", "6x6-30-34")
+_TWO_SIZES = ("3x3-10-14", "3x3-14-18", "5x5-14-18")
 
 
 # ---------------------------------------------------------------- tables
@@ -342,12 +331,13 @@ _ALL = (
         {"source_table": "app_T3"}, other_discount=0.95,
     ),
     Table(
-        "T5", "Several objects (main Table 5, row without robot)", _objects("objects-two-sided"),
+        "T5", "Several objects (main Table 5, row without robot)",
+        _columns("objects-two-sided", *_OBJECT_SIZES),
         (_played("objects")[1], *_own(OWN_OBJECTS), _LOOK_AHEAD), _NO_ROBOT, other_discount=0.8,
     ),
     Table(
         "A6", "Several objects (appendix Table 6, rows without robot)",
-        _objects("objects-two-sided"),
+        _columns("objects-two-sided", *_OBJECT_SIZES),
         (*_played("objects"), *_own(OWN_OBJECTS), _BUILDER, _LOOK_AHEAD),
         {**_NO_ROBOT, "source_table": "app_T6"}, other_discount=0.8,
     ),
@@ -382,19 +372,18 @@ _ALL = (
     ),
     Table(
         "T3", "Four sides with a robot (main Table 3)",
-        (_column("robot-four-sided", "3x3", "10-18", True),
-         _column("robot-four-sided", "3x3", "16-24")),
+        _columns("robot-four-sided", "3x3-10-18", "3x3-16-24"),
         _robot_rows("robot-four-sided", "relational-four-sided"), {"source_table": "main_T3"},
         FIDELITIES, notes=_SEARCHES,
     ),
     Table(
         "T4", "Two sides with a robot, blocks waiting in rows (main Table 4)",
-        _two_sided("robot-two-sided", True), _TWO_ROWS,
+        _columns("robot-two-sided", *_TWO_SIZES), _TWO_ROWS,
         {"source_table": "main_T4", "experiment": "robot_2_sided"}, FIDELITIES, notes=_SEARCHES,
     ),
     Table(
         "T4-random", "Two sides with a robot, blocks waiting anywhere (main Table 4)",
-        _two_sided("robot-random-two-sided", False), _TWO_ROWS,
+        _columns("robot-random-two-sided", *_TWO_SIZES, star=False), _TWO_ROWS,
         {"source_table": "main_T4", "experiment": "robot_2_sided_random_layout"}, FIDELITIES,
         notes=(*_SEARCHES, "The agents were trained with blocks waiting in rows."),
     ),
@@ -407,7 +396,8 @@ _ALL = (
                "shape, which decide what is valid, and the agents do not."),
     ),
     Table(
-        "A5", "Training with a robot or without (appendix Table 5; played with it)", _A5_COLUMNS,
+        "A5", "Training with a robot or without (appendix Table 5; played with it)",
+        _columns("robot-one-sided", "5x5-15-17", "6x6-16-18"),
         (*(Row(f"DQN trained {how} robot", stem, paper={"method": f"DQN trained {how} robot"})
            for how, stem in (("with", "robot-one-sided"), ("without", "one-sided"))),
          _LOOK_AHEAD),
@@ -415,12 +405,12 @@ _ALL = (
     ),
     Table(
         "T5-robot", "Several objects with a robot (main Table 5)",
-        _objects("robot-objects-two-sided"), _OBJECT_ROWS[1:], _ROBOT_OBJECTS, FIDELITIES,
-        other_discount=0.8, notes=_SEARCHES,
+        _columns("robot-objects-two-sided", *_OBJECT_SIZES), _OBJECT_ROWS[1:], _ROBOT_OBJECTS,
+        FIDELITIES, other_discount=0.8, notes=_SEARCHES,
     ),
     Table(
         "A6-robot", "Several objects with a robot (appendix Table 6)",
-        _objects("robot-objects-two-sided"), _OBJECT_ROWS,
+        _columns("robot-objects-two-sided", *_OBJECT_SIZES), _OBJECT_ROWS,
         {**_ROBOT_OBJECTS, "source_table": "app_T6"}, FIDELITIES, other_discount=0.8,
         notes=_SEARCHES,
     ),
