@@ -228,10 +228,9 @@ def _run_scaling(options: argparse.Namespace, output: Output) -> None:
     rows = curves.load_scaled(options.out.parent, found["entries"])
     path: Path = options.out / f"{curves.SIZES}.png"
     curves.write_curves(
-        "Targets larger than those of training (DQN: 3x3, ours: 5x5)",
-        rows,
-        "ε = 0. Decisions: of one core, worlds a third built, "
-        f"{curves.TIMED_WORLDS} at a time.", path, curves.SCALING, "grid",
+        "Targets larger than those of training (DQN: 3x3, ours: 5x5)", rows,
+        f"ε = 0. Decisions: of one core, worlds a third built, {curves.TIMED_WORLDS} at a time.",
+        path, curves.SCALING, "grid",
     )  # fmt: skip
     output.table("targets by size", ("row", "grid", *curves.SCALING), [
         (r.label, int(grid), *[float(r.mean[key][n]) for key in curves.SCALING])

@@ -73,8 +73,7 @@ RULES = {
 
 
 class _FailedError(Exception):
-    def __init__(self, outcome: Outcome, stage: str, detail: str = "") -> None:
-        self.args = (outcome, stage, detail)
+    """Outcome, stage and perhaps a detail."""
 
 
 class PublishedCell:
@@ -122,8 +121,7 @@ class PublishedCell:
             self._place(top)
             self._compare()
         except _FailedError as failure:
-            outcome, stage, detail = failure.args
-            return Attempt(outcome, stage, detail, after=self._after())
+            return Attempt(*failure.args, after=self._after())
         return Attempt(Outcome.REACHED, after=self._after())
 
     def _grasp(self) -> None:
