@@ -41,7 +41,7 @@ LARGE: dict[str, tuple[Callable[[], np.ndarray], float]] = {
             (4, 8, 4, 8), (28, 32, 4, 8), (4, 8, 12, 16), (17, 21, 12, 16), (28, 32, 12, 16),
         )), 10.0,
     ),
-    "tower of 16x16x40 cells": (shapes.big_tower, 30.0),
+    "tower of 16x16x40 cells": (lambda: shapes.tower(16, 16, 40, 3, 5), 30.0),
     "tower of about 1,050 blocks": (lambda: shapes.tower(20, 20, 50, 3, 5), 30.0),
     "2,000 blocks": (lambda: shapes.tower(28, 28, 64, 3, 5), 120.0),
 }  # fmt: skip

@@ -50,7 +50,6 @@ from learn2assemble.world.blocks import DIRECTIONS, EDGE, HALF
 from learn2assemble.world.rules import (
     REWARDS,
     count_row,
-    cover_block,
     last_object,
     move_block,
     recover_all,
@@ -192,7 +191,8 @@ def _replay_line(
         if not agrees:
             if robot:
                 # What an arm drops in mid-air may fall softly.
-                drop = outcome.centres[outcome.new, 2] - line["placed_after"][outcome.new][2]
+                centres, _, new = outcome.structure
+                drop = centres[new, 2] - line["placed_after"][new][2]
                 why = "fell" if drop > HALF else UNEXPLAINED
             else:
                 why = explain(*outcome.structure, line["invalid"], speeds)
@@ -244,16 +244,9 @@ class _Outcome(NamedTuple):
     valid: bool
     reward: float
     done: bool
-    centres: np.ndarray
-    """float64[n, 3]: the placed blocks with the new object where it was commanded [m]."""
-    object_id: np.ndarray
-    """int64[n]."""
-    new: int
-    """First cell of the new object."""
-
-    @property
-    def structure(self) -> tuple[np.ndarray, np.ndarray, int]:
-        return self.centres, self.object_id, self.new
+    structure: tuple[np.ndarray, np.ndarray, int]
+    """Centres float64[n, 3] [m] of the placed blocks with the new object where it was commanded,
+    their objects int64[n], and the first cell of the new one."""
 
 
 def _repeat(
@@ -278,18 +271,14 @@ def _repeat(
     if not task.touching:
         # An arm leaves blocks some tenths of a millimetre beside their places.
         state.position[0, :count] = line["placed_after"]
-    if physics.moves_blocks or not task.touching:
-        recover_all(state, 0, scene.frames, scene.depths)
-    else:
-        for block in range(new, count):
-            cover_block(state, 0, scene.frames, block, scene.depths)
+    recover_all(state, 0, scene.frames, scene.depths)
     count_row(state, 0)
     valid = bool(verdict == Verdict.STABLE)
     reward, done, _ = reward_and_end(
         state, 0, previous, valid, REWARDS[task.reward], task.success_threshold
     )
     state.quaternion[0] = (1.0, 0.0, 0.0, 0.0)
-    return _Outcome(valid, reward, done, centres, object_id, new)
+    return _Outcome(valid, reward, done, (centres, object_id, new))
 
 
 CLASSES = {

@@ -69,11 +69,6 @@ def tower(x: int, y: int, z: int, thick: int, storey: int = 0) -> Cells:
     return cells
 
 
-def big_tower() -> Cells:
-    """16 x 16 x 40 cells."""
-    return tower(16, 16, 40, 3, 5)
-
-
 def stairs(steps: int, width: int, tread: int = 2, rise: int = 1) -> Cells:
     """Solid stairs along x."""
     cells = np.zeros((steps * tread, width, steps * rise), bool)

@@ -13,6 +13,7 @@ import numpy as np
 
 from learn2assemble.errors import InputError, look_up
 from learn2assemble.physics.protocol import Physics
+from learn2assemble.reproduction.bullet.contacts import HAND, TABLE
 from learn2assemble.reproduction.bullet.world import (
     GRASP_STARTS,
     HOME,
@@ -137,7 +138,7 @@ class PublishedCell:
         self._servo(joints, APPROACH_STEPS)
         if self.rules.objects:
             waiting = np.arange(scene.num_placed, len(scene.position))
-            if self.world.hand_touches(waiting):
+            if self.world.touches(HAND, waiting):
                 raise _FailedError(Outcome.GRASP_COLLISION, "grasp contact")
             if not self._travel[waiting].max() <= WATCH_LIMIT:
                 raise _FailedError(Outcome.GRASP_COLLISION, "grasp speed")
@@ -155,15 +156,15 @@ class PublishedCell:
             point = _over(move.target, height)
             joints = self._solve(point, rotation, joints, f"waypoint {number}")
             self._servo(joints, steps, point)
-            if number == 1 and rules.objects and self.world.table_touches(move.cell):
+            if number == 1 and rules.objects and self.world.touches(TABLE, np.array([move.cell])):
                 raise _FailedError(Outcome.PLACE_COLLISION, "table contact")
         placed = np.arange(scene.num_placed)
-        if self.world.hand_touches(placed):
+        if self.world.touches(HAND, placed):
             raise _FailedError(Outcome.PLACE_COLLISION, "contact before opening")
         self.world.release()
         self._travel[:] = 0
         self._idle(OPEN_STEPS)
-        if self.world.hand_touches(placed):
+        if self.world.touches(HAND, placed):
             raise _FailedError(Outcome.PLACE_COLLISION, "contact after opening")
         if not self._travel[placed].max(initial=0) <= RELEASE_LIMIT:
             raise _FailedError(Outcome.DISTURBED_STRUCTURE, "speed after opening")

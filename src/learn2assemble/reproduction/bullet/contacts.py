@@ -28,9 +28,8 @@ SLOW = 1e-3
 """A body slower than this [m/s] is still ..."""
 REST = 10
 """... and after so many steps asleep, with all it touches."""
-HAND = 1
-FIRST = 2
-"""First of the free bodies."""
+TABLE, HAND, FIRST = 0, 1, 2
+"""Bodies: the world, the hand, and the first of the free ones."""
 
 
 @njit(cache=True)

@@ -309,16 +309,10 @@ class BulletWorld:
         """Let go."""
         self._held = -1
 
-    def hand_touches(self, cells: np.ndarray) -> bool:
-        """Whether the hand touched the object of any of these cells in the last step."""
-        bodies = self._body[cells]
-        pairs = self._touching[(self._touching == HAND).any(1)]
-        return bool(np.isin(pairs, bodies).any())
-
-    def table_touches(self, cell: int) -> bool:
-        """Whether the object of a cell touched the table in the last step."""
-        pairs = self._touching[(self._touching == 0).any(1)]
-        return bool((pairs == self._body[cell]).any())
+    def touches(self, body: int, cells: np.ndarray) -> bool:
+        """Whether hand or table touched the object of any of these cells in the last step."""
+        pairs = self._touching[(self._touching == body).any(1)]
+        return bool(np.isin(pairs, self._body[cells]).any())
 
     def centres(self) -> np.ndarray:
         """float64[n, 3]: of all cells [m]."""
