@@ -155,13 +155,9 @@ def episode_generators(seed: int) -> tuple[np.random.Generator, np.random.Genera
 
 
 def run_episodes(
-    task: Task,
-    policy: Policy,
-    episodes: int,
-    seed: int,
-    physics: Physics | None = None,
-    progress: Callable[[int], None] | None = None,
-) -> Metrics:
+    task: Task, policy: Policy, episodes: int, seed: int, physics: Physics | None = None,
+    progress: Callable[[int], None] = lambda done: None,
+) -> Metrics:  # fmt: skip
     """Play ``episodes`` fresh problems of ``task`` to their end; means over them.
 
     Args:
@@ -193,43 +189,41 @@ def run_episodes(
 
 
 def play_episodes(
-    simulator: Simulator,
-    policy: Policy,
-    episodes: int,
-    seed: int,
-    progress: Callable[[int], None] | None = None,
-) -> Episodes:
+    simulator: Simulator, policy: Policy, episodes: int, seed: int,
+    progress: Callable[[int], None] = lambda done: None,
+) -> Episodes:  # fmt: skip
     """Play ``episodes`` fresh problems to their end; arguments as in :func:`run_episodes`."""
     problem_rng, policy_rng = episode_generators(seed)
     parts: list[Episodes] = []
     for start in range(0, episodes, BATCH):
         state = simulator.new(min(BATCH, episodes - start), problem_rng)
         parts.append(_play(simulator, state, policy, policy_rng))
-        if progress is not None:
-            progress(start + state.batch_size)
+        progress(start + state.batch_size)
     return Episodes(*[np.concatenate(column) for column in zip(*parts, strict=True)])
 
 
 def _play(simulator: Simulator, state: State, policy: Policy, rng: np.random.Generator) -> Episodes:
     """Every row of ``state`` to its end."""
-    batch = state.batch_size
-    gammas = np.array([simulator.task.discount, *DISCOUNTS])
-    returns, count = np.zeros((batch, len(gammas))), np.zeros(batch, np.int64)
-    failed, success = np.zeros(batch, np.bool_), np.zeros(batch, np.bool_)
-    coverage, verdict = np.zeros(batch), np.zeros(batch, np.int8)
+    batch, gammas = state.batch_size, np.array([simulator.task.discount, *DISCOUNTS])
+    found = Episodes(
+        np.zeros(batch), np.zeros((batch, len(gammas))), np.zeros(batch, np.int64),
+        np.zeros(batch, np.bool_), np.zeros(batch, np.bool_), np.zeros(batch),
+        np.zeros(batch, np.int8),
+    )  # fmt: skip
     rows, discount = np.arange(batch), np.ones(len(gammas))
     while len(rows):
         step = simulator.step(state, policy(state, rng))
-        returns[rows] += discount * step.reward[:, None]
+        found.returns_at[rows] += discount * step.reward[:, None]
         discount = discount * gammas
-        count[rows] += 1
-        failed[rows] = step.verdict != 0
-        verdict[rows] = step.verdict
-        success[rows] = step.success
-        coverage[rows] = state.complete_coverage
+        found.actions[rows] += 1
+        found.failed[rows] = step.verdict != 0
+        found.verdict[rows] = step.verdict
+        found.success[rows] = step.success
+        found.coverage[rows] = state.complete_coverage
         going = np.flatnonzero(~step.terminated)
         rows, state = rows[going], state.take(going)
-    return Episodes(returns[:, 0], returns[:, 1:], count, failed, success, coverage, verdict)
+    returns = found.returns_at
+    return found._replace(returns=returns[:, 0], returns_at=returns[:, 1:])
 
 
 SEARCH_MODELS: Registry[Callable[[WorldModel], SearchModel]] = Registry("search model", {})
@@ -287,7 +281,7 @@ def evaluate(
     physics: str | Physics | None = None,
     arm: str | None = None,
     search_model: Callable[[WorldModel], SearchModel] | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], None] = lambda done: None,
 ) -> Evaluation:
     """Let an agent play whole episodes; the paper's metrics.
 
