@@ -109,7 +109,7 @@ def plan_with_agent(
     missing = tuple(world.cells_open())
     tiling = Tiling(
         placements, site.wanted, "complete" if world.complete else "incomplete",
-        _reason(outcome, seconds), missing, spent,
+        _reason(outcome, seconds), missing,
     )  # fmt: skip
     ordering = Ordering((), tiling.status, tiling.reason)
     if world.complete and world.propped:
