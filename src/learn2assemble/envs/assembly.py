@@ -43,6 +43,7 @@ from learn2assemble.world.state import State
 WAITING_REACH = 1.25
 """No waiting block and no target is farther from the origin than this along an axis [m]."""
 RENDER_MODES = ("ansi", "rgb_array")
+_VERDICTS = {verdict.value: verdict.name for verdict in Verdict}
 
 
 # ---------------------------------------------------------------- spaces and actions
@@ -292,10 +293,10 @@ class _Worlds:
         """Step every world that has not ended; what happened, and what infos say of it."""
         actions, clipped = resolve_actions(self.task, self.state, self._checked(flat))
         done = self.simulator.step(self.state, actions)
-        self._ended = done.terminated.copy()
+        self._ended = done.terminated
         columns = done.verdict.tolist(), done.success.tolist(), clipped.tolist()
         return done, [
-            {"verdict": Verdict(verdict).name, "success": success, "clipped": changed}
+            {"verdict": _VERDICTS[verdict], "success": success, "clipped": changed}
             for verdict, success, changed in zip(*columns, strict=True)
         ]
 
@@ -517,7 +518,7 @@ class AssemblyVectorEnv(_Worlds, VectorEnv[dict[str, np.ndarray], np.ndarray, np
         if self.autoreset_mode is AutoresetMode.DISABLED and restarted.any():
             raise ResetNeeded("some worlds have ended: reset them with options['reset_mask']")
         done, told = self._place(actions)
-        ended, final = done.terminated, {}
+        ended, final = done.terminated.copy(), {}
         stepped = ~restarted
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             final = self._final(ended, told)
