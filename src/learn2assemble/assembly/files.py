@@ -32,6 +32,7 @@ from learn2assemble.files import (
     boolean,
     check_keys,
     decoded,
+    from_plain,
     integer,
     load_json,
     mapping,
@@ -41,6 +42,7 @@ from learn2assemble.files import (
     read_head,
     sequence,
     text,
+    to_plain,
     write_file,
 )  # fmt: skip
 
@@ -133,7 +135,7 @@ def to_json(assembly: Assembly) -> dict[str, Any]:
     ]
     return {
         "format": FORMAT, "version": VERSION, "units": "m", "friction": assembly.friction,
-        "blocks": blocks, "steps": _steps_json(assembly),
+        "blocks": blocks, "steps": [to_plain(step) for step in assembly.steps],
     }  # fmt: skip
 
 
@@ -164,7 +166,7 @@ def from_json(document: Any, source: str = "assembly") -> Assembly:
             )
         )
     friction = number(root.get("friction", 0.5), f"{source}: friction")
-    steps = _steps(root.get("steps", ()), source)
+    steps = from_plain(tuple[Step, ...], root.get("steps", ()), source, "steps")
     return Assembly(tuple(blocks), steps, friction)
 
 
@@ -212,7 +214,7 @@ def to_compas(assembly: Assembly) -> dict[str, Any]:
     }  # fmt: skip
     attributes = {
         "name": assembly.name or "Assembly", "friction": assembly.friction, "units": "m",
-        "steps": _steps_json(assembly),
+        "steps": [to_plain(step) for step in assembly.steps],
     }  # fmt: skip
     return {
         "dtype": _COMPAS_ASSEMBLIES[0],
@@ -273,7 +275,7 @@ def from_compas(document: Any, source: str = "assembly", unit: float = 1.0) -> A
         blocks.append(replace(made, colour=_colour(extra.get("colour"))))
     attributes = mapping(data.get("attributes") or {}, f"{source}: attributes")
     friction = number(attributes.get("friction", 0.5), f"{source}: friction")
-    steps = _steps(attributes.get("steps") or (), source)
+    steps = from_plain(tuple[Step, ...], attributes.get("steps") or (), source, "steps")
     name = attributes.get("name")
     return Assembly(tuple(blocks), steps, friction, name if isinstance(name, str) else "")
 
@@ -344,24 +346,6 @@ def _colour(value: Any) -> tuple[int, int, int] | None:
     if isinstance(value, list) and len(value) == 3 and all(type(k) is int for k in value):
         return (value[0], value[1], value[2])
     return None
-
-
-def _steps_json(assembly: Assembly) -> list[dict[str, str]]:
-    return [
-        {"place": step.place} if step.place is not None else {"remove": str(step.remove)}
-        for step in assembly.steps
-    ]
-
-
-def _steps(value: Any, source: str) -> tuple[Step, ...]:
-    steps = []
-    for place, entry in enumerate(sequence(value, f"{source}: steps", "a list")):
-        where = f"steps[{place}]"
-        step = mapping(entry, f"{source}: {where}")
-        check_keys(step, source, where, ("place", "remove"), ())
-        ids = {key: text(id_, f"{source}: {where}.{key}") for key, id_ in step.items()}
-        steps.append(Step(**ids))
-    return tuple(steps)
 
 
 def _with_supports(assembly: Assembly, supports: Collection[str]) -> Assembly:

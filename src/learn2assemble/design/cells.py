@@ -311,7 +311,7 @@ def _from_drawing(drawing: Drawing, given: _Options, name: str, source: str) -> 
                 paints = [(seen(contours, side), colour)
                           for contours, colour in drawing.paints.get(side, ())]  # fmt: skip
                 tint[:, k] = _tints(paints, palette, origin, (len(share), share.shape[2]))
-            pairs.append((axis, names, share, origin, tint))
+            pairs.append((axis, names, np.stack([share, tint]), origin))
     least = 3 if drawing.placed and len(boxes) > 2 else 1
     share, tint = _footprint(pairs, given, cell, least, drawing.placed)
     colours = None
@@ -376,43 +376,41 @@ def _prism(contour: np.ndarray, place: int) -> np.ndarray:
 
 
 def _footprint(
-    pairs: list[tuple[int, list[str], np.ndarray, np.ndarray, np.ndarray]],
+    pairs: list[tuple[int, list[str], np.ndarray, np.ndarray]],
     given: _Options, cell: Lengths, least: int, placed: bool,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Shares of the cells of all walls together, ``float64[X, Y, Z]``, and their tints alike."""
+    """Shares of the cells of all walls together, ``float64[X, Y, Z]``, and their tints alike.
+
+    Args:
+        pairs: axis, names, shares and tints (float64[2, across, walls, high]), and first cell.
+    """
     thick = [max(1, round((given.depth or edge) / edge)) for edge in cell]
     walls: dict[str, np.ndarray] = {}
-    tints: dict[str, np.ndarray] = {}
     spans = [0, 0]
-    for axis, names, share, origin, tint in pairs:
-        below = int(origin[2])
+    for axis, names, both, origin in pairs:
+        wide, below = both.shape[1], int(origin[2])
         across = sum(len(other[1]) for other in pairs if other[0] != axis)
         room = max(least, thick[axis] * across)  # for the walls of the other pair
-        low = round(2 * float(origin[0])) / 2 if placed else -len(share) / 2
-        half = max(-low, low + len(share), room / 2)
+        low = round(2 * float(origin[0])) / 2 if placed else -wide / 2
+        half = max(-low, low + wide, room / 2)
         if (2 * half) % 1 or (half + low) % 1:
             half += 0.5
         before = round(half + low)
-        after = round(2 * half) - before - len(share)
-        margin = ((before, after), (0, 0), (below, 0))
-        share, tint = np.pad(share, margin), np.pad(tint, margin)
-        spans[axis] = len(share)
-        walls |= {name: share[:, k] for k, name in enumerate(names)}
-        tints |= {name: tint[:, k] for k, name in enumerate(names)}
+        after = round(2 * half) - before - wide
+        both = np.pad(both, ((0, 0), (before, after), (0, 0), (below, 0)))
+        spans[axis] = both.shape[1]
+        walls |= {name: both[:, :, k] for k, name in enumerate(names)}
     for axis, pair in enumerate((SIDES[2:], SIDES[:2])):
         # Without the other pair, walls stand back to back.
         spans[axis] = max(spans[axis], thick[axis] * sum(side in walls for side in pair))
-    high = max(wall.shape[1] for wall in walls.values())
-    made, shown = np.zeros((*spans, high)), np.zeros((*spans, high), np.int64)
+    made = np.zeros((2, *spans, max(wall.shape[2] for wall in walls.values())))
     for name, wall in walls.items():
         axis = 1 if name in ("front", "back") else 0
         line = slice(0, thick[axis]) if name in ("front", "left") else slice(-thick[axis], None)
-        for whole, values in ((made, wall), (shown, tints[name])):
-            part = whole[:, line] if axis == 1 else whole[line].swapaxes(0, 1)
-            np.maximum(
-                part[:, :, : wall.shape[1]], values[:, None], out=part[:, :, : wall.shape[1]]
-            )
-    return made, shown
+        part = made[:, :, line] if axis == 1 else made[:, line].swapaxes(1, 2)
+        part = part[..., : wall.shape[2]]
+        np.maximum(part, wall[:, :, None], out=part)
+    return made[0], made[1].astype(np.int64)
 
 
 def _from_picture(content: bytes, given: _Options, name: str, source: str) -> CellDesign:
