@@ -15,7 +15,7 @@ import torch
 from learn2assemble.evaluation.episodes import make_policy, random_policy, run_episodes
 from learn2assemble.graph.batch import to_tensors
 from learn2assemble.graph.features import node_offset
-from learn2assemble.learning.config import TrainConfig, get_config, override
+from learn2assemble.learning.config import CONFIGS, TrainConfig, override
 from learn2assemble.learning.replay import Searched
 from learn2assemble.learning.run import run_training
 from learn2assemble.learning.trainer import (
@@ -206,7 +206,7 @@ def test_learner_solves_a_tiny_task(name: str) -> None:
     """
     base, samples, share, changes = LEARNERS[name]
     config = override(
-        get_config(base),
+        CONFIGS[base],
         ["network.width=32", "network.rounds=2", f"num_samples={samples}", "initial_samples=400",
          "epsilon_samples=2000", "replay_size=10000", "target_period=100", "num_envs=16", *changes],
     )  # fmt: skip
@@ -232,7 +232,7 @@ def test_learner_solves_a_tiny_task(name: str) -> None:
 def test_presets_can_be_trained(name: str, tmp_path: Path) -> None:
     """One round of learning on the smallest and the largest task of the table."""
     config = override(
-        get_config(name),
+        CONFIGS[name],
         ["network.width=16", "network.rounds=1", "num_samples=8", "num_envs=4", "batch_size=4",
          "initial_samples=4", "replay_size=16", "updates_per_round=1"],
     )  # fmt: skip

@@ -22,7 +22,7 @@ from learn2assemble.networks.agent import load_agent
 from learn2assemble.networks.config import NETWORKS, NetworkConfig, register_network
 from learn2assemble.networks.qnetwork import QFactors
 from learn2assemble.registry import Registry
-from learn2assemble.search.config import SEARCHES, SearchConfig, get_search, register_search
+from learn2assemble.search.config import SEARCHES, SearchConfig, register_search
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import Task
 from learn2assemble.world.blocks import OBJECT_SETS, SHAPES, Shape, inventory, register_object_set
@@ -99,7 +99,7 @@ def test_a_learner_of_ones_own_chooses_search_and_loss() -> None:
 def test_a_search_of_ones_own_has_a_name() -> None:
     mine = SearchConfig(budget=7, widening=0.5)
     register_search("mine", mine)
-    assert get_search("mine") == mine
+    assert SEARCHES["mine"] == mine
 
 
 def test_objects_of_ones_own_are_drawn_and_built() -> None:
@@ -152,7 +152,7 @@ def test_what_is_not_registered_is_unknown() -> None:
     for make in (
         lambda: NetworkConfig(encoder="per-node"),
         lambda: TrainConfig(method="mine"),
-        lambda: get_search("mine"),
+        lambda: SEARCHES["mine"],
         lambda: inventory("bent"),
         lambda: Task("t", num_sides=1, grid=3, num_nodes=20, objects="bent"),
     ):

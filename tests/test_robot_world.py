@@ -24,7 +24,7 @@ from learn2assemble.geometry.support import (
     classify_object,
     find_fillers,
 )
-from learn2assemble.learning.config import fit_to, get_config
+from learn2assemble.learning.config import CONFIGS, fit_to
 from learn2assemble.learning.trainer import Trainer
 from learn2assemble.networks.agent import make_network
 from learn2assemble.physics.equilibrium import is_stable
@@ -202,7 +202,7 @@ def test_the_tolerant_camera_sees_blocks_that_stand_beside_their_places() -> Non
 def test_the_legacy_search_keeps_a_cover_that_was_never_normalised() -> None:
     sim = Simulator(TWO)
     state = sim.new(20, np.random.default_rng(2))
-    network = make_network(fit_to(get_config("published"), TWO).network)
+    network = make_network(fit_to(CONFIGS["published"], TWO).network)
     legacy = LegacyModel(WorldModel(sim, network), np.random.default_rng(0))
     actions = np.tile([0, 0, 0], (20, 1))
     after = legacy.step(state, actions).states.state
@@ -474,7 +474,7 @@ SMALL = TWO.replace(name="small", grid=2, num_nodes=14, min_mask_pixels=20)
 @pytest.mark.parametrize("name", ["published", "relational"])
 def test_networks_learn_and_search_there(task: Task, name: str) -> None:
     config = dataclasses.replace(
-        fit_to(get_config(name), task), num_envs=3, initial_samples=6, batch_size=4, replay_size=40
+        fit_to(CONFIGS[name], task), num_envs=3, initial_samples=6, batch_size=4, replay_size=40
     )
     trainer = Trainer(task, config, 0)
     before = [p.clone() for p in trainer.online.parameters()]
@@ -499,7 +499,7 @@ def test_networks_learn_and_search_there(task: Task, name: str) -> None:
 def test_what_needs_touching_blocks_says_so(task: Task) -> None:
     """Bounds and symmetries are those of touching blocks."""
     assert not has_bound(task)
-    fitted = fit_to(get_config("published"), task)
+    fitted = fit_to(CONFIGS["published"], task)
     assert not fitted.augment
     assert fitted.network.action_mode == task.action_mode
     assert fitted.network.pitch == task.pitch

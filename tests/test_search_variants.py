@@ -17,7 +17,6 @@ from learn2assemble.search.config import (
     TO_THE_END,
     GumbelConfig,
     SearchConfig,
-    get_search,
     training_search,
 )
 from learn2assemble.search.mcts import completed_policy, final_key, gumbel_scores, search
@@ -87,7 +86,7 @@ def test_eps_mcts_expands_the_best_by_q(seed: int, budget: int, epsilon: float) 
     model = random_tree(seed)
     q = [edge.q for edge in model.edges["root"]]
     config = dataclasses.replace(
-        get_search("eps-mcts"), budget=budget, epsilon=epsilon, random_first=False
+        SEARCHES["eps-mcts"], budget=budget, epsilon=epsilon, random_first=False
     )
     decision = search(model, root(), config, np.random.default_rng(seed))[0]
     assert list(decision.root.children)[: len(q)] == np.argsort([-v for v in q])[:budget].tolist()
@@ -101,7 +100,7 @@ def test_random_first_acts_without_search() -> None:
     model = random_tree(3)
     width = len(model.edges["root"])
     assert width > 1
-    config = dataclasses.replace(get_search("eps-mcts"), budget=1, epsilon=0.4)
+    config = dataclasses.replace(SEARCHES["eps-mcts"], budget=1, epsilon=0.4)
     decisions = search(model, root(*["root"] * 3000), config, np.random.default_rng(0))
     blind = [d for d in decisions if not d.explored()]
     assert len(blind) / 3000 == pytest.approx(0.4, abs=0.04)
@@ -218,7 +217,7 @@ def test_one_level_of_many_roots_is_one_step_and_two_evaluations(name: str) -> N
     model = Counting(
         TreeModel({"root": [Edge(n / 9, 0.1, "A") for n in range(9)], "A": [Edge(0.0, 0.0, None)]})
     )
-    config = dataclasses.replace(get_search(name), budget=7)
+    config = dataclasses.replace(SEARCHES[name], budget=7)
     search(model, root(*["root"] * 20), config, np.random.default_rng(0))
     assert {k: model.calls[k] for k in ("action_values", "step", "best")} == {
         "action_values": 1, "step": 1, "best": 1
@@ -227,7 +226,7 @@ def test_one_level_of_many_roots_is_one_step_and_two_evaluations(name: str) -> N
 
 def test_plain_uct_never_looks_at_q() -> None:
     model = Counting(random_tree(1))
-    config = dataclasses.replace(get_search("uct"), budget=60)
+    config = dataclasses.replace(SEARCHES["uct"], budget=60)
     search(model, root("root", "root"), config, np.random.default_rng(0))
     assert model.calls["legal"] > 0
     assert model.calls["action_values"] == model.calls["best"] == 0
@@ -362,8 +361,8 @@ def test_final_choices() -> None:
 
 def test_named_searches() -> None:
     """The published searches by name."""
-    assert get_search("dqn-mcts") == get_search("q-mcts") == SearchConfig()
-    uct = get_search("uct")
+    assert SEARCHES["dqn-mcts"] == SEARCHES["q-mcts"] == SearchConfig()
+    uct = SEARCHES["uct"]
     assert (uct.budget, uct.exploration, uct.prior, uct.repeats) == (1000, 2.0, False, True)
     assert (uct.rollout, uct.rollout_policy) == (TO_THE_END, "random")
     training = training_search("eps-mcts", 5, 0.3)
@@ -371,7 +370,7 @@ def test_named_searches() -> None:
     assert training.random_first
     assert not training.repeats
     with pytest.raises(UnknownNameError, match="did you mean 'gumbel'"):
-        get_search("gumbl")
+        SEARCHES["gumbl"]
 
 
 @pytest.mark.parametrize("name", SEARCHES)

@@ -13,7 +13,7 @@ import torch
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.graph.batch import to_tensors
 from learn2assemble.graph.features import node_offset
-from learn2assemble.learning.config import CONFIGS, TrainConfig, fit_to, get_config, override
+from learn2assemble.learning.config import CONFIGS, TrainConfig, fit_to, override
 from learn2assemble.learning.run import choose_device
 from learn2assemble.learning.trainer import Trainer, epsilon_greedy
 from learn2assemble.networks.config import NetworkConfig
@@ -103,13 +103,13 @@ def test_start_from_another_network() -> None:
 def test_configurations_survive_json() -> None:
     for config in CONFIGS.values():
         assert TrainConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
-    assert get_config("paper").batch_size == 32
-    assert get_config("paper").target_period == 1250
+    assert CONFIGS["paper"].batch_size == 32
+    assert CONFIGS["paper"].target_period == 1250
 
 
 def test_override() -> None:
     config = override(
-        get_config("published"),
+        CONFIGS["published"],
         ["learning_rate=3e-4", "network.heads=1", "augment=FALSE", "network.connectivity=full",
          "num_envs=7"],
     )  # fmt: skip
@@ -118,7 +118,7 @@ def test_override() -> None:
     assert config.augment is False
     assert config.network.connectivity == "full"
     assert config.num_envs == 7
-    assert get_config("published").network.heads != 1, "the table is not changed"
+    assert CONFIGS["published"].network.heads != 1, "the table is not changed"
 
 
 BAD_SETTINGS = [
@@ -151,7 +151,7 @@ BAD_SETTINGS = [
 @pytest.mark.parametrize(("text", "words"), BAD_SETTINGS, ids=[t for t, _ in BAD_SETTINGS])
 def test_override_refuses(text: str, words: str) -> None:
     with pytest.raises(InputError, match=words) as caught:
-        override(get_config("published"), [text])
+        override(CONFIGS["published"], [text])
     assert "\n" not in str(caught.value)
 
 
@@ -161,7 +161,7 @@ def test_override_refuses(text: str, words: str) -> None:
 )
 def test_override_refuses_what_would_fail_later(text: str) -> None:
     with pytest.raises(InputError):
-        override(get_config("published"), [text])
+        override(CONFIGS["published"], [text])
 
 
 def test_own_learner_is_refused_what_does_not_go_with_it() -> None:
@@ -185,13 +185,13 @@ def test_network_with_other_actions_is_refused(count: int) -> None:
 
 
 def test_from_dict_refuses_unknown_names() -> None:
-    values = get_config("published").to_dict()
+    values = CONFIGS["published"].to_dict()
     with pytest.raises(UnknownNameError, match="did you mean 'num_envs'"):
         TrainConfig.from_dict(values | {"num_env": 3})
     with pytest.raises(UnknownNameError, match="did you mean 'heads'"):
         TrainConfig.from_dict(values | {"network": {"head": 3}})
     with pytest.raises(UnknownNameError, match="did you mean 'paper'"):
-        get_config("papre")
+        CONFIGS["papre"]
 
 
 def test_with_an_arm_our_network_looks_around_the_hand() -> None:
@@ -204,7 +204,7 @@ def test_with_an_arm_our_network_looks_around_the_hand() -> None:
         ("relational", get_task("two-sided-3x3-20-24"), False),
         ("published", robot, False),
     ):
-        fitted = fit_to(get_config(name), task)
+        fitted = fit_to(CONFIGS[name], task)
         assert fitted.network.hand == expected, (name, task.name)
         assert override(fitted, ["network.hand=false"]).network.hand is False
     older = {k: v for k, v in dataclasses.asdict(RELATIONAL).items() if k != "hand"}

@@ -18,7 +18,7 @@ import torch
 
 from learn2assemble.assembly.blocks import Assembly, box_block
 from learn2assemble.assembly.kit import load_kit
-from learn2assemble.learning.config import get_config
+from learn2assemble.learning.config import CONFIGS
 from learn2assemble.learning.trainer import Trainer
 from learn2assemble.networks.agent import make_network
 from learn2assemble.physics.rigid import RigidPhysics
@@ -179,7 +179,7 @@ def _decisions(config: str, worlds: int, seconds: float) -> float:
     torch.set_num_threads(1)
     simulator = Simulator(get_task(TASK))
     rng = np.random.default_rng(0)
-    model = WorldModel(simulator, make_network(get_config(config).network).eval())
+    model = WorldModel(simulator, make_network(CONFIGS[config].network).eval())
     states = simulator.new(64, rng)
     for _ in range(3):
         # Worlds a few blocks on are like those that searches meet.
@@ -197,7 +197,7 @@ def _decisions(config: str, worlds: int, seconds: float) -> float:
 def _gradient_steps(config: str, seconds: float) -> float:
     """Of a configuration, memory filled by its first steps."""
     torch.set_num_threads(1)
-    trainer = Trainer(get_task(TASK), get_config(config), seed=0)
+    trainer = Trainer(get_task(TASK), CONFIGS[config], seed=0)
     while trainer.replay.length < 1024:
         trainer.collect()
 

@@ -20,7 +20,7 @@ from learn2assemble.planning.agent.network import Builder, is_builder, load_buil
 from learn2assemble.planning.agent.tasks import TaskModel
 from learn2assemble.planning.world_model import WorldModel, lookahead_actions
 from learn2assemble.registry import Registry
-from learn2assemble.search.config import SearchConfig, get_search
+from learn2assemble.search.config import SEARCHES, SearchConfig
 from learn2assemble.search.mcts import search
 from learn2assemble.search.tree import SearchModel
 from learn2assemble.simulator import Simulator
@@ -262,7 +262,7 @@ def search_config(
     if search is None or search == "none":
         return None
     if isinstance(search, str):
-        search = get_search("dqn-mcts" if search == "mcts" else search)
+        search = SEARCHES["dqn-mcts" if search == "mcts" else search]
     chosen = {name: value for name, value in given.items() if value is not None}
     return replace(search, epsilon=epsilon, **chosen)
 

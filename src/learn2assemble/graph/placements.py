@@ -195,13 +195,15 @@ class Placements(NamedTuple):
 
 
 @njit(cache=True, inline="always")
-def _enter_cell(table, stamp, stamps, keys, cell, cells, count):
-    """Number of a cell among ``cells`` float32[K, 3], ``count`` of which are known; a new one is
-    entered as the next. -1 where there is no room."""
-    number = enter(table, stamp, stamps, keys, cell_key(cell[0], cell[1], cell[2]), count)
+def _enter_cell(table, row, stamps, keys, cell, cells, num_cells):
+    """Number of a cell among the ``num_cells[row]`` known ones in ``cells`` float32[K, 3]; a new
+    one is entered as the next. -1 where there is no room."""
+    count = num_cells[row]
+    number = enter(table, row, stamps, keys, cell_key(cell[0], cell[1], cell[2]), count)
     if number == count:
         if number >= len(cells):
             return -1
+        num_cells[row] += 1
         for axis in range(3):
             cells[number, axis] = cell[axis]
     return number
@@ -257,21 +259,17 @@ def _enumerate(
                         for k in range(size):
                             c = _enter_cell(
                                 tables[2], row, stamps[2], keys[2], cells[k], out_cells[row],
-                                num_cells[row],
+                                num_cells,
                             )  # fmt: skip
                             if c < 0:
                                 return False
-                            num_cells[row] = max(num_cells[row], c + 1)
                             out_members[row, n, k] = c
                         count[row] += 1
         for block in range(num_targets[row], first):
-            c = _enter_cell(
-                tables[2], row, stamps[2], keys[2], nodes[row, block], out_cells[row],
-                num_cells[row],
-            )  # fmt: skip
-            if c < 0:
+            if _enter_cell(
+                tables[2], row, stamps[2], keys[2], nodes[row, block], out_cells[row], num_cells
+            ) < 0:  # fmt: skip
                 return False
-            num_cells[row] = max(num_cells[row], c + 1)
     return True
 
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from learn2assemble.errors import InputError, check_fields, check_name, look_up
+from learn2assemble.errors import InputError, check_fields, check_name
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.registry import Registry
 from learn2assemble.search.config import SearchConfig, training_search
@@ -181,7 +181,14 @@ def register_learner(name: str, learner: Learner) -> None:
     METHODS.register(name, learner)
 
 
-CONFIGS: dict[str, TrainConfig] = {
+_RELATIONAL = TrainConfig(
+    network=NetworkConfig(encoder="relational", rounds=2), num_samples=100_000,
+    learning_rate=1e-3, final_learning_rate=3e-5, epsilon_samples=20_000, batch_size=32,
+    updates_per_round=4, dense_weight=1.0,
+)  # fmt: skip
+"""Our own method."""
+
+CONFIGS: Registry[TrainConfig] = Registry("config", {
     "paper": TrainConfig(
         network=NetworkConfig(feed_forward="wide"), num_samples=500_000, num_envs=4,
         steps_per_round=25, updates_per_round=25, batch_size=32, learning_rate=1e-4,
@@ -193,18 +200,12 @@ CONFIGS: dict[str, TrainConfig] = {
         num_samples=240_000, learning_rate=2e-3, final_learning_rate=1e-4, epsilon_samples=25_000,
         batch_size=32, updates_per_round=4, augment=True,
     ),
-    # Our own method.
-    "relational": TrainConfig(
-        network=NetworkConfig(encoder="relational", rounds=2), num_samples=100_000,
-        learning_rate=1e-3, final_learning_rate=3e-5, epsilon_samples=20_000, batch_size=32,
-        updates_per_round=4, dense_weight=1.0,
+    "relational": _RELATIONAL,
+    # Objects of several cells have ten times as many placements.
+    "relational-objects": dataclasses.replace(
+        _RELATIONAL, num_samples=60_000, replay_size=20_000, epsilon_samples=15_000, batch_size=16
     ),
-}  # fmt: skip
-# Objects of several cells have ten times as many placements.
-CONFIGS["relational-objects"] = dataclasses.replace(
-    CONFIGS["relational"], num_samples=60_000, replay_size=20_000, epsilon_samples=15_000,
-    batch_size=16,
-)  # fmt: skip
+})  # fmt: skip
 
 
 def fit_to(config: TrainConfig, task: Task) -> TrainConfig:
@@ -217,12 +218,3 @@ def fit_to(config: TrainConfig, task: Task) -> TrainConfig:
     )  # fmt: skip
     augment = config.augment and task.objects == "cubes" and task.touching
     return dataclasses.replace(config, network=network, augment=augment)
-
-
-def get_config(name: str) -> TrainConfig:
-    """The configuration called ``name``.
-
-    Raises:
-        UnknownNameError: naming the nearest one.
-    """
-    return look_up("config", name, CONFIGS)

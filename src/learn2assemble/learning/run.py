@@ -38,7 +38,7 @@ from learn2assemble.files import (
     text,
     write_file,
 )
-from learn2assemble.learning.config import TrainConfig, fit_to, get_config, override
+from learn2assemble.learning.config import CONFIGS, TrainConfig, fit_to, override
 from learn2assemble.learning.trainer import Trainer
 from learn2assemble.networks.agent import Agent, load_agent, save_agent
 from learn2assemble.tasks import NO_ARM, Task, get_task
@@ -231,7 +231,7 @@ def train(
 
 
 def _fitted(config: str | TrainConfig, task: Task) -> TrainConfig:
-    return fit_to(get_config(config) if isinstance(config, str) else config, task)
+    return fit_to(CONFIGS[config] if isinstance(config, str) else config, task)
 
 
 def train_seeds(

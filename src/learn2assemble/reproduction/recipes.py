@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from learn2assemble.errors import InputError
-from learn2assemble.learning.config import TrainConfig, fit_to, get_config, override
+from learn2assemble.learning.config import CONFIGS, TrainConfig, fit_to, override
 from learn2assemble.learning.run import run_training
 from learn2assemble.networks.agent import load_agent, one_thread
 from learn2assemble.tasks import get_task
@@ -32,7 +32,7 @@ class Stage:
     changes: tuple[str, ...] = ()
 
     def resolve(self, task: str) -> TrainConfig:
-        return override(fit_to(get_config(self.config), get_task(task)), list(self.changes))
+        return override(fit_to(CONFIGS[self.config], get_task(task)), list(self.changes))
 
 
 @dataclass(frozen=True)

@@ -141,7 +141,7 @@ SEARCHES: Registry[SearchConfig] = Registry("search", {
 
 
 def register_search(name: str, search: SearchConfig) -> None:
-    """Make a search known by name, to :func:`get_search` and every command that takes one.
+    """Make a search known by name, in :data:`SEARCHES`, to every command that takes one.
 
     Raises:
         InputError: for a name that is taken.
@@ -149,15 +149,6 @@ def register_search(name: str, search: SearchConfig) -> None:
     SEARCHES.register(name, search)
 
 
-def get_search(name: str) -> SearchConfig:
-    """The search called ``name``.
-
-    Raises:
-        UnknownNameError: naming the nearest one.
-    """
-    return SEARCHES[name]
-
-
 def training_search(method: str, budget: int, epsilon: float) -> SearchConfig:
     """The search of a learner during training: one step, epsilon by its schedule."""
-    return replace(get_search(method), budget=budget, epsilon=epsilon)
+    return replace(SEARCHES[method], budget=budget, epsilon=epsilon)
