@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from learn2assemble.geometry.rotations import rotate_vectors, yaw_matrix
+from learn2assemble.geometry.rotations import yaw_matrix
 from learn2assemble.robot.grasps import QUARTER, Attitude
 from learn2assemble.world.blocks import EDGE, GRAVITY, HALF, MASS
 
@@ -357,8 +357,6 @@ class Trajectory(NamedTuple):
     command: np.ndarray
     """float64[t]: opening the gripper was told [m], less than what it holds where it presses; for a
     suction tool 1 with the vacuum on, else 0."""
-    payload: np.ndarray
-    """float64[t]: mass at the tool point the controller was told of [kg]."""
     stage: np.ndarray
     """int8[t]: index into :data:`STAGES`."""
     pose: np.ndarray
@@ -369,39 +367,6 @@ class Trajectory(NamedTuple):
     def duration(self) -> float:
         """[s]"""
         return float(self.time[-1]) if len(self.time) else 0.0
-
-
-class TrajectoryRecorder:
-    """Collects the samples of one attempt."""
-
-    def __init__(self) -> None:
-        self._rows: list[tuple[Any, ...]] = []
-
-    def add(self, *row: Any) -> None:
-        """Append a sample: the fields of :class:`Trajectory`, the stage by its name, and poses
-        float64[b, 7] of the objects."""
-        self._rows.append(tuple(np.copy(v) if isinstance(v, np.ndarray) else v for v in row))
-
-    def first_poses(self) -> np.ndarray:
-        """float64[b, 7]: of the objects at the beginning."""
-        return self._rows[0][-1]
-
-    @property
-    def joints(self) -> np.ndarray:
-        """float64[T, n]: joint positions so far [rad]."""
-        return np.array([row[1] for row in self._rows])
-
-    def trajectory(
-        self, owner: np.ndarray, offset: np.ndarray, still: np.ndarray
-    ) -> Trajectory:  # fmt: skip
-        """All samples; cell c of object ``owner[c]`` lies at ``offset[c]`` in its frame [m], and
-        after the objects come things that do not move, at ``still`` float64[k, 7]."""
-        *numbers, stage, poses = zip(*self._rows, strict=True)
-        always = np.broadcast_to(still, (len(poses), *still.shape))
-        pose = np.concatenate([np.array(poses), always], 1)[:, owner]
-        pose[..., :3] += rotate_vectors(pose[..., 3:], offset)
-        stages = np.array([STAGES.index(name) for name in stage], np.int8)
-        return Trajectory._make([*map(np.array, numbers), stages, pose])
 
 
 class Attempt(NamedTuple):

@@ -242,23 +242,8 @@ def mount(
         pictures: add geoms without contact as well, which only pictures need.
     """
     body, tool = spec.body(hand), spec.site(site)
-    fingers, gone = list(body.bodies), set()
-    for part in body.find_all("body"):
-        gone |= {part.name, *(joint.name for joint in part.joints)}
-    for tendon in list(spec.tendons):
-        gone.add(tendon.name)
-        spec.delete(tendon)
-    for actuator in list(spec.actuators):
-        if actuator.target in gone:
-            spec.delete(actuator)
-    for equality in list(spec.equalities):
-        if {equality.name1, equality.name2} & gone:
-            spec.delete(equality)
-    for exclude in list(spec.excludes):
-        if {exclude.bodyname1, exclude.bodyname2} & gone:
-            spec.delete(exclude)
-    for part in (*fingers, *body.geoms):
-        spec.delete(part)
+    for part in (*body.bodies, *body.geoms):
+        spec.delete(part)  # and with it joints, actuators and whatever else refers to it
     used = {geom.meshname for geom in spec.geoms}
     for mesh in list(spec.meshes):
         if mesh.name not in used:

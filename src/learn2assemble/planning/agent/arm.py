@@ -25,7 +25,7 @@ from learn2assemble.planning.ordering import to_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling import BlockPlacement, Tiling
 from learn2assemble.planning.workcell import Arranged, Job, Progress, StepOf, Structure
-from learn2assemble.planning.workcell_plan import Workcell, carry_out, job_of, wider
+from learn2assemble.planning.workcell_plan import Prepared, Workcell, carry_out, job_of, wider
 from learn2assemble.planning.workcell_reach import Base, set_up
 from learn2assemble.planning.workcell_site import Part, Piece, pieces_of
 from learn2assemble.robot.arm import get_arm
@@ -231,7 +231,7 @@ class Hand:
             job_of(plan, self.workcell.arm, self.job.joint), arm=self.job.arm,
             sources=self.job.sources, obstacles=self.job.obstacles,
         )  # fmt: skip
-        found = job, Structure(job), Arranged(job.steps, {}), self.cell
+        found = Prepared(job, Structure(job), Arranged(job.steps, {}), self.cell)
         return carry_out(plan, self.workcell, joint=job.joint, progress=progress, found=found)
 
 

@@ -146,10 +146,8 @@ class DynamicCell:
             check_rest(order, sim.poses, speed, run.landed, self.shift_rule)
         except Failure as found:
             failure = abandon(run, found, self.recover)
-        objects = order.objects
-        trajectory = sim.recorder.trajectory(objects.owner, objects.offset, objects.still)
         found = _report(order, sim.poses, sim.joints.copy(), failure)
-        return found._replace(held=run.holding, trajectory=trajectory)
+        return found._replace(held=run.holding, trajectory=sim.trajectory(order.objects))
 
     def settle(
         self,

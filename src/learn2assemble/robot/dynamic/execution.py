@@ -456,7 +456,7 @@ def _leave(run: Execution) -> None:
 
 def _back_off(run: Execution, checker: WorldChecker) -> None:
     """Back the way the arm has come, to where it last touched nothing, if it ever did."""
-    past = run.sim.recorder.joints[::-1]
+    past = run.sim.past()[::-1]
     free = next((k for k, joints in enumerate(past) if checker.check(joints) is None), None)
     if free is None:
         return

@@ -6,16 +6,17 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 from numba import njit
 
 from learn2assemble.errors import Learn2AssembleError
+from learn2assemble.geometry.rotations import rotate_vectors
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.dynamic.cup import Vacuum
-from learn2assemble.robot.dynamic.model import ARM, PAD, TABLE, TIMESTEP, World
+from learn2assemble.robot.dynamic.model import ARM, PAD, TABLE, TIMESTEP, Objects, World
 from learn2assemble.robot.dynamic.trajectory import (
     JointPath,
     Limits,
@@ -26,7 +27,7 @@ from learn2assemble.robot.dynamic.trajectory import (
     motion,
     stop,
 )
-from learn2assemble.robot.moves import TrajectoryRecorder
+from learn2assemble.robot.moves import STAGES, Trajectory
 from learn2assemble.world.blocks import GRAVITY
 
 TOUCH = 0.5
@@ -303,7 +304,7 @@ class Simulation:
         self.drives = Drives(arm, world, self.data)
         self.contacts = Contacts(world, self.data, names, target)
         self.stage, self.steps, self.sample_steps = "approach", 0, sample_steps
-        self.recorder = TrajectoryRecorder()
+        self._samples: list[tuple[Any, ...]] = []
         self.joints, self.velocity, self.width = joints.copy(), np.zeros_like(joints), width
         self.cup = None if arm.suction is None else Vacuum(arm.suction, world, self.data)
         self._grip: np.ndarray | None = None
@@ -489,14 +490,26 @@ class Simulation:
             self._record()
 
     def _record(self) -> None:
-        self.recorder.add(
-            self.time, self.joints, self.velocity, self.opening, self.width, self.drives.payload,
-            self.stage, self.poses,
-        )  # fmt: skip
+        self._samples.append((
+            self.time, self.joints, self.velocity, self.opening, self.width,
+            STAGES.index(self.stage), self.poses.copy(),
+        ))  # fmt: skip
+
+    def past(self) -> np.ndarray:
+        """float64[T, n]: joint positions so far [rad]."""
+        return np.array([sample[1] for sample in self._samples])
+
+    def trajectory(self, objects: Objects) -> Trajectory:
+        """All samples, with the poses of the cells of ``objects``."""
+        *numbers, stage, poses = map(np.array, zip(*self._samples, strict=True))
+        always = np.broadcast_to(objects.still, (len(poses), *objects.still.shape))
+        pose = np.concatenate([poses, always], 1)[:, objects.owner]
+        pose[..., :3] += rotate_vectors(pose[..., 3:], objects.offset)
+        return Trajectory(*numbers, stage.astype(np.int8), pose)
 
     def _guard(self) -> None:
         """Stops a simulation that diverged, with everything needed to look into it."""
         d = self.data
         if not (np.isfinite(d.qpos).all() and np.isfinite(d.qvel).all()):
-            began = self.recorder.first_poses()
+            began = self._samples[0][-1]
             raise diverged(self.world, d, self.time, self.dump, began=began, stage=self.stage)
