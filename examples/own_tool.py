@@ -7,7 +7,7 @@ import numpy as np
 
 import learn2assemble as l2a
 from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.kinematic.cell import KinematicCell
+from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Move, Scene, attitudes, why_not_held
 
 TOOL = """

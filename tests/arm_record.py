@@ -16,7 +16,7 @@ from learn2assemble.planning import plan as plans
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.grasps import get_grasps
-from learn2assemble.robot.kinematic.cell import KinematicCell
+from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.motion.record import RATE, BuildRecord, Stage
 from learn2assemble.robot.motion.recorder import BuildRecorder, upright
 from learn2assemble.robot.moves import OPENING, Move, Outcome, Scene

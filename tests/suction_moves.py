@@ -14,7 +14,7 @@ import numpy as np
 
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.dynamic.cell import DynamicCell
-from learn2assemble.robot.kinematic.cell import KinematicCell
+from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Move, Scene, attitudes, put_down
 
 ARMS = tuple(get_arm(name, "suction") for name in ("panda", "ur5e"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from learn2assemble.evaluation.fidelities import compare
 from learn2assemble.networks.agent import load_agent
-from learn2assemble.robot.kinematic.cell import KinematicCell
+from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Attempt, Outcome
 from learn2assemble.tasks import get_task
 

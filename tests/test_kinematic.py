@@ -14,8 +14,7 @@ from learn2assemble.errors import UnknownNameError
 from learn2assemble.robot.approach import ApproachCache, tool_path
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.grasps import GRASP_SETS, Attitude, get_grasps
-from learn2assemble.robot.kinematic.cell import Attempt, KinematicCell
-from learn2assemble.robot.kinematic.collision import BoxChecker
+from learn2assemble.robot.kinematic import Attempt, BoxChecker, KinematicCell
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import (
     OPENING,

@@ -23,7 +23,7 @@ from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.dynamic.cell import DynamicCell
 from learn2assemble.robot.dynamic.cup import Load, peak_load
 from learn2assemble.robot.grasps import WAY, Attitude
-from learn2assemble.robot.kinematic.cell import KinematicCell
+from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.kinematics import get_chain
 from learn2assemble.robot.moves import Move, Outcome, Scene, attitudes, overload, side_attitudes
 from learn2assemble.robot.registry import TOOLS

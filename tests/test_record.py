@@ -412,7 +412,7 @@ def test_what_slips_is_not_held_any_more() -> None:
     def made(pose: np.ndarray, stage: np.ndarray) -> Trajectory:
         still = np.zeros((count, 7))
         return Trajectory(0.02 * np.arange(count), still + arm.home, still, np.full(count, 0.05),
-                          np.full(count, 0.05), np.zeros(count), stage, pose)  # fmt: skip
+                          np.full(count, 0.05), stage, pose)  # fmt: skip
 
     assert holding(arm, made(pose, stage), 0) == (0.04, None), "still in the hand at the end"
     slipped = pose.copy()

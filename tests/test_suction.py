@@ -20,7 +20,7 @@ from learn2assemble.robot.dynamic.model import free_cells, take_order
 from learn2assemble.robot.dynamic.prepare import Failure, WorldChecker, prepare
 from learn2assemble.robot.dynamic.simulation import Simulation
 from learn2assemble.robot.grasps import Attitude
-from learn2assemble.robot.kinematic.cell import KinematicCell
+from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.kinematics import get_chain
 from learn2assemble.robot.motion.recorder import holding
 from learn2assemble.robot.moves import (

@@ -23,7 +23,7 @@ from learn2assemble.robot.dynamic.prepare import (
 )
 from learn2assemble.robot.grasps import Attitude, get_grasps
 from learn2assemble.robot.inverse import solve
-from learn2assemble.robot.kinematic.collision import Collision
+from learn2assemble.robot.kinematic import Collision
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import OPENING, Move, Scene
 

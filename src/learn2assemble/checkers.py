@@ -59,7 +59,7 @@ def _kinematic(task: Task, balance: str) -> Physics:
     from learn2assemble.robot.arm import get_arm
     from learn2assemble.robot.checker import ArmPhysics
     from learn2assemble.robot.grasps import get_grasps
-    from learn2assemble.robot.kinematic.cell import KinematicCell
+    from learn2assemble.robot.kinematic import KinematicCell
 
     cell = KinematicCell(get_arm(task.arm), task.max_blocks)
     balance_check = resolve_physics(balance, task.stability, task.pitch)

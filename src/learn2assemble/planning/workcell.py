@@ -28,7 +28,7 @@ from learn2assemble.geometry.rotations import (
 from learn2assemble.planning.workcell_site import QUARTER, Obstacle, Piece, Source
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.grasps import WAY, Attitude
-from learn2assemble.robot.kinematic.cell import KinematicCell
+from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Attempt, Move, Scene, attitudes, side_attitudes
 
 if TYPE_CHECKING:

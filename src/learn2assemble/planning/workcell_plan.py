@@ -64,7 +64,7 @@ from learn2assemble.planning.workcell_state import (
     read_states,
 )
 from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.kinematic.cell import KinematicCell
+from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene
 
 if TYPE_CHECKING:

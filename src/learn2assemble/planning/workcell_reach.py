@@ -44,7 +44,7 @@ from learn2assemble.planning.workcell_site import (
 from learn2assemble.robot.approach import ApproachCache
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.inverse import RESTARTS, solve
-from learn2assemble.robot.kinematic.cell import KinematicCell
+from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import (
     CLEARANCE,

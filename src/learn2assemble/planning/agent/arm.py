@@ -29,7 +29,7 @@ from learn2assemble.planning.workcell_plan import Prepared, Workcell, carry_out,
 from learn2assemble.planning.workcell_reach import Base, set_up
 from learn2assemble.planning.workcell_site import Part, Piece, pieces_of
 from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.kinematic.cell import KinematicCell
+from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Scene, why_not_held
 
 FINGER_ROOMS = (0.03, 0.036)

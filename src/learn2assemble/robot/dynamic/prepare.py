@@ -27,7 +27,7 @@ from learn2assemble.robot.dynamic.model import (
 )
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.inverse import solve
-from learn2assemble.robot.kinematic.collision import Collision, CollisionChecker
+from learn2assemble.robot.kinematic import Collision, CollisionChecker
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import LEVEL, Move, Outcome, Scene, overload, turned, turns
 

@@ -505,7 +505,7 @@ class Simulation:
         always = np.broadcast_to(objects.still, (len(poses), *objects.still.shape))
         pose = np.concatenate([poses, always], 1)[:, objects.owner]
         pose[..., :3] += rotate_vectors(pose[..., 3:], objects.offset)
-        return Trajectory(*numbers, stage.astype(np.int8), pose)
+        return Trajectory._make([*numbers, stage.astype(np.int8), pose])
 
     def _guard(self) -> None:
         """Stops a simulation that diverged, with everything needed to look into it."""

@@ -127,9 +127,9 @@ def _arm_from(data: Mapping[str, Any]) -> ArmFacts:
 
 
 def _step_from(item: Mapping[str, Any], where: str, n: int, cells: int) -> StepRecord:
-    times = len(item["time"])
-    if item["outcome"] not in OUTCOMES:
-        raise UnknownNameError(f"{where}.outcome", item["outcome"], OUTCOMES)
+    times, outcome = len(item["time"]), item["outcome"]
+    if outcome not in OUTCOMES:
+        raise UnknownNameError(f"{where}.outcome", outcome, OUTCOMES)
     for name, *_ in item["stages"]:
         if name not in STAGES:
             raise UnknownNameError(f"{where}.stages", name, STAGES)
@@ -140,27 +140,19 @@ def _step_from(item: Mapping[str, Any], where: str, n: int, cells: int) -> StepR
     def time(key: str) -> float | None:
         return None if item[key] is None else float(array(key))
 
+    stages = tuple(
+        Stage(str(name), *_array(f"{where}.stages", span, (2,)).tolist())
+        for name, *span in item["stages"]
+    )
+    samples = Samples(
+        array("time", times), array("joints", times, n, most=MOST_JOINT),
+        array("velocity", times, n), array("width", times), array("command", times),
+    )  # fmt: skip
     return StepRecord(
-        number=int(item["step"]),
-        plan_step=None if item["plan_step"] is None else int(item["plan_step"]),
-        cells=tuple(int(c) for c in item["cells"]),
-        target=array("target", 7),
-        outcome=OUTCOMES[item["outcome"]],
-        detail=str(item["detail"]),
-        replanned=bool(item["replanned"]),
-        stages=tuple(
-            Stage(str(name), *_array(f"{where}.stages", times, (2,)).tolist())
-            for name, *times in item["stages"]
-        ),
-        grip=time("grip"),
-        release=time("release"),
-        samples=Samples(
-            array("time", times), array("joints", times, n, most=MOST_JOINT),
-            array("velocity", times, n), array("width", times),
-            array("command", times),
-        ),
-        before=array("before", cells, 7),
-        after=array("after", cells, 7),
+        int(item["step"]), None if item["plan_step"] is None else int(item["plan_step"]),
+        tuple(int(c) for c in item["cells"]), array("target", 7), OUTCOMES[outcome],
+        str(item["detail"]), bool(item["replanned"]), stages, time("grip"), time("release"),
+        samples, array("before", cells, 7), array("after", cells, 7),
     )  # fmt: skip
 
 

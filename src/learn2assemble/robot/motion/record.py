@@ -167,17 +167,12 @@ class BuildRecord:
 
     def joined(self) -> tuple[Samples, np.ndarray]:
         """All samples in a row, and int64[T], the number of the step of each."""
-        width = len(self.arm.joints)
-        none = Samples(np.empty(0), np.empty((0, width)), np.empty((0, width)), np.empty(0))
-        parts = [none, *(step.samples for step in self.steps)]
+        n, found = len(self.arm.joints), []
+        none = Samples(np.empty(0), np.empty((0, n)), np.empty((0, n)), np.empty(0))
+        for parts in zip(*(vars(one.samples).values() for one in self.steps), strict=True):
+            found.append(np.concatenate(parts))
         numbers = [np.full(len(step.samples.time), step.number) for step in self.steps]
-        return Samples(
-            np.concatenate([part.time for part in parts]),
-            np.concatenate([part.joints for part in parts]),
-            np.concatenate([part.velocity for part in parts]),
-            np.concatenate([part.width for part in parts]),
-            np.concatenate([part.command for part in parts]),
-        ), np.concatenate([np.empty(0, np.int64), *numbers])
+        return Samples(*found) if found else none, np.concatenate([np.empty(0, np.int64), *numbers])
 
 
 def arm_facts(arm: Arm) -> ArmFacts:
@@ -208,65 +203,54 @@ def require_sound(record: BuildRecord) -> None:
 
 def find_fault(record: BuildRecord) -> str | None:
     """The first thing that is wrong with a record, in one line; None where nothing is."""
-    for check in (_structure, _times, _limits, _motion, _steps):
-        for fault in check(record):
-            return fault
-    return None
+    checks = (_structure, _times, _motion, _steps)
+    return next((fault for check in checks for fault in check(record)), None)
 
 
 def _structure(record: BuildRecord) -> Iterator[str]:
     cells = sorted(cell for cells in record.objects for cell in cells)
-    if cells != list(range(len(cells))):
-        yield f"objects: cells {cells} are not 0 to {len(cells) - 1}, each once"
+    count, arm, n = len(cells), record.arm, len(record.arm.joints)
+    if cells != list(range(count)):
+        yield f"objects: cells {cells} are not 0 to {count - 1}, each once"
     if not record.rate > 0:
         yield f"rate: {record.rate:g} samples per second"
-    n, arm = len(record.arm.joints), record.arm
     for what in ("lower", "upper", "velocity", "acceleration"):
         if getattr(arm, what).shape != (n,):
             yield f"arm.{what}: {len(getattr(arm, what))} numbers for {n} joints"
-    if record.half is not None and (
-        record.half.shape != (len(cells), 3) or not (record.half > 0).all()
+    for what, given, shape, words in (
+        ("half", record.half, (count, 3), "three lengths"),
+        ("density", record.density, (count,), "a number"),
     ):
-        yield f"half: not three lengths above 0 for each of {len(cells)} cells"
-    if record.density is not None and (
-        record.density.shape != (len(cells),) or not (record.density > 0).all()
-    ):
-        yield f"density: not a number above 0 for each of {len(cells)} cells"
+        if given is not None and (given.shape != shape or not (given > 0).all()):
+            yield f"{what}: not {words} above 0 for each of {count} cells"
+    own = [set(c) for c in record.objects]
     for k, step in enumerate(record.steps, 1):
         if step.number != k:
             yield f"step {step.number}: should have number {k}"
-        own = [set(c) for c in record.objects]
         if not step.cells or set(step.cells) not in own or len(set(step.cells)) < len(step.cells):
             yield f"step {k}: cells {list(step.cells)} are no object of the build"
-        for what in ("before", "after"):
-            poses = getattr(step, what)
-            if poses.shape != (len(cells), 7):
-                yield f"step {k}: {what} does not hold 7 numbers for each of {len(cells)} cells"
+        for what, poses in (("before", step.before), ("after", step.after)):
+            if poses.shape != (count, 7):
+                yield f"step {k}: {what} does not hold 7 numbers for each of {count} cells"
             elif np.abs(np.linalg.norm(poses[:, 3:], axis=1) - 1).max(initial=0.0) > 1e-4:
                 yield f"step {k}: {what} holds a quaternion that is not of length 1"
-        samples, count = step.samples, len(step.samples.time)
-        if not (
-            samples.joints.shape == samples.velocity.shape == (count, n)
-            and samples.width.shape == samples.command.shape == (count,)
-        ):
+        arrays, long = list(vars(step.samples).values()), len(step.samples.time)
+        if [array.shape for array in arrays] != [(long,), (long, n), (long, n), (long,), (long,)]:
             yield f"step {k}: its samples differ in number"
-        everything = (samples.joints, samples.velocity, samples.width, samples.command,
-                      step.before, step.after, step.target, samples.time)  # fmt: skip
-        if not all(np.isfinite(array).all() for array in everything):
+        if not all(np.isfinite(array).all() for array in (*arrays, step.before, step.after,
+                                                          step.target)):  # fmt: skip
             yield f"step {k}: a number is not finite"
 
 
 def _times(record: BuildRecord) -> Iterator[str]:
     samples, number = record.joined()
     wanted = np.arange(len(samples.time)) / record.rate
-    wrong = np.abs(samples.time - wanted) > 2 * GRAIN
-    for i in np.flatnonzero(wrong).tolist():
+    for i in np.flatnonzero(np.abs(samples.time - wanted) > 2 * GRAIN).tolist():
         yield (
             f"step {number[i]}: sample {i} of the build is at {samples.time[i]:.6g} s, at "
             f"{record.rate:g} per second it should be at {wanted[i]:.6g} s"
         )
-    for step, (start, end) in zip(record.steps, record.spans(), strict=True):
-        before = start
+    for step, (before, end) in zip(record.steps, record.spans(), strict=True):
         for stage in step.stages:
             if not (before - GRAIN <= stage.start <= stage.end <= end + GRAIN):
                 yield (
@@ -276,94 +260,63 @@ def _times(record: BuildRecord) -> Iterator[str]:
             before = stage.end
 
 
-def _limits(record: BuildRecord) -> Iterator[str]:
+def _motion(record: BuildRecord) -> Iterator[str]:
+    """Limits; and positions follow from velocities: what the limits on acceleration cannot explain
+    is a jump."""
     samples, number = record.joined()
-    arm, rate = record.arm, record.rate
-    q, v = samples.joints, samples.velocity
-    place = (q < arm.lower - GRAIN) | (q > arm.upper + GRAIN)
-    for i, j in np.argwhere(place).tolist():
-        yield (
-            f"{_where(samples, number, i)}: {arm.joints[j]} is at {q[i, j]:.4f} rad, limits "
-            f"{arm.lower[j]:.4f} to {arm.upper[j]:.4f}"
-        )
+    arm, rate, period = record.arm, record.rate, 1 / record.rate
+    q, v, width = samples.joints, samples.velocity, samples.width
+
+    def at(i: int) -> str:
+        return f"step {number[i]}, t = {samples.time[i]:.2f} s"
+
+    for i, j in np.argwhere((q < arm.lower - GRAIN) | (q > arm.upper + GRAIN)).tolist():
+        limits = f"limits {arm.lower[j]:.4f} to {arm.upper[j]:.4f}"
+        yield f"{at(i)}: {arm.joints[j]} is at {q[i, j]:.4f} rad, {limits}"
     # Mean over a sample, too, which the commanded velocity at its ends does not show.
     mean = np.abs(np.diff(q, axis=0)) * rate
     fast = np.maximum(np.abs(v), np.vstack([np.zeros((min(len(v), 1), v.shape[1])), mean]))
     for i, j in np.argwhere(fast > arm.velocity + GRAIN * (1 + 2 * rate)).tolist():
-        yield (
-            f"{_where(samples, number, i)}: {arm.joints[j]} moves at {fast[i, j]:.4f} rad/s, "
-            f"limit {arm.velocity[j]:.4f}"
-        )
-    if len(v):
-        rest = np.zeros((1, v.shape[1]))  # before the first sample and after the last
-        change = np.abs(np.diff(np.vstack([rest, v, rest]), axis=0)) * rate
-        for i, j in np.argwhere(change > arm.acceleration + 2 * GRAIN * rate).tolist():
-            yield (
-                f"{_where(samples, number, min(i, len(v) - 1))}: {arm.joints[j]} accelerates at "
-                f"{change[i, j]:.4f} rad/s^2, limit {arm.acceleration[j]:.4f}"
-            )
-    wide = (samples.width < -GRAIN) | (samples.width > arm.max_width + GRAIN)
-    for i in np.flatnonzero(wide).tolist():
-        yield (
-            f"{_where(samples, number, i)}: the gripper is open {1000 * samples.width[i]:.3f} mm, "
-            f"limits 0 to {1000 * arm.max_width:g}"
-        )
+        speed = f"{fast[i, j]:.4f} rad/s, limit {arm.velocity[j]:.4f}"
+        yield f"{at(i)}: {arm.joints[j]} moves at {speed}"
+    rest = np.zeros((min(len(v), 1), v.shape[1]))  # before the first sample and after the last
+    change = np.abs(np.diff(np.vstack([rest, v, rest]), axis=0)) * rate
+    for i, j in np.argwhere(change > arm.acceleration + 2 * GRAIN * rate).tolist():
+        much = f"{change[i, j]:.4f} rad/s^2, limit {arm.acceleration[j]:.4f}"
+        yield f"{at(min(i, len(v) - 1))}: {arm.joints[j]} accelerates at {much}"
+    for i in np.flatnonzero((width < -GRAIN) | (width > arm.max_width + GRAIN)).tolist():
+        open_by = f"{1000 * width[i]:.3f} mm, limits 0 to {1000 * arm.max_width:g}"
+        yield f"{at(i)}: the gripper is open {open_by}"
     told = samples.command if arm.suction else np.zeros(0)
     for i in np.flatnonzero((told != 0) & (told != 1)).tolist():
-        yield f"{_where(samples, number, i)}: the vacuum is told {told[i]:g}, neither 0 nor 1"
-
-
-def _motion(record: BuildRecord) -> Iterator[str]:
-    """Positions follow from velocities; what the limits on acceleration cannot explain is a
-    jump."""
-    samples, number = record.joined()
-    arm, period = record.arm, 1 / record.rate
-    q, v = samples.joints, samples.velocity
+        yield f"{at(i)}: the vacuum is told {told[i]:g}, neither 0 nor 1"
     gap = np.abs(np.diff(q, axis=0) - period * (v[1:] + v[:-1]) / 2)
     slack = arm.acceleration * period**2 / 4 + GRAIN * (1 + period)
     for i, j in np.argwhere(gap > slack).tolist():
-        yield (
-            f"{_where(samples, number, i + 1)}: {arm.joints[j]} jumps by {gap[i, j]:.4f} rad "
-            "against its velocity"
-        )
-    for i in np.flatnonzero(np.abs(np.diff(samples.width)) > WIDTH_SPEED * period + GRAIN).tolist():
-        yield (
-            f"{_where(samples, number, i + 1)}: the gripper jumps by "
-            f"{1000 * abs(samples.width[i + 1] - samples.width[i]):.1f} mm"
-        )
+        yield f"{at(i + 1)}: {arm.joints[j]} jumps by {gap[i, j]:.4f} rad against its velocity"
+    jump = np.abs(np.diff(width))
+    for i in np.flatnonzero(jump > WIDTH_SPEED * period + GRAIN).tolist():
+        yield f"{at(i + 1)}: the gripper jumps by {1000 * jump[i]:.1f} mm"
 
 
 def _steps(record: BuildRecord) -> Iterator[str]:
     last = None
     for step, (start, end) in zip(record.steps, record.spans(), strict=True):
-        yield from _held(step, start, end)
-        if step.outcome != Outcome.REACHED and not step.detail:
-            yield f"step {step.number}: {step.outcome.label} without a reason"
+        k, reached = step.number, step.outcome == Outcome.REACHED
+        if reached and (step.grip is None or step.release is None):
+            yield f"step {k}: reached, but the object is never held and released"
+        if step.grip is None and step.release is not None:
+            yield f"step {k}: released at {step.release:g} s, but never held"
+        if step.grip is not None:
+            release = end if step.release is None else step.release
+            if not start - GRAIN <= step.grip <= release <= end + GRAIN:
+                held = f"held from {step.grip:g} to {release:g} s"
+                yield f"step {k}: {held}, outside {start:g} to {end:g} s"
+            if not len(step.samples.time):
+                yield f"step {k}: holds an object without a motion"
+        if not reached and not step.detail:
+            yield f"step {k}: {step.outcome.label} without a reason"
         if last is not None and not np.allclose(last.after, step.before, rtol=0, atol=2 * GRAIN):
             cell = int(np.abs(last.after - step.before).max(1).argmax())
-            yield (
-                f"step {step.number}: cell {cell} does not begin where step {last.number} has "
-                "left it"
-            )
+            yield f"step {k}: cell {cell} does not begin where step {last.number} has left it"
         last = step
-
-
-def _held(step: StepRecord, start: float, end: float) -> Iterator[str]:
-    k = step.number
-    if step.outcome == Outcome.REACHED and (step.grip is None or step.release is None):
-        yield f"step {k}: reached, but the object is never held and released"
-    if step.grip is None and step.release is not None:
-        yield f"step {k}: released at {step.release:g} s, but never held"
-    if step.grip is not None:
-        release = end if step.release is None else step.release
-        if not start - GRAIN <= step.grip <= release <= end + GRAIN:
-            yield (
-                f"step {k}: held from {step.grip:g} to {release:g} s, outside "
-                f"{start:g} to {end:g} s"
-            )
-        if not len(step.samples.time):
-            yield f"step {k}: holds an object without a motion"
-
-
-def _where(samples: Samples, number: np.ndarray, i: int) -> str:
-    return f"step {number[i]}, t = {samples.time[i]:.2f} s"

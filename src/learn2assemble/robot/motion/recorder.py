@@ -85,35 +85,23 @@ class BuildRecorder:
             after: float64[C, 7]; None where nothing has moved.
         """
         n, start = len(self.arm.joints), self.now
-        q, v, w, told = np.empty((0, n)), np.empty((0, n)), np.empty(0), np.empty(0)
+        parts = [np.empty((0, n)), np.empty((0, n)), np.empty(0), np.empty(0)]
         if motion is not None:
-            q, v, w = (np.array(part, float) for part in motion[:3])
-            told = np.array(motion[3], float) if len(motion) > 3 else w
-        if not self._count and len(q):
-            q = np.vstack([self._first[0], q])
-            v = np.vstack([np.zeros(n), v])
-            w = np.concatenate([[self._first[1]], w])
-            told = np.concatenate([[self._first[1]], told])
-        time = (self._count + np.arange(len(q))) / RATE
-        self._count += len(q)
+            parts = [np.array(part, float) for part in (*motion, motion[2])[:4]]
+        if not self._count and len(parts[0]):
+            first = self._first[0][None], np.zeros((1, n)), [self._first[1]], [self._first[1]]
+            parts = [np.concatenate(pair) for pair in zip(first, parts, strict=True)]
+        count = len(parts[0])
+        time = (self._count + np.arange(count)) / RATE
+        self._count += count
         end = self.poses if after is None else np.array(after, float)
-        self.steps.append(
-            StepRecord(
-                number=len(self.steps) + 1,
-                plan_step=plan_step,
-                cells=tuple(map(int, cells)),
-                target=np.array(target, float),
-                outcome=outcome,
-                detail=detail,
-                replanned=False,
-                stages=tuple(Stage(s.name, s.start + start, s.end + start) for s in stages),
-                grip=None if grip is None else grip + start,
-                release=None if release is None else release + start,
-                samples=Samples(time, q, v, w, told),
-                before=self.poses,
-                after=end,
-            )
-        )
+        self.steps.append(StepRecord(
+            len(self.steps) + 1, plan_step, tuple(map(int, cells)), np.array(target, float),
+            outcome, detail, False,
+            tuple(Stage(s.name, s.start + start, s.end + start) for s in stages),
+            None if grip is None else grip + start, None if release is None else release + start,
+            Samples(time, *parts), self.poses, end,
+        ))  # fmt: skip
         self.poses = end
 
     def add_attempt(
@@ -144,16 +132,15 @@ class BuildRecorder:
         if attempt.after is not None and attempt.quaternion is not None:
             after = self.poses.copy()
             after[order] = np.hstack([attempt.after.position, attempt.quaternion])
-        done, motion, stages, grip, release = attempt.trajectory, None, [], None, None
+        done, motion, stages, held = attempt.trajectory, None, [], (None, None)
         if done is not None and len(done.time) > 1:
             width = done.width[1:].clip(0, self.arm.gripper.max_width)
             motion = (done.joints[1:], done.velocity[1:], width, done.command[1:])
-            stages = stages_of(done)
-            grip, release = holding(self.arm, done, move.cell)
+            stages, held = stages_of(done), holding(self.arm, done, move.cell)
         self.add(
             plan_step=plan_step, cells=numbers[members].tolist(),
             target=np.array([*move.target, *turn]), outcome=attempt.outcome, detail=attempt.detail,
-            motion=motion, stages=stages, grip=grip, release=release, after=after,
+            motion=motion, stages=stages, grip=held[0], release=held[1], after=after,
         )  # fmt: skip
         return order
 
@@ -176,15 +163,9 @@ class BuildRecorder:
     def record(self) -> BuildRecord:
         """The record so far."""
         return BuildRecord(
-            arm_facts(self.arm),
-            RATE,
-            EDGE,
-            self.objects,
-            self.simulated_by,
-            tuple(self.steps),
-            self.half,
-            self.density,
-        )
+            arm_facts(self.arm), RATE, EDGE, self.objects, self.simulated_by, tuple(self.steps),
+            self.half, self.density,
+        )  # fmt: skip
 
 
 def upright(position: np.ndarray, yaw: np.ndarray) -> np.ndarray:

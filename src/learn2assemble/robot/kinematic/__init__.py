@@ -1,1 +1,0 @@
-"""The kinematic cell: inverse kinematics and collision checks, no dynamics."""
