@@ -36,20 +36,17 @@ from learn2assemble.export.robot_programs import (
     read_program,
     replay_program,
 )
-from learn2assemble.robot.arm import Arm, arm_model, get_arm
-from learn2assemble.robot.dynamic.cell import DynamicCell
+from learn2assemble.robot.arm import Arm, Limits, arm_model, get_arm
+from learn2assemble.robot.dynamic.cell import DynamicCell, play
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.motion.files import write_record
 from learn2assemble.robot.motion.program import (
     Knots,
-    Limits,
     Program,
     driver_of,
     fit,
-    limits_of,
     make_program,
-    play,
     slow_down,
     usage,
 )
@@ -162,7 +159,7 @@ def test_a_joint_that_leaves_its_range_between_samples_is_refused() -> None:
 
 @pytest.mark.parametrize("name", ARMS)
 def test_a_build_is_within_the_limits_of_its_arm(name: str) -> None:
-    program, limits = program_of(name), limits_of(get_arm(name))
+    program, limits = program_of(name), get_arm(name).bounds
     assert max(usage(program.knots, limits).values()) <= 1
     (low, high), *derivatives = extremes(program.knots)
     assert (low >= limits.lower).all()
@@ -183,7 +180,7 @@ def test_a_record_beyond_the_jerk_of_an_arm_is_slowed_down() -> None:
     record = arm_record("ur5e", 3, failures=False)
     program = make_program(record, slow)
     assert program.stretch > 1.2
-    assert max(usage(program.knots, limits_of(slow)).values()) <= 1
+    assert max(usage(program.knots, slow.bounds).values()) <= 1
     assert program.seconds > record.joined()[0].time[-1] * 1.1
 
 
@@ -304,7 +301,7 @@ def test_a_table_can_be_streamed(
     time = np.array([float(row["time"]) for row in rows])
     assert np.allclose(np.diff(time), 1e-3, atol=1e-9)
     q = np.array([[float(row[f"q_{joint}"]) for joint in joints] for row in rows])
-    limits = limits_of(arm)
+    limits = arm.bounds
     assert ((q >= limits.lower - 1e-6) & (q <= limits.upper + 1e-6)).all()
     for order, (key, limit) in enumerate(zip(("dq", "ddq", ""), limits[:3], strict=True), 1):
         share = np.abs(np.diff(q, order, axis=0) * 1e3**order) / limit

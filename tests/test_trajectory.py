@@ -11,9 +11,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.errors import InputError
+from learn2assemble.robot.arm import Limits
 from learn2assemble.robot.dynamic.trajectory import (
     JointPath,
-    Limits,
     PathLimits,
     Segment,
     joint_path,
@@ -25,7 +25,10 @@ from learn2assemble.robot.dynamic.trajectory import (
 
 STEP = 0.002
 LIMITS = Limits(
-    np.array([2.0, 2.5, 1.0]), np.array([15.0, 7.5, 3.0]), np.array([800.0, 90.0, 40.0])
+    np.array([2.0, 2.5, 1.0]),
+    np.array([15.0, 7.5, 3.0]),
+    np.array([800.0, 90.0, 40.0]),
+    *np.full((2, 3), np.inf),
 )
 
 
@@ -36,7 +39,7 @@ def walks(seed: int, count: int) -> np.ndarray:
 def shares(samples: np.ndarray, limits: Limits) -> list[float]:
     """Largest derivatives of positions one step apart, by finite differences, over the limits."""
     out = []
-    for limit in limits:
+    for limit in limits[:3]:
         samples = np.diff(samples, axis=0) / STEP
         out.append(float(np.max(np.abs(samples) / limit, initial=0.0)))
     return out

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -30,17 +30,17 @@ from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import forward_many, get_chain
 from learn2assemble.robot.motion.files import read_record
 from learn2assemble.robot.motion.program import (
-    DryRun,
     Program,
     arm_of,
     driver_of,
-    limits_of,
     make_program,
-    play,
     usage,
 )
 from learn2assemble.robot.motion.record import BuildRecord
 from learn2assemble.robot.registry import ARMS
+
+if TYPE_CHECKING:
+    from learn2assemble.robot.dynamic.cell import DryRun
 
 # ---------------------------------------------------------------- URScript
 
@@ -100,7 +100,7 @@ def _lines(
     program: Program, arm: Arm, begin: int, end: int, checks: list[float]
 ) -> Iterator[_Line]:
     """The moves of one motion, whose knots are begin..end."""
-    knots, limits = program.knots, limits_of(arm)
+    knots, limits = program.knots, arm.bounds
     q = knots.position[begin : end + 1]
     speed = np.abs(knots.velocity[begin : end + 1])
     change = np.abs(knots.acceleration[begin : end + 1])
@@ -219,7 +219,7 @@ def export_program(source: BuildRecord | str | Path, format: str, path: str | Pa
     program = make_program(source, arm)
     file = file_at(path, name)
     write(program, arm, file)
-    used = usage(program.knots, limits_of(arm))
+    used = usage(program.knots, arm.bounds)
     return Exported(file, program.seconds, program.stretch, used)
 
 
@@ -264,4 +264,6 @@ def replay_program(path: str | Path, arm: str) -> DryRun:
         InputError: see :func:`read_program`.
         MissingExtraError: without the extra ``robot``.
     """
+    from learn2assemble.robot.dynamic.cell import play
+
     return play(*read_program(path, arm))

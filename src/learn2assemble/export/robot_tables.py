@@ -30,7 +30,6 @@ from learn2assemble.robot.motion.program import (
     Supply,
     ToolState,
     driver_of,
-    limits_of,
     stand,
 )
 from learn2assemble.robot.moves import STAGES
@@ -51,7 +50,7 @@ SLACK = 0.005
 
 def header(program: Program, arm: Arm) -> dict[str, Any]:
     """What a reader of a program has to know besides its motion, for :func:`to_json`."""
-    driver, limits, blocks = driver_of(arm), limits_of(arm), program.blocks
+    driver, limits, blocks = driver_of(arm), arm.bounds, program.blocks
     return {
         "format": FORMAT, "version": VERSION, "arm": program.arm, "tool": program.tool,
         "joints": driver.joints,
@@ -291,7 +290,7 @@ def _split(content: bytes, source: str) -> tuple[dict[str, Any], list[str], int]
 def _check_motion(knots: Knots, arm: Arm, source: str) -> None:
     """Refuse what no robot should be sent: the differences from line to line are means of the
     velocity, acceleration and jerk between them."""
-    limits, names = limits_of(arm), driver_of(arm).joints
+    limits, names = arm.bounds, driver_of(arm).joints
     step = np.diff(knots.time)
     if np.abs(step - 1 / RATE).max() > 1e-6:
         i = int(np.abs(step - 1 / RATE).argmax())

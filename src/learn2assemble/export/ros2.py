@@ -41,7 +41,6 @@ from learn2assemble.robot.motion.program import (
     Program,
     ToolState,
     driver_of,
-    limits_of,
     usage,
 )
 from learn2assemble.robot.moves import STAGES
@@ -319,7 +318,7 @@ def _knots_from(
             f"{source}: points", "times or positions", "finite numbers, times that rise"
         )
     knots = Knots(table[:, 0], *np.split(table[:, 1:], 3, axis=1))
-    limits, bounds = limits_of(arm), knots.bounds()
+    limits, bounds = arm.bounds, knots.bounds()
     out = (bounds.lower < limits.lower - 1e-5) | (bounds.upper > limits.upper + 1e-5)
     used = usage(knots, limits)
     if out.any() or max(used.values()) > 1 + 1e-3:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.dynamic.trajectory import Limits, joint_path
+from learn2assemble.robot.dynamic.trajectory import joint_path
 from learn2assemble.robot.grasps import WAY, Attitude
 from learn2assemble.robot.inverse import RESTARTS, ik_seeds, seed_distances, solve
 from learn2assemble.robot.moves import LEVEL
@@ -162,7 +162,7 @@ def _stays_inside(arm: Arm, joints: np.ndarray) -> bool:
     room = np.minimum(joints - arm.lower, arm.upper - joints).min()
     if room > np.abs(np.diff(joints, axis=0)).max(initial=0.0):
         return True  # It does not leave its knots by as much as they are apart.
-    path = joint_path(joints, Limits(arm.velocity, arm.acceleration, arm.jerk))
+    path = joint_path(joints, arm.bounds)
     return bool(arm.inside_limits(path.at(np.linspace(0, path.length, 8 * len(joints)))[0]).all())
 
 

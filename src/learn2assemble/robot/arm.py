@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -63,6 +63,22 @@ def read_spec(mjcf: Path, position: np.ndarray, yaw: float, pictures: bool) -> m
     return spec
 
 
+class Limits(NamedTuple):
+    """Largest magnitudes per joint, each float64[n]: [rad/s], [rad/s^2], [rad/s^3]; and the range
+    of positions [rad]."""
+
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    jerk: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+    def scaled(self, speed: float) -> Limits:
+        """Limits of the same motion played at ``speed`` times its bounds."""
+        v, a, j, *positions = self
+        return Limits(v * speed, a * speed**2, j * speed**3, *positions)
+
+
 @dataclass(frozen=True, eq=False)
 class Arm:
     """An arm with its gripper, at its place in the world. Arrays are read-only, one per joint."""
@@ -96,6 +112,11 @@ class Arm:
     """A name of :data:`~.registry.TOOLS`."""
     suction: Suction | None = None
     """The tool in place of the fingers; ``gripper`` then has none, and no opening."""
+
+    @property
+    def bounds(self) -> Limits:
+        """Of its joints."""
+        return Limits(self.velocity, self.acceleration, self.jerk, self.lower, self.upper)
 
     @property
     def turns(self) -> tuple[float, ...]:

@@ -14,21 +14,20 @@ import numpy as np
 
 from learn2assemble.physics.scene import rotation_matrix
 from learn2assemble.robot.approach import ApproachPath, approach_path
+from learn2assemble.robot.arm import Limits
 from learn2assemble.robot.dynamic.cup import Vacuum, hanging, peak_load
-from learn2assemble.robot.dynamic.model import TIMESTEP, Order
+from learn2assemble.robot.dynamic.model import TIMESTEP, Failure, Order
 from learn2assemble.robot.dynamic.prepare import (
     PRESS,
     Course,
-    Failure,
     WorldChecker,
     free_way,
     leaving,
     rest_pose,
 )
-from learn2assemble.robot.dynamic.simulation import PUSH, TOUCH, Event, Rules, Simulation, Watch
+from learn2assemble.robot.dynamic.simulation import PUSH, TOUCH, Rules, Simulation, Watch
 from learn2assemble.robot.dynamic.trajectory import (
     JointPath,
-    Limits,
     PathLimits,
     Segment,
     approach_speed_limits,
@@ -123,7 +122,7 @@ class Execution:
         self.carry(self.checked(course.across, "cross"))
         if self.order.scene.half is not None:
             # What is seen shall be where it sits, not how it swings.
-            _check(sim.wait(_steps(CALM_TIME), "cross", LOADED), Outcome.PLACE_COLLISION, "cross")
+            sim.wait(_steps(CALM_TIME), "cross", LOADED)
         place, leave = self.corrected()
         self.lower(place, "place", LOADED, NEAR)
         self.release("release", NEAR)
@@ -156,25 +155,23 @@ class Execution:
     def travel(self, way: np.ndarray, stage: str, watch: Watch = EMPTY) -> None:
         """Move the empty hand along straight lines of the joints."""
         self.inside = None
-        outcome = Outcome.GRASP_COLLISION if stage == "approach" else Outcome.PLACE_COLLISION
         for start, end in pairwise(way):
             path = joint_path(np.array([start, end]), self.limits)
             bounds = limits_along(path, self.limits)
             if self.skip_free:
                 self.sim.skip(path, bounds, stage)
             else:
-                _check(self.sim.follow(path, bounds, stage, (watch,)), outcome, stage)
+                self.sim.follow(path, bounds, stage, (watch,))
 
     def grasp(self, approach: ApproachPath) -> None:
         """Down, take hold, up."""
-        sim = self.sim
-        touch, self.inside = Outcome.GRASP_COLLISION, approach
+        sim, self.inside = self.sim, approach
         above = approach.rise > -1e-9  # The contact itself, whatever rounding made of it.
         joints, rise = approach.joints[above], approach.rise[above]
         path = joint_path(joints[::-1], self.limits)
         bounds = limits_along(path, self.limits)
         segments = approach_speed_limits(path, rise[::-1], ((CAREFUL, CAREFUL_SPEED),), bounds)
-        _check(sim.follow(path, bounds, "pick", (EMPTY,), segments), touch, "pick")
+        sim.follow(path, bounds, "pick", (EMPTY,), segments)
         if sim.cup is not None:
             self.suck(sim.cup)
         else:
@@ -186,7 +183,7 @@ class Execution:
             out = int(np.searchsorted(rise, grasp.way - 1e-9)) + 1
             self.draw(joints[:out], grasp.way)
             joints, rise = joints[out - 1 :], rise[out - 1 :] - grasp.way
-        _check(sim.load(mass, _steps(LOAD_TIME), "pick", NEAR), touch, "pick")
+        sim.load(mass, _steps(LOAD_TIME), "pick", NEAR)
         path, bounds = self.gently(joints)
         off = float(np.interp(LOOSE, rise, path.knots))
         watches, segments = (NEAR, LOADED._replace(start=off)), ()
@@ -200,7 +197,7 @@ class Execution:
                 slowly, *(reachable_speed(0.0, s, bounds) for s in (out, path.length - out))
             )
             segments = (Segment(out, speed, slowly), Segment(path.length, 0.0, bounds.speed))
-        _check(sim.follow(path, bounds, "lift", watches, segments), touch, "lift")
+        sim.follow(path, bounds, "lift", watches, segments)
 
     def draw(self, joints: np.ndarray, way: float) -> None:
         """Draw what is held out to the side from between others, along joints float64[k, n] [rad],
@@ -208,21 +205,18 @@ class Execution:
         it would lift it against what is above."""
         path, bounds = self.gently(joints)
         slowly = (Segment(path.length, 0.0, min(SLOT_SPEED * path.length / way, bounds.speed)),)
-        event = self.sim.follow(path, bounds, "lift", (NEAR,), slowly)
-        _check(event, Outcome.GRASP_COLLISION, "lift")
+        self.sim.follow(path, bounds, "lift", (NEAR,), slowly)
 
     def close(self) -> None:
         """Close the fingers until they press."""
-        sim, gripper, touch = self.sim, self.sim.arm.gripper, Outcome.GRASP_COLLISION
+        sim, gripper = self.sim, self.sim.arm.gripper
         pressing = self.order.held - gripper.force / gripper.stiffness
         enough = GRIPPED * gripper.force
-        _check(sim.squeeze(_ramp(sim.width, pressing, gripper.speed), "pick", NEAR), touch, "pick")
+        sim.squeeze(_ramp(sim.width, pressing, gripper.speed), "pick", NEAR)
         watch = NEAR._replace(until=lambda: self.grip() >= enough)
-        event = sim.wait(_steps(GRIP_TIME), "pick", watch)
-        if event is None:
+        if not sim.wait(_steps(GRIP_TIME), "pick", watch):
             detail = f"the fingers press with {self.grip():.1f} N at {1e3 * sim.opening:.0f} mm"
             raise Failure(Outcome.GRASP_LOST, "pick", detail)
-        _check(event, touch, "pick")
 
     def suck(self, cup: Vacuum) -> None:
         """Turn the vacuum on, and wait until it holds."""
@@ -230,10 +224,8 @@ class Execution:
         name = self.order.names[target]
         watch = NEAR._replace(until=lambda: cup.held is not None)
         count = _steps(cup.suction.grip_time + GRIP_TIME)
-        event = sim.squeeze(np.ones(count), "pick", watch)
-        if event is None:
+        if not sim.squeeze(np.ones(count), "pick", watch):
             raise Failure(Outcome.GRASP_LOST, "pick", f"the cup does not close on {name}")
-        _check(event, Outcome.GRASP_COLLISION, "pick")
         if cup.held != target:
             other = self.order.names[cup.held or 0]
             raise Failure(Outcome.GRASP_LOST, "pick", f"the cup closes on {other}, not on {name}")
@@ -277,8 +269,7 @@ class Execution:
         self.inside = None
         for start, end in pairwise(way):
             path, bounds = self.gently(np.array([start, end]))
-            event = self.sim.follow(path, bounds, "cross", (watch,))
-            _check(event, Outcome.PLACE_COLLISION, "cross")
+            self.sim.follow(path, bounds, "cross", (watch,))
             self.segments_done += 1
 
     def corrected(self) -> tuple[ApproachPath, ApproachPath]:
@@ -330,21 +321,20 @@ class Execution:
             # Between others it slides into a slot.
             begin = float(np.interp(-self.slot(), -rise, path.knots))
             watches = (before, BESIDE._replace(start=begin), until)
-        event = sim.follow(path, bounds, stage, watches, segments)
-        self.landed = event is not None and event.what == "until"
-        _check(event, Outcome.PLACE_COLLISION, stage)
+        self.landed = False
+        self.landed = sim.follow(path, bounds, stage, watches, segments)
 
     def release(self, stage: str, watch: Watch) -> None:
         """Open no further than needed; with a cup, turn the vacuum off and wait."""
         sim = self.sim
-        _check(sim.load(0.0, _steps(LOAD_TIME), stage, watch), Outcome.PLACE_COLLISION, stage)
+        sim.load(0.0, _steps(LOAD_TIME), stage, watch)
         sim.let_go()
         self.holding = False
         if sim.cup is not None:
             widths = np.zeros(_steps(sim.cup.suction.release_time) + 1)
         else:
             widths = _ramp(sim.width, self.order.opening, sim.arm.gripper.speed)
-        _check(sim.squeeze(widths, stage, watch), Outcome.PLACE_COLLISION, stage)
+        sim.squeeze(widths, stage, watch)
 
     def rise(self, stage: str, watch: Watch) -> None:
         """Up from wherever the hand is on an approach path; it may travel then."""
@@ -354,15 +344,8 @@ class Execution:
         sim, limits = self.sim, self.loaded if self.holding else self.limits
         above = approach.joints[_nearest(approach, sim.joints) + 1 :]
         path = joint_path(np.vstack([sim.joints, above]), limits)
-        event = sim.follow(path, limits_along(path, limits), stage, (watch,))
-        _check(event, Outcome.PLACE_COLLISION, stage)
+        sim.follow(path, limits_along(path, limits), stage, (watch,))
         self.inside = None
-
-
-def _check(event: Event | None, outcome: Outcome, stage: str) -> None:
-    if event is not None and event.what != "until":
-        lost = event.what == "lost"
-        raise Failure(Outcome.GRASP_LOST if lost else outcome, stage, event.detail)
 
 
 def _nearest(approach: ApproachPath, joints: np.ndarray) -> int:

@@ -37,6 +37,7 @@ from learn2assemble.robot.moves import (
     IMMOVABLE,
     ROOM,
     Move,
+    Outcome,
     Scene,
     carried,
     crossing_height,
@@ -432,3 +433,17 @@ def rigid_objects(
     poses = np.hstack([scene.position[objects.lead], turns[objects.lead]])
     still = [] if free is None else np.flatnonzero(~free)
     return objects, poses, [f"block {k}" for k in (*objects.lead, *still)]
+
+
+class Failure(Exception):
+    """What broke a pick and place off, or spoiled it.
+
+    Args:
+        outcome: its kind.
+        stage: one of :data:`learn2assemble.robot.moves.STAGES`, or ``rest`` once the arm is done.
+        detail: one line.
+    """
+
+    def __init__(self, outcome: Outcome, stage: str, detail: str) -> None:
+        super().__init__(f"{outcome.label} ({stage}): {detail}")
+        self.outcome, self.stage, self.detail = outcome, stage, detail

@@ -21,6 +21,7 @@ from learn2assemble.robot.dynamic.model import (
     PAD,
     PLAN_MARGIN,
     TABLE,
+    Failure,
     Order,
     World,
     set_held,
@@ -305,20 +306,6 @@ PRESS = 0.004
 MAX_RAISES = 4
 """How often the crossing is tried again, a level higher."""
 _MAX_LIFTS, _UP = 8, np.array([0.0, 0.0, LEVEL])
-
-
-class Failure(Exception):
-    """What broke a pick and place off, or spoiled it.
-
-    Args:
-        outcome: its kind.
-        stage: one of :data:`learn2assemble.robot.moves.STAGES`, or ``rest`` once the arm is done.
-        detail: one line.
-    """
-
-    def __init__(self, outcome: Outcome, stage: str, detail: str) -> None:
-        super().__init__(f"{outcome.label} ({stage}): {detail}")
-        self.outcome, self.stage, self.detail = outcome, stage, detail
 
 
 class Approaches(NamedTuple):

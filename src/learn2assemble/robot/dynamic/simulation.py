@@ -16,10 +16,9 @@ from learn2assemble.errors import Learn2AssembleError
 from learn2assemble.geometry.rotations import rotate_vectors
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.dynamic.cup import Vacuum
-from learn2assemble.robot.dynamic.model import ARM, PAD, TABLE, TIMESTEP, Objects, World
+from learn2assemble.robot.dynamic.model import ARM, PAD, TABLE, TIMESTEP, Failure, Objects, World
 from learn2assemble.robot.dynamic.trajectory import (
     JointPath,
-    Limits,
     Motion,
     PathLimits,
     Segment,
@@ -27,7 +26,7 @@ from learn2assemble.robot.dynamic.trajectory import (
     motion,
     stop,
 )
-from learn2assemble.robot.moves import STAGES, Trajectory
+from learn2assemble.robot.moves import STAGES, Outcome, Trajectory
 from learn2assemble.world.blocks import GRAVITY
 
 TOUCH = 0.5
@@ -70,14 +69,6 @@ class Watch(NamedTuple):
     """s from which this holds."""
     until: Callable[[], bool] | None = None
     """Brake as soon as this is so."""
-
-
-class Event(NamedTuple):
-    """Why a motion was broken off."""
-
-    what: str
-    """``touch``, ``lost`` or ``until``."""
-    detail: str = ""
 
 
 class Contacts:
@@ -299,8 +290,6 @@ class Simulation:
         if len(world.finger):
             self.data.qpos[world.finger] = width / len(world.finger)
         self.put_arm(joints)
-        self.limits = Limits(arm.velocity, arm.acceleration, arm.jerk)
-        """What brakes may use."""
         self.drives = Drives(arm, world, self.data)
         self.contacts = Contacts(world, self.data, names, target)
         self.stage, self.steps, self.sample_steps = "approach", 0, sample_steps
@@ -363,11 +352,14 @@ class Simulation:
         stage: str,
         watches: tuple[Watch, ...],
         segments: tuple[Segment, ...] = (),
-    ) -> Event | None:
+    ) -> bool:
         """Move along a path; brakes at a collision, a loss, or where a watch says so.
 
         Returns:
-            None where the end was reached.
+            whether a watch ended it; this and all motions below.
+
+        Raises:
+            Failure: for a collision or a loss; this and all motions below.
         """
         self.stage = stage
         run = motion(path, bounds, TIMESTEP, segments)
@@ -375,14 +367,14 @@ class Simulation:
         for watch, begin, end in zip(
             watches, begins, [*begins[1:], len(run.progress)], strict=True
         ):
-            event, k = self._play(run, begin, end, watch)
-            if event is not None:
+            ended, k = self._play(run, begin, end, watch)
+            if ended is not None:
                 s, rate, change = run.progress[k]
-                brake = limits_along(path, self.limits)
+                brake = limits_along(path, self.arm.bounds)
                 rest = stop(path, brake, TIMESTEP, (s, rate, change))
                 self._play(rest, 0, len(rest.progress), Watch(Rules(None)))
-                return event
-        return None
+                return self._judge(ended)
+        return False
 
     def run(
         self,
@@ -391,15 +383,15 @@ class Simulation:
         stage: str,
         watch: Watch,
         payloads: np.ndarray | None = None,
-    ) -> Event | None:
+    ) -> bool:
         """Follow samples one step apart, with openings of the gripper float64[k] [m] and, if
         given, payloads float64[k] [kg]."""
         self.stage = stage
-        return self._play(run, 0, len(widths), watch, widths, payloads)[0]
+        return self._judge(self._play(run, 0, len(widths), watch, widths, payloads)[0])
 
     def squeeze(
         self, widths: np.ndarray, stage: str, watch: Watch, payloads: np.ndarray | None = None
-    ) -> Event | None:
+    ) -> bool:
         """Stand still while the gripper is told one opening [m] (and payload [kg]) after the
         other, a step each."""
         still = np.zeros((2, len(widths), len(self.joints)))
@@ -407,12 +399,12 @@ class Simulation:
         run = Motion(np.zeros((len(widths), 3)), there, *still)
         return self.run(run, widths, stage, watch, payloads)
 
-    def load(self, payload: float, steps: int, stage: str, watch: Watch) -> Event | None:
+    def load(self, payload: float, steps: int, stage: str, watch: Watch) -> bool:
         """Tell the controller of another payload [kg], little by little in a number of steps."""
         change = np.linspace(self.drives.payload, payload, steps + 1)[1:]
         return self.squeeze(np.full(steps, self.width), stage, watch, change)
 
-    def wait(self, steps: int, stage: str, watch: Watch) -> Event | None:
+    def wait(self, steps: int, stage: str, watch: Watch) -> bool:
         """Stand still for a number of steps, or until the watch ends it."""
         return self.squeeze(np.full(steps, self.width), stage, watch)
 
@@ -440,8 +432,8 @@ class Simulation:
         watch: Watch,
         widths: np.ndarray | None = None,
         payloads: np.ndarray | None = None,
-    ) -> tuple[Event | None, int]:
-        """Samples begin..end of a motion; what broke it off, and at which sample."""
+    ) -> tuple[Failure | bool | None, int]:
+        """Samples begin..end of a motion; what broke it off (True: the watch), and at which."""
         thresholds = watch.rules.thresholds()
         for first in range(begin, end, BLOCK):
             part = slice(first, min(first + BLOCK, end))
@@ -459,24 +451,35 @@ class Simulation:
                 if self.cup is not None:
                     self.cup.step(self.width)
                 self._count(run.position[k], run.velocity[k])
-                event = self._look(thresholds, watch.until)
-                if event is not None:
-                    return event, k
+                ended = self._look(thresholds, watch.until)
+                if ended is not None:
+                    return ended, k
         return None, end
 
-    def _look(self, thresholds: np.ndarray, until: Callable[[], bool] | None) -> Event | None:
+    def _look(
+        self, thresholds: np.ndarray, until: Callable[[], bool] | None
+    ) -> Failure | bool | None:
         if self.data.ncon:
             hit = self.contacts.collision(thresholds)
             if hit is not None:
-                return Event("touch", hit)
+                grasping = self.stage in ("approach", "pick", "lift")
+                touch = Outcome.GRASP_COLLISION if grasping else Outcome.PLACE_COLLISION
+                return Failure(touch, self.stage, hit)
+        lost, name = "", self.contacts.names[self.target]
         if self.cup is not None and self._grip is not None and self.cup.held != self.target:
-            return Event("lost", f"{self.contacts.names[self.target]} {self.cup.lost}")
-        if self._grip is not None and self.steps % BLOCK == 0:
+            lost = f"{name} {self.cup.lost}"
+        elif self._grip is not None and self.steps % BLOCK == 0:
             moved = np.linalg.norm(self.in_hand() - self._grip)
-            if moved > SLIP:
-                name = self.contacts.names[self.target]
-                return Event("lost", f"{name} moved by {1e3 * moved:.0f} mm in the hand")
-        return Event("until") if until is not None and until() else None
+            lost = f"{name} moved by {1e3 * moved:.0f} mm in the hand" if moved > SLIP else ""
+        if lost:
+            return Failure(Outcome.GRASP_LOST, self.stage, lost)
+        return True if until is not None and until() else None
+
+    @staticmethod
+    def _judge(ended: Failure | bool | None) -> bool:
+        if isinstance(ended, Failure):
+            raise ended
+        return ended is not None
 
     # ------------------------------------------------------------ bookkeeping
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from learn2assemble.errors import InputError, MissingExtraError
+from learn2assemble.robot.arm import Limits
 
 if TYPE_CHECKING:
     import ruckig
@@ -36,18 +37,6 @@ def load_ruckig() -> Any:
     except ImportError as error:  # pragma: no cover - depends on the installation
         raise MissingExtraError("ruckig", "robot") from error
     return ruckig
-
-
-class Limits(NamedTuple):
-    """Largest magnitudes per joint, each float64[n]: [rad/s], [rad/s^2], [rad/s^3]."""
-
-    velocity: np.ndarray
-    acceleration: np.ndarray
-    jerk: np.ndarray
-
-    def scaled(self, speed: float) -> Limits:
-        """Limits of the same motion played at ``speed`` times its bounds."""
-        return Limits(self.velocity * speed, self.acceleration * speed**2, self.jerk * speed**3)
 
 
 class JointPath(NamedTuple):
@@ -133,7 +122,7 @@ def limits_along(path: JointPath, limits: Limits) -> PathLimits:
     if path.length == 0:
         return PathLimits(1.0, 1.0, 1.0)
     first, second, third = (np.maximum(bound, 1e-12) for bound in path.bounds())
-    v, a, j = limits
+    v, a, j = limits[:3]
     speed = min(
         np.min(v / first),
         np.sqrt(np.min(_BENT * a / second)),
