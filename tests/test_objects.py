@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from learn2assemble.checkers import resolve_physics
+from learn2assemble.checkers import resolve_checker
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.geometry.support import BALANCE_TOLERANCE, STABLE, UNSTABLE, classify_object
 from learn2assemble.graph.features import connectivity
@@ -462,11 +462,11 @@ def test_static_and_rigid_agree_on_random_objects() -> None:
 
 def test_the_task_chooses_the_rule() -> None:
     assert PAPER.stability == "object"
-    chosen = resolve_physics("rigid", PAPER.stability)
+    chosen = resolve_checker("rigid", PAPER)
     assert isinstance(chosen, RigidPhysics)
     assert (chosen.rule, chosen.threshold) == ("object", 0.5)
-    assert isinstance(resolve_physics("static", "object"), StaticPhysics)
-    other = resolve_physics("rigid", get_task("bars-one-sided-5x5-25-27").stability)
+    assert isinstance(resolve_checker("static", PAPER), StaticPhysics)
+    other = resolve_checker("rigid", get_task("bars-one-sided-5x5-25-27"))
     assert isinstance(other, RigidPhysics)
     assert other.rule == "block"
 

@@ -14,7 +14,6 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from learn2assemble.checkers import resolve_physics
 from learn2assemble.errors import InputError, Learn2AssembleError, UnknownNameError
 from learn2assemble.geometry.support import (
     FLOATING,
@@ -441,7 +440,7 @@ def test_both_proofs_agree_with_the_equilibrium_program(seed: int, count: int) -
 
 def test_static_and_rigid_agree_on_random_objects() -> None:
     rng, found = np.random.default_rng(3), Counter()
-    static, rigid = StaticPhysics(), resolve_physics("rigid", OBJECTS.stability, OBJECTS.pitch)
+    static, rigid = StaticPhysics(), RigidPhysics(OBJECTS.stability, pitch=OBJECTS.pitch)
     for _ in range(200):
         state = random_pile(rng, 12)
         verdict = static.settle(state, np.array([0]))[0]

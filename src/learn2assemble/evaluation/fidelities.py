@@ -10,11 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.checkers import resolve_checker
+from learn2assemble.checkers import ArmPhysics, resolve_checker
 from learn2assemble.learning.run import provenance
 from learn2assemble.networks.agent import Agent
 from learn2assemble.planning.world_model import WorldModel
-from learn2assemble.robot.checker import ArmPhysics
 from learn2assemble.robot.moves import Attempt
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import Task

@@ -18,6 +18,7 @@ import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, Block, box_block
 from learn2assemble.assembly.blocks import Step as AssemblyStep
+from learn2assemble.checkers import ArmPhysics, scene_of
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.coverage import FILTERS
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_quaternion
@@ -30,7 +31,6 @@ from learn2assemble.planning import plan as plans
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.world_model import WorldModel, placement_cost
 from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.checker import ArmPhysics, scene_of
 from learn2assemble.robot.dynamic.cell import DynamicCell
 from learn2assemble.robot.grasps import QUARTER, along
 from learn2assemble.robot.grasps import get_grasps as grasps_of
@@ -221,7 +221,7 @@ def _filled(state: State) -> frozenset[tuple[int, ...]]:
 class RealCell:
     """A robot cell in which a build goes on: it remembers the arm, and every cube's full pose.
 
-    Implements :class:`learn2assemble.robot.checker.Cell` on a :class:`DynamicCell`.
+    Implements :class:`learn2assemble.checkers.Cell` on a :class:`DynamicCell`.
 
     Args:
         cell: carries the moves out; it should recover from failures.

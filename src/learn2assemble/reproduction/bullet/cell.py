@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from learn2assemble.checkers import ArmPhysics
 from learn2assemble.errors import InputError, look_up
 from learn2assemble.physics.protocol import Physics
 from learn2assemble.reproduction.bullet.contacts import HAND, TABLE
@@ -23,7 +24,6 @@ from learn2assemble.reproduction.bullet.world import (
     turned,
 )
 from learn2assemble.robot.arm import Arm, get_arm
-from learn2assemble.robot.checker import ArmPhysics
 from learn2assemble.robot.grasps import get_grasps
 from learn2assemble.robot.inverse import CONVERGED, published_least_squares, solve
 from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene, put_down
