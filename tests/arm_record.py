@@ -17,8 +17,7 @@ from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.grasps import get_grasps
 from learn2assemble.robot.kinematic import KinematicCell
-from learn2assemble.robot.motion.record import RATE, BuildRecord, Stage
-from learn2assemble.robot.motion.recorder import BuildRecorder, upright
+from learn2assemble.robot.motion.record import RATE, BuildRecord, BuildRecorder, Stage, upright
 from learn2assemble.robot.moves import OPENING, Move, Outcome, Scene
 from learn2assemble.world.layouts import sobol
 

@@ -145,12 +145,6 @@ def test_cells_of_one_object_hold_each_other_but_blocks_do_not() -> None:
     bridge = [(0, 0, 0), (2, 0, 0), (0, 0, 1), (1, 0, 1), (2, 0, 1)]
     assert stands(*bridge, objects=[0, 1, 2, 2, 2])
     assert not stands(*bridge)
-    clamped, ids = cubes(*bridge, (0, 0, 2), (2, 0, 2)), np.arange(7)
-    assert is_stable(clamped, ids, lateral=True), "half a weight of clamping is enough"
-    assert not is_stable(clamped, ids, 0.1, lateral=True), "five weights push the towers over"
-    turned = clamped[:, [1, 0, 2]]
-    assert is_stable(turned, ids, lateral=True)
-    assert not is_stable(turned, ids, 0.1, lateral=True)
 
 
 def test_floating_and_empty() -> None:
@@ -278,11 +272,10 @@ def test_mirrors_turns_and_shifts_change_nothing(
 
 @settings(max_examples=25, deadline=None)
 @given(seed=SEEDS)
-def test_more_friction_faces_or_glue_never_harm(seed: int) -> None:
+def test_more_friction_or_glue_never_harm(seed: int) -> None:
     centres, ids = random_pile(seed, 5)
     slippery, rough = (is_stable(centres, ids, friction) for friction in (0.1, 1.0))
     assert slippery <= rough
-    assert rough <= is_stable(centres, ids, lateral=True)
     glued = np.where(ids == ids.max(), ids[np.argmin(np.abs(ids - ids.max() + 1))], ids)
     assert rough <= is_stable(centres, glued)
     margin = stability_margin(centres, ids)

@@ -29,14 +29,18 @@ from learn2assemble.robot.motion.files import (
     write_record,
 )
 from learn2assemble.robot.motion.record import (
+    LOST,
     BuildRecord,
+    BuildRecorder,
     Samples,
     Stage,
     StepRecord,
     find_fault,
+    holding,
     require_sound,
+    stages_of,
+    upright,
 )
-from learn2assemble.robot.motion.recorder import LOST, BuildRecorder, holding, stages_of, upright
 from learn2assemble.robot.moves import OPENING, STAGES, Move, Outcome, Scene, Trajectory
 
 

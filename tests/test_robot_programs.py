@@ -50,8 +50,7 @@ from learn2assemble.robot.motion.program import (
     slow_down,
     usage,
 )
-from learn2assemble.robot.motion.record import BuildRecord, find_fault
-from learn2assemble.robot.motion.recorder import BuildRecorder, upright
+from learn2assemble.robot.motion.record import BuildRecord, BuildRecorder, find_fault, upright
 from learn2assemble.robot.moves import OPENING, Move, Scene
 from robot_scenes import cell, scene
 

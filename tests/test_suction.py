@@ -22,7 +22,7 @@ from learn2assemble.robot.dynamic.simulation import Simulation
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.kinematics import get_chain
-from learn2assemble.robot.motion.recorder import holding
+from learn2assemble.robot.motion.record import holding
 from learn2assemble.robot.moves import (
     IMMOVABLE,
     STAGES,

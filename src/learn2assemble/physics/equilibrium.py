@@ -15,8 +15,8 @@ solution at ``a = 0``; :func:`stability_margin` maximises the inertial load ``a`
 horizontal directions ``d``. Inside, lengths are in block edges and forces in block weights.
 
 A solution means that forces *can* balance, not that they *will*: two walls could clamp a block
-that nothing presses between them. Placing blocks does not preload vertical faces, so by default
-only horizontal patches carry force, and friction acts there; ``lateral=True`` uses all of them.
+that nothing presses between them. Placing blocks does not preload vertical faces, so only
+horizontal patches carry force, and friction acts there.
 """
 
 from __future__ import annotations
@@ -98,7 +98,6 @@ def is_stable(
     object_id: np.ndarray,
     friction: float = FRICTION,
     *,
-    lateral: bool = False,
     slack: float = 0.0,
 ) -> bool:
     """Whether contact forces inside the friction cones can carry the weight of every object.
@@ -110,7 +109,6 @@ def is_stable(
         centres: float64[n, 3] [m, world].
         object_id: int64[n], see :func:`find_contacts`.
         friction: Coulomb coefficient of every contact.
-        lateral: let vertical faces carry force too (see the module's docstring).
         slack: how much farther than its edges a contact patch reaches [m]; settles by a margin
             what is balanced exactly on an edge.
 
@@ -118,12 +116,12 @@ def is_stable(
         InputError: for malformed arrays or a negative friction.
         Learn2AssembleError: where the solver fails.
     """
-    program = _Program(centres, object_id, friction, lateral, slack)
+    program = _Program(centres, object_id, friction, slack)
     return program.num_objects == 0 or (program.touches_all and program.solve() is not None)
 
 
 def stability_margin(
-    centres: np.ndarray, object_id: np.ndarray, friction: float = FRICTION, *, lateral: bool = False
+    centres: np.ndarray, object_id: np.ndarray, friction: float = FRICTION
 ) -> float:
     """Largest horizontal acceleration, in g, the structure withstands along each of +-x, +-y.
 
@@ -131,7 +129,7 @@ def stability_margin(
     at ``friction``, which is also the answer for an empty structure. A column of n cubes gives
     1/n. Arguments and errors as :func:`is_stable`.
     """
-    program = _Program(centres, object_id, friction, lateral)
+    program = _Program(centres, object_id, friction)
     if program.num_objects == 0:
         return float(friction)
     if not program.touches_all or program.solve() is None:
@@ -185,16 +183,14 @@ class _Program:
         centres: np.ndarray,
         object_id: np.ndarray,
         friction: float,
-        lateral: bool,
         slack: float = 0.0,
     ) -> None:
         if not (np.isfinite(friction) and friction >= 0):
             raise InputError("friction", friction, "a finite number >= 0")
         centres, body = _check(centres, object_id)
         contacts = find_contacts(centres, body, slack)
-        if not lateral:
-            flat = contacts.normals[:, 2] == 1.0
-            contacts = Contacts(*[field[flat] for field in contacts])
+        flat = contacts.normals[:, 2] == 1.0
+        contacts = Contacts(*[field[flat] for field in contacts])
         self.num_objects = int(body.max()) + 1 if len(body) else 0
         # What fills the gaps of objects is as heavy as a cube.
         filler, its_body = _fillers(centres, body)

@@ -35,8 +35,7 @@ from learn2assemble.robot.dynamic.cell import DynamicCell
 from learn2assemble.robot.grasps import QUARTER, along
 from learn2assemble.robot.grasps import get_grasps as grasps_of
 from learn2assemble.robot.kinematic import KinematicCell
-from learn2assemble.robot.motion.record import BuildRecord
-from learn2assemble.robot.motion.recorder import BuildRecorder
+from learn2assemble.robot.motion.record import BuildRecord, BuildRecorder
 from learn2assemble.robot.moves import OPENING, Attempt, Move, Outcome, Scene
 from learn2assemble.search.config import SearchConfig
 from learn2assemble.search.mcts import search

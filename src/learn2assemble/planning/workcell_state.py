@@ -51,8 +51,13 @@ from learn2assemble.planning.workcell import (
     supply_of,
 )
 from learn2assemble.planning.workcell_site import QUARTER, Pose, footprint
-from learn2assemble.robot.motion.record import BuildRecord, Samples, Stage, StepRecord
-from learn2assemble.robot.motion.recorder import BuildRecorder
+from learn2assemble.robot.motion.record import (
+    BuildRecord,
+    BuildRecorder,
+    Samples,
+    Stage,
+    StepRecord,
+)
 from learn2assemble.robot.moves import Outcome
 
 # ---------------------------------------------------------------- beliefs

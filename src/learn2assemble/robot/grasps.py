@@ -84,10 +84,6 @@ class Attitude(NamedTuple):
             return point
         return point - self.rotation() @ np.array(self.lip.at) + np.array([0, 0, self.raised])
 
-    def flipped(self) -> Attitude:
-        """The same grasp with the fingers exchanged."""
-        return self._replace(yaw=self.yaw + math.pi)
-
 
 def along(grasp: Attitude, yaw: float) -> Attitude:
     """An attitude meant for an upright object, for one that is turned by ``yaw`` [rad]: turned
