@@ -34,23 +34,14 @@ class Surface(NamedTuple):
     solimp: tuple[float, float, float, float, float] = (0.998, 0.9998, 0.001, 0.5, 2.0)
 
 
-def set_options(
-    spec: mujoco.MjSpec, timestep: float, integrator: mujoco.mjtIntegrator, impratio: float = 10.0
-) -> None:
-    """Options of a simulated scene: gravity, elliptic cones, sleeping islands.
-
-    Args:
-        spec: the scene.
-        timestep: simulation step [s].
-        integrator: MuJoCo's.
-        impratio: friction against normal impedance.
-    """
+def set_options(spec: mujoco.MjSpec, timestep: float, integrator: mujoco.mjtIntegrator) -> None:
+    """Options of a simulated scene with such a step [s]: gravity, elliptic cones, sleeping."""
     option = spec.option
     option.timestep = timestep
     option.gravity = [0, 0, -GRAVITY]
     option.integrator = integrator
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    option.impratio = impratio
+    option.impratio = 10.0
     # A diverged simulation must be reported, not silently put back to its start.
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     if hasattr(mujoco.mjtEnableBit, "mjENBL_SLEEP"):

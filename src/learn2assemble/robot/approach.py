@@ -28,6 +28,8 @@ SPACING = 0.02
 """Largest distance between poses of an :class:`ApproachPath` [m]."""
 JUMP = 0.5
 """Neighbouring poses whose joints differ by more [rad] are on different branches."""
+GRAIN, KEPT = 1e-4, 20_000
+"""Places that differ by less are one [m], and how many paths are remembered."""
 STARTS = 16
 """How many other configurations a path is sought from."""
 
@@ -105,31 +107,25 @@ def follow_poses(
 
 
 class ApproachCache:
-    """Joint positions for the poses of :func:`tool_path`, remembered.
+    """Joint positions of an arm for the poses of :func:`tool_path`, remembered: the paths used
+    last, over places that differ by :data:`GRAIN` or more."""
 
-    Places that differ by less than ``grain`` [m] are one.
-
-    Args:
-        arm: the robot.
-        size: paths kept; the least recently used go first.
-    """
-
-    def __init__(self, arm: Arm, size: int = 20_000, grain: float = 1e-4) -> None:
-        self.arm, self.size, self.grain = arm, size, grain
+    def __init__(self, arm: Arm) -> None:
+        self.arm = arm
         self._known: OrderedDict[tuple[object, ...], np.ndarray | str] = OrderedDict()
 
     def solve(
         self, centre: np.ndarray, attitude: Attitude, height: float, upwards: bool = False
     ) -> np.ndarray | str:
         """float64[k, n] [rad], or in words why there are none; arguments of :func:`tool_path`."""
-        grain, upwards = self.grain, upwards and attitude.sideways
-        key = (*(round(float(c) / grain) for c in centre), attitude, round(height / grain), upwards)
+        upwards = upwards and attitude.sideways
+        key = (*(round(float(c) / GRAIN) for c in centre), attitude, round(height / GRAIN), upwards)
         found = self._known.get(key)
         if found is None:
             poses = tool_path(centre, attitude, height, upwards)
             found = follow_poses(self.arm, poses.position, poses.rotation, self.arm.home, RESTARTS)
             self._known[key] = found
-            if len(self._known) > self.size:
+            if len(self._known) > KEPT:
                 self._known.popitem(last=False)
         else:
             self._known.move_to_end(key)

@@ -141,10 +141,9 @@ class Arm:
             return found
         return np.maximum(found[0], self.lower + SWING), np.minimum(found[1], self.upper - SWING)
 
-    def inside_limits(self, joints: np.ndarray, tolerance: float = 1e-9) -> np.ndarray:
+    def inside_limits(self, joints: np.ndarray) -> np.ndarray:
         """bool[...]: whether joints [rad], float64[..., n], respect the limits."""
-        low, high = self.lower - tolerance, self.upper + tolerance
-        return np.all((joints >= low) & (joints <= high), axis=-1)
+        return np.all((joints >= self.lower - 1e-9) & (joints <= self.upper + 1e-9), axis=-1)
 
 
 def get_arm(

@@ -50,6 +50,8 @@ from learn2assemble.world.blocks import FRICTION
 
 LOADED_SPEED = 0.6
 """Share of the arm's speed that is used while the hand holds something."""
+SETTLE_TIME = 2.0
+"""Longest time to wait for a whole structure to rest [s]."""
 _MAX_WORLDS = 32
 
 
@@ -157,19 +159,14 @@ class DynamicCell:
     def settle(
         self,
         scene: Scene,
-        *,
-        joints: np.ndarray | None = None,
         quaternion: np.ndarray | None = None,
-        seconds: float = 2.0,
     ) -> tuple[Scene, np.ndarray, bool]:
         """Let all blocks go at once and wait: whether a whole structure stands by itself, also
         those parts that single moves hold still.
 
         Args:
             scene: as things are.
-            joints: float64[n] where the arm is meanwhile [rad]; by default its rest pose.
             quaternion: float64[n, 4] orientations of the cells where not all stand upright.
-            seconds: longest time to wait [s].
 
         Returns:
             the scene as it is then, float64[n, 4] orientations of its cells, and whether
@@ -181,10 +178,9 @@ class DynamicCell:
         """
         objects, poses, names = rigid_objects(scene, quaternion)
         world = self.world(objects)
-        if joints is None:
-            joints = rest_pose(self.arm, WorldChecker(self.arm, world, poses, names))
+        joints = rest_pose(self.arm, WorldChecker(self.arm, world, poses, names))
         sim = Simulation(self.arm, world, poses, names, 0, joints, 0.0, 10**9, self.dump)
-        sim.wait(round(seconds / TIMESTEP), "home", BLIND._replace(until=sim.asleep))
+        sim.wait(round(SETTLE_TIME / TIMESTEP), "home", BLIND._replace(until=sim.asleep))
         position, turns, yaw = objects.cells(sim.poses)
         return scene._replace(position=position, yaw=yaw), turns, sim.asleep()
 

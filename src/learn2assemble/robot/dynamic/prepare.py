@@ -198,7 +198,7 @@ def _reaches(model: mujoco.MjModel, world: World) -> np.ndarray:
 
 
 def straight_or_tree(
-    checker: WorldChecker, start: np.ndarray, end: np.ndarray, seed: int = 0
+    checker: WorldChecker, start: np.ndarray, end: np.ndarray
 ) -> np.ndarray | Collision:
     """Joint positions float64[k, n] whose straight connections are free, or what is in the way.
 
@@ -215,10 +215,10 @@ def straight_or_tree(
     at_end = checker.check(end)
     if at_end is not None:
         return at_end
-    way = _connect(checker, free, end, np.random.default_rng(seed))
+    way = _connect(checker, free, end, np.random.default_rng(0))
     if way is None:
         return hit
-    return np.vstack([*leaving[:-1], _shortened(checker, way, np.random.default_rng(seed))])
+    return np.vstack([*leaving[:-1], _shortened(checker, way, np.random.default_rng(0))])
 
 
 def _leaving(checker: WorldChecker, start: np.ndarray) -> list[np.ndarray] | Collision:

@@ -167,26 +167,21 @@ class Segment(NamedTuple):
     """Largest derivative of s on the way."""
 
 
-REST = (0.0, 0.0, 0.0)
-
-
 def motion(
     path: JointPath,
     bounds: PathLimits,
     step: float,
     segments: tuple[Segment, ...] = (),
-    start: tuple[float, float, float] = REST,
 ) -> Motion:
-    """Move along a path, by default from rest at its beginning to rest at its end.
+    """Move along a path, from rest at its beginning, by default to rest at its end.
 
     Args:
         path: where to.
         bounds: how fast; from :func:`limits_along`, or slower.
         step: time between samples [s].
         segments: one after the other, each from where the one before ended.
-        start: s with two derivatives, now.
     """
-    found = []
+    found, start = [], (0.0, 0.0, 0.0)
     for segment in segments or (Segment(path.length),):
         capped = bounds._replace(speed=min(bounds.speed, segment.top_speed))
         found.append(_profile(capped, start, (segment.end, segment.end_speed)))
