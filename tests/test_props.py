@@ -217,7 +217,7 @@ def bridge() -> tuple[Plan, Kit]:
     kit = load_kit("bricks").at_pitch((0.04, 0.04, 0.04))
     cells = CellDesign("bridge", shapes.bridge(1, 6, 4, 2, 1, 4), kit.pitch, None, 0.0, None, "",
                        None)  # fmt: skip
-    plan = plan_cells(cells, kit, seconds=60)
+    plan = plan_cells(cells, kit, seconds=600)
     assert plan.complete
     assert any(step.action == "remove" for step in plan.steps)
     return plan, kit

@@ -117,15 +117,11 @@ def reach_from(
     cache = ApproachCache(arm)
     out: dict[int, str] = {}
     for k in range(len(pieces)) if which is None else which:
-        why = _unreached(cache, pieces[k])
+        piece = pieces[k]
+        why = way_down(cache, piece.shape, piece.target, piece.yaw, piece.top)
         if why is not None:
             out[k] = why
     return Reach(base, out, len(pieces))
-
-
-def _unreached(cache: ApproachCache, piece: Piece) -> str | None:
-    top = float(piece.target[2] + piece.half[2])
-    return way_down(cache, piece.shape, piece.target, piece.yaw, top)
 
 
 def way_down(
@@ -190,7 +186,7 @@ def bases(pieces: Sequence[Piece]) -> Iterator[Base]:
     """Bases to try, the preferred ones first: before the long side, then before the short one."""
     half = np.max([np.abs(c) for p in pieces for b in p.boxes(p.target, p.yaw) for c in b], axis=0)
     long = QUARTER if half[0] > half[1] + 0.02 else 0.0
-    top = max(float(p.target[2] + p.half[2]) for p in pieces)
+    top = max(p.top for p in pieces)
     for height in HEIGHTS if top > LOW else HEIGHTS[:1]:
         for facing in (long, QUARTER - long):
             depth = half[1] if facing else half[0]
@@ -296,7 +292,7 @@ def set_up(job: Job, name: str, tool: str, site: Site) -> Job:
     job = replace(job, obstacles=site.obstacles)
     order = [step.block for step in job.steps if not step.remove]
     given = given_sources(site, pieces, order)
-    top = max(float(p.target[2] + p.half[2]) for p in pieces)
+    top = max(p.top for p in pieces)
     if site.base is not None:
         found = reach_from(place_arm(name, tool, site.base), site.base, pieces)
         if found.out:
@@ -370,7 +366,7 @@ def _out_of_reach(name: str, pieces: Sequence[Piece], found: Reach, best: Reach)
 def resting(arm: Arm, facing: float, pieces: Sequence[Piece]) -> Arm:
     """The arm with a home pose over everything, between its base and the structure."""
     rotation = forward(get_chain(arm), arm.home)[1]
-    top = max(float(p.target[2] + p.half[2]) for p in pieces)
+    top = max(p.top for p in pieces)
     way = np.array([math.cos(facing), math.sin(facing)])
     for above in (0.25, 0.2, 0.15, 0.1):
         for radius in (0.4, 0.35, 0.45, 0.3):
@@ -397,9 +393,7 @@ def _supplied(job: Job, given: list[Source], site: Site) -> Job:
     missing = [shape for shape, _ in needed.most_common() if shape not in known]
     finished = replace(job, sources=())
     cell = KinematicCell(job.arm, cells_of(job))
-    structure = shapely.union_all([
-        footprint(p.shape, Pose(p.target[0], p.target[1], p.yaw)) for p in job.pieces
-    ]).buffer(CLEAR)  # fmt: skip
+    structure = shapely.union_all([p.face() for p in job.pieces]).buffer(CLEAR)
     taken = [footprint(source.shape, source.pose).buffer(APART) for source in given]
     taken += [outline(o).buffer(2 * APART) for o in job.obstacles]
     taken.append(shapely.Point(*job.base).buffer(0.16))

@@ -92,6 +92,15 @@ class Piece:
         return self.turn * QUARTER
 
     @property
+    def top(self) -> float:
+        """Of it in the finished structure [m]."""
+        return float(self.target[2] + self.half[2])
+
+    def face(self) -> Any:
+        """What it covers in the finished structure, as a shapely area."""
+        return footprint(self.shape, Pose(self.target[0], self.target[1], self.yaw))
+
+    @property
     def name(self) -> str:
         """What messages call its kind."""
         if self.kind:
@@ -495,17 +504,12 @@ def check_sources(site: Site, found: list[tuple[str, Source]], pieces: Sequence[
     import shapely
 
     table = shapely.box(*(-np.array(site.table) / 2), *(np.array(site.table) / 2))
-    ground = [footprint(p.shape, Pose(p.target[0], p.target[1], p.yaw)) for p in pieces
-              if p.target[2] - p.half[2] < 1e-3]  # fmt: skip
-    structure = shapely.union_all(ground)
+    structure = shapely.union_all([p.face() for p in pieces if p.target[2] - p.half[2] < 1e-3])
     blocked = [(o.name, outline(o)) for o in site.obstacles]
     for k, (what, area) in enumerate(blocked):
         if area.intersection(structure).area > 1e-9:
-            raise InputError(
-                f"{site.source}: {what}",
-                list(site.obstacles[k].centre),
-                "a place outside the building site",
-            )
+            at = list(site.obstacles[k].centre)
+            raise InputError(f"{site.source}: {what}", at, "a place outside the building site")
     for where, source in found:
         face, at = footprint(source.shape, source.pose), [round(v, 4) for v in source.pose]
         if not table.contains(face):

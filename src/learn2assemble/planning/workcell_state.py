@@ -50,7 +50,7 @@ from learn2assemble.planning.workcell import (
     frame_of,
     supply_of,
 )
-from learn2assemble.planning.workcell_site import QUARTER, Pose, footprint
+from learn2assemble.planning.workcell_site import QUARTER, footprint
 from learn2assemble.robot.motion.record import (
     BuildRecord,
     BuildRecorder,
@@ -328,13 +328,13 @@ class Choice:
 
     def _crooked(self, k: int) -> Action | None:
         """Put a neighbour right that leaves a block no room."""
-        standing, place = self.standing(), footprint_of(self.world, k).buffer(BESIDE)
+        standing, place = self.standing(), self.world.pieces[k].face().buffer(BESIDE)
         for n in sorted(standing - self.accepted):
             off = self.belief[n, :2] - self.world.target(n)[:2]
             other, piece = self.job.pieces[n], self.job.pieces[k]
             level = abs(other.target[2] - piece.target[2]) < other.half[2] + piece.half[2] - 1e-3
             free = not self.structure.loads(n, standing) and self._left(n, "again") > 2 * TRIES
-            beside = footprint_of(self.world, n).intersects(place)
+            beside = self.world.pieces[n].face().intersects(place)
             if level and free and beside and np.linalg.norm(off) > NEAT:
                 return Action(n, self.fitted(n), "again")
         return None
@@ -370,7 +370,7 @@ class Choice:
         import shapely
 
         taken = shapely.union_all([self._area(n) for n in self.world.visible() if n != k] + [
-            footprint(p.shape, Pose(p.target[0], p.target[1], p.yaw)) for p in self.job.pieces
+            p.face() for p in self.job.pieces
         ] + [footprint(s.shape, s.pose) for s in self.job.sources])  # fmt: skip
         size = float(np.linalg.norm(self.world.pieces[k].half))
         tried = self.fails[k, "away"]
@@ -402,7 +402,7 @@ class Choice:
         area = self._area(k).buffer(BESIDE)
         open_places = [n for n in range(len(self.job.pieces))
                        if n != k and world.state[n] in (STOCK, LOOSE)]  # fmt: skip
-        if any(footprint_of(world, n).intersects(area) for n in open_places):
+        if any(world.pieces[n].face().intersects(area) for n in open_places):
             return True
         return any(source.magazine and footprint(source.shape, source.pose).intersects(area)
                    for source in self.job.sources)  # fmt: skip
@@ -410,12 +410,6 @@ class Choice:
     def fitted(self, k: int) -> np.ndarray:
         """float64[7]: where a block goes, see :func:`~.workcell_sense.fitted`."""
         return fitted(self.world, self.belief, self.standing() - {k}, k)
-
-
-def footprint_of(world: World, k: int) -> Any:
-    """What a piece of the plan covers in the finished structure, as a shapely area."""
-    piece = world.pieces[k]
-    return footprint(piece.shape, Pose(piece.target[0], piece.target[1], piece.yaw))
 
 
 # ---------------------------------------------------------------- what is kept
