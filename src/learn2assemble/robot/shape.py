@@ -88,26 +88,13 @@ def box(half: np.ndarray) -> Mesh:
 def capsule(radius: float, half: float, rounded: bool = True) -> Mesh:
     """A capsule along z, or a cylinder where it is not ``rounded``; half length [m] without the
     round ends. A sphere is a capsule of half length 0."""
+    from trimesh import creation
+
     if rounded:
-        angle = np.linspace(-np.pi / 2, np.pi / 2, _AROUND // 2 + 1)
-        profile = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
-        profile[:, 1] += np.where(angle < 0, -half, half)
-        lower = np.column_stack([profile[angle <= 0, 0], profile[angle <= 0, 1]])
-        lower[-1, 1] = -half
-        profile = np.vstack([lower, [radius, half], profile[angle > 1e-9]])
+        made = creation.capsule(2 * half, radius, count=[_AROUND, _AROUND])
     else:
-        profile = np.array([[0, -half], [radius, -half], [radius, half], [0, half]])
-    turn = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)
-    rings = np.array([[r * np.cos(turn), r * np.sin(turn), np.full_like(turn, z)]
-                      for r, z in profile]).transpose(0, 2, 1)  # fmt: skip
-    k = np.arange(_AROUND)
-    after = (k + 1) % _AROUND
-    faces = []
-    for ring in range(len(profile) - 1):
-        low, high = ring * _AROUND, (ring + 1) * _AROUND
-        faces += [np.stack([low + k, low + after, high + after], 1),
-                  np.stack([low + k, high + after, high + k], 1)]  # fmt: skip
-    return shaded(rings.reshape(-1, 3), np.concatenate(faces))
+        made = creation.cylinder(radius, 2 * half, sections=_AROUND)
+    return shaded(made.vertices, made.faces)
 
 
 WORLD = -1
