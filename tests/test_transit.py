@@ -9,7 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from learn2assemble.robot.approach import JUMP, SPACING, ApproachPath, approach_path, approach_paths
+from learn2assemble.robot.approach import (
+    JUMP,
+    SPACING,
+    ApproachPath,
+    approach_path,
+    approach_paths,
+    tool_path,
+)
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.dynamic.model import compile_world, take_order
 from learn2assemble.robot.dynamic.prepare import (
@@ -67,7 +74,7 @@ def test_columns_stay_on_one_branch_and_on_their_line(
 ) -> None:
     arm, attitude = get_arm(name), Attitude(yaw, tilt)
     centre = np.array([x, y, 0.025 + z])
-    for found in approach_paths(arm, centre, attitude, 0.3, PRESS):
+    for found in approach_paths(arm, tool_path(centre, attitude, 0.3), PRESS):
         if isinstance(found, str):
             assert found.startswith("tool at")
             continue
@@ -87,11 +94,11 @@ def test_columns_stay_on_one_branch_and_on_their_line(
 def test_near_the_base_other_branches_are_found() -> None:
     """Starting from home leads into a joint limit there."""
     centre = np.array([-0.269, -0.15, 0.025])
-    found = list(approach_paths(PANDA, centre, Attitude(), 0.3, PRESS))
+    found = list(approach_paths(PANDA, tool_path(centre, Attitude(), 0.3), PRESS))
     assert isinstance(found[0], str)
     assert any(isinstance(one, ApproachPath) for one in found)
-    assert isinstance(approach_path(PANDA, centre, Attitude(), 0.3), ApproachPath)
-    far = approach_path(PANDA, np.array([0.9, 0.0, 0.025]), Attitude(), 0.3)
+    assert isinstance(approach_path(PANDA, tool_path(centre, Attitude(), 0.3)), ApproachPath)
+    far = approach_path(PANDA, tool_path(np.array([0.9, 0.0, 0.025]), Attitude(), 0.3))
     assert isinstance(far, str)
     assert "out of reach" in far
 

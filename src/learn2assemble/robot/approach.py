@@ -43,8 +43,6 @@ class ToolPath(NamedTuple):
     """float64[3, 3]: of all of them."""
     approach: np.ndarray
     """float64[3]: unit vector along which the tool comes to the contact."""
-    near: int
-    """How many poses are on that way, the contact included."""
 
 
 def tool_path(
@@ -69,7 +67,7 @@ def tool_path(
     top = max(height - near[-1, 2], 0.0)
     steps = np.linspace(0.0, top, 1 + math.ceil(top / (2 * LEVEL) - 1e-9))[1:]
     up = near[-1] + np.outer(steps, [0.0, 0.0, 1.0])
-    return ToolPath(np.vstack([near, up]), rotation, approach, len(near))
+    return ToolPath(np.vstack([near, up]), rotation, approach)
 
 
 def follow_poses(
@@ -163,17 +161,11 @@ def _stays_inside(arm: Arm, joints: np.ndarray) -> bool:
 
 
 def approach_path(
-    arm: Arm,
-    centre: np.ndarray,
-    attitude: Attitude,
-    height: float,
-    below: float = 0.0,
-    start: np.ndarray | None = None,
-    upwards: bool = False,
+    arm: Arm, poses: ToolPath, below: float = 0.0, start: np.ndarray | None = None
 ) -> ApproachPath | str:
     """The first of :func:`approach_paths`, or in words which pose is out of reach and why."""
     reason = ""
-    for found in approach_paths(arm, centre, attitude, height, below, start, upwards):
+    for found in approach_paths(arm, poses, below, start):
         if not isinstance(found, str):
             return found
         reason = reason or found
@@ -181,13 +173,7 @@ def approach_path(
 
 
 def approach_paths(
-    arm: Arm,
-    centre: np.ndarray,
-    attitude: Attitude,
-    height: float,
-    below: float = 0.0,
-    start: np.ndarray | None = None,
-    upwards: bool = False,
+    arm: Arm, poses: ToolPath, below: float = 0.0, start: np.ndarray | None = None
 ) -> Iterator[ApproachPath | str]:
     """Approach paths on different branches of the inverse kinematics.
 
@@ -196,14 +182,13 @@ def approach_paths(
 
     Args:
         arm: the robot.
-        centre, attitude, height, upwards: see :func:`tool_path`.
+        poses: of the tool, see :func:`tool_path`.
         below: how far under the contact the path begins [m].
         start: float64[n] [rad], by default the home pose.
 
     Yields:
         paths, and between them, in words, which pose was out of reach.
     """
-    poses = tool_path(centre, attitude, height, upwards)
     points = [poses.position[:1] + below * poses.approach] if below else []
     for begin, end in zip(poses.position[:-1], poses.position[1:], strict=True):
         count = math.ceil(np.linalg.norm(end - begin) / SPACING - 1e-9)

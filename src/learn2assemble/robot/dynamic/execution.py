@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from learn2assemble.physics.scene import rotation_matrix
-from learn2assemble.robot.approach import ApproachPath, approach_path
+from learn2assemble.robot.approach import ApproachPath, approach_path, tool_path
 from learn2assemble.robot.arm import Limits
 from learn2assemble.robot.dynamic.cup import Vacuum, hanging, peak_load
 from learn2assemble.robot.dynamic.model import TIMESTEP, Failure, Order
@@ -287,9 +287,8 @@ class Execution:
             place = place._replace(yaw=place.yaw + turn)
         tool = target - place.rotation() @ rotation.T @ (cell - position)
         centre = tool + target - place.tool_point(target)
-        found = approach_path(
-            sim.arm, centre, place, plan.height, PRESS, plan.place.joints[0], upwards=True
-        )
+        poses = tool_path(centre, place, plan.height, upwards=True)
+        found = approach_path(sim.arm, poses, PRESS, plan.place.joints[0])
         if isinstance(found, str):
             raise Failure(Outcome.UNREACHABLE, "place", found)
         leave = leaving(sim.arm, centre, place, plan.height, found)

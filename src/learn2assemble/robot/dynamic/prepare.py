@@ -13,7 +13,13 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from learn2assemble.robot.approach import ApproachPath, approach_path, approach_paths, travel_time
+from learn2assemble.robot.approach import (
+    ApproachPath,
+    approach_path,
+    approach_paths,
+    tool_path,
+    travel_time,
+)
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.dynamic.model import (
     ARM,
@@ -400,15 +406,14 @@ def _plan(arm: Arm, checker: WorldChecker, order: Order) -> Approaches:
     for move in (given, *(turned(given, turn) for turn in turns(arm, given))):
         centre = order.scene.position[move.cell]
         checker.empty(order.opening)
-        pick = _choose(
-            checker, approach_paths(arm, centre, move.grasp, height, PRESS), order.target
-        )  # fmt: skip
+        over = tool_path(centre, move.grasp, height)
+        pick = _choose(checker, approach_paths(arm, over, PRESS), order.target)
         if isinstance(pick, str):
             reasons.append(Failure(Outcome.UNREACHABLE, "pick", pick))
             continue
         checker.carry(order.target, *order.in_hand(move.grasp), order.held)
-        down = approach_paths(arm, move.target, move.place, height, PRESS, upwards=True)
-        place = _choose(checker, down, None)
+        over = tool_path(move.target, move.place, height, upwards=True)
+        place = _choose(checker, approach_paths(arm, over, PRESS), None)
         if isinstance(place, str):
             reasons.append(Failure(Outcome.UNREACHABLE, "place", place))
             continue
@@ -430,7 +435,7 @@ def leaving(
     """The path by which the hand leaves, on the branch of the one it came by."""
     if not attitude.sideways:
         return place
-    return approach_path(arm, target, attitude, height, 0.0, place.joints[0])
+    return approach_path(arm, tool_path(target, attitude, height), 0.0, place.joints[0])
 
 
 def _choose(
@@ -474,10 +479,9 @@ def _raised(arm: Arm, order: Order, plan: Approaches, levels: int) -> Approaches
     """The plan on the same branches, crossing some levels higher."""
     height, move = plan.height + levels * LEVEL, plan.move
     centre = order.scene.position[move.cell]
-    pick = approach_path(arm, centre, move.grasp, height, PRESS, plan.pick.joints[0])
-    place = approach_path(
-        arm, move.target, move.place, height, PRESS, plan.place.joints[0], upwards=True
-    )
+    pick = approach_path(arm, tool_path(centre, move.grasp, height), PRESS, plan.pick.joints[0])
+    over = tool_path(move.target, move.place, height, upwards=True)
+    place = approach_path(arm, over, PRESS, plan.place.joints[0])
     if isinstance(pick, str) or isinstance(place, str):
         return None
     leave = leaving(arm, move.target, move.place, height, place)
