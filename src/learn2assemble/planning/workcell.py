@@ -16,23 +16,26 @@ import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import (
     matrix_quaternion,
     quaternion_matrix,
     yaw_quaternion,
 )
-from learn2assemble.planning.workcell_site import QUARTER, Obstacle, Piece, Source
-from learn2assemble.robot.arm import Arm
+from learn2assemble.planning.workcell_site import QUARTER, Obstacle, Piece, Site, Source, pieces_of
+from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.grasps import WAY, Attitude
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Attempt, Move, Scene, attitudes, side_attitudes
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly
+    from learn2assemble.planning.plan import Plan
 
 Progress = Callable[[str], None]
 STANDS = 0.003
@@ -75,6 +78,22 @@ class Disturbance:
     """Numbers of attempts after which a block that carries nothing is pushed by 15 mm."""
 
 
+@dataclass(frozen=True)
+class Workcell:
+    """How an arm builds."""
+
+    arm: str
+    tool: str = "suction"
+    site: Site = dataclasses.field(default_factory=Site)
+    physics: str = "dynamic"
+    seed: int = 0
+    noise: tuple[float, float] = (0.0, 0.0)
+    """Standard deviations of what is read back: x and y [m], yaw [rad]."""
+    disturbance: Disturbance | None = None
+    log: Path | None = None
+    """What is appended to after every attempt; where it exists, the build goes on from it."""
+
+
 @dataclass(frozen=True, eq=False)
 class Job:
     """What is to be built, by whom and from what."""
@@ -94,6 +113,24 @@ class Job:
     def base(self) -> np.ndarray:
         """float64[2] of the arm [m]."""
         return self.arm.base_position[:2]
+
+
+def job_of(plan: Plan, arm: str, joint: float) -> Job:
+    """What a complete exact plan asks of an arm.
+
+    Raises:
+        InputError: for blocks that are no boxes.
+    """
+    assert plan.assembly is not None
+    steps = tuple(StepOf(step.block, step.action == "remove") for step in plan.steps)
+    placed = {step.block for step in steps}
+    kept = [k for k in range(len(plan.assembly.blocks)) if k in placed]
+    if len(kept) < len(plan.assembly.blocks):
+        raise InputError("design", "blocks that stand before the first step", "none, for an arm")
+    return Job(
+        pieces_of(plan.assembly), steps, plan.assembly, get_arm(arm), (),
+        friction=plan.assembly.friction, joint=joint,
+    )  # fmt: skip
 
 
 # ---------------------------------------------------------------- where everything is

@@ -7,20 +7,17 @@ that is interrupted goes on from its file.
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.blocks import Step as AssemblyStep
-from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import (
     matrix_quaternion,
     quaternion_matrix,
@@ -42,15 +39,17 @@ from learn2assemble.planning.workcell import (
     Rows,
     StepOf,
     Structure,
+    Workcell,
     arrange,
     describe,
     frame_of,
+    job_of,
     moves,
     named,
     rows_of,
 )
 from learn2assemble.planning.workcell_reach import cells_of, set_up
-from learn2assemble.planning.workcell_site import QUARTER, Site, pieces_of
+from learn2assemble.planning.workcell_site import QUARTER
 from learn2assemble.planning.workcell_state import (
     STEADY,
     STEADY_YAW,
@@ -75,22 +74,6 @@ GONE = 0.02
 """A block farther from its place than this is not in its place any more [m]."""
 PUSH, DROP = 0.015, (0.07, 0.04)
 """Of the disturbances: how far a block is pushed, and let go beside and above its place [m]."""
-
-
-@dataclass(frozen=True)
-class Workcell:
-    """How an arm builds."""
-
-    arm: str
-    tool: str = "suction"
-    site: Site = dataclasses.field(default_factory=Site)
-    physics: str = "dynamic"
-    seed: int = 0
-    noise: tuple[float, float] = (0.0, 0.0)
-    """Standard deviations of what is read back: x and y [m], yaw [rad]."""
-    disturbance: Disturbance | None = None
-    log: Path | None = None
-    """What is appended to after every attempt; where it exists, the build goes on from it."""
 
 
 class Prepared(NamedTuple):
@@ -399,24 +382,6 @@ class Building:
 
 FINGER_ROOMS = (0.011, 0.02, 0.03, 0.036)
 """Gaps between blocks that are tried where fingers have no room [m]."""
-
-
-def job_of(plan: Plan, arm: str, joint: float) -> Job:
-    """What a complete exact plan asks of an arm.
-
-    Raises:
-        InputError: for blocks that are no boxes.
-    """
-    assert plan.assembly is not None
-    steps = tuple(StepOf(step.block, step.action == "remove") for step in plan.steps)
-    placed = {step.block for step in steps}
-    kept = [k for k in range(len(plan.assembly.blocks)) if k in placed]
-    if len(kept) < len(plan.assembly.blocks):
-        raise InputError("design", "blocks that stand before the first step", "none, for an arm")
-    return Job(
-        pieces_of(plan.assembly), steps, plan.assembly, get_arm(arm), (),
-        friction=plan.assembly.friction, joint=joint,
-    )  # fmt: skip
 
 
 def wider(kit: Kit, gap: float) -> Kit:

@@ -24,8 +24,8 @@ from learn2assemble.planning.agent.world import Site, World
 from learn2assemble.planning.ordering import to_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling import BlockPlacement, Tiling
-from learn2assemble.planning.workcell import Arranged, Job, Progress, StepOf, Structure
-from learn2assemble.planning.workcell_plan import Prepared, Workcell, carry_out, job_of, wider
+from learn2assemble.planning.workcell import Arranged, Job, Progress, StepOf, Structure, job_of
+from learn2assemble.planning.workcell_plan import Prepared, Workcell, carry_out, wider
 from learn2assemble.planning.workcell_reach import Base, set_up
 from learn2assemble.planning.workcell_site import Part, Piece, pieces_of
 from learn2assemble.robot.arm import get_arm
