@@ -408,7 +408,7 @@ class Choice:
                    for source in self.job.sources)  # fmt: skip
 
     def fitted(self, k: int) -> np.ndarray:
-        """float64[7]: where a block goes, see :func:`~.workcell_sense.fitted`."""
+        """float64[7]: where a block goes, see :func:`fitted`."""
         return fitted(self.world, self.belief, self.standing() - {k}, k)
 
 

@@ -25,7 +25,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.checkers import Cell
 from learn2assemble.errors import InputError, look_up
 from learn2assemble.physics.protocol import Physics, Verdict
 from learn2assemble.physics.static import StaticPhysics
