@@ -87,7 +87,7 @@ class Model:
     def __init__(self) -> None:
         self._columns: list[np.ndarray] = []
         self._rows: list[np.ndarray] = []
-        self._entries: list[np.ndarray] = []
+        self._entries: list[tuple[np.ndarray, ...]] = []
         self._count = self._height = 0
 
     def columns(
@@ -99,32 +99,29 @@ class Model:
         self._count += len(cost)
         return np.arange(self._count - len(cost), self._count)
 
-    def rows(
-        self,
-        lower: np.ndarray | float,
-        upper: np.ndarray | float,
-        *entries: Entry,
-    ) -> None:
+    def rows(self, lower: np.ndarray | float, upper: np.ndarray | float, *entries: Entry) -> None:
         """Add rows; one where both bounds are numbers.
 
         Args:
             entries: their first row is 0; values of 0 are left out.
         """
-        bounds = np.stack(np.broadcast_arrays(np.atleast_1d(lower), upper))
-        for row, column, value in entries:
-            group = np.stack([a.reshape(-1) for a in np.broadcast_arrays(row, column, value)])
-            group = group[:, group[2] != 0].astype(float)
-            group[0] += self._height
-            self._entries.append(group)
-        self._rows.append(bounds)
-        self._height += bounds.shape[1]
+        for entry in entries:
+            parts = [np.asarray(part) for part in entry]
+            shape = np.broadcast(*parts).shape
+            row, column, value = (
+                (part if part.shape == shape else np.broadcast_to(part, shape)).reshape(-1)
+                for part in parts
+            )
+            live = value != 0
+            self._entries.append((self._height + row[live], column[live], value[live]))
+        self._rows.append(np.stack(np.broadcast_arrays(np.atleast_1d(lower), upper)))
+        self._height += self._rows[-1].shape[1]
 
     def program(self) -> Program:
         """What was added, as a program."""
         cost, lower, upper, integer = np.concatenate(self._columns, 1)
         row_lower, row_upper = np.concatenate(self._rows, 1)
-        row, column, value = np.concatenate(self._entries, 1)
-        row, column = row.astype(np.int64), column.astype(np.int64)
+        row, column, value = map(np.concatenate, zip(*self._entries, strict=True))
         order = np.lexsort((row, column))
         start = np.searchsorted(column[order], np.arange(len(cost) + 1))
         return Program(cost, lower, upper, row_lower, row_upper, start, row[order], value[order],

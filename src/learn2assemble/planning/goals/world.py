@@ -247,7 +247,7 @@ def _cover(cells, depth, owner, alive, over_start, over):
             k -= 1
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _keep(least, at, k, value, cell):
     """The cheapest so far of one kind, and its cell."""
     if value < least[k]:
