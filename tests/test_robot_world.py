@@ -10,12 +10,13 @@ from collections import Counter
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
 from learn2assemble.errors import InputError, Learn2AssembleError, UnknownNameError
 from learn2assemble.geometry.support import (
+    BALANCE_TOLERANCE,
     FLOATING,
     STABLE,
     UNSTABLE,
@@ -428,14 +429,18 @@ def random_pile(rng: np.random.Generator, count: int) -> State:
 
 
 @given(seed=SEEDS, count=st.integers(2, 16))
+@example(seed=329109, count=16)
 @settings(deadline=None, max_examples=60)
 def test_both_proofs_agree_with_the_equilibrium_program(seed: int, count: int) -> None:
     state = random_pile(np.random.default_rng(seed), count)
     placed = int(state.num_placed[0])
     cells, ids = state.position[0, :placed], state.object_id[0, :placed]
     found = classify_object(state.position[0], last_object(state, 0), placed, HALF)
-    if found in (STABLE, UNSTABLE):
-        assert is_stable(cells, ids) == (found == STABLE)
+    # Objects below have been found to stand within the tolerance of their balance.
+    if found == STABLE:
+        assert is_stable(cells, ids, slack=BALANCE_TOLERANCE)
+    if found == UNSTABLE:
+        assert not is_stable(cells, ids)
 
 
 def test_static_and_rigid_agree_on_random_objects() -> None:

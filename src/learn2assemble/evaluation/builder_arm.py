@@ -10,7 +10,7 @@ is stuck; the same blocks in the order of the builder's search; blocks and order
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -66,7 +66,7 @@ class ArmMeasure:
 def measure_arm(
     builder: str, config: ArmMeasure, progress: Progress = lambda text: None,
     keep: Callable[[dict[str, Any]], None] = lambda found: None,
-    known: dict[str, Any] | None = None,
+    known: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Sets and comparison.
 
@@ -75,7 +75,8 @@ def measure_arm(
         keep: given what is known so far from time to time.
         known: what such a measurement has found before; it goes on from there.
     """
-    agent, known = load_builder(builder), known or {}
+    agent = load_builder(builder)
+    known = {} if known is None else known
     sets: dict[str, Any] = dict(known.get("sets", {}))
     beside: list[dict[str, Any]] = list(known.get("comparison", {}).get("rows", []))
     found: dict[str, Any] = {"sets": sets, "comparison": known.get("comparison", {})}
