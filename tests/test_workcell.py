@@ -34,6 +34,7 @@ from learn2assemble.planning.workcell_site import (
     Magazine,
     Obstacle,
     Pallet,
+    Piece,
     Pose,
     Position,
     Site,
@@ -41,6 +42,7 @@ from learn2assemble.planning.workcell_site import (
     pieces_of,
     read_site,
 )
+from learn2assemble.planning.workcell_state import area
 from learn2assemble.reproduction.shapes import wall
 from learn2assemble.robot.motion.record import find_fault
 
@@ -483,3 +485,17 @@ def test_obstacles_stay_where_they_are() -> None:
     assert done.record is not None
     box = done.record.objects[len(plan.steps)][0]
     assert np.allclose(done.record.steps[-1].after[box, :3], [0.25, 0.0, 0.1], atol=1e-6)
+
+
+def test_the_area_of_a_block_is_all_that_lies_below_it() -> None:
+    """Of boxes, turned about any axis: as large as the shadow of their corners."""
+    piece = Piece(
+        "b", "brick", False, 700.0, np.zeros(3), 0, (((0.0, 0.0, 0.0), (0.05, 0.02, 0.01)),)
+    )
+    flat = np.array([0.3, 0.1, 0.01, 1, 0, 0, 0])
+    assert area(piece, flat).area == pytest.approx(0.1 * 0.04)
+    assert area(piece, flat).bounds == pytest.approx((0.25, 0.08, 0.35, 0.12))
+    side = np.array([0.3, 0.1, 0.02, math.sqrt(0.5), math.sqrt(0.5), 0, 0])
+    assert area(piece, side).area == pytest.approx(0.1 * 0.02), "on its long side"
+    diagonal = np.array([0.3, 0.1, 0.01, math.cos(0.4), 0, 0, math.sin(0.4)])
+    assert area(piece, diagonal).area == pytest.approx(0.1 * 0.04)

@@ -19,6 +19,7 @@ import math
 import os
 import zlib
 from collections import Counter
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -50,7 +51,7 @@ from learn2assemble.planning.workcell import (
     frame_of,
     supply_of,
 )
-from learn2assemble.planning.workcell_site import QUARTER, footprint
+from learn2assemble.planning.workcell_site import QUARTER, Piece, footprint
 from learn2assemble.robot.motion.record import (
     BuildRecord,
     BuildRecorder,
@@ -369,9 +370,11 @@ class Choice:
         """Places on the table where a block may lie, the nearest to the arm first."""
         import shapely
 
-        taken = shapely.union_all([self._area(n) for n in self.world.visible() if n != k] + [
-            p.face() for p in self.job.pieces
-        ] + [footprint(s.shape, s.pose) for s in self.job.sources])  # fmt: skip
+        world = self.world
+        lying = [area(world.pieces[n], world.pose[n]) for n in world.visible() if n != k]
+        places = [p.face() for p in self.job.pieces]
+        sources = [footprint(s.shape, s.pose) for s in self.job.sources]
+        taken = shapely.union_all(lying + places + sources)
         size = float(np.linalg.norm(self.world.pieces[k].half))
         tried = self.fails[k, "away"]
         grid = np.arange(-0.6, 0.61, 0.1)
@@ -383,15 +386,6 @@ class Choice:
                 and math.dist(p, self.job.base) > 0.25 + size]  # fmt: skip
         return free[tried : tried + 1]
 
-    def _area(self, k: int) -> Any:
-        import shapely
-
-        piece, pose = self.world.pieces[k], self.world.pose[k]
-        turn = quaternion_matrix(pose[3:])
-        corners = [pose[:3] + turn @ (np.array(c) + sign * np.array(h) * s) for sign in (1, -1)
-                   for c, h in piece.shape for s in np.ndindex(2, 2, 2)]  # fmt: skip
-        return shapely.MultiPoint(np.array(corners)[:, :2]).convex_hull
-
     def _in_the_way(self, k: int) -> bool:
         """Whether it lies where a block shall stand or is presented."""
         world = self.world
@@ -399,17 +393,31 @@ class Choice:
             at = self.job.sources[world.source[k] or 0].pose
             if math.dist((at.x, at.y), world.pose[k, :2]) < BESIDE:
                 return False  # It still waits where it always has.
-        area = self._area(k).buffer(BESIDE)
+        near = area(world.pieces[k], world.pose[k]).buffer(BESIDE)
         open_places = [n for n in range(len(self.job.pieces))
                        if n != k and world.state[n] in (STOCK, LOOSE)]  # fmt: skip
-        if any(world.pieces[n].face().intersects(area) for n in open_places):
+        if any(world.pieces[n].face().intersects(near) for n in open_places):
             return True
-        return any(source.magazine and footprint(source.shape, source.pose).intersects(area)
+        return any(source.magazine and footprint(source.shape, source.pose).intersects(near)
                    for source in self.job.sources)  # fmt: skip
 
     def fitted(self, k: int) -> np.ndarray:
         """float64[7]: where a block goes, see :func:`fitted`."""
         return fitted(self.world, self.belief, self.standing() - {k}, k)
+
+
+def area(piece: Piece, pose: np.ndarray) -> Any:
+    """Hull of what lies below a block, wherever it lies and however it is turned [m].
+
+    Args:
+        pose: float64[7]: position and quaternion (w, x, y, z) of its centre.
+    """
+    import shapely
+
+    turn = quaternion_matrix(pose[3:])
+    corners = [pose[:3] + turn @ (np.array(c) + np.array(h) * signs)
+               for c, h in piece.shape for signs in product((-1, 1), repeat=3)]  # fmt: skip
+    return shapely.MultiPoint(np.array(corners)[:, :2]).convex_hull
 
 
 # ---------------------------------------------------------------- what is kept
