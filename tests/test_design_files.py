@@ -330,6 +330,22 @@ def test_colours_go_with_the_cells(tmp_path: Path) -> None:
 RED, BLUE, GREEN = (200, 0, 0), (0, 0, 200), (0, 160, 0)
 
 
+@pytest.mark.parametrize(("paper", "grey", "cells_there"), [
+    (255, 150, True), (255, 185, True), (255, 205, False), (200, 130, True), (200, 150, False),
+    (100, 60, True),
+])  # fmt: skip
+def test_grey_on_white_is_material(
+    tmp_path: Path, paper: int, grey: int, cells_there: bool
+) -> None:
+    """Of a black wall with a grey tower, the tower is built, too; a shade of the paper is not."""
+    picture = np.full((6, 8), paper, np.uint8)
+    picture[3:, 1:5] = 0
+    picture[1:, 5:7] = grey
+    made = cells(write(tmp_path / "a.png", png(picture)))
+    # On dark paper all is material, as in a picture of nothing but a wall.
+    assert made.wanted.sum() == (48 if paper < 128 else 12 + 10 * cells_there)
+
+
 def test_fill_colours_of_a_drawing_go_to_its_cells(tmp_path: Path) -> None:
     """Blue is painted over red; a cell takes the colour that shows most of it."""
     body = (

@@ -174,8 +174,9 @@ def read_png(
 ) -> tuple[np.ndarray, np.ndarray]:
     """A picture on cells, the margin around its material left out.
 
-    Where some pixels are transparent, the others are material. In an opaque picture dark ones are
-    (luminance below one half), and strongly coloured ones.
+    Where some pixels are transparent, the others are material. In an opaque picture those are that
+    are dark (luminance below one half, or by a quarter below that of the lightest pixel), and
+    strongly coloured ones.
 
     Args:
         wide: cells across; None is one pixel one cell.
@@ -191,7 +192,8 @@ def read_png(
     material = alpha >= 128
     if material.all():
         luminance = colour @ (0.299, 0.587, 0.114)
-        material = (luminance < 128) | (np.ptp(colour, axis=2) >= 96)
+        dark = luminance < max(128, luminance.max() - 64)
+        material = dark | (np.ptp(colour, axis=2) >= 96)
     if not material.any():
         raise InputError(source, "no opaque or dark pixel", "a picture of something")
     rows, columns = np.flatnonzero(material.any(1)), np.flatnonzero(material.any(0))
