@@ -123,6 +123,9 @@ def _measure_arm(options: argparse.Namespace, output: Output) -> None:
         known = mapping(read_json(options.out / "builder_arm.json", "--out")[0], "--out")
         if known.get("agent") != options.agent:
             raise InputError("--out", str(options.out), f"a measurement of {options.agent}")
+        before = {key: known.get(key) for key in ("measure", "machine")}
+        if before["machine"] != head["machine"]:
+            head["earlier"] = [*known.get("earlier", []), before]
     with nullcontext() if options.resume else claim_folder(options.out):
         found = measure_arm(options.agent, config, output.progress, keep, known)
     output.table("complete", ("tool", "designs", "complete"), [
