@@ -213,10 +213,10 @@ def test_an_episode_of_the_known_solution_returns_two() -> None:
     env = gymnasium.make("learn2assemble/designs-lintels-60-v0", task=LITTLE).unwrapped
     observation, info = env.reset(seed=3)
     total, ended = 0.0, False
-    for candidate in env.solved.order:  # type: ignore[attr-defined]
+    for candidate in env.solved.order:
         assert not ended
         assert observation["candidates"].shape == (1024, NUM_FEATURES)
-        action = int(np.flatnonzero(env._offered == candidate)[0])  # type: ignore[attr-defined]
+        action = int(np.flatnonzero(env._offered == candidate)[0])
         assert info["action_masks"][action]
         observation, reward, ended, _, info = env.step(action)
         total += float(reward)

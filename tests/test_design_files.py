@@ -55,7 +55,7 @@ def dxf(draw: Callable[[Any, Any], Any], units: int = 4) -> bytes:
     """An ASCII DXF file; ``draw`` gets the document and its model space."""
     import ezdxf
 
-    document = ezdxf.new()  # type: ignore[attr-defined]
+    document = ezdxf.new()
     document.header["$INSUNITS"] = units
     draw(document, document.modelspace())
     text = io.StringIO()

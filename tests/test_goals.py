@@ -33,7 +33,7 @@ from learn2assemble.planning.goals.tasks import (
     fixed_names,
 )
 from learn2assemble.planning.goals.train import GuideConfig, train
-from learn2assemble.planning.goals.world import make_yard
+from learn2assemble.planning.goals.world import make_problem
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling import placement_cells
 from learn2assemble.reproduction import goals as figures
@@ -150,8 +150,8 @@ def test_what_is_complete_meets_the_goals(family: str, spatial: bool) -> None:
 
 def test_the_example_is_built_with_the_fewest_blocks() -> None:
     goals = read_goals(EXAMPLE)
-    found = search(make_yard(goals), None, seconds=20)
-    exact = plan_program(make_yard(goals), seconds=100)
+    found = search(make_problem(goals), None, seconds=20)
+    exact = plan_program(make_problem(goals), seconds=100)
     assert exact.status == "optimal"
     assert exact.bound == len(exact.placements) == found.blocks == 4
     plan = l2a.build(goals, planner="exact")
@@ -162,8 +162,8 @@ def test_the_example_is_built_with_the_fewest_blocks() -> None:
 def test_no_structure_has_fewer_blocks_than_the_bound(family: str, seed: int) -> None:
     goals = draw_goals(family, seed)
     assert goals is not None
-    found = search(make_yard(goals), None, seconds=3)
-    exact = plan_program(make_yard(goals), seconds=5)
+    found = search(make_problem(goals), None, seconds=3)
+    exact = plan_program(make_problem(goals), seconds=5)
     assert exact.status in ("optimal", "time", "feasible")
     assert 0 < exact.bound <= found.blocks
 
@@ -189,12 +189,12 @@ def test_loads_are_balanced_by_counterweights() -> None:
 def test_environments_pass_the_checker_and_are_solved_by_the_search(name: str) -> None:
     env = env_of(name).unwrapped
     check_env(env, skip_render_check=True)
-    found = search(env.yard, None, seconds=20)
+    found = search(env.problem, None, seconds=20)
     observation, info = env.reset(seed=0)
     total, ended = 0.0, False
     for block in found.placements:
         assert not ended
-        action = list(env._offered).index(env.yard.site.candidate(block))
+        action = list(env._offered).index(env.problem.site.candidate(block))
         assert observation["mask"][action]
         observation, reward, ended, _, info = env.step(action)
         assert info["stood"]
@@ -238,16 +238,16 @@ def test_no_fixed_task_was_left_out_because_it_is_hard() -> None:
 def test_the_task_that_no_search_solved_can_be_solved() -> None:
     """A lintel on two columns: found by hand, with the same proof as any plan."""
     goals = fixed_goals("spatial/tower/20002")
-    yard, _ = prepare(goals)
+    problem, _ = prepare(goals)
     structure = [((x, 1, z), 2) for x in (1, 7) for z in range(4)] + [((1, 1, 4), 8)]
     wanted = [{(x + k, y, z) for k in range(n)} for (x, y, z), n in structure]
     by_cells = {
-        frozenset(map(tuple, placement_cells(yard.site.placement(k), goals.kit).tolist())): k
-        for k in range(len(yard.site))
+        frozenset(map(tuple, placement_cells(problem.site.placement(k), goals.kit).tolist())): k
+        for k in range(len(problem.site))
     }
-    order = find_order(yard, [by_cells[frozenset(cells)] for cells in wanted])
+    order = find_order(problem, [by_cells[frozenset(cells)] for cells in wanted])
     assert order is not None
-    assert finished(yard, tuple(yard.site.placement(k) for k in order))
+    assert finished(problem, tuple(problem.site.placement(k) for k in order))
 
 
 @pytest.mark.parametrize("name", [n for n in fixed_names() if n.startswith("impossible")])
@@ -267,8 +267,8 @@ def test_a_training_learns_and_its_guide_is_read_again(tmp_path: Path) -> None:
     again = load_guide(str(save_guide(guide, tmp_path)))
     assert again.origin["states"] > 0
     assert again.origin["demonstrations"] is False
-    yard = make_yard(read_goals(EXAMPLE))
-    assert search(yard, again, seconds=20).blocks
+    problem = make_problem(read_goals(EXAMPLE))
+    assert search(problem, again, seconds=20).blocks
     (tmp_path / "tiny.safetensors").write_bytes(b"none")
     load_guide.cache_clear()
     with pytest.raises(InputError, match="a guide of goals"):
@@ -309,7 +309,7 @@ IMPOSSIBLE: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("name", IMPOSSIBLE)
 def test_what_is_impossible_is_refused_with_a_reason(name: str) -> None:
     goals = goals_of(**IMPOSSIBLE[name])
-    assert plan_program(make_yard(goals), seconds=60).status == "infeasible"
+    assert plan_program(make_problem(goals), seconds=60).status == "infeasible"
     plan = plan_goals(goals, seconds=20)
     assert plan.status == "refused"
     assert plan.reason

@@ -115,7 +115,7 @@ def test_unknown_names_and_missing_files_are_refused(tmp_path: Path) -> None:
 
 def test_orientations_are_those_that_differ_and_fit_the_lattice() -> None:
     def number(cells: tuple[tuple[int, int, int], ...], turns: str, *pitch: float) -> int:
-        kit = Kit("k", (Kind("a", cells, turns=turns),), pitch or (1.0, 1.0, 1.0))  # type: ignore
+        kit = Kit("k", (Kind("a", cells, turns=turns),), pitch or (1.0, 1.0, 1.0))
         return len(orientations(kit))
 
     bar = ((0, 0, 0), (1, 0, 0))

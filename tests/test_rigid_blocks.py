@@ -19,10 +19,9 @@ from scipy.optimize import linprog
 from learn2assemble.assembly.blocks import Assembly, Block, box_block
 from learn2assemble.assembly.contacts import Contacts, find_contacts
 from learn2assemble.errors import InputError
+from learn2assemble.physics.block_forces import GRAVITY, MOST_G
 from learn2assemble.physics.rigid_blocks import (
     FALLS,
-    GRAVITY,
-    MOST_G,
     STANDS,
     TIGHT,
     bed_patches,
@@ -401,7 +400,7 @@ def test_bad_assemblies_are_refused() -> None:
         check(boxes(cube, (0.5, 0, 0, 1.5, 1, 1)))
     for friction in (float("nan"), -0.1, 99.0, "rough"):
         with pytest.raises(InputError, match="friction"):
-            check(boxes(cube), friction=friction)  # type: ignore[arg-type]
+            check(boxes(cube), friction=friction)
     assembly = boxes(cube)
     with pytest.raises(InputError, match="present"):
         solve(assembly, find_contacts(assembly), present=np.ones(3, bool))

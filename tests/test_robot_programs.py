@@ -552,7 +552,7 @@ def as_controller(script: str, program: Program, arm: Arm) -> Program:
             if not rows:
                 rows.append(q)
                 continue
-            a, v = (float(re.search(rf"{key}=([\d.]+)", text)[1]) for key in "av")  # type: ignore[index]
+            a, v = (float(re.search(rf"{key}=([\d.]+)", text)[1]) for key in "av")
             way = np.abs(q - rows[-1]).max()
             time.append(time[-1] + max(1.875 * way / v, math.sqrt(5.774 * way / a), 1e-3))
             rows.append(q)

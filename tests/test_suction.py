@@ -118,7 +118,7 @@ def test_a_tool_of_ones_own_is_known_by_its_name(mine: Path, tmp_path: Path) -> 
         get_arm("panda", "suctoin")
     for base in ((0, 0, 0), (0, 0, 0, math.nan), (1e3, 0, 0, 0)):
         with pytest.raises(InputError, match="base"):
-            get_arm("panda", "suction", base)  # type: ignore[arg-type]
+            get_arm("panda", "suction", base)
 
 
 # ---------------------------------------------------------------- holding
@@ -309,7 +309,7 @@ def field(gap: float, hole: int, half: np.ndarray) -> tuple[Scene, np.ndarray]:
 @pytest.mark.parametrize("gap", [1e-4, 5e-4])
 @pytest.mark.parametrize("arm", [PANDA, UR5E], ids=lambda arm: arm.name)
 def test_a_brick_is_lowered_into_a_slot_of_its_size(arm: object, gap: float) -> None:
-    cell = DynamicCell(arm)  # type: ignore[arg-type]
+    cell = DynamicCell(arm)
     world, place = field(gap, 4, BRICK)
     grasp = attitudes(cell.arm, BRICK)[0]
     found = cell.attempt(world, Move(8, place, grasp, grasp))
@@ -453,7 +453,7 @@ def test_a_heavy_lintel_is_moved_so_that_it_does_not_slip(
 
     class Watched(Vacuum):
         def __init__(self, *given: object) -> None:
-            super().__init__(*given)  # type: ignore[arg-type]
+            super().__init__(*given)
             cups.append(self)
 
     monkeypatch.setattr("learn2assemble.robot.dynamic.simulation.Vacuum", Watched)

@@ -61,7 +61,7 @@ def window() -> Plan:
 
 
 def quick(**fields: object) -> Workcell:
-    return Workcell("panda", "suction", physics="kinematic", **fields)  # type: ignore[arg-type]
+    return Workcell("panda", "suction", physics="kinematic", **fields)
 
 
 def stands_where_it_should(plan: Plan) -> None:

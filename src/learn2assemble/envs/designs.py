@@ -18,7 +18,7 @@ from learn2assemble.planning.agent.world import World
 from learn2assemble.planning.goals import network as goal_features
 from learn2assemble.planning.goals.search import Search
 from learn2assemble.planning.goals.tasks import fixed_goals
-from learn2assemble.planning.goals.world import bears, legal, make_yard, put, relax
+from learn2assemble.planning.goals.world import bears, legal, make_problem, put, relax
 from learn2assemble.tasks import DESIGN_TASKS, GOAL_TASKS, DesignTask, GoalTask
 
 _MOST, _BLOCK_COST = 100.0, 0.05
@@ -192,13 +192,13 @@ class GoalsEnv(_CandidateEnv):
 
     def __init__(self, task: GoalTask | str, render_mode: str | None = None) -> None:
         self.task = GOAL_TASKS[task] if isinstance(task, str) else task
-        self.yard = make_yard(fixed_goals(self.task.goals))
-        self._look = Search(self.yard, None)
+        self.problem = make_problem(fixed_goals(self.task.goals))
+        self._look = Search(self.problem, None)
         super().__init__(self.task.max_candidates, goal_features, render_mode)
 
     def _draw(self) -> World:
-        world = World(self.yard.site)
-        self._relaxed = relax(self.yard, world)
+        world = World(self.problem.site)
+        self._relaxed = relax(self.problem, world)
         self._start = self._relaxed.blocks
         return world
 
@@ -207,25 +207,25 @@ class GoalsEnv(_CandidateEnv):
         if grown is None:
             return False, reward
         before, self.world = self._relaxed.blocks, grown
-        self._relaxed = relax(self.yard, grown, self._relaxed.price)
+        self._relaxed = relax(self.problem, grown, self._relaxed.price)
         if np.isfinite(self._relaxed.blocks):
             reward = (before - self._relaxed.blocks) / self._start
         return True, reward + (self._success(grown) - _BLOCK_COST)
 
     def _success(self, world: World) -> bool:
-        return self._relaxed.blocks == 0 and bears(self.yard, world)
+        return self._relaxed.blocks == 0 and bears(self.problem, world)
 
     def _over(self, world: World) -> bool:
         lost = not np.isfinite(self._relaxed.blocks) or not len(self._offered)
         return bool(lost or self._success(world))
 
     def _candidates(self, world: World) -> tuple[np.ndarray, np.ndarray]:
-        children = legal(self.yard, world)
+        children = legal(self.problem, world)
         return children, self._relaxed.detour[children] - self._relaxed.used[children]
 
     def _describe(self, world: World) -> tuple[np.ndarray, np.ndarray]:
         helps, _ = self._look.advice(world, self._relaxed, self._offered)
-        return goal_features.describe(self.yard, world, self._relaxed, self._offered, helps)
+        return goal_features.describe(self.problem, world, self._relaxed, self._offered, helps)
 
     def _info(self, world: World, stood: bool) -> dict[str, Any]:
         return {

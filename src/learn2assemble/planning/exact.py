@@ -105,7 +105,7 @@ def stand_pressed(
     Returns:
         the tiling, None where none was found; what to add to the refusal of :func:`stand`.
     """
-    from learn2assemble.physics.rigid_blocks import System
+    from learn2assemble.physics.block_forces import System
 
     square = bool(np.isclose(kit.pitch[0], kit.pitch[1]))
     boxes = all(np.prod(np.ptp(np.array(way.cells), axis=0) + 1) == len(way.cells)

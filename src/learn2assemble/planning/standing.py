@@ -32,7 +32,7 @@ from learn2assemble.planning.step_proof import EDGE_INSET, Stack, block_masses, 
 from learn2assemble.planning.tiling import BlockPlacement, Tiling, from_below, placement_cells
 
 if TYPE_CHECKING:
-    from learn2assemble.physics.rigid_blocks import System
+    from learn2assemble.physics.block_forces import System
 
 NEAR, LEVELS = 4, 3
 """How far round a block that falls the tiling is decided again [cells], and on how many levels."""

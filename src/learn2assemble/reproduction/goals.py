@@ -99,12 +99,12 @@ def _by_arm(task: str, plan: Plan) -> Result:
 
 def _optimum(task: str) -> Result:
     """The fewest blocks there are, where that can be proven in time."""
-    yard, _ = prepare(fixed_goals(task))
+    problem, _ = prepare(fixed_goals(task))
     clock = Clock(OPTIMUM_SECONDS)
-    best = search(yard, None, seconds=3.0, timer=time.process_time).blocks or MOST + 1
+    best = search(problem, None, seconds=3.0, timer=time.process_time).blocks or MOST + 1
     bound = 1
     while clock.left > 0:
-        exact = plan_program(yard, seconds=clock.left, most=best - 1)
+        exact = plan_program(problem, seconds=clock.left, most=best - 1)
         bound = max(bound, exact.bound)
         if exact.status == "infeasible":
             return {"status": "optimal", "blocks": best, "bound": best}

@@ -24,7 +24,8 @@ HELPS = {
     "the exact model tells, the exact look-ahead chooses another.",
     DESIGNS: "the exact model tells it what every placement pays and which are valid; among "
     "those that pay the same it chooses by a network trained on designs alone, with solutions of "
-    "the exact planner, never on these tasks.",
+    "the exact planner, never on these tasks. Chance, too, picks among what it offers only, so its "
+    "figures at ε = 0.05 cannot be compared with those of agents that may pick anything.",
     KNOWS: "no learning; the exact model tells it what every placement brings and which are valid.",
 }
 """Help that the paper's agent does not have: the words in a row's name, and what they mean."""

@@ -8,6 +8,7 @@ moves nothing and decides nothing about balance; :mod:`learn2assemble.physics` d
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
@@ -61,7 +62,7 @@ class Collision(NamedTuple):
         return f"{self.part} touches {self.other}"
 
 
-class CollisionChecker:
+class CollisionChecker(ABC):
     """A model whose arm can be put anywhere.
 
     Args:
@@ -79,9 +80,9 @@ class CollisionChecker:
         self.opening = 0.0
         """Between the pads [m]."""
 
+    @abstractmethod
     def check(self, joints: np.ndarray) -> Collision | None:
         """The first collision at joints float64[n] [rad], or None."""
-        raise NotImplementedError
 
     def move_arm(self, joints: np.ndarray) -> None:
         """Put the arm at joints float64[n] [rad]."""

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.planning.agent.world import World
-from learn2assemble.planning.goals.world import Relaxed, Yard, unmet
+from learn2assemble.planning.goals.world import Problem, Relaxed, unmet
 from learn2assemble.planning.scorer import (
     Scorer,
     ScorerFiles,
@@ -104,7 +104,7 @@ def default_guide() -> Guide | None:
 
 
 def describe(
-    yard: Yard, world: World, relaxed: Relaxed, children: np.ndarray, ballast: np.ndarray
+    problem: Problem, world: World, relaxed: Relaxed, children: np.ndarray, ballast: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Features of candidates, float32[m, NUM_FEATURES], and of the state, float32[NUM_SUMMARY].
 
@@ -113,7 +113,7 @@ def describe(
         children: int64[m], legal candidates.
         ballast: float64[m]: how well each lies where weight is asked for.
     """
-    site, found, shape = yard.site, yard.site.found, yard.goals.shape
+    site, found, shape = problem.site, problem.site.found, problem.goals.shape
     ways = np.array([np.max(way.cells, axis=0) + 1 for way in found.ways])
     extent = ways[found.way[children]]
     origin, size = found.origin[children], found.size()[children]
@@ -124,7 +124,7 @@ def describe(
     planned[np.concatenate([site.cells(int(k)) for k in used] or [np.empty(0, np.int64)])] = True
     above = np.append(planned[1:], False)
     above[shape[2] - 1 :: shape[2]] = False
-    goals = unmet(yard, world)
+    goals = unmet(problem, world)
     wanted = np.zeros(site.wanted.size, bool)
     wanted[goals] = True
     column = wanted.reshape(shape).any(2).repeat(shape[2])
@@ -132,13 +132,13 @@ def describe(
     def share(mask: np.ndarray) -> np.ndarray:
         return np.bincount(row, mask[part.cell], len(children)) / size
 
-    centre = yard.centre[children]
+    centre = problem.centre[children]
     at = np.stack(np.unravel_index(goals, shape), -1) if len(goals) else np.zeros((1, 3), int)
     away = np.abs(centre[:, None] - at[None, :, :2] - 0.5).sum(-1)
     nearest = away.argmin(1)
-    carried = (site.rests[children] - world.waits[children]) / np.diff(yard.bed_start)[children]
+    carried = (site.rests[children] - world.waits[children]) / np.diff(problem.bed_start)[children]
     carried[origin[:, 2] == 0] = 1.0
-    lean, lever = _levers(yard, world, children, centre)
+    lean, lever = _levers(problem, world, children, centre)
     kinds = site.kind[children]
     heap = world.heap[kinds].astype(float)
     needed = np.bincount(site.kind[used], minlength=len(world.heap))[kinds]
@@ -156,7 +156,8 @@ def describe(
     state = [
         relaxed.blocks / _FAR, len(goals) / _FAR, len(world.placed) / _FAR, not len(goals),
         (ballast > 0).any(), len(children) / 200, (world.heap >= 0).mean(), min(shape[:2]) > 1,
-        sum(load.mass for load in yard.goals.loads) / max(world.proof.stack.weight.sum(), 0.1) / 4,
+        sum(load.mass for load in problem.goals.loads)
+        / max(world.proof.stack.weight.sum(), 0.1) / 4,
     ]  # fmt: skip
     return (
         np.stack(rows, 1).astype(np.float32), np.minimum(np.array(state), 10).astype(np.float32)
@@ -164,7 +165,7 @@ def describe(
 
 
 def _levers(
-    yard: Yard, world: World, children: np.ndarray, centre: np.ndarray
+    problem: Problem, world: World, children: np.ndarray, centre: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """How far the block below each candidate leans (0 to 1, from the middle of its support to its
     edge), and how far out on that side the candidate would lie [cells / 8], negative behind."""
@@ -176,17 +177,17 @@ def _levers(
     total = np.maximum(np.bincount(stack.upper, force, len(stack)), 1e-12)
     middle, press, half = (np.zeros((len(stack), 2)) for _ in range(3))
     for axis in range(2):
-        place = stack.point[:, axis] / yard.goals.kit.pitch[axis] + yard.goals.shape[axis] / 2
+        place = stack.point[:, axis] / problem.goals.kit.pitch[axis] + problem.goals.shape[axis] / 2
         middle[:, axis] = np.bincount(stack.upper, place, len(stack)) / count
         press[:, axis] = np.bincount(stack.upper, place * force, len(stack)) / total
         np.maximum.at(half[:, axis], stack.upper, np.abs(place - middle[stack.upper, axis]))
     tip = press - middle
     length = np.linalg.norm(tip, axis=1)
     relative = (np.abs(tip) / np.maximum(half, 0.25)).max(1)
-    bed = yard.bed[yard.bed_start[children]]
+    bed = problem.bed[problem.bed_start[children]]
     for n, k in enumerate(children):
-        bed = yard.bed[yard.bed_start[k] : yard.bed_start[k + 1]]
-        bed = bed[bed % yard.goals.shape[2] > 0]
+        bed = problem.bed[problem.bed_start[k] : problem.bed_start[k + 1]]
+        bed = bed[bed % problem.goals.shape[2] > 0]
         below = np.unique(world.owner[bed - 1]) if len(bed) else bed
         below = below[below >= 0]
         if len(below):

@@ -19,9 +19,9 @@ from learn2assemble.planning.goals.program import MOST, plan_program
 from learn2assemble.planning.goals.search import Found, search
 from learn2assemble.planning.goals.world import (
     MAX_CANDIDATES,
-    Yard,
+    Problem,
     failing_load,
-    make_yard,
+    make_problem,
     relax,
 )
 from learn2assemble.planning.ordering import Bounds, order, value_range
@@ -63,7 +63,7 @@ def plan_goals(
         InputError: for loads that the heap cannot carry, and goals that are too large.
     """
     started = time.perf_counter()
-    yard, reason = prepare(goals)
+    problem, reason = prepare(goals)
     stages: list[plans.SearchStage] = []
     blocks: tuple[BlockPlacement, ...] = ()
     chosen, status = planner, "refused" if reason else "incomplete"
@@ -75,7 +75,7 @@ def plan_goals(
         guide = (guide or default_guide()) if learned else None
         # On record the search without a network solves as many tasks, and mostly sooner.
         for prior in (guide,) if planner == AGENT or guide is None else (None, guide):
-            found = search(yard, prior, seconds=limit, seed=seed, timer=timer)
+            found = search(problem, prior, seconds=limit, seed=seed, timer=timer)
             blocks, chosen, used = found.placements, AGENT if prior else SEARCH, prior
             name = "learned search" if prior else SEARCH
             stages.append(plans.SearchStage(name, _words(found), round(found.seconds, 3)))
@@ -85,7 +85,7 @@ def plan_goals(
     if planner != AGENT and not blocks and status != "refused":
         progress("solving the exact program")
         spent = time.perf_counter() - started if stages else 0.0
-        exact = plan_program(yard, seconds=seconds - spent)
+        exact = plan_program(problem, seconds=seconds - spent)
         blocks, chosen = exact.placements, EXACT
         words = f"{exact.status}: {len(blocks)} blocks, at least {exact.bound}"
         stages.append(plans.SearchStage("exact program", words, round(exact.seconds, 3)))
@@ -104,7 +104,7 @@ def plan_goals(
                    verified_by=f"{plan.verified_by}{also}")  # fmt: skip
 
 
-def prepare(goals: Goals) -> tuple[Yard, str]:
+def prepare(goals: Goals) -> tuple[Problem, str]:
     """The candidates of some goals, and why they cannot be met where that is known at once.
 
     Raises:
@@ -117,13 +117,13 @@ def prepare(goals: Goals) -> tuple[Yard, str]:
     if goals.open.size * ways > MAX_CANDIDATES:
         most = MAX_CANDIDATES // ways
         raise InputError(f"{goals.source}: site", f"{goals.open.size} cells", f"at most {most}")
-    yard = make_yard(goals)
-    return yard, impossible(yard)
+    problem = make_problem(goals)
+    return problem, impossible(problem)
 
 
-def impossible(yard: Yard) -> str:
+def impossible(problem: Problem) -> str:
     """Why no structure meets the goals, where a simple bound proves it; else an empty text."""
-    goals, kit = yard.goals, yard.goals.kit
+    goals, kit = problem.goals, problem.goals.kit
     cells, asked = kit.most_cells, int(goals.must.sum())
     if cells is not None:
         if asked > cells:
@@ -135,7 +135,7 @@ def impossible(yard: Yard) -> str:
         level = int(np.argwhere(goals.must)[:, 2].max()) + 1
         if reached < level:
             return f"a goal is {level} levels high; the whole heap on one another is {reached}"
-    if not goals.props and not np.isfinite(relax(yard, World(yard.site)).blocks):
+    if not goals.props and not np.isfinite(relax(problem, World(problem.site)).blocks):
         return (f"no chain of blocks of kit `{kit.name}`, each carried below its centroid, leads "
                 "from the table to every goal around the obstacles")  # fmt: skip
     return ""

@@ -24,7 +24,7 @@ import numpy as np
 from learn2assemble.design.goals import Surface
 from learn2assemble.planning.agent.world import World
 from learn2assemble.planning.goals.search import finished
-from learn2assemble.planning.goals.world import Yard, failing_load, legal, put
+from learn2assemble.planning.goals.world import Problem, failing_load, legal, put
 from learn2assemble.planning.programs import INF, Clock, Model, Program, solve
 from learn2assemble.planning.standing import add_forces, face_points, find_faces
 from learn2assemble.planning.step_proof import find_stack
@@ -49,7 +49,7 @@ class Exact:
     seconds: float
 
 
-def plan_program(yard: Yard, *, seconds: float = 60.0, most: int = MOST) -> Exact:
+def plan_program(problem: Problem, *, seconds: float = 60.0, most: int = MOST) -> Exact:
     """The structure with the fewest blocks that meets the goals, and an order.
 
     Args:
@@ -57,12 +57,12 @@ def plan_program(yard: Yard, *, seconds: float = 60.0, most: int = MOST) -> Exac
         most: blocks of a structure at most.
     """
     clock = Clock(seconds)
-    goals = yard.goals
+    goals = problem.goals
     cases: list[tuple[Surface, ...]] = [goals.loads]
     ruled_out: list[np.ndarray] = []
     bound = 1
     while True:
-        answer = solve(_program(yard, cases, ruled_out, most), clock.left, gap=0.0)
+        answer = solve(_program(problem, cases, ruled_out, most), clock.left, gap=0.0)
         if answer.status == "infeasible":
             status = "infeasible" if not ruled_out else "time"
             return Exact(status, (), bound, clock.spent)
@@ -70,18 +70,18 @@ def plan_program(yard: Yard, *, seconds: float = 60.0, most: int = MOST) -> Exac
             bound = max(bound, int(np.ceil(answer.bound - 1e-6)))
         if answer.x is None:
             return Exact("time", (), bound, clock.spent)
-        chosen = np.flatnonzero(answer.x[: len(yard.site)] > 0.5)
-        blocks = tuple(yard.site.placement(int(k)) for k in chosen)
+        chosen = np.flatnonzero(answer.x[: len(problem.site)] > 0.5)
+        blocks = tuple(problem.site.placement(int(k)) for k in chosen)
         owner = owners(blocks, goals.kit, goals.shape)
         failing = failing_load(goals, find_stack(blocks, goals.kit, goals.shape), owner)
-        if failing is None and not finished(yard, blocks):
+        if failing is None and not finished(problem, blocks):
             failing = ()
         if failing is not None and failing not in cases:
             cases.append(failing)
             continue
-        order = find_order(yard, chosen.tolist())
+        order = find_order(problem, chosen.tolist())
         if order is not None:
-            made = tuple(yard.site.placement(k) for k in order)
+            made = tuple(problem.site.placement(k) for k in order)
             status = "optimal" if answer.status == "optimal" else "feasible"
             return Exact(status, made, bound, clock.spent)
         ruled_out.append(chosen)
@@ -89,7 +89,7 @@ def plan_program(yard: Yard, *, seconds: float = 60.0, most: int = MOST) -> Exac
             return Exact("time", (), bound, clock.spent)
 
 
-def find_order(yard: Yard, candidates: list[int]) -> list[int] | None:
+def find_order(problem: Problem, candidates: list[int]) -> list[int] | None:
     """An order in which candidates can be put down, every state standing; None for none."""
     seen: set[frozenset[int]] = set()
 
@@ -99,23 +99,23 @@ def find_order(yard: Yard, candidates: list[int]) -> list[int] | None:
         if left in seen or len(seen) > MAX_STATES:
             return None
         seen.add(left)
-        ready = [k for k in legal(yard, world).tolist() if k in left]
-        for k in sorted(ready, key=lambda k: yard.site.found.origin[k, 2]):
+        ready = [k for k in legal(problem, world).tolist() if k in left]
+        for k in sorted(ready, key=lambda k: problem.site.found.origin[k, 2]):
             grown = put(world, k)
             made = None if grown is None else go(grown, left - {k})
             if made is not None:
                 return made
         return None
 
-    return go(World(yard.site), frozenset(candidates))
+    return go(World(problem.site), frozenset(candidates))
 
 
 def _program(
-    yard: Yard, cases: list[tuple[Surface, ...]], ruled_out: list[np.ndarray], most: int
+    problem: Problem, cases: list[tuple[Surface, ...]], ruled_out: list[np.ndarray], most: int
 ) -> Program:
     """Columns: whether each candidate is used, then for every case the forces at the corners of
     bed faces and of top faces."""
-    site, found, goals = yard.site, yard.site.found, yard.goals
+    site, found, goals = problem.site, problem.site.found, problem.goals
     n, shape, kit = len(site), goals.shape, goals.kit
     planar = shape[1] == 1
     cell, body = found.cell, np.repeat(np.arange(n), found.size())
@@ -138,18 +138,18 @@ def _program(
     pairs = pairs[:, pairs[0] <= int(np.argwhere(goals.must)[:, 2].max())]
     model.rows(np.ones(int(pairs[0].max()) + 1), INF, (pairs[0], pairs[1], 1.0))
     # On every side of the centroid something that carries.
-    bed_body = np.repeat(np.arange(n), np.diff(yard.bed_start))
-    bed_at = np.stack(np.unravel_index(yard.bed, shape), -1)
+    bed_body = np.repeat(np.arange(n), np.diff(problem.bed_start))
+    bed_at = np.stack(np.unravel_index(problem.bed, shape), -1)
     above = bed_at[:, 2] > 0
     raised = np.unique(bed_body[above])
     row_of = np.full(n, -1)
     row_of[raised] = np.arange(len(raised))
-    away = bed_at[:, :2] - yard.centre[bed_body]
+    away = bed_at[:, :2] - problem.centre[bed_body]
     sides = [side for axis in range(1 if planar else 2)
              for side in (away[:, axis] > -1 + 1e-6, away[:, axis] < -1e-6)]  # fmt: skip
     for side in sides if not goals.props else [np.ones(len(away), bool)]:
         pairs = np.flatnonzero(side & above)
-        below = yard.bed[pairs] - 1
+        below = problem.bed[pairs] - 1
         counts = np.diff(site.over_start)[below]
         inner = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
         q = site.over[np.repeat(site.over_start[below], counts) + inner]

@@ -31,8 +31,8 @@ import numpy as np
 from learn2assemble.planning.agent.world import World, grow
 from learn2assemble.planning.goals.network import Guide, describe
 from learn2assemble.planning.goals.world import (
+    Problem,
     Relaxed,
-    Yard,
     bears,
     failing_load,
     legal,
@@ -102,15 +102,15 @@ class Search:
         guide: the network; None: none.
     """
 
-    def __init__(self, yard: Yard, guide: Guide | None, seed: int = 0) -> None:
-        self.yard, self.guide = yard, guide
+    def __init__(self, problem: Problem, guide: Guide | None, seed: int = 0) -> None:
+        self.problem, self.guide = problem, guide
         rng = np.random.default_rng(seed)
         self.rng, self.noise = rng, 0.0
-        self.hash = rng.integers(0, 2**63, len(yard.site), dtype=np.int64)
+        self.hash = rng.integers(0, 2**63, len(problem.site), dtype=np.int64)
         self.expanded = 0
         self.best: World | None = None
         self.fewest = INF
-        self.heaviest = float(yard.site.weight.max())
+        self.heaviest = float(problem.site.weight.max())
 
     def expand(self, world: World, relaxed: Relaxed, spent: float) -> Node:
         """The node of a structure.
@@ -119,11 +119,11 @@ class Search:
             spent: surprises on the way to it.
         """
         self.expanded += 1
-        children = legal(self.yard, world)
+        children = legal(self.problem, world)
         helps, weight = self.advice(world, relaxed, children)
         missing = max(relaxed.blocks + np.ceil(round(weight / self.heaviest, 6)), 1.0)
         if self.guide is not None and len(children):
-            logits = self.guide.scores(*describe(self.yard, world, relaxed, children, helps))
+            logits = self.guide.scores(*describe(self.problem, world, relaxed, children, helps))
             surprise = TEMPER * (logits.max() - logits)
         else:
             detour = np.clip(relaxed.detour[children], 0.0, FAR)
@@ -153,12 +153,12 @@ class Search:
 
     def overloaded(self, world: World) -> Stack | None:
         """What stands with all loads that have a place by now, where that falls."""
-        owner = world.owner.reshape(self.yard.goals.shape)
-        loads = tuple(load for load in self.yard.goals.loads if owner[load.cell] >= 0)
+        owner = world.owner.reshape(self.problem.goals.shape)
+        loads = tuple(load for load in self.problem.goals.loads if owner[load.cell] >= 0)
         if not loads:
             return None
-        stack = loaded(world.proof.stack, owner, loads, self.yard.goals.shape,
-                       self.yard.goals.kit.pitch)  # fmt: skip
+        stack = loaded(world.proof.stack, owner, loads, self.problem.goals.shape,
+                       self.problem.goals.kit.pitch)  # fmt: skip
         proof, everything = Proof(stack), np.ones(len(stack), bool)
         proof.force = world.proof.force.copy()
         return None if proof.settle(everything, everything) else stack
@@ -173,17 +173,17 @@ class Search:
             heavy: what stands, with the loads under which it falls.
             liked: candidates that fall, asked for where there is no such load.
         """
-        yard = self.yard
-        share, least = np.zeros(len(yard.site)), INF
+        problem = self.problem
+        share, least = np.zeros(len(problem.site)), INF
         cases = [] if heavy is None else [(heavy, world.owner)]
         for k in liked[:2] if len(world.placed) and heavy is None else ():
             owner = world.owner.copy()
-            owner[yard.site.cells(int(k))] = len(world.placed)
+            owner[problem.site.cells(int(k))] = len(world.placed)
             cases.append((grow(world, int(k)), owner))
         for stack, owner in cases:
-            cells, weight = _least_ballast(yard, stack, owner)
+            cells, weight = _least_ballast(problem, stack, owner)
             for cell, much in zip(cells, weight / max(weight.sum(), 1e-9), strict=True):
-                on = yard.site.on[yard.site.on_start[cell] : yard.site.on_start[cell + 1]]
+                on = problem.site.on[problem.site.on_start[cell] : problem.site.on_start[cell + 1]]
                 share[on] = np.maximum(share[on], 0.2 + 0.8 * much)
             least = min(least, float(weight.sum()) if len(cells) else INF)
         return share, least if np.isfinite(least) else 0.0
@@ -204,8 +204,8 @@ class Search:
                 value = len(node.world.placed) + weight * node.missing + node.surprise[index]
                 heapq.heappush(queue, (float(value), -next(ties), index, node))
 
-        world = World(self.yard.site)
-        push(self.expand(world, relax(self.yard, world), 0.0), 0)
+        world = World(self.problem.site)
+        push(self.expand(world, relax(self.problem, world), 0.0), 0)
         while queue:
             if clock.left <= 0 or self.expanded > limit or len(seen) > MAX_SEEN:
                 return False
@@ -221,8 +221,8 @@ class Search:
             world = put(node.world, candidate)
             if world is None:
                 continue
-            relaxed = relax(self.yard, world, node.relaxed.price)
-            if relaxed.blocks == 0 and bears(self.yard, world):
+            relaxed = relax(self.problem, world, node.relaxed.price)
+            if relaxed.blocks == 0 and bears(self.problem, world):
                 self.best, self.fewest = world, len(world.placed)
                 return False
             if not self.hopeless(world, relaxed):
@@ -231,7 +231,7 @@ class Search:
 
 
 def search(
-    yard: Yard, guide: Guide | None, *, seconds: float = 10.0, seed: int = 0,
+    problem: Problem, guide: Guide | None, *, seconds: float = 10.0, seed: int = 0,
     timer: Callable[[], float] = time.monotonic,
 ) -> Found:  # fmt: skip
     """A structure for some goals with as few blocks as can be found.
@@ -240,10 +240,10 @@ def search(
         guide: the network; None: none.
         seconds: limit, as ``timer`` tells them.
     """
-    clock, found = Clock(seconds, timer), Search(yard, guide, seed)
+    clock, found = Clock(seconds, timer), Search(problem, guide, seed)
     best = Found((), 0, 0.0)
     end, runs = clock, 0
-    exhausted = not len(yard.site) or not np.isfinite(relax(yard, World(yard.site)).blocks)
+    exhausted = not len(problem.site) or not np.isfinite(relax(problem, World(problem.site)).blocks)
     while end.left > 0 and not exhausted:
         before = found.fewest
         weight = WEIGHTS[0 if found.best is None else runs % 2]
@@ -251,44 +251,44 @@ def search(
         runs += 1
         if found.best is None or found.fewest == before:
             continue
-        made = Found(trim(yard, found.best), 0, 0.0)
+        made = Found(trim(problem, found.best), 0, 0.0)
         best = made if not best.placements or made.blocks < best.blocks else best
         found.fewest = best.blocks
         end = Clock(min(clock.left, PATIENCE[0] + PATIENCE[1] * clock.spent), timer)
     return Found(best.placements, found.expanded, clock.spent, exhausted)
 
 
-def trim(yard: Yard, world: World) -> tuple[BlockPlacement, ...]:
+def trim(problem: Problem, world: World) -> tuple[BlockPlacement, ...]:
     """The blocks in their order, without those that nothing needs; where props are allowed, those
     that only building needs are temporary."""
     kept = list(world.placed)
     for candidate in reversed(world.placed):
         fewer = [k for k in kept if k != candidate]
-        made = replay(yard, fewer)
-        if made is not None and not len(unmet(yard, made)) and bears(yard, made):
+        made = replay(problem, fewer)
+        if made is not None and not len(unmet(problem, made)) and bears(problem, made):
             kept = fewer
-    blocks = [yard.site.placement(k) for k in kept]
-    if yard.goals.props:
+    blocks = [problem.site.placement(k) for k in kept]
+    if problem.goals.props:
         for index in reversed(range(len(blocks))):
             trial = [*blocks[:index], replace(blocks[index], prop=True), *blocks[index + 1 :]]
-            if finished(yard, tuple(b for b in trial if not b.prop)):
+            if finished(problem, tuple(b for b in trial if not b.prop)):
                 blocks = trial
     return tuple(blocks)
 
 
-def replay(yard: Yard, candidates: list[int]) -> World | None:
+def replay(problem: Problem, candidates: list[int]) -> World | None:
     """The world after some candidates; None where one is not legal or falls."""
-    world: World | None = World(yard.site)
+    world: World | None = World(problem.site)
     for k in candidates:
-        if world is None or k not in legal(yard, world):
+        if world is None or k not in legal(problem, world):
             return None
         world = put(world, k)
     return world
 
 
-def finished(yard: Yard, blocks: tuple[BlockPlacement, ...]) -> bool:
+def finished(problem: Problem, blocks: tuple[BlockPlacement, ...]) -> bool:
     """Whether blocks meet the goals, stand and bear the loads, however they got there."""
-    goals = yard.goals
+    goals = problem.goals
     owner = owners(blocks, goals.kit, goals.shape)
     if not (owner[:, :, 0] >= 0).any() or goals.unmet(owner >= 0):
         return False
@@ -301,7 +301,9 @@ def finished(yard: Yard, blocks: tuple[BlockPlacement, ...]) -> bool:
     return failing_load(goals, stack, owner) is None
 
 
-def _least_ballast(yard: Yard, stack: Stack, owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _least_ballast(
+    problem: Problem, stack: Stack, owner: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Cells on top of which the least weight holds a structure, and how much on each [kg]; none
     where it stands without or nothing holds it.
 
@@ -309,7 +311,7 @@ def _least_ballast(yard: Yard, stack: Stack, owner: np.ndarray) -> tuple[np.ndar
         stack: with its loads.
         owner: int64[cells].
     """
-    goals = yard.goals
+    goals = problem.goals
     depth = goals.shape[2]
     filled = np.flatnonzero(owner >= 0)
     top = filled[filled % depth < depth - 1]

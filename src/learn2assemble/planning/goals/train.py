@@ -25,7 +25,7 @@ from learn2assemble.planning.goals.network import (
 )
 from learn2assemble.planning.goals.search import Search, search
 from learn2assemble.planning.goals.tasks import FIRST_TRAINING_SEED, TRAINED, draw_goals
-from learn2assemble.planning.goals.world import Yard, legal, make_yard, put, relax
+from learn2assemble.planning.goals.world import Problem, legal, make_problem, put, relax
 
 
 @dataclass(frozen=True)
@@ -91,14 +91,14 @@ def train(
             goals = draw_goals(family, seed, bool(rng.random() < 0.4))
             if goals is None:
                 continue
-            yard = make_yard(goals)
-            found = search(yard, guide, seconds=config.limit, seed=seed, timer=time.process_time)
+            problem = make_problem(goals)
+            found = search(problem, guide, seconds=config.limit, seed=seed, timer=time.process_time)
             drawn += 1
             if found.placements:
                 solved += 1
-                chosen = [yard.site.candidate(block) for block in found.placements]
+                chosen = [problem.site.candidate(block) for block in found.placements]
                 for _ in range(config.replays):
-                    samples += _replay(yard, chosen, rng, config)
+                    samples += _replay(problem, chosen, rng, config)
         torch.manual_seed(config.seed)
         weights, figures = _learn(weights, samples, config, rng)
         guide = Guide(config.name, weights)
@@ -113,16 +113,16 @@ def train(
 
 
 def _replay(
-    yard: Yard, chosen: list[int], rng: np.random.Generator, config: GuideConfig
+    problem: Problem, chosen: list[int], rng: np.random.Generator, config: GuideConfig
 ) -> list[_Sample]:
     """States on the way to a solution, in a random order."""
-    look, world, left = Search(yard, None), World(yard.site), set(chosen)
+    look, world, left = Search(problem, None), World(problem.site), set(chosen)
     found: list[_Sample] = []
-    relaxed = relax(yard, world)
+    relaxed = relax(problem, world)
     while left:
-        children = legal(yard, world)
+        children = legal(problem, world)
         helps, _ = look.advice(world, relaxed, children)
-        rows, summary = describe(yard, world, relaxed, children, helps)
+        rows, summary = describe(problem, world, relaxed, children, helps)
         right = np.isin(children, list(left))
         if not right.any():
             break
@@ -137,7 +137,7 @@ def _replay(
         if grown is None:
             break
         left.discard(grown.placed[-1])
-        world, relaxed = grown, relax(yard, grown, relaxed.price)
+        world, relaxed = grown, relax(problem, grown, relaxed.price)
     return found
 
 

@@ -34,7 +34,7 @@ MAX_CANDIDATES = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Yard:
+class Problem:
     """What does not change while a structure for some goals grows."""
 
     goals: Goals
@@ -68,7 +68,7 @@ class Relaxed:
     """float64[kinds]: what kinds cost beyond a block, because the heap has few."""
 
 
-def make_yard(goals: Goals) -> Yard:
+def make_problem(goals: Goals) -> Problem:
     """Every candidate of some goals."""
     site = make_site(goals.open, goals.kit)
     found = site.found
@@ -90,7 +90,7 @@ def make_yard(goals: Goals) -> Yard:
         heavy[bears] = mass[bears, None] * heavy[bears] + load.mass * at
         mass[bears] += load.mass
         heavy[bears] /= mass[bears, None]
-    return Yard(
+    return Problem(
         goals, site, np.argsort(found.origin[:, 2], kind="stable"),
         np.concatenate([[0], np.cumsum([len(bed) for bed in beds])]).astype(np.int64),
         np.concatenate(beds) if beds else none,
@@ -98,11 +98,11 @@ def make_yard(goals: Goals) -> Yard:
     )  # fmt: skip
 
 
-def legal(yard: Yard, world: World) -> np.ndarray:
+def legal(problem: Problem, world: World) -> np.ndarray:
     """int64[m]: candidates that nothing covers and whose centroid has something that carries on
     every side; the whole structure may still fall."""
-    return _legal(world.owner, world.alive, yard.bed_start, yard.bed,
-                  yard.centre, np.array(yard.goals.shape))  # fmt: skip
+    return _legal(world.owner, world.alive, problem.bed_start, problem.bed,
+                  problem.centre, np.array(problem.goals.shape))  # fmt: skip
 
 
 def put(world: World, candidate: int, program: bool = True) -> World | None:
@@ -115,29 +115,29 @@ def put(world: World, candidate: int, program: bool = True) -> World | None:
     return grown
 
 
-def unmet(yard: Yard, world: World) -> np.ndarray:
+def unmet(problem: Problem, world: World) -> np.ndarray:
     """int64[k]: flat cells that have to be filled and are not."""
-    return yard.must[world.owner[yard.must] < 0]
+    return problem.must[world.owner[problem.must] < 0]
 
 
-def relax(yard: Yard, world: World, price: np.ndarray | None = None) -> Relaxed:
+def relax(problem: Problem, world: World, price: np.ndarray | None = None) -> Relaxed:
     """The relaxed plan of a state, see the module.
 
     Args:
         price: of the state before, to begin with.
     """
-    site, goals = yard.site, unmet(yard, world)
+    site, goals = problem.site, unmet(problem, world)
     price = np.zeros(len(world.heap)) if price is None else price.copy()
-    blocks, used, cost, detour = _relaxed(yard, world, goals, yard.heavy, price)
-    if np.isinf(blocks) and yard.goals.loads:
-        blocks, used, cost, detour = _relaxed(yard, world, goals, yard.centre, price)
+    blocks, used, cost, detour = _relaxed(problem, world, goals, problem.heavy, price)
+    if np.isinf(blocks) and problem.goals.loads:
+        blocks, used, cost, detour = _relaxed(problem, world, goals, problem.centre, price)
     for _ in range(PRICE_ROUNDS if np.isfinite(blocks) else 0):
         taken = np.bincount(site.kind[used], minlength=len(price))
         over = (world.heap >= 0) & (taken > world.heap)
         if not over.any():
             break
         price[over] += PRICE
-        other = _relaxed(yard, world, goals, yard.heavy, price)
+        other = _relaxed(problem, world, goals, problem.heavy, price)
         if np.isinf(other[0]):
             break
         blocks, used, cost, detour = other
@@ -145,12 +145,12 @@ def relax(yard: Yard, world: World, price: np.ndarray | None = None) -> Relaxed:
 
 
 def _relaxed(
-    yard: Yard, world: World, goals: np.ndarray, heavy: np.ndarray, price: np.ndarray
+    problem: Problem, world: World, goals: np.ndarray, heavy: np.ndarray, price: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
-    site, found = yard.site, yard.site.found
+    site, found = problem.site, problem.site.found
     return _relax(
-        world.owner, world.alive, yard.order, found.start, found.cell, yard.bed_start, yard.bed,
-        yard.centre, heavy, found.origin[:, 2], goals, site.over_start, site.over,
+        world.owner, world.alive, problem.order, found.start, found.cell, problem.bed_start,
+        problem.bed, problem.centre, heavy, found.origin[:, 2], goals, site.over_start, site.over,
         1 + price[site.kind], np.array(site.wanted.shape),
     )  # fmt: skip
 
@@ -205,11 +205,11 @@ def failing_load(
     return None
 
 
-def bears(yard: Yard, world: World) -> bool:
+def bears(problem: Problem, world: World) -> bool:
     """Whether what stands bears the loads of the goals, all of which are met."""
-    owner = world.owner.reshape(yard.goals.shape)
+    owner = world.owner.reshape(problem.goals.shape)
     proof = world.proof
-    return failing_load(yard.goals, proof.stack, owner, proof.force) is None
+    return failing_load(problem.goals, proof.stack, owner, proof.force) is None
 
 
 # ---------------------------------------------------------------- compiled
