@@ -40,6 +40,7 @@ from learn2assemble.reproduction.cells import (
     read_result,
     row_cells,
     run_jobs,
+    share_size,
     stale,
     write_result,
 )
@@ -74,6 +75,7 @@ from learn2assemble.reproduction.tables import (
 from learn2assemble.search.config import SEARCHES, TO_THE_END, SearchConfig
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import get_task
+from learn2assemble.world.state import State
 
 torch.set_num_threads(1)
 
@@ -212,6 +214,36 @@ def test_measuring_is_playing_episodes(agents: Path) -> None:
     ):
         assert abs(other) <= (1 - 0.95**count) / 0.05 + 1e-6
         assert (own == 0) == (other == 0) or count > 1
+
+
+def test_agents_of_a_row_share_its_problems(agents: Path) -> None:
+    """The first share is the beginning of all, the others go on behind it."""
+    weights = {f"tiny-s{k}": agents / f"tiny-s{k % 2}.safetensors" for k in (0, 1, 3, 8)}
+    row, by_name = SMALL.rows[0], {job.cell.path: job for job in jobs(SMALL, weights, 120)}
+    cells = row_cells(SMALL, row, 0, row.pick(weights))
+    assert [(cell.agent, cell.share) for cell in cells[:4]] == [
+        ("tiny-s0", 0), ("tiny-s1", 1), ("tiny-s3", 3), ("tiny-s8", 3)
+    ]  # fmt: skip
+    assert {by_name[cell.path].episodes for cell in cells} == {40}
+    assert share_size(1000, 3) == 350
+    problems, simulator = episode_generators(2)[0], Simulator(TASK)
+    state, seen = simulator.new(9, problems), []
+
+    def watch(now: State, rng: np.random.Generator) -> np.ndarray:
+        seen.append(now.vertices.copy())
+        return np.zeros((now.batch_size, 3), np.int64)
+
+    play_episodes(simulator, watch, 3, 2, first=6)
+    np.testing.assert_array_equal(seen[0], state.vertices[6:])
+    greedy = Cell(TASK, "agent", "tiny-s0", seed=2)
+    whole, last = (
+        measure(dataclasses.replace(greedy, share=n), str(weights["tiny-s0"]), size)["returns"]
+        for n, size in ((0, 9), (2, 3))
+    )
+    assert whole[6:] == last
+    own = [play_episodes(simulator, random_policy(5), 3, 2, first=n).returns for n in (3, 3, 0)]
+    assert (own[0] == own[1]).all()
+    assert (own[0] != own[2]).any()
 
 
 def test_bound_and_look_ahead_meet_the_same_problems() -> None:
@@ -374,9 +406,12 @@ def filled(root: Path) -> None:
     """Results of two agents with known numbers."""
     for condition, shift in ((Condition(0.05), -1.0), (Condition(0.0), 0.0)):
         for seed, base in ((0, 3.0), (1, 3.5)):
-            cell = Cell(TASK, "agent", f"tiny-s{seed}", None, condition.epsilon)
-            fake(root, cell, [base + shift - 0.5, base + shift + 0.5], [0, seed])
-    fake(root, Cell(TASK, BOUND), [4.0, 4.0, 9.0], [0, 0, 0])
+            cell = Cell(TASK, "agent", f"tiny-s{seed}", None, condition.epsilon, share=seed)
+            # Of the first agent more episodes than its share.
+            more = [7.0] * (1 - seed)
+            returns = [base + shift - 0.5, base + shift + 0.5, *more]
+            fake(root, cell, returns, [0, seed, *[1 for _ in more]])
+    fake(root, Cell(TASK, BOUND), [4.0, 4.0, 4.0, 6.0, 9.0], [0] * 5)
 
 
 def test_numbers_of_a_row_by_hand(tmp_path: Path) -> None:
@@ -388,18 +423,18 @@ def test_numbers_of_a_row_by_hand(tmp_path: Path) -> None:
     assert returns == pytest.approx([3.25, 2.25])
     # Student's t for two agents 0.5 apart: 12.706 * (0.5 / sqrt 2) / sqrt 2.
     assert clean.R_ci95 == pytest.approx(12.706 * 0.25)
-    # Over the two problems, 1 apart: 1.96 * (1 / sqrt 2) / sqrt 2.
-    assert clean.R_ci95_problems == pytest.approx(0.98)
+    # Over the four problems, 2.5, 3.5, 3 and 4: 1.96 * sqrt(1.25 / 3) / 2.
+    assert clean.R_ci95_problems == pytest.approx(0.98 * math.sqrt(1.25 / 3))
     assert clean.over_agents
-    assert (clean.agents, clean.episodes, clean.a) == (2, 4, 4.0)
+    assert (clean.agents, clean.episodes, clean.problems, clean.a) == (2, 4, 4, 4.0)
     assert (clean.f, clean.success, clean.b) == (0.25, 0.75, 0.0)
-    assert clean.share == pytest.approx(3.25 / 4)
+    assert clean.share == pytest.approx(3.25 / 4.5)
     assert noisy.share is None
     assert entry.paper == Published(3.21, 0.05, 7.93, None, 0.16)
     assert [e[0].state for e in data.entries] == [
         "", NOT_MEASURED, NOT_TRAINED, NOT_MEASURED, NOT_AVAILABLE
     ]  # fmt: skip
-    assert data.episodes == (2, 2)
+    assert data.problems == (4, 4)
 
 
 def test_differences_are_taken_problem_by_problem(tmp_path: Path) -> None:
@@ -443,7 +478,7 @@ def test_results_of_another_task_do_not_count(tmp_path: Path) -> None:
 
 
 def summary(R: float, f: float, episodes: int = 100) -> Summary:
-    return Summary(R, 0.1, 0.1, 8.0, 0.0, f, 1 - f, 1, episodes, None, None)
+    return Summary(R, 0.1, 0.1, 8.0, 0.0, f, 1 - f, 1, episodes, episodes, None, None)
 
 
 def test_marks() -> None:
@@ -474,12 +509,12 @@ def test_text_depends_on_the_numbers_alone(tmp_path: Path) -> None:
     assert compact_markdown(a) == compact_markdown(b)
     page = markdown(a)
     assert (
-        "| plain | 2 | 3.21 ± 0.05 | 7.93 | 0.16 | 2.25 ± 3.18 (0.98) ▼ | 4.00 | 0.00 | 0.25 |"
+        "| plain | 2 | 3.21 ± 0.05 | 7.93 | 0.16 | 2.25 ± 3.18 (0.63) ▼ | 4.00 | 0.00 | 0.25 |"
         in page
     )
     assert "| absent | not trained |" in page
     assert "| look-ahead (knows outcomes) | not measured |" in page
-    assert "81.2 %" in page
+    assert "72.2 %" in page
     assert "over agents" in page
     assert QUICK not in page
     assert QUICK in markdown(load_table(SMALL, tmp_path / "a", quick=True))

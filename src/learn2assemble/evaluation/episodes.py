@@ -147,10 +147,17 @@ def make_policy(
     return search_policy(search_model(model) if search_model else model, config)
 
 
-def episode_generators(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
-    """Generators of the problems and of the policy of an evaluation."""
-    root = np.random.SeedSequence([EVALUATION_STREAM, seed])
-    problems, policy = (np.random.default_rng(s) for s in root.spawn(2))
+def episode_generators(
+    seed: int, first: int = 0
+) -> tuple[np.random.Generator, np.random.Generator]:
+    """Generators of the problems and of the policy of an evaluation from problem ``first`` on.
+
+    Those of the problems do not depend on ``first``: the ones before it are to be drawn, too.
+    """
+    words = [EVALUATION_STREAM, seed]
+    problems, policy = (np.random.default_rng(s) for s in np.random.SeedSequence(words).spawn(2))
+    if first:
+        policy = np.random.default_rng(np.random.SeedSequence([*words, first]))
     return problems, policy
 
 
@@ -190,10 +197,13 @@ def run_episodes(
 
 def play_episodes(
     simulator: Simulator, policy: Policy, episodes: int, seed: int,
-    progress: Callable[[int], None] = lambda done: None,
+    progress: Callable[[int], None] = lambda done: None, first: int = 0,
 ) -> Episodes:  # fmt: skip
-    """Play ``episodes`` fresh problems to their end; arguments as in :func:`run_episodes`."""
-    problem_rng, policy_rng = episode_generators(seed)
+    """Play ``episodes`` fresh problems to their end, the first ``first`` of the seed left out;
+    other arguments as in :func:`run_episodes`."""
+    problem_rng, policy_rng = episode_generators(seed, first)
+    if first:
+        simulator.new(first, problem_rng)
     parts: list[Episodes] = []
     for start in range(0, episodes, BATCH):
         state = simulator.new(min(BATCH, episodes - start), problem_rng)

@@ -1,8 +1,9 @@
 """Table entries: one policy on one task under one condition, measured over whole episodes.
 
 Every entry has a result file, written whole or not at all, with everything needed to repeat it;
-those that are missing or stale are measured on all cores or machines. All policies of a task play
-the same problems, so that their returns can be compared problem by problem.
+those that are missing or stale are measured on all cores or machines. All rows of a task play the
+same problems, so that their returns can be compared problem by problem; where a row has several
+agents, each plays a share of them.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import torch
 
 from learn2assemble.errors import InputError
 from learn2assemble.evaluation.episodes import (
+    BATCH,
     DISCOUNTS,
     Policy,
     episode_generators,
@@ -54,6 +56,11 @@ EPISODES = {"kinematic": 200, "dynamic": 100, "published": 100}
 """Problems of a cell by its placement checker ..."""
 MANY_EPISODES = 1000
 """... and with any other one, which costs far less."""
+SHARES = 5
+"""The problems of a cell are shared among so many agents: that of seed k plays the k-th share.
+
+An agent more brings more than more problems for the same one, and the interval over agents that
+played different problems holds for both."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +75,8 @@ class Cell:
         epsilon: chance of a random action.
         physics: placement checker of the episodes.
         seed: of problems and policy.
+        share: number of the share of the problems that is played, see :data:`SHARES`; all shares
+            are as large as this one.
     """
 
     task: Task
@@ -77,6 +86,7 @@ class Cell:
     epsilon: float = 0.0
     physics: str = "static"
     seed: int = 0
+    share: int = 0
 
     @property
     def path(self) -> str:
@@ -88,6 +98,8 @@ class Cell:
             parts.insert(1, MENDED)
         if self.physics != "static":
             parts.append(self.physics)
+        if self.share:
+            parts.append(f"share{self.share}")
         return f"cells/{self.task.name}/{'.'.join(parts)}.json"
 
     def to_dict(self) -> dict[str, Any]:
@@ -135,7 +147,10 @@ def measure(cell: Cell, agent_file: str | None, episodes: int) -> dict[str, Any]
         rng, _ = episode_generators(cell.seed)
         arrays = {"returns": _rounded(best_returns(simulator, episodes, rng))}
     else:
-        played = play_episodes(simulator, make_cell_policy(cell, agent_file), episodes, cell.seed)
+        played = play_episodes(
+            simulator, make_cell_policy(cell, agent_file), episodes, cell.seed,
+            first=cell.share * episodes,
+        )  # fmt: skip
         other = {
             f"returns_at_{gamma:g}": _rounded(column)
             for gamma, column in zip(DISCOUNTS, played.returns_at.T, strict=True)
@@ -208,9 +223,19 @@ class Result:
     def episodes(self) -> int:
         return int(self.data["episodes"])
 
+    @property
+    def first(self) -> int:
+        """Number of the first problem played."""
+        return self.cell.share * self.episodes
+
     def array(self, name: str) -> np.ndarray:
         """One number an episode: float64[E]."""
         return np.asarray(self.data[name], float)
+
+    def head(self, episodes: int) -> Result:
+        """The first ``episodes`` of them."""
+        cut = {k: v[:episodes] if isinstance(v, list) else v for k, v in self.data.items()}
+        return Result(self.cell, self.agent_hash, {**cut, "episodes": episodes})
 
 
 def write_result(root: Path, cell: Cell, agent_hash: str | None, data: dict[str, Any]) -> Path:
@@ -255,7 +280,7 @@ def is_current(root: Path, cell: Cell, agent_hash: str | None, episodes: int) ->
     return (
         result is not None
         and (result.cell, result.agent_hash) == (cell, agent_hash)
-        and result.episodes >= episodes
+        and (result.episodes == episodes if cell.share else result.episodes >= episodes)
     )
 
 
@@ -324,12 +349,25 @@ def row_cells(table: Table, row: Row, column: int, agents: list[str]) -> list[Ce
     """The cells of one row in one column, for all conditions and the given agents."""
     if row.columns is not None and column not in row.columns:
         return []
-    task, names = table.columns[column].preset, agents if row.agents else [""]
+    task = table.columns[column].preset
+    names = shares(row, agents) if row.agents else {"": 0}
     return [
         Cell(task, row.policy, name, row.search_config(condition.epsilon), condition.epsilon,
-             condition.physics)
-        for condition in table.conditions for name in names
+             condition.physics, share=share)
+        for condition in table.conditions for name, share in names.items()
     ]  # fmt: skip
+
+
+def shares(row: Row, agents: list[str]) -> dict[str, int]:
+    """The share of the problems that each of ``agents`` plays; of a single one all there are."""
+    return {name: row.seed(name) % SHARES if len(agents) > 1 else 0 for name in agents}
+
+
+def share_size(problems: int, count: int) -> int:
+    """Problems of each of ``count`` shares: at least ``problems`` together, in whole batches, so
+    that the first share of an agent is the beginning of all its episodes."""
+    size = -(-problems // count)
+    return size if count == 1 or size < BATCH else -(-size // BATCH) * BATCH
 
 
 def jobs(
@@ -340,23 +378,26 @@ def jobs(
 
     Args:
         agents: name and weights of the agents there are.
-        episodes: of every cell; by default :data:`EPISODES`.
+        episodes: of every row in every column; by default :data:`EPISODES`.
         max_agents: at most so many of a row, the lowest numbers.
     """
     cells: dict[str, Cell] = {}
+    count: dict[str, int] = {}
     for row in table.rows:
         names = row.pick(agents)[:max_agents]
+        number = len(set(shares(row, names).values())) or 1
         for column in range(len(table.columns)):
-            cells |= {cell.path: cell for cell in row_cells(table, row, column, names)}
-    count = {
-        path: episodes or EPISODES.get(cell.physics, MANY_EPISODES) for path, cell in cells.items()
-    }
+            for cell in row_cells(table, row, column, names):
+                cells[cell.path] = cell
+                problems = episodes or EPISODES.get(cell.physics, MANY_EPISODES)
+                count[cell.path] = share_size(problems, number)
     for path, cell in list(cells.items()):
         if has_bound(cell.task):
             # Of as many problems as any policy plays.
             bound = Cell(cell.task, BOUND, seed=cell.seed)
             cells[bound.path] = bound
-            count[bound.path] = max(count[path], count.get(bound.path, 0))
+            end = (cell.share + 1) * count[path]
+            count[bound.path] = max(end, count.get(bound.path, 0))
     hashes = {name: agent_hash(agents[name]) for name in {c.agent for c in cells.values()} if name}
     return [
         Job(

@@ -87,6 +87,8 @@ class Summary:
     agents: int
     episodes: int
     """Of all agents together."""
+    problems: int
+    """Different ones that were played."""
     R_other: float | None
     """R at the table's other discount."""
     share: float | None
@@ -122,8 +124,8 @@ class TableData:
 
     table: Table
     entries: tuple[tuple[Entry, ...], ...]
-    episodes: tuple[int, int]
-    """Fewest and most episodes an agent played; (0, 0) without results."""
+    problems: tuple[int, int]
+    """Fewest and most problems of a cell; (0, 0) without results."""
     quick: bool
     left_out: tuple[str, ...]
     """Result files of the table that are absent."""
@@ -145,8 +147,8 @@ def load_table(table: Table, root: Path, quick: bool = False) -> TableData:
         for row, line in zip(table.rows, found, strict=True)
     )
     played = [
-        result.episodes for line in found for results in line
-        for good in (results or {}).values() for result in good
+        summary.problems for line in entries for entry in line
+        for summary in entry.results.values()
     ]  # fmt: skip
     span = (min(played), max(played)) if played else (0, 0)
     return TableData(table, entries, span, quick, tuple(sorted(missing)))
@@ -167,7 +169,17 @@ def _results(table: Table, row: Row, number: int, root: Path, missing: set[str])
             missing.add(cell.path)
         elif result.cell == cell:
             found.setdefault(Condition(cell.epsilon, cell.physics), []).append(result)
-    return found if cells else None
+    return {key: _shares(results) for key, results in found.items()} if cells else None
+
+
+def _shares(results: list[Result]) -> list[Result]:
+    """Of agents that share the problems as much as each has played: the first share may be the
+    beginning of more; shares of another size are left out."""
+    size = min(result.episodes for result in results)
+    return [
+        result if result.episodes == size else result.head(size)
+        for result in results if result.episodes == size or not result.cell.share
+    ]  # fmt: skip
 
 
 def _entry(
@@ -201,9 +213,10 @@ def _summary(
     problems, other = _by_problem(results), f"returns_at_{table.other_discount or 0:g}"
     return Summary(
         R=float(means.mean()), R_ci95=_half_width(returns, means),
-        R_ci95_problems=_half_width([problems], means[:1]),
+        R_ci95_problems=_half_width([problems[np.isfinite(problems)]], means[:1]),
         a=mean("actions"), b=float(np.mean(ran_out)), f=mean("failed"), success=mean("success"),
         agents=len(results), episodes=sum(r.episodes for r in results),
+        problems=int(np.isfinite(problems).sum()),
         R_other=mean(other) if all(other in r.data for r in results) else None,
         share=_share(results, root) if condition == Condition(0.0) else None,
         difference=None if base is None else paired(problems, _by_problem(base)),
@@ -211,19 +224,24 @@ def _summary(
 
 
 def _by_problem(results: list[Result]) -> np.ndarray:
-    """float64[E]: mean return of the agents on each problem that all have played."""
-    count = min(result.episodes for result in results)
-    return np.mean([result.array("returns")[:count] for result in results], axis=0)
+    """float64[E]: mean return on each problem of the agents that have played it; NaN of none."""
+    total, count = np.zeros((2, max(result.first + result.episodes for result in results)))
+    for result in results:
+        played = slice(result.first, result.first + result.episodes)
+        total[played] += result.array("returns")
+        count[played] += 1
+    return np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0)
 
 
 def paired(returns: np.ndarray, others: np.ndarray) -> tuple[float, float]:
     """Mean difference on the same problems, and half the width of its 95 % interval.
 
     Args:
-        returns, others: float64[E] by problem; of different lengths, the first ones count.
+        returns, others: float64[E] by problem; those count that both have, and neither as NaN.
     """
     count = min(len(returns), len(others))
     apart = returns[:count] - others[:count]
+    apart = apart[np.isfinite(apart)]
     return float(apart.mean()), _half_width([apart], apart[:1])
 
 
@@ -247,10 +265,11 @@ def _share(results: list[Result], root: Path) -> float | None:
     for result in results:
         cell = Cell(result.cell.task, BOUND, seed=result.cell.seed)
         bound = read_result(root / cell.path) if has_bound(cell.task) else None
-        if bound is None or bound.cell != cell or bound.episodes < result.episodes:
+        end = result.first + result.episodes
+        if bound is None or bound.cell != cell or bound.episodes < end:
             return None
         reached.append(result.array("returns").mean())
-        bounds.append(bound.array("returns")[: result.episodes].mean())
+        bounds.append(bound.array("returns")[result.first : end].mean())
     return float(np.sum(reached) / np.sum(bounds))
 
 
@@ -382,15 +401,16 @@ QUICK = "A quick look: one agent and few episodes a cell. Not the numbers of rec
 def notes(data: TableData) -> list[str]:
     """What has to be known to read the numbers."""
     text = "".join(cell for section in sections(data) for row in section.rows for cell in row)
-    low, high = data.episodes
+    low, high = data.problems
     count = str(low) if low == high else f"{low} to {high}"
     out = [QUICK] if data.quick else []
     out += [
         "R: mean discounted return; a: actions an episode; b: share that ran out of blocks; f: "
         "share ended by an invalid action. *: the agents were trained on this task.",
-        f"Ours: {count} problems an agent, the same for every method, none used in training. ± is "
-        "the 95 % interval of R: over agents (Student) and, in brackets, over problems; where a "
-        "row has one agent, over problems (marked °). Paper: five agents, 100 episodes each.",
+        f"Ours: {count} problems, the same for every method, none used in training; of several "
+        "agents each plays an equal share. ± is the 95 % interval of R: over agents (Student) "
+        "and, in brackets, over problems; where a row has one agent, over problems (marked °). "
+        "Paper: five agents, 100 episodes each.",
     ]
     if "%" in text:
         out.append(

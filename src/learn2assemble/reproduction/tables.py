@@ -122,9 +122,13 @@ class Row:
 
     def pick(self, names: Iterable[str]) -> list[str]:
         """Its agents among ``names``, in the order of their seeds."""
-        matches = [re.fullmatch(rf"{re.escape(self.agents)}(?:-s(\d+))?", name) for name in names]
-        found = {m.group(0): int(m.group(1) or 0) for m in matches if m and self.agents}
-        return sorted(found, key=lambda name: (found[name], name))
+        pattern = re.compile(rf"{re.escape(self.agents)}(-s\d+)?")
+        found = [name for name in names if self.agents and pattern.fullmatch(name)]
+        return sorted(found, key=lambda name: (self.seed(name), name))
+
+    def seed(self, name: str) -> int:
+        """Of the training of one of its agents, as its name says."""
+        return int(name[len(self.agents) + 2 :] or 0)
 
 
 @dataclass(frozen=True)
@@ -153,7 +157,8 @@ class Table:
     @property
     def stems(self) -> list[str]:
         """Stems of its agents, in the order of its rows."""
-        return list(dict.fromkeys(row.agents for row in self.rows if row.agents))
+        names = [re.sub(r"-s\d+$", "", row.agents) for row in self.rows if row.agents]
+        return list(dict.fromkeys(names))
 
     @property
     def reference(self) -> int | None:
@@ -165,8 +170,9 @@ class Table:
 # ---------------------------------------------------------------- rows
 
 OWN_CUBES, OWN_BARS, OWN_OBJECTS = "relational-cubes", "relational-bars", "relational-objects"
+SHIPPED = f"{OWN_CUBES}-s0"
 BUILDER = "builder"
-"""Stems of our own agents, and of the builder of designs."""
+"""Stems of our own agents, the one that is shipped, and the stem of the builder of designs."""
 _LEARNERS = {"DQN": ("dqn", "dqn-mcts"), "ε-MCTS": ("eps-mcts",) * 2, "Q-MCTS": ("q-mcts",) * 2}
 """Learner -> stem of its agents and its search."""
 
@@ -346,16 +352,16 @@ _ALL = (
         "ablation", "What each part of our method brings (24,000 samples; searches: shipped agent)",
         (_T2_COLUMNS[0], _T2_COLUMNS[4]),
         (*(_ours(label, f"ablation-{stem}", help=help_) for label, stem, help_ in _PARTS),
-         *_budget(0, learners=("DQN",)), _ours("shipped agent, no search", OWN_CUBES),
-         *(_ours(f"shipped agent, {name}, budget 10", OWN_CUBES, name, distinct=True)
+         *_budget(0, learners=("DQN",)), _ours("shipped agent, no search", SHIPPED),
+         *(_ours(f"shipped agent, {name}, budget 10", SHIPPED, name, distinct=True)
            for name in ("dqn-mcts", "widening", "gumbel")),
          _LOOK_AHEAD),
     ),
     Table(
-        "scaling", "Targets larger than those of training (DQN: 3x3, ours: 5x5)",
+        "scaling", "Targets larger than those of training (DQN: 3x3, ours, the shipped agent: 5x5)",
         (_T2_COLUMNS[0], *_T2_COLUMNS[3:], *_SIZES),
-        (*_budget(0, learners=("DQN",)), *_own(OWN_CUBES),
-         _ours("ours, budget 10", OWN_CUBES, "dqn-mcts", help=HELPED, policy=MENDED), _LOOK_AHEAD),
+        (*_budget(0, learners=("DQN",)), *_own(SHIPPED),
+         _ours("ours, budget 10", SHIPPED, "dqn-mcts", help=HELPED, policy=MENDED), _LOOK_AHEAD),
         conditions=(Condition(0.0),),
         notes=("R is discounted, so the last blocks of a large target hardly show in it; the "
                "success is the share of targets that are finished.",),
@@ -364,8 +370,8 @@ _ALL = (
         "shipped", "The shipped agent beside the published methods",
         (*(replace(column, star=False) for column in _T2_COLUMNS[:4]),
          replace(_T2_COLUMNS[4], star=True), _SIZES[0]),
-        (_ours("no search", OWN_CUBES, paper={"method": "DQN", "search_budget": "0"}),
-         _ours("budget 10", OWN_CUBES, "dqn-mcts",
+        (_ours("no search", SHIPPED, paper={"method": "DQN", "search_budget": "0"}),
+         _ours("budget 10", SHIPPED, "dqn-mcts",
                paper={"method": "DQN+MCTS", "search_budget": "10"}),
          _BUILDER, _LOOK_AHEAD),
         {"source_table": "main_T2"},
