@@ -10,14 +10,16 @@ they bring, which the paper's agent does not.
 
 from __future__ import annotations
 
+from itertools import islice
+from typing import NamedTuple
+
 import numpy as np
 import torch
 
 from learn2assemble.graph.batch import GraphTensors, to_tensors
 from learn2assemble.graph.features import Graph, node_offset
 from learn2assemble.graph.placements import Placements, action_keys, distinct_placements
-from learn2assemble.networks.agent import Network, fitted
-from learn2assemble.networks.placement import PlacementValues
+from learn2assemble.networks.agent import Network, Values, fitted
 from learn2assemble.networks.qnetwork import QFactors
 from learn2assemble.search.tree import ActionValues, StepResult
 from learn2assemble.simulator import Simulator
@@ -28,6 +30,17 @@ from learn2assemble.world.state import State
 
 PART = 64
 """Graphs a forward pass on the CPU: measured 1.6 times as fast as 512 at once (N = 30)."""
+MEMORY = 2048
+"""Graphs whose values are kept: what a search has reached is where it goes on, and the child it
+chooses is its next root."""
+
+
+class _Kept(NamedTuple):
+    """Values of one row of a batch that was evaluated."""
+
+    values: tuple[np.ndarray, ...]
+    """Those of :class:`QFactors`, or Q, action, key and number of all placements."""
+    row: int
 
 
 class WorldModel:
@@ -45,6 +58,7 @@ class WorldModel:
         self.simulator, self.device = simulator, device
         self.network = fitted(network, task.pitch, task.sight)
         self.discount = simulator.task.discount
+        self._kept: dict[bytes, _Kept] = {}
 
     def take(self, states: State, rows: np.ndarray) -> State:
         return states.take(rows)
@@ -60,15 +74,25 @@ class WorldModel:
         return StepResult(after, transition.reward, transition.terminated)
 
     def action_values(self, states: State) -> list[ActionValues]:
-        graph = self.simulator.observe(states)
-        with torch.inference_mode():
-            found = [self.network(part) for part in self._parts(graph)]
+        graph, spec = self.simulator.observe(states), self.simulator.action_spec
+        names, offset = self._names(graph), node_offset(graph)
+        new = [row for row, name in enumerate(names) if name not in self._kept]
+        if new:
+            self._evaluate(graph.take(np.array(new)), [names[row] for row in new])
         out: list[ActionValues] = []
-        for number, values in enumerate(found):
-            part = graph.take(np.arange(len(graph.num_nodes))[number * PART : (number + 1) * PART])
-            pairs = isinstance(values, QFactors)
-            spec = self.simulator.action_spec
-            out += _of_pairs(part, values, spec) if pairs else _of_placements(part, values)
+        for row, name in enumerate(names):
+            values, at = self._kept[name]
+            if self.network.config.values_placements:
+                q, action, key, count = (field[at] for field in values)
+                some = slice(int(count))
+                out.append(
+                    ActionValues(action[some] - offset[row], q[some].astype(float), key[some])
+                )
+            else:
+                block, reference, context = (field[at].astype(np.float64) for field in values)
+                split, end = int(offset[row, 0]), int(graph.num_nodes[row])
+                pairs = block[split:end, None] + reference[None, offset[row, 1] : split]
+                out.append(_all_actions(graph, row, pairs + context, spec))
         return out
 
     def legal(self, states: State) -> list[ActionValues]:
@@ -84,38 +108,44 @@ class WorldModel:
 
     def best(self, states: State) -> tuple[np.ndarray, np.ndarray]:
         graph = self.simulator.observe(states)
+        found = self._evaluate(graph, self._names(graph))
+        value, action = (torch.cat(column).cpu().numpy() for column in zip(*found, strict=True))
+        return value.astype(np.float64), action - node_offset(graph)
+
+    def _names(self, graph: Graph) -> list[bytes]:
+        """What the values of every graph are kept under. Older ones make room; a network that
+        learns has new values every time."""
+        keep = 0 if self.network.training else MEMORY
+        if len(self._kept) > keep:
+            latest = islice(self._kept.items(), len(self._kept) - keep, None)
+            self._kept = dict(latest)
+        return [
+            graph.nodes[row, :used].tobytes() + graph.object_id[row, :used].tobytes()
+            for row, used in enumerate(graph.num_nodes)
+        ]
+
+    def _evaluate(
+        self, graph: Graph, names: list[bytes]
+    ) -> list[tuple[torch.Tensor, torch.Tensor]]:
+        """Largest Q and its node action, in parts whose activations stay in the cache of a CPU;
+        keeps all values."""
+        tensors, found = to_tensors(graph, self.device), []
         with torch.inference_mode():
-            found = [self.network(part).best(part) for part in self._parts(graph)]
-            value, action = (torch.cat(column) for column in zip(*found, strict=True))
-        return value.cpu().numpy().astype(np.float64), action.cpu().numpy() - node_offset(graph)
-
-    def _parts(self, graph: Graph) -> list[GraphTensors]:
-        """The graph as tensors, in parts whose activations stay in the cache of a CPU."""
-        tensors = to_tensors(graph, self.device)
-        if len(tensors.nodes) <= PART:
-            return [tensors]
-        return [GraphTensors(*part) for part in zip(*[t.split(PART) for t in tensors], strict=True)]
+            for start in range(0, len(names), PART):
+                part = GraphTensors(*[t[start : start + PART] for t in tensors])
+                values = self.network(part)
+                found.append(values.best(part))
+                kept = _to_keep(values)
+                for row, name in enumerate(names[start : start + PART]):
+                    self._kept[name] = _Kept(kept, row)
+        return found
 
 
-def _of_placements(graph: Graph, values: PlacementValues) -> list[ActionValues]:
-    q = values.q.cpu().numpy().astype(np.float64)
-    placements, offset = values.cells.placements, node_offset(graph)
-    out = []
-    for row, count in enumerate(placements.count):
-        actions = placements.action[row, :count] - offset[row]
-        out.append(ActionValues(actions, q[row, :count], placements.key[row, :count]))
-    return out
-
-
-def _of_pairs(graph: Graph, values: QFactors, spec: ActionSpec) -> list[ActionValues]:
-    block, reference, context = (t.cpu().numpy().astype(np.float64) for t in values)
-    out = []
-    for row in range(len(graph.num_nodes)):
-        first = int(graph.num_targets[row])
-        split, end = first + int(graph.num_placed[row]), int(graph.num_nodes[row])
-        q = block[row, split:end, None] + reference[row, None, first:split] + context[row]
-        out.append(_all_actions(graph, row, q, spec))
-    return out
+def _to_keep(values: Values) -> tuple[np.ndarray, ...]:
+    if isinstance(values, QFactors):
+        return tuple(field.cpu().numpy() for field in values)
+    placements = values.cells.placements
+    return values.q.cpu().numpy(), placements.action, placements.key, placements.count
 
 
 def _all_actions(graph: Graph, row: int, values: np.ndarray, spec: ActionSpec) -> ActionValues:
