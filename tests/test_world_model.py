@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from learn2assemble.graph.features import node_offset
+from learn2assemble.networks.agent import make_network
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import QNetwork
 from learn2assemble.planning.world_model import WorldModel
@@ -277,6 +278,41 @@ def test_parts_of_a_forward_pass_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     parts = [model.best(state)[0], *[v.values for v in model.action_values(state)]]
     for mine, theirs in zip(whole, parts, strict=True):
         np.testing.assert_allclose(mine, theirs, atol=1e-5)
+
+
+@pytest.mark.parametrize("encoder", ["attention", "relational"])
+def test_values_are_kept(encoder: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Graphs that were valued are not valued again, unless the network learns or they are many."""
+    world, state = walls(TINY.replace(num_sides=2, num_nodes=20, grid=3), 30)
+    simulator = world.simulator
+    network = make_network(NetworkConfig(width=16, heads=2, rounds=1, encoder=encoder))
+    calls: list[int] = []
+    network.register_forward_pre_hook(lambda _, given: calls.append(len(given[0].nodes)))
+
+    def values(model: WorldModel, rows: list[int]) -> np.ndarray:
+        found = model.action_values(state.take(np.array(rows)))
+        return np.concatenate([v.values for v in found])
+
+    def fresh(rows: list[int]) -> np.ndarray:
+        return values(WorldModel(simulator, network), rows)
+
+    model = WorldModel(simulator, network.eval())
+    model.best(state.take(np.arange(20)))
+    expected = fresh([3, 25, 19])
+    calls.clear()
+    np.testing.assert_allclose(values(model, [3, 25, 19]), expected, atol=1e-5)
+    np.testing.assert_allclose(values(model, [3, 25, 19]), expected, atol=1e-5)
+    assert calls == [1], "only the one that is new"
+    monkeypatch.setattr("learn2assemble.planning.world_model.MEMORY", 2)
+    values(model, [25])
+    values(model, [25, 3])
+    assert calls == [1, 1], "the latest are kept"
+    network.train()
+    values(model, [3])
+    with torch.no_grad():
+        for weight in network.parameters():
+            weight += 0.1
+    np.testing.assert_allclose(values(model, [3]), fresh([3]), atol=1e-5)
 
 
 def test_legal_and_random_actions() -> None:
