@@ -102,15 +102,24 @@ class PlacementNetwork(nn.Module):
         message = F.relu(self.edge(cells.edges)) * cells.edge_used[..., None]
         seen = torch.cat([message.sum(2), message.amax(2)], -1)
         sides, blocks = cells.offsets.shape[1:]
-        near = F.relu(self.neighbour(cells.offsets.view(-1, blocks))).view(len(seen), sides, -1)
-        x = F.relu(self.side(torch.cat([seen, near], -1)).sum(1))
+        near = F.relu(_sums(self.neighbour, cells.offsets.view(-1, blocks)))
+        first, last = _linears(self.side)
+        hidden = F.relu(first(torch.cat([seen, near.view(len(seen), sides, -1)], -1)))
+        # The sum over the sides of what the last layer makes of them.
+        x = F.relu(F.linear(hidden.sum(1), last.weight, sides * last.bias))
         context = self.summary(cells.summary)
-        for pool, layer in zip(self.pools, self.rounds, strict=True):
-            grid = _padded(x, cells.used)
+        place = cells.used.flatten().nonzero()[:, 0]
+        for pool, layers in zip(self.pools, self.rounds, strict=True):
+            first, last = _linears(layers)
+            grid = x.new_zeros(cells.used.numel(), x.shape[1]).index_copy(0, place, x)
+            grid = grid.view(*cells.used.shape, -1)
             # Never below 0: a padded row and the same row alone must have the same maximum.
             largest = grid.amax(1).clamp(min=0)
             context = F.relu(context + pool(torch.cat([grid.sum(1) / 10, largest], -1)))
-            x = x + layer(torch.cat([x, context[cells.row]], -1))
+            # The first layer on [x, context]: what it makes of the context once a graph.
+            of_cell, of_graph = first.weight.chunk(2, 1)
+            graph = F.linear(context, of_graph, first.bias)
+            x = x + last(F.relu(F.linear(x, of_cell) + graph[cells.row]))
         return F.relu(x), context
 
 
@@ -137,13 +146,23 @@ class Hand(nn.Module):
         assert cells.hands is not None
         around, place = cells.hands
         place = self.place(place / REACH_OF_ARM)
-        return self.out(F.relu(self.around(around) + place + self.grip(cells.grip)))
+        return self.out(F.relu(_sums(self.around, around) + place + self.grip(cells.grip)))
 
 
 def _two_layers(inputs: int, width: int) -> nn.Module:
     return nn.Sequential(nn.Linear(inputs, 2 * width), nn.ReLU(), nn.Linear(2 * width, width))
 
 
-def _padded(x: torch.Tensor, used: torch.Tensor) -> torch.Tensor:
-    """Rows of x float[n, F] at the places that ``used`` bool[B, K] marks, zeros elsewhere."""
-    return x.new_zeros(*used.shape, x.shape[1]).masked_scatter(used[..., None], x)
+def _linears(two_layers: nn.Module) -> tuple[nn.Linear, nn.Linear]:
+    first, _, last = two_layers.children()
+    assert isinstance(first, nn.Linear) and isinstance(last, nn.Linear)
+    return first, last
+
+
+def _sums(table: nn.EmbeddingBag, numbers: torch.Tensor) -> torch.Tensor:
+    """Sum of the rows of ``table`` with each row of ``numbers``; its last row is 0 and stays so.
+
+    The same as ``table(numbers)``, but PyTorch is ten times as slow with ``padding_idx``.
+    """
+    rows = F.pad(table.weight[:-1], (0, 0, 0, 1))
+    return F.embedding_bag(numbers, rows, mode="sum")
