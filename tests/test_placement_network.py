@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.graph.batch import GraphTensors, to_tensors
+from learn2assemble.graph.batch import GraphTensors, cell_tensors, to_tensors
 from learn2assemble.graph.features import Graph
 from learn2assemble.graph.placements import MAX_CELLS, distinct_placements
 from learn2assemble.graph.relations import EDGE_FEATURES, OFFSETS
@@ -88,6 +88,39 @@ def evaluate(net: PlacementNetwork, graph: Graph) -> PlacementValues:
         return net(to_tensors(graph))
 
 
+@few
+@some_graphs
+def test_encoder_layer_by_layer(name: str, seed: int, rounds: int) -> None:
+    """The embeddings are those of its layers, one applied after the other."""
+    task = TASKS[name]
+    net = network(task, seed, rounds)
+    spec = get_action_spec(task.action_mode, task.rotations, task.pitch)
+    with torch.no_grad():
+        cells = cell_tensors(to_tensors(graphs(name, seed)), spec)
+        message = net.edge(cells.edges).relu() * cells.edge_used[..., None]
+        near = [net.neighbour(one).relu() for one in cells.offsets]
+        sides = net.side(torch.cat([message.sum(2), message.amax(2), torch.stack(near)], -1))
+        x, context = sides.sum(1).relu(), net.summary(cells.summary)
+        for pool, layer in zip(net.pools, net.rounds, strict=True):
+            rows = [x[cells.row == row] for row in range(len(context))]
+            pooled = [torch.cat([r.sum(0) / 10, r.amax(0).clamp(min=0)]) for r in rows]
+            context = (context + pool(torch.stack(pooled))).relu()
+            x = x + layer(torch.cat([x, context[cells.row]], -1))
+        found = net.encode(cells)
+    torch.testing.assert_close(found, (x.relu(), context), rtol=1e-5, atol=1e-5)
+
+
+def test_what_is_beyond_has_no_weight() -> None:
+    """No gradient reaches the row of offsets out of sight, which is 0."""
+    net = network(TASKS["two"], 0)
+    net(to_tensors(graphs("two", 0))).q.clamp(min=-100).sum().backward()
+    gradient = net.neighbour.weight.grad
+    assert gradient is not None
+    assert gradient[:OFFSETS].any()
+    assert not gradient[OFFSETS].any()
+    assert not net.neighbour.weight[OFFSETS].any()
+
+
 def test_the_encoder_chooses_the_network() -> None:
     assert isinstance(make_network(NetworkConfig(encoder="relational")), PlacementNetwork)
     for encoder in ("attention", "s2v"):
@@ -155,10 +188,9 @@ def test_negative_maxima_are_treated_alike() -> None:
     most cells has no padding to be the largest."""
     net, graph = network(TASKS["two"], 0), graphs("two", 3)
     with torch.no_grad():
-        last = net.rounds[0]
-        assert isinstance(last, torch.nn.Sequential)
-        assert isinstance(last[2], torch.nn.Linear)
-        last[2].bias.sub_(100)
+        *_, last = net.rounds[0].children()
+        assert isinstance(last, torch.nn.Linear)
+        last.bias.sub_(100)
         pool = net.pools[1]
         assert isinstance(pool, torch.nn.Linear)
         pool.weight[:, : net.config.width] = 0  # Only the maximum counts.

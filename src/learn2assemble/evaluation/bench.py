@@ -194,8 +194,9 @@ def _decisions(config: str, worlds: int, seconds: float) -> float:
     return _rate(step, seconds)
 
 
-def _gradient_steps(config: str, seconds: float) -> float:
-    """Of a configuration, memory filled by its first steps."""
+def _gradient_samples(config: str, seconds: float) -> float:
+    """Transitions a second in gradient steps of a configuration with its own network and batch
+    size; the memory is filled by its first steps."""
     torch.set_num_threads(1)
     trainer = Trainer(get_task(TASK), CONFIGS[config], seed=0)
     while trainer.replay.length < 1024:
@@ -203,7 +204,7 @@ def _gradient_steps(config: str, seconds: float) -> float:
 
     def step() -> int:
         trainer.update()
-        return 1
+        return trainer.config.batch_size
 
     return _rate(step, seconds)
 
@@ -220,9 +221,9 @@ MEASUREMENTS: dict[str, Callable[[float], float]] = {
     "decision_ms": decision_ms,
     "decisions_per_s": partial(_decisions, "relational", 64),
     "decisions_per_s_published": partial(_decisions, "published", 64),
-    "gradient_steps_per_s": partial(_gradient_steps, "relational"),
-    "gradient_steps_per_s_published": partial(_gradient_steps, "published"),
-    "gradient_steps_per_s_paper": partial(_gradient_steps, "paper"),
+    "gradient_samples_per_s": partial(_gradient_samples, "relational"),
+    "gradient_samples_per_s_published": partial(_gradient_samples, "published"),
+    "gradient_samples_per_s_paper": partial(_gradient_samples, "paper"),
 }
 
 

@@ -155,7 +155,8 @@ def _two_layers(inputs: int, width: int) -> nn.Module:
 
 def _linears(two_layers: nn.Module) -> tuple[nn.Linear, nn.Linear]:
     first, _, last = two_layers.children()
-    assert isinstance(first, nn.Linear) and isinstance(last, nn.Linear)
+    assert isinstance(first, nn.Linear)
+    assert isinstance(last, nn.Linear)
     return first, last
 
 
