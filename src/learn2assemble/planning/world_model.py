@@ -31,7 +31,7 @@ from learn2assemble.world.state import State
 PART = 64
 """Graphs a forward pass on the CPU: measured 1.6 times as fast as 512 at once (N = 30)."""
 MEMORY = 2048
-"""Graphs whose values are kept: what a search has reached is where it goes on, and the child it
+"""Graphs at most whose values are kept: a search goes on where it has been, and the child it
 chooses is its next root."""
 
 
@@ -113,12 +113,11 @@ class WorldModel:
         return value.astype(np.float64), action - node_offset(graph)
 
     def _names(self, graph: Graph) -> list[bytes]:
-        """What the values of every graph are kept under. Older ones make room; a network that
-        learns has new values every time."""
-        keep = 0 if self.network.training else MEMORY
-        if len(self._kept) > keep:
-            latest = islice(self._kept.items(), len(self._kept) - keep, None)
-            self._kept = dict(latest)
+        """What the values of every graph are kept under. Where they are too many the older half
+        makes room; a network that learns has new values every time."""
+        most = 0 if self.network.training else MEMORY
+        if (count := len(self._kept)) > most:
+            self._kept = dict(islice(self._kept.items(), count - most // 2, None))
         return [
             graph.nodes[row, :used].tobytes() + graph.object_id[row, :used].tobytes()
             for row, used in enumerate(graph.num_nodes)

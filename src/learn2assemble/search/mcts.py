@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -154,7 +155,8 @@ def _untried(node: Node, count: int, config: SearchConfig, rng: np.random.Genera
     order = rng.permutation(len(values))
     if config.prior:
         order = order[np.argsort(-values[order], kind="stable")]
-    return [int(key) for key in order if int(key) not in node.children][:count]
+    untried = (key for key in order.tolist() if key not in node.children)
+    return list(islice(untried, count))
 
 
 def epsilon_greedy_expansions(
