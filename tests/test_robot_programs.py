@@ -734,6 +734,12 @@ def test_the_program_of_another_arm_is_refused(
         read_program(files["ur5e", format], "panda")
 
 
+def test_a_bag_is_known_by_its_content(files: dict[tuple[str, str], Path], tmp_path: Path) -> None:
+    file = tmp_path / "program.bag"
+    file.write_bytes(files["ur5e", "ros2"].read_bytes())
+    assert read_program(file, "ur5e")[1].name == "ur5e"
+
+
 @pytest.mark.parametrize("keep", [0, 100, 0.3, 0.999])
 def test_a_damaged_bag_is_refused(
     keep: float, files: dict[tuple[str, str], Path], tmp_path: Path

@@ -209,6 +209,22 @@ def test_an_interrupted_build_goes_on_to_the_same_end(window: Plan, tmp_path: Pa
     assert resumed.arm is not None
     assert whole.arm is not None
     assert resumed.arm.attempts == whole.arm.attempts
+    content = log.read_bytes()
+    head, first, *rest = content.split(b"\n")
+    state = json.loads(first)
+    state["joints"][0] += 1e-3
+    moved = json.dumps(state).encode()
+    # Refused, and left as it is: bits that turned, another number, half a line within, no file of
+    # ours at all.
+    for wrong in (
+        [head, first[:99] + bytes([first[99] ^ 0x80]) + first[100:], *rest],
+        [head, moved, *rest], [head, first[:-9], *rest], [head, b"[]", *rest], [b"\x89PNG"],
+    ):  # fmt: skip
+        log.write_bytes(b"\n".join(wrong))
+        with pytest.raises(InputError, match="--resume"):
+            carry_out(window, quick(noise=(5e-4, 0.002), log=log))
+        assert log.read_bytes() == b"\n".join(wrong)
+    log.write_bytes(content)
     other = quick(noise=(5e-4, 0.002), log=log, seed=5)
     with pytest.raises(InputError, match="the same design"):
         carry_out(window, other)

@@ -47,7 +47,7 @@ def load_json(text: str, source: str, form: str) -> Any:
             twice, and numbers that are not finite.
     """
     if not text.strip():
-        raise InputError(source, "an empty file", f"a JSON object of format {form!r}")
+        raise InputError(source, "an empty file", f"JSON ({form})")
     if text.count("[") + text.count("{") > MAX_DEPTH:
         _check_depth(text, source)
 

@@ -52,6 +52,8 @@ MAX_BYTES = 64_000_000
 """Largest file; of a folder, all files together."""
 DIGITS = 9
 """Of coordinates written."""
+NAME = "assembly.json"
+"""What the blocks of a plan are called, in its folder."""
 MESH_SUFFIXES = (".stl", ".obj", ".ply", ".glb", ".off")
 _BLOCK_KEYS = ("id", "kind", "density", "support", "prop", "vertices", "faces")
 _KEYS = ("format", "version", "units", "friction", "blocks", "steps")
@@ -76,7 +78,8 @@ def read_assembly(
     the ground.
 
     Args:
-        path: our JSON, COMPAS JSON, STL, OBJ, PLY, OFF or GLB; or a folder of such meshes.
+        path: our JSON, COMPAS JSON, STL, OBJ, PLY, OFF or GLB; a folder of such meshes; or a plan,
+            its folder or its ``plan.json``, with ``assembly.json`` beside it.
         unit: metres in a unit of the file; our JSON is always in metres.
         up: the axis of a mesh that points up; by default y for GLB, whose standard says so, else z.
         supports: ids of blocks that are supports besides those the file names.
@@ -86,6 +89,10 @@ def read_assembly(
             support that is no block.
     """
     path = Path(path)
+    # What l2a build has written names its blocks in a file of their own.
+    beside = path / NAME if path.is_dir() else path.with_name(NAME)
+    if (path.is_dir() or path.name == "plan.json") and beside.is_file():
+        path = beside
     source = printable(str(path))
     if not (np.isfinite(unit) and 1e-6 <= unit <= 1e6):
         raise InputError("unit", unit, "metres in a unit of the file, from 1e-6 to 1e6")
@@ -362,7 +369,8 @@ def _with_supports(assembly: Assembly, supports: Collection[str]) -> Assembly:
 def _read_folder(path: Path, source: str, unit: float, up: Literal["y", "z"] | None) -> Assembly:
     files = sorted(p for p in path.iterdir() if p.suffix.lower() in MESH_SUFFIXES)
     if not files:
-        raise InputError(source, "a folder without meshes", " ".join(MESH_SUFFIXES))
+        expected = f"{NAME} or {' '.join(MESH_SUFFIXES)}"
+        raise InputError(source, "a folder without a plan or meshes", expected)
     _check_count(len(files), source)
     blocks: list[Block] = []
     left = MAX_BYTES
@@ -401,7 +409,8 @@ def _mesh_blocks(
 
     kind = _mesh_type(content)
     if kind == "obj" and not any(line[:2] == b"v " for line in content.splitlines()):
-        raise InputError(source, "an unknown format", "JSON or a mesh (STL, OBJ, PLY, OFF, GLB)")
+        got = "an unknown format" if content.strip() else "an empty file"
+        raise InputError(source, got, "JSON or a mesh (STL, OBJ, PLY, OFF, GLB)")
     try:
         options: dict[str, Any] = {"split_object": True} if kind == "obj" else {}
         scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, **options)

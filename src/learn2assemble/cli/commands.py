@@ -23,6 +23,8 @@ from learn2assemble.cli.parser import (
     noise,
     number,
     positive,
+    reading_arguments,
+    reading_of,
     share,
     span_of,
     workers_arguments,
@@ -52,8 +54,6 @@ def register_command(commands: Registry[Command]) -> None:
 
 STATE = "build.jsonl"
 """What a build by an arm appends to, in its folder; gone when the plan is written."""
-_READING = ("unit", "cell", "size", "up", "depth", "cells_wide")
-"""Options that say how to read a design file."""
 _BUILD = (
     "planner", "kit", "friction", "gap", "arm", "agent", "layout", "seed", "seconds", "tool",
     "physics",
@@ -68,14 +68,8 @@ _BUILD = (
     arg("--out", type=Path, required=True, help="new or empty folder"),
     arg("--planner", default="auto", help="exact, agent, or auto (what the record says)"),
     group(
-        "exact planner (docs/building.md)",
-        arg("--kit", default=None, help="name or .toml file (the design's own)"),
-        arg("--unit", default=None, help="of the file where it does not say: mm, cm, m"),
-        arg("--cell", type=length, default=None, help="edge of a cell, and so of blocks"),
-        arg("--size", type=length, default=None, help="largest side, instead of a unit"),
-        arg("--up", default=None, help="the axis that points up: y or z"),
-        arg("--depth", type=length, default=None, help="of the wall of a drawing"),
-        arg("--cells-wide", type=count, default=None, help="of a drawing or picture"),
+        "a design and its blocks (docs/building.md)",
+        reading_arguments,
         arg("--friction", type=span_of(friction), default=None, metavar="MU[:MU]",
             help="prove every step for this coefficient or range (the kit's)"),
         arg("--gap", type=span_of(length), default=None, metavar="W[:W]",
@@ -103,8 +97,6 @@ def _build(options: argparse.Namespace, output: Output) -> int:
     from learn2assemble.planning.build import build, builds_with_arm, is_task
 
     video = options.video and builds_with_arm(options.design, options.arm)
-    given = {name: getattr(options, name) for name in _READING}
-    reading = {name: value for name, value in given.items() if value is not None}
     if video:
         from learn2assemble.viewer.video import require_video
 
@@ -115,8 +107,8 @@ def _build(options: argparse.Namespace, output: Output) -> int:
     with claim_folder(options.out, options.resume):
         plan = build(
             options.design, **{name: getattr(options, name) for name in _BUILD},
-            props=not options.no_props, reading=reading, noise=options.sense_noise, state=state,
-            progress=output.progress,
+            props=not options.no_props, reading=reading_of(options), noise=options.sense_noise,
+            state=state, progress=output.progress,
         )  # fmt: skip
         files = plan.save(options.out, video=video, progress=output.progress)
         if state is not None and plan.complete:

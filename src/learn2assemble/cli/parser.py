@@ -88,6 +88,13 @@ class _Parser(argparse.ArgumentParser):
         if self.fill is not None:
             fill, self.fill = self.fill, None
             fill(self)
+            # Here, where the options of the command are known; the parser above knows none.
+            read, unknown = super().parse_known_args(args, namespace)
+            if unknown:
+                near = difflib.get_close_matches(unknown[0], self._option_string_actions, n=1)
+                hint = f"; did you mean {near[0]}?" if near else ""
+                self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
+            return read, unknown
         return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:
@@ -166,6 +173,28 @@ def noise(text: str) -> tuple[float, float]:
     parse = number(float, 0, 100, "millimetres and degrees, such as 0.5:0.2")
     place, _, turn = text.partition(":")
     return parse(place) / 1e3, math.radians(parse(turn)) if turn else 0.0
+
+
+READING = ("unit", "cell", "size", "up", "depth", "cells_wide")
+"""Options that say how to read a design file."""
+
+
+def reading_arguments(parser: Any) -> None:
+    """Add the options of a design and its blocks."""
+    add = parser.add_argument
+    add("--kit", default=None, help="name or .toml file (the design's own)")
+    add("--unit", default=None, help="of the file where it does not say: mm, cm, m or in")
+    add("--cell", type=length, default=None, help="edge of a cell, and so of blocks")
+    add("--size", type=length, default=None, help="largest side, instead of a unit")
+    add("--up", default=None, help="the axis that points up: y or z")
+    add("--depth", type=length, default=None, help="of the wall of a drawing")
+    add("--cells-wide", type=count, default=None, help="of a drawing or picture")
+
+
+def reading_of(options: argparse.Namespace) -> dict[str, Any]:
+    """What was said about how to read the design."""
+    given = {name: getattr(options, name) for name in READING}
+    return {name: value for name, value in given.items() if value is not None}
 
 
 def arm_argument(parser: argparse.ArgumentParser) -> None:

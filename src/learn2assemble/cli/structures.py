@@ -6,8 +6,16 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from learn2assemble.cli.parser import UNITS, Command, arg, command, friction
-from learn2assemble.errors import InputError, look_up
+from learn2assemble.cli.parser import (
+    UNITS,
+    Command,
+    arg,
+    command,
+    friction,
+    reading_arguments,
+    reading_of,
+)
+from learn2assemble.errors import look_up
 from learn2assemble.files import claim_folder, write_file
 from learn2assemble.robot.registry import ARMS
 
@@ -43,8 +51,7 @@ def _write_page(
     arg("design", metavar="DESIGN", help="a drawing, picture, mesh, voxels or blocks"),
     arg("--arm", required=True, help=" or ".join(ARMS)),
     arg("--tool", default="suction", help="suction (default), suction-side or gripper"),
-    arg("--kit", default=None, help="name or .toml file (the design's own)"),
-    arg("--unit", default=None, help="of the file where it does not say: mm, cm, m"),
+    reading_arguments,
     arg("--layout", type=Path, default=None, metavar="FILE", help="with the base asked about"),
     arg("--out", type=Path, default=None, metavar="DIR", help="write a page that shows it there"),
 )  # fmt: skip
@@ -52,10 +59,9 @@ def _reach(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where everything is within reach, else 1."""
     from learn2assemble.planning.build import reach
 
-    reading = {} if options.unit is None else {"unit": options.unit}
     found = reach(
         options.design, arm=options.arm, tool=options.tool, kit=options.kit,
-        layout=options.layout, reading=reading,
+        layout=options.layout, reading=reading_of(options),
     )  # fmt: skip
     here, best, blocks = found.here, found.best, found.assembly.blocks
     rows = [(blocks[k].id, blocks[k].kind, *(f"{v:.3f}" for v in blocks[k].centroid), why)
@@ -86,7 +92,8 @@ def _reach(options: argparse.Namespace, output: Output) -> int:
 @command(
     COMMANDS, "check", "whether an assembly of blocks stands, and what moves first",
     "l2a check wall.json --out out/check",
-    arg("file", metavar="FILE", type=Path, help="assembly JSON, COMPAS JSON, meshes or a folder"),
+    arg("file", metavar="FILE", type=Path,
+        help="a plan or its folder, assembly JSON, COMPAS JSON, meshes or a folder of them"),
     arg("--friction", type=friction, default=None, help="instead of the file's coefficient"),
     arg("--unit", default="m", choices=tuple(UNITS), help="of the coordinates in meshes"),
     arg("--out", type=Path, default=None, metavar="DIR", help="write a page with the forces there"),
@@ -147,15 +154,7 @@ def _export(options: argparse.Namespace, output: Output) -> None:
         return _export_program(options, output)
     # A wrong name is refused before anything is read.
     look_up("format", options.format, {**FORMATS, **dict.fromkeys(PROGRAM_FORMATS)})
-    path: Path = options.plan
-    if path.is_dir():
-        path = path / "assembly.json"
-    elif path.name == "plan.json":
-        path = path.with_name("assembly.json")
-    if not path.exists():
-        expected = "a plan that l2a build made without an arm, or an assembly"
-        raise InputError("PLAN", str(options.plan), expected)
-    written = export_assembly(read_assembly(path), options.format, options.out)
+    written = export_assembly(read_assembly(options.plan), options.format, options.out)
     output.say(f"{options.format}: {written}")
     output.finish({"format": options.format, "file": str(written)})
 

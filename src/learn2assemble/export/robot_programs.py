@@ -23,7 +23,7 @@ from learn2assemble.export.robot_tables import (
     write_franka,
     write_table,
 )
-from learn2assemble.export.ros2 import read_bag, write_bag
+from learn2assemble.export.ros2 import is_bag, read_bag, write_bag
 from learn2assemble.files import write_file
 from learn2assemble.registry import Registry
 from learn2assemble.robot.arm import Arm
@@ -250,7 +250,7 @@ def read_program(path: str | Path, arm: str) -> tuple[Program, Arm]:
     """
     path = Path(path)
     look_up("arm", arm, ARMS)
-    return read_bag(path, arm) if path.suffix == ".mcap" else read_table(path, arm)
+    return (read_bag if is_bag(path) else read_table)(path, arm)
 
 
 def replay_program(path: str | Path, arm: str) -> DryRun:

@@ -250,6 +250,14 @@ _DAMAGE = (ValueError, TypeError, LookupError, AttributeError, OverflowError, Me
 own."""
 
 
+def is_bag(path: Path) -> bool:
+    """Whether a file is a bag, by its name or, whatever its name, by how it begins."""
+    if path.suffix == ".mcap" or not path.is_file():
+        return path.suffix == ".mcap"
+    with path.open("rb") as file:
+        return file.read(5) == b"\x89MCAP"
+
+
 def read_bag(path: Path, name: str) -> tuple[Program, Arm]:
     """Read what :func:`write_bag` has written.
 

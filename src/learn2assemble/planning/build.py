@@ -90,7 +90,7 @@ def build(
         seconds: limit of planning and proof, or of the widest search of a task [s]; by default
             60 and 20.
         progress: called with a line of text for everything that takes long.
-        tool: what the arm holds the blocks of an exact plan with, ``"suction"`` (the default) or
+        tool: what the arm holds blocks with, ``"suction"`` (the default), ``"suction-side"`` or
             ``"gripper"``.
         physics: in which cell an exact plan is carried out, ``"dynamic"`` or ``"kinematic"``.
         noise: standard deviations of what is read back while an exact plan is carried out: x and y
@@ -166,6 +166,8 @@ def reach(
     Raises:
         InputError: for a design, arm, tool or layout that cannot be used.
     """
+    if is_task(design):
+        raise InputError("design", design, "a design; a task has places of its own")
     how = _Arm(arm, tool, layout, PHYSICS[0], (0.0, 0.0), None, 0)
     how.check()
     site = how.workcell().site
@@ -248,7 +250,9 @@ def _build_design(
         design = goals
     elif isinstance(design, str | Path):
         source = Path(design).name
-        cell = reading.pop("cell", None) or (None if kit is None else kit.pitch)
+        cell = reading.pop("cell", None)
+        if cell is None and kit is not None:
+            cell = kit.pitch
         design = read_design(Path(design), cell=cell, **reading)
     elif reading:
         raise InputError("reading", sorted(reading), "a design file, which it tells how to read")

@@ -422,7 +422,9 @@ def area(piece: Piece, pose: np.ndarray) -> Any:
 
 # ---------------------------------------------------------------- what is kept
 
-FORMAT, VERSION = "learn2assemble-build", 1
+FORMAT, VERSION = "learn2assemble-build", 2
+SUM = "checksum"
+"""Key of every state: the CRC-32 of the rest, so that damage is seen whatever it hits."""
 
 
 def read_states(path: Path, key: str) -> list[dict[str, Any]]:
@@ -435,32 +437,51 @@ def read_states(path: Path, key: str) -> list[dict[str, Any]]:
     Raises:
         InputError: for a file of another build, a damaged one, and one that cannot be written.
     """
+    head = json.dumps({"format": FORMAT, "version": VERSION, "key": key})
     try:
-        lines = path.read_text(encoding="utf-8").split("\n") if path.exists() else []
-        if len(lines) < 2:  # Not even the first line is whole.
-            head = json.dumps({"format": FORMAT, "version": VERSION, "key": key})
+        text = path.read_text(encoding="utf-8") if path.exists() else ""
+        if head.startswith(text):  # Not even the first line is whole.
             path.write_text(head + "\n", encoding="utf-8")
             return []
-        head, *states = (json.loads(line) for line in lines[:-1])
-        if not isinstance(head, dict) or head.get("format") != FORMAT or head.get("key") != key:
+        first, *lines = text.split("\n")[:-1]
+        if first != head:
             expected = "the same design, kit, arm, tool, layout and seed as before"
             raise InputError("--resume", str(path), expected)
+        states = [_unsealed(line) for line in lines]
         whole = path.with_suffix(".tmp")
-        whole.write_text("\n".join(lines[:-1]) + "\n", encoding="utf-8")
+        whole.write_text("".join(f"{line}\n" for line in (first, *lines)), encoding="utf-8")
         os.replace(whole, path)
     except OSError as error:
         raise unwritable("--resume", path, error) from None
-    except json.JSONDecodeError:
-        raise InputError("--resume", str(path), "a file of an interrupted build") from None
+    except InputError:
+        raise
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        raise InputError("--resume", str(path), "the undamaged file of a build") from None
     return states
 
 
 def append_state(path: Path, state: dict[str, Any]) -> None:
     """Append a state; it is on the disk when this returns."""
     with path.open("a", encoding="utf-8") as file:
-        file.write(json.dumps(state) + "\n")
+        file.write(json.dumps({**state, SUM: _checksum(state)}) + "\n")
         file.flush()
         os.fsync(file.fileno())
+
+
+def _checksum(state: dict[str, Any]) -> int:
+    return zlib.crc32(json.dumps(state).encode())
+
+
+def _unsealed(line: str) -> dict[str, Any]:
+    """The state in a line.
+
+    Raises:
+        ValueError: where it is not what was written; also other errors, of JSON and of types.
+    """
+    state = json.loads(line)
+    if state.pop(SUM) != _checksum(state):
+        raise ValueError("another checksum")
+    return state
 
 
 def packed(value: Any) -> Any:
