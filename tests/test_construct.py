@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -56,6 +58,35 @@ def test_drawings_are_built_as_drawn(name: str) -> None:
     assert (filled(plan, design) == design.wanted).all()
     assert all(step.proof and step.margin_g is not None for step in plan.steps)
     assert Plan.from_dict(plan.to_dict()) == plan
+
+
+@pytest.mark.parametrize(
+    ("given", "fragment"),
+    [
+        ({"kit": 5}, "kit: got 5"),
+        ({"seed": "x"}, "seed: got 'x'"),
+        ({"seed": -1}, "seed: got -1"),
+        ({"seconds": -1}, "seconds: got -1"),
+        ({"seconds": float("nan")}, "seconds: got nan"),
+        ({"friction": "x"}, "friction: got 'x'"),
+        ({"friction": (0.1, 0.2, 0.3)}, "friction: got"),
+        ({"reading": 3}, "reading: got 3"),
+        ({"reading": {"unitt": "mm"}}, "did you mean 'unit'"),
+        ({"props": "no"}, "props: got 'no'"),
+        ({"progress": 3}, "progress: got 3"),
+        ({"arm": "panda", "noise": 1}, "noise: got 1"),
+        ({"arm": "panda", "noise": ("a", 0)}, "noise: got"),
+        ({"arm": "panda", "layout": 3}, "layout: got 3"),
+    ],
+)
+def test_arguments_of_another_kind_are_refused(given: dict[str, Any], fragment: str) -> None:
+    with pytest.raises(InputError, match=re.escape(fragment)):
+        l2a.build(DESIGNS / "stepped_tower.json", **given)
+
+
+def test_what_is_no_assembly_is_refused() -> None:
+    with pytest.raises(InputError, match="read_assembly"):
+        check("wall.json")  # pyright: ignore[reportArgumentType]
 
 
 def test_colours_of_a_picture_go_to_the_blocks() -> None:

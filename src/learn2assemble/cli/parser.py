@@ -175,10 +175,6 @@ def noise(text: str) -> tuple[float, float]:
     return parse(place) / 1e3, math.radians(parse(turn)) if turn else 0.0
 
 
-READING = ("unit", "cell", "size", "up", "depth", "cells_wide")
-"""Options that say how to read a design file."""
-
-
 def reading_arguments(parser: Any) -> None:
     """Add the options of a design and its blocks."""
     add = parser.add_argument
@@ -193,6 +189,8 @@ def reading_arguments(parser: Any) -> None:
 
 def reading_of(options: argparse.Namespace) -> dict[str, Any]:
     """What was said about how to read the design."""
+    from learn2assemble.planning.build import READING
+
     given = {name: getattr(options, name) for name in READING}
     return {name: value for name, value in given.items() if value is not None}
 

@@ -19,6 +19,7 @@ import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -221,6 +222,8 @@ def train(
         config = override(_fitted(config, task), [*wanted, *settings])
         if samples is not None:
             config = dataclasses.replace(config, num_samples=samples)
+    if minutes is not None and not (isinstance(minutes, Real) and 0 < minutes < math.inf):
+        raise InputError("minutes", minutes, "a positive number")
     if threads is not None:
         torch.set_num_threads(threads)
     metrics = run_training(

@@ -89,8 +89,11 @@ def check(
             :func:`~learn2assemble.assembly.contacts.find_contacts`.
 
     Raises:
-        InputError: for blocks that overlap, or where nothing stands on a support or the ground.
+        InputError: for what is no assembly, blocks that overlap, or where nothing stands on a
+            support or the ground.
     """
+    if not isinstance(assembly, Assembly):
+        raise InputError("assembly", assembly, "an Assembly, which read_assembly reads from files")
     started = time.perf_counter()
     friction = assembly.friction if friction is None else friction
     check_friction(friction)

@@ -8,8 +8,10 @@ out where one is named. The agent of the paper builds random problems of its tas
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from numbers import Integral, Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeGuard
 
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
     from learn2assemble.planning.workcell_reach import ReachReport
     from learn2assemble.planning.workcell_site import Site
 
+READING = ("unit", "cell", "size", "up", "depth", "cells_wide")
+"""What may be said about how to read a design file, see :func:`.design.cells.read_design`."""
 PLANNERS = ("auto", "exact", "agent")
 DEFAULT_TOOL = "suction"
 """Of an arm that carries out an exact plan: with fingers, blocks cannot stand close."""
@@ -106,6 +110,7 @@ def build(
     """
     # What can be refused at once comes before the libraries that take seconds to load.
     check_name("planner", planner, PLANNERS)
+    _check_values(reading, props, noise, seed, seconds, progress)
     if is_task(design):
         if planner == "exact":
             raise InputError("planner", "exact", f"agent, for the task {design}")
@@ -197,6 +202,34 @@ def _builder(agent: object) -> str:
     raise InputError("agent", name, f"a builder of designs such as {DEFAULT} (others play tasks)")
 
 
+def _check_values(
+    reading: Any, props: Any, noise: Any, seed: Any, seconds: Any, progress: Any
+) -> None:
+    """Refuse arguments of :func:`build` that no design and no arm can do anything with."""
+    pair = type(noise) in (tuple, list) and len(noise) == 2
+    rules: list[tuple[str, Any, bool, str]] = [
+        ("reading", reading, reading is None or issubclass(type(reading), Mapping),
+         "keyword arguments of read_design as a mapping"),
+        ("props", props, type(props) is bool, "True or False"),
+        ("noise", noise, pair and all(_is_number(one) and one >= 0 for one in noise),
+         "two standard deviations of at least 0, in m and rad"),
+        ("seed", seed, issubclass(type(seed), Integral) and seed >= 0,
+         "a whole number of at least 0"),
+        ("seconds", seconds, seconds is None or (_is_number(seconds) and seconds > 0),
+         "a positive number"),
+        ("progress", progress, callable(progress), "a function of a line of text"),
+    ]  # fmt: skip
+    for name, value, kept, expected in rules:
+        if not kept:
+            raise InputError(name, value, expected)
+    for name in reading or ():
+        check_name("reading", name, READING)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, Real) and math.isfinite(value)
+
+
 class _Arm(NamedTuple):
     """How an arm carries out an exact plan; fields as the arguments of :func:`build`."""
 
@@ -223,6 +256,8 @@ class _Arm(NamedTuple):
         site = Site() if self.layout is None else self.layout
         if isinstance(site, str | Path):
             site = read_site(Path(site))
+        if not isinstance(site, Site):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise InputError("layout", site, "a layout (docs/layouts.md) or its file")
         tool = self.tool or DEFAULT_TOOL
         return Workcell(self.arm, tool, site, self.physics, self.seed, self.noise, log=self.state)
 
@@ -237,13 +272,15 @@ def _build_design(
         given: friction, gap, seconds and progress, as every planner takes them.
     """
     from learn2assemble.assembly.blocks import Assembly
-    from learn2assemble.assembly.kit import load_kit
+    from learn2assemble.assembly.kit import Kit, load_kit
     from learn2assemble.design.cells import CellDesign, read_design
     from learn2assemble.design.goals import Goals
     from learn2assemble.planning.construct import DEFAULT_KIT, plan_assembly, plan_cells
 
     if isinstance(kit, str | Path):
         kit = load_kit(str(kit))
+    if not (kit is None or isinstance(kit, Kit)):
+        raise InputError("kit", kit, "a kit, its name or its file")
     source = ""
     goals = _goals(design, kit, props, reading)
     if goals is not None:

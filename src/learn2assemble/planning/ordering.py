@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Real
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -442,10 +443,13 @@ def _why_stuck(site: _Site, number: int) -> str:
 
 def value_range(given: Bounds, default: float, what: str) -> tuple[float, float]:
     """Smallest and largest of a number or a range that was asked for, else of ``default``."""
-    low, high = given if isinstance(given, tuple) else (given, given)
-    low, high = default if low is None else low, default if high is None else high
-    if not (math.isfinite(low) and math.isfinite(high) and 0 <= low <= high):
+    pair = given if isinstance(given, tuple) else (given, given)
+    ends = [default if end is None else end for end in pair]
+    if not all(isinstance(end, Real) and math.isfinite(end) for end in ends) or not (
+        len(ends) == 2 and 0 <= ends[0] <= ends[1]
+    ):
         raise InputError(what, given, "a number >= 0, or a range of them")
+    low, high = ends
     return float(low), float(high)
 
 

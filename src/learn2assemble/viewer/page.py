@@ -409,8 +409,8 @@ def _joints(forces: tuple[Contacts, np.ndarray | None]) -> dict[str, Any] | None
 def _summary(assembly: Assembly, parts: list[_Part], extent: np.ndarray) -> str:
     props = sum(part.block.prop for part in parts)
     supports = sum(part.block.support for part in parts)
-    size = " × ".join(f"{v:.3g}" for v in extent)
-    words = [_count(len(parts) - props - supports, "block"), f"{size} m"]
+    size = " × ".join(f"{1000 * v:.4g}" for v in extent)
+    words = [_count(len(parts) - props - supports, "block"), f"{size} mm"]
     words += [_count(props, "prop")] if props else []
     words += [_count(supports, "fixed support")] if supports else []
     words += [_count(len(assembly.steps), "step")] if assembly.steps else []
