@@ -411,7 +411,7 @@ def filled(root: Path) -> None:
             more = [7.0] * (1 - seed)
             returns = [base + shift - 0.5, base + shift + 0.5, *more]
             fake(root, cell, returns, [0, seed, *[1 for _ in more]])
-    fake(root, Cell(TASK, BOUND), [4.0, 4.0, 4.0, 6.0, 9.0], [0] * 5)
+    fake(root, Cell(TASK, BOUND), [4.0, 4.0, 4.0, 7.0, 9.0], [0] * 5)
 
 
 def test_numbers_of_a_row_by_hand(tmp_path: Path) -> None:
@@ -421,14 +421,14 @@ def test_numbers_of_a_row_by_hand(tmp_path: Path) -> None:
     clean, noisy = entry.results[Condition(0.0)], entry.results[Condition(0.05)]
     returns = [clean.R, noisy.R]
     assert returns == pytest.approx([3.25, 2.25])
-    # Student's t for two agents 0.5 apart: 12.706 * (0.5 / sqrt 2) / sqrt 2.
-    assert clean.R_ci95 == pytest.approx(12.706 * 0.25)
+    # Student's t for two agents, 1 and 2 below their bounds: 12.706 * (1 / sqrt 2) / sqrt 2.
+    assert clean.R_ci95 == pytest.approx(12.706 * 0.5)
     # Over the four problems, 2.5, 3.5, 3 and 4: 1.96 * sqrt(1.25 / 3) / 2.
     assert clean.R_ci95_problems == pytest.approx(0.98 * math.sqrt(1.25 / 3))
     assert clean.over_agents
     assert (clean.agents, clean.episodes, clean.problems, clean.a) == (2, 4, 4, 4.0)
     assert (clean.f, clean.success, clean.b) == (0.25, 0.75, 0.0)
-    assert clean.share == pytest.approx(3.25 / 4.5)
+    assert clean.share == pytest.approx(3.25 / 4.75)
     assert noisy.share is None
     assert entry.paper == Published(3.21, 0.05, 7.93, None, 0.16)
     assert [e[0].state for e in data.entries] == [
@@ -509,12 +509,12 @@ def test_text_depends_on_the_numbers_alone(tmp_path: Path) -> None:
     assert compact_markdown(a) == compact_markdown(b)
     page = markdown(a)
     assert (
-        "| plain | 2 | 3.21 ± 0.05 | 7.93 | 0.16 | 2.25 ± 3.18 (0.63) ▼ | 4.00 | 0.00 | 0.25 |"
+        "| plain | 2 | 3.21 ± 0.05 | 7.93 | 0.16 | 2.25 ± 6.35 (0.63) ▼ | 4.00 | 0.00 | 0.25 |"
         in page
     )
     assert "| absent | not trained |" in page
     assert "| look-ahead (knows outcomes) | not measured |" in page
-    assert "72.2 %" in page
+    assert "68.4 %" in page
     assert "over agents" in page
     assert QUICK not in page
     assert QUICK in markdown(load_table(SMALL, tmp_path / "a", quick=True))
