@@ -361,6 +361,7 @@ _ALL = (
         "scaling", "Targets larger than those of training (DQN: 3x3, ours, the shipped agent: 5x5)",
         (_T2_COLUMNS[0], *_T2_COLUMNS[3:], *_SIZES),
         (*_budget(0, learners=("DQN",)), *_own(SHIPPED),
+         _ours("ours, budget 10, gumbel", SHIPPED, "gumbel", distinct=True),
          _ours("ours, budget 10", SHIPPED, "dqn-mcts", help=HELPED, policy=MENDED), _LOOK_AHEAD),
         conditions=(Condition(0.0),),
         notes=("R is discounted, so the last blocks of a large target hardly show in it; the "
