@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
+from itertools import cycle
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -277,13 +278,15 @@ TIMES = Figures(
 )
 
 
-_COLOURS = (ACCENT, "#d9480f", "#5f3dc4", "#2b8a3e", "#e67700", INK)
+_COLOURS = (ACCENT, "#d9480f", "#5f3dc4", "#2b8a3e", "#e67700", INK, "#868e96")
 _DPI = 130
 TITLES = {
     "R": "discounted return R", "f": "share ended by an invalid action f",
     "success": "share filled", "share": "share of the bound on R",
     "ms": "processor time of a decision [ms]",
 }  # fmt: skip
+_EMPTY = {"R": 0.16, "success": 0.36}
+"""How high the large panel is empty at its right, where the legend goes."""
 LEARNING = ("R", "f", "success")
 """Panels of learning curves: the first one is large."""
 SCALING = ("success", "share", "f", "ms")
@@ -313,13 +316,16 @@ def write_curves(
         axes = figure.add_subplot(place)
         _panel(axes, quantity, lines)
         if quantity == first:
-            axes.legend(loc="best", frameon=False, fontsize=10, labelcolor=INK)
+            axes.legend(
+                loc="center right", bbox_to_anchor=(1, _EMPTY[quantity]), frameon=False,
+                fontsize=10, labelcolor=INK,
+            )  # fmt: skip
             axes.set_xlabel(axis, fontsize=9, color=SOFT)
     save(figure, path, _DPI)
 
 
 def _panel(axes: Axes, quantity: str, lines: Sequence[Curve]) -> None:
-    for line, colour in zip(lines, _COLOURS, strict=False):
+    for line, colour in zip(lines, cycle(_COLOURS), strict=False):
         marker = "o" if len(line.samples) < 20 else None
         axes.plot(
             line.samples, line.mean[quantity], color=colour, linewidth=1.8, label=line.legend,
