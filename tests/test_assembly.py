@@ -454,7 +454,7 @@ def test_a_file_that_cannot_be_written(tmp_path: Path) -> None:
         read_assembly(tmp_path / "none")
     with pytest.raises(InputError, match="unit"):
         read_assembly(tmp_path, unit=float("nan"))
-    with pytest.raises(InputError, match="folder without meshes"):
+    with pytest.raises(InputError, match="folder without a plan or meshes"):
         read_assembly(tmp_path)
 
 

@@ -156,7 +156,7 @@ def test_files_that_explode_are_refused_by_commands(
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGINT") or os.name == "nt", reason="needs POSIX signals")
-@pytest.mark.parametrize("wait", [0.0, 0.2, 0.5])
+@pytest.mark.parametrize("wait", [0.0, 0.2, 0.5, 1.0])
 def test_an_interrupt_ends_with_130_and_no_traceback(wait: float, tmp_path: Path) -> None:
     """From the moment the program runs: while libraries load, and later."""
     code = (

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 from collections.abc import Sequence
+from types import FrameType
 
 from learn2assemble.cli.output import Output
 from learn2assemble.cli.parser import make_parser
@@ -22,7 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         options = make_parser().parse_args(arguments)
         # From here on an interrupt lets the command tidy up.
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGINT, _interrupt)
         return int(options.run(options, Output(options.json)) or 0)
     except Learn2AssembleError as error:
         sys.stderr.write(f"l2a: error: {one_line(error)}\n")
@@ -40,3 +42,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         sys.stderr.write("l2a: interrupted\n")
         return 130
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """Interrupt the command, but no library that is being loaded: C++ code aborts the process at
+    an exception it does not expect. Then again a moment later."""
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            threading.Timer(0.1, signal.raise_signal, [number]).start()
+            return
+        frame = frame.f_back
+    raise KeyboardInterrupt
