@@ -387,8 +387,7 @@ def read_npz(content: bytes, source: str, limit: int) -> Voxels:
                 with archive.open(name) as member:
                     head = member.read(8 * 3 * limit**3 + 10_001)
                 arrays[name[:-4]] = _array(head, f"{source}: {name}", 3 * limit**3)
-    # Of a compression or a version that it does not know, zipfile says NotImplementedError, of an
-    # encrypted member RuntimeError: the one is a kind of the other.
+    # RuntimeError is how zipfile reports encrypted members, and what it cannot unpack.
     except (zipfile.BadZipFile, zlib.error, RuntimeError, OSError, EOFError, ValueError) as error:
         if isinstance(error, InputError):
             raise

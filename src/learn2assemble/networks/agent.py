@@ -8,14 +8,12 @@ training configuration, counters). The package carries those that most tasks nee
 from __future__ import annotations
 
 import copy
-import ctypes
 import dataclasses
 import json
 import os
 from collections.abc import Generator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -36,22 +34,7 @@ Values = QFactors | PlacementValues
 
 def make_network(config: NetworkConfig) -> Network:
     """An untrained network of the kind that the configuration names."""
-    _keep_freed_memory()
     return NETWORKS[config.encoder].make(config)
-
-
-@cache
-def _keep_freed_memory() -> None:
-    """Have this process keep up to 256 MB that it has freed.
-
-    The GNU C library gives the activations of every pass back to the system and gets them again
-    page by page: a tenth of the time of small batches. Others are left alone.
-    """
-    trim_threshold, mmap_threshold = -1, -3
-    with suppress(AttributeError, OSError, TypeError):
-        libc = ctypes.CDLL(None)
-        libc.mallopt(trim_threshold, 2**28)
-        libc.mallopt(mmap_threshold, 2**25)
 
 
 def fitted(network: Network, pitch: float, sight: int) -> Network:
