@@ -13,9 +13,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from numbers import Integral, Real
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeGuard
 
-from learn2assemble.errors import InputError, UnknownNameError, check_name
+from learn2assemble.errors import InputError, UnknownNameError, check_fields, check_name
 from learn2assemble.files import MAX_BYTES, MAX_GENERATED, load_json, read_bytes
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.registry import ARMS, TOOLS
@@ -110,7 +111,9 @@ def build(
     """
     # What can be refused at once comes before the libraries that take seconds to load.
     check_name("planner", planner, PLANNERS)
-    _check_values(reading, props, noise, seed, seconds, progress)
+    _check_values(
+        reading=reading, props=props, noise=noise, seed=seed, seconds=seconds, progress=progress
+    )
     if is_task(design):
         if planner == "exact":
             raise InputError("planner", "exact", f"agent, for the task {design}")
@@ -202,28 +205,28 @@ def _builder(agent: object) -> str:
     raise InputError("agent", name, f"a builder of designs such as {DEFAULT} (others play tasks)")
 
 
-def _check_values(
-    reading: Any, props: Any, noise: Any, seed: Any, seconds: Any, progress: Any
-) -> None:
+def _check_values(**given: Any) -> None:
     """Refuse arguments of :func:`build` that no design and no arm can do anything with."""
-    pair = type(noise) in (tuple, list) and len(noise) == 2
-    rules: list[tuple[str, Any, bool, str]] = [
-        ("reading", reading, reading is None or issubclass(type(reading), Mapping),
+    told = SimpleNamespace(**given)
+    noise, seed, seconds = told.noise, told.seed, told.seconds
+    pair = _is(noise, tuple, list) and len(noise) == 2
+    check_fields(
+        told,
+        ("reading", told.reading is None or _is(told.reading, Mapping),
          "keyword arguments of read_design as a mapping"),
-        ("props", props, type(props) is bool, "True or False"),
-        ("noise", noise, pair and all(_is_number(one) and one >= 0 for one in noise),
+        ("props", _is(told.props, bool), "True or False"),
+        ("noise", pair and all(_is_number(one) and one >= 0 for one in noise),
          "two standard deviations of at least 0, in m and rad"),
-        ("seed", seed, issubclass(type(seed), Integral) and seed >= 0,
-         "a whole number of at least 0"),
-        ("seconds", seconds, seconds is None or (_is_number(seconds) and seconds > 0),
-         "a positive number"),
-        ("progress", progress, callable(progress), "a function of a line of text"),
-    ]  # fmt: skip
-    for name, value, kept, expected in rules:
-        if not kept:
-            raise InputError(name, value, expected)
-    for name in reading or ():
+        ("seed", _is(seed, Integral) and seed >= 0, "a whole number of at least 0"),
+        ("seconds", seconds is None or (_is_number(seconds) and seconds > 0), "a positive number"),
+        ("progress", callable(told.progress), "a function of a line of text"),
+    )  # fmt: skip
+    for name in told.reading or ():
         check_name("reading", name, READING)
+
+
+def _is(value: Any, *kinds: type) -> bool:
+    return isinstance(value, kinds)
 
 
 def _is_number(value: Any) -> bool:
