@@ -82,8 +82,8 @@ _ALL = (
     _published("mha-full", _CUBES, _FULL, _EDGES, "num_samples=120000"),
     _published("sha-full", _CUBES, _FULL, _EDGES, "num_samples=120000", "network.heads=1"),
     _published("s2v-full", _CUBES, _FULL, *_FAST, "network.encoder=s2v"),
-    _published("bars-full", _BARS, _FULL, _SHORTER, again=("num_samples=160000",)),
-    _published("bars-partial", _BARS, _SHORTER, again=("num_samples=160000",)),
+    _published("bars-full", _BARS, _FULL, _EDGES),
+    _published("bars-partial", _BARS, _EDGES),
     _published(
         "objects",
         _OBJECTS,
