@@ -84,15 +84,7 @@ _ALL = (
     _published("s2v-full", _CUBES, _FULL, *_FAST, "network.encoder=s2v"),
     _published("bars-full", _BARS, _FULL, _EDGES),
     _published("bars-partial", _BARS, _EDGES),
-    _published(
-        "objects",
-        _OBJECTS,
-        "num_samples=60000",
-        again=(
-            "num_samples=240000",
-            "num_samples=300000 learning_rate=0.0007 replay_size=150000",
-        ),
-    ),
+    _published("objects", _OBJECTS, _EDGES, "num_samples=480000"),
     _published("robot-two-sided", _ROBOT_TWO),
     _published("robot-four-sided", _ROBOT_FOUR, again=("num_samples=240000",)),
     _published("robot-objects", _ROBOT_OBJECTS),
