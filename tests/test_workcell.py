@@ -19,6 +19,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.export.robot_programs import export_program
 from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.planning.construct import plan_cells
+from learn2assemble.planning.ordering import BED
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.workcell import (
     STANDING,
@@ -167,6 +168,24 @@ def test_a_wall_is_carried_out_with_one_attempt_a_block(window: Plan) -> None:
     assert plan.arm.attempts == len(plan.steps)
     assert plan.arm.attempts_per_step == 1.0
     assert Plan.from_dict(plan.to_dict()).arm == plan.arm
+
+
+def test_in_another_order_every_step_is_proven_anew(window: Plan) -> None:
+    plan = carry_out(window, quick())
+    assert [step.block for step in plan.steps] != [step.block for step in window.steps]
+    assert plan.assembly is not None
+    friction = plan.assembly.friction
+    for step in plan.steps:
+        assert step.proof == BED
+        assert step.margin_g is not None
+        assert 0 < step.margin_g <= friction + 1e-6
+    # The finished wall is the same, and the planner's margin is a lower bound.
+    planners, worth = window.steps[-1].margin_g, plan.steps[-1].margin_g
+    assert planners is not None
+    assert worth is not None
+    assert planners <= worth <= 1.1 * planners
+    assert plan.friction_range == (friction, friction)
+    assert plan.gap_range == (KIT.joint_gap, KIT.joint_gap)
 
 
 def test_polycubes_are_carried_out() -> None:

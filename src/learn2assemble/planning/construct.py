@@ -7,7 +7,6 @@ an order and the proof.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -22,7 +21,7 @@ from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
 from learn2assemble.planning import plan as plans
 from learn2assemble.planning.exact import plan_exact
-from learn2assemble.planning.ordering import TIGHT, Bounds, Ordering, to_assembly, value_range
+from learn2assemble.planning.ordering import BED, TIGHT, Bounds, Ordering, to_assembly, value_range
 from learn2assemble.planning.plan import Plan, PlanDesign
 from learn2assemble.planning.tiling import Tiling, placement_cells
 
@@ -32,10 +31,8 @@ if TYPE_CHECKING:
 DEFAULT_KIT = "bricks-lintels"
 EXACT, AGENT, AUTO = "exact", "agent", "auto"
 _UPRIGHT = (1.0, 0.0, 0.0, 0.0)
-_MARGIN = 1e3
-"""Margins are written up to this [g]."""
-BED = "bed faces"
-"""Proof of a step of a given assembly without vertical joints; else ``TIGHT``."""
+_LARGEST = 1e3
+"""A coefficient of friction without limit is written like this."""
 
 
 def plan_cells(
@@ -181,7 +178,7 @@ def report_plan(
         kit=kit.name,
         cells=plans.CellCount(wanted, missing, outside),
         verified_by="static equilibrium of every step",
-        friction_range=(round(low, 6), _bounded(high)),
+        friction_range=(round(low, 6), round(min(high, _LARGEST), 6)),
         gap_range=ordered.gap_range,
         assembly=assembly,
     )
@@ -304,9 +301,8 @@ def _step(
     return plans.Step(
         step=number, block=index, position=_point(block.centroid), quaternion=_UPRIGHT,
         action="remove" if removing else "place", kind=block.kind or None, prop=block.prop,
-        margin_g=_bounded(margin_g), tilt_deg=round(math.degrees(math.atan(margin_g)), 3),
-        proof=proof, coverage=round(coverage, 6),
-    )  # fmt: skip
+        coverage=round(coverage, 6),
+    ).proven(proof, margin_g)  # fmt: skip
 
 
 def _coloured(
@@ -343,7 +339,3 @@ def _shape(wanted: np.ndarray) -> tuple[int, int, int]:
 def _point(xyz: np.ndarray) -> tuple[float, float, float]:
     x, y, z = (round(float(c), 6) for c in xyz)
     return x, y, z
-
-
-def _bounded(value: float) -> float:
-    return round(min(float(value), _MARGIN), 6)

@@ -34,9 +34,11 @@ from learn2assemble.planning.tiling import (
 if TYPE_CHECKING:
     from learn2assemble.assembly.contacts import Contacts
 
-LOCAL, PROGRAM, TIGHT = "bed faces, local", "bed faces, program", "tight joints"
-"""How a step was proven: by passing its load down, by the linear program, or by the coupled
-analysis with friction on side faces that touch."""
+LOCAL, PROGRAM = "bed faces, local", "bed faces, program"
+"""How a step of a tiling was proven: by passing its load down, or by the linear program."""
+BED, TIGHT = "bed faces", "tight joints"
+"""How any step was proven by the coupled analysis: without vertical joints, or with friction on
+side faces that touch."""
 _DIRECTIONS = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
 _LEAST, _PRECISION = 2e-3, 0.02
 """Smallest sideways acceleration looked for [g], and how exactly it is found (relative)."""

@@ -128,6 +128,10 @@ class BlockSupply:
     """With an arm: where each block of the assembly is taken from."""
 
 
+_MARGIN = 1e3
+"""Margins are written up to this [g]."""
+
+
 @dataclass(frozen=True)
 class Step:
     """One block is placed, or a prop taken away."""
@@ -162,6 +166,12 @@ class Step:
     """With an arm: what came of the attempt that placed it."""
     grasp: str | None = None
     """With an arm: how the block was held."""
+
+    def proven(self, proof: str, margin_g: float | None) -> Step:
+        """The step with this proof and this margin [g]; None: none is known."""
+        tilt = None if margin_g is None else round(math.degrees(math.atan(margin_g)), 3)
+        worth = None if margin_g is None else round(min(float(margin_g), _MARGIN), 6)
+        return dataclasses.replace(self, proof=proof, margin_g=worth, tilt_deg=tilt)
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ from learn2assemble.geometry.rotations import (
     quaternion_matrix,
     yaw_quaternion,
 )
+from learn2assemble.planning.ordering import BED, TIGHT
 from learn2assemble.planning.workcell_site import QUARTER, Obstacle, Piece, Site, Source, pieces_of
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.grasps import WAY, Attitude
@@ -35,6 +36,7 @@ from learn2assemble.robot.moves import Attempt, Move, Scene, attitudes, side_att
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly
+    from learn2assemble.assembly.contacts import Contacts
     from learn2assemble.planning.plan import Plan
 
 Progress = Callable[[str], None]
@@ -403,17 +405,38 @@ class Structure:
             self._proven.add(frozenset(standing))
 
     def stands(self, standing: frozenset[int]) -> bool:
-        """Whether these pieces stand without the others, by the proof of the plan."""
+        """Whether these pieces stand without the others, by the proof of the plan or another."""
+        if standing not in self._proven and self._pressing(standing) is not None:
+            self._proven.add(standing)
+        return standing in self._proven
+
+    def proof(self, standing: frozenset[int]) -> tuple[str, float] | None:
+        """What shows that these pieces stand without the others, and the sideways acceleration
+        they withstand in every direction [g]; None where nothing shows it."""
+        from learn2assemble.physics.rigid_blocks import margin
+
+        pressing = self._pressing(standing)
+        if pressing is None:
+            return None
+        worth = margin(
+            self.job.assembly, pressing, self.job.friction, present=self._present(standing)
+        )
+        return BED if pressing is self.lying else TIGHT, worth
+
+    def _pressing(self, standing: frozenset[int]) -> Contacts | None:
+        """The joints whose forces can hold these pieces: horizontal ones alone, or all."""
         from learn2assemble.physics.rigid_blocks import solve
 
-        if standing not in self._proven:
-            present = np.zeros(len(self.job.pieces), bool)
-            present[list(standing)] = True
-            for contacts in (self.lying, self.contacts):
-                if solve(self.job.assembly, contacts, self.job.friction, present=present).stands:
-                    self._proven.add(standing)
-                    break
-        return standing in self._proven
+        present = self._present(standing)
+        for contacts in (self.lying, self.contacts):
+            if solve(self.job.assembly, contacts, self.job.friction, present=present).stands:
+                return contacts
+        return None
+
+    def _present(self, standing: frozenset[int]) -> np.ndarray:
+        present = np.zeros(len(self.job.pieces), bool)
+        present[list(standing)] = True
+        return present
 
     def loads(self, block: int, standing: set[int]) -> list[int]:
         """Pieces among ``standing`` that rest on a piece, directly or not, the topmost first."""

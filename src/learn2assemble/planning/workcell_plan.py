@@ -49,18 +49,15 @@ from learn2assemble.planning.workcell import (
     rows_of,
 )
 from learn2assemble.planning.workcell_reach import cells_of, set_up
+from learn2assemble.planning.workcell_record import Book, append_state, packed, read_states
 from learn2assemble.planning.workcell_site import QUARTER
 from learn2assemble.planning.workcell_state import (
     STEADY,
     STEADY_YAW,
     Action,
-    Book,
     Choice,
     Done,
-    append_state,
-    packed,
     read_back,
-    read_states,
 )
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.kinematic import KinematicCell
@@ -545,7 +542,9 @@ def _carried_out(
         standing = standing - {step.block} if step.remove else standing | {step.block}
         old, attempt = proven[step], last.get(step)
         covered += 0.0 if step.remove else share[step.block]
-        stands = same or building.known.structure.stands(frozenset(standing))
+        if not same:
+            shown = building.known.structure.proof(frozenset(standing))
+            old = old.proven(*(shown or ("carried out", None)))
         there = not step.remove and world.state[step.block] == STANDING
         pose = world.pose[step.block] if there else world.target(step.block)
         x, y, z, w, a, b, c = (round(float(v), 6) for v in pose)
@@ -554,9 +553,7 @@ def _carried_out(
         steps.append(
             replace(
                 old, step=number, position=(x, y, z), quaternion=(w, a, b, c),
-                coverage=round(covered, 6), margin_g=old.margin_g if same else None,
-                tilt_deg=old.tilt_deg if same else None,
-                proof=old.proof if same else "bed faces" if stands else "carried out",
+                coverage=round(covered, 6),
                 outcome=attempt.outcome if attempt else None, grasp=how,
             )
         )  # fmt: skip
@@ -565,6 +562,14 @@ def _carried_out(
         else AssemblyStep(place=plan.assembly.blocks[s.block].id) for s in done
     )  # fmt: skip
     assembly = Assembly(plan.assembly.blocks, made, plan.assembly.friction, plan.assembly.name)
+    ranges: dict[str, Any] = {}
+    if not same:
+        # The ranges of the planner hold for its states; these were proven for one of each.
+        whole = all(step.margin_g is not None for step in steps)
+        ranges = {
+            name: (value, value) if whole else None
+            for name, value in (("friction_range", job.friction), ("gap_range", job.joint))
+        }
     record = building.book.record() if building.physical is not None else None
     if record is not None:
         numbers = {step: n for n, step in enumerate(done, 1)}
@@ -578,7 +583,7 @@ def _carried_out(
         blocks=replace(plan.blocks, used=len(building.known.standing()),
                        waiting=_waiting(building)),
         verified_by=f"{plan.verified_by}, and {_words(job, workcell)}",
-        arm=_report(job, workcell, building), record=record, assembly=assembly,
+        arm=_report(job, workcell, building), record=record, assembly=assembly, **ranges,
     )  # fmt: skip
 
 
