@@ -7,8 +7,10 @@ command line can print it unchanged and leave with exit code 2.
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Collection, Generator, Iterable, Mapping
 from contextlib import contextmanager
+from numbers import Integral, Real
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -77,6 +79,16 @@ def check_fields(value: object, *rules: tuple[str, bool, str]) -> None:
     for name, kept, expected in rules:
         if not kept:
             raise InputError(name, getattr(value, name), expected)
+
+
+def is_number(value: object, low: float = -math.inf, high: float = math.inf) -> bool:
+    """Whether it is a finite number from ``low`` to ``high``."""
+    return isinstance(value, Real) and math.isfinite(value) and low <= float(value) <= high
+
+
+def is_whole(value: object, low: int) -> bool:
+    """Whether it is a whole number of at least ``low``."""
+    return isinstance(value, Integral) and int(value) >= low
 
 
 class MissingExtraError(Learn2AssembleError, ImportError):

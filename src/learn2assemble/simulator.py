@@ -19,7 +19,7 @@ from learn2assemble.graph.features import Graph, build_graph, node_offset
 from learn2assemble.graph.placements import Placements
 from learn2assemble.physics.protocol import Physics
 from learn2assemble.physics.static import survey, survey_objects
-from learn2assemble.tasks import MAX_VERTICES, Task
+from learn2assemble.tasks import MAX_VERTICES, Task, get_task
 from learn2assemble.world.blocks import inventory
 from learn2assemble.world.layouts import Problems, sample_problem, side_frames, waiting_places
 from learn2assemble.world.outcomes import Outcomes, outcomes
@@ -110,7 +110,7 @@ class Simulator:
     """Steps a batch of worlds of one task under one physics.
 
     Args:
-        task: the problem distribution.
+        task: the problem distribution, or its name.
         physics: the check of placements, or its name, see :mod:`learn2assemble.checkers`; static
             equilibrium by default, and the kinematic cell where the task has an arm.
 
@@ -118,8 +118,8 @@ class Simulator:
         UnknownNameError, InputError: see :func:`resolve_checker`.
     """
 
-    def __init__(self, task: Task, physics: str | Physics | None = None) -> None:
-        self.task = task
+    def __init__(self, task: str | Task, physics: str | Physics | None = None) -> None:
+        self.task = task = get_task(task)
         self.physics: Physics = resolve_checker(physics, task)
         self.frames = side_frames(task.num_sides, task.pitch, task.aisle)
         self.depths = FILTERS[task.cover_filter]

@@ -7,12 +7,13 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from learn2assemble.checkers import resolve_checker
-from learn2assemble.errors import InputError
+from learn2assemble.errors import check_fields, is_number, is_whole
 from learn2assemble.learning.run import provenance
 from learn2assemble.networks.agent import Agent, Network, default_agent, load_agent, one_thread
 from learn2assemble.physics.protocol import Physics, Verdict
@@ -272,7 +273,7 @@ def search_config(
     if search is None or search == "none":
         return None
     if isinstance(search, str):
-        search = SEARCHES["dqn-mcts" if search == "mcts" else search]
+        search = SEARCHES[search]
     chosen = {name: value for name, value in given.items() if value is not None}
     return replace(search, epsilon=epsilon, **chosen)
 
@@ -315,12 +316,15 @@ def evaluate(
     Raises:
         InputError: for names that do not exist and numbers out of range.
     """
+    check_fields(
+        SimpleNamespace(episodes=episodes, seed=seed, epsilon=epsilon),
+        ("episodes", is_whole(episodes, 1), "a whole number of at least 1"),
+        ("seed", is_whole(seed, 0), "a whole number of at least 0"),
+        ("epsilon", is_number(epsilon, 0, 1), "0 <= epsilon <= 1"),
+    )
     task = get_task(task, arm)
     checker = resolve_checker(physics, task)
     config = search_config(search, epsilon, budget=budget, rollout=rollout, distinct=distinct)
-    if episodes < 1 or seed < 0 or not 0 <= epsilon <= 1:
-        got = (episodes, seed, epsilon)
-        raise InputError("(episodes, seed, epsilon)", got, ">= 1, >= 0, 0 to 1")
     if agent is None or isinstance(agent, str):
         agent = load_player(agent or default_agent(task.name))
     with one_thread():

@@ -8,15 +8,20 @@ out where one is named. The agent of the paper builds random problems of its tas
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from numbers import Integral, Real
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeGuard
 
-from learn2assemble.errors import InputError, UnknownNameError, check_fields, check_name
+from learn2assemble.errors import (
+    InputError,
+    UnknownNameError,
+    check_fields,
+    check_name,
+    is_number,
+    is_whole,
+)
 from learn2assemble.files import MAX_BYTES, MAX_GENERATED, load_json, read_bytes
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.registry import ARMS, TOOLS
@@ -215,10 +220,10 @@ def _check_values(**given: Any) -> None:
         ("reading", told.reading is None or _is(told.reading, Mapping),
          "keyword arguments of read_design as a mapping"),
         ("props", _is(told.props, bool), "True or False"),
-        ("noise", pair and all(_is_number(one) and one >= 0 for one in noise),
+        ("noise", pair and all(is_number(one, 0) for one in noise),
          "two standard deviations of at least 0, in m and rad"),
-        ("seed", _is(seed, Integral) and seed >= 0, "a whole number of at least 0"),
-        ("seconds", seconds is None or (_is_number(seconds) and seconds > 0), "a positive number"),
+        ("seed", is_whole(seed, 0), "a whole number of at least 0"),
+        ("seconds", seconds is None or (is_number(seconds) and seconds > 0), "a positive number"),
         ("progress", callable(told.progress), "a function of a line of text"),
     )  # fmt: skip
     for name in told.reading or ():
@@ -227,10 +232,6 @@ def _check_values(**given: Any) -> None:
 
 def _is(value: Any, *kinds: type) -> bool:
     return isinstance(value, kinds)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, Real) and math.isfinite(value)
 
 
 class _Arm(NamedTuple):

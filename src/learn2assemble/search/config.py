@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from learn2assemble.errors import InputError, check_fields, check_name
+from learn2assemble.errors import InputError, check_fields, check_name, is_number, is_whole
 from learn2assemble.registry import Registry
 
 TO_THE_END = NO_LIMIT = 10_000
@@ -100,9 +100,9 @@ class SearchConfig:
     def __post_init__(self) -> None:
         check_fields(
             self,
-            ("budget", self.budget >= 0, "a whole number of at least 0"),
-            ("epsilon", 0 <= self.epsilon <= 1, "0 <= epsilon <= 1"),
-            ("rollout", self.rollout >= 1, "at least 1 step"),
+            ("budget", is_whole(self.budget, 0), "a whole number of at least 0"),
+            ("epsilon", is_number(self.epsilon, 0, 1), "0 <= epsilon <= 1"),
+            ("rollout", is_whole(self.rollout, 1), "at least 1 step"),
             ("exploration", 0 <= self.exploration < math.inf, "a number of at least 0"),
             ("widening", 0 < self.widening <= 1, "0 < widening <= 1"),
             ("depth", self.depth >= 1, "at least 1 level"),
@@ -119,7 +119,8 @@ class SearchConfig:
 
 
 SEARCHES: Registry[SearchConfig] = Registry("search", {
-    # Published. The first two are one search with differently trained agents.
+    # Published. The first three are one search; tables name it after the agents' training.
+    "mcts": SearchConfig(),
     "dqn-mcts": SearchConfig(),
     "q-mcts": SearchConfig(),
     "eps-mcts": SearchConfig(expansion="uct", random_first=True),
