@@ -117,6 +117,18 @@ def extra(module: str, name: str) -> Generator[None, None, None]:
         raise MissingExtraError(module, name) from error
 
 
+@contextmanager
+def trusted(source: str, expected: str, how: str = "") -> Generator[None, None, None]:
+    """Whatever a library raises about a damaged file, as one line."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:  # noqa: BLE001  the libraries trust their input
+        reason = f"{type(error).__name__} while reading it{how}"
+        raise InputError(source, reason, expected) from None
+
+
 def _short(value: object, limit: int = 120) -> str:
     text = repr(value).replace("\n", " ")
     return text if len(text) <= limit else text[: limit - 1] + "…"

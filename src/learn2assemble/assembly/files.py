@@ -14,9 +14,7 @@ know, travel as attributes.
 
 from __future__ import annotations
 
-import io
 import json
-import struct
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
@@ -27,7 +25,8 @@ from uuid import NAMESPACE_URL, uuid5
 import numpy as np
 
 from learn2assemble.assembly.blocks import MAX_BLOCKS, Assembly, Block, Step, shells
-from learn2assemble.errors import InputError, UnknownNameError, one_line
+from learn2assemble.assembly.meshes import KINDS, mesh_kind, read_parts
+from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.files import (
     boolean,
     check_keys,
@@ -54,7 +53,7 @@ DIGITS = 9
 """Of coordinates written."""
 NAME = "assembly.json"
 """What the blocks of a plan are called, in its folder."""
-MESH_SUFFIXES = (".stl", ".obj", ".ply", ".glb", ".off")
+MESH_SUFFIXES = tuple(f".{kind}" for kind in KINDS)
 _BLOCK_KEYS = ("id", "kind", "density", "support", "prop", "vertices", "faces")
 _KEYS = ("format", "version", "units", "friction", "blocks", "steps")
 _COMPAS_ASSEMBLIES = (
@@ -388,45 +387,21 @@ def _read_folder(path: Path, source: str, unit: float, up: Literal["y", "z"] | N
     return Assembly(tuple(blocks), name=path.name)
 
 
-def _mesh_type(content: bytes) -> str:
-    """The format of a mesh from its content; OBJ is what nothing else is."""
-    if content[:4] == b"glTF":
-        return "glb"
-    if content[:3] == b"ply":
-        return "ply"
-    if content.lstrip()[:3] == b"OFF":
-        return "off"
-    if len(content) >= 84 and len(content) == 84 + 50 * struct.unpack_from("<I", content, 80)[0]:
-        return "stl"
-    return "stl_ascii" if content.lstrip()[:5] == b"solid" else "obj"
-
-
 def _mesh_blocks(
     content: bytes, source: str, stem: str, unit: float, up: Literal["y", "z"] | None
 ) -> Iterator[Block]:
     """The blocks of a mesh file: one for each object of a scene, or for each shell of a mesh."""
     import trimesh
 
-    kind = _mesh_type(content)
+    kind = mesh_kind(content)
     if kind == "obj" and not any(line[:2] == b"v " for line in content.splitlines()):
         got = "an unknown format" if content.strip() else "an empty file"
         raise InputError(source, got, "JSON or a mesh (STL, OBJ, PLY, OFF, GLB)")
-    try:
-        options: dict[str, Any] = {"split_object": True} if kind == "obj" else {}
-        scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, **options)
-        objects = []
-        for node in scene.graph.nodes_geometry:
-            transform, name = scene.graph[node]
-            mesh = scene.geometry[name]
-            if isinstance(mesh, trimesh.Trimesh):
-                placed = mesh.copy().apply_transform(transform)
-                placed.merge_vertices(merge_tex=True, merge_norm=True)
-                objects.append((str(node), np.asarray(placed.vertices), placed.faces.tolist()))
-    # The reader raises whatever its parsers do.
-    except Exception as error:  # noqa: BLE001
-        raise InputError(source, one_line(error), f"a readable mesh ({kind})") from None
-    if not objects:
-        raise InputError(source, "no surfaces", "a mesh")
+    objects = []
+    for part in read_parts(content, kind, source):
+        mesh = trimesh.Trimesh(part.vertices, part.faces, process=False)
+        mesh.merge_vertices(merge_tex=True, merge_norm=True)
+        objects.append((part.name, np.asarray(mesh.vertices), mesh.faces.tolist()))
     _check_count(len(objects), source)
     # A quarter turn about x takes y to z.
     turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]) if _up(kind, up) == "y" else np.eye(3)

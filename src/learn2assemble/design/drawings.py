@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from learn2assemble.design.lattice import trusted
-from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.errors import InputError, UnknownNameError, trusted
 from learn2assemble.files import (
     MAX_BYTES,
     Range,

@@ -7,12 +7,11 @@ from outside. Surfaces that are parallel to z have no share in a volume, so they
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
 import numpy as np
 
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, trusted
 
 MAX_CELLS = 64
 """Largest number of cells along an axis."""
@@ -25,18 +24,6 @@ _SYMMETRIC = 1e-3
 of its volume."""
 _PLANES = 3
 """So many of the largest faces across an axis are tried as planes of the lattice."""
-
-
-@contextmanager
-def trusted(source: str, expected: str, how: str = "") -> Iterator[None]:
-    """Whatever a library raises about a damaged file, as one line."""
-    try:
-        yield
-    except InputError:
-        raise
-    except Exception as error:  # noqa: BLE001  the libraries trust their input
-        reason = f"{type(error).__name__} while reading it{how}"
-        raise InputError(source, reason, expected) from None
 
 
 def shares(triangles: np.ndarray, shape: Sequence[int]) -> np.ndarray:

@@ -8,14 +8,11 @@ from __future__ import annotations
 
 import importlib.util
 import io
-import json
-import logging
 import os
 import re
 import subprocess
 import sys
 import tempfile
-import warnings
 import zipfile
 import zlib
 from dataclasses import dataclass
@@ -25,15 +22,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from learn2assemble.assembly.blocks import piercing
-from learn2assemble.design.lattice import trusted
+from learn2assemble.assembly.meshes import Part, check_size, checked, read_parts
 from learn2assemble.errors import InputError, MissingExtraError
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
-
-MAX_TRIANGLES = 200_000
-MAX_TEXT, MAX_BINARY = 16_000_000, 64_000_000
-"""Largest mesh file as text and as binary [bytes]."""
 
 Mesh = tuple[np.ndarray, np.ndarray]
 """Vertices ``float64[V, 3]`` and triangles ``int64[T, 3]``."""
@@ -74,23 +67,14 @@ class Voxels:
 
 def read_mesh(content: bytes, kind: str, source: str) -> Solid:
     """The solid in a mesh file; ``kind`` is "stl", "obj", "ply", "glb" or "3dm"."""
-    limit = MAX_TEXT if kind == "obj" or not _is_binary(content) else MAX_BINARY
-    if len(content) > limit:
-        raise InputError(source, f"{len(content)} bytes", f"a mesh of at most {limit} bytes")
-    metres = None
+    metres = 1.0 if kind == "glb" else None
     if kind == "3dm":
+        check_size(content, source)
         meshes, metres = _rhino(content, source)
+        parts = checked([Part("", *mesh) for mesh in meshes], source)
     else:
-        meshes = _trimesh(content, kind, source)
-    meshes = [(v, f) for v, f in meshes if len(f)]
-    count = sum(len(f) for _, f in meshes)
-    if not 0 < count <= MAX_TRIANGLES:
-        raise InputError(source, f"{count} triangles", f"1 to {MAX_TRIANGLES} triangles")
-    for vertices, faces in meshes:
-        if vertices.shape[1] != 3 or faces.min() < 0 or faces.max() >= len(vertices):
-            raise InputError(source, "faces without vertices in space", "a whole mesh file")
-        if not np.isfinite(vertices).all() or np.abs(vertices).max() > 1e9:
-            raise InputError(source, "coordinates that are not numbers or beyond 1e9", "a mesh")
+        parts = read_parts(content, kind, source)
+    meshes = [(part.vertices, part.faces) for part in parts]
     welded = [_welded(*mesh) for mesh in meshes]
     if any(_open_edges(faces) for _, faces in welded):
         # Objects may be split by material; together they may be closed.
@@ -104,94 +88,7 @@ def read_mesh(content: bytes, kind: str, source: str) -> Solid:
             raise InputError(source, "a mesh without volume", "a closed mesh with an inside")
         if crossed(vertices, faces):
             raise InputError(source, "a mesh that crosses itself", "a surface without crossings")
-    metres = 1.0 if kind == "glb" else metres
     return Solid(_united(parts, source), metres, "y" if kind == "glb" else "z")
-
-
-def _is_binary(content: bytes) -> bool:
-    return b"\0" in content[:4096]
-
-
-def _trimesh(content: bytes, kind: str, source: str) -> list[Mesh]:
-    import trimesh
-
-    _promises(content, kind, source)
-    if kind == "glb":
-        content = _geometry_only(content, source)
-    logging.getLogger("trimesh").addHandler(logging.NullHandler())
-    options: dict[str, Any] = {"process": False}
-    if kind == "obj":
-        options |= {"split_objects": True, "group_material": False, "skip_materials": True}
-    expected = "a whole mesh file"
-    with trusted(source, expected, f" as {kind.upper()}"), np.errstate(all="ignore"):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, **options)
-        return [
-            (np.asarray(g.vertices, np.float64), np.asarray(g.faces, np.int64))
-            for g in scene.dump() if isinstance(g, trimesh.Trimesh)
-        ]  # fmt: skip
-
-
-def _promises(content: bytes, kind: str, source: str) -> None:
-    """Refuse a header that promises more than the file can hold."""
-    promised = 0
-    if kind == "ply":
-        counts = re.findall(rb"^element\s+\w+\s+(\d{1,40})", content[:10_000], re.MULTILINE)
-        promised = sum(map(int, counts))
-    elif kind == "stl" and content.lstrip()[:5] != b"solid":
-        promised = int.from_bytes(content[80:84], "little")
-    elif kind == "obj":
-        promised = content.count(b"\nv ") + content.count(b"\nf ")
-    if promised > min(len(content), 4 * MAX_TRIANGLES):
-        got = f"{promised} vertices and faces in {len(content)} bytes"
-        raise InputError(source, got, f"a whole mesh file, at most {MAX_TRIANGLES} triangles")
-
-
-def _geometry_only(content: bytes, source: str) -> bytes:
-    """A GLB file without textures and the like, once its promises are checked."""
-    expected = "a whole GLB file, its meshes not compressed"
-    length = int.from_bytes(content[12:16], "little")
-    try:
-        if int.from_bytes(content[8:12], "little") > len(content):
-            raise ValueError("it is cut short")
-        root = json.loads(content[20 : 20 + length])
-        accessors = root.get("accessors", [])
-        if sum(max(a["count"], 0) for a in accessors) > 20 * MAX_TRIANGLES or any(
-            "bufferView" not in a or "sparse" in a for a in accessors
-        ):
-            raise ValueError("too many or sparse values")
-        if len(root.get("nodes", [])) > 1000:
-            raise ValueError("more than 1000 nodes")
-        faces = [_primitives(root, node) for node in root.get("nodes", [])]
-        if sum(faces) > MAX_TRIANGLES:
-            raise ValueError(f"more than {MAX_TRIANGLES} triangles")
-        if root.get("extensionsRequired"):
-            raise ValueError(f"extensions {root['extensionsRequired']}")
-        for key in ("materials", "textures", "images", "samplers", "animations", "skins"):
-            root.pop(key, None)
-        for mesh in root.get("meshes", []):
-            for primitive in mesh["primitives"]:
-                primitive.pop("material", None)
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, IndexError) as error:
-        reason = f"{type(error).__name__}: {error}"
-        raise InputError(source, f"GLB that cannot be read ({reason})", expected) from None
-    text = json.dumps(root).encode()
-    text += b" " * (-len(text) % 4)
-    rest = content[20 + length :]
-    head = b"glTF" + (2).to_bytes(4, "little") + (20 + len(text) + len(rest)).to_bytes(4, "little")
-    return head + len(text).to_bytes(4, "little") + b"JSON" + text + rest
-
-
-def _primitives(root: dict[str, Any], node: dict[str, Any]) -> int:
-    """Triangles of a node of a GLB scene."""
-    if "mesh" not in node:
-        return 0
-    used = [
-        p.get("indices", p["attributes"]["POSITION"])
-        for p in root["meshes"][node["mesh"]]["primitives"]
-    ]
-    return sum(root["accessors"][k]["count"] for k in used) // 3
 
 
 def _rhino(content: bytes, source: str) -> tuple[list[Mesh], float | None]:

@@ -1,0 +1,164 @@
+"""Meshes in files: the objects of an STL, OBJ, PLY, OFF or GLB file.
+
+Nothing is read that a header only promises, and whatever the library raises about a damaged file
+becomes one line.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import re
+import warnings
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from learn2assemble.errors import InputError, trusted
+
+MAX_TRIANGLES = 200_000
+MAX_TEXT, MAX_BINARY = 16_000_000, 64_000_000
+"""Largest mesh file as text and as binary [bytes]."""
+KINDS = ("stl", "obj", "ply", "glb", "off")
+
+
+class Part(NamedTuple):
+    """An object of a mesh file, where it is in the scene."""
+
+    name: str
+    vertices: np.ndarray
+    """float64[V, 3], in units of the file."""
+    faces: np.ndarray
+    """int64[F, 3]."""
+
+
+def mesh_kind(content: bytes) -> str:
+    """The format of a mesh, one of :data:`KINDS`, from its content; OBJ is what nothing else is."""
+    if content[:4] == b"glTF":
+        return "glb"
+    if content[:3] == b"ply":
+        return "ply"
+    if content.lstrip()[:3] == b"OFF":
+        return "off"
+    triangles = int.from_bytes(content[80:84], "little")
+    binary = len(content) == 84 + 50 * triangles
+    return "stl" if binary or content.lstrip()[:5] == b"solid" else "obj"
+
+
+def read_parts(content: bytes, kind: str, source: str) -> list[Part]:
+    """The objects of a mesh file.
+
+    Args:
+        kind: one of :data:`KINDS`.
+        source: what errors call the file.
+
+    Raises:
+        InputError: for what is too large, damaged, or says more than it holds.
+    """
+    import trimesh
+
+    check_size(content, source)
+    _promises(content, kind, source)
+    if kind == "glb":
+        content = _geometry_only(content, source)
+    logging.getLogger("trimesh").addHandler(logging.NullHandler())
+    options: dict[str, Any] = {"process": False}
+    if kind == "obj":
+        options |= {"split_objects": True, "group_material": False, "skip_materials": True}
+    expected = "a whole mesh file"
+    with trusted(source, expected, f" as {kind.upper()}"), np.errstate(all="ignore"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, **options)
+        parts = []
+        for node in scene.graph.nodes_geometry:
+            transform, name = scene.graph[node]
+            mesh = scene.geometry[name]
+            if isinstance(mesh, trimesh.Trimesh):
+                vertices = trimesh.transform_points(mesh.vertices, transform)
+                faces = np.asarray(mesh.faces, np.int64)
+                parts.append(Part(str(node), np.asarray(vertices, np.float64), faces))
+    return checked(parts, source)
+
+
+def check_size(content: bytes, source: str) -> None:
+    """Refuse a file that is larger than any mesh taken; files of text hold less in more bytes."""
+    limit = MAX_BINARY if b"\0" in content[:4096] else MAX_TEXT
+    if len(content) > limit:
+        raise InputError(source, f"{len(content)} bytes", f"a mesh of at most {limit} bytes")
+
+
+def checked(parts: list[Part], source: str) -> list[Part]:
+    """Those of ``parts`` that have faces, if their vertices are in space."""
+    parts = [part for part in parts if len(part.faces)]
+    count = sum(len(part.faces) for part in parts)
+    if not 0 < count <= MAX_TRIANGLES:
+        raise InputError(source, f"{count} triangles", f"1 to {MAX_TRIANGLES} triangles")
+    for _, vertices, faces in parts:
+        if vertices.shape[1] != 3 or faces.min() < 0 or faces.max() >= len(vertices):
+            raise InputError(source, "faces without vertices in space", "a whole mesh file")
+        if not np.isfinite(vertices).all() or np.abs(vertices).max() > 1e9:
+            raise InputError(source, "coordinates that are not numbers or beyond 1e9", "a mesh")
+    return parts
+
+
+def _promises(content: bytes, kind: str, source: str) -> None:
+    """Refuse a header that promises more than the file can hold."""
+    promised = 0
+    if kind == "ply":
+        counts = re.findall(rb"^element\s+\w+\s+(\d{1,40})", content[:10_000], re.MULTILINE)
+        promised = sum(map(int, counts))
+    elif kind == "stl" and content.lstrip()[:5] != b"solid":
+        promised = int.from_bytes(content[80:84], "little")
+    elif kind == "obj":
+        promised = content.count(b"\nv ") + content.count(b"\nf ")
+    if promised > min(len(content), 4 * MAX_TRIANGLES):
+        got = f"{promised} vertices and faces in {len(content)} bytes"
+        raise InputError(source, got, f"a whole mesh file, at most {MAX_TRIANGLES} triangles")
+
+
+def _geometry_only(content: bytes, source: str) -> bytes:
+    """A GLB file without textures and the like, once its promises are checked."""
+    expected = "a whole GLB file, its meshes not compressed"
+    length = int.from_bytes(content[12:16], "little")
+    try:
+        if int.from_bytes(content[8:12], "little") > len(content):
+            raise ValueError("it is cut short")
+        root = json.loads(content[20 : 20 + length])
+        accessors = root.get("accessors", [])
+        if sum(max(a["count"], 0) for a in accessors) > 20 * MAX_TRIANGLES or any(
+            "bufferView" not in a or "sparse" in a for a in accessors
+        ):
+            raise ValueError("too many or sparse values")
+        if len(root.get("nodes", [])) > 1000:
+            raise ValueError("more than 1000 nodes")
+        faces = [_primitives(root, node) for node in root.get("nodes", [])]
+        if sum(faces) > MAX_TRIANGLES:
+            raise ValueError(f"more than {MAX_TRIANGLES} triangles")
+        if root.get("extensionsRequired"):
+            raise ValueError(f"extensions {root['extensionsRequired']}")
+        for key in ("materials", "textures", "images", "samplers", "animations", "skins"):
+            root.pop(key, None)
+        for mesh in root.get("meshes", []):
+            for primitive in mesh["primitives"]:
+                primitive.pop("material", None)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, IndexError) as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise InputError(source, f"GLB that cannot be read ({reason})", expected) from None
+    text = json.dumps(root).encode()
+    text += b" " * (-len(text) % 4)
+    rest = content[20 + length :]
+    head = b"glTF" + (2).to_bytes(4, "little") + (20 + len(text) + len(rest)).to_bytes(4, "little")
+    return head + len(text).to_bytes(4, "little") + b"JSON" + text + rest
+
+
+def _primitives(root: dict[str, Any], node: dict[str, Any]) -> int:
+    """Triangles of a node of a GLB scene."""
+    if "mesh" not in node:
+        return 0
+    used = [
+        p.get("indices", p["attributes"]["POSITION"])
+        for p in root["meshes"][node["mesh"]]["primitives"]
+    ]
+    return sum(root["accessors"][k]["count"] for k in used) // 3
