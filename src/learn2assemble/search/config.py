@@ -31,8 +31,7 @@ class GumbelConfig:
         temperature: the logits are Q / temperature.
         value_scale, visit_offset: sigma(q) = (visit_offset + max visits) * value_scale * q for q
             scaled to 0..1 over the actions of the node.
-        noise: draw Gumbel noise, which samples root actions without replacement from the softmax of
-            the logits; without it the search is deterministic.
+        noise: draw Gumbel noise; without it the search is deterministic, which suits small budgets.
     """
 
     considered: int = 8
@@ -130,15 +129,14 @@ SEARCHES: Registry[SearchConfig] = Registry("search", {
         budget=1000, expansion="uct", prior=False, repeats=True, rollout=TO_THE_END,
         rollout_policy="random",
     ),
-    # Ours. The noise of "gumbel" chooses among placements that are worth about the same, so an
-    # agent that does not see what a large target still needs tries different ones.
+    # Ours.
     "distinct": SearchConfig(distinct=True),
     "widening": SearchConfig(
         distinct=True, expansion="uct", widening=0.8, exploration=0.2, backup="max"
     ),
     "gumbel": SearchConfig(
         distinct=True, expansion="gumbel", repeats=True, final="gumbel", backup="max",
-        gumbel=GumbelConfig(considered=8, temperature=0.1, noise=True),
+        gumbel=GumbelConfig(considered=8),
     ),
 })  # fmt: skip
 
