@@ -245,7 +245,7 @@ def test_time_to_a_return_counts_those_that_never_come_there(tmp_path: Path) -> 
     log(tmp_path, "dqn-s1.stage1", [(100, 1.0), (200, 1.0)])
     log(tmp_path, "dqn-s1", [(100, 1.0), (200, 4.0)])
     log(tmp_path, "dqn-s2", [(100, 1.0), (400, 1.5)])
-    low, high = time_to(FIGURES["algorithms"], tmp_path, (1.5, 3.5))
+    low, high = time_to(dataclasses.replace(FIGURES["algorithms"], levels=(1.5, 3.5)), tmp_path)
     assert (low.label, low.seeds, low.reached, high.reached) == ("DQN", 3, 3, 2)
     assert low.samples == (200, 300, 400)
     assert high.samples == (400, 400, math.inf)

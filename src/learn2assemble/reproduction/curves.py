@@ -38,6 +38,8 @@ QUANTITIES = ("R", "f", "success")
 """Of the latest 300 training episodes, exploration included."""
 LEVELS = (3.21, 3.47)
 """The paper's R at epsilon 0.05 without search and with budget 10, on two-sided-3x3-20-24."""
+BAR_LEVELS = (1.94, 2.42)
+"""The paper's R of full and of partial connectivity on bars-one-sided-5x5-25-27."""
 POINTS = 240
 """Grid of samples a curve is drawn on."""
 WINDOW = 9
@@ -47,12 +49,21 @@ _COLUMNS = ("samples", "seconds", *QUANTITIES)
 
 @dataclass(frozen=True)
 class Curves:
-    """Curves that belong together: label and stem of the runs of each."""
+    """Curves that belong together.
+
+    Args:
+        name: as in ``l2a curves NAME``.
+        title: one line.
+        lines: label and stem of the runs of each.
+        note: a sentence printed below.
+        levels: of R, for :func:`time_to`; returns the paper reports.
+    """
 
     name: str
     title: str
     lines: tuple[tuple[str, str], ...]
     note: str = ""
+    levels: tuple[float, ...] = LEVELS
 
 
 @dataclass(frozen=True)
@@ -94,7 +105,8 @@ _ALL = (
     Curves("architectures", "Architectures (appendix figure 3a; full graph)",
            (("MHA", "mha-full"), ("SHA", "sha-full"), ("S2V", "s2v-full"))),
     Curves("connectivity", "Connectivity (appendix figure 3b; bars, one side)",
-           (("partially connected", "bars-partial"), ("fully connected", "bars-full"))),
+           (("partially connected", "bars-partial"), ("fully connected", "bars-full")),
+           levels=BAR_LEVELS),
     Curves("algorithms", "Learning algorithms (appendix figure 5)",
            (("DQN", "dqn"), ("ε-MCTS", "eps-mcts"), ("Q-MCTS", "q-mcts")),
            "Q-MCTS and ε-MCTS search while they collect: their curves are of the search."),
@@ -115,8 +127,8 @@ def load_curves(figure: Curves, runs: Path) -> list[Curve]:
     return curves
 
 
-def time_to(figure: Curves, runs: Path, levels: tuple[float, ...] = LEVELS) -> list[Reached]:
-    """When the lines of a figure first reach each of ``levels`` in R.
+def time_to(figure: Curves, runs: Path) -> list[Reached]:
+    """When the lines of a figure first reach each of its levels in R.
 
     R is that of the latest 300 training episodes, so at the exploration rate of that time, 0.05
     once it has come down, averaged over ``WINDOW`` entries of the log.
@@ -126,7 +138,7 @@ def time_to(figure: Curves, runs: Path, levels: tuple[float, ...] = LEVELS) -> l
     """
     out: list[Reached] = []
     for label, logs in _logs(figure, runs):
-        for level in levels:
+        for level in figure.levels:
             first = np.full((len(logs), 2), np.inf)
             for row, log in zip(first, logs, strict=True):
                 above = np.flatnonzero(_smooth(log["R"]) >= level)
