@@ -24,7 +24,9 @@ from learn2assemble.evaluation.episodes import (
 )
 from learn2assemble.networks.agent import Agent, load_agent, save_agent
 from learn2assemble.networks.config import NetworkConfig
+from learn2assemble.networks.placement import PlacementNetwork
 from learn2assemble.networks.qnetwork import QNetwork
+from learn2assemble.planning.world_model import lookahead_actions
 from learn2assemble.reproduction import report as published_module
 from learn2assemble.reproduction.bounds import best_return, return_bound
 from learn2assemble.reproduction.cells import (
@@ -32,6 +34,7 @@ from learn2assemble.reproduction.cells import (
     Cell,
     Job,
     agent_hash,
+    farther_view,
     find_agents,
     is_current,
     jobs,
@@ -64,6 +67,7 @@ from learn2assemble.reproduction.tables import (
     BUILDER,
     LOOK_AHEAD,
     RANDOM,
+    SHIPPED,
     TABLES,
     UNTRAINED,
     Column,
@@ -261,12 +265,32 @@ def test_bound_and_look_ahead_meet_the_same_problems() -> None:
 def test_mended_policies_take_the_look_ahead_where_they_would_gain_nothing() -> None:
     simulator, look_ahead = Simulator(TASK), lookahead_policy(TASK, 0.0)
     expected = play_episodes(simulator, look_ahead, 12, 0)
-    same = play_episodes(simulator, mended_policy(TASK, look_ahead), 12, 0)
+
+    def mend(state: State, actions: np.ndarray) -> np.ndarray:
+        return lookahead_actions(simulator, state)
+
+    same = play_episodes(simulator, mended_policy(TASK, look_ahead, mend), 12, 0)
     np.testing.assert_array_equal(same.returns, expected.returns)
     chance = random_policy(TASK.num_actions)
     assert play_episodes(simulator, chance, 12, 0).failed.any()
-    mended = play_episodes(simulator, mended_policy(TASK, chance), 12, 0)
+    mended = play_episodes(simulator, mended_policy(TASK, chance, mend), 12, 0)
     assert not mended.failed.any()
+
+
+def test_a_farther_view_replaces_placements_by_valid_ones_only() -> None:
+    task = get_task("two-sided-8x8-90-94")
+    agent, simulator = load_agent(SHIPPED), Simulator(task)
+    assert isinstance(agent.network, PlacementNetwork)
+    mend, rng = farther_view(task, agent.network), np.random.default_rng(0)
+    state = simulator.new(24, rng)
+    for _ in range(3):
+        given = simulator.random_actions(state, rng)
+        found = mend(state.copy(), given.copy())
+        changed = (found != given).any(1)
+        assert changed.any()
+        step = simulator.step(state, found)
+        assert (step.verdict[changed] == 0).all()
+        state = state.take(np.flatnonzero(~step.terminated))
 
 
 def test_untrained_policies_need_no_agent() -> None:
@@ -447,6 +471,7 @@ def test_differences_are_taken_problem_by_problem(tmp_path: Path) -> None:
     fake(tmp_path, Cell(TASK, "agent", "tiny-s0", search, 0.0), [2.1, 6.0, 9.9, 4.0], [0] * 4)
     first, second = (row[0].results[Condition(0.0)] for row in load_table(table, tmp_path).entries)
     assert second.difference is None
+    assert first.difference is not None
     assert first.difference == pytest.approx((-1.0, 1.96 * 0.1 / math.sqrt(3)))
     assert first.R_ci95 > 20 * first.difference[1]
     assert "| -1.00 ± 0.11 |" in markdown(load_table(table, tmp_path))

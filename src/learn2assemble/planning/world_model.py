@@ -50,13 +50,16 @@ class WorldModel:
         simulator: steps copies of states exactly, so a search never disturbs the real world.
         network: estimates values; it may have been trained at another pitch.
         device: where the network is.
+        sight: how far our network sees [cells]; by default as far as the task says.
     """
 
-    def __init__(self, simulator: Simulator, network: Network, device: str = "cpu") -> None:
+    def __init__(
+        self, simulator: Simulator, network: Network, device: str = "cpu", sight: int | None = None
+    ) -> None:
         task, config = simulator.task, network.config
         check_actions(config.num_actions, config.action_mode, task)
         self.simulator, self.device = simulator, device
-        self.network = fitted(network, task.pitch, task.sight)
+        self.network = fitted(network, task.pitch, task.sight if sight is None else sight)
         self.discount = simulator.task.discount
         self._kept: dict[bytes, _Kept] = {}
 

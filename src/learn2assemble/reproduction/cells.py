@@ -13,7 +13,7 @@ import hashlib
 import json
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,14 +33,16 @@ from learn2assemble.evaluation.episodes import (
     random_policy,
 )
 from learn2assemble.files import from_plain
+from learn2assemble.geometry.support import STABLE
 from learn2assemble.learning.run import provenance
 from learn2assemble.networks.agent import agent_files, one_thread
 from learn2assemble.networks.config import NetworkConfig
+from learn2assemble.networks.placement import PlacementNetwork
 from learn2assemble.networks.qnetwork import QNetwork
 from learn2assemble.planning.agent.network import Builder, builder_files
-from learn2assemble.planning.world_model import lookahead_actions
+from learn2assemble.planning.world_model import WorldModel, lookahead_actions
 from learn2assemble.reproduction.bounds import best_returns, has_bound
-from learn2assemble.reproduction.tables import LOOK_AHEAD, MENDED, RANDOM, Row, Table
+from learn2assemble.reproduction.tables import FARTHER, LOOK_AHEAD, MENDED, RANDOM, Row, Table
 from learn2assemble.search.config import SearchConfig
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import Task
@@ -63,13 +65,18 @@ An agent more brings more than more problems for the same one, and the interval 
 played different problems holds for both."""
 
 
+VIEWS = (4, 5)
+"""How far an agent sees in turn where it looks farther [cells]."""
+
+
 @dataclass(frozen=True)
 class Cell:
     """What is measured.
 
     Args:
         task: the problems.
-        policy: ``agent``, ``mended``, ``look-ahead``, ``untrained``, ``random`` or ``bound``.
+        policy: ``agent``, ``mended``, ``farther``, ``look-ahead``, ``untrained``, ``random`` or
+            ``bound``.
         agent: name of the agent; empty without one.
         search: what precedes every decision.
         epsilon: chance of a random action.
@@ -94,8 +101,8 @@ class Cell:
         if self.policy == BOUND:
             return f"cells/{self.task.name}/{BOUND}.s{self.seed}.json"
         parts = [self.agent or self.policy, _slug(self.search), f"eps{self.epsilon:g}"]
-        if self.policy == MENDED:
-            parts.insert(1, MENDED)
+        if self.policy in (MENDED, FARTHER):
+            parts.insert(1, self.policy)
         if self.physics != "static":
             parts.append(self.physics)
         if self.share:
@@ -182,12 +189,28 @@ def make_cell_policy(cell: Cell, agent_file: str | None) -> Policy:
         )
         torch.manual_seed(0)
         network = QNetwork(config).eval()
-    policy = make_policy(cell.task, network, cell.search, cell.epsilon)
-    return mended_policy(cell.task, policy) if cell.policy == MENDED else policy
+    search = cell.search
+    if cell.policy == FARTHER and search is not None:
+        # One simulation is left for what the wider view finds.
+        search = replace(search, budget=search.budget - 1)
+    policy = make_policy(cell.task, network, search, cell.epsilon)
+    if cell.policy == MENDED:
+        simulator = Simulator(cell.task)
+        return mended_policy(
+            cell.task, policy, lambda state, _: lookahead_actions(simulator, state)
+        )
+    if cell.policy == FARTHER:
+        assert isinstance(network, PlacementNetwork)
+        return mended_policy(cell.task, policy, farther_view(cell.task, network))
+    return policy
 
 
-def mended_policy(task: Task, policy: Policy) -> Policy:
-    """``policy``, but where its action would bring no reward, the exact look-ahead's.
+Mend = Callable[[State, np.ndarray], np.ndarray]
+"""Other actions int64[B, 3] for states, from these and the ones chosen before."""
+
+
+def mended_policy(task: Task, policy: Policy, mend: Mend) -> Policy:
+    """``policy``, but where its action would bring no reward, the one that ``mend`` chooses.
 
     On targets larger than those of training an agent comes to places where only supports several
     blocks deep bring anything again; it does not see so far, and takes what is not even valid.
@@ -198,10 +221,30 @@ def mended_policy(task: Task, policy: Policy) -> Policy:
         actions = policy(state, rng)
         idle = np.flatnonzero(simulator.step(state.copy(), actions).reward <= 0)
         if len(idle):
-            actions[idle] = lookahead_actions(simulator, state.take(idle))
+            actions[idle] = mend(state.take(idle), actions[idle])
         return actions
 
     return act
+
+
+def farther_view(task: Task, network: PlacementNetwork) -> Mend:
+    """What the network itself would do if it saw farther, where that is valid; see :data:`VIEWS`.
+
+    What one view leaves open another often finishes; none of them is better from the beginning.
+    """
+    simulator = Simulator(task)
+    models = [WorldModel(simulator, network, sight=cells) for cells in VIEWS]
+
+    def mend(state: State, actions: np.ndarray) -> np.ndarray:
+        found, turn = actions.copy(), state.num_placed % len(models)
+        for number, model in enumerate(models):
+            rows = np.flatnonzero(turn == number)
+            if len(rows):
+                found[rows] = model.best(state.take(rows))[1]
+        valid = simulator.step(state.copy(), found).verdict == STABLE
+        return np.where(valid[:, None], found, actions)
+
+    return mend
 
 
 def _rounded(values: Any) -> list[float]:
