@@ -390,7 +390,7 @@ class Job:
 
 def row_cells(table: Table, row: Row, column: int, agents: list[str]) -> list[Cell]:
     """The cells of one row in one column, for all conditions and the given agents."""
-    if row.columns is not None and column not in row.columns:
+    if not row.played_in(column):
         return []
     task = table.columns[column].preset
     names = shares(row, agents) if row.agents else {"": 0}

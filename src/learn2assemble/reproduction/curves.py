@@ -253,7 +253,12 @@ def load_scaled(root: Path, times: dict[str, dict[str, float]]) -> list[Curve]:
 def timed_names() -> list[str]:
     """Names of the measurements of :func:`decision_time`."""
     table = get_table(SIZES)
-    return [_timed_name(row, column.task) for row in table.rows for column in table.columns]
+    return [
+        _timed_name(row, column.task)
+        for row in table.rows
+        for number, column in enumerate(table.columns)
+        if row.played_in(number)
+    ]
 
 
 def _timed_name(row: Row, task: str) -> str:
@@ -290,7 +295,7 @@ TIMES = Figures(
 )
 
 
-_COLOURS = (ACCENT, "#d9480f", "#5f3dc4", "#2b8a3e", "#e67700", INK, "#868e96")
+_COLOURS = (ACCENT, "#d9480f", "#5f3dc4", "#2b8a3e", "#e67700", INK, "#868e96", "#c2255c")
 _DPI = 130
 TITLES = {
     "R": "discounted return R", "f": "share ended by an invalid action f",
@@ -330,7 +335,7 @@ def write_curves(
         if quantity == first:
             axes.legend(
                 loc="center right", bbox_to_anchor=(1, _EMPTY[quantity]), frameon=False,
-                fontsize=10, labelcolor=INK,
+                fontsize=9, labelcolor=INK,
             )  # fmt: skip
             axes.set_xlabel(axis, fontsize=9, color=SOFT)
     save(figure, path, _DPI)

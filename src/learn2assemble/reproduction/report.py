@@ -361,7 +361,7 @@ def sections(data: TableData, brief: bool = False) -> list[Section]:
 
 
 def _is_played(entry: Entry, number: int) -> bool:
-    return entry.row.columns is None or number in entry.row.columns
+    return entry.row.played_in(number)
 
 
 def compact(data: TableData) -> Section:

@@ -112,6 +112,10 @@ class Row:
         """The label with any help."""
         return f"{self.label} ({self.help})" if self.help else self.label
 
+    def played_in(self, column: int) -> bool:
+        """Whether it is played in the column with this number."""
+        return self.columns is None or column in self.columns
+
     def search_config(self, epsilon: float) -> SearchConfig | None:
         """Its search at a chance ``epsilon`` of random choices."""
         if not self.search:
@@ -363,13 +367,13 @@ _ALL = (
         (_T2_COLUMNS[0], *_T2_COLUMNS[3:], *_SIZES),
         (*_budget(0, learners=("DQN",)), *_own(SHIPPED),
          _ours("ours, budget 10, gumbel", SHIPPED, "gumbel", distinct=True),
-         _ours("ours, budget 10, gumbel, looks farther", SHIPPED, "gumbel", distinct=True,
+         _ours("ours, budget 10, farther", SHIPPED, "gumbel", distinct=True,
                policy=FARTHER, columns=(4, 5)),
          _ours("ours, budget 10", SHIPPED, "dqn-mcts", help=HELPED, policy=MENDED), _LOOK_AHEAD),
         conditions=(Condition(0.0),),
         notes=("R is discounted, so the last blocks of a large target hardly show in it; the "
                "success is the share of targets that are finished.",
-               "looks farther: the search has nine simulations; where the placement it chose "
+               "farther: the search is gumbel with nine simulations; where the placement it chose "
                "brings no reward, the agent values all placements again, seeing blocks up to four "
                "or five cells away in turn instead of three, and takes the best one if the tenth "
                "simulation shows that it is valid."),
