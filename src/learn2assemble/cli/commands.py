@@ -157,12 +157,10 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
         output.say(f"coverage {plan.coverage:.1%} of the target, more than {needed} is needed")
     if plan.steps and plan.margin_g is not None:
         output.say(f"every step is proven; the weakest withstands {plan.margin_g:.3f} g sideways")
-    if plan.complete and plan.friction_range and plan.gap_range:
-        (low, high), (narrow, wide) = plan.friction_range, plan.gap_range
-        upper = "more" if high >= 100 else f"{high:g}"
+    proven = plan.proven_for
+    if "friction" in proven and "joints" in proven:
         output.say(
-            f"proven for friction {low:g} to {upper} and vertical joints of {narrow * 1e3:g} to "
-            f"{wide * 1e3:g} mm"
+            f"proven for friction {proven['friction']} and vertical joints of {proven['joints']}"
         )
     if plan.arm is not None:
         _print_arm(output, plan.arm)

@@ -128,6 +128,8 @@ class BlockSupply:
     """With an arm: where each block of the assembly is taken from."""
 
 
+_MANY = 100
+"""A range of friction that ends here or beyond has no upper end."""
 _MARGIN = 1e3
 """Margins are written up to this [g]."""
 
@@ -290,6 +292,18 @@ class Plan:
         return self.status == "complete"
 
     @property
+    def proven_for(self) -> dict[str, str]:
+        """In words, what every step of a complete plan is proven for: ``friction``, ``joints``."""
+        words: dict[str, str] = {}
+        if self.complete and self.friction_range:
+            low, high = self.friction_range
+            words["friction"] = _words(low, high) if high < _MANY else f"{low:g} to more"
+        if self.complete and self.gap_range:
+            low, high = self.gap_range
+            words["joints"] = f"{_words(1e3 * low, 1e3 * high)} mm"
+        return words
+
+    @property
     def margin_g(self) -> float | None:
         """Smallest margin of all steps [g]."""
         return min((s.margin_g for s in self.steps if s.margin_g is not None), default=None)
@@ -442,3 +456,7 @@ def _from_earlier(root: dict[str, Any], version: int, source: str) -> dict[str, 
 def load_plan(path: str | Path) -> Plan:
     """The plan in a ``plan.json`` or its folder, see :meth:`Plan.load`."""
     return Plan.load(path)
+
+
+def _words(low: float, high: float) -> str:
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"

@@ -20,7 +20,7 @@ from learn2assemble.cli.parser import (
     positive,
     workers_arguments,
 )
-from learn2assemble.errors import InputError, look_up
+from learn2assemble.errors import InputError, check_name
 from learn2assemble.files import claim_folder, write_file
 from learn2assemble.registry import Registry
 
@@ -251,7 +251,8 @@ def _run_curves(options: argparse.Namespace, output: Output) -> None:
 
     if options.name == SIZES:
         return _run_scaling(options, output)
-    figure = look_up("figure", options.name, FIGURES)
+    check_name("figure", options.name, [*FIGURES, SIZES])
+    figure = FIGURES[options.name]
     curves = load_curves(figure, options.runs)
     reached = time_to(figure, options.runs)
     path: Path = options.out / f"{figure.name}.png"

@@ -558,13 +558,7 @@ def write_plan_page(plan: Plan, path: Path) -> None:
         facts.append(("drawing and cells in common", f"{plan.design.iou:.1%}"))
     if plan.margin_g is not None:
         facts.append(("weakest step withstands", f"{plan.margin_g:.3f} g sideways"))
-    if plan.complete and plan.gap_range is not None:
-        low, high = plan.gap_range
-        facts.append(("proven for joints", f"{low * 1e3:g} to {high * 1e3:g} mm"))
-    if plan.complete and plan.friction_range is not None:
-        low, high = plan.friction_range
-        upper = "more" if high >= 100 else f"{high:g}"
-        facts.append(("proven for friction", f"{low:g} to {upper}"))
+    facts += [(f"proven for {what}", words) for what, words in plan.proven_for.items()]
     text = render_assembly_page(
         plan.assembly, title=plan.design.name, facts=[(a, b) for a, b in facts if b],
         step_notes=[_note(step, targets) for step in plan.steps],
