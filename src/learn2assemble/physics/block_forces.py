@@ -44,6 +44,14 @@ _STAYS = 4
 """Rounds in which a holding force does not shrink, after which it is taken to be needed."""
 _ITERATIONS = 100
 """Of the cone solver."""
+_STEPS = (0.99, 0.9)
+"""How much of the way to the edge of the cones the solver goes in an iteration: its own value, and
+a shorter one for programs it is stuck in, such as those of blocks that rest on nothing."""
+_SOLVED = (_conic.SolverStatus.Solved, _conic.SolverStatus.AlmostSolved)
+_STUCK = (
+    _conic.SolverStatus.InsufficientProgress, _conic.SolverStatus.NumericalError,
+    _conic.SolverStatus.MaxIterations,
+)  # fmt: skip
 _STEP, _MIX = 0.5, (-3.0, 0.5)
 """Damping of the fixed point, and bounds of how the round before is mixed in (Anderson 1965)."""
 _FIRM = 1e-8
@@ -220,8 +228,8 @@ class System:
                 solver = _solver(energy, cost, matrix, bound, cones, 1e-6)
             else:
                 solver.update(b=bound)
-            answer = _answer(solver)
-            if answer is None:
+            answer = solver.solve()
+            if answer.status not in _SOLVED:
                 break
             x = np.array(answer.x)
             forces = x[: 3 * corners].reshape(-1, 3)
@@ -347,23 +355,24 @@ def _run(
     tolerance: float = 1e-8,
 ) -> Any:  # fmt: skip
     """Solve one cone program; None where it is infeasible or the solver cannot tell."""
-    return _answer(_solver(energy, cost, matrix, bound, cones, tolerance))
+    for step in _STEPS:
+        solver = _solver(energy, cost, matrix, bound, cones, tolerance, step)
+        answer = solver.solve()
+        if answer.status not in _STUCK:
+            break
+    return answer if answer.status in _SOLVED else None
 
 
 def _solver(
-    energy: Any, cost: np.ndarray, matrix: Any, bound: np.ndarray, cones: list, tolerance: float
-) -> Any:
+    energy: Any, cost: np.ndarray, matrix: Any, bound: np.ndarray, cones: list, tolerance: float,
+    step: float = _STEPS[0],
+) -> Any:  # fmt: skip
     """A solver of: least x energy x / 2 + cost x where bound - matrix x is in the cones."""
     settings = _conic.DefaultSettings()
+    settings.max_step_fraction = step
     settings.verbose = False
     settings.max_threads = 1
     settings.max_iter = _ITERATIONS
     settings.presolve_enable = False  # it would refuse a new bound
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
     return _conic.DefaultSolver(sp.csc_matrix(energy), cost, matrix, bound, cones, settings)
-
-
-def _answer(solver: Any) -> Any:
-    answer = solver.solve()
-    good = {_conic.SolverStatus.Solved, _conic.SolverStatus.AlmostSolved}
-    return answer if answer.status in good else None
