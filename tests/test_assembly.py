@@ -488,6 +488,28 @@ def test_a_folder_and_a_scene_of_meshes(tmp_path: Path, suffix: str) -> None:
         read_assembly(folder, supports=["nobody"])
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1000000000000\nend_header\n", "promise"),
+        ("a.off", b"OFF\n# a box\n1000000000000 12 0\n0 0 0\n", "promise"),
+        ("a.glb", b"glTF" + bytes(16), "GLB"),
+        ("a.stl", b"solid a\nfacet\n", "triangles"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "triangles"),
+        ("a.obj", b"v 0 0 0\n" + b"# \0" * 6_000_000, "bytes"),
+    ],
+    ids=["ply", "off", "glb", "stl", "obj", "long obj"],
+)
+def test_meshes_that_hold_less_than_they_say_are_one_line(
+    tmp_path: Path, name: str, content: bytes, words: str
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    expected = "vertices and faces in" if words == "promise" else words
+    with pytest.raises(InputError, match=expected) as error:
+        read_assembly(tmp_path / name)
+    assert "\n" not in str(error.value)
+
+
 def test_meshes_that_share_an_edge_in_one_file_are_refused(tmp_path: Path) -> None:
     """Which of four faces at an edge belong together cannot be told."""
     trimesh = pytest.importorskip("trimesh")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -125,9 +126,16 @@ def test_a_small_evaluation() -> None:
     again = l2a.evaluate("one-sided-3x3-22-24", agent=l2a.load_agent("relational-cubes-s0"), **how)
     assert (again.metrics.R, again.metrics.a) == (result.metrics.R, result.metrics.a)
     json.dumps(result.to_dict())
-    for wrong in ({"episodes": 0}, {"epsilon": 2.0}, {"search": "dfs"}, {"agent": "nobody"}):
-        with pytest.raises(InputError):
-            l2a.evaluate("one-sided-3x3-22-24", **wrong)
+    wrong: list[dict[str, Any]] = [
+        {"episodes": 0}, {"episodes": "5"}, {"seed": 1.5}, {"epsilon": 2.0}, {"epsilon": "a"},
+        {"search": "dfs"}, {"agent": "nobody"},
+    ]  # fmt: skip
+    for arguments in wrong:
+        with pytest.raises(InputError, match=rf"^{next(iter(arguments))}: got "):
+            l2a.evaluate("one-sided-3x3-22-24", **arguments)
+    for field in ({"budget": "a"}, {"budget": -1}, {"rollout": 0.5}, {"epsilon": math.nan}):
+        with pytest.raises(InputError, match=rf"^{next(iter(field))}: got "):
+            l2a.SearchConfig(**field)
 
 
 def test_a_folder_is_written_by_one_process_at_a_time(tmp_path: Path) -> None:

@@ -69,16 +69,21 @@ def look_up(what: str, name: str, table: Mapping[str, T]) -> T:
     return table[name]
 
 
-def check_fields(value: object, *rules: tuple[str, bool, str]) -> None:
-    """Refuse a value by the first rule it breaks: name of a field, whether it is as it should be,
+def check_arguments(given: Mapping[str, object], *rules: tuple[str, bool, str]) -> None:
+    """Refuse arguments by the first rule they break: name of one, whether it is as it should be,
     and what is expected of it.
 
     Raises:
-        InputError: naming the field.
+        InputError: naming the argument.
     """
     for name, kept, expected in rules:
         if not kept:
-            raise InputError(name, getattr(value, name), expected)
+            raise InputError(name, given[name], expected)
+
+
+def check_fields(value: object, *rules: tuple[str, bool, str]) -> None:
+    """The same for the fields of a value."""
+    check_arguments({name: getattr(value, name) for name, _, _ in rules}, *rules)
 
 
 def is_number(value: object, low: float = -math.inf, high: float = math.inf) -> bool:

@@ -58,7 +58,7 @@ def read_parts(content: bytes, kind: str, source: str) -> list[Part]:
     """
     import trimesh
 
-    check_size(content, source)
+    check_size(content, kind, source)
     _promises(content, kind, source)
     if kind == "glb":
         content = _geometry_only(content, source)
@@ -82,9 +82,10 @@ def read_parts(content: bytes, kind: str, source: str) -> list[Part]:
     return checked(parts, source)
 
 
-def check_size(content: bytes, source: str) -> None:
+def check_size(content: bytes, kind: str, source: str) -> None:
     """Refuse a file that is larger than any mesh taken; files of text hold less in more bytes."""
-    limit = MAX_BINARY if b"\0" in content[:4096] else MAX_TEXT
+    binary = kind not in ("obj", "off") and b"\0" in content[:4096]
+    limit = MAX_BINARY if binary else MAX_TEXT
     if len(content) > limit:
         raise InputError(source, f"{len(content)} bytes", f"a mesh of at most {limit} bytes")
 
@@ -111,6 +112,9 @@ def _promises(content: bytes, kind: str, source: str) -> None:
         promised = sum(map(int, counts))
     elif kind == "stl" and content.lstrip()[:5] != b"solid":
         promised = int.from_bytes(content[80:84], "little")
+    elif kind == "off":
+        lines = re.sub(rb"#[^\n]*", b"", content[:10_000]).replace(b"OFF", b"", 1).split()
+        promised = sum(int(word) for word in lines[:2] if word.isdigit())
     elif kind == "obj":
         promised = content.count(b"\nv ") + content.count(b"\nf ")
     if promised > min(len(content), 4 * MAX_TRIANGLES):

@@ -69,7 +69,7 @@ def read_mesh(content: bytes, kind: str, source: str) -> Solid:
     """The solid in a mesh file; ``kind`` is "stl", "obj", "ply", "glb" or "3dm"."""
     metres = 1.0 if kind == "glb" else None
     if kind == "3dm":
-        check_size(content, source)
+        check_size(content, kind, source)
         meshes, metres = _rhino(content, source)
         parts = checked([Part("", *mesh) for mesh in meshes], source)
     else:

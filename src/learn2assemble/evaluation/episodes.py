@@ -7,13 +7,12 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from learn2assemble.checkers import resolve_checker
-from learn2assemble.errors import check_fields, is_number, is_whole
+from learn2assemble.errors import check_arguments, is_number, is_whole
 from learn2assemble.learning.run import provenance
 from learn2assemble.networks.agent import Agent, Network, default_agent, load_agent, one_thread
 from learn2assemble.physics.protocol import Physics, Verdict
@@ -316,8 +315,8 @@ def evaluate(
     Raises:
         InputError: for names that do not exist and numbers out of range.
     """
-    check_fields(
-        SimpleNamespace(episodes=episodes, seed=seed, epsilon=epsilon),
+    check_arguments(
+        {"episodes": episodes, "seed": seed, "epsilon": epsilon},
         ("episodes", is_whole(episodes, 1), "a whole number of at least 1"),
         ("seed", is_whole(seed, 0), "a whole number of at least 0"),
         ("epsilon", is_number(epsilon, 0, 1), "0 <= epsilon <= 1"),

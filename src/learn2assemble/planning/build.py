@@ -11,13 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeGuard
 
 from learn2assemble.errors import (
     InputError,
     UnknownNameError,
-    check_fields,
+    check_arguments,
     check_name,
     is_number,
     is_whole,
@@ -212,21 +211,20 @@ def _builder(agent: object) -> str:
 
 def _check_values(**given: Any) -> None:
     """Refuse arguments of :func:`build` that no design and no arm can do anything with."""
-    told = SimpleNamespace(**given)
-    noise, seed, seconds = told.noise, told.seed, told.seconds
+    noise, seconds, reading = given["noise"], given["seconds"], given["reading"]
     pair = _is(noise, tuple, list) and len(noise) == 2
-    check_fields(
-        told,
-        ("reading", told.reading is None or _is(told.reading, Mapping),
+    check_arguments(
+        given,
+        ("reading", reading is None or _is(reading, Mapping),
          "keyword arguments of read_design as a mapping"),
-        ("props", _is(told.props, bool), "True or False"),
+        ("props", _is(given["props"], bool), "True or False"),
         ("noise", pair and all(is_number(one, 0) for one in noise),
          "two standard deviations of at least 0, in m and rad"),
-        ("seed", is_whole(seed, 0), "a whole number of at least 0"),
+        ("seed", is_whole(given["seed"], 0), "a whole number of at least 0"),
         ("seconds", seconds is None or (is_number(seconds) and seconds > 0), "a positive number"),
-        ("progress", callable(told.progress), "a function of a line of text"),
+        ("progress", callable(given["progress"]), "a function of a line of text"),
     )  # fmt: skip
-    for name in told.reading or ():
+    for name in reading or ():
         check_name("reading", name, READING)
 
 

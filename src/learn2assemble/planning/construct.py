@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 DEFAULT_KIT = "bricks-lintels"
 EXACT, AGENT, AUTO = "exact", "agent", "auto"
 _UPRIGHT = (1.0, 0.0, 0.0, 0.0)
-_LARGEST = 1e3
-"""A coefficient of friction without limit is written like this."""
 
 
 def plan_cells(
@@ -178,7 +176,7 @@ def report_plan(
         kit=kit.name,
         cells=plans.CellCount(wanted, missing, outside),
         verified_by="static equilibrium of every step",
-        friction_range=(round(low, 6), round(min(high, _LARGEST), 6)),
+        friction_range=(round(low, 6), round(min(high, plans.LARGEST), 6)),
         gap_range=ordered.gap_range,
         assembly=assembly,
     )
@@ -302,7 +300,7 @@ def _step(
         step=number, block=index, position=_point(block.centroid), quaternion=_UPRIGHT,
         action="remove" if removing else "place", kind=block.kind or None, prop=block.prop,
         coverage=round(coverage, 6),
-    ).proven(proof, margin_g)  # fmt: skip
+    ).with_proof(proof, margin_g)  # fmt: skip
 
 
 def _coloured(

@@ -40,6 +40,8 @@ BED, TIGHT = "bed faces", "tight joints"
 """How any step was proven by the coupled analysis: without vertical joints, or with friction on
 side faces that touch."""
 _DIRECTIONS = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
+SIDEWAYS = tuple(math.atan2(y, x) for x, y in _DIRECTIONS)
+"""Directions in which the margin of a step is looked for [rad]."""
 _LEAST, _PRECISION = 2e-3, 0.02
 """Smallest sideways acceleration looked for [g], and how exactly it is found (relative)."""
 _GAP_TRIALS = 7
@@ -126,8 +128,7 @@ class Coupled:
             if not found.stands:
                 return None
             self._stiffness = found.stiffness
-        ways = tuple(math.atan2(y, x) for x, y in _DIRECTIONS)
-        worth = margin(made, contacts, self.friction[0], present=placed, only=ways)
+        worth = margin(made, contacts, self.friction[0], present=placed, only=SIDEWAYS)
         return worth if worth >= NO_MARGIN else None
 
 

@@ -128,10 +128,8 @@ class BlockSupply:
     """With an arm: where each block of the assembly is taken from."""
 
 
-_MANY = 100
-"""A range of friction that ends here or beyond has no upper end."""
-_MARGIN = 1e3
-"""Margins are written up to this [g]."""
+LARGEST = 1e3
+"""Margins [g] and coefficients of friction are written up to this; it stands for any larger."""
 
 
 @dataclass(frozen=True)
@@ -169,10 +167,10 @@ class Step:
     grasp: str | None = None
     """With an arm: how the block was held."""
 
-    def proven(self, proof: str, margin_g: float | None) -> Step:
+    def with_proof(self, proof: str, margin_g: float | None) -> Step:
         """The step with this proof and this margin [g]; None: none is known."""
         tilt = None if margin_g is None else round(math.degrees(math.atan(margin_g)), 3)
-        worth = None if margin_g is None else round(min(float(margin_g), _MARGIN), 6)
+        worth = None if margin_g is None else round(min(float(margin_g), LARGEST), 6)
         return dataclasses.replace(self, proof=proof, margin_g=worth, tilt_deg=tilt)
 
 
@@ -297,7 +295,7 @@ class Plan:
         words: dict[str, str] = {}
         if self.complete and self.friction_range:
             low, high = self.friction_range
-            words["friction"] = _words(low, high) if high < _MANY else f"{low:g} to more"
+            words["friction"] = _words(low, high) if high < LARGEST else f"{low:g} to more"
         if self.complete and self.gap_range:
             low, high = self.gap_range
             words["joints"] = f"{_words(1e3 * low, 1e3 * high)} mm"

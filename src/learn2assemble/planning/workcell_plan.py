@@ -49,7 +49,7 @@ from learn2assemble.planning.workcell import (
     rows_of,
 )
 from learn2assemble.planning.workcell_reach import cells_of, set_up
-from learn2assemble.planning.workcell_record import Book, append_state, packed, read_states
+from learn2assemble.planning.workcell_record import Recording, append_state, packed, read_states
 from learn2assemble.planning.workcell_site import QUARTER
 from learn2assemble.planning.workcell_state import (
     STEADY,
@@ -109,7 +109,7 @@ class Building:
             self._set_out(k, rng)
         self.known.believe()
         self.joints = self.job.arm.home.copy()
-        self.book = Book(self.world, self.joints, masses, _words(self.job, workcell))
+        self.recording = Recording(self.world, self.joints, masses, _words(self.job, workcell))
         self._resume()
 
     # ------------------------------------------------------------ going on
@@ -156,7 +156,7 @@ class Building:
             return False
         if before[1] == STOCK and action.source is not None:
             world.used[action.source] += 1
-        self.book.sync()  # What was presented or taken in has moved during the last attempt.
+        self.recording.sync()  # What was presented or taken in has moved during the last attempt.
         found = self._carry_out(action, move, rng)
         self._update(action, found)
         self.known.done.append(
@@ -188,7 +188,7 @@ class Building:
 
     def _carry_out(self, action: Action, move: Move, rng: np.random.Generator) -> Attempt:
         k, number = action.block, len(self.known.done) + 1
-        rows = rows_of(self.world, self.world.pose, k, self.book.masses)
+        rows = rows_of(self.world, self.world.pose, k, self.recording.masses)
         if number in self.disturbance.drop:
             away = self.job.base - move.target[:2]
             beside = DROP[0] * away / np.linalg.norm(away)
@@ -209,10 +209,12 @@ class Building:
         )
         step = next((n for n, s in enumerate(self.known.order, 1)
                      if s.block == k and s.remove == (action.what == "remove")), None)  # fmt: skip
-        if not self.book.recorder.steps and found.trajectory is not None:
-            self.book.begin(self.joints, float(found.trajectory.width[0]))
+        if not self.recording.recorder.steps and found.trajectory is not None:
+            self.recording.begin(self.joints, float(found.trajectory.width[0]))
         found = found._replace(detail=named(found.detail, rows, self.world))
-        self.book.recorder.add_attempt(found, rows.scene, move, self.book.numbers(rows), step)
+        self.recording.recorder.add_attempt(
+            found, rows.scene, move, self.recording.numbers(rows), step
+        )
         if found.joints is not None:
             self.joints = found.joints
         if found.after is not None and found.quaternion is not None:
@@ -234,7 +236,7 @@ class Building:
             centre = np.array(piece.shape[rows.part[old]][0])
             self.world.pose[k, :3] = after.position[row] - turn @ centre
             self.world.pose[k, 3:] = self._upright(k, matrix_quaternion(turn))
-        self.book.sync()
+        self.recording.sync()
 
     def _upright(self, k: int, quaternion: np.ndarray) -> np.ndarray:
         """The same box with its own z axis up, where its sides are alike."""
@@ -280,7 +282,7 @@ class Building:
         for n, state in enumerate(world.state):
             if state in (STOCK, RETURNED):
                 world.hide(n)
-        self.book.sync()
+        self.recording.sync()
 
     def _still_there(self, k: int, source: int) -> bool:
         """Whether a block lies at its magazine, which takes it back then."""
@@ -297,12 +299,12 @@ class Building:
 
     def _replace(self, k: int) -> None:
         """Another block of the kind takes its place in the plan; this one lies where it lies."""
-        world, spare = self.world, self.book.replace(k)
+        world, spare = self.world, self.recording.replace(k)
         world.pose[spare], world.state[spare] = world.pose[k].copy(), LOST
         world.state[k], world.source[k] = STOCK, None
         world.hide(k)
         self.known.replace(k, spare)
-        self.book.sync()
+        self.recording.sync()
 
     def _set_out(self, k: int, rng: np.random.Generator) -> None:
         """A block is presented, not exactly where it should be."""
@@ -330,7 +332,7 @@ class Building:
                 )  # fmt: skip
                 if not hits:
                     self.world.pose[k] += [*step, 0, 0, 0, 0]
-                    self.book.sync()
+                    self.recording.sync()
                     return
 
     def _read(self, action: Action, found: Attempt, rng: np.random.Generator) -> None:
@@ -354,10 +356,10 @@ class Building:
         state = {
             "pose": world.pose.tolist(), "state": world.state, "used": world.used,
             "source": world.source, "joints": self.joints.tolist(),
-            **self.known.state(), **self.book.state(),
+            **self.known.state(), **self.recording.state(),
         }  # fmt: skip
         if self.physical is not None:
-            state["record"] = packed(self.book.recorder.steps[-1])
+            state["record"] = packed(self.recording.recorder.steps[-1])
         append_state(self.log, state)
 
     def _resume(self) -> None:
@@ -372,7 +374,7 @@ class Building:
         world.state, world.used, world.source = last["state"], last["used"], last["source"]
         self.joints = np.array(last["joints"])
         self.known.restore(last, [state["done"] for state in states])
-        self.book.restore(last, [state["record"] for state in states if "record" in state])
+        self.recording.restore(last, [state["record"] for state in states if "record" in state])
 
 
 # ---------------------------------------------------------------- the whole of it
@@ -509,7 +511,7 @@ def _report(job: Job, workcell: Workcell, building: Building | None) -> ArmRepor
               for k in building.known.standing()]  # fmt: skip
     return ArmReport(
         workcell.arm, _pitch(job), len(building.known.done), failures,
-        round(building.book.recorder.now, 2), workcell.tool, base, len(job.sources),
+        round(building.recording.recorder.now, 2), workcell.tool, base, len(job.sources),
         round(len(building.known.done) / max(satisfied, 1), 4),
         round(float(np.mean(errors)), 6) if errors else None,
         round(max(errors), 6) if errors else None,
@@ -544,7 +546,7 @@ def _carried_out(
         covered += 0.0 if step.remove else share[step.block]
         if not same:
             shown = building.known.structure.proof(frozenset(standing))
-            old = old.proven(*(shown or ("carried out", None)))
+            old = old.with_proof(*(shown or ("carried out", None)))
         there = not step.remove and world.state[step.block] == STANDING
         pose = world.pose[step.block] if there else world.target(step.block)
         x, y, z, w, a, b, c = (round(float(v), 6) for v in pose)
@@ -570,7 +572,7 @@ def _carried_out(
             name: (value, value) if whole else None
             for name, value in (("friction_range", job.friction), ("gap_range", job.joint))
         }
-    record = building.book.record() if building.physical is not None else None
+    record = building.recording.record() if building.physical is not None else None
     if record is not None:
         numbers = {step: n for n, step in enumerate(done, 1)}
         record = replace(record, steps=tuple(

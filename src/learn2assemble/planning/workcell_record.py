@@ -117,7 +117,7 @@ def _unpacked(value: dict[str, Any]) -> StepRecord:
     })  # fmt: skip
 
 
-class Book:
+class Recording:
     """The record of a build, whose cells are those of physical blocks, replaced ones included, and
     of obstacles.
 
@@ -151,10 +151,10 @@ class Book:
 
     def sync(self) -> None:
         """The record has all cells there are now, and they are where they are now."""
-        book = self.recorder
-        book.poses, book.objects, book.half, book.density = self._there()
-        if book.steps:
-            book.steps[-1] = dataclasses.replace(book.steps[-1], after=book.poses)
+        made = self.recorder
+        made.poses, made.objects, made.half, made.density = self._there()
+        if made.steps:
+            made.steps[-1] = dataclasses.replace(made.steps[-1], after=made.poses)
 
     def _there(self) -> tuple[np.ndarray, tuple[tuple[int, ...], ...], np.ndarray, np.ndarray]:
         """Poses float64[C, 7] of all cells of the record, its objects, half extents float64[C, 3]

@@ -355,13 +355,9 @@ def sections(data: TableData, brief: bool = False) -> list[Section]:
         ]  # fmt: skip
     if brief:
         columns = [column for column in columns if not column.group or column.name in BRIEF]
-    shown = [[entry for entry in line if _is_played(entry, n)] for n, line in
+    shown = [[entry for entry in line if entry.row.played_in(n)] for n, line in
              enumerate(zip(*data.entries, strict=True))]  # fmt: skip
     return [_section(entries[0].title, columns, entries) for entries in shown]
-
-
-def _is_played(entry: Entry, number: int) -> bool:
-    return entry.row.played_in(number)
 
 
 def compact(data: TableData) -> Section:
