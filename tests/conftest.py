@@ -5,9 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from headless import find_browser
 from make_recordings import REFERENCE, SAMPLE
+
+# The same examples on every machine; `pytest -m hypothesis --hypothesis-profile=default` looks for
+# others.
+settings.register_profile("repeatable", derandomize=True)
+settings.load_profile("repeatable")
 
 
 @pytest.fixture(scope="session")
