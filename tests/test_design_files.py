@@ -773,6 +773,7 @@ BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "none.json": ('{"elevations": []}', {}, "1 to 4"),
     "key.json": ('{"elevation": []}', {}, "did you mean 'elevations'"),
     "nan.json": ('{"elevations": [{"outline": [[0, 0], [1, NaN], [1, 0]]}]}', {}, "finite"),
+    "tall.json": ('{"elevations": [{"outline": [[0, 0], [1, 1e308], [1, 0]]}]}', {}, "1e+09"),
     "cross.json": ('{"elevations": [{"outline": [[0,0],[1,1],[1,0],[0,1]]}]}', {}, "crosses"),
     "below.json": ('{"elevations": [{"outline": [[0,-1],[1,0],[0,1]]}]}', {}, "below the table"),
     "up.json": ('{"elevations": [{"outline": [[0,0.1],[0.1,0.1],[0.1,0.3],[0,0.3]]}]}', {},

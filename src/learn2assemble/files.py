@@ -29,6 +29,8 @@ MAX_BYTES = 1_000_000
 """Largest file a person writes [bytes]."""
 MAX_GENERATED = 100_000_000
 """Largest file a program writes: plans, trajectories, logs, recordings [bytes, unpacked]."""
+FARTHEST = 1e9
+"""Largest coordinate of a drawing or a mesh, in its unit."""
 MAX_DEPTH = 32
 """Brackets within brackets."""
 _TOKENS = re.compile(r'"(?:[^"\\]|\\.)*"|[\[{]|[\]}]')

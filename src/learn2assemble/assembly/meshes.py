@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from learn2assemble.errors import InputError, trusted
+from learn2assemble.files import FARTHEST
 
 MAX_TRIANGLES = 200_000
 MAX_TEXT, MAX_BINARY = 16_000_000, 64_000_000
@@ -99,7 +100,7 @@ def checked(parts: list[Part], source: str) -> list[Part]:
     for _, vertices, faces in parts:
         if vertices.shape[1] != 3 or faces.min() < 0 or faces.max() >= len(vertices):
             raise InputError(source, "faces without vertices in space", "a whole mesh file")
-        if not np.isfinite(vertices).all() or np.abs(vertices).max() > 1e9:
+        if not np.isfinite(vertices).all() or np.abs(vertices).max() > FARTHEST:
             raise InputError(source, "coordinates that are not numbers or beyond 1e9", "a mesh")
     return parts
 

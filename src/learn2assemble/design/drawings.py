@@ -18,6 +18,7 @@ import numpy as np
 
 from learn2assemble.errors import InputError, UnknownNameError, trusted
 from learn2assemble.files import (
+    FARTHEST,
     MAX_BYTES,
     Range,
     decoded,
@@ -84,7 +85,8 @@ class Drawing:
 
 _FORMAT = "learn2assemble-design"
 _IGNORED = ("description", "first_block", "success_threshold", "supports")
-Point = tuple[float, float]
+_Coordinate = Annotated[float, Range(-FARTHEST, FARTHEST)]
+Point = tuple[_Coordinate, _Coordinate]
 
 
 @dataclass(frozen=True)
@@ -226,7 +228,7 @@ def _drawing(
     if not points:
         raise InputError(source, "no closed outline", f"at least one closed outline ({hint})")
     everything = np.concatenate(points)
-    if not np.isfinite(everything).all() or np.abs(everything).max() > 1e9:
+    if not np.isfinite(everything).all() or np.abs(everything).max() > FARTHEST:
         raise InputError(source, "coordinates that are not numbers or beyond 1e9", "a drawing")
     span = float(np.ptp(everything, axis=0).max())
     if not span > 0:
