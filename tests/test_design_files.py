@@ -658,6 +658,7 @@ BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "text.glb": (_glb(nodes=7), {}, "expected"),
     "lines.svg": (svg('<path d="M0 0L9 9L9 0" fill="none" stroke="red"/>'), {}, "no closed"),
     "filled.svg": (svg('<path id="p" d="M0 0L9 9L9 0"/>'), {}, "open"),
+    "wide.svg": (svg(f'<path d="{SQUARE}"/>', 'width="1e308400mm" viewBox="0 0 9 9"'), {}, "inf m"),
     "empty.svg": (svg(""), {}, "no closed outline"),
     "words.svg": (svg("<text>house</text>"), {}, "no closed outline"),
     "hidden.svg": (svg(f'<path d="{SQUARE}" display="none"/>'), {}, "no closed outline"),

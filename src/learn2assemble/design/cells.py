@@ -19,7 +19,7 @@ from learn2assemble.design.drawings import SIDES, UNITS, Contours, Drawing
 from learn2assemble.design.lattice import HALF, MAX_CELLS, fit, read_png, shares
 from learn2assemble.design.solids import Solid, Voxels
 from learn2assemble.errors import InputError, look_up
-from learn2assemble.files import read_bytes
+from learn2assemble.files import FARTHEST, read_bytes
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly
@@ -249,12 +249,14 @@ def _scale(
         return width / float(extent[0])
     if given.size is not None:
         return given.size / float(extent.max())
-    if given.unit is not None:
-        return UNITS[given.unit]
-    if metres is None:
+    unit = metres if given.unit is None else UNITS[given.unit]
+    if unit is None:
         expected = "unit (mm, cm, m, in), or size in metres"
         raise InputError(f"{source}: unit", "no unit in the file", expected)
-    return metres
+    size = unit * float(extent.max())
+    if not size <= FARTHEST:
+        raise InputError(source, f"{size:g} m across", f"at most {FARTHEST:g} m")
+    return unit
 
 
 def _check_extent(cells: np.ndarray, cell: Lengths, source: str) -> None:
