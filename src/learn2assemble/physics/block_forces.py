@@ -44,9 +44,9 @@ _STAYS = 4
 """Rounds in which a holding force does not shrink, after which it is taken to be needed."""
 _ITERATIONS = 100
 """Of the cone solver."""
-_STEPS = (0.99, 0.9)
-"""How much of the way to the edge of the cones the solver goes in an iteration: its own value, and
-a shorter one for programs it is stuck in, such as those of blocks that rest on nothing."""
+_TOLERANCES = (1e-8, 1e-6, 1e-5)
+"""Of the cone solver. A program it is stuck in, such as that of blocks that rest on nothing, is
+solved again with the next one, still far below what counts as rounding."""
 _SOLVED = (_conic.SolverStatus.Solved, _conic.SolverStatus.AlmostSolved)
 _STUCK = (
     _conic.SolverStatus.InsufficientProgress, _conic.SolverStatus.NumericalError,
@@ -225,7 +225,7 @@ class System:
             bound = np.concatenate([self.weight, limits])
             if solver is None:
                 cost = np.zeros(3 * corners + count)
-                solver = _solver(energy, cost, matrix, bound, cones, 1e-6)
+                solver = _solver(energy, cost, matrix, bound, cones, _TOLERANCES[1])
             else:
                 solver.update(b=bound)
             answer = solver.solve()
@@ -339,7 +339,7 @@ class System:
             load[:, :2] = self.mass[:, None] * direction
             column = sp.csc_matrix(load.reshape(-1, 1))
             matrix = sp.bmat([[self.balance, column], [None, np.eye(1)], [cone, None]]).tocsc()
-            answer = _run(energy, cost, matrix, bound, cones, 1e-6)
+            answer = _run(energy, cost, matrix, bound, cones, _TOLERANCES[1:])
             if answer is None:
                 return 0.0, 0.0
             reach = float(answer.x[corners])
@@ -352,24 +352,21 @@ class System:
 
 def _run(
     energy: Any, cost: np.ndarray, matrix: Any, bound: np.ndarray, cones: list,
-    tolerance: float = 1e-8,
+    tolerances: tuple[float, ...] = _TOLERANCES,
 ) -> Any:  # fmt: skip
     """Solve one cone program; None where it is infeasible or the solver cannot tell."""
-    for step in _STEPS:
-        solver = _solver(energy, cost, matrix, bound, cones, tolerance, step)
-        answer = solver.solve()
+    for tolerance in tolerances:
+        answer = _solver(energy, cost, matrix, bound, cones, tolerance).solve()
         if answer.status not in _STUCK:
-            break
-    return answer if answer.status in _SOLVED else None
+            return answer if answer.status in _SOLVED else None
+    return None
 
 
 def _solver(
-    energy: Any, cost: np.ndarray, matrix: Any, bound: np.ndarray, cones: list, tolerance: float,
-    step: float = _STEPS[0],
-) -> Any:  # fmt: skip
+    energy: Any, cost: np.ndarray, matrix: Any, bound: np.ndarray, cones: list, tolerance: float
+) -> Any:
     """A solver of: least x energy x / 2 + cost x where bound - matrix x is in the cones."""
     settings = _conic.DefaultSettings()
-    settings.max_step_fraction = step
     settings.verbose = False
     settings.max_threads = 1
     settings.max_iter = _ITERATIONS
