@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import signal
 import socket
+import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -60,6 +62,52 @@ def test_a_worker_that_is_killed_loses_nothing(tmp_path: Path) -> None:
     found = list(run_all(die_once, items, workers=2))
     assert sorted(result for _, result in found) == [n**2 for n in range(8)]
     assert (tmp_path / "dead").exists()
+
+
+def wait_long(item: Path) -> None:
+    item.write_text(str(os.getpid()))
+    time.sleep(600)
+
+
+def running(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+        # In a container nobody may have asked for how it ended.
+        return ") Z " not in Path(f"/proc/{pid}/stat").read_text()
+    except ProcessLookupError:
+        return False
+    except FileNotFoundError:
+        return not Path("/proc/self/stat").exists()
+
+
+def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
+    files = [tmp_path / "0", tmp_path / "1"]
+    code = (
+        "import sys; from pathlib import Path; from test_workers import wait_long\n"
+        "from learn2assemble.workers import run_all\n"
+        "if __name__ == '__main__':\n"
+        "    list(run_all(wait_long, [Path(name) for name in sys.argv[1:]], workers=2))\n"
+    )
+    script = tmp_path / "parent.py"
+    script.write_text(code)
+    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    parent = subprocess.Popen(
+        [sys.executable, script, *files], env={**os.environ, "PYTHONPATH": path}
+    )
+    try:
+        until(lambda: all(file.exists() and file.read_text() for file in files))
+    finally:
+        parent.kill()
+        parent.wait()
+    pids = [int(file.read_text()) for file in files]
+    until(lambda: not any(running(pid) for pid in pids))
+
+
+def until(done: Callable[[], bool], seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not done():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.05)
 
 
 def test_workers_that_always_die_end_the_work() -> None:
