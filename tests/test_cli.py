@@ -175,11 +175,11 @@ SEARCH = ["--search", "mcts", "--budget", "2", "--rollout", "end"]
 
 def test_a_name_stands_for_its_search_and_arguments_take_the_place_of_its_own() -> None:
     for name in SEARCHES:
-        config = search_config(name, 0.2, budget=None)
+        config = search_config(name, epsilon=0.2, budget=None)
         assert config == dataclasses.replace(SEARCHES[name], epsilon=0.2)
-    assert search_config("none", 0.2, budget=3) is None
-    assert search_config("mcts", 0.05) == SEARCHES["dqn-mcts"]
-    given = search_config("uct", 0.05, budget=7, rollout=2, distinct=None)
+    assert search_config("none", budget=None) is None
+    assert search_config("mcts") == SEARCHES["dqn-mcts"]
+    given = search_config("uct", budget=7, rollout=2, distinct=None)
     assert given == dataclasses.replace(SEARCHES["uct"], budget=7, rollout=2)
 
 

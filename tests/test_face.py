@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import subprocess
@@ -9,6 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import learn2assemble as l2a
@@ -128,7 +130,9 @@ def test_a_small_evaluation() -> None:
     json.dumps(result.to_dict())
     wrong: list[dict[str, Any]] = [
         {"episodes": 0}, {"episodes": "5"}, {"seed": 1.5}, {"epsilon": 2.0}, {"epsilon": "a"},
-        {"search": "dfs"}, {"agent": "nobody"},
+        {"search": "dfs"}, {"agent": "nobody"}, {"agent": ""}, {"search": 5}, {"physics": 5},
+        {"progress": 5}, {"budget": 10}, {"rollout": 1}, {"distinct": True},
+        {"search_model": lambda model: model}, {"episodes": 10**400}, {"epsilon": 10**400},
     ]  # fmt: skip
     for arguments in wrong:
         with pytest.raises(InputError, match=rf"^{next(iter(arguments))}: got "):
@@ -136,6 +140,43 @@ def test_a_small_evaluation() -> None:
     for field in ({"budget": "a"}, {"budget": -1}, {"rollout": 0.5}, {"epsilon": math.nan}):
         with pytest.raises(InputError, match=rf"^{next(iter(field))}: got "):
             l2a.SearchConfig(**field)
+
+
+def test_a_search_keeps_its_own_epsilon() -> None:
+    how: dict[str, Any] = {"agent": "relational-cubes-s0", "episodes": 1}
+    task, own = "one-sided-3x3-22-24", l2a.SearchConfig(budget=2, epsilon=0.0)
+    assert l2a.evaluate(task, search=own, **how).epsilon == 0.0
+    assert l2a.evaluate(task, search=own, epsilon=0.1, **how).epsilon == 0.1
+    assert l2a.evaluate(task, search="mcts", budget=2, **how).epsilon == 0.05
+    alone = l2a.evaluate(task, **how)
+    assert alone.epsilon == 0.05
+    assert alone.metrics.R_ci95 is None
+    assert not alone.legacy
+
+
+def test_own_cells_are_a_design() -> None:
+    wanted = np.ones((4, 1, 2), bool)
+    design = l2a.CellDesign("wall", wanted, (0.05, 0.05, 0.05))
+    assert l2a.build(design, kit="cubes").status == "complete"
+    for fields in ({"wanted": wanted[0]}, {"wanted": wanted * 1.0}, {"cell": (0.05, 0.05)}):
+        with pytest.raises(InputError, match=rf"^{next(iter(fields))}: got "):
+            dataclasses.replace(design, **fields)
+
+
+@pytest.mark.parametrize("name", ["register_search", "register_learner", "register_network"])
+def test_only_what_can_be_used_is_registered(name: str) -> None:
+    with pytest.raises(InputError, match="got 5"):
+        getattr(l2a, name)("mine", 5)
+
+
+@pytest.mark.parametrize("wrong", [
+    {"seed": -1}, {"seed": 1.5}, {"threads": 0}, {"threads": 10**6}, {"minutes": 0},
+    {"minutes": "a"}, {"samples": 0},
+])  # fmt: skip
+def test_wrong_arguments_of_a_training(wrong: dict[str, Any], tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=rf"^{next(iter(wrong))}: got "):
+        l2a.train("one-sided-3x3-22-24", tmp_path / "run", **wrong)
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_folder_is_written_by_one_process_at_a_time(tmp_path: Path) -> None:

@@ -18,9 +18,12 @@ if TYPE_CHECKING:
 
     from learn2assemble.assembly.blocks import Assembly, Block
     from learn2assemble.assembly.files import read_assembly
-    from learn2assemble.assembly.kit import Kit, load_kit
+    from learn2assemble.assembly.kit import Kind, Kit, load_kit
     from learn2assemble.design.cells import CellDesign
     from learn2assemble.design.cells import read_design as load_design
+    from learn2assemble.design.goals import Goals
+    from learn2assemble.design.goals import read_goals as load_goals
+    from learn2assemble.envs.assembly import AssemblyEnv, AssemblyVectorEnv
     from learn2assemble.errors import InputError, Learn2AssembleError
     from learn2assemble.evaluation.episodes import Evaluation, evaluate
     from learn2assemble.export.formats import export_assembly
@@ -32,6 +35,8 @@ if TYPE_CHECKING:
     from learn2assemble.physics.rigid_blocks import Check, check
     from learn2assemble.planning.build import build, reach
     from learn2assemble.planning.plan import Plan, Step, load_plan
+    from learn2assemble.planning.workcell_site import Site
+    from learn2assemble.robot.arm import get_arm
     from learn2assemble.robot.registry import register_arm, register_tool
     from learn2assemble.search.config import SearchConfig, register_search
     from learn2assemble.simulator import Simulator
@@ -43,8 +48,10 @@ __version__ = "0.1.0"
 _HOME = {
     "assembly.blocks": "Assembly Block",
     "assembly.files": "read_assembly",
-    "assembly.kit": "Kit load_kit",
+    "assembly.kit": "Kind Kit load_kit",
     "design.cells": "CellDesign load_design=read_design",
+    "design.goals": "Goals load_goals=read_goals",
+    "envs.assembly": "AssemblyEnv AssemblyVectorEnv",
     "errors": "InputError Learn2AssembleError",
     "evaluation.episodes": "Evaluation evaluate",
     "export.formats": "export_assembly",
@@ -56,6 +63,8 @@ _HOME = {
     "physics.rigid_blocks": "Check check",
     "planning.build": "build reach",
     "planning.plan": "Plan Step load_plan",
+    "planning.workcell_site": "Site",
+    "robot.arm": "get_arm",
     "robot.registry": "register_arm register_tool",
     "search.config": "SearchConfig register_search",
     "simulator": "Simulator",
@@ -70,12 +79,14 @@ _PLACES = {
 }
 
 __all__ = [
-    "Agent", "Assembly", "Block", "CellDesign", "Check", "Evaluation", "InputError", "Kit",
-    "Learn2AssembleError", "Learner", "NetworkConfig", "Plan", "SearchConfig", "Shape", "Simulator",
-    "Step", "Task", "TrainConfig", "TrainingRun", "build", "check", "evaluate", "export_assembly",
-    "export_program", "get_task", "load_agent", "load_design", "load_kit", "load_plan", "reach",
-    "read_assembly", "register_arm", "register_learner", "register_network", "register_object_set",
-    "register_search", "register_task", "register_tool", "replay_program", "train",
+    "Agent", "Assembly", "AssemblyEnv", "AssemblyVectorEnv", "Block", "CellDesign", "Check",
+    "Evaluation", "Goals", "InputError", "Kind", "Kit", "Learn2AssembleError", "Learner",
+    "NetworkConfig", "Plan", "SearchConfig", "Shape", "Simulator", "Site", "Step", "Task",
+    "TrainConfig", "TrainingRun", "build", "check", "evaluate", "export_assembly", "export_program",
+    "get_arm", "get_task", "load_agent", "load_design", "load_goals", "load_kit", "load_plan",
+    "reach", "read_assembly", "register_arm", "register_learner", "register_network",
+    "register_object_set", "register_search", "register_task", "register_tool", "replay_program",
+    "train",
 ]  # fmt: skip
 
 

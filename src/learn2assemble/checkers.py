@@ -186,6 +186,8 @@ def resolve_checker(checker: str | Physics | None, task: Task) -> Physics:
         InputError: for a robot cell where the task has no arm.
     """
     if checker is not None and not isinstance(checker, str):
+        if not callable(getattr(checker, "settle", None)):
+            raise InputError("physics", checker, "a name or a Physics")
         return checker
     name = "static" if checker is None else checker
     look_up("physics", name, dict.fromkeys(checker_names()))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Collection, Generator, Iterable, Mapping
+from collections.abc import Collection, Generator, Hashable, Iterable, Mapping
 from contextlib import contextmanager
 from numbers import Integral, Real
 from typing import TypeVar
@@ -59,7 +59,7 @@ def check_name(what: str, name: object, valid: Collection[str]) -> None:
     Raises:
         UnknownNameError: naming the nearest one; ``what`` says what kind of thing it is.
     """
-    if name not in valid:
+    if not isinstance(name, Hashable) or name not in valid:
         raise UnknownNameError(what, name, valid)
 
 
@@ -88,12 +88,15 @@ def check_fields(value: object, *rules: tuple[str, bool, str]) -> None:
 
 def is_number(value: object, low: float = -math.inf, high: float = math.inf) -> bool:
     """Whether it is a finite number from ``low`` to ``high``."""
-    return isinstance(value, Real) and math.isfinite(value) and low <= float(value) <= high
+    try:
+        return isinstance(value, Real) and math.isfinite(value) and low <= float(value) <= high
+    except OverflowError:  # a whole number larger than any float
+        return False
 
 
-def is_whole(value: object, low: int) -> bool:
-    """Whether it is a whole number of at least ``low``."""
-    return isinstance(value, Integral) and int(value) >= low
+def is_whole(value: object, low: int, high: float = math.inf) -> bool:
+    """Whether it is a whole number from ``low`` to ``high``."""
+    return isinstance(value, Integral) and low <= int(value) <= high
 
 
 class MissingExtraError(Learn2AssembleError, ImportError):

@@ -29,6 +29,8 @@ MAX_BYTES = 1_000_000
 """Largest file a person writes [bytes]."""
 MAX_GENERATED = 100_000_000
 """Largest file a program writes: plans, trajectories, logs, recordings [bytes, unpacked]."""
+UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
+"""Lengths of units people write [m]."""
 FARTHEST = 1e9
 """Largest coordinate of a drawing or a mesh, in its unit."""
 MAX_DEPTH = 32

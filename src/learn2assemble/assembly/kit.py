@@ -40,6 +40,8 @@ from learn2assemble.files import Range, from_plain, printable, read_head, read_t
 Cell = tuple[int, int, int]
 FORMAT, VERSION = "learn2assemble-kit", 1
 Turns = Literal["none", "z", "any"]
+DEFAULT_KIT = "bricks-lintels"
+"""Of a design that names none."""
 MAX_KINDS, MAX_CELLS, MAX_EXTENT, MAX_COUNT, MAX_NAME = 64, 512, 64, 100_000, 40
 Length = Annotated[float, Range(1e-4, 10.0, "m")]
 Density = Annotated[float, Range(1.0, 30_000.0, "kg/m3")]
@@ -248,8 +250,8 @@ def parse_kit(content: str, source: str = "kit") -> Kit:
         raise InputError(f"{source}: kinds", f"{len(given)} kinds", f"1 to {MAX_KINDS}")
     plain = {**{key: head[key] for key in keys if key in head}, "kinds": given}
     file: _KitFile = from_plain(_KitFile, plain, source)
-    if file.joint_gap > min(file.pitch) / 4:
-        expected = f"0 to {min(file.pitch) / 4:g} m, a quarter of the pitch"
+    if file.joint_gap > widest_gap(file.pitch):
+        expected = f"0 to {widest_gap(file.pitch):g} m, a quarter of the pitch"
         raise InputError(f"{source}: joint_gap", file.joint_gap, expected)
     kinds = tuple(_kind(kind, f"{source}: kinds[{k}]") for k, kind in enumerate(file.kinds))
     repeated = [name for name, n in Counter(kind.name for kind in kinds).items() if n > 1]
@@ -257,6 +259,11 @@ def parse_kit(content: str, source: str = "kit") -> Kit:
         raise InputError(f"{source}: kinds", repeated[0], "every name once")
     _check_name(file.name, f"{source}: name")
     return Kit(file.name, kinds, file.pitch, file.density, file.friction, file.joint_gap)
+
+
+def widest_gap(pitch: tuple[float, float, float]) -> float:
+    """The widest vertical joint there may be: a quarter of the smaller horizontal pitch [m]."""
+    return min(pitch[:2]) / 4
 
 
 def _kind(given: _KindFile, where: str) -> Kind:

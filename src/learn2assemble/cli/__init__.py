@@ -18,8 +18,9 @@ from learn2assemble.files import unwritable
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code.
 
-    0: done. 1: ``build`` ended with an incomplete or refused plan. 2: bad input, with one line
-    on standard error. 130: interrupted.
+    0: done. 1: the answer is no: a plan that is incomplete or refused (``build``), blocks that fall
+    (``check``) or are out of reach (``reach``), another structure (``replay-trajectory``). 2: bad
+    input, with one line on standard error. 130: interrupted.
     """
     try:
         options = make_parser().parse_args(arguments)

@@ -7,7 +7,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from learn2assemble.cli.parser import Command, count, natural, positive
+from learn2assemble.cli.parser import Command, arg, command, count, natural, positive
 from learn2assemble.errors import InputError
 from learn2assemble.files import claim_folder, mapping, read_json
 
@@ -15,37 +15,20 @@ if TYPE_CHECKING:
     from learn2assemble.cli.output import Output
 
 
-def _arguments(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("action", choices=("train", "measure", "arm"))
-    add("--out", type=Path, required=True, help="new or empty folder")
-    add("--seed", type=natural, default=0, help="of designs, weights and choices")
-    train = parser.add_argument_group("train")
-    train.add_argument("--name", default="agent", help="of the builder")
-    train.add_argument(
-        "--teacher", default="exact", help="exact planner, or own search: no demonstrations"
-    )
-    train.add_argument("--seconds", type=positive, default=1200.0, help="of processor time")
-    measure = parser.add_argument_group("measure")
-    measure.add_argument("--agent", default="builder-s0", help="shipped builder or .safetensors")
-    measure.add_argument("--beside", default=None, help="a second builder, trained otherwise")
-    measure.add_argument("--designs", type=count, default=200, help="of every small set")
-    measure.add_argument("--large", type=count, default=20, help="designs of 200 to 400 blocks")
-    measure.add_argument("--compared", type=count, default=50, help="of a set, for other players")
-    measure.add_argument("--exact", type=count, default=40, help="of a set, for both planners")
-    measure.add_argument("--examples", type=Path, default=None, help="folder of the examples")
-    arm = parser.add_argument_group("arm")
-    arm.add_argument("--resume", action="store_true", help="go on with what --out holds")
-    arm.add_argument("--suction", type=natural, default=200, help="designs built with suction")
-    arm.add_argument("--gripper", type=natural, default=200, help="designs built with fingers")
-    arm.add_argument("--prior", type=count, default=50, help="designs of four planners")
-    arm.add_argument("--limit", type=positive, default=60.0, help="of one of them [s, processor]")
+COMMANDS: dict[str, Command] = {}
+_OUT = arg("--out", type=Path, required=True, help="new or empty folder")
+_SEED = arg("--seed", type=natural, default=0, help="of designs, weights and choices")
+_AGENT = arg("--agent", default="builder-s0", help="shipped builder or .safetensors")
 
 
-def _run(options: argparse.Namespace, output: Output) -> None:
-    {"train": _train, "measure": _measure, "arm": _measure_arm}[options.action](options, output)
-
-
+@command(
+    COMMANDS, "train-builder", "train the learned builder of designs",
+    "l2a train-builder --out runs/builder --seconds 600",
+    _OUT, _SEED,
+    arg("--name", default="agent", help="of the builder"),
+    arg("--teacher", default="exact", help="exact planner, or own search: no demonstrations"),
+    arg("--seconds", type=positive, default=1200.0, help="of processor time"),
+)  # fmt: skip
 def _train(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.learning.run import provenance
     from learn2assemble.planning.agent.network import save_builder
@@ -63,6 +46,17 @@ def _train(options: argparse.Namespace, output: Output) -> None:
     output.finish({"agent": str(weights), **builder.origin})
 
 
+@command(
+    COMMANDS, "measure-builder", "measure the learned builder beside the exact planner",
+    "l2a measure-builder --out out/builder --designs 20",
+    _OUT, _SEED, _AGENT,
+    arg("--beside", default=None, help="a second builder, trained otherwise"),
+    arg("--designs", type=count, default=200, help="of every small set"),
+    arg("--large", type=count, default=20, help="designs of 200 to 400 blocks"),
+    arg("--compared", type=count, default=50, help="of a set, for other players"),
+    arg("--exact", type=count, default=40, help="of a set, for both planners"),
+    arg("--examples", type=Path, default=None, help="folder of the examples"),
+)  # fmt: skip
 def _measure(options: argparse.Namespace, output: Output) -> None:
     """``builders.json``, and ``planners.json``: the record for ``--planner auto``."""
     import json
@@ -99,6 +93,17 @@ def _measure(options: argparse.Namespace, output: Output) -> None:
     output.finish(result)
 
 
+@command(
+    COMMANDS, "measure-builder-arm", "measure the learned builder with an arm",
+    "l2a measure-builder-arm --out out/arm --suction 10 --gripper 10",
+    arg("--out", type=Path, required=True, help="new or empty folder, or --resume"),
+    _SEED, _AGENT,
+    arg("--resume", action="store_true", help="go on with what --out holds"),
+    arg("--suction", type=natural, default=200, help="designs built with suction"),
+    arg("--gripper", type=natural, default=200, help="designs built with fingers"),
+    arg("--prior", type=count, default=50, help="designs of four planners"),
+    arg("--limit", type=positive, default=60.0, help="of one of them [s, processor]"),
+)  # fmt: skip
 def _measure_arm(options: argparse.Namespace, output: Output) -> None:
     """``builder_arm.json``: builds with an arm, and whether the builder helps the exact planner."""
     import json
@@ -120,7 +125,7 @@ def _measure_arm(options: argparse.Namespace, output: Output) -> None:
 
     known = None
     if options.resume:
-        known = mapping(read_json(options.out / "builder_arm.json", "--out")[0], "--out")
+        known = mapping(read_json(options.out / "builder_arm.json", "measurement")[0], "--out")
         if known.get("agent") != options.agent:
             raise InputError("--out", str(options.out), f"a measurement of {options.agent}")
         before = {key: known.get(key) for key in ("measure", "machine")}
@@ -139,11 +144,3 @@ def _measure_arm(options: argparse.Namespace, output: Output) -> None:
         for way in WAYS if way in told
     ])  # fmt: skip
     output.finish({**head, **found})
-
-
-COMMANDS = {
-    "builder": Command(
-        "train the learned builder of designs, or measure it beside the exact planner",
-        "l2a builder train --out runs/builder --seconds 600", _arguments, _run,
-    ),
-}  # fmt: skip

@@ -15,7 +15,6 @@ from learn2assemble.cli.parser import (
     arm_argument,
     command,
     count,
-    either,
     friction,
     group,
     length,
@@ -34,7 +33,7 @@ from learn2assemble.errors import InputError, MissingExtraError
 from learn2assemble.files import claim_folder, to_plain
 from learn2assemble.registry import Registry
 from learn2assemble.robot.registry import ARMS
-from learn2assemble.search.config import SEARCHES
+from learn2assemble.search.config import SEARCHES, TO_THE_END
 
 if TYPE_CHECKING:
     from learn2assemble.cli.output import Output
@@ -205,9 +204,8 @@ _TRAIN = (
     arg("--config", default="relational",
         help="relational, relational-objects (ours), published or paper"),
     arg("--out", type=Path, required=True, help="new or empty folder, or --resume"),
-    either(
-        arg("--minutes", type=positive, default=None), arg("--samples", type=count, default=None)
-    ),
+    arg("--minutes", type=positive, default=None, help="stop after so long"),
+    arg("--samples", type=count, default=None, help="environment steps (the configuration's)"),
     arg("--seed", type=natural, default=None, help="of everything random (0)"),
     arg("--seeds", type=count, default=None, help="train so many agents: OUT-s0, OUT-s1, ..."),
     lambda parser: workers_arguments(parser, "trainings at once, with --seeds (1)"),
@@ -254,7 +252,7 @@ _EVAL = (
 
 
 def _rollout(text: str) -> int:
-    return 10_000 if text == "end" else count(text)
+    return TO_THE_END if text == "end" else count(text)
 
 
 @command(
@@ -270,7 +268,7 @@ def _rollout(text: str) -> int:
     arg("--distinct", action="store_true", default=None,
         help="expand one of several placements that lead to the same structure (ours, D14)"),
     arg("--legacy", action="store_true", help="search in copies with the published restore faults"),
-    arg("--epsilon", type=share, default=0.05),
+    arg("--epsilon", type=share, default=None, help="the search's own: 0.05"),
     arg("--episodes", type=count, default=100),
     arg("--seed", type=natural, default=0),
     arg("--physics", default=None,
@@ -287,6 +285,8 @@ def _evaluate(options: argparse.Namespace, output: Output) -> None:
 
     task = get_task(options.task, options.arm)
     check_new_file(options.out)
+    if options.legacy and options.search == "none":
+        raise InputError("--legacy", "given", "--search NAME beside it")
     with tqdm(total=options.episodes, unit=" episodes", desc=task.name, delay=1) as bar:
 
         def advance(done: int) -> None:

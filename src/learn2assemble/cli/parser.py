@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 from learn2assemble import __version__
+from learn2assemble.files import UNITS
 from learn2assemble.registry import Registry, add_plugin
 from learn2assemble.robot.registry import ARMS
 
@@ -49,11 +50,6 @@ def arg(*names: str, **options: Any) -> Adder:
 def group(title: str, *arguments: Adder) -> Adder:
     """Arguments under a title of their own in the help."""
     return lambda parser: _add_all(cast("Any", parser.add_argument_group(title)), arguments)
-
-
-def either(*arguments: Adder) -> Adder:
-    """Arguments of which only one may be given."""
-    return lambda parser: _add_all(cast("Any", parser.add_mutually_exclusive_group()), arguments)
 
 
 def _add_all(parser: argparse.ArgumentParser, arguments: Iterable[Adder]) -> None:
@@ -113,32 +109,31 @@ class _Parser(argparse.ArgumentParser):
 
 
 def number(cast: type, low: float, high: float, words: str) -> Callable[[str], Any]:
-    """An argparse type for finite numbers in a range."""
+    """An argparse type for numbers in a range."""
 
     def parse(text: str) -> Any:
         try:
             value = cast(text)
         except ValueError:
             raise argparse.ArgumentTypeError(f"got {text!r}, expected {words}") from None
-        if not math.isfinite(value) or not low <= value <= high:
+        if not low <= value <= high:
             raise argparse.ArgumentTypeError(f"got {text!r}, expected {words}")
         return value
 
     return parse
 
 
-count = number(int, 1, 10**9, "a whole number of at least 1")
-natural = number(int, 0, 2**31 - 1, "a whole number of at least 0")
-share = number(float, 0, 1, "a number between 0 and 1")
-positive = number(float, 1e-3, 1e7, "a positive number")
+count = number(int, 1, 10**9, "a whole number from 1 to 1000000000")
+natural = number(int, 0, 2**31 - 1, f"a whole number from 0 to {2**31 - 1}")
+share = number(float, 0, 1, "a number from 0 to 1")
+positive = number(float, 1e-3, 1e7, "a number from 0.001 to 10000000")
 friction = number(float, 0, 10, "a coefficient of friction from 0 to 10")
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 
 
 def length(text: str) -> float:
     """A length with its unit, ``0.5mm`` or ``3 cm``; a bare number is metres."""
     body = text.strip()
-    unit = next((name for name in ("mm", "cm", "in", "m") if body.endswith(name)), "")
+    unit = next((name for name in UNITS if body.endswith(name)), "")
     try:
         value = float(body.removesuffix(unit)) * UNITS.get(unit, 1.0)
     except ValueError:

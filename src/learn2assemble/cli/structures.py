@@ -146,7 +146,6 @@ def _format_argument(parser: argparse.ArgumentParser) -> None:
     arg("--out", type=Path, default=Path(), metavar="PATH", help="file or folder (here)"),
 )  # fmt: skip
 def _export(options: argparse.Namespace, output: Output) -> None:
-    from learn2assemble.assembly.files import read_assembly
     from learn2assemble.export import PROGRAM_FORMATS
     from learn2assemble.export.formats import FORMATS, export_assembly
 
@@ -154,7 +153,7 @@ def _export(options: argparse.Namespace, output: Output) -> None:
         return _export_program(options, output)
     # A wrong name is refused before anything is read.
     look_up("format", options.format, {**FORMATS, **dict.fromkeys(PROGRAM_FORMATS)})
-    written = export_assembly(read_assembly(options.plan), options.format, options.out)
+    written = export_assembly(options.plan, options.format, options.out)
     output.say(f"{options.format}: {written}")
     output.finish({"format": options.format, "file": str(written)})
 

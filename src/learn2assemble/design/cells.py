@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from learn2assemble.design import drawings, solids
-from learn2assemble.design.drawings import SIDES, UNITS, Contours, Drawing
+from learn2assemble.design.drawings import SIDES, Contours, Drawing
 from learn2assemble.design.lattice import HALF, MAX_CELLS, fit, read_png, shares
 from learn2assemble.design.solids import Solid, Voxels
-from learn2assemble.errors import InputError, look_up
-from learn2assemble.files import FARTHEST, read_bytes
+from learn2assemble.errors import InputError, check_fields, is_number, look_up
+from learn2assemble.files import FARTHEST, UNITS, read_bytes
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly
@@ -55,14 +55,20 @@ class CellDesign:
     name: str
     wanted: np.ndarray
     cell: Lengths
-    colours: np.ndarray | None
-    volume_error: float
-    iou: float | None
-    source: str
-    kit: str | None
+    colours: np.ndarray | None = None
+    volume_error: float = 0.0
+    iou: float | None = None
+    source: str = "design"
+    kit: str | None = None
     blocks: int | None = None
 
     def __post_init__(self) -> None:
+        cells, edges = np.asarray(self.wanted), self.cell
+        check_fields(
+            self,
+            ("wanted", cells.ndim == 3 and cells.dtype == bool, "bool[X, Y, Z]"),
+            ("cell", len(edges) == 3 and all(is_number(e, 1e-9) for e in edges), "three lengths"),
+        )
         for array in (self.wanted, self.colours):
             if array is not None:
                 array.setflags(write=False)

@@ -20,6 +20,7 @@ from learn2assemble.errors import InputError, UnknownNameError, trusted
 from learn2assemble.files import (
     FARTHEST,
     MAX_BYTES,
+    UNITS,
     Range,
     decoded,
     from_plain,
@@ -32,9 +33,8 @@ if TYPE_CHECKING:
     from manifold3d import CrossSection
 
 SIDES = ("front", "back", "right", "left")
-"""Names of sides, in the order in which the elevations of a JSON design stand."""
-UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
-"""Names of units and their lengths [m]."""
+"""Names of sides, in the order in which the elevations of a JSON design stand and in that of
+:func:`learn2assemble.world.layouts.side_frames`."""
 MAX_ENTITIES = 3000
 """Most entities of a drawing, references expanded."""
 MAX_DRAWN = 1_500_000

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from learn2assemble.assembly.kit import MAX_COUNT, Cell, Kit, load_kit
+from learn2assemble.assembly.kit import DEFAULT_KIT, MAX_COUNT, Cell, Kit, load_kit
 from learn2assemble.design.drawings import check_line
 from learn2assemble.design.lattice import MAX_CELLS
 from learn2assemble.errors import InputError, look_up
@@ -29,7 +29,6 @@ from learn2assemble.files import (
 )
 
 FORMAT, VERSION = "learn2assemble-goals", 1
-DEFAULT_KIT = "bricks-lintels"
 GRAVITY = 9.81
 """[m/s²]; the mass of a load given as a force is counted with it."""
 MAX_GOALS, MAX_LOADS = 64, 5

@@ -19,6 +19,7 @@ import numpy as np
 from learn2assemble.assembly.kit import Kit
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
+from learn2assemble.evaluation.builders import FIRST_SEED
 from learn2assemble.planning.agent.arm import Hand, build_by_arm
 from learn2assemble.planning.agent.designs import Solved, make_design
 from learn2assemble.planning.agent.network import Builder, load_builder
@@ -40,7 +41,6 @@ LARGE = (_CUBES, _CUBES, _BRICKS)
 PITCH = 0.032
 """Of the large designs [m]: the smallest blocks that the cup of 30 mm holds."""
 WAYS = ("far to near", "search over orders", "agent as prior", "agent alone")
-_SEED = 20_000_000
 
 
 @dataclass(frozen=True)
@@ -88,13 +88,13 @@ def measure_arm(
             continue
         for tool in tools:
             progress(f"{tool}, design {k + 1} of {getattr(config, tool)}")
-            design = make_design(SMALL, np.random.default_rng((_SEED + config.seed, 9, k)))
+            design = make_design(SMALL, np.random.default_rng((FIRST_SEED + config.seed, 9, k)))
             at = Workcell(config.arm, tool, physics="kinematic")
             rows[tool].append(_built(design, at, builder))
             sets[tool] = {**_counted(rows[tool], ASKED[tool]), "rows": rows[tool]}
         if len(beside) <= k < config.compared:
             progress(f"comparison, design {k + 1} of {config.compared}")
-            rng = np.random.default_rng((_SEED + config.seed, 11, k))
+            rng = np.random.default_rng((FIRST_SEED + config.seed, 11, k))
             beside.append(_compared(make_design(LARGE[k % len(LARGE)], rng), config, agent))
             found["comparison"] = {**compare(beside), "rows": beside}
         keep(found)

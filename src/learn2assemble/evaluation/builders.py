@@ -42,7 +42,7 @@ SETS: dict[str, tuple[str, float]] = {
 """Task of every set, and the share asked of the agent with search. The designs of a set with a
 limited heap are those of the set before, with exactly the blocks of their solutions."""
 _EXACT_SECONDS = 120.0
-_SEED = 20_000_000
+FIRST_SEED = 20_000_000
 """Evaluation seeds begin here; trainings use small ones, and other families."""
 
 
@@ -92,7 +92,7 @@ def measure(
             designs = []
             for k in range(count):
                 progress(f"{name}: drawing design {k + 1} of {count}")
-                rng = np.random.default_rng((_SEED + config.seed, number, k))
+                rng = np.random.default_rng((FIRST_SEED + config.seed, number, k))
                 designs.append(make_design(DESIGN_TASKS[task], rng))
         exact = min(config.exact // 5 if large else config.exact, count)
         sets[name] = {

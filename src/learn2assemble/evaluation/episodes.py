@@ -7,12 +7,13 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from learn2assemble.checkers import resolve_checker
-from learn2assemble.errors import check_arguments, is_number, is_whole
+from learn2assemble.errors import InputError, check_arguments, is_number, is_whole
 from learn2assemble.learning.run import provenance
 from learn2assemble.networks.agent import Agent, Network, default_agent, load_agent, one_thread
 from learn2assemble.physics.protocol import Physics, Verdict
@@ -31,6 +32,8 @@ EVALUATION_STREAM = 2
 """First word of every evaluation seed; training uses another (``trainer.TRAINING_STREAM``)."""
 BATCH = 50
 """Episodes played side by side."""
+EPSILON = 0.05
+"""How often an agent without a search acts at random, as in the paper."""
 DISCOUNTS = (0.8, 0.95)
 """Returns are also counted at these: the published code's discount and the paper's."""
 
@@ -59,10 +62,11 @@ class Episodes(NamedTuple):
 
 @dataclass(frozen=True)
 class Metrics:
-    """Means over episodes; ``R_ci95`` is the half width of the 95 % interval of R."""
+    """Means over episodes."""
 
     R: float
-    R_ci95: float
+    R_ci95: float | None
+    """Half width of the 95 % interval of R; None for one episode."""
     a: float
     """Actions an episode."""
     f: float
@@ -124,9 +128,9 @@ def search_policy(model: SearchModel, config: SearchConfig) -> Policy:
     return act
 
 
-def load_player(name_or_path: str) -> Agent | Builder:
+def load_player(name_or_path: str | Path) -> Agent | Builder:
     """An agent of the paper's kind or a builder of designs, by name or file."""
-    return (load_builder if is_builder(name_or_path) else load_agent)(name_or_path)
+    return (load_builder if is_builder(str(name_or_path)) else load_agent)(name_or_path)
 
 
 def make_policy(
@@ -175,10 +179,10 @@ def run_episodes(
     started = time.perf_counter()
     simulator = Simulator(task, physics)
     played = play_episodes(simulator, policy, episodes, seed, progress)
-    spread = float(played.returns.std(ddof=1)) if episodes > 1 else 0.0
+    spread = float(played.returns.std(ddof=1)) if episodes > 1 else None
     return Metrics(
         R=float(played.returns.mean()),
-        R_ci95=1.96 * spread / math.sqrt(episodes),
+        R_ci95=None if spread is None else 1.96 * spread / math.sqrt(episodes),
         a=float(played.actions.mean()),
         f=float(played.failed.mean()),
         b=float((~played.failed & ~played.success).mean()),
@@ -266,26 +270,34 @@ class Evaluation:
 
 
 def search_config(
-    search: str | SearchConfig | None, epsilon: float, **given: int | bool | None
+    search: str | SearchConfig | None, **given: float | bool | None
 ) -> SearchConfig | None:
-    """The named search with what is given in place of its own arguments; None for ``none``."""
+    """The named search with what is given in place of its own arguments; None for ``none``.
+
+    Raises:
+        InputError: for arguments of a search without one.
+    """
+    chosen = {name: value for name, value in given.items() if value is not None}
     if search is None or search == "none":
+        for name, value in chosen.items():
+            raise InputError(name, value, "a search beside it")
         return None
     if isinstance(search, str):
         search = SEARCHES[search]
-    chosen = {name: value for name, value in given.items() if value is not None}
-    return replace(search, epsilon=epsilon, **chosen)
+    if not isinstance(search, SearchConfig):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise InputError("search", search, "a name or a SearchConfig")
+    return replace(search, **chosen)
 
 
 def evaluate(
     task: str | Task,
     *,
-    agent: str | Agent | Builder | None = None,
+    agent: str | Path | Agent | Builder | None = None,
     search: str | SearchConfig | None = None,
     budget: int | None = None,
     rollout: int | None = None,
     distinct: bool | None = None,
-    epsilon: float = 0.05,
+    epsilon: float | None = None,
     episodes: int = 100,
     seed: int = 0,
     physics: str | Physics | None = None,
@@ -303,11 +315,14 @@ def evaluate(
         search: its name, ``mcts`` for the paper's, or its arguments; by default none.
         budget: simulations before every decision, in place of the search's own.
         rollout: steps of a simulation, in place of the search's own.
-        distinct: whether to expand only one of several placements that lead to the same structure.
-        epsilon: how often a random action is taken.
+        distinct: whether to expand only one of several placements that lead to the same structure,
+            in place of the search's own.
+        epsilon: how often a random action is taken; by default the search's own, without a search
+            0.05.
         episodes: how many.
         seed: of problems and policy; the same seed gives the same problems to every agent.
-        physics: checks the placements: ``static``, ``rigid`` or, with an arm, ``dynamic``.
+        physics: checks the placements: ``static``, ``rigid`` or, with an arm, ``kinematic``,
+            ``dynamic`` or ``published``.
         arm: builds in place of the task's own, for tasks with a robot.
         search_model: puts another model of the world around the exact one, for searches.
         progress: called with the number of episodes finished.
@@ -316,16 +331,27 @@ def evaluate(
         InputError: for names that do not exist and numbers out of range.
     """
     check_arguments(
-        {"episodes": episodes, "seed": seed, "epsilon": epsilon},
-        ("episodes", is_whole(episodes, 1), "a whole number of at least 1"),
+        {"episodes": episodes, "seed": seed, "epsilon": epsilon, "progress": progress},
+        ("episodes", is_whole(episodes, 1, 10**9), "a whole number from 1 to 1000000000"),
         ("seed", is_whole(seed, 0), "a whole number of at least 0"),
-        ("epsilon", is_number(epsilon, 0, 1), "0 <= epsilon <= 1"),
+        ("epsilon", epsilon is None or is_number(epsilon, 0, 1), "0 <= epsilon <= 1"),
+        ("progress", callable(progress), "a function of a whole number"),
     )
     task = get_task(task, arm)
     checker = resolve_checker(physics, task)
-    config = search_config(search, epsilon, budget=budget, rollout=rollout, distinct=distinct)
-    if agent is None or isinstance(agent, str):
-        agent = load_player(agent or default_agent(task.name))
+    config = search_config(search, budget=budget, rollout=rollout, distinct=distinct)
+    if config is None and search_model is not None:
+        raise InputError("search_model", search_model, "a search beside it")
+    if config is not None and epsilon is not None:
+        config = replace(config, epsilon=epsilon)
+    elif epsilon is None:
+        epsilon = EPSILON if config is None else config.epsilon
+    if agent is None:
+        agent = default_agent(task.name)
+    if isinstance(agent, str | Path):
+        agent = load_player(agent)
+    if not isinstance(agent, Agent | Builder):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise InputError("agent", agent, "an agent, its name or its file")
     with one_thread():
         player = agent if isinstance(agent, Builder) else agent.network
         policy = make_policy(task, player, config, epsilon, search_model=search_model)
@@ -338,7 +364,7 @@ def evaluate(
             budget=config.budget if config else 0,
             rollout=config.rollout if config else 0,
             distinct=bool(config and config.distinct),
-            legacy=search_model is not None,
+            legacy=search_model is not None and search_model is SEARCH_MODELS.get("published"),
             epsilon=epsilon,
             seed=seed,
             provenance=provenance("cpu"),

@@ -13,15 +13,20 @@ from collections.abc import Callable
 from html import escape
 from pathlib import Path
 from string import Template
+from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, Block, convex_parts, fan_triangles
-from learn2assemble.assembly.files import write_assembly, write_compas
+from learn2assemble.assembly.files import read_assembly, write_assembly, write_compas
+from learn2assemble.errors import InputError
 from learn2assemble.export import asset
 from learn2assemble.files import write_file
 from learn2assemble.registry import Registry
+
+if TYPE_CHECKING:
+    from learn2assemble.planning.plan import Plan
 
 
 def step_cards(assembly: Assembly) -> str:
@@ -209,11 +214,14 @@ FORMATS: Registry[tuple[str, Callable[[Assembly, Path], None]]] = Registry(
 """Usual file name and writer of every format."""
 
 
-def export_assembly(assembly: Assembly, format: str, path: str | Path) -> Path:
-    """Write ``assembly`` in a format by name.
+def export_assembly(
+    assembly: Assembly | Plan | str | Path, format: str, path: str | Path
+) -> Path:  # fmt: skip
+    """Write an assembly in a format by name.
 
     Args:
-        assembly: blocks where they stand, with steps where the format tells of them.
+        assembly: blocks where they stand, with steps where the format tells of them; a plan, or a
+            file that :func:`learn2assemble.assembly.files.read_assembly` reads.
         format: a name of :data:`FORMATS`.
         path: the file, or a folder that gets a file of the usual name.
 
@@ -222,10 +230,16 @@ def export_assembly(assembly: Assembly, format: str, path: str | Path) -> Path:
 
     Raises:
         UnknownNameError: naming the nearest format.
+        InputError: for a file that cannot be read.
     """
     name, write = FORMATS[format]
+    if isinstance(assembly, str | Path):
+        assembly = read_assembly(assembly)
+    made = assembly if isinstance(assembly, Assembly) else assembly.assembly
+    if made is None:
+        raise InputError("plan", "no blocks", "one of which something was built")
     file = file_at(path, name)
-    write(assembly, file)
+    write(made, file)
     return file
 
 

@@ -40,6 +40,7 @@ from learn2assemble.robot.motion.record import BuildRecord
 from learn2assemble.robot.registry import ARMS
 
 if TYPE_CHECKING:
+    from learn2assemble.planning.plan import Plan
     from learn2assemble.robot.dynamic.cell import DryRun
 
 # ---------------------------------------------------------------- URScript
@@ -196,12 +197,14 @@ class Exported(NamedTuple):
     """Largest share of the limits of velocity, acceleration and jerk, anywhere in the motion."""
 
 
-def export_program(source: BuildRecord | str | Path, format: str, path: str | Path) -> Exported:
+def export_program(
+    source: BuildRecord | Plan | str | Path, format: str, path: str | Path
+) -> Exported:  # fmt: skip
     """Write the program of a robot that repeats a build.
 
     Args:
         source: what ``l2a build --arm`` has written: its folder or its ``trajectory.json``; or
-            the record of a plan, ``plan.record``.
+            a plan that an arm has built, or its record.
         format: ``csv``, ``franka``, ``ros2`` or ``urscript``.
         path: the file, or a folder that gets a file of the usual name; a table whose name ends in
             ``.gz`` is packed.
@@ -213,8 +216,12 @@ def export_program(source: BuildRecord | str | Path, format: str, path: str | Pa
         MissingExtraError: for ``ros2`` without the extra ``ros2``.
     """
     name, write = PROGRAMS[format]
-    if not isinstance(source, BuildRecord):
+    if isinstance(source, str | Path):
         source = _read_record(Path(source))
+    elif not isinstance(source, BuildRecord):
+        if source.record is None:
+            raise InputError("plan", source.design.name, "one that an arm has built")
+        source = source.record
     arm = arm_of(source.arm)
     program = make_program(source, arm)
     file = file_at(path, name)

@@ -178,6 +178,8 @@ def register_learner(name: str, learner: Learner) -> None:
     Raises:
         InputError: for a name that is taken.
     """
+    if not isinstance(learner, Learner):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise InputError("learner", learner, "a Learner")
     METHODS.register(name, learner)
 
 

@@ -19,14 +19,13 @@ import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
 import torch
 from tqdm import tqdm
 
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, check_arguments, is_number, is_whole
 from learn2assemble.files import (
     MAX_GENERATED,
     claim_folder,
@@ -45,6 +44,7 @@ from learn2assemble.networks.agent import Agent, load_agent, save_agent
 from learn2assemble.tasks import NO_ARM, Task, get_task
 from learn2assemble.workers import run_all
 
+MAX_THREADS = 1024
 LOG_SECONDS = 10.0
 CHECKPOINT_SECONDS = 45.0
 """A kill loses at most this much work."""
@@ -180,7 +180,7 @@ def train(
     device: str = "auto",
     threads: int | None = None,
     arm: str | None = None,
-    init: str | Agent | None = None,
+    init: str | Path | Agent | None = None,
     resume: bool = False,
     quiet: bool = False,
 ) -> TrainingRun:
@@ -207,6 +207,14 @@ def train(
         InputError: for names that do not exist, values out of range, and folders that cannot be
             used.
     """
+    check_arguments(
+        {"samples": samples, "seed": seed, "minutes": minutes, "threads": threads},
+        ("samples", samples is None or is_whole(samples, 1), "a whole number of at least 1"),
+        ("seed", seed is None or is_whole(seed, 0), "a whole number of at least 0"),
+        ("minutes", minutes is None or (is_number(minutes) and minutes > 0), "a positive number"),
+        ("threads", threads is None or is_whole(threads, 1, MAX_THREADS),
+         f"a whole number from 1 to {MAX_THREADS}"),
+    )  # fmt: skip
     out, task = Path(out), get_task(task, arm)
     words = config if isinstance(config, str) else "custom"
     if resume:
@@ -222,13 +230,11 @@ def train(
         config = override(_fitted(config, task), [*wanted, *settings])
         if samples is not None:
             config = dataclasses.replace(config, num_samples=samples)
-    if minutes is not None and not (isinstance(minutes, Real) and 0 < minutes < math.inf):
-        raise InputError("minutes", minutes, "a positive number")
     if threads is not None:
         torch.set_num_threads(threads)
     metrics = run_training(
         task, config, out, seed=seed or 0, minutes=minutes, device=device, resume=resume,
-        init=load_agent(init) if isinstance(init, str) else init, quiet=quiet,
+        init=load_agent(init) if isinstance(init, str | Path) else init, quiet=quiet,
     )  # fmt: skip
     return TrainingRun(task.name, out, words, metrics)
 

@@ -152,7 +152,7 @@ def save_agent(agent: Agent, folder: Path) -> Path:
     return weights
 
 
-def load_agent(name_or_path: str, device: torch.device | str = "cpu") -> Agent:
+def load_agent(name_or_path: str | Path, device: torch.device | str = "cpu") -> Agent:
     """An agent by name, or one from a ``.safetensors`` file or a run folder.
 
     Raises:
@@ -163,7 +163,7 @@ def load_agent(name_or_path: str, device: torch.device | str = "cpu") -> Agent:
     if path.is_dir():
         path = path / "agent.safetensors"
     if path.suffix != ".safetensors":
-        path = _named(name_or_path)
+        path = _named(str(name_or_path))
     for file in (path, _info_file(path)):
         if not file.is_file():
             raise InputError("agent", str(file), "an existing file")

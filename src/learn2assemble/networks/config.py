@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any
 
-from learn2assemble.errors import check_fields, check_name
+from learn2assemble.errors import InputError, check_fields, check_name
 from learn2assemble.registry import Registry
 from learn2assemble.world.blocks import ACTION_MODES, EDGE
 
@@ -131,4 +131,6 @@ def register_network(
     Raises:
         InputError: for a name that is taken.
     """
+    if not callable(make):
+        raise InputError("make", make, "a function of a NetworkConfig")
     NETWORKS.register(name, NetworkKind(make, values_placements))

@@ -126,8 +126,7 @@ def build(
             "tool": tool, "state": state, "props": not props, "noise": any(noise),
             "physics": physics != PHYSICS[0],
         }  # fmt: skip
-        if named := [name for name, value in given.items() if value]:
-            raise InputError(", ".join(named), "given", f"a design (not the task {design})")
+        _refuse(given, f"a design (not the task {design})")
         if arm is not None:
             check_name("arm", arm, (*ARMS, NO_ARM))
         from learn2assemble.planning.episode import build_task
@@ -145,9 +144,11 @@ def build(
     if arm is not None:
         how = _Arm(arm, tool, layout, physics, noise, state, seed)
         how.check()
-    elif tool is not None or layout is not None or state is not None:
-        got = tool or str(layout or state)
-        raise InputError("tool, layout or state", got, "an arm to build with (--arm)")
+    else:
+        _refuse(
+            {"tool": tool, "layout": layout, "state": state, "physics": physics != PHYSICS[0],
+             "noise": any(noise)}, "an arm to build with (--arm)",
+        )  # fmt: skip
     given = {
         "friction": friction, "gap": gap, "progress": progress,
         "seconds": EXACT_SECONDS if seconds is None else seconds,
@@ -207,6 +208,12 @@ def _builder(agent: object) -> str:
         return str(agent)
     name = getattr(agent, "name", str(agent))
     raise InputError("agent", name, f"a builder of designs such as {DEFAULT} (others play tasks)")
+
+
+def _refuse(given: Mapping[str, Any], expected: str) -> None:
+    """Refuse those arguments that have a value, as they mean nothing here."""
+    if named := [name for name, value in given.items() if value]:
+        raise InputError(", ".join(named), "given", expected)
 
 
 def _check_values(**given: Any) -> None:
@@ -274,10 +281,10 @@ def _build_design(
         given: friction, gap, seconds and progress, as every planner takes them.
     """
     from learn2assemble.assembly.blocks import Assembly
-    from learn2assemble.assembly.kit import Kit, load_kit
+    from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
     from learn2assemble.design.cells import CellDesign, read_design
     from learn2assemble.design.goals import Goals
-    from learn2assemble.planning.construct import DEFAULT_KIT, plan_assembly, plan_cells
+    from learn2assemble.planning.construct import plan_assembly, plan_cells
 
     if isinstance(kit, str | Path):
         kit = load_kit(str(kit))

@@ -16,7 +16,7 @@ import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, Block, Step
 from learn2assemble.assembly.contacts import check_overlaps, find_contacts, shrunk
-from learn2assemble.assembly.kit import Kit, load_kit
+from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
 from learn2assemble.planning import plan as plans
@@ -28,7 +28,6 @@ from learn2assemble.planning.tiling import Tiling, placement_cells
 if TYPE_CHECKING:
     from learn2assemble.planning.agent.arm import Hand
 
-DEFAULT_KIT = "bricks-lintels"
 EXACT, AGENT, AUTO = "exact", "agent", "auto"
 _UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 

@@ -19,6 +19,7 @@ import numpy as np
 from learn2assemble.assembly.blocks import Assembly, Block, box_block
 from learn2assemble.assembly.blocks import Step as AssemblyStep
 from learn2assemble.checkers import ArmPhysics, scene_of
+from learn2assemble.design.drawings import SIDES
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.coverage import FILTERS
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_quaternion
@@ -497,9 +498,6 @@ class _Build:
 
 
 # ---------------------------------------------------------------- the plan
-
-SIDES = ("front", "back", "right", "left")
-"""Names of the sides, in the order of :func:`learn2assemble.world.layouts.side_frames`."""
 
 
 def _plan(build: _Build, agent: str, source: str, started: float) -> Plan:

@@ -15,14 +15,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from numbers import Real
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, Block, Step
-from learn2assemble.assembly.kit import Kit
-from learn2assemble.errors import InputError
+from learn2assemble.assembly.kit import Kit, widest_gap
+from learn2assemble.errors import InputError, is_number
 from learn2assemble.planning.programs import INF, Clock
 from learn2assemble.planning.step_proof import Proof, Stack, find_stack, lies_below
 from learn2assemble.planning.tiling import (
@@ -446,11 +445,9 @@ def _why_stuck(site: _Site, number: int) -> str:
 
 def value_range(given: Bounds, default: float, what: str) -> tuple[float, float]:
     """Smallest and largest of a number or a range that was asked for, else of ``default``."""
-    pair = given if isinstance(given, tuple) else (given, given)
+    pair = tuple(given) if isinstance(given, tuple | list) else (given, given)
     ends = [default if end is None else end for end in pair]
-    if not all(isinstance(end, Real) and math.isfinite(end) for end in ends) or not (
-        len(ends) == 2 and 0 <= ends[0] <= ends[1]
-    ):
+    if not all(is_number(end) for end in ends) or not (len(ends) == 2 and 0 <= ends[0] <= ends[1]):
         raise InputError(what, given, "a number >= 0, or a range of them")
     low, high = ends
     return float(low), float(high)
@@ -487,7 +484,7 @@ def _widest_gap(
     tiling: Tiling, kit: Kit, steps: list[OrderedStep], proven: float, clock: Clock
 ) -> float:
     """The widest vertical joint, up to a quarter of the pitch, with a proof of every step [m]."""
-    low, high = proven, min(kit.pitch[:2]) / 4
+    low, high = proven, widest_gap(kit.pitch)
     trial = high
     for _ in range(_GAP_TRIALS if high > low else 0):
         if clock.left <= 0 or low == high:

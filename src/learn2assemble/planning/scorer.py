@@ -68,6 +68,16 @@ def random_weights(shapes: Shapes, seed: int) -> dict[str, np.ndarray]:
     }
 
 
+def check_file_name(name: str) -> None:
+    """Refuse a name that a file cannot have.
+
+    Raises:
+        InputError: naming it.
+    """
+    if Path(name).name != name or name != name.strip() or not name:
+        raise InputError("name", name, "the name of a file, without a folder")
+
+
 class ScorerFiles(NamedTuple):
     """How scorers of one kind are kept: ``NAME.safetensors`` and ``NAME.json``."""
 

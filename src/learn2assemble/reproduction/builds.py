@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from learn2assemble.assembly.kit import Kit, load_kit
+from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
 from learn2assemble.design.cells import CellDesign, read_design
 from learn2assemble.files import to_plain
-from learn2assemble.planning.construct import DEFAULT_KIT, plan_cells
+from learn2assemble.planning.construct import plan_cells
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.workcell import Disturbance
 from learn2assemble.planning.workcell_plan import Workcell, carry_out_cells

@@ -441,7 +441,8 @@ _COMMANDS = {
         "l2a measure-goals --only planar/ --workers 2",
     ),
     "train-goals": Command(
-        "train the network that guides this search", "l2a train-goals --out runs/goals",
+        "train the network that guides the search for structures that meet goals",
+        "l2a train-goals --out runs/goals",
         _train_goals_arguments, _run_train_goals,
     ),
     "measure-builds": _figures(

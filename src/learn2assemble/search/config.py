@@ -147,6 +147,8 @@ def register_search(name: str, search: SearchConfig) -> None:
     Raises:
         InputError: for a name that is taken.
     """
+    if not isinstance(search, SearchConfig):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise InputError("search", search, "a SearchConfig")
     SEARCHES.register(name, search)
 
 

@@ -25,14 +25,20 @@ from learn2assemble.planning.ordering import to_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling import BlockPlacement, Tiling
 from learn2assemble.planning.workcell import Arranged, Job, Progress, StepOf, Structure, job_of
-from learn2assemble.planning.workcell_plan import Prepared, Workcell, carry_out, wider
+from learn2assemble.planning.workcell_plan import (
+    FINGER_ROOMS,
+    Prepared,
+    Workcell,
+    carry_out,
+    wider,
+)
 from learn2assemble.planning.workcell_reach import Base, set_up
 from learn2assemble.planning.workcell_site import Part, Piece, pieces_of
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Scene, why_not_held
 
-FINGER_ROOMS = (0.03, 0.036)
+WIDE_ROOMS = FINGER_ROOMS[2:]
 """Joints that are tried where fingers have no room [m]; less was never enough."""
 FAR, LOW = 1.0, 4.0
 """A logit for every cell that a placement is farther from the arm, and for every level lower."""
@@ -248,7 +254,7 @@ def build_by_arm(
     """
     rooms = [kit.joint_gap]
     if get_arm(workcell.arm, workcell.tool).suction is None:
-        rooms += [room for room in FINGER_ROOMS if room > kit.joint_gap]
+        rooms += [room for room in WIDE_ROOMS if room > kit.joint_gap]
         if _has_square(wanted, Hand(workcell).holds(kit)):
             rooms = rooms[1:]
     best: tuple[Plan, Hand] | None = None

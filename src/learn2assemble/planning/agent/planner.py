@@ -1,7 +1,7 @@
 """The builder as a planner: the same answer as the exact one's, and who plans what.
 
 Which planner ``auto`` takes is read from a record, ``assets/planners.json``, which
-``l2a builder measure`` writes: for every kind of design, how many each planner completed and in
+``l2a measure-builder`` writes: for every kind of design, how many each planner completed and in
 how long, planning and proof together.
 """
 

@@ -28,6 +28,7 @@ from learn2assemble.planning.agent.features import NUM_SUMMARY, describe, mirror
 from learn2assemble.planning.agent.network import Builder, forward, initial_weights
 from learn2assemble.planning.agent.search import build, window
 from learn2assemble.planning.agent.world import Site, World
+from learn2assemble.planning.scorer import check_file_name
 from learn2assemble.planning.tiling import bond_cost, cover, seams_below
 from learn2assemble.tasks import DESIGN_TASKS
 
@@ -207,6 +208,7 @@ def train(
     """
     import torch
 
+    check_file_name(config.name)
     if config.teacher not in TEACHERS:
         raise UnknownNameError("teacher", config.teacher, TEACHERS)
     torch.set_num_threads(1)

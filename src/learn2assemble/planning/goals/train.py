@@ -26,6 +26,7 @@ from learn2assemble.planning.goals.network import (
 from learn2assemble.planning.goals.search import Search, search
 from learn2assemble.planning.goals.tasks import FIRST_TRAINING_SEED, TRAINED, draw_goals
 from learn2assemble.planning.goals.world import Problem, legal, make_problem, put, relax
+from learn2assemble.planning.scorer import check_file_name
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,7 @@ def train(
     """
     import torch
 
+    check_file_name(config.name)
     torch.set_num_threads(1)
     started, rng = time.process_time(), np.random.default_rng(config.seed)
     samples: list[_Sample] = []

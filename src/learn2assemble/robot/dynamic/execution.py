@@ -37,6 +37,7 @@ from learn2assemble.robot.dynamic.trajectory import (
     reachable_speed,
 )
 from learn2assemble.robot.kinematics import get_chain
+from learn2assemble.robot.motion.program import LOAD_TIME
 from learn2assemble.robot.moves import Outcome, carried
 
 LOOSE = 0.005
@@ -66,9 +67,6 @@ GRIPPED = 0.8
 """The grasp holds when both fingers press with this share of their force ..."""
 GRIP_TIME = 0.2
 """... within this time after they were told to [s]."""
-LOAD_TIME = 0.1
-"""In which the controller learns of what the hand holds, and forgets it again [s]: at once, the
-arm would jump."""
 CALM_TIME = 0.1
 """The hand stands still so long before it is looked where a box of given size sits in it [s]."""
 REST_TIME = 1.0

@@ -35,7 +35,7 @@ REST = 2e-6
 MARGIN = 1e-3
 """Share of a limit that a motion which has to be slowed down stays below it."""
 LOAD_TIME = 0.1
-"""In which the controller takes over another load [s]."""
+"""In which the controller takes over another load [s]: at once, the arm would jump."""
 PARTS = 4
 """Every polynomial is bounded in so many parts."""
 
