@@ -13,7 +13,6 @@ from collections.abc import Callable
 from html import escape
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 import numpy as np
@@ -24,9 +23,6 @@ from learn2assemble.errors import InputError
 from learn2assemble.export import asset
 from learn2assemble.files import write_file
 from learn2assemble.registry import Registry
-
-if TYPE_CHECKING:
-    from learn2assemble.planning.plan import Plan
 
 
 def step_cards(assembly: Assembly) -> str:
@@ -214,14 +210,12 @@ FORMATS: Registry[tuple[str, Callable[[Assembly, Path], None]]] = Registry(
 """Usual file name and writer of every format."""
 
 
-def export_assembly(
-    assembly: Assembly | Plan | str | Path, format: str, path: str | Path
-) -> Path:  # fmt: skip
+def export_assembly(assembly: Assembly | str | Path, format: str, path: str | Path) -> Path:
     """Write an assembly in a format by name.
 
     Args:
-        assembly: blocks where they stand, with steps where the format tells of them; a plan, or a
-            file that :func:`learn2assemble.assembly.files.read_assembly` reads.
+        assembly: blocks where they stand, with steps where the format tells of them, such as
+            ``plan.assembly``; or what :func:`learn2assemble.assembly.files.read_assembly` reads.
         format: a name of :data:`FORMATS`.
         path: the file, or a folder that gets a file of the usual name.
 
@@ -235,11 +229,10 @@ def export_assembly(
     name, write = FORMATS[format]
     if isinstance(assembly, str | Path):
         assembly = read_assembly(assembly)
-    made = assembly if isinstance(assembly, Assembly) else assembly.assembly
-    if made is None:
-        raise InputError("plan", "no blocks", "one of which something was built")
+    if not isinstance(assembly, Assembly):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise InputError("assembly", assembly, "an Assembly (of a plan its .assembly), or a file")
     file = file_at(path, name)
-    write(made, file)
+    write(assembly, file)
     return file
 
 

@@ -40,7 +40,6 @@ from learn2assemble.robot.motion.record import BuildRecord
 from learn2assemble.robot.registry import ARMS
 
 if TYPE_CHECKING:
-    from learn2assemble.planning.plan import Plan
     from learn2assemble.robot.dynamic.cell import DryRun
 
 # ---------------------------------------------------------------- URScript
@@ -197,14 +196,12 @@ class Exported(NamedTuple):
     """Largest share of the limits of velocity, acceleration and jerk, anywhere in the motion."""
 
 
-def export_program(
-    source: BuildRecord | Plan | str | Path, format: str, path: str | Path
-) -> Exported:  # fmt: skip
+def export_program(source: BuildRecord | str | Path, format: str, path: str | Path) -> Exported:
     """Write the program of a robot that repeats a build.
 
     Args:
         source: what ``l2a build --arm`` has written: its folder or its ``trajectory.json``; or
-            a plan that an arm has built, or its record.
+            the record of a plan, ``plan.record``.
         format: ``csv``, ``franka``, ``ros2`` or ``urscript``.
         path: the file, or a folder that gets a file of the usual name; a table whose name ends in
             ``.gz`` is packed.
@@ -218,10 +215,8 @@ def export_program(
     name, write = PROGRAMS[format]
     if isinstance(source, str | Path):
         source = _read_record(Path(source))
-    elif not isinstance(source, BuildRecord):
-        if source.record is None:
-            raise InputError("plan", source.design.name, "one that an arm has built")
-        source = source.record
+    if not isinstance(source, BuildRecord):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise InputError("source", source, "a BuildRecord (of a plan its .record), or a folder")
     arm = arm_of(source.arm)
     program = make_program(source, arm)
     file = file_at(path, name)
