@@ -347,7 +347,7 @@ def test_round_trips(tmp_path: Path) -> None:
     for found in (ours, theirs):
         assert same(found, example())
     assert not list(tmp_path.glob(".*")), "nothing partial is left"
-    scaled = read_assembly(tmp_path / "compas.json", unit=1e-3)
+    scaled = read_assembly(tmp_path / "compas.json", unit="mm")
     assert scaled.blocks[0].volume == pytest.approx(4e-9)
 
 

@@ -26,8 +26,9 @@ import numpy as np
 
 from learn2assemble.assembly.blocks import MAX_BLOCKS, Assembly, Block, Step, shells
 from learn2assemble.assembly.meshes import KINDS, mesh_kind, read_parts
-from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.errors import InputError, UnknownNameError, is_number, look_up
 from learn2assemble.files import (
+    UNITS,
     boolean,
     check_keys,
     decoded,
@@ -67,7 +68,7 @@ _COMPAS_BLOCK = "compas_assembly.datastructures/Block"
 def read_assembly(
     path: str | Path,
     *,
-    unit: float = 1.0,
+    unit: float | str = 1.0,
     up: Literal["y", "z"] | None = None,
     supports: Collection[str] = (),
 ) -> Assembly:
@@ -79,7 +80,8 @@ def read_assembly(
     Args:
         path: our JSON, COMPAS JSON, STL, OBJ, PLY, OFF or GLB; a folder of such meshes; or a plan,
             its folder or its ``plan.json``, with ``assembly.json`` beside it.
-        unit: metres in a unit of the file; our JSON is always in metres.
+        unit: of the file: ``mm``, ``cm``, ``m``, ``in``, or its length in metres; our JSON is
+            always in metres.
         up: the axis of a mesh that points up; by default y for GLB, whose standard says so, else z.
         supports: ids of blocks that are supports besides those the file names.
 
@@ -93,7 +95,9 @@ def read_assembly(
     if (path.is_dir() or path.name == "plan.json") and beside.is_file():
         path = beside
     source = printable(str(path))
-    if not (np.isfinite(unit) and 1e-6 <= unit <= 1e6):
+    if isinstance(unit, str):
+        unit = look_up("unit", unit, UNITS)
+    if not is_number(unit, 1e-6, 1e6):
         raise InputError("unit", unit, "metres in a unit of the file, from 1e-6 to 1e6")
     if path.is_dir():
         assembly = _read_folder(path, source, unit, up)

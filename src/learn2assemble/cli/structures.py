@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from learn2assemble.cli.parser import (
-    UNITS,
     Command,
     arg,
     command,
@@ -16,7 +15,7 @@ from learn2assemble.cli.parser import (
     reading_of,
 )
 from learn2assemble.errors import look_up
-from learn2assemble.files import claim_folder, write_file
+from learn2assemble.files import UNITS, claim_folder, write_file
 from learn2assemble.robot.registry import ARMS
 
 if TYPE_CHECKING:
@@ -103,7 +102,7 @@ def _check(options: argparse.Namespace, output: Output) -> int:
     from learn2assemble.assembly.files import read_assembly
     from learn2assemble.physics.rigid_blocks import check
 
-    assembly = read_assembly(options.file, unit=UNITS[options.unit])
+    assembly = read_assembly(options.file, unit=options.unit)
     found = check(assembly, friction=options.friction)
     rows = [
         ("shown", found.proof),
