@@ -114,7 +114,7 @@ def test_metrics_that_are_known_beforehand() -> None:
 
 
 def test_one_episode_has_no_interval() -> None:
-    assert run_episodes(TINY, script(TOP), 1, seed=0).R_ci95 is None
+    assert run_episodes(TINY, script(TOP), 1, seed=0).to_dict()["R_ci95"] is None
 
 
 def test_same_seed_same_metrics_and_progress_counts() -> None:

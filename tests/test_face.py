@@ -150,7 +150,8 @@ def test_a_search_keeps_its_own_epsilon() -> None:
     assert l2a.evaluate(task, search="mcts", budget=2, **how).epsilon == 0.05
     alone = l2a.evaluate(task, **how)
     assert alone.epsilon == 0.05
-    assert alone.metrics.R_ci95 is None
+    assert math.isnan(alone.metrics.R_ci95)
+    assert alone.to_dict()["R_ci95"] is None
     assert not alone.legacy
 
 

@@ -65,8 +65,8 @@ class Metrics:
     """Means over episodes."""
 
     R: float
-    R_ci95: float | None
-    """Half width of the 95 % interval of R; None for one episode."""
+    R_ci95: float
+    """Half width of the 95 % interval of R; not a number for one episode."""
     a: float
     """Actions an episode."""
     f: float
@@ -83,7 +83,9 @@ class Metrics:
     """How often each verdict ended an episode; empty without failures."""
 
     def to_dict(self) -> dict[str, Any]:
-        return asdict(self)
+        """The content of a result file; what is not a number is None."""
+        interval = None if math.isnan(self.R_ci95) else self.R_ci95
+        return {**asdict(self), "R_ci95": interval}
 
 
 def sometimes_random(
@@ -179,10 +181,10 @@ def run_episodes(
     started = time.perf_counter()
     simulator = Simulator(task, physics)
     played = play_episodes(simulator, policy, episodes, seed, progress)
-    spread = float(played.returns.std(ddof=1)) if episodes > 1 else None
+    spread = float(played.returns.std(ddof=1)) if episodes > 1 else math.nan
     return Metrics(
         R=float(played.returns.mean()),
-        R_ci95=None if spread is None else 1.96 * spread / math.sqrt(episodes),
+        R_ci95=1.96 * spread / math.sqrt(episodes),
         a=float(played.actions.mean()),
         f=float(played.failed.mean()),
         b=float((~played.failed & ~played.success).mean()),
@@ -266,7 +268,8 @@ class Evaluation:
     def to_dict(self) -> dict[str, Any]:
         """The content of a result file."""
         values = asdict(self)
-        return {**values.pop("metrics"), **values}
+        del values["metrics"]
+        return {**self.metrics.to_dict(), **values}
 
 
 def search_config(
@@ -280,7 +283,8 @@ def search_config(
     chosen = {name: value for name, value in given.items() if value is not None}
     if search is None or search == "none":
         for name, value in chosen.items():
-            raise InputError(name, value, "a search beside it")
+            if value:
+                raise InputError(name, value, "a search beside it")
         return None
     if isinstance(search, str):
         search = SEARCHES[search]
