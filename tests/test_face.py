@@ -159,7 +159,12 @@ def test_own_cells_are_a_design() -> None:
     wanted = np.ones((4, 1, 2), bool)
     design = l2a.CellDesign("wall", wanted, (0.05, 0.05, 0.05))
     assert l2a.build(design, kit="cubes").status == "complete"
-    for fields in ({"wanted": wanted[0]}, {"wanted": wanted * 1.0}, {"cell": (0.05, 0.05)}):
+    for fields in (
+        {"wanted": wanted[0]},
+        {"wanted": wanted * 1.0},
+        {"cell": (0.05, 0.05)},
+        {"cell": 0.05},
+    ):
         with pytest.raises(InputError, match=rf"^{next(iter(fields))}: got "):
             dataclasses.replace(design, **fields)
 
@@ -168,6 +173,12 @@ def test_own_cells_are_a_design() -> None:
 def test_only_what_can_be_used_is_registered(name: str) -> None:
     with pytest.raises(InputError, match="got 5"):
         getattr(l2a, name)("mine", 5)
+
+
+def test_a_training_ends_with_what_comes_first(tmp_path: Path) -> None:
+    how: dict[str, Any] = {"settings": ["network.width=8"], "quiet": True, "device": "cpu"}
+    run = l2a.train("one-sided-3x3-22-24", tmp_path / "run", samples=60, minutes=5, **how)
+    assert run.metrics["samples"] == 60
 
 
 @pytest.mark.parametrize("wrong", [

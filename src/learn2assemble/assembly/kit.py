@@ -250,8 +250,8 @@ def parse_kit(content: str, source: str = "kit") -> Kit:
         raise InputError(f"{source}: kinds", f"{len(given)} kinds", f"1 to {MAX_KINDS}")
     plain = {**{key: head[key] for key in keys if key in head}, "kinds": given}
     file: _KitFile = from_plain(_KitFile, plain, source)
-    if file.joint_gap > widest_gap(file.pitch):
-        expected = f"0 to {widest_gap(file.pitch):g} m, a quarter of the pitch"
+    if file.joint_gap > min(file.pitch) / 4:
+        expected = f"0 to {min(file.pitch) / 4:g} m, a quarter of the pitch"
         raise InputError(f"{source}: joint_gap", file.joint_gap, expected)
     kinds = tuple(_kind(kind, f"{source}: kinds[{k}]") for k, kind in enumerate(file.kinds))
     repeated = [name for name, n in Counter(kind.name for kind in kinds).items() if n > 1]
@@ -259,11 +259,6 @@ def parse_kit(content: str, source: str = "kit") -> Kit:
         raise InputError(f"{source}: kinds", repeated[0], "every name once")
     _check_name(file.name, f"{source}: name")
     return Kit(file.name, kinds, file.pitch, file.density, file.friction, file.joint_gap)
-
-
-def widest_gap(pitch: tuple[float, float, float]) -> float:
-    """The widest vertical joint there may be: a quarter of the smaller horizontal pitch [m]."""
-    return min(pitch[:2]) / 4
 
 
 def _kind(given: _KindFile, where: str) -> Kind:

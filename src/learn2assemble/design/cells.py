@@ -63,11 +63,15 @@ class CellDesign:
     blocks: int | None = None
 
     def __post_init__(self) -> None:
-        cells, edges = np.asarray(self.wanted), self.cell
+        cells, edges = np.asarray(self.wanted), np.ravel(self.cell)
         check_fields(
             self,
             ("wanted", cells.ndim == 3 and cells.dtype == bool, "bool[X, Y, Z]"),
-            ("cell", len(edges) == 3 and all(is_number(e, 1e-9) for e in edges), "three lengths"),
+            (
+                "cell",
+                len(edges) == 3 and all(is_number(e, 1e-9) for e in edges),
+                "three lengths [m]",
+            ),
         )
         for array in (self.wanted, self.colours):
             if array is not None:

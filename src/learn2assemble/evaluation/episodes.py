@@ -32,8 +32,6 @@ EVALUATION_STREAM = 2
 """First word of every evaluation seed; training uses another (``trainer.TRAINING_STREAM``)."""
 BATCH = 50
 """Episodes played side by side."""
-EPSILON = 0.05
-"""How often an agent without a search acts at random, as in the paper."""
 DISCOUNTS = (0.8, 0.95)
 """Returns are also counted at these: the published code's discount and the paper's."""
 
@@ -322,7 +320,7 @@ def evaluate(
         distinct: whether to expand only one of several placements that lead to the same structure,
             in place of the search's own.
         epsilon: how often a random action is taken; by default the search's own, without a search
-            0.05.
+            that of the paper's, 0.05.
         episodes: how many.
         seed: of problems and policy; the same seed gives the same problems to every agent.
         physics: checks the placements: ``static``, ``rigid`` or, with an arm, ``kinematic``,
@@ -349,7 +347,7 @@ def evaluate(
     if config is not None and epsilon is not None:
         config = replace(config, epsilon=epsilon)
     elif epsilon is None:
-        epsilon = EPSILON if config is None else config.epsilon
+        epsilon = (config or SearchConfig()).epsilon
     if agent is None:
         agent = default_agent(task.name)
     if isinstance(agent, str | Path):

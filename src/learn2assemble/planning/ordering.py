@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, Block, Step
-from learn2assemble.assembly.kit import Kit, widest_gap
+from learn2assemble.assembly.kit import Kit
 from learn2assemble.errors import InputError, is_number
 from learn2assemble.planning.programs import INF, Clock
 from learn2assemble.planning.step_proof import Proof, Stack, find_stack, lies_below
@@ -484,7 +484,7 @@ def _widest_gap(
     tiling: Tiling, kit: Kit, steps: list[OrderedStep], proven: float, clock: Clock
 ) -> float:
     """The widest vertical joint, up to a quarter of the pitch, with a proof of every step [m]."""
-    low, high = proven, widest_gap(kit.pitch)
+    low, high = proven, min(kit.pitch[:2]) / 4
     trial = high
     for _ in range(_GAP_TRIALS if high > low else 0):
         if clock.left <= 0 or low == high:
