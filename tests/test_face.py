@@ -176,7 +176,8 @@ def test_only_what_can_be_used_is_registered(name: str) -> None:
 
 
 def test_a_training_ends_with_what_comes_first(tmp_path: Path) -> None:
-    how: dict[str, Any] = {"settings": ["network.width=8"], "quiet": True, "device": "cpu"}
+    settings = ["network.width=8", "num_envs=4"]
+    how: dict[str, Any] = {"settings": settings, "quiet": True, "device": "cpu"}
     run = l2a.train("one-sided-3x3-22-24", tmp_path / "run", samples=60, minutes=5, **how)
     assert run.metrics["samples"] == 60
 

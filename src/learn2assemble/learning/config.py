@@ -35,7 +35,8 @@ class TrainConfig:
         method: the learner: ``dqn``, or a search before every step of training, ``q-mcts`` and
             ``eps-mcts``, whose values regularise the loss.
         network: the Q-network.
-        num_samples: environment steps of the whole training.
+        num_samples: environment steps of the whole training; it ends with the first step of all
+            worlds that reaches them.
         num_envs: worlds stepped at once.
         steps_per_round: steps of every world between two phases of learning.
         updates_per_round: gradient steps of one phase of learning.

@@ -190,7 +190,8 @@ def train(
         task: a task or its name.
         out: new or empty folder of the run; the one to go on with where ``resume`` is given.
         minutes: stop after so long, resumed parts counted in; by default at the number of samples.
-        samples: environment steps of the whole training, in place of the configuration's.
+        samples: environment steps of the whole training, in place of the configuration's
+            ``num_samples``.
         config: a configuration or its name: ``relational``, ``relational-objects`` (ours),
             ``published`` or ``paper``.
         method: the learner, in place of the configuration's.
