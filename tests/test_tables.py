@@ -53,8 +53,11 @@ from learn2assemble.reproduction.report import (
     NOT_MEASURED,
     NOT_TRAINED,
     QUICK,
+    Entry,
     Published,
     Summary,
+    TableData,
+    against_paper,
     below_paper,
     compact_markdown,
     fails_more,
@@ -515,6 +518,30 @@ def test_marks() -> None:
     assert fails_more(PAPER_CELL, summary(3, 0.3))
     assert not fails_more(PAPER_CELL, summary(3, 0.24, 1000))
     assert fails_more(PAPER_CELL, summary(3, 0.25, 1000))
+
+
+def test_ours_stands_against_the_published_rows_with_or_without_a_search() -> None:
+    table = get_table("T4")
+    column, condition = table.columns[0], table.conditions[0]
+    numbers = {
+        "DQN": None, "DQN+MCTS, budget 10": None, "ours, no search": summary(3.3, 0.12),
+        "ours, budget 10": summary(3.3, 0.3), "exact look-ahead": summary(3.0, 0.13),
+    }  # fmt: skip
+    entries = tuple(
+        (Entry(row, column, PAPER_CELL if number is None else None, "",
+               {condition: number} if number else {}),)
+        for row, number in zip(table.rows, numbers.values(), strict=True)
+    )  # fmt: skip
+    assert [row.label for row in table.rows] == list(numbers)
+    (sentence,) = against_paper(TableData(table, entries, (1, 1), False, ()), condition)
+    # 3.3 - 0.1 > 3 + 0.1; 0.12 < 0.2 - 1.96 * sqrt(0.2 * 0.8 / 500 + 0.12 * 0.88 / 100), not 0.3.
+    task = "robot-two-sided-3x3-10-14"
+    assert "Ours against 2 published numbers at ε = 0.05, published" in sentence
+    assert sentence.endswith(
+        f"both intervals in 2, f below by more than the sampling error of both in 1, both in 1. "
+        f"Not so: DQN+MCTS, budget 10 on {task} (f)."
+    )
+    assert against_paper(TableData(table, entries[:2], (1, 1), False, ()), condition) == []
 
 
 # Words.

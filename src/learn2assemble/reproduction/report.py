@@ -26,7 +26,17 @@ from learn2assemble.reproduction.cells import (
     read_result,
     row_cells,
 )
-from learn2assemble.reproduction.tables import HELPS, PAPER_PROTOCOL, Column, Condition, Row, Table
+from learn2assemble.reproduction.tables import (
+    HELPS,
+    LOOK_AHEAD,
+    MODEL_LABELS,
+    OWN,
+    PAPER_PROTOCOL,
+    Column,
+    Condition,
+    Row,
+    Table,
+)
 
 FILE = Path(__file__).with_name("published.csv")
 EPISODES = 500
@@ -287,10 +297,12 @@ def below_paper(paper: Published | None, ours: Summary) -> bool:
 
 def fails_more(paper: Published | None, ours: Summary) -> bool:
     """f above the paper's by more than the sampling error of both (95 %)."""
-    if paper is None or paper.f is None:
-        return False
-    variance = paper.f * (1 - paper.f) / EPISODES + ours.f * (1 - ours.f) / ours.episodes
-    return ours.f > paper.f + 1.96 * math.sqrt(variance)
+    return paper is not None and paper.f is not None and ours.f > paper.f + _error(paper.f, ours)
+
+
+def _error(f: float, ours: Summary) -> float:
+    variance = f * (1 - f) / EPISODES + ours.f * (1 - ours.f) / ours.episodes
+    return 1.96 * math.sqrt(variance)
 
 
 def compared(condition: Condition) -> bool:
@@ -301,6 +313,8 @@ def compared(condition: Condition) -> bool:
 DASH = "–"
 LOW, HIGH = "▼", "▲"
 """R below the paper's interval; f above the paper's by more than sampling error."""
+HARD = "†"
+"""Where no agent that acts at random at times, without a search, is likely to be better."""
 PAPER = "paper"
 
 
@@ -425,6 +439,10 @@ def notes(data: TableData) -> list[str]:
             f'− ours: R less that of "{name}" on the same problems, ± the 95 % interval of the '
             "paired differences."
         )
+    against = [s for c in data.table.conditions if compared(c) for s in against_paper(data, c)]
+    out += against
+    if HARD in "".join(against):
+        out.append(f"{HARD}: nor is the exact look-ahead, which knows all outcomes, better there.")
     if data.table.other_discount is not None:
         out.append(f"R': the same episodes at the discount {data.table.other_discount:g}.")
     if LOW in text:
@@ -439,6 +457,63 @@ def notes(data: TableData) -> list[str]:
     tags = {row.help: HELPS[row.help] for row in data.table.rows if row.help}
     out += [f"{tag}: {words}" for tag, words in tags.items()]
     return out + list(data.table.notes)
+
+
+def against_paper(data: TableData, condition: Condition) -> list[str]:
+    """Sentences on our own agents against the published numbers; none where there are none.
+
+    Published rows without a search stand against our last one without, rows with a search against
+    our last one with it, and rows of ours that have published numbers beside them against these.
+    Of rows without a search it is also said where the exact look-ahead is not better either.
+    """
+    lacking: list[set[str]] = []
+    missed: list[str] = []
+    for line in zip(*data.entries, strict=True):
+        best = next((entry for entry in line if entry.row.policy == LOOK_AHEAD), None)
+        for entry in line:
+            own = _opponent(line, entry, condition)
+            if own is None or entry.paper is None or entry.paper.R is None:
+                continue
+            lacking.append(_lacking(entry.paper, own))
+            hard = set[str]()
+            if best is not None and condition in best.results and not entry.row.budget:
+                hard = _lacking(entry.paper, best.results[condition])
+            if lacking[-1]:
+                names = (f"{name}{HARD * (name in hard)}" for name in sorted(lacking[-1]))
+                missed.append(f"{entry.row.label} on {entry.column.name} ({', '.join(names)})")
+    if not lacking:
+        return []
+    R, f, both = (
+        sum(not found & names for found in lacking) for names in ({"R"}, {"f"}, {"R", "f"})
+    )
+    return [
+        f"Ours against {len(lacking)} published numbers at {condition.label} (without a search, "
+        f"and with one, our last row): R above by more than both intervals in {R}, f below by more "
+        f"than the sampling error of both in {f}, both in {both}."
+        + (f" Not so: {'; '.join(missed)}." if missed else "")
+    ]
+
+
+def _opponent(line: tuple[Entry, ...], entry: Entry, condition: Condition) -> Summary | None:
+    """Of our agents in one column, what stands against a published number."""
+    if entry.row.kind == OWN:
+        return entry.results.get(condition)
+    found = [
+        other.results[condition] for other in line
+        if other.row.help == MODEL_LABELS and condition in other.results
+        and bool(other.row.budget) == bool(entry.row.budget)
+    ]  # fmt: skip
+    return found[-1] if found else None
+
+
+def _lacking(paper: Published, ours: Summary) -> set[str]:
+    """Which of R and f is not better than the published one by more than the intervals."""
+    lacking = set[str]()
+    if paper.R is None or ours.R - ours.R_ci95 <= paper.R + (paper.R_ci95 or 0):
+        lacking.add("R")
+    if paper.f is None or ours.f >= paper.f - _error(paper.f, ours):
+        lacking.add("f")
+    return lacking
 
 
 def headings(section: Section, between: str) -> list[str]:
