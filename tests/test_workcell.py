@@ -9,17 +9,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import learn2assemble as l2a
+from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
 from learn2assemble.export.robot_programs import export_program
 from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.planning.construct import plan_cells
-from learn2assemble.planning.ordering import BED
+from learn2assemble.planning.ordering import BED, polycube
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.workcell import (
     STANDING,
@@ -92,14 +94,46 @@ def test_pieces_fill_their_blocks(window: Plan) -> None:
         assert piece.half[0] >= piece.half[1]
 
 
-def test_polycubes_are_one_shape_in_every_turn() -> None:
+def in_every_turn(block: Block) -> tuple[Piece, ...]:
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    turned = [dataclasses.replace(block, id="as it is")]
+    for k in range(3):
+        vertices = turned[-1].vertices @ quarter.T
+        turned.append(dataclasses.replace(block, id=f"turned {k}", vertices=vertices))
+    return pieces_of(Assembly(tuple(turned)))
+
+
+@pytest.mark.parametrize(
+    ("kind", "symmetric"), [("I", 2), ("O", 4), ("T", 1), ("S", 2), ("Z", 2), ("J", 1), ("L", 1)]
+)
+def test_tetrominoes_are_one_shape_in_every_turn(kind: str, symmetric: int) -> None:
     kit = load_kit("tetrominoes")
-    plan = planned(np.ones((4, 4, 1), bool), kit)
-    assert plan.assembly is not None
-    shapes: dict[str, set[object]] = {}
-    for piece in pieces_of(plan.assembly):
-        shapes.setdefault(piece.kind, set()).add(piece.shape)
-    assert all(len(found) == 1 for found in shapes.values())
+    cells = next(np.array(k.cells) for k in kit.kinds if k.name == kind)
+    found = in_every_turn(Block(kind, *polycube(cells, kit, kit.joint_gap)))
+    assert len({piece.shape for piece in found}) == 1
+    assert len(found[0].turns()) == symmetric
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 20), st.integers(0, 5)), min_size=1, max_size=8))
+def test_any_polycube_is_exactly_its_cells_inside_their_joints(growth: list[tuple]) -> None:
+    cells = [(0, 0, 0)]
+    for where, side in growth:
+        step = np.eye(3, dtype=int)[side % 3] * (1 - 2 * (side // 3))
+        cells.append(tuple((np.array(cells[where % len(cells)]) + step).tolist()))
+    own = np.unique(np.array(cells) - np.min(cells, axis=0), axis=0)
+    kit = load_kit("tetrominoes")
+    block = Block("polycube", *polycube(own, kit, kit.joint_gap))
+    half, edge = kit.joint_gap / 2, kit.pitch[0]
+    level = [shapely.union_all([shapely.box(x, y, x + edge, y + edge)
+                                for x, y, z in own * np.array(kit.pitch) if z == at])
+             for at in np.unique(own[:, 2]) * kit.pitch[2]]  # fmt: skip
+    area = sum(shapely.buffer(face, -half, join_style="mitre").area for face in level)
+    assert math.isclose(block.volume, area * kit.pitch[2], rel_tol=1e-9)
+    found = in_every_turn(block)
+    assert len({piece.shape for piece in found}) == 1
+    boxes = sum(8 * np.prod(size) for _, size in found[0].shape)
+    assert math.isclose(block.volume, boxes, rel_tol=1e-9)
 
 
 @settings(deadline=None)
@@ -264,7 +298,7 @@ def test_blocks_come_from_where_the_layout_says(window: Plan, tmp_path: Path) ->
     count = sum(step.kind == first for step in window.steps)
     path = written(
         tmp_path, base={"position": [0, -0.5, 0], "yaw": QUARTER},
-        magazines=[{"kind": kind, "at": [0.3, -0.3 + 0.08 * n, 0.0]}
+        magazines=[{"kind": kind, "at": [0.34, -0.3 + 0.08 * n, 0.0]}
                    for n, kind in enumerate(kinds[1:])],
         pallets=[{"kind": first, "at": [-0.35, -0.3], "rows": 1 + count, "columns": 1,
                   "pitch": [0.1, 0.06]}],

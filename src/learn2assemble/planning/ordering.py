@@ -561,29 +561,32 @@ def polycube(
 ) -> tuple[np.ndarray, tuple[tuple[int, ...], ...]]:
     """Vertices float64[V, 3] [m] and faces of cells (int[m, 3]) glued together.
 
-    A box has six faces; any other set of cells a square for every open face of a cell.
+    Faces are those of the cells, upright ones half a gap inside; the planes of faces, and no
+    others, cut each other.
     """
-    extent = cells.max(0) + 1
-    if len(cells) == int(np.prod(extent)):
-        corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-        vertices = corners * extent * kit.pitch
-        vertices[:, :2] += np.where(corners[:, :2] == 0, gap / 2, -gap / 2)
-        index = {tuple(corner): k for k, corner in enumerate(corners.tolist())}
-        return vertices, tuple(tuple(index[tuple(c)] for c in face) for face in _SQUARE.values())
-    own = {tuple(cell) for cell in cells.tolist()}
-    shift: dict[tuple[int, ...], list[float]] = {}
-    faces = []
-    for cell in sorted(own):
+    solid = np.zeros(cells.max(0) + 1, bool)
+    solid[tuple(cells.T)] = True
+    planes = []
+    for axis, pitch in enumerate(kit.pitch):
+        inset = gap / 2 if axis < 2 else 0.0
+        solid, count = np.moveaxis(solid, axis, 0), solid.shape[axis]
+        # A slab for every cell and, of the width of the gap, for every border of cells.
+        slabs = np.zeros((2 * count + 1, *solid.shape[1:]), bool)
+        slabs[1::2] = solid
+        slabs[2:-1:2] = solid[:-1] & solid[1:]
+        at = np.repeat(np.arange(count + 1) * pitch, 2)[1:-1] + np.tile([inset, -inset], count)
+        if not inset:
+            slabs, at = slabs[[0, *range(1, 2 * count, 2), 0]], np.arange(count + 1) * pitch
+        is_face = (slabs[1:] != slabs[:-1]).reshape(len(at), -1).any(1)
+        planes.append(at[is_face])
+        solid = np.moveaxis(slabs[[0, *np.flatnonzero(is_face) + 1]], 0, axis)
+    corners = []
+    for cell in np.argwhere(solid):
         for (axis, side), face in _SQUARE.items():
-            near = tuple(c + (2 * side - 1) * (k == axis) for k, c in enumerate(cell))
-            if near in own:
-                continue
-            corners = [tuple(c + d for c, d in zip(cell, corner, strict=True)) for corner in face]
-            for corner in corners:
-                moved = shift.setdefault(corner, [0.0, 0.0])
-                if axis < 2:
-                    moved[axis] = (1 - 2 * side) * gap / 2
-            faces.append(corners)
-    number = {corner: k for k, corner in enumerate(sorted(shift))}
-    vertices = np.array([np.array(corner) * kit.pitch + [*shift[corner], 0.0] for corner in number])
-    return vertices, tuple(tuple(number[corner] for corner in face) for face in faces)
+            near = cell.copy()
+            near[axis] += 2 * side - 1
+            if not solid[tuple(near)]:
+                corners.append([tuple((cell - 1 + corner).tolist()) for corner in face])
+    number = {corner: k for k, corner in enumerate(sorted({c for face in corners for c in face}))}
+    vertices = np.array([[planes[axis][k] for axis, k in enumerate(corner)] for corner in number])
+    return vertices, tuple(tuple(number[corner] for corner in face) for face in corners)

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly, Block, convex_parts
+from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.errors import InputError
 from learn2assemble.files import (
     check_keys,
@@ -45,6 +45,8 @@ TABLE = (1.5, 1.0)
 QUARTER = math.pi / 2
 _GRAIN = 1e-6
 """Shapes that differ by less are one [m]."""
+_FLAT = 1e-5
+"""Vertices that differ by less along an axis lie in one plane [m]."""
 
 T = TypeVar("T")
 Part = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -109,7 +111,7 @@ class Piece:
 
     def turns(self) -> list[int]:
         """Quarter turns that leave the shape as it is."""
-        return [k for k in range(4) if _turned(self.shape, k) == self.shape]
+        return [k for k in range(4) if _recut(_turned(self.shape, k)) == self.shape]
 
     def boxes(self, centre: np.ndarray, yaw: float) -> list[tuple[np.ndarray, np.ndarray]]:
         """Bounding boxes (low, high) of its parts at a quarter yaw [rad], float64[3] each [m]."""
@@ -145,26 +147,81 @@ def _carries(block: Block, others: list[tuple[np.ndarray, np.ndarray]]) -> bool:
 
 
 def _piece(block: Block, room: float) -> Piece:
-    parts = []
-    low, high = block.vertices.min(0), block.vertices.max(0)
-    top = high[2]
-    high = high - [0.0, 0.0, room]
+    low, high = block.vertices.min(0), block.vertices.max(0) - [0.0, 0.0, room]
     middle = (low + high) / 2
-    for part in convex_parts(block):
-        a, b = part.vertices.min(0), part.vertices.max(0)
-        at_ends = np.isclose(part.vertices, a, atol=1e-5) | np.isclose(part.vertices, b, atol=1e-5)
-        if not at_ends.all() or abs(part.volume - np.prod(b - a)) > 1e-3 * part.volume:
-            raise InputError(f"block {block.id!r}", "another shape", "upright boxes, for an arm")
-        b = np.minimum(b, [*high[:2], high[2] if b[2] > top - 1e-5 else b[2]])
-        parts.append((_grained((a + b) / 2 - middle), _grained((b - a) / 2)))
-    turned = [(_turned(tuple(parts), k), k) for k in range(4)]
+    planes, solid = _grid(block)
+    planes[2][-1] -= room
+    at = [np.round((p - m) / _GRAIN) * _GRAIN for p, m in zip(planes, middle, strict=True)]
+    parts = tuple(_box(at, cell, cell + 1) for cell in np.argwhere(solid))
+    turned = [(_recut(_turned(parts, k)), k) for k in range(4)]
     shape, k = min(turned, key=lambda one: (-_extent(one[0])[0], one[0]))
     return Piece(block.id, block.kind, block.prop, block.density, middle, -k % 4, shape)
 
 
-def _grained(values: np.ndarray) -> tuple[float, float, float]:
-    x, y, z = (round(float(v) / _GRAIN) * _GRAIN + 0.0 for v in values)
-    return round(x, 9), round(y, 9), round(z, 9)
+def _grid(block: Block) -> tuple[list[np.ndarray], np.ndarray]:
+    """The planes of its faces along every axis [m], and bool[X, Y, Z]: what is filled between.
+
+    Raises:
+        InputError: for a face that is neither level nor upright along x or y.
+    """
+    import shapely
+
+    planes, numbers = [], np.empty(block.vertices.shape, int)
+    for axis, values in enumerate(block.vertices.T):
+        order = np.argsort(values)
+        steps = np.concatenate([[True], np.diff(values[order]) > _FLAT])
+        planes.append(values[order][steps])
+        numbers[order, axis] = np.cumsum(steps) - 1
+    x, y = np.indices([len(p) - 1 for p in planes[:2]])
+    columns = shapely.box(x, y, x + 1, y + 1)
+    begins = np.zeros((*x.shape, len(planes[2])))
+    for face in block.faces:
+        corners = numbers[list(face)]
+        flat = (corners == corners[0]).all(0)
+        if not flat.any():
+            raise InputError(f"block {block.id!r}", "another shape", "upright boxes, for an arm")
+        if flat[2]:
+            area = shapely.make_valid(shapely.Polygon(corners[:, :2]))
+            sign = -1 if shapely.LinearRing(corners[:, :2]).is_ccw else 1
+            begins[:, :, corners[0, 2]] += sign * shapely.area(shapely.intersection(columns, area))
+    return planes, np.cumsum(begins, 2)[:, :, :-1] > 0.5
+
+
+def _box(planes: Sequence[np.ndarray], first: np.ndarray, last: np.ndarray) -> Part:
+    low, high = ([float(p[k]) for p, k in zip(planes, end, strict=True)] for end in (first, last))
+    x, y, z = (round((a + b) / 2, 9) + 0.0 for a, b in zip(low, high, strict=True))
+    u, v, w = (round((b - a) / 2, 9) for a, b in zip(low, high, strict=True))
+    return (x, y, z), (u, v, w)
+
+
+def _recut(parts: tuple[Part, ...]) -> tuple[Part, ...]:
+    """The same solid cut along x, then y, then z, whichever way ``parts`` cut it, so that equal
+    solids have equal boxes."""
+    if len(parts) == 1:
+        return parts
+    ends = np.array([[np.subtract(c, h), np.add(c, h)] for c, h in parts]).round(9)
+    planes = [np.unique(ends[:, :, axis]) for axis in range(3)]
+    first, last = (
+        np.stack([np.searchsorted(planes[k], ends[:, side, k]) for k in range(3)], -1)
+        for side in (0, 1)
+    )
+    left = np.zeros([len(p) - 1 for p in planes], bool)
+    for (i, j, k), (u, v, w) in zip(first, last, strict=True):
+        left[i:u, j:v, k:w] = True
+    found = []
+    while left.any():
+        low = np.argwhere(left)[0]
+        high = low + 1
+        for axis in range(3):
+            slab, limit = [slice(*end) for end in zip(low, high, strict=True)], left.shape[axis]
+            while high[axis] < limit:
+                slab[axis] = slice(high[axis], high[axis] + 1)
+                if not left[tuple(slab)].all():
+                    break
+                high[axis] += 1
+        left[tuple(slice(*end) for end in zip(low, high, strict=True))] = False
+        found.append(_box(planes, low, high))
+    return tuple(sorted(found))
 
 
 def _turned(parts: tuple[Part, ...], quarters: int) -> tuple[Part, ...]:
