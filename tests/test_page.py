@@ -20,12 +20,8 @@ from headless import FLAT, SPATIAL, browse, pixels, shoot
 from learn2assemble.assembly.blocks import Assembly, Block, Step, box_block
 from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.errors import InputError
-from learn2assemble.viewer.page import (
-    PALETTE,
-    StepNote,
-    _covers,
-    render_assembly_page,
-)
+from learn2assemble.viewer.page import StepNote, _covers, render_assembly_page
+from learn2assemble.viewer.picture import PALETTE
 
 EDGE = 0.05
 

@@ -29,17 +29,13 @@ from learn2assemble.viewer.html import (
     stand_alone,
     to_base64,
 )
+from learn2assemble.viewer.picture import kinds_and_colours, size_words
 from learn2assemble.viewer.playback import Playback
 from learn2assemble.viewer.words import arm_summary, percent, placement
 
 if TYPE_CHECKING:
     from learn2assemble.planning.plan import Plan, PlanTarget, SearchStage, Step
 
-PALETTE = (
-    "#c96f4a", "#ecca90", "#8fae7a", "#b98bb0", "#d8a13f", "#7f9fa3", "#a88468", "#c7cf8b",
-    "#d99a94", "#8d8fb5", "#6f9a86", "#b7b2a6",
-)  # fmt: skip
-"""Colours of kinds, in the order in which they first appear."""
 TONES = {
     "complete": "good", "stands": "good", "within reach": "good", "incomplete": "warn",
     "stands only with tight joints": "warn", "out of reach": "bad", "refused": "bad",
@@ -255,21 +251,17 @@ def _parts(
     layers = _layers(bottoms, [float(np.ptp(block.vertices[:, 2])) for block in assembly.blocks])
     numbers: dict[Any, int] = {}
     shapes: list[Block] = []
-    unnamed = {_size_words(block) for block in assembly.blocks if not block.kind}
-    parts, of_kind = [], {}
+    parts = []
     level = np.searchsorted(layers, bottoms, side="right") - 1
-    for block, layer in zip(assembly.blocks, level.tolist(), strict=True):
+    for block, layer, (kind, colour) in zip(
+        assembly.blocks, level.tolist(), kinds_and_colours(assembly), strict=True
+    ):
         origin = block.vertices.min(0)
         relative = block.vertices - origin
         key = ((1e6 * relative).round().astype(np.int64).tobytes(), block.faces)
         if key not in numbers:
             numbers[key] = len(shapes)
             shapes.append(block)
-        kind = block.kind or (_size_words(block) if len(unnamed) <= len(PALETTE) else "block")
-        colour = "prop" if block.prop else "support" if block.support else ""
-        if not colour and block.colour:
-            colour = "#{:02x}{:02x}{:02x}".format(*block.colour)
-        colour = colour or of_kind.setdefault(kind, PALETTE[len(of_kind) % len(PALETTE)])
         colour = "bad" if block.id in moving else colour
         for placed, removed in stays.get(block.id, [[0, 0]]):
             parts.append(_Part(block, numbers[key], origin, kind, colour, layer, placed, removed))
@@ -288,11 +280,6 @@ def _layers(bottoms: np.ndarray, heights: list[float]) -> list[float]:
         levels = (float(bottoms.min()) + height * np.arange(count + 1)).tolist()
     used = np.unique(np.searchsorted(np.array(levels) - 1e-9, bottoms, side="right") - 1)
     return [levels[k] - 1e-9 for k in used.tolist()]
-
-
-def _size_words(block: Block) -> str:
-    """Bounding box in millimetres, e.g. ``100 × 50 × 50 mm``."""
-    return " × ".join(f"{1000 * v:.4g}" for v in np.ptp(block.vertices, axis=0)) + " mm"
 
 
 def _shape_data(shapes: list[Block]) -> dict[str, Any]:
@@ -461,7 +448,7 @@ def _bill(parts: list[_Part]) -> str:
         groups.setdefault((part.kind, use), []).append(part)
     rows = []
     for (kind, use), members in sorted(groups.items()):
-        sizes = {_size_words(part.block) for part in members}
+        sizes = {size_words(part.block) for part in members}
         size = sizes.pop() if len(sizes) == 1 else "several sizes"
         mass = f"{sum(part.block.mass for part in members):.3g} kg"
         cells = [escape(kind), use, str(len(members)), size, mass]

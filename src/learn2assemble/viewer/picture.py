@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly, convex_parts
+from learn2assemble.assembly.blocks import Assembly, Block, convex_parts
 from learn2assemble.errors import InputError
 from learn2assemble.files import write_file
 from learn2assemble.planning.plan import Plan, PlanBox
@@ -23,8 +23,12 @@ PAPER, INK, SOFT, LINE = "#fbfaf8", "#1f2429", "#5a636d", "#dcd8d0"
 ACCENT, RIM = "#0b7285", "#4a3b26"
 COLOURS = {"current": "#63b0f2", "support": "#aeb9c4", "prop": "#d66fb5", "soft": SOFT}
 """Colours of the page's style sheet, by its names."""
+PALETTE = (
+    "#c96f4a", "#ecca90", "#8fae7a", "#b98bb0", "#d8a13f", "#7f9fa3", "#a88468", "#c7cf8b",
+    "#d99a94", "#8d8fb5", "#6f9a86", "#b7b2a6",
+)  # fmt: skip
+"""Colours of kinds, in the order in which they first appear."""
 _SKY, _RIM, _TABLE = (246, 245, 242), (60, 52, 46), (232, 228, 220)
-_PROP, _BLOCK = (120, 170, 220), (201, 138, 88)
 _TARGET, _OBSTACLE = (11, 114, 133), (190, 60, 50)
 _VIEW = np.array([1.0, -1.6, 0.9])
 _SUN = np.array([0.45, -0.55, 0.9])
@@ -93,6 +97,32 @@ def _standing(assembly: Assembly, count: int) -> np.ndarray:
     return there
 
 
+def rgb(colour: str) -> np.ndarray:
+    """float32[3]: ``#rrggbb``, or a name of the style sheet."""
+    from PIL import ImageColor
+
+    return np.array(ImageColor.getrgb(COLOURS.get(colour, colour)), np.float32)
+
+
+def kinds_and_colours(assembly: Assembly) -> list[tuple[str, str]]:
+    """What every block is called, and its colour: ``#rrggbb``, or a name of the style sheet."""
+    unnamed = {size_words(block) for block in assembly.blocks if not block.kind}
+    found, of_kind = [], {}
+    for block in assembly.blocks:
+        kind = block.kind or (size_words(block) if len(unnamed) <= len(PALETTE) else "block")
+        colour = "prop" if block.prop else "support" if block.support else ""
+        if not colour and block.colour:
+            colour = "#{:02x}{:02x}{:02x}".format(*block.colour)
+        colour = colour or of_kind.setdefault(kind, PALETTE[len(of_kind) % len(PALETTE)])
+        found.append((kind, colour))
+    return found
+
+
+def size_words(block: Block) -> str:
+    """Bounding box in millimetres, e.g. ``100 × 50 × 50 mm``."""
+    return " × ".join(f"{1000 * v:.4g}" for v in np.ptp(block.vertices, axis=0)) + " mm"
+
+
 def _triangles(
     assembly: Assembly, targets: list[np.ndarray], boxes: Sequence[PlanBox] = ()
 ) -> tuple[renderer.Triangles, np.ndarray]:
@@ -113,7 +143,7 @@ def _triangles(
     for given in boxes:
         kind = 1 + (given.what == "obstacle")
         bodies.add_bars(table + kind, renderer.box_edges(given.low, given.high), thick)
-    colours = [_PROP if block.prop else block.colour or _BLOCK for block in assembly.blocks]
+    colours = [rgb(colour) for _, colour in kinds_and_colours(assembly)]
     return bodies.triangles(), np.array([*colours, _TABLE, _TARGET, _OBSTACLE], np.float32)
 
 

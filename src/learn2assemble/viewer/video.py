@@ -13,7 +13,7 @@ from types import ModuleType
 
 import matplotlib
 import numpy as np
-from PIL import Image, ImageColor, ImageDraw, ImageFont
+from PIL import Image, ImageDraw, ImageFont
 
 from learn2assemble.errors import InputError, extra
 from learn2assemble.files import unwritable
@@ -25,14 +25,9 @@ from learn2assemble.robot.shape import Mesh, box
 from learn2assemble.viewer import renderer
 from learn2assemble.viewer.arm import extent
 from learn2assemble.viewer.page import cell_labels
-from learn2assemble.viewer.picture import ACCENT, COLOURS, INK, LINE, PAPER, RIM, SOFT
+from learn2assemble.viewer.picture import ACCENT, INK, LINE, PAPER, RIM, SOFT, rgb
 from learn2assemble.viewer.playback import Playback, Segment, split
 from learn2assemble.viewer.words import clock_words, stage_words
-
-
-def rgb(colour: str) -> np.ndarray:
-    """``"#0b7285"`` as float32[3], 0 to 255."""
-    return np.array(ImageColor.getrgb(colour), np.float32)
 
 
 @lru_cache(maxsize=16)
@@ -204,16 +199,15 @@ class Frames:
         colour = np.tile(WAITING, (self.count, 1))
         colour[OUTLINE], colour[TOP] = rgb(ACCENT), TABLE
         colour[PLACES] = 0.5 * (TABLE + rgb(SOFT))
-        colour[GOAL] = rgb(COLOURS["current"])
+        colour[GOAL] = rgb("current")
         for k, part in enumerate(self.playback.shape.parts):
             colour[PARTS + k] = 255 * np.array(part.colour)
         for cell in range(self.playback.record.num_cells):
-            name = self.labels.colours[cell]
-            own = rgb(name if name.startswith("#") else COLOURS[name])
+            own = rgb(self.labels.colours[cell])
             if self.labels.fixed[cell] or self.placed_by.get(cell, np.inf) < segment.step.number:
                 colour[self.cells + cell] = own
             if cell in segment.step.cells and 0 < clock < self.playback.duration:
-                colour[self.cells + cell] = rgb(COLOURS["current"])
+                colour[self.cells + cell] = rgb("current")
             elif cell in segment.step.cells and clock and cell in self.placed_by:
                 colour[self.cells + cell] = own
         return colour
