@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from collections import Counter
 from html.parser import HTMLParser
 from itertools import pairwise
@@ -15,12 +16,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from learn2assemble.assembly.blocks import Assembly, Step, box_block
+from learn2assemble.assembly.blocks import Assembly, Block, Step, box_block
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.errors import UnknownNameError
 from learn2assemble.export.formats import FORMATS, bill_of_blocks, export_assembly, step_cards
 from learn2assemble.planning.exact import plan_exact
-from learn2assemble.planning.ordering import to_assembly
+from learn2assemble.planning.ordering import polycube, to_assembly
 from learn2assemble.reproduction import shapes
 
 
@@ -58,6 +59,16 @@ def test_cards_have_one_card_a_step(bridge: Assembly) -> None:
     assert "Bridge &lt;1&gt;" in page
     assert "take away 1x1 prop (prop)" in page
     assert page.count('class="gone"') == 1
+
+
+def test_cards_dash_where_a_block_reaches_higher(bridge: Assembly) -> None:
+    kit = load_kit("tetrominoes")
+    vertices, faces = polycube(np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1]]), kit, kit.joint_gap)
+    page = step_cards(Assembly((Block("step", vertices, faces),)))
+    (higher,) = re.findall('class="higher" d="([^"]*)"', page)
+    corners = np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", higher), float)
+    assert np.ptp(corners, axis=0) == pytest.approx([0.05 - 1e-4, 0.05 - 1e-4], abs=1e-9)
+    assert 'class="higher"' not in step_cards(bridge)
 
 
 def test_glb_is_read_by_another_library(bridge: Assembly, tmp_path: Path) -> None:

@@ -17,11 +17,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from headless import FLAT, SPATIAL, browse, pixels, shoot
+from learn2assemble.assembly.appearance import PALETTE
 from learn2assemble.assembly.blocks import Assembly, Block, Step, box_block
 from learn2assemble.assembly.contacts import find_contacts
+from learn2assemble.assembly.kit import load_kit
 from learn2assemble.errors import InputError
+from learn2assemble.planning.ordering import polycube
 from learn2assemble.viewer.page import StepNote, _covers, render_assembly_page
-from learn2assemble.viewer.picture import PALETTE
 
 EDGE = 0.05
 
@@ -59,6 +61,19 @@ def write_assembly_page(path: Path, assembly: Assembly, **words: Any) -> None:
     path.write_text(render_assembly_page(assembly, **words), encoding="utf-8")
 
 
+def steps_and_gate() -> Assembly:
+    """Two blocks of cells on several levels: one goes up like stairs, one is open below."""
+    kit = load_kit("tetrominoes")
+    stairs = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1], [1, 1, 1]])
+    gate = np.array([[0, 0, 0], [2, 0, 0], [0, 0, 1], [1, 0, 1], [2, 0, 1]])
+    blocks = []
+    for cells, x in ((stairs, 0.0), (gate, 0.5)):
+        vertices, faces = polycube(cells, kit, kit.joint_gap)
+        blocks.append(Block(f"at {x}", vertices + np.array([x, 0, 0]), faces))
+    blocks.append(box_block("beside the second level", (1.0, 0.0, 0.05), (1.05, 0.05, 0.1)))
+    return Assembly(tuple(blocks), tuple(Step(block.id) for block in blocks))
+
+
 def page_data(text: str) -> dict[str, Any]:
     found = re.search(r'<script type="application/json" id="data">(.*?)</script>', text)
     assert found
@@ -84,7 +99,7 @@ def area(ring: list[list[float]]) -> float:
     return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
 
 
-@pytest.mark.parametrize("assembly", [wall(5, 3), with_prop()])
+@pytest.mark.parametrize("assembly", [wall(5, 3), with_prop(), steps_and_gate()])
 def test_the_page_draws_the_solids_of_the_assembly(assembly: Assembly) -> None:
     data = page_data(render_assembly_page(assembly, title="x"))
     for number, block in enumerate(assembly.blocks):
@@ -94,16 +109,18 @@ def test_the_page_draws_the_solids_of_the_assembly(assembly: Assembly) -> None:
             np.testing.assert_allclose(drawn, end(block.vertices, 0), atol=2e-5)
         volume = np.einsum("ti,ti->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
         assert volume == pytest.approx(block.volume, rel=2e-3), "closed, faces outward"
-        rings = data["shapes"]["outlines"][data["blocks"][number][0]]
-        covered = abs(sum(map(area, rings)))
-        height = np.ptp(block.vertices[:, 2])
-        assert covered == pytest.approx(block.volume / height, rel=2e-3), "these are all prisms"
+        cuts = data["shapes"]["sections"][data["blocks"][number][0]]
+        filled = sum(abs(sum(map(area, rings))) * (top - low) for low, top, rings, _ in cuts)
+        assert filled == pytest.approx(block.volume, rel=2e-3), "these are all prisms"
+        assert (cuts[0][0], cuts[-1][1]) == pytest.approx(
+            (0, np.ptp(block.vertices[:, 2])), abs=2e-5
+        )
 
 
 def test_equal_shapes_are_stored_once() -> None:
     assembly = wall(6, 5)
     data = page_data(render_assembly_page(assembly, title="x"))
-    assert len(data["shapes"]["outlines"]) == 2
+    assert len(data["shapes"]["sections"]) == 2
     assert [row[-1] for row in data["blocks"]] == [block.id for block in assembly.blocks]
     assert len(data["layers"]) == 5
     layers = [row[-4] for row in data["blocks"]]
@@ -223,6 +240,17 @@ def test_blocks_and_layers_follow_the_timeline(browser: str, tmp_path: Path) -> 
         pytest.skip("this browser has no software WebGL")
     red = [(image[..., 0] > 1.5 * image[..., 2]).mean() for image in stage]
     assert red[0] + 0.02 < red[1] < red[2] - 0.02, red
+
+
+@pytest.mark.browser
+def test_blocks_are_drawn_in_every_layer_they_reach_into(browser: str, tmp_path: Path) -> None:
+    write_assembly_page(tmp_path / "view.html", steps_and_gate(), title="levels")
+    dom, log = browse(
+        browser, tmp_path / "run", f"{(tmp_path / 'view.html').as_uri()}#step=3", *FLAT,
+        "--dump-dom",
+    )  # fmt: skip
+    assert "CONSOLE" not in log, log
+    assert dom.count('class="block reaching"') == 2, "stairs and gate, in the second layer"
 
 
 @pytest.mark.browser

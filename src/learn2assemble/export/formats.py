@@ -13,10 +13,12 @@ from collections.abc import Callable
 from html import escape
 from pathlib import Path
 from string import Template
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
+from learn2assemble.assembly.appearance import kinds_and_colours, rgb, sections
 from learn2assemble.assembly.blocks import Assembly, Block, convex_parts, fan_triangles
 from learn2assemble.assembly.files import read_assembly, write_assembly, write_compas
 from learn2assemble.errors import InputError
@@ -28,14 +30,16 @@ from learn2assemble.registry import Registry
 def step_cards(assembly: Assembly) -> str:
     """A stand-alone HTML document with a card for every step.
 
-    A card shows the layer of the step from above: what the layer stands on in grey, the layer's
-    earlier blocks in white, the block of the step in its colour; a prop that is taken away is
-    outlined in red. Layers are heights of the lower faces; where the layer changes, a heading
-    names its height. Blocks without steps are shown in the order they are given.
+    A card shows the layer of the step from above: what the layer stands on in grey, what earlier
+    blocks fill in it in white, the block of the step in its colour, dashed where it reaches higher;
+    a prop that is taken away is outlined in red. Layers are heights of the lower faces; where the
+    layer changes, a heading names its height. Blocks without steps are shown in the order they are
+    given.
     """
-    lower = {b.id: float(b.vertices[:, 2].min()) for b in assembly.blocks}
-    upper = {b.id: float(b.vertices[:, 2].max()) for b in assembly.blocks}
-    outline = {b.id: _footprint(b) for b in assembly.blocks}
+    cuts = {
+        b.id: [(low, high, _path(area)) for low, high, area in sections(b)] for b in assembly.blocks
+    }
+    colours = dict(zip(cuts, kinds_and_colours(assembly), strict=True))
     points = np.concatenate([b.vertices[:, :2] for b in assembly.blocks])
     low, high = points.min(0), points.max(0)
     margin = 0.05 * float((high - low).max())
@@ -48,16 +52,17 @@ def step_cards(assembly: Assembly) -> str:
     for number, (place, remove) in enumerate(steps, 1):
         id_ = place or remove or ""
         block = assembly.block(id_)
-        if level is None or abs(lower[id_] - level) > 1e-6:
-            level = lower[id_]
+        own, *higher = (path for _, _, path in cuts[id_])
+        if level is None or abs(cuts[id_][0][0] - level) > 1e-6:
+            level = cuts[id_][0][0]
             parts.append(f"<h2>Layer from {level * 100:.1f} cm</h2>")
-        below = [k for k in standing if abs(upper[k] - level) <= 1e-4]
-        beside = [k for k in standing if lower[k] <= level + 1e-4 < upper[k] and k != id_]
-        paths = "".join(f'<path class="below" d="{outline[k]}"/>' for k in sorted(below))
-        paths += "".join(f'<path class="beside" d="{outline[k]}"/>' for k in sorted(beside))
-        colour = "#{:02x}{:02x}{:02x}".format(*(block.colour or (214, 164, 65)))
-        new = f'class="new" fill="{colour}"' if place else 'class="gone"'
-        paths += f'<path {new} d="{outline[id_]}"/>'
+        around = [cut for k in sorted(standing - {id_}) for cut in cuts[k]]
+        drawn = [("below", path) for _, top, path in around if abs(top - level) <= 1e-4]
+        drawn += [("beside", path) for low, top, path in around if low <= level + 1e-4 < top]
+        drawn += [("new" if place else "gone", own), *(("higher", path) for path in higher)]
+        fill = "#{:02x}{:02x}{:02x}".format(*rgb(colours[id_][1]).astype(int))
+        paths = "".join(f'<path class="{name}" d="{path}"/>' for name, path in drawn)
+        paths = paths.replace('class="new"', f'class="new" fill="{fill}"')
         word = "place" if place else "take away"
         prop = " (prop)" if block.prop else ""
         label = f"{word} {escape(block.kind or 'block')} {escape(id_)}{prop}"
@@ -74,19 +79,12 @@ def step_cards(assembly: Assembly) -> str:
     )
 
 
-def _footprint(block: Block) -> str:
-    """The faces of a block that look up, as an SVG path; y of the drawing points down."""
-    path = []
-    for face in block.faces:
-        corners = block.vertices[list(face)]
-        area = np.cross(corners - corners[0], np.roll(corners, -1, 0) - corners[0]).sum(0)
-        if area[2] > 1e-9 * max(float(np.abs(area).max()), 1e-300):
-            path.append("M" + "L".join(f"{x:.4f} {-y:.4f}" for x, y in corners[:, :2]) + "Z")
-    return "".join(path)
-
-
-GREY = (176, 176, 176)
-"""Of blocks without a colour."""
+def _path(area: Any) -> str:
+    """A plane area as an SVG path; y of the drawing points down."""
+    rings = [r for p in getattr(area, "geoms", [area]) for r in (p.exterior, *p.interiors)]
+    return "".join(
+        "M" + "L".join(f"{x:.4f} {-y:.4f}" for x, y in r.coords[:-1]) + "Z" for r in rings
+    )
 
 
 def bill_of_blocks(assembly: Assembly) -> str:
@@ -124,12 +122,13 @@ def glb(assembly: Assembly) -> bytes:
     import trimesh
 
     scene = trimesh.Scene()
-    for block in assembly.finished.blocks:
+    finished = assembly.finished
+    for block, (_, name) in zip(finished.blocks, kinds_and_colours(finished), strict=True):
         triangles = np.concatenate(
             [fan_triangles(part.vertices, part.faces) for part in convex_parts(block)]
         )
         corners, faces = triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)
-        colour = np.array((*(block.colour or GREY), 255), np.uint8)
+        colour = np.array([*rgb(name), 255], np.uint8)
         mesh = trimesh.Trimesh(corners, faces, face_colors=colour, process=False)
         scene.add_geometry(mesh, node_name=block.id, geom_name=block.id)
     # glTF has y up.
@@ -158,12 +157,13 @@ def mjcf(assembly: Assembly) -> bytes:
     world = ElementTree.SubElement(root, "worldbody")
     ElementTree.SubElement(world, "light", pos="0 0 3")
     ElementTree.SubElement(world, "geom", name="table", type="plane", size="0 0 0.05")
-    for block in assembly.finished.blocks:
+    finished = assembly.finished
+    for block, (_, name) in zip(finished.blocks, kinds_and_colours(finished), strict=True):
         centre = block.centroid
         body = ElementTree.SubElement(world, "body", name=block.id, pos=_numbers(centre))
         if not block.support:
             ElementTree.SubElement(body, "freejoint")
-        colour = " ".join(f"{c / 255:.3f}" for c in block.colour or GREY) + " 1"
+        colour = " ".join(f"{c / 255:.3f}" for c in rgb(name)) + " 1"
         for number, part in enumerate(convex_parts(block)):
             attributes = {"density": f"{block.density:g}", "rgba": colour}
             low, high = part.vertices.min(0), part.vertices.max(0)

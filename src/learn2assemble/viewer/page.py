@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from learn2assemble.assembly.appearance import kinds_and_colours, sections, size_words
 from learn2assemble.assembly.blocks import Assembly, Block, fan_triangles, to_manifold
 from learn2assemble.assembly.contacts import Contacts
 from learn2assemble.errors import InputError
@@ -29,7 +30,6 @@ from learn2assemble.viewer.html import (
     stand_alone,
     to_base64,
 )
-from learn2assemble.viewer.picture import kinds_and_colours, size_words
 from learn2assemble.viewer.playback import Playback
 from learn2assemble.viewer.words import arm_summary, percent, placement
 
@@ -139,6 +139,7 @@ def render_assembly_page(
         "kinds": list(kinds),
         "colours": list(colours),
         "layers": _layer_words(distinct, layers),
+        "heights": [_round(height) for height in layers],
         "shapes": _shape_data(shapes),
         "blocks": [
             [part.shape, *map(_round, part.origin), kinds[part.kind], colours[part.colour],
@@ -283,13 +284,20 @@ def _layers(bottoms: np.ndarray, heights: list[float]) -> list[float]:
 
 
 def _shape_data(shapes: list[Block]) -> dict[str, Any]:
-    """Vertices and triangles of all shapes, one after the other, and their outlines from above."""
-    vertices, triangles, outlines = [], [], []
+    """Vertices and triangles of all shapes, one after the other, and their sections from below:
+    bottom, top, rings and a point in it [m, from the smallest corner]."""
+    vertices, triangles, cuts = [], [], []
     for block in shapes:
         points, faces = _triangles(block)
         vertices.append(points - block.vertices.min(0))
         triangles.append(faces)
-        outlines.append(_outline(vertices[-1], faces, block.is_convex))
+        origin = block.vertices.min(0)
+        cuts.append(
+            [
+                [_round(low - origin[2]), _round(high - origin[2]), *_rings(area, origin)]
+                for low, high, area in sections(block)
+            ]
+        )
     wide = max(map(len, vertices)) >= 65536
     boxes = [np.ptp(block.vertices[:, :2], axis=0) for block in shapes]
     return {
@@ -298,8 +306,7 @@ def _shape_data(shapes: list[Block]) -> dict[str, Any]:
         "wide": wide,
         "first": np.cumsum([0, *map(len, vertices)]).tolist(),
         "faces": np.cumsum([0, *map(len, triangles)]).tolist(),
-        "outlines": [rings for rings, _ in outlines],
-        "middles": [middle for _, middle in outlines],
+        "sections": cuts,
         "widths": [_round(float(size.min())) for size in boxes],
     }
 
@@ -314,30 +321,14 @@ def _triangles(block: Block) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts)
 
 
-def _outline(
-    points: np.ndarray, faces: np.ndarray, convex: bool
-) -> tuple[list[list[list[float]]], list[float]]:
-    """What a surface of triangles covers seen from above: its rings and a point in it [m]."""
-    import shapely
-
-    if convex:
-        return _rings(shapely.MultiPoint(points[:, :2]).convex_hull)
-    corners = points[faces]
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    up = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] > 0
-    # A hair wider and back, so that seams between triangles close.
-    hair = 1e-4 * float(np.ptp(points[:, :2]))
-    parts = shapely.buffer(shapely.polygons(corners[up, :, :2]), hair, join_style="mitre")
-    return _rings(shapely.union_all(parts).buffer(-hair, join_style="mitre").simplify(hair))
-
-
-def _rings(area: Any) -> tuple[list[list[list[float]]], list[float]]:
-    """Of a plane area: its rings and a point in it."""
+def _rings(area: Any, origin: np.ndarray) -> tuple[list[list[list[float]]], list[float]]:
+    """Of a plane area: its rings and a point in it, from ``origin``."""
     rings = [r for p in getattr(area, "geoms", [area]) for r in (p.exterior, *p.interiors)]
     centre = area.centroid
     middle = centre if area.contains(centre) else area.representative_point()
-    outline = [[[_round(x), _round(y)] for x, y in ring.coords[:-1]] for ring in rings]
-    return outline, [_round(middle.x), _round(middle.y)]
+    x, y = origin[:2].tolist()
+    outline = [[[_round(u - x), _round(v - y)] for u, v in ring.coords[:-1]] for ring in rings]
+    return outline, [_round(middle.x - x), _round(middle.y - y)]
 
 
 def _covers(blocks: list[Block]) -> list[list[list[int]] | None]:

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly, Block, convex_parts
+from learn2assemble.assembly.appearance import COLOURS, kinds_and_colours, rgb
+from learn2assemble.assembly.blocks import Assembly, convex_parts
 from learn2assemble.errors import InputError
 from learn2assemble.files import write_file
 from learn2assemble.planning.plan import Plan, PlanBox
@@ -19,15 +20,8 @@ from learn2assemble.viewer.words import percent
 MOMENTS, COLUMNS = 6, 3
 WIDTH, HEIGHT = 480, 400
 """Of the picture of one moment [px]."""
-PAPER, INK, SOFT, LINE = "#fbfaf8", "#1f2429", "#5a636d", "#dcd8d0"
+PAPER, INK, SOFT, LINE = "#fbfaf8", "#1f2429", COLOURS["soft"], "#dcd8d0"
 ACCENT, RIM = "#0b7285", "#4a3b26"
-COLOURS = {"current": "#63b0f2", "support": "#aeb9c4", "prop": "#d66fb5", "soft": SOFT}
-"""Colours of the page's style sheet, by its names."""
-PALETTE = (
-    "#c96f4a", "#ecca90", "#8fae7a", "#b98bb0", "#d8a13f", "#7f9fa3", "#a88468", "#c7cf8b",
-    "#d99a94", "#8d8fb5", "#6f9a86", "#b7b2a6",
-)  # fmt: skip
-"""Colours of kinds, in the order in which they first appear."""
 _SKY, _RIM, _TABLE = (246, 245, 242), (60, 52, 46), (232, 228, 220)
 _TARGET, _OBSTACLE = (11, 114, 133), (190, 60, 50)
 _VIEW = np.array([1.0, -1.6, 0.9])
@@ -95,32 +89,6 @@ def _standing(assembly: Assembly, count: int) -> np.ndarray:
     for step in assembly.steps[:count]:
         there[assembly.index(step.place or step.remove or "")] = step.place is not None
     return there
-
-
-def rgb(colour: str) -> np.ndarray:
-    """float32[3]: ``#rrggbb``, or a name of the style sheet."""
-    from PIL import ImageColor
-
-    return np.array(ImageColor.getrgb(COLOURS.get(colour, colour)), np.float32)
-
-
-def kinds_and_colours(assembly: Assembly) -> list[tuple[str, str]]:
-    """What every block is called, and its colour: ``#rrggbb``, or a name of the style sheet."""
-    unnamed = {size_words(block) for block in assembly.blocks if not block.kind}
-    found, of_kind = [], {}
-    for block in assembly.blocks:
-        kind = block.kind or (size_words(block) if len(unnamed) <= len(PALETTE) else "block")
-        colour = "prop" if block.prop else "support" if block.support else ""
-        if not colour and block.colour:
-            colour = "#{:02x}{:02x}{:02x}".format(*block.colour)
-        colour = colour or of_kind.setdefault(kind, PALETTE[len(of_kind) % len(PALETTE)])
-        found.append((kind, colour))
-    return found
-
-
-def size_words(block: Block) -> str:
-    """Bounding box in millimetres, e.g. ``100 × 50 × 50 mm``."""
-    return " × ".join(f"{1000 * v:.4g}" for v in np.ptp(block.vertices, axis=0)) + " mm"
 
 
 def _triangles(

@@ -15,6 +15,7 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from learn2assemble.assembly.appearance import rgb
 from learn2assemble.errors import InputError, extra
 from learn2assemble.files import unwritable
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_matrix
@@ -25,7 +26,7 @@ from learn2assemble.robot.shape import Mesh, box
 from learn2assemble.viewer import renderer
 from learn2assemble.viewer.arm import extent
 from learn2assemble.viewer.page import cell_labels
-from learn2assemble.viewer.picture import ACCENT, INK, LINE, PAPER, RIM, SOFT, rgb
+from learn2assemble.viewer.picture import ACCENT, INK, LINE, PAPER, RIM, SOFT
 from learn2assemble.viewer.playback import Playback, Segment, split
 from learn2assemble.viewer.words import clock_words, stage_words
 

@@ -371,12 +371,22 @@ function readShapes({ vertices, triangles, wide, first, faces }) {
   });
 }
 
-/* The plan of one layer seen from above, with the blocks of the layer below as dashed outlines. */
+/* The plan of one layer seen from above: the blocks that begin in it, those from below that reach
+   into it, and the layer below as dashed outlines. */
 function createLayers(data, stage) {
   const blocks = readBlocks(data), find = (id) => document.getElementById(id);
   const slider = find("layer"), plan = find("layer-plan");
   const byLayer = data.layers.map(() => []);
-  for (const block of blocks) byLayer[block.layer].push(block);
+  for (const block of blocks) {
+    data.shapes.sections[block.shape].forEach(([low, high, rings, middle], number) => {
+      const [bottom, top] = [low + block.at[2], high + block.at[2]];
+      data.heights.forEach((height, layer) => {
+        const begins = layer === block.layer && number === 0;
+        const shared = Math.min(top, data.heights[layer + 1] ?? Infinity) - Math.max(bottom, height);
+        if (begins || shared > 0.02 * data.edge) byLayer[layer].push({ block, rings, middle, begins, above: layer > block.layer });
+      });
+    });
+  }
   const order = [];
   for (const block of blocks) {
     if (block.placed) order[block.placed] = block;
@@ -409,18 +419,20 @@ function createLayers(data, stage) {
       if (text !== undefined) item.textContent = text;
       return item;
     };
-    const path = ({ shape, at }) => data.shapes.outlines[shape].map((ring) => "M" + ring
+    const path = ({ block: { at }, rings }) => rings.map((ring) => "M" + ring
       .map(([x, y]) => `${(1000 * (x + at[0])).toFixed(1)},${(-1000 * (y + at[1])).toFixed(1)}`).join("L") + "Z").join("");
-    const items = (byLayer[layer - 1] ?? []).map((block) => made("path", { class: "below", d: path(block) }));
-    for (const block of byLayer[layer]) {
+    const items = (byLayer[layer - 1] ?? []).map((part) => made("path", { class: "below", d: path(part) }));
+    const sections = byLayer[layer].toSorted((a, b) => b.above - a.above);
+    for (const part of sections) {
+      const { block, middle: [x, y] } = part;
       const steps = { "data-step": block.placed, ...(block.removed ? { "data-removed": block.removed } : {}) };
       const named = block.colour.startsWith("#") ? "" : ` ${block.colour}`;
-      const item = made("path", { class: "block" + named, d: path(block), ...steps });
+      const item = made("path", { class: "block" + (part.above ? " reaching" : "") + named, d: path(part), ...steps });
       if (!named) item.setAttribute("fill", block.colour);
       item.append(made("title", {}, block.words));
-      const [x, y] = data.shapes.middles[block.shape], size = Math.min(420 * data.edge, data.shapes.widths[block.shape] * 450);
+      const size = Math.min(420 * data.edge, data.shapes.widths[block.shape] * 450);
       items.push(item);
-      if (block.placed) {
+      if (block.placed && part.begins) {
         items.push(made("text", {
           class: "label", x: (1000 * (x + block.at[0])).toFixed(1), "font-size": size.toFixed(1), ...steps,
           y: (-1000 * (y + block.at[1]) + 0.36 * size).toFixed(1),
