@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from headless import FLAT, SPATIAL, browse, pixels, shoot
-from learn2assemble.assembly.appearance import PALETTE
+from learn2assemble.assembly.appearance import PALETTE, millimetres
 from learn2assemble.assembly.blocks import Assembly, Block, Step, box_block
 from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.assembly.kit import load_kit
@@ -97,6 +97,10 @@ def solid(data: dict[str, Any], number: int) -> np.ndarray:
 def area(ring: list[list[float]]) -> float:
     x, y = np.array(ring).T
     return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
+
+
+def test_lengths_are_told_without_powers_of_ten() -> None:
+    assert millimetres(0.1, 0.04995, 11.4) == "100 × 49.95 × 11400 mm"
 
 
 @pytest.mark.parametrize("assembly", [wall(5, 3), with_prop(), steps_and_gate()])

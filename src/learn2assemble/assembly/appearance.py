@@ -41,8 +41,14 @@ def kinds_and_colours(assembly: Assembly) -> list[tuple[str, str]]:
 
 
 def size_words(block: Block) -> str:
-    """Bounding box in millimetres, e.g. ``100 × 50 × 50 mm``."""
-    return " × ".join(f"{1000 * v:.4g}" for v in np.ptp(block.vertices, axis=0)) + " mm"
+    """Bounding box, e.g. ``100 × 50 × 50 mm``."""
+    return millimetres(*np.ptp(block.vertices, axis=0))
+
+
+def millimetres(*lengths: float) -> str:
+    """Lengths [m], with four digits below a metre and whole from there on."""
+    words = (f"{1000 * v:.4g}" if abs(v) < 1 else f"{1000 * v:.0f}" for v in lengths)
+    return " × ".join(words) + " mm"
 
 
 class Section(NamedTuple):

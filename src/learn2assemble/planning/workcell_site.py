@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from learn2assemble.assembly.appearance import millimetres
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.errors import InputError
 from learn2assemble.files import (
@@ -105,9 +106,7 @@ class Piece:
     @property
     def name(self) -> str:
         """What messages call its kind."""
-        if self.kind:
-            return self.kind
-        return "x".join(f"{2000 * h:.3g}" for h in self.half) + " mm"
+        return self.kind or millimetres(*(2 * self.half))
 
     def turns(self) -> list[int]:
         """Quarter turns that leave the shape as it is."""

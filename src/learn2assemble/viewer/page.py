@@ -15,7 +15,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.assembly.appearance import kinds_and_colours, sections, size_words
+from learn2assemble.assembly.appearance import (
+    kinds_and_colours,
+    millimetres,
+    sections,
+    size_words,
+)
 from learn2assemble.assembly.blocks import Assembly, Block, fan_triangles, to_manifold
 from learn2assemble.assembly.contacts import Contacts
 from learn2assemble.errors import InputError
@@ -387,8 +392,7 @@ def _joints(forces: tuple[Contacts, np.ndarray | None]) -> dict[str, Any] | None
 def _summary(assembly: Assembly, parts: list[_Part], extent: np.ndarray) -> str:
     props = sum(part.block.prop for part in parts)
     supports = sum(part.block.support for part in parts)
-    size = " × ".join(f"{1000 * v:.4g}" for v in extent)
-    words = [_count(len(parts) - props - supports, "block"), f"{size} mm"]
+    words = [_count(len(parts) - props - supports, "block"), millimetres(*extent)]
     words += [_count(props, "prop")] if props else []
     words += [_count(supports, "fixed support")] if supports else []
     words += [_count(len(assembly.steps), "step")] if assembly.steps else []
@@ -451,7 +455,7 @@ def _layer_words(parts: list[_Part], layers: list[float]) -> list[str]:
     """What belongs to every layer, e.g. ``Layer 2 of 9, from 50 mm: 4 of 2x4, 1 of 1x2``."""
     counts = [Counter(part.kind for part in parts if part.layer == k) for k in range(len(layers))]
     return [
-        f"Layer {k + 1} of {len(layers)}, from {1000 * (height - layers[0]):.4g} mm: "
+        f"Layer {k + 1} of {len(layers)}, from {millimetres(height - layers[0])}: "
         + ", ".join(f"{number} of {kind}" for kind, number in counts[k].most_common())
         for k, height in enumerate(layers)
     ]
