@@ -49,6 +49,7 @@ from learn2assemble.planning.workcell_state import area
 from learn2assemble.reproduction.shapes import wall
 from learn2assemble.robot.motion.record import find_fault
 
+ROOT = Path(__file__).resolve().parents[1]
 KIT = dataclasses.replace(load_kit("bricks-lintels"), pitch=(0.04, 0.04, 0.04))
 
 
@@ -220,6 +221,13 @@ def test_in_another_order_every_step_is_proven_anew(window: Plan) -> None:
     assert planners <= worth <= 1.1 * planners
     assert plan.friction_range == (friction, friction)
     assert plan.gap_range == (KIT.joint_gap, KIT.joint_gap)
+
+
+def test_the_soma_cube_is_carried_out() -> None:
+    kit = load_kit(ROOT / "examples" / "kits" / "soma.toml")
+    plan = planned(np.load(ROOT / "examples" / "designs" / "soma_cube.npy"), kit)
+    assert sorted(step.kind for step in plan.steps) == sorted(kind.name for kind in kit.kinds)
+    stands_where_it_should(carry_out(plan, quick()))
 
 
 def test_polycubes_are_carried_out() -> None:

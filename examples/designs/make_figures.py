@@ -1,4 +1,4 @@
-"""Writes ``figure.png``, ``dome.npy`` and ``dome.stl`` beside this file.
+"""Writes ``figure.png``, ``soma_cube.npy``, ``dome.npy`` and ``dome.stl`` beside this file.
 
 The figure is a tree in three colours, one pixel one cell. The dome is a half shell of radius 6
 cells and thickness 2; as a mesh (in mm, cells of 50 mm) it is the surface around those cells.
@@ -66,5 +66,6 @@ def write_stl(triangles: np.ndarray, path: Path) -> None:
 if __name__ == "__main__":
     pixels = np.array([[COLOURS[c] for c in row] for row in TREE], np.uint8)
     Image.fromarray(pixels).save(HERE / "figure.png")
+    np.save(HERE / "soma_cube.npy", np.ones((3, 3, 3), bool))
     np.save(HERE / "dome.npy", dome())
     write_stl(surface(dome(), 50.0), HERE / "dome.stl")
