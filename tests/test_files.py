@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import gzip
 import json
 import os
@@ -11,6 +12,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Annotated, Any, Literal
 
 import pytest
@@ -182,3 +184,22 @@ def test_an_interrupt_ends_with_130_and_no_traceback(wait: float, tmp_path: Path
     assert process.returncode == 130
     assert "Traceback" not in err
     assert err.rstrip().endswith("l2a: interrupted")
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs POSIX signals")
+def test_an_interrupt_that_a_compiler_drops_comes_again(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def command(options: object, output: object) -> int:
+        ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(signal.SIGINT))()
+        time.sleep(60)
+        return 0
+
+    parser = SimpleNamespace(parse_args=lambda _: SimpleNamespace(run=command, json=False))
+    monkeypatch.setattr("learn2assemble.cli.make_parser", lambda: parser)
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        assert main(["anything"]) == 130
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert capsys.readouterr().err == "l2a: interrupted\n"

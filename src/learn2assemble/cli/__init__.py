@@ -6,8 +6,10 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from types import FrameType
+from typing import Any
 
 from learn2assemble.cli.output import Output
 from learn2assemble.cli.parser import make_parser
@@ -22,9 +24,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     (``check``) or are out of reach (``reach``), another structure (``replay-trajectory``). 2: bad
     input, with one line on standard error. 130: interrupted.
     """
+    report = sys.unraisablehook
     try:
         options = make_parser().parse_args(arguments)
         # From here on an interrupt lets the command tidy up.
+        sys.unraisablehook = partial(_unraisable, report)
         signal.signal(signal.SIGINT, _interrupt)
         return int(options.run(options, Output(options.json)) or 0)
     except Learn2AssembleError as error:
@@ -43,6 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         sys.stderr.write("l2a: interrupted\n")
         return 130
+    finally:
+        sys.unraisablehook = report
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
@@ -50,7 +56,27 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     an exception it does not expect. Then again a moment later."""
     while frame is not None:
         if frame.f_code.co_filename.startswith("<frozen importlib"):
-            threading.Timer(0.1, signal.raise_signal, [number]).start()
+            _interrupt_later()
             return
         frame = frame.f_back
     raise KeyboardInterrupt
+
+
+def _unraisable(report: Callable[[Any], Any], unraisable: sys.UnraisableHookArgs) -> None:
+    """Where Python drops an exception: a callback of a compiler cannot pass an interrupt on. Then
+    again a moment later."""
+    if issubclass(unraisable.exc_type, KeyboardInterrupt):
+        _interrupt_later()
+    else:
+        report(unraisable)
+
+
+def _interrupt_later() -> None:
+    def send() -> None:
+        # Of the threads the main one, which may be waiting by then; Windows has no such signals.
+        if sys.platform == "win32":
+            signal.raise_signal(signal.SIGINT)
+        else:
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+
+    threading.Timer(0.1, send).start()
