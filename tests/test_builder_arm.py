@@ -22,9 +22,10 @@ from learn2assemble.planning.agent.search import build
 from learn2assemble.planning.agent.world import World, make_site
 from learn2assemble.planning.construct import plan_cells
 from learn2assemble.planning.ordering import to_assembly
+from learn2assemble.planning.pieces import pieces_of
 from learn2assemble.planning.tiling import Tiling
 from learn2assemble.planning.workcell_plan import Workcell
-from learn2assemble.planning.workcell_site import Obstacle, Site, pieces_of
+from learn2assemble.planning.workcell_site import Obstacle, Site
 from learn2assemble.tasks import DesignTask
 
 H = np.array([[c == "#" for c in row] for row in ("#...#", "#####", "#...#")])[::-1].T[:, None]

@@ -14,10 +14,10 @@ from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
 from learn2assemble.planning.construct import plan_cells
+from learn2assemble.planning.pieces import PROP_ROOM, pieces_of
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.workcell import Rows, way_out
 from learn2assemble.planning.workcell_plan import Workcell, carry_out
-from learn2assemble.planning.workcell_site import PROP_ROOM, pieces_of
 from learn2assemble.reproduction import shapes
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.dynamic.cell import DynamicCell

@@ -22,6 +22,7 @@ from learn2assemble.export.robot_programs import export_program
 from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.planning.construct import plan_cells
 from learn2assemble.planning.ordering import BED, polycube
+from learn2assemble.planning.pieces import QUARTER, Piece, Pose, footprint, pieces_of
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.workcell import (
     STANDING,
@@ -33,16 +34,11 @@ from learn2assemble.planning.workcell import (
 )
 from learn2assemble.planning.workcell_plan import Workcell, carry_out, job_of, prepare
 from learn2assemble.planning.workcell_site import (
-    QUARTER,
     Magazine,
     Obstacle,
     Pallet,
-    Piece,
-    Pose,
     Position,
     Site,
-    footprint,
-    pieces_of,
     read_site,
 )
 from learn2assemble.planning.workcell_state import area

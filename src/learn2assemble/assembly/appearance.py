@@ -60,6 +60,13 @@ class Section(NamedTuple):
     area: Any
     """shapely area [m, world]."""
 
+    @property
+    def rings(self) -> list[list[tuple[float, float]]]:
+        """Its outlines and those of its holes, not closed [m, world]."""
+        polygons = getattr(self.area, "geoms", [self.area])
+        rings = [ring for one in polygons for ring in (one.exterior, *one.interiors)]
+        return [[(x, y) for x, y, *_ in ring.coords[:-1]] for ring in rings]
+
 
 def sections(block: Block) -> list[Section]:
     """The sections of a block, from below: between the heights of its level faces where all others

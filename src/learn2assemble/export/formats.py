@@ -13,12 +13,11 @@ from collections.abc import Callable
 from html import escape
 from pathlib import Path
 from string import Template
-from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
-from learn2assemble.assembly.appearance import kinds_and_colours, rgb, sections
+from learn2assemble.assembly.appearance import Section, kinds_and_colours, rgb, sections
 from learn2assemble.assembly.blocks import Assembly, Block, convex_parts, fan_triangles
 from learn2assemble.assembly.files import read_assembly, write_assembly, write_compas
 from learn2assemble.errors import InputError
@@ -36,9 +35,7 @@ def step_cards(assembly: Assembly) -> str:
     layer changes, a heading names its height. Blocks without steps are shown in the order they are
     given.
     """
-    cuts = {
-        b.id: [(low, high, _path(area)) for low, high, area in sections(b)] for b in assembly.blocks
-    }
+    cuts = {b.id: [(s.bottom, s.top, _path(s)) for s in sections(b)] for b in assembly.blocks}
     colours = dict(zip(cuts, kinds_and_colours(assembly), strict=True))
     points = np.concatenate([b.vertices[:, :2] for b in assembly.blocks])
     low, high = points.min(0), points.max(0)
@@ -79,11 +76,10 @@ def step_cards(assembly: Assembly) -> str:
     )
 
 
-def _path(area: Any) -> str:
-    """A plane area as an SVG path; y of the drawing points down."""
-    rings = [r for p in getattr(area, "geoms", [area]) for r in (p.exterior, *p.interiors)]
+def _path(section: Section) -> str:
+    """A section as an SVG path; y of the drawing points down."""
     return "".join(
-        "M" + "L".join(f"{x:.4f} {-y:.4f}" for x, y in r.coords[:-1]) + "Z" for r in rings
+        "M" + "L".join(f"{x:.4f} {-y:.4f}" for x, y in ring) + "Z" for ring in section.rings
     )
 
 

@@ -28,7 +28,8 @@ from learn2assemble.geometry.rotations import (
     yaw_quaternion,
 )
 from learn2assemble.planning.ordering import BED, SIDEWAYS, TIGHT
-from learn2assemble.planning.workcell_site import QUARTER, Obstacle, Piece, Site, Source, pieces_of
+from learn2assemble.planning.pieces import QUARTER, Piece, pieces_of
+from learn2assemble.planning.workcell_site import Obstacle, Site, Source
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.grasps import WAY, Attitude
 from learn2assemble.robot.kinematic import KinematicCell

@@ -23,6 +23,7 @@ from learn2assemble.geometry.rotations import (
     quaternion_matrix,
     yaw_quaternion,
 )
+from learn2assemble.planning.pieces import QUARTER
 from learn2assemble.planning.plan import ArmFailure, ArmReport, Plan, Step
 from learn2assemble.planning.workcell import (
     FLAT,
@@ -50,7 +51,6 @@ from learn2assemble.planning.workcell import (
 )
 from learn2assemble.planning.workcell_reach import cells_of, set_up
 from learn2assemble.planning.workcell_record import Recording, append_state, packed, read_states
-from learn2assemble.planning.workcell_site import QUARTER
 from learn2assemble.planning.workcell_state import (
     STEADY,
     STEADY_YAW,

@@ -17,6 +17,7 @@ import numpy as np
 
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import yaw_matrix, yaw_quaternion
+from learn2assemble.planning.pieces import QUARTER, Part, Piece, Pose, footprint, pieces_of
 from learn2assemble.planning.workcell import (
     LOOSE,
     RETURNED,
@@ -29,18 +30,7 @@ from learn2assemble.planning.workcell import (
     rows_of,
     try_step,
 )
-from learn2assemble.planning.workcell_site import (
-    QUARTER,
-    Part,
-    Piece,
-    Pose,
-    Site,
-    Source,
-    footprint,
-    given_sources,
-    outline,
-    pieces_of,
-)
+from learn2assemble.planning.workcell_site import Site, Source, given_sources, outline
 from learn2assemble.robot.approach import ApproachCache
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.inverse import RESTARTS, solve

@@ -21,6 +21,7 @@ from learn2assemble.geometry.rotations import (
     quaternion_matrix,
     yaw_quaternion,
 )
+from learn2assemble.planning.pieces import QUARTER, Piece, footprint
 from learn2assemble.planning.workcell import (
     LEANS,
     LOOSE,
@@ -37,7 +38,6 @@ from learn2assemble.planning.workcell import (
     frame_of,
     supply_of,
 )
-from learn2assemble.planning.workcell_site import QUARTER, Piece, footprint
 
 # ---------------------------------------------------------------- beliefs
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from learn2assemble.assembly.appearance import (
+    Section,
     kinds_and_colours,
     millimetres,
     sections,
@@ -296,13 +297,7 @@ def _shape_data(shapes: list[Block]) -> dict[str, Any]:
         points, faces = _triangles(block)
         vertices.append(points - block.vertices.min(0))
         triangles.append(faces)
-        origin = block.vertices.min(0)
-        cuts.append(
-            [
-                [_round(low - origin[2]), _round(high - origin[2]), *_rings(area, origin)]
-                for low, high, area in sections(block)
-            ]
-        )
+        cuts.append([_drawn(one, block.vertices.min(0)) for one in sections(block)])
     wide = max(map(len, vertices)) >= 65536
     boxes = [np.ptp(block.vertices[:, :2], axis=0) for block in shapes]
     return {
@@ -326,14 +321,14 @@ def _triangles(block: Block) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts)
 
 
-def _rings(area: Any, origin: np.ndarray) -> tuple[list[list[list[float]]], list[float]]:
-    """Of a plane area: its rings and a point in it, from ``origin``."""
-    rings = [r for p in getattr(area, "geoms", [area]) for r in (p.exterior, *p.interiors)]
-    centre = area.centroid
-    middle = centre if area.contains(centre) else area.representative_point()
-    x, y = origin[:2].tolist()
-    outline = [[[_round(u - x), _round(v - y)] for u, v in ring.coords[:-1]] for ring in rings]
-    return outline, [_round(middle.x - x), _round(middle.y - y)]
+def _drawn(section: Section, corner: np.ndarray) -> list[Any]:
+    """Bottom, top, rings and a point in it, from the smallest corner of the block."""
+    x, y, z = corner.tolist()
+    centre = section.area.centroid
+    middle = centre if section.area.contains(centre) else section.area.representative_point()
+    rings = [[[_round(u - x), _round(v - y)] for u, v in ring] for ring in section.rings]
+    return [_round(section.bottom - z), _round(section.top - z), rings,
+            [_round(middle.x - x), _round(middle.y - y)]]  # fmt: skip
 
 
 def _covers(blocks: list[Block]) -> list[list[list[int]] | None]:

@@ -22,6 +22,7 @@ from learn2assemble.geometry.rotations import yaw_matrix, yaw_quaternion
 from learn2assemble.planning import workcell as cells
 from learn2assemble.planning.agent.world import Site, World
 from learn2assemble.planning.ordering import to_assembly
+from learn2assemble.planning.pieces import Part, Piece, pieces_of
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling import BlockPlacement, Tiling
 from learn2assemble.planning.workcell import Arranged, Job, Progress, StepOf, Structure, job_of
@@ -33,7 +34,6 @@ from learn2assemble.planning.workcell_plan import (
     wider,
 )
 from learn2assemble.planning.workcell_reach import Base, set_up
-from learn2assemble.planning.workcell_site import Part, Piece, pieces_of
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Scene, why_not_held
