@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import os
 import shutil
 from pathlib import Path
 from typing import NamedTuple
@@ -83,6 +84,12 @@ def prepare(folder: Path, agent: Path, run: Path, design: Path, log: Path) -> No
         places += [[-0.3, -0.32], [-0.2, -0.32], [-0.3, 0.32], [-0.2, 0.32]]
         layout = {"format": "learn2assemble-layout", "version": 1, "positions": places}
         (folder / f"{name}.json").write_text(json.dumps(layout))
+    (folder / "special").mkdir()
+    (folder / "special" / "link").symlink_to(folder / "file.txt")
+    (folder / "special" / "nowhere").symlink_to(folder / "nosuch.txt")
+    os.mkfifo(folder / "special" / "pipe")
+    shutil.copytree(run, folder / "linked")
+    (folder / "linked" / "extra.txt").symlink_to(folder / "file.txt")
     (folder / "full").mkdir()
     (folder / "full" / "keep.txt").write_text("mine")
     for name in ("bad_agent", "half_agent"):
@@ -118,6 +125,22 @@ BAD = [
     BadCall("unknown command", ["qqqq"], "invalid choice"),
     BadCall("unknown option", ["tasks", "--colour"], "--colour"),
     BadCall("tasks with a word", ["tasks", "all"], "all"),
+    BadCall("a name that is not UTF-8", ["build", "caf\udce9.json", "--out", "{d}/new"], "UTF-8"),
+    BadCall("export into a pipe", ["export", "{d}", "--format", "glb", "--out", "{d}/special/pipe"],
+            "not a pipe"),
+    BadCall("export through a link", ["export", "{d}", "--format", "csv", "--out",
+                                      "{d}/special/link"], "not a symbolic link"),
+    BadCall("export through a link to nowhere",
+            ["export", "{d}", "--format", "bill", "--out", "{d}/special/nowhere"],
+            "not a symbolic link"),
+    BadCall("build into a link to nowhere", build("--out", "{d}/special/nowhere"), "nowhere"),
+    BadCall("resume a run with a link in it", resume("{d}/linked"), "not a symbolic link"),
+    BadCall("eval through a link to nowhere", evaluate("--out", "{d}/special/nowhere"),
+            "a new file"),
+    BadCall("measured builds through a link",
+            ["measure-builds", "--out", "{d}/special/link"], "not a symbolic link"),
+    BadCall("table into a link", table("T1", "--into", "{d}/special/link"),
+            "not a symbolic link"),
     # build
     BadCall("check nothing", ["check"], "FILE"),
     BadCall("check a missing file", ["check", "{d}/nosuch.json"], "nosuch.json"),

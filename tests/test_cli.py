@@ -461,7 +461,7 @@ def test_bad_call(call: BadCall, l2a: Call, stage: Path, tmp_path: Path) -> None
     if call.reason:
         # It may write before it fails.
         folder = tmp_path / "stage"
-        shutil.copytree(stage, folder)
+        shutil.copytree(stage, folder, ignore=shutil.ignore_patterns("special", "linked"))
     before = fingerprint(folder)
     result = l2a(*[word.replace("{d}", str(folder)) for word in call.words])
     assert result.code == 2
@@ -483,6 +483,6 @@ def test_good_twins_of_the_bad_calls_are_accepted(l2a: Call, stage: Path, tmp_pa
     from bad_calls import build, evaluate, resume, train
 
     folder = tmp_path / "stage"
-    shutil.copytree(stage, folder)
+    shutil.copytree(stage, folder, ignore=shutil.ignore_patterns("special", "linked"))
     for words in (build("--out", str(folder / "built")), train(), evaluate(), resume("{d}/run")):
         assert l2a(*[word.replace("{d}", str(folder)) for word in words]).code == 0, words

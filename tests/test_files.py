@@ -7,6 +7,8 @@ import gzip
 import json
 import os
 import signal
+import socket
+import stat
 import subprocess
 import sys
 import time
@@ -25,10 +27,13 @@ from learn2assemble.files import (
     MAX_BYTES,
     MAX_DEPTH,
     Range,
+    append_line,
+    claim_folder,
     from_plain,
     load_json,
     read_bytes,
     read_json_lines,
+    replacing,
     to_plain,
     write_file,
 )
@@ -142,6 +147,105 @@ def test_a_file_is_written_all_or_nothing(tmp_path: Path, monkeypatch: pytest.Mo
     assert [file.name for file in tmp_path.iterdir()] == ["a.json"]
     with pytest.raises(InputError, match="No such file"):
         write_file(tmp_path / "no" / "a.json", "new", "plan")
+
+
+@pytest.mark.parametrize("kind", ["link", "dangling", "folder", "pipe", "socket", "device"])
+def test_only_plain_files_are_replaced(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, other = tmp_path / "out", tmp_path / "other"
+    other.write_text("mine")
+    if kind in ("link", "dangling"):
+        path.symlink_to(other if kind == "link" else tmp_path / "nosuch")
+    elif kind == "folder":
+        path.mkdir()
+    elif kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "socket":
+        with socket.socket(socket.AF_UNIX) as made:
+            made.bind(str(path))
+    else:
+        path.write_text("mine")
+        monkeypatch.setattr(stat, "S_ISREG", lambda mode: False)
+        monkeypatch.setattr("learn2assemble.files._NOT_PLAIN", ((lambda mode: True, "a device"),))
+    before = os.lstat(path)
+    for write in (write_file, append_line):
+        with pytest.raises(InputError, match="a plain file or a new one, not a"):
+            write(path, "new", "plan")
+    assert os.lstat(path) == before
+    assert other.read_text() == "mine"
+    assert {file.name for file in tmp_path.iterdir()} == {"out", "other"}
+
+
+def test_links_above_a_file_are_followed(tmp_path: Path) -> None:
+    (tmp_path / "real").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    write_file(tmp_path / "link" / "a.json", "new", "plan")
+    assert (tmp_path / "real" / "a.json").read_text() == "new"
+    with claim_folder(tmp_path / "link", resume=True):
+        pass
+
+
+def test_a_lock_is_not_opened_through_a_link(tmp_path: Path) -> None:
+    folder, other = tmp_path / "run", tmp_path / "other"
+    folder.mkdir()
+    other.write_text("mine")
+    (folder / ".lock").symlink_to(other)
+    with pytest.raises(InputError, match="not a symbolic link"), claim_folder(folder):
+        pass
+    assert other.read_text() == "mine"
+
+
+def test_a_full_disk_leaves_what_there_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "log.jsonl"
+    append_line(path, "first", "log")
+
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        with pytest.raises(InputError, match="No space left"):
+            append_line(path, "second", "log")
+    assert path.read_text() == "first\n"
+
+    def write_half() -> None:
+        with replacing(path, "log") as part:
+            part.write_text("half")
+            full()
+
+    with pytest.raises(InputError, match="No space left"):
+        write_half()
+    assert path.read_text() == "first\n"
+    assert [file.name for file in tmp_path.iterdir()] == ["log.jsonl"]
+
+
+def test_letters_that_utf8_cannot_say_are_escaped(tmp_path: Path) -> None:
+    write_file(tmp_path / "a.html", "caf\udce9", "page")
+    assert (tmp_path / "a.html").read_text() == "caf\\udce9"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is full")
+def test_a_full_output_is_told_in_one_line() -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "learn2assemble", "tasks"],
+            stdout=full, stderr=subprocess.PIPE, text=True, check=False,
+        )  # fmt: skip
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert "No space left on device" in line
+
+
+def test_names_an_ascii_terminal_cannot_show_are_escaped(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "learn2assemble", "export",
+         str(Path(__file__).parent / "data" / "ascii_wall.json"), "--format", "glb",
+         "--out", str(tmp_path / "caf\u00e9.glb")],
+        capture_output=True, check=False, env={**os.environ, "PYTHONIOENCODING": "ascii"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert b"caf\\xe9.glb" in done.stdout
 
 
 @pytest.mark.parametrize("command", ["view", "build", "replay"])

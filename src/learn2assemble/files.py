@@ -12,6 +12,7 @@ import json
 import math
 import os
 import re
+import stat
 import sys
 import types
 import typing
@@ -382,23 +383,119 @@ def _fields(kind: Any) -> dict[str, tuple[Any, bool]]:
 # ---------------------------------------------------------------- writing
 
 
-def write_file(path: Path, content: str | bytes, what: str) -> None:
+_NOT_PLAIN = (
+    (stat.S_ISLNK, "a symbolic link"), (stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"), (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"),
+)  # fmt: skip
+
+
+def not_plain(path: Path) -> str | None:
+    """What stands at a path where it is no plain file, in words; None for a plain file and where
+    nothing is.
+
+    A link is named, whatever it leads to; links among the folders above are followed.
+    """
+    try:
+        mode = os.lstat(path).st_mode
+    except FileNotFoundError:
+        return None
+    if stat.S_ISREG(mode):
+        return None
+    return next((words for kind, words in _NOT_PLAIN if kind(mode)), "something else")
+
+
+def check_output(path: Path, what: str) -> None:
+    """Refuse a place where no plain file can be written, before any work is done for it.
+
+    Args:
+        path: a plain file, or a new name in a folder that exists.
+        what: the thing that will be written, for messages.
+
+    Raises:
+        InputError: for a link, a folder, a pipe, a socket, a device, a file that must not be
+            changed, and a place in no folder.
+    """
+    path = Path(path)
+    source, expected = printable(str(path)), "a plain file or a new one"
+    if "\0" in str(path):
+        raise InputError(what, source, expected)
+    try:
+        found = not_plain(path)
+        if found is not None:
+            raise InputError(what, source, f"{expected}, not {found}")
+        os.stat(path.parent)  # Says why where the folder does not exist.
+    except OSError as error:
+        raise unwritable(what, path, error) from None
+    for place, right in ((path, os.W_OK), (path.parent, os.W_OK | os.X_OK)):
+        if place.exists() and not os.access(place, right):
+            raise unwritable(what, path, PermissionError(13, os.strerror(13)))
+
+
+@contextmanager
+def replacing(path: Path, what: str) -> Generator[Path, None, None]:
     """Write a file all or nothing: under another name first, which then takes its place.
 
     Args:
+        path: what is replaced; see :func:`check_output`.
         what: the thing that is written, for messages.
+
+    Yields:
+        An empty file beside it, which whatever writes opens by its name. Where the block fails it
+        is removed, and ``path`` is as it was.
 
     Raises:
         InputError: where it cannot be written, saying why.
     """
     path = Path(path)
-    part = path.with_name(f".{path.name}.part")
+    check_output(path, what)
+    # A name of its own: never one that somebody else has put there.
+    part = path.with_name(f".{os.urandom(6).hex()}.part")
     try:
         try:
-            part.write_bytes(content.encode() if isinstance(content, str) else content)
+            os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+            yield part
             os.replace(part, path)
         finally:
             part.unlink(missing_ok=True)
+    except OSError as error:
+        raise unwritable(what, path, error) from None
+
+
+def write_file(path: Path, content: str | bytes, what: str) -> None:
+    """Write a file all or nothing, see :func:`replacing`.
+
+    Args:
+        content: bytes, or text; what UTF-8 cannot say of it (parts of names that are not UTF-8) is
+            escaped.
+        what: the thing that is written, for messages.
+
+    Raises:
+        InputError: where it cannot be written, saying why.
+    """
+    if isinstance(content, str):
+        content = content.encode(errors="backslashreplace")
+    with replacing(path, what) as part:
+        part.write_bytes(content)
+
+
+def append_line(path: Path, line: str, what: str) -> None:
+    """Append a line to a plain file; it is on the disk when this returns, or not at all.
+
+    Raises:
+        InputError: where it cannot be written, saying why; the file is as it was.
+    """
+    check_output(path, what)
+    try:
+        size = path.stat().st_size if path.exists() else 0
+        try:
+            with path.open("a", encoding="utf-8") as file:
+                file.write(line + "\n")
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError:
+            if path.exists():
+                os.truncate(path, size)
+            raise
     except OSError as error:
         raise unwritable(what, path, error) from None
 
@@ -432,8 +529,11 @@ def claim_folder(
             if folder.exists() and (not folder.is_dir() or _content(folder)):
                 raise InputError(what, name, expected)
             made = not folder.exists()
+            if made and folder.is_symlink():
+                raise InputError(what, name, f"{expected}, not a link to nowhere")
             folder.mkdir(parents=True, exist_ok=True)
-        with (folder / LOCK).open("w") as lock:
+        _check_content(folder, what)
+        with _open_lock(folder / LOCK) as lock:
             if not _locked(lock) or (not resume and _content(folder)):
                 raise InputError(what, name, "a folder that nothing else is writing into")
             try:
@@ -444,6 +544,22 @@ def claim_folder(
                     folder.rmdir()
     except OSError as error:
         raise unwritable(what, folder, error) from None
+
+
+def _check_content(folder: Path, what: str) -> None:
+    """Refuse a folder in which something of another program could be written through: files are
+    replaced in it, some only when hours of work are done."""
+    for path in sorted(folder.iterdir()):
+        found = not_plain(path)
+        if found not in (None, "a folder"):
+            got = printable(str(path))
+            raise InputError(what, got, f"only plain files and folders in it, not {found}")
+
+
+def _open_lock(path: Path) -> IO[str]:
+    """The lock, which is opened without following a link or waiting for a pipe."""
+    flags = os.O_CREAT | os.O_WRONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+    return os.fdopen(os.open(path, flags, 0o666), "w")
 
 
 def _content(folder: Path) -> bool:

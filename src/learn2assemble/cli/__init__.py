@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import os
 import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
 from learn2assemble.cli.output import Output
 from learn2assemble.cli.parser import make_parser
-from learn2assemble.errors import Learn2AssembleError, one_line
+from learn2assemble.errors import InputError, Learn2AssembleError, one_line
 from learn2assemble.files import unwritable
 
 
@@ -25,30 +28,63 @@ def main(arguments: Sequence[str] | None = None) -> int:
     input, with one line on standard error. 130: interrupted.
     """
     report = sys.unraisablehook
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # What it has no letters for is escaped.
+            stream.reconfigure(errors="backslashreplace")
     try:
+        _check_words(sys.argv[1:] if arguments is None else arguments)
         options = make_parser().parse_args(arguments)
         # From here on an interrupt lets the command tidy up.
         sys.unraisablehook = partial(_unraisable, report)
         signal.signal(signal.SIGINT, _interrupt)
-        return int(options.run(options, Output(options.json)) or 0)
+        code = int(options.run(options, Output(options.json)) or 0)
+        sys.stdout.flush()
+        return code
     except Learn2AssembleError as error:
         sys.stderr.write(f"l2a: error: {one_line(error)}\n")
         return 2
     except BrokenPipeError:
         # The reader of our output has left; there is nobody to tell.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
         return 0
     except OSError as error:
-        if error.filename is None:
+        if error.filename is None and error.errno not in _FULL:
             raise
-        where = unwritable("file", error.filename, error)
+        where = unwritable("file", Path(error.filename or "output"), error)
         sys.stderr.write(f"l2a: error: {one_line(where)}\n")
+        _drop_output()
         return 2
     except KeyboardInterrupt:
         sys.stderr.write("l2a: interrupted\n")
         return 130
     finally:
         sys.unraisablehook = report
+
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
+"""What a disk or a device says that takes no more; such errors need not name a file."""
+
+
+def _check_words(words: Sequence[str]) -> None:
+    """Refuse words that are not UTF-8, such as names of files of other systems: they could not be
+    written into any of our files.
+
+    Raises:
+        InputError: showing the word.
+    """
+    for word in words:
+        try:
+            word.encode()
+        except UnicodeEncodeError:
+            raise InputError("argument", word, "UTF-8; rename the file") from None
+
+
+def _drop_output() -> None:
+    """What is left of our output goes nowhere, so that Python does not try again at its end."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

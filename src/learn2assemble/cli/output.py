@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from learn2assemble.errors import InputError
-from learn2assemble.files import write_file
+from learn2assemble.files import printable, write_file
 
 
 class Output:
@@ -67,13 +67,14 @@ def check_new_file(path: Path | None) -> None:
     if path is None:
         return
     try:
-        if path.exists():
-            raise InputError("--out", str(path), "a new file")
-        path.touch()
+        if os.path.lexists(path):
+            raise InputError("--out", printable(str(path)), "a new file")
+        with path.open("x"):
+            pass
         path.unlink()
     except OSError as error:
         reason = error.strerror or "unwritable"
-        raise InputError("--out", str(path), f"a writable file ({reason})") from None
+        raise InputError("--out", printable(str(path)), f"a writable file ({reason})") from None
 
 
 def write_result(path: Path | None, result: dict[str, Any]) -> None:

@@ -22,7 +22,7 @@ from learn2assemble.assembly.blocks import Assembly, Block, convex_parts, fan_tr
 from learn2assemble.assembly.files import read_assembly, write_assembly, write_compas
 from learn2assemble.errors import InputError
 from learn2assemble.export import asset
-from learn2assemble.files import write_file
+from learn2assemble.files import check_output, write_file
 from learn2assemble.registry import Registry
 
 
@@ -223,11 +223,12 @@ def export_assembly(assembly: Assembly | str | Path, format: str, path: str | Pa
         InputError: for a file that cannot be read.
     """
     name, write = FORMATS[format]
+    file = file_at(path, name)
+    check_output(file, format)  # Before anything is read.
     if isinstance(assembly, str | Path):
         assembly = read_assembly(assembly)
     if not isinstance(assembly, Assembly):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise InputError("assembly", assembly, "an Assembly (of a plan its .assembly), or a file")
-    file = file_at(path, name)
     write(assembly, file)
     return file
 

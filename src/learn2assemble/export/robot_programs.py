@@ -24,7 +24,7 @@ from learn2assemble.export.robot_tables import (
     write_table,
 )
 from learn2assemble.export.ros2 import is_bag, read_bag, write_bag
-from learn2assemble.files import write_file
+from learn2assemble.files import check_output, write_file
 from learn2assemble.registry import Registry
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import forward_many, get_chain
@@ -213,13 +213,14 @@ def export_program(source: BuildRecord | str | Path, format: str, path: str | Pa
         MissingExtraError: for ``ros2`` without the extra ``ros2``.
     """
     name, write = PROGRAMS[format]
+    file = file_at(path, name)
+    check_output(file, "program")  # Before anything is read.
     if isinstance(source, str | Path):
         source = _read_record(Path(source))
     if not isinstance(source, BuildRecord):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise InputError("source", source, "a BuildRecord (of a plan its .record), or a folder")
     arm = arm_of(source.arm)
     program = make_program(source, arm)
-    file = file_at(path, name)
     write(program, arm, file)
     used = usage(program.knots, arm.bounds)
     return Exported(file, program.seconds, program.stretch, used)

@@ -28,6 +28,7 @@ from tqdm import tqdm
 from learn2assemble.errors import InputError, check_arguments, is_number, is_whole
 from learn2assemble.files import (
     MAX_GENERATED,
+    append_line,
     claim_folder,
     integer,
     load_json,
@@ -117,8 +118,7 @@ class _Logs:
         if metrics["samples"] == self.last:
             return
         self.last = int(metrics["samples"])
-        with self.file.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(metrics) + "\n")
+        append_line(self.file, json.dumps(metrics), "log")
         if self.writer is not None:
             for key, value in metrics.items():
                 if key != "samples":

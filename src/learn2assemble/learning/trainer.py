@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections import deque
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ from typing import Any
 import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch.nn import functional as F
 
 from learn2assemble.errors import InputError
@@ -25,7 +23,13 @@ from learn2assemble.graph.features import node_offset
 from learn2assemble.graph.placements import distinct_placements
 from learn2assemble.learning.config import METHODS, TrainConfig
 from learn2assemble.learning.replay import Batch, Replay, Searched, random_symmetry
-from learn2assemble.networks.agent import Network, Values, fitted, make_network
+from learn2assemble.networks.agent import (
+    Network,
+    Values,
+    fitted,
+    make_network,
+    write_tensors,
+)
 from learn2assemble.networks.placement import PlacementValues
 from learn2assemble.networks.qnetwork import NEGATIVE
 from learn2assemble.planning.world_model import WorldModel
@@ -346,9 +350,7 @@ class Trainer:
             "task": self.task.name, "config": self.config.to_dict(), "cursor": self.replay.cursor,
             "rng": self.rng.bit_generator.state,
         }  # fmt: skip
-        partial = path.with_suffix(".partial")
-        save_file(tensors, partial, metadata={"counters": json.dumps(counters)})
-        os.replace(partial, path)
+        write_tensors(path, tensors, "state", {"counters": json.dumps(counters)})
 
     def _worlds(self) -> dict[str, np.ndarray]:
         """State and running sums of the worlds, by their names in a state file."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 import copy
 import dataclasses
 import json
-import os
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -22,7 +21,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file  # pyright: ignore[reportUnknownVariableType]
 
 from learn2assemble.errors import InputError, look_up
-from learn2assemble.files import mapping, read_json, write_file
+from learn2assemble.files import mapping, read_json, replacing, write_file
 from learn2assemble.networks.config import NETWORKS, NetworkConfig
 from learn2assemble.networks.placement import PlacementNetwork, PlacementValues
 from learn2assemble.networks.qnetwork import QFactors, QNetwork
@@ -132,6 +131,26 @@ def default_agent(task: str) -> str:
     return wanted if wanted in names else next(trained, None) or _named(wanted).stem
 
 
+def write_tensors(
+    path: Path, tensors: dict[str, torch.Tensor], what: str, metadata: dict[str, str] | None = None
+) -> None:
+    """Write tensors to a file all or nothing.
+
+    Args:
+        what: the thing that is written, for messages.
+        metadata: words beside the tensors.
+
+    Raises:
+        InputError: where it cannot be written, saying why.
+    """
+    try:
+        with replacing(path, what) as part:
+            save_file(tensors, part, metadata)
+    except SafetensorError as error:
+        reason = " ".join(str(error).split())
+        raise InputError(what, str(path), f"a place that can be written ({reason})") from None
+
+
 def save_agent(agent: Agent, folder: Path) -> Path:
     """Write both files into ``folder``; returns the path of the weights."""
     weights = folder / f"{agent.name}.safetensors"
@@ -140,14 +159,7 @@ def save_agent(agent: Agent, folder: Path) -> Path:
         "network": dataclasses.asdict(agent.network.config), "origin": agent.origin,
     }  # fmt: skip
     tensors = {k: v.detach().cpu().contiguous() for k, v in agent.network.state_dict().items()}
-    part = weights.with_suffix(".part")
-    try:
-        save_file(tensors, part)
-        os.replace(part, weights)
-    except (OSError, SafetensorError) as error:
-        part.unlink(missing_ok=True)
-        reason = " ".join(str(error).split())
-        raise InputError("agent", str(weights), f"a place that can be written ({reason})") from None
+    write_tensors(weights, tensors, "agent")
     write_file(weights.with_suffix(".json"), json.dumps(info, indent=1) + "\n", "agent")
     return weights
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import base64
 import dataclasses
 import json
-import os
 import zlib
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.errors import InputError
-from learn2assemble.files import unwritable
+from learn2assemble.files import append_line, unwritable, write_file
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_quaternion
 from learn2assemble.planning.workcell import HIDDEN, OBSTACLE_DENSITY, Rows, World
 from learn2assemble.robot.motion.record import (
@@ -49,16 +48,14 @@ def read_states(path: Path, key: str) -> list[dict[str, Any]]:
     try:
         text = path.read_text(encoding="utf-8") if path.exists() else ""
         if head.startswith(text):  # Not even the first line is whole.
-            path.write_text(head + "\n", encoding="utf-8")
+            write_file(path, head + "\n", "--resume")
             return []
         first, *lines = text.split("\n")[:-1]
         if first != head:
             expected = "the same design, kit, arm, tool, layout and seed as before"
             raise InputError("--resume", str(path), expected)
         states = [_unsealed(line) for line in lines]
-        whole = path.with_suffix(".tmp")
-        whole.write_text("".join(f"{line}\n" for line in (first, *lines)), encoding="utf-8")
-        os.replace(whole, path)
+        write_file(path, "".join(f"{line}\n" for line in (first, *lines)), "--resume")
     except OSError as error:
         raise unwritable("--resume", path, error) from None
     except InputError:
@@ -70,10 +67,7 @@ def read_states(path: Path, key: str) -> list[dict[str, Any]]:
 
 def append_state(path: Path, state: dict[str, Any]) -> None:
     """Append a state; it is on the disk when this returns."""
-    with path.open("a", encoding="utf-8") as file:
-        file.write(json.dumps({**state, SUM: _checksum(state)}) + "\n")
-        file.flush()
-        os.fsync(file.fileno())
+    append_line(path, json.dumps({**state, SUM: _checksum(state)}), "state of the build")
 
 
 def _checksum(state: dict[str, Any]) -> int:

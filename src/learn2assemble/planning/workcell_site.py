@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, check_name
 from learn2assemble.files import (
     check_keys,
     integer,
@@ -338,6 +338,7 @@ def given_sources(site: Site, pieces: Sequence[Piece], order: Sequence[int]) -> 
     Raises:
         InputError: for a kind the plan does not use, places that overlap or lie off the table.
     """
+    _check_kinds(site, {piece.kind for piece in pieces})
     shapes: dict[str, list[tuple[Part, ...]]] = {}
     for k in order:
         known = shapes.setdefault(pieces[k].kind, [])
@@ -361,6 +362,19 @@ def given_sources(site: Site, pieces: Sequence[Piece], order: Sequence[int]) -> 
             found.append((where, Source(pieces[k].shape, pose, 1, False, where)))
     check_sources(site, found, pieces)
     return [source for _, source in found]
+
+
+def _check_kinds(site: Site, kinds: set[str]) -> None:
+    """Refuse a kind that is none of the plan's: the arm would be sent to an empty place, or a
+    magazine be chosen where the user has meant another.
+
+    Raises:
+        UnknownNameError: naming the entry of the layout and the nearest kind.
+    """
+    for name in ("magazines", "pallets", "positions"):
+        for n, entry in enumerate(getattr(site, name)):
+            if entry.kind is not None:
+                check_name(f"{site.source}: {name}[{n}].kind", entry.kind, kinds)
 
 
 def check_sources(site: Site, found: list[tuple[str, Source]], pieces: Sequence[Piece]) -> None:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,7 +31,7 @@ from learn2assemble.evaluation.episodes import (
     play_episodes,
     random_policy,
 )
-from learn2assemble.files import from_plain
+from learn2assemble.files import from_plain, write_file
 from learn2assemble.geometry.support import STABLE
 from learn2assemble.learning.run import provenance
 from learn2assemble.networks.agent import agent_files, one_thread
@@ -292,15 +291,13 @@ def write_result(root: Path, cell: Cell, agent_hash: str | None, data: dict[str,
         "format": FORMAT, "version": VERSION, "cell": cell.to_dict(), "agent_hash": agent_hash,
     }  # fmt: skip
     lines = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in {**head, **data}.items()]
-    part = file.with_suffix(f".{os.getpid()}.part")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
-        part.replace(file)
     except OSError as error:
         raise InputError(
             "--out", str(root), f"a writable folder ({error.strerror or 'unwritable'})"
         ) from None
+    write_file(file, "{\n" + ",\n".join(lines) + "\n}\n", "--out")
     return file
 
 

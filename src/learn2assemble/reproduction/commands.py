@@ -21,7 +21,7 @@ from learn2assemble.cli.parser import (
     workers_arguments,
 )
 from learn2assemble.errors import InputError, check_name
-from learn2assemble.files import claim_folder, write_file
+from learn2assemble.files import check_output, claim_folder, write_file
 from learn2assemble.registry import Registry
 
 if TYPE_CHECKING:
@@ -194,6 +194,8 @@ def _summary(data: TableData, measured: int, files: dict[str, Path]) -> dict[str
 def _around(path: Path, table: Table) -> tuple[str, str]:
     """What stands in a page before a table and after it, the lines that mark its place included."""
     begin, end = (f"<!-- table {table.name}: {word} -->" for word in ("begin", "end"))
+    if path.exists():
+        check_output(path, "--into")
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, ValueError):

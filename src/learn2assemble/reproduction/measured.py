@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from learn2assemble.errors import InputError
-from learn2assemble.files import mapping, read_json, write_file
+from learn2assemble.files import check_output, mapping, read_json, write_file
 from learn2assemble.learning.run import provenance
 from learn2assemble.workers import run_all
 
@@ -59,6 +59,7 @@ def measure(
     Raises:
         InputError: where ``out`` is no such file, or nothing is called ``only``.
     """
+    check_output(out, "--out")
     found = _load(out, figures.format)
     wanted = [name for name in figures.names() if only in name]
     if not wanted:

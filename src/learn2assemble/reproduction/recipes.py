@@ -6,12 +6,12 @@ A recipe is a task and one or more stages; a stage starts from the agent of the 
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from learn2assemble.errors import InputError
+from learn2assemble.files import MAX_GENERATED, read_bytes, write_file
 from learn2assemble.learning.config import CONFIGS, TrainConfig, fit_to, override
 from learn2assemble.learning.run import run_training
 from learn2assemble.networks.agent import load_agent, one_thread
@@ -151,7 +151,8 @@ def copy_logs(recipes: list[Recipe], runs: Path, folder: Path) -> None:
                 if all((source / file).is_file() for file in LOGS):
                     (folder / source.name).mkdir(parents=True, exist_ok=True)
                     for file in LOGS:
-                        shutil.copyfile(source / file, folder / source.name / file)
+                        content, _ = read_bytes(source / file, "log", MAX_GENERATED)
+                        write_file(folder / source.name / file, content, "log")
 
 
 def _check(folder: Path, recipe: Recipe, stage: Stage) -> None:

@@ -6,7 +6,6 @@ A frame shows the workcell from one place, and below it in words what happens.
 from __future__ import annotations
 
 import math
-import os
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
@@ -17,7 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from learn2assemble.assembly.appearance import rgb
 from learn2assemble.errors import InputError, extra
-from learn2assemble.files import unwritable
+from learn2assemble.files import replacing
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_matrix
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.motion.record import BuildRecord
@@ -310,25 +309,21 @@ def write_video(plan: Plan, record: BuildRecord, path: Path) -> None:
         InputError: where the record does not fit the plan, or ``path`` cannot be written.
     """
     av, film = require_video(), Frames(plan, record)
-    part = path.with_name(f".{path.name}.part")
     options = {"crf": "20", "preset": "veryfast", "threads": "1"}
-    try:
-        with av.open(
+    with (
+        replacing(path, "video") as part,
+        av.open(
             str(part), "w", format="mp4", options={"movflags": "faststart", "fflags": "+bitexact"}
-        ) as file:
-            stream = file.add_stream("libx264", rate=FRAMES_PER_SECOND, options=options)
-            stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
-            last, picture = -1.0, None
-            for clock in moments(film.playback.duration, film.speed).tolist():
-                if picture is None or clock != last:
-                    picture, last = film.frame(clock), clock
-                file.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
-            file.mux(stream.encode())
-        os.replace(part, path)
-    except OSError as error:
-        raise unwritable("video", path, error) from None
-    finally:
-        part.unlink(missing_ok=True)
+        ) as file,
+    ):
+        stream = file.add_stream("libx264", rate=FRAMES_PER_SECOND, options=options)
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+        last, picture = -1.0, None
+        for clock in moments(film.playback.duration, film.speed).tolist():
+            if picture is None or clock != last:
+                picture, last = film.frame(clock), clock
+            file.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        file.mux(stream.encode())
 
 
 def moments(duration: float, speed: float) -> np.ndarray:
