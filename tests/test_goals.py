@@ -19,7 +19,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.physics.rigid_blocks import check
 from learn2assemble.planning.goals.network import load_guide, save_guide
 from learn2assemble.planning.goals.planner import plan_goals, prepare
-from learn2assemble.planning.goals.program import find_order, plan_program
+from learn2assemble.planning.goals.program import Exact, find_order, plan_program
 from learn2assemble.planning.goals.search import finished, search
 from learn2assemble.planning.goals.tasks import (
     FAMILIES,
@@ -365,3 +365,44 @@ def test_a_plan_shows_its_goals(tmp_path: Path) -> None:
     page = (tmp_path / "view.html").read_text(encoding="utf-8")
     assert '"what":"load"' in page
     assert "obstacle</li>" in page
+
+
+@pytest.mark.parametrize(
+    ("changes", "status", "reason"),
+    [
+        ({"heap": {"1x1": 1}}, "refused", "levels high"),
+        ({"heap": {"1x2": 2}, "reach": [[0.125, 0.0, 0.15]]}, "refused", "levels high"),
+    ],
+)
+def test_refused_goals_end_in_exit_code_1_and_a_page_that_opens(
+    tmp_path: Path, changes: dict[str, Any], status: str, reason: str
+):
+    file = tmp_path / "goals.json"
+    file.write_text(json.dumps(GOOD | changes))
+    for planner in ("auto", "exact", "agent"):
+        out = tmp_path / planner
+        assert main(["build", str(file), "--out", str(out), "--planner", planner]) == 1
+        plan = Plan.load(out)
+        assert plan.status == status
+        assert plan.found_nothing
+        assert reason in (plan.reason or "")
+        page = (out / "view.html").read_text()
+        assert reason in page
+        assert "{{" not in page
+
+
+def test_goals_for_which_nothing_is_found_end_in_exit_code_1(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(
+        "learn2assemble.planning.goals.planner.plan_program",
+        lambda problem, seconds: Exact("time", (), 1, seconds),
+    )
+    file = tmp_path / "goals.json"
+    file.write_text(json.dumps(GOOD))
+    args = ["--planner", "exact", "--out", str(tmp_path / "out")]
+    assert main(["build", str(file), *args]) == 1
+    plan = Plan.load(tmp_path / "out")
+    assert plan.status == "incomplete"
+    assert plan.reason
+    assert "What was tried" in (tmp_path / "out" / "view.html").read_text()

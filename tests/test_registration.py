@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ from learn2assemble.networks.qnetwork import QFactors
 from learn2assemble.registry import Registry
 from learn2assemble.search.config import SEARCHES, SearchConfig, register_search
 from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import Task
+from learn2assemble.tasks import Task, register_task
 from learn2assemble.world.blocks import OBJECT_SETS, SHAPES, Shape, inventory, register_object_set
 from learning_data import QUICK, TINY
 
@@ -158,3 +159,28 @@ def test_what_is_not_registered_is_unknown() -> None:
     ):
         with pytest.raises(UnknownNameError):
             make()
+
+
+@pytest.mark.parametrize("task", [None, "tower", 3, []])
+def test_what_is_no_task_is_not_registered(task: Any):
+    with pytest.raises(InputError, match="a Task"):
+        register_task(task)
+
+
+@pytest.mark.parametrize("name", ["a/b", "../up", "", " ", "a b", "-x", "x" * 200, None, 3, []])
+def test_a_registered_name_is_a_plain_word(name: Any):
+    with pytest.raises(InputError):
+        register_search(name, SearchConfig(budget=4))
+
+
+NONSENSE = ("3", 3.5, None, [], 10**9, -1, float("nan"), float("inf"), 10**400, object(), {})
+
+
+@pytest.mark.parametrize("field", [field.name for field in dataclasses.fields(Task)])
+@pytest.mark.parametrize("value", NONSENSE, ids=repr)
+def test_a_task_of_nonsense_is_bad_input(field: str, value: Any):
+    task: dict[str, Any] = {"name": "x", "num_sides": 2, "grid": 3, "num_nodes": 30}
+    if field == "name" and isinstance(value, str):
+        return
+    with pytest.raises(InputError):
+        Task(**{**task, field: value})

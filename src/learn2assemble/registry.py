@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import importlib
+import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
 
 from learn2assemble.errors import InputError, UnknownNameError
 
 T = TypeVar("T")
+_PLAIN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
+"""A name is also that of files, of environments and an argument of commands."""
 _plugins: dict[str, list[str]] = {}
 """Modules that add values of a kind, and are not imported yet."""
 
@@ -46,10 +49,12 @@ class Registry(Mapping[str, T]):
         """Add ``value`` under ``name``.
 
         Raises:
-            InputError: for a name that is taken, unless ``replace`` is given.
+            InputError: for a name that is no plain word, and for one that is taken, unless
+                ``replace`` is given.
         """
-        if not name:
-            raise InputError(f"{self.kind} name", name, "a word")
+        if not isinstance(name, str) or not _PLAIN.fullmatch(name):  # pyright: ignore[reportUnnecessaryIsInstance]
+            expected = "a word of letters, digits, '.', '_' and '-'"
+            raise InputError(f"{self.kind} name", name, expected)
         if name in self and not replace:
             raise InputError(f"{self.kind} name", name, "a name that is not taken")
         self._entries[name] = value

@@ -17,7 +17,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from learn2assemble.errors import InputError, check_fields, check_name
+from learn2assemble.errors import InputError, check_fields, check_name, is_number, is_whole
 from learn2assemble.registry import Registry
 from learn2assemble.robot.registry import ARMS
 from learn2assemble.world import EDGE
@@ -30,6 +30,8 @@ NO_ARM = "none"
 LARGEST_SEEN, SIGHT = 6, 3
 """On larger grids a cell looks at the blocks within so many cells only: the sum over all would grow
 beyond what was met in training, and hide what is near."""
+MAX_NODES = 1000
+"""Of a graph; every array of a world grows with them, some with their square."""
 MAX_PITCH = 0.07
 """Cells farther apart [m] would need other rules for what fills the gaps of objects."""
 
@@ -106,7 +108,7 @@ class Task:
     def __post_init__(self) -> None:
         # Compiled code is loaded by those who have a task, not by those who list their names.
         from learn2assemble.geometry.coverage import FILTERS
-        from learn2assemble.world.blocks import OBJECT_SETS, get_action_spec
+        from learn2assemble.world.blocks import ACTION_MODES, OBJECT_SETS, get_action_spec
         from learn2assemble.world.layouts import LAYOUTS, RANDOM
         from learn2assemble.world.rules import REWARDS, STABILITY
 
@@ -119,16 +121,31 @@ class Task:
             ("reward", "reward", REWARDS),
         ):
             check_name(what, getattr(self, name), valid)
+        check_fields(
+            self,
+            ("name", isinstance(self.name, str), "a word"),  # pyright: ignore[reportUnnecessaryIsInstance]
+            ("num_sides", is_whole(self.num_sides, 1, 4), "1, 2, 3 or 4"),
+            ("grid", is_whole(self.grid, 1, 12), "a whole number from 1 to 12 block edges"),
+            ("num_nodes", is_whole(self.num_nodes, 1, MAX_NODES), f"at most {MAX_NODES}"),
+            ("rotations", is_whole(self.rotations, 1, 4), "1 or 4"),
+            ("aisle", is_whole(self.aisle, 0, 2), "0 to 2 rows between two walls, else 0"),
+            ("pitch", is_number(self.pitch, EDGE, MAX_PITCH), f"{EDGE} to {MAX_PITCH} m"),
+            ("discount", is_number(self.discount, 0, 1), "0 < gamma <= 1"),
+            ("success_threshold", is_number(self.success_threshold, 0, 1), "0 < Delta < 1"),
+            ("min_mask_pixels", is_whole(self.min_mask_pixels, 0, 10**6),
+             "a whole number from 0"),
+            ("max_initial_cover", is_number(self.max_initial_cover, 0, 1), "0 to 1"),
+            *[(name, isinstance(getattr(self, name), bool), "True or False")
+              for name in ("normalise_initial", "unseen_shapes_only")],
+        )  # fmt: skip
+        check_name("action mode", self.action_mode, ACTION_MODES)
         get_action_spec(self.action_mode, self.rotations, self.pitch)
         least = MAX_VERTICES * self.num_sides + 1
         aisles = range(3 if self.num_sides == 2 else 1)
         cubes = self.objects == "cubes"
         check_fields(
             self,
-            ("num_sides", self.num_sides in (1, 2, 3, 4), "1, 2, 3 or 4"),
-            ("grid", 1 <= self.grid <= 12, "1 to 12 block edges"),
             ("num_nodes", self.num_nodes > least, f"more than {least}"),
-            ("pitch", EDGE <= self.pitch <= MAX_PITCH, f"{EDGE} to {MAX_PITCH} m"),
             ("aisle", self.aisle in aisles, "0 to 2 rows between two walls, else 0"),
             ("layout", cubes or self.layout != RANDOM, "one for objects of several cells"),
             ("discount", 0 < self.discount <= 1, "0 < gamma <= 1"),
@@ -346,8 +363,10 @@ def register_task(task: Task, *, replace: bool = False) -> Task:
         ``task``.
 
     Raises:
-        InputError: for a name that is taken.
+        InputError: for what is no task, and for a name that is no plain word or is taken.
     """
+    if not isinstance(task, Task):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise InputError("task", task, "a Task")
     PRESETS.register(task.name, task, replace=replace)
     return task
 

@@ -290,6 +290,12 @@ class Plan:
         return self.status == "complete"
 
     @property
+    def found_nothing(self) -> bool:
+        """Whether it was refused, or nothing was found: not one block is in it."""
+        none = not self.steps and self.blocks.available == 0
+        return none and not self.complete and self.assembly is None
+
+    @property
     def proven_for(self) -> dict[str, str]:
         """In words, what every step of a complete plan is proven for: ``friction``, ``joints``."""
         words: dict[str, str] = {}

@@ -27,6 +27,8 @@ def _page(plan: Plan, folder: Path) -> dict[str, Path]:
 
     page, picture = folder / "view.html", folder / "progress.png"
     write_plan_page(plan, page)
+    if plan.found_nothing:
+        return {"page": page}  # There is nothing to draw.
     write_progress(plan, picture)
     return {"page": page, "picture": picture}
 

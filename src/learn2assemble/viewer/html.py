@@ -17,16 +17,22 @@ NUMBER = 'class="number"'
 """Attribute of a cell with a number."""
 
 
-def stand_alone(values: Mapping[str, str], data: Mapping[str, Any], scripts: Iterable[str]) -> str:
+def stand_alone(
+    values: Mapping[str, str],
+    data: Mapping[str, Any],
+    scripts: Iterable[str],
+    template: str = "page.html",
+) -> str:
     """The text of a page.
 
     Its content security policy allows only the scripts and the style whose hashes it names, so
     text from a file can never run.
 
     Args:
-        values: HTML for the places of ``page.html``; places without a value stay empty.
+        values: HTML for the places of the template; places without a value stay empty.
         data: what the scripts find in the element ``data``.
         scripts: names of assets, in order.
+        template: name of the asset with the places.
     """
     texts = [asset(name).strip() + "\n" for name in scripts]
     style = asset("page.css")
@@ -42,7 +48,7 @@ def stand_alone(values: Mapping[str, str], data: Mapping[str, Any], scripts: Ite
         "scripts": "\n".join(f"<script>{text}</script>" for text in texts),
     }
     # In one pass: braces in a value stay.
-    return re.sub(r"\{\{(\w+)\}\}", lambda match: places.get(match[1], ""), asset("page.html"))
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: places.get(match[1], ""), asset(template))
 
 
 def asset(name: str) -> str:

@@ -513,7 +513,7 @@ def write_plan_page(plan: Plan, path: Path) -> None:
     Raises:
         InputError: for a plan whose blocks are not known, and where ``path`` cannot be written.
     """
-    if plan.assembly is None:
+    if plan.assembly is None and not plan.found_nothing:
         raise InputError("plan", "no blocks", "assembly.json beside plan.json")
     used, available = plan.blocks.used, plan.blocks.available
     targets = plan.design.targets
@@ -536,12 +536,30 @@ def write_plan_page(plan: Plan, path: Path) -> None:
     if plan.margin_g is not None:
         facts.append(("weakest step withstands", f"{plan.margin_g:.3f} g sideways"))
     facts += [(f"proven for {what}", words) for what, words in plan.proven_for.items()]
+    if plan.assembly is None:
+        write_file(path, _page_of_nothing(plan, [(a, b) for a, b in facts if b]), "page")
+        return
     text = render_assembly_page(
         plan.assembly, title=plan.design.name, facts=[(a, b) for a, b in facts if b],
         step_notes=[_note(step, targets) for step in plan.steps],
         status=plan.status, reason=plan.reason or "", plan=plan,
     )  # fmt: skip
     write_file(path, text, "page")
+
+
+def _page_of_nothing(plan: Plan, facts: Sequence[tuple[str, str]]) -> str:
+    """The page of a plan for which no block was found: why, and what was tried."""
+    tone = f' <span class="status {TONES[plan.status]}">{escape(plan.status)}</span>'
+    source = plan.design.source
+    page = {
+        "title": escape(plan.design.name),
+        "eyebrow": "Assembly" + tone,
+        "reason": f'<div class="reason" role="alert"><p>{escape(plan.reason or "")}</p></div>',
+        "facts": fact_list(facts),
+        "tried": _tried(plan.search.attempts if plan.search else ()),
+        "source": escape(f"Made from: {source}.") if source else "",
+    }
+    return stand_alone(page, {}, (), "no_blocks.html")
 
 
 def _note(step: Step, targets: Sequence[PlanTarget]) -> StepNote:
