@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from learn2assemble.assembly.blocks import Assembly, Block, Step, box_block
+from learn2assemble.assembly.blocks import Assembly, Step, box_block
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.errors import UnknownNameError
 from learn2assemble.export.formats import FORMATS, bill_of_blocks, export_assembly, step_cards
 from learn2assemble.planning.exact import plan_exact
-from learn2assemble.planning.ordering import polycube, to_assembly
+from learn2assemble.planning.ordering import to_assembly
 from learn2assemble.reproduction import shapes
 
 
@@ -55,20 +55,9 @@ def test_a_prop_used_twice_is_billed_once(bridge: Assembly) -> None:
 
 def test_cards_have_one_card_a_step(bridge: Assembly) -> None:
     page = step_cards(bridge)
-    assert page.count("<article>") == len(bridge.steps)
+    assert page.count("<article>") == len(bridge.steps) - 1, "both posts at once"
     assert "Bridge &lt;1&gt;" in page
-    assert "take away 1x1 prop (prop)" in page
-    assert page.count('class="gone"') == 1
-
-
-def test_cards_dash_where_a_block_reaches_higher(bridge: Assembly) -> None:
-    kit = load_kit("tetrominoes")
-    vertices, faces = polycube(np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1]]), kit, kit.joint_gap)
-    page = step_cards(Assembly((Block("step", vertices, faces),)))
-    (higher,) = re.findall('class="higher" d="([^"]*)"', page)
-    corners = np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", higher), float)
-    assert np.ptp(corners, axis=0) == pytest.approx([0.05 - 1e-4, 0.05 - 1e-4], abs=1e-9)
-    assert 'class="higher"' not in step_cards(bridge)
+    assert "Take the prop away" in page
 
 
 def test_glb_is_read_by_another_library(bridge: Assembly, tmp_path: Path) -> None:
@@ -117,7 +106,7 @@ class _Tags(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.count[tag] += 1
-        if tag not in ("meta", "br", "img", "link", "input"):
+        if tag not in ("meta", "br", "img", "link", "input", "tr", "td", "th"):
             self.open.append(tag)
 
     def handle_endtag(self, tag: str) -> None:
@@ -144,8 +133,22 @@ def _as_cards(file: Path, made: Assembly) -> tuple[int, float]:
     tags = _Tags()
     tags.feed(file.read_text("utf-8"))
     assert not tags.open
+    # Table rows but for heads and the bill; a step that takes away stands for no block.
+    rows = re.findall(r"<tr><td>\d+<td>[A-Z]+<td>", file.read_text("utf-8"))
     removed = sum(step.remove is not None for step in made.steps)
-    return tags.count["article"] - 2 * removed, 0.0
+    return len(rows) - 2 * removed, 0.0
+
+
+def _as_pdf(file: Path, made: Assembly) -> tuple[int, float]:
+    """The numbers of the bill of blocks."""
+    pypdf = pytest.importorskip("pypdf")
+    text: list[str] = []
+    visitor = lambda words, *_: text.append(words.strip())  # noqa: E731
+    pypdf.PdfReader(file).pages[0].extract_text(visitor_text=visitor)
+    cells = [words for words in text if words]
+    start = cells.index("Mass") + 1
+    return sum(int(cells[k + 2]) for k in range(start, len(cells) - 6, 7)
+               if cells[k + 6].endswith("kg")), 0.0  # fmt: skip
 
 
 def _as_compas(file: Path, made: Assembly) -> tuple[int, float]:
@@ -167,7 +170,7 @@ def _as_mjcf(file: Path, made: Assembly) -> tuple[int, float]:
 
 
 READERS = {"assembly": _as_json, "bill": _as_bill, "cards": _as_cards, "compas": _as_compas,
-           "glb": _as_glb, "mjcf": _as_mjcf}  # fmt: skip
+           "glb": _as_glb, "mjcf": _as_mjcf, "pdf": _as_pdf}  # fmt: skip
 
 
 @pytest.mark.parametrize("format", list(FORMATS))
@@ -183,7 +186,7 @@ def test_every_export_of_a_plan_is_read_back(kit: str, format: str, tmp_path: Pa
     made = to_assembly(tiling, ordering, load_kit(kit))
     count, volume = READERS[format](export_assembly(made, format, tmp_path), made)
     assert count == len(made.finished.blocks)
-    if format != "cards":
+    if format not in ("cards", "pdf"):
         solid = sum(block.volume for block in made.finished.blocks)
         assert volume == pytest.approx(solid, rel=1e-4)
 

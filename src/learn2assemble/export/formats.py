@@ -1,7 +1,6 @@
-"""An assembly as files: bill of blocks, step cards, GLB, COMPAS, MJCF and our own JSON.
+"""An assembly as files: bill of blocks, instructions, GLB, COMPAS, MJCF and our own JSON.
 
-Step cards are an HTML document to print, one small drawing a step, to build from by hand. Every
-writer makes the whole file before anything is replaced on disk.
+Every writer makes the whole file before anything is replaced on disk.
 """
 
 from __future__ import annotations
@@ -10,77 +9,19 @@ import csv
 import io
 from collections import Counter
 from collections.abc import Callable
-from html import escape
 from pathlib import Path
-from string import Template
 from xml.etree import ElementTree
 
 import numpy as np
 
-from learn2assemble.assembly.appearance import Section, kinds_and_colours, rgb, sections
+from learn2assemble.assembly.appearance import kinds_and_colours, rgb
 from learn2assemble.assembly.blocks import Assembly, Block, convex_parts, fan_triangles
 from learn2assemble.assembly.files import read_assembly, write_assembly, write_compas
 from learn2assemble.errors import InputError
-from learn2assemble.export import asset
+from learn2assemble.export.cards import step_cards
+from learn2assemble.export.pdf import pdf
 from learn2assemble.files import check_output, write_file
 from learn2assemble.registry import Registry
-
-
-def step_cards(assembly: Assembly) -> str:
-    """A stand-alone HTML document with a card for every step.
-
-    A card shows the layer of the step from above: what the layer stands on in grey, what earlier
-    blocks fill in it in white, the block of the step in its colour, dashed where it reaches higher;
-    a prop that is taken away is outlined in red. Layers are heights of the lower faces; where the
-    layer changes, a heading names its height. Blocks without steps are shown in the order they are
-    given.
-    """
-    cuts = {b.id: [(s.bottom, s.top, _path(s)) for s in sections(b)] for b in assembly.blocks}
-    colours = dict(zip(cuts, kinds_and_colours(assembly), strict=True))
-    points = np.concatenate([b.vertices[:, :2] for b in assembly.blocks])
-    low, high = points.min(0), points.max(0)
-    margin = 0.05 * float((high - low).max())
-    view = (low[0] - margin, -high[1] - margin, *(high - low + 2 * margin))
-    box = " ".join(f"{value:.4f}" for value in view)
-    steps = [(s.place, s.remove) for s in assembly.steps]
-    steps = steps or [(b.id, None) for b in assembly.blocks]
-    standing = {b.id for b in assembly.blocks if b.support}
-    parts, level = [], None
-    for number, (place, remove) in enumerate(steps, 1):
-        id_ = place or remove or ""
-        block = assembly.block(id_)
-        own, *higher = (path for _, _, path in cuts[id_])
-        if level is None or abs(cuts[id_][0][0] - level) > 1e-6:
-            level = cuts[id_][0][0]
-            parts.append(f"<h2>Layer from {level * 100:.1f} cm</h2>")
-        around = [cut for k in sorted(standing - {id_}) for cut in cuts[k]]
-        drawn = [("below", path) for _, top, path in around if abs(top - level) <= 1e-4]
-        drawn += [("beside", path) for low, top, path in around if low <= level + 1e-4 < top]
-        drawn += [("new" if place else "gone", own), *(("higher", path) for path in higher)]
-        fill = "#{:02x}{:02x}{:02x}".format(*rgb(colours[id_][1]).astype(int))
-        paths = "".join(f'<path class="{name}" d="{path}"/>' for name, path in drawn)
-        paths = paths.replace('class="new"', f'class="new" fill="{fill}"')
-        word = "place" if place else "take away"
-        prop = " (prop)" if block.prop else ""
-        label = f"{word} {escape(block.kind or 'block')} {escape(id_)}{prop}"
-        parts.append(
-            f"<article><b>{number}</b>{label}"
-            f'<svg viewBox="{box}" role="img" aria-label="{label}">{paths}</svg></article>'
-        )
-        if place:
-            standing.add(id_)
-        else:
-            standing.discard(id_)
-    return Template(asset("cards.html")).substitute(
-        title=escape(assembly.name or "Assembly"), count=len(steps), cards="".join(parts)
-    )
-
-
-def _path(section: Section) -> str:
-    """A section as an SVG path; y of the drawing points down."""
-    return "".join(
-        "M" + "L".join(f"{x:.4f} {-y:.4f}" for x, y in ring) + "Z" for ring in section.rings
-    )
 
 
 def bill_of_blocks(assembly: Assembly) -> str:
@@ -201,6 +142,7 @@ FORMATS: Registry[tuple[str, Callable[[Assembly, Path], None]]] = Registry(
         "compas": ("compas.json", lambda assembly, path: write_compas(assembly.finished, path)),
         "glb": ("structure.glb", _writer(glb, "GLB file")),
         "mjcf": ("structure.xml", write_mjcf),
+        "pdf": ("instructions.pdf", _writer(pdf, "PDF file")),
     },
 )
 """Usual file name and writer of every format."""

@@ -1,0 +1,301 @@
+"""Instructions as PDF on A4 paper, made without a browser: the same as the step cards."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import numpy as np
+
+from learn2assemble.assembly.appearance import rgb
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.export.pictures import (
+    BILL_HEAD,
+    HEAD,
+    HOW_TO_READ,
+    Booklet,
+    Card,
+    Picture,
+    Use,
+    booklet,
+)
+
+_WIDTH, _HEIGHT = 595.28, 841.89
+"""A4 [pt]."""
+_EDGE, _GAP = 36.0, 14.0
+_COLUMN = (_WIDTH - 2 * _EDGE - _GAP) / 2
+_PICTURE = 168.0
+"""Height of the picture of a card [pt]."""
+_LINE = 11.0
+_FORM = 1000.0
+"""Units of stored parts to a metre."""
+_INK, _SOFT, _RULE, _OLD = (0.12, 0.14, 0.16), (0.35, 0.39, 0.43), (0.8, 0.78, 0.75), (0.92,) * 3
+_MARK, _GONE, _RIM = (0.04, 0.38, 0.72), (0.76, 0.18, 0.13), (0.29, 0.27, 0.25)
+_TABS = (0.0, 26.0, 60.0, 98.0, 136.0, 174.0)
+_BILL_TABS = (0.0, 38.0, 150.0, 200.0, 240.0, 350.0, 460.0)
+
+
+def pdf(assembly: Assembly) -> bytes:
+    """The instructions of an assembly as a PDF: a cover with the bill of blocks, then the steps in
+    two columns; every page has its number."""
+    from reportlab.pdfgen.canvas import Canvas
+
+    book = booklet(assembly)
+    out = io.BytesIO()
+    # Without the time of day, equal instructions are equal files.
+    canvas = Canvas(out, pagesize=(_WIDTH, _HEIGHT), pageCompression=1, invariant=1)
+    canvas.setTitle(_plain(book.title))
+    _Pages(canvas, book).all()
+    return out.getvalue()
+
+
+def _plain(text: str) -> str:
+    """What the built-in fonts of PDF have no letters for is replaced."""
+    return text.encode("cp1252", "replace").decode("cp1252")
+
+
+class _Pages:
+    """Fills pages from the top, column by column."""
+
+    def __init__(self, canvas: Any, book: Booklet) -> None:
+        self.canvas, self.book = canvas, book
+        self.pages, self.column, self.y = 1, 0, _HEIGHT - _EDGE
+        self.forms: set[str] = set()
+        self.wanted: list[tuple[str, int, str | None, bool]] = []
+
+    def all(self) -> None:
+        self._cover()
+        self._next_page()
+        heights = [self._height(card) for card in self.book.cards]
+        for card, height in zip(self.book.cards, heights, strict=True):
+            if self.y - height < _EDGE + 14:
+                if self.column == 0:
+                    self.column, self.y = 1, _HEIGHT - _EDGE
+                else:
+                    self._next_page()
+            self._card(card)
+            self.y -= height + 10
+        self._finish_page()
+        self.canvas.save()
+
+    def _next_page(self) -> None:
+        self._finish_page()
+        self.pages, self.column, self.y = self.pages + 1, 0, _HEIGHT - _EDGE
+
+    def _finish_page(self) -> None:
+        self._write(
+            _WIDTH / 2, 22, f"{self.book.title[:60]} - page {self.pages}", 8, _SOFT, "middle"
+        )
+        self.canvas.showPage()
+        self._store()
+
+    def _room(self, height: float) -> None:
+        """Go on to the next page where less than ``height`` is left."""
+        if self.y - height < _EDGE + 10:
+            self._next_page()
+
+    # ------------------------------------------------------------ text
+
+    def _write(
+        self, x: float, y: float, text: str, size: float = 8.5,
+        colour: tuple[float, ...] = _INK, side: str = "left", bold: bool = False,
+    ) -> None:  # fmt: skip
+        self.canvas.setFont("Helvetica-Bold" if bold else "Helvetica", size)
+        self.canvas.setFillColorRGB(*colour)
+        draw = {"left": self.canvas.drawString, "middle": self.canvas.drawCentredString,
+                "right": self.canvas.drawRightString}[side]  # fmt: skip
+        draw(x, y, _plain(text))
+
+    def _wrapped(self, text: str, width: float, size: float) -> list[str]:
+        from reportlab.lib.utils import simpleSplit
+
+        return simpleSplit(_plain(text), "Helvetica", size, width)
+
+    def _paragraph(self, text: str, size: float = 9.0) -> None:
+        for line in self._wrapped(text, _WIDTH - 2 * _EDGE, size):
+            self._room(size * 1.3)
+            self.y -= size * 1.3
+            self._write(_EDGE, self.y, line, size)
+
+    def _heading(self, text: str) -> None:
+        self._room(60)
+        self.y -= 22
+        self._write(_EDGE, self.y, text, 12, bold=True)
+        self.y -= 3
+
+    def _table(
+        self, head: tuple[str, ...], rows: list[tuple[str, ...]], tabs: tuple[float, ...]
+    ) -> None:
+        for k, row in enumerate([head, *rows]):
+            self._room(_LINE + 2)
+            self.y -= _LINE + 2
+            for cell, tab, end in zip(row, tabs, (*tabs[1:], 523.0), strict=True):
+                fits = self._wrapped(cell, end - tab - 4, 8.5)
+                self._write(_EDGE + tab, self.y, fits[0] if fits else "", 8.5, _INK if k else _SOFT)
+
+    # ------------------------------------------------------------ cover
+
+    def _cover(self) -> None:
+        for line in self._wrapped(self.book.title, 360, 24)[:3]:
+            self.y -= 26
+            self._write(_EDGE, self.y, line, 24, bold=True)
+        self.y -= 6
+        for fact in self.book.facts:
+            self._paragraph(fact, 10)
+        self.y -= 6
+        self._picture(self.book.cover, _EDGE, self.y - 270, _WIDTH - 2 * _EDGE, 270)
+        self.y -= 270
+        self._heading("Bill of blocks")
+        self._table(BILL_HEAD, self.book.bill, _BILL_TABS)
+        self.y -= 6
+        for first in range(0, len(self.book.shapes), 6):
+            self._room(86)
+            for k, (shape, picture) in enumerate(self.book.shapes[first : first + 6]):
+                x = _EDGE + 87 * k
+                self._picture(picture, x, self.y - 70, 80, 68)
+                self._write(x + 40, self.y - 80, f"{shape.letter}", 9, side="middle", bold=True)
+            self.y -= 86
+        for letter, words in self.book.corners:
+            self._paragraph(f"Shape {letter}, corners: {words}", 7.5)
+        self._heading("How to read the steps")
+        self._paragraph(HOW_TO_READ)
+        if self.book.start:
+            self._heading("Stands from the start")
+            self._table(HEAD, self.book.start, _TABS)
+
+    # ------------------------------------------------------------ cards
+
+    def _height(self, card: Card) -> float:
+        lines = sum(len(self._wrapped(text, _COLUMN, 8.5)) for text in card.words)
+        lines += len(card.wanted) + len(card.rows) + 1
+        return 18 + lines * _LINE + _PICTURE + 6
+
+    def _card(self, card: Card) -> None:
+        x, y = _EDGE + self.column * (_COLUMN + _GAP), self.y
+        self.canvas.setStrokeColorRGB(*_RULE)
+        self.canvas.setLineWidth(0.6)
+        self.canvas.line(x, y, x + _COLUMN, y)
+        y -= 15
+        self._write(x, y, card.heading, 12, bold=True)
+        y -= 3
+        for (shape, _), text in zip(card.group.wanted, card.wanted, strict=True):
+            y -= _LINE
+            self.canvas.setFillColorRGB(*(rgb(shape.colour) / 255).tolist())
+            self.canvas.setStrokeColorRGB(*_RIM)
+            self.canvas.rect(x, y - 1, 7, 7, stroke=1, fill=1)
+            self._write(x + 11, y, text, 8.5, bold=True)
+        for text in card.words:
+            for line in self._wrapped(text, _COLUMN, 8.5):
+                y -= _LINE
+                self._write(x, y, line)
+        self._picture(card.picture, x, y - _PICTURE - 2, _COLUMN, _PICTURE)
+        y -= _PICTURE + 2
+        for k, row in enumerate([HEAD, *card.rows]):
+            y -= _LINE
+            for cell, tab in zip(row, _TABS, strict=True):
+                self._write(x + tab, y, cell, 8 if len(row[-1]) < 24 else 7, _INK if k else _SOFT)
+
+    # ------------------------------------------------------------ pictures
+
+    def _picture(self, picture: Picture, x: float, y: float, width: float, height: float) -> None:
+        """Draw a picture as large as fits between these corners [pt]."""
+        size = picture.high - picture.low
+        scale = float(min(width / size[0], height / size[1]))
+        shift = np.array([x + (width - scale * size[0]) / 2, y + (height - scale * size[1]) / 2])
+        shift = shift - scale * picture.low
+        canvas = self.canvas
+        canvas.saveState()
+        canvas.setLineJoin(1)
+        self._lines(picture.grid.lines, scale, shift, _RULE, 0.4)
+        for point, text, side in picture.grid.labels:
+            px, py = point * scale + shift
+            below = side == "below"
+            at = (px, py - 7) if below else (px - 2, py - 2)
+            self._write(*at, text, 5.5, _SOFT, "middle" if below else "right")
+        canvas.saveState()
+        canvas.transform(scale / _FORM, 0, 0, scale / _FORM, *shift)
+        canvas.setLineWidth(0.4 * _FORM / scale)
+        for use in picture.uses:
+            if not use.gone:
+                self._form(use, use.colour)
+        canvas.setLineWidth(0.8 * _FORM / scale)
+        canvas.setDash(3 * _FORM / scale, 2 * _FORM / scale)
+        for use in picture.outlines:
+            self._form(use, "gone" if use.gone else "new", outline=True)
+        canvas.restoreState()
+        for start, end in picture.arrows:
+            self._arrow(start * scale + shift, end * scale + shift)
+        for point, text in picture.labels:
+            px, py = point * scale + shift
+            self._write(px, py + 2, text, 7, _MARK, "middle", bold=True)
+        if picture.place is not None:
+            self._map(picture.place, x, y + height)
+        canvas.restoreState()
+
+    def _form(self, use: Use, colour: str | None, outline: bool = False) -> None:
+        """Draw a part of a block; equal ones of one colour are stored once."""
+        name = f"f{use.name}-{colour}-{int(outline)}".replace("#", "")
+        canvas = self.canvas
+        if name not in self.forms:
+            self.forms.add(name)
+            self.wanted.append((name, use.name, colour, outline))
+        canvas.saveState()
+        canvas.translate(*(use.at * _FORM).round(1))
+        canvas.doForm(name)
+        canvas.restoreState()
+
+    def _store(self) -> None:
+        """The parts that the last page used for the first time."""
+        canvas = self.canvas
+        for name, number, colour, outline in self.wanted:
+            figure = self.book.scene.figures[number]
+            (x0, y0), (x1, y1) = figure.frame * _FORM
+            pad = 0.1 * max(x1 - x0, y1 - y0)
+            canvas.beginForm(name, x0 - pad, y0 - pad, x1 + pad, y1 + pad)
+            paint = np.array(_OLD if colour is None else _OLD if outline else rgb(colour) / 255)
+            for face, light in () if outline else figure.faces:
+                path = canvas.beginPath()
+                path.moveTo(*(face[0] * _FORM).round(2))
+                for point in face[1:]:
+                    path.lineTo(*(point * _FORM).round(2))
+                path.close()
+                canvas.setFillColorRGB(*(paint * light).round(3).tolist())
+                canvas.drawPath(path, stroke=0, fill=1)
+            line = _RIM if not outline else _GONE if colour == "gone" else _MARK
+            self._lines(figure.edges, _FORM, np.zeros(2), line, None)
+            canvas.endForm()
+        self.wanted.clear()
+
+    def _lines(self, lines: Any, scale: float, shift: np.ndarray, colour: tuple[float, ...],
+               width: float | None) -> None:  # fmt: skip
+        if not len(lines):
+            return
+        self.canvas.setStrokeColorRGB(*colour)
+        if width is not None:
+            self.canvas.setLineWidth(width)
+        path = self.canvas.beginPath()
+        for line in lines:
+            (ax, ay), (bx, by) = (line * scale + shift).round(2)
+            path.moveTo(ax, ay)
+            path.lineTo(bx, by)
+        self.canvas.drawPath(path, stroke=1, fill=0)
+
+    def _arrow(self, start: np.ndarray, end: np.ndarray) -> None:
+        back = (start - end) / max(float(np.linalg.norm(start - end)), 1e-9) * 4
+        across = np.array([-back[1], back[0]]) * 0.6
+        lines = [np.array([start, end]), np.array([end + back + across, end]),
+                 np.array([end + back - across, end])]  # fmt: skip
+        self._lines(lines, 1.0, np.zeros(2), _MARK, 1.1)
+
+    def _map(self, place: tuple[float, float, float, float], x: float, top: float) -> None:
+        """Where the step is in the whole, seen from above, in the corner of its picture."""
+        size = self.book.told.extent
+        w = 36.0
+        h = min(w * float(size[1] / size[0]), 1.5 * w)
+        self.canvas.setStrokeColorRGB(*_SOFT)
+        self.canvas.setLineWidth(0.5)
+        self.canvas.rect(x + 2, top - 2 - h, w, h, stroke=1, fill=0)
+        self.canvas.setFillColorRGB(*_MARK)
+        px, py, width, depth = place
+        self.canvas.rect(x + 2 + px * w, top - 2 - h + py * h, max(width * w, 2),
+                         max(depth * h, 2), stroke=0, fill=1)  # fmt: skip

@@ -1,0 +1,320 @@
+"""Pictures and words of instructions, without a format: cards and PDF draw and print them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from learn2assemble.assembly.blocks import Assembly, Block
+from learn2assemble.export.instructions import Group, Instructions, Placement, Shape, instructions
+from learn2assemble.export.projection import Figure, Scene, project
+
+_WAYS = np.array([(0, 0, 1), (0, -1, 0), (-1, 0, 0), (1, 0, 0), (0, 1, 0)], float)
+"""Directions in which a prop is taken away, those seen best first."""
+_UP = np.array([0.0, 1.0])
+"""In the drawing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Lines on a level with their distance from O."""
+
+    lines: tuple[np.ndarray, ...]
+    """float64[2, 2] each [m in the drawing]."""
+    labels: tuple[tuple[np.ndarray, str, str], ...]
+    """Where, what, and which side of the place it is written on: ``below``, ``left``."""
+
+
+@dataclass(frozen=True, eq=False)
+class Use:
+    """A part of a block in a picture."""
+
+    name: int
+    """Of its figure in the scene."""
+    at: np.ndarray
+    colour: str | None
+    """Of a new block; None: it stood before."""
+    gone: bool = False
+    """It is taken away."""
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What is drawn, from the back to the front; lengths in metres, y up."""
+
+    low: np.ndarray
+    """float64[2], corners of the view."""
+    high: np.ndarray
+    grid: Grid
+    uses: tuple[Use, ...]
+    outlines: tuple[Use, ...] = ()
+    """Edges drawn dashed over all, so that what is hidden is seen."""
+    arrows: tuple[tuple[np.ndarray, np.ndarray], ...] = ()
+    labels: tuple[tuple[np.ndarray, str], ...] = ()
+    place: tuple[float, float, float, float] | None = None
+    """Where the step is in the whole seen from above, x, y, width and depth as shares; None where
+    all is shown."""
+
+
+@dataclass(frozen=True, eq=False)
+class Card:
+    """One step of the instructions, ready to be drawn."""
+
+    heading: str
+    words: tuple[str, ...]
+    wanted: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    picture: Picture
+    group: Group
+
+
+@dataclass(eq=False)
+class Booklet:
+    """Cover and cards of an assembly."""
+
+    told: Instructions
+    scene: Scene
+    cards: list[Card]
+    cover: Picture
+    shapes: list[tuple[Shape, Picture]]
+    spacing: float
+    title: str
+    facts: tuple[str, ...]
+    bill: list[tuple[str, ...]] = field(default_factory=list)
+    start: list[tuple[str, ...]] = field(default_factory=list)
+    corners: list[tuple[str, str]] = field(default_factory=list)
+    """Of every shape that is no box: its letter, and its corners."""
+
+
+HEAD = ("No.", "Shape", "x", "y", "z", "Turn")
+BILL_HEAD = ("Shape", "Kind", "Number", "Props", "Nominal size [mm]", "Block itself [mm]", "Mass")
+HOW_TO_READ = (
+    "All lengths are in millimetres from O, the front left lower corner of the finished structure: "
+    "x to the right, y to the back, z up. x, y and z of a block are its front left lower corner "
+    "(of the box round it). Turn: how the block is turned from the way its shape is drawn here, "
+    "about x, then y, then z, counter-clockwise seen against the axis; 0 is not turned. Of a block "
+    "that leans, x, y and z are those of its corner 1."
+)
+
+
+def booklet(assembly: Assembly) -> Booklet:
+    """Cover and cards of an assembly."""
+    told = instructions(assembly)
+    scene = Scene(told)
+    spacing = _spacing(told, scene.usual)
+    layers = len({group.layer for group in told.groups})
+    until = {p.block: g.number for g in told.groups for p in g.placements if p.remove}
+    whole = _grid((0, 0), tuple(told.extent[:2]), 0.0, spacing, float(told.extent[2]))
+    grids: dict[tuple, Grid] = {}
+    cards = []
+    for group, standing in zip(told.groups, scene.standing(), strict=True):
+        cards.append(_card(told, scene, group, standing, spacing, whole, grids, layers, until))
+    finished = {assembly.index(b.id) for b in assembly.finished.blocks}
+    colours = {p.block: p.shape.colour
+               for p in (*told.start, *(p for g in told.groups for p in g.placements))}  # fmt: skip
+    uses = tuple(Use(d.name, d.at, colours.get(d.block))
+                 for d in scene.drawn if d.block in finished)  # fmt: skip
+    cover = _framed(scene, uses, whole, told.extent)
+    book = Booklet(told, scene, cards, cover, _shape_pictures(told, scene), spacing,
+                   assembly.name or "Assembly", _facts(told, layers))  # fmt: skip
+    for shape, built, props in told.bill:
+        book.bill.append((
+            shape.letter, shape.kind, str(built), str(props) if props else "-",
+            _size(shape.nominal), _size(shape.size), f"{shape.mass:.3g} kg",
+        ))  # fmt: skip
+        if not shape.is_box:
+            listed = "; ".join(
+                f"{k} ({', '.join(_number(v, 2) for v in corner)})"
+                for k, corner in enumerate(shape.corners, 1)
+            )
+            book.corners.append((shape.letter, listed))
+    book.start = [_row(p) for p in told.start]
+    return book
+
+
+def _facts(told: Instructions, layers: int) -> tuple[str, ...]:
+    blocks = sum(not p.prop and not p.remove for g in told.groups for p in g.placements)
+    facts = [f"{blocks} blocks in {len(told.groups)} steps and {layers} layers",
+             f"{_size(told.extent)} mm when it is finished"]  # fmt: skip
+    if told.joint:
+        facts.append(f"vertical joints {_number(told.joint, 2)} mm wide: the nominal size of a "
+                     "block is the block itself and one joint")  # fmt: skip
+    if any(p.prop for g in told.groups for p in g.placements):
+        facts.append("props stand only for a while and are taken away again")
+    return tuple(facts)
+
+
+def _size(size: object) -> str:
+    return " x ".join(_number(v, 2) for v in np.asarray(size, float))
+
+
+def _number(metres: float, digits: int = 1) -> str:
+    """A length in millimetres, without zeros at the end."""
+    text = f"{1000 * metres + 0.0:.{digits}f}".rstrip("0").rstrip(".")
+    return "0" if text in ("-0", "") else text
+
+
+def _row(placement: Placement) -> tuple[str, ...]:
+    x, y, z = (_number(v) for v in placement.position)
+    digits = 3 if placement.leans else 0
+    angles = zip("xyz", placement.turn, strict=True)
+    turn = " ".join(f"{axis} {a:.{digits}f}°" for axis, a in angles if a or placement.leans)
+    return (str(placement.number), placement.shape.letter, x, y, z, turn or "0")
+
+
+def _card(
+    told: Instructions, scene: Scene, group: Group, standing: set[int], spacing: float,
+    whole: Grid, grids: dict[tuple, Grid], layers: int, until: dict[int, int],
+) -> Card:  # fmt: skip
+    shown, all_ = scene.shown(group, standing)
+    colours = {p.block: p.shape.colour for p in group.placements if not p.remove}
+    gone = {p.block for p in group.placements if p.remove}
+    uses = tuple(
+        Use(d.name, d.at, colours.get(d.block), d.block in gone)
+        for d in scene.parts_of(shown | set(colours) | gone)
+    )
+    outlines = tuple(u for u in uses if u.gone or u.colour is not None)
+    place, grid = None, whole
+    if not all_:
+        members = sorted(shown | set(colours) | gone)
+        # In wide steps, so that many cards share a grid.
+        wide = 4 * spacing
+        low = np.floor(scene.low[members].min(0) / wide) * wide
+        high = np.ceil(scene.high[members].max(0) / wide) * wide
+        low[:2] = np.maximum(low[:2], 0)
+        high[:2] = np.minimum(high[:2], np.ceil(told.extent[:2] / spacing - 1e-6) * spacing)
+        level = float(scene.low[members][:, 2].min())
+        key = (*np.round(low[:2], 6), *np.round(high[:2], 6), round(level, 6))
+        if key not in grids:
+            grids[key] = _grid(tuple(low[:2]), tuple(high[:2]), level, spacing, 0.0)
+        grid = grids[key]
+        new = [p.block for p in group.placements]
+        corner, size = scene.low[new].min(0)[:2], np.ptp(
+            np.concatenate([scene.low[new], scene.high[new]])[:, :2], axis=0
+        )  # fmt: skip
+        x, y, w, d = (*(corner / told.extent[:2]), *(size / told.extent[:2]))
+        place = (float(x), float(y), float(w), float(d))
+    arrows, labels = [], []
+    length = 1.2 * scene.usual
+    for p in group.placements:
+        low, high = scene.low[p.block], scene.high[p.block]
+        top = project(np.array([*(low + high)[:2] / 2, high[2]]))
+        if p.remove:
+            way = project(_way_out(scene, p.block, standing))
+            middle = project((low + high) / 2)
+            arrows.append((middle, middle + way * 1.6 * length))
+        else:
+            arrows.append((top + 1.25 * length * _UP, top + 0.1 * length * _UP))
+        labels.append((arrows[-1][int(p.remove)], str(p.number)))
+    numbers = [p.number for p in group.placements]
+    wanted = tuple(f"{count} x {shape.letter} ({shape.kind})" for shape, count in group.wanted)
+    picture = _framed(scene, uses, grid, told.extent if all_ else None, outlines,
+                      tuple(arrows), tuple(labels), place)  # fmt: skip
+    words = _words(group, layers, until, numbers)
+    rows = tuple(_row(p) for p in group.placements)
+    return Card(f"Step {group.number}", words, wanted, rows, picture, group)
+
+
+def _words(group: Group, layers: int, until: dict[int, int], numbers: list[int]) -> tuple[str, ...]:
+    first = group.placements[0]
+    words = []
+    if group.first:
+        x, y, _ = (_number(v) for v in first.position)
+        words.append(
+            f"Layer {group.layer} of {layers}, from {_number(group.level)} mm up. Block "
+            f"{numbers[0]}: {x} mm to the right of O, {y} mm behind it."
+        )
+    if first.remove:
+        words.append("Take the prop away; nothing else may move.")
+    elif first.prop:
+        end = f" until step {until[first.block]}" if first.block in until else ""
+        words.append(f"A prop: it stands only for a while{end}.")
+    if len(numbers) > 1:
+        words.append("In any order.")
+    return tuple(words)
+
+
+def _way_out(scene: Scene, block: int, standing: set[int]) -> np.ndarray:
+    """float64[3]: the first direction in which nothing is in the way of a block."""
+    others = np.array(sorted(standing - {block}), int)
+    for way in _WAYS:
+        low, high = scene.low[block].copy(), scene.high[block].copy()
+        low, high = np.where(way < 0, -1e3, low), np.where(way > 0, 1e3, high)
+        meets = (scene.low[others] < high - 1e-5) & (scene.high[others] > low + 1e-5)
+        if not meets.all(1).any():
+            return way
+    return _WAYS[0]
+
+
+def _framed(
+    scene: Scene, uses: tuple[Use, ...], grid: Grid, extent: np.ndarray | None,
+    outlines: tuple[Use, ...] = (), arrows: tuple = (), labels: tuple = (),
+    place: tuple[float, float, float, float] | None = None,
+) -> Picture:  # fmt: skip
+    """A picture with its frame; of a whole structure the same on every card."""
+    points = [*grid.lines, *(np.array(arrow) for arrow in arrows)]
+    points += [scene.figures[use.name].frame + use.at for use in uses]
+    if extent is not None:
+        ends = np.stack(np.meshgrid(*[(0, v) for v in extent], indexing="ij"), -1).reshape(-1, 3)
+        points.append(project(ends) + 1.3 * scene.usual * _UP)
+    found = np.concatenate(points)
+    low, high = found.min(0), found.max(0)
+    margin = 0.09 * float((high - low).max())
+    return Picture(low - margin, high + margin, grid, uses, outlines, arrows, labels, place)
+
+
+def _shape_pictures(told: Instructions, scene: Scene) -> list[tuple[Shape, Picture]]:
+    """Every shape as it is when it is not turned, with the numbers of corners where it leans."""
+    found = []
+    for shape, _, _ in told.bill:
+        block = Block(shape.letter, shape.corners, shape.faces)
+        alone = Scene(instructions(Assembly((block,))))
+        uses = tuple(Use(_adopt(scene, d.figure), d.at, shape.colour) for d in alone.drawn)
+        labels = ()
+        if not shape.is_box and len(shape.corners) <= 12:
+            corners = shape.corners - shape.corners.min(0)
+            labels = tuple((project(c), str(k)) for k, c in enumerate(corners, 1))
+        found.append((shape, _framed(scene, uses, Grid((), ()), None, labels=labels)))
+    return found
+
+
+def _adopt(scene: Scene, figure: Figure) -> int:
+    """The number of a figure, which a scene takes in."""
+    scene.figures.append(figure)
+    return len(scene.figures) - 1
+
+
+def _spacing(told: Instructions, usual: float) -> float:
+    """Distance of grid lines [m]: 1, 2 or 5 times a power of ten mm, at most 24 lines a side."""
+    wanted = max(0.8 * usual, float(told.extent[:2].max()) / 24)
+    power = 10.0 ** np.floor(np.log10(wanted))
+    return float(next(k * power for k in (1, 2, 5, 10) if k * power >= wanted * (1 - 1e-9)))
+
+
+def _grid(
+    low: tuple[float, ...], high: tuple[float, ...], level: float, step: float, height: float
+) -> Grid:
+    """Lines every ``step`` on a level, with distances at the front and left; of a height [m] also
+    a scale of heights at the back left."""
+    xs = np.arange(np.floor(low[0] / step + 1e-6), np.ceil(high[0] / step - 1e-6) + 1) * step
+    ys = np.arange(np.floor(low[1] / step + 1e-6), np.ceil(high[1] / step - 1e-6) + 1) * step
+    ends = [(x, ys[0], x, ys[-1]) for x in xs] + [(xs[0], y, xs[-1], y) for y in ys]
+    lines = [project(np.array([(a, b, level), (c, d, level)])) for a, b, c, d in ends]
+    every_x, every_y = -(-len(xs) // 6), -(-len(ys) // 4)
+    labels = [(project(np.array([x, ys[0], level])), _number(x), "below") for x in xs[::every_x]]
+    labels += [(project(np.array([xs[0], y, level])), _number(y), "left")
+               for y in ys[::every_y] if y > ys[0]]  # fmt: skip
+    start = project(np.array([xs[0], ys[0], level]))
+    if abs(xs[0]) + abs(ys[0]) + abs(level) < 1e-9:
+        labels[0] = (start, "O", "below")
+    labels.append((project(np.array([xs[-1] + 0.5 * step, ys[0], level])), "x", "below"))
+    labels.append((project(np.array([xs[0], ys[-1] + 0.5 * step, level])), "y", "left"))
+    if height:
+        top = np.arange(0, np.ceil(height / step - 1e-6) + 1) * step
+        corner = (xs[0], ys[-1])
+        lines.append(project(np.array([(*corner, 0), (*corner, top[-1])])))
+        every = -(-len(top) // 5)
+        labels += [(project(np.array([*corner, z])), f"z {_number(z)}", "left")
+                   for z in top[every::every]]  # fmt: skip
+    return Grid(tuple(lines), tuple(labels))
