@@ -29,13 +29,13 @@ from learn2assemble.cli import main
 from learn2assemble.errors import InputError, MissingExtraError, UnknownNameError
 from learn2assemble.export import PROGRAM_FORMATS
 from learn2assemble.export.robot_programs import (
-    BLEND,
     PROGRAMS,
-    ROUND,
     export_program,
     read_program,
     replay_program,
 )
+from learn2assemble.export.urscript import BLEND, ROUND, held_centre, planned_frame
+from learn2assemble.planning.workcell_site import read_site
 from learn2assemble.robot.arm import Arm, Limits, arm_model, get_arm
 from learn2assemble.robot.dynamic.cell import DynamicCell, play
 from learn2assemble.robot.grasps import Attitude
@@ -51,6 +51,7 @@ from learn2assemble.robot.motion.program import (
     usage,
 )
 from learn2assemble.robot.motion.record import BuildRecord, BuildRecorder, find_fault, upright
+from learn2assemble.robot.motion.settings import ToolOutput
 from learn2assemble.robot.moves import OPENING, Move, Scene
 from robot_scenes import cell, scene
 
@@ -369,6 +370,10 @@ ARITY = {
     "movej": (1, {"a", "v", "t", "r"}), "set_tcp": (1, set()), "set_payload": (2, set()),
     "set_tool_digital_out": (2, set()), "get_tool_digital_in": (1, set()), "sleep": (1, set()),
     "textmsg": (2, set()), "popup": (1, {"title", "warning", "error", "blocking"}),
+    "set_standard_digital_out": (2, set()), "get_standard_digital_in": (1, set()),
+    "get_tool_analog_in": (1, set()), "get_standard_analog_in": (1, set()), "norm": (1, set()),
+    "pose_trans": (2, set()), "pose_inv": (1, set()), "get_forward_kin": (1, set()),
+    "get_inverse_kin": (2, set()), "get_actual_joint_positions": (0, set()),
 }  # fmt: skip
 """Functions of URScript: arguments in their place, and those by name."""
 
@@ -384,6 +389,8 @@ class UrScript:
         self.functions = dict(ARITY)
         self.calls: list[tuple[str, list[Any], dict[str, Any]]] = []
         self.defined: list[str] = []
+        self.top: dict[str, str] = {}
+        """Global variables and what they are set to."""
         depth: list[str] = []
         for number, raw in enumerate(text.splitlines(), 1):
             line = raw.partition("#")[0].strip()
@@ -410,8 +417,11 @@ class UrScript:
             elif word == "return":
                 assert "def" in depth, where
                 self.expression(line[6:], where)
-            elif word == "local" or re.match(r"\w+ = ", line):
-                self.expression(line.split(" = ", 1)[1], where)
+            elif word in ("local", "global") or re.match(r"\w+ = ", line):
+                head, value = line.split(" = ", 1)
+                if word == "global":
+                    self.top[head.removeprefix("global ")] = value
+                self.expression(value, where)
             else:
                 self.expression(line, where)
         assert not depth, "a block is not closed"
@@ -431,7 +441,8 @@ class UrScript:
 
     def value(self) -> Any:
         left = self.term()
-        while self.tokens and self.tokens[0] in ("<", ">", "+", "-", "*", "and", "or", "=="):
+        operators = ("<", ">", "<=", ">=", "==", "+", "-", "*", "and", "or")
+        while self.tokens and self.tokens[0] in operators:
             self.tokens.pop(0)
             left = (left, self.term())
         return left
@@ -458,6 +469,11 @@ class UrScript:
             assert len(given) == count, f"{self.where}: {len(given)} arguments"
             assert set(named) <= names, f"{self.where}: {set(named) - names}"
             self.calls.append((token, given, named))
+            if token == "l2a_at":  # Joint positions of the plan: what a reader is after.
+                return given[0]
+        elif self.tokens and self.tokens[0] == "[":
+            self.tokens.pop(0)
+            return (token, self.items("]")[0])
         return token
 
     def items(self, close: str) -> tuple[list[Any], dict[str, Any]]:
@@ -506,7 +522,9 @@ def test_urscript_is_well_formed_and_checks_what_is_held(
         closed = {"l2a_close": True, "l2a_open": False}.get(name, closed)
         assert closed or name != "l2a_check"
     loads = [given[0] for name, given, _ in script.calls if name == "set_payload"]
-    assert set(loads) == {0.0, 0.1}
+    # The gripper alone, named at the top, and with a block.
+    assert set(loads) == {"l2a_tool_mass", 1.03}
+    assert script.top["l2a_tool_mass"] == "0.9300"
 
 
 def test_urscript_follows_the_path_that_was_checked(
@@ -514,7 +532,7 @@ def test_urscript_follows_the_path_that_was_checked(
 ) -> None:
     arm = get_arm("ur5e")
     script = UrScript(files["ur5e", "urscript"].read_text())
-    moves = [(np.array(given[0]), named) for name, given, named in script.calls if name == "movej"]
+    moves = moves_of(script)
     corners = np.array([q for q, _ in moves])
     program = make_program(arm_record("ur5e", 4), arm)
     path = program.knots.at(np.linspace(0, program.seconds, 4001))[0]
@@ -539,6 +557,21 @@ def test_urscript_follows_the_path_that_was_checked(
             assert blend <= min(ways)
 
 
+def moves_of(script: UrScript) -> list[tuple[np.ndarray, dict[str, float]]]:
+    """Where the arm goes, and how; speeds and accelerations before the factor."""
+    found = [
+        (np.array(given[1]), {"v": 0.5, "a": 0.5})
+        for name, given, _ in script.calls
+        if name == "l2a_start"
+    ][:1]
+    for name, values, named in script.calls:
+        if name == "movej" and isinstance(values[0], list):
+            assert {named[key][1] for key in "av"} == {"l2a_factor"}
+            told = {key: value if key == "r" else value[0] for key, value in named.items()}
+            found.append((np.array(values[0]), told))
+    return found
+
+
 def as_controller(script: str, program: Program, arm: Arm) -> Program:
     """What a controller makes of a script, as a program to be played: every line from rest to rest
     on a quintic as fast as the line allows, blends left out, and time for the tool."""
@@ -547,10 +580,12 @@ def as_controller(script: str, program: Program, arm: Arm) -> Program:
     time, rows, states, ends = [0.0], [], [program.states[0]], []
     for line in script[begin:].splitlines():
         text = line.strip()
-        if text.startswith("movej"):
-            q = np.array([float(x) for x in text[7 : text.index("]")].split(",")])
-            if not rows:
-                rows.append(q)
+        if text.startswith(("movej", "l2a_start")):
+            q = np.array([float(x) for x in text[text.index("[") + 1 : text.index("]")].split(",")])
+            if text.startswith("l2a_start"):
+                # Where every step begins is where the one before it has ended.
+                assert not rows or np.abs(q - rows[-1]).max() <= 1e-5
+                rows = rows or [q]
                 continue
             a, v = (float(re.search(rf"{key}=([\d.]+)", text)[1]) for key in "av")
             way = np.abs(q - rows[-1]).max()
@@ -558,10 +593,12 @@ def as_controller(script: str, program: Program, arm: Arm) -> Program:
             rows.append(q)
         elif text.startswith("# step") and time[-1]:
             ends.append(time[-1])
-        elif text.startswith(("l2a_close", "l2a_open", "set_payload")):
+        elif rows and text.startswith(("l2a_close", "l2a_open", "set_payload")):
             change: dict[str, Any] = {"vacuum": text.startswith("l2a_close")}
             if text.startswith("set_payload"):
-                change = {"load": float(text[12:].split(",")[0])}
+                alone = "l2a_tool_mass" in text
+                mass = 0.0 if alone else float(text[12:].split(",")[0]) - driver_of(arm).tool_mass
+                change = {"load": round(mass, 4)}
             states.append(states[-1]._replace(time=time[-1], **change))
             time.append(time[-1] + 0.5)
             rows.append(rows[-1])
@@ -582,6 +619,119 @@ def test_urscript_builds_the_same(suction_build: BuildRecord, tmp_path: Path) ->
     found = play(as_controller(script, make_program(suction_build, arm), arm), arm)
     assert found.same, found.fault
     assert found.error.max() <= 1e-3
+
+
+def payloads(script: str) -> list[tuple[float, list[float]]]:
+    """Mass [kg] and centre of mass [m] of every line, those of the tool alone from the top."""
+    top = UrScript(script).top
+    mass, centre = float(top["l2a_tool_mass"]), json.loads(top["l2a_tool_centre"])
+    found = []
+    for name, values, _ in UrScript(script).calls:
+        if name == "set_payload":
+            alone = values[0] == "l2a_tool_mass"
+            found.append((mass, centre) if alone else (values[0], values[1]))
+    return found
+
+
+def test_the_payload_is_that_of_tool_and_block(suction_build: BuildRecord, tmp_path: Path) -> None:
+    """A brick of 0.2 kg hangs with its middle 25 mm below a cup 120 mm from the flange."""
+    script = export_program(suction_build, "urscript", tmp_path).file.read_text()
+    told = payloads(script)
+    assert [round(mass, 4) for mass, _ in told] == [0.35, 0.55, 0.35, 0.55, 0.35]
+    tool = [0.0, 0.0, 0.4 * 0.12]
+    for mass, centre in told:
+        both = [0.0, 0.0, (0.35 * 0.048 + 0.2 * 0.145) / 0.55]
+        wanted = tool if mass == 0.35 else both
+        assert centre == pytest.approx(wanted, abs=1.5e-3)
+    # Taken beside its middle, a block is beside the axis of the flange.
+    arm = get_arm("ur5e", "suction")
+    program = make_program(suction_build, arm)
+    middle = held_centre(program, arm, program.steps[0], 0)
+    start = program.blocks.start.copy()
+    start[program.steps[0].cells[0], 0] += 0.03
+    moved = dataclasses.replace(program, blocks=program.blocks._replace(start=start))
+    beside = held_centre(moved, arm, program.steps[0], 0)
+    assert np.linalg.norm(beside[:2] - middle[:2]) == pytest.approx(0.03, abs=1e-6)
+    assert beside[2] == pytest.approx(middle[2], abs=1e-3)
+
+
+def test_what_a_layout_says_stands_at_the_top_of_the_program(tmp_path: Path) -> None:
+    shift = np.array([0.01, -0.02, 0.003, 0, 0, 0.01])
+    frame = planned_frame(get_arm("ur5e")) + shift
+    layout = tmp_path / "cell.json"
+    section = {
+        "speed_factor": 0.25, "dwell": 0.3, "start_tolerance": 0.02,
+        "output": {"bank": "standard", "number": 5, "on": False},
+        "input": {"bank": "standard", "number": 1, "held": False, "threshold": 2.5},
+        "base_frame": frame.tolist(),
+    }  # fmt: skip
+    head = {"format": "learn2assemble-layout", "version": 2}
+    layout.write_text(json.dumps({**head, "program": section}))
+    record = arm_record("ur5e", 4, failures=False)
+    done = export_program(record, "urscript", tmp_path, layout=layout, resume_from=3)
+    text = done.file.read_text()
+    script = UrScript(text)
+    told = {
+        "l2a_factor": "0.25", "l2a_resume_from": "3", "l2a_output": "5", "l2a_output_on": "False",
+        "l2a_input": "1", "l2a_input_held": "False", "l2a_threshold": "2.5", "l2a_dwell": "0.3",
+        "l2a_start_tolerance": "0.02", "l2a_first_step": "1",
+        "l2a_last_step": str(len(record.steps)),
+    }  # fmt: skip
+    assert told.items() <= script.top.items()
+    assert json.loads(script.top["l2a_frame"][1:]) == pytest.approx(frame.tolist(), abs=1e-6)
+    # They stand before anything else, and everything that depends on them names them.
+    assert max(text.index(f"global {name}") for name in told) < text.index("  def ")
+    for call in ("set_standard_digital_out(l2a_output, l2a_output_on)", "sleep(l2a_dwell)",
+                 "get_standard_analog_in(l2a_input)"):  # fmt: skip
+        assert call in text
+    # Each step is left out as a whole, and begins with a check of where the arm is.
+    parts = text.split("  # step ")[1:]
+    plain = export_program(record, "urscript", tmp_path / "plain.script").file.read_text()
+    program = make_program(record, get_arm("ur5e"))
+    begins = [0.0, *(step.end for step in program.steps[:-1])]
+    for number, (part, begin) in enumerate(zip(parts, begins, strict=True), 1):
+        lines = [line.strip() for line in part.splitlines()]
+        assert lines[1] == f"if (l2a_resume_from <= {number}):"
+        q = program.knots.at(np.array([begin]))[0][0]
+        given = json.loads(lines[2][lines[2].index("[") : lines[2].index("]") + 1])
+        assert lines[2].startswith(f"l2a_start({number}, ")
+        assert given == pytest.approx(q.tolist(), abs=1e-6)
+        assert lines[-1 if number < len(begins) else -2] == "end"
+    assert text.split("  # step ")[1:] == plain.split("  # step ")[1:]
+    site = read_site(layout)
+    assert site.program.output == ToolOutput("standard", 5, False)
+
+
+@pytest.mark.parametrize(
+    ("section", "words"),
+    [
+        ({"speed_factor": 0}, "program.speed_factor: got 0"),
+        ({"speed_factor": 1.01}, "speed_factor"), ({"dwell": -1}, "0 to 10"),
+        ({"output": {"number": 2}}, "output.number"), ({"output": {"bank": "tol"}}, "'tool'"),
+        ({"input": {"threshold": 11}}, "threshold"), ({"output": {"on": 1}}, "true or false"),
+        ({"input": {"threshold": 1, "bank": "standard", "number": 2}}, "0 to 1"),
+        ({"base_frame": [0, 0, 0]}, "base_frame"), ({"base_frame": [5, 0, 0, 0, 0, 0]}, "within"),
+        ({"sped": 1}, "'speed_factor'"), ([], "JSON object"),
+    ],
+)  # fmt: skip
+def test_settings_of_programs_that_are_wrong_are_refused(
+    section: Any, words: str, tmp_path: Path
+) -> None:
+    layout = tmp_path / "cell.json"
+    head = {"format": "learn2assemble-layout", "version": 2}
+    layout.write_text(json.dumps({**head, "program": section}))
+    with pytest.raises(InputError, match=re.escape(words)):
+        export_program(arm_record("ur5e", 2), "urscript", tmp_path / "new", layout=layout)
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_program_resumes_from_a_step_it_has(tmp_path: Path) -> None:
+    record = arm_record("ur5e", 2)
+    for step in (0, 99, True):
+        with pytest.raises(InputError, match="resume_from"):
+            export_program(record, "urscript", tmp_path / "new", resume_from=step)
+    with pytest.raises(InputError, match="the format urscript"):
+        export_program(record, "csv", tmp_path / "new", resume_from=1)
 
 
 # ---------------------------------------------------------------- ROS 2
@@ -921,7 +1071,7 @@ def test_suction_in_urscript_and_ros(suction_build: BuildRecord, tmp_path: Path)
     calls = [name for name, _, _ in script.calls]
     body = calls[calls.index("set_tcp") :]
     assert body.count("l2a_close") == 2
-    assert body.count("l2a_open") == 3
+    assert body.count("l2a_open") == 2
     lengths = [given[0][2] for name, given, _ in script.calls if name == "set_tcp"]
     assert lengths == [0.12]
     with AnyReader([export_program(suction_build, "ros2", tmp_path).file]) as bag:

@@ -14,7 +14,7 @@ from learn2assemble.cli.parser import (
     reading_arguments,
     reading_of,
 )
-from learn2assemble.errors import look_up
+from learn2assemble.errors import InputError, look_up
 from learn2assemble.files import UNITS, claim_folder, write_file
 from learn2assemble.robot.registry import ARMS
 
@@ -143,6 +143,9 @@ def _format_argument(parser: argparse.ArgumentParser) -> None:
     arg("plan", metavar="PLAN", type=Path, help="folder of a plan, its plan.json, or an assembly"),
     _format_argument,
     arg("--out", type=Path, default=Path(), metavar="PATH", help="file or folder (here)"),
+    arg("--layout", type=Path, metavar="FILE",
+        help="urscript: layout whose section `program` has speed, inputs, outputs, taught frame"),
+    arg("--resume-from", type=int, metavar="N", help="urscript: leave out the steps before N"),
 )  # fmt: skip
 def _export(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.export import PROGRAM_FORMATS
@@ -152,6 +155,10 @@ def _export(options: argparse.Namespace, output: Output) -> None:
         return _export_program(options, output)
     # A wrong name is refused before anything is read.
     look_up("format", options.format, {**FORMATS, **dict.fromkeys(PROGRAM_FORMATS)})
+    for word in ("layout", "resume_from"):
+        if getattr(options, word) is not None:
+            got = f"a value for the format {options.format}"
+            raise InputError(f"--{word.replace('_', '-')}", got, "the format urscript")
     written = export_assembly(options.plan, options.format, options.out)
     output.say(f"{options.format}: {written}")
     output.finish({"format": options.format, "file": str(written)})
@@ -160,7 +167,10 @@ def _export(options: argparse.Namespace, output: Output) -> None:
 def _export_program(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.export.robot_programs import export_program
 
-    done = export_program(options.plan, options.format, options.out)
+    done = export_program(
+        options.plan, options.format, options.out, layout=options.layout,
+        resume_from=options.resume_from,
+    )  # fmt: skip
     used = ", ".join(f"{name} {100 * share:.0f} %" for name, share in done.used.items())
     output.say(
         f"{options.format}: {done.file}, {done.seconds:.1f} s, of the limits at most {used}, "

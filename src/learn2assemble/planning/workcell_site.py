@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -31,15 +31,15 @@ from learn2assemble.files import (
     too_deep,
 )
 from learn2assemble.planning.pieces import Part, Piece, Pose, footprint
+from learn2assemble.robot.motion.settings import LAYOUT, SECTION, ProgramSettings, parse_settings
 
-FORMAT, VERSIONS = "learn2assemble-layout", (1, 2)
 MAX_PLACES, MAX_ENTRIES = 400, 64
 MESHES = ("stl", "obj", "ply", "glb", "3dm")
 MOST_BOXES, SPARE = 48, 0.15
 """A mesh is covered by so many boxes at most, and by no more than it takes to leave this share of
 the room that its bounding box has to spare."""
 _KEYS = ("format", "version", "units", "base", "table", "obstacles", "magazines", "pallets",
-         "positions")  # fmt: skip
+         "positions", SECTION)  # fmt: skip
 TABLE = (1.5, 1.0)
 """Size of the table along x and y, its middle at the origin [m]."""
 
@@ -117,6 +117,8 @@ class Site:
     pallets: tuple[Pallet, ...] = ()
     positions: tuple[Position, ...] = ()
     source: str = "layout"
+    program: ProgramSettings = field(default_factory=ProgramSettings)
+    """For programs of the real robot that are exported later."""
 
 
 def read_site(path: Path) -> Site:
@@ -127,7 +129,7 @@ def read_site(path: Path) -> Site:
     """
     content, source = read_text(Path(path), "layout file")
     try:
-        root = load_json(content, source, FORMAT)
+        root = load_json(content, source, LAYOUT)
         return _site(root, source, Path(path).parent)
     except RecursionError:
         raise too_deep(source) from None
@@ -137,12 +139,12 @@ def _site(value: Any, source: str, folder: Path) -> Site:
     version = value.get("version") if isinstance(value, dict) else None
     if version == 1:
         valid = ("format", "version", "units", "positions")
-        root = read_head(value, source, FORMAT, 1, valid, ("format", "version", "positions"))
+        root = read_head(value, source, LAYOUT, 1, valid, ("format", "version", "positions"))
         where = f"{source}: positions"
         places = _entries(root["positions"], where, MAX_PLACES)
         found = [Position(None, _pose(place, f"{where}[{k}]")) for k, place in enumerate(places)]
         return Site(positions=tuple(found), source=source)
-    root = read_head(value, source, FORMAT, 2, _KEYS, ("format", "version"))
+    root = read_head(value, source, LAYOUT, 2, _KEYS, ("format", "version"))
     base = None
     if "base" in root:
         given = _table(root["base"], f"{source}: base", ("position", "yaw"), ("position",))
@@ -163,6 +165,7 @@ def _site(value: Any, source: str, folder: Path) -> Site:
         base, (width, depth), obstacles,
         every("magazines", _magazine),
         every("pallets", _pallet), every("positions", _position, MAX_PLACES), source,
+        parse_settings(root.get(SECTION, {}), f"{source}: {SECTION}"),
     )  # fmt: skip
     blocks = len(site.positions) + sum(p.rows * p.columns for p in site.pallets)
     if blocks > MAX_PLACES:

@@ -304,6 +304,10 @@ class Driver(NamedTuple):
     flange_frame: str
     tcp: np.ndarray
     """float64[7]: pose of the tool point in the frame of the flange."""
+    tool_mass: float
+    """Of all that hangs on the flange [kg]."""
+    tool_centre: np.ndarray
+    """float64[3]: its centre of mass in the frame of the flange [m]."""
 
 
 @lru_cache(maxsize=16)
@@ -317,6 +321,7 @@ def driver_of(arm: Arm) -> Driver:
     model = arm_model(arm)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
     flange = data.body(told.get("flange_body", arm.gripper.hand))
     turn = flange.xmat.reshape(3, 3)
     position = flange.xpos + turn @ told.get("flange_position", np.zeros(3))
@@ -327,7 +332,8 @@ def driver_of(arm: Arm) -> Driver:
     return Driver(
         tuple(told.get("joints", arm.joints)), told.get("base_frame", "base"),
         np.concatenate([arm.base_position, yaw]), told.get("flange_frame", "flange"),
-        np.concatenate(tcp),
+        np.concatenate(tcp), float(model.body(arm.gripper.hand).subtreemass[0]),
+        turn.T @ (data.body(arm.gripper.hand).subtree_com - position),
     )  # fmt: skip
 
 

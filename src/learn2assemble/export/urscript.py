@@ -1,0 +1,250 @@
+"""Programs for the controllers of Universal Robots (URScript).
+
+What a user may want to change stands at the top of every program as variables with names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.linalg import norm
+
+from learn2assemble.errors import InputError
+from learn2assemble.export import asset
+from learn2assemble.export.robot_tables import changes, motions
+from learn2assemble.files import write_file
+from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.kinematics import forward_many, get_chain
+from learn2assemble.robot.motion.program import Program, ProgramStep, driver_of
+from learn2assemble.robot.motion.settings import ProgramSettings
+
+ROUND = 5e-4
+"""A line between two joint positions is nowhere farther from the planned path [rad]."""
+BLEND = 0.002
+"""Corners on a curve are rounded by so much at most, measured at the tool point [m]."""
+NEAR_END = (0.06, 0.01)
+"""So far from where a motion ends the arm gets slower [m]: the last parts have speeds of their
+own."""
+SLOWEST = 0.02
+"""No part of a path is moved along slower [rad/s], as some parts are hardly moved along at all."""
+MOST_SHIFT, MOST_TURN = 0.1, 0.2
+"""A taught work plane is no farther from the planned one [m], [rad]: the path was checked there."""
+
+
+def write_urscript(
+    program: Program,
+    arm: Arm,
+    path: Path,
+    settings: ProgramSettings | None = None,
+    resume_from: int | None = None,
+) -> None:
+    """A URScript program: moves along the joint positions of the planned path.
+
+    It begins with ``def`` and ends with ``end`` in the first column and all else is indented, as
+    controllers ask for on their port 30002, where it runs when it has been received.
+
+    The path is cut into straight lines of the joints that stay within :data:`ROUND` of it, each a
+    ``movej`` at most as fast as the planned motion is there. Where two lines meet on a curve the
+    corner is blended by at most :data:`BLEND`; where the planned motion rests the arm stops. Each
+    step is left out where the program resumes from a later one.
+
+    Args:
+        program: what the robot is told.
+        arm: the one of the program.
+        path: the file.
+        settings: what stands at the top; by default the defaults.
+        resume_from: number of the first step that is carried out; by default the first one.
+
+    Raises:
+        InputError: for an arm without six joints, a step that the program does not have, and a
+            taught work plane far from the planned one.
+    """
+    if len(arm.joints) != 6 or arm.name != "ur5e":
+        raise InputError("format", f"urscript for {arm.name}", "the arm ur5e")
+    text = _head(program, arm, settings or ProgramSettings(), resume_from)
+    told = sorted(_told(program, arm), key=lambda one: one.time)
+    checks = [time for step in program.steps for time in step.checks]
+    lines: list[str] = []
+    for begin, end in motions(program):
+        for part in _lines(program, arm, begin, end, checks):
+            while told and told[0].time <= part.time + 1e-6:
+                lines.append(told.pop(0).text)
+            lines.append(part.text)
+    lines += [*(one.text for one in told), "end"]
+    for line in (line for block in lines for line in block.splitlines()):
+        text += f"{'  ' if line.startswith(('# step', 'if', 'end')) else '    '}{line}\n"
+    text += "end\n"
+    write_file(path, text, "program")
+
+
+def _head(program: Program, arm: Arm, settings: ProgramSettings, resume_from: int | None) -> str:
+    """The variables and functions at the top, and what is done before the first step."""
+    numbers = [step.number for step in program.steps]
+    resume = numbers[0] if resume_from is None else resume_from
+    if isinstance(resume, bool) or resume not in numbers:
+        raise InputError("resume_from", resume, f"a step from {numbers[0]} to {numbers[-1]}")
+    driver = driver_of(arm)
+    planned = planned_frame(arm)
+    taught = planned if settings.base_frame is None else np.array(settings.base_frame)
+    _check_taught(taught, planned)
+    output, held = settings.output, settings.input
+    return asset("urscript.script").format(
+        about=f"{len(numbers)} moves, {program.seconds:.0f} s, tool {program.tool}",
+        factor=f"{settings.speed_factor:g}", resume=resume, first=numbers[0], last=numbers[-1],
+        output_bank=output.bank, output=output.number, on=output.on,
+        input_bank=held.bank, input=held.number, held=held.held,
+        threshold=-1.0 if held.threshold is None else f"{held.threshold:g}",
+        dwell=f"{settings.dwell:g}", tolerance=f"{settings.start_tolerance:g}",
+        frame=_list(taught), planned=_list(planned), mass=f"{driver.tool_mass:.4f}",
+        centre=_list(driver.tool_centre), tcp=_list(_pose(driver.tcp)),
+    )  # fmt: skip
+
+
+def planned_frame(arm: Arm) -> np.ndarray:
+    """float64[6]: the world frame in the base frame of the controller as the arm stands in the
+    plan: x, y, z [m] and a rotation vector [rad]."""
+    base = driver_of(arm).base
+    turn = quaternion_matrix(base[3:]).T
+    from scipy.spatial.transform import Rotation
+
+    return np.concatenate([-turn @ base[:3], Rotation.from_matrix(turn).as_rotvec()])
+
+
+def _pose(pose: np.ndarray) -> np.ndarray:
+    """x, y, z and a rotation vector float64[6], of a position and a quaternion float64[7]."""
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_quat(pose[3:], scalar_first=True).as_rotvec()
+    return np.concatenate([pose[:3], turn])
+
+
+def _check_taught(taught: np.ndarray, planned: np.ndarray) -> None:
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_rotvec(taught[3:]) * Rotation.from_rotvec(planned[3:]).inv()
+    if norm(taught[:3] - planned[:3]) > MOST_SHIFT or turn.magnitude() > MOST_TURN:
+        near = f"{MOST_SHIFT:g} m and {MOST_TURN:g} rad"
+        expected = f"within {near} of the planned one, [{_list(planned)}]; else plan for that stand"
+        raise InputError("base_frame", f"[{_list(taught)}]", expected)
+
+
+class _Line(NamedTuple):
+    time: float
+    """When it begins in the program [s]."""
+    text: str
+
+
+def _lines(
+    program: Program, arm: Arm, begin: int, end: int, checks: list[float]
+) -> Iterator[_Line]:
+    """The moves of one motion, whose knots are begin..end."""
+    knots, limits = program.knots, arm.bounds
+    q = knots.position[begin : end + 1]
+    speed = np.abs(knots.velocity[begin : end + 1])
+    change = np.abs(knots.acceleration[begin : end + 1])
+    tool, _ = forward_many(get_chain(arm), np.ascontiguousarray(q))
+    stage = program.stage[begin:end]
+    cuts = {0, len(q) - 1, *(np.flatnonzero(np.diff(stage)) + 1).tolist()}
+    for distance in NEAR_END:
+        left = np.linalg.norm(tool - tool[-1], axis=1)
+        cuts.add(int(np.flatnonzero(left > distance)[-1]) + 1 if (left > distance).any() else 0)
+    stops = {k for k in range(len(q)) if speed[k].max() < 5 * SLOWEST}
+    stops |= set(np.searchsorted(knots.time, np.array(checks) - 1e-6) - begin)
+    found = sorted(cuts)
+    corners = found[:1]
+    for a, b in pairwise(found):
+        corners += _simplified(q, a, b)
+    for k, (a, b) in enumerate(pairwise(corners)):
+        lead = int(np.abs(q[b] - q[a]).argmax())
+        v = float(np.clip(speed[a : b + 1, lead].max(), SLOWEST, limits.velocity[lead]))
+        acceleration = float(np.clip(change[a : b + 1, lead].max(), 0.5, limits.acceleration[lead]))
+        text = f"movej(l2a_at([{_list(q[b])}]), "
+        text += f"a={acceleration:.3f} * l2a_factor, v={v:.4f} * l2a_factor"
+        if b < len(q) - 1 and b not in stops:
+            ways = np.linalg.norm(np.diff(tool[[a, b, corners[k + 2]]], axis=0), axis=1)
+            # Blends of two corners must not meet.
+            text += f", r={min(BLEND, 0.4 * float(ways.min())):.5f}"
+        yield _Line(float(knots.time[begin + a]), f"{text})")
+
+
+def _simplified(q: np.ndarray, first: int, last: int) -> list[int]:
+    """Rows after ``first``, up to ``last``, such that straight lines between them are nowhere
+    farther than :data:`ROUND` from the path float64[k, n] (Ramer 1972)."""
+    chord = q[last] - q[first]
+    length = float(chord @ chord)
+    inside = q[first + 1 : last] - q[first]
+    share = np.clip(inside @ chord / length, 0, 1) if length else np.zeros(len(inside))
+    off = np.abs(inside - share[:, None] * chord).max(1, initial=0.0)
+    if not len(off) or off.max() <= ROUND:
+        return [last]
+    middle = first + 1 + int(off.argmax())
+    return _simplified(q, first, middle) + _simplified(q, middle, last)
+
+
+def _told(program: Program, arm: Arm) -> Iterator[_Line]:
+    """What is done besides moving: the steps by their numbers, the tool, and checks."""
+    begin = 0.0
+    for k, step in enumerate(program.steps):
+        first = program.knots.at(np.array([begin]))[0][0]
+        state = program.states[int(program.states_at(np.array([begin]))[0])]
+        yield _Line(begin, "end\n" * bool(k) + (
+            f"# step {step.number}, block {step.cells[0]}\n"
+            f"if (l2a_resume_from <= {step.number}):\n"
+            f"l2a_start({step.number}, [{_list(first)}], {state.width:.4f}, {state.speed:.3f})"
+        ))  # fmt: skip
+        for time in step.checks:
+            yield _Line(time, f"l2a_check({step.number}, {step.cells[0]})")
+        begin = step.end
+    (first, _), *later = changes(program)
+    was_closed = bool(first.force) or first.vacuum
+    for state, new in later:
+        if "load" in new:
+            yield _Line(state.time, _payload(program, arm, state.time, state.load))
+        closed = bool(state.force) or state.vacuum
+        if closed != was_closed:
+            numbers = f"{state.width:.4f}, {state.speed:.3f}"
+            call = f"close({numbers}, {state.force:.1f})" if closed else f"open({numbers})"
+            yield _Line(state.time, f"l2a_{call}")
+        was_closed = closed
+
+
+def _payload(program: Program, arm: Arm, time: float, load: float) -> str:
+    """What the flange carries from a time on: the tool, and with a load the block as it is held."""
+    if not load:
+        return "set_payload(l2a_tool_mass, l2a_tool_centre)"
+    number = next(
+        (k for k, step in enumerate(program.steps) if time < step.end), len(program.steps) - 1
+    )
+    driver = driver_of(arm)
+    centre = held_centre(program, arm, program.steps[number], number)
+    mass = driver.tool_mass + load
+    both = (driver.tool_mass * driver.tool_centre + load * centre) / mass
+    return f"set_payload({mass:.4f}, [{_list(both)}])"
+
+
+def held_centre(program: Program, arm: Arm, step: ProgramStep, index: int) -> np.ndarray:
+    """float64[3]: centre of mass of what a step holds, in the frame of the flange [m].
+
+    Args:
+        index: of the step in the program; the step before says where the cells are.
+    """
+    assert step.held is not None, "a load without a grip"
+    blocks, cells = program.blocks, list(step.cells)
+    before = program.steps[index - 1].after if index else None
+    poses = blocks.start if before is None else before
+    masses = np.array([blocks.mass([cell]) for cell in cells])
+    centre = masses @ poses[cells, :3] / masses.sum()
+    q = np.ascontiguousarray(program.knots.at(np.array([step.held[0]]))[0])
+    (tool,), (turn,) = forward_many(get_chain(arm), q)
+    tcp = driver_of(arm).tcp
+    # From the world to the tool point, and from there to the flange.
+    return tcp[:3] + quaternion_matrix(tcp[3:]) @ (turn.T @ (centre - tool))
+
+
+def _list(values: Any) -> str:
+    return ", ".join(f"{value + 0.0:.6f}" for value in np.round(np.asarray(values), 6))
