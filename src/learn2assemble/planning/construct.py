@@ -20,6 +20,7 @@ from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
 from learn2assemble.planning import plan as plans
+from learn2assemble.planning.advice import NO_ADVICE, advise
 from learn2assemble.planning.exact import plan_exact
 from learn2assemble.planning.ordering import BED, TIGHT, Bounds, Ordering, to_assembly, value_range
 from learn2assemble.planning.plan import Plan, PlanDesign
@@ -99,7 +100,15 @@ def plan_cells(
         tiling, ordering = plan_exact(
             design.wanted, kit, seconds=left, friction=friction, gap=gap, props_allowed=props
         )
-    if tiling.status == "refused" and tiling.missing and not kit.limited and chosen == EXACT:
+        if (ordering or tiling).status in ("refused", "not found") and tiling.placements:
+            left = seconds - (time.perf_counter() - started)
+            help_ = advise(tiling, kit, left, progress, friction=friction, gap=gap,
+                           props_allowed=props)  # fmt: skip
+            why = f"{(ordering or tiling).reason}; {help_ or NO_ADVICE}"
+            tiling = replace(tiling, reason=why)
+            ordering = None if ordering is None else replace(ordering, reason=why)
+    empty = tiling.missing or not tiling.placements
+    if tiling.status == "refused" and empty and not kit.limited and chosen == EXACT:
         raise InputError("kit", kit.name, f"one that fills every cell ({tiling.reason})")
     return report_plan(
         design, kit, tiling, ordering, seconds=time.perf_counter() - started, planner=chosen,
@@ -130,7 +139,8 @@ def report_plan(
     missing = int((design.wanted & ~filled).sum())
     done = bool(tiling.status == ordered.status == "complete" and not missing and not outside)
     reason = None if done else ordered.reason or tiling.reason or f"{missing} cells are open"
-    refused = "refused" in (tiling.status, ordered.status)
+    statuses = tiling.status, ordered.status
+    refused = "refused" in statuses
     needed = len(tiling.placements)
     if done and design.blocks is not None and needed > design.blocks:
         done, refused = False, True
@@ -161,7 +171,15 @@ def report_plan(
             iou=None if design.iou is None else round(float(design.iou), 6),
             volume_error=round(float(design.volume_error), 6),
         ),
-        status="complete" if done else "refused" if refused else "incomplete",
+        status=(
+            "complete"
+            if done
+            else "refused"
+            if refused
+            else "not found"
+            if "not found" in statuses
+            else "incomplete"
+        ),
         reason=reason,
         blocks=plans.BlockSupply(len(tiling.placements), len(standing), ()),
         steps=tuple(steps),

@@ -5,9 +5,10 @@ waits until others have been placed. Every state is proven by :mod:`step_proof`:
 alone, without friction, so for every coefficient of friction and however open the vertical joints
 are. What the sideways acceleration and the tilt of a state are worth is proven the same way.
 
-Only where no gap is asked for, a state that bed faces do not carry may be carried by side faces
-that press: the coupled analysis of :mod:`learn2assemble.physics.rigid_blocks` proves it at both
-ends of the range of friction, and the step says so (``TIGHT``).
+A state that these forces do not balance may stand by friction on its bed faces (``BED``) and, only
+where no gap is asked for, by side faces that press (``TIGHT``): the coupled analysis of
+:mod:`learn2assemble.physics.rigid_blocks` proves it at both ends of the range of friction, and the
+step says so.
 """
 
 from __future__ import annotations
@@ -35,9 +36,9 @@ if TYPE_CHECKING:
 
 LOCAL, PROGRAM = "bed faces, local", "bed faces, program"
 """How a step of a tiling was proven: by passing its load down, or by the linear program."""
-BED, TIGHT = "bed faces", "tight joints"
-"""How any step was proven by the coupled analysis: without vertical joints, or with friction on
-side faces that touch."""
+FRICTIONLESS, BED, TIGHT = "bed faces, no friction", "bed faces", "tight joints"
+"""What may carry: bed faces without friction; bed faces with it; side faces that touch, too. The
+latter two name the proof of a step by the coupled analysis."""
 _DIRECTIONS = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
 SIDEWAYS = tuple(math.atan2(y, x) for x, y in _DIRECTIONS)
 """Directions in which the margin of a step is looked for [rad]."""
@@ -58,7 +59,7 @@ class OrderedStep:
     remove: int | None
     """Index into ``Tiling.placements``; exactly one of the two is given."""
     proof: str
-    """``LOCAL``, ``PROGRAM`` or ``TIGHT``."""
+    """``LOCAL``, ``PROGRAM``, ``BED`` or ``TIGHT``."""
     margin_g: float
     """Sideways acceleration along +-x and +-y that the state at least withstands [g]."""
 
@@ -76,14 +77,14 @@ class Ordering:
 
     steps: tuple[OrderedStep, ...]
     status: str
-    """``"complete"``, ``"refused"`` or ``"time"``."""
+    """``"complete"``, ``"refused"``, ``"not found"`` or ``"time"``."""
     reason: str = ""
     """Why it is not complete, in one line."""
     margin_g: float = 0.0
     """Of the weakest step [g]."""
     friction_range: tuple[float, float] = (0.0, INF)
-    """Coefficients of friction for which every step is proven to stand; with tight joints, the two
-    ends at which it was. (Margins need a friction of at least their own size.)"""
+    """Coefficients of friction for which every step is proven to stand; where it is needed, the
+    two ends at which it was. (Margins need a friction of at least their own size.)"""
     gap_range: tuple[float, float] = (0.0, 0.0)
     """Widths of vertical joints for which every step is proven to stand [m]."""
     stuck: tuple[int, ...] = ()
@@ -94,26 +95,34 @@ class Ordering:
 
 
 class Coupled:
-    """The blocks of a tiling without gaps, for the coupled analysis of any of its states.
+    """The blocks of a tiling, for the coupled analysis of any of its states.
 
     Args:
         friction: the coefficients at which a state has to stand.
+        law: ``TIGHT``, without gaps and with side faces that press, or ``BED``.
+        gap: width of vertical joints [m], of ``BED``.
     """
 
-    def __init__(self, tiling: Tiling, kit: Kit, friction: tuple[float, float]) -> None:
+    def __init__(
+        self, tiling: Tiling, kit: Kit, friction: tuple[float, float], law: str = TIGHT,
+        gap: float = 0.0,
+    ) -> None:  # fmt: skip
         self.tiling, self.kit, self.friction = tiling, kit, sorted(set(friction))
+        self.law, self.gap = law, gap
         self._stiffness = 0.0
 
     @cached_property
     def assembly(self) -> tuple[Assembly, Contacts]:
         from learn2assemble.assembly.contacts import find_contacts
+        from learn2assemble.physics.rigid_blocks import bed_patches
 
-        made = to_assembly(self.tiling, None, self.kit, gap=0.0)
-        return made, find_contacts(made)
+        made = to_assembly(self.tiling, None, self.kit, gap=self.gap)
+        contacts = find_contacts(made)
+        return made, contacts if self.law == TIGHT else contacts.only(bed_patches(contacts))
 
     def margin(self, placed: np.ndarray) -> float | None:
         """The sideways acceleration along +-x and +-y [g] that the blocks ``placed`` (bool[n])
-        withstand by rigid-block equilibrium, where they stand with vertical joints that press.
+        withstand by rigid-block equilibrium, where they stand.
 
         None where they fall, and where they are balanced on an edge.
         """
@@ -154,13 +163,14 @@ class _Site:
         coupled: Coupled | None,
     ) -> None:  # fmt: skip
         self.blocks, self.clock, self.coupled = tiling.placements, clock, coupled
+        self.law = BED if coupled is None else coupled.law
         self.cells = [placement_cells(block, kit) for block in self.blocks]
         self.wanted, self.filled = tiling.wanted, np.zeros_like(tiling.wanted)
         self.stack = stack = find_stack(self.blocks, kit, tiling.wanted.shape, gap)
         self.placed, self.done = np.zeros((2, len(stack)), bool)  # done: or taken away again
         self.proof, self.friction = Proof(stack), friction
         self.sideways = [_Sideways(stack, way, friction) for way in _DIRECTIONS]
-        self.timed_out = self.tight = False
+        self.timed_out = self.by_friction = False
         self.pressed: dict[bytes, float | None] = {}
         self.steps: list[OrderedStep] = []
 
@@ -199,22 +209,23 @@ class _Site:
         """How the state with a block placed or removed is proven; None (and no change) if it
         falls."""
         placed, dirty = _changed(self.stack, self.placed, block, place)
-        if self.tight:
+        if self.by_friction:
             dirty = placed.copy()  # There are no bed forces to begin with.
         method = LOCAL if self.proof.settle(dirty, placed) else self._by_program(placed, dirty)
         if method is None and self.coupled is not None:
             if placed.tobytes() not in self.pressed:
                 self.pressed[placed.tobytes()] = self.coupled.margin(placed)
-            method = None if self.pressed[placed.tobytes()] is None else TIGHT
+            method = None if self.pressed[placed.tobytes()] is None else self.coupled.law
         if method is None:
             return None
-        self.placed, was_tight, self.tight = placed, self.tight, method == TIGHT
+        had_friction, self.by_friction = self.by_friction, method in (BED, TIGHT)
+        self.placed = placed
         for load in self.sideways:
-            if self.tight:
+            if self.by_friction:
                 load.level = 0.0
-            elif not was_tight:
+            elif not had_friction:
                 load.follow(dirty, placed, self.proof.force, self.clock.left)
-        if was_tight or (method == PROGRAM and self.margin() <= 0):
+        if had_friction or (method == PROGRAM and self.margin() <= 0):
             self.raise_margins()
         return method
 
@@ -227,7 +238,7 @@ class _Site:
             if free and self.proof.program(placed, alone, self.clock.left) is False:
                 return None
         changing = lies_below(self.stack, np.flatnonzero(dirty).tolist(), placed)
-        for blocks in (placed,) if self.tight else (changing, placed):
+        for blocks in (placed,) if self.by_friction else (changing, placed):
             found = self.proof.program(placed, blocks, self.clock.left)
             if found:
                 return PROGRAM
@@ -236,13 +247,13 @@ class _Site:
 
     def margin(self) -> float:
         """Sideways acceleration the state at least withstands [g]."""
-        if self.tight:
+        if self.by_friction:
             return min(self.pressed[self.placed.tobytes()] or 0.0, self.friction)
         return min(load.level for load in self.sideways)
 
     def raise_margins(self) -> None:
         """Look for larger margins than those that have come down from states before."""
-        for load in self.sideways if not self.tight else ():
+        for load in self.sideways if not self.by_friction else ():
             load.search(self.placed, self.proof.force, seconds=self.clock.left)
 
     def place_all(self, given: bool) -> list[int]:
@@ -388,7 +399,7 @@ class _Sideways:
 
 def order(
     tiling: Tiling, kit: Kit, *, friction: Bounds = None, gap: Bounds = None,
-    seconds: float = 60.0, tight: bool = False, given: bool = False,
+    seconds: float = 60.0, law: str = FRICTIONLESS, given: bool = False,
 ) -> Ordering:  # fmt: skip
     """The order of building ``tiling``, every state proven before the next.
 
@@ -397,19 +408,20 @@ def order(
             without it. It bounds the margins; standing itself needs none on bed faces.
         gap: width of vertical joints [m], or the range to prove it for; that of the kit without it.
         seconds: wall-clock limit.
-        tight: whether side faces may carry what bed faces do not; only where the gap is 0.
+        law: what may carry a state: ``FRICTIONLESS``, ``BED`` or, where the gap is 0, ``TIGHT``.
         given: try the blocks in the order of the tiling instead of from below.
     """
     clock = Clock(seconds)
     ends = value_range(friction, kit.friction, "friction")
     widest = value_range(gap, kit.joint_gap, "gap")[1]
-    if tight and widest > 0:
+    if law == TIGHT and widest > 0:
         raise InputError("gap", widest, "0, for tight joints")
     limit = min(kit.pitch[:2]) / 2
     if widest >= limit:
         raise InputError("gap", widest, f"less than half the pitch, {limit:g} m")
     blocks = tiling.placements
-    site = _Site(tiling, kit, widest, ends[0], clock, Coupled(tiling, kit, ends) if tight else None)
+    coupled = None if law == FRICTIONLESS else Coupled(tiling, kit, ends, law, widest)
+    site = _Site(tiling, kit, widest, ends[0], clock, coupled)
     stuck = site.place_all(given) or site.remove([b for b in range(len(blocks)) if blocks[b].prop])
     stuck.sort(key=lambda b: blocks[b].prop)
     steps, status, reason, falls = site.steps, "complete", "", ()
@@ -418,17 +430,17 @@ def order(
         reason = (f"time ran out after {seconds:g} s with {len(steps)} steps proven; "
                   f"{TIME_OPTION} gives more")  # fmt: skip
     elif stuck:
-        status, reason = "refused", _why_stuck(site, stuck[0])
+        status, reason = "not found", _why_stuck(site, stuck[0])
         if not blocks[stuck[0]].prop:
             placed = site.placed.copy()
             placed[stuck[0]] = True
             falls = tuple(site.proof.held(placed, clock.left))
     margin = min((step.margin_g for step in steps), default=0.0)
-    pressed = any(step.proof == TIGHT for step in steps)
+    rubs = any(step.proof in (BED, TIGHT) for step in steps)
     gaps = (0.0, widest)
-    if status == "complete" and not pressed:
+    if status == "complete" and not rubs:
         gaps = 0.0, _widest_gap(tiling, kit, steps, widest, clock)
-    return Ordering(tuple(steps), status, reason, margin, ends if pressed else (0.0, INF), gaps,
+    return Ordering(tuple(steps), status, reason, margin, ends if rubs else (0.0, INF), gaps,
                     tuple(stuck), falls, clock.spent)  # fmt: skip
 
 
@@ -437,7 +449,7 @@ def _why_stuck(site: _Site, number: int) -> str:
     block = site.blocks[number]
     name = f"{'prop' if block.prop else 'block'} {block.kind} at {block.origin}"
     if not block.prop:
-        return f"{name} does not stand: nothing balances it on bed faces"
+        return f"{name} does not stand: nothing balances it on {site.law}"
     if not site.placed[number]:
         return f"{name} can only be placed where it would be walled in"
     return f"{name} cannot be taken away: it is walled in, or what it carries would fall"

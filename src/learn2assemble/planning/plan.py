@@ -40,7 +40,7 @@ Bound = Annotated[float, Range(0, 1e6)]
 Unit = Annotated[float, Range(-1.001, 1.001)]
 Point = tuple[Metre, Metre, Metre]
 Quaternion = tuple[Unit, Unit, Unit, Unit]
-Status = Literal["complete", "incomplete", "refused"]
+Status = Literal["complete", "incomplete", "refused", "not found"]
 Relation = Literal["top", "left", "right", "front", "behind"]
 
 
@@ -233,7 +233,7 @@ class Plan:
 
     design: PlanDesign
     status: Status
-    """``refused``: known before planning to be impossible."""
+    """``refused``: proven to be impossible; ``not found``: neither found nor ruled out."""
     reason: str | None
     """What is missing, in one sentence."""
     blocks: BlockSupply

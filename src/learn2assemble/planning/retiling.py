@@ -11,12 +11,14 @@ which is linear, so one program decides neighbouring layers. It uses exactly the
 layers have, and the layers around them stay as they are.
 
 **Cuts.** Sets of pairs of neighbouring cells of which at least one has to be filled by one block,
-see :func:`learn2assemble.planning.standing.find_mechanisms`.
+see :func:`learn2assemble.planning.standing.find_mechanisms`; and sets of blocks that may not all be
+there together, as no order was found in which they can be put down.
 """
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Collection
 from dataclasses import replace
 from itertools import chain
 
@@ -201,6 +203,15 @@ def bonded_candidates(
     return found, bond_cost(found, seams_below(owner))
 
 
+def find_blocks(found: Candidates, blocks: Collection[BlockPlacement], kit: Kit) -> np.ndarray:
+    """int64[m]: which candidates the given blocks are; those that are none are left out."""
+    at = np.array([block.origin for block in blocks])
+    near = np.flatnonzero((found.origin[:, None] == at).all(2).any(1))
+    there = {(block.kind, block.turn, block.origin) for block in blocks}
+    made = found.blocks(kit, near)
+    return near[[(one.kind, one.turn, one.origin) in there for one in made]]
+
+
 class Retiling:
     """A tiling whose layers are decided again together, under conditions that cross them.
 
@@ -212,6 +223,7 @@ class Retiling:
         self.tiling, self.kit = tiling, kit
         self.found, self.cost = bonded_candidates(tiling, kit, tight=tight)
         self.cuts: dict[bytes, np.ndarray] = {}
+        self.barred: dict[frozenset[BlockPlacement], np.ndarray] = {}
         self.part = self._parts()
         self.active = np.zeros(self.part.max() + 1, bool)
 
@@ -234,13 +246,27 @@ class Retiling:
         if key in self.cuts:
             return False
         self.cuts[key] = np.flatnonzero(glued(self.found, edges) > 0)
-        shape = self.tiling.wanted.shape
         for axis, edge in enumerate(edges):
             at = np.argwhere(edge)
-            self.active[self.part[np.ravel_multi_index(tuple(at.T), shape)]] = True
+            self._decide(at)
             at[:, axis] += 1
-            self.active[self.part[np.ravel_multi_index(tuple(at.T), shape)]] = True
+            self._decide(at)
         return True
+
+    def bar(self, blocks: Collection[BlockPlacement]) -> bool:
+        """From now on these blocks are not all used together; whether that is new."""
+        together = frozenset(blocks)
+        if together in self.barred:
+            return False
+        cells = np.concatenate([placement_cells(block, self.kit) for block in together])
+        self.barred[together] = find_blocks(self.found, together, self.kit)
+        self._decide(cells)
+        return True
+
+    def _decide(self, cells: np.ndarray) -> None:
+        """The parts of layers with these cells (int64[m, 3]) are decided again."""
+        flat = np.ravel_multi_index(tuple(cells.T), self.tiling.wanted.shape)
+        self.active[self.part[flat]] = True
 
     def solve(self, seconds: float) -> Tiling | None:
         """The cheapest tiling that meets all cuts, None where there is none.
@@ -253,10 +279,11 @@ class Retiling:
         number = np.full(len(self.found), -1)
         number[keep] = np.arange(len(keep))
         cuts = [number[cut][number[cut] >= 0] for cut in self.cuts.values()]
+        barred = [number[blocks] for blocks in self.barred.values()]
         must = np.flatnonzero(live & old.wanted.reshape(-1))
         answer, picked, _, _ = cover(
             self.found.take(keep), self.cost[keep], must, kit=kit, counts=heap_of(kit), cuts=cuts,
-            seconds=clock.left,
+            barred=[blocks for blocks in barred if (blocks >= 0).all()], seconds=clock.left,
         )  # fmt: skip
         if answer.status == "infeasible":
             return None

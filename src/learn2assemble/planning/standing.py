@@ -19,7 +19,7 @@ top, *infeasible* proves that no tiling of the design stands.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -27,7 +27,7 @@ import numpy as np
 
 from learn2assemble.assembly.kit import Kit
 from learn2assemble.planning.programs import INF, Clock, Entry, Model, Program, solve
-from learn2assemble.planning.retiling import bonded_candidates
+from learn2assemble.planning.retiling import bonded_candidates, find_blocks
 from learn2assemble.planning.step_proof import EDGE_INSET, Stack, block_masses, lies_above
 from learn2assemble.planning.tiling import BlockPlacement, Tiling, from_below, placement_cells
 
@@ -74,13 +74,15 @@ def _whole_blocks(tiling: Tiling, kit: Kit, region: np.ndarray) -> np.ndarray:
 
 
 def tile_standing(
-    tiling: Tiling, kit: Kit, stack: Stack, region: np.ndarray, *, seconds: float = INF,
+    tiling: Tiling, kit: Kit, stack: Stack, region: np.ndarray, *,
+    barred: Collection[frozenset[BlockPlacement]] = (), seconds: float = INF,
 ) -> tuple[str, Tiling | None]:  # fmt: skip
     """The tiling, with the blocks of a region chosen anew so that they stand.
 
     Args:
         stack: of the tiling.
         region: bool[X, Y, Z], cells of whole blocks.
+        barred: sets of blocks that are not all used together.
 
     Returns:
         ``"optimal"``, ``"infeasible"`` or ``"time"``, and the tiling where there is one.
@@ -97,7 +99,14 @@ def tile_standing(
     used = Counter(block.kind for block in stays)
     heap = {kind.name: kind.count - used[kind.name] for kind in kit.kinds
             if kind.count is not None}  # fmt: skip
-    answer = solve(_program(tiling.wanted, kit, region, bodies, cost, heap), seconds, gap=_GAP)
+    apart = []
+    for together in barred:
+        fixed = set(stays) & together
+        chosen = find_blocks(found, together, kit)
+        if len(fixed) + len(chosen) == len(together):
+            apart.append(chosen)
+    program = _program(tiling.wanted, kit, region, bodies, cost, heap, apart)
+    answer = solve(program, seconds, gap=_GAP)
     if answer.x is None:
         return answer.status, None
     made = [*stays, *(bodies[p] for p in np.flatnonzero(answer.x[: len(found)] > 0.5))]
@@ -106,13 +115,14 @@ def tile_standing(
 
 def _program(
     wanted: np.ndarray, kit: Kit, region: np.ndarray, bodies: list[BlockPlacement],
-    cost: np.ndarray, heap: dict[str, int],
+    cost: np.ndarray, heap: dict[str, int], apart: list[np.ndarray],
 ) -> Program:  # fmt: skip
     """Columns: whether each candidate is used, then the forces at four corners of every face.
 
     Args:
         bodies: the candidates, as many as ``cost`` has, then the blocks that rest on the region.
         heap: how many blocks of these kinds may be used.
+        apart: int64 each: of these candidates at least one is not used.
     """
     n, cells = len(cost), [placement_cells(block, kit) for block in bodies]
     body, cell = np.repeat(np.arange(len(bodies)), [len(c) for c in cells]), np.concatenate(cells)
@@ -139,6 +149,8 @@ def _program(
     for name, count in heap.items():
         mine = np.flatnonzero(kinds == name)
         model.rows(-INF, float(max(count, 0)), (0, mine, 1.0))
+    for together in apart:
+        model.rows(-INF, len(together) - 1.0, (0, together, 1.0))
     return model.program()
 
 

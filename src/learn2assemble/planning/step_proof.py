@@ -168,6 +168,19 @@ def block_masses(
     return weight, centre
 
 
+def find_ring(stack: Stack) -> list[int]:
+    """Blocks that carry one another in a ring, so that none can come first; empty without one."""
+    ringed = np.flatnonzero(stack.rank < 0)
+    if not len(ringed):
+        return []
+    # Whatever is in no ring itself but rests on one has a way down that ends in it.
+    way, at = [], int(ringed[0])
+    while at not in way:
+        way.append(at)
+        at = int(next(b for b in stack.below(at) if stack.rank[b] < 0))
+    return way[way.index(at) :]
+
+
 def _ranks(stack: Stack) -> np.ndarray:
     """int64[n]: longest way down to the table; -1 for blocks that rest on one another in a ring."""
     rank = np.full(len(stack), -1)

@@ -23,6 +23,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -79,11 +80,13 @@ class Tiling:
     wanted: np.ndarray = field(repr=False)
     """bool[X, Y, Z]: the design."""
     status: str = "complete"
-    """``"complete"``, ``"refused"`` or ``"time"``."""
+    """``"complete"``, ``"refused"`` (proven to be impossible), ``"not found"`` or ``"time"``."""
     reason: str = ""
     """Why it is not complete, in one line."""
     missing: tuple[Cell, ...] = ()
     """Wanted cells without a block."""
+    lacking: tuple[Cell, ...] = ()
+    """Where it is not complete: cells that nothing carries."""
 
 
 @dataclass(frozen=True)
@@ -221,7 +224,10 @@ def convex_hull(points: np.ndarray) -> np.ndarray:
 def find_candidates(
     wanted: np.ndarray, kit: Kit, below: np.ndarray | None = None, flat_only: bool = False
 ) -> Candidates:
-    """Every block of ``kit`` that lies inside ``wanted``.
+    """Every block of ``kit`` that lies inside ``wanted`` and can be put down.
+
+    A block is left out where everything between two of its cells, one above the other, is wanted:
+    what fills such a slot lies on the block and carries it, so neither can come first.
 
     Args:
         wanted: bool[X, Y, Z].
@@ -245,6 +251,9 @@ def find_candidates(
         fits = np.ones(room, bool)
         for x, y, z in way.cells:
             fits &= wanted[x : x + room[0], y : y + room[1], z : z + room[2]]
+        for x, y, low, high in _slots(way.cells):
+            full = wanted[x : x + room[0], y : y + room[1]]
+            fits &= ~np.all([full[:, :, z : z + room[2]] for z in range(low, high)], axis=0)
         origin = np.argwhere(fits)
         if not len(origin):
             continue
@@ -261,6 +270,15 @@ def find_candidates(
     which, origin, cell, size, support, hanging = map(np.concatenate, zip(*parts, strict=True))
     start = np.concatenate([[0], np.cumsum(size)])
     return Candidates(ways, which, origin, start, cell, support, hanging)
+
+
+def _slots(cells: tuple[Cell, ...]) -> list[tuple[int, int, int, int]]:
+    """``x, y, low, high``: levels between two cells of a block, one above the other."""
+    columns: dict[tuple[int, int], list[int]] = {}
+    for x, y, z in sorted(cells):
+        columns.setdefault((x, y), []).append(z)
+    return [(*at, low + 1, high) for at, levels in columns.items()
+            for low, high in pairwise(levels) if high > low + 1]  # fmt: skip
 
 
 def standing_cost(candidates: Candidates) -> np.ndarray:
@@ -356,7 +374,7 @@ def seams_bridged(tiling: Tiling, kit: Kit) -> tuple[int, int]:
 def cover(
     candidates: Candidates, cost: np.ndarray, must: np.ndarray, *, may: np.ndarray | None = None,
     kit: Kit, counts: dict[int, int] | None = None, exact: bool = False, open_cost: float = 0.0,
-    cuts: Sequence[np.ndarray] = (), seconds: float = INF,
+    cuts: Sequence[np.ndarray] = (), barred: Sequence[np.ndarray] = (), seconds: float = INF,
 ) -> tuple[Answer, np.ndarray, np.ndarray, dict[int, int]]:  # fmt: skip
     """The cheapest choice of candidates that covers cells.
 
@@ -367,6 +385,7 @@ def cover(
         exact: use exactly so many.
         open_cost: where positive, a cell may stay open and a heap may be exceeded at this price.
         cuts: int64 each: of these candidates at least one is chosen.
+        barred: int64 each: of these candidates at least one is not chosen.
 
     Returns:
         the solver's answer; the chosen candidates; cells of ``must`` left open; blocks that the
@@ -397,6 +416,8 @@ def cover(
                (kinds[counted], counted, 1.0), (np.arange(len(lack)), lack, -1.0))  # fmt: skip
     for cut in cuts:
         model.rows(1.0, INF, (0, cut, 1.0))
+    for together in barred:
+        model.rows(-INF, len(together) - 1.0, (0, together, 1.0))
     answer = solve(model.program(), seconds)
     if answer.x is None:
         return answer, used[:0], must, {}

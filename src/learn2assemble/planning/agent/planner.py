@@ -114,7 +114,7 @@ def plan_with_agent(
     ordering = Ordering((), tiling.status, tiling.reason)
     if world.complete and world.propped:
         propped = prop_and_order(tiling, kit, clock, friction=friction, gap=gap,
-                                 props_allowed=True, tight=False)  # fmt: skip
+                                 props_allowed=True)  # fmt: skip
         tiling, ordering = propped[0], propped[1] or ordering
     elif placements:
         ordering = order(

@@ -1,0 +1,81 @@
+"""What would help a design that is not built: every piece of advice is tried before it is given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from learn2assemble.assembly.kit import Kit, kit_names, load_kit
+from learn2assemble.planning.exact import plan_exact
+from learn2assemble.planning.programs import Clock
+from learn2assemble.planning.tiling import MAX_EXTENT, Tiling
+
+MAX_CELLS = 3000
+"""Of a design for which something else is tried; more take minutes."""
+NO_ADVICE = "none of what was tried helps: other kits, tight joints, filled overhangs, finer cells"
+_SHARE, _MOST = 0.5, 10.0
+"""Of the time that is left, for one trial, and no trial takes longer [s]."""
+
+
+def advise(
+    tiling: Tiling, kit: Kit, seconds: float, progress: Callable[[str], None] = lambda text: None,
+    **options: Any,
+) -> str:  # fmt: skip
+    """What makes a plan of this design complete, in one clause; empty where nothing tried does.
+
+    Tried in this order: joints of width 0, the kits of the package, filling what is under an
+    overhang, filling everything down to the table, cells half as large.
+
+    Args:
+        tiling: that was refused or not found, with the cells that lack support.
+        seconds: limit of all trials together.
+        options: of :func:`learn2assemble.planning.exact.plan_exact`.
+    """
+    clock = Clock(seconds)
+    for text, wanted, blocks, changed in _trials(tiling, kit, options):
+        if clock.left <= 0 or wanted.sum() > MAX_CELLS or max(wanted.shape) > MAX_EXTENT:
+            continue
+        progress(f"trying what would help: {text}")
+        made, ordering = plan_exact(
+            wanted, blocks, seconds=min(_MOST, _SHARE * clock.left), **{**options, **changed}
+        )
+        if (ordering or made).status == "complete":
+            return text
+    return ""
+
+
+_Trial = tuple[str, np.ndarray, Kit, dict[str, Any]]
+
+
+def _trials(tiling: Tiling, kit: Kit, options: dict[str, Any]) -> Iterator[_Trial]:
+    """In words, the cells, the kit and changed options of everything that may help."""
+    wanted = tiling.wanted
+    width = options.get("gap")
+    width = kit.joint_gap if width is None else width
+    if np.max(width) > 0:
+        yield "it stands only with tight joints (gap 0)", wanted, kit, {"gap": 0.0}
+    for name in kit_names():
+        if name != kit.name:
+            yield f"kit `{name}` does", wanted, load_kit(name).at_pitch(kit.pitch), {}
+    cells = np.array(tiling.lacking, np.int64).reshape(-1, 3)
+    for what, under in (("what is under the overhangs", cells),
+                        ("everything down to the table", np.argwhere(wanted))):  # fmt: skip
+        filled = fill_below(wanted, under)
+        more = int(filled.sum() - wanted.sum())
+        if more:
+            yield f"with {what} filled ({more} cells more) it stands", filled, kit, {}
+    half = replace(kit, pitch=tuple(p / 2 for p in kit.pitch))
+    if np.max(width) < min(half.pitch[:2]) / 2:
+        finer = wanted.repeat(2, 0).repeat(2, 1).repeat(2, 2)
+        yield "with cells half as large it stands", finer, half, {}
+
+
+def fill_below(wanted: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """``wanted`` (bool[X, Y, Z]) with all that is under the given cells (int64[n, 3])."""
+    filled = wanted.copy()
+    for x, y, z in cells.tolist():
+        filled[x, y, :z] = True
+    return filled
