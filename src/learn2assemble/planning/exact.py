@@ -58,7 +58,7 @@ from learn2assemble.planning.tiling import (
 
 MAX_ROUNDS = 200
 """Of tiling again, and of adding props."""
-MAX_TILINGS, MAX_TRIED = 40, 2000
+MAX_TILINGS, MAX_TRIED = 24, 400
 """Tilings that are tried one after the other because none of those before has an order, and blocks
 of all of them together; at least ``MIN_TILINGS``."""
 MIN_TILINGS = 4
@@ -121,7 +121,7 @@ def plan_exact(
         if clock.left <= 0 or not search.friction_may_help:
             break
     assert first is not None
-    also = made.reason if ordering is None and made is not first[0] else ""
+    also = made.reason if made is not first[0] and not search.tried else ""
     made, ordering = first
     made = replace(made, reason="; ".join(filter(None, (made.reason, also))))
     status = "refused" if proven else "not found"
@@ -173,7 +173,8 @@ class _Search:
         self.friction_may_help = True
         self.gave_up = False
         size = max(len(tiling.placements), 1)
-        self.most = int(np.clip(MAX_TRIED // size, MIN_TILINGS, MAX_TILINGS))
+        most = MAX_TILINGS if law == FRICTIONLESS else MIN_TILINGS
+        self.most = int(np.clip(MAX_TRIED // size, MIN_TILINGS, most))
 
     def run(self) -> tuple[Tiling, Ordering | None]:
         """The first tiling with an order, else what became of the first that stands."""
@@ -277,11 +278,9 @@ class _Search:
                 for b in hanging
                 if choose_props(stood, endless, {b: frozenset((b,))}, self.clock.left) is None
             ]
-            return (
-                made,
-                None,
-                [(frozenset((blocks[b],)), False) for b in bad] or [(frozenset(blocks), False)],
-            )
+            # Where the heap is short of props, a tiling that needs fewer may do.
+            blamed = [(frozenset((blocks[b],)), False) for b in bad or hanging]
+            return made, None, blamed or [(frozenset(blocks), False)]
         near = {b for b in (*ordering.stuck, *ordering.falls) if b < len(blocks)}
         stacked = find_stack(blocks, kit, stood.wanted.shape)
         for b in tuple(near):
