@@ -17,8 +17,9 @@ import pytest
 import trimesh
 
 from learn2assemble.assembly.blocks import Assembly, Step, box_block
+from learn2assemble.assembly.files import read_assembly
 from learn2assemble.assembly.kit import load_kit
-from learn2assemble.errors import UnknownNameError
+from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.export.formats import FORMATS, bill_of_blocks, export_assembly, step_cards
 from learn2assemble.planning.exact import plan_exact
 from learn2assemble.planning.ordering import to_assembly
@@ -45,6 +46,20 @@ def test_bill_counts_blocks_and_props(bridge: Assembly) -> None:
     assert rows["1x3"]["total"] == "1"
     assert float(rows["1x3"]["length_m"]) == pytest.approx(0.15)
     assert float(rows["1x3"]["mass_kg"]) == pytest.approx(0.15 * 0.05 * 0.05 * 1000)
+
+
+def test_colours_and_the_name_are_kept_in_the_file(bridge: Assembly, tmp_path: Path) -> None:
+    """What is exported from a folder looks as what was written with the plan."""
+    again = read_assembly(export_assembly(bridge, "assembly", tmp_path))
+    assert again.name == bridge.name
+    assert [b.colour for b in again.blocks] == [b.colour for b in bridge.blocks]
+    assert step_cards(again) == step_cards(bridge)
+    broken = tmp_path / "broken.json"
+    broken.write_text(
+        (tmp_path / "assembly.json").read_text("utf-8").replace("[200,30,30]", "[300,30,30]")
+    )
+    with pytest.raises(InputError, match="colour"):
+        read_assembly(broken)
 
 
 def test_a_prop_used_twice_is_billed_once(bridge: Assembly) -> None:

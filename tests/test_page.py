@@ -121,6 +121,23 @@ def test_the_page_draws_the_solids_of_the_assembly(assembly: Assembly) -> None:
         )
 
 
+def test_the_table_tells_positions_and_nominal_sizes() -> None:
+    gap = 1e-4
+    blocks = [
+        box_block(
+            f"b{k}", (EDGE * k + gap / 2, 0.02, 0), (EDGE * (k + 1) - gap / 2, 0.07 - gap, EDGE)
+        )
+        for k in (0, 1)
+    ]
+    text = render_assembly_page(
+        Assembly(tuple(blocks), tuple(Step(b.id) for b in blocks)), title="x"
+    )
+    assert '<td class="number">0, 0, 0</td><td class="number">50 × 50 × 50</td>' in text
+    assert '<td class="number">50, 0, 0</td>' in text
+    assert "<td>50 × 50 × 50 mm</td><td>49.9 × 49.9 × 50 mm</td>" in text
+    assert "joints are 0.1 mm wide" in text
+
+
 def test_equal_shapes_are_stored_once() -> None:
     assembly = wall(6, 5)
     data = page_data(render_assembly_page(assembly, title="x"))
@@ -185,7 +202,10 @@ def test_notes_joints_and_forces_are_those_given() -> None:
     np.testing.assert_allclose(unpacked(data["joints"]["forces"]), forces, atol=1e-3)
     assert data["joints"]["start"] == contacts.start.tolist()
     assert text.count("<td>local certificate</td>") == len(notes) - 1
-    assert "Withstands 0.25 g sideways or a tilt of 14.0°" in data["captions"][1]
+    push = 0.25 * 9.80665 * assembly.blocks[0].mass
+    words = f"a sideways push of 0.25 g in every direction, about {push:.2g} N on this block"
+    assert words in data["captions"][1]
+    assert "or a tilt of 14.0°" in data["captions"][1]
     assert data["colours"][data["blocks"][1][5]] == "bad"
     plain = render_assembly_page(assembly, title="x", forces=(contacts, None))
     assert 'id="show-joints"' in plain

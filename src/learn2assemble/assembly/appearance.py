@@ -100,3 +100,47 @@ def sections(block: Block) -> list[Section]:
         area = shapely.union_all([area, *flat[here & ~up]], grid_size=grid)
         found.append(Section(low, high, area.simplify(grid)))
     return found
+
+
+def joint_width(assembly: Assembly) -> float:
+    """Width of the vertical joints of blocks on a lattice [m]; 0 where they have none.
+
+    It is the smallest distance of two sides that face one another; where none do, what every block
+    lacks to whole half millimetres.
+    """
+    blocks = [b for b in assembly.blocks if not b.support]
+    upright = all(is_prism(b) for b in blocks if len(b.vertices) == 8)
+    if not upright or any(not is_square(b) for b in blocks):
+        return 0.0
+    sizes = np.concatenate([np.ptp(b.vertices[:, :2], axis=0) for b in blocks])
+    gaps: list[float] = []
+    for axis in (0, 1):
+        low = np.unique(np.round([b.vertices[:, axis].min() for b in blocks], 7))
+        high = np.unique(np.round([b.vertices[:, axis].max() for b in blocks], 7))
+        before = np.searchsorted(high, low + 1e-7, side="left")
+        near = low[before > 0] - high[before[before > 0] - 1]
+        gaps += near[(near > 1e-6) & (near < sizes.min() / 4)].tolist()
+    if gaps:
+        return float(min(gaps))
+    lack = np.ceil(sizes / 5e-4 - 1e-6) * 5e-4 - sizes
+    return float(lack.mean()) if np.ptp(lack) < 1e-6 and lack.mean() > 1e-6 else 0.0
+
+
+def is_square(block: Block) -> bool:
+    """Whether every edge runs along x, y or z."""
+    starts = np.array([k for face in block.faces for k in face])
+    ends = np.array([k for face in block.faces for k in (*face[1:], face[0])])
+    along = np.abs(block.vertices[starts] - block.vertices[ends])
+    return bool((np.sort(along, axis=1)[:, 1] <= 1e-7).all())
+
+
+def is_prism(block: Block) -> bool:
+    """Whether it has a level lower and upper face and upright sides."""
+    z = block.vertices[:, 2]
+    size = float(np.ptp(block.vertices, axis=0).max())
+    low, high = np.abs(z - z.min()) <= 1e-6 * size, np.abs(z - z.max()) <= 1e-6 * size
+    if not (low | high).all():
+        return False
+    below, above = block.vertices[low, :2], block.vertices[high, :2]
+    below, above = (np.unique(np.round(p / (1e-5 * size)), axis=0) for p in (below, above))
+    return below.shape == above.shape and bool(np.abs(below - above).max() <= 1)

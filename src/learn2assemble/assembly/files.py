@@ -55,8 +55,8 @@ DIGITS = 9
 NAME = "assembly.json"
 """What the blocks of a plan are called, in its folder."""
 MESH_SUFFIXES = tuple(f".{kind}" for kind in KINDS)
-_BLOCK_KEYS = ("id", "kind", "density", "support", "prop", "vertices", "faces")
-_KEYS = ("format", "version", "units", "friction", "blocks", "steps")
+_BLOCK_KEYS = ("id", "kind", "density", "support", "prop", "colour", "vertices", "faces")
+_KEYS = ("format", "version", "units", "name", "friction", "blocks", "steps")
 _COMPAS_ASSEMBLIES = (
     "compas_cra.datastructures/CRA_Assembly",
     "compas_assembly.datastructures/Assembly",
@@ -130,7 +130,7 @@ def write_compas(assembly: Assembly, path: str | Path) -> None:
 
 
 def to_json(assembly: Assembly) -> dict[str, Any]:
-    """The JSON document of our format; colours and the name are not in it."""
+    """The JSON document of our format."""
     blocks = [
         {
             "id": block.id,
@@ -138,13 +138,15 @@ def to_json(assembly: Assembly) -> dict[str, Any]:
             "density": block.density,
             "support": block.support,
             "prop": block.prop,
+            **({"colour": list(block.colour)} if block.colour else {}),
             "vertices": np.round(block.vertices, DIGITS).tolist(),
             "faces": [list(face) for face in block.faces],
         }
         for block in assembly.blocks
     ]
     return {
-        "format": FORMAT, "version": VERSION, "units": "m", "friction": assembly.friction,
+        "format": FORMAT, "version": VERSION, "units": "m",
+        **({"name": assembly.name} if assembly.name else {}), "friction": assembly.friction,
         "blocks": blocks, "steps": [to_plain(step) for step in assembly.steps],
     }  # fmt: skip
 
@@ -173,11 +175,13 @@ def from_json(document: Any, source: str = "assembly") -> Assembly:
                 density=number(block.get("density", 1000.0), f"{where}.density"),
                 support=boolean(block.get("support", False), f"{where}.support"),
                 prop=boolean(block.get("prop", False), f"{where}.prop"),
+                colour=_own_colour(block.get("colour"), f"{where}.colour"),
             )
         )
     friction = number(root.get("friction", 0.5), f"{source}: friction")
     steps = from_plain(tuple[Step, ...], root.get("steps", ()), source, "steps")
-    return Assembly(tuple(blocks), steps, friction)
+    name = text(root.get("name", ""), f"{source}: name")
+    return Assembly(tuple(blocks), steps, friction, name)
 
 
 def to_compas(assembly: Assembly) -> dict[str, Any]:
@@ -356,6 +360,14 @@ def _colour(value: Any) -> tuple[int, int, int] | None:
     if isinstance(value, list) and len(value) == 3 and all(type(k) is int for k in value):
         return (value[0], value[1], value[2])
     return None
+
+
+def _own_colour(value: Any, where: str) -> tuple[int, int, int] | None:
+    """A colour of our own format."""
+    found = _colour(value)
+    if value is not None and (found is None or not all(0 <= k <= 255 for k in found)):
+        raise InputError(where, value, "three whole numbers from 0 to 255")
+    return found
 
 
 def _with_supports(assembly: Assembly, supports: Collection[str]) -> Assembly:

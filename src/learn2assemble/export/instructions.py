@@ -13,7 +13,13 @@ from itertools import product
 
 import numpy as np
 
-from learn2assemble.assembly.appearance import kinds_and_colours, sections
+from learn2assemble.assembly.appearance import (
+    is_prism,
+    is_square,
+    joint_width,
+    kinds_and_colours,
+    sections,
+)
 from learn2assemble.assembly.blocks import Assembly, Block
 
 MOST_TOGETHER = 6
@@ -167,7 +173,7 @@ def instructions(assembly: Assembly) -> Instructions:
     """
     finished = np.concatenate([block.vertices for block in assembly.finished.blocks])
     origin, high = finished.min(0), finished.max(0)
-    joint = _joint(assembly)
+    joint = joint_width(assembly)
     shapes = _Shapes(origin, joint)
     for block, (kind, colour) in zip(assembly.blocks, kinds_and_colours(assembly), strict=True):
         shapes.add(block, kind, colour)
@@ -217,50 +223,6 @@ def _groups(
     return found
 
 
-def _joint(assembly: Assembly) -> float:
-    """Width of the vertical joints of blocks on a lattice [m]; 0 where they have none.
-
-    It is the smallest distance of two sides that face one another; where none do, what every block
-    lacks to whole half millimetres.
-    """
-    blocks = [b for b in assembly.blocks if not b.support]
-    upright = all(_prism(b) for b in blocks if len(b.vertices) == 8)
-    if not upright or any(not _square(b) for b in blocks):
-        return 0.0
-    sizes = np.concatenate([np.ptp(b.vertices[:, :2], axis=0) for b in blocks])
-    gaps: list[float] = []
-    for axis in (0, 1):
-        low = np.unique(np.round([b.vertices[:, axis].min() for b in blocks], 7))
-        high = np.unique(np.round([b.vertices[:, axis].max() for b in blocks], 7))
-        before = np.searchsorted(high, low + 1e-7, side="left")
-        near = low[before > 0] - high[before[before > 0] - 1]
-        gaps += near[(near > 1e-6) & (near < sizes.min() / 4)].tolist()
-    if gaps:
-        return float(min(gaps))
-    lack = np.ceil(sizes / 5e-4 - 1e-6) * 5e-4 - sizes
-    return float(lack.mean()) if np.ptp(lack) < 1e-6 and lack.mean() > 1e-6 else 0.0
-
-
-def _square(block: Block) -> bool:
-    """Whether every edge runs along x, y or z."""
-    starts = np.array([k for face in block.faces for k in face])
-    ends = np.array([k for face in block.faces for k in (*face[1:], face[0])])
-    along = np.abs(block.vertices[starts] - block.vertices[ends])
-    return bool((np.sort(along, axis=1)[:, 1] <= 1e-7).all())
-
-
-def _prism(block: Block) -> bool:
-    """Whether it has a level lower and upper face and upright sides."""
-    z = block.vertices[:, 2]
-    size = float(np.ptp(block.vertices, axis=0).max())
-    low, high = np.abs(z - z.min()) <= 1e-6 * size, np.abs(z - z.max()) <= 1e-6 * size
-    if not (low | high).all():
-        return False
-    below, above = block.vertices[low, :2], block.vertices[high, :2]
-    below, above = (np.unique(np.round(p / (1e-5 * size)), axis=0) for p in (below, above))
-    return below.shape == above.shape and bool(np.abs(below - above).max() <= 1)
-
-
 def _carried_straight_down(assembly: Assembly) -> np.ndarray:
     """bool[B]: whether the column below a block is filled down to the ground.
 
@@ -268,7 +230,7 @@ def _carried_straight_down(assembly: Assembly) -> np.ndarray:
     """
     import shapely
 
-    prisms = [_prism(block) for block in assembly.blocks]
+    prisms = [is_prism(block) for block in assembly.blocks]
     areas = [sections(b)[0].area if good else shapely.Point()
              for b, good in zip(assembly.blocks, prisms, strict=True)]  # fmt: skip
     low = np.array([block.vertices[:, 2].min() for block in assembly.blocks])
@@ -340,7 +302,7 @@ class _Shapes:
         size = np.ptp(corners, axis=0)
         is_box = abs(size.prod() - block.volume) <= 1e-6 * size.prod() and block.is_convex
         joint = np.array([self.joint, self.joint, 0.0])
-        x, y, z = (size + (joint if _square(block) else 0)).tolist()
+        x, y, z = (size + (joint if is_square(block) else 0)).tolist()
         letter, left = "", len(self.found)
         while not letter or left >= 0:
             letter, left = chr(65 + left % 26) + letter, left // 26 - 1
@@ -365,7 +327,7 @@ def _key(points: np.ndarray, volume: float) -> tuple:
 def _laid_down(block: Block) -> np.ndarray:
     """float64[3, 3]: turns a block onto its largest face, its longest edge along x; a block that
     has a level face below, or edges along the axes, is left as it is."""
-    if _square(block) or _prism(block):
+    if is_square(block) or is_prism(block):
         return np.eye(3)
     normals = []
     for face in block.faces:

@@ -17,6 +17,7 @@ import numpy as np
 
 from learn2assemble.assembly.appearance import (
     Section,
+    joint_width,
     kinds_and_colours,
     millimetres,
     sections,
@@ -47,6 +48,8 @@ TONES = {
     "stands only with tight joints": "warn", "out of reach": "bad", "refused": "bad",
     "falls": "bad",
 }  # fmt: skip
+STANDARD_GRAVITY = 9.80665
+"""[m/s²]"""
 _SPEEDS = (0.5, 1, 2, 4, 8, 16, 32, 64)
 _LONGEST = 60.0
 """The chosen speed shows all steps within this time [s]."""
@@ -135,6 +138,8 @@ def render_assembly_page(
     kinds, colours = _numbered(part.kind for part in parts), _numbered(p.colour for p in parts)
     # Edge of the cube with the volume of a median block [m].
     size = _round(float(np.median([block.volume for block in assembly.blocks])) ** (1 / 3))
+    origin = np.min([block.vertices.min(0) for block in assembly.finished.blocks], 0)
+    joint = joint_width(assembly)
     low = np.min([part.origin for part in parts], 0)
     high = np.max([part.block.vertices.max(0) for part in parts], 0)
     data = {
@@ -194,10 +199,12 @@ def render_assembly_page(
         f"{width:.1f} {depth:.1f}",
         "layers": str(len(layers)),
         "last_layer": escape(data["layers"][-1]),
-        "bill": _bill(distinct),
-        "steps": "".join(_row(k, part, note, covered)
+        "bill": _bill(distinct, joint),
+        "joint": f" Vertical joints are {millimetres(joint)} wide; the nominal size of a block is "
+        "the block itself and one joint." * bool(joint),
+        "steps": "".join(_row(k, part, note, covered, origin, joint)
                          for k, (part, note) in enumerate(zip(stepped, notes, strict=True), 1))
-        or '<tr><td colspan="8">The order of building is not given.</td></tr>',
+        or '<tr><td colspan="10">The order of building is not given.</td></tr>',
         "coverage": '<th class="number">Coverage</th>' * covered,
         "more": "<th></th>" * covered,
     }  # fmt: skip
@@ -404,7 +411,11 @@ def _caption(number: int, part: _Part, note: StepNote) -> str:
     if note.proof:
         text += f" Stands: {note.proof}."
     if note.margin_g is not None:
-        text += f" Withstands {note.margin_g:.2f} g sideways or a tilt of {_tilt(note.margin_g)}°."
+        push = note.margin_g * STANDARD_GRAVITY * part.block.mass
+        text += (
+            f" Withstands a sideways push of {note.margin_g:.2f} g in every direction, about "
+            f"{push:.2g} N on this block, or a tilt of {_tilt(note.margin_g)}°."
+        )
     if note.coverage is not None:
         text += f" {percent(note.coverage)} covered."
     return f"{text} {note.more}".strip()
@@ -415,23 +426,43 @@ def _tilt(margin_g: float) -> str:
     return f"{math.degrees(math.atan(margin_g)):.1f}"
 
 
-def _row(number: int, part: _Part, note: StepNote, covered: bool) -> str:
-    """A step in the table; with columns of a target where one is covered."""
+def _row(
+    number: int, part: _Part, note: StepNote, covered: bool, origin: np.ndarray, joint: float
+) -> str:
+    """A step in the table; with columns of a target where one is covered.
+
+    Args:
+        origin: float64[3], from where positions are told [m].
+        joint: width of vertical joints, which the nominal size of a block has in it [m].
+    """
     margin = note.margin_g
     cells = [
         str(number), "remove" if part.removed == number else "place",
         escape(part.block.id) + ' <span class="tag">prop</span>' * part.block.prop,
-        escape(part.kind), str(part.layer + 1), escape(note.proof) or "–",
+        escape(part.kind), str(part.layer + 1), _millimetres(part.origin - origin),
+        _nominal(part.block, joint), escape(note.proof) or "–",
         "–" if margin is None else f"{margin:.2f}", "–" if margin is None else _tilt(margin),
     ]  # fmt: skip
     if covered:
         cells += [percent(note.coverage), escape(note.more)]
-    numbers: dict[int, str] = dict.fromkeys((4, 6, 7, 8), NUMBER)
+    numbers: dict[int, str] = dict.fromkeys((4, 5, 6, 8, 9, 10), NUMBER)
     return row(cells, numbers, f'data-step="{number}"', f"Show step {number}")
 
 
-def _bill(parts: list[_Part]) -> str:
-    """Bill of blocks: how many of each kind, size and mass."""
+def _millimetres(lengths: np.ndarray) -> str:
+    """Three lengths [m] as millimetres, to a tenth."""
+    words = (f"{1000 * v + 0.0:.1f}".removesuffix(".0") for v in lengths.tolist())
+    return ", ".join("0" if word == "-0" else word for word in words)
+
+
+def _nominal(block: Block, joint: float) -> str:
+    """Size with the joint that belongs to the block."""
+    size = np.ptp(block.vertices, axis=0) + np.array([joint, joint, 0])
+    return millimetres(*size).removesuffix(" mm")
+
+
+def _bill(parts: list[_Part], joint: float) -> str:
+    """Bill of blocks: how many of each kind, nominal size, the block itself, and mass."""
     groups: dict[tuple[str, str], list[_Part]] = {}
     for part in parts:
         use = "support" if part.block.support else "prop" if part.block.prop else "block"
@@ -441,8 +472,10 @@ def _bill(parts: list[_Part]) -> str:
         sizes = {size_words(part.block) for part in members}
         size = sizes.pop() if len(sizes) == 1 else "several sizes"
         mass = f"{sum(part.block.mass for part in members):.3g} kg"
-        cells = [escape(kind), use, str(len(members)), size, mass]
-        rows.append(row(cells, {2: NUMBER, 4: NUMBER}))
+        nominal = {_nominal(part.block, joint) for part in members}
+        told = f"{nominal.pop()} mm" if len(nominal) == 1 else "several sizes"
+        cells = [escape(kind), use, str(len(members)), told, size, mass]
+        rows.append(row(cells, {2: NUMBER, 5: NUMBER}))
     return "".join(rows)
 
 
