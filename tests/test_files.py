@@ -307,3 +307,12 @@ def test_an_interrupt_that_a_compiler_drops_comes_again(
     finally:
         signal.signal(signal.SIGINT, before)
     assert capsys.readouterr().err == "l2a: interrupted\n"
+
+
+def test_a_misspelt_file_is_told_the_nearest_name(tmp_path: Path) -> None:
+    (tmp_path / "bridge.json").write_text("{}")
+    with pytest.raises(InputError, match=r"no such file.*did you mean '.*/bridge\.json'"):
+        read_bytes(tmp_path / "brigde.json", "design file")
+    for other in (tmp_path / "nothing.stl", tmp_path / "none" / "bridge.json"):
+        with pytest.raises(InputError, match=r"expected a design file$"):
+            read_bytes(other, "design file")

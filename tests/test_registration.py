@@ -184,3 +184,10 @@ def test_a_task_of_nonsense_is_bad_input(field: str, value: Any):
         return
     with pytest.raises(InputError):
         Task(**{**task, field: value})
+
+
+@pytest.mark.parametrize("wrong", [{"search": "mcts"}, {"search": SearchConfig()}, {"loss": 3}])
+def test_a_learner_is_made_of_functions(wrong: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        register_learner("mine", Learner(**wrong))
+    assert "mine" not in METHODS

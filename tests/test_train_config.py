@@ -14,7 +14,7 @@ from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.graph.batch import to_tensors
 from learn2assemble.graph.features import node_offset
 from learn2assemble.learning.config import CONFIGS, TrainConfig, fit_to, override
-from learn2assemble.learning.run import choose_device
+from learn2assemble.learning.run import choose_device, train
 from learn2assemble.learning.trainer import Trainer, epsilon_greedy
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.planning.world_model import WorldModel
@@ -225,3 +225,8 @@ def test_settings_that_need_each_other_may_come_in_any_order() -> None:
     with pytest.raises(InputError, match="dense_weight"):
         override(base, pair[:1])
     assert override(base, ["steps=2", "steps=3"]).steps == 3
+
+
+def test_a_run_needs_a_folder() -> None:
+    with pytest.raises(InputError, match="out: got None"):
+        train(TINY, None)  # pyright: ignore[reportArgumentType]

@@ -13,7 +13,7 @@ import tempfile
 import threading
 from collections.abc import Iterator
 from html.parser import HTMLParser
-from http.client import HTTPConnection
+from http.client import HTTPConnection, HTTPException
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +29,7 @@ from learn2assemble.planning.plan import Plan, PlanTarget, SearchReport, SearchS
 from learn2assemble.viewer.html import to_json
 from learn2assemble.viewer.page import write_plan_page
 from learn2assemble.viewer.picture import write_progress
-from learn2assemble.viewer.server import PageServer, open_server, serve
+from learn2assemble.viewer.server import PageServer, _Handler, open_server, serve
 from learn2assemble.viewer.words import percent
 
 EXAMPLE = Path(__file__).parent / "data" / "example_plan"
@@ -312,6 +312,26 @@ def test_server_refuses_other_names_and_links(running: PageServer, tmp_path: Pat
     assert _ask(running, "/")[0] == 404
     with pytest.raises(InputError, match="not a link"):
         open_server(page)
+
+
+@pytest.mark.parametrize("left", [BrokenPipeError, ConnectionResetError])
+def test_a_browser_that_leaves_is_no_traceback(
+    left: type[OSError],
+    running: PageServer,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    done = threading.Event()
+
+    def leave(*_: object) -> None:
+        raise left
+
+    monkeypatch.setattr(_Handler, "do_GET", leave)
+    monkeypatch.setattr(running, "shutdown_request", lambda request: (request.close(), done.set()))
+    with pytest.raises((OSError, HTTPException)):
+        _ask(running, "/")
+    assert done.wait(10)
+    assert capsys.readouterr().err == ""
 
 
 def test_serve_reports_the_address_and_ends_when_interrupted(

@@ -7,6 +7,7 @@ JSON path of whatever is wrong.
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import gzip
 import json
 import math
@@ -118,6 +119,17 @@ def too_deep(source: str) -> InputError:
     return InputError(source, "brackets nested too deeply", "a few levels")
 
 
+def nearest(path: Path) -> str:
+    """Words for a message about a file that does not exist: the name in its folder that is most
+    like its own, or nothing."""
+    try:
+        names = sorted(item.name for item in path.parent.iterdir())
+    except OSError:  # No such folder, or one that must not be read.
+        return ""
+    near = difflib.get_close_matches(path.name, names, n=1, cutoff=0.7)
+    return f"; did you mean {printable(str(path.with_name(near[0])))!r}?" if near else ""
+
+
 def read_bytes(path: Path, kind: str, limit: int = MAX_BYTES) -> tuple[bytes, str]:
     """The content of a file of the ``kind`` (``"design file"``), and what messages call it.
 
@@ -135,7 +147,7 @@ def read_bytes(path: Path, kind: str, limit: int = MAX_BYTES) -> tuple[bytes, st
         if path.is_dir():
             raise InputError(source, "a directory", f"a {kind}")
         if not path.exists():
-            raise InputError(source, "no such file", f"a {kind}")
+            raise InputError(source, "no such file", f"a {kind}{nearest(path)}")
         if not path.is_file():  # opening a pipe would wait for ever
             raise InputError(source, "something that is not a plain file", f"a {kind}")
         with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:

@@ -276,7 +276,7 @@ def search_config(
     """The named search with what is given in place of its own arguments; None for ``none``.
 
     Raises:
-        InputError: for arguments of a search without one.
+        InputError: for arguments of a search without one, and a search without simulations.
     """
     chosen = {name: value for name, value in given.items() if value is not None}
     if search is None or search == "none":
@@ -288,6 +288,8 @@ def search_config(
         search = SEARCHES[search]
     if not isinstance(search, SearchConfig):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise InputError("search", search, "a name or a SearchConfig")
+    if chosen.get("budget") == 0:
+        raise InputError("budget", 0, "at least 1 simulation, or no search")
     return replace(search, **chosen)
 
 

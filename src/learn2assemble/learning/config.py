@@ -177,10 +177,16 @@ def register_learner(name: str, learner: Learner) -> None:
     """Make a method of learning known as ``method`` of :class:`TrainConfig`.
 
     Raises:
-        InputError: for a name that is taken.
+        InputError: for a name that is taken, and a search or loss that is no function.
     """
     if not isinstance(learner, Learner):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise InputError("learner", learner, "a Learner")
+    check_fields(
+        learner,
+        ("search", learner.search is None or callable(learner.search),
+         "a function of budget and epsilon that returns a SearchConfig, or None"),
+        ("loss", learner.loss is None or callable(learner.loss), "a function like q_loss, or None"),
+    )  # fmt: skip
     METHODS.register(name, learner)
 
 

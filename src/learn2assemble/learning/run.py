@@ -216,6 +216,8 @@ def train(
         ("threads", threads is None or is_whole(threads, 1, MAX_THREADS),
          f"a whole number from 1 to {MAX_THREADS}"),
     )  # fmt: skip
+    if not isinstance(out, str | Path):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise InputError("out", out, "a folder")
     out, task = Path(out), get_task(task, arm)
     words = config if isinstance(config, str) else "custom"
     if resume:

@@ -55,6 +55,14 @@ class _Handler(BaseHTTPRequestHandler):
         if self.command != "HEAD":
             self.wfile.write(content)
 
+    def handle(self) -> None:
+        with suppress(ConnectionError):  # A browser that leaves early is no fault of the server.
+            super().handle()
+
+    def finish(self) -> None:
+        with suppress(ConnectionError):
+            super().finish()
+
     do_HEAD = do_GET
 
     def log_message(self, format: str, *args: object) -> None:
