@@ -16,6 +16,10 @@ from typing import NamedTuple
 TASK = "one-sided-3x3-22-24"
 LONG = "x" * 300
 """Longer than a file name may be."""
+PROGRAM_RATES = {"no_limits": "1000", "rate_high": "1e9", "rate_0": "0", "rate_below": "-1000",
+                 "rate_nan": "NaN"}  # fmt: skip
+"""Tables of a robot's program without limits, and what they say of their rate."""
+UR5E_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 TINY_RUN = [
     "--config", "published", "--device", "cpu", "--set", "network.width=16", "--set",
     "network.rounds=1", "--set", "num_envs=4", "--set", "replay_size=50", "--set", "batch_size=4",
@@ -78,6 +82,11 @@ def prepare(folder: Path, agent: Path, run: Path, design: Path, log: Path) -> No
     shutil.copy(design, folder / "design.json")
     shutil.copy(log, folder / "log.jsonl")
     (folder / "file.txt").write_text("mine")
+    head = {"format": "learn2assemble-robot-program", "version": 1, "arm": "ur5e",
+            "joints": [f"{name}_joint" for name in UR5E_JOINTS]}  # fmt: skip
+    for name, rate in PROGRAM_RATES.items():
+        lines = [f"# {key}: {json.dumps(value)}" for key, value in head.items()]
+        (folder / f"{name}.csv").write_text("\n".join([*lines, f"# rate: {rate}", "time", "0", ""]))
     for name, second in (("layout", [0.1, -0.3]), ("far", [0.1, -0.3]), ("overlap", [0.04, -0.3])):
         places = [[0.7 if name == "far" else 0.0, -0.3], second]
         places += [[0.1 * (k % 5) - 0.3, -0.42 + 0.84 * (k // 5)] for k in range(10)]
@@ -165,6 +174,9 @@ BAD = [
             ["replay-trajectory", "{d}/nosuch.csv", "--arm", "panda"], "nosuch"),
     BadCall("replay a design",
             ["replay-trajectory", "{d}/design.json", "--arm", "panda"], "header"),
+    *(BadCall(f"replay a table with {name}", ["replay-trajectory", f"{{d}}/{name}.csv", "--arm",
+                                              "ur5e"], "limits" if name == "no_limits" else "rate")
+      for name in PROGRAM_RATES),
     BadCall("replay without an arm", ["replay-trajectory", "{d}/design.json"], "--arm"),
     BadCall("replay with an unknown arm",
             ["replay-trajectory", "{d}/design.json", "--arm", "pandas"], "'panda'"),

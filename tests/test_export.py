@@ -20,7 +20,7 @@ from learn2assemble.assembly.blocks import Assembly, Step, box_block
 from learn2assemble.assembly.files import read_assembly
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.export.formats import FORMATS, bill_of_blocks, export_assembly, step_cards
+from learn2assemble.export.formats import FORMATS, bill_of_blocks, export_assembly, mjcf, step_cards
 from learn2assemble.planning.exact import plan_exact
 from learn2assemble.planning.ordering import to_assembly
 from learn2assemble.reproduction import shapes
@@ -68,6 +68,17 @@ def test_a_prop_used_twice_is_billed_once(bridge: Assembly) -> None:
     assert rows[1].startswith("1x1,2,1,3,")
 
 
+def test_the_bill_of_an_incomplete_plan_says_what_is_not_placed(bridge: Assembly) -> None:
+    def told(steps: tuple[Step, ...]) -> dict[str, tuple[str, str, str]]:
+        text = bill_of_blocks(Assembly(bridge.blocks, steps))
+        rows = csv.DictReader(io.StringIO(text))
+        return {r["kind"]: (r["built_in"], r["placed"], r["not_placed"]) for r in rows}
+
+    whole = {"1x1": ("2", "2", "0"), "1x3": ("1", "1", "0")}
+    assert told(bridge.steps) == told(()) == whole
+    assert told(bridge.steps[:1]) == {"1x1": ("2", "1", "1"), "1x3": ("1", "0", "1")}
+
+
 def test_cards_have_one_card_a_step(bridge: Assembly) -> None:
     page = step_cards(bridge)
     assert page.count("<article>") == len(bridge.steps) - 1, "both posts at once"
@@ -109,6 +120,24 @@ def test_mjcf_of_a_block_that_is_not_convex(tmp_path: Path) -> None:
     mujoco.mj_forward(model, data)
     assert np.allclose(data.body("L").xipos, [5 / 6, 0.5, 5 / 6], atol=1e-6)
     assert model.body("L").mass[0] == pytest.approx(3000)
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-4])
+def test_blocks_of_an_mjcf_stay_where_they_are(gap: float) -> None:
+    """A wall of ten layers in running bond, with and without joints."""
+    blocks = []
+    for layer in range(10):
+        ends = [0.0, *np.arange(0.1 if layer % 2 else 0.05, 0.3, 0.1), 0.3]
+        for k, (begin, end) in enumerate(pairwise(ends)):
+            low, high = (begin + gap / 2, 0.0, 0.05 * layer), (end - gap / 2, 0.05, 0.05 * layer)
+            blocks.append(box_block(f"{layer}-{k}", low, (*high[:2], high[2] + 0.05)))
+    model = mujoco.MjModel.from_xml_string(mjcf(Assembly(tuple(blocks))).decode())
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    before = data.xpos.copy()
+    while data.time < 1:
+        mujoco.mj_step(model, data)
+    assert np.linalg.norm(data.xpos - before, axis=1).max() < 1e-4
 
 
 class _Tags(HTMLParser):

@@ -847,6 +847,13 @@ FAULTS: dict[str, tuple[Callable[[str], str], str]] = {
     "lines missing": (whole_lines, "not complete"),
     "empty": (lambda text: "", "empty"),
     "no table": (lambda text: "a,b\n1,2\n", "header"),
+    "no limits": (lambda t: re.sub("# limits:.*\n", "", t), "limits"),
+    "limits of nothing": (lambda t: re.sub("# limits:.*\n", "# limits: {}\n", t), "limits"),
+    "a limit of 0": (lambda t: t.replace('"jerk": [500.0', '"jerk": [0.0')
+                     .replace('"jerk": [7500.0', '"jerk": [0.0'), "limits.jerk"),
+    "no rate": (lambda t: re.sub("# rate:.*\n", "", t), "rate"),
+    **{f"rate {rate}": (lambda t, rate=rate: re.sub("# rate:.*\n", f"# rate: {rate}\n", t), "rate")
+       for rate in ("1e9", "0", "-1000", "NaN", "true", '"fast"')},
     "header without blocks": (lambda t: re.sub("# blocks:.*\n", "", t), "blocks"),
     "nan": (cell_of(40, "q_elbow_joint", "nan"), "finite number"),
     "word": (cell_of(40, "q_elbow_joint", "fast"), "numbers"),

@@ -21,7 +21,7 @@ import numpy as np
 from learn2assemble.errors import InputError
 from learn2assemble.files import load_json, read_bytes, write_file
 from learn2assemble.geometry.rotations import quaternion_matrix
-from learn2assemble.robot.arm import Arm, get_arm
+from learn2assemble.robot.arm import Arm, Limits, get_arm
 from learn2assemble.robot.motion.program import (
     Blocks,
     Knots,
@@ -107,6 +107,7 @@ def read_header(data: Any, source: str, name: str) -> Header:
         if data["arm"] != name or tuple(data["joints"]) != driver_of(default).joints:
             expected = f"those of {name}: {', '.join(driver_of(default).joints)}"
             raise InputError(f"{source}: joints", f"{data['arm']}: {data['joints']}", expected)
+        _check_limits(data["limits"], len(default.joints), source)
         arm = stand(name, str(data["tool"]), _array(data["stand"], 4))
         told = data["blocks"]
         objects = tuple(tuple(int(c) for c in cells) for cells in told["objects"])
@@ -141,6 +142,23 @@ def read_header(data: Any, source: str, name: str) -> Header:
             raise
         got = f"no {error}" if isinstance(error, KeyError) else str(error)
         raise InputError(f"{source}: header", got, "that of an exported program") from None
+
+
+def _check_limits(given: Any, joints: int, source: str) -> None:
+    """Refuse a header whose limits no arm has.
+
+    Raises:
+        InputError: naming the one that is wrong.
+    """
+    for key in Limits._fields:
+        if not isinstance(given, dict) or key not in given:
+            got = sorted(given) if isinstance(given, dict) else given
+            raise InputError(f"{source}: limits", got, f"{', '.join(Limits._fields)} per joint")
+        found = _array(given[key], joints)
+        if key not in ("lower", "upper") and found.min() <= 0:
+            raise InputError(f"{source}: limits.{key}", given[key], "numbers above 0")
+    if (_array(given["lower"], joints) >= _array(given["upper"], joints)).any():
+        raise InputError(f"{source}: limits.lower", given["lower"], "less than limits.upper")
 
 
 def _array(value: Any, *shape: int) -> np.ndarray:
@@ -235,6 +253,10 @@ def read_table(path: Path, name: str) -> tuple[Program, Arm]:
     """
     content, source = read_bytes(path, "program", MOST_BYTES)
     head, names, skipped = _split(content, source)
+    rate = head.get("rate")
+    ours = head.get("format") == FORMAT
+    if ours and (isinstance(rate, bool) or not isinstance(rate, int | float) or rate != RATE):
+        raise InputError(f"{source}: rate", rate, f"{RATE} lines a second")
     told = read_header(head, source, name)
     arm, suction = told.arm, told.arm.suction is not None
     expected = [one for one, _ in _columns(suction, arm)]
