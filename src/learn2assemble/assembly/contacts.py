@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import shapely
 
+from learn2assemble.assembly import point_contacts
 from learn2assemble.assembly.blocks import Assembly, Block, check_simple, to_manifold
 from learn2assemble.errors import InputError
 
@@ -130,6 +131,58 @@ def find_contacts(assembly: Assembly, tolerance: float | None = None) -> Contact
     ground = _on_ground(facets)
     ground = ground._replace(patch=ground.patch + len(between.a))
     return Contacts(*[np.concatenate(two) for two in zip(between, ground, strict=True)])
+
+
+def add_point_contacts(
+    assembly: Assembly, contacts: Contacts, tolerance: float | None = None
+) -> tuple[Contacts, np.ndarray]:
+    """Add contacts of edges and vertices, between blocks that share no patch of faces.
+
+    Args:
+        assembly: the blocks where they stand.
+        contacts: of :func:`find_contacts`.
+        tolerance: as in :func:`find_contacts`; by default ``point_contacts.LOOSE`` times as wide.
+
+    Returns:
+        All contacts, the given ones first, and bool[P]: whether the normal of each is known.
+        Patches of points and lines have no area and fewer than three corners.
+    """
+    width = _width(assembly, tolerance) * (point_contacts.LOOSE if tolerance is None else 1.0)
+    blocks = assembly.blocks
+    lower = np.array([block.vertices.min(0) for block in blocks])
+    upper = np.array([block.vertices.max(0) for block in blocks])
+    support = np.array([block.support for block in blocks])
+    pairs = near_pairs(lower, upper, float(width.max()))
+    pairs = pairs[~(support[pairs[:, 0]] & support[pairs[:, 1]])]
+    count = len(blocks)
+    known = contacts.a * count + contacts.b
+    pairs = pairs[~np.isin(pairs[:, 0] * count + pairs[:, 1], known)]
+    found = point_contacts.between(blocks, pairs, width)
+    if not support.any():
+        lying = np.isin(np.arange(count), contacts.b[contacts.a == GROUND])
+        found += point_contacts.on_ground(blocks, np.flatnonzero(~lying), width)
+    certain = np.ones(len(contacts.a) + len(found), bool)
+    if not found:
+        return contacts, certain
+    certain[len(contacts.a) :] = [patch.certain for patch in found]
+    sizes = [len(patch.points) for patch in found]
+    more = Contacts(
+        np.array([patch.a for patch in found]), np.array([patch.b for patch in found]),
+        np.array([patch.normal for patch in found]), np.zeros(len(found)),
+        np.concatenate([patch.points for patch in found]),
+        len(contacts.a) + np.repeat(np.arange(len(found)), sizes),
+    )  # fmt: skip
+    return Contacts(*map(np.concatenate, zip(contacts, more, strict=True))), certain
+
+
+def widened(contacts: Contacts, distance: float) -> Contacts:
+    """The contacts with every corner replaced by eight round it at ``distance`` [m], in the plane
+    of its patch: all that corners known to that distance can be."""
+    angle = np.arange(8) * np.pi / 4
+    ring = distance * np.stack([np.cos(angle), np.sin(angle)], 1)
+    offsets = np.einsum("ki,pij->pkj", ring, across(contacts.normal))[contacts.patch]
+    points = (contacts.points[:, None] + offsets).reshape(-1, 3)
+    return contacts._replace(points=points, patch=np.repeat(contacts.patch, 8))
 
 
 def check_overlaps(assembly: Assembly, tolerance: float | None = None) -> None:

@@ -13,14 +13,22 @@ from typing import Literal
 import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, check_friction
-from learn2assemble.assembly.contacts import Contacts, check_overlaps, find_contacts
+from learn2assemble.assembly.contacts import (
+    Contacts,
+    add_point_contacts,
+    check_overlaps,
+    contact_tolerance,
+    find_contacts,
+    widened,
+)
 from learn2assemble.errors import InputError
 from learn2assemble.physics.block_forces import MOST_G, Equilibrium, System
 
-Verdict = Literal["stands", "stands only with tight joints", "falls"]
+Verdict = Literal["stands", "stands only with tight joints", "falls", "not certain"]
 STANDS: Verdict = "stands"
 TIGHT: Verdict = "stands only with tight joints"
 FALLS: Verdict = "falls"
+UNCERTAIN: Verdict = "not certain"
 
 SIDE = 0.02
 """A patch is a side face when the vertical part of its normal is at most this."""
@@ -48,7 +56,8 @@ class Check:
 
     Attributes:
         verdict: ``stands`` on its bed faces alone, ``stands only with tight joints`` where it also
-            needs vertical faces to press, or ``falls``.
+            needs vertical faces to press, ``falls``, or ``not certain`` where it rests on edges or
+            points and whether it falls depends on where exactly these lie.
         margin_g: sideways acceleration [g] it withstands in every direction; 0 where it falls.
         tilt: inclination of the ground it withstands in every direction [deg].
         holding_force: least force that would hold it, 0 where it stands [N].
@@ -100,28 +109,60 @@ def check(
     standing = assembly.finished
     check_overlaps(standing, tolerance)
     contacts = find_contacts(standing, tolerance)
-    _check_supported(standing, contacts)
-    bed = bed_patches(contacts)
-    used, keep, verdict = contacts.only(bed), bed, STANDS
-    result = solve(standing, used, friction)
-    if not result.stands and not bed.all():
-        used, keep, verdict = contacts, np.ones_like(bed), TIGHT
-        result = solve(standing, used, friction)
-    if not result.stands:
-        verdict = FALLS
-    margin_g = margin(standing, used, friction) if result.stands else 0.0
+    supported = any(block.support for block in standing.blocks) or (contacts.a < 0).any()
+    if supported:
+        _check_supported(standing, contacts)
+        result, keep, verdict = _on_faces(standing, contacts, friction)
+    if not supported or not result.stands:
+        # Edges and points are looked at only where faces do not carry: what these hold stands.
+        every, known = add_point_contacts(standing, contacts, tolerance)
+        _check_supported(standing, every)
+        if not supported or len(every.a) > len(contacts.a):
+            contacts = every
+            result, keep, verdict = _on_faces(standing, contacts, friction)
+            if not result.stands and not (
+                known.all() and _falls_anyhow(standing, contacts, friction, tolerance)
+            ):
+                verdict = UNCERTAIN
+    margin_g = margin(standing, contacts.only(keep), friction) if result.stands else 0.0
     forces = np.zeros_like(contacts.points)
     forces[keep[contacts.patch]] = result.forces
     moving = tuple(standing.blocks[k].id for k in result.moving.tolist())
     return Check(
         verdict, margin_g, float(np.degrees(np.arctan(margin_g))), result.holding_force, moving,
-        len(standing.blocks), contacts, forces, result.method, _shown(result, margin_g),
+        len(standing.blocks), contacts, forces, result.method, _shown(result, margin_g, verdict),
         time.perf_counter() - started,
     )  # fmt: skip
 
 
-def _shown(result: Equilibrium, margin_g: float) -> str:
+def _on_faces(
+    assembly: Assembly, contacts: Contacts, friction: float
+) -> tuple[Equilibrium, np.ndarray, Verdict]:
+    """The answer without vertical patches where these carry, else with all; bool[P], those used."""
+    keep = bed_patches(contacts)
+    result = solve(assembly, contacts.only(keep), friction)
+    if result.stands or keep.all():
+        return result, keep, STANDS if result.stands else FALLS
+    result = solve(assembly, contacts, friction)
+    return result, np.ones_like(keep), TIGHT if result.stands else FALLS
+
+
+def _falls_anyhow(
+    assembly: Assembly, contacts: Contacts, friction: float, tolerance: float | None
+) -> bool:
+    """Whether no forces hold it wherever within the tolerance its points of contact lie."""
+    reach = tolerance or float(contact_tolerance(assembly.blocks).max())
+    return not solve(assembly, widened(contacts, 2 * reach), friction, coupled=False).stands
+
+
+def _shown(result: Equilibrium, margin_g: float, verdict: Verdict) -> str:
     """What an answer rests on, in words."""
+    if verdict == UNCERTAIN:
+        return (
+            "no contact forces were found, but blocks rest on edges or points, and where these "
+            "push, and which way, is known to the tolerance only: neither standing nor falling is "
+            "proven"
+        )
     if not result.stands:
         return {
             "rbe": "no contact forces balance the blocks: it falls for certain",

@@ -1,0 +1,155 @@
+"""Contacts of edges and vertices: with faces, with one another, and with the ground.
+
+Two convex bodies touch where a plane separates them and both reach it within the tolerance. The
+planes looked at are those of the faces of both, and those along an edge of each (the cross product
+of the edges is the normal); the one that separates best is taken. What both bodies have within the
+tolerance of it, projected on it and intersected, is the patch: a point, a line or a polygon.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+
+from learn2assemble.assembly.blocks import Block, convex_parts
+
+LOOSE = 2.0
+"""Widest gap and deepest overlap of such a contact, in those of two faces: poses that were measured
+or that a simulation settled leave bodies that touch at a point farther apart than faces."""
+_PARALLEL = 1e-3
+"""Sine of the angle below which two edges have no normal in common."""
+_TURNED = 0.1
+"""Angle between planes that separate equally well, above which no normal is known [rad]."""
+
+
+class PointPatch(NamedTuple):
+    """What two blocks share on the plane that separates them."""
+
+    a: int
+    """Index of the block that pushes back, or -1 for the ground."""
+    b: int
+    normal: np.ndarray
+    """float64[3]: unit, from ``a`` to ``b``."""
+    points: np.ndarray
+    """float64[k, 3]: corners [m, world]."""
+    certain: bool
+    """Whether there is only one normal."""
+
+
+class _Body(NamedTuple):
+    vertices: np.ndarray
+    normals: np.ndarray
+    edges: np.ndarray
+
+
+def between(blocks: Sequence[Block], pairs: np.ndarray, width: np.ndarray) -> list[PointPatch]:
+    """Contacts of the pairs (int64[N, 2], a < b) of blocks.
+
+    Args:
+        width: float64[B], the tolerance of each block [m]; the smaller one of a pair counts.
+    """
+    bodies: dict[int, list[_Body]] = {}
+    found = []
+    for a, b in pairs.tolist():
+        for k in (a, b):
+            if k not in bodies:
+                block = blocks[k]
+                parts = [block] if block.is_convex else convex_parts(block)
+                bodies[k] = [_body(part) for part in parts]
+        for one in bodies[a]:
+            for two in bodies[b]:
+                patch = _touch(one, two, float(min(width[a], width[b])))
+                if patch is not None:
+                    found.append(PointPatch(a, b, *patch))
+    return found
+
+
+def on_ground(blocks: Sequence[Block], indices: np.ndarray, width: np.ndarray) -> list[PointPatch]:
+    """Contacts of the blocks with these indices with the plane z = 0."""
+    found = []
+    for k in indices.tolist():
+        vertices = blocks[k].vertices
+        low = vertices[np.abs(vertices[:, 2]) <= width[k]]
+        if len(low):
+            flat = _corners(_hull(low[:, :2]))
+            points = np.column_stack([flat, np.zeros(len(flat))])
+            found.append(PointPatch(-1, k, np.array([0.0, 0.0, 1.0]), points, True))
+    return found
+
+
+def _body(block: Block) -> _Body:
+    xyz = block.vertices
+    centre = xyz.mean(0)
+    normals, edges = [], []
+    for face in block.faces:
+        corners = xyz[list(face)]
+        arm = corners - corners.mean(0)
+        normal = np.cross(arm, np.roll(arm, -1, 0)).sum(0)
+        size = np.linalg.norm(normal)
+        if size > 0:
+            normal = normal / size
+            normals.append(normal if normal @ (corners.mean(0) - centre) >= 0 else -normal)
+        edges += [(min(p, q), max(p, q)) for p, q in zip(face, face[1:] + face[:1], strict=True)]
+    ends = np.array(sorted(set(edges)))
+    along = xyz[ends[:, 1]] - xyz[ends[:, 0]]
+    length = np.linalg.norm(along, axis=1)
+    along = along[length > 0] / length[length > 0, None]
+    return _Body(xyz, np.array(normals), along)
+
+
+def _apart(one: _Body, two: _Body, axes: np.ndarray) -> np.ndarray:
+    """Distance of two bodies along unit axes that point from the first to the second."""
+    return (two.vertices @ axes.T).min(0) - (one.vertices @ axes.T).max(0)
+
+
+def _touch(
+    one: _Body, two: _Body, width: float
+) -> tuple[np.ndarray, np.ndarray, bool] | None:  # fmt: skip
+    axes = np.concatenate([one.normals, -two.normals])
+    apart = _apart(one, two, axes)
+    if apart.max() > width:
+        return None
+    cross = np.cross(one.edges[:, None], two.edges[None]).reshape(-1, 3)
+    size = np.linalg.norm(cross, axis=1)
+    cross = cross[size > _PARALLEL] / size[size > _PARALLEL, None]
+    away = two.vertices.mean(0) - one.vertices.mean(0)
+    cross[cross @ away < 0] *= -1
+    # A plane of edges has to be better than that of a face by more than rounding.
+    axes = np.concatenate([axes, cross])
+    apart = np.concatenate([apart, _apart(one, two, cross) - 1e-3 * width])
+    best = int(np.argmax(apart))
+    if apart[best] > width:
+        return None
+    normal = axes[best]
+    near_one, near_two = one.vertices @ normal, two.vertices @ normal
+    top, bottom = near_one.max(), near_two.min()
+    helper = np.eye(3)[np.argmin(np.abs(normal))]
+    u = np.cross(helper, normal)
+    u /= np.linalg.norm(u)
+    basis = np.stack([u, np.cross(normal, u)])
+    left = _hull(one.vertices[near_one >= top - width] @ basis.T)
+    right = _hull(two.vertices[near_two <= bottom + width] @ basis.T)
+    shared = shapely.intersection(left, right)
+    if shared.is_empty:
+        line = shapely.shortest_line(left, right)
+        if np.hypot(shapely.length(line), max(bottom - top, 0.0)) > width:
+            return None
+        shared = shapely.centroid(line)
+    flat = _corners(shapely.convex_hull(shared))
+    points = flat @ basis + (top + bottom) / 2 * normal
+    rivals = axes[apart > apart[best] - width / 2] @ normal
+    certain = bool(apart[best] >= -width and rivals.min() > np.cos(_TURNED))
+    return normal, points, certain
+
+
+def _hull(points: np.ndarray) -> shapely.Geometry:
+    return shapely.convex_hull(shapely.multipoints(points))
+
+
+def _corners(shape: shapely.Geometry) -> np.ndarray:
+    """float64[k, 2]: corners of a point, a line or a polygon, each once."""
+    corners = shapely.get_coordinates(shape)
+    return corners[:-1] if shape.geom_type == "Polygon" else corners

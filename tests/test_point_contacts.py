@@ -1,0 +1,73 @@
+"""Contacts of edges and points, against hand-computed truth and what a simulation settled."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from learn2assemble.assembly.blocks import Assembly, Block, box_block
+from learn2assemble.assembly.files import read_assembly
+from learn2assemble.physics.rigid_blocks import FALLS, STANDS, UNCERTAIN, check
+
+DATA = Path(__file__).parent / "data" / "point_contacts"
+"""Settled in MuJoCo, where they stay within 0.36 mm."""
+
+
+def ridge(name: str, x: float, height: float = 0.1) -> Block:
+    """A prism whose upper edge lies along y at ``x``."""
+    ends = [(x - 0.1, 0.0), (x + 0.1, 0.0), (x, height)]
+    vertices = np.array([(u, y, z) for y in (-0.1, 0.1) for u, z in ends])
+    faces = ((0, 1, 2), (5, 4, 3), (0, 3, 4, 1), (1, 4, 5, 2), (2, 5, 3, 0))
+    return Block(name, vertices, faces)
+
+
+def plank(low: float, high: float, z: float = 0.1) -> Block:
+    return box_block("plank", (low, -0.05, z), (high, 0.05, z + 0.04))
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in DATA.glob("*.json")))
+def test_what_settled_on_edges_and_points_stands(name: str) -> None:
+    answer = check(read_assembly(DATA / f"{name}.json"))
+    assert answer.verdict == STANDS
+    assert "certain" not in answer.proof
+
+
+def test_there_are_samples() -> None:
+    assert len(list(DATA.glob("*.json"))) == 4
+
+
+@pytest.mark.parametrize("gap", [-0.0002, 0.0, 0.0002])
+def test_a_plank_on_two_ridges_stands(gap: float) -> None:
+    two = Assembly((ridge("left", -0.2), ridge("right", 0.2), plank(-0.3, 0.3, 0.1 + gap)))
+    assert check(two).verdict == STANDS
+
+
+def test_a_plank_off_the_middle_of_one_ridge_falls() -> None:
+    answer = check(Assembly((ridge("base", 0.0), plank(-0.1, 0.2))))
+    assert answer.verdict == FALLS
+    assert answer.moving == ("plank",)
+    assert "for certain" in answer.proof
+
+
+def test_a_plank_within_the_tolerance_of_its_middle_is_not_said_to_fall() -> None:
+    """Its centre is 0.1 mm beside the edge, which is known to less than that."""
+    answer = check(Assembly((ridge("base", 0.0), plank(-0.1999, 0.2001))))
+    assert answer.verdict in (STANDS, UNCERTAIN)
+    assert "falls for certain" not in answer.proof
+
+
+def test_crossed_edges_touch_at_points() -> None:
+    """A prism upside down lies with its edge, along x, across two ridges along y: it rolls off."""
+    upper = ridge("upper", 0.0)
+    turned = upper.vertices[:, [1, 0, 2]] * [4.0, 0.5, -1.0] + [0, 0, 0.2]
+    assembly = Assembly(
+        (ridge("left", -0.2), ridge("right", 0.2), Block("upper", turned, upper.faces))
+    )
+    answer = check(assembly)
+    edges = answer.contacts.only(answer.contacts.a >= 0)
+    assert len(edges.a) == 2
+    np.testing.assert_allclose(np.abs(edges.normal[:, 2]), 1.0, atol=1e-9)
+    np.testing.assert_allclose(np.sort(edges.points[:, 0]), [-0.2, 0.2], atol=1e-9)
+    assert "falls for certain" not in answer.proof, "within the tolerance it is balanced"
