@@ -45,8 +45,8 @@ if TYPE_CHECKING:
 
 TONES = {
     "complete": "good", "stands": "good", "within reach": "good", "incomplete": "warn",
-    "stands only with tight joints": "warn", "not certain": "warn", "out of reach": "bad", "refused": "bad",
-    "falls": "bad",
+    "stands only with tight joints": "warn", "not certain": "warn",
+    "out of reach": "bad", "refused": "bad", "falls": "bad",
 }  # fmt: skip
 STANDARD_GRAVITY = 9.80665
 """[m/s²]"""
