@@ -112,7 +112,7 @@ def check(
     supported = any(block.support for block in standing.blocks) or (contacts.a < 0).any()
     if supported:
         _check_supported(standing, contacts)
-        result, keep, verdict = _on_faces(standing, contacts, friction)
+    result, keep, verdict = _on_faces(standing, contacts, friction)
     if not supported or not result.stands:
         # Edges and points are looked at only where faces do not carry: what these hold stands.
         every, known = add_point_contacts(standing, contacts, tolerance)
