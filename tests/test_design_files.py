@@ -22,6 +22,7 @@ from hypothesis.extra import numpy as arrays
 from PIL import Image
 
 from learn2assemble.design.cells import CellDesign, kind_of, read_design
+from learn2assemble.design.drawings import read_svg
 from learn2assemble.design.lattice import fit, shares
 from learn2assemble.design.solids import crossed
 from learn2assemble.errors import InputError, MissingExtraError
@@ -234,6 +235,52 @@ def test_a_circle_in_all_drawings(tmp_path: Path) -> None:
     assert np.array_equal(made[0][:, 0], made[0][::-1, 0])
     assert made[0][:, 0][np.hypot(*np.meshgrid(centre, centre)) < 4.4].all()
     assert all(np.array_equal(other, made[0]) for other in made[1:])
+
+
+TURNED = {
+    "rect": '<rect x="2" y="-2" width="9" height="4" transform="{}"/>',
+    "circle": '<circle cx="5" cy="2" r="4" transform="{}"/>',
+    "ellipse": '<ellipse cx="5" cy="2" rx="5" ry="2" transform="{}"/>',
+    "use": '<defs><rect id="a" width="9" height="4"/></defs><use href="#a" transform="{}"/>',
+    "group": '<g transform="{}"><rect width="9" height="4" rx="1"/></g>',
+    "path": '<path d="M0 0h4a4 2 0 0 1 0 4h-4z" transform="{}"/>',
+}
+"""Shapes with a place for a transform."""
+AREAS = {"rect": 36, "circle": 16 * np.pi, "ellipse": 10 * np.pi, "use": 36,
+         "group": 32 + np.pi, "path": 16 + 4 * np.pi}  # fmt: skip
+TURNS = {"rotate(30)": (0.5, 0.75**0.5, 1.0), "skewX(40)": (0.0, 1.0, 1.0),
+         "matrix(1 .5 -.3 2 7 8)": (0.5, 1.0, 2.15)}  # fmt: skip
+
+
+@pytest.mark.parametrize("turn", TURNS)
+@pytest.mark.parametrize("shape", TURNED)
+def test_shapes_of_svg_are_transformed(shape: str, turn: str) -> None:
+    """A corner or a middle lies where the transform puts it, and areas grow by its determinant."""
+    import shapely
+
+    contours = read_svg(svg(TURNED[shape].format(turn)).encode(), "a.svg").sides["front"]
+    made = shapely.union_all([shapely.Polygon(c) for c in contours])
+    b, d, growth = TURNS[turn]
+    assert made.area == pytest.approx(AREAS[shape] * growth, rel=2e-3)
+    # Height of what a transform maps: y' = b x + d y (+ 8), drawn upwards.
+    if shape in ("circle", "ellipse"):
+        rx, ry = (4, 4) if shape == "circle" else (5, 2)
+        d = 2.0 if "matrix" in turn else d
+        reach = 2 * np.hypot(b * rx, d * ry)
+        assert made.bounds[3] - made.bounds[1] == pytest.approx(reach, rel=2e-3)
+    if shape == "rect":
+        d = 2.0 if "matrix" in turn else d
+        assert made.bounds[3] - made.bounds[1] == pytest.approx(9 * b + 4 * d, rel=1e-3)
+
+
+def test_percentages_and_opacity_of_svg() -> None:
+    """Percentages are of the view box; what is fully transparent is not there."""
+    body = (
+        '<rect width="50%" height="20%"/><rect width="300" height="250" opacity="0"/>'
+        '<g style="opacity: 0.0"><rect width="300" height="250"/></g>'
+    )
+    contours = read_svg(svg(body).encode(), "a.svg").sides["front"]
+    assert np.ptp(np.concatenate(contours), axis=0).tolist() == pytest.approx([150, 50])
 
 
 # ---------------------------------------------------------------- sides, units, options
@@ -663,6 +710,17 @@ BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "words.svg": (svg("<text>house</text>"), {}, "no closed outline"),
     "hidden.svg": (svg(f'<path d="{SQUARE}" display="none"/>'), {}, "no closed outline"),
     "white.svg": (svg(f'<path d="{SQUARE}" fill="white"/>'), {}, "without an area"),
+    "clip.svg": (svg(f'<path d="{SQUARE}" clip-path="url(#a)"/>'), {}, "clip-path"),
+    "mask.svg": (svg(f'<g style="mask:url(#a)"><path d="{SQUARE}"/></g>'), {}, "mask"),
+    "css.svg": (
+        svg(f'<style>.a{{clip-path:url(#c)}}</style><path class="a" d="{SQUARE}"/>'), {},
+        "clip-path",
+    ),
+    "symbol.svg": (
+        svg(f'<symbol id="a" viewBox="0 0 9 9"><path d="{SQUARE}"/></symbol><use href="#a"/>'), {},
+        "symbol",
+    ),
+    "nested.svg": (svg(svg(f'<path d="{SQUARE}"/>')), {}, "svg inside"),
     "thin.svg": (svg('<path d="M0 0L5 5L9 9z"/>'), {}, "expected"),
     "no_unit.svg": (svg(f'<path d="{SQUARE}"/>', 'viewBox="0 0 9 9"'), {}, "size in metres"),
     "layers.svg": (

@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import itertools
 import logging
+import math
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -336,11 +337,11 @@ def read_svg(content: bytes, source: str) -> Drawing:
 
     root = _svg_root(content, source)
     metres = _svg_unit(root)
-    for key in ("width", "height", "viewBox", "preserveAspectRatio"):
-        root.attrib.pop(key, None)
+    _check_svg_read(root, source)
     layers: dict[str | None, _Layer] = {}
     with trusted(source, "a valid SVG drawing"):
-        parsed = SVG.parse(io.BytesIO(ElementTree.tostring(root)), reify=True, ppi=96.0)
+        _in_user_units(root)
+        parsed = SVG.parse(io.BytesIO(ElementTree.tostring(root)), reify=False, ppi=96.0)
         shapes = list(_svg_shapes(parsed, root))
         curves = sum(type(part).__name__ in _CURVED for _, path in shapes for part in path)
         sampled = np.linspace(0, 1, int(np.clip(MAX_VERTICES // 2 // max(curves, 1), 4, 49)))
@@ -377,6 +378,64 @@ def _svg_root(content: bytes, source: str) -> ElementTree.Element:
 
     _expanded(root, parts, weight, source)
     return root
+
+
+_NOT_READ = ("clip-path", "mask", "filter")
+"""Properties that change what is visible and are not read."""
+_CLEAR = re.compile(r"\s*[-+]?0*\.?0*\s*%?\s*$")
+
+
+def _property(element: ElementTree.Element, name: str) -> str:
+    """A property of an element itself; its style counts before its attribute."""
+    found = re.findall(rf"(?:^|;)\s*{name}\s*:([^;]*)", element.get("style", ""))
+    return str(found[-1] if found else element.get(name, "")).strip()
+
+
+def _check_svg_read(root: ElementTree.Element, source: str) -> None:
+    """Leave out what is fully transparent, and refuse what would be drawn otherwise than seen."""
+    for parent in root.iter():
+        for child in list(parent):
+            opacity = _property(child, "opacity")
+            if opacity and _CLEAR.match(opacity):
+                parent.remove(child)
+    expected = "a drawing without it: apply it to the paths in the editor"
+    sheets = " ".join(e.text or "" for e in root.iter() if e.tag.endswith("}style"))
+    for element in root.iter():
+        tag = str(element.tag).rpartition("}")[2]
+        for name in _NOT_READ:
+            in_sheet = tag == "style" and re.search(rf"[{{;\s]{name}\s*:\s*url", sheets)
+            if in_sheet or _property(element, name) not in ("", "none"):
+                raise InputError(source, f"a {name}, which is not read", expected)
+        if tag == "symbol" and element.get("viewBox"):
+            raise InputError(source, "a symbol with a viewBox, which is not read", expected)
+        if tag == "svg" and element is not root:
+            raise InputError(source, "an svg inside an svg, which is not read", expected)
+
+
+def _in_user_units(root: ElementTree.Element) -> None:
+    """Let a user unit be 1, whatever the size on a page; percentages are of the view box."""
+    box = re.findall(r"[-+0-9.eE]+", root.attrib.pop("viewBox", ""))
+    root.attrib.pop("preserveAspectRatio", None)
+    sizes = []
+    for key, index in (("width", 2), ("height", 3)):
+        given = root.attrib.pop(key, "")
+        found = re.match(r"\s*([0-9.eE+-]+)\s*(px|mm|cm|in|pt|pc)?\s*$", given)
+        if len(box) == 4:
+            sizes.append(float(box[index]))
+        elif found:
+            pixels = {**UNITS, **_POINTS, "px": _PIXEL}[found[2] or "px"] / _PIXEL
+            sizes.append(float(found[1]) * pixels)
+    if len(sizes) < 2:
+        return  # The window of the browser would say.
+    wide, high = sizes
+    lengths = {"x": wide, "width": wide, "cx": wide, "rx": wide, "x1": wide, "x2": wide,
+               "y": high, "height": high, "cy": high, "ry": high, "y1": high, "y2": high,
+               "r": math.hypot(wide, high) / math.sqrt(2)}  # fmt: skip
+    for element in root.iter():
+        for key, length in lengths.items():
+            given = element.get(key, "").strip()
+            if given.endswith("%"):
+                element.set(key, repr(float(given[:-1]) / 100 * length))
 
 
 def _svg_unit(root: ElementTree.Element) -> float | None:
@@ -424,9 +483,13 @@ def _add_svg_shape(layer: _Layer, path: Any, sampled: np.ndarray, source: str) -
     if not (filled or stroked):
         return
     paper = filled and min(path.fill.red, path.fill.green, path.fill.blue) >= 250
+    # Curves become lines before they are transformed: a skewed arc is no arc.
+    matrix = path.transform
+    turn = np.array([(matrix.a, matrix.b), (matrix.c, matrix.d)], dtype=np.float64)
+    move = np.array([matrix.e, matrix.f], dtype=np.float64)
     closed, is_open = [], False
     for part in path.as_subpaths():
-        points = _svg_points(part, sampled)
+        points = _svg_points(part, sampled) @ turn + move
         reach = np.ptp(points, axis=0).max() if len(points) else 0.0
         if len(points) < 3 or not reach > 0:
             continue
