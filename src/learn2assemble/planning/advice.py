@@ -38,7 +38,7 @@ def advise(
     for text, wanted, blocks, changed in _trials(tiling, kit, options):
         if clock.left <= 0 or wanted.sum() > MAX_CELLS or max(wanted.shape) > MAX_EXTENT:
             continue
-        progress(f"trying what would help: {text}")
+        progress(f"trying whether {text}")
         made, ordering = plan_exact(
             wanted, blocks, seconds=min(_MOST, _SHARE * clock.left), **{**options, **changed}
         )
