@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
+from shapely import MultiPoint
+from shapely.geometry.base import BaseGeometry
 
 from learn2assemble.assembly.blocks import Block, convex_parts
 
@@ -138,18 +140,18 @@ def _touch(
         if np.hypot(shapely.length(line), max(bottom - top, 0.0)) > width:
             return None
         shared = shapely.centroid(line)
-    flat = _corners(shapely.convex_hull(shared))
+    flat = _corners(shared.convex_hull)
     points = flat @ basis + (top + bottom) / 2 * normal
     rivals = axes[apart > apart[best] - width / 2] @ normal
     certain = bool(apart[best] >= -width and rivals.min() > np.cos(_TURNED))
     return normal, points, certain
 
 
-def _hull(points: np.ndarray) -> shapely.Geometry:
-    return shapely.convex_hull(shapely.multipoints(points))
+def _hull(points: np.ndarray) -> BaseGeometry:
+    return MultiPoint(points).convex_hull
 
 
-def _corners(shape: shapely.Geometry) -> np.ndarray:
+def _corners(shape: BaseGeometry) -> np.ndarray:
     """float64[k, 2]: corners of a point, a line or a polygon, each once."""
     corners = shapely.get_coordinates(shape)
     return corners[:-1] if shape.geom_type == "Polygon" else corners
