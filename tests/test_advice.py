@@ -16,7 +16,7 @@ CELL = (0.05, 0.05, 0.05)
 
 def refused(wanted: np.ndarray, kit: str) -> str:
     design = CellDesign("drawn", wanted, CELL, None, 0.0, None, "test", None)
-    plan = plan_cells(design, load_kit(kit).at_pitch(CELL))
+    plan = plan_cells(design, load_kit(kit).at_pitch(CELL), seconds=600)
     assert plan.status in ("refused", "not found")
     assert plan.reason is not None
     return plan.reason

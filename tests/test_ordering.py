@@ -281,7 +281,7 @@ def test_props_obey_the_heap() -> None:
     free, _ = plan_exact(wanted, LINTELS)
     used = [block.kind for block in free.placements if not block.prop]
     kinds = tuple(replace(kind, count=used.count(kind.name)) for kind in LINTELS.kinds)
-    tiling, _ = plan_exact(wanted, replace(LINTELS, kinds=kinds))
+    tiling, _ = plan_exact(wanted, replace(LINTELS, kinds=kinds), seconds=600)
     assert tiling.status == "not found"
 
 
@@ -485,7 +485,7 @@ def test_a_region_is_decided_again_and_the_rest_stays() -> None:
 
 def test_a_deck_that_no_bricks_carry_is_told_apart_from_one_that_is_proven_to_fall() -> None:
     """Without friction it falls; forces with friction balance it, elastic joints do not."""
-    tiling, ordering = plan_exact(shapes.bridge(1, 6, 4, 3, 2), load_kit("bricks"))
+    tiling, ordering = plan_exact(shapes.bridge(1, 6, 4, 3, 2), load_kit("bricks"), seconds=600)
     assert ordering is None
     assert tiling.status == "not found"
     assert "spans 4 cells at level 3" in tiling.reason
