@@ -273,6 +273,34 @@ def test_shapes_of_svg_are_transformed(shape: str, turn: str) -> None:
         assert made.bounds[3] - made.bounds[1] == pytest.approx(9 * b + 4 * d, rel=1e-3)
 
 
+UNSEEN = '<rect x="150" width="100" height="100"/>'
+SYMBOL = '<symbol id="k"><rect width="100" height="100"/></symbol>'
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "<style>.u{clip-path:url(#c)} /* path{filter:url(#c)} */</style>",
+        f'<defs><g clip-path="url(#c)">{UNSEEN}</g></defs>',
+        f'<g display="none" mask="url(#c)">{UNSEEN}</g>',
+        f'<g visibility="hidden" filter="url(#c)">{UNSEEN}</g>',
+        '<g filter="url(#c)"/><text filter="url(#c)">house</text>',
+        *(f'<{tag} viewBox="0 0 1 1" id="c">{UNSEEN}</{tag}>' for tag in
+          ("symbol", "clipPath", "mask", "marker", "pattern")),
+    ],
+)  # fmt: skip
+def test_leftovers_of_an_svg_are_neither_refused_nor_drawn(body: str) -> None:
+    drawn = read_svg(svg(body + f'<path d="{SQUARE}"/>').encode(), "x.svg")
+    assert np.ptp(np.concatenate(drawn.sides["front"]), axis=0) == pytest.approx((100, 100))
+
+
+def test_a_symbol_is_drawn_where_it_is_used_only() -> None:
+    drawn = read_svg(svg(f'{SYMBOL}<use href="#k" x="150"/>').encode(), "x.svg")
+    points = np.concatenate(drawn.sides["front"])
+    assert points.min(0) == pytest.approx((150, -100))
+    assert points.max(0) == pytest.approx((250, 0))
+
+
 def test_percentages_and_opacity_of_svg() -> None:
     """Percentages are of the view box; what is fully transparent is not there."""
     body = (
@@ -714,6 +742,26 @@ BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "mask.svg": (svg(f'<g style="mask:url(#a)"><path d="{SQUARE}"/></g>'), {}, "mask"),
     "css.svg": (
         svg(f'<style>.a{{clip-path:url(#c)}}</style><path class="a" d="{SQUARE}"/>'), {},
+        "clip-path",
+    ),
+    "used.svg": (
+        svg(f'<defs><g id="a" mask="url(#c)"><path d="{SQUARE}"/></g></defs><use href="#a"/>'), {},
+        "mask",
+    ),
+    "shown.svg": (
+        svg(
+            '<g visibility="hidden" filter="url(#c)">'
+            f'<path visibility="visible" d="{SQUARE}"/></g>'
+        ),
+        {},
+        "filter",
+    ),
+    "media.svg": (
+        svg(
+            "<style>@media all{g path.a,p{color:red;clip-path:url(#c)}}</style>"
+            f'<path class="b a" d="{SQUARE}"/>'
+        ),
+        {},
         "clip-path",
     ),
     "symbol.svg": (

@@ -383,33 +383,123 @@ def _svg_root(content: bytes, source: str) -> ElementTree.Element:
 _NOT_READ = ("clip-path", "mask", "filter")
 """Properties that change what is visible and are not read."""
 _CLEAR = re.compile(r"\s*[-+]?0*\.?0*\s*%?\s*$")
+_DRAWN = {"path", "rect", "circle", "ellipse", "line", "polyline", "polygon"}
+_UNDRAWN = {"defs", "symbol", "clipPath", "mask", "filter", "marker", "pattern", "linearGradient",
+            "radialGradient", "metadata", "style"}  # fmt: skip
+"""Elements whose content is drawn only where another element names it, or never."""
+
+
+def _declared(declarations: str, name: str) -> str:
+    """The last value of a property in a list of declarations; empty where there is none."""
+    found = re.findall(rf"(?:^|;)\s*{name}\s*:([^;]*)", declarations)
+    return found[-1].partition("!")[0].strip() if found else ""
 
 
 def _property(element: ElementTree.Element, name: str) -> str:
     """A property of an element itself; its style counts before its attribute."""
-    found = re.findall(rf"(?:^|;)\s*{name}\s*:([^;]*)", element.get("style", ""))
-    return str(found[-1] if found else element.get(name, "")).strip()
+    return _declared(element.get("style", ""), name) or element.get(name, "").strip()
+
+
+@dataclass
+class _Sheets:
+    """The rules of the style sheets that say what is not read, by the last part of a selector.
+
+    Only the element that a selector ends in is compared: a rule may count for too many elements,
+    never for too few.
+    """
+
+    rules: dict[str, list[tuple[set[str], str]]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, root: ElementTree.Element, source: str) -> _Sheets:
+        """Those of a file."""
+        text = " ".join(e.text or "" for e in root.iter() if e.tag.endswith("}style"))
+        first, *others = text.split("/*")
+        text = " ".join([first, *(other.partition("*/")[2] for other in others)])
+        made, count = cls(), 0
+        for rule in text.split("}"):
+            head, _, declarations = rule.rpartition("{")
+            if all(_declared(declarations, name) in ("", "none") for name in _NOT_READ):
+                continue
+            for selector in head.rpartition("{")[2].split(","):  # of @media: the rule in it
+                count += 1
+                if count > MAX_ENTITIES:
+                    got = f"over {MAX_ENTITIES} rules of clip paths, masks or filters"
+                    raise InputError(source, got, f"at most {MAX_ENTITIES}")
+                parts: set[str] = set()  # every element, where a selector is not simple
+                if not set(selector) & set("[]()\\"):
+                    last = re.split(r"[\s>+~]+", selector.strip())[-1].partition(":")[0]
+                    parts = set(re.findall(r"[.#]?[\w-]+", last))
+                key = min(parts, default="*")  # an id or a class before a tag
+                made.rules.setdefault(key, []).append((parts, declarations))
+        return made
+
+    def not_read(self, element: ElementTree.Element) -> Iterator[str]:
+        """Properties in use on an element that are not read."""
+        tag = str(element.tag).rpartition("}")[2]
+        classes = element.get("class", "").split()
+        own = {tag, f"#{element.get('id')}", *(f".{name}" for name in classes)}
+        found = [d for key in ("*", *own) for parts, d in self.rules.get(key, ()) if parts <= own]
+        for name in _NOT_READ:
+            itself = _declared(element.get("style", ""), name)
+            given = [itself] if itself else [element.get(name, "").strip()]
+            if not itself:  # A sheet counts before an attribute.
+                given.extend(_declared(declarations, name) for declarations in found)
+            if any(value not in ("", "none") for value in given):
+                yield name
 
 
 def _check_svg_read(root: ElementTree.Element, source: str) -> None:
-    """Leave out what is fully transparent, and refuse what would be drawn otherwise than seen."""
+    """Leave out what is fully transparent, and refuse what would be drawn otherwise than seen.
+
+    Only what is drawn is refused: editors leave unused definitions and rules in their files.
+    """
     for parent in root.iter():
         for child in list(parent):
             opacity = _property(child, "opacity")
             if opacity and _CLEAR.match(opacity):
                 parent.remove(child)
+    sheets = _Sheets.of(root, source)
+    named = {e.get("id"): e for e in root.iter() if e.get("id")}
     expected = "a drawing without it: apply it to the paths in the editor"
-    sheets = " ".join(e.text or "" for e in root.iter() if e.tag.endswith("}style"))
-    for element in root.iter():
+
+    def draws(element: ElementTree.Element, hidden: bool) -> bool:
+        """Whether an element draws something; refuses what is not read on those that do."""
         tag = str(element.tag).rpartition("}")[2]
-        for name in _NOT_READ:
-            in_sheet = tag == "style" and re.search(rf"[{{;\s]{name}\s*:\s*url", sheets)
-            if in_sheet or _property(element, name) not in ("", "none"):
+        if _property(element, "display") == "none":
+            return False
+        visibility = _property(element, "visibility")
+        hidden = visibility in ("hidden", "collapse") if visibility else hidden
+        drawn = tag in _DRAWN and not hidden
+        for child in element:
+            if str(child.tag).rpartition("}")[2] not in _UNDRAWN:
+                drawn = draws(child, hidden) or drawn
+        target = named.get((element.get("href") or element.get(_HREF) or "")[1:])
+        if tag == "use" and target is not None:
+            drawn = draws(target, hidden) or drawn
+        if drawn:
+            for name in sheets.not_read(element):
                 raise InputError(source, f"a {name}, which is not read", expected)
-        if tag == "symbol" and element.get("viewBox"):
-            raise InputError(source, "a symbol with a viewBox, which is not read", expected)
-        if tag == "svg" and element is not root:
-            raise InputError(source, "an svg inside an svg, which is not read", expected)
+            if tag == "symbol" and element.get("viewBox"):
+                raise InputError(source, "a symbol with a viewBox, which is not read", expected)
+            if tag == "svg" and element is not root:
+                raise InputError(source, "an svg inside an svg, which is not read", expected)
+        return drawn
+
+    draws(root, False)
+    _set_aside(root)
+
+
+def _set_aside(root: ElementTree.Element) -> None:
+    """Move what is drawn only by reference into definitions: the parser would draw it in place."""
+    apart = ElementTree.Element("{http://www.w3.org/2000/svg}defs")
+    for parent in list(root.iter()):
+        tag = str(parent.tag).rpartition("}")[2]
+        for child in list(parent) if tag not in _UNDRAWN else ():
+            if str(child.tag).rpartition("}")[2] in _UNDRAWN - {"defs", "style"}:
+                parent.remove(child)
+                apart.append(child)
+    root.insert(0, apart)
 
 
 def _in_user_units(root: ElementTree.Element) -> None:
