@@ -20,9 +20,9 @@ from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign, read_design
 from learn2assemble.errors import InputError
 from learn2assemble.physics.rigid_blocks import check
-from learn2assemble.planning.construct import plan_assembly, plan_cells
-from learn2assemble.planning.ordering import to_assembly
-from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.construct import plan_assembly, plan_cells, report_plan
+from learn2assemble.planning.ordering import order, to_assembly
+from learn2assemble.planning.plan import BlamedCells, Plan
 from learn2assemble.planning.tiling import tile
 from learn2assemble.reproduction import shapes
 from test_ordering import deck
@@ -138,6 +138,43 @@ def test_a_span_the_kit_has_no_block_for_is_refused_and_says_so(tmp_path: Path) 
         "assembly.json",
     }
     assert plan_cells(design, "bricks-lintels").complete
+
+
+def test_cells_to_blame_are_data() -> None:
+    wanted = np.zeros((5, 1, 2), bool)
+    wanted[:, :, 1] = True
+    wanted[[0, 4], :, 0] = True
+    design = CellDesign("table", wanted, (0.05, 0.05, 0.04), None, 0.0, None, "test", None)
+    plan = plan_cells(design, "cubes")
+    assert plan.blamed == (BlamedCells("not carried", ((1, 0, 1), (2, 0, 1), (3, 0, 1))),)
+    assert plan.design.cell == (0.05, 0.05, 0.04)
+    assert Plan.from_dict(json.loads(json.dumps(plan.to_dict()))) == plan
+    assert plan_cells(design, "bricks-lintels").blamed == ()
+
+
+def test_cells_that_a_heap_leaves_open_are_to_blame() -> None:
+    """Three cells and two cells do not fill a square of four."""
+    bent = Kind("bent", ((0, 0, 0), (1, 0, 0), (0, 1, 0)), count=1)
+    kit = Kit("two", (bent, Kind("pair", ((0, 0, 0), (1, 0, 0)), count=1)))
+    wanted = np.ones((2, 2, 1), bool)
+    plan = plan_cells(CellDesign("s", wanted, kit.pitch, None, 0.0, None, "test", None), kit)
+    assert plan.status == "refused"
+    assert [(blame.why, len(blame.cells)) for blame in plan.blamed] == [("not filled", 1)]
+
+
+def test_a_block_that_cannot_be_placed_is_to_blame() -> None:
+    """A bar of four on a post of one cell: it turns over, and nothing else moves."""
+    wanted = np.zeros((4, 1, 2), bool)
+    wanted[0, 0, 0] = wanted[:, 0, 1] = True
+    kit = load_kit("bricks")
+    tiling = tile(wanted, kit)
+    plan = report_plan(
+        CellDesign("post", wanted, kit.pitch, None, 0.0, None, "test", None), kit, tiling,
+        order(tiling, kit), seconds=0.0, planner="exact",
+    )  # fmt: skip
+    assert plan.status == "not found"
+    bar = tuple((x, 0, 1) for x in range(4))
+    assert plan.blamed == (BlamedCells("cannot be placed", bar),)
 
 
 def test_tight_joints_are_used_where_no_gap_is_asked_for_and_said() -> None:

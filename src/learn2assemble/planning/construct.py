@@ -8,7 +8,7 @@ an order and the proof.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, Block, Step
 from learn2assemble.assembly.contacts import check_overlaps, find_contacts, shrunk
-from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
+from learn2assemble.assembly.kit import DEFAULT_KIT, Cell, Kit, load_kit
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
 from learn2assemble.planning import plan as plans
@@ -168,6 +168,7 @@ def report_plan(
             source=design.source,
             block_edge=kit.pitch[2],
             shape=_shape(design.wanted),
+            cell=_point(kit.pitch),
             iou=None if design.iou is None else round(float(design.iou), 6),
             volume_error=round(float(design.volume_error), 6),
         ),
@@ -192,11 +193,29 @@ def report_plan(
         search=search,
         kit=kit.name,
         cells=plans.CellCount(wanted, missing, outside),
+        blamed=() if done else _blamed(tiling, ordered, kit),
         verified_by="static equilibrium of every step",
         friction_range=(round(low, 6), round(min(high, plans.LARGEST), 6)),
         gap_range=ordered.gap_range,
         assembly=assembly,
     )
+
+
+def _blamed(tiling: Tiling, ordered: Ordering, kit: Kit) -> tuple[plans.BlamedCells, ...]:
+    """The cells that are to blame for a design's not being built, by reason."""
+
+    def cells_of(blocks: Iterable[int]) -> list[Cell]:
+        return [(x, y, z) for block in blocks
+                for x, y, z in placement_cells(tiling.placements[block], kit).tolist()]  # fmt: skip
+
+    stuck = ordered.stuck[:1]
+    groups: tuple[tuple[plans.Why, Sequence[Cell]], ...] = (
+        ("not filled", tiling.missing),
+        ("not carried", tiling.lacking),
+        ("cannot be placed", cells_of(stuck)),
+        ("would fall", cells_of(block for block in ordered.falls if block not in stuck)),
+    )
+    return tuple(plans.BlamedCells(why, tuple(sorted(cells))) for why, cells in groups if cells)
 
 
 def plan_assembly(

@@ -41,6 +41,8 @@ Unit = Annotated[float, Range(-1.001, 1.001)]
 Point = tuple[Metre, Metre, Metre]
 Quaternion = tuple[Unit, Unit, Unit, Unit]
 Status = Literal["complete", "incomplete", "refused", "not found"]
+Why = Literal["not filled", "not carried", "cannot be placed", "would fall"]
+_Index = Annotated[int, Range(0, 1e6)]
 Relation = Literal["top", "left", "right", "front", "behind"]
 
 
@@ -90,6 +92,9 @@ class PlanDesign:
     """Delta: the target is filled when the coverage exceeds it."""
     shape: tuple[Count, Count, Count] | None = None
     """Cells of the kit's lattice along x, y and z."""
+    cell: tuple[Metre, Metre, Metre] | None = None
+    """Edges of a cell. Cell (i, j, k) has its centre at ((i + 0.5 - X/2) dx, (j + 0.5 - Y/2) dy,
+    (k + 0.5) dz), with X and Y of :attr:`shape`."""
     iou: Share | None = None
     """Intersection over union of drawing and wanted cells."""
     volume_error: Annotated[float, Range(-1e6, 1e6)] | None = None
@@ -224,6 +229,18 @@ class CellCount:
 
 
 @dataclass(frozen=True)
+class BlamedCells:
+    """Cells of a drawing that are to blame for its not being built, all for the same reason."""
+
+    why: Why
+    """``not filled``: no blocks of the kit fill them; ``not carried``: nothing carries what fills
+    them; ``cannot be placed``: those of a block that does not stand when it is placed, or of a prop
+    that cannot be taken away; ``would fall``: those of blocks that would move if it were placed."""
+    cells: tuple[tuple[_Index, _Index, _Index], ...]
+    """Indices on the lattice of the design, see :attr:`PlanDesign.cell`."""
+
+
+@dataclass(frozen=True)
 class Plan:
     """How a design is built, step by step, and the proof that every step holds.
 
@@ -247,6 +264,8 @@ class Plan:
     kit: str | None = None
     search: SearchReport | None = None
     cells: CellCount | None = None
+    blamed: tuple[BlamedCells, ...] = ()
+    """Of a drawing that is not built: which cells are to blame, where that is known."""
     verified_by: str | None = None
     planning_s: Seconds | None = None
     """Of :attr:`seconds`, what choosing the blocks took."""
