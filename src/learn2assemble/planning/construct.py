@@ -168,7 +168,7 @@ def report_plan(
             source=design.source,
             block_edge=kit.pitch[2],
             shape=_shape(design.wanted),
-            cell=_point(kit.pitch),
+            cell=_point(np.array(kit.pitch)),
             iou=None if design.iou is None else round(float(design.iou), 6),
             volume_error=round(float(design.volume_error), 6),
         ),
