@@ -23,7 +23,7 @@ from learn2assemble.physics.rigid_blocks import check
 from learn2assemble.planning.construct import plan_assembly, plan_cells, report_plan
 from learn2assemble.planning.ordering import order, to_assembly
 from learn2assemble.planning.plan import BlamedCells, Plan
-from learn2assemble.planning.tiling import tile
+from learn2assemble.planning.tiling import placement_cells, tile
 from learn2assemble.reproduction import shapes
 from test_ordering import deck
 
@@ -99,13 +99,56 @@ def test_colours_of_a_picture_go_to_the_blocks() -> None:
     assert len(colours) > 1
 
 
+RED, BLUE = (200, 0, 0), (0, 0, 200)
+
+
+def coloured(wanted: np.ndarray, blue: np.ndarray) -> CellDesign:
+    """Cells in red, those of ``blue`` (bool[X, Y, Z]) in blue."""
+    colours = np.where(blue[..., None], BLUE, RED).astype(np.uint8)
+    return CellDesign("two", wanted, (0.05, 0.05, 0.05), colours, source="test")
+
+
 def test_a_block_takes_the_most_frequent_colour_of_its_cells() -> None:
-    wanted = np.ones((5, 1, 1), bool)
-    colours = np.array([(200, 0, 0)] * 3 + [(0, 0, 200)] * 2, np.uint8).reshape(5, 1, 1, 3)
-    design = CellDesign("bar", wanted, (0.05, 0.05, 0.05), colours, 0.0, None, "test", None)
-    plan = plan_cells(design, "bricks-lintels")
+    """A lintel that nothing else can stand in for; the report counts its other cells."""
+    wanted = np.ones((5, 1, 2), bool)
+    wanted[1:4, :, 0] = False
+    plan = plan_cells(coloured(wanted, np.arange(10).reshape(5, 1, 2) // 2 > 2), "bricks-lintels",
+                      props=False)  # fmt: skip
     assert plan.assembly is not None
-    assert [block.colour for block in plan.assembly.blocks] == [(200, 0, 0)]
+    assert plan.complete
+    found = {(block.kind, block.colour) for block in plan.assembly.blocks}
+    assert found == {("1x1", RED), ("1x1", BLUE), ("1x5", RED)}
+    assert plan.cells is not None
+    assert plan.cells.other_colour == 2
+
+
+def test_blocks_keep_to_one_colour_where_they_can() -> None:
+    """A wall whose left part is red; near shades of red are one colour, and a design of one colour
+    is planned as one without."""
+    wanted = np.ones((7, 1, 4), bool)
+    blue = np.zeros(wanted.shape, bool)
+    blue[3:] = True
+    design = coloured(wanted, blue)
+    plain = replace(design, colours=None)
+    tilings = [tile(wanted, load_kit("bricks-lintels"), shades=d.shades) for d in (design, plain)]
+    crossing = [
+        sum(len(set(blue[tuple(placement_cells(p, load_kit("bricks-lintels")).T)])) > 1
+            for p in tiling.placements) for tiling in tilings
+    ]  # fmt: skip
+    assert crossing[0] == 0 < crossing[1]
+    assert design.colours is not None
+    noise = np.random.default_rng(0).integers(0, 12, design.colours.shape)
+    noisy = replace(design, colours=(design.colours + noise).astype(np.uint8))
+    assert noisy.shades is not None
+    assert design.shades is not None
+    assert np.array_equal(noisy.shades == noisy.shades[0, 0, 0], ~blue)
+    red = replace(design, colours=np.broadcast_to(np.array(RED, np.uint8), (*wanted.shape, 3)))
+    assert red.shades is plain.shades is None
+    plan = plan_cells(design, "bricks-lintels", planner="auto")
+    assert plan.complete
+    assert plan.cells is not None
+    assert plan.cells.other_colour == 0
+    assert plan_cells(plain).cells == replace(plan.cells, other_colour=None)
 
 
 def test_the_blocks_of_an_elevation_are_enough_or_it_is_refused() -> None:

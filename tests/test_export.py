@@ -7,6 +7,7 @@ import io
 import json
 import re
 from collections import Counter
+from dataclasses import replace
 from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
@@ -21,9 +22,11 @@ from learn2assemble.assembly.files import read_assembly
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.export.formats import FORMATS, bill_of_blocks, export_assembly, mjcf, step_cards
+from learn2assemble.export.pictures import booklet
 from learn2assemble.planning.exact import plan_exact
 from learn2assemble.planning.ordering import to_assembly
 from learn2assemble.reproduction import shapes
+from learn2assemble.viewer.page import render_assembly_page
 
 
 @pytest.fixture
@@ -40,12 +43,21 @@ def bridge() -> Assembly:
 
 
 def test_bill_counts_blocks_and_props(bridge: Assembly) -> None:
-    rows = {row["kind"]: row for row in csv.DictReader(io.StringIO(bill_of_blocks(bridge)))}
-    assert rows["1x1"]["built_in"] == "2"
-    assert rows["1x1"]["props"] == "1"
-    assert rows["1x3"]["total"] == "1"
-    assert float(rows["1x3"]["length_m"]) == pytest.approx(0.15)
-    assert float(rows["1x3"]["mass_kg"]) == pytest.approx(0.15 * 0.05 * 0.05 * 1000)
+    """By kind and colour; a prop may have any."""
+    rows = {(row["kind"], row["colour"]): row
+            for row in csv.DictReader(io.StringIO(bill_of_blocks(bridge)))}  # fmt: skip
+    counts = {key: (row["built_in"], row["props"], row["total"]) for key, row in rows.items()}
+    assert counts == {("1x1", ""): ("1", "1", "2"), ("1x1", "#c81e1e"): ("1", "0", "1"),
+                      ("1x3", ""): ("1", "0", "1")}  # fmt: skip
+    assert float(rows["1x3", ""]["length_m"]) == pytest.approx(0.15)
+    assert float(rows["1x3", ""]["mass_kg"]) == pytest.approx(0.15 * 0.05 * 0.05 * 1000)
+
+
+def test_the_bill_of_the_cards_and_the_page_tells_colours(bridge: Assembly) -> None:
+    for text in (step_cards(bridge), render_assembly_page(bridge, title="x")):
+        assert len(re.findall(r"1x1,? #c81e1e</td>|1x1,? #c81e1e<td>", text)) == 1
+    plain = Assembly(tuple(replace(b, colour=None) for b in bridge.blocks), bridge.steps)
+    assert ", #" not in "".join(row[1] for row in booklet(plain).bill)
 
 
 def test_colours_and_the_name_are_kept_in_the_file(bridge: Assembly, tmp_path: Path) -> None:
@@ -65,12 +77,14 @@ def test_colours_and_the_name_are_kept_in_the_file(bridge: Assembly, tmp_path: P
 def test_a_prop_used_twice_is_billed_once(bridge: Assembly) -> None:
     again = (*bridge.steps, Step(place="prop"), Step(remove="prop"))
     rows = bill_of_blocks(Assembly(bridge.blocks, again)).splitlines()
-    assert rows[1].startswith("1x1,2,1,3,")
+    assert rows[1].startswith("1x1,,1,1,2,")
 
 
 def test_the_bill_of_an_incomplete_plan_says_what_is_not_placed(bridge: Assembly) -> None:
+    blocks = tuple(replace(block, colour=None) for block in bridge.blocks)
+
     def told(steps: tuple[Step, ...]) -> dict[str, tuple[str, str, str]]:
-        text = bill_of_blocks(Assembly(bridge.blocks, steps))
+        text = bill_of_blocks(Assembly(blocks, steps))
         rows = csv.DictReader(io.StringIO(text))
         return {r["kind"]: (r["built_in"], r["placed"], r["not_placed"]) for r in rows}
 

@@ -26,15 +26,18 @@ def rgb(colour: str) -> np.ndarray:
     return np.array(list(bytes.fromhex(COLOURS.get(colour, colour)[1:])), np.float32)
 
 
+def colour_words(block: Block) -> str:
+    """The colour a block is to have as ``#rrggbb``; empty where the design does not say."""
+    return "#{:02x}{:02x}{:02x}".format(*block.colour) if block.colour and not block.prop else ""
+
+
 def kinds_and_colours(assembly: Assembly) -> list[tuple[str, str]]:
     """What every block is called, and its colour: ``#rrggbb``, or a name in :data:`COLOURS`."""
     unnamed = {size_words(block) for block in assembly.blocks if not block.kind}
     found, of_kind = [], {}
     for block in assembly.blocks:
         kind = block.kind or (size_words(block) if len(unnamed) <= len(PALETTE) else "block")
-        colour = "prop" if block.prop else "support" if block.support else ""
-        if not colour and block.colour:
-            colour = "#{:02x}{:02x}{:02x}".format(*block.colour)
+        colour = "prop" if block.prop else "support" if block.support else colour_words(block)
         colour = colour or of_kind.setdefault(kind, PALETTE[len(of_kind) % len(PALETTE)])
         found.append((kind, colour))
     return found

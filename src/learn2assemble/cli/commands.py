@@ -51,6 +51,8 @@ def register_command(commands: Registry[Command]) -> None:
 
 # ---------------------------------------------------------------- build
 
+CELL_COUNTS = ("wanted", "missing", "outside", "other_colour")
+"""Of cells, in the summary."""
 STATE = "build.jsonl"
 """What a build by an arm appends to, in its folder; gone when the plan is written."""
 _BUILD = (
@@ -126,7 +128,7 @@ def _summary(plan: Plan) -> dict[str, Any]:
         "kit": plan.kit, "blocks": plan.blocks.used,
         "props": sum(step.prop and step.action == "place" for step in plan.steps),
         "steps": len(plan.steps), "coverage": plan.coverage,
-        **{f"cells_{k}": cells and getattr(cells, k) for k in ("wanted", "missing", "outside")},
+        **{f"cells_{k}": cells and getattr(cells, k) for k in CELL_COUNTS},
         "iou": design.iou, "volume_error": design.volume_error, "planning_s": plan.planning_s,
         "proof_s": plan.proof_s, "seconds": plan.seconds, "margin_g": plan.margin_g,
         "friction_range": plan.friction_range, "gap_range": plan.gap_range,
@@ -147,9 +149,12 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
         output.say(f"{stage.stage}: {stage.result}")
     if plan.cells:
         cells, design = plan.cells, plan.design
+        other = cells.other_colour
+        colour = "" if other is None else f", {other} in a block of another colour"
         shape = "" if design.iou is None else f"; {design.iou:.0%} of drawing and cells are common"
         output.say(
-            f"cells: {cells.wanted} wanted, {cells.missing} open, {cells.outside} outside{shape}"
+            f"cells: {cells.wanted} wanted, {cells.missing} open, {cells.outside} outside"
+            f"{colour}{shape}"
         )
     elif plan.design.targets:
         needed = f"{plan.design.success_threshold:.1%}"

@@ -16,7 +16,8 @@ import numpy as np
 
 from learn2assemble.design import drawings, solids
 from learn2assemble.design.drawings import SIDES, Contours, Drawing
-from learn2assemble.design.lattice import HALF, MAX_CELLS, fit, read_png, shares
+from learn2assemble.design.lattice import HALF, MAX_CELLS, fit, shares
+from learn2assemble.design.pictures import LOSSY, near_colours, read_picture
 from learn2assemble.design.solids import Solid, Voxels
 from learn2assemble.errors import InputError, check_fields, is_number, look_up
 from learn2assemble.files import FARTHEST, UNITS, read_bytes
@@ -77,6 +78,16 @@ class CellDesign:
             if array is not None:
                 array.setflags(write=False)
 
+    @property
+    def shades(self) -> np.ndarray | None:
+        """``int64[X, Y, Z]``, equal where cells have one colour, near colours as one; None where
+        all cells have."""
+        if self.colours is None:
+            return None
+        label = np.zeros(self.wanted.shape, np.int64)
+        label[self.wanted] = near_colours(self.colours[self.wanted])
+        return label if np.ptp(label[self.wanted]) else None
+
 
 @dataclass(frozen=True)
 class _Options:
@@ -96,8 +107,8 @@ _READ = {
     "json": _DRAWING - {"unit", "size", "cells_wide"},
     "svg": _DRAWING,
     "dxf": _DRAWING,
-    "png": _DRAWING - {"unit"},
-    **dict.fromkeys(("stl", "obj", "ply", "glb", "3dm"), _MESH),
+    **dict.fromkeys(LOSSY, _DRAWING - {"unit"}),
+    **dict.fromkeys(("stl", "obj", "ply", "glb", "off", "3dm"), _MESH),
     **dict.fromkeys(("npy", "npz"), _CELLS),
 }
 """Options that mean something for a kind of file; others are refused."""
@@ -149,8 +160,8 @@ def read_design(
     if kind in ("svg", "dxf"):
         reader = drawings.read_svg if kind == "svg" else drawings.read_dxf
         return _from_drawing(reader(content, source), given, name, source)
-    if kind == "png":
-        return _from_picture(content, given, name, source)
+    if kind in LOSSY:
+        return _from_picture(content, kind, given, name, source)
     if kind in ("npy", "npz"):
         reader = solids.read_npy if kind == "npy" else solids.read_npz
         return _from_voxels(reader(content, source, MAX_CELLS), given, name, source)
@@ -166,10 +177,13 @@ def kind_of(content: bytes, source: str) -> str:
     for magic, kind in (
         (b"\x89PNG\r\n\x1a\n", "png"), (b"\x93NUMPY", "npy"), (b"PK\x03\x04", "npz"),
         (b"glTF", "glb"), (b"3D Geometry File Format", "3dm"), (b"ply\n", "ply"),
-        (b"ply\r", "ply"), (b"AutoCAD Binary DXF", "dxf"),
+        (b"ply\r", "ply"), (b"OFF", "off"), (b"\xff\xd8\xff", "jpeg"),
+        (b"AutoCAD Binary DXF", "dxf"),
     ):  # fmt: skip
         if content.startswith(magic):
             return kind
+    if content[:4] == b"RIFF" and content[8:12] == b"WEBP":
+        return "webp"
     facets = int.from_bytes(content[80:84], "little")
     if len(content) >= 84 and len(content) == 84 + 50 * facets:
         return "stl"
@@ -193,8 +207,8 @@ def kind_of(content: bytes, source: str) -> str:
         got = f"{got}; its header says {facets} triangles"
     raise InputError(
         source, got,
-        "a whole file of elevation JSON, SVG, DXF, PNG, STL, OBJ, PLY, GLB, 3DM, NPY, NPZ or "
-        "assembly JSON",
+        "a whole file of elevation JSON, SVG, DXF, PNG, JPEG, WebP, STL, OBJ, PLY, GLB, OFF, 3DM, "
+        "NPY, NPZ or assembly JSON",
     )  # fmt: skip
 
 
@@ -215,7 +229,7 @@ def _check(given: _Options, kind: str) -> None:
     wide = given.cells_wide
     if wide is not None and (type(wide) is not int or not 1 <= wide <= MAX_CELLS):
         raise InputError("cells_wide", wide, f"a whole number from 1 to {MAX_CELLS}")
-    if given.size is not None and wide is not None and kind != "png":
+    if given.size is not None and wide is not None and kind not in LOSSY:
         raise InputError("size", given.size, "either size or cells_wide")
 
 
@@ -425,9 +439,11 @@ def _footprint(
     return made[0], made[1].astype(np.int64)
 
 
-def _from_picture(content: bytes, given: _Options, name: str, source: str) -> CellDesign:
+def _from_picture(content: bytes, kind: str, given: _Options, name: str, source: str) -> CellDesign:
     cell = _cell(given, given.kit)
-    share, colours = read_png(content, source, given.cells_wide, MAX_CELLS, cell[0] / cell[2])
+    share, colours = read_picture(
+        content, kind, source, given.cells_wide, MAX_CELLS, cell[0] / cell[2]
+    )
     thick = max(1, round((given.depth or cell[1]) / cell[1]))
     shape = (len(share), thick, share.shape[1])
     share = np.broadcast_to(share[:, None, :], shape)

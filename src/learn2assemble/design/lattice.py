@@ -1,4 +1,4 @@
-"""What fills cells: a solid on a lattice, where the lattice fits it best, and a picture.
+"""What fills cells: a solid on a lattice, and where the lattice fits it best.
 
 A solid is the closed surface around it, triangles ``float64[N, 3, 3]`` counter-clockwise as seen
 from outside. Surfaces that are parallel to z have no share in a volume, so they may be missing.
@@ -6,12 +6,9 @@ from outside. Surfaces that are parallel to z have no share in a volume, so they
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 
 import numpy as np
-
-from learn2assemble.errors import InputError, trusted
 
 MAX_CELLS = 64
 """Largest number of cells along an axis."""
@@ -144,110 +141,3 @@ def _places(triangles: np.ndarray, axis: int) -> list[float]:
         if all(min(abs(place - k), 1 - abs(place - k)) > 1e-6 for k in kept):
             kept.append(place)
     return kept
-
-
-# ---------------------------------------------------------------- pictures
-
-MAX_COLOURS = 32
-"""Most colours of a picture that are told apart."""
-_SHADES = 40.0
-"""How far apart shades of one colour are, where there are many [of 255]."""
-MAX_PIXELS = 16_000_000
-"""Most pixels of a picture."""
-
-
-def read_png(
-    content: bytes, source: str, wide: int | None, limit: int, aspect: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """A picture on cells, the margin around its material left out.
-
-    Where some pixels are transparent, the others are material. In an opaque picture those are that
-    are dark (luminance below one half, or by a quarter below that of the lightest pixel), and
-    strongly coloured ones.
-
-    Args:
-        wide: cells across; None is one pixel one cell.
-        limit: largest number of cells each way.
-        aspect: width of a cell by its height.
-
-    Returns:
-        share of material ``float64[X, Z]`` and its most frequent colour ``uint8[X, Z, 3]``, z up.
-        Of more than 32 colours, near ones count as one.
-    """
-    pixels = _pixels(content, source).astype(np.float64)
-    colour, alpha = pixels[:, :, :3], pixels[:, :, 3]
-    material = alpha >= 128
-    if material.all():
-        luminance = colour @ (0.299, 0.587, 0.114)
-        dark = luminance < max(128, luminance.max() - 64)
-        material = dark | (np.ptp(colour, axis=2) >= 96)
-    if not material.any():
-        raise InputError(source, "no opaque or dark pixel", "a picture of something")
-    rows, columns = np.flatnonzero(material.any(1)), np.flatnonzero(material.any(0))
-    window = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
-    material, colour = material[window][::-1].T, colour[window][::-1].transpose(1, 0, 2)
-    if wide is None:
-        if max(material.shape) > limit:
-            got = f"{material.shape[0]} x {material.shape[1]} pixels of material"
-            raise InputError(f"{source}: cells_wide", got, f"a number up to {limit} for so many")
-        return material.astype(np.float64), colour.astype(np.uint8)
-    per_cell = len(material) / wide
-    high = int(np.ceil(material.shape[1] / (per_cell / aspect) - 1e-9))
-    if high > limit:
-        raise InputError(f"{source}: cells_wide", wide, f"fewer: it would be {high} cells high")
-    edges = (np.arange(wide + 1) * per_cell, np.arange(high + 1) * (per_cell / aspect))
-    size = edges[0][1] * edges[1][1]
-    share = _sums(material, edges)
-    palette, which = _palette(colour, material)
-    amounts = np.stack([_sums(material & (which == k), edges) for k in range(len(palette))])
-    if len(palette) == MAX_COLOURS:  # Shades of one colour are seen as one.
-        apart = np.square(palette[:, None].astype(float) - palette).sum(-1)
-        amounts = np.tensordot(np.exp(-apart / (2 * _SHADES**2)), amounts, 1) * (amounts > 0)
-    return share / size, palette[amounts.argmax(0)]
-
-
-def _palette(colour: np.ndarray, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """``uint8[K, 3]``, at most ``MAX_COLOURS``, and which of them each pixel has, ``int[W, H]``."""
-    from PIL import Image
-
-    used = colour[material].astype(np.uint8)
-    exact, index = np.unique(used, axis=0, return_inverse=True)
-    if len(exact) > MAX_COLOURS:
-        image = Image.fromarray(used[None]).quantize(MAX_COLOURS, Image.Quantize.MEDIANCUT)
-        index = np.asarray(image)[0].astype(np.int64)
-        count = np.maximum(np.bincount(index, minlength=MAX_COLOURS), 1)[:, None]
-        sums = [np.bincount(index, used[:, k], MAX_COLOURS) for k in range(3)]
-        exact = np.round(np.stack(sums, -1) / count).astype(np.uint8)
-    which = np.full(material.shape, -1)
-    which[material] = index.reshape(-1)
-    return exact, which
-
-
-def _sums(values: np.ndarray, edges: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """Integral of pixels over the rectangles between the edges [pixels]."""
-    for axis, edge in enumerate(edges):
-        total = np.cumsum(values, axis=axis, dtype=np.float64)
-        total = np.concatenate([np.zeros_like(total.take([0], axis)), total], axis)
-        low = np.minimum(edge.astype(np.int64), values.shape[axis] - 1)
-        share = np.minimum(edge - low, 1.0).reshape((-1, 1) if axis == 0 else (1, -1))
-        at = total.take(low, axis) * (1 - share) + total.take(low + 1, axis) * share
-        values = np.diff(at, axis=axis)
-    return values
-
-
-def _pixels(content: bytes, source: str) -> np.ndarray:
-    """``uint8[H, W, 4]``, red to alpha."""
-    from PIL import Image
-
-    expected = f"a whole PNG picture of at most {MAX_PIXELS} pixels"
-    width, height = (int.from_bytes(content[k : k + 4], "big") for k in (16, 20))
-    if not 0 < width * height <= MAX_PIXELS:
-        raise InputError(source, f"{width} x {height} pixels", expected)
-    with (
-        trusted(source, expected),
-        Image.open(io.BytesIO(content), formats=["PNG"]) as image,
-    ):
-        image.load()
-        if image.mode.startswith("I"):
-            image = Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
-        return np.asarray(image.convert("RGBA"))

@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from learn2assemble.assembly.appearance import kinds_and_colours, rgb
+from learn2assemble.assembly.appearance import colour_words, kinds_and_colours, rgb
 from learn2assemble.assembly.blocks import Assembly, Block, convex_parts, fan_triangles
 from learn2assemble.assembly.files import read_assembly, write_assembly, write_compas
 from learn2assemble.errors import InputError
@@ -25,39 +25,40 @@ from learn2assemble.registry import Registry
 
 
 def bill_of_blocks(assembly: Assembly) -> str:
-    """The kinds an assembly needs, as CSV: how many are built in, how many serve as props only.
+    """The kinds an assembly needs, in every colour, as CSV: how many are built in, how many serve
+    as props only.
 
     A prop that is removed again may be used again, so ``props`` is the largest number of a kind
     that stands at one time. ``placed`` and ``not_placed`` are how many of ``built_in`` the steps
     place and leave over, as those of an incomplete plan do; without steps, all are placed.
     """
-    built = Counter(_kind(b) for b in assembly.blocks if not b.prop and not b.support)
-    peak: Counter[str] = Counter()
-    standing: Counter[str] = Counter()
+    built = Counter(_entry(b) for b in assembly.blocks if not b.prop and not b.support)
+    peak: Counter[tuple[str, str]] = Counter()
+    standing: Counter[tuple[str, str]] = Counter()
     for step in assembly.steps:
         block = assembly.block(step.place or step.remove or "")
         if block.prop:
-            standing[_kind(block)] += 1 if step.place else -1
+            standing[_entry(block)] += 1 if step.place else -1
             peak |= standing
     if not assembly.steps:
-        peak = Counter(_kind(b) for b in assembly.blocks if b.prop)
+        peak = Counter(_entry(b) for b in assembly.blocks if b.prop)
     ordered = {step.place for step in assembly.steps}
     placed = Counter(
-        _kind(b) for b in assembly.finished.blocks
+        _entry(b) for b in assembly.finished.blocks
         if not b.prop and not b.support and (b.id in ordered or not assembly.steps)
     )  # fmt: skip
-    first = {_kind(b): b for b in reversed(assembly.blocks)}
+    first = {_entry(b): b for b in reversed(assembly.blocks)}
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    head = ("kind", "built_in", "props", "total", "length_m", "width_m", "height_m", "mass_kg",
-            "placed", "not_placed")  # fmt: skip
+    head = ("kind", "colour", "built_in", "props", "total", "length_m", "width_m", "height_m",
+            "mass_kg", "placed", "not_placed")  # fmt: skip
     writer.writerow(head)
-    for kind in sorted(built | peak):
-        block = first[kind]
+    for entry in sorted(built | peak):
+        block = first[entry]
         size = sorted(np.ptp(block.vertices, axis=0)[:2], reverse=True)
         numbers = (*size, float(np.ptp(block.vertices[:, 2])), block.mass)
-        row = [kind, built[kind], peak[kind], built[kind] + peak[kind]]
-        counts = placed[kind], built[kind] - placed[kind]
+        row = [*entry, built[entry], peak[entry], built[entry] + peak[entry]]
+        counts = placed[entry], built[entry] - placed[entry]
         writer.writerow([*row, *(f"{number:.6g}" for number in numbers), *counts])
     return out.getvalue()
 
@@ -191,8 +192,9 @@ def file_at(path: str | Path, name: str) -> Path:
     return Path(path) / name if Path(path).is_dir() else Path(path)
 
 
-def _kind(block: Block) -> str:
-    return block.kind or "block"
+def _entry(block: Block) -> tuple[str, str]:
+    """What a block is in the bill: kind and colour."""
+    return block.kind or "block", colour_words(block)
 
 
 def _numbers(values: np.ndarray) -> str:

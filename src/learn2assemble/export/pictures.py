@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from learn2assemble.assembly.appearance import colour_words
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.export.instructions import Group, Instructions, Placement, Shape, instructions
 from learn2assemble.export.projection import Figure, Scene, project
@@ -118,9 +119,11 @@ def booklet(assembly: Assembly) -> Booklet:
     cover = _framed(scene, uses, whole, told.extent)
     book = Booklet(told, scene, cards, cover, _shape_pictures(told, scene), spacing,
                    assembly.name or "Assembly", _facts(told, layers))  # fmt: skip
+    coloured = {colour_words(block) for block in assembly.blocks}
     for shape, built, props in told.bill:
+        kind = f"{shape.kind}, {shape.colour}" if shape.colour in coloured else shape.kind
         book.bill.append((
-            shape.letter, shape.kind, str(built), str(props) if props else "-",
+            shape.letter, kind, str(built), str(props) if props else "-",
             _size(shape.nominal), _size(shape.size), f"{shape.mass:.3g} kg",
         ))  # fmt: skip
         if not shape.is_box:

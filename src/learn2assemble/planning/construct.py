@@ -24,7 +24,7 @@ from learn2assemble.planning.advice import NO_ADVICE, advise
 from learn2assemble.planning.exact import plan_exact
 from learn2assemble.planning.ordering import BED, TIGHT, Bounds, Ordering, to_assembly, value_range
 from learn2assemble.planning.plan import Plan, PlanDesign
-from learn2assemble.planning.tiling import Tiling, placement_cells
+from learn2assemble.planning.tiling import Tiling, placement_cells, strange_cells
 
 if TYPE_CHECKING:
     from learn2assemble.planning.agent.arm import Hand
@@ -76,7 +76,7 @@ def plan_cells(
     if not isinstance(kit, Kit):
         kit = load_kit(kit or design.kit or DEFAULT_KIT).at_pitch(design.cell)
     progress("choosing blocks and proving their order")
-    chosen, search, agent = planner, None, None
+    chosen, search, agent, shades = planner, None, None, design.shades
     tiling = ordering = None
     if planner != EXACT:
         from learn2assemble.planning.agent.planner import choose, plan_with_agent
@@ -84,6 +84,8 @@ def plan_cells(
         stages: tuple[plans.SearchStage, ...] = ()
         if planner == AUTO:
             chosen, why = choose(design.wanted, kit)
+            if shades is not None and chosen == AGENT:
+                chosen, why = EXACT, "exact: it keeps the colours of the design apart"
             stages = (plans.SearchStage(AUTO, why, 0.0),)
         if chosen == AGENT:
             tiling, ordering, search, agent = plan_with_agent(
@@ -98,8 +100,9 @@ def plan_cells(
     if tiling is None:
         left = max(seconds - (time.perf_counter() - started), 1.0)
         tiling, ordering = plan_exact(
-            design.wanted, kit, seconds=left, friction=friction, gap=gap, props_allowed=props
-        )
+            design.wanted, kit, seconds=left, friction=friction, gap=gap, props_allowed=props,
+            shades=shades,
+        )  # fmt: skip
         if (ordering or tiling).status in ("refused", "not found") and tiling.placements:
             left = seconds - (time.perf_counter() - started)
             help_ = advise(tiling, kit, left, progress, friction=friction, gap=gap,
@@ -137,6 +140,10 @@ def report_plan(
     outside = int((~inside).sum() + (filled & ~design.wanted).sum())
     wanted = int(design.wanted.sum())
     missing = int((design.wanted & ~filled).sum())
+    strange = None
+    if (shades := design.shades) is not None:
+        strange = sum(int(strange_cells(shades[tuple(placement_cells(p, kit).T)][None])[0])
+                      for p in (tiling.placements[n] for n in standing) if not p.prop)  # fmt: skip
     done = bool(tiling.status == ordered.status == "complete" and not missing and not outside)
     reason = None if done else ordered.reason or tiling.reason or f"{missing} cells are open"
     statuses = tiling.status, ordered.status
@@ -192,8 +199,8 @@ def report_plan(
         agent=agent,
         search=search,
         kit=kit.name,
-        cells=plans.CellCount(wanted, missing, outside),
         blamed=() if done else _blamed(tiling, ordered, kit),
+        cells=plans.CellCount(wanted, missing, outside, strange),
         verified_by="static equilibrium of every step",
         friction_range=(round(low, 6), round(min(high, plans.LARGEST), 6)),
         gap_range=ordered.gap_range,
@@ -342,9 +349,11 @@ def _step(
 def _coloured(
     assembly: Assembly, design: CellDesign, pitch: tuple[float, float, float]
 ) -> Assembly:
-    """Blocks in the most frequent colour of their cells, where the design has colours."""
+    """Blocks in the most frequent colour of their cells, where the design has colours; near
+    colours count together."""
     if design.colours is None:
         return assembly
+    shades = np.zeros(design.wanted.shape, np.int64) if design.shades is None else design.shades
     size = np.array(pitch)
     middle = np.array([design.wanted.shape[0] / 2, design.wanted.shape[1] / 2, 0.0])
     blocks = []
@@ -356,6 +365,10 @@ def _coloured(
         if block.prop or not len(seen):
             blocks.append(block)
             continue
+        _, shade, number = np.unique(
+            shades[box][design.wanted[box]], return_inverse=True, return_counts=True
+        )
+        seen = seen[np.isin(shade, np.flatnonzero(number == number.max()))]
         colours, count = np.unique(seen, axis=0, return_counts=True)
         # Of those seen in equally many cells, the one nearest their mean.
         most = colours[count == count.max()].astype(float)

@@ -82,7 +82,7 @@ Blame = tuple[frozenset[BlockPlacement], bool]
 
 def plan_exact(
     wanted: np.ndarray, kit: Kit, *, seconds: float = 60.0, friction: Bounds = None,
-    gap: Bounds = None, props_allowed: bool = True,
+    gap: Bounds = None, props_allowed: bool = True, shades: np.ndarray | None = None,
 ) -> tuple[Tiling, Ordering | None]:  # fmt: skip
     """Blocks of ``kit`` that fill ``wanted`` exactly, and an order in which every state stands.
 
@@ -91,6 +91,7 @@ def plan_exact(
         seconds: wall-clock limit for everything.
         friction, gap: as for :func:`learn2assemble.planning.ordering.order`.
         props_allowed: whether temporary blocks may be used.
+        shades: int[X, Y, Z], equal where cells have one colour; blocks keep to one where they can.
 
     Returns:
         the tiling with its props; the order, None where there was nothing to order. Status and
@@ -102,7 +103,7 @@ def plan_exact(
     wanted = check_cells(wanted)
     if reason := _impossible(wanted, kit):
         return Tiling((), wanted, "refused", reason), None
-    tiling = tile(wanted, kit, seconds=seconds)
+    tiling = tile(wanted, kit, seconds=seconds, shades=shades)
     if tiling.status != "complete":
         return tiling, None
     _check_size(len(tiling.placements), kit)

@@ -226,6 +226,8 @@ class CellCount:
     """Wanted and not filled."""
     outside: Count
     """Filled and not wanted."""
+    other_colour: Count | None = None
+    """Filled by a block of another colour; None where the design has one colour or none."""
 
 
 @dataclass(frozen=True)

@@ -65,12 +65,13 @@ def improve_bond(tiling: Tiling, kit: Kit, clock: Clock) -> Tiling:
         return tiling
     layers = [[block for block in tiling.placements if block.origin[2] == z]
               for z in range(wanted.shape[2])]  # fmt: skip
-    _improve(layers, wanted, kit, clock)
+    _improve(layers, tiling, kit, clock)
     return replace(tiling, placements=from_below(chain.from_iterable(layers)))
 
 
-def _improve(layers: _Layers, wanted: np.ndarray, kit: Kit, clock: Clock) -> None:
-    found = find_candidates(wanted, kit, flat_only=True)
+def _improve(layers: _Layers, tiling: Tiling, kit: Kit, clock: Clock) -> None:
+    wanted = tiling.wanted
+    found = find_candidates(wanted, kit, flat_only=True, shades=tiling.shades)
     price = standing_cost(found)
     size = np.bincount(found.origin[:, 2], minlength=len(layers))
     started = clock.spent
@@ -196,7 +197,7 @@ def bonded_candidates(
     Joints of the layer below, as they are now, are worth bridging. What lies on nothing falls in
     every tiling and is left out, unless side faces may hold it (``tight``).
     """
-    found = find_candidates(tiling.wanted, kit)
+    found = find_candidates(tiling.wanted, kit, shades=tiling.shades)
     if not tight:
         found = found.take(np.flatnonzero(np.isfinite(found.support)))
     owner = owners(tiling.placements, kit, tiling.wanted.shape)

@@ -8,7 +8,8 @@ With a binary :math:`x_p` for every block kind, turn and place :math:`p` inside 
     \sum_{p \in k} x_p \le n_k \; \forall k \text{ with a limited number},
 
 where :math:`c_p` is 1 for the block, less a bonus for every vertical seam of the layer below that
-it bridges, plus what an overhang costs (:class:`Costs`). A block whose centroid is not above the
+it bridges, plus what an overhang costs and what cells of another colour than most of the block's
+cost (:class:`Costs`). A block whose centroid is not above the
 hull of what carries it cannot be put down on its own: it costs as much as a prop.
 
 Layers are decided from below, each connected part on its own, wide ones strip by strip. Where the
@@ -51,6 +52,8 @@ class Costs:
     """For a centroid right on the edge of the support, falling to 0 half a cell inside."""
     prop: float = 40.0
     """For a block that cannot be put down without a prop."""
+    colour: float = 4.0
+    """For every cell of a block that has another colour than most of its cells."""
     open_cell: float = 2000.0
     """For a cell left open, and half of it for a cell of a block that the heap does not have."""
 
@@ -87,6 +90,8 @@ class Tiling:
     """Wanted cells without a block."""
     lacking: tuple[Cell, ...] = ()
     """Where it is not complete: cells that nothing carries."""
+    shades: np.ndarray | None = field(default=None, repr=False)
+    """int[X, Y, Z]: equal where cells have one colour; None where the design has no colours."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +112,8 @@ class Candidates:
     outside, -inf where nothing is below."""
     hanging: np.ndarray
     """float64[n]: share of its lowest cells with nothing below."""
+    strange: np.ndarray
+    """int64[n]: its cells that have another colour than most of them."""
 
     def __len__(self) -> int:
         return len(self.way)
@@ -127,7 +134,7 @@ class Candidates:
         inner = np.arange(start[-1]) - np.repeat(start[:-1], size)
         cell = self.cell[np.repeat(self.start[keep], size) + inner]
         return Candidates(self.ways, self.way[keep], self.origin[keep], start, cell,
-                          self.support[keep], self.hanging[keep])  # fmt: skip
+                          self.support[keep], self.hanging[keep], self.strange[keep])  # fmt: skip
 
     def blocks(self, kit: Kit, picked: np.ndarray) -> list[BlockPlacement]:
         """The candidates with the given indices as blocks of ``kit``."""
@@ -222,7 +229,11 @@ def convex_hull(points: np.ndarray) -> np.ndarray:
 
 
 def find_candidates(
-    wanted: np.ndarray, kit: Kit, below: np.ndarray | None = None, flat_only: bool = False
+    wanted: np.ndarray,
+    kit: Kit,
+    below: np.ndarray | None = None,
+    flat_only: bool = False,
+    shades: np.ndarray | None = None,
 ) -> Candidates:
     """Every block of ``kit`` that lies inside ``wanted`` and can be put down.
 
@@ -233,6 +244,7 @@ def find_candidates(
         wanted: bool[X, Y, Z].
         below: bool[X, Y], what lies under the lowest level; without it, the table.
         flat_only: leave out ways that are taller than a cell.
+        shades: int[X, Y, Z], equal where cells have one colour.
     """
     ground = np.ones(wanted.shape[:2], bool) if below is None else below
     carried = np.concatenate([ground[:, :, None], wanted[:, :, :-1]], 2)
@@ -240,7 +252,7 @@ def find_candidates(
     ways, strides = orientations(kit), np.array([*wanted.shape[1:], 1])[::-1].cumprod()[::-1]
     parts: list[tuple[Any, ...]] = [
         (none := np.empty(0, np.int64), np.empty((0, 3), np.int64), none, none,
-         np.empty(0), np.empty(0)),
+         np.empty(0), np.empty(0), none),
     ]  # fmt: skip
     for number, way in enumerate(ways):
         cells = np.array(way.cells)
@@ -266,10 +278,23 @@ def find_candidates(
             np.full(len(origin), number), origin, index.reshape(-1),
             np.full(len(origin), len(cells)), margins[which.reshape(-1)],
             1 - bears.sum(1) / lowest.sum(),
+            np.zeros(len(origin), np.int64) if shades is None
+            else strange_cells(shades.reshape(-1)[index]),
         ))  # fmt: skip
-    which, origin, cell, size, support, hanging = map(np.concatenate, zip(*parts, strict=True))
+    which, origin, cell, size, support, hanging, strange = map(
+        np.concatenate, zip(*parts, strict=True)
+    )
     start = np.concatenate([[0], np.cumsum(size)])
-    return Candidates(ways, which, origin, start, cell, support, hanging)
+    return Candidates(ways, which, origin, start, cell, support, hanging, strange)
+
+
+def strange_cells(shades: np.ndarray) -> np.ndarray:
+    """int64[n]: how many cells of every block have another colour than most of its cells.
+
+    Args:
+        shades: int[n, m], those of the cells of n blocks.
+    """
+    return shades.shape[1] - (shades[:, :, None] == shades[:, None]).sum(2).max(1)
 
 
 def _slots(cells: tuple[Cell, ...]) -> list[tuple[int, int, int, int]]:
@@ -282,7 +307,7 @@ def _slots(cells: tuple[Cell, ...]) -> list[tuple[int, int, int, int]]:
 
 
 def standing_cost(candidates: Candidates) -> np.ndarray:
-    """float64[n]: 1 for the block, and what its overhang costs."""
+    """float64[n]: 1 for the block, and what its overhang and its colours cost."""
     bad = candidates.support <= 1e-9
     slender = np.clip(1 - candidates.support / 0.5, 0.0, 1.0)
     slender[bad] = 0.0
@@ -291,6 +316,7 @@ def standing_cost(candidates: Candidates) -> np.ndarray:
         1
         + COSTS.overhang * candidates.hanging
         + COSTS.slender * slender
+        + COSTS.colour * candidates.strange
         + np.where(bad, COSTS.prop * (1 + 0.05 * np.clip(depth, 0, 8)), 0.0)
     )
 
@@ -432,8 +458,10 @@ def cover(
 class _Layers:
     """Tiles a building layer by layer and remembers layers it has seen."""
 
-    def __init__(self, wanted: np.ndarray, kit: Kit, clock: Clock) -> None:
-        self.wanted, self.kit, self.clock = wanted, kit, clock
+    def __init__(
+        self, wanted: np.ndarray, kit: Kit, clock: Clock, shades: np.ndarray | None = None
+    ) -> None:
+        self.wanted, self.kit, self.clock, self.shades = wanted, kit, clock, shades
         self.known: dict[bytes, tuple[list[BlockPlacement], list[Cell]]] = {}
         self.fills_any = any(kind.cells == ((0, 0, 0),) for kind in kit.kinds)
         self.timed_out = False
@@ -463,10 +491,12 @@ class _Layers:
         x1, y1 = (int(np.flatnonzero(part.any(axis))[-1]) + 1 for axis in (1, 0))
         mask, under = part[x0:x1, y0:y1], (below & part)[x0:x1, y0:y1]
         near = seams[0][x0 : x1 - 1, y0:y1], seams[1][x0:x1, y0 : y1 - 1]
+        tint = None if self.shades is None else self.shades[x0:x1, y0:y1, z, None]
         key = b"|".join([repr((mask.shape, heap)).encode(), mask.tobytes(), under.tobytes(),
-                         near[0].tobytes(), near[1].tobytes()])  # fmt: skip
+                         near[0].tobytes(), near[1].tobytes(),
+                         b"" if tint is None else tint[mask].tobytes()])  # fmt: skip
         if key not in self.known:
-            self.known[key] = self._solve(mask[:, :, None], under, near, heap)
+            self.known[key] = self._solve(mask[:, :, None], under, near, heap, tint)
         blocks, left = self.known[key]
         self.left += [(x + x0, y + y0, z) for x, y, _ in left]
         return [replace(block, origin=(block.origin[0] + x0, block.origin[1] + y0, z))
@@ -474,10 +504,10 @@ class _Layers:
 
     def _solve(
         self, mask: np.ndarray, under: np.ndarray, seams: tuple[np.ndarray, np.ndarray],
-        heap: dict[int, int] | None,
+        heap: dict[int, int] | None, shades: np.ndarray | None,
     ) -> tuple[list[BlockPlacement], list[Cell]]:  # fmt: skip
         """Blocks and open cells of a mask (bool[X, Y, 1]), about its corner."""
-        found = find_candidates(mask, self.kit, under, flat_only=True)
+        found = find_candidates(mask, self.kit, under, flat_only=True, shades=shades)
         cost = bond_cost(found, (seams[0][:, :, None], seams[1][:, :, None]))
         along = int(mask.shape[0] < mask.shape[1])
         width = max(4, STRIP // max(1, int(mask.sum(1 - along).max())))
@@ -513,24 +543,27 @@ class _Layers:
 # ---------------------------------------------------------------- the building
 
 
-def tile(wanted: np.ndarray, kit: Kit, *, seconds: float = 60.0) -> Tiling:
+def tile(
+    wanted: np.ndarray, kit: Kit, *, seconds: float = 60.0, shades: np.ndarray | None = None
+) -> Tiling:
     """Fill the cells of ``wanted``, and no others, with blocks of ``kit``.
 
     Args:
         wanted: bool[X, Y, Z], z up from the table.
         seconds: wall-clock limit.
+        shades: int[X, Y, Z], equal where cells have one colour; blocks keep to one where they can.
 
     Raises:
         InputError: for cells that cannot be used, see :func:`check_cells`.
     """
     wanted = check_cells(wanted)
     clock = Clock(seconds)
-    layers = _Layers(wanted, kit, clock)
+    layers = _Layers(wanted, kit, clock, shades)
     short: dict[int, int] = {}
     if kit.flat and not kit.limited:
         chosen, left = layers.run(), layers.left
     else:
-        found = find_candidates(wanted, kit)
+        found = find_candidates(wanted, kit, shades=shades)
         answer, picked, open_, short = cover(
             found, standing_cost(found), np.flatnonzero(wanted), kit=kit, counts=heap_of(kit),
             open_cost=COSTS.open_cell, seconds=clock.left,
@@ -545,7 +578,7 @@ def tile(wanted: np.ndarray, kit: Kit, *, seconds: float = 60.0) -> Tiling:
             ])  # fmt: skip
             if not layers.left:
                 chosen = bonded
-    made = Tiling(from_below(chosen), wanted, missing=tuple(sorted(left)))
+    made = Tiling(from_below(chosen), wanted, missing=tuple(sorted(left)), shades=shades)
     return _judged(made, kit, layers.timed_out, short, seconds)
 
 

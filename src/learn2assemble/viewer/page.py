@@ -17,6 +17,7 @@ import numpy as np
 
 from learn2assemble.assembly.appearance import (
     Section,
+    colour_words,
     joint_width,
     kinds_and_colours,
     millimetres,
@@ -462,19 +463,20 @@ def _nominal(block: Block, joint: float) -> str:
 
 
 def _bill(parts: list[_Part], joint: float) -> str:
-    """Bill of blocks: how many of each kind, nominal size, the block itself, and mass."""
-    groups: dict[tuple[str, str], list[_Part]] = {}
+    """Bill of blocks: how many of each kind and colour, nominal size, block itself, and mass."""
+    groups: dict[tuple[str, str, str], list[_Part]] = {}
     for part in parts:
         use = "support" if part.block.support else "prop" if part.block.prop else "block"
-        groups.setdefault((part.kind, use), []).append(part)
+        groups.setdefault((part.kind, colour_words(part.block), use), []).append(part)
     rows = []
-    for (kind, use), members in sorted(groups.items()):
+    for (kind, colour, use), members in sorted(groups.items()):
         sizes = {size_words(part.block) for part in members}
         size = sizes.pop() if len(sizes) == 1 else "several sizes"
         mass = f"{sum(part.block.mass for part in members):.3g} kg"
         nominal = {_nominal(part.block, joint) for part in members}
         told = f"{nominal.pop()} mm" if len(nominal) == 1 else "several sizes"
-        cells = [escape(kind), use, str(len(members)), told, size, mass]
+        named = f"{_swatch(colour)}{escape(kind)} {colour}" if colour else escape(kind)
+        cells = [named, use, str(len(members)), told, size, mass]
         rows.append(row(cells, {2: NUMBER, 5: NUMBER}))
     return "".join(rows)
 
@@ -498,13 +500,15 @@ def _legend(parts: list[_Part]) -> str:
     current = any(part.placed for part in parts)
     text = _entry("current", "block of this step") * current
     for colour, kinds in list(named.items())[:16]:
-        paint = f'fill="{colour}"' if colour.startswith("#") else f'class="{colour}"'
         several = ", ".join(list(kinds)[:3]) + ", …" * (len(kinds) > 3)
-        text += (
-            f'<li><svg class="swatch" viewBox="0 0 14 14"><rect width="14" height="14" {paint}/>'
-            f"</svg>{escape(several)}</li>"
-        )
+        text += f"<li>{_swatch(colour)}{escape(several)}</li>"
     return text
+
+
+def _swatch(colour: str) -> str:
+    """A square of a colour: ``#rrggbb``, or a name of the style sheet."""
+    paint = f'fill="{colour}"' if colour.startswith("#") else f'class="{colour}"'
+    return f'<svg class="swatch" viewBox="0 0 14 14"><rect width="14" height="14" {paint}/></svg>'
 
 
 def _entry(name: str, words: str) -> str:
@@ -563,6 +567,8 @@ def write_plan_page(plan: Plan, path: Path) -> None:
         facts.append(("covered", f"{percent(plan.coverage)} of the target ({needed} needed)"))
     if (cells := plan.cells) is not None:
         words = f"{cells.wanted} wanted, {cells.missing} open, {cells.outside} outside"
+        if cells.other_colour is not None:
+            words += f", {cells.other_colour} in a block of another colour"
         facts.append(("cells", words))
     if plan.design.iou is not None:
         facts.append(("drawing and cells in common", f"{plan.design.iou:.1%}"))
