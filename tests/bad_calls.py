@@ -1,7 +1,6 @@
 """Calls of ``l2a`` that must be refused: name, words, what the message must say.
 
-Words may hold ``{d}``, a folder prepared by :func:`prepare`; nothing in it may change. A call with
-a ``reason`` is one that the program does not refuse properly yet.
+Words may hold ``{d}``, a folder prepared by :func:`prepare`; nothing in it may change.
 """
 
 from __future__ import annotations
@@ -16,6 +15,8 @@ from typing import NamedTuple
 TASK = "one-sided-3x3-22-24"
 LONG = "x" * 300
 """Longer than a file name may be."""
+WALL = str(Path(__file__).parent / "data" / "ascii_wall.json")
+"""An assembly that can be checked."""
 PROGRAM_RATES = {"no_limits": "1000", "rate_high": "1e9", "rate_0": "0", "rate_below": "-1000",
                  "rate_nan": "NaN"}  # fmt: skip
 """Tables of a robot's program without limits, and what they say of their rate."""
@@ -32,7 +33,6 @@ class BadCall(NamedTuple):
     name: str
     words: list[str]
     fragment: str
-    reason: str | None = None
 
 
 def train(*words: str) -> list[str]:
@@ -253,14 +253,12 @@ BAD = [
     BadCall("negative seed", build("--seed", "-1"), "a whole number"),
     BadCall("half a seed", build("--seed", "1.5"), "a whole number"),
     BadCall("unknown agent", build("--agent", "nobody"), "agent"),
-    BadCall("missing agent file", build("--agent", "{d}/no.safetensors"), "an existing file"),
-    BadCall("folder without agent", build("--agent", "{d}/full"), "an existing file"),
+    BadCall("missing agent file", build("--agent", "{d}/no.safetensors"), "no such file"),
+    BadCall("folder without agent", build("--agent", "{d}/full"), "no such file"),
     BadCall("damaged agent", build("--agent", "{d}/bad_agent"), "a trained agent"),
     BadCall("half an agent", build("--agent", "{d}/half_agent"), "agent.json"),
-    BadCall("a long name as design", ["build", LONG, *build()[2:]], "DESIGN",
-            "Path.exists raises for names that are too long"),
-    BadCall("a long name as agent", build("--agent", LONG), "agent",
-            "Path.is_dir raises for names that are too long"),
+    BadCall("a long name as design", ["build", LONG, *build()[2:]], "File name too long"),
+    BadCall("a long name as agent", build("--agent", LONG), "File name too long"),
     # train
     BadCall("train nothing", ["train", "--out", "{d}/new"], "TASK"),
     BadCall("train without --out", ["train", TASK], "--out"),
@@ -296,8 +294,7 @@ BAD = [
             "0 unless encoder is relational"),
     BadCall("--set symmetries of our own network", train("--set", "network.encoder=relational"),
             "augment"),
-    BadCall("train into a long name", train("--out", "{d}/" + LONG), "--out",
-            "Path.exists raises for names that are too long"),
+    BadCall("train into a long name", train("--out", "{d}/" + LONG), "File name too long"),
     BadCall("start from an unknown agent", train("--init", "nobody"), "agent"),
     BadCall("start from a damaged agent", train("--init", "{d}/bad_agent"), "a trained agent"),
     BadCall("start from another architecture", train("--init", "{d}/agent"), "--init"),
@@ -323,15 +320,15 @@ BAD = [
     BadCall("table by no worker", table("T1", "--workers", "0"), "a whole number from 1"),
     BadCall("table into a file", ["table", "T1", "--out", "{d}/file.txt"], "a writable folder"),
     BadCall("table of missing agents", table("T1", "--agents", "{d}/nosuch"),
-            "an existing folder"),
+            "no such file"),
     BadCall("table trained and not", table("T1", "--train", "--from-files"), "not allowed with"),
     BadCall("table into a page without marks", table("T1", "--into", "{d}/file.txt"),
             "table T1: begin"),
-    BadCall("table into no page", table("T1", "--into", "{d}/nosuch.md"), "an existing text file"),
+    BadCall("table into no page", table("T1", "--into", "{d}/nosuch.md"), "no such file"),
     BadCall("no curves", ["curves"], "NAME"),
     BadCall("misspelt curves", curves("algoritms"), "did you mean 'algorithms'"),
     BadCall("curves of no runs", curves("algorithms", "--runs", "{d}/full"), "such as dqn-s0"),
-    BadCall("curves into a file", curves("algorithms", "--out", "{d}/file.txt"), "--runs"),
+    BadCall("curves of missing runs", curves("algorithms"), "folder of runs"),
     # eval
     BadCall("eval nothing", ["eval"], "TASK"),
     BadCall("eval a misspelt task", ["eval", "two-sided-4x4-20-30"], "did you mean"),
@@ -354,8 +351,8 @@ BAD = [
     BadCall("eval into a long name", evaluate("--out", "{d}/" + LONG), "--out"),
     # replay
     BadCall("replay nothing", ["replay"], "FILE"),
-    BadCall("replay a missing file", ["replay", "{d}/nosuch.jsonl"], "an existing recording"),
-    BadCall("replay a folder", ["replay", "{d}/full"], "an existing recording"),
+    BadCall("replay a missing file", ["replay", "{d}/nosuch.jsonl"], "no such file"),
+    BadCall("replay a folder", ["replay", "{d}/full"], "not a plain file"),
     BadCall("replay what is not JSON", ["replay", "{d}/not_json.jsonl"], "line 1"),
     BadCall("replay a list", ["replay", "{d}/list.jsonl"], "a JSON object"),
     BadCall("replay another robot's log", ["replay", "{d}/robot.jsonl"], "3robo"),
@@ -364,8 +361,7 @@ BAD = [
             "list.jsonl line 1"),
     BadCall("replay an empty file", ["replay", "{d}/empty.jsonl"], "empty.jsonl"),
     BadCall("replay a damaged archive", ["replay", "{d}/damaged.jsonl.gz"], "damaged.jsonl.gz"),
-    BadCall("replay a long name", ["replay", LONG], "an existing recording",
-            "Path.is_file raises for names that are too long"),
+    BadCall("replay a long name", ["replay", LONG], "no such file"),
     # bench
     BadCall("builder of another teacher",
             ["train-builder", "--out", "{d}/another", "--teacher", "paper"], "exact"),
@@ -416,6 +412,46 @@ BAD = [
     BadCall("view an empty plan", ["view", "{d}/empty_plan.json", "--no-browser"], "plan"),
     BadCall("no such port", ["view", "{d}/design.json", "--port", "70000"], "a port number"),
     BadCall("a word as port", ["view", "{d}/design.json", "--port", "http"], "a port number"),
-    BadCall("view a long name", ["view", LONG], "PLAN",
-            "Path.is_dir raises for names that are too long"),
+    BadCall("view a long name", ["view", LONG], "File name too long"),
+    # Names that are empty, as of a variable that is not set: the folder one is in is not meant.
+    *(BadCall(f"an empty name for {words[0]} {words[-2]}", words, "the name of a file or folder")
+      for words in (
+          build("--out", ""), train("--out", ""), exact_arm("--layout", ""), evaluate("--out", ""),
+          ["check", ""], ["check", "{d}/design.json", "--out", ""],
+          ["reach", "{d}/design.json", "--arm", "panda", "--out", ""],
+          ["export", "{d}", "--format", "glb", "--out", ""],
+          ["view", "--no-browser", ""], ["replay", ""], ["replay-trajectory", "--arm", "panda", ""],
+          ["table", "T1", "--from-files", "--out", ""], ["table", "T1", "--into", ""],
+          ["curves", "algorithms", "--runs", ""], ["measure-goals", "--out", ""],
+      )),
+    BadCall("a zero byte in a name", build("--out", "{d}/a\0b"), "zero byte"),
+    # Nothing is worked out, or printed, for a folder that cannot be used.
+    BadCall("check into a full folder", ["check", WALL, "--out", "{d}/full"],
+            "a new or empty folder"),
+    BadCall("reach into a full folder",
+            ["reach", "{d}/design.json", "--arm", "panda", "--out", "{d}/full"],
+            "a new or empty folder"),
+    # Names that are misspelt.
+    *(BadCall(f"a misspelt {what}", words, f"no such file', expected a {what}") for what, words in {
+        "recording": ["replay", "{d}/lgo.jsonl"],
+        "program": ["replay-trajectory", "{d}/rate_hihg.csv", "--arm", "ur5e"],
+        "file or folder of an agent": evaluate("--agent", "{d}/agnet"),
+        "file of an agent": evaluate("--agent", "{d}/agent/agnet.safetensors"),
+        "file of a builder": ["build", "{d}/design.json", "--out", "{d}/new", "--agent",
+                              "{d}/agent/agnet.safetensors"],
+        "folder of a build": ["export", "{d}/rnu", "--format", "csv"],
+        "folder of a training run": resume("{d}/rnu"),
+        "folder of runs": curves("algorithms", "--runs", "{d}/rnu"),
+        "folder of agents": table("T1", "--agents", "{d}/agnet"),
+        "folder of examples": ["measure-builder", "--out", "{d}/new", "--examples", "{d}/rnu"],
+        "page for --into": table("T1", "--into", "{d}/flie.txt"),
+        "layout file": exact_arm("--layout", "{d}/layuot.json"),
+        "kit file": ["build", "{d}/design.json", "--out", "{d}/new", "--kit", "{d}/kti.toml"],
+    }.items()),
+    BadCall("a misspelt folder that was meant", resume("{d}/rnu"), "/run'?"),
+    BadCall("a design without its ending", ["build", "{d}/design", *build()[2:]],
+            "/design.json'?"),
+    BadCall("a link to nowhere", ["check", "{d}/special/nowhere"], "a link to nowhere"),
+    BadCall("a builder that is misspelt", ["measure-builder", "--out", "{d}/new", "--agent",
+                                           "bilder-s0"], "did you mean 'builder-s0'"),
 ]  # fmt: skip

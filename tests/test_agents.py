@@ -198,9 +198,9 @@ def test_agent_with_other_actions_is_refused() -> None:
 def test_unknown_agents(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="agent"):
         load_agent("no-such-agent")
-    with pytest.raises(InputError, match="an existing file"):
+    with pytest.raises(InputError, match="no such file"):
         load_agent(str(tmp_path / "missing.safetensors"))
-    with pytest.raises(InputError, match="an existing file"):
+    with pytest.raises(InputError, match="no such file"):
         load_agent(str(tmp_path))
 
 

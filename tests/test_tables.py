@@ -373,7 +373,7 @@ def test_agents_are_found_as_files_and_as_runs(tmp_path: Path) -> None:
     (tmp_path / "half-s0.safetensors").write_bytes(b"")
     assert set(find_agents(tmp_path)) == {"tiny-s0", "tiny-s1"}
     assert "relational-cubes-s0" in find_agents(None)
-    with pytest.raises(InputError, match="--agents"):
+    with pytest.raises(InputError, match="no such file"):
         find_agents(tmp_path / "nosuch")
 
 

@@ -121,13 +121,32 @@ def too_deep(source: str) -> InputError:
 
 def nearest(path: Path) -> str:
     """Words for a message about a file that does not exist: the name in its folder that is most
-    like its own, or nothing."""
+    like its own, with another ending or another name, or nothing."""
     try:
-        names = sorted(item.name for item in path.parent.iterdir())
-    except OSError:  # No such folder, or one that must not be read.
+        names = sorted(item.name for item in path.parent.iterdir() if item.exists())
+    except (OSError, ValueError):  # No such folder, or one that must not be read.
         return ""
-    near = difflib.get_close_matches(path.name, names, n=1, cutoff=0.7)
+    alike = [name for name in names if path.stem and Path(name).stem == path.stem]
+    near = difflib.get_close_matches(path.name, alike or names, n=1, cutoff=0.0 if alike else 0.6)
     return f"; did you mean {printable(str(path.with_name(near[0])))!r}?" if near else ""
+
+
+def check_exists(path: Path, kind: str) -> None:
+    """Refuse a name that no file or folder has.
+
+    Args:
+        kind: what is looked for, in words (``"design file"``).
+
+    Raises:
+        InputError: with the nearest name in the same folder.
+    """
+    try:
+        there, link = os.path.exists(path), os.path.islink(path)
+    except ValueError:
+        raise InputError(printable(str(path)), "no file name", f"a {kind}") from None
+    if not there:
+        got = "a link to nowhere" if link else "no such file"
+        raise InputError(printable(str(path)), got, f"a {kind}{nearest(path)}")
 
 
 def read_bytes(path: Path, kind: str, limit: int = MAX_BYTES) -> tuple[bytes, str]:
@@ -141,13 +160,10 @@ def read_bytes(path: Path, kind: str, limit: int = MAX_BYTES) -> tuple[bytes, st
     """
     path = Path(path)
     source = printable(str(path))
-    if "\0" in str(path):
-        raise InputError(source, "no file name", f"a {kind}")
+    check_exists(path, kind)
     try:
         if path.is_dir():
             raise InputError(source, "a directory", f"a {kind}")
-        if not path.exists():
-            raise InputError(source, "no such file", f"a {kind}{nearest(path)}")
         if not path.is_file():  # opening a pipe would wait for ever
             raise InputError(source, "something that is not a plain file", f"a {kind}")
         with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
@@ -194,8 +210,9 @@ def read_json_lines(path: Path, kind: str) -> Iterator[Mapping[str, Any]]:
             than ``MAX_BYTES`` and one that is no JSON object.
     """
     path, number = Path(path), 0
+    check_exists(path, kind)
     if not path.is_file():
-        raise InputError(kind, printable(str(path)), f"an existing {kind}")
+        raise InputError(printable(str(path)), "something that is not a plain file", f"a {kind}")
     try:
         with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
             while line := file.readline(MAX_BYTES + 1):
@@ -438,9 +455,19 @@ def check_output(path: Path, what: str) -> None:
         os.stat(path.parent)  # Says why where the folder does not exist.
     except OSError as error:
         raise unwritable(what, path, error) from None
-    for place, right in ((path, os.W_OK), (path.parent, os.W_OK | os.X_OK)):
-        if place.exists() and not os.access(place, right):
-            raise unwritable(what, path, PermissionError(13, os.strerror(13)))
+    if path.exists() and not os.access(path, os.W_OK):
+        raise unwritable(what, path, PermissionError(13, os.strerror(13)))
+    try:
+        _beside(path).unlink()  # Rights alone do not say: the folder may take no files at all.
+    except OSError as error:
+        raise unwritable(what, path, error) from None
+
+
+def _beside(path: Path) -> Path:
+    """A new, empty file in the same folder, of a name that nobody else has put there."""
+    part = path.with_name(f".{os.urandom(6).hex()}.part")
+    os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+    return part
 
 
 @contextmanager
@@ -460,11 +487,9 @@ def replacing(path: Path, what: str) -> Generator[Path, None, None]:
     """
     path = Path(path)
     check_output(path, what)
-    # A name of its own: never one that somebody else has put there.
-    part = path.with_name(f".{os.urandom(6).hex()}.part")
     try:
+        part = _beside(path)
         try:
-            os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
             yield part
             os.replace(part, path)
         finally:
@@ -536,6 +561,8 @@ def claim_folder(
         InputError: where it cannot be used, or another process is writing into it.
     """
     what, name, made = "out", printable(str(folder)), False
+    if "\0" in str(folder):
+        raise InputError(what, name, expected)
     try:
         if not resume:
             if folder.exists() and (not folder.is_dir() or _content(folder)):
@@ -555,6 +582,9 @@ def claim_folder(
                 if made and not _content(folder):
                     folder.rmdir()
     except OSError as error:
+        named = folder if error.filename is None else Path(error.filename)
+        if folder not in (named, *named.parents) and named not in folder.parents:
+            raise  # Another file is to blame.
         raise unwritable(what, folder, error) from None
 
 

@@ -10,14 +10,13 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
 from learn2assemble.cli.output import Output
 from learn2assemble.cli.parser import make_parser
 from learn2assemble.errors import InputError, Learn2AssembleError, one_line
-from learn2assemble.files import unwritable
+from learn2assemble.files import printable
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -50,7 +49,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         if error.filename is None and error.errno not in _FULL:
             raise
-        where = unwritable("file", Path(error.filename or "output"), error)
+        name, reason = error.filename or "output", error.strerror or type(error).__name__
+        expected = f"a file that can be read or written ({reason})"
+        where = InputError("file", printable(os.fsdecode(name)), expected)
         sys.stderr.write(f"l2a: error: {one_line(where)}\n")
         _drop_output()
         return 2
@@ -67,7 +68,7 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
 def _check_words(words: Sequence[str]) -> None:
     """Refuse words that are not UTF-8, such as names of files of other systems: they could not be
-    written into any of our files.
+    written into any of our files; and a zero byte, which no name of a file has.
 
     Raises:
         InputError: showing the word.
@@ -77,6 +78,8 @@ def _check_words(words: Sequence[str]) -> None:
             word.encode()
         except UnicodeEncodeError:
             raise InputError("argument", word, "UTF-8; rename the file") from None
+        if "\0" in word:
+            raise InputError("argument", word, "a word without a zero byte")
 
 
 def _drop_output() -> None:

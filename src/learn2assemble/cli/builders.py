@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import argparse
 from contextlib import nullcontext
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from learn2assemble.cli.parser import Command, arg, command, count, natural, positive
+from learn2assemble.cli.parser import (
+    Command,
+    arg,
+    command,
+    count,
+    named,
+    natural,
+    positive,
+)
 from learn2assemble.errors import InputError
-from learn2assemble.files import claim_folder, mapping, read_json
+from learn2assemble.files import check_exists, claim_folder, mapping, read_json
 
 if TYPE_CHECKING:
     from learn2assemble.cli.output import Output
 
 
 COMMANDS: dict[str, Command] = {}
-_OUT = arg("--out", type=Path, required=True, help="new or empty folder")
+_OUT = arg("--out", type=named, required=True, help="new or empty folder")
 _SEED = arg("--seed", type=natural, default=0, help="of designs, weights and choices")
 _AGENT = arg("--agent", default="builder-s0", help="shipped builder or .safetensors")
 
@@ -55,7 +62,7 @@ def _train(options: argparse.Namespace, output: Output) -> None:
     arg("--large", type=count, default=20, help="designs of 200 to 400 blocks"),
     arg("--compared", type=count, default=50, help="of a set, for other players"),
     arg("--exact", type=count, default=40, help="of a set, for both planners"),
-    arg("--examples", type=Path, default=None, help="folder of the examples"),
+    arg("--examples", type=named, default=None, help="folder of the examples"),
 )  # fmt: skip
 def _measure(options: argparse.Namespace, output: Output) -> None:
     """``builders.json``, and ``planners.json``: the record for ``--planner auto``."""
@@ -68,6 +75,8 @@ def _measure(options: argparse.Namespace, output: Output) -> None:
 
     builder = load_builder(options.agent)
     other = None if options.beside is None else load_builder(options.beside)
+    if options.examples is not None:
+        check_exists(options.examples, "folder of examples")
     if options.examples is not None and not options.examples.is_dir():
         raise InputError("--examples", str(options.examples), "a folder")
     config = Measure(options.designs, options.large, options.compared, options.exact, options.seed)
@@ -96,7 +105,7 @@ def _measure(options: argparse.Namespace, output: Output) -> None:
 @command(
     COMMANDS, "measure-builder-arm", "measure the learned builder with an arm",
     "l2a measure-builder-arm --out out/arm --suction 10 --gripper 10",
-    arg("--out", type=Path, required=True, help="new or empty folder, or --resume"),
+    arg("--out", type=named, required=True, help="new or empty folder, or --resume"),
     _SEED, _AGENT,
     arg("--resume", action="store_true", help="go on with what --out holds"),
     arg("--suction", type=natural, default=200, help="designs built with suction"),

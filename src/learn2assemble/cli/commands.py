@@ -18,6 +18,7 @@ from learn2assemble.cli.parser import (
     friction,
     group,
     length,
+    named,
     natural,
     noise,
     number,
@@ -66,7 +67,7 @@ _BUILD = (
     _COMMANDS, "build", "plan a design, prove every step, write the report",
     "l2a build examples/designs/gabled_house.json --arm panda --out out/house",
     arg("design", metavar="DESIGN", help="a drawing, picture, mesh, voxels, blocks, or a task"),
-    arg("--out", type=Path, required=True, help="new or empty folder"),
+    arg("--out", type=named, required=True, help="new or empty folder"),
     arg("--planner", default="auto", help="exact, agent, or auto (what the record says)"),
     group(
         "a design and its blocks (docs/building.md)",
@@ -78,7 +79,7 @@ _BUILD = (
         arg("--no-props", action="store_true", help="refuse temporary blocks"),
     ),
     arg("--arm", default=None, help=f"an arm builds it: {' or '.join(ARMS)}"),
-    arg("--layout", type=Path, default=None, metavar="FILE",
+    arg("--layout", type=named, default=None, metavar="FILE",
         help="where the blocks wait for the arm (docs/layouts.md); by default around the site"),
     arg("--video", action=argparse.BooleanOptionalAction, default=True,
         help="of the arm, build.mp4 (needs the extra video)"),
@@ -208,7 +209,7 @@ _TRAIN = (
     arg("--method", default=None, help="learner: dqn, q-mcts or eps-mcts"),
     arg("--config", default="relational",
         help="relational, relational-objects (ours), published or paper"),
-    arg("--out", type=Path, required=True, help="new or empty folder, or --resume"),
+    arg("--out", type=named, required=True, help="new or empty folder, or --resume"),
     arg("--minutes", type=positive, default=None, help="stop after so long"),
     arg("--samples", type=count, default=None, help="environment steps (the configuration's)"),
     arg("--seed", type=natural, default=None, help="of everything random (0)"),
@@ -280,7 +281,7 @@ def _rollout(text: str) -> int:
         help="what checks placements: static or rigid; with an arm these stand for its kinematic "
         "workcell, and dynamic and published are others"),
     arm_argument,
-    arg("--out", type=Path, default=None, help="write the result to this file"),
+    arg("--out", type=named, default=None, help="write the result to this file"),
 )  # fmt: skip
 def _evaluate(options: argparse.Namespace, output: Output) -> None:
     from tqdm import tqdm
@@ -370,7 +371,7 @@ def _tasks(options: argparse.Namespace, output: Output) -> None:
 
 @command(
     _COMMANDS, "view", "open the page of a finished plan", "l2a view out/house",
-    arg("plan", metavar="PLAN", type=Path, help="plan.json or its folder"),
+    arg("plan", metavar="PLAN", type=named, help="plan.json or its folder"),
     arg("--port", type=number(int, 0, 65535, "a port number"), default=0),
     arg("--no-browser", action="store_true", help="only serve the page"),
 )  # fmt: skip

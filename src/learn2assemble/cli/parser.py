@@ -8,6 +8,7 @@ import math
 import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 from learn2assemble import __version__
@@ -128,6 +129,14 @@ natural = number(int, 0, 2**31 - 1, f"a whole number from 0 to {2**31 - 1}")
 share = number(float, 0, 1, "a number from 0 to 1")
 positive = number(float, 1e-3, 1e7, "a number from 0.001 to 10000000")
 friction = number(float, 0, 10, "a coefficient of friction from 0 to 10")
+
+
+def named(text: str) -> Path:
+    """The name of a file or folder; an empty one, as of a variable that is not set, would be the
+    folder one is in."""
+    if not text:
+        raise argparse.ArgumentTypeError("got '', expected the name of a file or folder")
+    return Path(text)
 
 
 def length(text: str) -> float:

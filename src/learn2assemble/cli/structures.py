@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from learn2assemble.cli.parser import (
     arg,
     command,
     friction,
+    named,
     reading_arguments,
     reading_of,
 )
@@ -29,17 +31,21 @@ DIFFERS = 1
 """Exit code of ``l2a replay-trajectory`` where another structure results."""
 
 
+def _claimed(folder: Path | None) -> AbstractContextManager[None]:
+    """The folder of a page, where one is asked for: claimed before any work is done."""
+    return nullcontext() if folder is None else claim_folder(folder)
+
+
 def _write_page(
     folder: Path | None, output: Output, assembly: Assembly, **words: Any
 ) -> dict[str, str]:
-    """The page of an assembly in a new folder, where one is asked for; the files written."""
+    """The page of an assembly in a claimed folder, where one is asked for; the files written."""
     if folder is None:
         return {}
     from learn2assemble.viewer.page import render_assembly_page
 
     page = folder / "view.html"
-    with claim_folder(folder):
-        write_file(page, render_assembly_page(assembly, **words), "page")
+    write_file(page, render_assembly_page(assembly, **words), "page")
     output.say(f"page: {page}")
     return {"page": str(page)}
 
@@ -51,35 +57,38 @@ def _write_page(
     arg("--arm", required=True, help=" or ".join(ARMS)),
     arg("--tool", default="suction", help="suction (default), suction-side or gripper"),
     reading_arguments,
-    arg("--layout", type=Path, default=None, metavar="FILE", help="with the base asked about"),
-    arg("--out", type=Path, default=None, metavar="DIR", help="write a page that shows it there"),
+    arg("--layout", type=named, default=None, metavar="FILE", help="with the base asked about"),
+    arg("--out", type=named, default=None, metavar="DIR", help="write a page that shows it there"),
 )  # fmt: skip
 def _reach(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where everything is within reach, else 1."""
     from learn2assemble.planning.build import reach
 
-    found = reach(
-        options.design, arm=options.arm, tool=options.tool, kit=options.kit,
-        layout=options.layout, reading=reading_of(options),
-    )  # fmt: skip
-    here, best, blocks = found.here, found.best, found.assembly.blocks
-    rows = [(blocks[k].id, blocks[k].kind, *(f"{v:.3f}" for v in blocks[k].centroid), why)
-            for k, why in here.out.items()]  # fmt: skip
-    if rows:
-        output.table("out of reach", ("block", "kind", "x [m]", "y [m]", "z [m]", "why"), rows)
-    within = here.count - len(here.out)
-    output.say(f"{found.arm} with {found.tool} at {here.words}: {within} of {here.count} blocks")
-    if best.base != here.base:
-        reached = best.count - len(best.out)
-        output.say(f"a base at {best.words} reaches {reached} of {best.count}")
-    facts = [("arm", f"{found.arm} with {found.tool}"), ("base", here.words),
-             ("within reach", f"{within} of {here.count} blocks"),
-             ("base that reaches most", best.words)]  # fmt: skip
-    files = _write_page(
-        options.out, output, found.assembly, title=found.assembly.name or "reach", facts=facts,
-        moving=[blocks[k].id for k in here.out],
-        status="within reach" if found.complete else "out of reach",
-    )  # fmt: skip
+    with _claimed(options.out):
+        found = reach(
+            options.design, arm=options.arm, tool=options.tool, kit=options.kit,
+            layout=options.layout, reading=reading_of(options),
+        )  # fmt: skip
+        here, best, blocks = found.here, found.best, found.assembly.blocks
+        rows = [(blocks[k].id, blocks[k].kind, *(f"{v:.3f}" for v in blocks[k].centroid), why)
+                for k, why in here.out.items()]  # fmt: skip
+        if rows:
+            output.table("out of reach", ("block", "kind", "x [m]", "y [m]", "z [m]", "why"), rows)
+        within = here.count - len(here.out)
+        output.say(
+            f"{found.arm} with {found.tool} at {here.words}: {within} of {here.count} blocks"
+        )
+        if best.base != here.base:
+            reached = best.count - len(best.out)
+            output.say(f"a base at {best.words} reaches {reached} of {best.count}")
+        facts = [("arm", f"{found.arm} with {found.tool}"), ("base", here.words),
+                 ("within reach", f"{within} of {here.count} blocks"),
+                 ("base that reaches most", best.words)]  # fmt: skip
+        files = _write_page(
+            options.out, output, found.assembly, title=found.assembly.name or "reach", facts=facts,
+            moving=[blocks[k].id for k in here.out],
+            status="within reach" if found.complete else "out of reach",
+        )  # fmt: skip
     output.finish({
         "arm": found.arm, "tool": found.tool, "base": list(here.base), "blocks": here.count,
         "out_of_reach": {blocks[k].id: why for k, why in here.out.items()},
@@ -91,33 +100,34 @@ def _reach(options: argparse.Namespace, output: Output) -> int:
 @command(
     COMMANDS, "check", "whether an assembly of blocks stands, and what moves first",
     "l2a check wall.json --out out/check",
-    arg("file", metavar="FILE", type=Path,
+    arg("file", metavar="FILE", type=named,
         help="a plan or its folder, assembly JSON, COMPAS JSON, meshes or a folder of them"),
     arg("--friction", type=friction, default=None, help="instead of the file's coefficient"),
     arg("--unit", default="m", choices=tuple(UNITS), help="of the coordinates in meshes"),
-    arg("--out", type=Path, default=None, metavar="DIR", help="write a page with the forces there"),
+    arg("--out", type=named, default=None, metavar="DIR", help="write a page with forces there"),
 )  # fmt: skip
 def _check(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where it stands, if only with tight joints, else 1."""
     from learn2assemble.assembly.files import read_assembly
     from learn2assemble.physics.rigid_blocks import check
 
-    assembly = read_assembly(options.file, unit=options.unit)
-    found = check(assembly, friction=options.friction)
-    rows = [
-        ("shown", found.proof),
-        ("margin", f"{found.margin_g:.3f} g sideways, {found.tilt:.1f} degrees of tilt"),
-        ("holding force", f"{found.holding_force:.4g} N"),
-        ("moves first", ", ".join(found.moving[:8]) or "-"),
-        ("blocks", found.blocks), ("contacts", len(found.contacts.a)),
-        ("seconds", f"{found.seconds:.2f}"),
-    ]  # fmt: skip
-    output.table(f"{options.file.name}: {found.verdict}", ("quantity", "value"), rows)
-    files = _write_page(
-        options.out, output, assembly.finished, title=assembly.name or options.file.stem,
-        facts=[(name, str(value)) for name, value in rows], moving=found.moving,
-        forces=(found.contacts, found.forces), status=found.verdict,
-    )  # fmt: skip
+    with _claimed(options.out):
+        assembly = read_assembly(options.file, unit=options.unit)
+        found = check(assembly, friction=options.friction)
+        rows = [
+            ("shown", found.proof),
+            ("margin", f"{found.margin_g:.3f} g sideways, {found.tilt:.1f} degrees of tilt"),
+            ("holding force", f"{found.holding_force:.4g} N"),
+            ("moves first", ", ".join(found.moving[:8]) or "-"),
+            ("blocks", found.blocks), ("contacts", len(found.contacts.a)),
+            ("seconds", f"{found.seconds:.2f}"),
+        ]  # fmt: skip
+        output.table(f"{options.file.name}: {found.verdict}", ("quantity", "value"), rows)
+        files = _write_page(
+            options.out, output, assembly.finished, title=assembly.name or options.file.stem,
+            facts=[(name, str(value)) for name, value in rows], moving=found.moving,
+            forces=(found.contacts, found.forces), status=found.verdict,
+        )  # fmt: skip
     output.finish({
         "verdict": found.verdict, "proof": found.proof,
         "margin_g": found.margin_g, "tilt_deg": found.tilt,
@@ -140,10 +150,10 @@ def _format_argument(parser: argparse.ArgumentParser) -> None:
     COMMANDS, "export",
     "a plan as GLB, MJCF, COMPAS, bill of blocks or step cards, or as program of a robot",
     "l2a export out/house --format glb",
-    arg("plan", metavar="PLAN", type=Path, help="folder of a plan, its plan.json, or an assembly"),
+    arg("plan", metavar="PLAN", type=named, help="folder of a plan, its plan.json, or an assembly"),
     _format_argument,
-    arg("--out", type=Path, default=Path(), metavar="PATH", help="file or folder (here)"),
-    arg("--layout", type=Path, metavar="FILE",
+    arg("--out", type=named, default=Path(), metavar="PATH", help="file or folder (here)"),
+    arg("--layout", type=named, metavar="FILE",
         help="urscript: layout whose section `program` has speed, inputs, outputs, taught frame"),
     arg("--resume-from", type=int, metavar="N", help="urscript: leave out the steps before N"),
 )  # fmt: skip
@@ -187,7 +197,7 @@ def _export_program(options: argparse.Namespace, output: Output) -> None:
     COMMANDS, "replay-trajectory",
     "play an exported program of a robot in the simulation, without looking",
     "l2a replay-trajectory out/program.csv --arm panda",
-    arg("file", metavar="FILE", type=Path, help="what l2a export has written as csv, franka, ros2"),
+    arg("file", metavar="FILE", type=named, help="what l2a export wrote as csv, franka, ros2"),
     arg("--arm", required=True, help=f"which arm: {' or '.join(ARMS)}"),
 )  # fmt: skip
 def _replay(options: argparse.Namespace, output: Output) -> int:

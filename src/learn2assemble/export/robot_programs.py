@@ -16,7 +16,7 @@ from learn2assemble.export.formats import file_at
 from learn2assemble.export.robot_tables import read_table, write_franka, write_table
 from learn2assemble.export.ros2 import is_bag, read_bag, write_bag
 from learn2assemble.export.urscript import write_urscript
-from learn2assemble.files import check_output
+from learn2assemble.files import check_exists, check_output
 from learn2assemble.registry import Registry
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.motion.files import read_record
@@ -108,6 +108,7 @@ def export_program(
 
 
 def _read_record(path: Path) -> BuildRecord:
+    check_exists(path, "folder of a build with an arm (l2a build --arm), or its trajectory.json")
     file = path / "trajectory.json" if path.is_dir() else path
     if file.name == "plan.json":
         file = file.with_name("trajectory.json")

@@ -29,6 +29,7 @@ from learn2assemble.errors import InputError, check_arguments, is_number, is_who
 from learn2assemble.files import (
     MAX_GENERATED,
     append_line,
+    check_exists,
     claim_folder,
     integer,
     load_json,
@@ -298,6 +299,7 @@ def _train_seed(job: tuple[Task, Path, dict[str, Any]]) -> TrainingRun:
 
 def _saved(out: Path, task: Task) -> tuple[Task, TrainConfig, int, float | None]:
     """Task, configuration, seed and minutes of the run to resume."""
+    check_exists(out, "folder of a training run, to --resume")
     refused = InputError("--resume", str(out), "the folder of a training run")
     if not (out / "config.json").is_file():
         raise refused

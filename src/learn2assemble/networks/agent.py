@@ -21,7 +21,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file  # pyright: ignore[reportUnknownVariableType]
 
 from learn2assemble.errors import InputError, look_up
-from learn2assemble.files import mapping, read_json, replacing, write_file
+from learn2assemble.files import check_exists, mapping, read_json, replacing, write_file
 from learn2assemble.networks.config import NETWORKS, NetworkConfig
 from learn2assemble.networks.placement import PlacementNetwork, PlacementValues
 from learn2assemble.networks.qnetwork import QFactors, QNetwork
@@ -172,13 +172,14 @@ def load_agent(name_or_path: str | Path, device: torch.device | str = "cpu") -> 
         InputError: for files that are damaged or do not belong together.
     """
     path = Path(name_or_path)
-    if path.is_dir():
+    if str(name_or_path) and path.is_dir():
         path = path / "agent.safetensors"
     if path.suffix != ".safetensors":
+        if len(path.parts) > 1:  # No agent's name: a file or folder that is misspelt.
+            check_exists(path, "file or folder of an agent")
         path = _named(str(name_or_path))
     for file in (path, _info_file(path)):
-        if not file.is_file():
-            raise InputError("agent", str(file), "an existing file")
+        check_exists(file, "file of an agent")
     try:
         info = mapping(read_json(_info_file(path), "agent")[0], "agent")
         if info["format"] != FORMAT:

@@ -21,7 +21,14 @@ from learn2assemble.errors import (
     is_number,
     is_whole,
 )
-from learn2assemble.files import MAX_BYTES, MAX_GENERATED, load_json, read_bytes
+from learn2assemble.files import (
+    MAX_BYTES,
+    MAX_GENERATED,
+    check_exists,
+    load_json,
+    nearest,
+    read_bytes,
+)
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.registry import ARMS, TOOLS
 from learn2assemble.tasks import NO_ARM, PRESETS, get_task
@@ -204,8 +211,11 @@ def _builder(agent: object) -> str:
     """The name or file of a builder of designs; agents of the paper are refused."""
     from learn2assemble.planning.agent.network import DEFAULT, is_builder
 
-    if isinstance(agent, str | Path) and is_builder(str(agent)):
-        return str(agent)
+    if isinstance(agent, str | Path):
+        if Path(agent).suffix == ".safetensors":
+            check_exists(Path(agent), f"file of a builder, or a name such as {DEFAULT}")
+        if is_builder(str(agent)):
+            return str(agent)
     name = getattr(agent, "name", str(agent))
     raise InputError("agent", name, f"a builder of designs such as {DEFAULT} (others play tasks)")
 
@@ -361,7 +371,7 @@ def _goals(design: object, kit: Kit | None, props: bool, reading: dict[str, Any]
 
 def _check_file(path: Path) -> None:
     """Refuse what is no file, a word that may be a misspelt task, and damaged JSON."""
-    if path.suffix == "" and not path.exists():
+    if path.suffix == "" and len(path.parts) < 2 and not (path.exists() or nearest(path)):
         raise UnknownNameError("design", str(path), PRESETS)
     content, source = read_bytes(path, "design file", MAX_GENERATED)
     if content.lstrip()[:1] in (b"{", b"[") and len(content) <= MAX_BYTES:

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.errors import InputError
-from learn2assemble.files import mapping, read_json, write_file
+from learn2assemble.errors import InputError, check_name
+from learn2assemble.files import check_exists, mapping, read_json, write_file
 
 Shapes = Mapping[str, tuple[int, ...]]
 
@@ -116,9 +116,12 @@ class ScorerFiles(NamedTuple):
         from safetensors.numpy import load_file
 
         path = self.path(name_or_path)
+        if path != Path(name_or_path):
+            names = [file.stem for file in self.folder.glob("*.safetensors")]
+            check_name(self.words, str(name_or_path), names)
         info_file = path.with_suffix(".json")
-        if not (path.is_file() and info_file.is_file()):
-            raise InputError("agent", str(name_or_path), f"an existing {self.words}")
+        for file in (path, info_file):
+            check_exists(file, f"file of a {self.words}")
         info = mapping(read_json(info_file, "agent")[0], "agent")
         try:
             if info["format"] != self.form:

@@ -31,7 +31,7 @@ from learn2assemble.evaluation.episodes import (
     play_episodes,
     random_policy,
 )
-from learn2assemble.files import from_plain, write_file
+from learn2assemble.files import check_exists, from_plain, write_file
 from learn2assemble.geometry.support import STABLE
 from learn2assemble.learning.run import provenance
 from learn2assemble.networks.agent import agent_files, one_thread
@@ -344,8 +344,9 @@ def find_agents(folder: Path | None) -> dict[str, Path]:
     """
     if folder is None:
         return {**agent_files(), **builder_files()}
+    check_exists(folder, "folder of agents")
     if not folder.is_dir():
-        raise InputError("--agents", str(folder), "an existing folder")
+        raise InputError("--agents", str(folder), "a folder")
     runs = {f.parent.name: f for f in folder.glob("*/agent.safetensors")}
     files = {f.stem: f for f in folder.glob("*.safetensors")}
     return {name: f for name, f in sorted({**runs, **files}.items()) if _info(f).is_file()}

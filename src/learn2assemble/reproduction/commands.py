@@ -16,12 +16,13 @@ from learn2assemble.cli.parser import (
     Command,
     arm_argument,
     count,
+    named,
     natural,
     positive,
     workers_arguments,
 )
 from learn2assemble.errors import InputError, check_name
-from learn2assemble.files import check_output, claim_folder, write_file
+from learn2assemble.files import check_exists, check_output, claim_folder, read_text, write_file
 from learn2assemble.registry import Registry
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ def _table_arguments(parser: argparse.ArgumentParser) -> None:
 
     add = parser.add_argument
     add("name", metavar="NAME", help=", ".join(TABLES))
-    add("--out", type=Path, default=Path("results"), help="folder of the results")
+    add("--out", type=named, default=Path("results"), help="folder of the results")
     add(
         "--episodes", type=count, default=None,
         help="problems of a cell, in place of 1000 (200 and 100 with an arm)",
@@ -60,7 +61,10 @@ def _table_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     source = parser.add_mutually_exclusive_group()
     source.add_argument(
-        "--agents", type=Path, default=None, help="folder of agents or runs (the shipped ones)"
+        "--agents",
+        type=named,
+        default=None,
+        help="folder of agents or runs (the shipped ones)",
     )
     source.add_argument(
         "--train", action="store_true", help="first train all its agents in --runs, or go on"
@@ -68,8 +72,8 @@ def _table_arguments(parser: argparse.ArgumentParser) -> None:
     source.add_argument(
         "--from-files", action="store_true", help="measure nothing: print what --out holds"
     )
-    add("--runs", type=Path, default=Path("runs"), help="folder of --train")
-    add("--into", type=Path, default=None, help="also put the main numbers into this page")
+    add("--runs", type=named, default=Path("runs"), help="folder of --train")
+    add("--into", type=named, default=None, help="also put the main numbers into this page")
 
 
 def _run_table(options: argparse.Namespace, output: Output) -> None:
@@ -194,12 +198,9 @@ def _summary(data: TableData, measured: int, files: dict[str, Path]) -> dict[str
 def _around(path: Path, table: Table) -> tuple[str, str]:
     """What stands in a page before a table and after it, the lines that mark its place included."""
     begin, end = (f"<!-- table {table.name}: {word} -->" for word in ("begin", "end"))
-    if path.exists():
-        check_output(path, "--into")
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, ValueError):
-        raise InputError("--into", str(path), "an existing text file") from None
+    check_exists(path, "page for --into")
+    check_output(path, "--into")
+    text, _ = read_text(path, "page for --into")
     head, _, rest = text.partition(begin)
     if text.count(begin) != 1 or end not in rest:
         raise InputError("--into", str(path), f"a file with the lines {begin} and {end}")
@@ -216,9 +217,9 @@ def _curves_arguments(parser: argparse.ArgumentParser) -> None:
         "decision times are measured where missing",
     )  # fmt: skip
     parser.add_argument(
-        "--runs", type=Path, default=Path("results/runs"), help="folder with logs of runs"
+        "--runs", type=named, default=Path("results/runs"), help="folder with logs of runs"
     )
-    parser.add_argument("--out", type=Path, default=Path("results/curves"), help="folder")
+    parser.add_argument("--out", type=named, default=Path("results/curves"), help="folder")
 
 
 def _run_scaling(options: argparse.Namespace, output: Output) -> None:
@@ -306,7 +307,7 @@ ARM_COLUMNS = ("file", "cell", "lines", "agree", "same_class", "rule")
 
 
 def _replay_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("files", metavar="FILE", nargs="+", type=Path)
+    parser.add_argument("files", metavar="FILE", nargs="+", type=named)
 
 
 def _run_replay(options: argparse.Namespace, output: Output) -> None:
@@ -345,7 +346,7 @@ def _fidelities_arguments(parser: argparse.ArgumentParser) -> None:
     add("--agent", default=None, help="who builds what the moves are drawn from")
     arm_argument(parser)
     add("--seed", type=natural, default=0)
-    add("--out", type=Path, default=None, help="new file for the result")
+    add("--out", type=named, default=None, help="new file for the result")
 
 
 def _run_fidelities(options: argparse.Namespace, output: Output) -> None:
@@ -391,7 +392,12 @@ def _figures(module: str, title: str, help: str, example: str) -> Command:
 
     def arguments(parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
-        add("--out", type=Path, default=Path(f"results/{module}.json"), help="file of the results")
+        add(
+            "--out",
+            type=named,
+            default=Path(f"results/{module}.json"),
+            help="file of the results",
+        )
         add("--only", default="", metavar="WORD", help="entries with this in their name")
         add("--again", action="store_true", help="also those that were measured before")
         add("--workers", type=count, default=1, help="entries measured at once")
@@ -414,7 +420,7 @@ def _figures(module: str, title: str, help: str, example: str) -> Command:
 
 def _train_goals_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("--out", type=Path, required=True, help="new or empty folder")
+    add("--out", type=named, required=True, help="new or empty folder")
     add("--name", default="goals-s0", help="of the guide")
     add("--seed", type=natural, default=0, help="of goals, weights and choices")
     add("--seconds", type=positive, default=120.0, help="of processor time")

@@ -24,7 +24,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from learn2assemble.errors import InputError
 from learn2assemble.evaluation.episodes import episode_generators
-from learn2assemble.files import write_file
+from learn2assemble.files import check_exists, write_file
 from learn2assemble.networks.agent import agent_files, one_thread
 from learn2assemble.planning.world_model import lookahead_actions
 from learn2assemble.reproduction.cells import make_cell_policy, row_cells
@@ -122,6 +122,7 @@ def load_curves(figure: Curves, runs: Path) -> list[Curve]:
     """
     curves = [_average(label, logs) for label, logs in _logs(figure, runs)]
     if not curves:
+        check_exists(runs, "folder of runs")
         wanted = ", ".join(f"{stem}-s0" for _, stem in figure.lines)
         raise InputError("--runs", str(runs), f"a folder with runs such as {wanted}")
     return curves
