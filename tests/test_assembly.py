@@ -22,6 +22,7 @@ from learn2assemble.assembly.blocks import (
     shells,
     to_manifold,
 )  # fmt: skip
+from learn2assemble.assembly.compas import from_compas, to_compas, write_compas
 from learn2assemble.assembly.contacts import (
     GROUND,
     Contacts,
@@ -30,13 +31,10 @@ from learn2assemble.assembly.contacts import (
     find_contacts,
 )  # fmt: skip
 from learn2assemble.assembly.files import (
-    from_compas,
     from_json,
     read_assembly,
-    to_compas,
     to_json,
     write_assembly,
-    write_compas,
 )  # fmt: skip
 from learn2assemble.errors import InputError
 
@@ -357,9 +355,59 @@ def test_compas_reads_what_is_written(tmp_path: Path) -> None:
     write_compas(example(), tmp_path / "compas.json")
     found = compas.json_load(tmp_path / "compas.json")
     graph = found.graph
-    assert [graph.node_attribute(k, "is_support") for k in graph.nodes()] == [True, False, False]
-    volumes = [abs(graph.node_attribute(k, "block").volume()) for k in graph.nodes()]
-    assert volumes == pytest.approx([b.volume for b in example().blocks])
+    assert [graph.node_attribute(k, "is_support") for k in graph.nodes()] == [True, False]
+    assert [graph.node_attribute(k, "step") for k in graph.nodes()] == [1, 3]
+    volumes = [abs(block.volume()) for block in found.blocks()]
+    assert volumes == pytest.approx([b.volume for b in example().finished.blocks])
+    (prop,) = found.attributes["props"]
+    assert abs(prop.volume()) == pytest.approx(example().blocks[1].volume)
+    assert found.attributes["steps"][-1] == {"remove": "prop"}
+
+
+def tower() -> Assembly:
+    """Two blocks on the plane z = 0, and one on both, without a support."""
+    blocks = [box_block(f"{k}", (k, 0, 0), (k + 1, 1, 1)) for k in range(2)]
+    top = box_block("top", (0.25, 0, 1), (1.75, 1, 2))
+    return Assembly((top, *blocks), (Step("1"), Step("0"), Step("top")), 0.6, "tower")
+
+
+def test_compas_has_order_ground_and_interfaces(tmp_path: Path) -> None:
+    compas = pytest.importorskip("compas")
+    pytest.importorskip("compas_assembly")
+    write_compas(tower(), tmp_path / "compas.json")
+    found = compas.json_load(tmp_path / "compas.json")
+    graph = found.graph
+    (ground,) = graph.nodes_where({"is_support": True})
+    slab = found.node_block(ground)
+    corners = np.array([slab.vertex_coordinates(k) for k in slab.vertices()])
+    assert corners[:, 2].max() == 0
+    assert (corners.min(0)[:2] < 0).all()
+    assert (corners.max(0)[:2] > [2, 1]).all()
+    order = sorted(set(graph.nodes()) - {ground}, key=lambda k: graph.node_attribute(k, "step"))
+    assert [found.node_block(k).name for k in order] == ["1", "0", "top"]
+    assert found.number_of_interfaces() == 5
+    for edge in found.edges():
+        lower, upper = found.edge_blocks(edge)
+        for interface in found.edge_interfaces(edge):
+            assert interface.polygon.area == pytest.approx(interface.size)
+            between = upper.centroid() - lower.centroid()
+            assert interface.frame.zaxis.dot(between) > 0
+    # As another program writes it again.
+    compas.json_dump(found, tmp_path / "again.json")
+    assert same(read_assembly(tmp_path / "again.json"), tower())
+
+
+def test_the_ground_of_compas_is_a_block_where_it_was_moved_or_is_not_alone() -> None:
+    for change in ("moved", "beside"):
+        document = json.loads(json.dumps(to_compas(tower())))
+        nodes = document["data"]["graph"]["data"]["node"]
+        assert same(from_compas(document), tower())
+        if change == "moved":
+            for at in nodes["3"]["block"]["data"]["vertex"].values():
+                at["z"] -= 0.5
+        else:
+            nodes["1"]["is_support"] = True
+        assert [b.support for b in from_compas(document).blocks][3:] == [True]
 
 
 def test_compas_structure() -> None:
@@ -387,8 +435,9 @@ def test_foreign_compas_files() -> None:
         data["face"] = {k: face[::-1] for k, face in data["face"].items()}
     document["data"]["attributes"] = {"name": "Assembly"}
     found = from_compas(document)
-    assert [b.id for b in found.blocks] == ["0", "1", "2"]
-    assert [b.volume for b in found.blocks] == pytest.approx([b.volume for b in example().blocks])
+    assert [b.id for b in found.blocks] == ["0", "2"]
+    volumes = [b.volume for b in example().finished.blocks]
+    assert [b.volume for b in found.blocks] == pytest.approx(volumes)
 
 
 def broken(path: str, value: Any) -> dict[str, Any]:

@@ -14,7 +14,7 @@ import pytest
 import learn2assemble as l2a
 from headless import SPATIAL, pixels, shoot
 from learn2assemble.assembly.blocks import Assembly, Step, box_block
-from learn2assemble.assembly.files import write_compas
+from learn2assemble.assembly.compas import write_compas
 from learn2assemble.assembly.kit import Kind, Kit, load_kit
 from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign, read_design

@@ -213,7 +213,12 @@ def _as_compas(file: Path, made: Assembly) -> tuple[int, float]:
     compas = pytest.importorskip("compas")
     pytest.importorskip("compas_assembly")
     graph = compas.json_load(file).graph
-    solids = [graph.node_attribute(node, "block") for node in graph.nodes()]
+    stand = [node for node in graph.nodes() if not graph.node_attribute(node, "ground")]
+    ids = {block.id for block in made.finished.blocks}
+    steps = {k for k, step in enumerate(made.steps, 1) if step.place in ids}
+    assert {graph.node_attribute(node, "step") for node in stand} == steps
+    assert read_assembly(file).steps == made.steps
+    solids = [graph.node_attribute(node, "block") for node in stand]
     return len(solids), float(sum(abs(solid.volume()) for solid in solids))
 
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from learn2assemble.assembly.appearance import colour_words, kinds_and_colours, rgb
 from learn2assemble.assembly.blocks import Assembly, Block, convex_parts, fan_triangles
-from learn2assemble.assembly.files import read_assembly, write_assembly, write_compas
+from learn2assemble.assembly.compas import write_compas
+from learn2assemble.assembly.files import read_assembly, write_assembly
 from learn2assemble.errors import InputError
 from learn2assemble.export.cards import step_cards
 from learn2assemble.export.pdf import pdf
@@ -151,7 +152,7 @@ FORMATS: Registry[tuple[str, Callable[[Assembly, Path], None]]] = Registry(
         "assembly": ("assembly.json", write_assembly),
         "bill": ("bill.csv", _writer(bill_of_blocks, "bill of blocks")),
         "cards": ("cards.html", _writer(step_cards, "step cards")),
-        "compas": ("compas.json", lambda assembly, path: write_compas(assembly.finished, path)),
+        "compas": ("compas.json", write_compas),
         "glb": ("structure.glb", _writer(glb, "GLB file")),
         "mjcf": ("structure.xml", write_mjcf),
         "pdf": ("instructions.pdf", _writer(pdf, "PDF file")),

@@ -1,0 +1,272 @@
+"""COMPAS assemblies, read and written with the standard library: a graph whose nodes hold a mesh
+each, as ``compas_assembly`` and ``compas_cra`` write it.
+
+Friction, density, steps and props, which COMPAS does not know, travel as attributes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+from uuid import NAMESPACE_URL, uuid5
+
+import numpy as np
+
+from learn2assemble.assembly.blocks import Assembly, Block, Step, box_block
+from learn2assemble.assembly.values import (
+    DIGITS,
+    any_colour,
+    check_count,
+    compact,
+    coordinates,
+    outward,
+)
+from learn2assemble.errors import InputError
+from learn2assemble.files import (
+    boolean,
+    from_plain,
+    mapping,
+    number,
+    sequence,
+    text,
+    to_plain,
+    write_file,
+)
+
+_COMPAS_ASSEMBLIES = (
+    "compas_cra.datastructures/CRA_Assembly",
+    "compas_assembly.datastructures/Assembly",
+)
+"""The class that is written, and the one to use where compas_cra is not installed."""
+_COMPAS_BLOCK = "compas_assembly.datastructures/Block"
+_LEVEL = 1e-6
+"""How far the top of the ground may be from z = 0 [m]."""
+
+
+def write_compas(assembly: Assembly, path: str | Path) -> None:
+    """Write COMPAS JSON, all or nothing; see :func:`to_compas`.
+
+    Raises:
+        InputError: where the file cannot be written.
+    """
+    write_file(Path(path), compact(to_compas(assembly)), "assembly")
+
+
+def to_compas(assembly: Assembly) -> dict[str, Any]:
+    """The JSON document of a COMPAS assembly, which ``compas.json_load`` reads.
+
+    Its nodes are what stands in the end, each with ``is_support``, its centre (``x``, ``y``, ``z``)
+    and the number of the step that places it (``step``, from 1; None without an order); its edges
+    hold the interfaces. Where no block is a support, a slab below z = 0 is one, with the attribute
+    ``ground``. The attributes of the assembly hold the whole order (``steps``) and the meshes of
+    ``props`` that are taken away again, friction and units.
+
+    Identifiers are made from the ids of the blocks, so that the same assembly gives the same file.
+    """
+    finished = assembly.finished
+    place = {block.id: k for k, block in enumerate(assembly.blocks)}
+    nodes: dict[str, Any] = {}
+    number = {step.place: k for k, step in enumerate(assembly.steps, 1)}
+    for block in finished.blocks:
+        nodes[str(place[block.id])] = {
+            **dict(zip("xyz", np.round(block.centroid, DIGITS).tolist(), strict=True)),
+            "block": _compas_mesh(block, place[block.id]), "is_support": block.support,
+            "step": number.get(block.id),
+        }  # fmt: skip
+    ground = len(assembly.blocks)
+    if not any(block.support for block in finished.blocks):
+        slab = _ground_slab(finished)
+        nodes[str(ground)] = {
+            **dict(zip("xyz", np.round(slab.centroid, DIGITS).tolist(), strict=True)),
+            "block": _compas_mesh(slab, ground), "is_support": True, "step": None, "ground": True,
+        }  # fmt: skip
+    graph = {
+        "attributes": {"name": "Graph"},
+        "default_node_attributes": {
+            "x": 0.0, "y": 0.0, "z": 0.0, "block": None, "is_support": False, "section": None,
+            "mesh_size": None, "displacement": [0, 0, 0, 0, 0, 0], "step": None, "ground": False,
+        },
+        "default_edge_attributes": {"interfaces": None},
+        "node": nodes,
+        "edge": _compas_edges(finished, [place[block.id] for block in finished.blocks], ground),
+        "max_node": max(map(int, nodes)),
+    }  # fmt: skip
+    attributes = {
+        "name": assembly.name or "Assembly", "friction": assembly.friction, "units": "m",
+        "steps": [to_plain(step) for step in assembly.steps],
+        "props": [
+            _compas_mesh(block, k) for block in assembly.blocks
+            if str(k := place[block.id]) not in nodes
+        ],
+    }  # fmt: skip
+    return {
+        "dtype": _COMPAS_ASSEMBLIES[0],
+        "data": {
+            "attributes": attributes,
+            "graph": {"dtype": "compas.datastructures/Graph", "data": graph},
+        },
+        "inheritance": list(_COMPAS_ASSEMBLIES[1:]),
+        "guid": str(uuid5(NAMESPACE_URL, assembly.name)),
+    }
+
+
+def _compas_mesh(block: Block, place: int) -> dict[str, Any]:
+    """A block of compas_assembly; ``place`` is its number in our assembly and that of its node."""
+    vertices = np.round(block.vertices, DIGITS).tolist()
+    data = {
+        "attributes": {
+            "name": block.id, "node": place, "kind": block.kind, "density": block.density,
+            "prop": block.prop, "colour": block.colour,
+        },
+        "default_vertex_attributes": {"x": 0.0, "y": 0.0, "z": 0.0},
+        "default_edge_attributes": {},
+        "default_face_attributes": {},
+        "vertex": {str(k): dict(zip("xyz", xyz, strict=True)) for k, xyz in enumerate(vertices)},
+        "face": {str(k): list(face) for k, face in enumerate(block.faces)},
+        "facedata": {str(k): {} for k in range(len(block.faces))},
+        "edgedata": {},
+        "max_vertex": len(vertices) - 1,
+        "max_face": len(block.faces) - 1,
+    }  # fmt: skip
+    return {
+        "dtype": _COMPAS_BLOCK, "data": data, "name": block.id,
+        "inheritance": ["compas.datastructures/Mesh"],
+        "guid": str(uuid5(NAMESPACE_URL, f"{place}/{block.id}")),
+    }  # fmt: skip
+
+
+def _ground_slab(assembly: Assembly) -> Block:
+    """The plane z = 0 as a block: a tenth of the extent thick, and as much wider on every side."""
+    points = np.concatenate([block.vertices for block in assembly.blocks])
+    margin = 0.1 * float(np.ptp(points, axis=0).max())
+    low, high = points.min(0) - margin, points.max(0) + margin
+    return box_block("ground", (low[0], low[1], -margin), (high[0], high[1], 0.0), support=True)
+
+
+def _compas_edges(assembly: Assembly, nodes: Sequence[int], ground: int) -> dict[str, Any]:
+    """The edges of a graph whose nodes are the blocks of an assembly, with their interfaces: the
+    polygons of contact, each with a frame whose normal points from the first node to the second."""
+    from learn2assemble.assembly.contacts import GROUND, across, find_contacts
+
+    edges: dict[str, dict[str, Any]] = {str(node): {} for node in (*nodes, ground)}
+    contacts = find_contacts(assembly)
+    basis = across(contacts.normal)
+    for k, (first, last) in enumerate(pairwise(contacts.start)):
+        points = contacts.points[first:last]
+        frame = {"point": points.mean(0), "xaxis": basis[k, 0], "yaxis": basis[k, 1]}
+        interface = {
+            "dtype": "compas_assembly.datastructures/Interface",
+            "data": {
+                "points": np.round(points, DIGITS).tolist(), "size": float(contacts.area[k]),
+                "frame": {
+                    "dtype": "compas.geometry/Frame",
+                    "data": {key: np.round(at, DIGITS).tolist() for key, at in frame.items()},
+                },
+                "forces": None, "mesh": None,
+            },
+        }  # fmt: skip
+        a = ground if contacts.a[k] == GROUND else nodes[contacts.a[k]]
+        edge = edges[str(a)].setdefault(str(nodes[contacts.b[k]]), {"interfaces": []})
+        edge["interfaces"].append(interface)
+    return edges
+
+
+def from_compas(document: Any, source: str = "assembly", unit: float = 1.0) -> Assembly:
+    """The assembly of a COMPAS document; blocks turned inside out are turned back.
+
+    The name of a block becomes its id where all names differ, else the key of its node does. A node
+    with the attribute ``ground`` stands for the plane z = 0, as :func:`to_compas` writes it, where
+    its slab ends there and nothing else is a support.
+
+    Raises:
+        InputError: where it holds no graph of meshes, or a mesh that is no block.
+    """
+    data = _compas_data(document, source)
+    graph = _compas_data(data.get("graph"), f"{source}: graph")
+    attributes = mapping(data.get("attributes") or {}, f"{source}: attributes")
+    meshes: list[_CompasMesh] = []
+    ground: list[_CompasMesh] = []
+    for key, entry in mapping(graph.get("node"), f"{source}: graph.node").items():
+        where = f"{source}: node {key!r}"
+        node = mapping(entry, where)
+        support = boolean(node.get("is_support") or False, f"{where}: is_support")
+        mesh = _CompasMesh.of(str(key), node.get("block"), where, support)
+        (ground if node.get("ground") is True else meshes).append(mesh)
+    moved = any(abs(one.block("ground", unit).vertices[:, 2].max()) > _LEVEL for one in ground)
+    if moved or any(mesh.support for mesh in meshes):
+        meshes += ground  # No longer the plane z = 0: a support like others.
+    props = sequence(attributes.get("props") or (), f"{source}: props", "a list of meshes")
+    for k, mesh in enumerate(props):
+        meshes.append(_CompasMesh.of(f"prop-{k}", mesh, f"{source}: props[{k}]", False))
+    check_count(len(meshes), source)
+    if len({mesh.place for mesh in meshes} - {None}) == len(meshes):
+        meshes.sort(key=lambda mesh: mesh.place or 0)
+    names = [mesh.extra.get("name") for mesh in meshes]
+    named = all(isinstance(n, str) and n for n in names) and len(set(names)) == len(names)
+    blocks = tuple(
+        mesh.block(str(name) if named else mesh.key, unit)
+        for mesh, name in zip(meshes, names, strict=True)
+    )
+    friction = number(attributes.get("friction", 0.5), f"{source}: friction")
+    steps = from_plain(tuple[Step, ...], attributes.get("steps") or (), source, "steps")
+    name = attributes.get("name")
+    return Assembly(blocks, steps, friction, name if isinstance(name, str) else "")
+
+
+class _CompasMesh(NamedTuple):
+    """A mesh of a COMPAS document, and what is known of it."""
+
+    key: str
+    support: bool
+    mesh: Mapping[str, Any]
+    extra: Mapping[str, Any]
+    """Its attributes."""
+    where: str
+    """What messages call it."""
+
+    @classmethod
+    def of(cls, key: str, value: Any, where: str, support: bool) -> _CompasMesh:
+        mesh = _compas_data(value, f"{where}: block")
+        extra = mapping(mesh.get("attributes") or {}, f"{where}: attributes")
+        return cls(key, support, mesh, extra, where)
+
+    @property
+    def place(self) -> int | None:
+        """Its number among the blocks, where :func:`to_compas` has written it."""
+        number = self.extra.get("node")
+        return number if type(number) is int else None
+
+    def block(self, id_: str, unit: float) -> Block:
+        """The block it is, in metres."""
+        where, extra = self.where, self.extra
+        vertex = mapping(self.mesh.get("vertex"), f"{where}: vertex")
+        rows = [
+            [mapping(at, f"{where}: vertex {k!r}").get(axis, 0.0) for axis in "xyz"]
+            for k, at in vertex.items()
+        ]
+        order = {label: k for k, label in enumerate(vertex)}
+        faces = []
+        for label, face in mapping(self.mesh.get("face"), f"{where}: face").items():
+            corners = sequence(face, f"{where}: face {label!r}", "a list of vertices")
+            unknown = [k for k in corners if str(k) not in order]
+            if unknown:
+                raise InputError(f"{where}: face {label!r}", unknown[0], "a key of a vertex")
+            faces.append(tuple(order[str(k)] for k in corners))
+        density = number(extra.get("density") or 1000.0, f"{where}: density")
+        kind = text(extra.get("kind") or "", f"{where}: kind")
+        points = coordinates(rows, f"{where}: vertex") * unit
+        made = outward(id_, points, tuple(faces), kind=kind, density=density,
+                       support=self.support, prop=extra.get("prop") is True)  # fmt: skip
+        return replace(made, colour=any_colour(extra.get("colour")))
+
+
+def _compas_data(value: Any, where: str) -> Mapping[str, Any]:
+    """What a COMPAS object holds, with or without its envelope."""
+    given = mapping(value, where)
+    for key in ("data", "value"):
+        if "dtype" in given and key in given:
+            return mapping(given[key], where)
+    return given

@@ -1,0 +1,55 @@
+"""Parts of blocks in JSON files, ours and those of COMPAS."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+
+from learn2assemble.assembly.blocks import MAX_BLOCKS, Block
+from learn2assemble.errors import InputError
+from learn2assemble.files import number, sequence
+
+DIGITS = 9
+"""Of coordinates written."""
+
+
+def outward(id: str, vertices: np.ndarray, faces: tuple[tuple[int, ...], ...], **kwargs) -> Block:
+    """A block whose faces may all be turned inside; arguments as :class:`Block`."""
+    try:
+        return Block(id, vertices, faces, **kwargs)
+    except InputError as error:
+        if not error.what.endswith(": volume"):
+            raise
+    return Block(id, vertices, tuple(face[::-1] for face in faces), **kwargs)
+
+
+def compact(document: dict[str, Any]) -> str:
+    """JSON text without spaces."""
+    return json.dumps(document, separators=(",", ":"))
+
+
+def check_count(count: int, source: str) -> None:
+    """Refuse a file of no blocks, or of too many."""
+    if not 0 < count <= MAX_BLOCKS:
+        raise InputError(f"{source}: blocks", count, f"1 to {MAX_BLOCKS} blocks")
+
+
+def coordinates(rows: Any, where: str) -> np.ndarray:
+    """float64[n, 3]: a list of points; messages call it ``where``."""
+    expected = "a list of points [x, y, z]"
+    points = sequence(rows, where, expected)
+    for k, row in enumerate(points):
+        if len(sequence(row, f"{where}[{k}]", expected)) != 3:
+            raise InputError(f"{where}[{k}]", row, "three numbers")
+        for value in row:
+            number(value, f"{where}[{k}]")
+    return np.array(points, np.float64).reshape(-1, 3)
+
+
+def any_colour(value: Any) -> tuple[int, int, int] | None:
+    """A colour where it is one; files of others may hold anything there."""
+    if isinstance(value, list) and len(value) == 3 and all(type(k) is int for k in value):
+        return (value[0], value[1], value[2])
+    return None
