@@ -203,7 +203,7 @@ def test_notes_joints_and_forces_are_those_given() -> None:
     assert data["joints"]["start"] == contacts.start.tolist()
     assert text.count("<td>local certificate</td>") == len(notes) - 1
     push = 0.25 * 9.80665 * assembly.blocks[0].mass
-    words = f"a sideways push of 0.25 g along x or y, about {push:.2g} N on this block"
+    words = f"a sideways push of 0.25 g in every direction, about {push:.2g} N on this block"
     assert words in data["captions"][1]
     assert "or a tilt of 14.0°" in data["captions"][1]
     assert data["colours"][data["blocks"][1][5]] == "bad"

@@ -19,6 +19,7 @@ Inside, lengths are in edges of a median block and forces in mean weights of a b
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
 import clarabel
@@ -323,29 +324,39 @@ class System:
             return None
         return np.abs(jump @ np.array(answer.x)[:count]).reshape(-1, 6).max(1)
 
-    def load_program(self, friction: float):
-        """A function of a horizontal direction float64[2]: how far a load goes along it [g], and
-        how far from zero the line is that no load crosses there."""
-        corners, count = 3 * self.corners, 6 * self.count
-        cone, parts = self._cones(friction)
-        cones = [_conic.ZeroConeT(count), _conic.NonnegativeConeT(1), *parts]
-        bound = np.concatenate([self.weight, [MOST_G], np.zeros(corners)])
-        cost = np.zeros(corners + 1)
-        cost[corners] = -1.0
-        energy = sp.csc_matrix((corners + 1, corners + 1))
+    def load_program(
+        self, friction: float
+    ) -> Callable[[np.ndarray], tuple[np.ndarray, float] | None]:
+        """A function of a horizontal direction float64[2]: of all sideways loads up to MOST_G that
+        friction holds the one farthest along it, float64[2] [g], and how far along it that is,
+        which no other passes; None where nothing is held.
 
-        def run(direction: np.ndarray) -> tuple[float, float]:
-            load = np.zeros((self.count, 6))
-            load[:, :2] = self.mass[:, None] * direction
-            column = sp.csc_matrix(load.reshape(-1, 1))
-            matrix = sp.bmat([[self.balance, column], [None, np.eye(1)], [cone, None]]).tocsc()
+        It solves the dual, which is smaller: of all motions that friction holds back nowhere and
+        on which a load does work as the direction tells, the one that lifts the weight least.
+        """
+        corners, count = self.corners, 6 * self.count
+        moves = (sp.diags(np.tile([1.0, friction, friction], corners)) @ self.balance.T).tocsr()
+        if friction > 0:
+            cones = [_conic.SecondOrderConeT(3)] * corners
+        else:
+            # A cone without interior would stall the solver.
+            moves, cones = moves[::3], [_conic.NonnegativeConeT(corners)]
+        load = np.zeros((self.count, 6, 2))
+        load[:, 0, 0] = load[:, 1, 1] = self.mass
+        # Work that is left over costs what the largest load would do.
+        rows = [
+            [sp.csr_matrix(load.reshape(-1, 2).T), sp.identity(2), None], [-moves, None, None],
+            [None, None, -sp.identity(1)], [None, -sp.identity(2), None],
+        ]  # fmt: skip
+        matrix = sp.bmat(rows).tocsc()
+        cones = [_conic.ZeroConeT(2), *cones, _conic.SecondOrderConeT(3)]
+        cost = np.concatenate([self.weight, np.zeros(2), [MOST_G]])
+        energy = sp.csc_matrix((count + 3, count + 3))
+
+        def run(direction: np.ndarray) -> tuple[np.ndarray, float] | None:
+            bound = np.concatenate([direction, np.zeros(moves.shape[0] + 3)])
             answer = _run(energy, cost, matrix, bound, cones, _TOLERANCES[1:])
-            if answer is None:
-                return 0.0, 0.0
-            reach = float(answer.x[corners])
-            pull = np.array(answer.z[:count]).reshape(-1, 6)[:, :2].T @ self.mass
-            steep = float(np.linalg.norm(pull))
-            return reach, reach / max(steep, 1.0) if reach < 0.99 * MOST_G else reach
+            return None if answer is None else (-np.array(answer.z[:2]), float(answer.obj_val))
 
         return run
 

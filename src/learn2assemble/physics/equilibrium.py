@@ -11,8 +11,10 @@ Find contact forces :math:`f_p`, one at every corner :math:`p` of every contact 
 where the sign is + on the object the patch pushes and - on the one that pushes back, ``c_b`` is
 the centre of mass, ``n_p`` the patch normal and ``t_pk`` eight unit tangents: the Coulomb cone is
 replaced by the octagonal pyramid inside it, exact along the axes. :func:`is_stable` asks for a
-solution at ``a = 0``; :func:`stability_margin` maximises the inertial load ``a`` along four
-horizontal directions ``d``. Inside, lengths are in block edges and forces in block weights.
+solution at ``a = 0``; :func:`stability_margin` maximises the inertial load ``a`` along sixteen
+horizontal directions ``d``, each the direction of a tangent: for every second one the pyramid is
+turned. Since loads that can be balanced are a convex set, those in the hull of the sixteen can be,
+too. Inside, lengths are in block edges and forces in block weights.
 
 A solution means that forces *can* balance, not that they *will*: two walls could clamp a block
 that nothing presses between them. Placing blocks does not preload vertical faces, so only
@@ -27,6 +29,7 @@ import highspy
 import numpy as np
 
 from learn2assemble.errors import InputError, Learn2AssembleError
+from learn2assemble.geometry.reach import inner_circle
 from learn2assemble.geometry.support import CONTACT_TOLERANCE, OVERLAP_TOLERANCE, filler_centres
 from learn2assemble.world.blocks import EDGE, FRICTION, HALF
 
@@ -35,11 +38,8 @@ CONE_SIDES = 8
 _COLUMNWISE = int(highspy.MatrixFormat.kColwise)
 _MINIMIZE = int(highspy.ObjSense.kMinimize)
 _PRIMAL_SIMPLEX = 4
-DIRECTIONS = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]], float)
-"""float64[4, 2]: horizontal directions of :func:`stability_margin`."""
 _CORNERS = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]], float)
 _ANGLES = 2 * np.pi / CONE_SIDES * np.arange(CONE_SIDES)
-_TANGENTS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], -1)
 
 
 class Contacts(NamedTuple):
@@ -123,23 +123,29 @@ def is_stable(
 def stability_margin(
     centres: np.ndarray, object_id: np.ndarray, friction: float = FRICTION
 ) -> float:
-    """Largest horizontal acceleration, in g, the structure withstands along each of +-x, +-y.
+    """Horizontal acceleration, in g, the structure withstands in every direction, from below.
 
-    The smallest of the four values; 0 where it does not even stand. Sliding on the ground caps it
-    at ``friction``, which is also the answer for an empty structure. A column of n cubes gives
-    1/n. Arguments and errors as :func:`is_stable`.
+    At most 2 % below the largest one for these friction pyramids; 0 where it does not even stand.
+    Sliding on the ground caps it at ``friction``, which is also the answer for an empty structure.
+    A column of n cubes gives 1/n. Arguments and errors as :func:`is_stable`.
     """
-    program = _Program(centres, object_id, friction)
-    if program.num_objects == 0:
-        return float(friction)
-    if not program.touches_all or program.solve() is None:
-        return 0.0
-    margins = []
-    for direction in DIRECTIONS:
-        value = program.solve(direction)
-        # Standing has just been shown, so a refusal here is only a tolerance away from zero.
-        margins.append(0.0 if value is None else value)
-    return min(max(0.0, min(margins)), float(friction))
+    reached = []
+    for turn in (0.0, np.pi / CONE_SIDES):
+        program = _Program(centres, object_id, friction, turn=turn)
+        if program.num_objects == 0:
+            return float(friction)
+        if not program.touches_all or program.solve() is None:
+            return 0.0
+        for direction in _tangents(turn):
+            value = program.solve(direction)
+            # Standing has just been shown, so a refusal here is only a tolerance away from zero.
+            reached.append((value or 0.0) * direction)
+    return min(inner_circle(np.array(reached))[0], float(friction))
+
+
+def _tangents(turn: float) -> np.ndarray:
+    """float64[8, 2]: the edges of a friction pyramid that is turned by an angle [rad]."""
+    return np.stack([np.cos(_ANGLES + turn), np.sin(_ANGLES + turn)], -1)
 
 
 def _check(centres: np.ndarray, object_id: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -184,6 +190,7 @@ class _Program:
         object_id: np.ndarray,
         friction: float,
         slack: float = 0.0,
+        turn: float = 0.0,
     ) -> None:
         if not (np.isfinite(friction) and friction >= 0):
             raise InputError("friction", friction, "a finite number >= 0")
@@ -201,17 +208,17 @@ class _Program:
         self._centre = weighted / np.maximum(self.mass, 1)[:, None]
         touched = np.concatenate([contacts.body_a, contacts.body_b])
         self.touches_all = len(np.setdiff1d(np.arange(self.num_objects), touched)) == 0
-        self._start, self._index, self._value = self._columns(contacts, friction)
+        self._start, self._index, self._value = self._columns(contacts, friction, turn)
         self._solver: highspy.Highs | None = None
 
     def _columns(
-        self, contacts: Contacts, friction: float
+        self, contacts: Contacts, friction: float, turn: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Wrenches of the cone generators on both objects, as sparse columns."""
         # Per normal axis, the eight tangents in the plane of the patch.
         tangents = np.zeros((3, CONE_SIDES, 3))
         for axis in range(3):
-            tangents[axis][:, [k for k in range(3) if k != axis]] = _TANGENTS
+            tangents[axis][:, [k for k in range(3) if k != axis]] = _tangents(turn)
         axes = np.argmax(contacts.normals, 1)
         generators = contacts.normals[:, None] + friction * tangents[axes]
         rows, values = [], []

@@ -22,6 +22,7 @@ from learn2assemble.assembly.contacts import (
     widened,
 )
 from learn2assemble.errors import InputError
+from learn2assemble.geometry.reach import inner_circle
 from learn2assemble.physics.block_forces import MOST_G, Equilibrium, System
 
 Verdict = Literal["stands", "stands only with tight joints", "falls", "not certain"]
@@ -38,6 +39,9 @@ _HOPELESS = 100.0
 """Holding force, in what is taken for rounding, above which no other stiffness is tried: all of the
 weight of one block, or a twentieth of everything."""
 _MARGIN_GAP = 0.01
+_FIRST = np.pi / 8 + np.pi / 2 * np.arange(4)
+"""Directions looked at first [rad]: across none of the sides of what is built along x and y, or
+halfway between, so that each finds a corner of the set of accelerations."""
 NO_MARGIN = 1e-4
 """Sideways acceleration [g] below which there is none to speak of."""
 _LOADS = (4, 40, 30_000)
@@ -230,17 +234,14 @@ def solve(
 
 def margin(
     assembly: Assembly, contacts: Contacts, friction: float | None = None, *,
-    present: np.ndarray | None = None, only: tuple[float, ...] = (),
+    present: np.ndarray | None = None,
 ) -> float:  # fmt: skip
     """Sideways acceleration [g] that RBE withstands in every direction, from below.
 
     The accelerations that contact forces can balance are a convex set. Each program gives a point
     of its border and a line that it does not cross, so the largest circle about zero is known from
-    both sides; directions are added until these agree to 1 % or as many as the size allows were
-    tried. Arguments as :func:`solve`.
-
-    Args:
-        only: angles of the directions to look at [rad], where not all matter.
+    both sides. The next direction is the one in which the hull of the points is nearest to zero,
+    until both agree to 1 % or as many as the size allows were tried. Arguments as :func:`solve`.
     """
     friction = assembly.friction if friction is None else friction
     check_friction(friction)
@@ -250,40 +251,25 @@ def margin(
     fewest, most, work = _LOADS
     tries = int(np.clip(work // max(system.corners, 1), fewest, most))
     program = system.load_program(friction)
-    if only:
-        return max(0.0, min(program(np.array([np.cos(a), np.sin(a)]))[0] for a in only))
-    angles, points, below, above = [], [], 0.0, np.inf
-    queue = [0.0, np.pi / 2, np.pi, -np.pi / 2]
+    angles, points, above, below = [], [], MOST_G, 0.0
+    queue = list(_FIRST)
     while queue:
         angle = queue.pop(0)
-        direction = np.array([np.cos(angle), np.sin(angle)])
-        reach, line = program(direction)
+        found = program(np.array([np.cos(angle), np.sin(angle)]))
+        if found is None:
+            return 0.0
         angles.append(angle)
-        points.append(reach * direction)
-        above = min(above, line)
+        points.append(found[0])
+        above = min(above, found[1])
         if queue:
             continue
-        if min(np.hypot(*point) for point in points) > 0.99 * MOST_G:
+        if above > 0.99 * MOST_G:
             return MOST_G
-        below, angle = _inner_radius(np.array(points))
+        below, angle = inner_circle(np.array(points))
         repeated = min(abs(np.angle(np.exp(1j * (angle - a)))) for a in angles) < 1e-3
         if len(angles) < tries and below < (1 - _MARGIN_GAP) * above and not repeated:
             queue.append(angle)
-    return float(max(0.0, min(below, above)))
-
-
-def _inner_radius(points: np.ndarray) -> tuple[float, float]:
-    """Of the hull of points round zero: distance of its nearest edge, and that edge's angle."""
-    order = np.argsort(np.arctan2(points[:, 1], points[:, 0]))
-    start = points[order]
-    edge = np.roll(start, -1, 0) - start
-    length = np.linalg.norm(edge, axis=1)
-    if (length < 1e-12).any():
-        return 0.0, 0.0
-    out = np.stack([edge[:, 1], -edge[:, 0]], 1) / length[:, None]
-    distance = np.einsum("ij,ij->i", out, start)
-    nearest = int(np.argmin(distance))
-    return float(distance[nearest]), float(np.arctan2(out[nearest, 1], out[nearest, 0]))
+    return max(0.0, min(below, above))
 
 
 def _check_supported(assembly: Assembly, contacts: Contacts) -> None:

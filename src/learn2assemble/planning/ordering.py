@@ -23,6 +23,7 @@ import numpy as np
 from learn2assemble.assembly.blocks import Assembly, Block, Step
 from learn2assemble.assembly.kit import Kit
 from learn2assemble.errors import InputError, is_number
+from learn2assemble.geometry.reach import inner_circle
 from learn2assemble.planning.programs import INF, Clock
 from learn2assemble.planning.step_proof import Proof, Stack, find_stack, lies_below
 from learn2assemble.planning.tiling import (
@@ -39,10 +40,14 @@ LOCAL, PROGRAM = "bed faces, local", "bed faces, program"
 FRICTIONLESS, BED, TIGHT = "bed faces, no friction", "bed faces", "tight joints"
 """What may carry: bed faces without friction; bed faces with it; side faces that touch, too. The
 latter two name the proof of a step by the coupled analysis."""
-_DIRECTIONS = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
-SIDEWAYS = tuple(math.atan2(y, x) for x, y in _DIRECTIONS)
-"""Directions in which the margin of a step is looked for [rad]."""
-_LEAST, _PRECISION = 2e-3, 0.02
+_DIRECTIONS = 16
+"""In how many directions a sideways acceleration is proven; all others follow from these."""
+_ANGLES = 2 * np.pi / _DIRECTIONS * np.arange(_DIRECTIONS)
+_WAYS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], 1)
+_ENOUGH = 1 / math.cos(2 * np.pi / _DIRECTIONS)
+"""How far, in the least reach of all, the neighbours of that direction have to reach so that a line
+across it does not cut them off; more does not help."""
+_LEAST, _PRECISION = 2e-3, 0.005
 """Smallest sideways acceleration looked for [g], and how exactly it is found (relative)."""
 _GAP_TRIALS = 7
 
@@ -61,7 +66,7 @@ class OrderedStep:
     proof: str
     """``LOCAL``, ``PROGRAM``, ``BED`` or ``TIGHT``."""
     margin_g: float
-    """Sideways acceleration along +-x and +-y that the state at least withstands [g]."""
+    """Sideways acceleration that the state at least withstands in every direction [g]."""
 
     @property
     def block(self) -> int:
@@ -121,7 +126,7 @@ class Coupled:
         return made, contacts if self.law == TIGHT else contacts.only(bed_patches(contacts))
 
     def margin(self, placed: np.ndarray) -> float | None:
-        """The sideways acceleration along +-x and +-y [g] that the blocks ``placed`` (bool[n])
+        """The sideways acceleration in every direction [g] that the blocks ``placed`` (bool[n])
         withstand by rigid-block equilibrium, where they stand.
 
         None where they fall, and where they are balanced on an edge.
@@ -136,7 +141,7 @@ class Coupled:
             if not found.stands:
                 return None
             self._stiffness = found.stiffness
-        worth = margin(made, contacts, self.friction[0], present=placed, only=SIDEWAYS)
+        worth = margin(made, contacts, self.friction[0], present=placed)
         return worth if worth >= NO_MARGIN else None
 
 
@@ -169,7 +174,7 @@ class _Site:
         self.stack = stack = find_stack(self.blocks, kit, tiling.wanted.shape, gap)
         self.placed, self.done = np.zeros((2, len(stack)), bool)  # done: or taken away again
         self.proof, self.friction = Proof(stack), friction
-        self.sideways = [_Sideways(stack, way, friction) for way in _DIRECTIONS]
+        self.sideways = _Sideways(stack, friction)
         self.timed_out = self.by_friction = False
         self.pressed: dict[bytes, float | None] = {}
         self.steps: list[OrderedStep] = []
@@ -220,11 +225,10 @@ class _Site:
             return None
         had_friction, self.by_friction = self.by_friction, method in (BED, TIGHT)
         self.placed = placed
-        for load in self.sideways:
-            if self.by_friction:
-                load.level = 0.0
-            elif not had_friction:
-                load.follow(dirty, placed, self.proof.force, self.clock.left)
+        if self.by_friction:
+            self.sideways.drop()
+        elif not had_friction:
+            self.sideways.follow(dirty, placed, self.proof.force, self.clock)
         if had_friction or (method == PROGRAM and self.margin() <= 0):
             self.raise_margins()
         return method
@@ -246,15 +250,15 @@ class _Site:
         return None
 
     def margin(self) -> float:
-        """Sideways acceleration the state at least withstands [g]."""
+        """Sideways acceleration the state at least withstands in every direction [g]."""
         if self.by_friction:
             return min(self.pressed[self.placed.tobytes()] or 0.0, self.friction)
-        return min(load.level for load in self.sideways)
+        return self.sideways.radius
 
     def raise_margins(self) -> None:
         """Look for larger margins than those that have come down from states before."""
-        for load in self.sideways if not self.by_friction else ():
-            load.search(self.placed, self.proof.force, seconds=self.clock.left)
+        if not self.by_friction:
+            self.sideways.search(self.placed, self.proof.force, self.clock)
 
     def place_all(self, given: bool) -> list[int]:
         """Place everything; what is stuck, or all that is left where time ran out.
@@ -326,47 +330,100 @@ class _Site:
 
 
 class _Sideways:
+    """Sideways accelerations for which proofs are at hand, in directions all round.
+
+    The forces that prove two accelerations, mixed, prove the same mixture of the two, with no more
+    friction than the one that needs more: what lies in the hull of what is proven is proven, too.
+    """
+
+    def __init__(self, stack: Stack, most: float) -> None:
+        self.loads = [_Load(stack, way, most) for way in _WAYS]
+        self.most = most
+        self._radius: float | None = None
+
+    @property
+    def radius(self) -> float:
+        """The largest acceleration that is proven in every direction [g]."""
+        if self._radius is None:
+            levels = np.array([load.level for load in self.loads])
+            self._radius = inner_circle(levels[:, None] * _WAYS)[0]
+        return self._radius
+
+    def drop(self) -> None:
+        """Forget all proofs."""
+        for load in self.loads:
+            load.level = 0.0
+        self._radius = None
+
+    def follow(
+        self, dirty: np.ndarray, placed: np.ndarray, upright: np.ndarray, clock: Clock
+    ) -> None:
+        """The state has changed to ``placed``; keep the levels that hold, or find lower ones.
+
+        Args:
+            dirty: bool[n], blocks to balance again.
+            upright: float64[P], forces that balance it without acceleration.
+        """
+        before = [load.level for load in self.loads]
+        lost = [n for n, load in enumerate(self.loads) if not load.keep(dirty, placed)]
+        if not lost:
+            return
+        self._radius = None
+        enough = math.inf
+        for n in sorted(lost, key=lambda n: before[n]):
+            load = self.loads[n]
+            load.search(placed, upright, min(before[n], enough))
+            if load.level <= 0:
+                changing = lies_below(load.stack, np.flatnonzero(dirty).tolist(), placed)
+                load.program(placed, changing, before[n], clock.left)
+            enough = min(enough, _ENOUGH * load.level) if load.level > 0 else enough
+
+    def search(self, placed: np.ndarray, upright: np.ndarray, clock: Clock) -> None:
+        """Look for larger levels, first in the direction that is weakest now."""
+        self._radius, enough = None, self.most
+        for load in sorted(self.loads, key=lambda load: load.level):
+            load.search(placed, upright, enough, clock.left)
+            enough = min(enough, _ENOUGH * load.level) if load.level > 0 else enough
+
+
+class _Load:
     """The largest acceleration along one direction for which a proof is at hand."""
 
-    def __init__(self, stack: Stack, way: tuple[float, float], most: float) -> None:
-        self.stack, self.way, self.most = stack, way, most
+    def __init__(self, stack: Stack, way: np.ndarray, most: float) -> None:
+        self.stack, self.way = stack, way
         self.level = most
         self.proof = self._fresh(most)
 
     def _fresh(self, level: float) -> Proof:
         return Proof(self.stack, (level * self.way[0], level * self.way[1]))
 
-    def follow(
-        self, dirty: np.ndarray, placed: np.ndarray, upright: np.ndarray, seconds: float
-    ) -> None:
-        """The state has changed to ``placed``; keep the level where it holds, or find a lower.
+    def keep(self, dirty: np.ndarray, placed: np.ndarray) -> bool:
+        """Whether the level holds after a change of the blocks ``dirty``; else it is 0."""
+        if self.level > 0 and not self.proof.settle(dirty, placed):
+            self.level = 0.0
+            return False
+        return True
 
-        Args:
-            upright: float64[P], forces that balance it without acceleration.
-        """
-        if self.level <= 0 or self.proof.settle(dirty, placed):
-            return
-        before, self.level = self.level, 0.0
-        self.search(placed, upright, before)
-        if self.level <= 0:
-            changing = lies_below(self.stack, np.flatnonzero(dirty).tolist(), placed)
-            if self.proof.program(placed, changing, seconds):
-                self.level = before
+    def program(
+        self, placed: np.ndarray, changing: np.ndarray, level: float, seconds: float
+    ) -> None:
+        """Take a level that the last proof holds by a program over the blocks ``changing``."""
+        if self.proof.program(placed, changing, seconds):
+            self.level = level
 
     def search(
-        self, placed: np.ndarray, upright: np.ndarray, most: float | None = None,
-        seconds: float = 0.0,
-    ) -> None:  # fmt: skip
+        self, placed: np.ndarray, upright: np.ndarray, most: float, seconds: float = 0.0
+    ) -> None:
         """The highest level above the present one, up to ``most``, that a fresh proof reaches.
 
         Args:
             seconds: for programs, where the local proof finds nothing.
         """
-        low, high = self.level, self.most if most is None else most
+        low, high = self.level, most
         if high <= low or self._try(high, placed, upright):
             return
         if low <= 0 and not (
-            self._try(_LEAST, placed, upright) or self._by_program(placed, seconds)
+            self._try(_LEAST, placed, upright) or self._by_program(placed, most, seconds)
         ):
             return
         low = self.level
@@ -377,10 +434,10 @@ class _Sideways:
             else:
                 high = middle
 
-    def _by_program(self, placed: np.ndarray, seconds: float) -> bool:
+    def _by_program(self, placed: np.ndarray, most: float, seconds: float) -> bool:
         for level in (16 * _LEAST, 4 * _LEAST, _LEAST):
             proof = self._fresh(level)
-            if level < self.most and seconds > 0 and proof.program(placed, placed, seconds):
+            if level < most and seconds > 0 and proof.program(placed, placed, seconds):
                 self.level, self.proof = level, proof
                 return True
         return False

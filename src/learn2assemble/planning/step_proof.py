@@ -29,6 +29,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -69,10 +70,23 @@ class Stack:
     cell: np.ndarray
     """float64[2]: width and depth of a lattice cell [m]."""
 
-    @property
+    @cached_property
     def pitch(self) -> float:
         """Unit of length of the solver [m]."""
         return float(self.cell.min())
+
+    @cached_property
+    def above(self) -> tuple[np.ndarray, np.ndarray]:
+        """int64: points that rest on each block, at ``start[b]:start[b + 1]``; int64[n + 1]."""
+        order = np.argsort(self.lower, kind="stable")
+        points = order[np.searchsorted(self.lower[order], 0) :]
+        return points, np.searchsorted(self.lower[points], np.arange(len(self) + 1))
+
+    @cached_property
+    def order(self) -> np.ndarray:
+        """int64: all blocks that are in no ring and rest on none, each before what bears it."""
+        order = np.argsort(-self.rank, kind="stable")
+        return order[self.rank[order] >= 0]
 
     def __len__(self) -> int:
         return len(self.weight)
@@ -282,40 +296,34 @@ def _answer(force, xs, ys, share, target, cx, cy, unit, scale, trial):
 
 
 @njit(cache=True)
-def _settle(force, px, py, cx, cy, weight, share, start, lower, rank, placed, dirty, unit, above,
-            above_start):  # fmt: skip
+def _settle(force, px, py, cx, cy, weight, share, start, upper, lower, placed, dirty, unit, above,
+            above_start, order):  # fmt: skip
     """Balance every block that is ``dirty``, from above; True where all could be.
 
     Args:
         force: float64[P], changed in place also where it fails.
         px, py, cx, cy: float64: points and centres, sheared by the load.
-        placed, dirty: bool[n]; ``dirty`` is all False afterwards.
+        placed, dirty: bool[n]; blocks that have to answer are added to ``dirty``.
         above: int64: points that rest on each block, at ``above_start[b]:above_start[b + 1]``.
+        order: int64: all blocks that are in no ring, each before those it rests on.
     """
     trial = np.empty(256)
     target = np.empty(3)
-    heap = np.empty(len(rank) + 1, np.int64)
-    count = 0
-    queued = np.flatnonzero(dirty)
-    for b in queued:
-        heap[count] = b
-        count += 1
-    sound = True
-    while count > 0:
-        best = 0
-        for k in range(1, count):
-            if rank[heap[k]] > rank[heap[best]]:
-                best = k
-        b = heap[best]
-        count -= 1
-        heap[best] = heap[count]
-        dirty[b] = False
-        if not sound:
+    # Joints of blocks that are not there carry nothing.
+    live = share.copy()
+    for p in range(len(force)):
+        a = lower[p]
+        if not placed[upper[p]] or (a >= 0 and not placed[a]):
+            force[p] = 0.0
+            live[p] = 0.0
+    left = np.sum(dirty)
+    for b in order:
+        if not dirty[b]:
             continue
+        left -= 1
         first, last = start[b], start[b + 1]
-        if last - first > 256 or rank[b] < 0:
-            sound = False
-            continue
+        if last - first > 256:
+            return False
         target[0], target[1], target[2] = weight[b], 0.0, 0.0
         for k in range(above_start[b], above_start[b + 1]):
             p = above[k]
@@ -324,17 +332,17 @@ def _settle(force, px, py, cx, cy, weight, share, start, lower, rank, placed, di
                 target[1] += force[p] * (px[p] - cx[b]) / unit
                 target[2] += force[p] * (py[p] - cy[b]) / unit
         before = force[first:last].copy()
-        if not _answer(force[first:last], px[first:last], py[first:last], share[first:last],
+        if not _answer(force[first:last], px[first:last], py[first:last], live[first:last],
                        target, cx[b], cy[b], unit, target[0], trial[: last - first]):  # fmt: skip
-            sound = False
-            continue
+            return False
         for p in range(first, last):
             a = lower[p]
             if a >= 0 and abs(force[p] - before[p - first]) > 1e-12 * target[0] and not dirty[a]:
                 dirty[a] = True
-                heap[count] = a
-                count += 1
-    return sound
+                left += 1
+        if left == 0:
+            break
+    return left == 0  # else blocks in rings are left
 
 
 # ---------------------------------------------------------------- states
@@ -354,21 +362,15 @@ class Proof:
         self.py = stack.point[:, 1] - ay * stack.point[:, 2]
         self.cx = stack.centre[:, 0] - ax * stack.centre[:, 2]
         self.cy = stack.centre[:, 1] - ay * stack.centre[:, 2]
-        order = np.argsort(stack.lower, kind="stable")
-        self._above = order[np.searchsorted(stack.lower[order], 0) :]
-        self._above_start = np.searchsorted(stack.lower[self._above], np.arange(len(stack) + 1))
         self.force = np.zeros(len(stack.point))
 
     def settle(self, dirty: np.ndarray, placed: np.ndarray) -> bool:
         """Balance locally what is ``dirty`` (bool[n]) where ``placed`` stands; False: unchanged."""
         s, before = self.stack, self.force.copy()
-        # Joints of blocks that are not there carry nothing.
-        gone = ~placed[s.upper] | ((s.lower >= 0) & ~placed[np.maximum(s.lower, 0)])
-        self.force[gone] = 0.0
-        share = np.where(gone, 0.0, s.share)
-        sound = _settle(self.force, self.px, self.py, self.cx, self.cy, s.weight, share, s.start,
-                        s.lower, s.rank, placed, dirty.copy(), s.pitch, self._above,
-                        self._above_start)  # fmt: skip
+        above, above_start = s.above
+        sound = _settle(self.force, self.px, self.py, self.cx, self.cy, s.weight, s.share, s.start,
+                        s.upper, s.lower, placed, dirty.copy(), s.pitch, above, above_start,
+                        s.order)  # fmt: skip
         if not sound:
             self.force = before
         return bool(sound)

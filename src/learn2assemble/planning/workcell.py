@@ -27,7 +27,7 @@ from learn2assemble.geometry.rotations import (
     quaternion_matrix,
     yaw_quaternion,
 )
-from learn2assemble.planning.ordering import BED, SIDEWAYS, TIGHT
+from learn2assemble.planning.ordering import BED, TIGHT
 from learn2assemble.planning.pieces import QUARTER, Piece, pieces_of
 from learn2assemble.planning.workcell_site import Obstacle, Site, Source
 from learn2assemble.robot.arm import Arm, get_arm
@@ -413,16 +413,14 @@ class Structure:
 
     def proof(self, standing: frozenset[int]) -> tuple[str, float] | None:
         """What shows that these pieces stand without the others, and the sideways acceleration
-        along +-x and +-y [g] that they withstand; None where nothing shows it."""
+        in every direction [g] that they withstand; None where nothing shows it."""
         from learn2assemble.physics.rigid_blocks import margin
 
         pressing = self._pressing(standing)
         if pressing is None:
             return None
-        worth = margin(
-            self.job.assembly, pressing, self.job.friction,
-            present=self._present(standing), only=SIDEWAYS,
-        )  # fmt: skip
+        present = self._present(standing)
+        worth = margin(self.job.assembly, pressing, self.job.friction, present=present)
         return BED if pressing is self.lying else TIGHT, worth
 
     def _pressing(self, standing: frozenset[int]) -> Contacts | None:

@@ -414,7 +414,7 @@ def _caption(number: int, part: _Part, note: StepNote) -> str:
     if note.margin_g is not None:
         push = note.margin_g * STANDARD_GRAVITY * part.block.mass
         text += (
-            f" Withstands a sideways push of {note.margin_g:.2f} g along x or y, about "
+            f" Withstands a sideways push of {note.margin_g:.2f} g in every direction, about "
             f"{push:.2g} N on this block, or a tilt of {_tilt(note.margin_g)}°."
         )
     if note.coverage is not None:
