@@ -14,8 +14,8 @@ from learn2assemble.errors import InputError
 from learn2assemble.planning.exact import plan_exact
 from learn2assemble.planning.props import choose_props, unsupported
 from learn2assemble.planning.tiling import Tiling
+from learn2assemble.reproduction import creep, shapes
 from learn2assemble.reproduction import designs as figures
-from learn2assemble.reproduction import shapes
 from learn2assemble.reproduction.measured import measure
 from test_tiling import LINTELS, SMALL, blocks_of, covers, designs
 
@@ -74,5 +74,5 @@ def test_the_simulation_tells_what_stands() -> None:
     blocks = (BlockPlacement("1x1", 0, (0, 0, 0)), BlockPlacement("1x4", 0, (0, 0, 1)))
     falls = to_assembly(Tiling(blocks, wanted), None, LINTELS)
     stands = to_assembly(Tiling(blocks[:1], wanted), None, LINTELS)
-    assert figures.largest_move(falls) > 0.01
-    assert figures.largest_move(stands) < 1e-3
+    assert creep.largest_move(falls, 1.0) > 0.01
+    assert creep.largest_move(stands, 1.0) < 1e-3

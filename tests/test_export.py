@@ -21,11 +21,11 @@ from learn2assemble.assembly.blocks import Assembly, Step, box_block
 from learn2assemble.assembly.files import read_assembly
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.export.formats import FORMATS, bill_of_blocks, export_assembly, mjcf, step_cards
+from learn2assemble.export.formats import FORMATS, bill_of_blocks, export_assembly, step_cards
 from learn2assemble.export.pictures import booklet
 from learn2assemble.planning.exact import plan_exact
 from learn2assemble.planning.ordering import to_assembly
-from learn2assemble.reproduction import shapes
+from learn2assemble.reproduction import creep, shapes
 from learn2assemble.viewer.page import render_assembly_page
 
 
@@ -145,13 +145,24 @@ def test_blocks_of_an_mjcf_stay_where_they_are(gap: float) -> None:
         for k, (begin, end) in enumerate(pairwise(ends)):
             low, high = (begin + gap / 2, 0.0, 0.05 * layer), (end - gap / 2, 0.05, 0.05 * layer)
             blocks.append(box_block(f"{layer}-{k}", low, (*high[:2], high[2] + 0.05)))
-    model = mujoco.MjModel.from_xml_string(mjcf(Assembly(tuple(blocks))).decode())
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    before = data.xpos.copy()
-    while data.time < 1:
-        mujoco.mj_step(model, data)
-    assert np.linalg.norm(data.xpos - before, axis=1).max() < 1e-4
+    assert creep.largest_move(Assembly(tuple(blocks)), 1.0) < 0.3 * creep.LIMIT
+
+
+@pytest.mark.parametrize("gap", creep.GAPS)
+@pytest.mark.parametrize("name", ["bridge", "long bridge on its props"])
+def test_structures_and_their_props_stay_where_they_are(name: str, gap: float) -> None:
+    """At any time, the first instants included; ``l2a measure-designs --only creep/`` for 20 s."""
+    made = creep.structure(name, gap)
+    props = sum(block.id.startswith("prop") for block in made.blocks)
+    assert bool(props) == creep.CASES[name].props
+    assert creep.largest_move(made, 3.0) < 0.3 * creep.LIMIT
+
+
+def test_what_stands_after_a_step_is_no_more_than_that(bridge: Assembly) -> None:
+    ids = [[b.id for b in creep.standing_after(bridge, k).finished.blocks] for k in range(1, 6)]
+    assert ids[0] == ["left"]
+    assert set(ids[3]) == {"left", "right", "prop", "lintel"}
+    assert set(ids[4]) == {"left", "right", "lintel"}
 
 
 class _Tags(HTMLParser):

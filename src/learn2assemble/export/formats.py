@@ -91,7 +91,9 @@ def mjcf(assembly: Assembly) -> bytes:
     Convex parts of a block are geoms of one body; blocks that are supports do not move. Contact
     settings are those under which blocks stay within 0.1 mm of where they are
     (``docs/building.md``): contacts as stiff as the step of time lets them be, since soft ones
-    sink by millimetres below many blocks, and friction that does not creep.
+    sink by millimetres below many blocks, and friction that does not creep. Contacts act from a
+    distance of 0.1 µm on: blocks that touch exactly would fall until they overlap, layer after
+    layer, and be thrown back.
     """
     root = ElementTree.Element("mujoco", model=assembly.name or "assembly")
     ElementTree.SubElement(
@@ -101,7 +103,12 @@ def mjcf(assembly: Assembly) -> bytes:
     default = ElementTree.SubElement(root, "default")
     friction = f"{assembly.friction:g} 0.005 0.0001"
     ElementTree.SubElement(
-        default, "geom", friction=friction, solref="0.002 1", solimp="0.99 0.999 0.0001"
+        default,
+        "geom",
+        friction=friction,
+        solref="0.002 1",
+        solimp="0.99 0.999 0.0001",
+        margin="1e-7",
     )
     asset = ElementTree.SubElement(root, "asset")
     world = ElementTree.SubElement(root, "worldbody")

@@ -28,7 +28,7 @@ from learn2assemble.planning.construct import plan_cells
 from learn2assemble.planning.exact import plan_exact
 from learn2assemble.planning.ordering import TIGHT, Ordering, to_assembly
 from learn2assemble.planning.tiling import Tiling, cover, find_candidates, seams_bridged
-from learn2assemble.reproduction import shapes
+from learn2assemble.reproduction import creep, shapes
 from learn2assemble.reproduction.measured import Figures, Result
 
 EXAMPLES, REFERENCE = Path("examples/designs"), Path("../shared/reference")
@@ -69,6 +69,7 @@ def names() -> list[str]:
     found = [f"{kind}/{name}" for name in shapes.SHAPES for kind in ("shape", "heap", "proofs")]
     found += [f"large/{name}" for name in LARGE]
     found += [f"drawn/{name}" for name in DRAWN if EXAMPLES.is_dir()]
+    found += [f"creep/{name}" for name in creep.CASES if EXAMPLES.is_dir()]
     return found + [f"check/{name}" for name, (file, _) in CHECKS.items() if file.exists()]
 
 
@@ -88,6 +89,8 @@ def entry(name: str) -> Result:
     if kind == "large":
         make, asked = LARGE[what]
         return large_entry(make(), _kit(), asked)
+    if kind == "creep":
+        return creep.entry(what)
     measure = {"shape": shape_entry, "heap": heap_entry, "proofs": proof_entry}[kind]
     return measure(shapes.SHAPES[what](), _kit())
 
@@ -190,30 +193,13 @@ def proof_entry(wanted: np.ndarray, kit: Kit) -> Result:
             present[at] = step.place is not None
         holds += solve(assembly, contacts, FRICTION, present=present).stands
         if present.sum() <= SIMULATED:
-            part = replace(assembly, steps=assembly.steps[:steps])
-            moves.append(round(largest_move(part), 6))
+            moves.append(round(creep.largest_move(creep.standing_after(assembly, steps), 1.0), 6))
     return {
         "status": "complete", "states": len(chosen), "second_solver": holds,
         "tight": sum(step.proof == TIGHT for step in ordering.steps),
         "simulated": len(moves), "largest_move_m": max(moves, default=0.0),
         "stood": sum(move < 0.1 * kit.pitch[2] for move in moves),
     }  # fmt: skip
-
-
-def largest_move(assembly: Assembly, seconds: float = 1.0) -> float:
-    """How far any block gets along an axis in a rigid-body simulation [m]."""
-    import mujoco
-
-    from learn2assemble.export.formats import write_mjcf
-
-    with tempfile.TemporaryDirectory() as folder:
-        write_mjcf(assembly, Path(folder) / "structure.xml")
-        model = mujoco.MjModel.from_xml_path(str(Path(folder) / "structure.xml"))
-    data = mujoco.MjData(model)
-    before = data.qpos.reshape(-1, 7)[:, :3].copy()
-    for _ in range(int(seconds / model.opt.timestep)):
-        mujoco.mj_step(model, data)
-    return float(np.abs(data.qpos.reshape(-1, 7)[:, :3] - before).max())
 
 
 def large_entry(wanted: np.ndarray, kit: Kit, asked: float) -> Result:
@@ -382,6 +368,11 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
         row(name, f"<= {entry['seconds_asked']:g} s", f"{entry['seconds']:.1f} s,",
             f"{entry['status']}, {entry['blocks']} blocks, {entry['props']} props,",
             f"page {entry.get('page_bytes', 0) / 1e6:.2f} MB")  # fmt: skip
+    for name, entry in group("creep").items():
+        row(f"MuJoCo model, {entry['seconds']:g} s: {name}", f"<= {1e3 * creep.LIMIT:g} mm",
+            f"{entry['blocks']} blocks, {entry['props']} props,", "; ".join(
+                f"joints of {1e3 * float(gap):g} mm: {1e3 * move:.3f} mm"
+                for gap, move in entry["largest_move_m"].items()))  # fmt: skip
     for name, entry in group("check").items():
         if "cases" in entry:
             row("check: RBE agrees", "100 %", entry["rbe_agrees"], "of", entry["cases"])
