@@ -16,8 +16,9 @@ from learn2assemble.registry import add_plugin
 if TYPE_CHECKING:
     from importlib.machinery import ModuleSpec
 
-    from learn2assemble.assembly.blocks import Assembly, Block
-    from learn2assemble.assembly.files import read_assembly
+    from learn2assemble.assembly.blocks import Assembly, Block, box_block, hull_block
+    from learn2assemble.assembly.blocks import Step as AssemblyStep
+    from learn2assemble.assembly.files import read_assembly, write_assembly
     from learn2assemble.assembly.kit import Kind, Kit, load_kit
     from learn2assemble.design.cells import CellDesign
     from learn2assemble.design.cells import read_design as load_design
@@ -46,8 +47,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
-    "assembly.blocks": "Assembly Block",
-    "assembly.files": "read_assembly",
+    "assembly.blocks": "Assembly AssemblyStep=Step Block box_block hull_block",
+    "assembly.files": "read_assembly write_assembly",
     "assembly.kit": "Kind Kit load_kit",
     "design.cells": "CellDesign load_design=read_design",
     "design.goals": "Goals load_goals=read_goals",
@@ -79,14 +80,14 @@ _PLACES = {
 }
 
 __all__ = [
-    "Agent", "Assembly", "AssemblyEnv", "AssemblyVectorEnv", "Block", "CellDesign", "Check",
-    "Evaluation", "Goals", "InputError", "Kind", "Kit", "Learn2AssembleError", "Learner",
+    "Agent", "Assembly", "AssemblyEnv", "AssemblyStep", "AssemblyVectorEnv", "Block", "CellDesign",
+    "Check", "Evaluation", "Goals", "InputError", "Kind", "Kit", "Learn2AssembleError", "Learner",
     "NetworkConfig", "Plan", "SearchConfig", "Shape", "Simulator", "Site", "Step", "Task",
-    "TrainConfig", "TrainingRun", "build", "check", "evaluate", "export_assembly", "export_program",
-    "get_arm", "get_task", "load_agent", "load_design", "load_goals", "load_kit", "load_plan",
-    "reach", "read_assembly", "register_arm", "register_learner", "register_network",
-    "register_object_set", "register_search", "register_task", "register_tool", "replay_program",
-    "train",
+    "TrainConfig", "TrainingRun", "box_block", "build", "check", "evaluate", "export_assembly",
+    "export_program", "get_arm", "get_task", "hull_block", "load_agent", "load_design",
+    "load_goals", "load_kit", "load_plan", "reach", "read_assembly", "register_arm",
+    "register_learner", "register_network", "register_object_set", "register_search",
+    "register_task", "register_tool", "replay_program", "train", "write_assembly",
 ]  # fmt: skip
 
 

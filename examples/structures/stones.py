@@ -1,0 +1,114 @@
+"""A pile of stones as they fell: ``python examples/structures/stones.py [FOLDER [SEED]]``."""
+
+# pyright: reportAttributeAccessIssue=false
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+import learn2assemble as l2a
+from learn2assemble.physics import scene
+
+FRICTION = 0.8
+DENSITY = 2500.0
+"""[kg/m³]."""
+STEP = 1e-3
+"""Of the simulation [s]."""
+REST = 1e-3
+"""Speeds below which a stone counts as at rest, along and about all axes [m/s, rad/s]."""
+DAMPING = 20.0
+"""[1/s]."""
+LONGEST = 1.0, 5.0
+"""How long each stone is waited for, and all of them at the end [s]."""
+
+
+def stone(rng: np.random.Generator, number: int) -> l2a.Block:
+    """The hull of 14 random points on an ellipsoid, 3 to 8 cm long, its centre of mass at zero."""
+    points = rng.normal(size=(14, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    points *= rng.uniform(0.6, 1.0, 3)
+    points *= rng.uniform(0.03, 0.08) / np.ptp(points, axis=0).max()
+    made = l2a.hull_block(f"stone{number}", points)
+    return l2a.hull_block(made.id, made.vertices - made.centroid, density=DENSITY)
+
+
+def stones(count: int = 20, seed: int = 0, spread: float = 0.03) -> l2a.Assembly:
+    """A free heap: stones put down one by one on the ground or on what lies there already.
+
+    Args:
+        count: how many.
+        seed: of their shapes and of where they come down.
+        spread: standard deviation of where they come down about the middle [m].
+    """
+    rng = np.random.default_rng(seed)
+    shapes = [stone(rng, k) for k in range(count)]
+    model, data = _scene(shapes)
+    pose = data.qpos.reshape(-1, 7)
+    for k, shape in enumerate(shapes):
+        turn = rng.normal(size=4)
+        pose[k, :2], pose[k, 3:] = rng.normal(scale=spread, size=2), turn / np.linalg.norm(turn)
+        pose[k, 2] = 0.0
+        corners = _placed(shape, pose[k])
+        low, high = corners[:, :2].min(0), corners[:, :2].max(0)
+        lying = [_placed(shapes[n], pose[n]) for n in range(k)]
+        under = [at[:, 2].max() for at in lying
+                 if (at[:, :2].min(0) < high).all() and (at[:, :2].max(0) > low).all()]  # fmt: skip
+        pose[k, 2] = max(under, default=0.0) + 1e-3 - corners[:, 2].min()
+        model.body_gravcomp[k + 1] = 0.0
+        _settle(model, data, k + 1, LONGEST[k + 1 == count])
+    blocks = [l2a.hull_block(s.id, _placed(s, at), density=DENSITY, kind="stone")
+              for s, at in zip(shapes, pose, strict=True)]  # fmt: skip
+    return l2a.Assembly(tuple(blocks), friction=FRICTION, name=f"stones_{count}_{seed}")
+
+
+def _scene(shapes: list[l2a.Block]) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Bodies in the order of the stones, after the world; they wait high up and do not fall."""
+    spec = mujoco.MjSpec()
+    scene.set_options(spec, STEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+    surface = scene.Surface(friction=FRICTION)
+    scene.add_ground(spec, "ground", surface)
+    for k, shape in enumerate(shapes):
+        spec.add_mesh(name=shape.id, uservert=shape.vertices.ravel())
+        body = spec.worldbody.add_body(name=shape.id, pos=[k, 0, 10], gravcomp=1.0)
+        body.add_freejoint()
+        geom = body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=shape.id, density=DENSITY)
+        scene.set_contact(geom, surface)
+    model = spec.compile()
+    # Nothing may fall asleep while it still slides.
+    model.opt.enableflags = 0
+    # Stones that are let go lose speed as in a thick liquid, so that none is flung off the heap.
+    model.dof_damping[:] = DAMPING * model.dof_M0
+    return model, mujoco.MjData(model)
+
+
+def _settle(model: mujoco.MjModel, data: mujoco.MjData, falling: int, longest: float) -> None:
+    """Simulate until the first ``falling`` stones are at rest, or so long [s]."""
+    calm = 0
+    for _ in range(round(longest / STEP)):
+        mujoco.mj_step(model, data)
+        speeds = np.abs(data.qvel[: 6 * falling]).reshape(-1, 6)
+        calm = calm + 1 if (speeds < REST).all() else 0
+        if calm * STEP > 0.1:
+            break
+
+
+def _placed(shape: l2a.Block, pose: np.ndarray) -> np.ndarray:
+    """float64[V, 3]: vertices of a stone at a position and quaternion."""
+    return shape.vertices @ scene.rotation_matrix(pose[3:]).T + pose[:3]
+
+
+def main() -> None:
+    """Write the pile, its plan, and the page and picture of the plan."""
+    out = Path(sys.argv[1] if len(sys.argv) > 1 else "out/stones")
+    assembly = stones(seed=int(sys.argv[2]) if len(sys.argv) > 2 else 0)
+    out.mkdir(parents=True, exist_ok=True)
+    l2a.write_assembly(assembly, out / f"{assembly.name}.json")
+    print(assembly.name, l2a.check(assembly).verdict)
+    plan = l2a.build(assembly, progress=print)
+    print(plan.status, plan.reason or "")
+    print(*plan.save(out).values(), sep="\n")
+
+
+if __name__ == "__main__":
+    main()
