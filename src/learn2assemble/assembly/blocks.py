@@ -408,7 +408,7 @@ def to_manifold(block: Block):
     return total
 
 
-def _vertices(vertices: np.ndarray, where: str) -> np.ndarray:
+def _vertices(vertices: Sequence[Sequence[float]] | np.ndarray, where: str) -> np.ndarray:
     try:
         array = np.array(vertices, np.float64)
     except (TypeError, ValueError):
