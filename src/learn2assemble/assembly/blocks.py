@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -203,7 +204,7 @@ class Assembly:
         return replace(self, blocks=tuple(b for b in self.blocks if b.id not in gone), steps=())
 
 
-def box_block(id: str, lower: Sequence[float], upper: Sequence[float], **kwargs) -> Block:
+def box_block(id: str, lower: Sequence[float], upper: Sequence[float], **kwargs: Any) -> Block:
     """An axis-aligned box as a block.
 
     Args:
@@ -220,7 +221,7 @@ def box_block(id: str, lower: Sequence[float], upper: Sequence[float], **kwargs)
     return Block(id, np.stack(corners, -1), _BOX_FACES, **kwargs)
 
 
-def hull_block(id: str, points: Sequence[Sequence[float]] | np.ndarray, **kwargs) -> Block:
+def hull_block(id: str, points: Sequence[Sequence[float]] | np.ndarray, **kwargs: Any) -> Block:
     """The convex hull of points as a block, each of its plane faces as one polygon.
 
     Args:
