@@ -12,6 +12,7 @@ import pytest
 import torch
 from torch import nn
 
+import learn2assemble as l2a
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.evaluation.episodes import make_policy, run_episodes
 from learn2assemble.graph.batch import GraphTensors
@@ -29,6 +30,8 @@ from learn2assemble.tasks import Task, register_task
 from learn2assemble.world.blocks import OBJECT_SETS, SHAPES, Shape, inventory, register_object_set
 from learning_data import QUICK, TINY
 
+ROOT = Path(__file__).resolve().parents[1]
+DATA, ASSETS = ROOT / "tests" / "data", ROOT / "src" / "learn2assemble" / "assets"
 TABLES: tuple[Registry, ...] = (SEARCHES, METHODS, NETWORKS, OBJECT_SETS)
 
 
@@ -191,3 +194,91 @@ def test_a_learner_is_made_of_functions(wrong: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=next(iter(wrong))):
         register_learner("mine", Learner(**wrong))
     assert "mine" not in METHODS
+
+
+NOT_NAMES = ("", "a/b", " x", "x\n", "..", "-x", None, 3, b"x", [])
+REGISTER: dict[str, Callable[[Any], Any]] = {
+    "task": lambda name: register_task(Task(name, num_sides=2, grid=4, num_nodes=30)),
+    "arm": lambda name: l2a.register_arm(name, ASSETS / "arms" / "panda"),
+    "tool": lambda name: l2a.register_tool(name, ASSETS / "tools" / "suction"),
+    "network": lambda name: register_network(name, PerNode),
+    "learner": lambda name: register_learner(name, Learner()),
+    "search": lambda name: register_search(name, SearchConfig()),
+    "objects": lambda name: register_object_set(name, [["cube"]]),
+    "shape": lambda name: register_object_set("a", [["cube"]], {name: Shape(((0, 0, 0),))}),
+}
+
+
+@pytest.mark.parametrize("kind", REGISTER)
+@pytest.mark.parametrize("name", NOT_NAMES, ids=repr)
+def test_what_is_no_plain_word_names_nothing(kind: str, name: Any) -> None:
+    if not isinstance(name, list) or kind != "shape":  # A list is no key of a dict.
+        with pytest.raises(InputError):
+            REGISTER[kind](name)
+
+
+@pytest.mark.parametrize("value", [None, 3, "", "nosuch", b"x", object(), float("nan"), "\0"])
+def test_what_is_no_value_is_not_registered(value: Any, tmp_path: Path) -> None:
+    calls: tuple[Callable[[], Any], ...] = (
+        lambda: register_task(value), lambda: l2a.register_arm("m", value),
+        lambda: l2a.register_tool("m", value), lambda: register_network("m", value),
+        lambda: register_learner("m", value), lambda: register_search("m", value),
+        lambda: register_object_set("m", value), lambda: register_object_set("m", [value]),
+        lambda: register_object_set("m", [[value]]),
+        lambda: register_object_set("m", [["cube"]], value or 3),
+        lambda: register_object_set("m", [["cube"]], {"m": value}),
+        lambda: register_object_set("m", [["cube"]], {"m": Shape(value)}),
+        lambda: register_object_set("m", [["cube"]], {"m": Shape(((str(value), 0, 0),))}),
+    )  # fmt: skip
+    before = [dict(table) for table in TABLES]
+    for call in calls:
+        with pytest.raises(InputError):
+            call()
+    assert [dict(table) for table in TABLES] == before
+
+
+@pytest.mark.parametrize("kind", [TrainConfig, NetworkConfig, SearchConfig])
+def test_a_configuration_of_nonsense_is_bad_input(kind: Any) -> None:
+    for field in dataclasses.fields(kind):
+        for value in (None, b"x", [], object(), "nosuch", float("nan"), 2.5, {}):
+            if value == 2.5 and field.type == "float":
+                continue
+            with pytest.raises(InputError):
+                kind(**{field.name: value})
+
+
+@pytest.mark.parametrize("value", [None, 3, "", b"x", [], object()], ids=repr)
+def test_what_is_no_name_of_a_file_is_bad_input(value: Any, tmp_path: Path) -> None:
+    plan = l2a.load_plan(DATA / "example_plan")
+    for call in (
+        l2a.load_design, l2a.load_goals, l2a.load_plan, l2a.load_agent, l2a.read_assembly,
+        plan.save, lambda value: l2a.replay_program(value, "panda"),
+        lambda value: l2a.export_assembly(tmp_path, "glb", value),
+        lambda value: l2a.train("one-sided-3x3-22-24", out=value),
+    ):  # fmt: skip
+        with pytest.raises(InputError):
+            call(value)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"config": 3}, {"config": None}, {"resume": 3}, {"init": 3}, {"init": []}, {"settings": None},
+     {"settings": "network.heads=1"}, {"settings": [3]}],
+    ids=repr,
+)  # fmt: skip
+def test_a_training_of_nonsense_is_bad_input(wrong: dict[str, Any], tmp_path: Path) -> None:
+    with pytest.raises(InputError):
+        l2a.train("one-sided-3x3-22-24", out=tmp_path / "run", **{"samples": 8, **wrong})
+    assert not list(tmp_path.iterdir())
+
+
+def test_blocks_and_worlds_of_nonsense_are_bad_input() -> None:
+    wrong: Any
+    for wrong in (None, 3, "x", [3], float("nan")):
+        for call in (
+            l2a.Assembly, lambda wrong: l2a.Block("a", np.eye(4)[:, :3], wrong),
+            lambda wrong: l2a.Block(wrong, np.eye(4)[:, :3], ((0, 1, 2),)),
+            lambda wrong: l2a.AssemblyVectorEnv("one-sided-3x3-22-24", wrong if wrong != 3 else 0),
+        ):  # fmt: skip
+            with pytest.raises(InputError):
+                call(wrong)

@@ -6,9 +6,10 @@ command line can print it unchanged and leave with exit code 2.
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import math
-from collections.abc import Collection, Generator, Hashable, Iterable, Mapping
+from collections.abc import Callable, Collection, Generator, Hashable, Iterable, Mapping
 from contextlib import contextmanager
 from numbers import Integral, Real
 from typing import TypeVar
@@ -86,6 +87,25 @@ def check_fields(value: object, *rules: tuple[str, bool, str]) -> None:
     check_arguments({name: getattr(value, name) for name, _, _ in rules}, *rules)
 
 
+def check_types(value: object) -> None:
+    """Refuse a value of a dataclass whose fields of simple types hold something else.
+
+    Raises:
+        InputError: naming the field.
+    """
+    for item in dataclasses.fields(value):  # pyright: ignore[reportArgumentType]
+        given = getattr(value, item.name)
+        kept, expected = _SIMPLE.get(str(item.type), (None, ""))
+        if kept is not None and not kept(given):
+            raise InputError(item.name, given, expected)
+
+
+def check_instance(what: str, value: object, kinds: type | tuple[type, ...], words: str) -> None:
+    """Refuse a value that is of none of the ``kinds``; ``words`` say what is expected."""
+    if not isinstance(value, kinds):
+        raise InputError(what, value, words)
+
+
 def is_number(value: object, low: float = -math.inf, high: float = math.inf) -> bool:
     """Whether it is a finite number from ``low`` to ``high``."""
     try:
@@ -97,6 +117,15 @@ def is_number(value: object, low: float = -math.inf, high: float = math.inf) -> 
 def is_whole(value: object, low: int, high: float = math.inf) -> bool:
     """Whether it is a whole number from ``low`` to ``high``."""
     return isinstance(value, Integral) and low <= int(value) <= high
+
+
+_SIMPLE: dict[str, tuple[Callable[[object], bool], str]] = {
+    "bool": (lambda value: isinstance(value, bool), "True or False"),
+    "int": (lambda value: is_whole(value, -(10**18), 10**18), "a whole number"),
+    "float": (is_number, "a finite number"),
+    "str": (lambda value: isinstance(value, str), "a word"),
+}
+"""Types of fields as they are written, whether a value is of one, and what is expected."""
 
 
 class MissingExtraError(Learn2AssembleError, ImportError):

@@ -131,6 +131,17 @@ def nearest(path: Path) -> str:
     return f"; did you mean {printable(str(path.with_name(near[0])))!r}?" if near else ""
 
 
+def as_path(value: object, kind: str) -> Path:
+    """The name of a file or folder that a caller gives, which is called ``kind`` in messages.
+
+    Raises:
+        InputError: for what is no name, and an empty one.
+    """
+    if not isinstance(value, str | Path) or not str(value):
+        raise InputError(kind, value, "the name of a file or folder")
+    return Path(value)
+
+
 def check_exists(path: Path, kind: str) -> None:
     """Refuse a name that no file or folder has.
 

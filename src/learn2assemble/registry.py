@@ -12,6 +12,7 @@ from learn2assemble.errors import InputError, UnknownNameError
 T = TypeVar("T")
 _PLAIN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 """A name is also that of files, of environments and an argument of commands."""
+PLAIN_NAME = "a word of letters, digits, '.', '_' and '-'"
 _plugins: dict[str, list[str]] = {}
 """Modules that add values of a kind, and are not imported yet."""
 
@@ -24,6 +25,11 @@ def add_plugin(module: str, *kinds: str) -> None:
     """
     for kind in kinds:
         _plugins.setdefault(kind, []).append(module)
+
+
+def is_plain_name(name: object) -> bool:
+    """Whether it is :data:`PLAIN_NAME`, which begins with a letter or a digit."""
+    return isinstance(name, str) and _PLAIN.fullmatch(name) is not None
 
 
 class Registry(Mapping[str, T]):
@@ -52,9 +58,8 @@ class Registry(Mapping[str, T]):
             InputError: for a name that is no plain word, and for one that is taken, unless
                 ``replace`` is given.
         """
-        if not isinstance(name, str) or not _PLAIN.fullmatch(name):  # pyright: ignore[reportUnnecessaryIsInstance]
-            expected = "a word of letters, digits, '.', '_' and '-'"
-            raise InputError(f"{self.kind} name", name, expected)
+        if not is_plain_name(name):
+            raise InputError(f"{self.kind} name", name, PLAIN_NAME)
         if name in self and not replace:
             raise InputError(f"{self.kind} name", name, "a name that is not taken")
         self._entries[name] = value

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, is_number
 
 MAX_VERTICES = 20_000
 """Of one block; also the limit of its faces."""
@@ -71,10 +71,13 @@ class Block:
         if not isinstance(self.id, str) or not 0 < len(self.id) <= 200:
             raise InputError("block id", self.id, "a text of 1 to 200 characters")
         where = f"block {self.id!r}"
-        if not (np.isfinite(self.density) and 0 < self.density <= LARGEST):
+        if not is_number(self.density, 0, LARGEST) or self.density == 0:
             raise InputError(f"{where}: density", self.density, "a number in (0, 1e6] [kg/m3]")
         vertices = _vertices(self.vertices, where)
-        faces = tuple(tuple(int(k) for k in face) for face in self.faces)
+        try:
+            faces = tuple(tuple(int(k) for k in face) for face in self.faces)
+        except (TypeError, ValueError):
+            raise InputError(f"{where}: faces", self.faces, "lists of vertex numbers") from None
         _check_faces(faces, len(vertices), where)
         vertices.setflags(write=False)
         object.__setattr__(self, "vertices", vertices)
@@ -156,8 +159,11 @@ class Assembly:
     _index: dict[str, int] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "blocks", tuple(self.blocks))
-        object.__setattr__(self, "steps", tuple(self.steps))
+        for name, kind in (("blocks", Block), ("steps", Step)):
+            given = getattr(self, name)
+            if not isinstance(given, Sequence) or not all(isinstance(one, kind) for one in given):
+                raise InputError(name, given, f"a list of {kind.__name__}s")
+            object.__setattr__(self, name, tuple(given))
         if not 0 < len(self.blocks) <= MAX_BLOCKS:
             raise InputError("blocks", len(self.blocks), f"1 to {MAX_BLOCKS} blocks")
         check_friction(self.friction)

@@ -31,9 +31,10 @@ from learn2assemble.assembly.values import (
     coordinates,
     outward,
 )
-from learn2assemble.errors import InputError, UnknownNameError, is_number, look_up
+from learn2assemble.errors import InputError, UnknownNameError, check_instance, is_number, look_up
 from learn2assemble.files import (
     UNITS,
+    as_path,
     boolean,
     check_keys,
     decoded,
@@ -86,7 +87,8 @@ def read_assembly(
         InputError: for whatever is not a readable assembly of valid blocks; UnknownNameError for a
             support that is no block.
     """
-    path = Path(path)
+    path = as_path(path, "assembly")
+    check_instance("supports", supports, Collection, "ids of blocks")
     # What l2a build has written names its blocks in a file of their own.
     beside = path / NAME if path.is_dir() else path.with_name(NAME)
     if (path.is_dir() or path.name == "plan.json") and beside.is_file():

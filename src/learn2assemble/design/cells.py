@@ -20,7 +20,7 @@ from learn2assemble.design.lattice import HALF, MAX_CELLS, fit, shares
 from learn2assemble.design.pictures import LOSSY, near_colours, read_picture
 from learn2assemble.design.solids import Solid, Voxels
 from learn2assemble.errors import InputError, check_fields, is_number, look_up
-from learn2assemble.files import FARTHEST, UNITS, read_bytes
+from learn2assemble.files import FARTHEST, UNITS, as_path, read_bytes
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly
@@ -144,7 +144,7 @@ def read_design(
         InputError: one line, for everything that cannot be used or would float.
         MissingExtraError: for 3DM without rhino3dm.
     """
-    path = Path(path)
+    path = as_path(path, "design")
     content, source = read_bytes(path, "design file", MAX_FILE)
     kind = kind_of(content, source)
     given = _Options(unit, cell, size, up, depth, cells_wide, kit)

@@ -20,6 +20,7 @@ from learn2assemble.design.lattice import MAX_CELLS
 from learn2assemble.errors import InputError, look_up
 from learn2assemble.files import (
     Range,
+    as_path,
     from_plain,
     integer,
     load_json,
@@ -167,7 +168,7 @@ def read_goals(
         kit: instead of the one the file names; its heap is taken where the file has none.
         cell: edges of a cell [m], one number or three, instead of those of the file.
     """
-    content, source = read_text(Path(path), "goals file")
+    content, source = read_text(as_path(path, "goals"), "goals file")
     return parse_goals(load_json(content, source, "goals file"), source, kit, cell)
 
 

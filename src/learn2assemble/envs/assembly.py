@@ -21,7 +21,7 @@ from gymnasium.vector.utils import batch_space
 from numba import njit
 from numpy.typing import ArrayLike
 
-from learn2assemble.errors import InputError, UnknownNameError
+from learn2assemble.errors import InputError, UnknownNameError, is_whole
 from learn2assemble.geometry.coverage import (
     HALF_EXTENT,
     IMAGE_SIZE,
@@ -42,6 +42,8 @@ from learn2assemble.world.state import State
 
 WAITING_REACH = 1.25
 """No waiting block and no target is farther from the origin than this along an axis [m]."""
+MOST_ENVS = 100_000
+"""Worlds stepped at once."""
 RENDER_MODES = ("ansi", "rgb_array")
 _VERDICTS = {verdict.value: verdict.name for verdict in Verdict}
 
@@ -457,8 +459,8 @@ class AssemblyVectorEnv(_Worlds, VectorEnv[dict[str, np.ndarray], np.ndarray, np
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
-        if num_envs < 1:
-            raise InputError("num_envs", num_envs, "1 or more")
+        if not is_whole(num_envs, 1, MOST_ENVS):
+            raise InputError("num_envs", num_envs, f"a whole number from 1 to {MOST_ENVS}")
         super().__init__(task, physics, num_envs, physics_mask, render_mode)
         self.num_envs = num_envs
         names = [mode.value for mode in AutoresetMode]

@@ -21,7 +21,7 @@ from learn2assemble.assembly.files import read_assembly, write_assembly
 from learn2assemble.errors import InputError
 from learn2assemble.export.cards import step_cards
 from learn2assemble.export.pdf import pdf
-from learn2assemble.files import check_output, write_file
+from learn2assemble.files import as_path, check_output, write_file
 from learn2assemble.registry import Registry
 
 
@@ -197,7 +197,8 @@ def export_assembly(assembly: Assembly | str | Path, format: str, path: str | Pa
 
 def file_at(path: str | Path, name: str) -> Path:
     """The file ``path``, or the one called ``name`` in the folder ``path``."""
-    return Path(path) / name if Path(path).is_dir() else Path(path)
+    file = as_path(path, "path")
+    return file / name if file.is_dir() else file
 
 
 def _entry(block: Block) -> tuple[str, str]:

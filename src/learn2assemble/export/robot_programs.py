@@ -16,7 +16,7 @@ from learn2assemble.export.formats import file_at
 from learn2assemble.export.robot_tables import read_table, write_franka, write_table
 from learn2assemble.export.ros2 import is_bag, read_bag, write_bag
 from learn2assemble.export.urscript import write_urscript
-from learn2assemble.files import check_exists, check_output
+from learn2assemble.files import as_path, check_exists, check_output
 from learn2assemble.registry import Registry
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.motion.files import read_record
@@ -133,7 +133,7 @@ def read_program(path: str | Path, arm: str) -> tuple[Program, Arm]:
             beyond the limits of the arm.
         MissingExtraError: for a bag without the extra ``ros2``.
     """
-    path = Path(path)
+    path = as_path(path, "program")
     look_up("arm", arm, ARMS)
     return (read_bag if is_bag(path) else read_table)(path, arm)
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from learn2assemble.errors import InputError, check_fields, check_name
+from learn2assemble.errors import InputError, check_fields, check_instance, check_name, check_types
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.registry import Registry
 from learn2assemble.search.config import SearchConfig, training_search
@@ -86,6 +86,8 @@ class TrainConfig:
     search_weight: float = 0.5
 
     def __post_init__(self) -> None:
+        check_types(self)
+        check_instance("network", self.network, NetworkConfig, "a NetworkConfig")
         check_name("method", self.method, METHODS)
         relational, encoder = self.network.values_placements, self.network.encoder
         check_fields(

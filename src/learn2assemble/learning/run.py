@@ -25,10 +25,11 @@ from typing import Any
 import torch
 from tqdm import tqdm
 
-from learn2assemble.errors import InputError, check_arguments, is_number, is_whole
+from learn2assemble.errors import InputError, check_arguments, check_instance, is_number, is_whole
 from learn2assemble.files import (
     MAX_GENERATED,
     append_line,
+    as_path,
     check_exists,
     claim_folder,
     integer,
@@ -217,9 +218,14 @@ def train(
         ("threads", threads is None or is_whole(threads, 1, MAX_THREADS),
          f"a whole number from 1 to {MAX_THREADS}"),
     )  # fmt: skip
-    if not isinstance(out, str | Path):  # pyright: ignore[reportUnnecessaryIsInstance]
-        raise InputError("out", out, "a folder")
-    out, task = Path(out), get_task(task, arm)
+    check_instance("config", config, (str, TrainConfig), "a TrainConfig, or the name of one")
+    check_instance("resume", resume, bool, "True or False")
+    check_instance("init", init, (str, Path, Agent, type(None)), "an agent, or its name or file")
+    words = "a list such as ['network.heads=1']"
+    check_instance("settings", settings, (list, tuple), words)
+    for setting in settings:
+        check_instance("settings", setting, str, words)
+    out, task = as_path(out, "out"), get_task(task, arm)
     words = config if isinstance(config, str) else "custom"
     if resume:
         if init is not None:

@@ -21,7 +21,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file  # pyright: ignore[reportUnknownVariableType]
 
 from learn2assemble.errors import InputError, look_up
-from learn2assemble.files import check_exists, mapping, read_json, replacing, write_file
+from learn2assemble.files import as_path, check_exists, mapping, read_json, replacing, write_file
 from learn2assemble.networks.config import NETWORKS, NetworkConfig
 from learn2assemble.networks.placement import PlacementNetwork, PlacementValues
 from learn2assemble.networks.qnetwork import QFactors, QNetwork
@@ -171,8 +171,8 @@ def load_agent(name_or_path: str | Path, device: torch.device | str = "cpu") -> 
         UnknownNameError: for a name that is neither an agent's nor a path.
         InputError: for files that are damaged or do not belong together.
     """
-    path = Path(name_or_path)
-    if str(name_or_path) and path.is_dir():
+    path = as_path(name_or_path, "agent")
+    if path.is_dir():
         path = path / "agent.safetensors"
     if path.suffix != ".safetensors":
         if len(path.parts) > 1:  # No agent's name: a file or folder that is misspelt.

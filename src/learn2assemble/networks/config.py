@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any
 
-from learn2assemble.errors import InputError, check_fields, check_name
+from learn2assemble.errors import InputError, check_fields, check_name, check_types
 from learn2assemble.registry import Registry
 from learn2assemble.world.blocks import ACTION_MODES, EDGE
 
@@ -56,6 +56,7 @@ class NetworkConfig:
     encoder: str = "attention"
 
     def __post_init__(self) -> None:
+        check_types(self)
         whole = {"width": 4096, "heads": 4096, "rounds": 100, "num_actions": 1000}
         for name, valid in NAMES.items():
             check_name(name, getattr(self, name), valid)

@@ -18,6 +18,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.files import (
     MAX_GENERATED,
     Range,
+    as_path,
     from_plain,
     integer,
     mapping,
@@ -366,7 +367,8 @@ class Plan:
         Raises:
             InputError: one line that names the file and the JSON path of the fault.
         """
-        file = Path(path) / "plan.json" if Path(path).is_dir() else Path(path)
+        file = as_path(path, "plan")
+        file = file / "plan.json" if file.is_dir() else file
         plan = cls.from_dict(*read_json(file, "plan.json or its folder", MAX_GENERATED))
         trajectory = file.with_name("trajectory.json")
         if trajectory.exists():
@@ -402,7 +404,7 @@ class Plan:
             InputError: where something cannot be written. A motion that is not sound is no reason
                 to lose a finished build: all files are written, and ``arm.motion_fault`` says so.
         """
-        folder, said = Path(folder), self._with_fault(progress)
+        folder, said = as_path(folder, "folder"), self._with_fault(progress)
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:

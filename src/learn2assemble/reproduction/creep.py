@@ -4,6 +4,7 @@ A model that is exact stays where it is; what is measured is what the simulation
 that give and friction that creeps.
 """
 
+# pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
 from collections.abc import Callable

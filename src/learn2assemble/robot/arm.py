@@ -166,7 +166,11 @@ def get_arm(
         base = tuple(numbers(given, "base", 4, f"arm {name}").tolist())
         if max(map(abs, base)) > FARTHEST:
             raise InputError(f"arm {name}, base", list(base), f"numbers up to {FARTHEST:g}")
-    return _get_arm(look_up("arm", name, ARMS), look_up("tool", tool or "gripper", TOOLS), base)
+    return _get_arm(
+        look_up("arm", name, ARMS),
+        look_up("tool", "gripper" if tool is None else tool, TOOLS),
+        base,
+    )
 
 
 @lru_cache(maxsize=32)

@@ -6,6 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from learn2assemble.errors import InputError
+from learn2assemble.files import as_path
 from learn2assemble.registry import Registry
 
 ASSETS = Path(__file__).resolve().parents[1] / "assets"
@@ -51,7 +52,8 @@ def register_tool(name: str, folder: str | Path, *, replace: bool = False) -> No
 
 
 def _file_in(folder: str | Path, kind: str) -> Path:
-    file = Path(folder).resolve() / f"{kind}.toml"
-    if not file.is_file():
+    file = as_path(folder, f"{kind} folder") / f"{kind}.toml"
+    if "\0" in str(file) or not file.is_file():
         raise InputError(f"{kind} folder", str(folder), f"a folder with {kind}.toml")
+    file = file.resolve()
     return file

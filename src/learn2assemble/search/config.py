@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from learn2assemble.errors import InputError, check_fields, check_name, is_number, is_whole
+from learn2assemble.errors import InputError, check_fields, check_instance, check_name, check_types
 from learn2assemble.registry import Registry
 
 TO_THE_END = NO_LIMIT = 10_000
@@ -41,6 +41,7 @@ class GumbelConfig:
     noise: bool = False
 
     def __post_init__(self) -> None:
+        check_types(self)
         check_fields(
             self,
             ("considered", self.considered >= 1, "at least 1 action"),
@@ -98,11 +99,13 @@ class SearchConfig:
     gumbel: GumbelConfig = field(default_factory=GumbelConfig)
 
     def __post_init__(self) -> None:
+        check_types(self)
+        check_instance("gumbel", self.gumbel, GumbelConfig, "a GumbelConfig")
         check_fields(
             self,
-            ("budget", is_whole(self.budget, 0), "a whole number of at least 0"),
-            ("epsilon", is_number(self.epsilon, 0, 1), "0 <= epsilon <= 1"),
-            ("rollout", is_whole(self.rollout, 1), "at least 1 step"),
+            ("budget", self.budget >= 0, "a whole number of at least 0"),
+            ("epsilon", 0 <= self.epsilon <= 1, "0 <= epsilon <= 1"),
+            ("rollout", self.rollout >= 1, "at least 1 step"),
             ("exploration", 0 <= self.exploration < math.inf, "a number of at least 0"),
             ("widening", 0 < self.widening <= 1, "0 < widening <= 1"),
             ("depth", self.depth >= 1, "at least 1 level"),

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from learn2assemble.errors import InputError, check_name
-from learn2assemble.registry import Registry
+from learn2assemble.errors import InputError, check_instance, check_name, is_whole
+from learn2assemble.registry import PLAIN_NAME, Registry, is_plain_name
 from learn2assemble.world import EDGE
 
 HALF = EDGE / 2
@@ -179,9 +179,13 @@ def register_object_set(
         InputError: for a name that is taken, a shape that is unknown or has more than
             ``MAX_CELLS`` cells, or cells that are not one piece.
     """
+    check_instance("shapes", shapes, (Mapping, type(None)), "shapes by name")
     own = dict(shapes or {})
     for key, shape in own.items():
-        cells = [tuple(cell) for cell in shape.cells]
+        if not isinstance(key, str) or not is_plain_name(key):
+            raise InputError("shape name", key, PLAIN_NAME)
+        check_instance(f"shape {key}", shape, Shape, "a Shape")
+        cells = _cells_of(key, shape)
         if key in SHAPES and SHAPES[key] != shape:
             raise InputError("shape name", key, "a name that is not taken")
         if not 1 <= len(cells) <= MAX_CELLS or len(set(cells)) < len(cells):
@@ -194,13 +198,28 @@ def register_object_set(
         if len(reached) < len(cells):
             raise InputError(f"cells of {key}", cells, "cells that hang together")
     known = SHAPES | own
+    words = "groups of shapes, such as [['cube'], ['bar']]"
+    check_instance(f"groups of {name}", groups, (list, tuple), words)
     for group in groups:
+        check_instance(f"group of {name}", group, (list, tuple), words)
         for shape in group:
             check_name("shape", shape, known)
     if not groups or not all(groups) or groups[0][0] != "cube":
         raise InputError(f"groups of {name}", groups, "groups of shapes, the cube first")
     OBJECT_SETS.register(name, tuple(tuple(group) for group in groups))
     SHAPES.update(own)
+
+
+def _cells_of(key: str, shape: Shape) -> list[tuple[int, int, int]]:
+    """The cells of a shape of a caller's."""
+    expected = f"1 to {MAX_CELLS} cells (x, y, z) of whole numbers"
+    try:
+        cells = [(x, y, z) for x, y, z in shape.cells]
+    except (TypeError, ValueError):
+        raise InputError(f"cells of {key}", shape.cells, expected) from None
+    if not all(is_whole(k, -MAX_CELLS, MAX_CELLS) for cell in cells for k in cell):
+        raise InputError(f"cells of {key}", shape.cells, expected)
+    return cells
 
 
 def _adjacent(a: tuple[int, ...], b: tuple[int, ...]) -> bool:
