@@ -121,8 +121,8 @@ def is_whole(value: object, low: int, high: float = math.inf) -> bool:
 
 _SIMPLE: dict[str, tuple[Callable[[object], bool], str]] = {
     "bool": (lambda value: isinstance(value, bool), "True or False"),
-    "int": (lambda value: is_whole(value, -(10**18), 10**18), "a whole number"),
-    "float": (is_number, "a finite number"),
+    "int": (lambda value: isinstance(value, Integral), "a whole number"),
+    "float": (lambda value: isinstance(value, Real), "a number"),
     "str": (lambda value: isinstance(value, str), "a word"),
 }
 """Types of fields as they are written, whether a value is of one, and what is expected."""
