@@ -15,7 +15,7 @@ import learn2assemble as l2a
 from learn2assemble.assembly.blocks import Assembly, Block, Step, box_block
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.export.cards import step_cards
-from learn2assemble.export.instructions import MOST_TOGETHER, corners_at, instructions
+from learn2assemble.assembly.instructions import MOST_TOGETHER, corners_at, instructions
 from learn2assemble.export.pdf import pdf
 from learn2assemble.export.projection import Scene
 from learn2assemble.planning.construct import plan_cells
@@ -27,7 +27,7 @@ _ROW = re.compile(
     rf"(?<=\|)(\d+)\|([A-Z]+)\|{_NUMBER}\|{_NUMBER}\|{_NUMBER}\|((?:[xyz] -?[\d.]+° ?)+|0)(?=\|)"
 )
 _SHAPE = re.compile(
-    r"(?<=\|)([A-Z]+)\|[^|]+\|\d+\|[-\d]+\|[\d. x]+\|([\d.]+) x ([\d.]+) x ([\d.]+)\|"
+    r"(?<=\|)([A-Z]+)\|[^|]+\|[^|]+\|[–\d]+\|[\d. ×]+\|([\d.]+) × ([\d.]+) × ([\d.]+)\|"
 )
 
 
@@ -84,7 +84,7 @@ def pdf_text(assembly: Assembly) -> str:
 
 def read_back(text: str) -> dict[int, np.ndarray]:
     """Corners of the block of every step [m from O], from the printed numbers alone."""
-    text = re.sub(r"\|[^|]* - page \d+(?=\|)", "", text)
+    text = re.sub(r"\|[^|]* - page \d+ of\|\d+(?=\|)", "", text)
     shapes: dict[str, np.ndarray] = {}
     for letter, *size in _SHAPE.findall(text):
         ends = np.stack(np.meshgrid(*[(0, float(v)) for v in size], indexing="ij"), -1)

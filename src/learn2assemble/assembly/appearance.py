@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -16,6 +17,10 @@ PALETTE = (
 """Colours of kinds, in the order in which they first appear."""
 COLOURS = {"current": "#63b0f2", "support": "#aeb9c4", "prop": "#d66fb5", "soft": "#5a636d"}
 """Colours of the page's style sheet, by its names."""
+_ALIKE = 1e-4
+"""Blocks whose corners are apart by distances that differ by less are of one kind [m]."""
+_MANY = 200
+"""Corners of a block whose distances from one another are too many."""
 _LEVEL = 1e-6
 """Sine of the angle below which a face counts as level or upright, and lengths that count as
 nothing, as a share of the block's size."""
@@ -32,15 +37,71 @@ def colour_words(block: Block) -> str:
 
 
 def kinds_and_colours(assembly: Assembly) -> list[tuple[str, str]]:
-    """What every block is called, and its colour: ``#rrggbb``, or a name in :data:`COLOURS`."""
-    unnamed = {size_words(block) for block in assembly.blocks if not block.kind}
+    """What every block is called, and its colour: ``#rrggbb``, or a name in :data:`COLOURS`.
+
+    Blocks without a kind are called by their size, which is one for all that are alike, however
+    they are turned; of more sizes than there are colours all are called ``block``.
+    """
+    sizes = _sizes([block for block in assembly.blocks if not block.kind])
     found, of_kind = [], {}
     for block in assembly.blocks:
-        kind = block.kind or (size_words(block) if len(unnamed) <= len(PALETTE) else "block")
+        kind = block.kind or (next(sizes) if sizes else "block")
         colour = "prop" if block.prop else "support" if block.support else colour_words(block)
         colour = colour or of_kind.setdefault(kind, PALETTE[len(of_kind) % len(PALETTE)])
         found.append((kind, colour))
     return found
+
+
+def _sizes(blocks: list[Block]) -> Iterator[str] | None:
+    """The size of each block, laid down where it leans; None where they are too many."""
+    known: dict[bytes, str] = {}
+    examples: list[tuple[np.ndarray, str]] = []
+    found = []
+    for block in blocks:
+        key = np.round((block.vertices - block.vertices[0]) / 1e-6).tobytes()
+        if key not in known:
+            apart = spread(block.vertices)
+            same = (
+                words
+                for other, words in examples
+                if other.shape == apart.shape and np.abs(other - apart).max() <= _ALIKE
+            )
+            words = next(same, "")
+            if not words:
+                words = millimetres(*np.ptp(block.vertices @ laid_down(block).T, axis=0))
+                examples.append((apart, words))
+            if len({words for _, words in examples}) > len(PALETTE):
+                return None
+            known[key] = words
+        found.append(known[key])
+    return iter(found)
+
+
+def spread(corners: np.ndarray) -> np.ndarray:
+    """float64[n]: distances that a turn does not change, sorted: of all corners from one another,
+    of many corners only from their mean [m]."""
+    if len(corners) > _MANY:
+        return np.sort(np.linalg.norm(corners - corners.mean(0), axis=1))
+    return np.sort(np.linalg.norm(corners[:, None] - corners, axis=-1), None)
+
+
+def laid_down(block: Block) -> np.ndarray:
+    """float64[3, 3]: turns a block onto its largest face, its longest edge along x; a block that
+    has a level face below, or edges along the axes, is left as it is."""
+    if is_square(block) or is_prism(block):
+        return np.eye(3)
+    normals = []
+    for face in block.faces:
+        corners = block.vertices[list(face)]
+        normals.append(np.cross(corners - corners[0], np.roll(corners, -1, 0) - corners[0]).sum(0))
+    largest = int(np.argmax([np.linalg.norm(n) for n in normals]))
+    down = normals[largest] / np.linalg.norm(normals[largest])
+    corners = block.vertices[list(block.faces[largest])]
+    edges = np.roll(corners, -1, 0) - corners
+    edge = edges[int(np.argmax(np.linalg.norm(edges, axis=1)))]
+    edge = edge - (edge @ down) * down
+    along = edge / np.linalg.norm(edge)
+    return np.stack([along, np.cross(-down, along), -down])
 
 
 def size_words(block: Block) -> str:

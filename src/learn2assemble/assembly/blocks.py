@@ -146,20 +146,24 @@ class Assembly:
         blocks: with distinct ids.
         steps: in order; empty where it is not known. Props are removed again by a step.
         friction: Coulomb coefficient of every contact.
+        not_built: ids of blocks that are wanted and that no step places, of steps that do not
+            finish the structure. Any other block that no step places stands from the start.
 
     Raises:
         InputError: for ids that repeat, steps that place or remove what they cannot, a friction
-            that is not a number >= 0, or blocks of absurdly different sizes.
+            that is not a number >= 0, blocks of absurdly different sizes, or blocks that are
+            placed and not built.
     """
 
     blocks: tuple[Block, ...]
     steps: tuple[Step, ...] = ()
     friction: float = 0.5
     name: str = ""
+    not_built: tuple[str, ...] = ()
     _index: dict[str, int] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for name, kind in (("blocks", Block), ("steps", Step)):
+        for name, kind in (("blocks", Block), ("steps", Step), ("not_built", str)):
             given = getattr(self, name)
             if not isinstance(given, Sequence) or not all(isinstance(one, kind) for one in given):
                 raise InputError(name, given, f"a list of {kind.__name__}s")
@@ -186,6 +190,19 @@ class Assembly:
             if (id_ in standing) == (step.remove is None):
                 raise InputError(where, id_, "a block in its place" if step.remove else "a new one")
             standing ^= {id_}
+        placed = {step.place for step in self.steps}
+        for number, id_ in enumerate(self.not_built):
+            if id_ not in index or id_ in placed:
+                expected = "the id of a block that no step places"
+                raise InputError(f"not_built[{number}]", id_, expected)
+        if len(self.not_built) >= len(self.blocks):
+            raise InputError("not_built", len(self.not_built), "fewer than all blocks")
+
+    def as_far_as_placed(self) -> Assembly:
+        """The same where free blocks that no step places are not built; itself without steps."""
+        placed = {step.place for step in self.steps}
+        left = tuple(b.id for b in self.blocks if b.id not in placed and not b.support)
+        return replace(self, not_built=left) if self.steps else self
 
     def block(self, id_: str) -> Block:
         """The block called ``id_``."""
@@ -199,15 +216,19 @@ class Assembly:
 
     @cached_property
     def finished(self) -> Assembly:
-        """What stands after the last step: without removed blocks, and without steps.
+        """What stands after the last step: without removed blocks and those that are not built,
+        and without steps.
 
         Without steps, every block stands but the props.
         """
-        removed = {step.remove for step in self.steps}
-        gone = removed if self.steps else {block.id for block in self.blocks if block.prop}
-        if not gone:
+        standing = {block.id: not (block.prop and not self.steps) for block in self.blocks}
+        for step in self.steps:
+            standing[step.place or step.remove or ""] = step.place is not None
+        standing |= dict.fromkeys(self.not_built, False)
+        if all(standing.values()):
             return replace(self, steps=()) if self.steps else self
-        return replace(self, blocks=tuple(b for b in self.blocks if b.id not in gone), steps=())
+        here = tuple(block for block in self.blocks if standing[block.id])
+        return replace(self, blocks=here, steps=(), not_built=())
 
 
 def box_block(id: str, lower: Sequence[float], upper: Sequence[float], **kwargs: Any) -> Block:

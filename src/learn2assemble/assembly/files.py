@@ -5,7 +5,7 @@ The kind of a file is found from its content. Our format is::
     {"format": "learn2assemble-assembly", "version": 1, "units": "m", "friction": 0.5,
      "blocks": [{"id": "a", "kind": "1x2", "density": 1000, "support": false, "prop": false,
                  "vertices": [[x, y, z], ...], "faces": [[0, 1, 2], ...]}, ...],
-     "steps": [{"place": "a"}, {"remove": "a"}, ...]}
+     "steps": [{"place": "a"}, {"remove": "a"}, ...], "not_built": ["b"]}
 
 COMPAS JSON is :mod:`.compas`.
 """
@@ -60,7 +60,7 @@ NAME = "assembly.json"
 """What the blocks of a plan are called, in its folder."""
 MESH_SUFFIXES = tuple(f".{kind}" for kind in KINDS)
 _BLOCK_KEYS = ("id", "kind", "density", "support", "prop", "colour", "vertices", "faces")
-_KEYS = ("format", "version", "units", "name", "friction", "blocks", "steps")
+_KEYS = ("format", "version", "units", "name", "friction", "blocks", "steps", "not_built")
 
 
 def read_assembly(
@@ -138,6 +138,7 @@ def to_json(assembly: Assembly) -> dict[str, Any]:
         "format": FORMAT, "version": VERSION, "units": "m",
         **({"name": assembly.name} if assembly.name else {}), "friction": assembly.friction,
         "blocks": blocks, "steps": [to_plain(step) for step in assembly.steps],
+        **({"not_built": list(assembly.not_built)} if assembly.not_built else {}),
     }  # fmt: skip
 
 
@@ -171,7 +172,8 @@ def from_json(document: Any, source: str = "assembly") -> Assembly:
     friction = number(root.get("friction", 0.5), f"{source}: friction")
     steps = from_plain(tuple[Step, ...], root.get("steps", ()), source, "steps")
     name = text(root.get("name", ""), f"{source}: name")
-    return Assembly(tuple(blocks), steps, friction, name)
+    left = from_plain(tuple[str, ...], root.get("not_built", ()), source, "not_built")
+    return Assembly(tuple(blocks), steps, friction, name, left)
 
 
 def _read_json(content: bytes, path: Path, source: str, unit: float) -> Assembly:

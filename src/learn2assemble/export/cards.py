@@ -9,11 +9,9 @@ import numpy as np
 
 from learn2assemble.assembly.appearance import rgb
 from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.instruction_words import BILL_HEAD, HEAD, HOW_TO_READ
 from learn2assemble.export import asset
 from learn2assemble.export.pictures import (
-    BILL_HEAD,
-    HEAD,
-    HOW_TO_READ,
     Booklet,
     Grid,
     Picture,
@@ -27,8 +25,8 @@ _UNITS = 40
 def step_cards(assembly: Assembly) -> str:
     """A stand-alone HTML document: a cover with the bill of blocks, and a card for every step.
 
-    What the cards say is :func:`learn2assemble.export.instructions.instructions`; equal figures are
-    stored once.
+    What the cards say is :func:`learn2assemble.assembly.instructions.instructions`; equal figures
+    are stored once.
     """
     book = booklet(assembly)
     pen = _Pen(book)

@@ -9,10 +9,8 @@ import numpy as np
 
 from learn2assemble.assembly.appearance import rgb
 from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.instruction_words import BILL_HEAD, HEAD, HOW_TO_READ
 from learn2assemble.export.pictures import (
-    BILL_HEAD,
-    HEAD,
-    HOW_TO_READ,
     Booklet,
     Card,
     Picture,
@@ -24,8 +22,9 @@ _WIDTH, _HEIGHT = 595.28, 841.89
 """A4 [pt]."""
 _EDGE, _GAP = 36.0, 14.0
 _COLUMN = (_WIDTH - 2 * _EDGE - _GAP) / 2
-_PICTURE = 168.0
-"""Height of the picture of a card [pt]."""
+_PICTURE = 150.0
+"""Largest height of the picture of a card, so that three cards fit below one another [pt]."""
+_TOTAL = "number-of-pages"
 _LINE = 11.0
 _FORM = 1000.0
 """Units of stored parts to a metre."""
@@ -54,6 +53,12 @@ def _plain(text: str) -> str:
     return text.encode("cp1252", "replace").decode("cp1252")
 
 
+def _picture_height(picture: Picture) -> float:
+    """What a picture takes on a card [pt]: no more than it needs where as wide as a column."""
+    width, height = (picture.high - picture.low).tolist()
+    return min(_PICTURE, _COLUMN * height / width)
+
+
 class _Pages:
     """Fills pages from the top, column by column."""
 
@@ -76,6 +81,9 @@ class _Pages:
             self._card(card)
             self.y -= height + 10
         self._finish_page()
+        self.canvas.beginForm(_TOTAL, 0, -3, 40, 12)
+        self._write(0, 0, str(self.pages), 8, _SOFT)
+        self.canvas.endForm()
         self.canvas.save()
 
     def _next_page(self) -> None:
@@ -83,9 +91,12 @@ class _Pages:
         self.pages, self.column, self.y = self.pages + 1, 0, _HEIGHT - _EDGE
 
     def _finish_page(self) -> None:
-        self._write(
-            _WIDTH / 2, 22, f"{self.book.title[:60]} - page {self.pages}", 8, _SOFT, "middle"
-        )
+        end = _WIDTH / 2 + 60
+        self._write(end, 22, f"{self.book.title[:60]} - page {self.pages} of ", 8, _SOFT, "right")
+        self.canvas.saveState()
+        self.canvas.translate(end, 22)
+        self.canvas.doForm(_TOTAL)  # Made in the end, when it is known.
+        self.canvas.restoreState()
         self.canvas.showPage()
         self._store()
 
@@ -168,7 +179,7 @@ class _Pages:
     def _height(self, card: Card) -> float:
         lines = sum(len(self._wrapped(text, _COLUMN, 8.5)) for text in card.words)
         lines += len(card.wanted) + len(card.rows) + 1
-        return 18 + lines * _LINE + _PICTURE + 6
+        return 18 + lines * _LINE + _picture_height(card.picture) + 6
 
     def _card(self, card: Card) -> None:
         x, y = _EDGE + self.column * (_COLUMN + _GAP), self.y
@@ -188,8 +199,9 @@ class _Pages:
             for line in self._wrapped(text, _COLUMN, 8.5):
                 y -= _LINE
                 self._write(x, y, line)
-        self._picture(card.picture, x, y - _PICTURE - 2, _COLUMN, _PICTURE)
-        y -= _PICTURE + 2
+        height = _picture_height(card.picture)
+        self._picture(card.picture, x, y - height - 2, _COLUMN, height)
+        y -= height + 2
         for k, row in enumerate([HEAD, *card.rows]):
             y -= _LINE
             for cell, tab in zip(row, _TABS, strict=True):

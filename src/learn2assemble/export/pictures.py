@@ -6,9 +6,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from learn2assemble.assembly.appearance import colour_words
 from learn2assemble.assembly.blocks import Assembly, Block
-from learn2assemble.export.instructions import Group, Instructions, Placement, Shape, instructions
+from learn2assemble.assembly.instruction_words import (
+    bill_words,
+    corner_words,
+    facts,
+    length_words,
+    placement_words,
+)
+from learn2assemble.assembly.instructions import Group, Instructions, Shape, instructions
 from learn2assemble.export.projection import Figure, Scene, project
 
 _WAYS = np.array([(0, 0, 1), (0, -1, 0), (-1, 0, 0), (1, 0, 0), (0, 1, 0)], float)
@@ -88,17 +94,6 @@ class Booklet:
     """Of every shape that is no box: its letter, and its corners."""
 
 
-HEAD = ("No.", "Shape", "x", "y", "z", "Turn")
-BILL_HEAD = ("Shape", "Kind", "Number", "Props", "Nominal size [mm]", "Block itself [mm]", "Mass")
-HOW_TO_READ = (
-    "All lengths are in millimetres from O, the front left lower corner of the finished structure: "
-    "x to the right, y to the back, z up. x, y and z of a block are its front left lower corner "
-    "(of the box round it). Turn: how the block is turned from the way its shape is drawn here, "
-    "about x, then y, then z, counter-clockwise seen against the axis; 0 is not turned. Of a block "
-    "that leans, x, y and z are those of its corner 1."
-)
-
-
 def booklet(assembly: Assembly) -> Booklet:
     """Cover and cards of an assembly."""
     told = instructions(assembly)
@@ -113,57 +108,18 @@ def booklet(assembly: Assembly) -> Booklet:
         cards.append(_card(told, scene, group, standing, spacing, whole, grids, layers, until))
     finished = {assembly.index(b.id) for b in assembly.finished.blocks}
     colours = {p.block: p.shape.colour
-               for p in (*told.start, *(p for g in told.groups for p in g.placements))}  # fmt: skip
+               for p in (*told.start, *told.placements)}  # fmt: skip
     uses = tuple(Use(d.name, d.at, colours.get(d.block))
                  for d in scene.drawn if d.block in finished)  # fmt: skip
     cover = _framed(scene, uses, whole, told.extent)
     book = Booklet(told, scene, cards, cover, _shape_pictures(told, scene), spacing,
-                   assembly.name or "Assembly", _facts(told, layers))  # fmt: skip
-    coloured = {colour_words(block) for block in assembly.blocks}
-    for shape, built, props in told.bill:
-        kind = f"{shape.kind}, {shape.colour}" if shape.colour in coloured else shape.kind
-        book.bill.append((
-            shape.letter, kind, str(built), str(props) if props else "-",
-            _size(shape.nominal), _size(shape.size), f"{shape.mass:.3g} kg",
-        ))  # fmt: skip
-        if not shape.is_box:
-            listed = "; ".join(
-                f"{k} ({', '.join(_number(v, 2) for v in corner)})"
-                for k, corner in enumerate(shape.corners, 1)
-            )
-            book.corners.append((shape.letter, listed))
-    book.start = [_row(p) for p in told.start]
+                   assembly.name or "Assembly", facts(told))  # fmt: skip
+    for line in told.bill:
+        book.bill.append(bill_words(line))
+        if words := corner_words(line.shape):
+            book.corners.append((line.shape.letter, words))
+    book.start = [placement_words(p) for p in told.start]
     return book
-
-
-def _facts(told: Instructions, layers: int) -> tuple[str, ...]:
-    blocks = sum(not p.prop and not p.remove for g in told.groups for p in g.placements)
-    facts = [f"{blocks} blocks in {len(told.groups)} steps and {layers} layers",
-             f"{_size(told.extent)} mm when it is finished"]  # fmt: skip
-    if told.joint:
-        facts.append(f"vertical joints {_number(told.joint, 2)} mm wide: the nominal size of a "
-                     "block is the block itself and one joint")  # fmt: skip
-    if any(p.prop for g in told.groups for p in g.placements):
-        facts.append("props stand only for a while and are taken away again")
-    return tuple(facts)
-
-
-def _size(size: object) -> str:
-    return " x ".join(_number(v, 2) for v in np.asarray(size, float))
-
-
-def _number(metres: float, digits: int = 1) -> str:
-    """A length in millimetres, without zeros at the end."""
-    text = f"{1000 * metres + 0.0:.{digits}f}".rstrip("0").rstrip(".")
-    return "0" if text in ("-0", "") else text
-
-
-def _row(placement: Placement) -> tuple[str, ...]:
-    x, y, z = (_number(v) for v in placement.position)
-    digits = 3 if placement.leans else 0
-    angles = zip("xyz", placement.turn, strict=True)
-    turn = " ".join(f"{axis} {a:.{digits}f}°" for axis, a in angles if a or placement.leans)
-    return (str(placement.number), placement.shape.letter, x, y, z, turn or "0")
 
 
 def _card(
@@ -211,11 +167,11 @@ def _card(
             arrows.append((top + 1.25 * length * _UP, top + 0.1 * length * _UP))
         labels.append((arrows[-1][int(p.remove)], str(p.number)))
     numbers = [p.number for p in group.placements]
-    wanted = tuple(f"{count} x {shape.letter} ({shape.kind})" for shape, count in group.wanted)
+    wanted = tuple(f"{count} × {shape.letter} ({shape.kind})" for shape, count in group.wanted)
     picture = _framed(scene, uses, grid, told.extent if all_ else None, outlines,
                       tuple(arrows), tuple(labels), place)  # fmt: skip
     words = _words(group, layers, until, numbers)
-    rows = tuple(_row(p) for p in group.placements)
+    rows = tuple(placement_words(p) for p in group.placements)
     return Card(f"Step {group.number}", words, wanted, rows, picture, group)
 
 
@@ -223,9 +179,9 @@ def _words(group: Group, layers: int, until: dict[int, int], numbers: list[int])
     first = group.placements[0]
     words = []
     if group.first:
-        x, y, _ = (_number(v) for v in first.position)
+        x, y, _ = (length_words(v) for v in first.position)
         words.append(
-            f"Layer {group.layer} of {layers}, from {_number(group.level)} mm up. Block "
+            f"Layer {group.layer} of {layers}, from {length_words(group.level)} mm up. Block "
             f"{numbers[0]}: {x} mm to the right of O, {y} mm behind it."
         )
     if first.remove:
@@ -235,7 +191,7 @@ def _words(group: Group, layers: int, until: dict[int, int], numbers: list[int])
         words.append(f"A prop: it stands only for a while{end}.")
     if len(numbers) > 1:
         words.append("In any order.")
-    return tuple(words)
+    return (" ".join(words),) if words else ()
 
 
 def _way_out(scene: Scene, block: int, standing: set[int]) -> np.ndarray:
@@ -270,7 +226,7 @@ def _framed(
 def _shape_pictures(told: Instructions, scene: Scene) -> list[tuple[Shape, Picture]]:
     """Every shape as it is when it is not turned, with the numbers of corners where it leans."""
     found = []
-    for shape, _, _ in told.bill:
+    for shape in (line.shape for line in told.bill):
         block = Block(shape.letter, shape.corners, shape.faces)
         alone = Scene(instructions(Assembly((block,))))
         uses = tuple(Use(_adopt(scene, d.figure), d.at, shape.colour) for d in alone.drawn)
@@ -304,20 +260,24 @@ def _grid(
     ys = np.arange(np.floor(low[1] / step + 1e-6), np.ceil(high[1] / step - 1e-6) + 1) * step
     ends = [(x, ys[0], x, ys[-1]) for x in xs] + [(xs[0], y, xs[-1], y) for y in ys]
     lines = [project(np.array([(a, b, level), (c, d, level)])) for a, b, c, d in ends]
-    every_x, every_y = -(-len(xs) // 6), -(-len(ys) // 4)
-    labels = [(project(np.array([x, ys[0], level])), _number(x), "below") for x in xs[::every_x]]
-    labels += [(project(np.array([xs[0], y, level])), _number(y), "left")
-               for y in ys[::every_y] if y > ys[0]]  # fmt: skip
-    start = project(np.array([xs[0], ys[0], level]))
+    every_x, every_y = -(-(len(xs) - 1) // 5) or 1, -(-(len(ys) - 1) // 3) or 1
+    front, side = xs[::-every_x].tolist(), ys[:0:-every_y].tolist()
+    labels = [
+        (project(np.array([x, ys[0], level])), "x " * (x == front[0]) + length_words(x), "below")
+        for x in front
+    ]
+    labels += [
+        (project(np.array([xs[0], y, level])), "y " * (y == side[0]) + length_words(y), "left")
+        for y in side
+    ]
     if abs(xs[0]) + abs(ys[0]) + abs(level) < 1e-9:
-        labels[0] = (start, "O", "below")
-    labels.append((project(np.array([xs[-1] + 0.5 * step, ys[0], level])), "x", "below"))
-    labels.append((project(np.array([xs[0], ys[-1] + 0.5 * step, level])), "y", "left"))
+        labels = [one for one in labels if one[1] != "0"]
+        labels.append((project(np.array([xs[0], ys[0], level])), "O", "below"))
     if height:
         top = np.arange(0, np.ceil(height / step - 1e-6) + 1) * step
         corner = (xs[0], ys[-1])
         lines.append(project(np.array([(*corner, 0), (*corner, top[-1])])))
         every = -(-len(top) // 5)
-        labels += [(project(np.array([*corner, z])), f"z {_number(z)}", "left")
+        labels += [(project(np.array([*corner, z])), f"z {length_words(z)}", "left")
                    for z in top[every::every]]  # fmt: skip
     return Grid(tuple(lines), tuple(labels))

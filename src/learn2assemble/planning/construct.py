@@ -330,7 +330,7 @@ def plan_assembly(
         verified_by="rigid-block equilibrium of every step",
         friction_range=ends,
         gap_range=None if gap is None else (0.0, widest),
-        assembly=Assembly(assembly.blocks, tuple(made), assembly.friction, assembly.name),
+        assembly=replace(assembly, steps=tuple(made), not_built=()).as_far_as_placed(),
     )
 
 

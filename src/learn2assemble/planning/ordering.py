@@ -611,7 +611,7 @@ def to_assembly(
     steps = [Step(ids[step.block]) if step.remove is None else Step(remove=ids[step.block])
              for step in (ordering.steps if ordering else ())]  # fmt: skip
     friction = kit.friction if friction is None else friction
-    return Assembly(tuple(blocks), tuple(steps), friction, name)
+    return Assembly(tuple(blocks), tuple(steps), friction, name).as_far_as_placed()
 
 
 _SQUARE = {

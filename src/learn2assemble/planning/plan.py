@@ -287,7 +287,7 @@ class Plan:
         default=None, compare=False, repr=False, metadata={"file": False}
     )
     """The blocks as polyhedra, with the steps; ``assembly.json`` holds them. What no step places
-    stands from the start."""
+    stands from the start, or is not built."""
 
     def __post_init__(self) -> None:
         for number, step in enumerate(self.steps, 1):

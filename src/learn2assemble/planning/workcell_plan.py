@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.blocks import Step as AssemblyStep
 from learn2assemble.geometry.rotations import (
     matrix_quaternion,
@@ -435,7 +434,7 @@ def carry_out(
         report = _report(job, workcell, None)
         return replace(plan, status="refused", reason=reason, steps=(), coverage=0.0, arm=report,
                        blocks=replace(plan.blocks, used=0),
-                       assembly=replace(plan.assembly, steps=()))  # fmt: skip
+                       assembly=replace(plan.assembly, steps=(), not_built=()))  # fmt: skip
     building = Building(found, workcell, _key(plan, workcell))
     reason = building.run(progress)
     return _carried_out(plan, building, workcell, reason, time.perf_counter() - started)
@@ -563,7 +562,7 @@ def _carried_out(
         AssemblyStep(remove=plan.assembly.blocks[s.block].id) if s.remove
         else AssemblyStep(place=plan.assembly.blocks[s.block].id) for s in done
     )  # fmt: skip
-    assembly = Assembly(plan.assembly.blocks, made, plan.assembly.friction, plan.assembly.name)
+    assembly = replace(plan.assembly, steps=made, not_built=()).as_far_as_placed()
     ranges: dict[str, Any] = {}
     if not same:
         # The ranges of the planner hold for its states; these were proven for one of each.

@@ -8,17 +8,22 @@ turn, which are enough to put it exactly where it belongs (:func:`corners_at`).
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
 from learn2assemble.assembly.appearance import (
+    colour_words,
     is_prism,
     is_square,
     joint_width,
     kinds_and_colours,
+    laid_down,
     sections,
+    spread,
 )
 from learn2assemble.assembly.blocks import Assembly, Block
 
@@ -27,8 +32,15 @@ MOST_TOGETHER = 6
 _COVERED = 0.98
 """Share of a bed face that rests on what is below, where a block is carried straight down; the rest
 is open joints."""
-_GRAIN = 1e-5
-"""Shapes that differ by less are one [m]."""
+_GRAIN = 2e-5
+"""Blocks that a turn by quarters brings together but for so much are of one shape [m]."""
+_FINE = 1e-7
+"""Blocks that differ by less are not looked at twice [m]."""
+_ALIKE = 1e-4
+"""So much may the corners of a block be off those of its shape, where it leans [m]."""
+_MOST_TRIED = 60
+"""Corners of a block whose order is sought."""
+Turn = tuple[float, float, float]
 _QUARTERS = tuple(
     (x, y, z) for (x, y), z in product(
         ((0, 0), (90, 0), (180, 0), (270, 0), (0, 90), (0, 270)), (0, 90, 180, 270)
@@ -45,6 +57,8 @@ class Shape:
     kind: str
     colour: str
     """``#rrggbb``, or a name of :data:`~learn2assemble.assembly.appearance.COLOURS`."""
+    asked: bool
+    """Whether the design asks for this colour."""
     corners: np.ndarray
     """float64[V, 3]: unturned, from the first corner [m]."""
     faces: tuple[tuple[int, ...], ...]
@@ -52,6 +66,8 @@ class Shape:
     is_box: bool
     nominal: tuple[float, float, float]
     """Extents with the joint that belongs to the block [m]."""
+    volume: float
+    """[m³]"""
     mass: float
     """[kg]"""
 
@@ -73,7 +89,7 @@ class Placement:
     position: tuple[float, float, float]
     """From O [m]: of a block that is turned by quarters, the front left lower corner of the box
     round it; of a block that leans, its corner 1."""
-    turn: tuple[float, float, float]
+    turn: Turn
     """Turns about x, then y, then z, counter-clockwise against the axis [deg]."""
     remove: bool = False
     prop: bool = False
@@ -105,6 +121,18 @@ class Group:
         return [(shapes[key], number) for key, number in count.items()]
 
 
+class BillLine(NamedTuple):
+    """How many blocks of a shape there have to be."""
+
+    shape: Shape
+    built: int
+    """Placed, and there in the end."""
+    props: int
+    """The most that serve as props at one time."""
+    standing: int
+    """There from the start."""
+
+
 @dataclass(frozen=True, eq=False)
 class Instructions:
     """How an assembly is built by hand."""
@@ -122,11 +150,12 @@ class Instructions:
     groups: tuple[Group, ...]
 
     @property
-    def bill(self) -> list[tuple[Shape, int, int]]:
-        """Every shape, how many are built in, and how many serve as props at one time."""
+    def bill(self) -> list[BillLine]:
+        """What is needed of every shape."""
         built: Counter[str] = Counter()
         props: Counter[str] = Counter()
         most: Counter[str] = Counter()
+        there = Counter(placement.shape.letter for placement in self.start)
         for placement in (p for group in self.groups for p in group.placements):
             letter = placement.shape.letter
             if placement.prop:
@@ -134,11 +163,16 @@ class Instructions:
                 most |= props
             else:
                 built[letter] += 1
-        used = [s for s in self.shapes if built[s.letter] or most[s.letter]]
-        return [(s, built[s.letter], most[s.letter]) for s in used]
+        lines = [BillLine(s, built[s.letter], most[s.letter], there[s.letter]) for s in self.shapes]
+        return [line for line in lines if any(line[1:])]
+
+    @property
+    def placements(self) -> list[Placement]:
+        """What is placed and taken away, in order."""
+        return [placement for group in self.groups for placement in group.placements]
 
 
-def rotation(turn: tuple[float, float, float]) -> np.ndarray:
+def rotation(turn: Turn) -> np.ndarray:
     """float64[3, 3]: turns about x, then y, then z [deg]."""
     (cx, cy, cz), (sx, sy, sz) = np.cos(np.radians(turn)), np.sin(np.radians(turn))
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
@@ -147,9 +181,7 @@ def rotation(turn: tuple[float, float, float]) -> np.ndarray:
     return about_z @ about_y @ about_x
 
 
-def corners_at(
-    corners: np.ndarray, position: tuple[float, float, float], turn: tuple[float, float, float]
-) -> np.ndarray:
+def corners_at(corners: np.ndarray, position: tuple[float, float, float], turn: Turn) -> np.ndarray:
     """float64[V, 3]: the corners of a shape where a block stands [m, from O].
 
     Args:
@@ -175,14 +207,16 @@ def instructions(assembly: Assembly) -> Instructions:
     origin, high = finished.min(0), finished.max(0)
     joint = joint_width(assembly)
     shapes = _Shapes(origin, joint)
+    left_out = set(assembly.not_built)
     for block, (kind, colour) in zip(assembly.blocks, kinds_and_colours(assembly), strict=True):
-        shapes.add(block, kind, colour)
+        if block.id not in left_out:
+            shapes.add(block, kind, colour)
     steps = [(assembly.index(s.place or s.remove or ""), s.remove is not None)
              for s in assembly.steps]  # fmt: skip
     steps = steps or [(k, False) for k, b in enumerate(assembly.blocks) if not b.support]
-    placed = {index for index, _ in steps}
+    told = {index for index, _ in steps} | {assembly.index(id_) for id_ in assembly.not_built}
     start = tuple(shapes.placement(k, 0, assembly.blocks[k], False)
-                  for k in range(len(assembly.blocks)) if k not in placed)  # fmt: skip
+                  for k in range(len(assembly.blocks)) if k not in told)  # fmt: skip
     upright = _carried_straight_down(assembly)
     return Instructions(
         assembly, origin, high - origin, joint, tuple(shapes.found), start,
@@ -258,45 +292,33 @@ class _Shapes:
     def __init__(self, origin: np.ndarray, joint: float) -> None:
         self.origin, self.joint = origin, joint
         self.found: list[Shape] = []
-        self._quarters: dict[tuple, tuple[Shape, tuple[float, float, float]]] = {}
-        self._distances: dict[tuple, list[Shape]] = {}
-        self._of: dict[str, tuple[Shape, tuple[float, float, float]]] = {}
-        self._known: dict[tuple, tuple[Shape, tuple[float, float, float]]] = {}
+        self._like: dict[tuple, list[tuple[Shape, np.ndarray]]] = {}
+        self._of: dict[str, _Match] = {}
+        self._known: dict[tuple, _Match] = {}
 
     def add(self, block: Block, kind: str, colour: str) -> None:
         """Find the shape and the turn of a block."""
-        words = kind, colour
         points = block.vertices - block.vertices.min(0)
-        as_given = (*words, block.faces, np.round(points / _GRAIN).tobytes())
+        as_given = (kind, colour, block.faces, np.round(points / _FINE).tobytes())
         if as_given not in self._known:
-            self._known[as_given] = self._match(block, points, words)
+            self._known[as_given] = self._match(block, kind, colour)
         self._of[block.id] = self._known[as_given]
 
-    def _match(
-        self, block: Block, points: np.ndarray, words: tuple[str, str]
-    ) -> tuple[Shape, tuple[float, float, float]]:
-        key = (*words, *_key(points, block.volume))
-        if key in self._quarters:
-            return self._quarters[key]
-        apart = np.linalg.norm(block.vertices[:, None] - block.vertices[None], axis=-1)
-        alike = (*words, block.faces, np.round(apart / 1e-4).tobytes())
-        for shape in self._distances.get(alike, []):
-            turn = _turn_between(shape.corners, block.vertices)
-            if turn is not None:
-                return shape, turn
-        corners = block.vertices @ _laid_down(block).T
-        corners = corners - corners[0]
-        shape = self._new(block, corners, *words)
-        self._distances.setdefault(alike, []).append(shape)
-        for turn in _QUARTERS:
-            turned = corners @ rotation(turn).T
-            variant = (*words, *_key(turned - turned.min(0), block.volume))
-            self._quarters.setdefault(variant, (shape, turn))
-        if key in self._quarters:
-            return self._quarters[key]
-        turn = _turn_between(corners, block.vertices)
-        assert turn is not None
-        return shape, turn
+    def _match(self, block: Block, kind: str, colour: str) -> _Match:
+        apart = spread(block.vertices)
+        like = self._like.setdefault((kind, colour, len(block.vertices)), [])
+        for shape, distances in like:
+            same = np.abs(distances - apart).max() <= _ALIKE
+            if same and abs(shape.volume - block.volume) <= 1e-3 * block.volume:
+                match = _turned(shape, block)
+                if match is not None:
+                    return match
+        corners = block.vertices @ laid_down(block).T
+        shape = self._new(block, corners - corners[0], kind, colour)
+        like.append((shape, apart))
+        match = _turned(shape, block)
+        assert match is not None
+        return match
 
     def _new(self, block: Block, corners: np.ndarray, kind: str, colour: str) -> Shape:
         size = np.ptp(corners, axis=0)
@@ -306,55 +328,108 @@ class _Shapes:
         letter, left = "", len(self.found)
         while not letter or left >= 0:
             letter, left = chr(65 + left % 26) + letter, left // 26 - 1
-        nominal = (x, y, z)
-        made = Shape(letter, kind, colour, corners, block.faces, bool(is_box), nominal, block.mass)
+        asked = colour == colour_words(block)
+        made = Shape(letter, kind, colour, asked, corners, block.faces, bool(is_box), (x, y, z),
+                     block.volume, block.mass)  # fmt: skip
         self.found.append(made)
         return made
 
     def placement(self, index: int, number: int, block: Block, remove: bool) -> Placement:
-        shape, turn = self._of[block.id]
-        leans = any(angle % 90 for angle in turn)
-        at = block.vertices[0] if leans else block.vertices.min(0)
+        match = self._of[block.id]
+        at = block.vertices.min(0) if match.first is None else block.vertices[match.first]
         x, y, z = (at - self.origin).tolist()
-        return Placement(number, index, shape, (x, y, z), turn, remove, block.prop)
+        return Placement(number, index, match.shape, (x, y, z), match.turn, remove, block.prop)
 
 
-def _key(points: np.ndarray, volume: float) -> tuple:
-    whole = np.unique(np.round(points / _GRAIN).astype(np.int64), axis=0)
-    return whole.tobytes(), round(volume / 1e-9)
+class _Match(NamedTuple):
+    """How a block is turned from its shape."""
+
+    shape: Shape
+    turn: Turn
+    first: int | None
+    """Of a block that leans: its vertex at which the first corner of the shape lies."""
 
 
-def _laid_down(block: Block) -> np.ndarray:
-    """float64[3, 3]: turns a block onto its largest face, its longest edge along x; a block that
-    has a level face below, or edges along the axes, is left as it is."""
-    if is_square(block) or is_prism(block):
-        return np.eye(3)
-    normals = []
-    for face in block.faces:
-        corners = block.vertices[list(face)]
-        normals.append(np.cross(corners - corners[0], np.roll(corners, -1, 0) - corners[0]).sum(0))
-    largest = int(np.argmax([np.linalg.norm(n) for n in normals]))
-    down = normals[largest] / np.linalg.norm(normals[largest])
-    corners = block.vertices[list(block.faces[largest])]
-    edges = np.roll(corners, -1, 0) - corners
-    edge = edges[int(np.argmax(np.linalg.norm(edges, axis=1)))]
-    edge = edge - (edge @ down) * down
-    along = edge / np.linalg.norm(edge)
-    return np.stack([along, np.cross(-down, along), -down])
+def _turned(shape: Shape, block: Block) -> _Match | None:
+    """How a block is turned from a shape; None where it is another shape, such as its mirror image.
 
-
-def _turn_between(corners: np.ndarray, vertices: np.ndarray) -> tuple[float, float, float] | None:
-    """Turns about x, y and z [deg] from a shape to a block; None for one that is not congruent."""
-    goal = vertices - vertices[0]
-    u, _, vt = np.linalg.svd(corners.T @ goal)
-    turn = vt.T @ np.diag([1, 1, np.sign(np.linalg.det(vt.T @ u.T))]) @ u.T
-    if np.abs(corners @ turn.T - goal).max() > 1e-4:
+    Quarters come before other turns, and small turns before large ones.
+    """
+    points = block.vertices - block.vertices.min(0)
+    for turn in _QUARTERS:
+        turned = shape.corners @ rotation(turn).T
+        if _apart(turned - turned.min(0), points) <= _GRAIN:
+            return _Match(shape, turn, None)
+    found = []
+    for first, turning in _alignments(shape, block):
+        turn = _angles(turning)
+        leans = any(angle % 90 for angle in turn)
+        found.append((sum(map(abs, turn)), turn, first if leans else None))
+    if not found:
         return None
+    _, turn, first = min(found, key=lambda one: one[:2])
+    return _Match(shape, turn, first)
+
+
+def _apart(some: np.ndarray, others: np.ndarray) -> float:
+    """The largest distance of a point of either set from the nearest of the other [m]."""
+    from scipy.spatial import KDTree
+
+    there, back = KDTree(others).query(some)[0], KDTree(some).query(others)[0]
+    return float(max(there.max(), back.max()))
+
+
+def _alignments(shape: Shape, block: Block) -> Iterator[tuple[int, np.ndarray]]:
+    """The ways to lay a shape on a block: where its first corner comes to lie, and the rotation."""
+    corners, vertices = shape.corners, block.vertices
+    if shape.faces == block.faces:
+        turning = _rotation_between(corners - corners[0], vertices - vertices[0])
+        if np.abs(corners @ turning.T - (vertices - vertices[0])).max() <= _ALIKE:
+            yield 0, turning
+    if not block.is_convex or len(corners) > _MOST_TRIED:
+        return  # The corners alone do not say what it is, or there are too many to try.
+    # Three corners of the shape, and all corners of the block as far from one another.
+    away = np.linalg.norm(corners, axis=1)
+    b = int(away.argmax())
+    c = int(np.linalg.norm(np.cross(corners, corners[b]), axis=1).argmax())
+    apart = np.linalg.norm(vertices[:, None] - vertices, axis=-1)
+    near = 2 * _ALIKE
+    for i, j in np.argwhere(np.abs(apart - away[b]) <= near).tolist():
+        third = np.abs(apart[i] - away[c]) <= near
+        third &= np.abs(apart[j] - np.linalg.norm(corners[b] - corners[c])) <= near
+        for k in np.flatnonzero(third).tolist():
+            turning = _frame(*vertices[[i, j, k]]) @ _frame(*corners[[0, b, c]]).T
+            turned = corners @ turning.T + vertices[i]
+            if _apart(turned, vertices) > 3 * _ALIKE:
+                continue
+            # All corners together say the turn better than three.
+            order = np.linalg.norm(turned[:, None] - vertices, axis=-1).argmin(1)
+            turning = _rotation_between(corners, vertices[order] - vertices[i])
+            if np.abs(corners @ turning.T + vertices[i] - vertices[order]).max() <= _ALIKE:
+                yield i, turning
+
+
+def _frame(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """float64[3, 3]: axes along the first side of a triangle, in its plane, and across it."""
+    along = (b - a) / np.linalg.norm(b - a)
+    across = np.cross(along, c - a)
+    across = across / np.linalg.norm(across)
+    return np.stack([along, np.cross(across, along), across], -1)
+
+
+def _rotation_between(corners: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """float64[3, 3]: turns these corners onto those of the same order as well as can be."""
+    u, _, vt = np.linalg.svd(corners.T @ goal)
+    return vt.T @ np.diag([1, 1, np.sign(np.linalg.det(vt.T @ u.T))]) @ u.T
+
+
+def _angles(turn: np.ndarray) -> Turn:
+    """Turns about x, then y, then z, to a hundredth of a degree, above -180."""
     about_y = float(np.degrees(np.arcsin(np.clip(-turn[2, 0], -1, 1))))
     if abs(turn[2, 0]) < 1 - 1e-9:
         about_x = float(np.degrees(np.arctan2(turn[2, 1], turn[2, 2])))
         about_z = float(np.degrees(np.arctan2(turn[1, 0], turn[0, 0])))
     else:
         about_x, about_z = 0.0, float(np.degrees(np.arctan2(-turn[0, 1], turn[1, 1])))
-    x, y, z = (round(angle, 3) + 0.0 for angle in (about_x, about_y, about_z))
-    return x, y, z
+    x, y, z = (round(angle, 2) + 0.0 for angle in (about_x, about_y, about_z))
+    return (180.0 if x == -180 else x, y, 180.0 if z == -180 else z)

@@ -1,0 +1,104 @@
+"""What instructions say of blocks, the same on the page, on cards and on paper."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from learn2assemble.assembly.instructions import BillLine, Instructions, Placement, Shape
+
+HEAD = ("No.", "Shape", "x", "y", "z", "Turn")
+"""Of the table of what is placed, see :func:`placement_words`."""
+BILL_HEAD = (
+    "Shape",
+    "Kind",
+    "Number",
+    "Props",
+    "Nominal size [mm]",
+    "Block itself [mm]",
+    "Mass of one",
+)
+"""Of the bill, see :func:`bill_words`."""
+HOW_TO_READ = (
+    "All lengths are in millimetres from O, the front left lower corner of the finished structure: "
+    "x to the right, y to the back, z up. x, y and z of a block are its front left lower corner "
+    "(of the box round it). Turn: how the block is turned from the way its shape is drawn, about "
+    "x, then y, then z, counter-clockwise seen against the axis; 0 is not turned. Of a block that "
+    "leans, which is turned by other than 90° or 180°, x, y and z are those of its corner 1."
+)
+_MOST_CORNERS = 100
+
+
+def length_words(metres: float, digits: int = 1) -> str:
+    """A length in millimetres, without zeros at the end."""
+    text = f"{1000 * metres + 0.0:.{digits}f}"
+    text = text.rstrip("0").rstrip(".") if digits else text
+    return "0" if text in ("-0", "") else text
+
+
+def extent_words(extents: object) -> str:
+    """Lengths in millimetres to a hundredth, e.g. ``99.9 × 49.9 × 50``."""
+    return " × ".join(length_words(v, 2) for v in np.asarray(extents, float))
+
+
+def turn_words(placement: Placement) -> str:
+    """Angles about the axes about which it is turned, e.g. ``x 90° z 67.08°``, or ``0``."""
+    told = [
+        f"{axis} {f'{angle:.2f}'.rstrip('0').rstrip('.')}°"
+        for axis, angle in zip("xyz", placement.turn, strict=True)
+        if angle
+    ]
+    return " ".join(told) or "0"
+
+
+def placement_words(placement: Placement) -> tuple[str, ...]:
+    """The line of a block in a table below :data:`HEAD`."""
+    x, y, z = (length_words(v) for v in placement.position)
+    return (str(placement.number), placement.shape.letter, x, y, z, turn_words(placement))
+
+
+def bill_words(line: BillLine) -> tuple[str, ...]:
+    """The line of a shape in a table below :data:`BILL_HEAD`."""
+    shape = line.shape
+    number = f"{line.built}" + f" + {line.standing} standing" * bool(line.standing)
+    size, itself = extent_words(shape.nominal), extent_words(shape.size)
+    props = str(line.props) if line.props else "–"
+    kind = f"{shape.kind}, {shape.colour}" if shape.asked else shape.kind
+    return (shape.letter, kind, number, props, size, itself, f"{shape.mass:.3g} kg")
+
+
+def corner_words(shape: Shape) -> str:
+    """The corners of a shape that is no box, from the first; empty of a box."""
+    if shape.is_box:
+        return ""
+    if len(shape.corners) > _MOST_CORNERS:
+        return f"{len(shape.corners)}, listed in assembly.json"
+    return "; ".join(
+        f"{k} ({', '.join(length_words(v, 2) for v in corner)})"
+        for k, corner in enumerate(shape.corners, 1)
+    )
+
+
+def facts(told: Instructions) -> tuple[str, ...]:
+    """What is said at the head of instructions."""
+    placements = told.placements
+    blocks = sum(not p.prop and not p.remove for p in placements)
+    found = [
+        f"{count_words(blocks, 'block')} in {count_words(len(told.groups), 'step')} and "
+        f"{count_words(len({group.layer for group in told.groups}), 'layer')}",
+        f"{extent_words(told.extent)} mm when the last step is done",
+    ]
+    if told.joint:
+        found.append(
+            f"vertical joints {length_words(told.joint, 2)} mm wide: the nominal size of a block "
+            "is the block itself and one joint"
+        )
+    if any(p.prop for p in placements):
+        found.append("props stand only for a while and are taken away again")
+    if left := len(told.assembly.not_built):
+        found.append(f"not finished: {count_words(left, 'block')} of the design have no step")
+    return tuple(found)
+
+
+def count_words(number: int, noun: str) -> str:
+    """``1 block``, ``2 blocks``."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
