@@ -23,7 +23,9 @@ from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.errors import InputError
 from learn2assemble.planning.ordering import polycube
-from learn2assemble.viewer.page import StepNote, _covers, render_assembly_page
+from learn2assemble.viewer.page import render_assembly_page
+from learn2assemble.viewer.scene import side_covers
+from learn2assemble.viewer.tables import StepNote
 
 EDGE = 0.05
 
@@ -341,7 +343,7 @@ def test_sides_are_left_out_only_where_blocks_cover_them() -> None:
         low = np.array(place) * edge
         inset = np.array([gap / 2, gap / 2, 0])
         blocks.append(box_block("-".join(map(str, place)), low + inset, low + edge - inset))
-    covers = _covers(blocks)
+    covers = side_covers(blocks)
     number = {place: k for k, place in enumerate(places)}
     middle = covers[number[1, 1, 1]]
     assert middle is not None
@@ -354,8 +356,8 @@ def test_sides_are_left_out_only_where_blocks_cover_them() -> None:
     low = box_block("low", (0, 0, 0), (2, 1, 1))
     half = box_block("half", (0, 0, 1), (1, 1, 2))
     rest = box_block("rest", (1, 0, 1), (2, 1, 2))
-    assert _covers([low, half]) == [None, [[], [], [], [], [0], []]]
-    assert _covers([low, half, rest])[0] == [[], [], [], [], [], [1, 2]]
+    assert side_covers([low, half]) == [None, [[], [], [], [], [0], []]]
+    assert side_covers([low, half, rest])[0] == [[], [], [], [], [], [1, 2]]
     raised = rest.vertices + [[0, 0, 0.3 * (k == 7)] for k in range(8)]
     cut = replace(rest, vertices=raised)
-    assert _covers([low, half, cut])[0] is None
+    assert side_covers([low, half, cut])[0] is None

@@ -208,7 +208,8 @@ def large_entry(wanted: np.ndarray, kit: Kit, asked: float) -> Result:
     result["seconds_asked"] = asked
     result["proof_s"] = round(ordering.seconds, 3) if ordering else None
     if ordering is not None:
-        from learn2assemble.viewer.page import StepNote, render_assembly_page
+        from learn2assemble.viewer.page import render_assembly_page
+        from learn2assemble.viewer.tables import StepNote
 
         notes = [StepNote(step.proof, step.margin_g) for step in ordering.steps]
         started = time.process_time()

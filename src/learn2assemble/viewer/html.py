@@ -6,7 +6,7 @@ import base64
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from html import escape
 from importlib import resources
 from typing import Any
@@ -20,8 +20,8 @@ NUMBER = 'class="number"'
 def stand_alone(
     values: Mapping[str, str],
     data: Mapping[str, Any],
-    scripts: Iterable[str],
-    template: str = "page.html",
+    scripts: Collection[str],
+    sections: Iterable[str],
 ) -> str:
     """The text of a page.
 
@@ -29,26 +29,33 @@ def stand_alone(
     text from a file can never run.
 
     Args:
-        values: HTML for the places of the template; places without a value stay empty.
+        values: HTML for the places of the templates; places without a value stay empty.
         data: what the scripts find in the element ``data``.
-        scripts: names of assets, in order.
-        template: name of the asset with the places.
+        scripts: names of assets, in order; without any the page has no data either.
+        sections: names of the assets with the sections of this page, in order.
     """
     texts = [asset(name).strip() + "\n" for name in scripts]
     style = asset("page.css")
+    allowed = " ".join(map(_hash, texts)) or "'none'"
     policy = (
         "default-src 'none'; img-src data: blob:; base-uri 'none'; form-action 'none'; "
-        f"style-src {_hash(style)}; script-src {' '.join(map(_hash, texts))}"
+        f"style-src {_hash(style)}; script-src {allowed}"
     )
+    elements = [f'<script type="application/json" id="data">{to_json(data)}</script>']
+    elements += [f"<script>{text}</script>" for text in texts]
     places = {
         **values,
         "policy": policy,
         "style": style,
-        "data": to_json(data),
-        "scripts": "\n".join(f"<script>{text}</script>" for text in texts),
+        "scripts": "\n".join(elements if texts else ()),
+        "sections": "".join(_filled(asset(name), values) for name in sections),
     }
-    # In one pass: braces in a value stay.
-    return re.sub(r"\{\{(\w+)\}\}", lambda match: places.get(match[1], ""), asset(template))
+    return _filled(asset("page.html"), places)
+
+
+def _filled(template: str, places: Mapping[str, str]) -> str:
+    """A template with its places filled in one pass, so that braces in a value stay."""
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: places.get(match[1], ""), template)
 
 
 def asset(name: str) -> str:

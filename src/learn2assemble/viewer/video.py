@@ -24,9 +24,9 @@ from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.shape import Mesh, box
 from learn2assemble.viewer import renderer
 from learn2assemble.viewer.arm import extent
-from learn2assemble.viewer.page import cell_labels
 from learn2assemble.viewer.picture import ACCENT, INK, LINE, PAPER, RIM, SOFT
 from learn2assemble.viewer.playback import Playback, Segment, split
+from learn2assemble.viewer.scene import cell_labels
 from learn2assemble.viewer.words import clock_words, stage_words
 
 

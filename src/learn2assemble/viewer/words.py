@@ -33,6 +33,14 @@ def placement(step: Step) -> str:
     return f"{_RELATIONS[step.relation]} b{step.reference}"
 
 
+BLAME_WORDS = {
+    "not filled": "that no blocks of the kit fill",
+    "not carried": "whose block nothing carries",
+    "cannot be placed": "of a block that does not stand when it is placed, or of a prop that "
+    "cannot be taken away",
+    "would fall": "of blocks that would fall if that one were placed",
+}
+"""Why cells are to blame, after ``4 cells``."""
 STAGE_WORDS = {
     "approach": ("moves to above {block}", "moves on"),
     "pick": ("goes down and grasps {block}", "goes down to {block}"),

@@ -7,7 +7,8 @@ function createStage(canvas, data) {
   const points = blocks.flatMap(({ shape, at }) => {
     const { low, high } = shapes[shape];
     return [at.map((v, k) => v + low[k]), at.map((v, k) => v + high[k])];
-  }).concat(data.targets.flatMap(({ outline }) => outline), data.boxes.flatMap(({ low, high }) => [low, high]));
+  }).concat(data.targets.flatMap(({ outline }) => outline), data.boxes.flatMap(({ low, high }) => [low, high]),
+    data.marks.flatMap(({ boxes }) => boxes.flatMap((box) => [box.slice(0, 3), box.slice(3)])));
   const seen = data.arm ? [...points, ...data.arm.extent] : points;
   const view = createView(canvas, { points: seen, edge, floor: data.floor, fromRight: Boolean(data.arm), turn: data.arm?.turn });
   const roof = points.reduce((most, p) => Math.max(most, p[2]), -Infinity);
@@ -34,6 +35,8 @@ function createStage(canvas, data) {
   view.scene.add(mesh, edges);
   for (const target of data.targets) addTarget(target);
   for (const goal of data.boxes) addBox(goal);
+  for (const mark of data.marks) addMark(mark);
+  addUnbuilt();
   // An arm moves every block on its own; the mesh of all is for the layers then.
   const arm = data.arm
     ? createArm(data, { cube: box, coloured: view.coloured, colours: view.colours }) : null;
@@ -149,6 +152,39 @@ function createStage(canvas, data) {
         addRod(corner(from), corner(from | (1 << k)), tone);
       }
     }
+  }
+
+  /* The edges of blocks that no step places. */
+  function addUnbuilt() {
+    const ends = [];
+    for (const { placed, shape, at } of blocks) {
+      if (placed <= data.steps) continue;
+      shapes[shape].edges.forEach((v, k) => ends.push(v + at[k % 3]));
+    }
+    view.scene.add(bundle(ends, "unbuilt"));
+  }
+
+  /* Cells to blame: a film over all of them, with their edges. */
+  function addMark({ boxes }) {
+    const sides = [], edges = [], grow = edge / 40;
+    for (const box of boxes) {
+      const corner = (bits) => [0, 1, 2].map((k) => (bits & (1 << k) ? box[k + 3] + grow : box[k] - grow));
+      for (let axis = 0; axis < 3; axis++) {
+        const [u, v, w] = [1 << axis, 1 << (axis + 1) % 3, 1 << (axis + 2) % 3];
+        for (const at of [0, w]) {
+          const [a, b, c, d] = [at, at | u, at | u | v, at | v].map(corner);
+          sides.push(...a, ...b, ...c, ...a, ...c, ...d);
+        }
+        for (const at of [0, v, w, v | w]) edges.push(...corner(at), ...corner(at | u));
+      }
+    }
+    const film = new THREE.BufferGeometry();
+    film.setAttribute("position", new THREE.Float32BufferAttribute(sides, 3));
+    const made = new THREE.Mesh(film, view.coloured(new THREE.MeshBasicMaterial({
+      transparent: true, opacity: 0.45, side: THREE.DoubleSide, depthWrite: false,
+    }), "blamed"));
+    made.renderOrder = 3;
+    view.scene.add(made, bundle(edges, "blamed"));
   }
 
   function box(half) {
@@ -421,7 +457,7 @@ function createLayers(data, stage) {
     };
     const path = ({ block: { at }, rings }) => rings.map((ring) => "M" + ring
       .map(([x, y]) => `${(1000 * (x + at[0])).toFixed(1)},${(-1000 * (y + at[1])).toFixed(1)}`).join("L") + "Z").join("");
-    const items = (byLayer[layer - 1] ?? []).map((part) => made("path", { class: "below", d: path(part) }));
+    const items = [...ruler(made), ...(byLayer[layer - 1] ?? []).map((part) => made("path", { class: "below", d: path(part) }))];
     const sections = byLayer[layer].toSorted((a, b) => b.above - a.above);
     for (const part of sections) {
       const { block, middle: [x, y] } = part;
@@ -439,6 +475,37 @@ function createLayers(data, stage) {
         }, block.placed));
       }
     }
+    for (const { words, boxes } of data.marks) {
+      const [from, to] = [data.heights[layer], data.heights[layer + 1] ?? Infinity];
+      for (const [x, y, low, right, back, high] of boxes) {
+        if (Math.min(high, to) - Math.max(low, from) < 0.02 * data.edge) continue;
+        const item = made("rect", { class: "blamed", x: 1000 * x, y: -1000 * back,
+          width: 1000 * (right - x), height: 1000 * (back - y) });
+        item.append(made("title", {}, words));
+        items.push(item);
+      }
+    }
     plan.replaceChildren(...items);
+  }
+
+  /* Lines at whole distances from O, with the distances in front and at the left. */
+  function ruler(made) {
+    const { origin, step, count } = data.scale, [x0, y0] = origin;
+    const [, , width, height] = plan.getAttribute("viewBox").split(" ").map(Number);
+    const size = 0.03 * Math.max(width, height), mm = (v) => (1000 * v).toFixed(1);
+    const [x1, y1] = [x0 + count[0] * step, y0 + count[1] * step];
+    const told = (k, last, axis) => (k === 0 ? "O" : `${k === last ? axis + " " : ""}${+(1000 * k * step).toFixed(1)}`);
+    const items = [];
+    for (let k = 0; k <= count[0]; k++) {
+      const x = x0 + k * step;
+      items.push(made("path", { class: "grid", d: `M${mm(x)},${mm(-y0)}V${mm(-y1)}` }),
+        made("text", { class: "scale", x: mm(x), y: (-1000 * y0 + 1.3 * size).toFixed(1), "font-size": size.toFixed(1) }, told(k, count[0], "x")));
+    }
+    for (let k = 0; k <= count[1]; k++) {
+      const y = y0 + k * step;
+      items.push(made("path", { class: "grid", d: `M${mm(x0)},${mm(-y)}H${mm(x1)}` }));
+      if (k) items.push(made("text", { class: "scale left", x: (1000 * x0 - 0.4 * size).toFixed(1), y: (-1000 * y + 0.35 * size).toFixed(1), "font-size": size.toFixed(1) }, told(k, count[1], "y")));
+    }
+    return items;
   }
 }

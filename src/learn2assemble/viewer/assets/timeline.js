@@ -18,7 +18,7 @@
   let time = last, shown = "", told = "", playing = false, before = 0;
 
   const stage = openStage();
-  const layers = typeof createLayers === "function" ? createLayers(data, stage) : null;
+  const layers = find("layer-plan") ? createLayers(data, stage) : null;
 
   /* Time in steps: between k - 1 and k the block of step k is on the way. */
   function stepClock() {

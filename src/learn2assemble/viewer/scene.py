@@ -1,0 +1,280 @@
+"""An assembly as data for the 3-D view and the plans of layers: shapes, blocks, joints, marks.
+
+It holds thousands of blocks: in the 3-D view they are one mesh, and equal shapes are stored once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from learn2assemble.assembly.appearance import Section, kinds_and_colours, sections
+from learn2assemble.assembly.blocks import Assembly, Block, fan_triangles, to_manifold
+from learn2assemble.assembly.contacts import Contacts
+from learn2assemble.viewer.arm import Labels
+from learn2assemble.viewer.html import packed, to_base64
+
+_COVERED = 0.03
+"""Share of a side that may be left open where it counts as covered, and how far apart sides that
+touch may be, as a share of the smallest edge."""
+
+
+class Part(NamedTuple):
+    """One stay of a block in the structure; only props may have several."""
+
+    block: Block
+    shape: int
+    origin: np.ndarray
+    """float64[3]: lower corner of its bounding box [m]."""
+    kind: str
+    colour: str
+    """``#rrggbb``, or the name of a colour of the style sheet."""
+    layer: int
+    placed: int
+    """The step that places it; 0: it stands from the start."""
+    removed: int
+    """The step that removes it again, or 0."""
+
+
+class Mark(NamedTuple):
+    """Cells to blame, marked in the 3-D view and in the plans of layers."""
+
+    words: str
+    """What they are."""
+    boxes: np.ndarray
+    """float64[n, 6]: lower and upper corner of each [m, world]."""
+
+
+def cell_labels(
+    assembly: Assembly, blocks: Sequence[int | None], captions: Sequence[str] = ()
+) -> Labels:
+    """What the cells of a record are called, see :func:`~.playback.block_of_cell`; ``captions`` of
+    the start and of every step."""
+    colour = {part.block.id: part.colour for part in block_parts(assembly)[0]}
+    ids = [None if block is None else assembly.blocks[block].id for block in blocks]
+    placed = {step.place for step in assembly.steps}
+    return Labels(
+        tuple(name or "an obstacle or a block that is not in use" for name in ids),
+        tuple("soft" if name is None else colour[name] for name in ids),
+        tuple(name not in placed for name in ids),
+        tuple(captions),
+    )
+
+
+def scene_data(
+    parts: Sequence[Part], shapes: Sequence[Block], layers: Sequence[float], steps: int
+) -> dict[str, Any]:
+    """What the scripts need to draw an assembly: metres, world frame.
+
+    Args:
+        parts: of :func:`block_parts`, with shapes and layers.
+        steps: how many there are.
+    """
+    kinds, colours = _numbered(part.kind for part in parts), _numbered(p.colour for p in parts)
+    # Edge of the cube with the volume of a median block [m].
+    size = float(np.median([part.block.volume for part in parts])) ** (1 / 3)
+    return {
+        "edge": rounded(size),
+        "floor": rounded(min(part.origin[2] for part in parts)),
+        "steps": steps,
+        "kinds": list(kinds),
+        "colours": list(colours),
+        "heights": [rounded(height) for height in layers],
+        "shapes": _shape_data(shapes),
+        "blocks": [
+            [part.shape, *map(rounded, part.origin), kinds[part.kind], colours[part.colour],
+             part.layer, part.placed, part.removed, part.block.id]
+            for part in parts
+        ],
+        "covers": side_covers([part.block for part in parts]),
+    }  # fmt: skip
+
+
+def nothing_to_draw(size: float) -> dict[str, Any]:
+    """The same without a block; ``size`` of a usual one [m]."""
+    shapes = {
+        "vertices": packed(np.zeros((1, 3)), np.uint16), "triangles": "", "wide": False,
+        "first": [0], "faces": [0], "sections": [], "widths": [],
+    }  # fmt: skip
+    lists = ("kinds", "colours", "heights", "blocks", "covers")
+    return {
+        "edge": rounded(size), "floor": 0.0, "steps": 0, "shapes": shapes,
+        **{name: [] for name in lists},
+    }  # fmt: skip
+
+
+def mark_data(marks: Sequence[Mark]) -> list[dict[str, Any]]:
+    """Marks for the scripts."""
+    return [{"words": mark.words, "boxes": mark.boxes} for mark in marks]
+
+
+def scale_data(origin: np.ndarray, extent: np.ndarray) -> dict[str, Any]:
+    """The grid of the plans of layers: where O is, how far its lines are apart and how many there
+    are along x and y; at most twelve a side.
+
+    Args:
+        origin: float64[3], O [m, world].
+        extent: float64[3], of the structure [m].
+    """
+    wanted = float(extent[:2].max()) / 8
+    power = 10.0 ** math.floor(math.log10(wanted))
+    step = next(k * power for k in (1, 2, 5, 10) if k * power >= wanted * (1 - 1e-9))
+    count = [int(math.ceil(float(v) / step - 1e-3)) for v in extent[:2]]
+    return {"origin": [rounded(v) for v in origin[:2]], "step": rounded(step), "count": count}
+
+
+def _numbered(names: Iterable[str]) -> dict[str, int]:
+    """The different names, numbered in the order in which they first appear."""
+    return {name: k for k, name in enumerate(dict.fromkeys(names))}
+
+
+def block_parts(
+    assembly: Assembly, moving: Collection[str] = ()
+) -> tuple[list[Part], list[Block], list[float]]:
+    """The stays of all blocks, one block of every shape, and where layers begin [m].
+
+    What is not built is there after a step that never comes.
+    """
+    never = len(assembly.steps) + 1
+    stays: dict[str, list[list[int]]] = {id_: [[never, 0]] for id_ in assembly.not_built}
+    for number, step in enumerate(assembly.steps, 1):
+        if step.place is not None:
+            stays.setdefault(step.place, []).append([number, 0])
+        else:
+            stays[str(step.remove)][-1][1] = number
+    bottoms = np.array([block.vertices[:, 2].min() for block in assembly.blocks])
+    layers = _layers(bottoms, [float(np.ptp(block.vertices[:, 2])) for block in assembly.blocks])
+    numbers: dict[Any, int] = {}
+    shapes: list[Block] = []
+    parts = []
+    level = np.searchsorted(layers, bottoms, side="right") - 1
+    for block, layer, (kind, colour) in zip(
+        assembly.blocks, level.tolist(), kinds_and_colours(assembly), strict=True
+    ):
+        origin = block.vertices.min(0)
+        relative = block.vertices - origin
+        key = ((1e6 * relative).round().astype(np.int64).tobytes(), block.faces)
+        if key not in numbers:
+            numbers[key] = len(shapes)
+            shapes.append(block)
+        colour = "bad" if block.id in moving else colour
+        for placed, removed in stays.get(block.id, [[0, 0]]):
+            parts.append(Part(block, numbers[key], origin, kind, colour, layer, placed, removed))
+    return parts, shapes, layers
+
+
+def _layers(bottoms: np.ndarray, heights: list[float]) -> list[float]:
+    """Heights at which layers begin; in steps of a block where nearly every block has its own."""
+    height = float(np.median(heights))
+    levels = [float(bottoms.min())]
+    for bottom in np.sort(bottoms).tolist():
+        if bottom > levels[-1] + 0.02 * height:
+            levels.append(bottom)
+    count = max(math.ceil(float(np.ptp(bottoms)) / height), 1)
+    if len(levels) > 4 * count:
+        levels = (float(bottoms.min()) + height * np.arange(count + 1)).tolist()
+    used = np.unique(np.searchsorted(np.array(levels) - 1e-9, bottoms, side="right") - 1)
+    return [levels[k] - 1e-9 for k in used.tolist()]
+
+
+def _shape_data(shapes: Sequence[Block]) -> dict[str, Any]:
+    """Vertices and triangles of all shapes, one after the other, and their sections from below:
+    bottom, top, rings and a point in it [m, from the smallest corner]."""
+    vertices, triangles, cuts = [], [], []
+    for block in shapes:
+        points, faces = _triangles(block)
+        vertices.append(points - block.vertices.min(0))
+        triangles.append(faces)
+        cuts.append([_drawn(one, block.vertices.min(0)) for one in sections(block)])
+    wide = max(map(len, vertices)) >= 65536
+    boxes = [np.ptp(block.vertices[:, :2], axis=0) for block in shapes]
+    return {
+        "vertices": packed(np.concatenate(vertices), np.uint16),
+        "triangles": to_base64(np.concatenate(triangles).astype(np.uint32 if wide else np.uint16)),
+        "wide": wide,
+        "first": np.cumsum([0, *map(len, vertices)]).tolist(),
+        "faces": np.cumsum([0, *map(len, triangles)]).tolist(),
+        "sections": cuts,
+        "widths": [rounded(float(size.min())) for size in boxes],
+    }
+
+
+def _triangles(block: Block) -> tuple[np.ndarray, np.ndarray]:
+    """Surface as vertices float64[v, 3] [m] and triangles int[f, 3]."""
+    if block.is_convex:
+        corners = fan_triangles(block.vertices, block.faces).reshape(-1, 3)
+        points, index = np.unique(corners, axis=0, return_inverse=True)
+        return points, index.reshape(-1, 3)
+    mesh = to_manifold(block).to_mesh64()
+    return np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts)
+
+
+def _drawn(section: Section, corner: np.ndarray) -> list[Any]:
+    """Bottom, top, rings and a point in it, from the smallest corner of the block."""
+    x, y, z = corner.tolist()
+    centre = section.area.centroid
+    middle = centre if section.area.contains(centre) else section.area.representative_point()
+    rings = [[[rounded(u - x), rounded(v - y)] for u, v in ring] for ring in section.rings]
+    return [rounded(section.bottom - z), rounded(section.top - z), rings,
+            [rounded(middle.x - x), rounded(middle.y - y)]]  # fmt: skip
+
+
+def side_covers(blocks: list[Block]) -> list[list[list[int]] | None]:
+    """Of every box, the blocks that together cover each of its sides; the sides are not seen while
+    all of these stand.
+
+    Returns:
+        for every block None, or six lists of block numbers, empty for a side that is seen: at the
+        lower and upper end along x, y and z.
+    """
+    low = np.array([block.vertices.min(0) for block in blocks])
+    high = np.array([block.vertices.max(0) for block in blocks])
+    boxes = np.array([
+        len(b.vertices) == 8 and bool((np.isclose(b.vertices, u) | np.isclose(b.vertices, v)).all())
+        for b, u, v in zip(blocks, low, high, strict=True)
+    ])  # fmt: skip
+    found: list[list[list[int]]] = [[[] for _ in range(6)] for _ in blocks]
+    near = _COVERED * float((high - low)[boxes].min()) if boxes.any() else 0.0
+    for axis in range(3):
+        across = [(axis + 1) % 3, (axis + 2) % 3]
+        ups = np.flatnonzero(boxes)[np.argsort(high[boxes, axis], kind="stable")]
+        downs = np.flatnonzero(boxes)[np.argsort(low[boxes, axis], kind="stable")]
+        begin, stop = (
+            np.searchsorted(low[downs, axis], high[ups, axis] + off) for off in (-near, near)
+        )
+        covered = np.zeros((2, len(blocks)))
+        for a, first, last in zip(ups.tolist(), begin.tolist(), stop.tolist(), strict=True):
+            others = downs[first:last]
+            shared = np.minimum(high[a], high[others]) - np.maximum(low[a], low[others])
+            common = np.maximum(shared[:, across], 0.0).prod(1)
+            for b, size in zip(others[common > 0].tolist(), common[common > 0], strict=True):
+                found[a][2 * axis + 1].append(b)
+                found[b][2 * axis].append(a)
+                covered[0, b] += size
+                covered[1, a] += size
+        area = (high - low)[:, across].prod(1)
+        for side in (0, 1):
+            for k in np.flatnonzero(boxes & (covered[side] < (1 - _COVERED) * area)):
+                found[k][2 * axis + side] = []
+    return [sides if box and any(sides) else None
+            for sides, box in zip(found, boxes.tolist(), strict=True)]  # fmt: skip
+
+
+def joint_data(forces: tuple[Contacts, np.ndarray | None]) -> dict[str, Any] | None:
+    contacts, vectors = forces
+    if not len(contacts.points):
+        return None
+    found: dict[str, Any] = {
+        "points": packed(contacts.points, np.uint16), "start": contacts.start.tolist()
+    }  # fmt: skip
+    if vectors is not None and (largest := float(np.linalg.norm(vectors, axis=1).max())) > 0:
+        found |= {"forces": packed(vectors, np.uint16), "largest": largest}
+    return found
+
+
+def rounded(value: float) -> float:
+    """To a micrometre."""
+    return round(float(value), 6) + 0.0

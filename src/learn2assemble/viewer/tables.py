@@ -1,0 +1,265 @@
+"""What the page of an assembly says: head, captions, legend, bill and the table of steps."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from html import escape
+from typing import NamedTuple
+
+import numpy as np
+
+from learn2assemble.assembly.appearance import millimetres
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.instruction_words import (
+    BILL_HEAD,
+    bill_words,
+    corner_words,
+    count_words,
+    extent_words,
+    length_words,
+    placement_words,
+)
+from learn2assemble.assembly.instructions import Instructions, Placement
+from learn2assemble.planning.plan import LARGEST, SearchStage
+from learn2assemble.viewer.html import NUMBER, row
+from learn2assemble.viewer.scene import Mark, Part
+from learn2assemble.viewer.words import percent
+
+STANDARD_GRAVITY = 9.80665
+"""[m/s²]"""
+STEP_HEAD = (
+    "Step", "Action", "Shape", "x", "y", "z", "Turn", "Kind", "Nominal size", "Layer", "Block",
+    "Proof", "Push [N]", "Push [g]", "Tilt [°]",
+)  # fmt: skip
+_NUMBERS = (3, 4, 5, 8, 9, 12, 13, 14, 15)
+"""Columns of the table of steps that hold numbers."""
+
+
+class StepNote(NamedTuple):
+    """What is known about the state after a step."""
+
+    proof: str = ""
+    """How it was proven to stand."""
+    margin_g: float | None = None
+    """Sideways acceleration it withstands [g]."""
+    coverage: float | None = None
+    """Share of what is wanted that is filled."""
+    more: str = ""
+    """Anything else: where the block goes, which share of each side of a target is covered."""
+
+
+class Noted(NamedTuple):
+    """A step of an assembly with all that the page says about it."""
+
+    number: int
+    part: Part
+    placement: Placement
+    note: StepNote
+    weight: float
+    """Of all that stands after the step but fixed supports [N]."""
+    filled: str
+    """What happens to the share of what is wanted: ``filled`` or ``covered``."""
+
+    @property
+    def removes(self) -> bool:
+        """Whether the step takes a prop away."""
+        return self.part.removed == self.number
+
+    @property
+    def push(self) -> float | None:
+        """The sideways push that everything together withstands after the step [N]."""
+        margin = self.note.margin_g
+        return None if margin is None else margin * self.weight
+
+    @property
+    def caption(self) -> str:
+        """What the page says below the 3-D view."""
+        part, note = self.part, self.note
+        action, prop = "Remove" if self.removes else "Place", "prop " * part.block.prop
+        text = f"{action} {prop}{part.block.id} ({part.kind}), layer {part.layer + 1}."
+        if note.proof:
+            text += f" Stands: {note.proof}."
+        if note.margin_g is not None and self.push is not None:
+            text += f" {push_words(note.margin_g, self.push)}"
+        if note.coverage is not None:
+            text += f" {percent(note.coverage)} {self.filled}."
+        return f"{text} {note.more}".strip()
+
+
+def push_words(margin_g: float, push: float) -> str:
+    """In plain words, which push is withstood.
+
+    Args:
+        margin_g: sideways acceleration that is withstood [g].
+        push: of everything together [N].
+    """
+    if margin_g >= LARGEST:
+        return "Withstands any sideways push along x or y."
+    return (
+        f"Withstands a sideways push of {push:.2g} N along x or y, shared by all blocks by weight "
+        f"({margin_g:.2f} g), or a tilt of {tilt_words(margin_g)}°."
+    )
+
+
+def tilt_words(margin_g: float) -> str:
+    """Tilt [deg] with the same ratio of sideways to downward acceleration."""
+    return f"{math.degrees(math.atan(margin_g)):.1f}"
+
+
+def noted_steps(
+    told: Instructions, parts: Sequence[Part], notes: Sequence[StepNote], filled: str
+) -> list[Noted]:
+    """Every step of an assembly with what the page says about it.
+
+    Args:
+        told: the instructions.
+        parts: stays of the blocks.
+        notes: one a step.
+        filled: as :class:`Noted` says.
+    """
+    of_step = {number: part for part in parts for number in (part.placed, part.removed)}
+    free = [p for p in parts if not p.placed and not p.block.support]
+    mass = sum(part.block.mass for part in free)
+    found = []
+    placements = told.placements if told.assembly.steps else []
+    for placement, note in zip(placements, notes, strict=True):
+        part = of_step[placement.number]
+        mass += part.block.mass * (-1 if placement.remove else 1)
+        weight = mass * STANDARD_GRAVITY
+        found.append(Noted(placement.number, part, placement, note, weight, filled))
+    return found
+
+
+def summary(assembly: Assembly, parts: Sequence[Part], extent: np.ndarray) -> str:
+    """How much there is, in one line; ``extent`` float64[3] of all of it [m]."""
+    props = sum(part.block.prop for part in parts)
+    supports = sum(part.block.support for part in parts)
+    words = [count_words(len(parts) - props - supports, "block"), millimetres(*extent)]
+    words += [count_words(props, "prop")] if props else []
+    words += [count_words(supports, "fixed support")] if supports else []
+    words += [count_words(len(assembly.steps), "step")] if assembly.steps else []
+    words += [f"{len(assembly.not_built)} not built"] if assembly.not_built else []
+    return ", ".join([*words, f"friction {assembly.friction:g}"]) + "."
+
+
+def step_table(steps: Sequence[Noted]) -> tuple[str, str]:
+    """Head and rows of the table of steps, with columns of what is filled where that is known."""
+    covered = any(step.note.coverage is not None for step in steps)
+    names = (*STEP_HEAD, *((steps[0].filled.capitalize(), "") if covered else ()))
+    head = "".join(
+        f"<th {NUMBER}>{name}</th>" if k in _NUMBERS else f"<th>{name}</th>"
+        for k, name in enumerate(names)
+    )
+    return head, "".join(_row(step, covered) for step in steps)
+
+
+def _row(step: Noted, covered: bool) -> str:
+    part, note, push = step.part, step.note, step.push
+    _, letter, x, y, z, turn = placement_words(step.placement)
+    known = note.margin_g is not None and push is not None and note.margin_g < LARGEST
+    margin = note.margin_g or 0.0
+    cells = [
+        str(step.number),
+        "remove" if step.removes else "place",
+        letter,
+        x,
+        y,
+        z,
+        turn,
+        escape(part.kind) + ' <span class="tag">prop</span>' * part.block.prop,
+        extent_words(step.placement.shape.nominal),
+        str(part.layer + 1),
+        escape(part.block.id),
+        escape(note.proof) or "–",
+        f"{push:.2g}" if known else "–" if note.margin_g is None else "any",
+        f"{margin:.2f}" if known else "–",
+        tilt_words(margin) if known else "–",
+    ]
+    if covered:
+        cells += [percent(note.coverage), escape(note.more)]
+    numbers = {k: NUMBER for k in _NUMBERS if k < len(cells)}
+    return row(cells, numbers, f'data-step="{step.number}"', f"Show step {step.number}")
+
+
+def bill(told: Instructions) -> tuple[str, str]:
+    """Head and rows of the bill: every shape in its colour, as cards and PDF have it."""
+    numbers = {2: NUMBER, 3: NUMBER, 6: NUMBER}
+    head = "".join(
+        f"<th {NUMBER}>{name}</th>" if k in numbers else f"<th>{name}</th>"
+        for k, name in enumerate(BILL_HEAD)
+    )
+    rows = []
+    for line in told.bill:
+        letter, *words = map(escape, bill_words(line))
+        rows.append(row([_swatch(line.shape.colour) + letter, *words], numbers))
+    return head, "".join(rows)
+
+
+def corners(told: Instructions) -> str:
+    """The corners of shapes that are no boxes, as paragraphs."""
+    found = ((line.shape.letter, corner_words(line.shape)) for line in told.bill)
+    return "".join(
+        f'<p class="corners"><b>Shape {letter}</b>, corners [mm]: {words}</p>'
+        for letter, words in found
+        if words
+    )
+
+
+def layer_words(parts: Sequence[Part], layers: Sequence[float], origin: np.ndarray) -> list[str]:
+    """What belongs to every layer and where it begins.
+
+    For example ``Layer 2 of 9, from 50 mm: 4 of 2x4, 1 of 1x2. Its first block, of step 5: 0 mm to
+    the right of O and 50 mm behind it.``
+    """
+    found = []
+    for k, height in enumerate(layers):
+        members = [part for part in parts if part.layer == k]
+        counts = Counter(part.kind for part in members).most_common()
+        listed = ", ".join(f"{number} of {kind}" for kind, number in counts)
+        words = f"Layer {k + 1} of {len(layers)}, from {millimetres(height - layers[0])}: {listed}."
+        first = min((p for p in members if p.placed), key=lambda p: p.placed, default=None)
+        if first is not None:
+            x, y = (length_words(v) for v in (first.origin - origin)[:2].tolist())
+            words += f" Its first block, of step {first.placed}: {x} mm to the right of O and "
+            words += f"{y} mm behind it."
+        found.append(words)
+    return found
+
+
+def legend(parts: Sequence[Part], marks: Sequence[Mark]) -> str:
+    """Kinds by colour; the swatches are SVG, whose colours need no style sheet."""
+    words = {"prop": "prop, removed again", "support": "fixed support", "bad": "starts to move"}
+    named: dict[str, dict[str, None]] = {}
+    for part in parts:
+        named.setdefault(part.colour, {})[words.get(part.colour, part.kind)] = None
+    text = entry("current", "block of this step") * any(part.placed for part in parts)
+    for colour, kinds in list(named.items())[:16]:
+        several = ", ".join(list(kinds)[:3]) + ", …" * (len(kinds) > 3)
+        text += f"<li>{_swatch(colour)}{escape(several)}</li>"
+    return text + "".join(entry("blamed", escape(mark.words)) for mark in marks)
+
+
+def _swatch(colour: str) -> str:
+    paint = f'fill="{colour}"' if colour.startswith("#") else f'class="{colour}"'
+    return f'<svg class="swatch" viewBox="0 0 14 14"><rect width="14" height="14" {paint}/></svg>'
+
+
+def entry(name: str, words: str) -> str:
+    """An entry of the legend, by the name of its style."""
+    return f'<li><i class="{name}"></i>{words}</li>'
+
+
+def tried(stages: Sequence[SearchStage]) -> str:
+    """What the planner tried, as a table; nothing where it tried nothing."""
+    rows = "".join(
+        row([escape(item.stage), escape(item.result), f"{item.seconds:.2f} s"], {2: NUMBER})
+        for item in stages
+    )
+    head = f"<tr><th>Stage</th><th>Result</th><th {NUMBER}>Time</th></tr>"
+    return (
+        '<section class="more" aria-labelledby="tried-title"><h2 id="tried-title">What was tried'
+        f'</h2><div class="scroll"><table><thead>{head}</thead><tbody>{rows}</tbody></table></div>'
+        "</section>"
+    ) * bool(rows)
