@@ -215,7 +215,7 @@ def _as_pdf(file: Path, made: Assembly) -> tuple[int, float]:
     visitor = lambda words, *_: text.append(words.strip())  # noqa: E731
     pypdf.PdfReader(file).pages[0].extract_text(visitor_text=visitor)
     cells = [words for words in text if words]
-    start = cells.index("Mass") + 1
+    start = cells.index("Mass of one") + 1
     return sum(int(cells[k + 2]) for k in range(start, len(cells) - 6, 7)
                if cells[k + 6].endswith("kg")), 0.0  # fmt: skip
 

@@ -56,6 +56,12 @@ def placement_words(placement: Placement) -> tuple[str, ...]:
     return (str(placement.number), placement.shape.letter, x, y, z, turn_words(placement))
 
 
+def place_words(placement: Placement) -> str:
+    """How far a block is from O, e.g. ``300 mm to the right of O, 0 mm behind it``."""
+    x, y, _ = (length_words(v) for v in placement.position)
+    return "its corner 1 " * placement.leans + f"{x} mm to the right of O, {y} mm behind it"
+
+
 def bill_words(line: BillLine) -> tuple[str, ...]:
     """The line of a shape in a table below :data:`BILL_HEAD`."""
     shape = line.shape

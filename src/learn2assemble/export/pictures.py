@@ -12,6 +12,7 @@ from learn2assemble.assembly.instruction_words import (
     corner_words,
     facts,
     length_words,
+    place_words,
     placement_words,
 )
 from learn2assemble.assembly.instructions import Group, Instructions, Shape, instructions
@@ -179,10 +180,9 @@ def _words(group: Group, layers: int, until: dict[int, int], numbers: list[int])
     first = group.placements[0]
     words = []
     if group.first:
-        x, y, _ = (length_words(v) for v in first.position)
         words.append(
             f"Layer {group.layer} of {layers}, from {length_words(group.level)} mm up. Block "
-            f"{numbers[0]}: {x} mm to the right of O, {y} mm behind it."
+            f"{numbers[0]}: {place_words(first)}."
         )
     if first.remove:
         words.append("Take the prop away; nothing else may move.")

@@ -323,7 +323,7 @@ class Plan:
         words: dict[str, str] = {}
         if self.complete and self.friction_range:
             low, high = self.friction_range
-            words["friction"] = _words(low, high) if high < LARGEST else f"{low:g} to more"
+            words["friction"] = _words(low, high) if high < LARGEST else f"{low:g} or more"
         if self.complete and self.gap_range:
             low, high = self.gap_range
             words["joints"] = f"{_words(1e3 * low, 1e3 * high)} mm"

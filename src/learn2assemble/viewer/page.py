@@ -103,7 +103,7 @@ def render_assembly_page(
     data = scene.scene_data(parts, shapes, layers, len(steps))
     data |= _plan_data(plan) | {
         "captions": captions,
-        "layers": tables.layer_words(_once(parts), layers, told.origin),
+        "layers": tables.layer_words(_once(parts), layers, noted),
         "joints": scene.joint_data(forces) if forces is not None else None,
         "marks": scene.mark_data(marks),
         "scale": scene.scale_data(told.origin, _corners(parts)[1] - told.origin),

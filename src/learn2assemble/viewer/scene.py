@@ -113,7 +113,7 @@ def mark_data(marks: Sequence[Mark]) -> list[dict[str, Any]]:
 
 def scale_data(origin: np.ndarray, extent: np.ndarray) -> dict[str, Any]:
     """The grid of the plans of layers: where O is, how far its lines are apart and how many there
-    are along x and y; at most twelve a side.
+    are along x and y; at most eight a side.
 
     Args:
         origin: float64[3], O [m, world].
@@ -122,7 +122,7 @@ def scale_data(origin: np.ndarray, extent: np.ndarray) -> dict[str, Any]:
     wanted = float(extent[:2].max()) / 8
     power = 10.0 ** math.floor(math.log10(wanted))
     step = next(k * power for k in (1, 2, 5, 10) if k * power >= wanted * (1 - 1e-9))
-    count = [int(math.ceil(float(v) / step - 1e-3)) for v in extent[:2]]
+    count = [int(float(v) / step + 0.02) for v in extent[:2]]
     return {"origin": [rounded(v) for v in origin[:2]], "step": rounded(step), "count": count}
 
 

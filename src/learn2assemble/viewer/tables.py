@@ -18,7 +18,7 @@ from learn2assemble.assembly.instruction_words import (
     corner_words,
     count_words,
     extent_words,
-    length_words,
+    place_words,
     placement_words,
 )
 from learn2assemble.assembly.instructions import Instructions, Placement
@@ -145,17 +145,21 @@ def summary(assembly: Assembly, parts: Sequence[Part], extent: np.ndarray) -> st
 
 
 def step_table(steps: Sequence[Noted]) -> tuple[str, str]:
-    """Head and rows of the table of steps, with columns of what is filled where that is known."""
+    """Head and rows of the table of steps, with columns of what is filled and of what else
+    is known."""
     covered = any(step.note.coverage is not None for step in steps)
-    names = (*STEP_HEAD, *((steps[0].filled.capitalize(), "") if covered else ()))
+    more = any(step.note.more for step in steps)
+    names = [*STEP_HEAD]
+    names += [steps[0].filled.capitalize()] if covered else []
+    names += [""] if more else []
     head = "".join(
-        f"<th {NUMBER}>{name}</th>" if k in _NUMBERS else f"<th>{name}</th>"
+        f"<th {NUMBER}>{name}</th>" if k in _NUMBERS and name else f"<th>{name}</th>"
         for k, name in enumerate(names)
     )
-    return head, "".join(_row(step, covered) for step in steps)
+    return head, "".join(_row(step, covered, more) for step in steps)
 
 
-def _row(step: Noted, covered: bool) -> str:
+def _row(step: Noted, covered: bool, more: bool) -> str:
     part, note, push = step.part, step.note, step.push
     _, letter, x, y, z, turn = placement_words(step.placement)
     known = note.margin_g is not None and push is not None and note.margin_g < LARGEST
@@ -177,9 +181,9 @@ def _row(step: Noted, covered: bool) -> str:
         f"{margin:.2f}" if known else "–",
         tilt_words(margin) if known else "–",
     ]
-    if covered:
-        cells += [percent(note.coverage), escape(note.more)]
-    numbers = {k: NUMBER for k in _NUMBERS if k < len(cells)}
+    cells += [percent(note.coverage)] if covered else []
+    cells += [escape(note.more)] if more else []
+    numbers = {k: NUMBER for k in _NUMBERS if k < len(STEP_HEAD) + covered}
     return row(cells, numbers, f'data-step="{step.number}"', f"Show step {step.number}")
 
 
@@ -207,11 +211,18 @@ def corners(told: Instructions) -> str:
     )
 
 
-def layer_words(parts: Sequence[Part], layers: Sequence[float], origin: np.ndarray) -> list[str]:
+def layer_words(
+    parts: Sequence[Part], layers: Sequence[float], steps: Sequence[Noted]
+) -> list[str]:
     """What belongs to every layer and where it begins.
 
     For example ``Layer 2 of 9, from 50 mm: 4 of 2x4, 1 of 1x2. Its first block, of step 5: 0 mm to
-    the right of O and 50 mm behind it.``
+    the right of O, 50 mm behind it.``
+
+    Args:
+        parts: one stay of every block.
+        layers: where they begin [m, world].
+        steps: all of the assembly.
     """
     found = []
     for k, height in enumerate(layers):
@@ -219,11 +230,10 @@ def layer_words(parts: Sequence[Part], layers: Sequence[float], origin: np.ndarr
         counts = Counter(part.kind for part in members).most_common()
         listed = ", ".join(f"{number} of {kind}" for kind, number in counts)
         words = f"Layer {k + 1} of {len(layers)}, from {millimetres(height - layers[0])}: {listed}."
-        first = min((p for p in members if p.placed), key=lambda p: p.placed, default=None)
+        first = next((s for s in steps if s.part.layer == k and not s.removes), None)
         if first is not None:
-            x, y = (length_words(v) for v in (first.origin - origin)[:2].tolist())
-            words += f" Its first block, of step {first.placed}: {x} mm to the right of O and "
-            words += f"{y} mm behind it."
+            place = place_words(first.placement)
+            words += f" Its first block, of step {first.number}: {place}."
         found.append(words)
     return found
 
