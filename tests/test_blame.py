@@ -14,6 +14,7 @@ import pytest
 
 import learn2assemble as l2a
 from headless import SPATIAL, browse, find_browser
+from learn2assemble.assembly.compas import from_compas, to_compas
 from learn2assemble.assembly.files import from_json, to_json
 from learn2assemble.errors import InputError
 from learn2assemble.planning.plan import BlamedCells, BlockSupply, Plan
@@ -94,6 +95,7 @@ def test_blocks_that_are_not_built_are_kept_in_the_file(refused: Plan) -> None:
     again = from_json(to_json(made))
     assert again.not_built == (name,)
     assert len(again.finished.blocks) == len(blocks) - 1
+    assert from_compas(to_compas(made)).not_built == (name,)
     for wrong, what in (((name, "x"), r"not_built\[1\]"), (tuple(b.id for b in blocks), "not_")):
         with pytest.raises(InputError, match=what):
             from_json({**to_json(made), "not_built": list(wrong)})

@@ -213,8 +213,8 @@ def test_notes_joints_and_forces_are_those_given() -> None:
     for number in (1, 4):
         mass = sum(assembly.block(step.place or "").mass for step in assembly.steps[:number])
         push = f"{0.25 * 9.80665 * mass:.2g}"
-        words = f"a sideways push of {push} N along x or y, shared by all blocks by weight (0.25 g)"
-        assert words in data["captions"][number]
+        words = f"a sideways push of {push} N in every direction, shared by all blocks by weight"
+        assert f"{words} (0.25 g)" in data["captions"][number]
         assert "or a tilt of 14.0°" in data["captions"][number]
         row = text.split(f'<tr data-step="{number}">')[1].split("</tr>")[0]
         assert f'<td class="number">{push}</td><td class="number">0.25</td>' in row

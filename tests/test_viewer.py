@@ -393,7 +393,7 @@ def test_targets_stand_in_the_3d_view(browser: str, tmp_path: Path, plan: Plan) 
     write_plan_page(plan, tmp_path / "view.html")
     images, log = shoot(browser, tmp_path, ("step=0", "step=8"), (1000, 720), *SPATIAL)
     assert "Uncaught" not in log, log
-    stage = [image[440:, 40:560] for image in images]
+    stage = [image[180:470, 40:560] for image in images]
     if pixels(stage[0], "#f1efea") > 0.95 * stage[0][..., 0].size:
         pytest.skip("this browser has no software WebGL")
     outline = [pixels(image, "#0b7285") for image in stage]

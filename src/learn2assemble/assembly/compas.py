@@ -61,8 +61,9 @@ def to_compas(assembly: Assembly) -> dict[str, Any]:
     Its nodes are what stands in the end, each with ``is_support``, its centre (``x``, ``y``, ``z``)
     and the number of the step that places it (``step``, from 1; None without an order); its edges
     hold the interfaces. Where no block is a support, a slab below z = 0 is one, with the attribute
-    ``ground``. The attributes of the assembly hold the whole order (``steps``) and the meshes of
-    ``props`` that are taken away again, friction and units.
+    ``ground``. The attributes of the assembly hold the whole order (``steps``), the meshes of
+    ``props`` that are taken away again and of blocks that are ``not_built``, with the ids of the
+    latter, friction and units.
 
     Identifiers are made from the ids of the blocks, so that the same assembly gives the same file.
     """
@@ -101,6 +102,7 @@ def to_compas(assembly: Assembly) -> dict[str, Any]:
             _compas_mesh(block, k) for block in assembly.blocks
             if str(k := place[block.id]) not in nodes
         ],
+        **({"not_built": list(assembly.not_built)} if assembly.not_built else {}),
     }  # fmt: skip
     return {
         "dtype": _COMPAS_ASSEMBLIES[0],
@@ -212,8 +214,9 @@ def from_compas(document: Any, source: str = "assembly", unit: float = 1.0) -> A
     )
     friction = number(attributes.get("friction", 0.5), f"{source}: friction")
     steps = from_plain(tuple[Step, ...], attributes.get("steps") or (), source, "steps")
+    left = from_plain(tuple[str, ...], attributes.get("not_built") or (), source, "not_built")
     name = attributes.get("name")
-    return Assembly(blocks, steps, friction, name if isinstance(name, str) else "")
+    return Assembly(blocks, steps, friction, name if isinstance(name, str) else "", left)
 
 
 class _CompasMesh(NamedTuple):

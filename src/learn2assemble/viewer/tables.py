@@ -96,10 +96,10 @@ def push_words(margin_g: float, push: float) -> str:
         push: of everything together [N].
     """
     if margin_g >= LARGEST:
-        return "Withstands any sideways push along x or y."
+        return "Withstands any sideways push."
     return (
-        f"Withstands a sideways push of {push:.2g} N along x or y, shared by all blocks by weight "
-        f"({margin_g:.2f} g), or a tilt of {tilt_words(margin_g)}°."
+        f"Withstands a sideways push of {push:.2g} N in every direction, shared by all blocks by "
+        f"weight ({margin_g:.2f} g), or a tilt of {tilt_words(margin_g)}°."
     )
 
 
