@@ -86,9 +86,16 @@ def spread(corners: np.ndarray) -> np.ndarray:
 
 
 def laid_down(block: Block) -> np.ndarray:
-    """float64[3, 3]: turns a block onto its largest face, its longest edge along x; a block that
-    has a level face below, or edges along the axes, is left as it is."""
-    if is_square(block) or is_prism(block):
+    """float64[3, 3]: turns a block onto its largest face, its longest edge along x.
+
+    A block whose edges run along the axes keeps what is up, with its longer side along x; any other
+    that has a level face below is left as it is.
+    """
+    if is_square(block):
+        x, y, _ = np.ptp(block.vertices, axis=0)
+        quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+        return quarter if y > x + 1e-6 else np.eye(3)
+    if is_prism(block):
         return np.eye(3)
     normals = []
     for face in block.faces:

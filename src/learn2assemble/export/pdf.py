@@ -65,17 +65,22 @@ class _Pages:
     def __init__(self, canvas: Any, book: Booklet) -> None:
         self.canvas, self.book = canvas, book
         self.pages, self.column, self.y = 1, 0, _HEIGHT - _EDGE
+        self.top = self.y
+        """Where the columns of this page begin."""
         self.forms: set[str] = set()
         self.wanted: list[tuple[str, int, str | None, bool]] = []
 
     def all(self) -> None:
         self._cover()
-        self._next_page()
+        if self.pages == 1:
+            self._next_page()
+        else:
+            self.top = self.y = self.y - 14
         heights = [self._height(card) for card in self.book.cards]
         for card, height in zip(self.book.cards, heights, strict=True):
             if self.y - height < _EDGE + 14:
                 if self.column == 0:
-                    self.column, self.y = 1, _HEIGHT - _EDGE
+                    self.column, self.y = 1, self.top
                 else:
                     self._next_page()
             self._card(card)
@@ -89,6 +94,7 @@ class _Pages:
     def _next_page(self) -> None:
         self._finish_page()
         self.pages, self.column, self.y = self.pages + 1, 0, _HEIGHT - _EDGE
+        self.top = self.y
 
     def _finish_page(self) -> None:
         end = _WIDTH / 2 + 60
