@@ -10,9 +10,12 @@ import pytest
 from learn2assemble.assembly.blocks import Assembly, Block, box_block
 from learn2assemble.assembly.files import read_assembly
 from learn2assemble.physics.rigid_blocks import FALLS, STANDS, UNCERTAIN, check
+from learn2assemble.planning.construct import plan_assembly
 
 DATA = Path(__file__).parent / "data" / "point_contacts"
-"""Settled in MuJoCo, where they stay within 0.36 mm."""
+"""Settled in MuJoCo, where they stay within 1 mm for two seconds; see settled.py."""
+FALLING = Path(__file__).parent / "data" / "falling"
+"""Heaps without one of the stones that carry them, which move by more than 20 mm in a second."""
 
 
 def ridge(name: str, x: float, height: float = 0.1) -> Block:
@@ -34,8 +37,46 @@ def test_what_settled_on_edges_and_points_stands(name: str) -> None:
     assert "certain" not in answer.proof
 
 
+@pytest.mark.parametrize("name", sorted(path.stem for path in FALLING.glob("*.json")))
+def test_what_falls_in_simulation_is_not_said_to_stand(name: str) -> None:
+    assert check(read_assembly(FALLING / f"{name}.json")).verdict in (FALLS, UNCERTAIN)
+
+
 def test_there_are_samples() -> None:
-    assert len(list(DATA.glob("*.json"))) == 4
+    assert len(list(DATA.glob("*.json"))) == 12
+    assert len(list(FALLING.glob("*.json"))) == 4
+
+
+@pytest.mark.parametrize("name", ["ck2_plank_on_ridges", "ck2_log_in_V", "planks-1", "log-0"])
+def test_what_rests_on_edges_gets_an_order(name: str) -> None:
+    """Plans of given blocks see the contacts that the check sees."""
+    plan = plan_assembly(read_assembly(DATA / f"{name}.json"))
+    assert plan.complete
+    assert all((step.margin_g or 0) > 0 for step in plan.steps)
+
+
+def test_a_heap_that_needs_all_its_stones_is_said_to_stand_once_they_are_there() -> None:
+    """In MuJoCo its stones 0 and 1 fall without stone 2, and stand with it."""
+    plan = plan_assembly(read_assembly(DATA / "ck2_heap0.json"))
+    assert not plan.complete
+    assert "all blocks together stand" in (plan.reason or "")
+
+
+def test_a_state_on_edges_that_is_not_certain_is_not_said_to_fall() -> None:
+    for off, verdict, words in (
+        (1e-2, FALLS, "falls with any of plank"),
+        (1e-3, UNCERTAIN, "is not certain to stand with any of plank"),
+    ):
+        beside = Assembly((ridge("base", 0.0), plank(-0.2 + off, 0.2 + off)))
+        assert check(beside).verdict == verdict
+        assert words in (plan_assembly(beside).reason or "")
+
+
+def test_half_a_roof_falls_and_both_halves_stand() -> None:
+    """What is not known of the ridge says nothing of a slab alone."""
+    roof = read_assembly(DATA / "roof-0.json")
+    assert check(Assembly(roof.blocks[:1], friction=roof.friction)).verdict == FALLS
+    assert "falls with any of" in (plan_assembly(roof).reason or "")
 
 
 @pytest.mark.parametrize("gap", [-0.0002, 0.0, 0.0002])

@@ -18,6 +18,7 @@ from scipy.optimize import linprog
 
 from learn2assemble.assembly.blocks import Assembly, Block, box_block
 from learn2assemble.assembly.contacts import Contacts, find_contacts
+from learn2assemble.assembly.files import from_json
 from learn2assemble.errors import InputError
 from learn2assemble.physics.block_forces import GRAVITY, MOST_G
 from learn2assemble.physics.rigid_blocks import (
@@ -27,6 +28,7 @@ from learn2assemble.physics.rigid_blocks import (
     bed_patches,
     check,
     margin,
+    pressed_patches,
     solve,
 )
 
@@ -327,6 +329,59 @@ def test_a_deck_clamped_between_walls_needs_tight_joints() -> None:
     lintel = boxes(*[tuple(np.ravel([b.vertices.min(0), b.vertices.max(0)])) for b in
                      deck.blocks[:4]], (-1, 0, 1, 7, 1, 2), support=4)  # fmt: skip
     assert check(lintel).verdict == STANDS
+
+
+def arch(voussoirs: int, thick: float = 0.3) -> Assembly:
+    """A half circle of voussoirs between two abutments, in the plane y = 0."""
+    angles = np.linspace(np.pi, 0, voussoirs + 1)
+    blocks = [box_block(f"abutment-{side}", (x, 0, -0.5), (x + thick, 0.4, 0), support=True)
+              for side, x in (("left", -1 - thick), ("right", 1.0))]  # fmt: skip
+    for k in range(voussoirs):
+        ends = [(r * np.cos(t), r * np.sin(t)) for t, r in
+                [(angles[k], 1.0), (angles[k], 1 + thick),
+                 (angles[k + 1], 1 + thick), (angles[k + 1], 1.0)]]  # fmt: skip
+        corners = np.array([(x, y, z) for y in (0.0, 0.4) for x, z in ends])
+        faces = ((3, 2, 1, 0), (4, 5, 6, 7), (1, 5, 4, 0), (2, 6, 5, 1), (3, 7, 6, 2), (0, 4, 7, 3))
+        blocks.append(Block(f"{k}", corners, faces))
+    return Assembly(tuple(blocks), friction=0.7)
+
+
+@pytest.mark.parametrize("voussoirs", [15, 16])
+def test_an_arch_does_not_need_tight_joints(voussoirs: int) -> None:
+    """With an even number the joint at its crown is vertical: weight closes it, too."""
+    answer = check(arch(voussoirs))
+    vertical = ~bed_patches(answer.contacts)
+    assert vertical.sum() == (voussoirs + 1) % 2
+    assert answer.verdict == STANDS
+    if vertical.any():
+        carried = np.linalg.norm(answer.forces, axis=1)[vertical[answer.contacts.patch]]
+        assert carried.max() > 1
+    half = replace(arch(voussoirs), blocks=arch(voussoirs).blocks[: 2 + voussoirs // 2])
+    assert check(half).verdict == FALLS
+
+
+def test_side_faces_are_tight_joints_where_no_block_leans() -> None:
+    assert check(masonry(CASES["06_arch20"])).verdict == STANDS
+    assert check(masonry(CASES["07_shelf-stable"])).verdict == TIGHT
+    answer = check(arch(16))
+    support = np.array([block.support for block in arch(16).blocks])
+    assert pressed_patches(answer.contacts).all()
+    # A voussoir on its own leans on nothing, so its vertical joint is not pressed.
+    present = support.copy()
+    present[[9, 10]] = True
+    at = np.flatnonzero(~bed_patches(answer.contacts))
+    assert not pressed_patches(answer.contacts, present)[at].any()
+
+
+@pytest.mark.slow
+def test_the_cross_vault_stands(reference: Path) -> None:
+    """184 voussoirs; a third of its joints are vertical."""
+    path = reference / "crossvault.json.gz"
+    if not path.exists():
+        pytest.skip("no crossvault.json.gz in ../shared/reference")
+    answer = check(from_json(json.loads(gzip.decompress(path.read_bytes()))))
+    assert answer.verdict == STANDS
+    assert answer.margin_g == pytest.approx(0.2277, rel=0.02)
 
 
 def test_a_wedge_in_a_socket_withstands_any_push() -> None:

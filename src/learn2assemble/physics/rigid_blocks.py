@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import Literal
+from functools import cached_property
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -32,7 +33,9 @@ FALLS: Verdict = "falls"
 UNCERTAIN: Verdict = "not certain"
 
 SIDE = 0.02
-"""A patch is a side face when the vertical part of its normal is at most this."""
+"""A patch is vertical when the vertical part of its normal is at most this."""
+LEVEL = 0.995
+"""It leans, neither vertical nor level, when that part is less than this (6 degrees)."""
 STIFFNESS = (1.0, 0.2)
 """Tangential over normal stiffness of a joint; a fixed point with either one is one."""
 _HOPELESS = 100.0
@@ -59,15 +62,16 @@ class Check:
     """The answer of :func:`check`.
 
     Attributes:
-        verdict: ``stands`` on its bed faces alone, ``stands only with tight joints`` where it also
-            needs vertical faces to press, ``falls``, or ``not certain`` where it rests on edges or
-            points and whether it falls depends on where exactly these lie.
+        verdict: ``stands`` on what weight presses together (:func:`pressed_patches`), ``stands
+            only with tight joints`` where side faces have to press, too, ``falls``, or ``not
+            certain`` where it rests on edges or points and whether it falls depends on where
+            exactly these lie.
         margin_g: sideways acceleration [g] it withstands in every direction; 0 where it falls.
         tilt: inclination of the ground it withstands in every direction [deg].
         holding_force: least force that would hold it, 0 where it stands [N].
         moving: ids of the blocks that move first; empty where it stands.
         blocks: how many there are, supports included.
-        contacts: all patches; ``only(bed)`` are those that carry where it ``stands``.
+        contacts: all patches; where it ``stands``, those of :func:`pressed_patches` carry.
         forces: float64[C, 3], at the corners of ``contacts`` on block ``b`` [N, world].
         method: what decided; see :class:`Equilibrium`.
         proof: what was shown, and what was not, in one line. A fixed point is forces that balance
@@ -112,22 +116,8 @@ def check(
     check_friction(friction)
     standing = assembly.finished
     check_overlaps(standing, tolerance)
-    contacts = find_contacts(standing, tolerance)
-    supported = any(block.support for block in standing.blocks) or (contacts.a < 0).any()
-    if supported:
-        _check_supported(standing, contacts)
-    result, keep, verdict = _on_faces(standing, contacts, friction)
-    if not supported or not result.stands:
-        # Edges and points are looked at only where faces do not carry: what these hold stands.
-        every, known = add_point_contacts(standing, contacts, tolerance)
-        _check_supported(standing, every)
-        if not supported or len(every.a) > len(contacts.a):
-            contacts = every
-            result, keep, verdict = _on_faces(standing, contacts, friction)
-            if not result.stands and not (
-                known.all() and _falls_anyhow(standing, contacts, friction, tolerance)
-            ):
-                verdict = UNCERTAIN
+    joints = Joints(standing, tolerance)
+    result, contacts, keep, verdict = joints.decide(friction)
     margin_g = margin(standing, contacts.only(keep), friction) if result.stands else 0.0
     forces = np.zeros_like(contacts.points)
     forces[keep[contacts.patch]] = result.forces
@@ -139,24 +129,74 @@ def check(
     )  # fmt: skip
 
 
-def _on_faces(
-    assembly: Assembly, contacts: Contacts, friction: float
-) -> tuple[Equilibrium, np.ndarray, Verdict]:
-    """The answer without vertical patches where these carry, else with all; bool[P], those used."""
-    keep = bed_patches(contacts)
-    result = solve(assembly, contacts.only(keep), friction)
-    if result.stands or keep.all():
-        return result, keep, STANDS if result.stands else FALLS
-    result = solve(assembly, contacts, friction)
-    return result, np.ones_like(keep), TIGHT if result.stands else FALLS
+class Decision(NamedTuple):
+    """Whether blocks stand, and on which patches."""
+
+    result: Equilibrium
+    contacts: Contacts
+    """All that were looked at."""
+    keep: np.ndarray
+    """bool[P]: those that carry, or that do not suffice."""
+    verdict: Verdict
 
 
-def _falls_anyhow(
-    assembly: Assembly, contacts: Contacts, friction: float, tolerance: float | None
-) -> bool:
-    """Whether no forces hold it wherever within the tolerance its points of contact lie."""
-    reach = tolerance or float(contact_tolerance(assembly.blocks).max())
-    return not solve(assembly, widened(contacts, 2 * reach), friction, coupled=False).stands
+class Joints:
+    """The contacts of an assembly: of faces and, where these do not carry, of edges and points.
+
+    Args:
+        assembly: blocks where they stand.
+        tolerance: as of :func:`check`.
+
+    Raises:
+        InputError: where nothing stands on a support or the ground.
+    """
+
+    def __init__(self, assembly: Assembly, tolerance: float | None = None) -> None:
+        self.assembly, self.tolerance = assembly, tolerance
+        self.faces = find_contacts(assembly, tolerance)
+        self.support = np.array([block.support for block in assembly.blocks])
+        self.supported = bool(self.support.any() or (self.faces.a < 0).any())
+        _check_supported(assembly, self.faces if self.supported else self.every[0])
+
+    @cached_property
+    def every(self) -> tuple[Contacts, np.ndarray]:
+        """All contacts, those of faces first, and bool[P]: whether the normal of each is known."""
+        return add_point_contacts(self.assembly, self.faces, self.tolerance)
+
+    def decide(self, friction: float, present: np.ndarray | None = None) -> Decision:
+        """Whether the blocks stand, or those of them that are ``present`` (bool[B])."""
+        found = self._on(self.faces, friction, present)
+        if self.supported and found.result.stands:
+            return found
+        # Edges and points are looked at only where faces do not carry: what these hold stands.
+        every, known = self.every
+        if self.supported and len(every.a) == len(self.faces.a):
+            return found
+        found = self._on(every, friction, present)
+        if present is not None:
+            known = known | ~present[every.b] | ((every.a >= 0) & ~present[every.a])
+        certain = found.result.stands or (
+            known.all() and self._falls_anyhow(every, friction, present)
+        )
+        return found if certain else found._replace(verdict=UNCERTAIN)
+
+    def _on(self, contacts: Contacts, friction: float, present: np.ndarray | None) -> Decision:
+        """The answer on the patches that weight presses where these carry, else on all."""
+        keep = pressed_patches(contacts, present)
+        result = solve(self.assembly, contacts.only(keep), friction, present=present)
+        if result.stands or keep.all():
+            return Decision(result, contacts, keep, STANDS if result.stands else FALLS)
+        result = solve(self.assembly, contacts, friction, present=present)
+        return Decision(result, contacts, np.ones_like(keep), TIGHT if result.stands else FALLS)
+
+    def _falls_anyhow(
+        self, contacts: Contacts, friction: float, present: np.ndarray | None
+    ) -> bool:
+        """Whether no forces hold it wherever within the tolerance its points of contact lie."""
+        reach = self.tolerance or float(contact_tolerance(self.assembly.blocks).max())
+        wide = widened(contacts, 2 * reach)
+        found = solve(self.assembly, wide, friction, present=present, coupled=False)
+        return not found.stands
 
 
 def _shown(result: Equilibrium, margin_g: float, verdict: Verdict) -> str:
@@ -182,8 +222,26 @@ def _shown(result: Equilibrium, margin_g: float, verdict: Verdict) -> str:
 
 
 def bed_patches(contacts: Contacts) -> np.ndarray:
-    """bool[P]: patches that are not vertical, so that weight closes them without tight joints."""
+    """bool[P]: patches that are not vertical, so that they press however wide vertical gaps are."""
     return np.abs(contacts.normal[:, 2]) > SIDE
+
+
+def pressed_patches(contacts: Contacts, present: np.ndarray | None = None) -> np.ndarray:
+    """bool[P]: patches that weight presses together, without tight joints.
+
+    These are all that are not vertical, and vertical ones between blocks that lean on others, too,
+    as at the crown of an arch: such blocks are wedges, and sink until their joints press.
+
+    Args:
+        contacts: of an assembly.
+        present: bool[B], the blocks that are there; all by default.
+    """
+    upright = np.abs(contacts.normal[:, 2])
+    leaning = (upright > SIDE) & (upright < LEVEL) & (contacts.a >= 0)
+    if present is not None:
+        leaning &= present[contacts.b] & present[np.maximum(contacts.a, 0)]
+    wedges = np.concatenate([contacts.a[leaning], contacts.b[leaning]])
+    return (upright > SIDE) | (np.isin(contacts.a, wedges) & np.isin(contacts.b, wedges))
 
 
 def solve(

@@ -40,6 +40,8 @@ LOCAL, PROGRAM = "bed faces, local", "bed faces, program"
 FRICTIONLESS, BED, TIGHT = "bed faces, no friction", "bed faces", "tight joints"
 """What may carry: bed faces without friction; bed faces with it; side faces that touch, too. The
 latter two name the proof of a step by the coupled analysis."""
+POINTS = "edges and points"
+"""Proof of a step of given blocks that rest on edges or points, too."""
 _DIRECTIONS = 16
 """In how many directions a sideways acceleration is proven; all others follow from these."""
 _ANGLES = 2 * np.pi / _DIRECTIONS * np.arange(_DIRECTIONS)
