@@ -15,7 +15,7 @@ import pytest
 import learn2assemble as l2a
 from learn2assemble.assembly.contacts import check_overlaps, find_contacts
 from learn2assemble.errors import InputError
-from learn2assemble.physics.rigid_blocks import FALLS, STANDS, TIGHT
+from learn2assemble.physics.rigid_blocks import FALLS, STANDS
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "examples" / "structures"
 
@@ -38,10 +38,10 @@ def script(name: str) -> ModuleType:
         ("vaults", "barrel_vault", {"courses": 2}, 18, {STANDS}),
         ("vaults", "barrel_vault", {"courses": 2, "bond": True}, 22, {STANDS}),
         # Its four parts press against one another in upright planes, as the rings of an open
-        # dome do round the eye.
-        ("vaults", "cross_vault", {"voussoirs": 5, "course": 0.4}, 32, {STANDS, TIGHT}),
+        # dome do round the eye: weight presses them, no tight joint is needed.
+        ("vaults", "cross_vault", {"voussoirs": 5, "course": 0.4}, 32, {STANDS}),
         ("dome", "dome", {"rings": 4, "voussoirs": 8}, 33, {STANDS}),
-        ("dome", "dome", {"rings": 4, "voussoirs": 8, "key": False}, 32, {STANDS, TIGHT}),
+        ("dome", "dome", {"rings": 4, "voussoirs": 8, "key": False}, 32, {STANDS}),
         ("spiral_stair", "spiral_stair", {"steps": 12}, 24, {STANDS}),
     ],
 )
