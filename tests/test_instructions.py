@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -157,3 +158,14 @@ def test_what_stands_from_the_start_has_its_shape_in_the_bill() -> None:
     text = cards_text(made)
     assert "|Stands from the start|" in text
     assert "|0 + 1 standing|" in text
+
+
+def test_what_is_written_at_a_grid_lies_inside_the_picture() -> None:
+    text = step_cards(STRUCTURES["house"]())
+    cover = re.search(r'<svg viewBox="(-?\d+) -?\d+ (\d+) \d+" font-size="(\d+)"', text)
+    assert cover
+    left, width, font = map(int, cover.groups())
+    labels = re.findall(r'<text class=e x="(-?\d+)" y="-?\d+">([^<]*)</text>', text)
+    assert any(words.startswith("z ") for _, words in labels)
+    assert all(left <= int(x) - 0.6 * font * len(words) for x, words in labels)
+    assert all(int(x) <= left + width for x, _ in labels)

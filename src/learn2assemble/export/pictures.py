@@ -219,8 +219,11 @@ def _framed(
         points.append(project(ends) + 1.3 * scene.usual * _UP)
     found = np.concatenate(points)
     low, high = found.min(0), found.max(0)
-    margin = 0.09 * float((high - low).max())
-    return Picture(low - margin, high + margin, grid, uses, outlines, arrows, labels, place)
+    size = float((high - low).max())
+    margin = 0.09 * size
+    # At the left the distances are written outside of the grid.
+    left = np.array([0.07 * size if grid.lines else 0.0, 0.0])
+    return Picture(low - margin - left, high + margin, grid, uses, outlines, arrows, labels, place)
 
 
 def _shape_pictures(told: Instructions, scene: Scene) -> list[tuple[Shape, Picture]]:
