@@ -14,11 +14,16 @@ import pytest
 
 import learn2assemble as l2a
 from headless import SPATIAL, browse, find_browser
+from learn2assemble.assembly.appearance import PALETTE
+from learn2assemble.assembly.blocks import Assembly, Step, box_block
 from learn2assemble.assembly.compas import from_compas, to_compas
 from learn2assemble.assembly.files import from_json, to_json
+from learn2assemble.assembly.instructions import instructions
 from learn2assemble.errors import InputError
+from learn2assemble.export.formats import mjcf
 from learn2assemble.planning.plan import BlamedCells, BlockSupply, Plan
 from learn2assemble.viewer.page import write_plan_page
+from learn2assemble.viewer.picture import _standing
 from learn2assemble.viewer.words import BLAME_WORDS
 
 DESIGN = Path(__file__).resolve().parents[1] / "examples" / "designs" / "cannot_be_built.json"
@@ -110,3 +115,17 @@ def test_cells_to_blame_are_drawn(nothing: Plan, tmp_path: Path) -> None:
     assert 'data-ready="yes"' in dom, log
     assert "data-error" not in dom
     assert "Uncaught" not in log
+
+
+def test_what_is_not_built_is_not_in_the_picture_and_keeps_its_colour() -> None:
+    """The kind that is not built comes first, so the other has the second colour everywhere."""
+    blocks = [
+        box_block(name, (0.1 * k, 0, 0), (0.1 * k + 0.05, 0.05, 0.05), kind=name)
+        for k, name in enumerate(("left out", "built"))
+    ]
+    made = Assembly(tuple(blocks), (Step("built"),)).as_far_as_placed()
+    assert _standing(made, 0).tolist() == [False, False]
+    assert _standing(made, 1).tolist() == [False, True]
+    assert instructions(made).placements[0].shape.colour == PALETTE[1]
+    red, green, blue = (f"{int(PALETTE[1][k : k + 2], 16) / 255:.3f}" for k in (1, 3, 5))
+    assert f'rgba="{red} {green} {blue} 1"' in mjcf(made).decode()

@@ -69,8 +69,7 @@ def glb(assembly: Assembly) -> bytes:
     import trimesh
 
     scene = trimesh.Scene()
-    finished = assembly.finished
-    for block, (_, name) in zip(finished.blocks, kinds_and_colours(finished), strict=True):
+    for block, name in _finished_colours(assembly):
         triangles = np.concatenate(
             [fan_triangles(part.vertices, part.faces) for part in convex_parts(block)]
         )
@@ -114,8 +113,7 @@ def mjcf(assembly: Assembly) -> bytes:
     world = ElementTree.SubElement(root, "worldbody")
     ElementTree.SubElement(world, "light", pos="0 0 3")
     ElementTree.SubElement(world, "geom", name="table", type="plane", size="0 0 0.05")
-    finished = assembly.finished
-    for block, (_, name) in zip(finished.blocks, kinds_and_colours(finished), strict=True):
+    for block, name in _finished_colours(assembly):
         centre = block.centroid
         body = ElementTree.SubElement(world, "body", name=block.id, pos=_numbers(centre))
         if not block.support:
@@ -138,6 +136,13 @@ def mjcf(assembly: Assembly) -> bytes:
             ElementTree.SubElement(body, "geom", attributes)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+
+
+def _finished_colours(assembly: Assembly) -> list[tuple[Block, str]]:
+    """What stands in the end, in the colours that kinds have in the whole assembly."""
+    names = zip(assembly.blocks, kinds_and_colours(assembly), strict=True)
+    colours = {block.id: colour for block, (_, colour) in names}
+    return [(block, colours[block.id]) for block in assembly.finished.blocks]
 
 
 def is_box(block: Block) -> bool:

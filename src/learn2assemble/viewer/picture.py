@@ -84,8 +84,8 @@ def _standing(assembly: Assembly, count: int) -> np.ndarray:
     """bool[B]: what stands after ``count`` steps."""
     if not assembly.steps:
         return np.ones(len(assembly.blocks), bool)
-    placed = {step.place for step in assembly.steps}
-    there = np.array([block.id not in placed for block in assembly.blocks])
+    later = {step.place for step in assembly.steps} | set(assembly.not_built)
+    there = np.array([block.id not in later for block in assembly.blocks])
     for step in assembly.steps[:count]:
         there[assembly.index(step.place or step.remove or "")] = step.place is not None
     return there
