@@ -6,7 +6,8 @@ from pathlib import Path
 from learn2assemble.physics.rigid import RigidPhysics
 from learn2assemble.reproduction.replay import replay_file
 
-file = sys.argv[1] if len(sys.argv) > 1 else "tests/data/transitions_sample.jsonl"
+own = Path(__file__).parents[1] / "tests" / "data" / "transitions_sample.jsonl"
+file = sys.argv[1] if len(sys.argv) > 1 else own
 report = replay_file(Path(file), RigidPhysics).to_dict()
 for name in ("lines", "mask_exact", "complete_exact", "valid_static", "valid_rigid"):
     print(name, report[name])

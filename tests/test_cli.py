@@ -161,6 +161,63 @@ def test_tasks(l2a: Call) -> None:
         assert name in human.out
 
 
+@pytest.mark.parametrize("columns", [20, 40, 80, 200])
+def test_narrow_terminals_lose_nothing(
+    columns: int, l2a: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    out = l2a("tasks").out
+    assert "\u2026" not in out
+    if columns > 20:
+        assert max(map(len, out.splitlines())) <= columns
+    told = "".join(out.split())
+    for name in (*PRESETS, *agent_files()):
+        assert name in told
+
+
+@pytest.mark.parametrize("arm", [None, "panda"])
+def test_resume_of_a_finished_build_is_complete(
+    arm: str | None, l2a: Call, report: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "done"
+    shutil.copytree(report, folder)
+    plan = json.loads((folder / "plan.json").read_text("utf-8"))
+    if arm:
+        plan["arm"] = {"name": arm, "pitch": 0.05, "attempts": 5, "seconds": 9.0, "failures": []}
+        (folder / "plan.json").write_text(json.dumps(plan), "utf-8")
+    before = fingerprint(folder)
+    words = ["build", DESIGNS / "stepped_tower.json", "--out", folder, "--resume"]
+    done = l2a(*words, *(["--arm", arm] if arm else []))
+    assert done.code == 0, done.err
+    assert "complete already" in done.out
+    assert fingerprint(folder) == before
+    other = l2a(*words, "--arm", "ur5e")
+    assert other.code == 2
+    assert "build.jsonl or a complete plan" in other.err
+    plan["status"] = "incomplete"
+    (folder / "plan.json").write_text(json.dumps(plan), "utf-8")
+    assert l2a(*words).code == 2
+
+
+def test_missing_extras_are_named_together(
+    l2a: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in ("av", "ruckig"):
+        monkeypatch.setitem(sys.modules, module, None)
+    words = ["build", DESIGNS / "stepped_tower.json", "--out", tmp_path / "out", "--arm", "panda"]
+    for more, told in (
+        ([], ("ruckig and av are not", "[robot,video]", "--physics kinematic --no-video")),
+        (["--no-video"], ("ruckig is not", "[robot]", "without: --physics kinematic")),
+        (["--physics", "kinematic"], ("av is not", "[video]", "without: --no-video")),
+    ):
+        result = l2a(*words, *more)
+        assert result.code == 2
+        assert result.err.count("\n") == 1
+        for word in told:
+            assert word in result.err
+        assert not (tmp_path / "out").exists()
+
+
 def test_replay(l2a: Call, data: Path) -> None:
     result = l2a("replay", data / "transitions_sample.jsonl", "--json")
     assert result.code == 0

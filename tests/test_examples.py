@@ -1,4 +1,4 @@
-"""Every script in ``examples`` runs, as a reader would run it."""
+"""Every script in ``examples`` runs, from any folder."""
 
 from __future__ import annotations
 
@@ -27,8 +27,6 @@ SLOW = {"build_with_arm"}
 def test_example_runs(name: str, tmp_path: Path) -> None:
     if name == "maskable_ppo" and importlib.util.find_spec("sb3_contrib") is None:
         pytest.skip("sb3-contrib is not installed")
-    for folder in ("examples", "tests"):
-        (tmp_path / folder).symlink_to(ROOT / folder)
     done = subprocess.run(
         [sys.executable, str(EXAMPLES / f"{name}.py"), *WORDS.get(name, [])],
         cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import importlib
 import math
 from collections.abc import Callable, Collection, Generator, Hashable, Iterable, Mapping
 from contextlib import contextmanager
@@ -131,14 +132,36 @@ _SIMPLE: dict[str, tuple[Callable[[object], bool], str]] = {
 class MissingExtraError(Learn2AssembleError, ImportError):
     """An optional dependency is not installed; the message names the extra that brings it."""
 
-    def __init__(self, module: str, extra: str) -> None:
-        self.module, self.extra = module, extra
+    def __init__(self, module: str, extra: str, without: str = "") -> None:
+        self.module, self.extra, self.without = module, extra, without
+        are, them = ("are", "them") if "," in extra else ("is", "it")
+        otherwise = f", or do without: {without}" if without else ""
         super().__init__(
-            f"{module} is not installed; install it with: pip install 'learn2assemble[{extra}]'"
+            f"{module} {are} not installed; install {them} with: "
+            f"pip install 'learn2assemble[{extra}]'{otherwise}"
         )
 
-    def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str]]:
-        return MissingExtraError, (self.module, self.extra)
+    def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str, str]]:
+        return MissingExtraError, (self.module, self.extra, self.without)
+
+
+def require(*needs: tuple[str, str, str]) -> None:
+    """See that optional dependencies are there: the module of each, the extra that brings it, and
+    the option that does without it, or nothing.
+
+    Raises:
+        MissingExtraError: one that names all of them that are missing.
+    """
+    missing: list[tuple[str, str, str]] = []
+    for need in needs:
+        try:
+            importlib.import_module(need[0])
+        except ImportError:
+            missing.append(need)
+    if missing:
+        modules, extras, options = zip(*missing, strict=True)
+        without = " ".join(options) if all(options) else ""
+        raise MissingExtraError(" and ".join(modules), ",".join(extras), without)
 
 
 @contextmanager

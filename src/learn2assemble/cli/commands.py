@@ -30,8 +30,8 @@ from learn2assemble.cli.parser import (
     workers_arguments,
 )
 from learn2assemble.cli.structures import COMMANDS as STRUCTURES
-from learn2assemble.errors import InputError, MissingExtraError
-from learn2assemble.files import claim_folder, to_plain
+from learn2assemble.errors import InputError, MissingExtraError, require
+from learn2assemble.files import check_exists, claim_folder, to_plain
 from learn2assemble.registry import Registry
 from learn2assemble.robot.registry import ARMS
 from learn2assemble.search.config import SEARCHES, TO_THE_END
@@ -98,14 +98,18 @@ def _build(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 for a complete plan, 1 for an incomplete or refused one."""
     from learn2assemble.planning.build import build, builds_with_arm, is_task
 
-    video = options.video and builds_with_arm(options.design, options.arm)
-    if video:
-        from learn2assemble.viewer.video import require_video
-
-        require_video()  # What is missing shows before the work, not after it.
-    state = options.out / STATE if options.arm and not is_task(options.design) else None
+    with_arm, task = builds_with_arm(options.design, options.arm), is_task(options.design)
+    video = options.video and with_arm
+    state = options.out / STATE if options.arm and not task else None
     if options.resume and (state is None or not state.exists()):
-        raise InputError("--resume", str(options.out), f"a folder with {STATE}")
+        return _resume_finished(options, output)
+    # What is missing shows before the work, not after it.
+    needs: list[tuple[str, str, str]] = []
+    if with_arm and options.physics != "kinematic":
+        needs.append(("ruckig", "robot", "" if task else "--physics kinematic"))
+    if video:
+        needs.append(("av", "video", "--no-video"))
+    require(*needs)
     with claim_folder(options.out, options.resume):
         plan = build(
             options.design, **{name: getattr(options, name) for name in _BUILD},
@@ -118,6 +122,26 @@ def _build(options: argparse.Namespace, output: Output) -> int:
     _print_plan(output, plan, files)
     output.finish({**_summary(plan), "files": {k: str(v) for k, v in files.items()}})
     return 0 if plan.complete else 1
+
+
+def _resume_finished(options: argparse.Namespace, output: Output) -> int:
+    """What ``--resume`` does where nothing is left to do: say so."""
+    from learn2assemble.planning.build import is_task
+    from learn2assemble.planning.plan import Plan
+
+    file = options.out / "plan.json"
+    refused = InputError("--resume", str(options.out), f"a folder with {STATE} or a complete plan")
+    if not file.is_file():
+        check_exists(options.out, "folder of a build, to --resume")
+        raise refused
+    plan = Plan.load(options.out)
+    arm = None if plan.arm is None else plan.arm.name
+    own = options.arm is None and is_task(options.design)  # The arm of the task.
+    if not plan.complete or not (own or options.arm == arm):
+        raise refused
+    output.say(f"{plan.design.name}: {plan.status} already, {plan.blocks.used} blocks; {file}")
+    output.finish({**_summary(plan), "files": {"plan": str(file)}})
+    return 0
 
 
 def _summary(plan: Plan) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -47,9 +48,28 @@ class Output:
         table = Table(box=None, pad_edge=False)
         for number, column in enumerate(columns):
             table.add_column(column, justify="right" if number else "left", no_wrap=number == 0)
-        for row in rows:
-            table.add_row(*[_cell(value) for value in row])
-        self.console.print(table, soft_wrap=False)
+        lines = [[_cell(value) for value in row] for row in rows]
+        for line in lines:
+            table.add_row(*[cell.replace("[", "\\[") for cell in line])
+        free = self.console.options.update(width=100_000)
+        if self.console.measure(table, options=free).minimum <= self.console.width:
+            self.console.print(table, soft_wrap=False)
+        else:  # Columns would be cut off.
+            self._records(columns, lines)
+
+    def _records(self, columns: Sequence[str], lines: Sequence[Sequence[str]]) -> None:
+        """The rows of a table that is too wide, one below the other with the names of columns."""
+        for first, *rest in lines:
+            self.say(first)
+            words = "; ".join(
+                f"{name} {cell}" for name, cell in zip(columns[1:], rest, strict=True)
+            )
+            indent = " " * 2
+            for line in textwrap.wrap(
+                words, max(self.console.width, 10), initial_indent=indent,
+                subsequent_indent=indent, break_on_hyphens=False,
+            ):  # fmt: skip
+                self.say(line)
 
     def finish(self, result: dict[str, Any]) -> None:
         """The result as JSON on the last line of standard output, if it was asked for."""
@@ -90,4 +110,4 @@ def _cell(value: Any) -> str:
         return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:.3f}"
-    return str(value).replace("[", "\\[")
+    return str(value)
