@@ -353,9 +353,18 @@ class System:
         cost = np.concatenate([self.weight, np.zeros(2), [MOST_G]])
         energy = sp.csc_matrix((count + 3, count + 3))
 
+        bound = np.zeros(moves.shape[0] + 5)
+        # Directions differ in this bound alone: the matrix is ordered and scaled once.
+        solver = _solver(energy, cost, matrix, bound, cones, _TOLERANCES[1])
+
         def run(direction: np.ndarray) -> tuple[np.ndarray, float] | None:
-            bound = np.concatenate([direction, np.zeros(moves.shape[0] + 3)])
-            answer = _run(energy, cost, matrix, bound, cones, _TOLERANCES[1:])
+            bound[:2] = direction
+            solver.update(b=bound)
+            answer = solver.solve()
+            if answer.status in _STUCK:
+                answer = _run(energy, cost, matrix, bound, cones, _TOLERANCES[2:])
+            elif answer.status not in _SOLVED:
+                answer = None
             return None if answer is None else (-np.array(answer.z[:2]), float(answer.obj_val))
 
         return run
