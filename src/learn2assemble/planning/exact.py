@@ -285,7 +285,7 @@ class _Search:
         near = {b for b in (*ordering.stuck, *ordering.falls) if b < len(blocks)}
         stacked = find_stack(blocks, kit, stood.wanted.shape)
         for b in tuple(near):
-            near |= {*stacked.below(b).tolist(), *stacked.upper[stacked.lower == b].tolist()}
+            near |= {*stacked.below(b).tolist(), *stacked.tops[b].tolist()}
         return made, ordering, [(frozenset(blocks[b] for b in near or range(len(blocks))), False)]
 
 

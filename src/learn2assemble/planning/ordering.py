@@ -156,7 +156,7 @@ def _changed(
     if place:
         dirty[block] = True
     else:
-        dirty[stack.upper[stack.lower == block]] = True
+        dirty[stack.tops[block]] = True
         dirty[stack.below(block)] = True
         dirty &= after
     return after, dirty
@@ -192,7 +192,7 @@ class _Site:
 
     def props_on(self, block: int) -> list[int]:
         """Props that stand on a block."""
-        upper = np.unique(self.stack.upper[self.stack.lower == block]).tolist()
+        upper = self.stack.tops[block].tolist()
         return [b for b in upper if self.placed[b] and self.blocks[b].prop]
 
     def change(self, block: int, place: bool, raising: bool) -> bool:
@@ -240,7 +240,7 @@ class _Site:
             alone = np.zeros_like(placed)
             alone[block] = True
             # With nothing on it, a block that its own bed faces cannot balance falls for sure.
-            free = not (placed[self.stack.upper] & (self.stack.lower == block)).any()
+            free = not placed[self.stack.tops[block]].any()
             if free and self.proof.program(placed, alone, self.clock.left) is False:
                 return None
         changing = lies_below(self.stack, np.flatnonzero(dirty).tolist(), placed)

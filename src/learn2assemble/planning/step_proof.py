@@ -21,8 +21,9 @@ all that friction allows, so the acceleration found is a lower bound of what the
 **Local proof.** A new block's load is passed down, block by block: its bed faces answer with the
 smallest change of their forces that balances it and stays non-negative (a linear pressure where
 nothing is at zero yet), a quadratic program in three multipliers solved by Newton's method. Only
-what lies below is touched. Where that fails, a linear program decides: first over what lies below
-with the loads of all else held, then over all blocks.
+what lies below is touched. Where that fails, forces are looked for under many blocks at once
+(:mod:`.elastic`, and a linear program where that finds no answer): first under what lies below with
+the loads of all else held, then under all blocks.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.assembly.kit import Kit
+from learn2assemble.planning.elastic import balance
 from learn2assemble.planning.programs import INF, Program, solve
 from learn2assemble.planning.tiling import BlockPlacement, hull_of_boxes, owners, placement_cells
 
@@ -91,10 +93,29 @@ class Stack:
     def __len__(self) -> int:
         return len(self.weight)
 
+    @cached_property
+    def above(self) -> tuple[np.ndarray, np.ndarray]:
+        """int64: the points that rest on each block b, from ``start[b]`` to ``start[b + 1]``, and
+        ``start``."""
+        order = np.argsort(self.lower, kind="stable")
+        points = order[np.searchsorted(self.lower[order], 0) :]
+        return points, np.searchsorted(self.lower[points], np.arange(len(self) + 1))
+
+    @cached_property
+    def bases(self) -> list[np.ndarray]:
+        """For each block, int64: those it rests on, sorted, without the table."""
+        return [found[found >= 0] for found in
+                map(np.unique, np.split(self.lower, self.start[1:-1]))]  # fmt: skip
+
+    @cached_property
+    def tops(self) -> list[np.ndarray]:
+        """For each block, int64: those that rest on it, sorted."""
+        points, start = self.above
+        return [np.unique(found) for found in np.split(self.upper[points], start[1:-1])]
+
     def below(self, block: int) -> np.ndarray:
         """Blocks that ``block`` rests on, sorted, without the table."""
-        found = np.unique(self.lower[self.start[block] : self.start[block + 1]])
-        return found[found >= 0]
+        return self.bases[block]
 
 
 def find_stack(
@@ -378,20 +399,23 @@ class Proof:
     def program(
         self, placed: np.ndarray, changing: np.ndarray, seconds: float = INF
     ) -> bool | None:
-        """The linear program over the bed forces of the blocks ``changing`` (bool[n]).
+        """Forces under the blocks ``changing`` (bool[n]), all found at once.
 
-        All other blocks keep their forces. Returns whether it is feasible, None where time ran
-        out; where it is, its forces are taken.
+        All other blocks keep their forces. Returns whether there are any, None where time ran
+        out; where there are, they are taken.
         """
         free, _, program = self._equations(placed, changing)
-        answer = solve(program, seconds)
-        if answer.status == "time":
-            return None
-        if answer.x is None:
-            return False
         unit = self.stack.weight[changing & placed].max()
+        found = balance(program, self.stack.share[free], self.force[free] / unit)
+        if found is None:
+            answer = solve(program, seconds)
+            if answer.status == "time":
+                return None
+            found = False if answer.x is None else np.maximum(answer.x, 0.0)
+        if isinstance(found, bool):
+            return found
         self.force[~self._live(placed)] = 0.0
-        self.force[free] = np.maximum(answer.x, 0.0) * unit
+        self.force[free] = found * unit
         return True
 
     def held(self, placed: np.ndarray, seconds: float = INF) -> list[int]:
@@ -467,7 +491,7 @@ def lies_below(stack: Stack, blocks: Iterable[int], placed: np.ndarray) -> np.nd
 
 def lies_above(stack: Stack, blocks: Iterable[int]) -> np.ndarray:
     """bool[n]: ``blocks`` and all that rest on them, directly or not."""
-    return _reached(stack, [*blocks], lambda base: stack.upper[stack.lower == base].tolist())
+    return _reached(stack, [*blocks], lambda base: stack.tops[base].tolist())
 
 
 def _reached(stack: Stack, queue: list[int], near: Callable[[int], Iterable[int]]) -> np.ndarray:

@@ -191,11 +191,20 @@ def support_margin(cells: np.ndarray, carried: np.ndarray, kit: Kit) -> float:
         carried: bool[m]: what is below bears this cell.
         kit: for the joint gap, by half of which bed faces are smaller than cells.
     """
+    plan = cells[:, :2] - cells[:, :2].min(0)
+    inset = tuple(kit.joint_gap / 2 / pitch for pitch in kit.pitch[:2])
+    return _support_margin(plan.astype(np.int64).tobytes(), carried.tobytes(), inset)
+
+
+@lru_cache(maxsize=1 << 16)
+def _support_margin(plan: bytes, bears: bytes, inset: tuple[float, ...]) -> float:
+    """:func:`support_margin` of int64[m, 2] and bool[m] as bytes; few patterns come up often."""
+    cells = np.frombuffer(plan, np.int64).reshape(-1, 2)
+    carried = np.frombuffer(bears, bool)
     if not carried.any():
         return -INF
-    centre = cells[:, :2].mean(0) + 0.5
-    inset = kit.joint_gap / 2 / np.array(kit.pitch[:2])
-    hull = hull_of_boxes(cells[carried, :2] + inset, cells[carried, :2] + 1 - inset)
+    centre = cells.mean(0) + 0.5
+    hull = hull_of_boxes(cells[carried] + inset, cells[carried] + 1 - np.array(inset))
     edge = np.roll(hull, -1, 0) - hull
     beyond = edge[:, 0] * (centre[1] - hull[:, 1]) - edge[:, 1] * (centre[0] - hull[:, 0])
     return float((beyond / np.hypot(edge[:, 0], edge[:, 1])).min())

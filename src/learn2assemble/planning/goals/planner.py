@@ -1,4 +1,4 @@
-"""From goals to a plan: what is impossible is refused, then search, then the exact program."""
+"""From goals to a plan: what is impossible is refused; then stacks, search and exact program."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from learn2assemble.planning.construct import AGENT, AUTO, EXACT, report_plan
 from learn2assemble.planning.goals.network import Guide, default_guide
 from learn2assemble.planning.goals.program import MOST, plan_program
 from learn2assemble.planning.goals.search import Found, search
+from learn2assemble.planning.goals.stacks import TIGHT, find_stacks
 from learn2assemble.planning.goals.world import (
     MAX_CANDIDATES,
     Problem,
@@ -30,10 +31,12 @@ from learn2assemble.planning.step_proof import find_stack
 from learn2assemble.planning.tiling import BlockPlacement, Tiling, owners, placement_cells
 from learn2assemble.planning.workcell_site import Obstacle, Site
 
-SEARCH = "search"
-"""Who plans where no network was asked."""
+SEARCH, STACKS = "search", "stacks"
+"""Who plans where no network was asked, and where one stack under every goal was enough."""
 SEARCH_SECONDS = (10.0, 30.0)
 """Limits of the search in front of the exact program: planar and spatial goals [s]."""
+STACK_SECONDS = 10.0
+"""Limit of the program that shares blocks out among stacks, which mostly takes less than one."""
 _DIRECTIONS = 16
 
 
@@ -48,7 +51,8 @@ def plan_goals(
     Args:
         planner: ``"agent"``: the learned search; ``"exact"``: the mixed-integer program;
             ``"auto"``: the search without a network, then the learned one, then the program, until
-            one finds a structure.
+            one finds a structure. Where the goals need most of a heap, or nothing else is found, a
+            program shares the blocks out among one stack under every goal (:mod:`.stacks`).
         guide: the network of the search; by default the one of the package.
         learned: whether the search uses a network.
         seed: of the search.
@@ -68,7 +72,10 @@ def plan_goals(
     blocks: tuple[BlockPlacement, ...] = ()
     chosen, status = planner, "refused" if reason else "incomplete"
     used: Guide | None = None
-    if planner != EXACT and not reason:
+    tight = not reason and planner != EXACT and _is_tight(problem)
+    if tight:
+        blocks, chosen = _stack(problem, seconds, stages, progress), STACKS
+    if planner != EXACT and not reason and not blocks:
         progress("searching for a structure")
         limit = SEARCH_SECONDS[min(goals.shape[:2]) > 1]
         limit = seconds if planner == AGENT else min(limit, seconds / 3)
@@ -94,6 +101,9 @@ def plan_goals(
             status = "refused"
             reason = (f"no structure of up to {MOST} blocks of kit `{goals.kit.name}` meets the "
                       "goals and stands (mixed-integer program)")  # fmt: skip
+    if not blocks and not tight and status != "refused":
+        blocks = _stack(problem, seconds, stages, progress)
+        chosen, reason = (STACKS, "") if blocks else (chosen, reason)
     plan = _report(
         goals, blocks, reason, status, friction, gap, time.perf_counter() - started, chosen,
         seconds, used.name if used and chosen == AGENT else None,
@@ -102,6 +112,27 @@ def plan_goals(
     design = replace(plan.design, boxes=tuple(plans.PlanBox(*box) for box in goals.boxes()))
     return replace(plan, design=design, search=plans.SearchReport(chosen, 0, tuple(stages)),
                    verified_by=f"{plan.verified_by}{also}")  # fmt: skip
+
+
+def _is_tight(problem: Problem) -> bool:
+    """Whether the goals need most of the blocks that there are."""
+    heap = World(problem.site).heap
+    return bool((heap >= 0).all()) and (
+        relax(problem, World(problem.site)).blocks >= TIGHT * heap.sum()
+    )
+
+
+def _stack(
+    problem: Problem, seconds: float, stages: list[plans.SearchStage],
+    progress: Callable[[str], None],
+) -> tuple[BlockPlacement, ...]:  # fmt: skip
+    """Stacks under all goals, and a note of what came of it."""
+    progress("sharing the blocks out among stacks")
+    started = time.perf_counter()
+    blocks = find_stacks(problem, seconds=min(seconds, STACK_SECONDS))
+    words = f"{len(blocks)} blocks" if blocks else "nothing found"
+    stages.append(plans.SearchStage(STACKS, words, round(time.perf_counter() - started, 3)))
+    return blocks
 
 
 def prepare(goals: Goals) -> tuple[Problem, str]:
