@@ -71,6 +71,8 @@ FRICTION_ROUNDS = 24
 """Of tiling again where friction carries."""
 MAX_NEAR, MAX_ABOVE = 500, 700
 """Cells that one program decides together with their forces: round what falls, and all above."""
+MAX_WHOLE = 600
+"""Of a building of more blocks, the uppermost part that falls is looked at first, and alone."""
 MAX_COUPLED = 400
 """Of a building of more blocks it is not asked whether friction carries it; that takes minutes."""
 MAX_PLACEMENTS = 10_000
@@ -425,11 +427,19 @@ def stand(tiling: Tiling, kit: Kit, clock: Clock, again: Retiling | None = None)
         tiling = first if number == CUT_ROUNDS else tiling
         stack = find_stack(tiling.placements, kit, shape)
         proof, everything = Proof(stack), np.ones(len(stack), bool)
-        if proof.settle(everything, everything) or proof.program(
-            everything, everything, clock.left
-        ):
+        part = np.arange(len(stack))
+        if proof.settle(everything, everything):
             return tiling
-        held = proof.held(everything, clock.left)
+        if kit.flat and len(stack) > MAX_WHOLE:
+            part = _falling_part(proof, tiling, clock)
+            if not len(part):
+                return tiling
+        elif proof.program(everything, everything, clock.left):
+            return tiling
+        # What is below is ground: if the part falls there, it does on anything.
+        small = stack.part(part)
+        held_there = Proof(small).held(np.ones(len(small), bool), clock.left)
+        held = part[held_there].tolist()
         if clock.left <= 0 or not held:
             break
         status, better = "unknown", None
@@ -441,10 +451,13 @@ def stand(tiling: Tiling, kit: Kit, clock: Clock, again: Retiling | None = None)
             tiling = better
             continue
         owner = owners(tiling.placements, kit, shape)
+        number_there = np.full(len(stack) + 1, -1)
+        number_there[part] = np.arange(len(part))
+        there = number_there[owner]
         # What has to be held moves, and what stands on it: a much smaller program.
-        moving = lies_above(stack, held)
-        found = find_mechanisms(stack, owner, seconds=clock.left, moving=moving)
-        found = found or find_mechanisms(stack, owner, seconds=clock.left)
+        moving = lies_above(small, held_there)
+        found = find_mechanisms(small, there, seconds=clock.left, moving=moving)
+        found = found or find_mechanisms(small, there, seconds=clock.left)
         if clock.left <= 0:
             break
         new = [again.add(cut) for edges in found for cut in mirrored(edges, wanted, square)]
@@ -470,6 +483,21 @@ def stand(tiling: Tiling, kit: Kit, clock: Clock, again: Retiling | None = None)
         reason += f" ({describe_lack(kit, wanted, cells)})"
     reason += f"; {TIME_OPTION} gives more"
     return replace(tiling, status="time", reason=reason)
+
+
+def _falling_part(proof: Proof, tiling: Tiling, clock: Clock) -> np.ndarray:
+    """int64: blocks of the fewest uppermost levels that fall on what is below them, which is taken
+    for ground; empty where everything stands. Where time runs out, all that was looked at."""
+    level = np.array([block.origin[2] for block in tiling.placements])
+    everything, top = np.ones(len(level), bool), int(level.max())
+    stands, falls, wide = top + 1, -1, 1
+    while stands > max(falls, 0) + (falls >= 0):
+        middle = (stands + falls) // 2 if falls >= 0 else max(stands - wide, 0)
+        if proof.program(everything, level >= middle, clock.left):
+            stands, wide = middle, 2 * wide
+        else:
+            falls = middle
+    return np.flatnonzero(level >= falls) if falls >= 0 else np.empty(0, np.int64)
 
 
 def _stand_near(

@@ -29,7 +29,7 @@ the loads of all else held, then under all blocks.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -112,6 +112,18 @@ class Stack:
         """For each block, int64: those that rest on it, sorted."""
         points, start = self.above
         return [np.unique(found) for found in np.split(self.upper[points], start[1:-1])]
+
+    def part(self, blocks: np.ndarray) -> Stack:
+        """The blocks with the given indices (int64[k], ascending), what is below them as ground."""
+        number = np.full(len(self) + 1, GROUND)
+        number[blocks] = np.arange(len(blocks))
+        points = np.flatnonzero(number[self.upper] >= 0)
+        upper = number[self.upper[points]]
+        return replace(
+            self, weight=self.weight[blocks], centre=self.centre[blocks], point=self.point[points],
+            upper=upper, lower=number[self.lower[points]], share=self.share[points],
+            start=np.searchsorted(upper, np.arange(len(blocks) + 1)), rank=self.rank[blocks],
+        )  # fmt: skip
 
     def below(self, block: int) -> np.ndarray:
         """Blocks that ``block`` rests on, sorted, without the table."""
