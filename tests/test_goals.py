@@ -17,10 +17,12 @@ from learn2assemble.cli import main
 from learn2assemble.design.goals import Goals, parse_goals, read_goals
 from learn2assemble.errors import InputError
 from learn2assemble.physics.rigid_blocks import check
+from learn2assemble.planning.exact import plan_exact
 from learn2assemble.planning.goals.network import load_guide, save_guide
 from learn2assemble.planning.goals.planner import plan_goals, prepare
 from learn2assemble.planning.goals.program import Exact, find_order, plan_program
 from learn2assemble.planning.goals.search import finished, search
+from learn2assemble.planning.goals.stacks import find_stacks
 from learn2assemble.planning.goals.tasks import (
     FAMILIES,
     FIRST_FIXED_SEED,
@@ -406,3 +408,34 @@ def test_goals_for_which_nothing_is_found_end_in_exit_code_1(
     assert plan.status == "incomplete"
     assert plan.reason
     assert "What was tried" in (tmp_path / "out" / "view.html").read_text()
+
+
+def two_towers(**given) -> dict:
+    """Two points at the height of ten levels, and twenty blocks, each of which is needed."""
+    return {
+        "format": "learn2assemble-goals", "version": 1, "kit": "bricks-lintels",
+        "site": [0.7, 0.3, 0.5], "reach": [[-0.225, 0.025, 0.5], [0.225, 0.025, 0.5]],
+        "heap": {"2x2": 8, "1x1": 4, "1x4": 4, "1x2": 4}, **given,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("planner", ["auto", "agent"])
+def test_a_heap_that_just_suffices_is_shared_out_between_two_stacks(planner: str) -> None:
+    plan = plan_goals(parse_goals(two_towers()), planner=planner, seconds=600)
+    assert plan.complete, plan.reason
+    assert (plan.blocks.used, plan.search.needed) == (20, "stacks")
+    fewer = {"2x2": 8, "1x1": 4, "1x4": 4, "1x2": 3}
+    assert not find_stacks(make_problem(parse_goals(two_towers(heap=fewer))))
+
+
+def test_the_blocks_of_two_stacks_fill_their_drawing() -> None:
+    """The same two towers, drawn as cells, with the same heap."""
+    goals = parse_goals(two_towers())
+    blocks = find_stacks(make_problem(goals))
+    wanted = np.zeros(goals.shape, bool)
+    for block in blocks:
+        wanted[tuple(placement_cells(block, goals.kit).T)] = True
+    tiling, ordering = plan_exact(wanted, goals.kit, seconds=600)
+    assert ordering is not None
+    assert ordering.status == "complete"
+    assert len(tiling.placements) == 20

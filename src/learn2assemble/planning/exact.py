@@ -489,10 +489,11 @@ def _falling_part(proof: Proof, tiling: Tiling, clock: Clock) -> np.ndarray:
     """int64: blocks of the fewest uppermost levels that fall on what is below them, which is taken
     for ground; empty where everything stands. Where time runs out, all that was looked at."""
     level = np.array([block.origin[2] for block in tiling.placements])
-    everything, top = np.ones(len(level), bool), int(level.max())
-    stands, falls, wide = top + 1, -1, 1
-    while stands > max(falls, 0) + (falls >= 0):
-        middle = (stands + falls) // 2 if falls >= 0 else max(stands - wide, 0)
+    everything = np.ones(len(level), bool)
+    stands, falls, wide = int(level.max()) + 1, -1, 1  # what is from these levels up
+    while stands > falls + 1:
+        # Parts grow until one falls; then the border is looked for.
+        middle = max(stands - wide, 0) if falls < 0 else (stands + falls) // 2
         if proof.program(everything, level >= middle, clock.left):
             stands, wide = middle, 2 * wide
         else:

@@ -14,7 +14,7 @@ step says so.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -51,6 +51,9 @@ _ENOUGH = 1 / math.cos(2 * np.pi / _DIRECTIONS)
 across it does not cut them off; more does not help."""
 _LEAST, _PRECISION = 2e-3, 0.005
 """Smallest sideways acceleration looked for [g], and how exactly it is found (relative)."""
+_FIRMED, _WEAK, _FIRM, _FIRM_BLOCKS = 6, 0.02, 0.05, 200
+"""How many of the weakest steps are looked at again by programs, below which margin [g], how
+exactly (relative), and of at most how many blocks."""
 _GAP_TRIALS = 7
 
 
@@ -387,6 +390,14 @@ class _Sideways:
             load.search(placed, upright, enough, clock.left)
             enough = min(enough, _ENOUGH * load.level) if load.level > 0 else enough
 
+    def firm(self, placed: np.ndarray, clock: Clock) -> None:
+        """Levels that programs prove, which take longer than local proofs and find more."""
+        self.drop()
+        enough = self.most
+        for load in self.loads:
+            load.firm(placed, enough, clock)
+            enough = min(enough, _ENOUGH * max(load.level, _LEAST))
+
 
 class _Load:
     """The largest acceleration along one direction for which a proof is at hand."""
@@ -444,6 +455,17 @@ class _Load:
                 return True
         return False
 
+    def firm(self, placed: np.ndarray, most: float, clock: Clock) -> None:
+        """The highest level above the present one, up to ``most``, that a program proves."""
+        low, high, level = self.level, most, most
+        while high - low > max(_FIRM * low, _LEAST / 4) and clock.left > 0:
+            proof = self._fresh(level)
+            if proof.program(placed, placed, clock.left):
+                low, self.level, self.proof = level, level, proof
+            else:
+                high = level
+            level = math.sqrt(max(low, _LEAST / 4) * high)
+
     def _try(self, level: float, placed: np.ndarray, upright: np.ndarray) -> bool:
         # Linear pressures from nothing are smoothest; else the forces of the upright state guide.
         for start in (None, upright):
@@ -494,6 +516,8 @@ def order(
             placed = site.placed.copy()
             placed[stuck[0]] = True
             falls = tuple(site.proof.held(placed, clock.left))
+    if status == "complete" and len(blocks) <= _FIRM_BLOCKS:
+        _firm(site)
     margin = min((step.margin_g for step in steps), default=0.0)
     rubs = any(step.proof in (BED, TIGHT) for step in steps)
     gaps = (0.0, widest)
@@ -501,6 +525,23 @@ def order(
         gaps = 0.0, _widest_gap(tiling, kit, steps, widest, clock)
     return Ordering(tuple(steps), status, reason, margin, ends if rubs else (0.0, INF), gaps,
                     tuple(stuck), falls, clock.spent)  # fmt: skip
+
+
+def _firm(site: _Site) -> None:
+    """Look again, by programs, for the margins of the weakest steps that bed faces carry."""
+    for _ in range(_FIRMED):
+        weakest = min(range(len(site.steps)), key=lambda n: site.steps[n].margin_g)
+        step = site.steps[weakest]
+        if step.margin_g >= _WEAK or step.proof not in (LOCAL, PROGRAM) or site.late:
+            break
+        placed = np.zeros(len(site.stack), bool)
+        for done in site.steps[: weakest + 1]:
+            placed[done.block] = done.place is not None
+        sideways = _Sideways(site.stack, site.friction)
+        sideways.firm(placed, site.clock)
+        if sideways.radius <= step.margin_g:
+            break
+        site.steps[weakest] = replace(step, margin_g=sideways.radius)
 
 
 def _why_stuck(site: _Site, number: int) -> str:

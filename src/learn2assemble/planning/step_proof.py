@@ -94,14 +94,6 @@ class Stack:
         return len(self.weight)
 
     @cached_property
-    def above(self) -> tuple[np.ndarray, np.ndarray]:
-        """int64: the points that rest on each block b, from ``start[b]`` to ``start[b + 1]``, and
-        ``start``."""
-        order = np.argsort(self.lower, kind="stable")
-        points = order[np.searchsorted(self.lower[order], 0) :]
-        return points, np.searchsorted(self.lower[points], np.arange(len(self) + 1))
-
-    @cached_property
     def bases(self) -> list[np.ndarray]:
         """For each block, int64: those it rests on, sorted, without the table."""
         return [found[found >= 0] for found in
