@@ -245,7 +245,7 @@ BAD = [
                                     "suction"], "--arm"),
     BadCall("unknown physics", exact_arm("--physics", "static"), "physics: got 'static'"),
     BadCall("noise in words", exact_arm("--sense-noise", "little"), "millimetres"),
-    BadCall("resume a build that never began", exact_arm("--resume"), "folder of a build, to --resume"),
+    BadCall("resume a build that never began", exact_arm("--resume"), "build, to --resume"),
     BadCall("layout out of reach", exact_arm("--layout", "{d}/far.json"),
             "a place panda can reach"),
     BadCall("layout with an overlap", exact_arm("--layout", "{d}/overlap.json"),

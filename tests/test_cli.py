@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import io
 import json
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +18,7 @@ import torch
 
 from bad_calls import BAD, TASK, TINY_RUN, BadCall, prepare
 from learn2assemble import __version__
-from learn2assemble.cli import main
+from learn2assemble.cli import main, output
 from learn2assemble.cli.parser import COMMANDS, make_parser
 from learn2assemble.evaluation.episodes import search_config
 from learn2assemble.networks.agent import Agent, agent_files, load_agent, save_agent
@@ -197,6 +199,36 @@ def test_resume_of_a_finished_build_is_complete(
     plan["status"] = "incomplete"
     (folder / "plan.json").write_text(json.dumps(plan), "utf-8")
     assert l2a(*words).code == 2
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_terminal_is_never_left_in_silence(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A line says what is going on, for how long, and what is left; a result takes it away."""
+    shown = Terminal()
+    monkeypatch.setattr(sys, "stderr", shown)
+    monkeypatch.setattr(output, "QUIET", 0.0)
+    beat = output.Heartbeat("working", 60.0)
+    assert beat.words(beat.started + 12) == "l2a: working ... 12 s, at most 48 s left"
+    assert beat.words(beat.started + 99).endswith("at most 0 s left")
+    with beat:
+        beat.clear("choosing blocks")
+        while "choosing blocks ... " not in shown.getvalue():
+            time.sleep(0.01)
+        output.Output(False, beat).say("done")
+        told = shown.getvalue()
+        assert told.endswith("\r\x1b[K")
+        time.sleep(0.7)
+        assert shown.getvalue() == told
+    # Nothing of it where nobody looks.
+    plain = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", plain)
+    with output.Heartbeat("working"):
+        time.sleep(0.7)
+    assert plain.getvalue() == ""
 
 
 def test_missing_extras_are_named_together(

@@ -80,6 +80,8 @@ def test_a_table_is_measured_once(
              "--workers", 1]  # fmt: skip
     first, text = l2a(capsys, *words)
     assert first["measured"] == 11
+    assert " 11 to measure: " in text
+    assert "minutes with 1 processes; --quick measures less" in text
     assert not first["quick"]
     assert QUICK not in text
     for word in ("not trained", NAME, "paper"):

@@ -13,7 +13,7 @@ from functools import partial
 from types import FrameType
 from typing import Any
 
-from learn2assemble.cli.output import Output
+from learn2assemble.cli.output import Heartbeat, Output
 from learn2assemble.cli.parser import make_parser
 from learn2assemble.errors import InputError, Learn2AssembleError, one_line
 from learn2assemble.files import printable
@@ -36,7 +36,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # From here on an interrupt lets the command tidy up.
         sys.unraisablehook = partial(_unraisable, report)
         signal.signal(signal.SIGINT, _interrupt)
-        code = int(options.run(options, Output(options.json)) or 0)
+        seconds = getattr(options, "seconds", None) or 60 * (getattr(options, "minutes", None) or 0)
+        with Heartbeat("working", seconds or None) as heartbeat:
+            code = int(options.run(options, Output(options.json, heartbeat)) or 0)
         sys.stdout.flush()
         return code
     except Learn2AssembleError as error:

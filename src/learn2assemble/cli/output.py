@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import sys
 import textwrap
+import threading
+import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,29 +16,96 @@ from typing import Any
 from learn2assemble.errors import InputError
 from learn2assemble.files import printable, write_file
 
+QUIET = 1.5
+"""So long nothing may be shown on a terminal before a line says what is going on [s]."""
+
+
+class Heartbeat:
+    """A line on a terminal that says what is going on, for how long, and what time is left.
+
+    It takes the place of silence only: the line goes away before anything else is shown, and where
+    a progress bar runs there is none.
+
+    Args:
+        phase: what the command does first.
+        limit: it ends after about so long [s]; None: not known.
+    """
+
+    def __init__(self, phase: str, limit: float | None = None) -> None:
+        self.phase, self.limit = phase, limit
+        self.started = self.told = time.monotonic()
+        self._shown, self._lock, self._done = False, threading.Lock(), threading.Event()
+
+    def __enter__(self) -> Heartbeat:
+        if sys.stderr.isatty():
+            threading.Thread(target=self._beat, daemon=True).start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set()
+        self.clear()
+
+    def clear(self, phase: str | None = None) -> None:
+        """Take the line away, as something is about to be shown: the next ``phase``, if any."""
+        with self._lock:
+            self.phase = phase or self.phase
+            self.told = time.monotonic()
+            if self._shown:
+                sys.stderr.write("\r\x1b[K")
+                sys.stderr.flush()
+                self._shown = False
+
+    def stop(self) -> None:
+        """The command has its result."""
+        self._done.set()
+        self.clear()
+
+    def words(self, now: float) -> str:
+        """The line at a time of the monotonic clock."""
+        spent = now - self.started
+        left = "" if self.limit is None else f", at most {max(self.limit - spent, 0):.0f} s left"
+        return f"l2a: {self.phase} ... {spent:.0f} s{left}"
+
+    def _beat(self) -> None:
+        while not self._done.wait(0.5):
+            bars: Any = getattr(sys.modules.get("tqdm"), "tqdm", None)
+            with self._lock:
+                now = time.monotonic()
+                bar = bool(getattr(bars, "_instances", ()))
+                if not bar and not self._done.is_set() and now - self.told > QUIET:
+                    width = shutil.get_terminal_size().columns
+                    line = printable(self.words(now))[: max(width - 1, 1)]
+                    sys.stderr.write(f"\r\x1b[K{line}")
+                    sys.stderr.flush()
+                    self._shown = True
+
 
 class Output:
     """Standard output and standard error of one command.
 
     Args:
         as_json: tables go to standard error, :meth:`finish` prints to standard output.
+        heartbeat: is told of everything that is shown.
     """
 
-    def __init__(self, as_json: bool) -> None:
+    def __init__(self, as_json: bool, heartbeat: Heartbeat | None = None) -> None:
         from rich.console import Console  # not needed for help and refusals
 
         self.as_json = as_json
+        self.heartbeat = heartbeat or Heartbeat("")
         self.console = Console(stderr=as_json, highlight=False, soft_wrap=True)
         if not self.console.is_terminal and "COLUMNS" not in os.environ:
             # A file or a pipe has no width to fit into.
             self.console.width = 200
 
     def say(self, text: str) -> None:
-        """One line for people."""
+        """One line for people: the command has its result."""
+        self.heartbeat.stop()
         self.console.print(text, markup=False)
 
     def progress(self, text: str) -> None:
-        """One line on standard error."""
+        """One line on standard error: what begins, or has been reached."""
+        self.heartbeat.clear(text)
         sys.stderr.write(f"l2a: {text}\n")
         sys.stderr.flush()
 
@@ -43,6 +113,7 @@ class Output:
         """A table for people."""
         from rich.table import Table
 
+        self.heartbeat.stop()
         if title:
             self.say(title)  # A title of the table would be broken to its width.
         table = Table(box=None, pad_edge=False)

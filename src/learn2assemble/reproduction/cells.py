@@ -368,6 +368,11 @@ def _info(weights: Path) -> Path:
     return weights.with_suffix(".json")
 
 
+SECONDS = {"static": 2e-5, "rigid": 4e-5, "kinematic": 4e-4, "dynamic": 1e-2}
+"""Of an episode without search, for each pair of nodes, by what checks placements [s]; others take
+as long as the slowest."""
+
+
 @dataclass(frozen=True)
 class Job:
     """A cell to measure."""
@@ -380,10 +385,23 @@ class Job:
     @property
     def cost(self) -> float:
         """Rough share of the time, to start long jobs first."""
-        search = self.cell.search
-        work = 1.0 if search is None else 1.0 + search.budget * min(search.rollout, 10)
         slow = 2.0 if self.cell.physics != "static" else 1.0
-        return work * slow * self.cell.task.num_nodes**2 * self.episodes
+        return self._work * slow * self.episodes
+
+    @property
+    def seconds(self) -> float:
+        """Very roughly how long it takes one process."""
+        physics = self.cell.physics
+        if self.cell.task.has_arm and physics in ("static", "rigid"):
+            physics = "kinematic"  # They stand for it.
+        return self._work * self.episodes * SECONDS.get(physics, max(SECONDS.values()))
+
+    @property
+    def _work(self) -> float:
+        """Of an episode: it grows with what a search tries and with the pairs of nodes."""
+        search = self.cell.search
+        tries = 1.0 if search is None else 1.0 + search.budget * min(search.rollout, 10)
+        return tries * self.cell.task.num_nodes**2
 
 
 def row_cells(table: Table, row: Row, column: int, agents: list[str]) -> list[Cell]:

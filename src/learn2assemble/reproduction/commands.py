@@ -105,7 +105,7 @@ def _run_table(options: argparse.Namespace, output: Output) -> None:
         episodes = options.episodes or (QUICK_EPISODES if options.quick else None)
         jobs = cells.jobs(table, agents, episodes, most)
         todo = cells.stale(root, jobs)
-        output.progress(f"{len(jobs)} cells, {len(todo)} to measure")
+        output.progress(f"{len(jobs)} cells, {len(todo)} to measure{_words(todo, workers)}")
         _measure(root, todo, options.name, workers, options.ray)
     data = report.load_table(table, root, options.quick)
     files = _write(data, root)
@@ -114,6 +114,19 @@ def _run_table(options: argparse.Namespace, output: Output) -> None:
         files["page"] = page
     _print(output, data, files)
     output.finish(_summary(data, len(todo), files))
+
+
+def _words(todo: list[Job], workers: int) -> str:
+    """What is about to be measured, and how long that takes."""
+    if not todo:
+        return ""
+    episodes, tasks = sum(job.episodes for job in todo), {job.cell.task.name for job in todo}
+    hours = sum(job.seconds for job in todo) / workers / 3600
+    long = f"{hours:.1f} hours" if hours >= 1 else f"{max(60 * hours, 1):.0f} minutes"
+    return (
+        f": {episodes} episodes on {len(tasks)} tasks, roughly {long} with {workers} processes; "
+        "--quick measures less, --from-files nothing"
+    )
 
 
 def _prepare(folder: Path) -> None:

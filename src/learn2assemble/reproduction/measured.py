@@ -66,11 +66,16 @@ def measure(
         raise InputError("--only", only, "part of the name of a measurement")
     about = provenance("cpu")
     todo = [name for name in wanted if again or name not in found["entries"]]
-    for name, result in run_all(partial(_timed, figures.entry), todo, workers=workers):
+    began = time.monotonic()
+    for done, (name, result) in enumerate(
+        run_all(partial(_timed, figures.entry), todo, workers=workers), 1
+    ):
         found["entries"][name] = {**result, "commit": about["commit"]}
         found["configuration"] = {**figures.configuration(), **about}
         write_file(out, json.dumps(found, indent=1, sort_keys=True) + "\n", "--out")
-        progress(f"{name}: {result.get('status') or result.get('verdict') or 'measured'}")
+        told = result.get("status") or result.get("verdict") or "measured"
+        left = (time.monotonic() - began) / done * (len(todo) - done)
+        progress(f"{name}: {told}, {done} of {len(todo)}, about {left:.0f} s left")
     return found
 
 
