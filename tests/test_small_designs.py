@@ -237,6 +237,19 @@ def test_one_tiling_only_and_a_block_right_on_an_edge_is_no_refusal() -> None:
     assert tiling.status == "not found"
 
 
+def test_a_checkerboard_without_two_corners_is_refused_by_its_colours() -> None:
+    """The mutilated chessboard: 62 cells, two more of one colour, and blocks of two cells."""
+    wanted = np.ones((8, 8, 1), bool)
+    wanted[0, 0] = wanted[7, 7] = False
+    tiling, ordering = plan_exact(wanted, Kit("pairs", (Kind("pair", PIECES["pair"]),)))
+    assert ordering is None
+    assert tiling.status == "refused"
+    assert "checkerboard" in tiling.reason
+    # With blocks of three in an angle, which have one more of one colour, too few are enough.
+    both = Kit("both", (Kind("pair", PIECES["pair"]), Kind("L3", PIECES["L3"])))
+    assert "checkerboard" not in plan_exact(wanted, both)[0].reason
+
+
 if __name__ == "__main__":
     results = Counter()
     for number in range(int(sys.argv[1])):

@@ -142,6 +142,14 @@ def _impossible(wanted: np.ndarray, kit: Kit) -> str:
     if count % step:
         return (f"all blocks of kit `{kit.name}` have a multiple of {step} cells; "
                 f"the design has {count}")  # fmt: skip
+    # On a checkerboard in space, how many cells more of one colour a block has does not depend on
+    # where it lies.
+    uneven = [abs(int(np.sum((-1) ** np.sum(kind.cells, axis=1)))) for kind in kit.kinds]
+    odd = abs(int(np.sum((-1) ** np.argwhere(wanted).sum(1))))
+    most_odd = count * max(n / size for n, size in zip(uneven, sizes, strict=True))
+    if odd > most_odd + 1e-6:
+        return (f"on a checkerboard the design has {odd} cells more of one colour; blocks of kit "
+                f"`{kit.name}` that fill it have at most {int(most_odd + 1e-6)}")  # fmt: skip
     heap = [kind.count for kind in kit.kinds]
     most = sum(n * size for n, size in zip(heap, sizes, strict=True) if n is not None)
     if None not in heap and most < count:
@@ -363,7 +371,7 @@ def prop_and_order(
     tight = law == TIGHT
     hanging = unsupported(structure, kit)
     if hanging and not (props_allowed or tight):
-        return _not_carried(structure, kit, hanging, "props are not allowed"), None
+        return _not_carried(structure, kit, hanging), None
     demands = {block: frozenset((block,)) for block in hanging if props_allowed}
     largest: int | None = None
     count, tiling, ordering = len(structure.placements), structure, None
@@ -371,7 +379,7 @@ def prop_and_order(
         props = choose_props(structure, kit, demands, clock.left, largest)
         if props is None and not tight:
             if ordering is None:
-                return _not_carried(structure, kit, [max(demands)], "no prop reaches them"), None
+                return _not_carried(structure, kit, [max(demands)], out_of_reach=True), None
             break
         if props is None:
             demands = {}
@@ -393,11 +401,18 @@ def prop_and_order(
     return tiling, ordering
 
 
-def _not_carried(structure: Tiling, kit: Kit, blocks: list[int], why: str) -> Tiling:
-    """The refusal of blocks that nothing holds while they are put down."""
+def _not_carried(
+    structure: Tiling, kit: Kit, blocks: list[int], *, out_of_reach: bool = False
+) -> Tiling:
+    """The refusal of blocks that nothing holds while they are put down.
+
+    Args:
+        out_of_reach: whether props are allowed, and none reaches the blocks.
+    """
     cells = uncarried_cells(structure.wanted, kit)
-    if not len(cells) or why.startswith("no prop"):
+    if not len(cells) or out_of_reach:
         cells = np.concatenate([placement_cells(structure.placements[b], kit) for b in blocks])
+    why = "no prop reaches them" if out_of_reach else "props are not allowed"
     reason = f"{describe_lack(kit, structure.wanted, cells)}, and {why}"
     return replace(structure, status="not found", reason=reason, lacking=to_cells(cells))
 
