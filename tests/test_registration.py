@@ -247,7 +247,7 @@ def test_a_configuration_of_nonsense_is_bad_input(kind: Any) -> None:
                 kind(**{field.name: value})
 
 
-@pytest.mark.parametrize("value", [None, 3, "", b"x", [], object()], ids=repr)
+@pytest.mark.parametrize("value", [None, 3, "", b"x", [], object(), "a\0b"], ids=repr)
 def test_what_is_no_name_of_a_file_is_bad_input(value: Any, tmp_path: Path) -> None:
     plan = l2a.load_plan(DATA / "example_plan")
     for call in (
@@ -258,6 +258,18 @@ def test_what_is_no_name_of_a_file_is_bad_input(value: Any, tmp_path: Path) -> N
     ):  # fmt: skip
         with pytest.raises(InputError):
             call(value)
+
+
+@pytest.mark.parametrize("name", [[], {}, None, 3])
+def test_what_is_no_name_is_unknown(name: Any, tmp_path: Path) -> None:
+    for call in (
+        l2a.get_task, l2a.Simulator, l2a.AssemblyEnv, l2a.get_arm,
+        lambda name: l2a.evaluate(name, episodes=1),
+        lambda name: l2a.export_assembly(tmp_path, name, tmp_path / "x"),
+        lambda name: l2a.export_program(tmp_path, name, tmp_path / "x"),
+    ):  # fmt: skip
+        with pytest.raises(InputError):
+            call(name)
 
 
 @pytest.mark.parametrize(

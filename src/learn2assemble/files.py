@@ -137,7 +137,7 @@ def as_path(value: object, kind: str) -> Path:
     Raises:
         InputError: for what is no name, and an empty one.
     """
-    if not isinstance(value, str | Path) or not str(value):
+    if not isinstance(value, str | Path) or not str(value) or "\0" in str(value):
         raise InputError(kind, value, "the name of a file or folder")
     return Path(value)
 

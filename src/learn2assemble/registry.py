@@ -84,6 +84,8 @@ class Registry(Mapping[str, T]):
         return self[name] if name in self else default  # noqa: SIM401
 
     def __contains__(self, name: object) -> bool:
+        if not isinstance(name, str):
+            return False
         if name not in self._entries:
             self._load_plugins()
         return name in self._entries
