@@ -6,9 +6,10 @@ import numpy as np
 
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.design.cells import CellDesign
-from learn2assemble.planning.advice import NO_ADVICE, fill_below
+from learn2assemble.planning.advice import NO_ADVICE, _trials, fill_below, pool
 from learn2assemble.planning.construct import plan_cells
 from learn2assemble.planning.exact import plan_exact
+from learn2assemble.planning.tiling import Tiling
 from learn2assemble.reproduction import shapes
 
 CELL = (0.05, 0.05, 0.05)
@@ -41,3 +42,28 @@ def test_a_wide_overhang_is_filled_or_nothing_is_advised() -> None:
     tiling, ordering = plan_exact(filled, load_kit("bricks").at_pitch(CELL))
     stands = (ordering or tiling).status == "complete"
     assert stands == (NO_ADVICE not in reason)
+
+
+def test_a_ball_is_tried_on_a_flat_base() -> None:
+    x, y, z = np.meshgrid(*[np.arange(9)] * 3, indexing="ij")
+    ball = (x - 4) ** 2 + (y - 4) ** 2 + (z - 4) ** 2 <= 17
+    trials = {text: cells for text, cells, *_ in _trials(Tiling((), ball), load_kit("bricks"), {})}
+    text = "without its lowest 1 level, on a flat base, it stands"
+    assert np.array_equal(trials[text], ball[:, :, 1:])
+    wall = np.ones((4, 1, 4), bool)
+    trials = {text: cells for text, cells, *_ in _trials(Tiling((), wall), load_kit("bricks"), {})}
+    assert not any("flat base" in text for text in trials)
+
+
+def test_larger_cells_are_tried_and_longer_blocks_span_more() -> None:
+    """A bar of eight cells bridges eight cells of this size only where cells are twice as large."""
+    gate = shapes.wall(16, 1, 4, (3, 13, 0, 2))
+    kit = load_kit("bricks-lintels")
+    trials = {text: rest for text, *rest in _trials(Tiling((), gate), kit, {})}
+    cells, larger, _ = trials["with cells twice as large it stands"]
+    assert (cells.shape, larger.pitch) == ((8, 1, 2), (0.1, 0.1, 0.1))
+    assert (pool(np.ones((3, 1, 3), bool)).shape) == (2, 1, 2)
+    tiling, ordering = plan_exact(cells, larger)
+    assert (ordering or tiling).status == "complete"
+    tiling, ordering = plan_exact(gate, kit)
+    assert (ordering or tiling).status != "complete"

@@ -15,7 +15,12 @@ from learn2assemble.planning.tiling import MAX_EXTENT, Tiling
 
 MAX_CELLS = 3000
 """Of a design for which something else is tried; more take minutes."""
-NO_ADVICE = "none of what was tried helps: other kits, tight joints, filled overhangs, finer cells"
+NO_ADVICE = (
+    "none of what was tried helps: other kits, tight joints, filled overhangs, a flat base, other "
+    "cells"
+)
+MOST_CUT = 3
+"""Levels that are left out at most for a flat base."""
 _SHARE, _MOST = 0.5, 10.0
 """Of the time that is left, for one trial, and no trial takes longer [s]."""
 
@@ -27,7 +32,8 @@ def advise(
     """What makes a plan of this design complete, in one clause; empty where nothing tried does.
 
     Tried in this order: joints of width 0, the kits of the package, filling what is under an
-    overhang, filling everything down to the table, cells half as large.
+    overhang, filling everything down to the table, leaving out the lowest levels so that the base
+    is flat, cells half as large, cells twice as large.
 
     Args:
         tiling: that was refused or not found, with the cells that lack support.
@@ -67,10 +73,29 @@ def _trials(tiling: Tiling, kit: Kit, options: dict[str, Any]) -> Iterator[_Tria
         more = int(filled.sum() - wanted.sum())
         if more:
             yield f"with {what} filled ({more} cells more) it stands", filled, kit, {}
+    for levels in range(1, MOST_CUT + 1):
+        higher = wanted[:, :, levels:]
+        if higher.any() and wanted[:, :, 0].sum() < 0.5 * higher[:, :, 0].sum():
+            yield (f"without its lowest {levels} level{'s' * (levels > 1)}, on a flat base, "
+                   "it stands"), higher, kit, {}  # fmt: skip
     half = replace(kit, pitch=tuple(p / 2 for p in kit.pitch))
     if np.max(width) < min(half.pitch[:2]) / 2:
         finer = wanted.repeat(2, 0).repeat(2, 1).repeat(2, 2)
         yield "with cells half as large it stands", finer, half, {}
+    coarser = pool(wanted)
+    if coarser[:, :, 0].any() and min(wanted.shape[0], wanted.shape[2]) > 1:
+        twice = replace(kit, pitch=tuple(2 * p for p in kit.pitch))
+        yield "with cells twice as large it stands", coarser, twice, {}
+
+
+def pool(wanted: np.ndarray) -> np.ndarray:
+    """``wanted`` (bool[X, Y, Z]) in cells twice as large, each filled where half of it is; what is
+    one cell deep stays so."""
+    size = [min(2, n) for n in wanted.shape]
+    padded = np.pad(wanted, [(0, -n % k) for n, k in zip(wanted.shape, size, strict=True)])
+    blocks = padded.reshape([m for n, k in zip(padded.shape, size, strict=True)
+                             for m in (n // k, k)])  # fmt: skip
+    return blocks.mean((1, 3, 5)) >= 0.5
 
 
 def fill_below(wanted: np.ndarray, cells: np.ndarray) -> np.ndarray:
