@@ -91,7 +91,8 @@ def prepare(folder: Path, agent: Path, run: Path, design: Path, log: Path) -> No
         places = [[0.7 if name == "far" else 0.0, -0.3], second]
         places += [[0.1 * (k % 5) - 0.3, -0.42 + 0.84 * (k // 5)] for k in range(10)]
         places += [[-0.3, -0.32], [-0.2, -0.32], [-0.3, 0.32], [-0.2, 0.32]]
-        layout = {"format": "learn2assemble-layout", "version": 1, "positions": places}
+        layout = {"format": "learn2assemble-layout", "version": 2,
+                  "positions": [{"at": place} for place in places]}  # fmt: skip
         (folder / f"{name}.json").write_text(json.dumps(layout))
     (folder / "special").mkdir()
     (folder / "special" / "link").symlink_to(folder / "file.txt")
@@ -122,7 +123,7 @@ def prepare(folder: Path, agent: Path, run: Path, design: Path, log: Path) -> No
     (folder / "damaged.jsonl.gz").write_bytes(bytes(packed))
     (folder / "plan_of_others.json").write_text(json.dumps({"format": "other"}))
     (folder / "empty_plan.json").write_text(
-        json.dumps({"format": "learn2assemble-plan", "version": 1})
+        json.dumps({"format": "learn2assemble-plan", "version": 3})
     )
     (folder / "list.json").write_text("[]")
 

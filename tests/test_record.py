@@ -142,7 +142,9 @@ def change(data: dict[str, Any], *path: Any) -> Callable[[Any], None]:
     ("path", "value", "words"),
     [
         (("format",), "other", "learn2assemble-trajectory"),
-        (("version",), 4, "trajectory.version"),
+        (("version",), 4, "trajectory.version: got 4, expected 3"),
+        (("version",), 2, "trajectory.version: got 2, expected 3"),
+        (("version",), "3", "trajectory.version"),
         (("arm", "lower"), [0.0], "arm.lower"),
         (("arm", "max_width"), "wide", "arm.max_width"),
         (("arm",), None, "trajectory"),
@@ -170,12 +172,6 @@ def test_nonsense_is_refused_in_one_line(
         record_from(data)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_older_files_call_a_toppled_block_unstable(record: BuildRecord) -> None:
-    data = json.loads(json.dumps(record_data(record)))
-    data["steps"][1]["outcome"] = "unstable"
-    assert record_from(data).steps[1].outcome == Outcome.TOPPLED
 
 
 def test_every_field_is_missed(record: BuildRecord) -> None:
@@ -426,18 +422,6 @@ def test_what_slips_is_not_held_any_more() -> None:
     assert holding(arm, made(pose, np.minimum(stage, 1)), 0) == (None, None)
     spans = [(s.name, round(s.start, 3), round(s.end, 3)) for s in stages_of(made(pose, stage))]
     assert spans == [("pick", 0.0, 0.04), ("lift", 0.04, 0.08), ("cross", 0.08, 0.14)]
-
-
-def test_files_of_version_1_are_read_as_of_the_gripper(record: BuildRecord) -> None:
-    data = json.loads(json.dumps(record_data(record)))
-    data["version"] = 1
-    del data["half"], data["arm"]["tool_name"], data["arm"]["suction"]
-    for step in data["steps"]:
-        del step["command"]
-    found = record_from(data)
-    assert (found.arm.tool_name, found.arm.suction, found.half) == ("gripper", False, None)
-    for step in found.steps:
-        np.testing.assert_array_equal(step.samples.command, step.samples.width)
 
 
 def test_a_suction_tool_is_told_on_or_off(record: BuildRecord) -> None:

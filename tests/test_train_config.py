@@ -207,8 +207,6 @@ def test_with_an_arm_our_network_looks_around_the_hand() -> None:
         fitted = fit_to(CONFIGS[name], task)
         assert fitted.network.hand == expected, (name, task.name)
         assert override(fitted, ["network.hand=false"]).network.hand is False
-    older = {k: v for k, v in dataclasses.asdict(RELATIONAL).items() if k != "hand"}
-    assert TrainConfig.from_dict({"network": older}).network.hand is False
 
 
 def test_devices() -> None:

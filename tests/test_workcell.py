@@ -352,7 +352,9 @@ def test_a_magazine_that_runs_empty_pauses_the_build(window: Plan, tmp_path: Pat
                        "pitch": [0.1, 0.1]}]}, "pallets[0].kind"),
         ({"positions": [{"kind": "1x8", "at": [0.2, -0.3]}]}, "positions[0].kind"),
         ({"heaps": []}, "heaps"),
-        ({"version": 3}, "version"),
+        ({"version": 3}, "version: got 3, expected 2"),
+        ({"version": 1, "positions": []}, "version: got 1, expected 2"),
+        ({"positions": [[0.2, -0.3]]}, "positions[0]"),
     ],
 )  # fmt: skip
 def test_layouts_that_cannot_be_used(
@@ -365,12 +367,9 @@ def test_layouts_that_cannot_be_used(
     assert "\n" not in str(error.value)
 
 
-def test_version_1_gives_one_place_to_every_block(tmp_path: Path) -> None:
-    path = tmp_path / "old.json"
+def test_a_position_without_a_kind_holds_the_next_block(tmp_path: Path) -> None:
     places = [[0.25, -0.3], [0.25, -0.2, 0.3], [0.25, -0.1]]
-    head = {"format": "learn2assemble-layout", "version": 1}
-    path.write_text(json.dumps({**head, "positions": places}))
-    site = read_site(path)
+    site = read_site(written(tmp_path, positions=[{"at": place} for place in places]))
     assert site.positions[1] == Position(None, Pose(0.25, -0.2, 0.3))
     plan = planned(np.ones((1, 1, 3), bool), dataclasses.replace(KIT, kinds=(KIT.kind("1x1"),)))
     done = carry_out(plan, quick(site=site))

@@ -16,7 +16,6 @@ from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.registry import Registry
 from learn2assemble.search.config import SearchConfig, training_search
 from learn2assemble.tasks import Task
-from learn2assemble.world.blocks import with_current_names
 
 LARGEST = {
     "num_envs": 10**5, "batch_size": 10**5, "replay_size": 10**7, "steps": 1000,
@@ -116,7 +115,7 @@ class TrainConfig:
     def from_dict(values: dict[str, Any]) -> TrainConfig:
         """Inverse of :meth:`to_dict`; unknown keys raise :class:`UnknownNameError`."""
         values = dict(values)
-        network = with_current_names(values.pop("network", {}))
+        network = dict(values.pop("network", {}))
         for kind, given in ((TrainConfig, values), (NetworkConfig, network)):
             for key in given:
                 check_name(f"{kind.__name__} field", key, kind.__dataclass_fields__)

@@ -415,12 +415,9 @@ class Trainer:
             raise ValueError("state.num_placed and state.num_blocks are no counts of blocks")
 
     def _restore(self, counters: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
-        mine = {"task": self.task.name, "config": self.config}
-        # Runs may be older than some settings, which then had their defaults.
-        theirs = {**counters, "config": TrainConfig.from_dict(counters["config"])}
-        for key, value in mine.items():
-            if theirs[key] != value:
-                raise InputError(f"--resume {key}", value, f"the run's own: {theirs[key]}")
+        for key, value in {"task": self.task.name, "config": self.config.to_dict()}.items():
+            if counters[key] != value:
+                raise InputError(f"--resume {key}", value, f"the run's own: {counters[key]}")
         for name in (*_COUNTERS, "cursor"):
             if type(counters[name]) is not int or counters[name] < 0:
                 raise ValueError(f"{name} is {counters[name]!r}")

@@ -25,7 +25,6 @@ from learn2assemble.files import as_path, check_exists, mapping, read_json, repl
 from learn2assemble.networks.config import NETWORKS, NetworkConfig
 from learn2assemble.networks.placement import PlacementNetwork, PlacementValues
 from learn2assemble.networks.qnetwork import QFactors, QNetwork
-from learn2assemble.world.blocks import with_current_names
 
 Network = QNetwork | PlacementNetwork
 Values = QFactors | PlacementValues
@@ -184,7 +183,7 @@ def load_agent(name_or_path: str | Path, device: torch.device | str = "cpu") -> 
         info = mapping(read_json(_info_file(path), "agent")[0], "agent")
         if info["format"] != FORMAT:
             raise ValueError(f"format {info['format']!r}")
-        network = make_network(NetworkConfig(**with_current_names(info["network"])))
+        network = make_network(NetworkConfig(**info["network"]))
         weights = load_file(path)
         for key, value in weights.items():
             if not value.isfinite().all():

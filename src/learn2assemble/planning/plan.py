@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from learn2assemble.errors import InputError
 from learn2assemble.files import (
@@ -340,7 +340,7 @@ class Plan:
 
     @classmethod
     def from_dict(cls, data: Any, source: str = "plan") -> Plan:
-        """The plan that a parsed ``plan.json`` of this or an earlier version holds.
+        """The plan that a parsed ``plan.json`` holds.
 
         Raises:
             InputError: naming ``source`` and the path of what is wrong.
@@ -349,10 +349,8 @@ class Plan:
         form, version = root.pop("format", None), root.pop("version", None)
         if form != FORMAT:
             raise InputError(f"{source}: format", form, repr(FORMAT))
-        if not 1 <= integer(version, f"{source}: version") <= VERSION:
-            raise InputError(f"{source}: version", version, f"1 to {VERSION}")
-        if version < VERSION:
-            root = _from_earlier(root, version, source)
+        if integer(version, f"{source}: version") != VERSION:
+            raise InputError(f"{source}: version", version, str(VERSION))
         try:
             return from_plain(cls, root, source)
         except InputError as error:
@@ -451,33 +449,6 @@ Exporter = Callable[[Plan, Path], dict[str, Path]]
 """Writes something of a plan into a folder; returns which file is what."""
 EXPORTS: Registry[Exporter] = Registry("export", {})
 """What can be written of a plan, besides itself."""
-
-
-_GONE = {
-    "design": ("num_sides", "frames", "elevations"),
-    "search": ("backtracks", "dropped"),
-    "steps": ("plane_coverage", "speed_sum", "stable", "outside", "place"),
-}
-"""Keys of earlier versions that have no place any more."""
-
-
-def _from_earlier(root: dict[str, Any], version: int, source: str) -> dict[str, Any]:
-    """What plans of designs held before version 3; version 1 called the margin otherwise."""
-    if root.get("first_block") is not None:
-        expected = f"{VERSION} for a plan of a task; l2a build TASK --seed N makes it again"
-        raise InputError(f"{source}: version", version, expected)
-    names = {"stability_margin": "margin_g"}
-
-    def kept(item: Any, gone: tuple[str, ...]) -> Any:
-        if isinstance(item, list):
-            return [kept(one, gone) for one in cast("list[Any]", item)]
-        if not isinstance(item, dict):
-            return item
-        items = cast("dict[str, Any]", item).items()
-        return {names.get(key, key): value for key, value in items if key not in gone}
-
-    root = {key: value for key, value in root.items() if key != "first_block"}
-    return {key: kept(value, _GONE.get(key, ())) for key, value in root.items()}
 
 
 def load_plan(path: str | Path) -> Plan:

@@ -122,7 +122,7 @@ class Site:
 
 
 def read_site(path: Path) -> Site:
-    """The workcell in a layout file of version 1 or 2 (``docs/layouts.md``).
+    """The workcell in a layout file (``docs/layouts.md``).
 
     Raises:
         InputError: one line that names the file and the JSON path of the fault.
@@ -136,14 +136,6 @@ def read_site(path: Path) -> Site:
 
 
 def _site(value: Any, source: str, folder: Path) -> Site:
-    version = value.get("version") if isinstance(value, dict) else None
-    if version == 1:
-        valid = ("format", "version", "units", "positions")
-        root = read_head(value, source, LAYOUT, 1, valid, ("format", "version", "positions"))
-        where = f"{source}: positions"
-        places = _entries(root["positions"], where, MAX_PLACES)
-        found = [Position(None, _pose(place, f"{where}[{k}]")) for k, place in enumerate(places)]
-        return Site(positions=tuple(found), source=source)
     root = read_head(value, source, LAYOUT, 2, _KEYS, ("format", "version"))
     base = None
     if "base" in root:
@@ -274,8 +266,6 @@ def _pallet(value: Any, where: str) -> Pallet:
 
 
 def _position(value: Any, where: str) -> Position:
-    if isinstance(value, list | tuple):
-        return Position(None, _pose(value, where))
     given = _table(value, where, ("kind", "at"), ("at",))
     kind = None if given.get("kind") is None else text(given["kind"], f"{where}.kind")
     return Position(kind, _pose(given["at"], f"{where}.at"))

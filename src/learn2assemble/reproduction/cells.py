@@ -46,7 +46,6 @@ from learn2assemble.search.config import SearchConfig
 from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import Task
 from learn2assemble.workers import run_all
-from learn2assemble.world.blocks import with_current_names
 from learn2assemble.world.state import State
 
 BOUND = "bound"
@@ -118,7 +117,6 @@ class Cell:
         Raises:
             InputError, KeyError, TypeError: for what is no cell.
         """
-        values = {**values, "task": with_current_names(values["task"])}
         return from_plain(Cell, values, "cell")
 
 

@@ -195,7 +195,8 @@ def _samples(record: BuildRecord, arm: Arm) -> Samples:
     if len(samples.time):
         return samples
     home = arm.home[None]
-    return Samples(np.zeros(1), home, np.zeros_like(home), np.array([arm.gripper.max_width]))
+    width = np.array([arm.gripper.max_width])
+    return Samples(np.zeros(1), home, np.zeros_like(home), width, width)
 
 
 def _moment(segment: Segment) -> float:

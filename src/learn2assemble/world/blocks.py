@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -70,11 +70,6 @@ class ActionSpec(NamedTuple):
 
 Ways = ActionSpec
 """Its earlier name: without it, numba cannot read the index of what it compiled before."""
-
-
-def with_current_names(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields of a saved task or network under the names they have now."""
-    return {"action_mode" if key == "attitudes" else key: v for key, v in dict(values).items()}
 
 
 @lru_cache

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.files import read_json, write_file
+from learn2assemble.files import integer, read_json, write_file
 from learn2assemble.robot.motion.record import ArmFacts, BuildRecord, Samples, Stage, StepRecord
 from learn2assemble.robot.moves import STAGES, Outcome
 
@@ -25,8 +25,8 @@ FORMAT, VERSION = "learn2assemble-trajectory", 3
 DECIMALS = 6
 MOST, MOST_JOINT = 1e6, 100.0
 """Largest magnitudes of numbers and of joint angles [rad] in a file."""
-OUTCOMES = {outcome.label: outcome for outcome in Outcome} | {"unstable": Outcome.TOPPLED}
-"""By label; ``unstable`` is what older files call toppled."""
+OUTCOMES = {outcome.label: outcome for outcome in Outcome}
+"""By label."""
 
 
 def write_record(record: BuildRecord, path: Path) -> None:
@@ -66,10 +66,8 @@ def record_from(data: Any) -> BuildRecord:
     """
     if not isinstance(data, Mapping) or data.get("format") != FORMAT:
         raise InputError("trajectory", type(data).__name__, f"a {FORMAT} file")
-    if data.get("version") not in range(1, VERSION + 1):
-        raise InputError("trajectory.version", data.get("version"), f"1 to {VERSION}")
-    if data["version"] < VERSION:
-        data = _from_older(data)
+    if integer(data.get("version"), "trajectory.version") != VERSION:
+        raise InputError("trajectory.version", data["version"], str(VERSION))
     where = "trajectory"
     try:
         arm = _arm_from(data["arm"])
@@ -91,24 +89,6 @@ def record_from(data: Any) -> BuildRecord:
         if isinstance(error, InputError):
             raise
         raise InputError(where, str(error), f"a {FORMAT} file") from None
-
-
-def _from_older(data: Mapping[str, Any]) -> dict[str, Any]:
-    """A file of version 2, which says no densities, or of 1, from before there were suction tools
-    and boxes of other sizes."""
-    arm, steps = data.get("arm"), data.get("steps")
-    found = {**data, "density": None}
-    if data["version"] == 2:
-        return found
-    found["half"] = None
-    if isinstance(arm, Mapping):
-        found["arm"] = {**arm, "tool_name": "gripper", "suction": False}
-    if isinstance(steps, list):
-        found["steps"] = [
-            {**item, "command": item["width"]} if isinstance(item, dict) and "width" in item
-            else item for item in steps
-        ]  # fmt: skip
-    return found
 
 
 def _arm_from(data: Mapping[str, Any]) -> ArmFacts:

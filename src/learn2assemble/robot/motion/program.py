@@ -545,7 +545,7 @@ def _meant(samples: Samples, span: slice, arm: Arm, edge: float) -> float:
     told, width = float(samples.command[span].min()), samples.width[span]
     if told < width.min() - 1e-3:
         return round(told + arm.gripper.force / arm.gripper.stiffness, 4)
-    # A record without commands: what it closed on, also where it closed on nothing.
+    # No command below the width, as of a cell without forces: what it closed on, also nothing.
     return max(math.ceil(1e3 * float(width[-1]) - 1e-6) / 1e3, edge)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -75,14 +75,9 @@ class Samples:
     """float64[T, n], commanded velocities [rad/s]."""
     width: np.ndarray
     """float64[T], opening between the pads as it was [m]; 0 for a suction tool."""
-    command: np.ndarray = cast(np.ndarray, None)  # noqa: RUF009
+    command: np.ndarray
     """float64[T], what the tool was told: the opening [m], less than what it holds where it
-    presses; for a suction tool 1 (vacuum on) or 0 (off). Older files lack it; it is the width
-    then."""
-
-    def __post_init__(self) -> None:
-        if self.command is cast(Any, None):
-            object.__setattr__(self, "command", self.width)
+    presses; for a suction tool 1 (vacuum on) or 0 (off)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +166,7 @@ class BuildRecord:
     def joined(self) -> tuple[Samples, np.ndarray]:
         """All samples in a row, and int64[T], the number of the step of each."""
         n, found = len(self.arm.joints), []
-        none = Samples(np.empty(0), np.empty((0, n)), np.empty((0, n)), np.empty(0))
+        none = Samples(np.empty(0), np.empty((0, n)), np.empty((0, n)), np.empty(0), np.empty(0))
         for parts in zip(*(vars(one.samples).values() for one in self.steps), strict=True):
             found.append(np.concatenate(parts))
         numbers = [np.full(len(step.samples.time), step.number) for step in self.steps]
