@@ -22,9 +22,9 @@ from hypothesis.extra import numpy as arrays
 from PIL import Image
 
 from learn2assemble.design.cells import CellDesign, kind_of, read_design
-from learn2assemble.design.drawings import read_svg
 from learn2assemble.design.lattice import fit, shares
 from learn2assemble.design.solids import crossed
+from learn2assemble.design.svg import read_svg
 from learn2assemble.errors import InputError, MissingExtraError
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "designs"
@@ -258,7 +258,8 @@ def test_shapes_of_svg_are_transformed(shape: str, turn: str) -> None:
     """A corner or a middle lies where the transform puts it, and areas grow by its determinant."""
     import shapely
 
-    contours = read_svg(svg(TURNED[shape].format(turn)).encode(), "a.svg").sides["front"]
+    page = 'viewBox="-50 -50 300 250"'
+    contours = read_svg(svg(TURNED[shape].format(turn), page).encode(), "a.svg").sides["front"]
     made = shapely.union_all([shapely.Polygon(c) for c in contours])
     b, d, growth = TURNS[turn]
     assert made.area == pytest.approx(AREAS[shape] * growth, rel=2e-3)
@@ -625,6 +626,15 @@ def _nested_use(levels: int, times: int) -> str:
     return svg(f'<defs>{body}</defs><use href="#a{levels}"/>')
 
 
+def _nested_masks(levels: int, times: int) -> str:
+    body = ""
+    for k in range(levels):
+        mask = f'mask="url(#m{k - 1})"' if k else ""
+        shapes = f'<rect width="9" height="9" fill="white" {mask}/>' * times
+        body += f'<mask id="m{k}">{shapes}</mask>'
+    return svg(f'{body}<rect width="9" height="9" mask="url(#m{levels - 1})"/>')
+
+
 def _nested_blocks(document: Any, space: Any) -> None:
     document.blocks.new("B0").add_circle((0, 0), 1)
     for k in range(8):
@@ -732,43 +742,66 @@ BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "none.glb": (_glb(nodes=[{"children": [0]}]), {}, "expected"),
     "text.glb": (_glb(nodes=7), {}, "expected"),
     "lines.svg": (svg('<path d="M0 0L9 9L9 0" fill="none" stroke="red"/>'), {}, "no closed"),
-    "filled.svg": (svg('<path id="p" d="M0 0L9 9L9 0"/>'), {}, "open"),
-    "wide.svg": (svg(f'<path d="{SQUARE}"/>', 'width="1e308400mm" viewBox="0 0 9 9"'), {}, "inf m"),
+    "wide.svg": (
+        svg(f'<path d="{SQUARE}"/>', 'width="1e308400mm" viewBox="0 0 9 9"'), {}, "a width",
+    ),
     "empty.svg": (svg(""), {}, "no closed outline"),
     "words.svg": (svg("<text>house</text>"), {}, "no closed outline"),
     "hidden.svg": (svg(f'<path d="{SQUARE}" display="none"/>'), {}, "no closed outline"),
     "white.svg": (svg(f'<path d="{SQUARE}" fill="white"/>'), {}, "without an area"),
-    "clip.svg": (svg(f'<path d="{SQUARE}" clip-path="url(#a)"/>'), {}, "clip-path"),
-    "mask.svg": (svg(f'<g style="mask:url(#a)"><path d="{SQUARE}"/></g>'), {}, "mask"),
-    "css.svg": (
-        svg(f'<style>.a{{clip-path:url(#c)}}</style><path class="a" d="{SQUARE}"/>'), {},
-        "clip-path",
+    "clip.svg": (svg(f'<path d="{SQUARE}" clip-path="circle(9px)"/>'), {}, "clip-path circle"),
+    "clipped.svg": (
+        svg(f'<clipPath id="c"/><path d="{SQUARE}" clip-path="url(#c)"/>'), {}, "without an area",
     ),
-    "used.svg": (
-        svg(f'<defs><g id="a" mask="url(#c)"><path d="{SQUARE}"/></g></defs><use href="#a"/>'), {},
-        "mask",
+    "grey.svg": (
+        svg('<mask id="m"><rect width="99" height="99" fill="#888"/></mask>'
+            f'<path d="{SQUARE}" mask="url(#m)"/>'),
+        {}, "neither black nor white",
     ),
-    "shown.svg": (
-        svg(
-            '<g visibility="hidden" filter="url(#c)">'
-            f'<path visibility="visible" d="{SQUARE}"/></g>'
-        ),
-        {},
-        "filter",
+    "faint.svg": (
+        svg('<mask id="m"><g opacity=".5"><rect width="99" height="99" fill="white"/></g></mask>'
+            f'<path d="{SQUARE}" mask="url(#m)"/>'),
+        {}, "partly transparent",
     ),
-    "media.svg": (
-        svg(
-            "<style>@media all{g path.a,p{color:red;clip-path:url(#c)}}</style>"
-            f'<path class="b a" d="{SQUARE}"/>'
-        ),
-        {},
-        "clip-path",
+    "mask.svg": (
+        svg(f'<mask id="m"><text>x</text></mask><g style="mask:url(#m)"><path d="{SQUARE}"/></g>'),
+        {}, "a mask with 1 text",
     ),
-    "symbol.svg": (
-        svg(f'<symbol id="a" viewBox="0 0 9 9"><path d="{SQUARE}"/></symbol><use href="#a"/>'), {},
-        "symbol",
+    "unread.svg": (
+        svg('<text>house</text><image/><line x2="9" stroke="red"/><path d="M0 0h9" stroke="red"/>'),
+        {}, "1 image, 2 strokes, 1 text: convert them to paths",
     ),
-    "nested.svg": (svg(svg(f'<path d="{SQUARE}"/>')), {}, "svg inside"),
+    "clip_loop.svg": (
+        svg('<clipPath id="c"><rect width="9" height="9" clip-path="url(#c)"/></clipPath>'
+            f'<path d="{SQUARE}" clip-path="url(#c)"/>'),
+        {}, "itself",
+    ),
+    "masks.svg": (_nested_masks(12, 10), {}, "references expanded"),
+    "long_masks.svg": (_nested_masks(500, 1), {}, "nested too deeply"),
+    "rects.svg": (svg("<rect/>" * 100_000), {}, "too many elements"),
+    "entities.svg": (
+        "<!DOCTYPE svg [" + '<!ENTITY a "x">' * 60_000 + "]>" + svg("&a;"), {}, "entities",
+    ),
+    "defaults.svg": (
+        f'<!DOCTYPE svg [<!ATTLIST rect z CDATA "{"x" * 99_999}">]>' + svg("<rect/>" * 99_999), {},
+        "attributes by default",
+    ),
+    "wide_letters.svg": (b"<svg" + svg("").encode("utf-16-le"), {}, "two bytes"),
+    "selectors.svg": (svg(f"<style>{'a,' * 600_000}b{{fill:red}}</style>"), {}, "3000 rules"),
+    "rules.svg": (svg(f"<style>{'a{fill:red}' * 9_999}</style>"), {}, "3000 rules"),
+    "braces.svg": (svg(f"<style>{'{' * 1_400_000}</style>"), {}, "nested too deeply"),
+    "fits.svg": (
+        svg(f"<style>{'*{fill:red}' * 2_900}</style>" + '<rect width="9" height="9"/>' * 999), {},
+        "fit too many",
+    ),
+    "nan.svg": (svg('<rect width="nan" height="9"/>'), {}, "a length 'nan'"),
+    "infinite.svg": (svg('<rect width="1e999" height="9"/>'), {}, "a length '1e999'"),
+    "grown.svg": (
+        svg('<g transform="scale(1e30)">' * 20 + '<circle r="9"/>' + "</g>" * 20), {}, "beyond 1e9",
+    ),
+    "no_page.svg": (svg('<rect width="50%" height="50%"/>', ""), {}, "a viewBox"),
+    "flat_page.svg": (svg(f'<path d="{SQUARE}"/>', 'viewBox="0 0 0 9"'), {}, "without an area"),
+    "far_off.svg": (svg('<rect x="900" width="9" height="9"/>'), {}, "without an area"),
     "thin.svg": (svg('<path d="M0 0L5 5L9 9z"/>'), {}, "expected"),
     "no_unit.svg": (svg(f'<path d="{SQUARE}"/>', 'viewBox="0 0 9 9"'), {}, "size in metres"),
     "layers.svg": (

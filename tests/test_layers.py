@@ -196,7 +196,6 @@ def test_parts_that_know_few_libraries(part: str) -> None:
     [
         ("mujoco", {"physics", "planning", "robot", "reproduction"}),
         ("ruckig", {"robot"}),
-        ("svgelements", {"design"}),
         ("ezdxf", {"design"}),
         ("rhino3dm", {"design"}),
         ("av", {"viewer"}),

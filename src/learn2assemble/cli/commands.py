@@ -154,7 +154,8 @@ def _summary(plan: Plan) -> dict[str, Any]:
         "props": sum(step.prop and step.action == "place" for step in plan.steps),
         "steps": len(plan.steps), "coverage": plan.coverage,
         **{f"cells_{k}": cells and getattr(cells, k) for k in CELL_COUNTS},
-        "iou": design.iou, "volume_error": design.volume_error, "planning_s": plan.planning_s,
+        "iou": design.iou, "volume_error": design.volume_error,
+        "not_read": design.not_read, "planning_s": plan.planning_s,
         "proof_s": plan.proof_s, "seconds": plan.seconds, "margin_g": plan.margin_g,
         "friction_range": plan.friction_range, "gap_range": plan.gap_range,
         **({"arm": to_plain(plan.arm)} if plan.arm else {}),
@@ -181,6 +182,8 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
             f"cells: {cells.wanted} wanted, {cells.missing} open, {cells.outside} outside"
             f"{colour}{shape}"
         )
+        if design.not_read:
+            output.say(f"warning: {design.source}: {design.not_read}")
     elif plan.design.targets:
         needed = f"{plan.design.success_threshold:.1%}"
         output.say(f"coverage {plan.coverage:.1%} of the target, more than {needed} is needed")

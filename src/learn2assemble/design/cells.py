@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,9 +16,11 @@ import numpy as np
 
 from learn2assemble.design import drawings, solids
 from learn2assemble.design.drawings import SIDES, Contours, Drawing
+from learn2assemble.design.dxf import read_dxf
 from learn2assemble.design.lattice import HALF, MAX_CELLS, fit, shares
 from learn2assemble.design.pictures import LOSSY, near_colours, read_picture
 from learn2assemble.design.solids import Solid, Voxels
+from learn2assemble.design.svg import read_svg
 from learn2assemble.errors import InputError, check_fields, is_number, look_up
 from learn2assemble.files import FARTHEST, UNITS, as_path, read_bytes
 
@@ -51,6 +53,7 @@ class CellDesign:
         source: the file, as messages call it.
         kit: the kit that caller or file name.
         blocks: how many blocks there are, props included; None where the file does not say.
+        not_read: what is visible in the file and is not read, in one line; None where nothing is.
     """
 
     name: str
@@ -62,6 +65,7 @@ class CellDesign:
     source: str = "design"
     kit: str | None = None
     blocks: int | None = None
+    not_read: str | None = None
 
     def __post_init__(self) -> None:
         cells, edges = np.asarray(self.wanted), np.ravel(self.cell)
@@ -158,8 +162,9 @@ def read_design(
         drawing = drawings.read_elevations(content, source)
         return _from_drawing(drawing, given, drawing.name or name, source)
     if kind in ("svg", "dxf"):
-        reader = drawings.read_svg if kind == "svg" else drawings.read_dxf
-        return _from_drawing(reader(content, source), given, name, source)
+        drawing = (read_svg if kind == "svg" else read_dxf)(content, source)
+        made = _from_drawing(drawing, given, name, source)
+        return replace(made, not_read=drawing.not_read)
     if kind in LOSSY:
         return _from_picture(content, kind, given, name, source)
     if kind in ("npy", "npz"):

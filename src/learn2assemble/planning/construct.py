@@ -186,6 +186,7 @@ def report_plan(
             cell=_point(np.array(kit.pitch)),
             iou=None if design.iou is None else round(float(design.iou), 6),
             volume_error=round(float(design.volume_error), 6),
+            not_read=design.not_read,
         ),
         status=(
             "complete"

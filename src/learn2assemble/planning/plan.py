@@ -100,6 +100,8 @@ class PlanDesign:
     """Intersection over union of drawing and wanted cells."""
     volume_error: Annotated[float, Range(-1e6, 1e6)] | None = None
     """Volume of the wanted cells less that of the drawing, as a share of the latter."""
+    not_read: str | None = None
+    """What is visible in the file and is not part of the design, in one line."""
     boxes: tuple[PlanBox, ...] = ()
     """Of goals: what has to be filled, reached or loaded, and what stays empty."""
 
