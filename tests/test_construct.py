@@ -144,7 +144,7 @@ def test_blocks_keep_to_one_colour_where_they_can() -> None:
     assert np.array_equal(noisy.shades == noisy.shades[0, 0, 0], ~blue)
     red = replace(design, colours=np.broadcast_to(np.array(RED, np.uint8), (*wanted.shape, 3)))
     assert red.shades is plain.shades is None
-    plan = plan_cells(design, "bricks-lintels", planner="auto")
+    plan = plan_cells(design, "bricks-lintels")
     assert plan.complete
     assert plan.cells is not None
     assert plan.cells.other_colour == 0
@@ -364,6 +364,7 @@ def test_the_public_face_plans_a_drawing() -> None:
     [
         (["{d}/h.svg", "--kit", "brick"], "did you mean 'bricks'"),
         (["{d}/h.svg", "--planner", "exakt"], "did you mean 'exact'"),
+        (["{d}/h.svg", "--planner", "auto"], "got 'auto', expected one of exact, agent"),
         (["{d}/h.svg", "--planner", "agent", "--agent", "builder-x"], "a builder of designs"),
         (["{d}/h.svg", "--gap", "5"], "less than half the pitch"),
         (["{d}/h.svg", "--gap", "1:0.5mm"], "LOW:HIGH"),

@@ -20,7 +20,6 @@ from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
 from learn2assemble.evaluation import builders
 from learn2assemble.physics.rigid_blocks import check
-from learn2assemble.planning.agent import planner
 from learn2assemble.planning.agent.designs import (
     FAMILIES,
     HELD_OUT,
@@ -379,16 +378,6 @@ def test_a_design_too_large_for_the_agent_is_refused() -> None:
         plan_cells(design, "bricks-lintels", planner="agent")
 
 
-def test_auto_says_why() -> None:
-    design = CellDesign("H", H, (0.05, 0.05, 0.05), None, 0.0, None, "H", None)
-    plan = plan_cells(design, planner="auto")
-    assert plan.complete
-    assert plan.search is not None
-    stage = plan.search.attempts[0]
-    assert stage.stage == "auto"
-    assert stage.result.startswith(f"{plan.planner}: ")
-
-
 def test_a_measurement_tells_the_players_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     sets = {"letters": ("little", 0.5), "letters, limited heap": ("little-heap", 0.5)}
     for name, heap in (("little", False), ("little-heap", True)):
@@ -403,25 +392,3 @@ def test_a_measurement_tells_the_players_apart(monkeypatch: pytest.MonkeyPatch) 
         assert row["agent with search"]["complete"] >= row["random alone"]["complete"]
         assert row["agent alone"]["expanded_per_block"] <= 1.5
         assert row["planners"]["exact"]["complete_and_proven"] == 1
-    kinds = found["record"]
-    assert {"bricks, no limit, up to 100 cells", "bricks, limited heap, up to 100 cells"} <= set(
-        kinds
-    )
-    assert sum(row["designs"] for row in kinds.values()) == 4
-
-
-@pytest.mark.parametrize(("saved", "chosen"), [(5.0, "agent"), (0.5, "exact")])
-def test_auto_follows_the_record(
-    monkeypatch: pytest.MonkeyPatch, saved: float, chosen: str
-) -> None:
-    row = {
-        "designs": 9, "exact": {"complete": 1.0, "seconds": 1.0 + saved},
-        "agent": {"complete": 1.0, "seconds": 1.0},
-    }  # fmt: skip
-    kind = planner.kind_of(H, KITS[2])
-    monkeypatch.setattr(planner, "read_record", lambda: {"kinds": {kind: row}})
-    who, why = planner.choose(H, KITS[2])
-    assert who == chosen
-    assert why.startswith(f"{chosen}: on record for {kind} (9 designs)")
-    row["agent"]["complete"] = 0.9
-    assert planner.choose(H, KITS[2])[0] == "exact"

@@ -18,23 +18,19 @@ from learn2assemble.design.goals import Goals, parse_goals, read_goals
 from learn2assemble.errors import InputError
 from learn2assemble.physics.rigid_blocks import check
 from learn2assemble.planning.exact import plan_exact
-from learn2assemble.planning.goals.network import load_guide, save_guide
-from learn2assemble.planning.goals.planner import plan_goals, prepare
+from learn2assemble.planning.goals.planner import EXACT, SEARCH, WAYS, plan_goals, prepare
 from learn2assemble.planning.goals.program import Exact, find_order, plan_program
-from learn2assemble.planning.goals.search import finished, search
+from learn2assemble.planning.goals.search import Found, finished, search
 from learn2assemble.planning.goals.stacks import find_stacks
 from learn2assemble.planning.goals.tasks import (
     FAMILIES,
     FIRST_FIXED_SEED,
-    FIRST_TRAINING_SEED,
-    TRAINED,
     draw,
     draw_goals,
     fixed_file,
     fixed_goals,
     fixed_names,
 )
-from learn2assemble.planning.goals.train import GuideConfig, train
 from learn2assemble.planning.goals.world import make_problem
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling import placement_cells
@@ -139,7 +135,7 @@ def test_what_is_complete_meets_the_goals(family: str, spatial: bool) -> None:
             continue
         tried += 1
         try:
-            plan = plan_goals(goals, planner="agent", seconds=1.0, seed=seed)
+            plan = plan_goals(goals, ways=(SEARCH,), seconds=1.0, seed=seed)
         except InputError:
             continue
         assert plan.status in ("complete", "incomplete", "refused")
@@ -152,19 +148,22 @@ def test_what_is_complete_meets_the_goals(family: str, spatial: bool) -> None:
 
 def test_the_example_is_built_with_the_fewest_blocks() -> None:
     goals = read_goals(EXAMPLE)
-    found = search(make_problem(goals), None, seconds=20)
+    found = search(make_problem(goals), seconds=20)
     exact = plan_program(make_problem(goals), seconds=100)
     assert exact.status == "optimal"
     assert exact.bound == len(exact.placements) == found.blocks == 4
-    plan = l2a.build(goals, planner="exact")
-    meets(json.loads(EXAMPLE.read_text()), plan)
+    for ways, stage in ((WAYS, "search"), ((EXACT,), "exact program")):
+        plan = plan_goals(goals, ways=ways)
+        assert plan.search is not None
+        assert [tried.stage for tried in plan.search.attempts] == [stage]
+        meets(json.loads(EXAMPLE.read_text()), plan)
 
 
 @pytest.mark.parametrize(("family", "seed"), [("corbel", 0), ("table", 2), ("stairs", 3)])
 def test_no_structure_has_fewer_blocks_than_the_bound(family: str, seed: int) -> None:
     goals = draw_goals(family, seed)
     assert goals is not None
-    found = search(make_problem(goals), None, seconds=3)
+    found = search(make_problem(goals), seconds=3)
     exact = plan_program(make_problem(goals), seconds=5)
     assert exact.status in ("optimal", "time", "feasible")
     assert 0 < exact.bound <= found.blocks
@@ -191,7 +190,7 @@ def test_loads_are_balanced_by_counterweights() -> None:
 def test_environments_pass_the_checker_and_are_solved_by_the_search(name: str) -> None:
     env = env_of(name).unwrapped
     check_env(env, skip_render_check=True)
-    found = search(env.problem, None, seconds=20)
+    found = search(env.problem, seconds=20)
     observation, info = env.reset(seed=0)
     total, ended = 0.0, False
     for block in found.placements:
@@ -210,16 +209,15 @@ def bare(file: dict[str, Any]) -> str:
     return json.dumps({**file, "name": ""})
 
 
-def test_fixed_tasks_are_as_many_as_asked_and_none_is_trained_or_tuned_on() -> None:
+def test_fixed_tasks_are_as_many_as_asked_and_none_is_tuned_on() -> None:
     names, developed = fixed_names(), fixed_names(development=True)
     assert len(set(names)) == len(names) == 55
     assert sum(name.startswith("planar/") for name in names) == 30
     assert sum(name.startswith("spatial/") for name in names) == 20
-    assert all(FIRST_FIXED_SEED <= int(n.split("/")[2]) < FIRST_TRAINING_SEED for n in names[:50])
+    assert all(int(n.split("/")[2]) >= FIRST_FIXED_SEED for n in names[:50])
     assert all(int(n.split("/")[2]) < FIRST_FIXED_SEED for n in developed)
     files = [bare(fixed_file(name)) for name in names + developed]
     assert len(set(files)) == len(files)
-    assert len({name.split("/")[1] for name in names[:50]} - set(TRAINED)) == 4
 
 
 def test_no_fixed_task_was_left_out_because_it_is_hard() -> None:
@@ -263,32 +261,18 @@ def test_impossible_tasks_are_refused(name: str) -> None:
     assert plan.reason
 
 
-def test_a_training_learns_and_its_guide_is_read_again(tmp_path: Path) -> None:
-    config = GuideConfig("tiny", seconds=3.0, rounds=1, limit=0.5, replays=1, steps=40)
-    guide = train(config)
-    again = load_guide(str(save_guide(guide, tmp_path)))
-    assert again.origin["states"] > 0
-    assert again.origin["demonstrations"] is False
-    problem = make_problem(read_goals(EXAMPLE))
-    assert search(problem, again, seconds=20).blocks
-    (tmp_path / "tiny.safetensors").write_bytes(b"none")
-    load_guide.cache_clear()
-    with pytest.raises(InputError, match="a guide of goals"):
-        load_guide(str(tmp_path / "tiny.safetensors"))
-
-
 def test_figures_count_what_was_measured() -> None:
     names = figures.names()
-    assert len(names) == len(set(names)) == 3 * 55 + 50
+    assert len(names) == len(set(names)) == 2 * 55 + 50
     entries: dict[str, Any] = {name: {"status": "complete", "blocks": 6} for name in names}
     entries |= {n: {"status": "refused", "blocks": 0} for n in names if "/impossible/" in n}
     entries |= {n: {"status": "optimal", "blocks": 5} for n in names if n.startswith("optimum/")}
-    entries["learned/planar/arch/20000"] = {"status": "incomplete", "blocks": 0}
+    entries["search/planar/arch/20000"] = {"status": "incomplete", "blocks": 0}
     rows = {what: got for what, _, got in figures.summary(entries)}
-    assert rows["learned: planar tasks solved"] == "29 of 30; not: planar/arch/20000"
+    assert rows["search: planar tasks solved"] == "29 of 30; not: planar/arch/20000"
     assert rows["search: spatial tasks solved"].startswith("20 of 20")
     assert rows["program: impossible tasks"].startswith("0 complete, 5 of 5 refused")
-    words = rows["learned: planar blocks by the optimum, where it is known"]
+    words = rows["search: planar blocks by the optimum, where it is known"]
     assert words == "1.200 on average, 1.20 at most, 29 of 29 above"
 
 
@@ -357,7 +341,7 @@ def test_options_of_drawings_are_refused(
 
 def test_a_plan_shows_its_goals(tmp_path: Path) -> None:
     goals = read_goals("examples/goals/over_the_water.json")
-    plan = l2a.build(goals, planner="agent", seconds=20)
+    plan = l2a.build(goals, seconds=20)
     found = {box.what: (box.low, box.high) for box in plan.design.boxes}
     assert found["reach"] == ((0.0, -0.025, 0.15), (0.05, 0.025, 0.15))
     assert found["load"] == ((0.1, -0.025, 0.2), (0.15, 0.025, 0.2))
@@ -381,29 +365,33 @@ def test_refused_goals_end_in_exit_code_1_and_a_page_that_opens(
 ):
     file = tmp_path / "goals.json"
     file.write_text(json.dumps(GOOD | changes))
-    for planner in ("auto", "exact", "agent"):
-        out = tmp_path / planner
-        assert main(["build", str(file), "--out", str(out), "--planner", planner]) == 1
-        plan = Plan.load(out)
-        assert plan.status == status
-        assert plan.found_nothing
-        assert reason in (plan.reason or "")
-        page = (out / "view.html").read_text()
-        assert reason in page
-        assert "{{" not in page
+    out = tmp_path / "out"
+    assert main(["build", str(file), "--out", str(out)]) == 1
+    plan = Plan.load(out)
+    assert plan.status == status
+    assert plan.found_nothing
+    assert reason in (plan.reason or "")
+    page = (out / "view.html").read_text()
+    assert reason in page
+    assert "{{" not in page
+
+
+def test_the_builder_of_designs_builds_no_goals() -> None:
+    for given in ({"planner": "agent"}, {"agent": "builder-s0"}):
+        with pytest.raises(InputError, match="expected exact, for goals"):
+            l2a.build(EXAMPLE, **given)
 
 
 def test_goals_for_which_nothing_is_found_end_in_exit_code_1(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(
-        "learn2assemble.planning.goals.planner.plan_program",
-        lambda problem, seconds: Exact("time", (), 1, seconds),
-    )
+    planner = "learn2assemble.planning.goals.planner"
+    monkeypatch.setattr(f"{planner}.search", lambda problem, **given: Found((), 1, 0.0))
+    monkeypatch.setattr(f"{planner}.plan_program", lambda problem, seconds: Exact("time", (), 1, 0))
+    monkeypatch.setattr(f"{planner}.find_stacks", lambda problem, seconds: ())
     file = tmp_path / "goals.json"
     file.write_text(json.dumps(GOOD))
-    args = ["--planner", "exact", "--out", str(tmp_path / "out")]
-    assert main(["build", str(file), *args]) == 1
+    assert main(["build", str(file), "--out", str(tmp_path / "out")]) == 1
     plan = Plan.load(tmp_path / "out")
     assert plan.status == "incomplete"
     assert plan.reason
@@ -419,9 +407,9 @@ def two_towers(**given) -> dict:
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("planner", ["auto", "agent"])
-def test_a_heap_that_just_suffices_is_shared_out_between_two_stacks(planner: str) -> None:
-    plan = plan_goals(parse_goals(two_towers()), planner=planner, seconds=600)
+@pytest.mark.parametrize("ways", [WAYS, (SEARCH,)])
+def test_a_heap_that_just_suffices_is_shared_out_between_two_stacks(ways: tuple[str, ...]) -> None:
+    plan = plan_goals(parse_goals(two_towers()), ways=ways, seconds=600)
     assert plan.complete, plan.reason
     assert (plan.blocks.used, plan.search.needed) == (20, "stacks")
     fewer = {"2x2": 8, "1x1": 4, "1x4": 4, "1x2": 3}

@@ -65,7 +65,7 @@ def _train(options: argparse.Namespace, output: Output) -> None:
     arg("--examples", type=named, default=None, help="folder of the examples"),
 )  # fmt: skip
 def _measure(options: argparse.Namespace, output: Output) -> None:
-    """``builders.json``, and ``planners.json``: the record for ``--planner auto``."""
+    """``builders.json``: what the builder builds, with search and alone, beside others."""
     import json
 
     from learn2assemble.evaluation.builders import PLAYERS, Measure, measure
@@ -86,10 +86,8 @@ def _measure(options: argparse.Namespace, output: Output) -> None:
     }  # fmt: skip
 
     def keep(found: dict[str, Any]) -> None:
-        rows = {key: value for key, value in found.items() if key != "record"}
-        for name, content in (("builders", rows), ("planners", {"kinds": found["record"]})):
-            text = json.dumps({**head, **content}, indent=1)
-            write_file(options.out / f"{name}.json", text + "\n", "--out")
+        text = json.dumps({**head, **found}, indent=1)
+        write_file(options.out / "builders.json", text + "\n", "--out")
 
     with claim_folder(options.out):
         found = measure(builder, config, options.examples, output.progress, other, keep)

@@ -68,7 +68,7 @@ _BUILD = (
     "l2a build examples/designs/gabled_house.json --arm panda --out out/house",
     arg("design", metavar="DESIGN", help="a drawing, picture, mesh, voxels, blocks, or a task"),
     arg("--out", type=named, required=True, help="new or empty folder"),
-    arg("--planner", default="auto", help="exact, agent, or auto (what the record says)"),
+    arg("--planner", default=None, help="of a design: exact (the default) or agent"),
     group(
         "a design and its blocks (docs/building.md)",
         reading_arguments,

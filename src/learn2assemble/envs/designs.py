@@ -15,7 +15,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.planning.agent import features as design_features
 from learn2assemble.planning.agent.designs import Solved, make_design
 from learn2assemble.planning.agent.world import World
-from learn2assemble.planning.goals import network as goal_features
+from learn2assemble.planning.goals import features as goal_features
 from learn2assemble.planning.goals.search import Search
 from learn2assemble.planning.goals.tasks import fixed_goals
 from learn2assemble.planning.goals.world import bears, legal, make_problem, put, relax
@@ -193,7 +193,7 @@ class GoalsEnv(_CandidateEnv):
     def __init__(self, task: GoalTask | str, render_mode: str | None = None) -> None:
         self.task = GOAL_TASKS[task] if isinstance(task, str) else task
         self.problem = make_problem(fixed_goals(self.task.goals))
-        self._look = Search(self.problem, None)
+        self._look = Search(self.problem)
         super().__init__(self.task.max_candidates, goal_features, render_mode)
 
     def _draw(self) -> World:

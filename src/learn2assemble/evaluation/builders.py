@@ -21,7 +21,7 @@ from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.design.cells import CellDesign, read_design
 from learn2assemble.planning.agent.designs import Solved, draw_letter, make_design, with_exact_heap
 from learn2assemble.planning.agent.network import Builder
-from learn2assemble.planning.agent.planner import kind_of, plan_with_agent
+from learn2assemble.planning.agent.planner import plan_with_agent
 from learn2assemble.planning.agent.search import BUDGET, build
 from learn2assemble.planning.exact import plan_exact
 from learn2assemble.tasks import DESIGN_TASKS
@@ -77,11 +77,10 @@ def measure(
         keep: given what is known so far after every set.
         examples: the folder of the examples; left out without it.
     """
-    record: dict[str, dict[str, list[tuple[bool, float]]]] = {}
     scorers = {"agent": builder, "random": None} | ({"other": other} if other else {})
     sets: dict[str, Any] = {}
     shown = {} if examples is None else measure_examples(builder, examples, progress)
-    found = {"examples": shown, "sets": sets, "record": {}}
+    found = {"examples": shown, "sets": sets}
     designs: list[Solved] = []
     for number, (name, (task, asked)) in enumerate(SETS.items()):
         large = DESIGN_TASKS[task].blocks[1] > 60
@@ -106,9 +105,8 @@ def measure(
                 )
                 for player, (scorer, budget) in PLAYERS.items() if scorer in scorers
             },
-            "planners": _time_planners(designs[:exact], builder, record, progress, name),
+            "planners": _time_planners(designs[:exact], builder, progress, name),
         }  # fmt: skip
-        found["record"] = to_record(record)
         keep(found)
     return found
 
@@ -146,9 +144,8 @@ def _play(
 
 
 def _time_planners(
-    designs: list[Solved], builder: Builder, record: dict[str, dict[str, list[tuple[bool, float]]]],
-    progress: Progress, name: str,
-) -> dict[str, Any]:  # fmt: skip
+    designs: list[Solved], builder: Builder, progress: Progress, name: str
+) -> dict[str, Any]:
     """Exact planner and agent with search, both with the proof of every step and its margin."""
     times: dict[str, list[float]] = defaultdict(list)
     done: dict[str, list[bool]] = defaultdict(list)
@@ -161,12 +158,10 @@ def _time_planners(
         started = perf_counter()
         tiling, ordering, _, _ = plan_with_agent(wanted, kit, builder=builder, seed=k)
         found["agent"] = tiling.status, ordering.status, perf_counter() - started
-        row = record.setdefault(kind_of(wanted, kit), {"exact": [], "agent": []})
         for planner, (tiled, ordered, seconds) in found.items():
             good = tiled == ordered == "complete"
             done[planner].append(good)
             times[planner].append(seconds)
-            row[planner].append((good, seconds))
     return {
         planner: {
             "designs": len(done[planner]),
@@ -175,24 +170,6 @@ def _time_planners(
             "seconds_mean": round(float(np.mean(times[planner])), 3),
         }
         for planner in done
-    }
-
-
-def to_record(measured: dict[str, dict[str, list[tuple[bool, float]]]]) -> dict[str, Any]:
-    """The record that ``--planner auto`` reads: by kind of design, each planner's completed share
-    and median seconds."""
-    return {
-        kind: {
-            "designs": len(row["exact"]),
-            **{
-                planner: {
-                    "complete": round(float(np.mean([good for good, _ in results])), 4),
-                    "seconds": round(float(np.median([seconds for _, seconds in results])), 3),
-                }
-                for planner, results in row.items()
-            },
-        }
-        for kind, row in sorted(measured.items())
     }
 
 

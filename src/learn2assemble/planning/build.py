@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 READING = ("unit", "cell", "size", "up", "depth", "cells_wide")
 """What may be said about how to read a design file, see :func:`.design.cells.read_design`."""
-PLANNERS = ("auto", "exact", "agent")
+PLANNERS = ("exact", "agent")
 DEFAULT_TOOL = "suction"
 """Of an arm that carries out an exact plan: with fingers, blocks cannot stand close."""
 PHYSICS = ("dynamic", "kinematic")
@@ -59,7 +59,7 @@ Progress = Callable[[str], None]
 def build(
     design: str | Path | CellDesign | Goals | Assembly,
     *,
-    planner: str = "auto",
+    planner: str | None = None,
     kit: str | Kit | None = None,
     friction: float | tuple[float, float] | None = None,
     gap: float | tuple[float, float] | None = None,
@@ -87,8 +87,8 @@ def build(
             file (``docs/goals.md``), an assembly of given blocks, or the name of a task, of which a
             random problem is built.
         planner: of a design, ``"exact"``; ``"agent"``: the learned builder with its search alone
-            (:mod:`.agent`); or ``"auto"``: the builder where one is named, else what the record of
-            both planners says. A task takes none.
+            (:mod:`.agent`); by default the builder where one is named, else exact. Goals and tasks
+            have their own.
         kit: for designs of cells, a kit, its name or its file; by default the one the design
             names, else ``bricks-lintels``.
         friction: coefficient, or the range to prove every step for; by default the kit's.
@@ -121,7 +121,8 @@ def build(
         InputError: for a design, arm, agent or layout that cannot be used.
     """
     # What can be refused at once comes before the libraries that take seconds to load.
-    check_name("planner", planner, PLANNERS)
+    if planner is not None:
+        check_name("planner", planner, PLANNERS)
     _check_values(
         reading=reading, props=props, noise=noise, seed=seed, seconds=seconds, progress=progress
     )
@@ -147,6 +148,7 @@ def build(
         if planner == "exact":
             raise InputError("agent", str(agent), "none with the exact planner")
         planner, builder = "agent", _builder(agent)
+    planner = planner or "exact"
     how = None
     if arm is not None:
         how = _Arm(arm, tool, layout, physics, noise, state, seed)
@@ -317,14 +319,17 @@ def _build_design(
             raise InputError("kit", kit.name, "a design of cells; these blocks are given")
         if planner == "agent":
             raise InputError("planner", planner, "exact, for blocks that are given")
-    elif not isinstance(design, CellDesign | Goals):
+    elif isinstance(design, Goals):
+        if planner == "agent":
+            raise InputError("planner", planner, "exact, for goals instead of a design")
+    elif not isinstance(design, CellDesign):
         raise InputError("design", type(design).__name__, "a file, cells or an assembly")
     workcell, progress = None if how is None else how.workcell(), given["progress"]
     if not isinstance(design, CellDesign):
         if isinstance(design, Goals):
             from learn2assemble.planning.goals.planner import plan_goals, with_obstacles
 
-            plan = plan_goals(design, planner=planner, seed=seed, **given)
+            plan = plan_goals(design, seed=seed, **given)
             if workcell is not None:
                 workcell = replace(workcell, site=with_obstacles(workcell.site, design))
         else:
@@ -342,7 +347,7 @@ def _build_design(
         options: dict[str, Any] = given if blocks is kit else {**given, "gap": None}
         return plan_cells(
             design, blocks, props=props, builder=builder, seed=seed, hand=hand,
-            planner=planner if how is None or planner == "agent" else "exact", **options,
+            planner=planner, **options,
         )  # fmt: skip
 
     if workcell is None:

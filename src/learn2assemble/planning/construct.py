@@ -37,7 +37,7 @@ from learn2assemble.planning.tiling import Tiling, placement_cells, strange_cell
 if TYPE_CHECKING:
     from learn2assemble.planning.agent.arm import Hand
 
-EXACT, AGENT, AUTO = "exact", "agent", "auto"
+EXACT, AGENT = "exact", "agent"
 _UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -67,8 +67,7 @@ def plan_cells(
         props: whether temporary blocks may be used; the agent uses none.
         seconds: wall-clock limit of planning and proof.
         progress: told what is being done.
-        planner: ``"exact"``; ``"agent"``: the learned builder with its search alone; ``"auto"``:
-            what the record of both says (:mod:`.agent.planner`), exact where the agent fails.
+        planner: ``"exact"``, or ``"agent"``: the learned builder with its search alone.
         builder: the agent, by name or file.
         seed: of the agent's search.
         hand: an arm that makes the agent's placements.
@@ -84,32 +83,19 @@ def plan_cells(
     if not isinstance(kit, Kit):
         kit = load_kit(kit or design.kit or DEFAULT_KIT).at_pitch(design.cell)
     progress("choosing blocks and proving their order")
-    chosen, search, agent, shades = planner, None, None, design.shades
-    tiling = ordering = None
-    if planner != EXACT:
-        from learn2assemble.planning.agent.planner import choose, plan_with_agent
+    search = agent = None
+    if planner == AGENT:
+        from learn2assemble.planning.agent.planner import plan_with_agent
 
-        stages: tuple[plans.SearchStage, ...] = ()
-        if planner == AUTO:
-            chosen, why = choose(design.wanted, kit)
-            if shades is not None and chosen == AGENT:
-                chosen, why = EXACT, "exact: it keeps the colours of the design apart"
-            stages = (plans.SearchStage(AUTO, why, 0.0),)
-        if chosen == AGENT:
-            tiling, ordering, search, agent = plan_with_agent(
-                design.wanted, kit, builder=builder, seed=seed, seconds=seconds,
-                friction=friction, gap=gap, hand=hand, props=props,
-            )  # fmt: skip
-            stages += search.attempts
-            if planner == AUTO and tiling.status != "complete":
-                tiling, ordering, agent, chosen = None, None, None, EXACT
-        needed = chosen if search is None else search.needed
-        search = plans.SearchReport(needed, 0 if search is None else search.budget, stages)
-    if tiling is None:
+        tiling, ordering, search, agent = plan_with_agent(
+            design.wanted, kit, builder=builder, seed=seed, seconds=seconds,
+            friction=friction, gap=gap, hand=hand, props=props,
+        )  # fmt: skip
+    else:
         left = max(seconds - (time.perf_counter() - started), 1.0)
         tiling, ordering = plan_exact(
             design.wanted, kit, seconds=left, friction=friction, gap=gap, props_allowed=props,
-            shades=shades,
+            shades=design.shades,
         )  # fmt: skip
         if (ordering or tiling).status in ("refused", "not found") and tiling.placements:
             left = seconds - (time.perf_counter() - started)
@@ -119,10 +105,10 @@ def plan_cells(
             tiling = replace(tiling, reason=why)
             ordering = None if ordering is None else replace(ordering, reason=why)
     empty = tiling.missing or not tiling.placements
-    if tiling.status == "refused" and empty and not kit.limited and chosen == EXACT:
+    if tiling.status == "refused" and empty and not kit.limited and planner == EXACT:
         raise InputError("kit", kit.name, f"one that fills every cell ({tiling.reason})")
     return report_plan(
-        design, kit, tiling, ordering, seconds=time.perf_counter() - started, planner=chosen,
+        design, kit, tiling, ordering, seconds=time.perf_counter() - started, planner=planner,
         agent=agent, search=search,
     )  # fmt: skip
 

@@ -18,11 +18,10 @@ from learn2assemble.cli.parser import (
     count,
     named,
     natural,
-    positive,
     workers_arguments,
 )
 from learn2assemble.errors import InputError, check_name
-from learn2assemble.files import check_exists, check_output, claim_folder, read_text, write_file
+from learn2assemble.files import check_exists, check_output, read_text, write_file
 from learn2assemble.registry import Registry
 
 if TYPE_CHECKING:
@@ -431,40 +430,11 @@ def _figures(module: str, title: str, help: str, example: str) -> Command:
     return Command(help, example, arguments, run)
 
 
-def _train_goals_arguments(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("--out", type=named, required=True, help="new or empty folder")
-    add("--name", default="goals-s0", help="of the guide")
-    add("--seed", type=natural, default=0, help="of goals, weights and choices")
-    add("--seconds", type=positive, default=120.0, help="of processor time")
-
-
-def _run_train_goals(options: argparse.Namespace, output: Output) -> None:
-    from learn2assemble.learning.run import provenance
-    from learn2assemble.planning.goals.network import save_guide
-    from learn2assemble.planning.goals.train import GuideConfig, train
-
-    config = GuideConfig(options.name, options.seed, options.seconds)
-    with claim_folder(options.out):
-        guide = train(
-            config, lambda told: output.progress(", ".join(f"{k} {v:g}" for k, v in told.items()))
-        )
-        guide.origin.update(provenance("cpu"))
-        weights = save_guide(guide, options.out)
-    output.say(f"{guide.origin['states']} states, {guide.origin['goals']} goals: {weights}")
-    output.finish({"agent": str(weights), **guide.origin})
-
-
 _COMMANDS = {
     "measure-goals": _figures(
         "goals", "figures of goals without a drawing",
         "measure the search for structures that meet goals, beside the exact program",
         "l2a measure-goals --only planar/ --workers 2",
-    ),
-    "train-goals": Command(
-        "train the network that guides the search for structures that meet goals",
-        "l2a train-goals --out runs/goals",
-        _train_goals_arguments, _run_train_goals,
     ),
     "measure-builds": _figures(
         "builds", "figures of builds by an arm",

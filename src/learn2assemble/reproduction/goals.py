@@ -1,8 +1,8 @@
 """Goals without a drawing, measured on fixed tasks: ``results/goals.json``.
 
-Every entry is a player and a task. Players are the learned search, whose plan an arm then carries
-out in the dynamic cell, the same search without a network, and the exact program; ``optimum`` is
-the program without a limit of its own, asked again and again for fewer blocks than are known.
+Every entry is a player and a task. Players are the search, whose plan an arm then carries out in
+the dynamic cell, and the exact program; ``optimum`` is the program without a limit of its own,
+asked again and again for fewer blocks than are known.
 """
 
 from __future__ import annotations
@@ -10,15 +10,19 @@ from __future__ import annotations
 import time
 
 from learn2assemble.errors import InputError
-from learn2assemble.planning.goals.network import default_guide
-from learn2assemble.planning.goals.planner import plan_goals, prepare, with_obstacles
+from learn2assemble.planning.goals.planner import (
+    EXACT,
+    SEARCH,
+    plan_goals,
+    prepare,
+    with_obstacles,
+)
 from learn2assemble.planning.goals.program import MOST, plan_program
 from learn2assemble.planning.goals.search import search
 from learn2assemble.planning.goals.tasks import (
     IMPOSSIBLE,
     PLANAR,
     SPATIAL,
-    TRAINED,
     fixed_goals,
     fixed_names,
 )
@@ -27,7 +31,7 @@ from learn2assemble.planning.programs import Clock
 from learn2assemble.planning.workcell_plan import Workcell, carry_out
 from learn2assemble.reproduction.measured import Figures, Result
 
-PLAYERS = ("learned", "search", "program", "optimum")
+PLAYERS = ("search", "program", "optimum")
 SECONDS = {PLANAR: 10.0, SPATIAL: 30.0, IMPOSSIBLE: 30.0}
 """Limits of a search, in processor time."""
 PROGRAM_SECONDS = OPTIMUM_SECONDS = 60.0
@@ -44,13 +48,10 @@ def names() -> list[str]:
 
 
 def configuration() -> Result:
-    """Limits of the players, the arm and the guide."""
-    guide = default_guide()
+    """Limits of the players, and the arm."""
     return {
         "seconds": SECONDS, "program_seconds": PROGRAM_SECONDS, "optimum_seconds": OPTIMUM_SECONDS,
         "arm": ARM, "tool": "suction",
-        "guide": guide.name if guide else None, "guide_origin": guide.origin if guide else None,
-        "trained_families": list(TRAINED),
     }  # fmt: skip
 
 
@@ -61,12 +62,11 @@ def entry(name: str) -> Result:
     if player == "optimum":
         return _optimum(task)
     started = time.process_time()
-    planner = "agent"
+    way = SEARCH
     if player == "program":
-        planner, seconds = "exact", PROGRAM_SECONDS
+        way, seconds = EXACT, PROGRAM_SECONDS
     try:
-        plan = plan_goals(goals, planner=planner, seconds=seconds,
-                          learned=player == "learned", timer=time.process_time)  # fmt: skip
+        plan = plan_goals(goals, ways=(way,), seconds=seconds, timer=time.process_time)
     except InputError as error:
         return {"status": "refused", "reason": str(error), "blocks": 0}
     planned = time.process_time() - started
@@ -76,7 +76,7 @@ def entry(name: str) -> Result:
         "planning_cpu_s": round(planned, 2), "margin_g": plan.margin_g,
         "stages": [f"{stage.stage}: {stage.result} ({stage.seconds:.2f} s)" for stage in stages],
     }  # fmt: skip
-    if player == "learned" and plan.complete:
+    if player == "search" and plan.complete:
         result["arm"] = _by_arm(task, plan)
     return result
 
@@ -101,7 +101,7 @@ def _optimum(task: str) -> Result:
     """The fewest blocks there are, where that can be proven in time."""
     problem, _ = prepare(fixed_goals(task))
     clock = Clock(OPTIMUM_SECONDS)
-    best = search(problem, None, seconds=3.0, timer=time.process_time).blocks or MOST + 1
+    best = search(problem, seconds=3.0, timer=time.process_time).blocks or MOST + 1
     bound = 1
     while clock.left > 0:
         exact = plan_program(problem, seconds=clock.left, most=best - 1)
@@ -122,7 +122,7 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
 
     rows: list[tuple[str, str, str]] = []
     best = {task: one for task, one in tasks("optimum/").items() if one["status"] == "optimal"}
-    for player in PLAYERS[:3]:
+    for player in PLAYERS[:2]:
         for kind, asked in ((PLANAR, ">= 28 of 30"), (SPATIAL, ">= 17 of 20")):
             mine = tasks(f"{player}/{kind}/")
             if not mine:

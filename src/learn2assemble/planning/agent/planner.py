@@ -1,17 +1,9 @@
-"""The builder as a planner: the same answer as the exact one's, and who plans what.
-
-Which planner ``auto`` takes is read from a record, ``assets/planners.json``, which
-``l2a measure-builder`` writes: for every kind of design, how many each planner completed and in
-how long, planning and proof together.
-"""
+"""The builder as a planner: the same answer as the exact one's."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from functools import cache
-from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,13 +21,10 @@ from learn2assemble.planning.tiling import TIME_OPTION, Tiling
 if TYPE_CHECKING:
     from learn2assemble.planning.agent.arm import Hand
 
-RECORD = "planners.json"
 MAX_CANDIDATES = 1_000_000
 """Cells times ways to put down a block: what the builder keeps grows with it."""
 _SET_UP = 3.0
 """States that an arm may expand per block before its base stands elsewhere."""
-_SAVING = 2.0
-"""The agent is taken only where it saves so many seconds at the median."""
 
 
 def plan_with_agent(
@@ -144,43 +133,3 @@ def _reason(outcome: Outcome, seconds: float) -> str:
     if len(never):
         what += f"; {len(never)} cells need a prop, which the agent does not use"
     return f"the agent found no way on: {what}; --planner exact may"
-
-
-# ---------------------------------------------------------------- who plans
-
-
-def kind_of(wanted: np.ndarray, kit: Kit) -> str:
-    """The kind of a design, as the record knows it: blocks, heap and number of cells."""
-    blocks = "cubes" if max(len(kind.cells) for kind in kit.kinds) == 1 else "bricks"
-    heap = "limited heap" if kit.limited else "no limit"
-    cells = int(wanted.sum())
-    size = next((f"up to {most} cells" for most in (100, 300, 1000) if cells <= most), "more")
-    return f"{blocks}, {heap}, {size}"
-
-
-@cache
-def read_record() -> dict[str, Any]:
-    """Measurements by kind of design and planner; empty where there are none."""
-    file = resources.files("learn2assemble") / "assets" / RECORD
-    return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {"kinds": {}}
-
-
-def choose(wanted: np.ndarray, kit: Kit) -> tuple[str, str]:
-    """The planner for a design, and why.
-
-    The agent, where on record it completed as many designs of this kind as the exact planner and
-    was faster by at least two seconds at the median; else the exact planner.
-    """
-    kind = kind_of(np.asarray(wanted), kit)
-    row = read_record()["kinds"].get(kind)
-    if row is None:
-        return "exact", f"exact: nothing on record for {kind}"
-    exact, agent = row["exact"], row["agent"]
-    words = (
-        f"on record for {kind} ({row['designs']} designs): exact {exact['complete']:.0%} in "
-        f"{exact['seconds']:.2g} s, agent {agent['complete']:.0%} in {agent['seconds']:.2g} s"
-    )
-    better = agent["complete"] >= exact["complete"]
-    if better and exact["seconds"] - agent["seconds"] >= _SAVING:
-        return "agent", f"agent: {words}"
-    return "exact", f"exact: {words}"

@@ -25,10 +25,14 @@ import numpy as np
 from learn2assemble.errors import Learn2AssembleError, UnknownNameError
 from learn2assemble.planning.agent.designs import Solved, make_design
 from learn2assemble.planning.agent.features import NUM_SUMMARY, describe, mirrored
-from learn2assemble.planning.agent.network import Builder, forward, initial_weights
+from learn2assemble.planning.agent.network import (
+    Builder,
+    check_file_name,
+    forward,
+    initial_weights,
+)
 from learn2assemble.planning.agent.search import build, window
 from learn2assemble.planning.agent.world import Site, World
-from learn2assemble.planning.scorer import check_file_name
 from learn2assemble.planning.tiling import bond_cost, cover, seams_below
 from learn2assemble.tasks import DESIGN_TASKS
 

@@ -1,1 +1,1 @@
-"""Goals without a drawing: tasks, the relaxed plan, search, network, and the exact program."""
+"""Goals without a drawing: tasks, the relaxed plan, search, and the exact program."""

@@ -13,8 +13,7 @@ from learn2assemble.design.goals import Goals
 from learn2assemble.errors import InputError
 from learn2assemble.planning import plan as plans
 from learn2assemble.planning.agent.world import World
-from learn2assemble.planning.construct import AGENT, AUTO, EXACT, report_plan
-from learn2assemble.planning.goals.network import Guide, default_guide
+from learn2assemble.planning.construct import EXACT, report_plan
 from learn2assemble.planning.goals.program import MOST, plan_program
 from learn2assemble.planning.goals.search import Found, search
 from learn2assemble.planning.goals.stacks import TIGHT, find_stacks
@@ -32,7 +31,8 @@ from learn2assemble.planning.tiling import BlockPlacement, Tiling, owners, place
 from learn2assemble.planning.workcell_site import Obstacle, Site
 
 SEARCH, STACKS = "search", "stacks"
-"""Who plans where no network was asked, and where one stack under every goal was enough."""
+"""Who else plans: :mod:`.search`, and :mod:`.stacks` where one stack under every goal is enough."""
+WAYS = (SEARCH, EXACT)
 SEARCH_SECONDS = (10.0, 30.0)
 """Limits of the search in front of the exact program: planar and spatial goals [s]."""
 STACK_SECONDS = 10.0
@@ -41,20 +41,17 @@ _DIRECTIONS = 16
 
 
 def plan_goals(
-    goals: Goals, *, planner: str = AUTO, guide: Guide | None = None, learned: bool = True,
-    seed: int = 0, seconds: float = 60.0, friction: Bounds = None, gap: Bounds = None,
-    timer: Callable[[], float] = time.monotonic,
+    goals: Goals, *, ways: tuple[str, ...] = WAYS, seed: int = 0, seconds: float = 60.0,
+    friction: Bounds = None, gap: Bounds = None, timer: Callable[[], float] = time.monotonic,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Plan:  # fmt: skip
     """A structure that meets some goals, its order, and the proof of every step.
 
     Args:
-        planner: ``"agent"``: the learned search; ``"exact"``: the mixed-integer program;
-            ``"auto"``: the search without a network, then the learned one, then the program, until
-            one finds a structure. Where the goals need most of a heap, or nothing else is found, a
-            program shares the blocks out among one stack under every goal (:mod:`.stacks`).
-        guide: the network of the search; by default the one of the package.
-        learned: whether the search uses a network.
+        ways: what is asked for a structure until one is found: the search, the mixed-integer
+            program, or the search and then the program. Where the goals need most of a heap, or
+            nothing else is found, a program shares the blocks out among one stack under every goal
+            (:mod:`.stacks`).
         seed: of the search.
         seconds: limit of choosing the blocks, for the search as ``timer`` tells them.
         friction, gap: to prove it for, as for the exact planner.
@@ -70,26 +67,20 @@ def plan_goals(
     problem, reason = prepare(goals)
     stages: list[plans.SearchStage] = []
     blocks: tuple[BlockPlacement, ...] = ()
-    chosen, status = planner, "refused" if reason else "incomplete"
-    used: Guide | None = None
-    tight = not reason and planner != EXACT and _is_tight(problem)
+    chosen, status = ways[0], "refused" if reason else "incomplete"
+    tight = not reason and SEARCH in ways and _is_tight(problem)
     if tight:
         blocks, chosen = _stack(problem, seconds, stages, progress), STACKS
-    if planner != EXACT and not reason and not blocks:
+    if SEARCH in ways and not reason and not blocks:
         progress("searching for a structure")
-        limit = SEARCH_SECONDS[min(goals.shape[:2]) > 1]
-        limit = seconds if planner == AGENT else min(limit, seconds / 3)
-        guide = (guide or default_guide()) if learned else None
-        # On record the search without a network solves as many tasks, and mostly sooner.
-        for prior in (guide,) if planner == AGENT or guide is None else (None, guide):
-            found = search(problem, prior, seconds=limit, seed=seed, timer=timer)
-            blocks, chosen, used = found.placements, AGENT if prior else SEARCH, prior
-            name = "learned search" if prior else SEARCH
-            stages.append(plans.SearchStage(name, _words(found), round(found.seconds, 3)))
-            reason = "" if blocks else _nothing(found, limit)
-            if blocks:
-                break
-    if planner != AGENT and not blocks and status != "refused":
+        limit = seconds
+        if EXACT in ways:
+            limit = min(SEARCH_SECONDS[min(goals.shape[:2]) > 1], seconds / 3)
+        found = search(problem, seconds=limit, seed=seed, timer=timer)
+        blocks, chosen = found.placements, SEARCH
+        stages.append(plans.SearchStage(SEARCH, _words(found), round(found.seconds, 3)))
+        reason = "" if blocks else _nothing(found, limit)
+    if EXACT in ways and not blocks and status != "refused":
         progress("solving the exact program")
         spent = time.perf_counter() - started if stages else 0.0
         exact = plan_program(problem, seconds=seconds - spent)
@@ -105,9 +96,16 @@ def plan_goals(
         blocks = _stack(problem, seconds, stages, progress)
         chosen, reason = (STACKS, "") if blocks else (chosen, reason)
     plan = _report(
-        goals, blocks, reason, status, friction, gap, time.perf_counter() - started, chosen,
-        seconds, used.name if used and chosen == AGENT else None,
-    )  # fmt: skip
+        goals,
+        blocks,
+        reason,
+        status,
+        friction,
+        gap,
+        time.perf_counter() - started,
+        chosen,
+        seconds,
+    )
     also = ", and under every set of the loads" if goals.loads else ""
     design = replace(plan.design, boxes=tuple(plans.PlanBox(*box) for box in goals.boxes()))
     return replace(plan, design=design, search=plans.SearchReport(chosen, 0, tuple(stages)),
@@ -216,7 +214,7 @@ def with_obstacles(site: Site, goals: Goals) -> Site:
 
 def _report(
     goals: Goals, blocks: tuple[BlockPlacement, ...], reason: str, status: str, friction: Bounds,
-    gap: Bounds, seconds: float, planner: str, limit: float, guide: str | None,
+    gap: Bounds, seconds: float, planner: str, limit: float,
 ) -> Plan:  # fmt: skip
     """The plan of blocks in their order, with the same proof as any other."""
     kit = goals.kit
@@ -240,8 +238,7 @@ def _report(
             why = left[0] if left else f"it falls under the loads at {points}"
             tiling = replace(tiling, status="incomplete", reason=why)
     name = CellDesign(goals.name, wanted, kit.pitch, None, 0.0, None, goals.source, kit.name)
-    return report_plan(name, kit, tiling, ordering, seconds=seconds, planner=planner,
-                       agent=guide)  # fmt: skip
+    return report_plan(name, kit, tiling, ordering, seconds=seconds, planner=planner)
 
 
 def _words(found: Found) -> str:
@@ -254,5 +251,5 @@ def _words(found: Found) -> str:
 
 def _nothing(found: Found, limit: float) -> str:
     if found.exhausted:
-        return "the search has tried everything it can: --planner exact may find more"
+        return "the search has tried everything it can"
     return f"no structure was found in {limit:g} s; --seconds gives more"

@@ -1,13 +1,12 @@
-"""Best-first search over structures that stand, guided by relaxed plans and a learned prior.
+"""Best-first search over structures that stand, guided by relaxed plans.
 
 A node is a structure that stands; its children are one block larger. A node waits for its next
 child with the priority
 
     blocks + weight * (blocks that are missing) + surprises on the way, the child's included ,
 
-where what is missing is the relaxed plan, and ballast. Without a network a child of the relaxed
-plan surprises by nothing, and any other by its detour and more; with one the surprise is the
-logarithm of how much likelier the likeliest child is.
+where what is missing is the relaxed plan, and ballast. A child of the relaxed plan surprises by
+nothing, and any other by its detour and more.
 
 A block of the relaxed plan that would fall, or a load, asks for *ballast*: the least weights on top
 of the structure that would hold it, a linear program, say where; blocks there surprise little.
@@ -29,7 +28,6 @@ from itertools import count
 import numpy as np
 
 from learn2assemble.planning.agent.world import World, grow
-from learn2assemble.planning.goals.network import Guide, describe
 from learn2assemble.planning.goals.world import (
     Problem,
     Relaxed,
@@ -51,8 +49,8 @@ FIRST_RUN, GROWTH, NOISE = 60.0, 1.3, 0.5
 """Nodes of the first run, by how much the next are longer, and what is added to surprises from the
 second on, exponentially distributed [blocks]: estimates that are wrong in one way are left."""
 UNLIKELY, FAR = 0.7, 4.0
-"""Without a network, surprise of a child that is not in the relaxed plan, besides its detour; and
-the largest detour [blocks]."""
+"""Surprise of a child that is not in the relaxed plan, besides its detour; and the largest detour
+[blocks]."""
 SURE = 0.4
 """Share of a relaxed plan that is needed in any case."""
 PATIENCE = 1.0, 3.0
@@ -60,8 +58,6 @@ PATIENCE = 1.0, 3.0
 found for the search to go on."""
 BALLAST = 0.5
 """Surprise of a block that lies best where ballast is asked for [blocks]."""
-TEMPER = 0.7
-"""Surprise of a child that the network finds less likely by a factor e [blocks]."""
 MAX_SEEN = 100_000
 
 
@@ -96,14 +92,10 @@ class Node:
 
 
 class Search:
-    """A search over the structures for some goals.
+    """A search over the structures for some goals."""
 
-    Args:
-        guide: the network; None: none.
-    """
-
-    def __init__(self, problem: Problem, guide: Guide | None, seed: int = 0) -> None:
-        self.problem, self.guide = problem, guide
+    def __init__(self, problem: Problem, seed: int = 0) -> None:
+        self.problem = problem
         rng = np.random.default_rng(seed)
         self.rng, self.noise = rng, 0.0
         self.hash = rng.integers(0, 2**63, len(problem.site), dtype=np.int64)
@@ -122,13 +114,9 @@ class Search:
         children = legal(self.problem, world)
         helps, weight = self.advice(world, relaxed, children)
         missing = max(relaxed.blocks + np.ceil(round(weight / self.heaviest, 6)), 1.0)
-        if self.guide is not None and len(children):
-            logits = self.guide.scores(*describe(self.problem, world, relaxed, children, helps))
-            surprise = TEMPER * (logits.max() - logits)
-        else:
-            detour = np.clip(relaxed.detour[children], 0.0, FAR)
-            surprise = np.where(relaxed.used[children], 0.0, UNLIKELY + detour)
-            surprise = np.where(helps > 0, np.minimum(surprise, BALLAST + 1 - helps), surprise)
+        detour = np.clip(relaxed.detour[children], 0.0, FAR)
+        surprise = np.where(relaxed.used[children], 0.0, UNLIKELY + detour)
+        surprise = np.where(helps > 0, np.minimum(surprise, BALLAST + 1 - helps), surprise)
         if self.noise:
             surprise = surprise + self.noise * self.rng.exponential(size=len(surprise))
         order = np.argsort(surprise, kind="stable")
@@ -231,16 +219,18 @@ class Search:
 
 
 def search(
-    problem: Problem, guide: Guide | None, *, seconds: float = 10.0, seed: int = 0,
+    problem: Problem,
+    *,
+    seconds: float = 10.0,
+    seed: int = 0,
     timer: Callable[[], float] = time.monotonic,
-) -> Found:  # fmt: skip
+) -> Found:
     """A structure for some goals with as few blocks as can be found.
 
     Args:
-        guide: the network; None: none.
         seconds: limit, as ``timer`` tells them.
     """
-    clock, found = Clock(seconds, timer), Search(problem, guide, seed)
+    clock, found = Clock(seconds, timer), Search(problem, seed)
     best = Found((), 0, 0.0)
     end, runs = clock, 0
     exhausted = not len(problem.site) or not np.isfinite(relax(problem, World(problem.site)).blocks)

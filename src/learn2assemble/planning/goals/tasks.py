@@ -1,7 +1,7 @@
-"""Goals in families, drawn at random: those of training, and fixed ones to be measured on.
+"""Goals in families, drawn at random, and fixed ones to be measured on.
 
 A family draws a goals file of a lattice of 5 cm cells, planar (one cell deep) or spatial. The fixed
-tasks are families and seeds; training draws its own seeds, and some families are never trained on.
+tasks are families and seeds.
 """
 
 from __future__ import annotations
@@ -189,11 +189,7 @@ FAMILIES: dict[str, Family] = {
     "bridge": _bridge, "corbel": _corbel, "tower": _tower, "cantilever": _cantilever,
     "table": _table, "joined": _joined, "stairs": _stairs, "arch": _arch, "scatter": _scatter,
 }  # fmt: skip
-TRAINED = ("scatter", "bridge", "tower", "table", "stairs")
-"""Families that training draws from; it never sees the others."""
 PLANAR, SPATIAL = "planar", "spatial"
-FIRST_TRAINING_SEED = 100_000
-"""Training draws seeds from here on, all other tasks have smaller ones."""
 
 
 def draw(family: str, seed: int, spatial: bool = False) -> Json:

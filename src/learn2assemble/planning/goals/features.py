@@ -1,106 +1,16 @@
-"""The network that guides the search: what it sees of a state, and how likely each child is.
-
-The network sees a row of numbers for every legal candidate, and a summary. Besides the score of
-every candidate, a third layer, over what the likely ones look like, tells the blocks that will be
-needed beyond the relaxed plan: an auxiliary task of the training, which the search does not ask
-for.
-"""
+"""What an environment of goals shows of a state: a row of numbers for every legal candidate, and a
+summary of the whole."""
 
 from __future__ import annotations
-
-from functools import cache
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from learn2assemble.planning.agent.world import World
 from learn2assemble.planning.goals.world import Problem, Relaxed, unmet
-from learn2assemble.planning.scorer import (
-    Scorer,
-    ScorerFiles,
-    Shapes,
-    layer_shapes,
-    random_weights,
-    two_layers,
-)
 
-FOLDER = Path(__file__).parents[2] / "assets" / "goals"
-DEFAULT = "goals-s0"
-"""The guide that comes with the package."""
 NUM_FEATURES, NUM_SUMMARY = 22, 9
 _FAR = 8.0
 """Lengths are in so many cells, counts of blocks in as many blocks."""
-
-
-class Guide(Scorer):
-    """Weights of a guide and their origin."""
-
-    def scores(self, candidates: np.ndarray, summary: np.ndarray) -> np.ndarray:
-        """float32[m]: logits of candidates.
-
-        Args:
-            candidates: float32[m, NUM_FEATURES], m at least 1.
-            summary: float32[NUM_SUMMARY].
-        """
-        return forward(self.weights, candidates, summary[None], np.zeros(len(candidates)))[0]
-
-
-def forward(weights: Any, candidates: Any, summary: Any, padding: Any) -> tuple[Any, Any]:
-    """Logits of candidates [..., m], and blocks beyond the relaxed plan [...].
-
-    Args:
-        weights, candidates, summary: as for :func:`~learn2assemble.planning.scorer.two_layers`.
-        padding: [..., m], 0 for a candidate and a large negative number for none.
-    """
-    w, hidden = weights, two_layers(weights, candidates, summary)
-    logits = (hidden @ w["score"])[..., 0] + padding
-    # A softmax whose logits are bounded: the mean of what the likely candidates look like.
-    likely = 2.718281828 ** logits.clip(-30, 30)
-    likely = likely / likely.sum(-1)[..., None]
-    seen = (hidden * likely[..., None]).sum(-2)
-    value = seen @ w["likely"] + summary[..., 0, :] @ w["state"] + w["value_bias"]
-    value = value * (value > 0)
-    return logits, (value @ w["value"])[..., 0] + w["final_bias"][0]
-
-
-def _shapes(hidden: int, width: int) -> Shapes:
-    return {
-        **layer_shapes(NUM_FEATURES, NUM_SUMMARY, hidden, width), "likely": (width, width),
-        "state": (NUM_SUMMARY, width), "value_bias": (width,), "value": (width, 1),
-        "final_bias": (1,),
-    }  # fmt: skip
-
-
-_FILES = ScorerFiles("learn2assemble-goals-guide", "guide of goals", FOLDER, _shapes)
-
-
-def initial_weights(seed: int, hidden: int = 96, width: int = 64) -> dict[str, np.ndarray]:
-    """Random weights."""
-    return random_weights(_shapes(hidden, width), seed)
-
-
-def save_guide(guide: Guide, folder: Path) -> Path:
-    """Write ``NAME.safetensors`` and ``NAME.json`` into ``folder``; the path of the weights."""
-    return _FILES.save(guide, folder)
-
-
-@cache
-def load_guide(name_or_path: str = DEFAULT) -> Guide:
-    """A guide of the package by name, or one from a ``.safetensors`` file.
-
-    Raises:
-        InputError: for files that do not exist, are damaged, or are no guide's.
-    """
-    return Guide(*_FILES.load(name_or_path))
-
-
-def default_guide() -> Guide | None:
-    """The guide of the package; None where it has none."""
-    return load_guide() if _FILES.path(DEFAULT).is_file() else None
-
-
-# ---------------------------------------------------------------- what it sees
 
 
 def describe(
