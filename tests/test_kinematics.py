@@ -17,7 +17,6 @@ from learn2assemble.robot.kinematics import (
     forward_many,
     get_chain,
     jacobian,
-    logarithm,
     smallest_singular_value,
 )
 
@@ -81,28 +80,6 @@ def test_joints_out_of_order_are_refused(tmp_path: Path) -> None:
 
 
 # ---------------------------------------------------------------- helpers
-
-
-def turned(axis: np.ndarray, angle: float) -> np.ndarray:
-    x, y, z = axis / np.linalg.norm(axis)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-
-
-def test_logarithms_of_rigid_transforms() -> None:
-    """The exponential of log6, by its power series, is the transform."""
-    rng, out = np.random.default_rng(4), np.empty(6)
-    for angle in (0.0, 1e-8, 1e-3, 1.0, 3.1):
-        position, rotation = rng.normal(size=3), turned(rng.normal(size=3), angle)
-        logarithm(position, rotation, out)
-        x, y, z = out[3:]
-        twist = np.array([[0, -z, y, out[0]], [z, 0, -x, out[1]], [-y, x, 0, out[2]], [0] * 4])
-        term, total = np.eye(4), np.eye(4)
-        for k in range(1, 40):
-            term = term @ twist / k
-            total = total + term
-        np.testing.assert_allclose(total[:3, :3], rotation, atol=1e-8)
-        np.testing.assert_allclose(total[:3, 3], position, atol=1e-8)
 
 
 def test_smallest_singular_values() -> None:

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from learn2assemble.errors import InputError, look_up
+from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import rotation_vector
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import (
@@ -32,7 +32,6 @@ from learn2assemble.robot.kinematics import (
     forward_many,
     get_chain,
     jacobian,
-    logarithm,
     smallest_singular_value,
     solve_factorised,
     tool_and_frames,
@@ -152,59 +151,6 @@ def _bounded_step(jac, error, rows, damping, pull, q, lower, upper, free, gram, 
         if not stopped:
             break
     return True
-
-
-@njit(cache=True)
-def published_least_squares(
-    chain, target_position, target_rotation, rows, tolerance, max_iterations, q
-):
-    """The solver of the released code, improving q in place, without joint limits.
-
-    error = log6(T_target^-1 T(q)), dq = -0.1 J^T (J J^T + 1e-12 I)^-1 error with J in the tool's
-    own axes; done when the norm of the error, its first three entries for position only, is below
-    the tolerance. These three depend on ``target_rotation``, too. Returns what
-    :func:`damped_least_squares` does.
-    """
-    n = q.shape[0]
-    positions, rotations = np.empty((n, 3)), np.empty((n, 3, 3))
-    position, rotation = np.empty(3), np.empty((3, 3))
-    world, jac, gram = np.empty((6, n)), np.empty((6, n)), np.empty((6, 6))
-    relative, turn, error = np.empty(3), np.empty((3, 3)), np.zeros(6)
-    every, size = np.ones(n, np.bool_), np.inf
-    for iteration in range(max_iterations + 1):
-        tool_and_frames(chain, q, positions, rotations, position, rotation)
-        for i in range(3):
-            relative[i] = 0.0
-            for k in range(3):
-                relative[i] += target_rotation[k, i] * (position[k] - target_position[k])
-            for j in range(3):
-                turn[i, j] = 0.0
-                for k in range(3):
-                    turn[i, j] += target_rotation[k, i] * rotation[k, j]
-        logarithm(relative, turn, error)
-        size = 0.0
-        for i in range(rows):
-            size += error[i] * error[i]
-        size = np.sqrt(size)
-        if size < tolerance:
-            return CONVERGED, size, iteration
-        if iteration == max_iterations:
-            break
-        fill_jacobian(positions, rotations, position, world)
-        for k in range(n):
-            for i in range(3):
-                jac[i, k] = jac[3 + i, k] = 0.0
-                for j in range(3):
-                    jac[i, k] += rotation[j, i] * world[j, k]
-                    jac[3 + i, k] += rotation[j, i] * world[3 + j, k]
-        fill_gram(jac, rows, every, 1e-12, gram)
-        if not factorise(gram, rows):
-            return STALLED, size, iteration
-        solve_factorised(gram, rows, error)
-        for k in range(n):
-            for i in range(rows):
-                q[k] -= 0.1 * jac[i, k] * error[i]
-    return OUT_OF_STEPS, size, max_iterations
 
 
 TOLERANCE = 1e-6
@@ -439,8 +385,7 @@ def solve(
     start: np.ndarray | None = None,
     *,
     branch: str | None = None,
-    method: str = "limits",
-    max_iterations: int | None = None,
+    max_iterations: int = 60,
     restarts: int = RESTARTS,
 ) -> Solution:
     """Joints that bring the tool to a pose.
@@ -452,35 +397,25 @@ def solve(
         start: float64[n] [rad], tried first; the home pose by default.
         branch: a name of ``arm.branches``, by default the first; ``"any"`` for all the joints'
             range.
-        method: ``"limits"``, or ``"published"``: the authors', without limits and restarts.
-        max_iterations: per start; 60, and 1000 for the published method.
+        max_iterations: per start.
         restarts: how many other starts are tried where the first leads nowhere.
 
     Raises:
         InputError: where a shape is wrong, a number not finite or a matrix not a rotation.
-        UnknownNameError: for a branch or method there is not.
+        UnknownNameError: for a branch there is not.
     """
-    most = look_up("method", method, {"limits": 60, "published": 1000})
-    most = most if max_iterations is None else max_iterations
     position = _checked("position", position, 3)
     rows = 3 if rotation is None else 6
     rotation = _checked("rotation", np.eye(3) if rotation is None else rotation, 3, 3)
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6:
         raise InputError("rotation", rotation.tolist(), "a rotation matrix")
     joints = _checked("start", arm.home if start is None else start, len(arm.joints))
-    chain = get_chain(arm)
-    if method == "published":
-        state, error, iterations = published_least_squares(
-            chain, position, rotation, rows, TOLERANCE, most, joints
-        )
-        failure = _NONE if state == CONVERGED else _OPEN
-    else:
-        # Copies: a read-only array is another type, and would be compiled for anew.
-        lower, upper = (limit.copy() for limit in arm.limits(branch))
-        failure, error, iterations = _solve(
-            chain, lower, upper, arm.home.copy(), ik_seeds(arm, branch), position, rotation, rows,
-            most, restarts, joints,
-        )  # fmt: skip
+    # Copies: a read-only array is another type, and would be compiled for anew.
+    lower, upper = (limit.copy() for limit in arm.limits(branch))
+    failure, error, iterations = _solve(
+        get_chain(arm), lower, upper, arm.home.copy(), ik_seeds(arm, branch), position, rotation,
+        rows, max_iterations, restarts, joints,
+    )  # fmt: skip
     return Solution(joints, IKFailure(failure), error, iterations)
 
 

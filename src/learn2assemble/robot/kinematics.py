@@ -15,7 +15,6 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.errors import InputError
-from learn2assemble.geometry.rotations import rotation_vector
 from learn2assemble.robot.arm import Arm, arm_model
 
 
@@ -84,25 +83,6 @@ def smallest_singular_value(jacobian, rows):
         for i in range(rows):
             vector[i] /= size
     return 1.0 / np.sqrt(size)
-
-
-@njit(cache=True)
-def logarithm(position, rotation, out):
-    """log6 of a rigid transform: out[:3] translation part [m], out[3:] rotation vector [rad]."""
-    rotation_vector(np.eye(3), rotation, out[3:])
-    x, y, z = out[3], out[4], out[5]
-    square = x * x + y * y + z * z
-    if square < 1e-12:
-        factor = 1.0 / 12.0
-    else:
-        angle = np.sqrt(square)
-        factor = (1.0 - 0.5 * angle / np.tan(0.5 * angle)) / square
-    px, py, pz = position[0], position[1], position[2]
-    # v = p - w x p / 2 + factor * w x (w x p)
-    cx, cy, cz = y * pz - z * py, z * px - x * pz, x * py - y * px
-    out[0] = px - 0.5 * cx + factor * (y * cz - z * cy)
-    out[1] = py - 0.5 * cy + factor * (z * cx - x * cz)
-    out[2] = pz - 0.5 * cz + factor * (x * cy - y * cx)
 
 
 class Chain(NamedTuple):

@@ -15,6 +15,7 @@ from learn2assemble.checkers import ArmPhysics
 from learn2assemble.errors import InputError, look_up
 from learn2assemble.physics.protocol import Physics
 from learn2assemble.reproduction.bullet.contacts import HAND, TABLE
+from learn2assemble.reproduction.bullet.inverse import solve_as_published
 from learn2assemble.reproduction.bullet.world import (
     GRASP_STARTS,
     HOME,
@@ -25,7 +26,6 @@ from learn2assemble.reproduction.bullet.world import (
 )
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.grasps import get_grasps
-from learn2assemble.robot.inverse import CONVERGED, published_least_squares, solve
 from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene, put_down
 from learn2assemble.tasks import Task
 from learn2assemble.world.blocks import EDGE, HALF
@@ -206,7 +206,7 @@ class PublishedCell:
     def _solve(
         self, point: np.ndarray, rotation: np.ndarray, start: np.ndarray, stage: str
     ) -> np.ndarray:
-        found = solve(self.arm, point, rotation, start, method="published")
+        found = solve_as_published(self.arm, point, rotation, start)
         if not found.ok:
             raise _FailedError(Outcome.UNREACHABLE, stage, found.failure.name.lower())
         return found.joints
@@ -215,13 +215,10 @@ class PublishedCell:
         self, point: np.ndarray, rotation: np.ndarray, start: np.ndarray, stage: str
     ) -> np.ndarray:
         """Only the position: the first three rows of the error to a pose with that rotation."""
-        joints = np.array(start)
-        state, *_ = published_least_squares(
-            self.world.chain, point, rotation, 3, 1e-6, 1000, joints
-        )
-        if state != CONVERGED:
+        found = solve_as_published(self.arm, point, rotation, start, turned=False)
+        if not found.ok:
             raise _FailedError(Outcome.UNREACHABLE, stage, "no convergence")
-        return joints
+        return found.joints
 
     def _jump(self, joints: np.ndarray) -> None:
         self.world.jump(joints)
