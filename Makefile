@@ -5,21 +5,29 @@ BIN := $(VENV)/bin
 # Pinned to a release whose default build is small on machines without a GPU.
 TORCH := torch==2.13.0
 STAMP := $(VENV)/.installed
+PRODUCT := $(VENV)/.installed-product
 
 .PHONY: demo test lint docs install clean
 
-$(STAMP): pyproject.toml
+$(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=python3.x"; exit 1; }
-	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
+
+# What a design needs on its way to a robot program: no PyTorch.
+$(PRODUCT): pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --editable '.[robot,video]'
+	touch $@
+
+$(STAMP): pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet $(TORCH)
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'
 	@echo "compiling (once)"; $(BIN)/l2a bench --seconds 0.01 >/dev/null 2>&1
-	touch $@
+	touch $@ $(PRODUCT)
 
 install: $(STAMP)
 
-demo: $(STAMP)
+demo: $(PRODUCT)
 	rm -rf out/demo
 	$(BIN)/l2a build examples/designs/gabled_house.json --arm panda --out out/demo
 

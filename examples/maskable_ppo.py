@@ -9,8 +9,9 @@ import gymnasium
 import torch
 from sb3_contrib import MaskablePPO
 
-import learn2assemble  # noqa: F401 - registers the environments
+import learn2assemble.envs
 
+gymnasium.register_envs(learn2assemble.envs)
 EPISODES = 20
 torch.set_num_threads(1)  # The network is small.
 

@@ -3,6 +3,7 @@
 import gymnasium
 
 import learn2assemble as l2a
+import learn2assemble.envs
 
 l2a.register_object_set(
     "corners", [["cube"], ["corner"]], {"corner": l2a.Shape(((0, 0, 0), (1, 0, 0), (0, 1, 0)))}
@@ -14,6 +15,7 @@ task = l2a.register_task(
     )
 )  # fmt: skip
 print(l2a.evaluate("my-corners", agent="relational-objects-s0", episodes=3).metrics)
+gymnasium.register_envs(learn2assemble.envs)
 env = gymnasium.make("learn2assemble/my-corners-v0")
 _, info = env.reset(seed=0)
 env.step(env.action_space.sample(info["action_masks"]))

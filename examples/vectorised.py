@@ -3,8 +3,9 @@
 import gymnasium
 import numpy as np
 
-import learn2assemble  # noqa: F401 - registers the environments
+import learn2assemble.envs
 
+gymnasium.register_envs(learn2assemble.envs)
 envs = gymnasium.make_vec("learn2assemble/two-sided-3x3-20-24-v0", num_envs=64)
 _, info = envs.reset(seed=0)
 rng, returns = np.random.default_rng(0), np.zeros(64)

@@ -61,8 +61,21 @@ def test_what_should_be_quick_loads_nothing_heavy(code: str) -> None:
 _ALL = (*PRESETS, *DESIGN_TASKS, *GOAL_TASKS)
 
 
+def test_importing_patches_no_loader() -> None:
+    """Gymnasium's own loading is left alone, and registers nothing by itself."""
+    found = python(
+        "import sys\nbefore = list(sys.meta_path), list(sys.path_hooks)\n"
+        "import learn2assemble\nassert before == (sys.meta_path, sys.path_hooks)\n"
+        "import gymnasium\n"
+        "print([i for i in gymnasium.registry if i.startswith('learn2assemble/')])"
+    )
+    assert found == "[]\n"
+
+
 @pytest.mark.parametrize(
-    "order", [("gymnasium", "learn2assemble"), ("learn2assemble", "gymnasium")], ids="-".join
+    "order",
+    [("gymnasium", "learn2assemble.envs"), ("learn2assemble.envs", "gymnasium")],
+    ids="-".join,
 )
 def test_environments_are_registered_in_either_order(order: tuple[str, str]) -> None:
     found = python(
@@ -77,6 +90,9 @@ def test_environments_are_registered_in_either_order(order: tuple[str, str]) -> 
 def test_a_task_of_ones_own_is_known_everywhere() -> None:
     import gymnasium
 
+    import learn2assemble.envs
+
+    gymnasium.register_envs(learn2assemble.envs)
     task = PRESETS["two-sided-3x3-20-24"].replace(name="mine")
     try:
         assert l2a.register_task(task) is task

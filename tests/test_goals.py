@@ -51,7 +51,7 @@ GOOD: dict[str, Any] = {
 def env_of(name: str) -> Any:
     import gymnasium
 
-    return gymnasium.make(f"learn2assemble/{name}-v0")
+    return gymnasium.make(f"learn2assemble.envs:learn2assemble/{name}-v0")
 
 
 BAD: list[tuple[dict[str, Any], str]] = [

@@ -37,7 +37,8 @@ ALLOWED: dict[str, set[str]] = {
     "search": {"errors", "registry"},
     "learning": _TASK | {"networks", "search", "planning", "workers"},
     "planning": _TASK | {"networks", "search", "assembly", "design"},
-    "evaluation": _TASK | {"networks", "search", "learning", "planning", "assembly", "design"},
+    "evaluation": _TASK
+    | {"networks", "search", "learning", "planning", "envs", "assembly", "design"},
     "envs": _TASK | {"planning"},
     "viewer": _WORLD | {"robot", "planning", "assembly"},
     "cli": _TASK

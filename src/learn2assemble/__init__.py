@@ -1,21 +1,18 @@
 """learn2assemble: from a target design to a verified build plan.
 
 Every public name is here; it is loaded when it is used, so that importing the package takes no
-time. Environments are registered with Gymnasium, at once or when that is imported.
+time. Names of agents, their training and evaluation need the extra ``learn``. Environments are
+registered with Gymnasium by ``import learn2assemble.envs``.
 """
 
 from __future__ import annotations
 
 import importlib
-import importlib.util
-import sys
 from typing import TYPE_CHECKING, Any
 
 from learn2assemble.registry import add_plugin
 
 if TYPE_CHECKING:
-    from importlib.machinery import ModuleSpec
-
     from learn2assemble.assembly.blocks import Assembly, Block, box_block, hull_block
     from learn2assemble.assembly.blocks import Step as AssemblyStep
     from learn2assemble.assembly.files import read_assembly, write_assembly
@@ -105,31 +102,6 @@ def __dir__() -> list[str]:
     return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
 
 
-class _AfterGymnasium:
-    """Registers the environments as soon as Gymnasium has been imported, which takes longer than
-    everything here."""
-
-    @classmethod
-    def find_spec(cls, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
-        if name != "gymnasium":
-            return None
-        sys.meta_path.remove(cls)
-        spec = importlib.util.find_spec(name)
-        if spec is not None and spec.loader is not None:
-            execute = spec.loader.exec_module
-
-            def execute_and_register(module: Any) -> None:
-                execute(module)
-                importlib.import_module(f"{__name__}.envs")
-
-            spec.loader.exec_module = execute_and_register
-        return spec
-
-
 add_plugin("learn2assemble.reproduction", "physics", "search model")
 add_plugin("learn2assemble.viewer", "export")
 add_plugin("learn2assemble.export", "export")
-if sys.modules.get("gymnasium") is None:
-    sys.meta_path.insert(0, _AfterGymnasium)
-else:
-    importlib.import_module(f"{__name__}.envs")

@@ -134,7 +134,7 @@ class MissingExtraError(Learn2AssembleError, ImportError):
 
     def __init__(self, module: str, extra: str, without: str = "") -> None:
         self.module, self.extra, self.without = module, extra, without
-        are, them = ("are", "them") if "," in extra else ("is", "it")
+        are, them = ("are", "them") if " and " in module else ("is", "it")
         otherwise = f", or do without: {without}" if without else ""
         super().__init__(
             f"{module} {are} not installed; install {them} with: "
@@ -161,7 +161,7 @@ def require(*needs: tuple[str, str, str]) -> None:
     if missing:
         modules, extras, options = zip(*missing, strict=True)
         without = " ".join(options) if all(options) else ""
-        raise MissingExtraError(" and ".join(modules), ",".join(extras), without)
+        raise MissingExtraError(" and ".join(modules), ",".join(dict.fromkeys(extras)), without)
 
 
 @contextmanager

@@ -20,8 +20,8 @@ _plugins: dict[str, list[str]] = {}
 def add_plugin(module: str, *kinds: str) -> None:
     """Name a module whose ``register_KIND(table)`` adds values to the tables of these kinds.
 
-    It is imported only when a name is needed that its table does not hold yet, or when all names
-    are listed.
+    It is imported only when a name is needed that its table does not hold yet, after those that
+    were named before it, or when all names are listed.
     """
     for kind in kinds:
         _plugins.setdefault(kind, []).append(module)
@@ -48,6 +48,7 @@ class Registry(Mapping[str, T]):
         self._entries: dict[str, Any] = dict(entries)
         self._make = make
         self._unmade: set[str] = set(entries) if make else set()
+        self._loading = False
         self.listeners: list[Callable[[str], None]] = []
         """Called with every name that is added."""
 
@@ -67,10 +68,22 @@ class Registry(Mapping[str, T]):
         for listener in self.listeners:
             listener(name)
 
-    def _load_plugins(self) -> None:
-        for module in _plugins.pop(self.kind, []):
+    def _load_plugin(self) -> bool:
+        """Import the next module that adds values; whether there was one."""
+        modules = _plugins.get(self.kind)
+        if not modules or self._loading:
+            return False
+        self._loading = True
+        try:
             register = f"register_{self.kind.replace(' ', '_')}"
-            getattr(importlib.import_module(module), register)(self)
+            getattr(importlib.import_module(modules.pop(0)), register)(self)
+        finally:
+            self._loading = False
+        return True
+
+    def _load_plugins(self) -> None:
+        while self._load_plugin():
+            pass
 
     def __getitem__(self, name: str) -> T:
         if name not in self:
@@ -86,9 +99,10 @@ class Registry(Mapping[str, T]):
     def __contains__(self, name: object) -> bool:
         if not isinstance(name, str):
             return False
-        if name not in self._entries:
-            self._load_plugins()
-        return name in self._entries
+        while name not in self._entries:
+            if not self._load_plugin():
+                return False
+        return True
 
     def __iter__(self) -> Iterator[str]:
         self._load_plugins()

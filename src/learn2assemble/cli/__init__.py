@@ -15,7 +15,7 @@ from typing import Any
 
 from learn2assemble.cli.output import Heartbeat, Output
 from learn2assemble.cli.parser import make_parser
-from learn2assemble.errors import InputError, Learn2AssembleError, one_line
+from learn2assemble.errors import InputError, Learn2AssembleError, one_line, require
 from learn2assemble.files import printable
 
 
@@ -31,13 +31,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):  # What it has no letters for is escaped.
             stream.reconfigure(errors="backslashreplace")
     try:
-        _check_words(sys.argv[1:] if arguments is None else arguments)
-        options = make_parser().parse_args(arguments)
+        words = sys.argv[1:] if arguments is None else arguments
+        _check_words(words)
+        options = make_parser(words).parse_args(words)
         # From here on an interrupt lets the command tidy up.
         sys.unraisablehook = partial(_unraisable, report)
         signal.signal(signal.SIGINT, _interrupt)
         seconds = getattr(options, "seconds", None) or 60 * (getattr(options, "minutes", None) or 0)
         with Heartbeat("working", seconds or None) as heartbeat:
+            if options.learns:
+                require(("torch", "learn", ""))
             code = int(options.run(options, Output(options.json, heartbeat)) or 0)
         sys.stdout.flush()
         return code

@@ -35,6 +35,7 @@ _AGENT = arg("--agent", default="builder-s0", help="shipped builder or .safetens
     arg("--name", default="agent", help="of the builder"),
     arg("--teacher", default="exact", help="exact planner, or own search: no demonstrations"),
     arg("--seconds", type=positive, default=1200.0, help="of processor time"),
+    learns=True,
 )  # fmt: skip
 def _train(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.learning.run import provenance
@@ -63,6 +64,7 @@ def _train(options: argparse.Namespace, output: Output) -> None:
     arg("--compared", type=count, default=50, help="of a set, for other players"),
     arg("--exact", type=count, default=40, help="of a set, for both planners"),
     arg("--examples", type=named, default=None, help="folder of the examples"),
+    learns=True,
 )  # fmt: skip
 def _measure(options: argparse.Namespace, output: Output) -> None:
     """``builders.json``: what the builder builds, with search and alone, beside others."""
@@ -110,6 +112,7 @@ def _measure(options: argparse.Namespace, output: Output) -> None:
     arg("--gripper", type=natural, default=200, help="designs built with fingers"),
     arg("--prior", type=count, default=50, help="designs of four planners"),
     arg("--limit", type=positive, default=60.0, help="of one of them [s, processor]"),
+    learns=True,
 )  # fmt: skip
 def _measure_arm(options: argparse.Namespace, output: Output) -> None:
     """``builder_arm.json``: builds with an arm, and whether the builder helps the exact planner."""

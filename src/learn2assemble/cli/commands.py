@@ -105,6 +105,10 @@ def _build(options: argparse.Namespace, output: Output) -> int:
         return _resume_finished(options, output)
     # What is missing shows before the work, not after it.
     needs: list[tuple[str, str, str]] = []
+    if task:
+        needs.append(("torch", "learn", ""))
+    elif options.planner == "agent" or options.agent is not None:
+        needs.append(("safetensors", "learn", ""))
     if with_arm and options.physics != "kinematic":
         needs.append(("ruckig", "robot", "" if task else "--physics kinematic"))
     if video:
@@ -249,6 +253,7 @@ _TRAIN = (
     arg("--resume", action="store_true", help="go on with the run in --out"),
     arg("--set", action="append", default=[], metavar="KEY=VALUE",
         help="change one setting, e.g. learning_rate=1e-3 or network.heads=1"),
+    learns=True,
 )  # fmt: skip
 def _train(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.learning.run import train, train_seeds
@@ -309,6 +314,7 @@ def _rollout(text: str) -> int:
         "workcell, and dynamic and published are others"),
     arm_argument,
     arg("--out", type=named, default=None, help="write the result to this file"),
+    learns=True,
 )  # fmt: skip
 def _evaluate(options: argparse.Namespace, output: Output) -> None:
     from tqdm import tqdm
@@ -345,18 +351,21 @@ def _bench(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.evaluation.bench import MEASUREMENTS, machine
 
     results: dict[str, float] = {}
+    left: dict[str, list[str]] = {}
     for name, measure in MEASUREMENTS.items():
         output.progress(f"measuring {name}")
         try:
             results[name] = measure(options.seconds)
         except MissingExtraError as error:
-            output.progress(f"left out: {error}")
+            left.setdefault(str(error), []).append(name)
+    for reason, names in left.items():
+        output.progress(f"left out {', '.join(names)}: {reason}")
     rows = [(k, f"{v:,.3g}" if v < 10 else f"{v:,.1f}") for k, v in results.items()]
     output.table("speed", ("measurement", "value"), rows)
     output.finish({**results, "seconds": options.seconds, **machine()})
 
 
-@command(_COMMANDS, "tasks", "list the tasks and their agents", "l2a tasks")
+@command(_COMMANDS, "tasks", "list the tasks and their agents", "l2a tasks", learns=True)
 def _tasks(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.networks.agent import agent_files, agent_info
     from learn2assemble.tasks import DESIGN_TASKS, GOAL_TASKS, PRESETS

@@ -6,7 +6,7 @@ import argparse
 import difflib
 import math
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, cast
@@ -33,6 +33,8 @@ class Command:
     arguments: Callable[[argparse.ArgumentParser], None]
     """Adds the arguments to its parser."""
     run: Run
+    learns: bool = False
+    """Whether it needs the extra ``learn``."""
 
 
 Adder = Callable[[argparse.ArgumentParser], object]
@@ -59,12 +61,20 @@ def _add_all(parser: argparse.ArgumentParser, arguments: Iterable[Adder]) -> Non
 
 
 def command(
-    table: dict[str, Command], name: str, help: str, example: str, *arguments: Adder
+    table: dict[str, Command],
+    name: str,
+    help: str,
+    example: str,
+    *arguments: Adder,
+    learns: bool = False,
 ) -> Callable[[Run], Run]:
     """Enter a function in a table of commands."""
 
     def enter(run: Run) -> Run:
-        table[name] = Command(help, example, lambda parser: _add_all(parser, arguments), run)
+        def fill(parser: argparse.ArgumentParser) -> None:
+            _add_all(parser, arguments)
+
+        table[name] = Command(help, example, fill, run, learns)
         return run
 
     return enter
@@ -214,15 +224,22 @@ def workers_arguments(parser: argparse.ArgumentParser, what: str) -> None:
     )  # fmt: skip
 
 
-def make_parser() -> argparse.ArgumentParser:
-    """The parser of ``l2a`` and its commands; ``options.run`` is the command chosen."""
+def make_parser(words: Sequence[str] = ()) -> argparse.ArgumentParser:
+    """The parser of ``l2a`` and its commands; ``options.run`` is the command chosen.
+
+    Args:
+        words: what will be parsed: a command that is named first is the only one, so that a build
+            does not load the commands of the reproduction.
+    """
+    names = words[:1] if words and words[0] in COMMANDS else COMMANDS
     parser = _Parser(
         prog="l2a", description="From a target design to a verified build plan.",
         epilog="example: l2a build examples/designs/gabled_house.json --out out/house",
     )  # fmt: skip
     parser.add_argument("--version", action="version", version=f"learn2assemble {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True, parser_class=_Parser)
-    for name, command in COMMANDS.items():
+    for name in names:
+        command = COMMANDS[name]
         added = commands.add_parser(
             name, help=command.help, description=command.help, epilog=f"example: {command.example}"
         )
@@ -232,5 +249,5 @@ def make_parser() -> argparse.ArgumentParser:
             "--json", action="store_true",
             help="end standard output with one JSON object; all else goes to standard error",
         )  # fmt: skip
-        added.set_defaults(run=command.run)
+        added.set_defaults(run=command.run, learns=command.learns)
     return parser

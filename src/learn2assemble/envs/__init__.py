@@ -2,23 +2,24 @@
 
 Thin skins over :class:`learn2assemble.simulator.Simulator`: no rule of the world lives here.
 Importing this package only registers ``learn2assemble/<task>-v0``; the environments load when one
-is made.
+is made. It needs the extra ``learn``.
 
-Gymnasium 1.0 removed its plugin entry points, so a package registers when it is imported:
-``import learn2assemble`` and ``gymnasium.make("learn2assemble/<task>-v0")``, or in one go
-``gymnasium.make("learn2assemble:learn2assemble/<task>-v0")``. Where Gymnasium is imported later,
-the registration waits for it (``learn2assemble/__init__.py``).
+Gymnasium 1.0 removed its entry points for plug-ins, so environments are registered when their
+module is imported: ``import learn2assemble.envs``, which ``gymnasium.register_envs`` shows to be
+used, and ``gymnasium.make("learn2assemble/<task>-v0")``.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-import gymnasium
-from gymnasium.envs.registration import registry
-
+from learn2assemble.errors import extra
 from learn2assemble.registry import Registry
 from learn2assemble.tasks import DESIGN_TASKS, GOAL_TASKS, PRESETS, get_task
+
+with extra("gymnasium", "learn"):
+    import gymnasium
+    from gymnasium.envs.registration import registry
 
 __all__ = ["NAMESPACE", "VERSION", "env_id", "register_all"]
 

@@ -1,30 +1,29 @@
 """How fast this machine runs the pieces; each measurement is one function.
 
 Timings are of one core: PyTorch is held to one thread. Ratios within one run are more trustworthy
-than the numbers themselves.
+than the numbers themselves. What needs an extra that is not installed raises
+:class:`~learn2assemble.errors.MissingExtraError`.
 """
 
 from __future__ import annotations
 
+import importlib.metadata
 import platform
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import Any, NamedTuple
 
-import gymnasium
 import numpy as np
-import torch
 
 from learn2assemble.assembly.blocks import Assembly, box_block
 from learn2assemble.assembly.kit import load_kit
+from learn2assemble.errors import extra
 from learn2assemble.learning.config import CONFIGS
-from learn2assemble.learning.trainer import Trainer
-from learn2assemble.networks.agent import make_network
 from learn2assemble.physics.rigid import RigidPhysics
 from learn2assemble.physics.rigid_blocks import check
 from learn2assemble.planning.exact import plan_exact
-from learn2assemble.planning.world_model import WorldModel, lookahead_actions
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.dynamic.cell import DynamicCell
 from learn2assemble.robot.grasps import get_grasps
@@ -98,7 +97,12 @@ def objects_batch_actions_per_s(seconds: float) -> float:
 
 def static_single_steps_per_s(seconds: float) -> float:
     """Single environment through Gymnasium, random legal actions, resets included."""
-    env = gymnasium.make(f"learn2assemble/{TASK}-v0")
+    with extra("gymnasium", "learn"):
+        import gymnasium
+
+    from learn2assemble.envs import env_id
+
+    env = gymnasium.make(env_id(TASK))
     rng = np.random.default_rng(0)
     _, info = env.reset(seed=0)
 
@@ -176,6 +180,12 @@ def decision_ms(seconds: float) -> float:
 
 def _decisions(config: str, worlds: int, seconds: float) -> float:
     """Decisions a second with budget 10 on N = 30 nodes, of so many worlds at once, one thread."""
+    with extra("torch", "learn"):
+        import torch
+
+    from learn2assemble.networks.agent import make_network
+    from learn2assemble.planning.world_model import WorldModel, lookahead_actions
+
     torch.set_num_threads(1)
     simulator = Simulator(get_task(TASK))
     rng = np.random.default_rng(0)
@@ -197,6 +207,11 @@ def _decisions(config: str, worlds: int, seconds: float) -> float:
 def _gradient_samples(config: str, seconds: float) -> float:
     """Transitions a second in gradient steps of a configuration with its own network and batch
     size; the memory is filled by its first steps."""
+    with extra("torch", "learn"):
+        import torch
+
+    from learn2assemble.learning.trainer import Trainer
+
     torch.set_num_threads(1)
     trainer = Trainer(get_task(TASK), CONFIGS[config], seed=0)
     while trainer.replay.length < 1024:
@@ -228,9 +243,11 @@ MEASUREMENTS: dict[str, Callable[[float], float]] = {
 
 
 def machine() -> dict[str, Any]:
-    """What was measured on."""
-    versions = {"python": platform.python_version(), "torch": torch.__version__}
-    return {**versions, "machine": platform.machine(), "batch": BATCH}
+    """What was measured on; no ``torch`` where it is not installed."""
+    found: dict[str, Any] = {"python": platform.python_version()}
+    with suppress(importlib.metadata.PackageNotFoundError):
+        found["torch"] = importlib.metadata.version("torch")
+    return {**found, "machine": platform.machine(), "batch": BATCH}
 
 
 def _random_play(simulator: Simulator, batch: int, seconds: float) -> float:

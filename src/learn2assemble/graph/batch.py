@@ -5,12 +5,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import torch
 
+from learn2assemble.errors import extra
 from learn2assemble.graph.features import Graph, connectivity
 from learn2assemble.graph.placements import Placements, distinct_placements, locate
 from learn2assemble.graph.relations import look_around, relate
 from learn2assemble.world.blocks import EDGE, ActionSpec
+
+with extra("torch", "learn"):
+    import torch
 
 
 class GraphTensors(NamedTuple):

@@ -22,10 +22,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
-from tqdm import tqdm
-
-from learn2assemble.errors import InputError, check_arguments, check_instance, is_number, is_whole
+from learn2assemble.errors import (
+    InputError,
+    check_arguments,
+    check_instance,
+    extra,
+    is_number,
+    is_whole,
+)
 from learn2assemble.files import (
     MAX_GENERATED,
     append_line,
@@ -46,6 +50,11 @@ from learn2assemble.learning.trainer import Trainer
 from learn2assemble.networks.agent import Agent, load_agent, save_agent
 from learn2assemble.tasks import NO_ARM, Task, get_task
 from learn2assemble.workers import run_all
+
+with extra("torch", "learn"):
+    import torch
+with extra("tqdm", "learn"):
+    from tqdm import tqdm
 
 MAX_THREADS = 1024
 LOG_SECONDS = 10.0

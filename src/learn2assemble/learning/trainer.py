@@ -13,11 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from safetensors import SafetensorError, safe_open
-from torch.nn import functional as F
 
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, extra
 from learn2assemble.graph.batch import to_tensors
 from learn2assemble.graph.features import node_offset
 from learn2assemble.graph.placements import distinct_placements
@@ -39,6 +36,12 @@ from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import Task, check_actions
 from learn2assemble.world.outcomes import Outcomes
 from learn2assemble.world.state import State
+
+with extra("torch", "learn"):
+    import torch
+    from torch.nn import functional as F
+with extra("safetensors", "learn"):
+    from safetensors import SafetensorError, safe_open
 
 
 def search_cross_entropy(values: Values, searched: Searched, taken: torch.Tensor) -> torch.Tensor:

@@ -16,15 +16,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file  # pyright: ignore[reportUnknownVariableType]
-
-from learn2assemble.errors import InputError, look_up
+from learn2assemble.errors import InputError, extra, look_up
 from learn2assemble.files import as_path, check_exists, mapping, read_json, replacing, write_file
 from learn2assemble.networks.config import NETWORKS, NetworkConfig
 from learn2assemble.networks.placement import PlacementNetwork, PlacementValues
 from learn2assemble.networks.qnetwork import QFactors, QNetwork
+
+with extra("torch", "learn"):
+    import torch
+with extra("safetensors", "learn"):
+    from safetensors import SafetensorError
+    from safetensors.torch import load_file, save_file  # pyright: ignore[reportUnknownVariableType]
 
 Network = QNetwork | PlacementNetwork
 Values = QFactors | PlacementValues

@@ -13,15 +13,17 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import torch
-from torch import nn
-from torch.nn import functional as F
-
+from learn2assemble.errors import extra
 from learn2assemble.graph.batch import NUM_SUMMARY, CellTensors, GraphTensors, cell_tensors
 from learn2assemble.graph.relations import AROUND, EDGE_FEATURES, OFFSETS, PLACE_FEATURES
 from learn2assemble.networks.config import NetworkConfig
 from learn2assemble.networks.qnetwork import NEGATIVE
 from learn2assemble.world.blocks import RELATIONS, get_action_spec
+
+with extra("torch", "learn"):
+    import torch
+    from torch import nn
+    from torch.nn import functional as F
 
 REACH_OF_ARM = 0.5
 """Positions in the world are divided by this [m]."""

@@ -14,13 +14,15 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import torch
-from torch import nn
-from torch.nn import functional as F
-
+from learn2assemble.errors import extra
 from learn2assemble.graph.batch import GraphTensors
 from learn2assemble.graph.features import NUM_FEATURES, POSITION
 from learn2assemble.networks.config import NetworkConfig
+
+with extra("torch", "learn"):
+    import torch
+    from torch import nn
+    from torch.nn import functional as F
 
 ROTARY = tuple((axis, period) for period in (0.1, 0.2, 0.05, 0.4) for axis in (0, 2, 1))
 """Axis and period [m] of each rotated pair of query and key entries, in order of use.

@@ -17,9 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, extra
 from learn2assemble.evaluation.episodes import (
     BATCH,
     DISCOUNTS,
@@ -47,6 +46,9 @@ from learn2assemble.simulator import Simulator
 from learn2assemble.tasks import Task
 from learn2assemble.workers import run_all
 from learn2assemble.world.state import State
+
+with extra("torch", "learn"):
+    import torch
 
 BOUND = "bound"
 """The policy that does not play: upper bounds on the returns of the problems."""

@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 
 
 def register_command(commands: Registry[Command]) -> None:
-    """Add the commands of the reproduction."""
+    """Add the commands of the reproduction; all of them play or judge what was learned."""
     for name, command in _COMMANDS.items():
-        commands.register(name, command)
+        commands.register(name, dataclasses.replace(command, learns=True))
 
 
 # ---------------------------------------------------------------- table

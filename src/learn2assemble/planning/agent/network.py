@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from learn2assemble.errors import InputError, check_name
+from learn2assemble.errors import InputError, check_name, extra
 from learn2assemble.files import check_exists, mapping, read_json, write_file
 from learn2assemble.planning.agent.features import NUM_FEATURES, NUM_SUMMARY
 
@@ -100,7 +100,8 @@ def check_file_name(name: str) -> None:
 
 def save_builder(builder: Builder, folder: Path) -> Path:
     """Write ``NAME.safetensors`` and ``NAME.json`` into ``folder``; the path of the weights."""
-    from safetensors.numpy import save
+    with extra("safetensors", "learn"):
+        from safetensors.numpy import save
 
     weights = folder / f"{builder.name}.safetensors"
     content = save({k: np.ascontiguousarray(v) for k, v in builder.weights.items()})
@@ -129,8 +130,9 @@ def load_builder(name_or_path: str | Path = DEFAULT) -> Builder:
     Raises:
         InputError: for files that do not exist, are damaged, or are no builder's.
     """
-    from safetensors import SafetensorError
-    from safetensors.numpy import load_file
+    with extra("safetensors", "learn"):
+        from safetensors import SafetensorError
+        from safetensors.numpy import load_file
 
     path = _weights(name_or_path)
     if path != Path(name_or_path):

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from learn2assemble.errors import Learn2AssembleError, UnknownNameError
+from learn2assemble.errors import Learn2AssembleError, UnknownNameError, extra
 from learn2assemble.planning.agent.designs import Solved, make_design
 from learn2assemble.planning.agent.features import NUM_SUMMARY, describe, mirrored
 from learn2assemble.planning.agent.network import (
@@ -210,7 +210,8 @@ def train(
         report: told every 200 gradient steps: seconds, states, loss, share of states in which the
             likeliest candidate is right.
     """
-    import torch
+    with extra("torch", "learn"):
+        import torch
 
     check_file_name(config.name)
     if config.teacher not in TEACHERS:
