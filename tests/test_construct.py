@@ -20,7 +20,8 @@ from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign, read_design
 from learn2assemble.errors import InputError
 from learn2assemble.physics.rigid_blocks import check
-from learn2assemble.planning.construct import plan_assembly, plan_cells, report_plan
+from learn2assemble.planning.construct import plan_cells, report_plan
+from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.ordering import order, to_assembly
 from learn2assemble.planning.plan import BlamedCells, Plan
 from learn2assemble.planning.tiling import placement_cells, tile
@@ -72,7 +73,10 @@ def test_drawings_are_built_as_drawn(name: str) -> None:
         ({"friction": (0.1, 0.2, 0.3)}, "friction: got"),
         ({"reading": 3}, "reading: got 3"),
         ({"reading": {"unitt": "mm"}}, "did you mean 'unit'"),
-        ({"props": "no"}, "props: got 'no'"),
+        ({"supports": "no"}, "supports: got 'no'"),
+        ({"supports": "posts"}, "an assembly of given blocks"),
+        ({"holds": 1}, "an assembly of given blocks"),
+        ({"holds": -1}, "holds: got -1"),
         ({"progress": 3}, "progress: got 3"),
         ({"arm": "panda", "noise": 1}, "noise: got 1"),
         ({"arm": "panda", "noise": ("a", 0)}, "noise: got"),
@@ -274,7 +278,7 @@ def test_given_blocks_get_an_order_from_below() -> None:
     assert plan.complete
     assert plan.assembly is not None
     assert [step.place for step in plan.assembly.steps] == ["left", "right", "lintel"]
-    assert {step.proof for step in plan.steps} == {"bed faces"}
+    assert {step.proof for step in plan.steps} == {"bed faces, local"}
     assert plan.steps[-1].coverage == 1
 
 
@@ -291,7 +295,8 @@ def test_blocks_that_fall_are_not_called_complete() -> None:
         (box_block("low", (0, 0, 0), (1, 1, 1)), box_block("high", (0.7, 0, 1), (1.7, 1, 2)))
     )
     plan = plan_assembly(leaning)
-    assert plan.status == "incomplete"
+    assert plan.status == "refused"
+    assert "'high'" in (plan.reason or "") or "high would move first" in (plan.reason or "")
     assert [step.block for step in plan.steps] == [0]
 
 

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -128,14 +128,39 @@ class Block:
 
 @dataclass(frozen=True)
 class Step:
-    """One step of building: exactly one of the two ids is given."""
+    """One step of building: exactly one of the ids is given.
+
+    Args:
+        place: the block that is put to its place.
+        remove: the block that is taken away.
+        hold: the block, in its place, that a hand holds from now on.
+        release: the block that the hand lets go.
+    """
 
     place: str | None = None
     remove: str | None = None
+    hold: str | None = None
+    release: str | None = None
 
     def __post_init__(self) -> None:
-        if (self.place is None) == (self.remove is None):
-            raise InputError("step", (self.place, self.remove), "either a block to place or remove")
+        given = [self.place, self.remove, self.hold, self.release]
+        if sum(id_ is not None for id_ in given) != 1:
+            expected = "one block, to place, remove, hold or release"
+            raise InputError("step", tuple(id_ for id_ in given if id_ is not None), expected)
+
+    @property
+    def action(self) -> Literal["place", "remove", "hold", "release"]:
+        """What is done."""
+        if self.place is not None:
+            return "place"
+        if self.remove is not None:
+            return "remove"
+        return "hold" if self.hold is not None else "release"
+
+    @property
+    def block(self) -> str:
+        """The id of the block it is done to."""
+        return self.place or self.remove or self.hold or self.release or ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,13 +208,19 @@ class Assembly:
                 f"block {small!r}: size", min(sizes), f"at least 1/{MAX_RATIO:.0f} of the largest"
             )
         standing: set[str] = set()
+        held: set[str] = set()
         for number, step in enumerate(self.steps):
-            where, id_ = f"steps[{number}]", step.place if step.remove is None else step.remove
+            where, id_, action = f"steps[{number}]", step.block, step.action
             if id_ not in index:
                 raise InputError(where, id_, "the id of a block")
-            if (id_ in standing) == (step.remove is None):
-                raise InputError(where, id_, "a block in its place" if step.remove else "a new one")
-            standing ^= {id_}
+            if (id_ in standing) == (action == "place"):
+                raise InputError(where, id_, "a new one" if step.place else "a block in its place")
+            if action != "place" and (id_ in held) != (action == "release"):
+                raise InputError(
+                    where, id_, f"a block that is {'' if step.release else 'not '}held"
+                )
+            standing ^= {id_} if action in ("place", "remove") else set()
+            held ^= {id_} if action in ("hold", "release") else set()
         placed = {step.place for step in self.steps}
         for number, id_ in enumerate(self.not_built):
             if id_ not in index or id_ in placed:
@@ -223,7 +254,7 @@ class Assembly:
         """
         standing = {block.id: not (block.prop and not self.steps) for block in self.blocks}
         for step in self.steps:
-            standing[step.place or step.remove or ""] = step.place is not None
+            standing[step.block] = step.action != "remove"
         standing |= dict.fromkeys(self.not_built, False)
         if all(standing.values()):
             return replace(self, steps=()) if self.steps else self

@@ -5,7 +5,8 @@ The kind of a file is found from its content. Our format is::
     {"format": "learn2assemble-assembly", "version": 1, "units": "m", "friction": 0.5,
      "blocks": [{"id": "a", "kind": "1x2", "density": 1000, "support": false, "prop": false,
                  "vertices": [[x, y, z], ...], "faces": [[0, 1, 2], ...]}, ...],
-     "steps": [{"place": "a"}, {"remove": "a"}, ...], "not_built": ["b"]}
+     "steps": [{"place": "a"}, {"hold": "a"}, {"release": "a"}, {"remove": "a"}, ...],
+     "not_built": ["b"]}
 
 COMPAS JSON is :mod:`.compas`.
 """

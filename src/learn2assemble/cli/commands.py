@@ -58,7 +58,7 @@ STATE = "build.jsonl"
 """What a build by an arm appends to, in its folder; gone when the plan is written."""
 _BUILD = (
     "planner", "kit", "friction", "gap", "arm", "agent", "layout", "seed", "seconds", "tool",
-    "physics",
+    "physics", "supports", "holds",
 )  # fmt: skip
 """Options that are arguments of :func:`learn2assemble.build`."""
 
@@ -76,7 +76,13 @@ _BUILD = (
             help="prove every step for this coefficient or range (the kit's)"),
         arg("--gap", type=span_of(length), default=None, metavar="W[:W]",
             help="width of vertical joints or range of it, e.g. 0:0.5mm (the kit's)"),
-        arg("--no-props", action="store_true", help="refuse temporary blocks"),
+        arg("--supports", default="auto",
+            help="what may carry blocks for a while: auto, none, props (of the kit) or posts "
+            "(under given blocks)"),
+        arg("--no-props", dest="supports", action="store_const", const="none",
+            help="the same as --supports none"),
+        arg("--holds", type=natural, default=0, metavar="K",
+            help="of given blocks, how many a hand may hold while the next one comes (0)"),
     ),
     arg("--arm", default=None, help=f"an arm builds it: {' or '.join(ARMS)}"),
     arg("--layout", type=named, default=None, metavar="FILE",
@@ -117,7 +123,7 @@ def _build(options: argparse.Namespace, output: Output) -> int:
     with claim_folder(options.out, options.resume):
         plan = build(
             options.design, **{name: getattr(options, name) for name in _BUILD},
-            props=not options.no_props, reading=reading_of(options), noise=options.sense_noise,
+            reading=reading_of(options), noise=options.sense_noise,
             state=state, progress=output.progress,
         )  # fmt: skip
         files = plan.save(options.out, video=video, progress=output.progress)
@@ -156,6 +162,7 @@ def _summary(plan: Plan) -> dict[str, Any]:
         "planner_chosen": [a.result for a in plan.search.attempts] if plan.search else [],
         "kit": plan.kit, "blocks": plan.blocks.used,
         "props": sum(step.prop and step.action == "place" for step in plan.steps),
+        "holds": sum(step.action == "hold" for step in plan.steps),
         "steps": len(plan.steps), "coverage": plan.coverage,
         **{f"cells_{k}": cells and getattr(cells, k) for k in CELL_COUNTS},
         "iou": design.iou, "volume_error": design.volume_error,

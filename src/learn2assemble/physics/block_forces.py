@@ -19,14 +19,14 @@ Inside, lengths are in edges of a median block and forces in mean weights of a b
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
 import clarabel
 import numpy as np
 import scipy.sparse as sp
 
-from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.contacts import Contacts, across
 from learn2assemble.errors import InputError, Learn2AssembleError
 
@@ -85,8 +85,9 @@ class System:
     """The balance of all free blocks as sparse matrices, in units of a median block."""
 
     def __init__(
-        self, assembly: Assembly, contacts: Contacts, present: np.ndarray | None = None
-    ) -> None:
+        self, assembly: Assembly, contacts: Contacts, present: np.ndarray | None = None,
+        held: np.ndarray | None = None,
+    ) -> None:  # fmt: skip
         blocks = assembly.blocks
         there = np.ones(len(blocks), bool) if present is None else np.asarray(present, bool)
         if there.shape != (len(blocks),):
@@ -95,6 +96,7 @@ class System:
         self._on = on[contacts.patch]
         contacts = contacts if on.all() else contacts.only(on)
         free = there & ~np.array([block.support for block in blocks])
+        free &= True if held is None else ~held
         self.free = np.flatnonzero(free)
         self.count, self.corners = len(self.free), len(contacts.points)
         number = np.cumsum(free) - 1
@@ -106,12 +108,9 @@ class System:
         reach = [np.linalg.norm(blocks[k].vertices - c, axis=1).max()
                  for k, c in zip(self.free, centre, strict=True)]  # fmt: skip
         self.radius = np.array(reach) / self._length
-        frame = np.concatenate([contacts.normal[:, None], across(contacts.normal)], 1)
-        self._frame = frame[contacts.patch]
+        self._frame = corner_frames(contacts)
         self.upright = bool((np.abs(contacts.normal[:, 2]) > 1 - 1e-6).all())
-        share = np.maximum(np.bincount(contacts.patch, minlength=len(contacts.a)), 1)
-        area = (contacts.area / share)[contacts.patch] / self._length**2
-        self._soft = 1 / np.maximum(area, 1e-4)
+        self._soft = corner_softness(contacts, self._length)
         self._bodies = [
             np.where((body >= 0) & free[body], number[body], -1)[contacts.patch]
             for body in (contacts.a, contacts.b)
@@ -125,13 +124,11 @@ class System:
     def _balance(self, points: np.ndarray, centre: np.ndarray) -> sp.csc_matrix:
         """Wrench [6 count] of the corner forces in their frames; column 3 p is a normal force."""
         rows, columns, values = [], [], []
+        reach, frame = self.radius * self._length, self._frame
         for body, sign in zip(self._bodies, (-1.0, 1.0), strict=True):
             corner = np.flatnonzero(body >= 0)
             of = body[corner]
-            arm = (points[corner] - centre[of]) / self._length
-            force = sign * self._frame[corner]
-            moment = np.cross(arm[:, None], force) / self.radius[of, None, None]
-            wrench = np.concatenate([force, moment], -1)
+            wrench = _wrenches(points[corner] - centre[of], sign * frame[corner], reach[of])
             row = 6 * of[:, None, None] + np.arange(6)
             column = 3 * corner[:, None, None] + np.arange(3)[:, None]
             rows.append(np.broadcast_to(row, wrench.shape).ravel())
@@ -182,21 +179,9 @@ class System:
         rest = (self.weight - self.balance @ forces.reshape(-1)).reshape(-1, 6)
         return self.newtons(forces) if self.excess(np.linalg.norm(rest, axis=1)) <= 1 else None
 
-    def _cones(self, friction: float) -> tuple[Any, list]:
-        """Coulomb's law: the negated rows of forces, and the cones they are in."""
-        corners = self.corners
-        if friction > 0:
-            rows = sp.diags(np.tile([friction, 1.0, 1.0], corners))
-            return -rows, [_conic.SecondOrderConeT(3)] * corners
-        # A cone without interior would stall the solver.
-        order = np.arange(3 * corners).reshape(corners, 3)
-        order = np.concatenate([order[:, 0], order[:, 1:].reshape(-1)])
-        parts = [_conic.NonnegativeConeT(corners), _conic.ZeroConeT(2 * corners)]
-        return -sp.csr_matrix(sp.identity(3 * corners))[order], parts
-
     def least_holding(self, friction: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """RBE: forces [corners, 3], holding forces [count], motion [count, 6]."""
-        cone, parts = self._cones(friction)
+        cone, parts = _cones(self.corners, friction)
         # A little elastic energy chooses among the forces where there are many.
         return self._with_holding(
             1e-6 * np.repeat(self._soft, 3), 1.0, cone, np.zeros(3 * self.corners), parts
@@ -368,6 +353,78 @@ class System:
             return None if answer is None else (-np.array(answer.z[:2]), float(answer.obj_val))
 
         return run
+
+
+def corner_frames(contacts: Contacts) -> np.ndarray:
+    """float64[C, 3, 3]: at every corner the normal of its patch and two directions across."""
+    frame = np.concatenate([contacts.normal[:, None], across(contacts.normal)], 1)
+    return frame[contacts.patch]
+
+
+def corner_softness(contacts: Contacts, length: float) -> np.ndarray:
+    """float64[C]: compliance of the joint at every corner, in units of a block of that length."""
+    share = np.maximum(np.bincount(contacts.patch, minlength=len(contacts.a)), 1)
+    area = (contacts.area / share)[contacts.patch] / length**2
+    return 1 / np.maximum(area, 1e-4)
+
+
+def corner_wrenches(blocks: Sequence[Block], contacts: Contacts) -> tuple[np.ndarray, np.ndarray]:
+    """float64[C, 3, 6] twice: what unit forces at the corners do to blocks ``a`` and ``b``.
+
+    Moments are about the centroid of the block and in units of force times its radius; those on
+    the ground mean nothing.
+    """
+    centre = np.array([block.centroid for block in blocks])
+    reach = np.array([
+        np.linalg.norm(block.vertices - at, axis=1).max()
+        for block, at in zip(blocks, centre, strict=True)
+    ])  # fmt: skip
+    frame = corner_frames(contacts)
+    first, second = (
+        _wrenches(contacts.points - centre[body], sign * frame, reach[body])
+        for body, sign in ((contacts.a[contacts.patch], -1.0), (contacts.b[contacts.patch], 1.0))
+    )
+    return first, second
+
+
+def _wrenches(arm: np.ndarray, frame: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    """float64[n, 3, 6]: forces along the rows of frames and their moments over ``reach``."""
+    moment = np.cross(arm[:, None], frame) / reach[:, None, None]
+    return np.concatenate([frame, moment], -1)
+
+
+def balancing_forces(
+    matrix: sp.csc_matrix, load: np.ndarray, soft: np.ndarray, friction: float
+) -> np.ndarray | None:
+    """Of the forces float64[k, 3] with ``matrix @ forces = load`` in Coulomb's cone, those of least
+    elastic energy, or None where there are none.
+
+    Args:
+        matrix: [rows, 3 k], columns of normal and tangential forces of each corner in turn.
+        soft: float64[k], compliance of the corners.
+    """
+    rows, corners = len(load), len(soft)
+    filled = np.bincount(matrix.indices, minlength=rows) > 0
+    if np.abs(load[~filled]).max(initial=0.0) > 0 or not corners:
+        return None
+    cone, parts = _cones(corners, friction)
+    whole = sp.vstack([matrix, cone]).tocsc()
+    bound = np.concatenate([load, np.zeros(whole.shape[0] - rows)])
+    energy = sp.diags(np.repeat(soft * 1e-3, 3))
+    answer = _run(energy, np.zeros(3 * corners), whole, bound, [_conic.ZeroConeT(rows), *parts])
+    return None if answer is None else np.array(answer.x).reshape(-1, 3)
+
+
+def _cones(corners: int, friction: float) -> tuple[Any, list]:
+    """Coulomb's law: the negated rows of forces, and the cones they are in."""
+    if friction > 0:
+        rows = sp.diags(np.tile([friction, 1.0, 1.0], corners))
+        return -rows, [_conic.SecondOrderConeT(3)] * corners
+    # A cone without interior would stall the solver.
+    order = np.arange(3 * corners).reshape(corners, 3)
+    order = np.concatenate([order[:, 0], order[:, 1:].reshape(-1)])
+    parts = [_conic.NonnegativeConeT(corners), _conic.ZeroConeT(2 * corners)]
+    return -sp.csr_matrix(sp.identity(3 * corners))[order], parts
 
 
 def _run(

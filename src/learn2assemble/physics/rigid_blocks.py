@@ -246,7 +246,7 @@ def pressed_patches(contacts: Contacts, present: np.ndarray | None = None) -> np
 
 def solve(
     assembly: Assembly, contacts: Contacts, friction: float | None = None, *,
-    present: np.ndarray | None = None, coupled: bool = True,
+    present: np.ndarray | None = None, held: np.ndarray | None = None, coupled: bool = True,
     stiffness: tuple[float, ...] = STIFFNESS,
 ) -> Equilibrium:  # fmt: skip
     """Whether the blocks stand on some patches of contact.
@@ -256,6 +256,7 @@ def solve(
         contacts: of that assembly; those of absent blocks are ignored.
         friction: Coulomb coefficient instead of the assembly's.
         present: bool[B], the blocks that are there; all by default.
+        held: bool[B], those of them that a hand holds, so that they bear any load.
         coupled: False answers by RBE alone, which refutes but cannot prove.
         stiffness: tangential over normal stiffness of the joints, in the order they are tried.
 
@@ -264,7 +265,7 @@ def solve(
     """
     friction = assembly.friction if friction is None else friction
     check_friction(friction)
-    system = System(assembly, contacts, present)
+    system = System(assembly, contacts, present, held)
     if system.count == 0:
         return _standing("frictionless", system.newtons(None))
     if system.upright:
@@ -292,7 +293,7 @@ def solve(
 
 def margin(
     assembly: Assembly, contacts: Contacts, friction: float | None = None, *,
-    present: np.ndarray | None = None,
+    present: np.ndarray | None = None, held: np.ndarray | None = None,
 ) -> float:  # fmt: skip
     """Sideways acceleration [g] that RBE withstands in every direction, from below.
 
@@ -303,7 +304,7 @@ def margin(
     """
     friction = assembly.friction if friction is None else friction
     check_friction(friction)
-    system = System(assembly, contacts, present)
+    system = System(assembly, contacts, present, held)
     if system.count == 0:
         return min(friction, MOST_G)
     fewest, most, work = _LOADS

@@ -51,6 +51,8 @@ DEFAULT_TOOL = "suction"
 """Of an arm that carries out an exact plan: with fingers, blocks cannot stand close."""
 PHYSICS = ("dynamic", "kinematic")
 """Cells in which an arm carries out exact plans."""
+SUPPORTS = ("auto", "none", "props", "posts")
+"""What may carry blocks until they carry themselves."""
 AGENT_SECONDS, EXACT_SECONDS = 20.0, 60.0
 """Limits of the widest search of a task, and of planning a design with its proof [s]."""
 Progress = Callable[[str], None]
@@ -63,7 +65,8 @@ def build(
     kit: str | Kit | None = None,
     friction: float | tuple[float, float] | None = None,
     gap: float | tuple[float, float] | None = None,
-    props: bool = True,
+    supports: str = "auto",
+    holds: int = 0,
     reading: Mapping[str, Any] | None = None,
     arm: str | None = None,
     agent: str | Path | Agent | None = None,
@@ -93,7 +96,10 @@ def build(
             names, else ``bricks-lintels``.
         friction: coefficient, or the range to prove every step for; by default the kit's.
         gap: width of vertical joints [m], or the range to prove every step for.
-        props: whether the exact planner may use temporary blocks.
+        supports: what may carry blocks until they carry themselves: ``"auto"``; ``"none"``;
+            ``"props"``, blocks of the kit, for designs of cells and goals; ``"posts"``, cut to
+            the blocks they carry, for assemblies.
+        holds: of an assembly, how many blocks a hand may hold while the next one comes.
         reading: how to read a file that does not say it: keyword arguments of
             :func:`learn2assemble.design.cells.read_design` such as ``unit`` and ``cells_wide``.
         arm: name of the arm that builds; by default none, for a task its own.
@@ -123,16 +129,17 @@ def build(
     # What can be refused at once comes before the libraries that take seconds to load.
     if planner is not None:
         check_name("planner", planner, PLANNERS)
+    check_name("supports", supports, SUPPORTS)
     _check_values(
-        reading=reading, props=props, noise=noise, seed=seed, seconds=seconds, progress=progress
+        reading=reading, noise=noise, holds=holds, seed=seed, seconds=seconds, progress=progress
     )
     if is_task(design):
         if planner == "exact":
             raise InputError("planner", "exact", f"agent, for the task {design}")
         given = {
             "kit": kit, "friction": friction, "gap": gap, "reading": reading, "layout": layout,
-            "tool": tool, "state": state, "props": not props, "noise": any(noise),
-            "physics": physics != PHYSICS[0],
+            "tool": tool, "state": state, "supports": supports != "auto", "holds": holds,
+            "noise": any(noise), "physics": physics != PHYSICS[0],
         }  # fmt: skip
         _refuse(given, f"a design (not the task {design})")
         if arm is not None:
@@ -163,7 +170,7 @@ def build(
         "seconds": EXACT_SECONDS if seconds is None else seconds,
     }  # fmt: skip
     return _build_design(
-        design, kit, props, dict(reading or {}), how, planner, builder, seed, given
+        design, kit, (supports, holds), dict(reading or {}), how, planner, builder, seed, given
     )
 
 
@@ -236,7 +243,7 @@ def _check_values(**given: Any) -> None:
         given,
         ("reading", reading is None or _is(reading, Mapping),
          "keyword arguments of read_design as a mapping"),
-        ("props", _is(given["props"], bool), "True or False"),
+        ("holds", is_whole(given["holds"], 0), "a whole number of at least 0"),
         ("noise", pair and all(is_number(one, 0) for one in noise),
          "two standard deviations of at least 0, in m and rad"),
         ("seed", is_whole(given["seed"], 0), "a whole number of at least 0"),
@@ -284,25 +291,29 @@ class _Arm(NamedTuple):
 
 
 def _build_design(
-    design: object, kit: Any, props: bool, reading: dict[str, Any], how: _Arm | None,
+    design: object, kit: Any, help_: tuple[str, int], reading: dict[str, Any], how: _Arm | None,
     planner: str, builder: str | None, seed: int, given: dict[str, Any],
 ) -> Plan:  # fmt: skip
     """Plan what is no task, and carry it out where an arm is named.
 
     Args:
+        help_: supports and holds.
         given: friction, gap, seconds and progress, as every planner takes them.
     """
     from learn2assemble.assembly.blocks import Assembly
     from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
     from learn2assemble.design.cells import CellDesign, read_design
     from learn2assemble.design.goals import Goals
-    from learn2assemble.planning.construct import plan_assembly, plan_cells
+    from learn2assemble.planning.construct import plan_cells
+    from learn2assemble.planning.given import plan_assembly
 
     if isinstance(kit, str | Path):
         kit = load_kit(str(kit))
     if not (kit is None or isinstance(kit, Kit)):
         raise InputError("kit", kit, "a kit, its name or its file")
     source = ""
+    supports, holds = help_
+    props = supports != "none"
     goals = _goals(design, kit, props, reading)
     if goals is not None:
         design = goals
@@ -324,6 +335,9 @@ def _build_design(
             raise InputError("planner", planner, "exact, for goals instead of a design")
     elif not isinstance(design, CellDesign):
         raise InputError("design", type(design).__name__, "a file, cells or an assembly")
+    if not isinstance(design, Assembly) and (holds or supports == "posts"):
+        got = f"holds={holds}" if holds else f"supports={supports!r}"
+        raise InputError("design", got, "an assembly of given blocks for posts and holds")
     workcell, progress = None if how is None else how.workcell(), given["progress"]
     if not isinstance(design, CellDesign):
         if isinstance(design, Goals):
@@ -333,7 +347,7 @@ def _build_design(
             if workcell is not None:
                 workcell = replace(workcell, site=with_obstacles(workcell.site, design))
         else:
-            plan = plan_assembly(design, source=source, **given)
+            plan = plan_assembly(design, source=source, supports=supports, holds=holds, **given)
         if workcell is None:
             return plan
         from learn2assemble.planning.workcell_plan import carry_out

@@ -1,8 +1,7 @@
 """Exact planning: a design of cells becomes blocks of a kit, an order, and a proof of every step.
 
 Nothing here is learned: :mod:`.tiling` chooses the blocks, :mod:`.ordering` the order, and what is
-called complete fills every wanted cell and no other. An assembly whose blocks are given only needs
-an order and the proof.
+called complete fills every wanted cell and no other.
 """
 
 from __future__ import annotations
@@ -14,8 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly, Block, Step
-from learn2assemble.assembly.contacts import Contacts, check_overlaps, shrunk
+from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.kit import DEFAULT_KIT, Cell, Kit, load_kit
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
@@ -23,13 +21,10 @@ from learn2assemble.planning import plan as plans
 from learn2assemble.planning.advice import NO_ADVICE, advise
 from learn2assemble.planning.exact import plan_exact
 from learn2assemble.planning.ordering import (
-    BED,
-    POINTS,
     TIGHT,
     Bounds,
     Ordering,
     to_assembly,
-    value_range,
 )
 from learn2assemble.planning.plan import Plan, PlanDesign
 from learn2assemble.planning.tiling import Tiling, placement_cells, strange_cells
@@ -38,7 +33,6 @@ if TYPE_CHECKING:
     from learn2assemble.planning.agent.arm import Hand
 
 EXACT, AGENT = "exact", "agent"
-_UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 
 
 def plan_cells(
@@ -160,8 +154,9 @@ def report_plan(
         placement, block = tiling.placements[step.block], assembly.blocks[step.block]
         if step.place is not None and not placement.prop:
             covered += len(placement_cells(placement, kit))
-        steps.append(_step(number, step.block, block, step.place is None, step.margin_g,
-                           step.proof, covered / max(wanted, 1)))  # fmt: skip
+        action = "remove" if step.place is None else "place"
+        made = plans.block_step(number, step.block, block, action, covered / max(wanted, 1))
+        steps.append(made.with_proof(step.proof, step.margin_g))
     low, high = ordered.friction_range
     return Plan(
         design=PlanDesign(
@@ -218,181 +213,6 @@ def _blamed(tiling: Tiling, ordered: Ordering, kit: Kit) -> tuple[plans.BlamedCe
         ("would fall", cells_of(block for block in ordered.falls if block not in stuck)),
     )
     return tuple(plans.BlamedCells(why, tuple(sorted(cells))) for why, cells in groups if cells)
-
-
-def plan_assembly(
-    assembly: Assembly,
-    *,
-    friction: Bounds = None,
-    gap: Bounds = None,
-    seconds: float = 60.0,
-    progress: Callable[[str], None] = lambda text: None,
-    source: str = "",
-) -> Plan:
-    """Order and proof for blocks that are given where they stand.
-
-    The order of the file is kept where it has one; else blocks go from below, each after the
-    blocks it lies on, and one that would fall waits. Every state is proven as
-    :func:`learn2assemble.physics.rigid_blocks.check` does, on what weight presses together where
-    that holds, else with side faces that press, and the step says which; edges and points carry,
-    too.
-
-    Args:
-        friction: Coulomb coefficient, or the range to prove every step for (at both its ends),
-            instead of the assembly's.
-        gap: width to which vertical joints may open, or a range of widths [m]. Above 0 side faces
-            carry nothing, nor do edges and points, and every bed face is taken to be smaller by
-            half of it on all sides.
-            Without it, side faces press where the file has them touch.
-        seconds: wall-clock limit; the steps proven until then are kept.
-
-    Raises:
-        InputError: for blocks that overlap, where nothing stands on a support or the ground, and
-            for joints wider than the blocks.
-    """
-    started = time.perf_counter()
-    check_overlaps(assembly)
-    ends = value_range(friction, assembly.friction, "friction")
-    widest = value_range(gap, 0.0, "gap")[1]
-    states = _States(assembly, ends, widest)
-    count, support = len(assembly.blocks), states.joints.support
-    below = states.below()
-    given = [(s.place, s.remove) for s in assembly.steps]
-    queue = [assembly.index(p or r or "") for p, r in given]
-    if not given:
-        heights = [float(block.vertices[:, 2].min()) for block in assembly.blocks]
-        queue = [k for k in sorted(range(count), key=lambda k: (heights[k], k)) if not support[k]]
-    present = support.copy()
-    steps: list[plans.Step] = []
-    made: list[Step] = []
-    reason = None
-    while queue and reason is None:
-        if time.perf_counter() - started > seconds:
-            reason = f"time ran out after {seconds:g} s with {len(steps)} steps proven; "
-            reason += "--seconds gives more"
-            break
-        # Stones that lie on one another in a ring have no first one.
-        ready = [k for k in queue if all(present[n] for n in below[k])] or queue
-        ready = queue[:1] if given else ready
-        certain = True
-        for index in ready:
-            removing = bool(present[index])
-            present[index] = not removing
-            proof, pressing = states.decide(present)
-            if pressing is not None:
-                break
-            certain &= proof == _FALLS
-            present[index] = removing
-        else:
-            names = ", ".join(assembly.blocks[k].id for k in ready[:3])
-            what = _FALLS if certain else _UNCERTAIN
-            reason = f"no order found: step {len(steps) + 1} {what} with any of {names}"
-            if not given and states.decide(np.ones(count, bool))[1] is not None:
-                reason += "; all blocks together stand, so something has to hold them until then"
-            break
-        assert pressing is not None
-        queue.remove(index)
-        block, number = assembly.blocks[index], len(steps) + 1
-        progress(f"step {number}: {block.id}")
-        worth = states.margin(pressing, present)
-        made.append(Step(remove=block.id) if removing else Step(place=block.id))
-        covered = float((present & ~support).sum()) / max((~support).sum(), 1)
-        steps.append(_step(number, index, block, removing, worth, proof, covered))
-    wanted = sum(not (b.prop or b.support) for b in assembly.blocks)
-    used_blocks = sum(bool(present[k]) and not b.support for k, b in enumerate(assembly.blocks))
-    done = reason is None
-    return Plan(
-        design=PlanDesign(name=assembly.name or "assembly", source=source, block_edge=1.0),
-        status="complete" if done else "incomplete",
-        reason=reason,
-        blocks=plans.BlockSupply(wanted, used_blocks, ()),
-        steps=tuple(steps),
-        coverage=steps[-1].coverage if steps else 0.0,
-        seconds=round(time.perf_counter() - started, 3),
-        planner=EXACT,
-        verified_by="rigid-block equilibrium of every step",
-        friction_range=ends,
-        gap_range=None if gap is None else (0.0, widest),
-        assembly=replace(assembly, steps=tuple(made), not_built=()).as_far_as_placed(),
-    )
-
-
-_FALLS, _UNCERTAIN = "falls", "is not certain to stand"
-
-
-class _States:
-    """What stands of given blocks, by the contacts that ``l2a check`` looks at.
-
-    Args:
-        friction: the coefficients at which a state has to stand.
-        gap: width to which vertical joints may open [m].
-    """
-
-    def __init__(self, assembly: Assembly, friction: tuple[float, float], gap: float) -> None:
-        from learn2assemble.physics.rigid_blocks import Joints, bed_patches
-
-        self.assembly, self.friction = assembly, sorted(set(friction))
-        self.joints = Joints(assembly)
-        self.open: Contacts | None = None
-        if gap > 0:
-            least = min(float(np.ptp(b.vertices, axis=0)[:2].min()) for b in assembly.blocks)
-            if gap >= least:
-                raise InputError("gap", gap, f"less than the narrowest block, {least:g} m")
-            faces = self.joints.faces
-            self.open = shrunk(faces.only(bed_patches(faces)), gap / 2)
-
-    def below(self) -> list[set[int]]:
-        """The blocks that each block lies on, without supports."""
-        from learn2assemble.physics.rigid_blocks import bed_patches
-
-        contacts = self.joints.faces if self.open is not None else self.joints.every[0]
-        lying = contacts.only(bed_patches(contacts))
-        found: list[set[int]] = [set() for _ in self.assembly.blocks]
-        for a, b, normal in zip(lying.a.tolist(), lying.b.tolist(), lying.normal, strict=True):
-            lower, upper = (a, b) if normal[2] > 0 else (b, a)
-            if upper >= 0 and lower >= 0 and not self.joints.support[lower]:
-                found[upper].add(lower)
-        return found
-
-    def decide(self, present: np.ndarray) -> tuple[str, Contacts | None]:
-        """The proof that the blocks ``present`` (bool[B]) stand, and the contacts that carry them
-        with the least friction; ``_FALLS`` or ``_UNCERTAIN`` and None where there is none."""
-        from learn2assemble.physics import rigid_blocks
-
-        if self.open is not None:
-            stands = all(rigid_blocks.solve(self.assembly, self.open, mu, present=present).stands
-                         for mu in self.friction)  # fmt: skip
-            return (BED, self.open) if stands else (_FALLS, None)
-        proof, pressing = BED, None
-        for mu in self.friction:
-            found = self.joints.decide(mu, present)
-            if not found.result.stands:
-                return _FALLS if found.verdict == rigid_blocks.FALLS else _UNCERTAIN, None
-            if found.verdict == rigid_blocks.TIGHT:
-                proof = TIGHT
-            elif found.contacts is not self.joints.faces:
-                proof = POINTS
-            if pressing is None:
-                pressing = found.contacts.only(found.keep)
-        return proof, pressing
-
-    def margin(self, pressing: Contacts, present: np.ndarray) -> float:
-        """Sideways acceleration that the blocks ``present`` withstand on these contacts [g]."""
-        from learn2assemble.physics.rigid_blocks import margin
-
-        return margin(self.assembly, pressing, self.friction[0], present=present)
-
-
-def _step(
-    number: int, index: int, block: Block, removing: bool, margin_g: float, proof: str,
-    coverage: float,
-) -> plans.Step:  # fmt: skip
-    """A step of a plan, of the block with an index in its assembly."""
-    return plans.Step(
-        step=number, block=index, position=_point(block.centroid), quaternion=_UPRIGHT,
-        action="remove" if removing else "place", kind=block.kind or None, prop=block.prop,
-        coverage=round(coverage, 6),
-    ).with_proof(proof, margin_g)  # fmt: skip
 
 
 def _coloured(

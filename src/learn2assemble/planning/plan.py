@@ -29,7 +29,7 @@ from learn2assemble.files import (
 from learn2assemble.registry import Registry
 
 if TYPE_CHECKING:
-    from learn2assemble.assembly.blocks import Assembly
+    from learn2assemble.assembly.blocks import Assembly, Block
     from learn2assemble.robot.motion.record import BuildRecord
 
 FORMAT, VERSION = "learn2assemble-plan", 3
@@ -44,6 +44,7 @@ Quaternion = tuple[Unit, Unit, Unit, Unit]
 Status = Literal["complete", "incomplete", "refused", "not found"]
 Why = Literal["not filled", "not carried", "cannot be placed", "would fall"]
 _Index = Annotated[int, Range(0, 1e6)]
+Action = Literal["place", "remove", "hold", "release"]
 Relation = Literal["top", "left", "right", "front", "behind"]
 
 
@@ -151,7 +152,8 @@ class Step:
     position: Point
     """Centre of the block after it has settled."""
     quaternion: Quaternion
-    action: Literal["place", "remove"] = "place"
+    action: Action = "place"
+    """``hold`` and ``release``: a hand holds a block in its place from this step on, or lets go."""
     kind: str | None = None
     """Kind of the block in the kit."""
     prop: bool = False
@@ -180,6 +182,15 @@ class Step:
         tilt = None if margin_g is None else round(math.degrees(math.atan(margin_g)), 3)
         worth = None if margin_g is None else round(min(float(margin_g), LARGEST), 6)
         return dataclasses.replace(self, proof=proof, margin_g=worth, tilt_deg=tilt)
+
+
+def block_step(number: int, index: int, block: Block, action: Action, coverage: float) -> Step:
+    """The step with a number, from 1, of a block with an index in its assembly."""
+    x, y, z = (round(float(c), 6) for c in block.centroid)
+    return Step(
+        step=number, block=index, position=(x, y, z), quaternion=(1.0, 0.0, 0.0, 0.0),
+        action=action, kind=block.kind or None, prop=block.prop, coverage=round(coverage, 6),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

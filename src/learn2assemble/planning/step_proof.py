@@ -28,13 +28,15 @@ the loads of all else held, then under all blocks.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numba import njit
 
+from learn2assemble.assembly.blocks import Block
+from learn2assemble.assembly.contacts import Contacts
 from learn2assemble.assembly.kit import Kit
 from learn2assemble.planning.elastic import balance
 from learn2assemble.planning.programs import INF, Program, solve
@@ -174,6 +176,36 @@ def find_stack(
     stack = Stack(
         weight, centre, np.concatenate(points), tops, np.array(lower, np.int64), np.array(share),
         start, np.zeros(len(placements), np.int64), pitch[:2],
+    )  # fmt: skip
+    stack.rank[:] = _ranks(stack)
+    return stack
+
+
+def stack_of_contacts(blocks: Sequence[Block], contacts: Contacts) -> Stack:
+    """Blocks of any shape and their level joints, supports as part of the table.
+
+    Args:
+        contacts: of these blocks, all with vertical normals.
+    """
+    up = contacts.normal[:, 2] > 0
+    support = np.array([block.support for block in blocks] + [True])
+    upper, lower = np.where(up, contacts.b, contacts.a), np.where(up, contacts.a, contacts.b)
+    lower = np.where(support[lower], GROUND, lower)
+    size = np.diff(contacts.start)
+    order = np.lexsort((np.arange(len(upper)), upper))
+    order = order[~support[upper[order]]]
+    starts = contacts.start.tolist()
+    corners = [np.arange(starts[k], starts[k + 1]) for k in order.tolist()]
+    index = np.concatenate([*corners, np.empty(0, np.int64)])
+    tops = np.repeat(upper[order], size[order])
+    width = float(np.median([np.ptp(block.vertices, axis=0)[:2].min() for block in blocks]))
+    stack = Stack(
+        np.array([block.mass for block in blocks]),
+        np.array([block.centroid for block in blocks]), contacts.points[index], tops,
+        np.repeat(lower[order], size[order]),
+        np.repeat(contacts.area[order] / np.maximum(size[order], 1), size[order]),
+        np.searchsorted(tops, np.arange(len(blocks) + 1)), np.zeros(len(blocks), np.int64),
+        np.full(2, width),
     )  # fmt: skip
     stack.rank[:] = _ranks(stack)
     return stack

@@ -77,10 +77,10 @@ def standing_after(assembly: Assembly, count: int) -> Assembly:
     """What stands after so many steps, as a finished structure: props are blocks like others."""
     present: dict[str, None] = {}
     for step in assembly.steps[:count]:
-        if step.place is not None:
-            present[step.place] = None
-        else:
-            del present[step.remove or ""]
+        if step.action == "place":
+            present[step.block] = None
+        elif step.action == "remove":
+            del present[step.block]
     blocks = tuple(
         replace(block, prop=False) for block in assembly.blocks
         if block.id in present or block.support

@@ -189,8 +189,7 @@ def proof_entry(wanted: np.ndarray, kit: Kit) -> Result:
     for steps in chosen:
         present = np.zeros(len(assembly.blocks), bool)
         for step in ordering.steps[:steps]:
-            at = step.remove if step.place is None else step.place
-            present[at] = step.place is not None
+            present[step.block] = step.action != "remove"
         holds += solve(assembly, contacts, FRICTION, present=present).stands
         if present.sum() <= SIMULATED:
             moves.append(round(creep.largest_move(creep.standing_after(assembly, steps), 1.0), 6))

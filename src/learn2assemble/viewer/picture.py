@@ -87,7 +87,7 @@ def _standing(assembly: Assembly, count: int) -> np.ndarray:
     later = {step.place for step in assembly.steps} | set(assembly.not_built)
     there = np.array([block.id not in later for block in assembly.blocks])
     for step in assembly.steps[:count]:
-        there[assembly.index(step.place or step.remove or "")] = step.place is not None
+        there[assembly.index(step.block)] = step.action != "remove"
     return there
 
 

@@ -1,0 +1,223 @@
+"""Room to move: whether two blocks overlap, and along which way a block comes in or out.
+
+Convex parts are told apart by the planes of their faces and those along an edge of each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from learn2assemble.assembly.blocks import Block, convex_parts
+
+_STEPS = 4
+"""Positions looked at for every least extent of a block on its way."""
+_WAYS = 12
+"""Directions that are tried."""
+_TURNS = 6
+"""Places along a way at which a block may turn off it."""
+_ALONG = 1e-6
+"""A direction along a face leaves it, up to this [rad]."""
+_PARALLEL = 1e-6
+"""Sine of the angle below which two edges have no normal in common."""
+
+
+class _Part(NamedTuple):
+    vertices: np.ndarray
+    normals: np.ndarray
+    edges: np.ndarray
+
+
+Parts = tuple[_Part, ...]
+"""The convex parts of a block."""
+
+
+def parts_of(block: Block) -> Parts:
+    """The convex parts of a block, as the tests below take them."""
+    return tuple(_part(part) for part in ([block] if block.is_convex else convex_parts(block)))
+
+
+def overlap(one: Parts, two: Parts, depth: float) -> bool:
+    """Whether blocks overlap by more than ``depth`` [m] along every axis that could part them."""
+    still = np.zeros((1, 3))
+    return any(_deep(*a, *b, still, depth).any() for a in one for b in two)
+
+
+class Clearance:
+    """The ways of the blocks of an assembly past one another.
+
+    Args:
+        blocks: where they stand.
+        depth: overlap that is rounding [m].
+    """
+
+    def __init__(self, blocks: Sequence[Block], depth: float) -> None:
+        self.blocks, self.depth = blocks, depth
+        self.lower = np.array([block.vertices.min(0) for block in blocks])
+        self.upper = np.array([block.vertices.max(0) for block in blocks])
+        self._known: dict[int, Parts] = {}
+
+    def leaves(self, block: int, present: np.ndarray, ways: np.ndarray) -> bool:
+        """Whether a block can be moved out from among the ``present`` ones (bool[B]).
+
+        One straight way is looked for, then a way with one turn: along one of ``ways`` as far as
+        that is free, and from there up, or along the ground.
+
+        Args:
+            ways: float64[n, 3], unit vectors in which it can begin to move.
+        """
+        others = present.copy()
+        others[block] = False
+        if not others.any():
+            return True
+        still = np.zeros(3)
+        if any(self._out(block, way, others, still) for way in ways):
+            return True
+        size = float((self.upper[block] - self.lower[block]).min())
+        reach = float((self.upper[others].max(0) - self.lower[others].min(0)).max())
+        for way in ways:
+            steps = np.arange(1, int(_STEPS * reach / size) + 1) / _STEPS * size
+            hit = np.flatnonzero(self._hits(block, way * steps[:, None], others))
+            free = int(hit[0]) if len(hit) else len(steps)
+            turns = {int(k) for k in np.geomspace(1, max(free, 1), _TURNS)} if free else set()
+            for k in sorted(turns):
+                offset = way * steps[k - 1]
+                if any(self._out(block, second, others, offset) for second in _SECOND):
+                    return True
+        return False
+
+    def _out(self, block: int, way: np.ndarray, others: np.ndarray, offset: np.ndarray) -> bool:
+        """Whether a block, moved by ``offset``, can be drawn out straight along a unit vector."""
+        low, high = self.lower[block] + offset, self.upper[block] + offset
+        lower, upper = self.lower[others], self.upper[others]
+        out = np.where(way > 0, upper.max(0) - low, high - lower.min(0))
+        steep = np.abs(way) > 1e-9
+        length = float((out[steep] / np.abs(way[steep])).min())
+        step = float((high - low).min()) / _STEPS
+        moves = offset + way * np.arange(step, length + step, step)[:, None]
+        return not self._hits(block, moves, others).any()
+
+    def _hits(self, block: int, moves: np.ndarray, others: np.ndarray) -> np.ndarray:
+        """bool[n]: whether a block, moved by each of float64[n, 3], overlaps any of the others."""
+        hits = np.zeros(len(moves), bool)
+        if not len(moves):
+            return hits
+        low = self.lower[block] + moves.min(0)
+        high = self.upper[block] + moves.max(0)
+        near = others & (self.lower < high).all(1) & (self.upper > low).all(1)
+        for n in np.flatnonzero(near).tolist():
+            for a in self._of(block):
+                for b in self._of(n):
+                    hits |= _deep(*a, *b, moves, self.depth)
+        return hits
+
+    def _of(self, block: int) -> Parts:
+        if block not in self._known:
+            self._known[block] = parts_of(self.blocks[block])
+        return self._known[block]
+
+
+def ways_out(normals: np.ndarray) -> np.ndarray:
+    """Directions in which a block that is pushed along these unit normals can move at all.
+
+    Args:
+        normals: float64[n, 3], of every contact, towards the block.
+
+    Returns:
+        float64[k, 3]: unit vectors, the most upright ones first.
+    """
+    if not len(normals):
+        return _SPHERE[:1]
+    mean = normals.sum(0)
+    size = np.linalg.norm(mean)
+    ways = np.concatenate([_SPHERE, normals, mean[None] / size if size > 1e-9 else normals[:0]])
+    ways = ways[(ways @ normals.T > -_ALONG).all(1)]
+    return ways[np.argsort(-ways[:, 2], kind="stable")][:_WAYS]
+
+
+def _part(block: Block) -> _Part:
+    xyz = np.array(block.vertices)
+    normals = []
+    for face in block.faces:
+        arm = xyz[list(face)] - xyz[list(face)].mean(0)
+        normals.append(np.cross(arm, np.roll(arm, -1, 0)).sum(0))
+    ends = np.array(
+        sorted(
+            {
+                (min(p, q), max(p, q))
+                for face in block.faces
+                for p, q in zip(face, face[1:] + face[:1], strict=True)
+            }
+        )
+    )
+    along = xyz[ends[:, 1]] - xyz[ends[:, 0]]
+    return _Part(xyz, _directions(np.array(normals)), _directions(along))
+
+
+def _directions(vectors: np.ndarray) -> np.ndarray:
+    """Unit vectors along those that are not zero, one of each two that are opposite."""
+    length = np.linalg.norm(vectors, axis=1)
+    unit = vectors[length > 1e-12] / length[length > 1e-12, None]
+    first = np.argmax(np.abs(unit) > 1e-6, axis=1)
+    unit = unit * np.sign(unit[np.arange(len(unit)), first])[:, None]
+    return np.ascontiguousarray(np.unique(unit.round(9), axis=0))
+
+
+@njit(cache=True)
+def _deep(points, normals, edges, points2, normals2, edges2, moves, depth):
+    """bool[n]: whether the first part, moved by each of float64[n, 3], overlaps the second.
+
+    The axes are those of the separating axis theorem: normals of faces, and cross products of
+    edges. An axis along which the parts are at most ``depth`` deep keeps them apart.
+    """
+    inside = np.ones(len(moves), np.bool_)
+    first, second, third = len(normals), len(normals2), len(edges2)
+    for number in range(first + second + len(edges) * third):
+        if number < first:
+            x, y, z = normals[number]
+        elif number < first + second:
+            x, y, z = normals2[number - first]
+        else:
+            i, j = divmod(number - first - second, third)
+            ax, ay, az = edges[i]
+            bx, by, bz = edges2[j]
+            x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+            length = np.sqrt(x * x + y * y + z * z)
+            if length < _PARALLEL:
+                continue
+            x, y, z = x / length, y / length, z / length
+        low = low2 = np.inf
+        high = high2 = -np.inf
+        for k in range(len(points)):
+            at = points[k, 0] * x + points[k, 1] * y + points[k, 2] * z
+            low, high = min(low, at), max(high, at)
+        for k in range(len(points2)):
+            at = points2[k, 0] * x + points2[k, 1] * y + points2[k, 2] * z
+            low2, high2 = min(low2, at), max(high2, at)
+        left = False
+        for k in range(len(moves)):
+            if inside[k]:
+                shift = moves[k, 0] * x + moves[k, 1] * y + moves[k, 2] * z
+                inside[k] = min(high + shift - low2, high2 - low - shift) > depth
+                left |= inside[k]
+        if not left:
+            break
+    return inside
+
+
+def _sphere(count: int) -> np.ndarray:
+    """float64[count + 1, 3]: up, and unit vectors evenly about it (Fibonacci's lattice)."""
+    k = np.arange(count) + 0.5
+    z = 1 - 2 * k / count
+    turn = np.pi * (1 + 5**0.5) * k
+    ring = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], 1)
+    return np.concatenate([[[0.0, 0.0, 1.0]], ring])
+
+
+_SPHERE = _sphere(200)
+LEVEL = np.array([(np.cos(a), np.sin(a), 0.0) for a in np.arange(16) * np.pi / 8])
+"""float64[16, 3]: ways along the ground."""
+_SECOND = np.concatenate([_SPHERE[:1], LEVEL[::4]])

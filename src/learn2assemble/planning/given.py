@@ -1,0 +1,168 @@
+"""Order, supports and proof for an assembly whose blocks are given where they stand."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from learn2assemble.assembly.blocks import Assembly, Step
+from learn2assemble.assembly.contacts import check_overlaps, shrunk
+from learn2assemble.errors import InputError, is_whole
+from learn2assemble.physics.rigid_blocks import (
+    UNCERTAIN,
+    Joints,
+    bed_patches,
+    pressed_patches,
+)
+from learn2assemble.planning import plan as plans
+from learn2assemble.planning.ordering import BED, POINTS, TIGHT, Bounds, value_range
+from learn2assemble.planning.plan import Plan, PlanDesign
+from learn2assemble.planning.programs import Clock
+from learn2assemble.planning.sequence import (
+    Layer,
+    Problem,
+    Sequenced,
+    Supports,
+    find_sequence,
+    follow_steps,
+    list_ids,
+)
+
+MOST_HOLDS = 8
+Progress = Callable[[str], None]
+
+
+def plan_assembly(
+    assembly: Assembly,
+    *,
+    friction: Bounds = None,
+    gap: Bounds = None,
+    supports: str = "auto",
+    holds: int = 0,
+    seconds: float = 60.0,
+    progress: Progress = lambda text: None,
+    source: str = "",
+) -> Plan:
+    """Order, supports and proof for blocks that are given where they stand.
+
+    The order of the file is kept where it has one. Else blocks go from below
+    (:mod:`.sequence`); where none stands, one is held while the next one comes, or posts carry it.
+    Every state is proven, on what weight presses together where that holds, else with side faces
+    that press or with edges and points, and the step says which.
+
+    Args:
+        friction: Coulomb coefficient, or the range to prove every step for (at both its ends),
+            instead of the assembly's.
+        gap: width to which vertical joints may open, or a range of widths [m]. Above 0 side faces
+            carry nothing, nor do edges and points, and every bed face is taken to be smaller by
+            half of it on all sides. Without it, side faces press where the file has them touch.
+        supports: ``"none"``; ``"posts"`` and ``"auto"`` place posts where nothing else helps.
+        holds: how many blocks may be held by a hand while the next one comes; a hand is preferred
+            to a post.
+        seconds: wall-clock limit; the steps proven until then are kept.
+
+    Returns:
+        The plan; :attr:`~.plan.Plan.assembly` has the posts, as props, behind the given blocks.
+
+    Raises:
+        InputError: for blocks that overlap, where nothing stands on a support or the ground, for
+            joints wider than the blocks, and for supports that are none.
+    """
+    started = time.perf_counter()
+    if supports not in ("auto", "none", "posts"):
+        raise InputError("supports", supports, "auto, none or posts: given blocks have no kit")
+    if not is_whole(holds, 0, MOST_HOLDS):
+        raise InputError("holds", holds, f"a whole number from 0 to {MOST_HOLDS}")
+    check_overlaps(assembly)
+    ends = value_range(friction, assembly.friction, "friction")
+    widest = value_range(gap, 0.0, "gap")[1]
+    joints = Joints(assembly)
+    problem = Problem(assembly, _layers(assembly, joints, widest), tuple(sorted(set(ends))))
+    clock = Clock(seconds)
+    if assembly.steps:
+        found = follow_steps(problem, clock, progress)
+    else:
+        found = find_sequence(problem, Supports(supports != "none", holds), clock, progress)
+        unsure = not widest and joints.decide(ends[0]).verdict == UNCERTAIN
+        if found.status == "refused" and unsure:
+            names = list_ids(found.blocks, found.stuck) or "some blocks"
+            reason = f"that the finished structure stands is not certain: {names} may move"
+            found = replace(found, status="not found", reason=reason)
+        elif found.status == "not found":
+            found = _advised(found, problem, joints, Supports(supports != "none", holds), clock)
+    return _plan(problem, found, ends, None if gap is None else (0.0, widest), source, started)
+
+
+def _layers(assembly: Assembly, joints: Joints, gap: float) -> tuple[Layer, ...]:
+    """What may carry, what needs the least of the joints first."""
+    faces = joints.faces
+    if gap > 0:
+        least = min(float(np.ptp(b.vertices, axis=0)[:2].min()) for b in assembly.blocks)
+        if gap >= least:
+            raise InputError("gap", gap, f"less than the narrowest block, {least:g} m")
+        return (Layer(shrunk(faces.only(bed_patches(faces)), gap / 2), BED),)
+    pressed = pressed_patches(faces)
+    layers = [Layer(faces.only(pressed), BED)]
+    layers += [] if pressed.all() else [Layer(faces, TIGHT)]
+    every = joints.every[0]
+    layers += [Layer(every, POINTS)] if len(every.a) > len(faces.a) else []
+    return tuple(layers)
+
+
+def _advised(
+    found: Sequenced, problem: Problem, joints: Joints, supports: Supports, clock: Clock
+) -> Sequenced:
+    """What was not found, with what would help, which is tried first."""
+    if not found.steps or clock.left <= 0:
+        pass
+    elif not supports.posts and _completes(problem, Supports(True, supports.holds), clock):
+        return replace(found, reason=f"{found.reason}; with posts it is built")
+    elif supports.holds == 0 and _completes(problem, Supports(False, 1), clock):
+        return replace(found, reason=f"{found.reason}; with one block held at a time it is built")
+    if joints.decide(problem.friction[0]).result.stands:
+        return replace(found, reason=f"{found.reason}; all blocks together stand")
+    return found
+
+
+def _completes(problem: Problem, supports: Supports, clock: Clock) -> bool:
+    return find_sequence(problem, supports, clock).status == "complete"
+
+
+def _plan(
+    problem: Problem, found: Sequenced, ends: tuple[float, float],
+    gaps: tuple[float, float] | None, source: str, started: float,
+) -> Plan:  # fmt: skip
+    assembly = problem.assembly
+    support = np.array([block.support for block in found.blocks])
+    wanted = ~support & ~np.array([block.prop for block in found.blocks])
+    present = support.copy()
+    steps, made = [], []
+    for number, step in enumerate(found.steps, 1):
+        block = found.blocks[step.block]
+        if step.action in ("place", "remove"):
+            present[step.block] = step.action == "place"
+        covered = float((present & wanted).sum()) / max(int(wanted.sum()), 1)
+        made.append(Step(**{step.action: block.id}))
+        steps.append(
+            plans.block_step(number, step.block, block, step.action, covered).with_proof(
+                step.proof, step.margin_g
+            )
+        )
+    blocks = replace(assembly, blocks=found.blocks, steps=tuple(made), not_built=())
+    return Plan(
+        design=PlanDesign(name=assembly.name or "assembly", source=source, block_edge=1.0),
+        status="incomplete" if found.status == "not found" and found.steps else found.status,
+        reason=found.reason,
+        blocks=plans.BlockSupply(int(wanted.sum()), int((present & wanted).sum()), ()),
+        steps=tuple(steps),
+        coverage=steps[-1].coverage if steps else 0.0,
+        seconds=round(time.perf_counter() - started, 3),
+        planner="exact",
+        verified_by="rigid-block equilibrium of every step",
+        friction_range=ends,
+        gap_range=gaps,
+        assembly=blocks.as_far_as_placed(),
+    )
