@@ -404,12 +404,13 @@ def balancing_forces(
         soft: float64[k], compliance of the corners.
     """
     rows, corners = len(load), len(soft)
-    filled = np.bincount(matrix.indices, minlength=rows) > 0
+    filled = np.zeros(rows, bool)
+    filled[matrix.indices] = True
     if np.abs(load[~filled]).max(initial=0.0) > 0 or not corners:
         return None
     cone, parts = _cones(corners, friction)
-    whole = sp.vstack([matrix, cone]).tocsc()
-    bound = np.concatenate([load, np.zeros(whole.shape[0] - rows)])
+    whole = sp.csc_matrix(sp.vstack([matrix, cone]))
+    bound = np.concatenate([load, np.zeros(cone.shape[0])])
     energy = sp.diags(np.repeat(soft * 1e-3, 3))
     answer = _run(energy, np.zeros(3 * corners), whole, bound, [_conic.ZeroConeT(rows), *parts])
     return None if answer is None else np.array(answer.x).reshape(-1, 3)
