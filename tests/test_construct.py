@@ -451,7 +451,7 @@ def test_the_page_shows_what_was_drawn(browser: str, tmp_path: Path) -> None:
         anchors.append(f"{name}/view.html#step={len(plan.steps)}")
     images, log = shoot(browser, tmp_path, tuple(anchors), (1000, 900), *SPATIAL)
     assert "Uncaught" not in log, log
-    gate, dome, figure = (image[450:840, 40:555, :3] for image in images)
+    gate, dome, figure = (image[235:615, 35:560, :3] for image in images)
     if pixels(gate, "#f1efea") > 0.95 * gate[..., 0].size:
         pytest.skip("this browser has no software WebGL")
 
