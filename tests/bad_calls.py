@@ -6,11 +6,16 @@ Words may hold ``{d}``, a folder prepared by :func:`prepare`; nothing in it may 
 from __future__ import annotations
 
 import gzip
+import io
 import json
 import os
 import shutil
+import zipfile
 from pathlib import Path
 from typing import NamedTuple
+
+import numpy as np
+from PIL import Image
 
 TASK = "one-sided-3x3-22-24"
 LONG = "x" * 300
@@ -68,6 +73,43 @@ def exact_arm(*words: str) -> list[str]:
     return ["build", "{d}/design.json", "--out", "{d}/new", "--arm", "panda", *words]
 
 
+def read(name: str, *words: str) -> list[str]:
+    """A build of a file that cannot be read; later words win."""
+    return ["build", f"{{d}}/read/{name}", "--out", "{d}/new", *words]
+
+
+def prepare_files(folder: Path) -> None:
+    """Files of designs that cannot be read, in a new folder."""
+    folder.mkdir()
+    arrays = {
+        "empty": np.zeros((0, 3, 3)), "wide": np.ones((65, 65, 65), bool),
+        "nan": np.full((2, 2, 2), np.nan), "complex": np.ones((2, 2, 2), complex),
+        "object": np.full((2, 2, 2), None), "grey": np.full((2, 2, 2), 255, np.uint8),
+        "words": np.full((2, 2, 2), "yes"), "flat": np.ones((5, 5)),
+    }  # fmt: skip
+    for name, values in arrays.items():
+        np.save(folder / f"{name}.npy", values, allow_pickle=True)
+    with zipfile.ZipFile(folder / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        head = io.BytesIO()
+        np.lib.format.write_array_header_1_0(
+            head, {"descr": "|b1", "fortran_order": False, "shape": (4000, 4000, 10)}
+        )
+        archive.writestr("wanted.npy", head.getvalue() + bytes(160_000_000))
+    picture = io.BytesIO()
+    Image.fromarray(np.zeros((64, 64, 3), np.uint8)).save(picture, "JPEG")
+    whole = picture.getvalue()
+    (folder / "cut.jpg").write_bytes(whole[: len(whole) // 2])
+    size = whole.index(b"\xff\xc0") + 5
+    (folder / "huge.jpg").write_bytes(whole[:size] + b"\xff\xff\xff\xff" + whole[size + 4 :])
+    (folder / "cut.webp").write_bytes(b"RIFF\x40\0\0\0WEBPVP8 " + bytes(9))
+    corners = "0 0 0\n1 0 0\n0 1 0\n0 0 1\n"
+    sides = "3 0 2 1\n3 0 1 3\n3 1 2 3\n3 0 3 2\n"
+    (folder / "short.off").write_text(f"OFF\n4 9 0\n{corners}{sides}")
+    (folder / "promise.off").write_text(f"OFF\n4 999999999999 0\n{corners}{sides}")
+    (folder / "open.off").write_text(f"OFF\n4 3 0\n{corners}{sides[:24]}")
+    (folder / "units.off").write_text(f"OFF\n4 4 0\n{corners}{sides}".replace("1 ", "300 "))
+
+
 def prepare(folder: Path, agent: Path, run: Path, design: Path, log: Path) -> None:
     """Fill ``folder`` with what the calls name.
 
@@ -82,6 +124,7 @@ def prepare(folder: Path, agent: Path, run: Path, design: Path, log: Path) -> No
     shutil.copy(design, folder / "design.json")
     shutil.copy(log, folder / "log.jsonl")
     (folder / "file.txt").write_text("mine")
+    prepare_files(folder / "read")
     head = {"format": "learn2assemble-robot-program", "version": 1, "arm": "ur5e",
             "joints": [f"{name}_joint" for name in UR5E_JOINTS]}  # fmt: skip
     for name, rate in PROGRAM_RATES.items():
@@ -193,6 +236,42 @@ BAD = [
     BadCall("a text as design", ["build", "{d}/file.txt", "--out", "{d}/new"], "file.txt"),
     BadCall("a path below a file as design", ["build", "{d}/file.txt/a.json", *build()[2:]],
             "a.json"),
+    # reading
+    BadCall("an empty array", read("empty.npy"), "shape [0, 3, 3]"),
+    BadCall("an array of 65 cells each way", read("wide.npy"), "shape [65, 65, 65]"),
+    BadCall("an array of NaN", read("nan.npy"), "a value nan"),
+    BadCall("an array of complex numbers", read("complex.npy"), "complex numbers"),
+    BadCall("an array of objects", read("object.npy"), "never unpickled"),
+    BadCall("an array of grey values", read("grey.npy"), "a value 255"),
+    BadCall("an array of words", read("words.npy"), "no numbers"),
+    BadCall("an array of two axes", read("flat.npy"), "shape [5, 5]"),
+    BadCall("an archive that unpacks to far more", read("bomb.npz"), "160000000 values"),
+    BadCall("a JPEG that is cut short", read("cut.jpg"), "a whole JPEG picture"),
+    BadCall("a JPEG of 65535 pixels each way", read("huge.jpg"), "65535 x 65535 pixels"),
+    BadCall("a WebP that is cut short", read("cut.webp"), "a whole WEBP picture"),
+    BadCall("an OFF with fewer faces than it says", read("short.off", "--unit", "m"),
+            "a whole mesh"),
+    BadCall("an OFF that promises too much", read("promise.off", "--unit", "m"),
+            "1000000000003 vertices and faces"),
+    BadCall("a mesh with a large hole", read("open.off", "--unit", "m", "--repair"),
+            "an open mesh"),
+    BadCall("a mesh without a unit", read("units.off"), "--unit mm gives 6 × 6 × 1 cells"),
+    BadCall("a mesh in too large a unit", read("units.off", "--unit", "m"),
+            "--unit mm gives 6 × 6 × 1 cells"),
+    BadCall("a wrong unit", read("units.off", "--unit", "ml"), "did you mean 'mm'"),
+    BadCall("a unit for an array", read("flat.npy", "--unit", "mm"), "no such option for NPY"),
+    BadCall("repair for a drawing", ["build", "{d}/design.json", "--out", "{d}/new", "--repair"],
+            "no such option for JSON"),
+    BadCall("a preview of a task", ["build", TASK, "--preview", "{d}/new.png"],
+            "a design of cells"),
+    BadCall("a preview of a text", ["build", "{d}/file.txt", "--preview", "{d}/new.png"],
+            "file.txt"),
+    BadCall("a preview and a build", ["build", "{d}/design.json", "--out", "{d}/new", "--preview",
+                                      "{d}/new.png"], "not allowed with"),
+    BadCall("a preview into a folder", ["build", "{d}/design.json", "--preview", "{d}/full"],
+            "full"),
+    BadCall("a preview into no folder", ["build", "{d}/design.json", "--preview",
+                                         "{d}/nosuch/new.png"], "nosuch"),
     BadCall("build into a full folder", build("--out", "{d}/full"), "a new or empty folder"),
     BadCall("build into a file", build("--out", "{d}/file.txt"), "a new or empty folder"),
     BadCall("build below a file", build("--out", "{d}/file.txt/new"), "a place that can be"),

@@ -71,8 +71,9 @@ def test_drawings_are_built_as_drawn(name: str) -> None:
         ({"seconds": float("nan")}, "seconds: got nan"),
         ({"friction": "x"}, "friction: got 'x'"),
         ({"friction": (0.1, 0.2, 0.3)}, "friction: got"),
-        ({"reading": 3}, "reading: got 3"),
-        ({"reading": {"unitt": "mm"}}, "did you mean 'unit'"),
+        ({"reading": {"unit": "mm"}}, "argument of build: got 'reading'"),
+        ({"unitt": "mm"}, "did you mean 'unit'"),
+        ({"frictio": 0.5}, "did you mean 'friction'"),
         ({"supports": "no"}, "supports: got 'no'"),
         ({"supports": "posts"}, "an assembly of given blocks"),
         ({"holds": 1}, "an assembly of given blocks"),
@@ -398,7 +399,7 @@ def test_blocks_are_as_large_as_the_cells_that_were_asked_for() -> None:
     """The same drawing on finer cells has smaller blocks, and the same size."""
     heights = {}
     for cell in (0.05, 0.025):
-        plan = l2a.build("examples/designs/gate.svg", reading={"cell": cell})
+        plan = l2a.build("examples/designs/gate.svg", cell=cell)
         assert plan.status == "complete"
         assert plan.assembly is not None
         points = np.concatenate([block.vertices for block in plan.assembly.blocks])

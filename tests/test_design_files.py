@@ -64,10 +64,10 @@ def dxf(draw: Callable[[Any, Any], Any], units: int = 4) -> bytes:
     return text.getvalue().encode()
 
 
-def png(image: np.ndarray) -> bytes:
+def png(image: np.ndarray, kind: str = "PNG", **options: Any) -> bytes:
     """A picture of ``uint8[H, W]`` or ``[H, W, 3 or 4]``."""
     file = io.BytesIO()
-    Image.fromarray(image).save(file, "PNG")
+    Image.fromarray(image).save(file, kind, **options)
     return file.getvalue()
 
 
@@ -177,6 +177,21 @@ SAME: dict[str, tuple[str | bytes, dict[str, Any]]] = {
         png(np.kron(np.where(GATE[:, 0].T[::-1], 0, 255), np.ones((30, 30))).astype(np.uint8)),
         {"cells_wide": 6},
     ),
+    "dark.jpg": (
+        png(
+            np.kron(np.where(GATE[:, 0].T[::-1], 0, 255), np.ones((16, 16))).astype(np.uint8),
+            "JPEG",
+        ),
+        {"cells_wide": 6},
+    ),
+    "clear.webp": (
+        png(
+            np.dstack([np.full((5, 6, 3), 255), GATE[:, 0].T[::-1] * 255]).astype(np.uint8),
+            "WEBP",
+            lossless=True,
+        ),
+        {},
+    ),
     "bool.npy": (npy(GATE), {}),
     "fortran.npy": (npy(np.asfortranarray(GATE.astype(np.float32))), {}),
     "one.npz": (npz(anything=GATE), {}),
@@ -187,7 +202,7 @@ SAME: dict[str, tuple[str | bytes, dict[str, Any]]] = {
     ),
     **{
         f"mesh.{kind}": (mesh(voxel_mesh(GATE, 50.0), kind), {"unit": "mm"})
-        for kind in ("stl", "ply", "obj", "stl_ascii")
+        for kind in ("stl", "ply", "obj", "stl_ascii", "off")
     },
     "mesh.glb": (
         mesh(

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from learn2assemble.networks.agent import Agent, load_agent
     from learn2assemble.networks.config import NetworkConfig, register_network
     from learn2assemble.physics.rigid_blocks import Check, check
-    from learn2assemble.planning.build import build, reach
+    from learn2assemble.planning.build import build, preview, reach
     from learn2assemble.planning.plan import Plan, Step, load_plan
     from learn2assemble.planning.workcell_site import Site
     from learn2assemble.robot.arm import get_arm
@@ -59,7 +59,7 @@ _HOME = {
     "networks.agent": "Agent load_agent",
     "networks.config": "NetworkConfig register_network",
     "physics.rigid_blocks": "Check check",
-    "planning.build": "build reach",
+    "planning.build": "build preview reach",
     "planning.plan": "Plan Step load_plan",
     "planning.workcell_site": "Site",
     "robot.arm": "get_arm",
@@ -82,7 +82,7 @@ __all__ = [
     "NetworkConfig", "Plan", "SearchConfig", "Shape", "Simulator", "Site", "Step", "Task",
     "TrainConfig", "TrainingRun", "box_block", "build", "check", "evaluate", "export_assembly",
     "export_program", "get_arm", "get_task", "hull_block", "load_agent", "load_design",
-    "load_goals", "load_kit", "load_plan", "reach", "read_assembly", "register_arm",
+    "load_goals", "load_kit", "load_plan", "preview", "reach", "read_assembly", "register_arm",
     "register_learner", "register_network", "register_object_set", "register_search",
     "register_task", "register_tool", "replay_program", "train", "write_assembly",
 ]  # fmt: skip

@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Collection, Generator, Hashable, Iterable, Mapping
 from contextlib import contextmanager
 from numbers import Integral, Real
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 T = TypeVar("T")
 MANY, NEAREST = 20, 6
@@ -24,6 +24,26 @@ class Learn2AssembleError(Exception):
     """Base of every error this package raises on purpose."""
 
 
+class Remedy(NamedTuple):
+    """An argument that would help."""
+
+    argument: str
+    value: object
+    effect: str
+    """What it does, as ``"closes 2 holes"``."""
+
+    @property
+    def in_python(self) -> str:
+        """As an argument of a function."""
+        return f"{self.argument}={self.value!r} {self.effect}"
+
+    @property
+    def as_option(self) -> str:
+        """As an option of the command line."""
+        value = "" if self.value is True else f" {self.value}"
+        return f"--{self.argument.replace('_', '-')}{value} {self.effect}"
+
+
 class InputError(Learn2AssembleError, ValueError):
     """A value given by the caller cannot be used.
 
@@ -31,15 +51,24 @@ class InputError(Learn2AssembleError, ValueError):
         what: the thing that is wrong, e.g. ``"task"`` or ``"elevations[0].outline"``.
         got: the offending value; shown with ``repr`` and shortened.
         expected: what would have been accepted, in words.
+        remedies: arguments with which it would be.
     """
 
-    def __init__(self, what: str, got: object, expected: str) -> None:
-        self.what, self.got, self.expected = what, got, expected
-        super().__init__(f"{what}: got {_short(got)}, expected {expected}")
+    def __init__(self, what: str, got: object, expected: str, *remedies: Remedy) -> None:
+        self.what, self.got, self.expected, self.remedies = what, got, expected, remedies
+        super().__init__(self._message(remedy.in_python for remedy in remedies))
 
-    def __reduce__(self) -> tuple[type[InputError], tuple[str, object, str]]:
+    def __reduce__(self) -> tuple[type[InputError], tuple[object, ...]]:
         """Errors of other processes arrive with the message they had."""
-        return InputError, (self.what, self.got, self.expected)
+        return InputError, (self.what, self.got, self.expected, *self.remedies)
+
+    def _message(self, remedies: Iterable[str]) -> str:
+        words = f"{self.what}: got {_short(self.got)}, expected {self.expected}"
+        return "; ".join((words, *remedies))
+
+    def for_command_line(self) -> str:
+        """The message, what would help as options of the command line."""
+        return self._message(remedy.as_option for remedy in self.remedies)
 
 
 class UnknownNameError(InputError):

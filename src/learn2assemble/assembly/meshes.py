@@ -19,8 +19,8 @@ from learn2assemble.errors import InputError, trusted
 from learn2assemble.files import FARTHEST
 
 MAX_TRIANGLES = 200_000
-MAX_TEXT, MAX_BINARY = 16_000_000, 64_000_000
-"""Largest mesh file as text and as binary [bytes]."""
+MAX_BYTES = 50_000_000
+"""Largest mesh file."""
 KINDS = ("stl", "obj", "ply", "glb", "off")
 
 
@@ -59,7 +59,7 @@ def read_parts(content: bytes, kind: str, source: str) -> list[Part]:
     """
     import trimesh
 
-    check_size(content, kind, source)
+    check_size(content, source)
     _promises(content, kind, source)
     if kind == "glb":
         content = _geometry_only(content, source)
@@ -83,12 +83,11 @@ def read_parts(content: bytes, kind: str, source: str) -> list[Part]:
     return checked(parts, source)
 
 
-def check_size(content: bytes, kind: str, source: str) -> None:
-    """Refuse a file that is larger than any mesh taken; files of text hold less in more bytes."""
-    binary = kind not in ("obj", "off") and b"\0" in content[:4096]
-    limit = MAX_BINARY if binary else MAX_TEXT
-    if len(content) > limit:
-        raise InputError(source, f"{len(content)} bytes", f"a mesh of at most {limit} bytes")
+def check_size(content: bytes, source: str) -> None:
+    """Refuse a file that is larger than any mesh taken."""
+    if len(content) > MAX_BYTES:
+        got = f"{len(content) / 1e6:.4g} MB"
+        raise InputError(source, got, f"a mesh of at most {MAX_BYTES // 1_000_000} MB")
 
 
 def checked(parts: list[Part], source: str) -> list[Part]:

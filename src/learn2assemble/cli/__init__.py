@@ -44,6 +44,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             code = int(options.run(options, Output(options.json, heartbeat)) or 0)
         sys.stdout.flush()
         return code
+    except InputError as error:
+        sys.stderr.write(f"l2a: error: {' '.join(error.for_command_line().split())}\n")
+        return 2
     except Learn2AssembleError as error:
         sys.stderr.write(f"l2a: error: {one_line(error)}\n")
         return 2

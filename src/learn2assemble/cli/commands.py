@@ -15,6 +15,7 @@ from learn2assemble.cli.parser import (
     arm_argument,
     command,
     count,
+    either,
     friction,
     group,
     length,
@@ -67,7 +68,11 @@ _BUILD = (
     _COMMANDS, "build", "plan a design, prove every step, write the report",
     "l2a build examples/designs/gabled_house.json --arm panda --out out/house",
     arg("design", metavar="DESIGN", help="a drawing, picture, mesh, voxels, blocks, or a task"),
-    arg("--out", type=named, required=True, help="new or empty folder"),
+    either(
+        arg("--out", type=named, help="new or empty folder"),
+        arg("--preview", type=named, metavar="PNG",
+            help="only draw what was read and the cells that were chosen, and stop"),
+    ),
     arg("--planner", default=None, help="of a design: exact (the default) or agent"),
     group(
         "a design and its blocks (docs/building.md)",
@@ -102,6 +107,8 @@ _BUILD = (
 )  # fmt: skip
 def _build(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 for a complete plan, 1 for an incomplete or refused one."""
+    if options.preview is not None:
+        return _preview(options, output)
     from learn2assemble.planning.build import build, builds_with_arm, is_task
 
     with_arm, task = builds_with_arm(options.design, options.arm), is_task(options.design)
@@ -123,8 +130,8 @@ def _build(options: argparse.Namespace, output: Output) -> int:
     with claim_folder(options.out, options.resume):
         plan = build(
             options.design, **{name: getattr(options, name) for name in _BUILD},
-            reading=reading_of(options), noise=options.sense_noise,
-            state=state, progress=output.progress,
+            noise=options.sense_noise, state=state, progress=output.progress,
+            **reading_of(options),
         )  # fmt: skip
         files = plan.save(options.out, video=video, progress=output.progress)
         if state is not None and plan.complete:
@@ -154,6 +161,23 @@ def _resume_finished(options: argparse.Namespace, output: Output) -> int:
     return 0
 
 
+def _preview(options: argparse.Namespace, output: Output) -> int:
+    from learn2assemble.planning.build import preview
+
+    found = preview(options.design, options.preview, kit=options.kit, **reading_of(options))
+    shape, cells = list(found.wanted.shape), int(found.wanted.sum())
+    output.say(f"{found.name}: {' × '.join(map(str, shape))} cells, {cells} to fill")
+    if found.note:
+        output.say(found.note)
+    output.say(f"preview: {options.preview}")
+    output.finish({
+        "design": found.name, "shape": shape, "cells_wanted": cells, "cell": list(found.cell),
+        "iou": found.iou, "volume_error": found.volume_error, "note": found.note,
+        "files": {"preview": str(options.preview)},
+    })  # fmt: skip
+    return 0
+
+
 def _summary(plan: Plan) -> dict[str, Any]:
     cells, design = plan.cells, plan.design
     return {
@@ -165,7 +189,7 @@ def _summary(plan: Plan) -> dict[str, Any]:
         "holds": sum(step.action == "hold" for step in plan.steps),
         "steps": len(plan.steps), "coverage": plan.coverage,
         **{f"cells_{k}": cells and getattr(cells, k) for k in CELL_COUNTS},
-        "iou": design.iou, "volume_error": design.volume_error,
+        "iou": design.iou, "volume_error": design.volume_error, "note": design.note,
         "not_read": design.not_read, "planning_s": plan.planning_s,
         "proof_s": plan.proof_s, "seconds": plan.seconds, "margin_g": plan.margin_g,
         "friction_range": plan.friction_range, "gap_range": plan.gap_range,
@@ -184,6 +208,8 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
     output.say(f"{plan.status}: {number}, {plan.planner} planner, {plan.seconds:.1f} s")
     for stage in plan.search.attempts if plan.search else ():
         output.say(f"{stage.stage}: {stage.result}")
+    if plan.design.note:
+        output.say(plan.design.note)
     if plan.cells:
         cells, design = plan.cells, plan.design
         other = cells.other_colour

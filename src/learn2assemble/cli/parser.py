@@ -55,6 +55,13 @@ def group(title: str, *arguments: Adder) -> Adder:
     return lambda parser: _add_all(cast("Any", parser.add_argument_group(title)), arguments)
 
 
+def either(*arguments: Adder) -> Adder:
+    """Arguments of which exactly one is given."""
+    return lambda parser: _add_all(
+        cast("Any", parser.add_mutually_exclusive_group(required=True)), arguments
+    )
+
+
 def _add_all(parser: argparse.ArgumentParser, arguments: Iterable[Adder]) -> None:
     for add in arguments:
         add(parser)
@@ -198,14 +205,17 @@ def reading_arguments(parser: Any) -> None:
     add("--size", type=length, default=None, help="largest side, instead of a unit")
     add("--up", default=None, help="the axis that points up: y or z")
     add("--depth", type=length, default=None, help="of the wall of a drawing")
-    add("--cells-wide", type=count, default=None, help="of a drawing or picture")
+    add("--cells-wide", type=count, default=None, help="of a drawing, picture or mesh")
+    add("--repair", action="store_true", default=None, help="close small holes of a mesh")
+
+
+_READING = ("unit", "cell", "size", "up", "depth", "cells_wide", "repair")
+"""Options that say how to read the design, as arguments of the package."""
 
 
 def reading_of(options: argparse.Namespace) -> dict[str, Any]:
     """What was said about how to read the design."""
-    from learn2assemble.planning.build import READING
-
-    given = {name: getattr(options, name) for name in READING}
+    given = {name: getattr(options, name) for name in _READING}
     return {name: value for name, value in given.items() if value is not None}
 
 

@@ -67,7 +67,7 @@ def _reach(options: argparse.Namespace, output: Output) -> int:
     with _claimed(options.out):
         found = reach(
             options.design, arm=options.arm, tool=options.tool, kit=options.kit,
-            layout=options.layout, reading=reading_of(options),
+            layout=options.layout, **reading_of(options),
         )  # fmt: skip
         here, best, blocks = found.here, found.best, found.assembly.blocks
         rows = [(blocks[k].id, blocks[k].kind, *(f"{v:.3f}" for v in blocks[k].centroid), why)

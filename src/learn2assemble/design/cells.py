@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,27 +13,31 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from learn2assemble.assembly.appearance import millimetres
 from learn2assemble.design import drawings, solids
 from learn2assemble.design.drawings import SIDES, Contours, Drawing
 from learn2assemble.design.dxf import read_dxf
+from learn2assemble.design.holes import in_words
 from learn2assemble.design.lattice import HALF, MAX_CELLS, fit, shares
 from learn2assemble.design.pictures import LOSSY, near_colours, read_picture
+from learn2assemble.design.reading import (
+    ARRAY,
+    Extent,
+    Lengths,
+    Reading,
+    check_cells,
+    check_length,
+)
 from learn2assemble.design.solids import Solid, Voxels
 from learn2assemble.design.svg import read_svg
-from learn2assemble.errors import InputError, check_fields, is_number, look_up
+from learn2assemble.errors import InputError, Remedy, check_fields, is_number, look_up
 from learn2assemble.files import FARTHEST, UNITS, as_path, read_bytes
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly
 
-DEFAULT_CELL = (0.05, 0.05, 0.05)
-"""Edges of a cell where neither the caller nor a kit says [m]."""
 MAX_FILE = 64_000_000
 """Largest file [bytes]; most kinds have a smaller limit of their own."""
-_LENGTHS = 1e-4, 100.0
-"""Shortest and longest length an option may give [m]."""
-
-Lengths = tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +56,9 @@ class CellDesign:
         source: the file, as messages call it.
         kit: the kit that caller or file name.
         blocks: how many blocks there are, props included; None where the file does not say.
+        surface: ``float64[N, 3, 3]``, triangles around what was drawn, in cells from the lower
+            corner of cell (0, 0, 0); None where cells were given as such.
+        note: what was done to the file to read it, in one line; empty where nothing was.
         not_read: what is visible in the file and is not read, in one line; None where nothing is.
     """
 
@@ -65,6 +71,8 @@ class CellDesign:
     source: str = "design"
     kit: str | None = None
     blocks: int | None = None
+    surface: np.ndarray | None = None
+    note: str = ""
     not_read: str | None = None
 
     def __post_init__(self) -> None:
@@ -78,7 +86,7 @@ class CellDesign:
                 "three lengths [m]",
             ),
         )
-        for array in (self.wanted, self.colours):
+        for array in (self.wanted, self.colours, self.surface):
             if array is not None:
                 array.setflags(write=False)
 
@@ -93,52 +101,13 @@ class CellDesign:
         return label if np.ptp(label[self.wanted]) else None
 
 
-@dataclass(frozen=True)
-class _Options:
-    unit: str | None
-    cell: float | Sequence[float] | None
-    size: float | None
-    up: str | None
-    depth: float | None
-    cells_wide: int | None
-    kit: str | None
-
-
-_DRAWING = frozenset({"unit", "size", "cells_wide", "cell", "depth", "kit"})
-_MESH = frozenset({"unit", "size", "cells_wide", "up", "cell", "kit"})
-_CELLS = frozenset({"size", "up", "cell", "kit"})
-_READ = {
-    "json": _DRAWING - {"unit", "size", "cells_wide"},
-    "svg": _DRAWING,
-    "dxf": _DRAWING,
-    **dict.fromkeys(LOSSY, _DRAWING - {"unit"}),
-    **dict.fromkeys(("stl", "obj", "ply", "glb", "off", "3dm"), _MESH),
-    **dict.fromkeys(("npy", "npz"), _CELLS),
-}
-"""Options that mean something for a kind of file; others are refused."""
-
-
-def read_design(
-    path: str | Path,
-    *,
-    unit: str | None = None,
-    cell: float | Sequence[float] | None = None,
-    size: float | None = None,
-    up: str | None = None,
-    depth: float | None = None,
-    cells_wide: int | None = None,
-    kit: str | None = None,
-) -> CellDesign | Assembly:
-    """The design in a file, whose kind is found by content.
+def read_design(design: str | Path | np.ndarray, **reading: Any) -> CellDesign | Assembly:
+    """The design in a file, whose kind is found by content, or in an array of cells.
 
     Args:
-        unit: "mm", "cm", "m" or "in": what a unit of the file is; before what the file says.
-        cell: edges of a cell [m], one number or three. Without it, the pitch of the kit.
-        size: largest side or height of the design [m]; instead of a unit.
-        up: "y" or "z", the axis that points up. Without it, y in GLB and z elsewhere.
-        depth: thickness of the walls of a drawing [m]. Without it, one cell.
-        cells_wide: number of cells across a drawing, picture or mesh; instead of a unit.
-        kit: name or file of a kit; before what the file says.
+        design: the file, or cells as ``bool[X, Y, Z]``; numbers that are all 0 or 1 will do.
+        reading: what the file does not say: fields of :class:`~.reading.Reading` such as ``unit``,
+            ``cell`` and ``cells_wide``.
 
     Returns:
         The cells; an :class:`~learn2assemble.assembly.blocks.Assembly` where the file gives
@@ -148,29 +117,46 @@ def read_design(
         InputError: one line, for everything that cannot be used or would float.
         MissingExtraError: for 3DM without rhino3dm.
     """
-    path = as_path(path, "design")
+    given = Reading.of(reading)
+    if isinstance(design, np.ndarray):
+        given.check(ARRAY)
+        voxels = solids.voxels_of(design, given.colours, ARRAY)
+        return _from_voxels(voxels, _Origin(given, ARRAY, ARRAY, given.kit))
+    path = as_path(design, "design")
     content, source = read_bytes(path, "design file", MAX_FILE)
     kind = kind_of(content, source)
-    given = _Options(unit, cell, size, up, depth, cells_wide, kit)
     if kind == "assembly":
         from learn2assemble.assembly.files import read_assembly
 
         return read_assembly(path)
-    _check(given, kind)
-    name = path.stem or "design"
+    given.check(kind)
+    origin = _Origin(given, path.stem or "design", source, given.kit)
     if kind == "json":
         drawing = drawings.read_elevations(content, source)
-        return _from_drawing(drawing, given, drawing.name or name, source)
+        return _from_drawing(drawing, replace(origin, name=drawing.name or origin.name))
     if kind in ("svg", "dxf"):
         drawing = (read_svg if kind == "svg" else read_dxf)(content, source)
-        made = _from_drawing(drawing, given, name, source)
-        return replace(made, not_read=drawing.not_read)
+        return replace(_from_drawing(drawing, origin), not_read=drawing.not_read)
     if kind in LOSSY:
-        return _from_picture(content, kind, given, name, source)
+        return _from_picture(content, kind, origin)
     if kind in ("npy", "npz"):
         reader = solids.read_npy if kind == "npy" else solids.read_npz
-        return _from_voxels(reader(content, source, MAX_CELLS), given, name, source)
-    return _from_solid(solids.read_mesh(content, kind, source), given, name, source)
+        return _from_voxels(reader(content, source, MAX_CELLS), origin)
+    return _from_solid(solids.read_mesh(content, kind, source, bool(given.repair)), origin)
+
+
+@dataclass(frozen=True)
+class _Origin:
+    """Where a design comes from, and how it is read."""
+
+    given: Reading
+    name: str
+    source: str
+    kit: str | None
+    remedies: tuple[Remedy, ...] = ()
+    """What would help where nothing of it is as large as a cell."""
+    note: str = ""
+    blocks: int | None = None
 
 
 def kind_of(content: bytes, source: str) -> str:
@@ -217,90 +203,10 @@ def kind_of(content: bytes, source: str) -> str:
     )  # fmt: skip
 
 
-# ---------------------------------------------------------------- options
-
-
-def _check(given: _Options, kind: str) -> None:
-    for name, value in vars(given).items():
-        if value is not None and name not in _READ[kind]:
-            raise InputError(name, value, f"no such option for {kind.upper()}")
-    if given.unit is not None:
-        look_up("unit", given.unit, UNITS)
-    if given.up is not None:
-        look_up("up", given.up, {"y": 1, "z": 2})
-    for name in ("size", "depth"):
-        if getattr(given, name) is not None:
-            _length(getattr(given, name), name)
-    wide = given.cells_wide
-    if wide is not None and (type(wide) is not int or not 1 <= wide <= MAX_CELLS):
-        raise InputError("cells_wide", wide, f"a whole number from 1 to {MAX_CELLS}")
-    if given.size is not None and wide is not None and kind not in LOSSY:
-        raise InputError("size", given.size, "either size or cells_wide")
-
-
-def _length(value: Any, where: str) -> float:
-    low, high = _LENGTHS
-    usable = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    if not usable or not low <= float(value) <= high:
-        raise InputError(where, value, f"a length from {low:g} to {high:g} m")
-    return float(value)
-
-
-def _cell(given: _Options, kit: str | None, own: Lengths | None = None) -> Lengths:
-    """Edges of a cell: as the caller says, else the file (``own``), else the kit."""
-    if given.cell is not None:
-        edges = np.atleast_1d(np.asarray(given.cell, dtype=object)).tolist()
-    elif own is not None:
-        edges = list(own)
-    elif kit is not None:
-        from learn2assemble.assembly.kit import load_kit
-
-        edges = list(load_kit(kit).pitch)
-    else:
-        edges = list(DEFAULT_CELL)
-    if len(edges) not in (1, 3):
-        raise InputError("cell", given.cell, "one length or three [m]")
-    x, y, z = (_length(edge, "cell") for edge in (edges * 3)[:3])
-    return x, y, z
-
-
-def _scale(
-    given: _Options, metres: float | None, extent: np.ndarray, width: float, source: str
-) -> float:
-    """Length of a unit of a file [m].
-
-    Args:
-        metres: what the file says.
-        extent: edges of the box around everything, in units.
-        width: what ``cells_wide`` cells are to span [m].
-    """
-    if given.cells_wide is not None:
-        return width / float(extent[0])
-    if given.size is not None:
-        return given.size / float(extent.max())
-    unit = metres if given.unit is None else UNITS[given.unit]
-    if unit is None:
-        expected = "unit (mm, cm, m, in), or size in metres"
-        raise InputError(f"{source}: unit", "no unit in the file", expected)
-    size = unit * float(extent.max())
-    if not size <= FARTHEST:
-        raise InputError(source, f"{size:g} m across", f"at most {FARTHEST:g} m")
-    return unit
-
-
-def _check_extent(cells: np.ndarray, cell: Lengths, source: str) -> None:
-    """Refuse what is larger than the limits before anything of that size is made."""
-    if not (cells <= MAX_CELLS + 1e-6).all():
-        got = " x ".join(f"{math.ceil(n - 1e-6):.6g}" for n in cells)
-        edges = " x ".join(f"{edge:g}" for edge in cell)
-        expected = f"at most {MAX_CELLS} each way (another unit, size or cell?)"
-        raise InputError(source, f"{got} cells of {edges} m", expected)
-
-
 # ---------------------------------------------------------------- from each kind to cells
 
 
-def _from_drawing(drawing: Drawing, given: _Options, name: str, source: str) -> CellDesign:
+def _from_drawing(drawing: Drawing, origin: _Origin) -> CellDesign:
     """Walls where the sides stand.
 
     Front and back face each other, and so do right and left; where there are both pairs, they are
@@ -308,17 +214,18 @@ def _from_drawing(drawing: Drawing, given: _Options, name: str, source: str) -> 
     left. Each wall is ``depth`` thick. Walls of a placed drawing keep their distance from the
     middle of the table, on the lattice.
     """
+    given, source = origin.given, origin.source
     kit = given.kit or drawing.kit
-    cell = _cell(given, kit)
+    cell = given.edges(kit)
     points = {side: np.concatenate(contours) for side, contours in drawing.sides.items()}
     boxes = {side: np.stack([p.min(0), p.max(0)]) for side, p in points.items()}
     extents = np.array([box[1] - box[0] for box in boxes.values()]).max(0)
     across = cell[0] if "front" in boxes or "back" in boxes else cell[1]
-    wide = (given.cells_wide or 0) * across
-    scale = _scale(given, drawing.metres, extents, wide, source)
+    extent = Extent(extents, np.array([across, cell[2]]), source, drawing.placed)
+    scale = extent.scale(given, drawing.metres)
     origins = _origins(boxes, drawing.placed)
     palette = sorted({colour for paints in drawing.paints.values() for _, colour in paints})
-    pairs = []
+    pairs: list[_Walls] = []
     for axis, (one, other) in enumerate((SIDES[:2], SIDES[2:])):
         names = [side for side in (one, other) if side in boxes]
 
@@ -329,22 +236,26 @@ def _from_drawing(drawing: Drawing, given: _Options, name: str, source: str) -> 
             unit = (turn * cell[axis], cell[2])  # noqa: B023
             return [((c - origins[side]) * scale / unit)[::turn] for c in contours]
 
-        walls = [_prism(contour, k) for k, side in enumerate(names)
-                 for contour in seen(drawing.sides[side], side)]  # fmt: skip
+        walls = [np.concatenate([_prism(contour, k) for contour in seen(drawing.sides[side], side)])
+                 for k, side in enumerate(names)]  # fmt: skip
         if walls:
             triangles = np.concatenate(walls)
             points_ = triangles.reshape(-1, 3)
             ends = np.abs(points_[:, 0]).max() * 2 if drawing.placed else np.ptp(points_[:, 0])
-            _check_extent(np.array([ends, 1, points_[:, 2].max()]), cell, source)
-            share, origin = fit(triangles, (0,))
+            edges = np.array([cell[axis], cell[2]])
+            drawn = np.array([ends, points_[:, 2].max()]) * edges / scale
+            Extent(drawn, edges, source, drawing.placed).check(scale)
+            share, first = fit(triangles, (0,))
             tint = np.zeros(share.shape, np.int64)
             for k, side in enumerate(names):
                 paints = [(seen(contours, side), colour)
                           for contours, colour in drawing.paints.get(side, ())]  # fmt: skip
-                tint[:, k] = _tints(paints, palette, origin, (len(share), share.shape[2]))
-            pairs.append((axis, names, np.stack([share, tint]), origin))
+                tint[:, k] = _tints(paints, palette, first, (len(share), share.shape[2]))
+            whole = [np.concatenate([wall, _caps(seen(drawing.sides[side], side), k)])
+                     for k, (side, wall) in enumerate(zip(names, walls, strict=True))]  # fmt: skip
+            pairs.append(_Walls(axis, names, np.stack([share, tint]), first, whole))
     least = 3 if drawing.placed and len(boxes) > 2 else 1
-    share, tint = _footprint(pairs, given, cell, least, drawing.placed)
+    share, tint, surface = _footprint(pairs, given.depth, cell, least, drawing.placed)
     colours = None
     if tint.any():
         common = np.bincount(tint[(tint > 0) & (share >= HALF)], minlength=2)
@@ -352,8 +263,9 @@ def _from_drawing(drawing: Drawing, given: _Options, name: str, source: str) -> 
             np.where(tint > 0, tint, common.argmax())
         ]
     thick = given.depth / (cell[1] * max(1, round(given.depth / cell[1]))) if given.depth else 1.0
-    return _design(share, given, cell, name, source, kit, thickness=thick, trim=not drawing.placed,
-                   colours=colours, blocks=drawing.blocks)  # fmt: skip
+    origin = replace(origin, kit=kit, remedies=extent.remedies(), blocks=drawing.blocks)
+    return _design(share, origin, cell, thickness=thick, trim=not drawing.placed, colours=colours,
+                   surface=surface)  # fmt: skip
 
 
 def _origins(boxes: dict[str, np.ndarray], placed: bool) -> dict[str, np.ndarray]:
@@ -396,7 +308,20 @@ def _tints(
 
 def _prism(contour: np.ndarray, place: int) -> np.ndarray:
     """Walls of a contour (x, z) that is extruded from y = place to place + 1."""
-    start, end = contour, np.roll(contour, -1, axis=0)
+    return _upright(contour, np.roll(contour, -1, axis=0), place)
+
+
+def _caps(contours: Contours, place: int) -> np.ndarray:
+    """The two sides of a wall between its contours (x, z), at y = place and place + 1."""
+    from manifold3d import triangulate
+
+    points = np.concatenate(contours)
+    flat = points[np.asarray(triangulate(contours)).astype(np.int64).reshape(-1, 3)]
+    return np.concatenate([np.insert(flat, 1, place + k, axis=2) for k in (0, 1)])
+
+
+def _upright(start: np.ndarray, end: np.ndarray, place: int) -> np.ndarray:
+    """Two triangles on every line from ``start`` to ``end`` (x, z), from y = place to place + 1."""
 
     def at(points: np.ndarray, y: int) -> np.ndarray:
         return np.column_stack([points[:, 0], np.full(len(points), float(y)), points[:, 1]])
@@ -406,23 +331,36 @@ def _prism(contour: np.ndarray, place: int) -> np.ndarray:
     return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])[:, ::-1]
 
 
-def _footprint(
-    pairs: list[tuple[int, list[str], np.ndarray, np.ndarray]],
-    given: _Options, cell: Lengths, least: int, placed: bool,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Shares of the cells of all walls together, ``float64[X, Y, Z]``, and their tints alike.
+@dataclass(frozen=True)
+class _Walls:
+    """One or two walls that face each other, on the lattice."""
 
-    Args:
-        pairs: axis, names, shares and tints (float64[2, across, walls, high]), and first cell.
-    """
-    thick = [max(1, round((given.depth or edge) / edge)) for edge in cell]
+    axis: int
+    """Along which they run: 0 for front and back, 1 for right and left."""
+    names: list[str]
+    both: np.ndarray
+    """Shares and tints, ``float64[2, across, walls, high]``."""
+    first: np.ndarray
+    """Lower corner of the first cell, ``float64[3]`` [cells]."""
+    triangles: list[np.ndarray]
+    """Around each wall; x across, y of its place among the walls, z up [cells]."""
+
+
+def _footprint(
+    pairs: list[_Walls], depth: float | None, cell: Lengths, least: int, placed: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Shares of the cells of all walls together, ``float64[X, Y, Z]``, their tints alike, and the
+    triangles around them, ``float64[N, 3, 3]`` [cells]."""
+    thick = [max(1, round((depth or edge) / edge)) for edge in cell]
     walls: dict[str, np.ndarray] = {}
+    around: dict[str, np.ndarray] = {}
     spans = [0, 0]
-    for axis, names, both, origin in pairs:
-        wide, below = both.shape[1], int(origin[2])
-        across = sum(len(other[1]) for other in pairs if other[0] != axis)
+    for pair in pairs:
+        axis, both = pair.axis, pair.both
+        wide, below = both.shape[1], int(pair.first[2])
+        across = sum(len(other.names) for other in pairs if other.axis != axis)
         room = max(least, thick[axis] * across)  # for the walls of the other pair
-        low = round(2 * float(origin[0])) / 2 if placed else -wide / 2
+        low = round(2 * float(pair.first[0])) / 2 if placed else -wide / 2
         half = max(-low, low + wide, room / 2)
         if (2 * half) % 1 or (half + low) % 1:
             half += 0.5
@@ -430,79 +368,96 @@ def _footprint(
         after = round(2 * half) - before - wide
         both = np.pad(both, ((0, 0), (before, after), (0, 0), (below, 0)))
         spans[axis] = both.shape[1]
-        walls |= {name: both[:, :, k] for k, name in enumerate(names)}
+        walls |= {name: both[:, :, k] for k, name in enumerate(pair.names)}
+        moved = (before - pair.first[0], 0.0, below - pair.first[2])
+        around |= {name: pair.triangles[k] - (0, k, 0) + moved
+                   for k, name in enumerate(pair.names)}  # fmt: skip
     for axis, pair in enumerate((SIDES[2:], SIDES[:2])):
         # Without the other pair, walls stand back to back.
         spans[axis] = max(spans[axis], thick[axis] * sum(side in walls for side in pair))
     made = np.zeros((2, *spans, max(wall.shape[2] for wall in walls.values())))
     for name, wall in walls.items():
         axis = 1 if name in ("front", "back") else 0
-        line = slice(0, thick[axis]) if name in ("front", "left") else slice(-thick[axis], None)
+        near = name in ("front", "left")
+        line = slice(0, thick[axis]) if near else slice(-thick[axis], None)
         part = made[:, :, line] if axis == 1 else made[:, line].swapaxes(1, 2)
         part = part[..., : wall.shape[2]]
         np.maximum(part, wall[:, :, None], out=part)
-    return made[0], made[1].astype(np.int64)
+        start = 0 if near else spans[axis] - thick[axis]
+        around[name] = around[name] * (1, thick[axis], 1) + (0, start, 0)
+        if axis == 0:
+            around[name] = around[name][..., [1, 0, 2]]
+    return made[0], made[1].astype(np.int64), np.concatenate(list(around.values()))
 
 
-def _from_picture(content: bytes, kind: str, given: _Options, name: str, source: str) -> CellDesign:
-    cell = _cell(given, given.kit)
-    share, colours = read_picture(
-        content, kind, source, given.cells_wide, MAX_CELLS, cell[0] / cell[2]
+def _from_picture(content: bytes, kind: str, origin: _Origin) -> CellDesign:
+    given = origin.given
+    cell = given.edges(given.kit)
+    share, colours, outline = read_picture(
+        content, kind, origin.source, given.cells_wide, MAX_CELLS, cell[0] / cell[2]
     )
     thick = max(1, round((given.depth or cell[1]) / cell[1]))
     shape = (len(share), thick, share.shape[1])
     share = np.broadcast_to(share[:, None, :], shape)
     colours = np.broadcast_to(colours[:, None], (*shape, 3))
     cell = _sized(given, cell, shape)
-    return _design(share, given, cell, name, source, given.kit, colours=colours)
+    surface = None
+    if outline is not None:
+        surface = _upright(outline[:, 0], outline[:, 1], 0) * (1, thick, 1)
+    return _design(share, origin, cell, colours=colours, surface=surface)
 
 
-def _from_voxels(voxels: Voxels, given: _Options, name: str, source: str) -> CellDesign:
-    wanted, colours = voxels.wanted, voxels.colours
+def _from_voxels(voxels: Voxels, origin: _Origin) -> CellDesign:
+    wanted, colours, given = voxels.wanted, voxels.colours, origin.given
     if given.up == "y":  # (x, y, z) -> (x, -z, y)
         wanted = wanted.transpose(0, 2, 1)[:, ::-1]
         colours = None if colours is None else colours.transpose(0, 2, 1, 3)[:, ::-1]
-    cell = _sized(given, _cell(given, given.kit, voxels.cell), wanted.shape)
-    _check_extent(np.array(wanted.shape), cell, source)
-    return _design(
-        wanted, given, cell, name, source, given.kit, colours=colours, exact=True, trim=False
-    )
+    cell = _sized(given, given.edges(given.kit, voxels.cell), wanted.shape)
+    check_cells(wanted.shape, cell, origin.source)
+    return _design(wanted, origin, cell, colours=colours, exact=True, trim=False)
 
 
-def _sized(given: _Options, cell: Lengths, shape: Sequence[int]) -> Lengths:
+def _sized(given: Reading, cell: Lengths, shape: Sequence[int]) -> Lengths:
     """The cell, made as large as ``size`` asks for."""
     if given.size is None:
         return cell
     if given.cell is not None:
         raise InputError("size", given.size, "either size or cell: the number of cells is fixed")
     factor = given.size / max(n * edge for n, edge in zip(shape, cell, strict=True))
-    x, y, z = (_length(edge * factor, "size") for edge in cell)
+    x, y, z = (check_length(edge * factor, "size") for edge in cell)
     return x, y, z
 
 
-def _from_solid(solid: Solid, given: _Options, name: str, source: str) -> CellDesign:
-    cell = _cell(given, given.kit)
+def _from_solid(solid: Solid, origin: _Origin) -> CellDesign:
+    given, source = origin.given, origin.source
+    cell = given.edges(given.kit)
     triangles = solid.triangles
     if (given.up or solid.up) == "y":
         triangles = triangles[:, :, [0, 2, 1]] * (1, -1, 1)
     points = triangles.reshape(-1, 3)
-    extent = np.ptp(points, axis=0)
-    scale = _scale(given, solid.metres, extent, (given.cells_wide or 0) * cell[0], source)
-    _check_extent(extent * scale / cell, cell, source)
+    extent = Extent(np.ptp(points, axis=0), np.array(cell), source)
+    scale = extent.scale(given, solid.metres)
+    extent.check(scale)
     lowest = float(points[:, 2].min()) * scale
     if lowest >= cell[2] / 2:
         _floating(lowest, cell, source)
-    share, _ = fit((triangles - points.min(0)) * scale / cell, (0, 1))
+    placed = (triangles - points.min(0)) * scale / cell
+    share, first = fit(placed, (0, 1))
     if share.min() < -1e-3 or share.max() > 1 + 1e-3:
         got = "parts that overlap, or are inside out"
         raise InputError(source, got, "a mesh with one inside, all faces outward")
-    return _design(np.clip(share, 0, 1), given, cell, name, source, given.kit)
+    note = ""
+    if solid.holes:
+        largest = millimetres(max(solid.holes) * scale)
+        note = f"{in_words(len(solid.holes))} of the mesh closed, up to {largest} wide"
+    origin = replace(origin, remedies=extent.remedies(), note=note)
+    return _design(np.clip(share, 0, 1), origin, cell, surface=placed - first)
 
 
 def _design(
-    share: np.ndarray, given: _Options, cell: Lengths, name: str, source: str, kit: str | None, *,
-    colours: np.ndarray | None = None, thickness: float = 1.0, exact: bool = False,
-    trim: bool = True, blocks: int | None = None,
+    share: np.ndarray, origin: _Origin, cell: Lengths, *, colours: np.ndarray | None = None,
+    thickness: float = 1.0, exact: bool = False, trim: bool = True,
+    surface: np.ndarray | None = None,
 ) -> CellDesign:  # fmt: skip
     """Cells from shares of cells.
 
@@ -510,12 +465,15 @@ def _design(
         thickness: thickness drawn by that of the cells, for walls.
         exact: whether the shares are cells as such.
         trim: whether empty margins at the sides are left out; without it x = y = 0 stays.
+        surface: triangles around what was drawn [cells].
     """
+    source = origin.source
     wanted = np.asarray(share >= HALF)
     if not wanted.any():
         edges = " x ".join(f"{edge:g}" for edge in cell)
         raise InputError(source, f"a design of which no cell of {edges} m is half full",
-                         "something to build (a smaller cell, a larger size?)")  # fmt: skip
+                         "something to build (a smaller cell, a larger size?)",
+                         *origin.remedies)  # fmt: skip
     drawn, filled = float(share.sum()) * thickness, int(wanted.sum())
     common = float(share[wanted].sum()) * min(thickness, 1.0)
     if trim:
@@ -524,16 +482,19 @@ def _design(
             for used in (np.flatnonzero(wanted.any((1, 2))), np.flatnonzero(wanted.any((0, 2))))
         )
         wanted, colours = wanted[window], None if colours is None else colours[window]
+        if surface is not None:
+            surface = surface - (window[0].start, window[1].start, 0)
     if not exact:
         high = int(np.flatnonzero(wanted.any((0, 1)))[-1]) + 1
         wanted, colours = wanted[:, :, :high], None if colours is None else colours[:, :, :high]
-    _check_extent(np.array(wanted.shape), cell, source)
+    check_cells(wanted.shape, cell, source)
     _check_carried(wanted, cell, source)
     error = 0.0 if exact else filled / drawn - 1
     iou = None if exact else common / (drawn + filled - common)
     wanted = np.ascontiguousarray(wanted)
     colours = None if colours is None else np.ascontiguousarray(colours)
-    return CellDesign(name, wanted, cell, colours, error, iou, source, kit, blocks)
+    return CellDesign(origin.name, wanted, cell, colours, error, iou, source, origin.kit,
+                      origin.blocks, surface, origin.note)  # fmt: skip
 
 
 def _check_carried(wanted: np.ndarray, cell: Lengths, source: str) -> None:

@@ -14,13 +14,15 @@ _SHADES = 40.0
 """How far apart shades of one colour are, where there are many [of 255]."""
 MAX_PIXELS = 16_000_000
 """Most pixels of a picture."""
+MAX_LINES = 100_000
+"""Most edges of pixels that are kept as the outline of a picture."""
 LOSSY = {"png": False, "jpeg": True, "webp": True}
 """Kinds of pictures, and whether pixels of one colour may differ in the file."""
 
 
 def read_picture(
     content: bytes, kind: str, source: str, wide: int | None, limit: int, aspect: float
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """A picture on cells, the margin around its material left out.
 
     Where some pixels are transparent, the others are material. In an opaque picture those are that
@@ -34,8 +36,10 @@ def read_picture(
         aspect: width of a cell by its height.
 
     Returns:
-        share of material ``float64[X, Z]`` and its most frequent colour ``uint8[X, Z, 3]``, z up.
-        Of more than 32 colours, and of those of a lossy kind, near ones count as one.
+        share of material ``float64[X, Z]`` and its most frequent colour ``uint8[X, Z, 3]``, z up;
+        lines between material and nothing, ``float64[L, 2, 2]`` [cells], None where a pixel is a
+        cell or where there are very many. Of more than 32 colours, and of those of a lossy kind,
+        near ones count as one.
     """
     pixels = _pixels(content, kind, source).astype(np.float64)
     colour, alpha = pixels[:, :, :3], pixels[:, :, 3]
@@ -53,7 +57,7 @@ def read_picture(
         if max(material.shape) > limit:
             got = f"{material.shape[0]} x {material.shape[1]} pixels of material"
             raise InputError(f"{source}: cells_wide", got, f"a number up to {limit} for so many")
-        return material.astype(np.float64), _plain(colour.astype(np.uint8), material, kind)
+        return material.astype(np.float64), _plain(colour.astype(np.uint8), material, kind), None
     per_cell = len(material) / wide
     high = int(np.ceil(material.shape[1] / (per_cell / aspect) - 1e-9))
     if high > limit:
@@ -66,7 +70,20 @@ def read_picture(
     if len(palette) == MAX_COLOURS:  # Shades of one colour are seen as one.
         apart = np.square(palette[:, None].astype(float) - palette).sum(-1)
         amounts = np.tensordot(np.exp(-apart / (2 * _SHADES**2)), amounts, 1) * (amounts > 0)
-    return share / size, _plain(palette[amounts.argmax(0)], share > 0, kind)
+    outline = _outline(material) / (per_cell, per_cell / aspect)
+    colours = _plain(palette[amounts.argmax(0)], share > 0, kind)
+    return share / size, colours, outline if len(outline) <= MAX_LINES else None
+
+
+def _outline(material: np.ndarray) -> np.ndarray:
+    """Edges between pixels of material and others, ``float64[L, 2, 2]`` [pixels]."""
+    padded = np.pad(material, 1).astype(np.int8)
+    found = []
+    for axis in (0, 1):
+        along = np.array([axis == 1, axis == 0], np.int64)
+        start = np.argwhere(np.diff(padded, axis=axis)) - along
+        found.append(np.stack([start, start + along], 1))
+    return np.concatenate(found).astype(float)
 
 
 def _plain(colour: np.ndarray, used: np.ndarray, kind: str) -> np.ndarray:

@@ -15,7 +15,7 @@ import sys
 import tempfile
 import zipfile
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +23,8 @@ import numpy as np
 
 from learn2assemble.assembly.blocks import piercing
 from learn2assemble.assembly.meshes import Part, check_size, checked, read_parts
-from learn2assemble.errors import InputError, MissingExtraError
+from learn2assemble.design.holes import close_holes
+from learn2assemble.errors import InputError, MissingExtraError, Remedy
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -40,11 +41,13 @@ class Solid:
         triangles: ``float64[N, 3, 3]``, counter-clockwise from outside, in units of the file.
         metres: length of a unit [m]; None where the file does not say.
         up: the axis that points up, "y" or "z".
+        holes: how wide every hole was that has been closed, in units of the file.
     """
 
     triangles: np.ndarray
     metres: float | None
     up: str
+    holes: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -65,30 +68,40 @@ class Voxels:
 # ---------------------------------------------------------------- meshes
 
 
-def read_mesh(content: bytes, kind: str, source: str) -> Solid:
-    """The solid in a mesh file; ``kind`` is "stl", "obj", "ply", "glb" or "3dm"."""
+def read_mesh(content: bytes, kind: str, source: str, repair: bool = False) -> Solid:
+    """The solid in a mesh file.
+
+    Args:
+        kind: "stl", "obj", "ply", "glb", "off" or "3dm".
+        repair: whether small holes are closed.
+    """
     metres = 1.0 if kind == "glb" else None
     if kind == "3dm":
-        check_size(content, kind, source)
+        check_size(content, source)
         meshes, metres = _rhino(content, source)
         parts = checked([Part("", *mesh) for mesh in meshes], source)
     else:
         parts = read_parts(content, kind, source)
     meshes = [(part.vertices, part.faces) for part in parts]
-    welded = [_welded(*mesh) for mesh in meshes]
+    welded, holes = [_welded(*mesh) for mesh in meshes], ()
     if any(_open_edges(faces) for _, faces in welded):
         # Objects may be split by material; together they may be closed.
         welded = [_welded(*_joined(meshes))]
         if found := _open_edges(welded[0][1]):
-            got = f"an open mesh: {found} of its edges do not join two faces that turn the same way"
-            raise InputError(source, got, "a closed mesh (watertight, all faces outward)")
+            mended = close_holes(*welded[0])
+            if mended is None or not repair:
+                got = f"an open mesh: {found} of its edges do not join two faces that turn alike"
+                help_ = () if mended is None else (Remedy("repair", True, mended.words),)
+                expected = "a closed mesh (watertight, all faces outward)"
+                raise InputError(source, got, expected, *help_)
+            welded, holes = [mended.mesh], mended.widths
     parts = [_outward(vertices[faces]) for vertices, faces in welded]
     for (vertices, faces), part in zip(welded, parts, strict=True):
         if np.abs(_volume(part)) <= 1e-12 * float(np.ptp(vertices, axis=0).max()) ** 3:
             raise InputError(source, "a mesh without volume", "a closed mesh with an inside")
         if crossed(vertices, faces):
             raise InputError(source, "a mesh that crosses itself", "a surface without crossings")
-    return Solid(_united(parts, source), metres, "y" if kind == "glb" else "z")
+    return Solid(_united(parts, source), metres, "y" if kind == "glb" else "z", holes)
 
 
 def _rhino(content: bytes, source: str) -> tuple[list[Mesh], float | None]:
@@ -268,7 +281,7 @@ _HEADER = re.compile(
 
 def read_npy(content: bytes, source: str, limit: int) -> Voxels:
     """``bool[X, Y, Z]`` of an NPY file; numbers that are all 0 or 1 will do."""
-    return Voxels(_cells(_array(content, source, limit**3), source))
+    return voxels_of(_array(content, source, limit**3), None, source)
 
 
 def read_npz(content: bytes, source: str, limit: int) -> Voxels:
@@ -293,17 +306,32 @@ def read_npz(content: bytes, source: str, limit: int) -> Voxels:
         arrays = {"wanted": arrays.popitem()[1]}
     if "wanted" not in arrays:
         raise InputError(f"{source}: arrays", sorted(arrays), "one called 'wanted', or only one")
-    wanted = _cells(arrays["wanted"], source)
-    cell, colours = arrays.get("cell"), arrays.get("colours")
+    made = voxels_of(arrays["wanted"], arrays.get("colours"), source)
+    cell = arrays.get("cell")
     if cell is not None:
         if cell.size not in (1, 3) or not np.isfinite(cell.astype(np.float64)).all():
             raise InputError(f"{source}: cell", cell.tolist(), "one or three lengths [m]")
         x, y, z = (float(edge) for edge in np.broadcast_to(cell.reshape(-1), 3))
         edges = x, y, z
-    if colours is not None and (colours.shape != (*wanted.shape, 3) or colours.dtype != np.uint8):
-        got = f"{colours.dtype}{list(colours.shape)}"
-        raise InputError(f"{source}: colours", got, f"uint8{[*wanted.shape, 3]}")
-    return Voxels(wanted, None if cell is None else edges, colours)
+    return replace(made, cell=None if cell is None else edges)
+
+
+def voxels_of(values: np.ndarray, colours: Any, source: str) -> Voxels:
+    """Cells and their colours from arrays.
+
+    Args:
+        values: ``[X, Y, Z]`` of bool, or of numbers that are all 0 or 1.
+        colours: ``uint8[X, Y, Z, 3]``, or None.
+        source: what messages call the file.
+    """
+    wanted = _cells(values, source)
+    if colours is not None:
+        shape, kind = getattr(colours, "shape", ()), getattr(colours, "dtype", type(colours))
+        if shape != (*wanted.shape, 3) or kind != np.uint8:
+            got = f"{getattr(kind, 'name', kind)}{list(shape)}"
+            raise InputError(f"{source}: colours", got, f"uint8{[*wanted.shape, 3]}")
+        colours = np.array(colours)  # The caller's stays as it is.
+    return Voxels(wanted, None, colours)
 
 
 def _array(content: bytes, source: str, most: int) -> np.ndarray:
@@ -314,14 +342,17 @@ def _array(content: bytes, source: str, most: int) -> np.ndarray:
     head = content[start : start + length]
     found = _HEADER.match(head) if content[:6] == b"\x93NUMPY" and len(head) < 10_000 else None
     if found is None:
-        got = "pickled objects" if b"O'" in head else "a header that says something else"
+        got = "a header that says something else"
+        if named := re.search(rb"'descr':\s*'[<>|=]?([OcSUVmM])", head):
+            got = {b"O": "pickled objects", b"c": "complex numbers"}.get(named[1], "no numbers")
         raise InputError(source, got, "an NPY file of bool[X, Y, Z], which is never unpickled")
     shape = [int(n[:20]) for n in found[3].decode().replace(" ", "").split(",") if n]
     size = 1
     for edge in shape:
         size *= edge
     if size > most:
-        raise InputError(source, f"an array of {size} values", f"at most {most} values")
+        got = f"an array of shape {shape}, {size} values"
+        raise InputError(source, got, f"at most {most} values")
     try:
         dtype = np.dtype(found[1].decode())
         values = np.frombuffer(content, dtype, size, start + length)
@@ -333,6 +364,8 @@ def _array(content: bytes, source: str, most: int) -> np.ndarray:
 
 
 def _cells(values: np.ndarray, source: str) -> np.ndarray:
+    if values.dtype.kind not in "biuf":
+        raise InputError(source, f"an array of {values.dtype}", "bool[X, Y, Z], or 0 and 1")
     if values.ndim != 3 or 0 in values.shape:
         raise InputError(source, f"an array of shape {list(values.shape)}", "bool[X, Y, Z]")
     ones = values == 1

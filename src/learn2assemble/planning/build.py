@@ -8,10 +8,13 @@ out where one is named. The agent of the paper builds random problems of its tas
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeGuard
+
+import numpy as np
 
 from learn2assemble.errors import (
     InputError,
@@ -28,6 +31,7 @@ from learn2assemble.files import (
     load_json,
     nearest,
     read_bytes,
+    write_file,
 )
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.registry import ARMS, TOOLS
@@ -44,8 +48,6 @@ if TYPE_CHECKING:
     from learn2assemble.planning.workcell_reach import ReachReport
     from learn2assemble.planning.workcell_site import Site
 
-READING = ("unit", "cell", "size", "up", "depth", "cells_wide")
-"""What may be said about how to read a design file, see :func:`.design.cells.read_design`."""
 PLANNERS = ("exact", "agent")
 DEFAULT_TOOL = "suction"
 """Of an arm that carries out an exact plan: with fingers, blocks cannot stand close."""
@@ -59,7 +61,7 @@ Progress = Callable[[str], None]
 
 
 def build(
-    design: str | Path | CellDesign | Goals | Assembly,
+    design: str | Path | np.ndarray | CellDesign | Goals | Assembly,
     *,
     planner: str | None = None,
     kit: str | Kit | None = None,
@@ -67,7 +69,6 @@ def build(
     gap: float | tuple[float, float] | None = None,
     supports: str = "auto",
     holds: int = 0,
-    reading: Mapping[str, Any] | None = None,
     arm: str | None = None,
     agent: str | Path | Agent | None = None,
     layout: str | Path | Site | None = None,
@@ -78,6 +79,7 @@ def build(
     physics: str = "dynamic",
     noise: tuple[float, float] = (0.0, 0.0),
     state: Path | None = None,
+    **reading: Any,
 ) -> Plan:
     """Plan a design and prove every step.
 
@@ -86,9 +88,9 @@ def build(
     named. A random problem of a task is built by the agent of the paper with its search.
 
     Args:
-        design: a design or its file (``docs/design_files.md``), goals instead of a design or their
-            file (``docs/goals.md``), an assembly of given blocks, or the name of a task, of which a
-            random problem is built.
+        design: a design, its file or its cells as an array (``docs/design_files.md``), goals
+            instead of a design or their file (``docs/goals.md``), an assembly of given blocks, or
+            the name of a task, of which a random problem is built.
         planner: of a design, ``"exact"``; ``"agent"``: the learned builder with its search alone
             (:mod:`.agent`); by default the builder where one is named, else exact. Goals and tasks
             have their own.
@@ -100,8 +102,6 @@ def build(
             ``"props"``, blocks of the kit, for designs of cells and goals; ``"posts"``, cut to
             the blocks they carry, for assemblies.
         holds: of an assembly, how many blocks a hand may hold while the next one comes.
-        reading: how to read a file that does not say it: keyword arguments of
-            :func:`learn2assemble.design.cells.read_design` such as ``unit`` and ``cells_wide``.
         arm: name of the arm that builds; by default none, for a task its own.
         agent: of a design, a builder by name or ``.safetensors`` file; of a task, an agent, a
             shipped one by name, a ``.safetensors`` file or the folder of a training; by default one
@@ -119,6 +119,9 @@ def build(
             [m], yaw [rad].
         state: file to which an exact plan's build by an arm appends every attempt; where it
             exists, the build goes on from it.
+        reading: how to read a file or an array: ``unit``, ``cell``, ``size``, ``up``, ``depth``,
+            ``cells_wide``, ``repair``, ``colours``, see
+            :class:`learn2assemble.design.reading.Reading`.
 
     Returns:
         The plan: complete, incomplete or refused. With an arm, its motion is ``plan.record``.
@@ -130,16 +133,15 @@ def build(
     if planner is not None:
         check_name("planner", planner, PLANNERS)
     check_name("supports", supports, SUPPORTS)
-    _check_values(
-        reading=reading, noise=noise, holds=holds, seed=seed, seconds=seconds, progress=progress
-    )
+    _check_values(noise=noise, holds=holds, seed=seed, seconds=seconds, progress=progress)
+    _check_names(build, reading)
     if is_task(design):
         if planner == "exact":
             raise InputError("planner", "exact", f"agent, for the task {design}")
         given = {
-            "kit": kit, "friction": friction, "gap": gap, "reading": reading, "layout": layout,
-            "tool": tool, "state": state, "supports": supports != "auto", "holds": holds,
-            "noise": any(noise), "physics": physics != PHYSICS[0],
+            "kit": kit, "friction": friction, "gap": gap, "layout": layout, "tool": tool,
+            "state": state, "supports": supports != "auto", "holds": holds, "noise": any(noise),
+            "physics": physics != PHYSICS[0], **dict.fromkeys(reading, True),
         }  # fmt: skip
         _refuse(given, f"a design (not the task {design})")
         if arm is not None:
@@ -170,19 +172,19 @@ def build(
         "seconds": EXACT_SECONDS if seconds is None else seconds,
     }  # fmt: skip
     return _build_design(
-        design, kit, (supports, holds), dict(reading or {}), how, planner, builder, seed, given
+        design, kit, (supports, holds), reading, how, planner, builder, seed, given
     )
 
 
 def reach(
-    design: str | Path | CellDesign | Assembly,
+    design: str | Path | np.ndarray | CellDesign | Assembly,
     *,
     arm: str,
     tool: str = DEFAULT_TOOL,
     kit: str | Kit | None = None,
     layout: str | Path | Site | None = None,
-    reading: Mapping[str, Any] | None = None,
     seconds: float | None = None,
+    **reading: Any,
 ) -> ReachReport:
     """What of a design an arm reaches, and from where it reaches most.
 
@@ -197,13 +199,49 @@ def reach(
     """
     if is_task(design):
         raise InputError("design", design, "a design; a task has places of its own")
+    _check_names(reach, reading)
     how = _Arm(arm, tool, layout, PHYSICS[0], (0.0, 0.0), None, 0)
     how.check()
     site = how.workcell().site
-    plan = build(design, planner="exact", kit=kit, reading=reading, seconds=seconds)
+    plan = build(design, planner="exact", kit=kit, seconds=seconds, **reading)
     from learn2assemble.planning.workcell_reach import report_reach
 
     return report_reach(plan, arm, tool, site)
+
+
+def preview(
+    design: str | Path | np.ndarray | CellDesign,
+    path: str | Path,
+    *,
+    kit: str | Kit | None = None,
+    **reading: Any,
+) -> CellDesign:
+    """Draw what was read of a design, and the cells that were chosen for it; nothing is planned.
+
+    Args:
+        design, kit, reading: see :func:`build`.
+        path: of the picture (PNG) to write.
+
+    Returns:
+        The cells.
+
+    Raises:
+        InputError: for what is no design of cells.
+    """
+    if is_task(design):
+        raise InputError("design", design, "a design of cells; a task has none")
+    _check_names(preview, reading)
+    if isinstance(design, str | Path):
+        _check_file(Path(design))
+    from learn2assemble.design.cells import CellDesign
+    from learn2assemble.design.preview import draw
+
+    kit = _kit(kit)
+    found = None if _goals(design, kit, True, reading) else _read(design, kit, reading)
+    if not isinstance(found, CellDesign):
+        raise InputError("design", _called(design), "a design of cells, for a picture of them")
+    write_file(Path(path), draw(found), "preview")
+    return found
 
 
 def is_task(design: object) -> TypeGuard[str]:
@@ -237,12 +275,10 @@ def _refuse(given: Mapping[str, Any], expected: str) -> None:
 
 def _check_values(**given: Any) -> None:
     """Refuse arguments of :func:`build` that no design and no arm can do anything with."""
-    noise, seconds, reading = given["noise"], given["seconds"], given["reading"]
+    noise, seconds = given["noise"], given["seconds"]
     pair = _is(noise, tuple, list) and len(noise) == 2
     check_arguments(
         given,
-        ("reading", reading is None or _is(reading, Mapping),
-         "keyword arguments of read_design as a mapping"),
         ("holds", is_whole(given["holds"], 0), "a whole number of at least 0"),
         ("noise", pair and all(is_number(one, 0) for one in noise),
          "two standard deviations of at least 0, in m and rad"),
@@ -250,8 +286,15 @@ def _check_values(**given: Any) -> None:
         ("seconds", seconds is None or (is_number(seconds) and seconds > 0), "a positive number"),
         ("progress", callable(given["progress"]), "a function of a line of text"),
     )  # fmt: skip
-    for name in reading or ():
-        check_name("reading", name, READING)
+
+
+def _check_names(function: Callable[..., Any], reading: Mapping[str, Any]) -> None:
+    """Refuse arguments of a function that are neither its own nor say how a design is read."""
+    from learn2assemble.design.reading import OPTIONS
+
+    names = {*inspect.signature(function).parameters, *OPTIONS} - {"reading"}
+    for name in reading:
+        check_name(f"argument of {function.__name__}", name, names)
 
 
 def _is(value: Any, *kinds: type) -> bool:
@@ -301,30 +344,17 @@ def _build_design(
         given: friction, gap, seconds and progress, as every planner takes them.
     """
     from learn2assemble.assembly.blocks import Assembly
-    from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
-    from learn2assemble.design.cells import CellDesign, read_design
+    from learn2assemble.assembly.kit import DEFAULT_KIT, load_kit
+    from learn2assemble.design.cells import CellDesign
     from learn2assemble.design.goals import Goals
     from learn2assemble.planning.construct import plan_cells
     from learn2assemble.planning.given import plan_assembly
 
-    if isinstance(kit, str | Path):
-        kit = load_kit(str(kit))
-    if not (kit is None or isinstance(kit, Kit)):
-        raise InputError("kit", kit, "a kit, its name or its file")
-    source = ""
+    kit = _kit(kit)
+    source = Path(design).name if isinstance(design, str | Path) else ""
     supports, holds = help_
     props = supports != "none"
-    goals = _goals(design, kit, props, reading)
-    if goals is not None:
-        design = goals
-    elif isinstance(design, str | Path):
-        source = Path(design).name
-        cell = reading.pop("cell", None)
-        if cell is None and kit is not None:
-            cell = kit.pitch
-        design = read_design(Path(design), cell=cell, **reading)
-    elif reading:
-        raise InputError("reading", sorted(reading), "a design file, which it tells how to read")
+    design = _goals(design, kit, props, reading) or _read(design, kit, reading)
     if isinstance(design, Assembly):
         if kit is not None:
             raise InputError("kit", kit.name, "a design of cells; these blocks are given")
@@ -334,7 +364,7 @@ def _build_design(
         if planner == "agent":
             raise InputError("planner", planner, "exact, for goals instead of a design")
     elif not isinstance(design, CellDesign):
-        raise InputError("design", type(design).__name__, "a file, cells or an assembly")
+        raise InputError("design", _called(design), "a file, cells or an assembly")
     if not isinstance(design, Assembly) and (holds or supports == "posts"):
         got = f"holds={holds}" if holds else f"supports={supports!r}"
         raise InputError("design", got, "an assembly of given blocks for posts and holds")
@@ -375,13 +405,47 @@ def _build_design(
     return carry_out_cells(plan_with(kit), kit, workcell, progress, plan_with)
 
 
-def _goals(design: object, kit: Kit | None, props: bool, reading: dict[str, Any]) -> Goals | None:
+def _kit(kit: Any) -> Kit | None:
+    """The kit that is given, or named."""
+    from learn2assemble.assembly.kit import Kit, load_kit
+
+    if isinstance(kit, str | Path):
+        kit = load_kit(str(kit))
+    if not (kit is None or isinstance(kit, Kit)):
+        raise InputError("kit", kit, "a kit, its name or its file")
+    return kit
+
+
+def _read(design: object, kit: Kit | None, reading: Mapping[str, Any]) -> object:
+    """The design in a file or an array; all else as it is."""
+    from learn2assemble.design.cells import read_design
+
+    if isinstance(design, str | Path | np.ndarray):
+        cell = {} if kit is None or "cell" in reading else {"cell": kit.pitch}
+        return read_design(design, **cell, **reading)
+    if reading:
+        raise InputError(", ".join(sorted(reading)), "given",
+                         "a design file or an array, which it tells how to read")  # fmt: skip
+    return design
+
+
+def _called(design: object) -> str:
+    """What a message calls a design that is none."""
+    return str(design) if isinstance(design, str | Path) else type(design).__name__
+
+
+def _goals(
+    design: object, kit: Kit | None, props: bool, reading: Mapping[str, Any]
+) -> Goals | None:
     """The goals that are given instead of a design, or that a file holds; else None."""
+    from learn2assemble.design.cells import MAX_FILE
     from learn2assemble.design.goals import Goals, is_goals, read_goals
 
-    if isinstance(design, str | Path) and is_goals(read_bytes(Path(design), "design file")[0]):
-        if set(reading) - {"cell"}:
-            raise InputError("reading", sorted(reading), "no option but cell, for goals")
+    if isinstance(design, str | Path) and is_goals(
+        read_bytes(Path(design), "design file", MAX_FILE)[0]
+    ):
+        if other := sorted(set(reading) - {"cell"}):
+            raise InputError(", ".join(other), "given", "no option but cell, for goals")
         design = read_goals(design, kit, reading.get("cell"))
     if not isinstance(design, Goals):
         return None

@@ -168,6 +168,7 @@ def report_plan(
             iou=None if design.iou is None else round(float(design.iou), 6),
             volume_error=round(float(design.volume_error), 6),
             not_read=design.not_read,
+            note=design.note or None,
         ),
         status=(
             "complete"

@@ -103,6 +103,8 @@ class PlanDesign:
     """Volume of the wanted cells less that of the drawing, as a share of the latter."""
     not_read: str | None = None
     """What is visible in the file and is not part of the design, in one line."""
+    note: str | None = None
+    """What was done to the file to read it."""
     boxes: tuple[PlanBox, ...] = ()
     """Of goals: what has to be filled, reached or loaded, and what stays empty."""
 

@@ -319,6 +319,8 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
     if plan.design.iou is not None:
         facts.append(("drawing and cells in common", f"{plan.design.iou:.1%}"))
     facts.append(("warning", plan.design.not_read))
+    if plan.design.note:
+        facts.append(("reading", plan.design.note))
     if plan.margin_g is not None:
         facts.append(("weakest step withstands", _weakest(plan)))
     facts += [(f"proven for {what}", words) for what, words in plan.proven_for.items()]

@@ -1,0 +1,308 @@
+"""How designs are read: arrays, units that fit, holes of meshes, large files, pictures of cells."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+import learn2assemble as l2a
+from learn2assemble.cli import main
+from learn2assemble.design.cells import CellDesign, read_design
+from learn2assemble.design.holes import close_holes
+from learn2assemble.design.preview import busiest, section
+from learn2assemble.errors import InputError, Remedy
+
+GATE = np.ones((4, 1, 3), bool)
+GATE[1:3, :, 0] = False
+DESIGNS = Path(__file__).parents[1] / "examples" / "designs"
+
+
+def cells(path: Path | np.ndarray, **reading: Any) -> CellDesign:
+    made = read_design(path, **reading)
+    assert isinstance(made, CellDesign)
+    return made
+
+
+def save(mesh: trimesh.Trimesh, path: Path, kind: str | None = None) -> Path:
+    data = mesh.export(file_type=kind or path.suffix[1:])
+    path.write_bytes(data if isinstance(data, bytes) else data.encode())
+    return path
+
+
+# ---------------------------------------------------------------- arrays
+
+
+@pytest.mark.parametrize(
+    "kind", ["bool", "int8", "uint8", ">i4", "int64", "uint64", "float16", "float32", ">f8"]
+)
+def test_arrays_of_all_kinds_of_numbers_are_designs(kind: str, tmp_path: Path) -> None:
+    given = GATE.astype(kind)
+    np.save(tmp_path / "gate.npy", given)
+    np.savez(tmp_path / "gate.npz", given)
+    for design in (given, tmp_path / "gate.npy", tmp_path / "gate.npz"):
+        assert np.array_equal(cells(design).wanted, GATE)
+    assert given.flags.writeable
+
+
+def test_an_array_is_built_as_it_is() -> None:
+    colours = np.zeros((4, 1, 3, 3), np.uint8)
+    colours[:2] = (200, 0, 0)
+    plan = l2a.build(GATE, kit="bricks-lintels", cell=0.04, colours=colours)
+    assert plan.complete
+    assert plan.assembly is not None
+    assert plan.design.name == "array"
+    assert np.ptp(plan.assembly.blocks[0].vertices[:, 2]) == pytest.approx(0.04)
+    assert {b.colour for b in plan.assembly.blocks if not b.prop} == {(200, 0, 0), (0, 0, 0)}
+    assert colours.flags.writeable
+    turned = cells(GATE.transpose(0, 2, 1), up="y")
+    assert turned.wanted.shape == (4, 1, 3)
+
+
+def test_an_array_of_64_cells_each_way_is_read(tmp_path: Path) -> None:
+    whole = np.ones((64, 64, 64))
+    np.save(tmp_path / "whole.npy", whole)
+    colours = np.zeros((64, 64, 64, 3), np.uint8)
+    np.savez(tmp_path / "whole.npz", wanted=whole, colours=colours)
+    for design in (whole, tmp_path / "whole.npy", tmp_path / "whole.npz"):
+        assert cells(design).wanted.sum() == 64**3
+    # More than a megabyte, which the file of goals that it might be may not have.
+    found = l2a.preview(tmp_path / "whole.npy", tmp_path / "whole.png")
+    assert found.wanted.all()
+
+
+@pytest.mark.parametrize(
+    ("given", "reading", "fragment"),
+    [
+        (np.zeros((0, 2, 2), bool), {}, "shape [0, 2, 2]"),
+        (np.ones((65, 65, 65), bool), {}, "65 × 65 × 65 cells"),
+        (np.full((2, 2, 2), np.nan), {}, "a value nan"),
+        (np.full((2, 2, 2), None), {}, "an array of object"),
+        (np.ones((2, 2, 2), complex), {}, "an array of complex128"),
+        (np.full((2, 2, 2), "1"), {}, "an array of <U1"),
+        (np.ones((2, 2), bool), {}, "shape [2, 2]"),
+        (np.zeros((2, 2, 2), bool), {}, "half full"),
+        (GATE, {"colours": np.zeros((4, 1, 3), np.uint8)}, "uint8[4, 1, 3]"),
+        (GATE, {"colours": np.zeros((4, 1, 3, 3))}, "float64[4, 1, 3, 3]"),
+        (GATE, {"colours": [1]}, "expected uint8[4, 1, 3, 3]"),
+        (GATE, {"unit": "mm"}, "no such option for ARRAY"),
+        (GATE, {"cels": 0.1}, "did you mean 'cell'"),
+        (GATE, {"reading": {"cell": 0.1}}, "argument of build"),
+        ([[[True]]], {}, "a file, cells or an assembly"),
+        ("examples/designs/gate.svg", {"colours": GATE}, "no such option for SVG"),
+        (Path("examples/designs/dome.stl"), {"unit": "mm", "repair": 1}, "True or False"),
+    ],
+)
+def test_what_cannot_be_built_is_refused(
+    given: Any, reading: dict[str, Any], fragment: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        l2a.build(given, **reading)
+    assert fragment in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+# ---------------------------------------------------------------- units
+
+
+def test_a_mesh_without_a_unit_is_told_what_fits(tmp_path: Path) -> None:
+    box = save(trimesh.creation.box((400, 200, 300)), tmp_path / "box.stl")
+    for reading in ({}, {"unit": "m"}):
+        with pytest.raises(InputError) as caught:
+            read_design(box, **reading)
+        assert "400 × 200 × 300 units" in str(caught.value)
+        assert str(caught.value).endswith("; unit='mm' gives 8 × 4 × 6 cells")
+    assert cells(box, unit="mm").wanted.shape == (8, 4, 6)
+    large = save(trimesh.creation.box((90_000, 30_000, 60_000)), tmp_path / "large.stl")
+    with pytest.raises(InputError, match="cells_wide=32 gives 32 × 11 × 22 cells"):
+        read_design(large, unit="m")
+    assert cells(large, cells_wide=32).wanted.shape[0] == 32
+    small = save(trimesh.creation.box((0.4, 0.2, 0.3)), tmp_path / "small.stl")
+    with pytest.raises(InputError, match=r"half full.*unit='m' gives 8 × 4 × 6 cells"):
+        read_design(small, unit="mm")
+    drawing = tmp_path / "box.svg"
+    drawing.write_text(
+        '<svg xmlns="http://www.w3.org/2000/svg"><rect width="30" height="20"/></svg>'
+    )
+    with pytest.raises(InputError, match=r"30 × 20 units: .*unit='cm' gives 6 × 4 cells"):
+        read_design(drawing, unit="m", cell=0.05, up=None, depth=None, size=None, kit=None)
+
+
+def test_what_would_help_is_an_option_on_the_command_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    box = save(trimesh.creation.box((400, 200, 300)), tmp_path / "box.stl")
+    assert main(["build", str(box), "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert error.endswith("; --unit mm gives 8 × 4 × 6 cells\n")
+    assert not (tmp_path / "out").exists()
+    made = InputError("mesh", "open", "closed", Remedy("repair", True, "closes 1 hole"))
+    assert pickle.loads(pickle.dumps(made)).for_command_line() == (
+        "mesh: got 'open', expected closed; --repair closes 1 hole"
+    )
+    assert str(made).endswith("; repair=True closes 1 hole")
+
+
+# ---------------------------------------------------------------- holes
+
+
+def holed(*faces: int, subdivisions: int = 2) -> trimesh.Trimesh:
+    """A ball without some of its faces."""
+    ball = trimesh.creation.icosphere(subdivisions, 200)
+    keep = np.ones(len(ball.faces), bool)
+    keep[list(faces)] = False
+    return trimesh.Trimesh(ball.vertices, ball.faces[keep], process=False)
+
+
+def test_small_holes_are_closed_where_that_is_asked_for(tmp_path: Path) -> None:
+    whole = cells(save(holed(), tmp_path / "whole.ply"), unit="mm")
+    path = save(holed(0, 200), tmp_path / "open.ply")
+    with pytest.raises(InputError, match=r"an open mesh: \d+ .*repair=True closes 2 holes up to"):
+        read_design(path, unit="mm")
+    with pytest.raises(InputError, match="an open mesh"):
+        read_design(path, unit="mm", repair=False)
+    made = cells(path, unit="mm", repair=True)
+    assert np.array_equal(made.wanted, whole.wanted)
+    assert whole.note == ""
+    assert made.note.startswith("2 holes of the mesh closed, up to ")
+    wide = float(made.note.split()[-3])
+    assert 40 < wide < 130  # edges are 60 mm
+    plan = l2a.build(path, unit="mm", cell=0.1, repair=True, kit="cubes")
+    assert plan.design.note == cells(path, unit="mm", repair=True, cell=0.1).note
+
+
+def test_what_is_no_small_hole_is_not_closed(tmp_path: Path) -> None:
+    """Half a ball, a face that is turned round, and two holes that touch."""
+    half = trimesh.creation.icosphere(3, 200)
+    half = trimesh.Trimesh(half.vertices, half.faces[half.triangles_center[:, 0] > 0])
+    turned = holed()
+    turned.faces[5] = turned.faces[5][::-1]
+    ball = holed()
+    at = np.flatnonzero((ball.faces == 30).any(1))
+    touching = holed(int(at[0]), int(at[3]))
+    for mesh in (half, turned, touching):
+        assert close_holes(mesh.vertices, np.asarray(mesh.faces)) is None
+        with pytest.raises(InputError, match="an open mesh") as caught:
+            read_design(save(mesh, tmp_path / "x.ply"), unit="mm", repair=True)
+        assert "repair" not in str(caught.value)
+
+
+def test_a_hole_is_closed_by_triangles_that_face_outward() -> None:
+    box = trimesh.creation.box((1, 1, 1)).subdivide().subdivide().subdivide().subdivide()
+    keep = np.abs(box.triangles_center - (0, 0, 0.5)).max(1) > 0.06
+    mended = close_holes(box.vertices, np.asarray(box.faces[keep]))
+    assert mended is not None
+    made = trimesh.Trimesh(*mended.mesh, process=False)
+    assert made.is_watertight
+    assert made.volume == pytest.approx(1)
+    assert mended.widths[0] == pytest.approx(0.125 * 2**0.5)
+
+
+# ---------------------------------------------------------------- large files
+
+
+def test_meshes_are_read_up_to_their_limits(tmp_path: Path) -> None:
+    """More than a megabyte, which goals may not have; more than 16 MB of text; not 51 MB."""
+    ball = trimesh.creation.uv_sphere(200, count=[120, 120])
+    path = save(ball, tmp_path / "ball.stl")
+    assert path.stat().st_size > 1_000_000
+    found = l2a.preview(path, tmp_path / "ball.png", unit="mm", cell=0.05)
+    assert found.wanted.shape == (8, 8, 8)
+    box = save(trimesh.creation.box((200, 200, 200)), tmp_path / "box.obj")
+    with box.open("a") as file:
+        file.write("# a comment of a program\n" * 700_000)
+    assert box.stat().st_size > 17_000_000
+    assert cells(box, unit="mm").wanted.shape == (4, 4, 4)
+    facets = 1_020_000
+    with (tmp_path / "large.stl").open("wb") as file:
+        file.write(bytes(80) + facets.to_bytes(4, "little"))
+        file.truncate(84 + 50 * facets)
+    with pytest.raises(InputError, match=r"51 MB.*at most 50 MB"):
+        l2a.build(tmp_path / "large.stl", unit="mm")
+
+
+# ---------------------------------------------------------------- pictures
+
+
+def test_blurred_colours_of_a_jpeg_are_one(tmp_path: Path) -> None:
+    left = np.zeros((48, 64, 3), np.uint8)
+    left[:, :32], left[:, 32:] = (190, 30, 30), (30, 30, 190)
+    for kind in ("JPEG", "WEBP"):
+        Image.fromarray(left).save(tmp_path / "two.x", kind, quality=60)
+        made = cells(tmp_path / "two.x", cells_wide=8)
+        assert made.wanted.all()
+        assert made.colours is not None
+        seen = np.unique(made.colours.reshape(-1, 3), axis=0)
+        assert len(seen) == 2, (kind, seen)
+        assert np.abs(seen.astype(int) - ((30, 30, 190), (190, 30, 30))).max() < 25
+
+
+def test_a_picture_stands_as_a_viewer_turns_it(tmp_path: Path) -> None:
+    """A phone stores a picture as the sensor lies and says how to turn it."""
+    pixels = np.full((16, 32), 255, np.uint8)
+    pixels[:, :16], pixels[8:] = 0, 0  # high on the left, low on the right
+    tag = Image.Exif()
+    tag[0x0112] = 6  # turn clockwise to see it
+    Image.fromarray(np.rot90(pixels)).save(tmp_path / "x.jpg", exif=tag)
+    made = cells(tmp_path / "x.jpg", cells_wide=4)
+    assert made.wanted[:, 0].T[::-1].tolist() == [[True, True, False, False], [True] * 4]
+
+
+# ---------------------------------------------------------------- preview
+
+
+def test_a_preview_shows_what_was_drawn_over_the_cells(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "gate.png"
+    assert main(["build", str(DESIGNS / "gate.svg"), "--preview", str(path), "--json"]) == 0
+    said = capsys.readouterr()
+    assert '"shape": [8, 1, 6]' in said.out
+    assert sorted(tmp_path.iterdir()) == [path]  # Nothing was planned.
+    image = np.asarray(Image.open(path).convert("RGB")).astype(int)
+    cell, line = (np.abs(image - rgb).sum(-1) < 30 for rgb in ((236, 202, 144), (11, 114, 133)))
+    assert cell.sum() > 20_000
+    assert line.sum() > 2_000
+    made = l2a.preview("examples/designs/gate.svg", path)
+    assert isinstance(made, CellDesign)
+    with pytest.raises(InputError, match="a picture of them"):
+        l2a.preview("tests/data/ascii_wall.json", path)
+
+
+@pytest.mark.parametrize("name", ["gate.svg", "courtyard.svg", "circle.svg", "figure.png",
+                                  "dome.stl", "keep.json", "off_centre_tower.json"])  # fmt: skip
+def test_the_surface_that_is_drawn_is_that_of_the_design(name: str) -> None:
+    """Its section through the busiest layer has the area of what was drawn there."""
+    import shapely
+
+    reading = {"unit": "mm"} if name.endswith("stl") else {}
+    reading |= {"cells_wide": 8} if name.endswith("png") else {}
+    made = cells(DESIGNS / name, **reading)
+    assert made.surface is not None
+    for axis in (0, 1, 2) if not name.endswith("png") else (1,):
+        layer = busiest(made.wanted, axis)
+        lines = section(made.surface, axis, layer + 0.5 + 1e-6)
+        axes = [a for a in range(3) if a != axis]
+        ends = np.round(lines[:, :, axes], 4)
+        kept = [shapely.LineString(e) for e in ends if (e[0] != e[1]).any()]
+        noded = shapely.get_parts(shapely.unary_union(kept))
+        regions = shapely.get_parts(shapely.polygonize(noded))
+        # Every filled cell of a layer is at least half inside; holes are regions, too.
+        inside = shapely.union_all(regions)
+        filled = np.argwhere(made.wanted.take(layer, axis))
+        share = [inside.intersection(shapely.box(i, j, i + 1, j + 1)).area for i, j in filled]
+        assert np.mean(np.array(share) > 0.4) > 0.9
+
+
+def test_sections_of_a_box() -> None:
+    box = trimesh.creation.box((2, 4, 6)).triangles
+    lines = section(np.asarray(box), 2, 0.5)
+    assert np.ptp(lines.reshape(-1, 3), axis=0).tolist() == pytest.approx([2, 4, 0])
+    assert np.linalg.norm(lines[:, 0] - lines[:, 1], axis=1).sum() == pytest.approx(12)
+    assert len(section(np.asarray(box), 2, 9.0)) == 0
