@@ -30,8 +30,8 @@ from learn2assemble.design.reading import (
 )
 from learn2assemble.design.solids import Solid, Voxels
 from learn2assemble.design.svg import read_svg
-from learn2assemble.errors import InputError, Remedy, check_fields, is_number, look_up
-from learn2assemble.files import FARTHEST, UNITS, as_path, read_bytes
+from learn2assemble.errors import InputError, Remedy, check_fields, is_number
+from learn2assemble.files import as_path, read_bytes
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly

@@ -12,7 +12,7 @@ import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeGuard
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeGuard, cast
 
 import numpy as np
 
@@ -422,7 +422,8 @@ def _read(design: object, kit: Kit | None, reading: Mapping[str, Any]) -> object
 
     if isinstance(design, str | Path | np.ndarray):
         cell = {} if kit is None or "cell" in reading else {"cell": kit.pitch}
-        return read_design(design, **cell, **reading)
+        given = cast("str | Path | np.ndarray", design)
+        return read_design(given, **cell, **reading)
     if reading:
         raise InputError(", ".join(sorted(reading)), "given",
                          "a design file or an array, which it tells how to read")  # fmt: skip
