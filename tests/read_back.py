@@ -29,7 +29,7 @@ ALLOWED = 0.5e-3
 """[m]"""
 _NUMBER = r"(-?\d+(?:\.\d+)?)"
 _ROW = re.compile(
-    rf"(?<=\|)(\d+)\|(?:place\||remove\|)?([A-Z]+)\|{_NUMBER}\|{_NUMBER}\|{_NUMBER}\|"
+    rf"(?<=\|)(\d+)\|(?:(?:place|remove|hold|release)\|)?([A-Z]+)\|{_NUMBER}\|{_NUMBER}\|{_NUMBER}\|"
     r"((?:[xyz] -?[\d.]+° ?)+|0)(?=\|)"
 )
 _SHAPE = re.compile(
@@ -148,7 +148,7 @@ def largest_error(assembly: Assembly, text: str) -> float:
     assert sorted(told) == list(range(1, len(assembly.steps) + 1))
     origin, worst = instructions(assembly).origin, 0.0
     for number, step in enumerate(assembly.steps, 1):
-        block = assembly.block(step.place or step.remove or "")
+        block = assembly.block(step.block)
         apart = told[number][:, None] - (block.vertices - origin)[None]
         distance = np.linalg.norm(apart, axis=-1)
         worst = max(worst, float(distance.min(0).max()), float(distance.min(1).max()))

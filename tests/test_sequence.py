@@ -12,6 +12,7 @@ import pytest
 
 from learn2assemble.assembly.blocks import Assembly, Block, Step, box_block, to_manifold
 from learn2assemble.assembly.contacts import find_contacts
+from learn2assemble.assembly.cuts import POST
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.errors import InputError
 from learn2assemble.physics.clearance import LEVEL, Clearance, overlap, parts_of
@@ -21,7 +22,7 @@ from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.laws import ByForces, ByLoads
 from learn2assemble.planning.ordering import to_assembly
 from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.posts import KIND, find_posts
+from learn2assemble.planning.posts import find_posts
 from learn2assemble.planning.programs import Clock
 from learn2assemble.planning.step_proof import Proof, find_stack
 from learn2assemble.planning.tiling import tile
@@ -213,8 +214,8 @@ def test_an_arch_of_nine_stands_on_few_posts_and_they_go_again() -> None:
     plan = plan_assembly(script("arch").arch(9))
     assert_every_state_stands(plan)
     assert plan.assembly is not None
-    assert most(plan, "place", "remove", KIND) <= 4
-    posts = [b for b in plan.assembly.blocks if b.kind == KIND]
+    assert most(plan, "place", "remove", POST) <= 4
+    posts = [b for b in plan.assembly.blocks if b.kind == POST]
     assert all(post.prop for post in posts)
     assert {b.kind for b in plan.assembly.finished.blocks} == {""}
 
@@ -390,4 +391,4 @@ def test_a_prop_that_would_be_closed_in_goes_before() -> None:
     plan = plan_assembly(script("dome").dome(rings=3, voussoirs=6), seconds=120)
     assert plan.complete, plan.reason
     assert plan.assembly is not None
-    assert not any(b.kind == KIND for b in plan.assembly.finished.blocks)
+    assert not any(b.kind == POST for b in plan.assembly.finished.blocks)

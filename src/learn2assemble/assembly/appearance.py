@@ -8,14 +8,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly, Block, to_manifold
+from learn2assemble.assembly.blocks import Assembly, Block, fan_triangles, to_manifold
+from learn2assemble.assembly.cuts import POST
 
 PALETTE = (
     "#c96f4a", "#ecca90", "#8fae7a", "#b98bb0", "#d8a13f", "#7f9fa3", "#a88468", "#c7cf8b",
     "#d99a94", "#8d8fb5", "#6f9a86", "#b7b2a6",
 )  # fmt: skip
 """Colours of kinds, in the order in which they first appear."""
-COLOURS = {"current": "#63b0f2", "support": "#aeb9c4", "prop": "#d66fb5", "soft": "#5a636d"}
+COLOURS = {
+    "current": "#63b0f2",
+    "support": "#aeb9c4",
+    "prop": "#d66fb5",
+    "held": "#7d4fd6",
+    "soft": "#5a636d",
+}
 """Colours of the page's style sheet, by its names."""
 _ALIKE = 1e-4
 """Blocks whose corners are apart by distances that differ by less are of one kind [m]."""
@@ -89,13 +96,13 @@ def laid_down(block: Block) -> np.ndarray:
     """float64[3, 3]: turns a block onto its largest face, its longest edge along x.
 
     A block whose edges run along the axes keeps what is up, with its longer side along x; any other
-    that has a level face below is left as it is.
+    that has a level face below is left as it is, and so is a post with a cut top.
     """
     if is_square(block):
         x, y, _ = np.ptp(block.vertices, axis=0)
         quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
         return quarter if y > x + 1e-6 else np.eye(3)
-    if is_prism(block):
+    if is_prism(block) or block.kind == POST:
         return np.eye(3)
     normals = []
     for face in block.faces:
@@ -179,7 +186,7 @@ def joint_width(assembly: Assembly) -> float:
     It is the smallest distance of two sides that face one another; where none do, what every block
     lacks to whole half millimetres.
     """
-    blocks = [b for b in assembly.blocks if not b.support]
+    blocks = [b for b in assembly.blocks if not b.support and b.kind != POST]
     upright = all(is_prism(b) for b in blocks if len(b.vertices) == 8)
     if not upright or any(not is_square(b) for b in blocks):
         return 0.0
@@ -203,6 +210,15 @@ def is_square(block: Block) -> bool:
     ends = np.array([k for face in block.faces for k in (*face[1:], face[0])])
     along = np.abs(block.vertices[starts] - block.vertices[ends])
     return bool((np.sort(along, axis=1)[:, 1] <= 1e-7).all())
+
+
+def has_leaning_face(block: Block) -> bool:
+    """Whether a face is neither level nor upright."""
+    corners = fan_triangles(block.vertices, block.faces)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normal, axis=1)
+    sloping = np.abs(normal[:, 2]) > _LEVEL * length
+    return bool((sloping & (np.hypot(normal[:, 0], normal[:, 1]) > _LEVEL * length)).any())
 
 
 def is_prism(block: Block) -> bool:

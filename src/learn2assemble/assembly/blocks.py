@@ -126,6 +126,10 @@ class Block:
         return bool(over.max() <= _FLAT * np.ptp(self.vertices, axis=0).max())
 
 
+Action = Literal["place", "remove", "hold", "release"]
+"""What a step does to a block."""
+
+
 @dataclass(frozen=True)
 class Step:
     """One step of building: exactly one of the ids is given.
@@ -149,7 +153,7 @@ class Step:
             raise InputError("step", tuple(id_ for id_ in given if id_ is not None), expected)
 
     @property
-    def action(self) -> Literal["place", "remove", "hold", "release"]:
+    def action(self) -> Action:
         """What is done."""
         if self.place is not None:
             return "place"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from learn2assemble.assembly.blocks import Action
 from learn2assemble.assembly.instructions import BillLine, Instructions, Placement, Shape
 
 HEAD = ("No.", "Shape", "x", "y", "z", "Turn")
@@ -18,6 +19,15 @@ BILL_HEAD = (
     "Mass of one",
 )
 """Of the bill, see :func:`bill_words`."""
+CUT_HEAD = (
+    "Shape",
+    "Number",
+    "Width × depth [mm]",
+    "Longest edge [mm]",
+    "Shortest edge [mm]",
+    "Top cut at",
+)
+"""Of the list of posts to cut, see :func:`cut_words`."""
 HOW_TO_READ = (
     "All lengths are in millimetres from O, the front left lower corner of the finished structure: "
     "x to the right, y to the back, z up. x, y and z of a block are its front left lower corner "
@@ -72,6 +82,39 @@ def bill_words(line: BillLine) -> tuple[str, ...]:
     return (shape.letter, kind, number, props, size, itself, f"{shape.mass:.3g} kg")
 
 
+def cut_words(line: BillLine) -> tuple[str, ...]:
+    """The line of a post in a table below :data:`CUT_HEAD`; empty of what is none."""
+    cut = line.shape.cut if line.props else None
+    if cut is None:
+        return ()
+    angles = " and ".join(f"{angle:.1f}°" for angle in cut.angles if angle > 0.05) or "0°"
+    lengths = (length_words(v, 2) for v in (cut.longest, cut.shortest))
+    section = extent_words((cut.width, cut.depth))
+    return (line.shape.letter, str(line.props), section, *lengths, angles)
+
+
+def cut_list(told: Instructions) -> list[tuple[str, ...]]:
+    """The posts to cut, in a table below :data:`CUT_HEAD`."""
+    return [words for words in map(cut_words, told.bill) if words]
+
+
+def block_words(told: Instructions, placement: Placement) -> str:
+    """A block that stands, e.g. ``block v3 of step 5``."""
+    step = next(
+        p.number
+        for p in reversed(told.placements[: placement.number])
+        if p.block == placement.block and p.action == "place"
+    )
+    return f"block {told.assembly.blocks[placement.block].id} of step {step}"
+
+
+def action_words(action: Action, block: str) -> str:
+    """What a step with a hand does, e.g. ``Let go of block v3``."""
+    if action == "hold":
+        return f"Hold {block} (a hand keeps it in its place)"
+    return f"Let go of {block}"
+
+
 def corner_words(shape: Shape) -> str:
     """The corners of a shape that is no box, from the first; empty of a box."""
     if shape.is_box:
@@ -87,7 +130,7 @@ def corner_words(shape: Shape) -> str:
 def facts(told: Instructions) -> tuple[str, ...]:
     """What is said at the head of instructions."""
     placements = told.placements
-    blocks = sum(not p.prop and not p.remove for p in placements)
+    blocks = sum(not p.prop and p.action == "place" for p in placements)
     found = [
         f"{count_words(blocks, 'block')} in {count_words(len(told.groups), 'step')} and "
         f"{count_words(len({group.layer for group in told.groups}), 'layer')}",
@@ -100,6 +143,8 @@ def facts(told: Instructions) -> tuple[str, ...]:
         )
     if any(p.prop for p in placements):
         found.append("props stand only for a while and are taken away again")
+    if any(p.action == "hold" for p in placements):
+        found.append("a hand keeps a block that is held in its place until it is let go")
     if left := len(told.assembly.not_built):
         found.append(f"not finished: {count_words(left, 'block')} of the design have no step")
     return tuple(found)

@@ -25,7 +25,8 @@ from learn2assemble.assembly.appearance import (
     sections,
     spread,
 )
-from learn2assemble.assembly.blocks import Assembly, Block
+from learn2assemble.assembly.blocks import Action, Assembly, Block
+from learn2assemble.assembly.cuts import POST, Cut, cut_of
 
 MOST_TOGETHER = 6
 """Blocks of one step of the instructions."""
@@ -40,6 +41,8 @@ _ALIKE = 1e-4
 """So much may the corners of a block be off those of its shape, where it leans [m]."""
 _MOST_TRIED = 60
 """Corners of a block whose order is sought."""
+_CHANGE = {"place": 1, "remove": -1}
+"""What actions change the number of blocks by that stand."""
 Turn = tuple[float, float, float]
 _QUARTERS = tuple(
     (x, y, z) for (x, y), z in product(
@@ -76,10 +79,15 @@ class Shape:
         """float64[3]: extents of the block itself, unturned [m]."""
         return np.ptp(self.corners, axis=0)
 
+    @property
+    def cut(self) -> Cut | None:
+        """Of a post: how it is cut."""
+        return cut_of(self.corners, self.faces) if self.kind == POST else None
+
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Where a block goes, or where a prop is taken away."""
+    """What a step does to a block, and where that is."""
 
     number: int
     """The step of the assembly, from 1; 0: it stands from the start."""
@@ -91,7 +99,7 @@ class Placement:
     round it; of a block that leans, its corner 1."""
     turn: Turn
     """Turns about x, then y, then z, counter-clockwise against the axis [deg]."""
-    remove: bool = False
+    action: Action = "place"
     prop: bool = False
 
     @property
@@ -112,11 +120,13 @@ class Group:
     """Height of the layer over O [m]."""
     first: bool
     """Whether the layer begins with it."""
+    held: frozenset[int] = frozenset()
+    """Blocks that hands hold when it is done."""
 
     @property
     def wanted(self) -> list[tuple[Shape, int]]:
         """Shapes and how many of each the step takes."""
-        count = Counter(id(p.shape) for p in self.placements if not p.remove)
+        count = Counter(id(p.shape) for p in self.placements if p.action == "place")
         shapes = {id(p.shape): p.shape for p in self.placements}
         return [(shapes[key], number) for key, number in count.items()]
 
@@ -158,17 +168,18 @@ class Instructions:
         there = Counter(placement.shape.letter for placement in self.start)
         for placement in (p for group in self.groups for p in group.placements):
             letter = placement.shape.letter
+            change = _CHANGE.get(placement.action, 0)
             if placement.prop:
-                props[letter] += -1 if placement.remove else 1
+                props[letter] += change
                 most |= props
             else:
-                built[letter] += 1
+                built[letter] += change
         lines = [BillLine(s, built[s.letter], most[s.letter], there[s.letter]) for s in self.shapes]
         return [line for line in lines if any(line[1:])]
 
     @property
     def placements(self) -> list[Placement]:
-        """What is placed and taken away, in order."""
+        """What is done to which block, in order."""
         return [placement for group in self.groups for placement in group.placements]
 
 
@@ -211,11 +222,10 @@ def instructions(assembly: Assembly) -> Instructions:
     for block, (kind, colour) in zip(assembly.blocks, kinds_and_colours(assembly), strict=True):
         if block.id not in left_out:
             shapes.add(block, kind, colour)
-    steps = [(assembly.index(s.place or s.remove or ""), s.remove is not None)
-             for s in assembly.steps]  # fmt: skip
-    steps = steps or [(k, False) for k, b in enumerate(assembly.blocks) if not b.support]
+    steps: list[tuple[int, Action]] = [(assembly.index(s.block), s.action) for s in assembly.steps]
+    steps = steps or [(k, "place") for k, b in enumerate(assembly.blocks) if not b.support]
     told = {index for index, _ in steps} | {assembly.index(id_) for id_ in assembly.not_built}
-    start = tuple(shapes.placement(k, 0, assembly.blocks[k], False)
+    start = tuple(shapes.placement(k, 0, assembly.blocks[k], "place")
                   for k in range(len(assembly.blocks)) if k not in told)  # fmt: skip
     upright = _carried_straight_down(assembly)
     return Instructions(
@@ -225,7 +235,7 @@ def instructions(assembly: Assembly) -> Instructions:
 
 
 def _groups(
-    assembly: Assembly, steps: list[tuple[int, bool]], shapes: _Shapes, upright: np.ndarray
+    assembly: Assembly, steps: list[tuple[int, Action]], shapes: _Shapes, upright: np.ndarray
 ) -> list[Group]:
     bottoms = np.array([block.vertices[:, 2].min() for block in assembly.blocks])
     heights = bottoms - shapes.origin[2]
@@ -233,27 +243,31 @@ def _groups(
     for height in np.sort(heights[[index for index, _ in steps]]).tolist():
         if not layers or height > layers[-1] + 1e-4:
             layers.append(height)
-    together: list[list[tuple[int, int, bool]]] = []
+    together: list[list[tuple[int, int, Action]]] = []
     free = False
-    for number, (index, remove) in enumerate(steps, 1):
+    for number, (index, action) in enumerate(steps, 1):
         block = assembly.blocks[index]
-        alone = remove or block.prop or not upright[index]
+        alone = action != "place" or block.prop or not upright[index]
         last = together[-1][-1][1] if together else index
         joins = free and not alone and abs(heights[index] - heights[last]) <= 1e-4
         if joins and len(together[-1]) < MOST_TOGETHER:
-            together[-1].append((number, index, remove))
+            together[-1].append((number, index, action))
         else:
-            together.append([(number, index, remove)])
+            together.append([(number, index, action)])
         free = not alone
-    found, seen = [], set()
+    found, seen, held = [], set(), frozenset[int]()
     for number, members in enumerate(together, 1):
         height = float(heights[members[0][1]])
         layer = int(np.searchsorted(np.array(layers) - 1e-9, height, side="right"))
-        placements = tuple(shapes.placement(index, at, assembly.blocks[index], remove)
-                           for at, index, remove in members)  # fmt: skip
-        first = layer not in seen and not members[0][2]
+        placements = tuple(
+            shapes.placement(index, at, assembly.blocks[index], action)
+            for at, index, action in members
+        )
+        _, index, action = members[0]
+        first = layer not in seen and action == "place"
         seen |= {layer} if first else set()
-        found.append(Group(number, placements, layer, height, first))
+        held = held ^ {index} if action in ("hold", "release") else held
+        found.append(Group(number, placements, layer, height, first, held))
     return found
 
 
@@ -324,7 +338,8 @@ class _Shapes:
         size = np.ptp(corners, axis=0)
         is_box = abs(size.prod() - block.volume) <= 1e-6 * size.prod() and block.is_convex
         joint = np.array([self.joint, self.joint, 0.0])
-        x, y, z = (size + (joint if is_square(block) else 0)).tolist()
+        square = is_square(block) and block.kind != POST
+        x, y, z = (size + (joint if square else 0)).tolist()
         letter, left = "", len(self.found)
         while not letter or left >= 0:
             letter, left = chr(65 + left % 26) + letter, left // 26 - 1
@@ -334,11 +349,11 @@ class _Shapes:
         self.found.append(made)
         return made
 
-    def placement(self, index: int, number: int, block: Block, remove: bool) -> Placement:
+    def placement(self, index: int, number: int, block: Block, action: Action) -> Placement:
         match = self._of[block.id]
         at = block.vertices.min(0) if match.first is None else block.vertices[match.first]
         x, y, z = (at - self.origin).tolist()
-        return Placement(number, index, match.shape, (x, y, z), match.turn, remove, block.prop)
+        return Placement(number, index, match.shape, (x, y, z), match.turn, action, block.prop)
 
 
 class _Match(NamedTuple):

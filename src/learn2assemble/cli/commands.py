@@ -225,7 +225,11 @@ def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
         needed = f"{plan.design.success_threshold:.1%}"
         output.say(f"coverage {plan.coverage:.1%} of the target, more than {needed} is needed")
     if plan.steps and plan.margin_g is not None:
-        output.say(f"every step is proven; the weakest withstands {plan.margin_g:.3f} g sideways")
+        left = plan.without_margin
+        more = f" ({left} of {len(plan.steps)} steps without a computed margin)" * bool(left)
+        output.say(
+            f"every step is proven; the weakest withstands {plan.margin_g:.3f} g sideways{more}"
+        )
     proven = plan.proven_for
     if "friction" in proven and "joints" in proven:
         output.say(

@@ -9,7 +9,7 @@ import numpy as np
 
 from learn2assemble.assembly.appearance import rgb
 from learn2assemble.assembly.blocks import Assembly
-from learn2assemble.assembly.instruction_words import BILL_HEAD, HEAD, HOW_TO_READ
+from learn2assemble.assembly.instruction_words import BILL_HEAD, CUT_HEAD, HEAD, HOW_TO_READ
 from learn2assemble.export import asset
 from learn2assemble.export.pictures import (
     Booklet,
@@ -18,6 +18,10 @@ from learn2assemble.export.pictures import (
     booklet,
 )
 
+_DONE = {"remove": "take a prop away", "hold": "hold a block", "release": "let go of a block"}
+"""What is done in steps that take no block from the heap."""
+_LINES = {"new": "n", "gone": "x", "held": "h"}
+"""Classes of outlines."""
 _UNITS = 40
 """Of the drawing, to a usual block."""
 
@@ -37,10 +41,12 @@ def step_cards(assembly: Assembly) -> str:
     cards = "".join(_card(pen, card) for card in book.cards)
     cover = pen.draw(book.cover)
     start = _table(HEAD, book.start) if book.start else ""
+    cuts = _table(CUT_HEAD, book.cuts, "bill") if book.cuts else ""
     return Template(asset("cards.html")).substitute(
         title=escape(book.title), style=pen.style(), symbols=pen.symbols(), cover=cover,
         facts="".join(f"<li>{escape(fact)}</li>" for fact in book.facts),
         read=escape(HOW_TO_READ), bill=_table(BILL_HEAD, book.bill, "bill"), shapes=shapes,
+        cuts=cuts and f"<h2>Posts to cut</h2><div class='wide'>{cuts}</div>",
         corners="".join(f"<p class='corners'><b>Shape {letter}</b>, corners: {words}</p>"
                         for letter, words in book.corners),
         start=start and f"<h2>Stands from the start</h2>{start}", cards=cards,
@@ -54,7 +60,7 @@ def _card(pen: _Pen, card) -> str:
         for (shape, _), text in zip(card.group.wanted, card.wanted, strict=True)
     )
     part = f"<ul>{wanted}</ul>" if wanted else ""
-    label = f"{card.heading}: {', '.join(card.wanted) or 'take a prop away'}"
+    label = f"{card.heading}: {', '.join(card.wanted) or _DONE[card.group.placements[0].action]}"
     return (
         f"<article><h3>{card.heading}</h3>{part}{words}{pen.draw(card.picture, label)}"
         f"{_table(HEAD, card.rows)}</article>"
@@ -98,12 +104,12 @@ class _Pen:
         parts = [self._grid(picture.grid, font)]
         for use in picture.uses:
             self.figures.add(use.name)
-            name = "g" if use.gone else self.paint(use.colour) if use.colour else ""
+            name = "g" if use.mark == "gone" else self.paint(use.colour) if use.colour else ""
             name = name and f" class={name}"
             parts.append(f'<use{name} href=#f{use.name} x={_short(use.at[0] * self.unit)}'
                          f' y={_short(-use.at[1] * self.unit)} />')  # fmt: skip
         for use in picture.outlines:
-            parts.append(f'<use class={"x" if use.gone else "n"} href=#e{use.name}'
+            parts.append(f'<use class={_LINES[use.mark]} href=#e{use.name}'
                          f' x={_short(use.at[0] * self.unit)}'
                          f' y={_short(-use.at[1] * self.unit)} />')  # fmt: skip
         for start, end in picture.arrows:

@@ -17,6 +17,7 @@ import numpy as np
 from learn2assemble.assembly.appearance import colour_words, kinds_and_colours, rgb
 from learn2assemble.assembly.blocks import Assembly, Block, convex_parts, fan_triangles
 from learn2assemble.assembly.compas import write_compas
+from learn2assemble.assembly.cuts import POST, Cut, cut_of
 from learn2assemble.assembly.files import read_assembly, write_assembly
 from learn2assemble.errors import InputError
 from learn2assemble.export.cards import step_cards
@@ -31,36 +32,53 @@ def bill_of_blocks(assembly: Assembly) -> str:
 
     A prop that is removed again may be used again, so ``props`` is the largest number of a kind
     that stands at one time. ``placed`` and ``not_placed`` are how many of ``built_in`` the steps
-    place and leave over, as those of an incomplete plan do; without steps, all are placed.
+    place and leave over, as those of an incomplete plan do; without steps, all are placed. Posts
+    have a line for every cut: the section of the bar (``length_m``, ``width_m``), its longest
+    (``height_m``) and shortest upright edge, and the angles of the faces of its top from level.
     """
-    built = Counter(_entry(b) for b in assembly.blocks if not b.prop and not b.support)
-    peak: Counter[tuple[str, str]] = Counter()
-    standing: Counter[tuple[str, str]] = Counter()
+    entry = _entries(assembly)
+    built = Counter(entry[b.id] for b in assembly.blocks if not b.prop and not b.support)
+    peak: Counter[_Entry] = Counter()
+    standing: Counter[_Entry] = Counter()
     for step in assembly.steps:
-        block = assembly.block(step.place or step.remove or "")
-        if block.prop:
-            standing[_entry(block)] += 1 if step.place else -1
+        if assembly.block(step.block).prop:
+            standing[entry[step.block]] += {"place": 1, "remove": -1}.get(step.action, 0)
             peak |= standing
     if not assembly.steps:
-        peak = Counter(_entry(b) for b in assembly.blocks if b.prop)
+        peak = Counter(entry[b.id] for b in assembly.blocks if b.prop)
     ordered = {step.place for step in assembly.steps}
     placed = Counter(
-        _entry(b) for b in assembly.finished.blocks
+        entry[b.id] for b in assembly.finished.blocks
         if not b.prop and not b.support and (b.id in ordered or not assembly.steps)
     )  # fmt: skip
-    first = {_entry(b): b for b in reversed(assembly.blocks)}
+    first = {entry[b.id]: b for b in reversed(assembly.blocks)}
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    head = ("kind", "colour", "built_in", "props", "total", "length_m", "width_m", "height_m",
-            "mass_kg", "placed", "not_placed")  # fmt: skip
+    head = (
+        "kind",
+        "colour",
+        "built_in",
+        "props",
+        "total",
+        "length_m",
+        "width_m",
+        "height_m",
+        "mass_kg",
+        "placed",
+        "not_placed",
+        "shortest_edge_m",
+        "cut_deg",
+    )
     writer.writerow(head)
-    for entry in sorted(built | peak):
-        block = first[entry]
+    for key in sorted(built | peak):
+        block, cut = first[key], _cut(first[key])
         size = sorted(np.ptp(block.vertices, axis=0)[:2], reverse=True)
-        numbers = (*size, float(np.ptp(block.vertices[:, 2])), block.mass)
-        row = [*entry, built[entry], peak[entry], built[entry] + peak[entry]]
-        counts = placed[entry], built[entry] - placed[entry]
-        writer.writerow([*row, *(f"{number:.6g}" for number in numbers), *counts])
+        sizes = (*size, float(np.ptp(block.vertices[:, 2]))) if cut is None else cut[:3]
+        row = [*key[:2], built[key], peak[key], built[key] + peak[key]]
+        row += [f"{number:.6g}" for number in (*sizes, block.mass)]
+        row += [placed[key], built[key] - placed[key]]
+        row += ["", ""] if cut is None else [f"{cut.shortest:.6g}", _angles(cut)]
+        writer.writerow(row)
     return out.getvalue()
 
 
@@ -206,9 +224,30 @@ def file_at(path: str | Path, name: str) -> Path:
     return file / name if file.is_dir() else file
 
 
-def _entry(block: Block) -> tuple[str, str]:
-    """What a block is in the bill: kind and colour."""
-    return block.kind or "block", colour_words(block)
+_Entry = tuple[str, str, int]
+"""What a block is in the bill: kind, colour, and the number of the cut of a post."""
+
+
+def _entries(assembly: Assembly) -> dict[str, _Entry]:
+    """The line of the bill of every block; posts of one cut have one."""
+    cuts: list[Cut] = []
+    found = {}
+    for block in assembly.blocks:
+        cut, number = _cut(block), 0
+        if cut is not None:
+            number = next((k for k, other in enumerate(cuts) if cut.like(other)), len(cuts))
+            cuts += [cut] if number == len(cuts) else []
+        found[block.id] = (block.kind or "block", colour_words(block), number)
+    return found
+
+
+def _cut(block: Block) -> Cut | None:
+    """How a post is cut; None of any other block."""
+    return cut_of(block.vertices, block.faces) if block.prop and block.kind == POST else None
+
+
+def _angles(cut: Cut) -> str:
+    return " ".join(f"{angle:.4g}" for angle in cut.angles)
 
 
 def _numbers(values: np.ndarray) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from learn2assemble.assembly.appearance import rgb
 from learn2assemble.assembly.blocks import Assembly
-from learn2assemble.assembly.instruction_words import BILL_HEAD, HEAD, HOW_TO_READ
+from learn2assemble.assembly.instruction_words import BILL_HEAD, CUT_HEAD, HEAD, HOW_TO_READ
 from learn2assemble.export.pictures import (
     Booklet,
     Card,
@@ -29,9 +29,12 @@ _LINE = 11.0
 _FORM = 1000.0
 """Units of stored parts to a metre."""
 _INK, _SOFT, _RULE, _OLD = (0.12, 0.14, 0.16), (0.35, 0.39, 0.43), (0.8, 0.78, 0.75), (0.92,) * 3
-_MARK, _GONE, _RIM = (0.04, 0.38, 0.72), (0.76, 0.18, 0.13), (0.29, 0.27, 0.25)
+_MARK, _RIM = (0.04, 0.38, 0.72), (0.29, 0.27, 0.25)
+_LINES = {"new": _MARK, "gone": (0.76, 0.18, 0.13), "held": (0.49, 0.31, 0.84)}
+"""Colours of outlines."""
 _TABS = (0.0, 26.0, 60.0, 98.0, 136.0, 174.0)
 _BILL_TABS = (0.0, 38.0, 150.0, 200.0, 240.0, 350.0, 460.0)
+_CUT_TABS = (0.0, 38.0, 90.0, 190.0, 280.0, 370.0)
 
 
 def pdf(assembly: Assembly) -> bytes:
@@ -174,6 +177,9 @@ class _Pages:
             self.y -= 86
         for letter, words in self.book.corners:
             self._paragraph(f"Shape {letter}, corners: {words}", 7.5)
+        if self.book.cuts:
+            self._heading("Posts to cut")
+            self._table(CUT_HEAD, self.book.cuts, _CUT_TABS)
         self._heading("How to read the steps")
         self._paragraph(HOW_TO_READ)
         if self.book.start:
@@ -234,12 +240,14 @@ class _Pages:
         canvas.transform(scale / _FORM, 0, 0, scale / _FORM, *shift)
         canvas.setLineWidth(0.4 * _FORM / scale)
         for use in picture.uses:
-            if not use.gone:
+            if use.mark != "gone":
                 self._form(use, use.colour)
         canvas.setLineWidth(0.8 * _FORM / scale)
         canvas.setDash(3 * _FORM / scale, 2 * _FORM / scale)
-        for use in picture.outlines:
-            self._form(use, "gone" if use.gone else "new", outline=True)
+        for use in sorted(picture.outlines, key=lambda use: use.mark == "held"):
+            if use.mark == "held":
+                canvas.setDash()
+            self._form(use, use.mark, outline=True)
         canvas.restoreState()
         for start, end in picture.arrows:
             self._arrow(start * scale + shift, end * scale + shift)
@@ -279,7 +287,7 @@ class _Pages:
                 path.close()
                 canvas.setFillColorRGB(*(paint * light).round(3).tolist())
                 canvas.drawPath(path, stroke=0, fill=1)
-            line = _RIM if not outline else _GONE if colour == "gone" else _MARK
+            line = _LINES[colour or ""] if outline else _RIM
             self._lines(figure.edges, _FORM, np.zeros(2), line, None)
             canvas.endForm()
         self.wanted.clear()

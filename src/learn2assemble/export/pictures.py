@@ -3,23 +3,33 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.instruction_words import (
+    action_words,
     bill_words,
+    block_words,
     corner_words,
+    cut_list,
     facts,
     length_words,
     place_words,
     placement_words,
 )
-from learn2assemble.assembly.instructions import Group, Instructions, Shape, instructions
+from learn2assemble.assembly.instructions import (
+    Group,
+    Instructions,
+    Placement,
+    Shape,
+    instructions,
+)
 from learn2assemble.export.projection import Figure, Scene, project
 
 _WAYS = np.array([(0, 0, 1), (0, -1, 0), (-1, 0, 0), (1, 0, 0), (0, 1, 0)], float)
-"""Directions in which a prop is taken away, those seen best first."""
+"""Directions in which a prop comes and is taken away, those seen best first."""
 _UP = np.array([0.0, 1.0])
 """In the drawing."""
 
@@ -34,6 +44,10 @@ class Grid:
     """Where, what, and which side of the place it is written on: ``below``, ``left``."""
 
 
+Mark = Literal["", "new", "gone", "held"]
+"""How the edges of a block are drawn over all."""
+
+
 @dataclass(frozen=True, eq=False)
 class Use:
     """A part of a block in a picture."""
@@ -42,9 +56,8 @@ class Use:
     """Of its figure in the scene."""
     at: np.ndarray
     colour: str | None
-    """Of a new block; None: it stood before."""
-    gone: bool = False
-    """It is taken away."""
+    """Of a new block or one that is held; None: it stood before."""
+    mark: Mark = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +70,7 @@ class Picture:
     grid: Grid
     uses: tuple[Use, ...]
     outlines: tuple[Use, ...] = ()
-    """Edges drawn dashed over all, so that what is hidden is seen."""
+    """Edges drawn over all, so that what is hidden is seen."""
     arrows: tuple[tuple[np.ndarray, np.ndarray], ...] = ()
     labels: tuple[tuple[np.ndarray, str], ...] = ()
     place: tuple[float, float, float, float] | None = None
@@ -90,6 +103,8 @@ class Booklet:
     title: str
     facts: tuple[str, ...]
     bill: list[tuple[str, ...]] = field(default_factory=list)
+    cuts: list[tuple[str, ...]] = field(default_factory=list)
+    """The posts to cut."""
     start: list[tuple[str, ...]] = field(default_factory=list)
     corners: list[tuple[str, str]] = field(default_factory=list)
     """Of every shape that is no box: its letter, and its corners."""
@@ -101,7 +116,7 @@ def booklet(assembly: Assembly) -> Booklet:
     scene = Scene(told)
     spacing = _spacing(told, scene.usual)
     layers = len({group.layer for group in told.groups})
-    until = {p.block: g.number for g in told.groups for p in g.placements if p.remove}
+    until = {p.block: g.number for g in told.groups for p in g.placements if p.action == "remove"}
     whole = _grid((0, 0), tuple(told.extent[:2]), 0.0, spacing, float(told.extent[2]))
     grids: dict[tuple, Grid] = {}
     cards = []
@@ -119,6 +134,7 @@ def booklet(assembly: Assembly) -> Booklet:
         book.bill.append(bill_words(line))
         if words := corner_words(line.shape):
             book.corners.append((line.shape.letter, words))
+    book.cuts = cut_list(told)
     book.start = [placement_words(p) for p in told.start]
     return book
 
@@ -128,16 +144,24 @@ def _card(
     whole: Grid, grids: dict[tuple, Grid], layers: int, until: dict[int, int],
 ) -> Card:  # fmt: skip
     shown, all_ = scene.shown(group, standing)
-    colours = {p.block: p.shape.colour for p in group.placements if not p.remove}
-    gone = {p.block for p in group.placements if p.remove}
+    marks: dict[int, Mark] = dict.fromkeys(group.held, "held")
+    colours = dict.fromkeys(group.held, "held")
+    for p in group.placements:
+        if p.action == "place":
+            colours[p.block], marks[p.block] = p.shape.colour, "new"
+        elif p.action == "remove":
+            marks[p.block] = "gone"
+        elif p.action == "release":
+            colours[p.block] = p.shape.colour
+    seen = shown | {p.block for p in group.placements} | group.held
     uses = tuple(
-        Use(d.name, d.at, colours.get(d.block), d.block in gone)
-        for d in scene.parts_of(shown | set(colours) | gone)
+        Use(d.name, d.at, colours.get(d.block), marks.get(d.block, ""))
+        for d in scene.parts_of(seen)
     )
-    outlines = tuple(u for u in uses if u.gone or u.colour is not None)
+    outlines = tuple(use for use in uses if use.mark)
     place, grid = None, whole
     if not all_:
-        members = sorted(shown | set(colours) | gone)
+        members = sorted(seen)
         # In wide steps, so that many cards share a grid.
         wide = 4 * spacing
         low = np.floor(scene.low[members].min(0) / wide) * wide
@@ -160,23 +184,36 @@ def _card(
     for p in group.placements:
         low, high = scene.low[p.block], scene.high[p.block]
         top = project(np.array([*(low + high)[:2] / 2, high[2]]))
-        if p.remove:
-            way = project(_way_out(scene, p.block, standing))
-            middle = project((low + high) / 2)
-            arrows.append((middle, middle + way * 1.6 * length))
+        way = _way_out(scene, p.block, standing) if p.prop else _WAYS[0]
+        middle = project((low + high) / 2)
+        outside = middle + project(way) * 1.6 * length
+        if p.action == "remove":
+            arrows.append((middle, outside))
+            labels.append((outside, str(p.number)))
+        elif p.action == "place":
+            # A post goes below what stands already from the side.
+            above = way[2] > 0
+            arrows.append(
+                (top + 1.25 * length * _UP, top + 0.1 * length * _UP)
+                if above
+                else (outside, middle)
+            )
+            labels.append((arrows[-1][0], str(p.number)))
         else:
-            arrows.append((top + 1.25 * length * _UP, top + 0.1 * length * _UP))
-        labels.append((arrows[-1][int(p.remove)], str(p.number)))
+            arrows += _hands(scene, p, 0.6 * length)
+            labels.append((top + 0.1 * length * _UP, str(p.number)))
     numbers = [p.number for p in group.placements]
     wanted = tuple(f"{count} × {shape.letter} ({shape.kind})" for shape, count in group.wanted)
     picture = _framed(scene, uses, grid, told.extent if all_ else None, outlines,
                       tuple(arrows), tuple(labels), place)  # fmt: skip
-    words = _words(group, layers, until, numbers)
+    words = _words(told, group, layers, until, numbers)
     rows = tuple(placement_words(p) for p in group.placements)
     return Card(f"Step {group.number}", words, wanted, rows, picture, group)
 
 
-def _words(group: Group, layers: int, until: dict[int, int], numbers: list[int]) -> tuple[str, ...]:
+def _words(
+    told: Instructions, group: Group, layers: int, until: dict[int, int], numbers: list[int]
+) -> tuple[str, ...]:
     first = group.placements[0]
     words = []
     if group.first:
@@ -184,14 +221,33 @@ def _words(group: Group, layers: int, until: dict[int, int], numbers: list[int])
             f"Layer {group.layer} of {layers}, from {length_words(group.level)} mm up. Block "
             f"{numbers[0]}: {place_words(first)}."
         )
-    if first.remove:
+    if first.action == "remove":
         words.append("Take the prop away; nothing else may move.")
+    elif first.action != "place":
+        words.append(f"{action_words(first.action, block_words(told, first))}.")
     elif first.prop:
         end = f" until step {until[first.block]}" if first.block in until else ""
         words.append(f"A prop: it stands only for a while{end}.")
     if len(numbers) > 1:
         words.append("In any order.")
+    others = sorted(group.held - {p.block for p in group.placements})
+    if others:
+        words.append(f"Still in a hand: {', '.join(told.assembly.blocks[k].id for k in others)}.")
     return (" ".join(words),) if words else ()
+
+
+def _hands(
+    scene: Scene, placement: Placement, length: float
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Arrows towards a block that is held from both sides, away from one that is let go."""
+    ends = [scene.figures[d.name].frame + d.at for d in scene.parts_of({placement.block})]
+    low, high = np.min(ends, (0, 1)), np.max(ends, (0, 1))
+    level = float(low[1] + high[1]) / 2
+    pairs = [
+        (np.array([x + way * length, level]), np.array([x, level]))
+        for x, way in ((low[0], -1.0), (high[0], 1.0))
+    ]
+    return pairs if placement.action == "hold" else [(end, start) for start, end in pairs]
 
 
 def _way_out(scene: Scene, block: int, standing: set[int]) -> np.ndarray:

@@ -102,7 +102,7 @@ class Scene:
         for group in self.told.groups:
             found.append(set(here))
             for placement in group.placements:
-                (here.discard if placement.remove else here.add)(placement.block)
+                (here.discard if placement.action == "remove" else here.add)(placement.block)
         return found
 
     def shown(self, group: Group, standing: set[int]) -> tuple[set[int], bool]:

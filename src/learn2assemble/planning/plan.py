@@ -145,7 +145,7 @@ LARGEST = 1e3
 
 @dataclass(frozen=True)
 class Step:
-    """One block is placed, or a prop taken away."""
+    """One block is placed, held or let go, or a prop taken away."""
 
     step: Count
     """From 1."""
@@ -348,6 +348,11 @@ class Plan:
     def margin_g(self) -> float | None:
         """Smallest margin of all steps [g]."""
         return min((s.margin_g for s in self.steps if s.margin_g is not None), default=None)
+
+    @property
+    def without_margin(self) -> int:
+        """Steps whose margin is not known."""
+        return sum(step.margin_g is None for step in self.steps)
 
     def to_dict(self) -> dict[str, Any]:
         """The content of ``plan.json``."""

@@ -16,10 +16,10 @@ from shapely import Polygon
 
 from learn2assemble.assembly.blocks import Block
 from learn2assemble.assembly.contacts import GROUND, Contacts
+from learn2assemble.assembly.cuts import POST
 from learn2assemble.errors import InputError
 from learn2assemble.physics.clearance import Parts, overlap, parts_of
 
-KIND = "post"
 DENSITY = 600.0
 """Of timber [kg/m³]."""
 _SLENDER = (4.0, 8.0, 2.0)
@@ -167,7 +167,7 @@ class _Site:
                 continue
             bottom = np.column_stack([square, np.full(4, height)])
             vertices = np.concatenate([bottom, np.column_stack([square, top])])
-            made = Block(name, vertices, _BOX, KIND, DENSITY, prop=True)
+            made = Block(name, vertices, _BOX, POST, DENSITY, prop=True)
             for n in others:
                 if made is not None and self._meets(made, n, _DEPTH * width):
                     made = self._cut(made, n, _DEPTH * width)
@@ -232,7 +232,7 @@ def _below(post: Block, plane: _Face) -> Block | None:
         if len(index) >= 3:
             made.append(tuple(index))
     try:
-        return Block(post.id, points[first], tuple(made), KIND, DENSITY, prop=True)
+        return Block(post.id, points[first], tuple(made), POST, DENSITY, prop=True)
     except InputError:
         return None
 

@@ -122,9 +122,13 @@ def job_of(plan: Plan, arm: str, joint: float) -> Job:
     """What a complete exact plan asks of an arm.
 
     Raises:
-        InputError: for blocks that are no boxes.
+        InputError: for steps that hold a block, and for blocks that are no boxes.
     """
     assert plan.assembly is not None
+    holds = sum(step.action == "hold" for step in plan.steps)
+    if holds:
+        expected = "a plan without holds; one arm has one hand"
+        raise InputError("steps that hold a block", holds, expected)
     steps = tuple(StepOf(step.block, step.action == "remove") for step in plan.steps)
     placed = {step.block for step in steps}
     kept = [k for k in range(len(plan.assembly.blocks)) if k in placed]

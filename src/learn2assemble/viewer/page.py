@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from learn2assemble.assembly.appearance import has_leaning_face
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import Contacts
 from learn2assemble.assembly.instruction_words import HOW_TO_READ, count_words, length_words
@@ -27,7 +28,14 @@ from learn2assemble.viewer.html import fact_list, speed_options, stand_alone
 from learn2assemble.viewer.playback import Playback
 from learn2assemble.viewer.scene import Mark, Part, cell_labels
 from learn2assemble.viewer.tables import StepNote
-from learn2assemble.viewer.words import BLAME_WORDS, arm_summary, percent, placement, sentence
+from learn2assemble.viewer.words import (
+    BLAME_WORDS,
+    arm_summary,
+    percent,
+    placement,
+    proof_words,
+    sentence,
+)
 
 if TYPE_CHECKING:
     from learn2assemble.planning.plan import PlanTarget, Step
@@ -198,6 +206,7 @@ def _build(
         "bill_head": bill_head,
         "bill": bill_rows,
         "corners": tables.corners(told),
+        "cuts": tables.cuts(told),
         "joint": joint * bool(told.joint),
         "how_to_read": escape(HOW_TO_READ),
         "step_head": head,
@@ -282,11 +291,12 @@ def write_plan_page(plan: Plan, path: Path) -> None:
         write_file(path, _page_of_nothing(plan), "page")
         return
     targets = plan.design.targets
+    leaning = any(has_leaning_face(block) for block in plan.assembly.blocks)
     text = render_assembly_page(
         plan.assembly,
         title=plan.design.name,
         facts=_facts(plan),
-        step_notes=[_note(step, targets) for step in plan.steps],
+        step_notes=[_note(step, targets, leaning) for step in plan.steps],
         status=plan.status,
         reason=plan.reason or "",
         plan=plan,
@@ -299,6 +309,7 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
     used, available = plan.blocks.used, plan.blocks.available
     targets = plan.design.targets
     props = sum(step.prop and step.action == "place" for step in plan.steps)
+    holds = sum(step.action == "hold" for step in plan.steps)
     facts: list[tuple[str, str | None]] = [
         ("planner", plan.planner),
         ("agent", plan.agent),
@@ -307,6 +318,7 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
         ("steps", str(len(plan.steps))),
         ("blocks", f"{used} of {available}" if targets else str(used)),
         ("props", str(props) if props else None),
+        ("holds by a hand", str(holds) if holds else None),
     ]
     if targets:
         needed = percent(plan.design.success_threshold)
@@ -323,6 +335,8 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
         facts.append(("reading", plan.design.note))
     if plan.margin_g is not None:
         facts.append(("weakest step withstands", _weakest(plan)))
+    if plan.margin_g is not None and (left := plan.without_margin):
+        facts.append(("push not computed", f"{left} of {len(plan.steps)} steps"))
     facts += [(f"proven for {what}", words) for what, words in plan.proven_for.items()]
     return [(name, value) for name, value in facts if value]
 
@@ -369,8 +383,8 @@ def _page_of_nothing(plan: Plan) -> str:
     return stand_alone(page, data, _SCRIPTS, (_SHOW,))
 
 
-def _note(step: Step, targets: Sequence[PlanTarget]) -> StepNote:
-    """What is said about a step of a plan."""
+def _note(step: Step, targets: Sequence[PlanTarget], leaning: bool) -> StepNote:
+    """What is said about a step of a plan; ``leaning``: not all its joints are level or upright."""
     where = placement(step)
     sides = []
     if len(targets) > 1:
@@ -378,4 +392,6 @@ def _note(step: Step, targets: Sequence[PlanTarget]) -> StepNote:
         sides = [f"{target.name} {percent(share)}" for target, share in shares]
     told = [where[:1].upper() + where[1:] if where else "", ", ".join(sides)]
     more = "; ".join(part for part in told if part)
-    return StepNote(step.proof or "", step.margin_g, step.coverage, more and f"{more}.")
+    return StepNote(
+        proof_words(step.proof or "", leaning), step.margin_g, step.coverage, more and f"{more}."
+    )

@@ -64,8 +64,10 @@ def write_progress(plan: Plan, path: Path) -> None:
     )
     for number, step in enumerate(moments.tolist()):
         shown = np.append(_standing(assembly, step), [True] * 3)
+        painted = colour.copy()
+        painted[:-3][_held(assembly, step)] = rgb("held")
         picture = renderer.render(
-            triangles, buffers, camera, light, place, turn, shown, colour,
+            triangles, buffers, camera, light, place, turn, shown, painted,
             np.array(_SKY, np.float32), np.array(_RIM, np.float32),
         )  # fmt: skip
         corner = (number % columns * WIDTH, number // columns * HEIGHT)
@@ -89,6 +91,14 @@ def _standing(assembly: Assembly, count: int) -> np.ndarray:
     for step in assembly.steps[:count]:
         there[assembly.index(step.block)] = step.action != "remove"
     return there
+
+
+def _held(assembly: Assembly, count: int) -> np.ndarray:
+    """bool[B]: what hands hold after ``count`` steps."""
+    held = np.zeros(len(assembly.blocks), bool)
+    for step in assembly.steps[:count]:
+        held[assembly.index(step.block)] = step.action == "hold"
+    return held
 
 
 def _triangles(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,6 +38,8 @@ class Part(NamedTuple):
     """The step that places it; 0: it stands from the start."""
     removed: int
     """The step that removes it again, or 0."""
+    holds: tuple[tuple[int, int], ...] = ()
+    """Steps from which a hand holds it, and with which it is let go."""
 
 
 class Mark(NamedTuple):
@@ -89,6 +92,7 @@ def scene_data(
              part.layer, part.placed, part.removed, part.block.id]
             for part in parts
         ],
+        "holds": [[number, *ends] for number, part in enumerate(parts) for ends in part.holds],
         "covers": side_covers([part.block for part in parts]),
     }  # fmt: skip
 
@@ -99,7 +103,7 @@ def nothing_to_draw(size: float) -> dict[str, Any]:
         "vertices": packed(np.zeros((1, 3)), np.uint16), "triangles": "", "wide": False,
         "first": [0], "faces": [0], "sections": [], "widths": [],
     }  # fmt: skip
-    lists = ("kinds", "colours", "heights", "blocks", "covers")
+    lists = ("kinds", "colours", "heights", "blocks", "holds", "covers")
     return {
         "edge": rounded(size), "floor": 0.0, "steps": 0, "shapes": shapes,
         **{name: [] for name in lists},
@@ -139,12 +143,18 @@ def block_parts(
     What is not built is there after a step that never comes.
     """
     never = len(assembly.steps) + 1
-    stays: dict[str, list[list[int]]] = {id_: [[never, 0]] for id_ in assembly.not_built}
+    stays = {id_: [_Stay(never)] for id_ in assembly.not_built}
     for number, step in enumerate(assembly.steps, 1):
-        if step.place is not None:
-            stays.setdefault(step.place, []).append([number, 0])
+        stays.setdefault(step.block, [])
+        if step.action == "place":
+            stays[step.block].append(_Stay(number))
+        elif step.action == "remove":
+            stays[step.block][-1].removed = number
+        elif step.action == "hold":
+            stays[step.block][-1].holds.append((number, never))
         else:
-            stays[str(step.remove)][-1][1] = number
+            holds = stays[step.block][-1].holds
+            holds[-1] = (holds[-1][0], number)
     bottoms = np.array([block.vertices[:, 2].min() for block in assembly.blocks])
     layers = _layers(bottoms, [float(np.ptp(block.vertices[:, 2])) for block in assembly.blocks])
     numbers: dict[Any, int] = {}
@@ -161,9 +171,30 @@ def block_parts(
             numbers[key] = len(shapes)
             shapes.append(block)
         colour = "bad" if block.id in moving else colour
-        for placed, removed in stays.get(block.id, [[0, 0]]):
-            parts.append(Part(block, numbers[key], origin, kind, colour, layer, placed, removed))
+        for stay in stays.get(block.id, [_Stay(0)]):
+            parts.append(
+                Part(
+                    block,
+                    numbers[key],
+                    origin,
+                    kind,
+                    colour,
+                    layer,
+                    stay.placed,
+                    stay.removed,
+                    tuple(stay.holds),
+                )
+            )
     return parts, shapes, layers
+
+
+@dataclass
+class _Stay:
+    """When a block is there: the fields of :class:`Part`."""
+
+    placed: int
+    removed: int = 0
+    holds: list[tuple[int, int]] = field(default_factory=list)
 
 
 def _layers(bottoms: np.ndarray, heights: list[float]) -> list[float]:

@@ -6,17 +6,21 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from html import escape
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 
 from learn2assemble.assembly.appearance import millimetres
-from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.blocks import Action, Assembly
 from learn2assemble.assembly.instruction_words import (
     BILL_HEAD,
+    CUT_HEAD,
+    action_words,
     bill_words,
     corner_words,
     count_words,
+    cut_list,
     extent_words,
     place_words,
     placement_words,
@@ -33,6 +37,8 @@ STEP_HEAD = (
     "Step", "Action", "Shape", "x", "y", "z", "Turn", "Kind", "Nominal size", "Layer", "Block",
     "Proof", "Push [N]", "Push [g]", "Tilt [°]",
 )  # fmt: skip
+_UNKNOWN = {False: "–", True: "not computed"}
+"""The push that is withstood where it is not known, without and with a proof."""
 _NUMBERS = (3, 4, 5, 8, 9, 12, 13, 14, 15)
 """Columns of the table of steps that hold numbers."""
 
@@ -61,11 +67,13 @@ class Noted(NamedTuple):
     """Of all that stands after the step but fixed supports [N]."""
     filled: str
     """What happens to the share of what is wanted: ``filled`` or ``covered``."""
+    held: tuple[str, ...] = ()
+    """Other blocks that hands hold meanwhile."""
 
     @property
-    def removes(self) -> bool:
-        """Whether the step takes a prop away."""
-        return self.part.removed == self.number
+    def action(self) -> Action:
+        """What the step does to its block."""
+        return self.placement.action
 
     @property
     def push(self) -> float | None:
@@ -77,10 +85,17 @@ class Noted(NamedTuple):
     def caption(self) -> str:
         """What the page says below the 3-D view."""
         part, note = self.part, self.note
-        action, prop = "Remove" if self.removes else "Place", "prop " * part.block.prop
-        text = f"{action} {prop}{part.block.id} ({part.kind}), layer {part.layer + 1}."
+        if self.action in ("place", "remove"):
+            name = "prop " * part.block.prop + f"{part.block.id} ({part.kind})"
+            text = f"{self.action.capitalize()} {name}, layer {part.layer + 1}."
+        else:
+            text = f"{action_words(self.action, f'block {part.block.id}')}."
+        if self.held:
+            text += f" Still in a hand: {', '.join(self.held)}."
         if note.proof:
             text += f" Stands: {note.proof}."
+        if note.proof and note.margin_g is None:
+            text += " What push it withstands was not computed."
         if note.margin_g is not None and self.push is not None:
             text += f" {push_words(note.margin_g, self.push)}"
         if note.coverage is not None:
@@ -119,16 +134,23 @@ def noted_steps(
         notes: one a step.
         filled: as :class:`Noted` says.
     """
-    of_step = {number: part for part in parts for number in (part.placed, part.removed)}
+    of_step = {
+        number: part
+        for part in parts
+        for number in (part.placed, part.removed, *chain.from_iterable(part.holds))
+    }
     free = [p for p in parts if not p.placed and not p.block.support]
     mass = sum(part.block.mass for part in free)
-    found = []
+    found: list[Noted] = []
+    held: tuple[str, ...] = ()
     placements = told.placements if told.assembly.steps else []
     for placement, note in zip(placements, notes, strict=True):
         part = of_step[placement.number]
-        mass += part.block.mass * (-1 if placement.remove else 1)
+        mass += part.block.mass * {"place": 1, "remove": -1}.get(placement.action, 0)
         weight = mass * STANDARD_GRAVITY
-        found.append(Noted(placement.number, part, placement, note, weight, filled))
+        held = tuple(id_ for id_ in held if id_ != part.block.id)
+        found.append(Noted(placement.number, part, placement, note, weight, filled, held))
+        held += (part.block.id,) if placement.action == "hold" else ()
     return found
 
 
@@ -166,7 +188,7 @@ def _row(step: Noted, covered: bool, more: bool) -> str:
     margin = note.margin_g or 0.0
     cells = [
         str(step.number),
-        "remove" if step.removes else "place",
+        step.action,
         letter,
         x,
         y,
@@ -177,7 +199,11 @@ def _row(step: Noted, covered: bool, more: bool) -> str:
         str(part.layer + 1),
         escape(part.block.id),
         escape(note.proof) or "–",
-        f"{push:.2g}" if known else "–" if note.margin_g is None else "any",
+        f"{push:.2g}"
+        if known
+        else "any"
+        if note.margin_g is not None
+        else _UNKNOWN[bool(note.proof)],
         f"{margin:.2f}" if known else "–",
         tilt_words(margin) if known else "–",
     ]
@@ -211,6 +237,20 @@ def corners(told: Instructions) -> str:
     )
 
 
+def cuts(told: Instructions) -> str:
+    """The posts to cut, as a table; nothing where there are none."""
+    numbers = dict.fromkeys(range(1, len(CUT_HEAD)), NUMBER)
+    rows = "".join(row(list(words), numbers) for words in cut_list(told))
+    head = "".join(
+        f"<th {NUMBER}>{name}</th>" if k in numbers else f"<th>{name}</th>"
+        for k, name in enumerate(CUT_HEAD)
+    )
+    return (
+        '<h3>Posts to cut</h3><div class="scroll"><table><thead><tr>'
+        f"{head}</tr></thead><tbody>{rows}</tbody></table></div>"
+    ) * bool(rows)
+
+
 def layer_words(
     parts: Sequence[Part], layers: Sequence[float], steps: Sequence[Noted]
 ) -> list[str]:
@@ -230,7 +270,7 @@ def layer_words(
         counts = Counter(part.kind for part in members).most_common()
         listed = ", ".join(f"{number} of {kind}" for kind, number in counts)
         words = f"Layer {k + 1} of {len(layers)}, from {millimetres(height - layers[0])}: {listed}."
-        first = next((s for s in steps if s.part.layer == k and not s.removes), None)
+        first = next((s for s in steps if s.part.layer == k and s.action == "place"), None)
         if first is not None:
             place = place_words(first.placement)
             words += f" Its first block, of step {first.number}: {place}."
@@ -245,6 +285,7 @@ def legend(parts: Sequence[Part], marks: Sequence[Mark]) -> str:
     for part in parts:
         named.setdefault(part.colour, {})[words.get(part.colour, part.kind)] = None
     text = entry("current", "block of this step") * any(part.placed for part in parts)
+    text += entry("held", "held by a hand") * any(part.holds for part in parts)
     for colour, kinds in list(named.items())[:16]:
         several = ", ".join(list(kinds)[:3]) + ", …" * (len(kinds) > 3)
         text += f"<li>{_swatch(colour)}{escape(several)}</li>"

@@ -33,6 +33,24 @@ def placement(step: Step) -> str:
     return f"{_RELATIONS[step.relation]} b{step.reference}"
 
 
+def proof_words(proof: str, leaning: bool) -> str:
+    """What proves a step, for readers.
+
+    Args:
+        proof: as the plan has it.
+        leaning: whether blocks have joints that lean, such as those of an arch.
+    """
+    # These load compiled code.
+    from learn2assemble.planning.laws import FORCES
+    from learn2assemble.planning.ordering import BED
+
+    if proof == BED and leaning:
+        return "joints that weight presses"
+    if proof == FORCES:
+        return f"{FORCES} (rigid blocks only: the coupled analysis was not run, the state is large)"
+    return proof
+
+
 BLAME_WORDS = {
     "not filled": "that no blocks of the kit fill",
     "not carried": "whose block nothing carries",

@@ -199,12 +199,13 @@ function createStage(canvas, data) {
   }
 
   /* How far above its place a block is, and its colour; null where it is not there. */
-  function atTime({ placed, removed, colour }, now) {
+  function atTime({ placed, removed, holds, colour }, now) {
     const there = placed ? now - placed + 1 : 1, gone = removed ? now - removed + 1 : 0;
     if (there <= 0 || gone >= 1) return { lift: 0, colour: null };
     const share = gone > 0 ? gone : 1 - Math.min(there, 1);
-    const step = Math.ceil(now), current = step > 0 && (step === placed || step === removed);
-    return { lift: Math.round(1000 * share * share) / 1000, colour: current ? "current" : colour };
+    const step = Math.ceil(now), current = step > 0 && (step === placed || step === removed || isLetGo(holds, step));
+    const shown = current ? "current" : isHeld(holds, step) ? "held" : colour;
+    return { lift: Math.round(1000 * share * share) / 1000, colour: shown };
   }
 
   function inLayer({ layer, colour }) {
@@ -362,12 +363,18 @@ function createStage(canvas, data) {
   }
 }
 
+/* Whether a hand holds a block after a step, or lets it go in this step. */
+function isHeld(holds, step) { return holds.some(([from, to]) => from <= step && step < to); }
+function isLetGo(holds, step) { return holds.some(([, to]) => to === step); }
+
 /* Blocks of the page with names for their fields. */
 function readBlocks(data) {
   return data.blocks.map(([shape, x, y, z, kind, colour, layer, placed, removed, name], number) => {
-    const history = [placed && `placed in step ${placed}`, removed && `removed in step ${removed}`];
+    const holds = data.holds.flatMap(([block, ...ends]) => (block === number ? [ends] : []));
+    const history = [placed && `placed in step ${placed}`, removed && `removed in step ${removed}`,
+      ...holds.map(([from, to]) => `held from step ${from}` + (to <= data.steps ? ` to step ${to}` : ""))];
     return {
-      number, shape, at: [x, y, z], colour: data.colours[colour], layer, placed, removed, kind, name,
+      number, shape, at: [x, y, z], colour: data.colours[colour], layer, placed, removed, holds, kind, name,
       words: [name, data.kinds[kind], `layer ${layer + 1}`, ...history].filter(Boolean).join(", "),
     };
   });
@@ -427,6 +434,7 @@ function createLayers(data, stage) {
   for (const block of blocks) {
     if (block.placed) order[block.placed] = block;
     if (block.removed) order[block.removed] = block;
+    for (const number of block.holds.flat()) order[number] = block;
   }
   let shown = -1, step = data.steps;
   slider.addEventListener("input", () => {
@@ -443,7 +451,9 @@ function createLayers(data, stage) {
     step = now;
     for (const item of plan.querySelectorAll("[data-step]")) {
       const placed = Number(item.dataset.step), removed = Number(item.dataset.removed) || Infinity;
-      item.classList.toggle("current", step > 0 && (placed === step || removed === step));
+      const { holds } = blocks[Number(item.dataset.block)];
+      item.classList.toggle("current", step > 0 && (placed === step || removed === step || isLetGo(holds, step)));
+      item.classList.toggle("held", isHeld(holds, step));
       item.classList.toggle("future", placed > step || removed < step);
     }
   }
@@ -461,7 +471,7 @@ function createLayers(data, stage) {
     const sections = byLayer[layer].toSorted((a, b) => b.above - a.above);
     for (const part of sections) {
       const { block, middle: [x, y] } = part;
-      const steps = { "data-step": block.placed, ...(block.removed ? { "data-removed": block.removed } : {}) };
+      const steps = { "data-step": block.placed, "data-block": block.number, ...(block.removed ? { "data-removed": block.removed } : {}) };
       const named = block.colour.startsWith("#") ? "" : ` ${block.colour}`;
       const item = made("path", { class: "block" + (part.above ? " reaching" : "") + named, d: path(part), ...steps });
       if (!named) item.setAttribute("fill", block.colour);

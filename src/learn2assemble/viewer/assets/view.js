@@ -2,7 +2,7 @@
 /* What every 3-D view has: camera and controls for mouse and keyboard, light, table, colours of the
    style sheet, and a picture of it for print. World frame, z up, metres. */
 function createView(canvas, { points, edge, floor = 0, fromRight = false, turn = 0 }) {
-  const names = ["sky", "table", "edge", "accent", "current", "support", "waiting", "soft", "prop", "bad", "blamed", "unbuilt"];
+  const names = ["sky", "table", "edge", "accent", "current", "support", "waiting", "soft", "prop", "held", "bad", "blamed", "unbuilt"];
   const theme = () => {
     const style = getComputedStyle(document.documentElement);
     return Object.fromEntries(names.map((name) => [name, style.getPropertyValue("--" + name).trim()]));

@@ -1,0 +1,312 @@
+"""Whoever is shown or given a plan with holds or posts gets all of it: words, pictures, files."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from headless import SPATIAL, find_browser, pixels, shoot
+from learn2assemble.assembly.blocks import Assembly, Block, Step, box_block
+from learn2assemble.assembly.compas import from_compas, to_compas
+from learn2assemble.assembly.cuts import cut_of
+from learn2assemble.assembly.files import read_assembly
+from learn2assemble.assembly.instructions import instructions
+from learn2assemble.cli import main
+from learn2assemble.export.cards import step_cards
+from learn2assemble.export.formats import bill_of_blocks, export_assembly
+from learn2assemble.export.pictures import booklet
+from learn2assemble.planning.given import plan_assembly
+from learn2assemble.planning.laws import FORCES
+from learn2assemble.planning.ordering import BED
+from learn2assemble.planning.plan import Plan
+from learn2assemble.viewer.page import render_assembly_page
+from learn2assemble.viewer.tables import StepNote
+from read_back import ALLOWED, PRINTED, arch, largest_error, visible_text
+
+HELD = "#7d4fd6"
+
+
+@cache
+def planned(kind: str) -> Plan:
+    if kind == "holds":
+        plan = plan_assembly(replace(arch(7), steps=(), friction=0.7), holds=1, supports="none")
+    else:
+        plan = plan_assembly(replace(arch(5), steps=(), friction=0.7), supports="posts")
+    assert plan.complete, plan.reason
+    return plan
+
+
+def blocks_of(kind: str) -> Assembly:
+    made = planned(kind).assembly
+    assert made is not None
+    return made
+
+
+def first(assembly: Assembly, action: str) -> int:
+    """The number of the first step that does so, from 1."""
+    return next(k for k, step in enumerate(assembly.steps, 1) if step.action == action)
+
+
+@cache
+def saved(kind: str, folder: Path) -> Path:
+    planned(kind).save(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    root = tmp_path_factory.mktemp("plans")
+    return {kind: saved(kind, root / kind) for kind in ("holds", "posts")}
+
+
+def caption(page: str, step: int) -> str:
+    data = re.search(r'<script type="application/json" id="data">(.*?)</script>', page)
+    assert data
+    return json.loads(data[1])["captions"][step]
+
+
+@pytest.mark.parametrize("document", PRINTED)
+@pytest.mark.parametrize("kind", ["holds", "posts"])
+def test_the_printed_numbers_are_enough(kind: str, document: str) -> None:
+    if document == "PDF":
+        pytest.importorskip("pypdf")
+    assembly = blocks_of(kind)
+    assert largest_error(assembly, PRINTED[document](assembly)) <= ALLOWED
+
+
+def test_the_page_says_what_a_hand_does(folders: dict[str, Path]) -> None:
+    page = (folders["holds"] / "view.html").read_text()
+    assembly = blocks_of("holds")
+    hold, release = first(assembly, "hold"), first(assembly, "release")
+    id_ = assembly.steps[hold - 1].block
+    assert caption(page, hold).startswith(
+        f"Hold block {id_} (a hand keeps it in its place). Stands: joints that weight presses."
+    )
+    assert f"Still in a hand: {id_}." in caption(page, hold + 1)
+    assert caption(page, release).startswith(
+        f"Let go of block {assembly.steps[release - 1].block}."
+    )
+    actions = re.findall(r'<tr data-step="\d+"><td><button.*?</td><td>(\w+)', page)
+    assert actions == [step.action for step in assembly.steps]
+    assert "held by a hand" in visible_text(page)
+
+
+def test_the_page_tells_the_scripts_when_blocks_are_held(folders: dict[str, Path]) -> None:
+    page = (folders["holds"] / "view.html").read_text()
+    data = json.loads(re.findall(r'id="data">(.*?)</script>', page)[0])
+    told = {(data["blocks"][number][-1], *ends) for number, *ends in data["holds"]}
+    steps, wanted, since = blocks_of("holds").steps, set(), {}
+    for number, step in enumerate(steps, 1):
+        if step.action == "hold":
+            since[step.block] = number
+        elif step.action == "release":
+            wanted.add((step.block, since.pop(step.block), number))
+    assert told == wanted
+    assert len(wanted) >= 2
+
+
+def test_a_block_that_is_never_let_go_is_held_to_the_end() -> None:
+    blocks = (box_block("a", (0, 0, 0), (1, 1, 1)), box_block("b", (0, 0, 1), (1, 1, 2)))
+    assembly = Assembly(blocks, (Step("a"), Step(hold="a"), Step("b")))
+    page = render_assembly_page(assembly, title="x")
+    assert '"holds":[[0,2,4]]' in page.replace(" ", "")
+    assert "Still in a hand: a." in caption(page, 3)
+    assert [group.held for group in instructions(assembly).groups] == [set(), {0}, {0}]
+
+
+def test_cards_say_and_draw_what_a_hand_does() -> None:
+    assembly = blocks_of("holds")
+    hold, release = first(assembly, "hold"), first(assembly, "release")
+    cards = {card.group.placements[0].number: card for card in booklet(assembly).cards}
+    id_ = assembly.steps[hold - 1].block
+    step = next(k for k, s in enumerate(assembly.steps, 1) if s.place == id_)
+    [words] = cards[hold].words
+    assert words == f"Hold block {id_} of step {step} (a hand keeps it in its place)."
+    assert [use.mark for use in cards[hold].picture.outlines] == ["held"]
+    assert [use.colour for use in cards[hold].picture.outlines] == ["held"]
+    assert not cards[hold].wanted, "nothing is taken from the heap"
+    assert f"Still in a hand: {id_}." in cards[hold + 1].words[0]
+    assert "held" in {use.mark for use in cards[hold + 1].picture.outlines}
+    let_go = assembly.steps[release - 1].block
+    assert cards[release].words[0].startswith(f"Let go of block {let_go} of step ")
+    text = step_cards(assembly)
+    assert 'aria-label="Step' in text
+    assert "hold a block" in text
+    assert "let go of a block" in text
+
+
+def test_arrows_point_at_what_is_held_and_away_from_what_is_let_go() -> None:
+    assembly = blocks_of("holds")
+    cards = {card.group.placements[0].number: card for card in booklet(assembly).cards}
+    for action, inward in (("hold", True), ("release", False)):
+        left, right = cards[first(assembly, action)].picture.arrows
+        assert (left[0][0] < left[1][0]) == inward
+        assert (right[0][0] > right[1][0]) == inward
+
+
+def test_a_post_comes_from_the_side_where_something_stands_above() -> None:
+    beam = box_block("beam", (0, 0, 1), (3, 1, 2))
+    post = box_block("post-beam", (1, 0.2, 0), (1.5, 0.7, 1), kind="post", prop=True)
+    feet = [box_block(f"foot{k}", (k, 0, 0), (k + 0.5, 1, 1)) for k in (0, 2.5)]
+    ids = ("foot0", "foot2.5", "beam", "post-beam")
+    assembly = Assembly((*feet, beam, post), tuple(map(Step, ids)))
+    [arrow] = booklet(assembly).cards[-1].picture.arrows
+    assert abs(arrow[0][0] - arrow[1][0]) > 0.1, "not from straight above"
+
+
+def test_posts_are_billed_as_props_with_their_cut(folders: dict[str, Path]) -> None:
+    assembly = blocks_of("posts")
+    posts = [block for block in assembly.blocks if block.prop]
+    assert posts
+    assert all(block.kind == "post" for block in posts)
+    rows = [
+        row
+        for row in csv.DictReader(io.StringIO((folders["posts"] / "bill.csv").read_text()))
+        if row["kind"] == "post"
+    ]
+    assert sum(int(row["props"]) for row in rows) == len(posts)
+    assert {row["built_in"] for row in rows} == {"0"}
+    for row in rows:
+        assert 0 < float(row["shortest_edge_m"]) < float(row["height_m"])
+        assert float(row["height_m"]) == pytest.approx(
+            max(float(np.ptp(b.vertices[:, 2])) for b in posts), abs=1e-4
+        )
+        run = float(row["length_m"]) * np.tan(np.radians(float(row["cut_deg"])))
+        drop = float(row["height_m"]) - float(row["shortest_edge_m"])
+        assert run == pytest.approx(drop, abs=1e-4), "the section is square here"
+    for text in (
+        visible_text((folders["posts"] / name).read_text()) for name in ("view.html", "cards.html")
+    ):
+        assert "Posts to cut" in text
+        assert "Longest edge [mm]" in text
+        assert f"{float(rows[0]['cut_deg']):.1f}°" in text
+    assert "Posts to cut" not in step_cards(blocks_of("holds"))
+
+
+def test_posts_of_two_cuts_have_two_lines() -> None:
+    def post(id_: str, x: float, *heights: float) -> Block:
+        flat = [(0, 0), (0.1, 0), (0.1, 0.05), (0, 0.05)]
+        points = [(x + u, v, 0.0) for u, v in flat]
+        points += [(x + u, v, z) for (u, v), z in zip(flat, heights, strict=True)]
+        box = ((3, 2, 1, 0), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
+        return Block(id_, np.array(points), box, "post", prop=True)
+
+    level = (0.3,) * 4
+    blocks = (
+        box_block("base", (0, 0, -0.1), (2, 1, 0), support=True),
+        post("l", 0, *level),
+        post("up", 0.5, 0.2, 0.3, 0.3, 0.2),
+        post("down", 1, 0.3, 0.2, 0.2, 0.3),
+    )
+    cut = cut_of(blocks[2].vertices, blocks[2].faces)
+    assert cut[:4] == pytest.approx((0.1, 0.05, 0.3, 0.2))
+    assert cut.angles == pytest.approx((45,))
+    rows = list(csv.DictReader(io.StringIO(bill_of_blocks(Assembly(blocks)))))
+    found = sorted((row["props"], row["shortest_edge_m"], row["cut_deg"]) for row in rows)
+    assert found == [("1", "0.3", "0"), ("2", "0.2", "45")]
+
+
+@pytest.mark.parametrize("kind", ["holds", "posts"])
+def test_files_keep_the_order(kind: str, folders: dict[str, Path]) -> None:
+    plan, made = planned(kind), blocks_of(kind)
+    again = from_compas(json.loads(json.dumps(to_compas(made))))
+    assert again.steps == made.steps
+    assert [(b.id, b.kind, b.prop) for b in again.blocks] == [
+        (b.id, b.kind, b.prop) for b in made.blocks
+    ]
+    assert read_assembly(folders[kind] / "assembly.json").steps == made.steps
+    loaded = Plan.load(folders[kind])
+    assert loaded == plan
+    assert [step.action for step in loaded.steps] == [step.action for step in made.steps]
+
+
+@pytest.mark.parametrize("kind", ["holds", "posts"])
+def test_programs_get_what_stands_in_the_end(kind: str, tmp_path: Path) -> None:
+    import trimesh
+
+    assembly = blocks_of(kind)
+    names = {block.id for block in assembly.blocks if not block.prop}
+    scene = trimesh.load_scene(export_assembly(assembly, "glb", tmp_path))
+    assert set(scene.geometry) == names
+    model = mujoco.MjModel.from_xml_path(str(export_assembly(assembly, "mjcf", tmp_path)))
+    assert {model.body(k).name for k in range(1, model.nbody)} == names
+    export_assembly(assembly, "pdf", tmp_path)
+    assert (tmp_path / "instructions.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_a_proof_is_told_in_words_that_fit(tmp_path: Path) -> None:
+    plan = planned("holds")
+    steps = list(plan.steps)
+    assert {step.proof for step in steps} == {BED}, "the plan keeps what it has always said"
+    steps[2] = steps[2].with_proof(FORCES, None)
+    plan = replace(plan, steps=tuple(steps))
+    assert plan.without_margin == 1
+    plan.save(tmp_path)
+    page = (tmp_path / "view.html").read_text()
+    text = visible_text(page)
+    assert "bed faces" not in text
+    assert f"{FORCES} (rigid blocks only" in text
+    assert "|not computed|–|" in text
+    assert "What push it withstands was not computed." in caption(page, 3)
+    assert "Withstands" in caption(page, 2)
+    assert "push not computed|" in text
+
+
+def test_level_joints_keep_their_name() -> None:
+    block = box_block("a", (0, 0, 0), (1, 1, 1))
+    page = render_assembly_page(
+        Assembly((block,), (Step("a"),)), title="x", step_notes=[StepNote()]
+    )
+    assert "not computed" not in page.split("<script")[0], "without a proof nothing was to compute"
+    plan = plan_assembly(Assembly((block,)))
+    assert all("weight presses" not in (step.proof or "") for step in plan.steps)
+
+
+@pytest.mark.parametrize("source", ["assembly.json", "plan"])
+def test_an_arm_refuses_holds(
+    source: str, folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = folders["holds"] / "assembly.json"
+    more: list[Any] = []
+    if source == "plan":
+        file, more = tmp_path / "arch.json", ["--holds", "1", "--supports", "none"]
+        made = replace(blocks_of("holds"), steps=())
+        export_assembly(made, "assembly", file)
+    out = tmp_path / "out"
+    code = main(["build", str(file), "--arm", "panda", "--out", str(out), *more])
+    holds = sum(step.action == "hold" for step in planned("holds").steps)
+    *_, line = capsys.readouterr().err.strip().splitlines()
+    assert code == 2
+    assert line == (
+        f"l2a: error: steps that hold a block: got {holds}, expected a plan without holds; one arm "
+        "has one hand"
+    )
+    assert not out.exists() or not list(out.iterdir())
+
+
+def test_the_page_draws_what_is_held_in_its_colour(folders: dict[str, Path]) -> None:
+    browser = find_browser()
+    assembly = blocks_of("holds")
+    hold = first(assembly, "hold")
+    anchors = (f"step={hold}", f"step={len(assembly.steps)}")
+    (held, end), log = shoot(browser, folders["holds"], anchors, (420, 560), *SPATIAL)
+    assert "Uncaught" not in log
+    assert _violet(held) > _violet(end) + 300, "in the end only the swatch of the legend has it"
+
+
+def _violet(picture: np.ndarray) -> int:
+    """Pixels of the colour of held blocks, in any light."""
+    red, green, blue = (255 * picture[..., k] for k in range(3))
+    shade = blue / 0xD6
+    near = (np.abs(red - 0x7D * shade) < 8) & (np.abs(green - 0x4F * shade) < 8)
+    return int((near & (blue > 60) & (blue > 1.5 * green)).sum()) + pixels(picture, HELD)
