@@ -262,14 +262,16 @@ def test_a_proof_is_told_in_words_that_fit(tmp_path: Path) -> None:
     assert "push not computed|" in text
 
 
-def test_level_joints_keep_their_name() -> None:
+def test_level_joints_keep_their_name(tmp_path: Path) -> None:
     block = box_block("a", (0, 0, 0), (1, 1, 1))
     page = render_assembly_page(
         Assembly((block,), (Step("a"),)), title="x", step_notes=[StepNote()]
     )
     assert "not computed" not in page.split("<script")[0], "without a proof nothing was to compute"
     plan = plan_assembly(Assembly((block,)))
-    assert all("weight presses" not in (step.proof or "") for step in plan.steps)
+    steps = tuple(step.with_proof(BED, 0.1) for step in plan.steps)
+    replace(plan, steps=steps).save(tmp_path)
+    assert f"|{BED}|" in visible_text((tmp_path / "view.html").read_text())
 
 
 @pytest.mark.parametrize("source", ["assembly.json", "plan"])
