@@ -15,8 +15,8 @@ import learn2assemble as l2a
 from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign, read_design
 from learn2assemble.design.holes import close_holes
-from learn2assemble.design.preview import busiest, section
 from learn2assemble.errors import InputError, Remedy
+from learn2assemble.viewer.preview import busiest, section
 
 GATE = np.ones((4, 1, 3), bool)
 GATE[1:3, :, 0] = False

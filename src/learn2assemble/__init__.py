@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from learn2assemble.networks.agent import Agent, load_agent
     from learn2assemble.networks.config import NetworkConfig, register_network
     from learn2assemble.physics.rigid_blocks import Check, check
-    from learn2assemble.planning.build import build, preview, reach
+    from learn2assemble.planning.build import build, reach
     from learn2assemble.planning.plan import Plan, Step, load_plan
     from learn2assemble.planning.workcell_site import Site
     from learn2assemble.robot.arm import get_arm
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from learn2assemble.search.config import SearchConfig, register_search
     from learn2assemble.simulator import Simulator
     from learn2assemble.tasks import Task, get_task, register_task
+    from learn2assemble.viewer.preview import preview
     from learn2assemble.world.blocks import Shape, register_object_set
 
 __version__ = "0.1.0"
@@ -59,7 +60,7 @@ _HOME = {
     "networks.agent": "Agent load_agent",
     "networks.config": "NetworkConfig register_network",
     "physics.rigid_blocks": "Check check",
-    "planning.build": "build preview reach",
+    "planning.build": "build reach",
     "planning.plan": "Plan Step load_plan",
     "planning.workcell_site": "Site",
     "robot.arm": "get_arm",
@@ -67,6 +68,7 @@ _HOME = {
     "search.config": "SearchConfig register_search",
     "simulator": "Simulator",
     "tasks": "Task get_task register_task",
+    "viewer.preview": "preview",
     "world.blocks": "Shape register_object_set",
 }
 """The public names of every module; with its name there where that is another one."""

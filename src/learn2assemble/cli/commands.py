@@ -162,7 +162,7 @@ def _resume_finished(options: argparse.Namespace, output: Output) -> int:
 
 
 def _preview(options: argparse.Namespace, output: Output) -> int:
-    from learn2assemble.planning.build import preview
+    from learn2assemble.viewer.preview import preview
 
     found = preview(options.design, options.preview, kit=options.kit, **reading_of(options))
     shape, cells = list(found.wanted.shape), int(found.wanted.sum())

@@ -31,7 +31,6 @@ from learn2assemble.files import (
     load_json,
     nearest,
     read_bytes,
-    write_file,
 )
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.registry import ARMS, TOOLS
@@ -209,38 +208,29 @@ def reach(
     return report_reach(plan, arm, tool, site)
 
 
-def preview(
-    design: str | Path | np.ndarray | CellDesign,
-    path: str | Path,
-    *,
-    kit: str | Kit | None = None,
-    **reading: Any,
+def cells_of(
+    design: object, kit: str | Kit | None, reading: Mapping[str, Any], function: Callable[..., Any]
 ) -> CellDesign:
-    """Draw what was read of a design, and the cells that were chosen for it; nothing is planned.
+    """The cells of a design that :func:`build` would fill; nothing is planned.
 
     Args:
         design, kit, reading: see :func:`build`.
-        path: of the picture (PNG) to write.
-
-    Returns:
-        The cells.
+        function: that takes these arguments, for messages.
 
     Raises:
         InputError: for what is no design of cells.
     """
     if is_task(design):
         raise InputError("design", design, "a design of cells; a task has none")
-    _check_names(preview, reading)
+    _check_names(function, reading)
     if isinstance(design, str | Path):
         _check_file(Path(design))
     from learn2assemble.design.cells import CellDesign
-    from learn2assemble.design.preview import draw
 
     kit = _kit(kit)
     found = None if _goals(design, kit, True, reading) else _read(design, kit, reading)
     if not isinstance(found, CellDesign):
         raise InputError("design", _called(design), "a design of cells, for a picture of them")
-    write_file(Path(path), draw(found), "preview")
     return found
 
 

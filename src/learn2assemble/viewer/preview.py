@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from learn2assemble.assembly.appearance import millimetres
+from learn2assemble.files import write_file
+from learn2assemble.planning.build import cells_of
 
 if TYPE_CHECKING:
+    from learn2assemble.assembly.kit import Kit
     from learn2assemble.design.cells import CellDesign
 
 SIDE, MARGIN, HEAD, FOOT = 420, 30, 96, 60
@@ -32,6 +35,30 @@ class View(NamedTuple):
 
 VIEWS = (View("from the front", 0, 2, 1), View("from the right", 1, 2, 0),
          View("from above", 0, 1, 2))  # fmt: skip
+
+
+def preview(
+    design: str | Path | np.ndarray | CellDesign,
+    path: str | Path,
+    *,
+    kit: str | Kit | None = None,
+    **reading: Any,
+) -> CellDesign:
+    """Draw what was read of a design, and the cells that were chosen for it; nothing is planned.
+
+    Args:
+        design, kit, reading: see :func:`learn2assemble.build`.
+        path: of the picture (PNG) to write.
+
+    Returns:
+        The cells.
+
+    Raises:
+        InputError: for what is no design of cells.
+    """
+    found = cells_of(design, kit, reading, preview)
+    write_file(Path(path), draw(found), "preview")
+    return found
 
 
 def draw(design: CellDesign) -> bytes:
