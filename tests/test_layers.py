@@ -40,7 +40,7 @@ ALLOWED: dict[str, set[str]] = {
     "evaluation": _TASK
     | {"networks", "search", "learning", "planning", "envs", "assembly", "design"},
     "envs": _TASK | {"planning"},
-    "viewer": _WORLD | {"robot", "planning", "assembly"},
+    "viewer": _WORLD | {"robot", "planning", "assembly", "design"},
     "cli": _TASK
     | {
         "networks",
@@ -69,6 +69,7 @@ ALLOWED: dict[str, set[str]] = {
         "assembly",
         "design",
         "export",
+        "viewer",
     },
 }
 """What each part may import, besides itself. ``__init__`` is the package as such."""
