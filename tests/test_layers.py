@@ -25,7 +25,7 @@ ALLOWED: dict[str, set[str]] = {
     "geometry": set(),
     "world": {"errors", "registry", "files", "geometry"},
     "assembly": _WORLD,
-    "design": {"errors", "files", "assembly"},
+    "design": {"errors", "files", "geometry", "assembly"},
     "physics": _WORLD | {"assembly"},
     "export": _WORLD | {"assembly", "robot"},
     "robot": _WORLD | {"physics"},

@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from learn2assemble.errors import InputError, is_number
+from learn2assemble.geometry.crossings import find_crossing
 
 MAX_VERTICES = 20_000
 """Of one block; also the limit of its faces."""
@@ -403,7 +404,8 @@ def check_simple(block: Block) -> None:
         triangles = np.array([t for face in faces for t in _triangulate(part.vertices, face)])
         edges = {(min(e), max(e)) for f in faces for e in zip(f, (*f[1:], f[0]), strict=True)}
         depth = _CROSSING * float(np.ptp(part.vertices, axis=0).max())
-        through = piercing(part.vertices, np.array(sorted(edges)), triangles, depth, -1e-9)
+        ends = np.array(sorted(edges))
+        through = find_crossing(part.vertices, ends, triangles, depth, -1e-9)
         if through is not None:
             where = part.vertices[through].mean(0).round(6).tolist()
             got = f"a surface crossing itself near {where}"
@@ -411,45 +413,6 @@ def check_simple(block: Block) -> None:
     several = len(parts) > 1
     if several and abs(to_manifold(block).volume() - block.volume) > 1e-3 * block.volume:
         raise InputError(f"block {block.id!r}", "shells that overlap", "parts that only touch")
-
-
-def piercing(
-    points: np.ndarray, edges: np.ndarray, triangles: np.ndarray, depth: float, inside: float
-) -> np.ndarray | None:
-    """int64[2]: an edge that runs through the inside of a triangle, or None.
-
-    Args:
-        points: float64[V, 3].
-        edges, triangles: int64[E, 2] and int64[T, 3], vertices; those that share one are no pair.
-        depth: how far both ends have to be from the plane of the triangle, on either side.
-        inside: how far within its edges the triangle has to be met, as a share of its size.
-    """
-    import shapely
-
-    corners = points[triangles]
-    low, high = corners.min(1), corners.max(1)
-    # The two axes along which the boxes overlap least are those of the tree.
-    u, v, w = np.argsort((high - low).mean(0) / np.maximum(np.ptp(points, axis=0), 1e-9))
-    tree = shapely.STRtree(shapely.box(low[:, u], low[:, v], high[:, u], high[:, v]))
-    for start in range(0, len(edges), 2048):
-        chunk = edges[start : start + 2048]
-        lower, upper = points[chunk].min(1), points[chunk].max(1)
-        e, t = tree.query(shapely.box(lower[:, u], lower[:, v], upper[:, u], upper[:, v]))
-        near = (lower[e, w] <= high[t, w]) & (upper[e, w] >= low[t, w])
-        near &= (chunk[e][:, :, None] != triangles[t][:, None, :]).all((1, 2))
-        e, t = e[near], t[near]
-        (p, q), (a, b, c) = np.moveaxis(points[chunk[e]], 1, 0), np.moveaxis(corners[t], 1, 0)
-        normal = np.cross(b - a, c - a)
-        length = np.maximum(np.linalg.norm(normal, axis=1), 1e-300)
-        sides = [np.einsum("ni,ni->n", end - a, normal) / length for end in (p, q)]
-        apart = (np.minimum(*sides) < -depth) & (np.maximum(*sides) > depth)
-        turns = np.stack([np.einsum("ni,ni->n", np.cross(i - p, j - p), q - p)
-                          for i, j in ((a, b), (b, c), (c, a))])  # fmt: skip
-        room = inside * length * np.linalg.norm(q - p, axis=1)
-        hit = np.flatnonzero(apart & ((turns > room).all(0) | (turns < -room).all(0)))
-        if len(hit):
-            return chunk[e[hit[0]]]
-    return None
 
 
 def to_manifold(block: Block):

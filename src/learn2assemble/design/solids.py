@@ -21,10 +21,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import piercing
 from learn2assemble.assembly.meshes import Part, check_size, checked, read_parts
 from learn2assemble.design.holes import close_holes
 from learn2assemble.errors import InputError, MissingExtraError, Remedy
+from learn2assemble.geometry.crossings import find_crossing
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -225,9 +225,15 @@ def _open_edges(faces: np.ndarray) -> int:
     """Edges that are not run through as often in one direction as in the other."""
     ends = np.stack([faces, np.roll(faces, -1, axis=1)], -1).reshape(-1, 2)
     forward = ends[:, 0] < ends[:, 1]
-    _, group = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
-    balance = np.bincount(group.reshape(-1), np.where(forward, 1.0, -1.0)) if len(ends) else ends
+    _, group = np.unique(_undirected(ends), return_inverse=True)
+    balance = np.bincount(group, np.where(forward, 1.0, -1.0)) if len(ends) else ends
     return int(np.count_nonzero(balance))
+
+
+def _undirected(ends: np.ndarray) -> np.ndarray:
+    """``int64[E]``, equal for edges ``int64[E, 2]`` between the same vertices."""
+    low, high = ends.min(1), ends.max(1)
+    return low * (int(high.max(initial=0)) + 1) + high
 
 
 def _volume(triangles: np.ndarray) -> float:
@@ -247,8 +253,9 @@ def crossed(vertices: np.ndarray, faces: np.ndarray) -> bool:
     Contact (a vertex on a face, faces in one plane) is no crossing.
     """
     points = (vertices - vertices.min(0)) / max(float(np.ptp(vertices, axis=0).max()), 1e-12)
-    edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
-    return piercing(points, edges, faces, 1e-7, 1e-7) is not None
+    ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    _, first = np.unique(_undirected(ends), return_index=True)
+    return find_crossing(points, ends[first], faces, 1e-7, 1e-7) is not None
 
 
 def _united(parts: list[np.ndarray], source: str) -> np.ndarray:
