@@ -545,7 +545,7 @@ def test_a_folder_and_a_scene_of_meshes(tmp_path: Path, suffix: str) -> None:
         ("a.glb", b"glTF" + bytes(16), "GLB"),
         ("a.stl", b"solid a\nfacet\n", "triangles"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "triangles"),
-        ("a.obj", b"v 0 0 0\n" + b"# \0" * 6_000_000, "bytes"),
+        ("a.obj", b"v 0 0 0\n" + b"# \0" * 17_000_000, "at most 50 MB"),
     ],
     ids=["ply", "off", "glb", "stl", "obj", "long obj"],
 )

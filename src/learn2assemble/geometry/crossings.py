@@ -84,7 +84,7 @@ def _search(points, edges, shared, below, above, depth, inside):
                     or below[n, 2] > z1 or above[n, 2] < z0):  # fmt: skip
                 continue
             u, v, w = shared[n]
-            if i == u or i == v or i == w or j == u or j == v or j == w:
+            if i in (u, v, w) or j in (u, v, w):
                 continue
             if n < leaves:
                 stack[top], stack[top + 1] = 2 * n + 1, 2 * n
