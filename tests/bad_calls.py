@@ -107,7 +107,7 @@ def prepare_files(folder: Path) -> None:
     (folder / "short.off").write_text(f"OFF\n4 9 0\n{corners}{sides}")
     (folder / "promise.off").write_text(f"OFF\n4 999999999999 0\n{corners}{sides}")
     (folder / "open.off").write_text(f"OFF\n4 3 0\n{corners}{sides[:24]}")
-    (folder / "units.off").write_text(f"OFF\n4 4 0\n{corners}{sides}".replace("1 ", "300 "))
+    (folder / "units.off").write_text(f"OFF\n4 4 0\n{corners.replace('1', '300')}{sides}")
 
 
 def prepare(folder: Path, agent: Path, run: Path, design: Path, log: Path) -> None:
@@ -255,10 +255,10 @@ BAD = [
             "1000000000003 vertices and faces"),
     BadCall("a mesh with a large hole", read("open.off", "--unit", "m", "--repair"),
             "an open mesh"),
-    BadCall("a mesh without a unit", read("units.off"), "--unit mm gives 6 × 6 × 1 cells"),
+    BadCall("a mesh without a unit", read("units.off"), "--unit mm gives 6 × 6 × 6 cells"),
     BadCall("a mesh in too large a unit", read("units.off", "--unit", "m"),
-            "--unit mm gives 6 × 6 × 1 cells"),
-    BadCall("a wrong unit", read("units.off", "--unit", "ml"), "did you mean 'mm'"),
+            "--unit mm gives 6 × 6 × 6 cells"),
+    BadCall("a wrong unit", read("units.off", "--unit", "ml"), "one of cm, in, m, mm"),
     BadCall("a unit for an array", read("flat.npy", "--unit", "mm"), "no such option for NPY"),
     BadCall("repair for a drawing", ["build", "{d}/design.json", "--out", "{d}/new", "--repair"],
             "no such option for JSON"),

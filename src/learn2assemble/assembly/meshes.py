@@ -115,6 +115,10 @@ def _promises(content: bytes, kind: str, source: str) -> None:
     elif kind == "off":
         lines = re.sub(rb"#[^\n]*", b"", content[:10_000]).replace(b"OFF", b"", 1).split()
         promised = sum(int(word) for word in lines[:2] if word.isdigit())
+        held = sum(1 for line in content.splitlines() if line.split(b"#", 1)[0].strip())
+        if held < promised + 1:  # The counts may stand in the first line.
+            got = f"{promised} vertices and faces in {held} lines"
+            raise InputError(source, got, "a whole mesh file")
     elif kind == "obj":
         promised = content.count(b"\nv ") + content.count(b"\nf ")
     if promised > min(len(content), 4 * MAX_TRIANGLES):
