@@ -300,7 +300,7 @@ def test_an_interrupt_that_a_compiler_drops_comes_again(
         return 0
 
     parser = SimpleNamespace(parse_args=lambda _: SimpleNamespace(run=command, json=False))
-    monkeypatch.setattr("learn2assemble.cli.make_parser", lambda: parser)
+    monkeypatch.setattr("learn2assemble.cli.make_parser", lambda words: parser)
     before = signal.getsignal(signal.SIGINT)
     try:
         assert main(["anything"]) == 130
