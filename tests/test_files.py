@@ -299,7 +299,9 @@ def test_an_interrupt_that_a_compiler_drops_comes_again(
         time.sleep(60)
         return 0
 
-    parser = SimpleNamespace(parse_args=lambda _: SimpleNamespace(run=command, json=False))
+    parser = SimpleNamespace(
+        parse_args=lambda _: SimpleNamespace(run=command, json=False, learns=False)
+    )
     monkeypatch.setattr("learn2assemble.cli.make_parser", lambda words: parser)
     before = signal.getsignal(signal.SIGINT)
     try:

@@ -6,6 +6,7 @@ import importlib.util
 import json
 import runpy
 import sys
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 
@@ -111,6 +112,8 @@ def test_a_script_writes_its_assembly_and_a_plan_with_page_and_picture(
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     monkeypatch.setattr(sys, "argv", [name, str(tmp_path / "out"), *words])
+    # Whether it is built is told elsewhere; large ones take longer than a test has.
+    monkeypatch.setattr(l2a, "build", partial(l2a.build, seconds=5))
     runpy.run_path(str(SCRIPTS / f"{name}.py"), run_name="__main__")
     assert "falls" not in capsys.readouterr().out.splitlines()[0]
     plans = sorted((tmp_path / "out").rglob("plan.json"))
