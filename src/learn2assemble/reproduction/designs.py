@@ -189,7 +189,7 @@ def proof_entry(wanted: np.ndarray, kit: Kit) -> Result:
     for steps in chosen:
         present = np.zeros(len(assembly.blocks), bool)
         for step in ordering.steps[:steps]:
-            present[step.block] = step.action != "remove"
+            present[step.block] = step.place is not None
         holds += solve(assembly, contacts, FRICTION, present=present).stands
         if present.sum() <= SIMULATED:
             moves.append(round(creep.largest_move(creep.standing_after(assembly, steps), 1.0), 6))
