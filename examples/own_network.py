@@ -16,9 +16,10 @@ class Perceptron(torch.nn.Module):
         super().__init__()
         self.config = config
         self.layers = torch.nn.Sequential(
-            torch.nn.Linear(5, config.width), torch.nn.ReLU(),
+            torch.nn.Linear(5, config.width),
+            torch.nn.ReLU(),
             torch.nn.Linear(config.width, 2 * config.num_actions),
-        )  # fmt: skip
+        )
 
     def forward(self, graph: GraphTensors) -> QFactors:
         """The three parts of Q of a batch of graphs."""
@@ -32,8 +33,11 @@ l2a.register_search("wide", l2a.SearchConfig(budget=4, distinct=True))
 l2a.register_learner("my-dqn", l2a.Learner())
 samples = int(sys.argv[1]) if len(sys.argv) > 1 else 5000
 run = l2a.train(
-    "one-sided-3x3-22-24", out="runs/perceptron", config="published", method="my-dqn",
+    "one-sided-3x3-22-24",
+    out="runs/perceptron",
+    config="published",
+    method="my-dqn",
     settings=["network.encoder=perceptron", "augment=false", "initial_samples=64"],
     samples=samples,
-)  # fmt: skip
+)
 print(l2a.evaluate(run.task, agent="runs/perceptron", search="wide", episodes=3).metrics)

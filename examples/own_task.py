@@ -10,10 +10,18 @@ l2a.register_object_set(
 )
 task = l2a.register_task(
     l2a.Task(
-        "my-corners", num_sides=2, grid=4, num_nodes=30, objects="corners", rotations=4,
-        layout="narrow-field", reward="scaled", success_threshold=0.75, stability="object",
+        "my-corners",
+        num_sides=2,
+        grid=4,
+        num_nodes=30,
+        objects="corners",
+        rotations=4,
+        layout="narrow-field",
+        reward="scaled",
+        success_threshold=0.75,
+        stability="object",
     )
-)  # fmt: skip
+)
 print(l2a.evaluate("my-corners", agent="relational-objects-s0", episodes=3).metrics)
 gymnasium.register_envs(learn2assemble.envs)
 env = gymnasium.make("learn2assemble/my-corners-v0")

@@ -29,9 +29,10 @@ WALL = (6, 6, 4, 2, 2)
 def wall(count: int) -> list[np.ndarray]:
     """Centres of the first blocks of a gable wall, level by level, the first one at the origin."""
     cells = [
-        (x, level) for level, wide in enumerate(WALL)
+        (x, level)
+        for level, wide in enumerate(WALL)
         for x in sorted(range(1 - wide // 2, 1 + wide // 2), key=lambda x: (abs(x), x))
-    ]  # fmt: skip
+    ]
     return [np.array([PITCH * x, 0.0, EDGE * (z + 0.5)]) for x, z in cells[:count]]
 
 
@@ -52,27 +53,48 @@ def arm_plan(count: int = 20) -> Plan:
     steps = []
     for k, goal in enumerate(goals[1:], 1):
         below = [j for j in range(k) if np.allclose(goals[j], goal - [0, 0, EDGE])]
-        beside = [j for j in range(k) if abs(abs(goals[j] - goal)[0] - PITCH) < 1e-6
-                  and goals[j][2] == goal[2]]  # fmt: skip
+        beside = [
+            j
+            for j in range(k)
+            if abs(abs(goals[j] - goal)[0] - PITCH) < 1e-6 and goals[j][2] == goal[2]
+        ]
         reference, relation = (
-            (below[0], "top") if below
+            (below[0], "top")
+            if below
             else (beside[0], "right" if goal[0] > goals[beside[0]][0] else "left")
-        )  # fmt: skip
+        )
         x, y, z = goal.tolist()
-        steps.append(plans.Step(
-            k, k, (x, y, z), (1.0, 0.0, 0.0, 0.0), kind="cube", reference=reference,
-            relation=relation, coverage=k / (count - 1), sides=(k / (count - 1),),
-            margin_g=round(1 / (1 + goal[2] / EDGE), 3), proof="arm",
-        ))  # fmt: skip
+        steps.append(
+            plans.Step(
+                k,
+                k,
+                (x, y, z),
+                (1.0, 0.0, 0.0, 0.0),
+                kind="cube",
+                reference=reference,
+                relation=relation,
+                coverage=k / (count - 1),
+                sides=(k / (count - 1),),
+                margin_g=round(1 / (1 + goal[2] / EDGE), 3),
+                proof="arm",
+            )
+        )
     outline = [(-0.145, 0.0), (-0.145, 0.1), (0.0, 0.25), (0.06, 0.25), (0.205, 0.1), (0.205, 0.0)]
     target = plans.PlanTarget("front", tuple((x, -EDGE / 2, z) for x, z in outline))
     return Plan(
         design=plans.PlanDesign("Gable wall", "gable_wall.json", EDGE, (target,), 0.75),
-        status="complete", reason=None, blocks=plans.BlockSupply(count, count),
-        steps=tuple(steps), coverage=1.0, seconds=12.0, agent="test", planner="agent",
-        search=plans.SearchReport("agent alone", 0), verified_by="MuJoCo 4.0.0",
+        status="complete",
+        reason=None,
+        blocks=plans.BlockSupply(count, count),
+        steps=tuple(steps),
+        coverage=1.0,
+        seconds=12.0,
+        agent="test",
+        planner="agent",
+        search=plans.SearchReport("agent alone", 0),
+        verified_by="MuJoCo 4.0.0",
         assembly=Assembly(blocks, tuple(Placed(f"b{k}") for k in range(1, count)), 1.0, "wall"),
-    )  # fmt: skip
+    )
 
 
 def pose(position: Any, yaw: float) -> np.ndarray:
@@ -87,9 +109,13 @@ class Recorder:
         places = np.array([[0.0, 0.0, EDGE / 2], *waiting(len(plan.steps))])
         self.joints, self.width = arm.home.copy(), OPENING
         self.recording = BuildRecorder(
-            arm, self.joints, self.width, upright(places, np.zeros(len(places))),
-            [[k] for k in range(len(places))], "a kinematic sketch for tests",
-        )  # fmt: skip
+            arm,
+            self.joints,
+            self.width,
+            upright(places, np.zeros(len(places))),
+            [[k] for k in range(len(places))],
+            "a kinematic sketch for tests",
+        )
         self.rows, self.stages = [], []
 
     @property
@@ -132,16 +158,30 @@ class Recorder:
         self.stages.append(Stage(stage, start, self.now))
 
     def finish(
-        self, plan_step: int | None, cell: int, target: np.ndarray, outcome: Outcome,
-        held: tuple[float | None, float | None], after: np.ndarray, detail: str = "",
-    ) -> None:  # fmt: skip
+        self,
+        plan_step: int | None,
+        cell: int,
+        target: np.ndarray,
+        outcome: Outcome,
+        held: tuple[float | None, float | None],
+        after: np.ndarray,
+        detail: str = "",
+    ) -> None:
         poses = self.poses.copy()
         poses[cell] = after
         motion = tuple(zip(*self.rows, strict=True)) or None
         self.recording.add(
-            plan_step=plan_step, cells=[cell], target=target, outcome=outcome, detail=detail,
-            motion=motion, stages=self.stages, grip=held[0], release=held[1], after=poses,
-        )  # fmt: skip
+            plan_step=plan_step,
+            cells=[cell],
+            target=target,
+            outcome=outcome,
+            detail=detail,
+            motion=motion,
+            stages=self.stages,
+            grip=held[0],
+            release=held[1],
+            after=poses,
+        )
         if outcome != Outcome.REACHED:
             self.recording.replanned()
         self.rows, self.stages = [], []
@@ -150,8 +190,15 @@ class Recorder:
         """One step; ``result`` is made up, all else follows the kinematic cell."""
         target = upright(goal[None], np.zeros(1))[0]
         if result == Outcome.UNREACHABLE:
-            self.finish(plan_step, cell, target, result, (None, None), self.poses[cell],
-                        "place: tool at (0.06, 0, 0.23): out of reach")  # fmt: skip
+            self.finish(
+                plan_step,
+                cell,
+                target,
+                result,
+                (None, None),
+                self.poses[cell],
+                "place: tool at (0.06, 0, 0.23): out of reach",
+            )
             return
         scene, moved = self._scene(cell)
         for grasp, place in get_grasps("paper"):
@@ -170,8 +217,15 @@ class Recorder:
             self.open_to("release", OPENING)
             self.move("home", home)
             after = pose(self.poses[cell, :3] + [0.012, 0.02, 0], 0.4)
-            self.finish(plan_step, cell, target, result, (None, None), after,
-                        "the fingers closed on nothing")  # fmt: skip
+            self.finish(
+                plan_step,
+                cell,
+                target,
+                result,
+                (None, None),
+                after,
+                "the fingers closed on nothing",
+            )
             return
         self.open_to("pick", EDGE)
         grip = self.stages[-1].end

@@ -22,15 +22,33 @@ LONG = "x" * 300
 """Longer than a file name may be."""
 WALL = str(Path(__file__).parent / "data" / "ascii_wall.json")
 """An assembly that can be checked."""
-PROGRAM_RATES = {"no_limits": "1000", "rate_high": "1e9", "rate_0": "0", "rate_below": "-1000",
-                 "rate_nan": "NaN"}  # fmt: skip
+PROGRAM_RATES = {
+    "no_limits": "1000",
+    "rate_high": "1e9",
+    "rate_0": "0",
+    "rate_below": "-1000",
+    "rate_nan": "NaN",
+}
 """Tables of a robot's program without limits, and what they say of their rate."""
 UR5E_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 TINY_RUN = [
-    "--config", "published", "--device", "cpu", "--set", "network.width=16", "--set",
-    "network.rounds=1", "--set", "num_envs=4", "--set", "replay_size=50", "--set", "batch_size=4",
-    "--set", "initial_samples=8",
-]  # fmt: skip
+    "--config",
+    "published",
+    "--device",
+    "cpu",
+    "--set",
+    "network.width=16",
+    "--set",
+    "network.rounds=1",
+    "--set",
+    "num_envs=4",
+    "--set",
+    "replay_size=50",
+    "--set",
+    "batch_size=4",
+    "--set",
+    "initial_samples=8",
+]
 """Words that make a training small."""
 
 
@@ -55,8 +73,13 @@ def evaluate(*words: str) -> list[str]:
 
 def table(*words: str) -> list[str]:
     """A table from no files at all; nothing is measured."""
-    return ["table", *words, *([] if "--agents" in words or "--train" in words else
-            ["--from-files"]), "--out", "{d}/new"]  # fmt: skip
+    return [
+        "table",
+        *words,
+        *([] if "--agents" in words or "--train" in words else ["--from-files"]),
+        "--out",
+        "{d}/new",
+    ]
 
 
 def curves(name: str, *words: str) -> list[str]:
@@ -82,11 +105,15 @@ def prepare_files(folder: Path) -> None:
     """Files of designs that cannot be read, in a new folder."""
     folder.mkdir()
     arrays = {
-        "empty": np.zeros((0, 3, 3)), "wide": np.ones((65, 65, 65), bool),
-        "nan": np.full((2, 2, 2), np.nan), "complex": np.ones((2, 2, 2), complex),
-        "object": np.full((2, 2, 2), None), "grey": np.full((2, 2, 2), 255, np.uint8),
-        "words": np.full((2, 2, 2), "yes"), "flat": np.ones((5, 5)),
-    }  # fmt: skip
+        "empty": np.zeros((0, 3, 3)),
+        "wide": np.ones((65, 65, 65), bool),
+        "nan": np.full((2, 2, 2), np.nan),
+        "complex": np.ones((2, 2, 2), complex),
+        "object": np.full((2, 2, 2), None),
+        "grey": np.full((2, 2, 2), 255, np.uint8),
+        "words": np.full((2, 2, 2), "yes"),
+        "flat": np.ones((5, 5)),
+    }
     for name, values in arrays.items():
         np.save(folder / f"{name}.npy", values, allow_pickle=True)
     with zipfile.ZipFile(folder / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
@@ -125,8 +152,12 @@ def prepare(folder: Path, agent: Path, run: Path, design: Path, log: Path) -> No
     shutil.copy(log, folder / "log.jsonl")
     (folder / "file.txt").write_text("mine")
     prepare_files(folder / "read")
-    head = {"format": "learn2assemble-robot-program", "version": 1, "arm": "ur5e",
-            "joints": [f"{name}_joint" for name in UR5E_JOINTS]}  # fmt: skip
+    head = {
+        "format": "learn2assemble-robot-program",
+        "version": 1,
+        "arm": "ur5e",
+        "joints": [f"{name}_joint" for name in UR5E_JOINTS],
+    }
     for name, rate in PROGRAM_RATES.items():
         lines = [f"# {key}: {json.dumps(value)}" for key, value in head.items()]
         (folder / f"{name}.csv").write_text("\n".join([*lines, f"# rate: {rate}", "time", "0", ""]))
@@ -134,8 +165,11 @@ def prepare(folder: Path, agent: Path, run: Path, design: Path, log: Path) -> No
         places = [[0.7 if name == "far" else 0.0, -0.3], second]
         places += [[0.1 * (k % 5) - 0.3, -0.42 + 0.84 * (k // 5)] for k in range(10)]
         places += [[-0.3, -0.32], [-0.2, -0.32], [-0.3, 0.32], [-0.2, 0.32]]
-        layout = {"format": "learn2assemble-layout", "version": 2,
-                  "positions": [{"at": place} for place in places]}  # fmt: skip
+        layout = {
+            "format": "learn2assemble-layout",
+            "version": 2,
+            "positions": [{"at": place} for place in places],
+        }
         (folder / f"{name}.json").write_text(json.dumps(layout))
     (folder / "special").mkdir()
     (folder / "special" / "link").symlink_to(folder / "file.txt")
@@ -179,63 +213,104 @@ BAD = [
     BadCall("unknown option", ["tasks", "--colour"], "--colour"),
     BadCall("tasks with a word", ["tasks", "all"], "all"),
     BadCall("a name that is not UTF-8", ["build", "caf\udce9.json", "--out", "{d}/new"], "UTF-8"),
-    BadCall("export into a pipe", ["export", "{d}", "--format", "glb", "--out", "{d}/special/pipe"],
-            "not a pipe"),
-    BadCall("export through a link", ["export", "{d}", "--format", "csv", "--out",
-                                      "{d}/special/link"], "not a symbolic link"),
-    BadCall("export through a link to nowhere",
-            ["export", "{d}", "--format", "bill", "--out", "{d}/special/nowhere"],
-            "not a symbolic link"),
+    BadCall(
+        "export into a pipe",
+        ["export", "{d}", "--format", "glb", "--out", "{d}/special/pipe"],
+        "not a pipe",
+    ),
+    BadCall(
+        "export through a link",
+        ["export", "{d}", "--format", "csv", "--out", "{d}/special/link"],
+        "not a symbolic link",
+    ),
+    BadCall(
+        "export through a link to nowhere",
+        ["export", "{d}", "--format", "bill", "--out", "{d}/special/nowhere"],
+        "not a symbolic link",
+    ),
     BadCall("build into a link to nowhere", build("--out", "{d}/special/nowhere"), "nowhere"),
     BadCall("resume a run with a link in it", resume("{d}/linked"), "not a symbolic link"),
-    BadCall("eval through a link to nowhere", evaluate("--out", "{d}/special/nowhere"),
-            "a new file"),
-    BadCall("measured builds through a link",
-            ["measure-builds", "--out", "{d}/special/link"], "not a symbolic link"),
-    BadCall("table into a link", table("T1", "--into", "{d}/special/link"),
-            "not a symbolic link"),
+    BadCall(
+        "eval through a link to nowhere", evaluate("--out", "{d}/special/nowhere"), "a new file"
+    ),
+    BadCall(
+        "measured builds through a link",
+        ["measure-builds", "--out", "{d}/special/link"],
+        "not a symbolic link",
+    ),
+    BadCall("table into a link", table("T1", "--into", "{d}/special/link"), "not a symbolic link"),
     # build
     BadCall("check nothing", ["check"], "FILE"),
     BadCall("check a missing file", ["check", "{d}/nosuch.json"], "nosuch.json"),
     BadCall("check a design", ["check", "{d}/design.json"], "design.json"),
     BadCall("check a text", ["check", "{d}/file.txt"], "file.txt"),
-    BadCall("check with negative friction", ["check", "{d}/design.json", "--friction", "-1"],
-            "coefficient of friction"),
+    BadCall(
+        "check with negative friction",
+        ["check", "{d}/design.json", "--friction", "-1"],
+        "coefficient of friction",
+    ),
     BadCall("export nothing", ["export"], "PLAN"),
     BadCall("export to an unknown format", ["export", "{d}", "--format", "glbb"], "'glb'"),
     BadCall("export a folder without a plan", ["export", "{d}/full", "--format", "glb"], "full"),
-    BadCall("export a folder as a program",
-            ["export", "{d}/full", "--format", "csv"], "with an arm"),
-    BadCall("export with a layout that no GLB needs",
-            ["export", "{d}", "--format", "glb", "--layout", "{d}/design.json"], "--layout"),
-    BadCall("export a table from a step on",
-            ["export", "{d}", "--format", "csv", "--resume-from", "2"], "resume"),
-    BadCall("export with a layout that is none",
-            ["export", "{d}", "--format", "urscript", "--layout", "{d}/design.json"], "format"),
-    BadCall("export a design as a program",
-            ["export", "{d}/design.json", "--format", "ros2"], "trajectory"),
-    BadCall("replay no program",
-            ["replay-trajectory", "{d}/nosuch.csv", "--arm", "panda"], "nosuch"),
-    BadCall("replay a design",
-            ["replay-trajectory", "{d}/design.json", "--arm", "panda"], "header"),
-    *(BadCall(f"replay a table with {name}", ["replay-trajectory", f"{{d}}/{name}.csv", "--arm",
-                                              "ur5e"], "limits" if name == "no_limits" else "rate")
-      for name in PROGRAM_RATES),
+    BadCall(
+        "export a folder as a program", ["export", "{d}/full", "--format", "csv"], "with an arm"
+    ),
+    BadCall(
+        "export with a layout that no GLB needs",
+        ["export", "{d}", "--format", "glb", "--layout", "{d}/design.json"],
+        "--layout",
+    ),
+    BadCall(
+        "export a table from a step on",
+        ["export", "{d}", "--format", "csv", "--resume-from", "2"],
+        "resume",
+    ),
+    BadCall(
+        "export with a layout that is none",
+        ["export", "{d}", "--format", "urscript", "--layout", "{d}/design.json"],
+        "format",
+    ),
+    BadCall(
+        "export a design as a program",
+        ["export", "{d}/design.json", "--format", "ros2"],
+        "trajectory",
+    ),
+    BadCall(
+        "replay no program", ["replay-trajectory", "{d}/nosuch.csv", "--arm", "panda"], "nosuch"
+    ),
+    BadCall(
+        "replay a design", ["replay-trajectory", "{d}/design.json", "--arm", "panda"], "header"
+    ),
+    *(
+        BadCall(
+            f"replay a table with {name}",
+            ["replay-trajectory", f"{{d}}/{name}.csv", "--arm", "ur5e"],
+            "limits" if name == "no_limits" else "rate",
+        )
+        for name in PROGRAM_RATES
+    ),
     BadCall("replay without an arm", ["replay-trajectory", "{d}/design.json"], "--arm"),
-    BadCall("replay with an unknown arm",
-            ["replay-trajectory", "{d}/design.json", "--arm", "pandas"], "'panda'"),
+    BadCall(
+        "replay with an unknown arm",
+        ["replay-trajectory", "{d}/design.json", "--arm", "pandas"],
+        "'panda'",
+    ),
     BadCall("export a design", ["export", "{d}/design.json", "--format", "glb"], "design.json"),
     BadCall("build nothing", ["build", "--out", "{d}/new"], "DESIGN"),
     BadCall("build without --out", ["build", "{d}/design.json"], "--out"),
     BadCall("missing design", ["build", "{d}/nosuch.json", *build()[2:]], "nosuch.json"),
-    BadCall("misspelt preset", ["build", "two-sided-3x3-20-25", *build()[2:]],
-            "did you mean 'two-sided-3x3-20-24'"),
+    BadCall(
+        "misspelt preset",
+        ["build", "two-sided-3x3-20-25", *build()[2:]],
+        "did you mean 'two-sided-3x3-20-24'",
+    ),
     BadCall("a folder as design", ["build", "{d}/full", *build()[2:]], "full"),
     BadCall("no name as design", ["build", "", *build()[2:]], "error"),
     BadCall("another file as design", ["build", "{d}/list.json", "--out", "{d}/new"], "list.json"),
     BadCall("a text as design", ["build", "{d}/file.txt", "--out", "{d}/new"], "file.txt"),
-    BadCall("a path below a file as design", ["build", "{d}/file.txt/a.json", *build()[2:]],
-            "a.json"),
+    BadCall(
+        "a path below a file as design", ["build", "{d}/file.txt/a.json", *build()[2:]], "a.json"
+    ),
     # reading
     BadCall("an empty array", read("empty.npy"), "shape [0, 3, 3]"),
     BadCall("an array of 65 cells each way", read("wide.npy"), "shape [65, 65, 65]"),
@@ -249,29 +324,49 @@ BAD = [
     BadCall("a JPEG that is cut short", read("cut.jpg"), "a whole JPEG picture"),
     BadCall("a JPEG of 65535 pixels each way", read("huge.jpg"), "65535 x 65535 pixels"),
     BadCall("a WebP that is cut short", read("cut.webp"), "a whole WEBP picture"),
-    BadCall("an OFF with fewer faces than it says", read("short.off", "--unit", "m"),
-            "a whole mesh"),
-    BadCall("an OFF that promises too much", read("promise.off", "--unit", "m"),
-            "1000000000003 vertices and faces"),
-    BadCall("a mesh with a large hole", read("open.off", "--unit", "m", "--repair"),
-            "an open mesh"),
+    BadCall(
+        "an OFF with fewer faces than it says", read("short.off", "--unit", "m"), "a whole mesh"
+    ),
+    BadCall(
+        "an OFF that promises too much",
+        read("promise.off", "--unit", "m"),
+        "1000000000003 vertices and faces",
+    ),
+    BadCall(
+        "a mesh with a large hole", read("open.off", "--unit", "m", "--repair"), "an open mesh"
+    ),
     BadCall("a mesh without a unit", read("units.off"), "--unit mm gives 6 × 6 × 6 cells"),
-    BadCall("a mesh in too large a unit", read("units.off", "--unit", "m"),
-            "--unit mm gives 6 × 6 × 6 cells"),
+    BadCall(
+        "a mesh in too large a unit",
+        read("units.off", "--unit", "m"),
+        "--unit mm gives 6 × 6 × 6 cells",
+    ),
     BadCall("a wrong unit", read("units.off", "--unit", "ml"), "one of cm, in, m, mm"),
     BadCall("a unit for an array", read("flat.npy", "--unit", "mm"), "no such option for NPY"),
-    BadCall("repair for a drawing", ["build", "{d}/design.json", "--out", "{d}/new", "--repair"],
-            "no such option for JSON"),
-    BadCall("a preview of a task", ["build", TASK, "--preview", "{d}/new.png"],
-            "a design of cells"),
-    BadCall("a preview of a text", ["build", "{d}/file.txt", "--preview", "{d}/new.png"],
-            "file.txt"),
-    BadCall("a preview and a build", ["build", "{d}/design.json", "--out", "{d}/new", "--preview",
-                                      "{d}/new.png"], "not allowed with"),
-    BadCall("a preview into a folder", ["build", "{d}/design.json", "--preview", "{d}/full"],
-            "full"),
-    BadCall("a preview into no folder", ["build", "{d}/design.json", "--preview",
-                                         "{d}/nosuch/new.png"], "nosuch"),
+    BadCall(
+        "repair for a drawing",
+        ["build", "{d}/design.json", "--out", "{d}/new", "--repair"],
+        "no such option for JSON",
+    ),
+    BadCall(
+        "a preview of a task", ["build", TASK, "--preview", "{d}/new.png"], "a design of cells"
+    ),
+    BadCall(
+        "a preview of a text", ["build", "{d}/file.txt", "--preview", "{d}/new.png"], "file.txt"
+    ),
+    BadCall(
+        "a preview and a build",
+        ["build", "{d}/design.json", "--out", "{d}/new", "--preview", "{d}/new.png"],
+        "not allowed with",
+    ),
+    BadCall(
+        "a preview into a folder", ["build", "{d}/design.json", "--preview", "{d}/full"], "full"
+    ),
+    BadCall(
+        "a preview into no folder",
+        ["build", "{d}/design.json", "--preview", "{d}/nosuch/new.png"],
+        "nosuch",
+    ),
     BadCall("build into a full folder", build("--out", "{d}/full"), "a new or empty folder"),
     BadCall("build into a file", build("--out", "{d}/file.txt"), "a new or empty folder"),
     BadCall("build below a file", build("--out", "{d}/file.txt/new"), "a place that can be"),
@@ -281,55 +376,108 @@ BAD = [
     BadCall("build for nan seconds", build("--seconds", "nan"), "a number from 0.001"),
     BadCall("build for ever", build("--seconds", "inf"), "a number from 0.001"),
     BadCall("fidelities of a task without an arm", ["fidelities", TASK], "tasks with an arm"),
-    BadCall("fidelities into a file that is there", ["fidelities", "robot-two-sided-3x3-10-14",
-                                                     "--out", "{d}/file.txt"], "a new file"),
-    BadCall("fidelities with an unknown arm", ["fidelities", "robot-two-sided-3x3-10-14", "--arm",
-                                               "kuka"], "arm"),
-    BadCall("unknown arm", exact_arm("--arm", "pandas"),
-            "arm: got 'pandas', expected one of panda"),
+    BadCall(
+        "fidelities into a file that is there",
+        ["fidelities", "robot-two-sided-3x3-10-14", "--out", "{d}/file.txt"],
+        "a new file",
+    ),
+    BadCall(
+        "fidelities with an unknown arm",
+        ["fidelities", "robot-two-sided-3x3-10-14", "--arm", "kuka"],
+        "arm",
+    ),
+    BadCall(
+        "unknown arm", exact_arm("--arm", "pandas"), "arm: got 'pandas', expected one of panda"
+    ),
     BadCall("unknown arm for a task", build("--arm", "pandas"), "arm: got 'pandas'"),
-    BadCall("agent of another kind for an arm",
-            ["build", "robot-two-sided-3x3-10-14", *build()[2:]], "network.num_actions"),
-    BadCall("objects by an arm",
-            ["build", "robot-objects-two-sided-5x5-20-24", "--out", "{d}/new"], "one of cubes"),
-    BadCall("agent of the paper for a design", ["build", "{d}/design.json", *build()[2:]],
-            "a builder of designs"),
-    BadCall("agent for the exact planner", ["build", "{d}/design.json", "--out", "{d}/new",
-                                            "--planner", "exact", "--agent", "builder-s0"],
-            "none with the exact planner"),
+    BadCall(
+        "agent of another kind for an arm",
+        ["build", "robot-two-sided-3x3-10-14", *build()[2:]],
+        "network.num_actions",
+    ),
+    BadCall(
+        "objects by an arm",
+        ["build", "robot-objects-two-sided-5x5-20-24", "--out", "{d}/new"],
+        "one of cubes",
+    ),
+    BadCall(
+        "agent of the paper for a design",
+        ["build", "{d}/design.json", *build()[2:]],
+        "a builder of designs",
+    ),
+    BadCall(
+        "agent for the exact planner",
+        [
+            "build",
+            "{d}/design.json",
+            "--out",
+            "{d}/new",
+            "--planner",
+            "exact",
+            "--agent",
+            "builder-s0",
+        ],
+        "none with the exact planner",
+    ),
     BadCall("exact planner for a task", build("--planner", "exact"), "planner"),
     BadCall("kit for a task", build("--kit", "bricks"), "kit: got"),
-    BadCall("arm for a task without", ["build", TASK, *build()[2:], "--arm", "panda"],
-            "a task with a robot"),
-    BadCall("layout without an arm", ["build", "{d}/design.json", "--out", "{d}/new",
-                                      "--layout", "{d}/layout.json"], "--arm"),
-    BadCall("layout for a preset", ["build", "robot-two-sided-3x3-10-14", *build()[2:], "--layout",
-                                    "{d}/layout.json"], "a design"),
+    BadCall(
+        "arm for a task without",
+        ["build", TASK, *build()[2:], "--arm", "panda"],
+        "a task with a robot",
+    ),
+    BadCall(
+        "layout without an arm",
+        ["build", "{d}/design.json", "--out", "{d}/new", "--layout", "{d}/layout.json"],
+        "--arm",
+    ),
+    BadCall(
+        "layout for a preset",
+        ["build", "robot-two-sided-3x3-10-14", *build()[2:], "--layout", "{d}/layout.json"],
+        "a design",
+    ),
     BadCall("missing layout", exact_arm("--layout", "{d}/no.json"), "no such file"),
-    BadCall("layout that is a design", exact_arm("--layout", "{d}/design.json"),
-            "learn2assemble-layout"),
+    BadCall(
+        "layout that is a design", exact_arm("--layout", "{d}/design.json"), "learn2assemble-layout"
+    ),
     BadCall("reach without an arm", ["reach", "{d}/design.json"], "--arm"),
     BadCall("reach of a missing file", ["reach", "{d}/nosuch.svg", "--arm", "panda"], "nosuch"),
     BadCall("reach of an unknown arm", ["reach", "{d}/design.json", "--arm", "pandas"], "arm: got"),
-    BadCall("reach with an unknown tool", ["reach", "{d}/design.json", "--arm", "panda", "--tool",
-                                           "claw"], "tool: got 'claw'"),
+    BadCall(
+        "reach with an unknown tool",
+        ["reach", "{d}/design.json", "--arm", "panda", "--tool", "claw"],
+        "tool: got 'claw'",
+    ),
     BadCall("reach of a task", ["reach", TASK, "--arm", "panda"], "expected a design"),
-    BadCall("cells without extent", ["build", "{d}/design.json", "--out", "{d}/new", "--cell", "0"],
-            "cell: got 0.0"),
-    BadCall("misspelt option", ["build", "{d}/design.json", "--out", "{d}/new", "--cels", "1"],
-            "did you mean --cell?"),
+    BadCall(
+        "cells without extent",
+        ["build", "{d}/design.json", "--out", "{d}/new", "--cell", "0"],
+        "cell: got 0.0",
+    ),
+    BadCall(
+        "misspelt option",
+        ["build", "{d}/design.json", "--out", "{d}/new", "--cels", "1"],
+        "did you mean --cell?",
+    ),
     BadCall("option of another command", ["eval", TASK, "--kit", "cubes"], "see l2a eval --help"),
     BadCall("check a folder without a plan", ["check", "{d}/full"], "assembly.json"),
     BadCall("unknown tool", exact_arm("--tool", "claw"), "tool: got 'claw'"),
-    BadCall("tool without an arm", ["build", "{d}/design.json", "--out", "{d}/new", "--tool",
-                                    "suction"], "--arm"),
+    BadCall(
+        "tool without an arm",
+        ["build", "{d}/design.json", "--out", "{d}/new", "--tool", "suction"],
+        "--arm",
+    ),
     BadCall("unknown physics", exact_arm("--physics", "static"), "physics: got 'static'"),
     BadCall("noise in words", exact_arm("--sense-noise", "little"), "millimetres"),
     BadCall("resume a build that never began", exact_arm("--resume"), "build, to --resume"),
-    BadCall("layout out of reach", exact_arm("--layout", "{d}/far.json"),
-            "a place panda can reach"),
-    BadCall("layout with an overlap", exact_arm("--layout", "{d}/overlap.json"),
-            "does not overlap positions[0]"),
+    BadCall(
+        "layout out of reach", exact_arm("--layout", "{d}/far.json"), "a place panda can reach"
+    ),
+    BadCall(
+        "layout with an overlap",
+        exact_arm("--layout", "{d}/overlap.json"),
+        "does not overlap positions[0]",
+    ),
     BadCall("negative seed", build("--seed", "-1"), "a whole number"),
     BadCall("half a seed", build("--seed", "1.5"), "a whole number"),
     BadCall("unknown agent", build("--agent", "nobody"), "agent"),
@@ -342,26 +490,36 @@ BAD = [
     # train
     BadCall("train nothing", ["train", "--out", "{d}/new"], "TASK"),
     BadCall("train without --out", ["train", TASK], "--out"),
-    BadCall("misspelt task", ["train", "one-sided-3x3-22-25", *train()[2:]],
-            "did you mean 'one-sided-3x3-22-24'"),
+    BadCall(
+        "misspelt task",
+        ["train", "one-sided-3x3-22-25", *train()[2:]],
+        "did you mean 'one-sided-3x3-22-24'",
+    ),
     BadCall("misspelt configuration", train("--config", "papre"), "did you mean 'paper'"),
     BadCall("unknown method", train("--method", "ppo"), "one of dqn, eps-mcts, q-mcts"),
     BadCall("train into a full folder", train("--out", "{d}/full"), "a new or empty folder"),
     BadCall("train into a file", train("--out", "{d}/file.txt"), "a new or empty folder"),
     BadCall("train below a file", train("--out", "{d}/file.txt/new"), "a place that can be"),
     BadCall("train over a run", train("--out", "{d}/run"), "--resume"),
-    BadCall("train for nan minutes", ["train", TASK, "--out", "{d}/new", "--minutes", "nan"],
-            "a number from 0.001"),
-    BadCall("train for negative minutes", ["train", TASK, "--out", "{d}/new", "--minutes", "-1"],
-            "a number from 0.001"),
+    BadCall(
+        "train for nan minutes",
+        ["train", TASK, "--out", "{d}/new", "--minutes", "nan"],
+        "a number from 0.001",
+    ),
+    BadCall(
+        "train for negative minutes",
+        ["train", TASK, "--out", "{d}/new", "--minutes", "-1"],
+        "a number from 0.001",
+    ),
     BadCall("no samples", train("--samples", "0"), "a whole number from 1"),
     BadCall("a word as samples", train("--samples", "many"), "a whole number from 1"),
     BadCall("unknown device", train("--device", "gpu"), "auto, cpu or cuda"),
     BadCall("no threads", train("--threads", "0"), "a whole number from 1"),
     BadCall("--set without a value", train("--set", "learning_rate"), "KEY=VALUE"),
     BadCall("--set misspelt", train("--set", "lerning_rate=1"), "did you mean 'learning_rate'"),
-    BadCall("--set misspelt in the network", train("--set", "network.head=1"),
-            "did you mean 'heads'"),
+    BadCall(
+        "--set misspelt in the network", train("--set", "network.head=1"), "did you mean 'heads'"
+    ),
     BadCall("--set a word for a number", train("--set", "learning_rate=fast"), "a value like"),
     BadCall("--set nan", train("--set", "learning_rate=nan"), "a rate between 0 and 1"),
     BadCall("--set a negative number", train("--set", "batch_size=-1"), "a whole number from 1"),
@@ -370,23 +528,35 @@ BAD = [
     BadCall("--set negative heads", train("--set", "network.heads=-1"), "heads"),
     BadCall("--set a whole network", train("--set", "network=large"), "--set"),
     BadCall("--set a nan weight", train("--set", "dense_weight=nan"), "dense_weight"),
-    BadCall("--set labels for a published network", train("--set", "dense_weight=1"),
-            "0 unless encoder is relational"),
-    BadCall("--set symmetries of our own network", train("--set", "network.encoder=relational"),
-            "augment"),
+    BadCall(
+        "--set labels for a published network",
+        train("--set", "dense_weight=1"),
+        "0 unless encoder is relational",
+    ),
+    BadCall(
+        "--set symmetries of our own network",
+        train("--set", "network.encoder=relational"),
+        "augment",
+    ),
     BadCall("train into a long name", train("--out", "{d}/" + LONG), "File name too long"),
     BadCall("start from an unknown agent", train("--init", "nobody"), "agent"),
     BadCall("start from a damaged agent", train("--init", "{d}/bad_agent"), "a trained agent"),
     BadCall("start from another architecture", train("--init", "{d}/agent"), "--init"),
-    BadCall("start from an agent and resume", resume("{d}/run", "--init", "{d}/agent"),
-            "not together with --resume"),
+    BadCall(
+        "start from an agent and resume",
+        resume("{d}/run", "--init", "{d}/agent"),
+        "not together with --resume",
+    ),
     BadCall("resume nothing", resume("{d}/nosuch"), "--resume"),
     BadCall("resume a folder that is no run", resume("{d}/full"), "the folder of a training run"),
     BadCall("resume a run without its state", resume("{d}/no_state"), "state.safetensors"),
     BadCall("resume a damaged configuration", resume("{d}/bad_config"), "the folder of a"),
     BadCall("resume a damaged state", resume("{d}/bad_state"), "--resume"),
-    BadCall("resume with another task", resume("{d}/run", task="two-sided-3x3-20-24"),
-            "the task of the run"),
+    BadCall(
+        "resume with another task",
+        resume("{d}/run", task="two-sided-3x3-20-24"),
+        "the task of the run",
+    ),
     BadCall("resume with --set", resume("{d}/run", "--set", "batch_size=8"), "own configuration"),
     BadCall("resume with --seed", resume("{d}/run", "--seed", "0"), "own configuration"),
     BadCall("a network of gigabytes", train("--set", "network.width=1000000"), "1 to 4096"),
@@ -399,11 +569,11 @@ BAD = [
     BadCall("table of no episodes", table("T1", "--episodes", "0"), "a whole number from 1"),
     BadCall("table by no worker", table("T1", "--workers", "0"), "a whole number from 1"),
     BadCall("table into a file", ["table", "T1", "--out", "{d}/file.txt"], "a writable folder"),
-    BadCall("table of missing agents", table("T1", "--agents", "{d}/nosuch"),
-            "no such file"),
+    BadCall("table of missing agents", table("T1", "--agents", "{d}/nosuch"), "no such file"),
     BadCall("table trained and not", table("T1", "--train", "--from-files"), "not allowed with"),
-    BadCall("table into a page without marks", table("T1", "--into", "{d}/file.txt"),
-            "table T1: begin"),
+    BadCall(
+        "table into a page without marks", table("T1", "--into", "{d}/file.txt"), "table T1: begin"
+    ),
     BadCall("table into no page", table("T1", "--into", "{d}/nosuch.md"), "no such file"),
     BadCall("no curves", ["curves"], "NAME"),
     BadCall("misspelt curves", curves("algoritms"), "did you mean 'algorithms'"),
@@ -437,45 +607,89 @@ BAD = [
     BadCall("replay a list", ["replay", "{d}/list.jsonl"], "a JSON object"),
     BadCall("replay another robot's log", ["replay", "{d}/robot.jsonl"], "3robo"),
     BadCall("replay what is not packed", ["replay", "{d}/not_gzip.jsonl.gz"], "line 1"),
-    BadCall("replay a good and a bad file", ["replay", "{d}/log.jsonl", "{d}/list.jsonl"],
-            "list.jsonl line 1"),
+    BadCall(
+        "replay a good and a bad file",
+        ["replay", "{d}/log.jsonl", "{d}/list.jsonl"],
+        "list.jsonl line 1",
+    ),
     BadCall("replay an empty file", ["replay", "{d}/empty.jsonl"], "empty.jsonl"),
     BadCall("replay a damaged archive", ["replay", "{d}/damaged.jsonl.gz"], "damaged.jsonl.gz"),
     BadCall("replay a long name", ["replay", LONG], "no such file"),
     # bench
-    BadCall("builder of another teacher",
-            ["train-builder", "--out", "{d}/another", "--teacher", "paper"], "exact"),
-    BadCall("builder with the name of a folder",
-            ["train-builder", "--out", "{d}/another", "--name", "../up"], "without a folder"),
-    BadCall("builds that were not measured go on",
-            ["measure-builder-arm", "--out", "{d}/new", "--resume"], "expected a measurement"),
-    BadCall("a search without simulations", evaluate("--search", "mcts", "--budget", "0"),
-            "at least 1 simulation"),
+    BadCall(
+        "builder of another teacher",
+        ["train-builder", "--out", "{d}/another", "--teacher", "paper"],
+        "exact",
+    ),
+    BadCall(
+        "builder with the name of a folder",
+        ["train-builder", "--out", "{d}/another", "--name", "../up"],
+        "without a folder",
+    ),
+    BadCall(
+        "builds that were not measured go on",
+        ["measure-builder-arm", "--out", "{d}/new", "--resume"],
+        "expected a measurement",
+    ),
+    BadCall(
+        "a search without simulations",
+        evaluate("--search", "mcts", "--budget", "0"),
+        "at least 1 simulation",
+    ),
     BadCall("a misspelt file", ["check", "{d}/desing.json"], "design.json'"),
     BadCall("budget without a search", ["eval", TASK, "--budget", "10"], "a search beside it"),
     BadCall("restore faults without a search", ["eval", TASK, "--legacy"], "--search NAME"),
     BadCall("seed of 400 digits", ["eval", TASK, "--seed", "1" * 400], "from 0 to 2147483647"),
-    BadCall("physics without an arm",
-            ["build", "{d}/design.json", "--out", "{d}/another", "--physics", "kinematic"],
-            "an arm"),
-    BadCall("noise without an arm",
-            ["build", "{d}/design.json", "--out", "{d}/another", "--sense-noise", "5"], "an arm"),
-    BadCall("builder there is not",
-            ["measure-builder", "--out", "{d}/new", "--agent", "nobody"], "builder"),
-    BadCall("measured builds into another file",
-            ["measure-builds", "--out", "{d}/design.json"], "a new file"),
-    BadCall("measured builds there are not",
-            ["measure-builds", "--out", "{d}/new.json", "--only", "nosuch"], "--only"),
-    BadCall("measured goals into another file",
-            ["measure-goals", "--out", "{d}/design.json"], "a new file"),
-    BadCall("measured goals there are not",
-            ["measure-goals", "--out", "{d}/new.json", "--only", "nosuch"], "--only"),
-    BadCall("a builder into a folder with something in it",
-            ["train-builder", "--out", "{d}/run"], "new or empty folder"),
-    BadCall("measured designs into another file",
-            ["measure-designs", "--out", "{d}/design.json"], "a new file"),
-    BadCall("measured designs there are not",
-            ["measure-designs", "--out", "{d}/new.json", "--only", "nosuch"], "--only"),
+    BadCall(
+        "physics without an arm",
+        ["build", "{d}/design.json", "--out", "{d}/another", "--physics", "kinematic"],
+        "an arm",
+    ),
+    BadCall(
+        "noise without an arm",
+        ["build", "{d}/design.json", "--out", "{d}/another", "--sense-noise", "5"],
+        "an arm",
+    ),
+    BadCall(
+        "builder there is not",
+        ["measure-builder", "--out", "{d}/new", "--agent", "nobody"],
+        "builder",
+    ),
+    BadCall(
+        "measured builds into another file",
+        ["measure-builds", "--out", "{d}/design.json"],
+        "a new file",
+    ),
+    BadCall(
+        "measured builds there are not",
+        ["measure-builds", "--out", "{d}/new.json", "--only", "nosuch"],
+        "--only",
+    ),
+    BadCall(
+        "measured goals into another file",
+        ["measure-goals", "--out", "{d}/design.json"],
+        "a new file",
+    ),
+    BadCall(
+        "measured goals there are not",
+        ["measure-goals", "--out", "{d}/new.json", "--only", "nosuch"],
+        "--only",
+    ),
+    BadCall(
+        "a builder into a folder with something in it",
+        ["train-builder", "--out", "{d}/run"],
+        "new or empty folder",
+    ),
+    BadCall(
+        "measured designs into another file",
+        ["measure-designs", "--out", "{d}/design.json"],
+        "a new file",
+    ),
+    BadCall(
+        "measured designs there are not",
+        ["measure-designs", "--out", "{d}/new.json", "--only", "nosuch"],
+        "--only",
+    ),
     BadCall("bench for no time", ["bench", "--seconds", "0"], "a number from 0.001"),
     BadCall("bench for ever", ["bench", "--seconds", "inf"], "a number from 0.001"),
     BadCall("bench for a word", ["bench", "--seconds", "soon"], "a number from 0.001"),
@@ -492,44 +706,68 @@ BAD = [
     BadCall("a word as port", ["view", "{d}/design.json", "--port", "http"], "a port number"),
     BadCall("view a long name", ["view", LONG], "File name too long"),
     # Names that are empty, as of a variable that is not set: the folder one is in is not meant.
-    *(BadCall(f"an empty name for {words[0]} {words[-2]}", words, "the name of a file or folder")
-      for words in (
-          build("--out", ""), train("--out", ""), exact_arm("--layout", ""), evaluate("--out", ""),
-          ["check", ""], ["check", "{d}/design.json", "--out", ""],
-          ["reach", "{d}/design.json", "--arm", "panda", "--out", ""],
-          ["export", "{d}", "--format", "glb", "--out", ""],
-          ["view", "--no-browser", ""], ["replay", ""], ["replay-trajectory", "--arm", "panda", ""],
-          ["table", "T1", "--from-files", "--out", ""], ["table", "T1", "--into", ""],
-          ["curves", "algorithms", "--runs", ""], ["measure-goals", "--out", ""],
-      )),
+    *(
+        BadCall(f"an empty name for {words[0]} {words[-2]}", words, "the name of a file or folder")
+        for words in (
+            build("--out", ""),
+            train("--out", ""),
+            exact_arm("--layout", ""),
+            evaluate("--out", ""),
+            ["check", ""],
+            ["check", "{d}/design.json", "--out", ""],
+            ["reach", "{d}/design.json", "--arm", "panda", "--out", ""],
+            ["export", "{d}", "--format", "glb", "--out", ""],
+            ["view", "--no-browser", ""],
+            ["replay", ""],
+            ["replay-trajectory", "--arm", "panda", ""],
+            ["table", "T1", "--from-files", "--out", ""],
+            ["table", "T1", "--into", ""],
+            ["curves", "algorithms", "--runs", ""],
+            ["measure-goals", "--out", ""],
+        )
+    ),
     BadCall("a zero byte in a name", build("--out", "{d}/a\0b"), "zero byte"),
     # Nothing is worked out, or printed, for a folder that cannot be used.
-    BadCall("check into a full folder", ["check", WALL, "--out", "{d}/full"],
-            "a new or empty folder"),
-    BadCall("reach into a full folder",
-            ["reach", "{d}/design.json", "--arm", "panda", "--out", "{d}/full"],
-            "a new or empty folder"),
+    BadCall(
+        "check into a full folder", ["check", WALL, "--out", "{d}/full"], "a new or empty folder"
+    ),
+    BadCall(
+        "reach into a full folder",
+        ["reach", "{d}/design.json", "--arm", "panda", "--out", "{d}/full"],
+        "a new or empty folder",
+    ),
     # Names that are misspelt.
-    *(BadCall(f"a misspelt {what}", words, f"no such file', expected a {what}") for what, words in {
-        "recording": ["replay", "{d}/lgo.jsonl"],
-        "program": ["replay-trajectory", "{d}/rate_hihg.csv", "--arm", "ur5e"],
-        "file or folder of an agent": evaluate("--agent", "{d}/agnet"),
-        "file of an agent": evaluate("--agent", "{d}/agent/agnet.safetensors"),
-        "file of a builder": ["build", "{d}/design.json", "--out", "{d}/new", "--agent",
-                              "{d}/agent/agnet.safetensors"],
-        "folder of a build": ["export", "{d}/rnu", "--format", "csv"],
-        "folder of a training run": resume("{d}/rnu"),
-        "folder of runs": curves("algorithms", "--runs", "{d}/rnu"),
-        "folder of agents": table("T1", "--agents", "{d}/agnet"),
-        "folder of examples": ["measure-builder", "--out", "{d}/new", "--examples", "{d}/rnu"],
-        "page for --into": table("T1", "--into", "{d}/flie.txt"),
-        "layout file": exact_arm("--layout", "{d}/layuot.json"),
-        "kit file": ["build", "{d}/design.json", "--out", "{d}/new", "--kit", "{d}/kti.toml"],
-    }.items()),
+    *(
+        BadCall(f"a misspelt {what}", words, f"no such file', expected a {what}")
+        for what, words in {
+            "recording": ["replay", "{d}/lgo.jsonl"],
+            "program": ["replay-trajectory", "{d}/rate_hihg.csv", "--arm", "ur5e"],
+            "file or folder of an agent": evaluate("--agent", "{d}/agnet"),
+            "file of an agent": evaluate("--agent", "{d}/agent/agnet.safetensors"),
+            "file of a builder": [
+                "build",
+                "{d}/design.json",
+                "--out",
+                "{d}/new",
+                "--agent",
+                "{d}/agent/agnet.safetensors",
+            ],
+            "folder of a build": ["export", "{d}/rnu", "--format", "csv"],
+            "folder of a training run": resume("{d}/rnu"),
+            "folder of runs": curves("algorithms", "--runs", "{d}/rnu"),
+            "folder of agents": table("T1", "--agents", "{d}/agnet"),
+            "folder of examples": ["measure-builder", "--out", "{d}/new", "--examples", "{d}/rnu"],
+            "page for --into": table("T1", "--into", "{d}/flie.txt"),
+            "layout file": exact_arm("--layout", "{d}/layuot.json"),
+            "kit file": ["build", "{d}/design.json", "--out", "{d}/new", "--kit", "{d}/kti.toml"],
+        }.items()
+    ),
     BadCall("a misspelt folder that was meant", resume("{d}/rnu"), "/run'?"),
-    BadCall("a design without its ending", ["build", "{d}/design", *build()[2:]],
-            "/design.json'?"),
+    BadCall("a design without its ending", ["build", "{d}/design", *build()[2:]], "/design.json'?"),
     BadCall("a link to nowhere", ["check", "{d}/special/nowhere"], "a link to nowhere"),
-    BadCall("a builder that is misspelt", ["measure-builder", "--out", "{d}/new", "--agent",
-                                           "bilder-s0"], "did you mean 'builder-s0'"),
-]  # fmt: skip
+    BadCall(
+        "a builder that is misspelt",
+        ["measure-builder", "--out", "{d}/new", "--agent", "bilder-s0"],
+        "did you mean 'builder-s0'",
+    ),
+]

@@ -28,15 +28,30 @@ def browse(browser: str, folder: Path, address: str, *options: str) -> tuple[str
     """Open a page without a network; standard output and the browser's log."""
     folder.mkdir()
     command = [
-        browser, "--headless", "--no-sandbox", "--disable-dev-shm-usage", "--disable-quic",
-        "--no-first-run", "--disable-background-networking", "--disable-component-update",
-        "--disable-sync", "--hide-scrollbars", "--enable-logging=stderr",
-        f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=4000", *options, address,
-    ]  # fmt: skip
+        browser,
+        "--headless",
+        "--no-sandbox",
+        "--disable-dev-shm-usage",
+        "--disable-quic",
+        "--no-first-run",
+        "--disable-background-networking",
+        "--disable-component-update",
+        "--disable-sync",
+        "--hide-scrollbars",
+        "--enable-logging=stderr",
+        f"--user-data-dir={folder / 'profile'}",
+        "--virtual-time-budget=4000",
+        *options,
+        address,
+    ]
     done = subprocess.run(
-        command, capture_output=True, text=True, timeout=180, check=False,
+        command,
+        capture_output=True,
+        text=True,
+        timeout=180,
+        check=False,
         env={**os.environ, "HOME": str(folder)},
-    )  # fmt: skip
+    )
     return done.stdout, done.stderr
 
 
@@ -64,9 +79,13 @@ def shoot(
     """
     shot = folder / "shot.png"
     _, log = browse(
-        browser, folder / "run", _side_by_side(folder, anchors, size), *options,
-        f"--screenshot={shot}", f"--window-size={size[0] * len(anchors)},{size[1]}",
-    )  # fmt: skip
+        browser,
+        folder / "run",
+        _side_by_side(folder, anchors, size),
+        *options,
+        f"--screenshot={shot}",
+        f"--window-size={size[0] * len(anchors)},{size[1]}",
+    )
     assert shot.is_file(), log
     image = imread(shot)
     return [image[:, k * size[0] : (k + 1) * size[0]] for k in range(len(anchors))], log

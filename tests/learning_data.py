@@ -81,10 +81,15 @@ class Recorded:
         self.step = self.simulator.step(self.after, self.local)
         size = len(action)
         self.batch = Batch(
-            graph, action, self.step.reward.astype(np.float32), self.step.terminated,
-            self.simulator.observe(self.after), np.full(size, task.discount, np.float32),
-            np.ones(size, np.bool_), options,
-        )  # fmt: skip
+            graph,
+            action,
+            self.step.reward.astype(np.float32),
+            self.step.terminated,
+            self.simulator.observe(self.after),
+            np.full(size, task.discount, np.float32),
+            np.ones(size, np.bool_),
+            options,
+        )
 
 
 def rows_of(graph: Graph, row: Any, low: int, high: int) -> list[tuple]:
@@ -96,10 +101,20 @@ def rows_of(graph: Graph, row: Any, low: int, high: int) -> list[tuple]:
 
 
 QUICK = TrainConfig(
-    network=SMALL, num_samples=250, num_envs=5, initial_samples=50, batch_size=8, replay_size=130,
-    epsilon_samples=120, target_period=7, updates_per_round=2, steps=2, augment=True,
-    learning_rate=1e-3, final_learning_rate=1e-4,
-)  # fmt: skip
+    network=SMALL,
+    num_samples=250,
+    num_envs=5,
+    initial_samples=50,
+    batch_size=8,
+    replay_size=130,
+    epsilon_samples=120,
+    target_period=7,
+    updates_per_round=2,
+    steps=2,
+    augment=True,
+    learning_rate=1e-3,
+    final_learning_rate=1e-4,
+)
 """Uses every source of randomness and wraps its memory."""
 OWN: dict[str, Any] = {"network": RELATIONAL, "augment": False, "dense_weight": 1.0}
 """What turns it into a training of our own method."""

@@ -21,9 +21,17 @@ ROOT = Path(__file__).resolve().parents[1]
 REFERENCE = ROOT.parent / "shared" / "reference"
 SAMPLE = Path(__file__).parent / "data" / "recordings"
 UNREAD = {
-    "F_plane_before", "F_plane_after", "F_comp_before", "F_comp_after", "policy", "resampled",
-    "mask_diff_px", "prev_rew", "n_target", "px_total_after",
-}  # fmt: skip
+    "F_plane_before",
+    "F_plane_after",
+    "F_comp_before",
+    "F_comp_after",
+    "policy",
+    "resampled",
+    "mask_diff_px",
+    "prev_rew",
+    "n_target",
+    "px_total_after",
+}
 
 
 def sample_lines(file: Path) -> Iterator[dict[str, Any]]:

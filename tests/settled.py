@@ -121,8 +121,11 @@ def log_in_v(rng: np.random.Generator) -> Heap:
 
 
 KINDS: dict[str, Callable[[np.random.Generator], Heap]] = {
-    "stones": stones, "planks": plank_on_ridges, "roof": roof, "log": log_in_v,
-}  # fmt: skip
+    "stones": stones,
+    "planks": plank_on_ridges,
+    "roof": roof,
+    "log": log_in_v,
+}
 
 
 class World:
@@ -136,8 +139,10 @@ class World:
             meshes.append(f'<mesh name="m{k}" inertia="exact" vertex="{corners}"/>')
             at = " ".join(f"{v:.9g}" for v in block.centroid)
             joint = "" if fixed[k] else "<freejoint/>"
-            parts.append(f'<body name="b{k}" pos="{at}">{joint}'
-                         f'<geom type="mesh" mesh="m{k}" density="2000"/></body>')  # fmt: skip
+            parts.append(
+                f'<body name="b{k}" pos="{at}">{joint}'
+                f'<geom type="mesh" mesh="m{k}" density="2000"/></body>'
+            )
         # A file moves its meshes to their centres, which are those of the blocks.
         self.model = mujoco.MjModel.from_xml_string(
             f'<mujoco><option timestep="{STEP}" cone="elliptic" impratio="20" '
@@ -159,8 +164,10 @@ class World:
     def corners(self) -> list[np.ndarray]:
         """Where the corners of every body are [m]."""
         turns = quaternion_matrix(self.data.xquat[self.body])
-        return [own @ turn.T + at for own, turn, at in
-                zip(self.local, turns, self.data.xpos[self.body], strict=True)]  # fmt: skip
+        return [
+            own @ turn.T + at
+            for own, turn, at in zip(self.local, turns, self.data.xpos[self.body], strict=True)
+        ]
 
     def run(self, seconds: float, damping: float = 0.0) -> float:
         """The largest motion of a corner [m]."""
@@ -172,8 +179,10 @@ class World:
 
     def assembly(self) -> Assembly:
         """Where everything is now, as an assembly."""
-        blocks = [Block(b.id, corners, b.faces, density=2000.0, support=fixed) for b, corners, fixed
-                  in zip(self.blocks, self.corners(), self.fixed, strict=True)]  # fmt: skip
+        blocks = [
+            Block(b.id, corners, b.faces, density=2000.0, support=fixed)
+            for b, corners, fixed in zip(self.blocks, self.corners(), self.fixed, strict=True)
+        ]
         if any(self.fixed):
             ground = convex(box((4.0, 4.0, 0.1)) - [0, 0, 0.05], "ground")
             blocks.append(Block("ground", ground.vertices, ground.faces, support=True))
@@ -215,8 +224,10 @@ def figures(count: int) -> None:
                 certain = " for certain" if "for certain" in found.proof else ""
                 said[found.verdict + certain] += 1
                 if certain:
-                    print(f"  {kind} {seed - 1}: {found.proof}, {found.holding_force:.3g} N, "
-                          f"{found.moving}")  # fmt: skip
+                    print(
+                        f"  {kind} {seed - 1}: {found.proof}, {found.holding_force:.3g} N, "
+                        f"{found.moving}"
+                    )
         print(f"{kind}: {said.total()} of {seed} that were tried stay: {dict(said)}")
     said, seed = Counter(), 0
     while said.total() < count // 2:

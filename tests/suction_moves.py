@@ -62,9 +62,13 @@ def random_moves(seed: int) -> Iterator[tuple[str, Scene, Move]]:
         turn = np.zeros(placed + len(waiting))
         turn[placed:] = yaw
         scene = Scene(
-            np.vstack([middle, waiting]), turn, np.arange(len(turn)), placed,
-            np.vstack([half, sizes]), np.full(len(turn), rng.uniform(300, 1500)),
-        )  # fmt: skip
+            np.vstack([middle, waiting]),
+            turn,
+            np.arange(len(turn)),
+            placed,
+            np.vstack([half, sizes]),
+            np.full(len(turn), rng.uniform(300, 1500)),
+        )
         hands = attitudes(ARMS[0], size)
         if hands:
             hand = hands[int(rng.integers(len(hands)))]

@@ -171,13 +171,19 @@ _PLAIN: dict[str, str] = {
     '<x:rect xmlns:x="urn:x" width="240" height="240"/><path d="M20 220L120 20L220 220"/>',
 }
 _HEADS: dict[str, tuple[str, str]] = {
-    "page fitted": ('width="240" height="240" viewBox="0 0 20 10"',
-                    '<circle cx="10" cy="5" r="8"/>'),
-    "page cut off": ('width="240" height="240" viewBox="-10 -10 20 10" '
-                     'preserveAspectRatio="xMaxYMin slice"', '<circle r="9"/>'),
-    "page stretched": ('width="240" height="240" viewBox="0 0 20 10" preserveAspectRatio="none"',
-                       '<circle cx="10" cy="5" r="4"/><rect width="40%" height="20%"/>'),
-}  # fmt: skip
+    "page fitted": (
+        'width="240" height="240" viewBox="0 0 20 10"',
+        '<circle cx="10" cy="5" r="8"/>',
+    ),
+    "page cut off": (
+        'width="240" height="240" viewBox="-10 -10 20 10" preserveAspectRatio="xMaxYMin slice"',
+        '<circle r="9"/>',
+    ),
+    "page stretched": (
+        'width="240" height="240" viewBox="0 0 20 10" preserveAspectRatio="none"',
+        '<circle cx="10" cy="5" r="4"/><rect width="40%" height="20%"/>',
+    ),
+}
 
 
 class _Mixed:
@@ -208,17 +214,19 @@ class _Mixed:
             f'<rect x="{x}" y="{y}" width="35%" height="40%" rx="15" {attributes}/>',
             f'<circle cx="50%" cy="{y}" r="{r}" {attributes}/>',
             f'<ellipse cx="{x}" cy="{y}" rx="{r}" ry="40" {attributes}/>',
-            f'<path d="{_STAR}" {attributes}/>', f'<path d="{_RING}" {attributes}/>',
+            f'<path d="{_STAR}" {attributes}/>',
+            f'<path d="{_RING}" {attributes}/>',
             f'<path d="{_LEAF}" {attributes}/>',
             f'<polygon points="{x},{y} 220,60 180,{self.number(120, 230)} 60 200" {attributes}/>',
-        )[self.random.integers(8)]  # fmt: skip
+        )[self.random.integers(8)]
 
     def define(self, kind: str) -> str:
         name = f"d{len(self.defs)}"
         turn = f'transform="{self.turn()}"' if self.random.random() < 0.5 else ""
         if kind == "mask":
-            body = (f'<rect x="-240" y="-240" width="720" height="720" fill="white"/>'
-                    f'{self.shape("")}')  # fmt: skip
+            body = (
+                f'<rect x="-240" y="-240" width="720" height="720" fill="white"/>{self.shape("")}'
+            )
         elif kind == "clipPath":
             # Of a shape with a hole and another one Chromium 156 shows what only one of them
             # covers; by the specification a clip path is what any of its shapes covers.
@@ -242,8 +250,10 @@ class _Mixed:
         if kind == 1:
             return f'<g mask="url(#{self.define("mask")})" {self.place()}>{inside}</g>'
         if kind == 2:
-            return (f'<svg x="10" y="5%" width="90%" height="{self.number(150, 230)}" '
-                    f'viewBox="0 0 240 240">{inside}</svg>')  # fmt: skip
+            return (
+                f'<svg x="10" y="5%" width="90%" height="{self.number(150, 230)}" '
+                f'viewBox="0 0 240 240">{inside}</svg>'
+            )
         return f"<g {self.place()}>{inside}</g>"
 
     def place(self) -> str:
@@ -293,9 +303,13 @@ def shown_by(browser: str, folder: Path) -> dict[str, np.ndarray]:
     page.write_text(f'<!doctype html><body style="margin:0">{"".join(images)}', encoding="utf-8")
     shot = folder / "shot.png"
     _, log = browse(
-        browser, folder / "run", page.as_uri(), *FLAT, f"--screenshot={shot}",
+        browser,
+        folder / "run",
+        page.as_uri(),
+        *FLAT,
+        f"--screenshot={shot}",
         f"--window-size={_ACROSS * SIZE},{rows * SIZE}",
-    )  # fmt: skip
+    )
     assert shot.is_file(), log
     image = np.rint(255 * imread(shot)[..., :3]).min(-1)
     return {

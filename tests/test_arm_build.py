@@ -183,9 +183,11 @@ def test_an_arm_that_always_fails_gives_up(monkeypatch: pytest.MonkeyPatch) -> N
 
 @settings(max_examples=25, deadline=None)
 @given(
-    x=st.floats(-0.25, 0.2), y=st.floats(-0.4, -0.15), turn=st.floats(-3, 3),
+    x=st.floats(-0.25, 0.2),
+    y=st.floats(-0.4, -0.15),
+    turn=st.floats(-3, 3),
     flip=st.sampled_from([0, 1, 2, 3]),
-)  # fmt: skip
+)
 def test_a_fallen_block_waits_where_it_lies(x: float, y: float, turn: float, flip: int) -> None:
     """On whichever face it fell, and whatever its turn: nothing is lost, and its yaw is known."""
     start = sample_problem(TASK, LONG)

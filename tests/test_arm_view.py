@@ -159,9 +159,11 @@ def test_a_held_block_keeps_its_place_in_the_hand(playback: Playback) -> None:
                 tool, rotation = playback.shape.tool(playback.arm_at(clock)[0])
                 cells, turns = playback.cells_at(clock)
                 inside.append(
-                    [*(rotation.T @ (cells[glide.cell] - tool)),
-                     *(rotation.T @ quaternion_matrix(turns[glide.cell])).ravel()]
-                )  # fmt: skip
+                    [
+                        *(rotation.T @ (cells[glide.cell] - tool)),
+                        *(rotation.T @ quaternion_matrix(turns[glide.cell])).ravel(),
+                    ]
+                )
             np.testing.assert_allclose(inside, np.tile(inside[0], (7, 1)), atol=1e-9)
             assert np.linalg.norm(inside[0][:3]) < 0.02, "and that place is between the fingers"
 
@@ -169,8 +171,9 @@ def test_a_held_block_keeps_its_place_in_the_hand(playback: Playback) -> None:
 def test_cells_begin_and_end_where_the_record_says(playback: Playback) -> None:
     for segment in playback.segments:
         for clock, wanted in (
-            (segment.start + 1e-9, segment.step.before), (segment.end, segment.step.after)
-        ):  # fmt: skip
+            (segment.start + 1e-9, segment.step.before),
+            (segment.end, segment.step.after),
+        ):
             position, quaternion = playback.cells_at(clock)
             where, turned = split(wanted)
             np.testing.assert_allclose(position, where, atol=1e-6)
@@ -414,9 +417,14 @@ def test_the_page_says_what_the_arm_does(
     stage = lost.step.stages[1]
     clock = (stage.start + stage.end) / 2 + lost.delay
     dom, log = browse(
-        browser, tmp_path / "run", f"{address}#t={clock:.2f}", "--disable-gpu",
-        "--disable-3d-apis", "--dump-dom", "--window-size=500,600",
-    )  # fmt: skip
+        browser,
+        tmp_path / "run",
+        f"{address}#t={clock:.2f}",
+        "--disable-gpu",
+        "--disable-3d-apis",
+        "--dump-dom",
+        "--window-size=500,600",
+    )
     root = re.search(r"<html[^>]*>", dom)
     assert root, log
     assert 'data-ready="yes"' in root[0], log

@@ -91,10 +91,10 @@ def test_a_third_arm_is_a_file(third: Path) -> None:
         ("[gripper]", "[hand]", r"gripper: got None"),
         ('"panda.xml"', '"other.xml"', r"mjcf: got .*other.xml"),
         ('mjcf = "', "mjcf = ", r"expected valid TOML"),
-        ("[base]", '[branches.odd]\njoint9 = [0, 1]\n[base]', r"branches.odd, joint: got 'joint9'"),
+        ("[base]", "[branches.odd]\njoint9 = [0, 1]\n[base]", r"branches.odd, joint: got 'joint9'"),
         ("[base]", "[branches.odd]\njoint4 = [0, 1]\n[base]", r"odd, joint4: got \[0, 1\]"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_file_is_refused(third: Path, old: str, new: str, message: str) -> None:
     text = third.read_text(encoding="utf-8")
     assert old in text
@@ -251,7 +251,13 @@ def test_the_gripper_presses_with_its_force(arm: Arm) -> None:
 
 def test_outcomes_have_the_names_of_the_contract() -> None:
     assert [outcome.label for outcome in Outcome] == [
-        "reached", "unreachable", "grasp-collision", "place-collision", "grasp-lost",
-        "disturbed-structure", "toppled", "dropped",
-    ]  # fmt: skip
+        "reached",
+        "unreachable",
+        "grasp-collision",
+        "place-collision",
+        "grasp-lost",
+        "disturbed-structure",
+        "toppled",
+        "dropped",
+    ]
     assert Outcome.REACHED == 0

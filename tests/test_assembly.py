@@ -21,7 +21,7 @@ from learn2assemble.assembly.blocks import (
     convex_parts,
     shells,
     to_manifold,
-)  # fmt: skip
+)
 from learn2assemble.assembly.compas import from_compas, to_compas, write_compas
 from learn2assemble.assembly.contacts import (
     GROUND,
@@ -29,13 +29,13 @@ from learn2assemble.assembly.contacts import (
     check_overlaps,
     contact_tolerance,
     find_contacts,
-)  # fmt: skip
+)
 from learn2assemble.assembly.files import (
     from_json,
     read_assembly,
     to_json,
     write_assembly,
-)  # fmt: skip
+)
 from learn2assemble.errors import InputError
 
 TETRAHEDRON = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
@@ -484,10 +484,23 @@ def test_bad_documents(path: str, value: Any, words: str) -> None:
 
 @pytest.mark.parametrize(
     "content",
-    [b"", b"{", b"[]", b"{}", b'{"dtype": "compas"}', b'{"dtype": "c", "data": {"graph": {}}}',
-     b"\x80\x81", b"hello", b"glTF rubbish", b"ply\nrubbish", b"solid nothing\nendsolid",
-     b'{"format": NaN}', b"[" * 100_000, b"v 1 2 3\nf 1 2 3\n"],
-)  # fmt: skip
+    [
+        b"",
+        b"{",
+        b"[]",
+        b"{}",
+        b'{"dtype": "compas"}',
+        b'{"dtype": "c", "data": {"graph": {}}}',
+        b"\x80\x81",
+        b"hello",
+        b"glTF rubbish",
+        b"ply\nrubbish",
+        b"solid nothing\nendsolid",
+        b'{"format": NaN}',
+        b"[" * 100_000,
+        b"v 1 2 3\nf 1 2 3\n",
+    ],
+)
 def test_bad_files(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "bad"
     file.write_bytes(content)

@@ -104,8 +104,10 @@ def test_augmented_transitions_are_true(sides: int, mirror: bool, exchange: bool
             assert sorted(rows_of(mine, row, 0, targets)) == sorted(rows_of(theirs, n, 0, targets))
             assert rows_of(mine, row, targets, settled) == rows_of(theirs, n, targets, settled)
     # Waiting blocks stay where they are.
-    free = ~(np.arange(TASKS[sides].num_nodes) < (data.batch.graph.num_targets
-             + data.batch.graph.num_placed)[:, None])  # fmt: skip
+    free = ~(
+        np.arange(TASKS[sides].num_nodes)
+        < (data.batch.graph.num_targets + data.batch.graph.num_placed)[:, None]
+    )
     np.testing.assert_array_equal(got.graph.nodes[free], data.batch.graph.nodes[free])
 
 

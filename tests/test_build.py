@@ -86,8 +86,10 @@ def test_objects_of_several_cells_are_blocks_of_the_assembly() -> None:
     assert plan.assembly is not None
     cells = [round(block.volume / 0.05**3) for block in plan.assembly.blocks]
     assert max(cells) > 1
-    assert all(block.mass == pytest.approx(0.1 * n) for block, n in
-               zip(plan.assembly.blocks, cells, strict=True))  # fmt: skip
+    assert all(
+        block.mass == pytest.approx(0.1 * n)
+        for block, n in zip(plan.assembly.blocks, cells, strict=True)
+    )
     assert check(plan.assembly).verdict == "stands"
 
 

@@ -40,8 +40,11 @@ def test_a_problem_is_the_towers_of_its_sides(task: str) -> None:
             tuple(cell) for cell in (np.argwhere(problem.site.wanted) + problem.corner).tolist()
         }
         towers = find_towers(simulator, state, row)
-        high = [(*p, z) for p, cap in zip(towers.place.tolist(), towers.cap, strict=True)
-                for z in range(cap)]  # fmt: skip
+        high = [
+            (*p, z)
+            for p, cap in zip(towers.place.tolist(), towers.cap, strict=True)
+            for z in range(cap)
+        ]
         # A side without open pixels has places there, too, that only have to be passed.
         assert {cell for cell in high if cell[2] > 0} == {cell for cell in cells if cell[2] > 0}
         assert cells <= set(high)

@@ -109,9 +109,10 @@ def fingerprint(folder: Path) -> dict[str, str]:
     """Every path below ``folder`` with the hash of its content."""
     return {
         str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
-        if path.is_file() else "folder"
+        if path.is_file()
+        else "folder"
         for path in sorted(folder.rglob("*"))
-    }  # fmt: skip
+    }
 
 
 # Help and versions.
@@ -274,9 +275,19 @@ def test_a_name_stands_for_its_search_and_arguments_take_the_place_of_its_own() 
 
 def test_eval_with_the_restore_faults(l2a: Call, agent: Path) -> None:
     result = l2a(
-        "eval", TASK, "--agent", agent, "--episodes", "2", "--search", "eps-mcts",
-        "--budget", "3", "--legacy", "--json",
-    )  # fmt: skip
+        "eval",
+        TASK,
+        "--agent",
+        agent,
+        "--episodes",
+        "2",
+        "--search",
+        "eps-mcts",
+        "--budget",
+        "3",
+        "--legacy",
+        "--json",
+    )
     assert result.code == 0
     summary = result.json()
     assert summary["search"] == "eps-mcts"
@@ -354,9 +365,13 @@ def test_bench(l2a: Call, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 FILES = {
-    "plan": "plan.json", "assembly": "assembly.json", "bill": "bill.csv", "cards": "cards.html",
-    "page": "view.html", "picture": "progress.png",
-}  # fmt: skip
+    "plan": "plan.json",
+    "assembly": "assembly.json",
+    "bill": "bill.csv",
+    "cards": "cards.html",
+    "page": "view.html",
+    "picture": "progress.png",
+}
 
 
 def test_build(l2a: Call, tmp_path: Path) -> None:
@@ -546,9 +561,10 @@ def test_bad_call(call: BadCall, l2a: Call, stage: Path) -> None:
     assert result.code == 2
     assert result.out == ""
     lines = [
-        line for line in result.err.splitlines()
+        line
+        for line in result.err.splitlines()
         if not line.startswith("l2a: ") or line.startswith("l2a: error")
-    ]  # fmt: skip
+    ]
     assert len(lines) == 1, lines
     assert "error: " in lines[0]
     assert "Traceback" not in lines[0]

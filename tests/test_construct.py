@@ -29,8 +29,17 @@ from learn2assemble.reproduction import shapes
 from test_ordering import deck
 
 DESIGNS = Path(__file__).resolve().parents[1] / "examples" / "designs"
-DRAWN = ("gate.svg", "t.svg", "h.svg", "arch.svg", "two_towers.svg", "circle.svg", "figure.png",
-         "dome.npy", "off_centre_tower.json")  # fmt: skip
+DRAWN = (
+    "gate.svg",
+    "t.svg",
+    "h.svg",
+    "arch.svg",
+    "two_towers.svg",
+    "circle.svg",
+    "figure.png",
+    "dome.npy",
+    "off_centre_tower.json",
+)
 
 
 def filled(plan: Plan, design: CellDesign) -> np.ndarray:
@@ -117,8 +126,9 @@ def test_a_block_takes_the_most_frequent_colour_of_its_cells() -> None:
     """A lintel that nothing else can stand in for; the report counts its other cells."""
     wanted = np.ones((5, 1, 2), bool)
     wanted[1:4, :, 0] = False
-    plan = plan_cells(coloured(wanted, np.arange(10).reshape(5, 1, 2) // 2 > 2), "bricks-lintels",
-                      props=False)  # fmt: skip
+    plan = plan_cells(
+        coloured(wanted, np.arange(10).reshape(5, 1, 2) // 2 > 2), "bricks-lintels", props=False
+    )
     assert plan.assembly is not None
     assert plan.complete
     found = {(block.kind, block.colour) for block in plan.assembly.blocks}
@@ -137,9 +147,12 @@ def test_blocks_keep_to_one_colour_where_they_can() -> None:
     plain = replace(design, colours=None)
     tilings = [tile(wanted, load_kit("bricks-lintels"), shades=d.shades) for d in (design, plain)]
     crossing = [
-        sum(len(set(blue[tuple(placement_cells(p, load_kit("bricks-lintels")).T)])) > 1
-            for p in tiling.placements) for tiling in tilings
-    ]  # fmt: skip
+        sum(
+            len(set(blue[tuple(placement_cells(p, load_kit("bricks-lintels")).T)])) > 1
+            for p in tiling.placements
+        )
+        for tiling in tilings
+    ]
     assert crossing[0] == 0 < crossing[1]
     assert design.colours is not None
     noise = np.random.default_rng(0).integers(0, 12, design.colours.shape)
@@ -217,9 +230,13 @@ def test_a_block_that_cannot_be_placed_is_to_blame() -> None:
     kit = load_kit("bricks")
     tiling = tile(wanted, kit)
     plan = report_plan(
-        CellDesign("post", wanted, kit.pitch, None, 0.0, None, "test", None), kit, tiling,
-        order(tiling, kit), seconds=0.0, planner="exact",
-    )  # fmt: skip
+        CellDesign("post", wanted, kit.pitch, None, 0.0, None, "test", None),
+        kit,
+        tiling,
+        order(tiling, kit),
+        seconds=0.0,
+        planner="exact",
+    )
     assert plan.status == "not found"
     bar = tuple((x, 0, 1) for x in range(4))
     assert plan.blamed == (BlamedCells("cannot be placed", bar),)

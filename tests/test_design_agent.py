@@ -81,15 +81,18 @@ def legal_by_hand(world: World) -> set[tuple[int, tuple[int, int, int]]]:
             below = [(x, y, z - 1) for x, y, z in own]
             on_table = [z < 0 for _, _, z in below]
             wanted_below = [
-                b for b, low in zip(below, on_table, strict=True)
+                b
+                for b, low in zip(below, on_table, strict=True)
                 if not low and b not in own and wanted[b]
-            ]  # fmt: skip
+            ]
             if not all(filled[b] for b in wanted_below):
                 continue
-            carried = np.array([
-                z == 0 or ((x, y, z - 1) not in own and bool(wanted[x, y, z - 1]))
-                for x, y, z in cells.tolist()
-            ])  # fmt: skip
+            carried = np.array(
+                [
+                    z == 0 or ((x, y, z - 1) not in own and bool(wanted[x, y, z - 1]))
+                    for x, y, z in cells.tolist()
+                ]
+            )
             if support_margin(cells, carried, site.kit) > 1e-9:
                 found.add((number, origin))
     return found
@@ -117,9 +120,7 @@ def test_candidates_and_proofs_against_their_definitions(seed: int) -> None:
             break
         world.place(int(rng.choice(legal)), program=True)
     if world.placed:
-        whole = find_stack(
-            tuple(site.placement(c) for c in world.placed), kit, site.wanted.shape
-        )  # fmt: skip
+        whole = find_stack(tuple(site.placement(c) for c in world.placed), kit, site.wanted.shape)
         stack = world.proof.stack
         for name in ("weight", "centre", "upper", "start", "rank"):
             np.testing.assert_allclose(getattr(stack, name), getattr(whole, name), atol=1e-12)
@@ -285,9 +286,15 @@ def test_learning_and_playing_compute_the_same() -> None:
 @pytest.mark.parametrize("teacher", TEACHERS)
 def test_a_short_training_learns(teacher: str) -> None:
     config = BuilderConfig(
-        "trial", teacher, designs=(("designs-cubes-60", 2), ("designs-lintels-60", 3)),
-        states=150, batch=8, memory=100, hidden=16, width=8,
-    )  # fmt: skip
+        "trial",
+        teacher,
+        designs=(("designs-cubes-60", 2), ("designs-lintels-60", 3)),
+        states=150,
+        batch=8,
+        memory=100,
+        hidden=16,
+        width=8,
+    )
     builder = train(config)
     assert builder.origin["demonstrations"] == (teacher == "exact")
     assert builder.origin["states"] >= 150

@@ -30,7 +30,7 @@ from learn2assemble.errors import InputError, MissingExtraError
 EXAMPLES = Path(__file__).parents[1] / "examples" / "designs"
 GATE = np.array(
     [[c == "#" for c in row] for row in ("######", "######", "##..##", "##..##", "##..##")]
-)[::-1].T[:, None, :]  # fmt: skip
+)[::-1].T[:, None, :]
 """A gate, ``bool[6, 1, 5]``; cells of 50 mm."""
 
 
@@ -261,10 +261,19 @@ TURNED = {
     "path": '<path d="M0 0h4a4 2 0 0 1 0 4h-4z" transform="{}"/>',
 }
 """Shapes with a place for a transform."""
-AREAS = {"rect": 36, "circle": 16 * np.pi, "ellipse": 10 * np.pi, "use": 36,
-         "group": 32 + np.pi, "path": 16 + 4 * np.pi}  # fmt: skip
-TURNS = {"rotate(30)": (0.5, 0.75**0.5, 1.0), "skewX(40)": (0.0, 1.0, 1.0),
-         "matrix(1 .5 -.3 2 7 8)": (0.5, 1.0, 2.15)}  # fmt: skip
+AREAS = {
+    "rect": 36,
+    "circle": 16 * np.pi,
+    "ellipse": 10 * np.pi,
+    "use": 36,
+    "group": 32 + np.pi,
+    "path": 16 + 4 * np.pi,
+}
+TURNS = {
+    "rotate(30)": (0.5, 0.75**0.5, 1.0),
+    "skewX(40)": (0.0, 1.0, 1.0),
+    "matrix(1 .5 -.3 2 7 8)": (0.5, 1.0, 2.15),
+}
 
 
 @pytest.mark.parametrize("turn", TURNS)
@@ -301,10 +310,12 @@ SYMBOL = '<symbol id="k"><rect width="100" height="100"/></symbol>'
         f'<g display="none" mask="url(#c)">{UNSEEN}</g>',
         f'<g visibility="hidden" filter="url(#c)">{UNSEEN}</g>',
         '<g filter="url(#c)"/><text filter="url(#c)">house</text>',
-        *(f'<{tag} viewBox="0 0 1 1" id="c">{UNSEEN}</{tag}>' for tag in
-          ("symbol", "clipPath", "mask", "marker", "pattern")),
+        *(
+            f'<{tag} viewBox="0 0 1 1" id="c">{UNSEEN}</{tag}>'
+            for tag in ("symbol", "clipPath", "mask", "marker", "pattern")
+        ),
     ],
-)  # fmt: skip
+)
 def test_leftovers_of_an_svg_are_neither_refused_nor_drawn(body: str) -> None:
     drawn = read_svg(svg(body + f'<path d="{SQUARE}"/>').encode(), "x.svg")
     assert np.ptp(np.concatenate(drawn.sides["front"]), axis=0) == pytest.approx((100, 100))
@@ -421,10 +432,17 @@ def test_colours_go_with_the_cells(tmp_path: Path) -> None:
 RED, BLUE, GREEN = (200, 0, 0), (0, 0, 200), (0, 160, 0)
 
 
-@pytest.mark.parametrize(("paper", "grey", "cells_there"), [
-    (255, 150, True), (255, 185, True), (255, 205, False), (200, 130, True), (200, 150, False),
-    (100, 60, True),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("paper", "grey", "cells_there"),
+    [
+        (255, 150, True),
+        (255, 185, True),
+        (255, 205, False),
+        (200, 130, True),
+        (200, 150, False),
+        (100, 60, True),
+    ],
+)
 def test_grey_on_white_is_material(
     tmp_path: Path, paper: int, grey: int, cells_there: bool
 ) -> None:
@@ -588,8 +606,9 @@ GRIDS = arrays.arrays(np.bool_, st.tuples(*[st.integers(1, 7)] * 3))
 
 
 @given(wanted=GRIDS, order=st.sampled_from("CF"), kind=st.sampled_from(["?", "u1", "<f8", ">i4"]))
-@settings(deadline=None, max_examples=60,
-          suppress_health_check=[HealthCheck.function_scoped_fixture])  # fmt: skip
+@settings(
+    deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 def test_cells_come_back(wanted: np.ndarray, order: Any, kind: str, tmp_path: Path) -> None:
     wanted = wanted.copy()
     wanted[:, :, 0] |= wanted.any(2)  # every column stands on the table
@@ -617,8 +636,9 @@ def test_cells_come_back(wanted: np.ndarray, order: Any, kind: str, tmp_path: Pa
 
 
 @given(wanted=GRIDS)
-@settings(deadline=None, max_examples=25,
-          suppress_health_check=[HealthCheck.function_scoped_fixture])  # fmt: skip
+@settings(
+    deadline=None, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 def test_the_surface_of_cells_gives_the_cells(wanted: np.ndarray, tmp_path: Path) -> None:
     wanted = np.logical_or.accumulate(wanted[:, :, ::-1], axis=2)[:, :, ::-1].copy()
     wanted[0, 0, :2] = True
@@ -679,8 +699,7 @@ def _png_header(width: int, height: int) -> bytes:
 
     head = struct.pack(">IIBBBBB", width, height, 1, 0, 0, 0, 0)
     body = zlib.compress(bytes(10_000_000))
-    return (b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", body)
-            + chunk(b"IEND", b""))  # fmt: skip
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", body) + chunk(b"IEND", b"")
 
 
 def _npy_header(text: str) -> bytes:
@@ -703,9 +722,11 @@ def _glb(**changes: Any) -> bytes:
 def _zip_bomb() -> bytes:
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("wanted.npy", _npy_header(
-            "{'descr': '|b1', 'fortran_order': False, 'shape': (64, 64, 65536), }"
-        ) + bytes(100_000_000))  # fmt: skip
+        archive.writestr(
+            "wanted.npy",
+            _npy_header("{'descr': '|b1', 'fortran_order': False, 'shape': (64, 64, 65536), }")
+            + bytes(100_000_000),
+        )
     return file.getvalue()
 
 
@@ -758,7 +779,9 @@ BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "text.glb": (_glb(nodes=7), {}, "expected"),
     "lines.svg": (svg('<path d="M0 0L9 9L9 0" fill="none" stroke="red"/>'), {}, "no closed"),
     "wide.svg": (
-        svg(f'<path d="{SQUARE}"/>', 'width="1e308400mm" viewBox="0 0 9 9"'), {}, "a width",
+        svg(f'<path d="{SQUARE}"/>', 'width="1e308400mm" viewBox="0 0 9 9"'),
+        {},
+        "a width",
     ),
     "empty.svg": (svg(""), {}, "no closed outline"),
     "words.svg": (svg("<text>house</text>"), {}, "no closed outline"),
@@ -766,39 +789,55 @@ BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "white.svg": (svg(f'<path d="{SQUARE}" fill="white"/>'), {}, "without an area"),
     "clip.svg": (svg(f'<path d="{SQUARE}" clip-path="circle(9px)"/>'), {}, "clip-path circle"),
     "clipped.svg": (
-        svg(f'<clipPath id="c"/><path d="{SQUARE}" clip-path="url(#c)"/>'), {}, "without an area",
+        svg(f'<clipPath id="c"/><path d="{SQUARE}" clip-path="url(#c)"/>'),
+        {},
+        "without an area",
     ),
     "grey.svg": (
-        svg('<mask id="m"><rect width="99" height="99" fill="#888"/></mask>'
-            f'<path d="{SQUARE}" mask="url(#m)"/>'),
-        {}, "neither black nor white",
+        svg(
+            '<mask id="m"><rect width="99" height="99" fill="#888"/></mask>'
+            f'<path d="{SQUARE}" mask="url(#m)"/>'
+        ),
+        {},
+        "neither black nor white",
     ),
     "faint.svg": (
-        svg('<mask id="m"><g opacity=".5"><rect width="99" height="99" fill="white"/></g></mask>'
-            f'<path d="{SQUARE}" mask="url(#m)"/>'),
-        {}, "partly transparent",
+        svg(
+            '<mask id="m"><g opacity=".5"><rect width="99" height="99" fill="white"/></g></mask>'
+            f'<path d="{SQUARE}" mask="url(#m)"/>'
+        ),
+        {},
+        "partly transparent",
     ),
     "mask.svg": (
         svg(f'<mask id="m"><text>x</text></mask><g style="mask:url(#m)"><path d="{SQUARE}"/></g>'),
-        {}, "a mask with 1 text",
+        {},
+        "a mask with 1 text",
     ),
     "unread.svg": (
         svg('<text>house</text><image/><line x2="9" stroke="red"/><path d="M0 0h9" stroke="red"/>'),
-        {}, "1 image, 2 strokes, 1 text: convert them to paths",
+        {},
+        "1 image, 2 strokes, 1 text: convert them to paths",
     ),
     "clip_loop.svg": (
-        svg('<clipPath id="c"><rect width="9" height="9" clip-path="url(#c)"/></clipPath>'
-            f'<path d="{SQUARE}" clip-path="url(#c)"/>'),
-        {}, "itself",
+        svg(
+            '<clipPath id="c"><rect width="9" height="9" clip-path="url(#c)"/></clipPath>'
+            f'<path d="{SQUARE}" clip-path="url(#c)"/>'
+        ),
+        {},
+        "itself",
     ),
     "masks.svg": (_nested_masks(12, 10), {}, "references expanded"),
     "long_masks.svg": (_nested_masks(500, 1), {}, "nested too deeply"),
     "rects.svg": (svg("<rect/>" * 100_000), {}, "too many elements"),
     "entities.svg": (
-        "<!DOCTYPE svg [" + '<!ENTITY a "x">' * 60_000 + "]>" + svg("&a;"), {}, "entities",
+        "<!DOCTYPE svg [" + '<!ENTITY a "x">' * 60_000 + "]>" + svg("&a;"),
+        {},
+        "entities",
     ),
     "defaults.svg": (
-        f'<!DOCTYPE svg [<!ATTLIST rect z CDATA "{"x" * 99_999}">]>' + svg("<rect/>" * 99_999), {},
+        f'<!DOCTYPE svg [<!ATTLIST rect z CDATA "{"x" * 99_999}">]>' + svg("<rect/>" * 99_999),
+        {},
         "attributes by default",
     ),
     "wide_letters.svg": (b"<svg" + svg("").encode("utf-16-le"), {}, "two bytes"),
@@ -806,13 +845,16 @@ BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "rules.svg": (svg(f"<style>{'a{fill:red}' * 9_999}</style>"), {}, "3000 rules"),
     "braces.svg": (svg(f"<style>{'{' * 1_400_000}</style>"), {}, "nested too deeply"),
     "fits.svg": (
-        svg(f"<style>{'*{fill:red}' * 2_900}</style>" + '<rect width="9" height="9"/>' * 999), {},
+        svg(f"<style>{'*{fill:red}' * 2_900}</style>" + '<rect width="9" height="9"/>' * 999),
+        {},
         "fit too many",
     ),
     "nan.svg": (svg('<rect width="nan" height="9"/>'), {}, "a length 'nan'"),
     "infinite.svg": (svg('<rect width="1e999" height="9"/>'), {}, "a length '1e999'"),
     "grown.svg": (
-        svg('<g transform="scale(1e30)">' * 20 + '<circle r="9"/>' + "</g>" * 20), {}, "beyond 1e9",
+        svg('<g transform="scale(1e30)">' * 20 + '<circle r="9"/>' + "</g>" * 20),
+        {},
+        "beyond 1e9",
     ),
     "no_page.svg": (svg('<rect width="50%" height="50%"/>', ""), {}, "a viewBox"),
     "flat_page.svg": (svg(f'<path d="{SQUARE}"/>', 'viewBox="0 0 0 9"'), {}, "without an area"),
@@ -862,8 +904,11 @@ BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "blocks.dxf": (dxf(_nested_blocks), {}, "references expanded"),
     "cycle.dxf": (dxf(_cyclic_blocks), {}, "itself"),
     "array.dxf": (dxf(_many_copies), {}, "references expanded"),
-    "many.dxf": (dxf(lambda d, s: None).replace(b"ENDSEC", b"0\nPOINT\n" * 50_000, 1), {},
-                 "entities"),
+    "many.dxf": (
+        dxf(lambda d, s: None).replace(b"ENDSEC", b"0\nPOINT\n" * 50_000, 1),
+        {},
+        "entities",
+    ),
     "open.dxf": (dxf(lambda d, s: s.add_line((0, 0), (9, 9))), {}, "no closed outline"),
     "empty.dxf": (dxf(lambda d, s: None), {}, "no closed outline"),
     "no_unit.dxf": (dxf(lambda d, s: s.add_circle((0, 0), 99), 0), {}, "no unit"),
@@ -923,16 +968,22 @@ BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "digits.json": ('{"elevations": 1' + "0" * 9999 + "}", {}, "ordinary size"),
     "other.json": ("{}", {}, "elevations"),
     "format.json": ('{"format": "x", "elevations": []}', {}, "learn2assemble-design"),
-    "bell.json": ('{"name": "a\\u0007", "elevations": [{"outline": [[0,0],[1,0],[0,1]]}]}', {},
-                  "printable"),
+    "bell.json": (
+        '{"name": "a\\u0007", "elevations": [{"outline": [[0,0],[1,0],[0,1]]}]}',
+        {},
+        "printable",
+    ),
     "none.json": ('{"elevations": []}', {}, "1 to 4"),
     "key.json": ('{"elevation": []}', {}, "did you mean 'elevations'"),
     "nan.json": ('{"elevations": [{"outline": [[0, 0], [1, NaN], [1, 0]]}]}', {}, "finite"),
     "tall.json": ('{"elevations": [{"outline": [[0, 0], [1, 1e308], [1, 0]]}]}', {}, "1e+09"),
     "cross.json": ('{"elevations": [{"outline": [[0,0],[1,1],[1,0],[0,1]]}]}', {}, "crosses"),
     "below.json": ('{"elevations": [{"outline": [[0,-1],[1,0],[0,1]]}]}', {}, "below the table"),
-    "up.json": ('{"elevations": [{"outline": [[0,0.1],[0.1,0.1],[0.1,0.3],[0,0.3]]}]}', {},
-                "lowest level is 2"),
+    "up.json": (
+        '{"elevations": [{"outline": [[0,0.1],[0.1,0.1],[0.1,0.3],[0,0.3]]}]}',
+        {},
+        "lowest level is 2",
+    ),
     "far.json": ('{"elevations": [{"outline": [[9,0],[9.1,0],[9,0.3]]}]}', {}, "at most 64"),
     "long.json": (json.dumps({"elevations": [], "name": "x" * 2_000_000}), {}, "at most"),
     "none": (b"", {}, "empty file"),
@@ -945,7 +996,7 @@ BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
     "x.stl": (mesh(BOX, "stl"), {"unit": "m", "up": "x"}, "up"),
     "both.svg": (svg(f'<path d="{SQUARE}"/>'), {"size": 1.0, "cells_wide": 3}, "either"),
     "kit.svg": (svg(f'<path d="{SQUARE}"/>'), {"kit": "brickz"}, "bricks"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", BAD)
@@ -983,9 +1034,19 @@ def test_truncated_files_are_refused_or_read(name: str, tmp_path: Path) -> None:
 )
 def test_garbage_is_refused_under_every_name(ending: str, tmp_path: Path) -> None:
     generator = np.random.default_rng(3)
-    starts = [b"", b"\x89PNG\r\n\x1a\n", b"\x93NUMPY", b"PK\x03\x04", b"glTF", b"ply\n", b"{",
-              b"<svg", b"0\nSECTION\n", b"solid\nfacet ",
-              b"v 1 "]  # fmt: skip
+    starts = [
+        b"",
+        b"\x89PNG\r\n\x1a\n",
+        b"\x93NUMPY",
+        b"PK\x03\x04",
+        b"glTF",
+        b"ply\n",
+        b"{",
+        b"<svg",
+        b"0\nSECTION\n",
+        b"solid\nfacet ",
+        b"v 1 ",
+    ]
     for start in starts if ending != "3dm" else [b"3D Geometry File Format "]:
         path = write(tmp_path / f"x.{ending}", start + generator.bytes(3000))
         with pytest.raises(InputError) as caught:

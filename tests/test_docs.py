@@ -20,15 +20,23 @@ COMMAND = re.compile(r"^\s*(?:\.venv/bin/)?l2a\s+(.*)$", re.M)
 _SMALL = ("num_envs=4", "network.width=16", "batch_size=4", "initial_samples=4")
 TINY = {
     "train": [
-        *["--samples", "8", "--device", "cpu"], *[w for s in _SMALL for w in ("--set", s)],
+        *["--samples", "8", "--device", "cpu"],
+        *[w for s in _SMALL for w in ("--set", s)],
     ],
     "eval": ["--episodes", "1"],
-}  # fmt: skip
+}
 """Words that make a command small; later words win."""
 TOO_LONG = (
-    "bench", "fidelities", "--arm panda", "--format franka", "--quick", "--train", "--agents",
-    "dynamic", "measure-designs",
-)  # fmt: skip
+    "bench",
+    "fidelities",
+    "--arm panda",
+    "--format franka",
+    "--quick",
+    "--train",
+    "--agents",
+    "dynamic",
+    "measure-designs",
+)
 """Commands with these words are parsed, and their tests are elsewhere."""
 
 

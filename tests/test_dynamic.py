@@ -71,8 +71,12 @@ def assert_within_limits(arm: Arm, run: Trajectory) -> None:
     velocity = np.diff(run.joints, axis=0) / step
     acceleration = np.diff(run.velocity, axis=0) / step
     jerk = np.diff(run.velocity, 2, axis=0) / step[1:] ** 2
-    pairs = ((velocity, arm.velocity), (run.velocity, arm.velocity),
-             (acceleration, arm.acceleration), (jerk, arm.jerk))  # fmt: skip
+    pairs = (
+        (velocity, arm.velocity),
+        (run.velocity, arm.velocity),
+        (acceleration, arm.acceleration),
+        (jerk, arm.jerk),
+    )
     for found, limit in pairs:
         assert (np.abs(found) <= limit * (1 + 1e-4)).all()
     assert arm.inside_limits(run.joints).all()
@@ -200,9 +204,7 @@ def test_objects_of_several_cells(
     meant = put_down(world, move)
     assert found.after is not None
     np.testing.assert_allclose(found.after.position, meant.position, atol=2e-3)
-    np.testing.assert_allclose(
-        np.cos(found.after.yaw - meant.yaw), 1.0, atol=1e-3
-    )  # fmt: skip
+    np.testing.assert_allclose(np.cos(found.after.yaw - meant.yaw), 1.0, atol=1e-3)
     np.testing.assert_array_equal(found.after.object_id, meant.object_id)
 
 

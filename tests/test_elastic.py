@@ -32,8 +32,9 @@ def test_forces_balance_and_are_found_exactly_where_a_program_finds_some(seed: i
             assert (found is not False) == (answer.status == "optimal")
             if isinstance(found, np.ndarray):
                 columns = np.repeat(np.arange(len(free)), np.diff(program.start))
-                held = np.bincount(program.index, program.value * found[columns],
-                                   len(program.row_lower))  # fmt: skip
+                held = np.bincount(
+                    program.index, program.value * found[columns], len(program.row_lower)
+                )
                 assert found.min() >= 0
                 assert np.abs(held - program.row_lower).max() < 1e-9 * program.row_lower.max()
 

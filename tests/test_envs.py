@@ -387,10 +387,13 @@ def test_worlds_do_not_leak_into_each_other() -> None:
 
     def world(seen: list, row: int) -> list:
         return [
-            [{k: v[row] for k, v in s[0].items()}, [x[row] for x in s[1:-1]],
-             {k: v[row] for k, v in s[-1].items() if not k.endswith(tuple(STEP_KEYS))}]
+            [
+                {k: v[row] for k, v in s[0].items()},
+                [x[row] for x in s[1:-1]],
+                {k: v[row] for k, v in s[-1].items() if not k.endswith(tuple(STEP_KEYS))},
+            ]
             for s in seen
-        ]  # fmt: skip
+        ]
 
     for row in (0, 1, 3):
         assert data_equivalence(world(plain, row), world(changed, row), exact=True)
@@ -404,9 +407,13 @@ def test_what_the_caller_does_to_returned_arrays_has_no_effect() -> None:
     for _ in range(12):
         assert data_equivalence(a, b, exact=True)
         actions = np.array(
-            [pick({k: v[r] for k, v in a[-1].items() if k in INFO_KEYS}, rng)
-             if a[-1]["action_masks"][r].any() else 0 for r in range(3)]
-        )  # fmt: skip
+            [
+                pick({k: v[r] for k, v in a[-1].items() if k in INFO_KEYS}, rng)
+                if a[-1]["action_masks"][r].any()
+                else 0
+                for r in range(3)
+            ]
+        )
         for array in [*b[0].values(), *b[1:-1], *b[-1].values()]:
             array[:] = 0
         a, b = clean.step(actions), dirty.step(actions.copy())
@@ -525,10 +532,15 @@ def golden(name: str) -> Path:
 
 
 GOLDEN = (
-    "two-sided-3x3-20-24", "four-sided-3x3-10-18", "one-sided-5x5-15-17",
-    "objects-two-sided-5x5-20-24", "objects21-two-sided-6x6-30-34", "bars-one-sided-5x5-25-27",
-    "robot-two-sided-3x3-10-14", "robot-objects-two-sided-5x5-20-24",
-)  # fmt: skip
+    "two-sided-3x3-20-24",
+    "four-sided-3x3-10-18",
+    "one-sided-5x5-15-17",
+    "objects-two-sided-5x5-20-24",
+    "objects21-two-sided-6x6-30-34",
+    "bars-one-sided-5x5-25-27",
+    "robot-two-sided-3x3-10-14",
+    "robot-objects-two-sided-5x5-20-24",
+)
 """One preset of every kind."""
 
 

@@ -113,9 +113,14 @@ def test_harmonic_overhang(scale: float, stable: bool) -> None:
 
 @pytest.mark.parametrize(
     ("support", "stable"),
-    [([(0, 0, 0)], False), ([(1, 0, 0)], True), ([(0, 0, 0), (1, 0, 0)], True),
-     ([(0, 0, 0), (2, 0, 0)], True), ([(2, 0, 0)], False)],
-)  # fmt: skip
+    [
+        ([(0, 0, 0)], False),
+        ([(1, 0, 0)], True),
+        ([(0, 0, 0), (1, 0, 0)], True),
+        ([(0, 0, 0), (2, 0, 0)], True),
+        ([(2, 0, 0)], False),
+    ],
+)
 def test_a_bar_of_three_needs_its_middle_supported(
     support: list[tuple[int, int, int]], stable: bool
 ) -> None:

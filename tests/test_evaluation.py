@@ -82,10 +82,15 @@ def by_hand(task: Task, policy: Policy, count: int, seed: int) -> dict[str, Any]
         cover.append(float(world.complete_coverage[0]))
     spread = math.sqrt(sum((r - np.mean(returns)) ** 2 for r in returns) / (count - 1))
     return {
-        "R": np.mean(returns), "R_ci95": 1.96 * spread / math.sqrt(count), "a": np.mean(actions),
-        "f": np.mean(failed), "b": np.mean(out), "success": np.mean(success),
-        "coverage": np.mean(cover), "episodes": count,
-    }  # fmt: skip
+        "R": np.mean(returns),
+        "R_ci95": 1.96 * spread / math.sqrt(count),
+        "a": np.mean(actions),
+        "f": np.mean(failed),
+        "b": np.mean(out),
+        "success": np.mean(success),
+        "coverage": np.mean(cover),
+        "episodes": count,
+    }
 
 
 @pytest.mark.parametrize("task", [TINY, FEW], ids=lambda t: t.name)

@@ -29,8 +29,12 @@ def test_example_runs(name: str, tmp_path: Path) -> None:
         pytest.skip("sb3-contrib is not installed")
     done = subprocess.run(
         [sys.executable, str(EXAMPLES / f"{name}.py"), *WORDS.get(name, [])],
-        cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
         env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     assert done.stdout.strip()

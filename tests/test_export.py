@@ -44,11 +44,16 @@ def bridge() -> Assembly:
 
 def test_bill_counts_blocks_and_props(bridge: Assembly) -> None:
     """By kind and colour; a prop may have any."""
-    rows = {(row["kind"], row["colour"]): row
-            for row in csv.DictReader(io.StringIO(bill_of_blocks(bridge)))}  # fmt: skip
+    rows = {
+        (row["kind"], row["colour"]): row
+        for row in csv.DictReader(io.StringIO(bill_of_blocks(bridge)))
+    }
     counts = {key: (row["built_in"], row["props"], row["total"]) for key, row in rows.items()}
-    assert counts == {("1x1", ""): ("1", "1", "2"), ("1x1", "#c81e1e"): ("1", "0", "1"),
-                      ("1x3", ""): ("1", "0", "1")}  # fmt: skip
+    assert counts == {
+        ("1x1", ""): ("1", "1", "2"),
+        ("1x1", "#c81e1e"): ("1", "0", "1"),
+        ("1x3", ""): ("1", "0", "1"),
+    }
     assert float(rows["1x3", ""]["length_m"]) == pytest.approx(0.15)
     assert float(rows["1x3", ""]["mass_kg"]) == pytest.approx(0.15 * 0.05 * 0.05 * 1000)
 
@@ -185,9 +190,13 @@ class _Tags(HTMLParser):
 def _as_json(file: Path, made: Assembly) -> tuple[int, float]:
     blocks = {block["id"]: block for block in json.loads(file.read_text("utf-8"))["blocks"]}
     stands = [blocks[block.id] for block in made.finished.blocks]
-    solids = [trimesh.Trimesh(block["vertices"], [
-        (face[0], *two) for face in block["faces"] for two in pairwise(face[1:])
-    ]) for block in stands]  # fmt: skip
+    solids = [
+        trimesh.Trimesh(
+            block["vertices"],
+            [(face[0], *two) for face in block["faces"] for two in pairwise(face[1:])],
+        )
+        for block in stands
+    ]
     assert all(solid.is_watertight for solid in solids)
     return len(stands), float(sum(solid.volume for solid in solids))
 
@@ -216,8 +225,9 @@ def _as_pdf(file: Path, made: Assembly) -> tuple[int, float]:
     pypdf.PdfReader(file).pages[0].extract_text(visitor_text=visitor)
     cells = [words for words in text if words]
     start = cells.index("Mass of one") + 1
-    return sum(int(cells[k + 2]) for k in range(start, len(cells) - 6, 7)
-               if cells[k + 6].endswith("kg")), 0.0  # fmt: skip
+    return sum(
+        int(cells[k + 2]) for k in range(start, len(cells) - 6, 7) if cells[k + 6].endswith("kg")
+    ), 0.0
 
 
 def _as_compas(file: Path, made: Assembly) -> tuple[int, float]:
@@ -243,8 +253,15 @@ def _as_mjcf(file: Path, made: Assembly) -> tuple[int, float]:
     return model.nbody - 1, float(model.body_mass.sum()) / made.blocks[0].density
 
 
-READERS = {"assembly": _as_json, "bill": _as_bill, "cards": _as_cards, "compas": _as_compas,
-           "glb": _as_glb, "mjcf": _as_mjcf, "pdf": _as_pdf}  # fmt: skip
+READERS = {
+    "assembly": _as_json,
+    "bill": _as_bill,
+    "cards": _as_cards,
+    "compas": _as_compas,
+    "glb": _as_glb,
+    "mjcf": _as_mjcf,
+    "pdf": _as_pdf,
+}
 
 
 @pytest.mark.parametrize("format", list(FORMATS))

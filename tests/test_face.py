@@ -145,11 +145,24 @@ def test_a_small_evaluation() -> None:
     assert (again.metrics.R, again.metrics.a) == (result.metrics.R, result.metrics.a)
     json.dumps(result.to_dict())
     wrong: list[dict[str, Any]] = [
-        {"episodes": 0}, {"episodes": "5"}, {"seed": 1.5}, {"epsilon": 2.0}, {"epsilon": "a"},
-        {"search": "dfs"}, {"agent": "nobody"}, {"agent": ""}, {"search": 5}, {"physics": 5},
-        {"progress": 5}, {"budget": 10}, {"rollout": 1}, {"distinct": True},
-        {"search_model": lambda model: model}, {"episodes": 10**400}, {"epsilon": 10**400},
-    ]  # fmt: skip
+        {"episodes": 0},
+        {"episodes": "5"},
+        {"seed": 1.5},
+        {"epsilon": 2.0},
+        {"epsilon": "a"},
+        {"search": "dfs"},
+        {"agent": "nobody"},
+        {"agent": ""},
+        {"search": 5},
+        {"physics": 5},
+        {"progress": 5},
+        {"budget": 10},
+        {"rollout": 1},
+        {"distinct": True},
+        {"search_model": lambda model: model},
+        {"episodes": 10**400},
+        {"epsilon": 10**400},
+    ]
     for arguments in wrong:
         with pytest.raises(InputError, match=rf"^{next(iter(arguments))}: got "):
             l2a.evaluate("one-sided-3x3-22-24", **arguments)
@@ -198,10 +211,18 @@ def test_a_training_ends_with_what_comes_first(tmp_path: Path) -> None:
     assert run.metrics["samples"] == 60
 
 
-@pytest.mark.parametrize("wrong", [
-    {"seed": -1}, {"seed": 1.5}, {"threads": 0}, {"threads": 10**6}, {"minutes": 0},
-    {"minutes": "a"}, {"samples": 0},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"seed": -1},
+        {"seed": 1.5},
+        {"threads": 0},
+        {"threads": 10**6},
+        {"minutes": 0},
+        {"minutes": "a"},
+        {"samples": 0},
+    ],
+)
 def test_wrong_arguments_of_a_training(wrong: dict[str, Any], tmp_path: Path) -> None:
     with pytest.raises(InputError, match=rf"^{next(iter(wrong))}: got "):
         l2a.train("one-sided-3x3-22-24", tmp_path / "run", **wrong)

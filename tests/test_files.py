@@ -39,12 +39,16 @@ from learn2assemble.files import (
 )
 
 JSON = st.recursive(
-    st.none() | st.booleans() | st.integers(-(10**9), 10**9)
-    | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=8),
-    lambda inner: st.lists(inner, max_size=4)
-    | st.dictionaries(st.text(max_size=4), inner, max_size=4),
+    st.none()
+    | st.booleans()
+    | st.integers(-(10**9), 10**9)
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | st.text(max_size=8),
+    lambda inner: (
+        st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=4), inner, max_size=4)
+    ),
     max_leaves=20,
-)  # fmt: skip
+)
 
 
 @given(JSON)
@@ -106,11 +110,13 @@ class Outer:
 
 @given(
     st.builds(
-        Outer, st.text(),
+        Outer,
+        st.text(),
         st.lists(st.builds(Inner, st.floats(0, 10), st.sampled_from("ab"))).map(tuple),
-        st.none() | st.tuples(st.floats(-5, 5), st.floats(-5, 5)), st.booleans(),
+        st.none() | st.tuples(st.floats(-5, 5), st.floats(-5, 5)),
+        st.booleans(),
     )
-)  # fmt: skip
+)
 def test_a_value_is_read_as_it_was_written(value: Outer) -> None:
     assert from_plain(Outer, json.loads(json.dumps(to_plain(value))), "file") == value
 
@@ -230,8 +236,11 @@ def test_a_full_output_is_told_in_one_line() -> None:
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
             [sys.executable, "-m", "learn2assemble", "tasks"],
-            stdout=full, stderr=subprocess.PIPE, text=True, check=False,
-        )  # fmt: skip
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert "No space left on device" in line
@@ -239,11 +248,21 @@ def test_a_full_output_is_told_in_one_line() -> None:
 
 def test_names_an_ascii_terminal_cannot_show_are_escaped(tmp_path: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "learn2assemble", "export",
-         str(Path(__file__).parent / "data" / "ascii_wall.json"), "--format", "glb",
-         "--out", str(tmp_path / "caf\u00e9.glb")],
-        capture_output=True, check=False, env={**os.environ, "PYTHONIOENCODING": "ascii"},
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "learn2assemble",
+            "export",
+            str(Path(__file__).parent / "data" / "ascii_wall.json"),
+            "--format",
+            "glb",
+            "--out",
+            str(tmp_path / "caf\u00e9.glb"),
+        ],
+        capture_output=True,
+        check=False,
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+    )
     assert done.returncode == 0, done.stderr
     assert b"caf\\xe9.glb" in done.stdout
 
@@ -278,8 +297,10 @@ def test_an_interrupt_ends_with_130_and_no_traceback(wait: float, tmp_path: Path
     words = ["train", "two-sided-3x3-20-24", "--out", str(tmp_path / "out"), "--minutes", "5"]
     with subprocess.Popen(
         [sys.executable, "-c", code, *words],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    ) as process:  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
         time.sleep(wait)

@@ -185,11 +185,27 @@ def _left_of(a: tuple[float, float], b: tuple[float, float], p: tuple[float, flo
 
 RECORDED = [
     # The edge M -> RT falls on the wall or outside it once both are rounded to pixels.
-    ([(-0.0576456, 0.0), (-0.073974, 0.1087379), (0.040004, 0.0443334), (0.0731437, 0.1204558),
-      (0.0233596, 0.0)], 184),
-    ([(-0.0027075, 0.0), (-0.0002333, 0.0269549), (0.0312288, 0.0067751), (0.0346587, 0.0191579),
-      (0.0300365, 0.0)], 1007),
-]  # fmt: skip
+    (
+        [
+            (-0.0576456, 0.0),
+            (-0.073974, 0.1087379),
+            (0.040004, 0.0443334),
+            (0.0731437, 0.1204558),
+            (0.0233596, 0.0),
+        ],
+        184,
+    ),
+    (
+        [
+            (-0.0027075, 0.0),
+            (-0.0002333, 0.0269549),
+            (0.0312288, 0.0067751),
+            (0.0346587, 0.0191579),
+            (0.0300365, 0.0),
+        ],
+        1007,
+    ),
+]
 
 
 @pytest.mark.parametrize(("points", "pixels"), RECORDED)
@@ -260,8 +276,13 @@ def check_box(x: float, y: float, z: float, half: float, depths: DepthFilter) ->
         assert not (pixels & ~(large <= limit + 1e-9)).any(), "a pixel too many"
 
 
-@given(x=real(-0.5, 0.5), y=real(-0.4, 0.1), z=real(0, 0.7), half=st.sampled_from([HALF, 0.06]),
-       depths=some_window)  # fmt: skip
+@given(
+    x=real(-0.5, 0.5),
+    y=real(-0.4, 0.1),
+    z=real(0, 0.7),
+    half=st.sampled_from([HALF, 0.06]),
+    depths=some_window,
+)
 @settings(deadline=None, max_examples=150)
 @example(x=0.0, y=0.0, z=0.025, half=HALF, depths=NARROW)
 @example(x=0.0, y=-0.2, z=0.25, half=HALF, depths=NARROW)  # cut by the near plane, on the axis
@@ -277,9 +298,13 @@ def test_box_is_ray_casting(x: float, y: float, z: float, half: float, depths: D
 
 
 @given(
-    st.integers(-7, 7), st.integers(-3, 2), st.integers(0, 13), real(-1e-3, 1e-3),
-    st.sampled_from([0.05, 0.055, 0.06]), some_window,
-)  # fmt: skip
+    st.integers(-7, 7),
+    st.integers(-3, 2),
+    st.integers(0, 13),
+    real(-1e-3, 1e-3),
+    st.sampled_from([0.05, 0.055, 0.06]),
+    some_window,
+)
 @settings(deadline=None, max_examples=150)
 def test_box_on_the_lattice_is_ray_casting(
     i: int, j: int, k: int, shift: float, pitch: float, depths: DepthFilter

@@ -172,9 +172,10 @@ def test_no_structure_has_fewer_blocks_than_the_bound(family: str, seed: int) ->
 def test_loads_are_balanced_by_counterweights() -> None:
     """A lone beam would tip: what is called complete stands with the load as a block of its own."""
     file = GOOD | {
-        "reach": [], "load": [{"at": [0.125, 0.0, 0.1], "mass": 0.6}],
+        "reach": [],
+        "load": [{"at": [0.125, 0.0, 0.1], "mass": 0.6}],
         "obstacles": [[[0.05, -0.02, 0.0], [0.2, 0.02, 0.04]]],
-    }  # fmt: skip
+    }
     plan = plan_goals(parse_goals(file), seconds=10)
     meets(file, plan)
     assert plan.blocks.used > 2
@@ -279,17 +280,21 @@ def test_figures_count_what_was_measured() -> None:
 IMPOSSIBLE: dict[str, dict[str, Any]] = {
     "the heap is too low": {"heap": {"1x4": 1}},
     "the heap is too small": {
-        "occupy": [{"box": [[-0.199, -0.02, 0.001], [0.049, 0.02, 0.049]]}], "heap": {"1x1": 4}
+        "occupy": [{"box": [[-0.199, -0.02, 0.001], [0.049, 0.02, 0.049]]}],
+        "heap": {"1x1": 4},
     },
     "the gap is too wide": {
-        "reach": [[0.0, 0.0, 0.1]], "obstacles": [[[-0.15, -0.02, 0], [0.15, 0.02, 0.04]]],
+        "reach": [[0.0, 0.0, 0.1]],
+        "obstacles": [[[-0.15, -0.02, 0], [0.15, 0.02, 0.04]]],
         "heap": {"1x1": 20, "1x2": 20},
     },
     "its counterweight is missing": {
-        "load": [{"at": [0.075, 0.0, 0.1], "mass": 0.3}], "reach": [],
-        "obstacles": [[[0.0, -0.02, 0.0], [0.2, 0.02, 0.04]]], "heap": {"1x4": 1, "1x5": 1},
+        "load": [{"at": [0.075, 0.0, 0.1], "mass": 0.3}],
+        "reach": [],
+        "obstacles": [[[0.0, -0.02, 0.0], [0.2, 0.02, 0.04]]],
+        "heap": {"1x4": 1, "1x5": 1},
     },
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", IMPOSSIBLE)
@@ -305,9 +310,12 @@ def test_what_is_impossible_is_refused_with_a_reason(name: str) -> None:
 def test_a_load_the_heap_cannot_balance_is_bad_input() -> None:
     with pytest.raises(InputError, match="heap can balance"):
         plan_goals(
-            goals_of(reach=[], load=[{"at": [0.175, 0.0, 0.1], "mass": 900}],
-                     obstacles=[[[0.0, -0.02, 0.0], [0.2, 0.02, 0.04]]])
-        )  # fmt: skip
+            goals_of(
+                reach=[],
+                load=[{"at": [0.175, 0.0, 0.1], "mass": 900}],
+                obstacles=[[[0.0, -0.02, 0.0], [0.2, 0.02, 0.04]]],
+            )
+        )
 
 
 def test_props_are_taken_away_again_only_where_they_are_allowed() -> None:
@@ -401,10 +409,14 @@ def test_goals_for_which_nothing_is_found_end_in_exit_code_1(
 def two_towers(**given) -> dict:
     """Two points at the height of ten levels, and twenty blocks, each of which is needed."""
     return {
-        "format": "learn2assemble-goals", "version": 1, "kit": "bricks-lintels",
-        "site": [0.7, 0.3, 0.5], "reach": [[-0.225, 0.025, 0.5], [0.225, 0.025, 0.5]],
-        "heap": {"2x2": 8, "1x1": 4, "1x4": 4, "1x2": 4}, **given,
-    }  # fmt: skip
+        "format": "learn2assemble-goals",
+        "version": 1,
+        "kit": "bricks-lintels",
+        "site": [0.7, 0.3, 0.5],
+        "reach": [[-0.225, 0.025, 0.5], [0.225, 0.025, 0.5]],
+        "heap": {"2x2": 8, "1x1": 4, "1x4": 4, "1x2": 4},
+        **given,
+    }
 
 
 @pytest.mark.parametrize("ways", [WAYS, (SEARCH,)])

@@ -28,18 +28,24 @@ from turned import turned_graph
 
 PITCH = 0.06
 CUBES = Task(
-    "cubes", num_sides=4, grid=3, num_nodes=30, rotations=4, action_mode="grips", pitch=PITCH,
-    layout="slanted-rows", cover_filter="wide", normalise_initial=False,
-)  # fmt: skip
+    "cubes",
+    num_sides=4,
+    grid=3,
+    num_nodes=30,
+    rotations=4,
+    action_mode="grips",
+    pitch=PITCH,
+    layout="slanted-rows",
+    cover_filter="wide",
+    normalise_initial=False,
+)
 TASKS = {
     "cubes": CUBES,
     "objects": CUBES.replace(
         name="objects", num_sides=2, num_nodes=24, objects="set-26", layout="columns"
     ),
-    "turned": Task(
-        "turned", num_sides=2, grid=3, num_nodes=20, objects="set-26", rotations=4
-    ),
-}  # fmt: skip
+    "turned": Task("turned", num_sides=2, grid=3, num_nodes=20, objects="set-26", rotations=4),
+}
 SIMULATORS = {name: Simulator(task) for name, task in TASKS.items()}
 # The turned world of the quarter turns: sides and lattice as one.
 EVEN = Simulator(CUBES.replace(name="even", pitch=EDGE, layout="line"))
@@ -160,9 +166,14 @@ def test_the_hand_turns_with_the_world(quarters: int, before: str, after: str, s
 def network(pitch: float, hand: bool = True) -> PlacementNetwork:
     torch.manual_seed(0)
     config = NetworkConfig(
-        encoder="relational", width=16, rounds=1, num_actions=20, action_mode="grips", pitch=pitch,
+        encoder="relational",
+        width=16,
+        rounds=1,
+        num_actions=20,
+        action_mode="grips",
+        pitch=pitch,
         hand=hand,
-    )  # fmt: skip
+    )
     net = make_network(config)
     assert isinstance(net, PlacementNetwork)
     return net

@@ -51,8 +51,9 @@ def test_a_wrong_number_is_noticed() -> None:
 
 
 def wide(count: int) -> Assembly:
-    blocks = [box_block(f"b{k}", (0.1 * k, 0, 0), (0.1 * k + 0.05, 0.05, 0.05))
-              for k in range(count)]  # fmt: skip
+    blocks = [
+        box_block(f"b{k}", (0.1 * k, 0, 0), (0.1 * k + 0.05, 0.05, 0.05)) for k in range(count)
+    ]
     return Assembly(tuple(blocks), tuple(Step(b.id) for b in blocks))
 
 
@@ -63,8 +64,9 @@ def test_blocks_where_nothing_is_at_stake_are_one_step() -> None:
 
 def test_what_hangs_over_and_props_are_steps_of_their_own() -> None:
     posts = wide(2).blocks
-    lintels = [box_block(f"l{k}", (0, 0.025 * k, 0.05), (0.15, 0.025 * k + 0.025, 0.1))
-               for k in range(2)]  # fmt: skip
+    lintels = [
+        box_block(f"l{k}", (0, 0.025 * k, 0.05), (0.15, 0.025 * k + 0.025, 0.1)) for k in range(2)
+    ]
     prop = box_block("p", (0.05, 0, 0), (0.1, 0.05, 0.05), prop=True)
     ids = ["b0", "p", "b1", "l0", "l1"]
     steps = (*map(Step, ids), Step(remove="p"))
@@ -77,9 +79,11 @@ def test_what_hangs_over_and_props_are_steps_of_their_own() -> None:
 
 def test_near_blocks_are_drawn_over_far_ones() -> None:
     blocks = (
-        box_block("front", (0, 0, 0), (1, 1, 1)), box_block("back", (0, 1, 0), (1, 2, 1)),
-        box_block("top", (0, 0, 1), (1, 2, 2)), box_block("right", (1, 0, 0), (2, 1, 1)),
-    )  # fmt: skip
+        box_block("front", (0, 0, 0), (1, 1, 1)),
+        box_block("back", (0, 1, 0), (1, 2, 1)),
+        box_block("top", (0, 0, 1), (1, 2, 2)),
+        box_block("right", (1, 0, 0), (2, 1, 1)),
+    )
     scene = Scene(instructions(Assembly(blocks)))
     order = [blocks[drawn.block].id for drawn in scene.drawn]
     assert order.index("back") < order.index("front") < order.index("top")
@@ -102,10 +106,13 @@ def test_many_steps_stay_small() -> None:
     """Blocks of a bond that hangs over, so that every block is a step of its own."""
     post = box_block("post", (0, 0, 0), (0.03, 0.05, 0.05))
     rows = [
-        box_block(f"b{k}", (0.1 * x + 0.05 * (z % 2), 0, 0.05 * (z + 1)),
-                  (0.1 * x + 0.05 * (z % 2) + 0.1, 0.05, 0.05 * (z + 2)))
+        box_block(
+            f"b{k}",
+            (0.1 * x + 0.05 * (z % 2), 0, 0.05 * (z + 1)),
+            (0.1 * x + 0.05 * (z % 2) + 0.1, 0.05, 0.05 * (z + 2)),
+        )
         for k, (z, x) in enumerate((z, x) for z in range(20) for x in range(30))
-    ]  # fmt: skip
+    ]
     blocks = (post, *rows)
     made = Assembly(blocks, tuple(Step(b.id) for b in blocks))
     assert len(instructions(made).groups) == 601

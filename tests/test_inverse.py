@@ -32,9 +32,12 @@ def downward(yaw: float) -> np.ndarray:
 def grid(arm: Arm, step: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """The 810 poses over the table from which solvers are compared, or every ``step``-th."""
     x, y, z, yaw = np.meshgrid(
-        np.linspace(0.35, 0.75, 9), np.linspace(-0.2, 0.2, 5), np.linspace(0.02, 0.42, 9),
-        [0, np.pi / 2], indexing="ij",
-    )  # fmt: skip
+        np.linspace(0.35, 0.75, 9),
+        np.linspace(-0.2, 0.2, 5),
+        np.linspace(0.02, 0.42, 9),
+        [0, np.pi / 2],
+        indexing="ij",
+    )
     position = arm.base_position + np.stack([x, y, z], -1).reshape(-1, 3)
     return position[::step], np.array([downward(angle) for angle in yaw.ravel()])[::step]
 
@@ -104,8 +107,11 @@ def test_round_trips(name: str, seed: int) -> None:
 @settings(max_examples=100, deadline=None)
 @given(
     name=st.sampled_from(sorted(ARMS)),
-    x=st.floats(-0.6, 1.2), y=st.floats(-1, 1), z=st.floats(-0.2, 1.2), seed=st.integers(0, 1000),
-)  # fmt: skip
+    x=st.floats(-0.6, 1.2),
+    y=st.floats(-1, 1),
+    z=st.floats(-0.2, 1.2),
+    seed=st.integers(0, 1000),
+)
 def test_limits_hold_whatever_is_asked(name: str, x: float, y: float, z: float, seed: int) -> None:
     arm = get_arm(name)
     rng = np.random.default_rng(seed)

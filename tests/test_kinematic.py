@@ -184,9 +184,10 @@ def test_collisions_agree_with_distances_of_all_pairs(seed: int) -> None:
     links = [g for g in range(m.ngeom) if g not in (*things, *held) and m.geom_group[g] == 3]
     nearest = min(
         mujoco.mj_geomDistance(m, d, a, b, 0.05, None)
-        for a in (*links, *held) for b in things
+        for a in (*links, *held)
+        for b in things
         if name(a) != "link0"  # the base and what stands on the table cannot meet
-    )  # fmt: skip
+    )
     if abs(nearest) < 1e-5:
         return
     if nearest < 0:
@@ -292,9 +293,15 @@ def test_what_hangs_from_the_hand_collides(panda: KinematicCell) -> None:
 def test_an_attempt_leaves_the_scene_alone_and_forgets_the_last(panda: KinematicCell) -> None:
     world = scene([(0, 0, 0)], [(1, -4, 0), (1, -4, 1), (-1, -4, 0)], [0, 1, 1, 2])
     before = [np.copy(field) for field in world]
-    orders = [(world, Move(n, cell(*to), *pair)) for n, to, pair in (
-        (2, (0, 0, 2), AA), (3, (0, 0, 1), BB), (1, (0, 0, 1), AA), (3, (1, 0, 0), AB),
-    )]  # fmt: skip
+    orders = [
+        (world, Move(n, cell(*to), *pair))
+        for n, to, pair in (
+            (2, (0, 0, 2), AA),
+            (3, (0, 0, 1), BB),
+            (1, (0, 0, 1), AA),
+            (3, (1, 0, 0), AB),
+        )
+    ]
     first = [panda.attempt(*order) for order in orders]
     again = [panda.attempt(*order) for order in orders[::-1]][::-1]
     assert [outcome(a) for a in first] == [outcome(a) for a in again]
@@ -345,8 +352,11 @@ HALVES = np.array([0.05, 0.025, 0.025])
 def test_attitudes_fit_the_box_and_the_tool() -> None:
     panda, cup = get_arm("panda"), get_arm("panda", "suction")
     assert [round(a.yaw / math.pi * 2) for a in attitudes(panda, np.full(3, 0.025))] == [
-        0, -2, -1, -3
-    ]  # fmt: skip
+        0,
+        -2,
+        -1,
+        -3,
+    ]
     assert {a.yaw for a in attitudes(panda, HALVES)} == {0.0, -math.pi}
     tall = attitudes(panda, np.array([0.02, 0.02, 0.1]))
     assert {a.depth for a in tall} == {0.1 - 0.025}
@@ -414,8 +424,10 @@ def test_boxes_collide_where_their_distances_say_so(seed: int) -> None:
     links = [g for g in links if not body[g].startswith("carried")]
     nearest = min(
         mujoco.mj_geomDistance(m, d, a, b, 0.05, None)
-        for a in (*links, *held) for b in things if body[a] != "link0"
-    )  # fmt: skip
+        for a in (*links, *held)
+        for b in things
+        if body[a] != "link0"
+    )
     if abs(nearest) < 1e-4:
         return
     if nearest < 0:

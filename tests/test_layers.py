@@ -77,8 +77,7 @@ ALLOWED: dict[str, set[str]] = {
 LIBRARIES = {"torch", "numpy", "numba", "safetensors", "tqdm"}
 """What the training path may need."""
 HEAVY = {"ray", "mujoco", "gymnasium", "rich", "matplotlib", "highspy", "ruckig"}
-LIGHT_PARTS = ["geometry", "world", "tasks", "graph", "simulator", "networks", "search",
-               "learning"]  # fmt: skip
+LIGHT_PARTS = ["geometry", "world", "tasks", "graph", "simulator", "networks", "search", "learning"]
 ONLY: dict[str, set[str]] = {
     "errors": set(),
     "geometry": {"numpy", "numba"},
@@ -287,17 +286,26 @@ def test_the_training_path_needs_five_libraries() -> None:
     others = sorted(declared() - LIBRARIES)
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", SCRIPT, " ".join(others)],
-        capture_output=True, text=True, check=False, cwd=ROOT,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=ROOT,
+    )
     assert done.returncode == 0, done.stderr
 
 
 def test_a_blocked_library_is_missed() -> None:
     """The check above can fail: the simulator cannot do without numba."""
     done = subprocess.run(
-        [sys.executable, "-c", "import sys; sys.modules['numba'] = None\n"
-         "import learn2assemble.simulator"],
-        capture_output=True, text=True, check=False, cwd=ROOT,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-c",
+            "import sys; sys.modules['numba'] = None\nimport learn2assemble.simulator",
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=ROOT,
+    )
     assert done.returncode != 0
     assert "numba" in done.stderr

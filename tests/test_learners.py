@@ -95,9 +95,13 @@ def test_loss_of_the_search_learners(method: str, weight: float, network: Networ
         y = td_targets(trainer.online, trainer.target, batch, trainer.config, "cpu").numpy()
 
     def q(row: int, action: np.ndarray) -> float:
-        return float(values.select(torch.from_numpy(batch.action).index_put(
-            (torch.tensor(row),), torch.from_numpy(action)
-        ))[row])  # fmt: skip
+        return float(
+            values.select(
+                torch.from_numpy(batch.action).index_put(
+                    (torch.tensor(row),), torch.from_numpy(action)
+                )
+            )[row]
+        )
 
     td, ce = 0.0, 0.0
     for row in range(16):
@@ -116,9 +120,13 @@ def test_loss_of_the_search_learners(method: str, weight: float, network: Networ
 
 def searcher(method: str, **changes: Any) -> Trainer:
     values: dict[str, Any] = {
-        "network": SMALL, "num_envs": 6, "replay_size": 200, "epsilon_samples": 100,
-        "epsilon_final": 0.3, "search_budget": 4,
-    }  # fmt: skip
+        "network": SMALL,
+        "num_envs": 6,
+        "replay_size": 200,
+        "epsilon_samples": 100,
+        "epsilon_final": 0.3,
+        "search_budget": 4,
+    }
     return Trainer(TINY, TrainConfig(**{**values, **changes}, method=method), 0)
 
 
@@ -182,17 +190,29 @@ FULL = ["network.connectivity=full"]
 LEARNERS = {
     "own": ("relational", 2500, 0.9, ["learning_rate=3e-3", "final_learning_rate=5e-4"]),
     "paper": (
-        "paper", 10000, 0.65,
-        ["network.feed_forward=none", "network.position_scale=0.1", "steps_per_round=5",
-         "updates_per_round=10", "learning_rate=2e-3", "final_learning_rate=2e-3"],
+        "paper",
+        10000,
+        0.65,
+        [
+            "network.feed_forward=none",
+            "network.position_scale=0.1",
+            "steps_per_round=5",
+            "updates_per_round=10",
+            "learning_rate=2e-3",
+            "final_learning_rate=2e-3",
+        ],
     ),
-    "dqn": ("published", 4000, 0.65,
-            [*TINY_PUBLISHED, "updates_per_round=8", "learning_rate=2e-3"]),
+    "dqn": (
+        "published",
+        4000,
+        0.65,
+        [*TINY_PUBLISHED, "updates_per_round=8", "learning_rate=2e-3"],
+    ),
     "q-mcts": ("published", 4000, 0.5, [*TINY_PUBLISHED, "method=q-mcts"]),
     "eps-mcts": ("published", 6000, 0.65, [*TINY_PUBLISHED, "method=eps-mcts"]),
     "s2v": ("published", 4000, 0.4, [*TINY_PUBLISHED, *FULL, "network.encoder=s2v"]),
     "sha": ("published", 4000, 0.4, [*TINY_PUBLISHED, *FULL, "network.heads=1"]),
-}  # fmt: skip
+}
 
 
 @pytest.mark.slow
@@ -207,9 +227,18 @@ def test_learner_solves_a_tiny_task(name: str) -> None:
     base, samples, share, changes = LEARNERS[name]
     config = override(
         CONFIGS[base],
-        ["network.width=32", "network.rounds=2", f"num_samples={samples}", "initial_samples=400",
-         "epsilon_samples=2000", "replay_size=10000", "target_period=100", "num_envs=16", *changes],
-    )  # fmt: skip
+        [
+            "network.width=32",
+            "network.rounds=2",
+            f"num_samples={samples}",
+            "initial_samples=400",
+            "epsilon_samples=2000",
+            "replay_size=10000",
+            "target_period=100",
+            "num_envs=16",
+            *changes,
+        ],
+    )
 
     def score(policy: Any) -> float:
         return run_episodes(TINY, policy, 200, seed=0).R
@@ -233,9 +262,17 @@ def test_presets_can_be_trained(name: str, tmp_path: Path) -> None:
     """One round of learning on the smallest and the largest task of the table."""
     config = override(
         CONFIGS[name],
-        ["network.width=16", "network.rounds=1", "num_samples=8", "num_envs=4", "batch_size=4",
-         "initial_samples=4", "replay_size=16", "updates_per_round=1"],
-    )  # fmt: skip
+        [
+            "network.width=16",
+            "network.rounds=1",
+            "num_samples=8",
+            "num_envs=4",
+            "batch_size=4",
+            "initial_samples=4",
+            "replay_size=16",
+            "updates_per_round=1",
+        ],
+    )
     for task in ("one-sided-3x3-22-24", "four-sided-5x5-30-38"):
         metrics = run_training(get_task(task), config, tmp_path / task, device="cpu", quiet=True)
         assert metrics["updates"] >= 1

@@ -48,9 +48,14 @@ def test_td_target_by_hand() -> None:
     theirs = QFactors(block, reference, torch.zeros(2, 2))
     mine = QFactors(block.flip(2), reference, torch.zeros(2, 2))
     batch = Batch(
-        graph, np.zeros((2, 3), np.int64), np.array([1.0, -1.0], np.float32),
-        np.array([False, True]), graph, np.array([0.8, 0.8], np.float32), np.ones(2, np.bool_),
-    )  # fmt: skip
+        graph,
+        np.zeros((2, 3), np.int64),
+        np.array([1.0, -1.0], np.float32),
+        np.array([False, True]),
+        graph,
+        np.array([0.8, 0.8], np.float32),
+        np.ones(2, np.bool_),
+    )
 
     def y(**changes: Any) -> list[float]:
         config = TrainConfig(network=SMALL, **changes)

@@ -47,8 +47,12 @@ def reaches(assembly: Assembly, angles: np.ndarray) -> np.ndarray:
         for k, block in enumerate(assembly.blocks):
             force = GRAVITY * block.mass * np.array([np.cos(angle), np.sin(angle), 0.0])
             push[k] = np.concatenate([force, np.cross(block.centroid, force)])
-        columns = sp.hstack([sp.csr_matrix(matrix @ sp.block_diag(cones)),
-                             sp.csr_matrix(-push.reshape(-1, 1))]) / scale  # fmt: skip
+        columns = (
+            sp.hstack(
+                [sp.csr_matrix(matrix @ sp.block_diag(cones)), sp.csr_matrix(-push.reshape(-1, 1))]
+            )
+            / scale
+        )
         cost = np.zeros(columns.shape[1])
         cost[-1] = -1.0
         answer = linprog(cost, A_eq=columns, b_eq=weight / scale, method="highs")
@@ -135,5 +139,7 @@ if __name__ == "__main__":
         if margin(made, find_contacts(made)) > 0:
             least = reaches(made, np.arange(720) * np.pi / 360).min()
             shares.append(margin(made, find_contacts(made)) / least)
-    print(f"{len(shares)} stacks: margin over the least of 720 directions "
-          f"{min(shares):.4f} to {max(shares):.4f}")  # fmt: skip
+    print(
+        f"{len(shares)} stacks: margin over the least of 720 directions "
+        f"{min(shares):.4f} to {max(shares):.4f}"
+    )

@@ -414,8 +414,11 @@ def random_pile(rng: np.random.Generator, name: str, count: int) -> State:
     raise AssertionError
 
 
-@given(seed=SEEDS, name=st.sampled_from(["set-20", "set-21", "set-23", "set-26"]),
-       count=st.integers(2, 16))  # fmt: skip
+@given(
+    seed=SEEDS,
+    name=st.sampled_from(["set-20", "set-21", "set-23", "set-26"]),
+    count=st.integers(2, 16),
+)
 @settings(deadline=None, max_examples=80)
 def test_both_proofs_agree_with_the_equilibrium_program(seed: int, name: str, count: int) -> None:
     state = random_pile(np.random.default_rng(seed), name, count)

@@ -62,9 +62,12 @@ def stands(assembly: Assembly, sideways: tuple[float, float] = (0.0, 0.0), slack
         return False
     # Right on an edge, two solvers may round differently: equilibrium is asked to a tolerance.
     matrix = np.array(columns).T
-    found = linprog(np.zeros(len(columns)), np.concatenate([matrix, -matrix]),
-                    np.concatenate([load.reshape(-1) + slack, slack - load.reshape(-1)]),
-                    method="highs")  # fmt: skip
+    found = linprog(
+        np.zeros(len(columns)),
+        np.concatenate([matrix, -matrix]),
+        np.concatenate([load.reshape(-1) + slack, slack - load.reshape(-1)]),
+        method="highs",
+    )
     return found.status == 0
 
 
@@ -550,9 +553,15 @@ def test_time_that_ran_out_is_called_so() -> None:
 
 
 def test_blocks_are_where_cells_are() -> None:
-    kit = Kit("t", (Kind("T", ((0, 0, 0), (1, 0, 0), (2, 0, 0), (1, 1, 0)), density=2000.0),
-                    Kind("S", ((0, 0, 0), (1, 0, 0), (1, 0, 1), (2, 0, 1)))), (0.1, 0.1, 0.05),
-              joint_gap=0.002)  # fmt: skip
+    kit = Kit(
+        "t",
+        (
+            Kind("T", ((0, 0, 0), (1, 0, 0), (2, 0, 0), (1, 1, 0)), density=2000.0),
+            Kind("S", ((0, 0, 0), (1, 0, 0), (1, 0, 1), (2, 0, 1))),
+        ),
+        (0.1, 0.1, 0.05),
+        joint_gap=0.002,
+    )
     wanted = np.zeros((4, 3, 2), bool)
     blocks = (BlockPlacement("T", 0, (0, 0, 0)), BlockPlacement("S", 0, (1, 2, 0), True))
     tiling = Tiling(blocks, wanted)

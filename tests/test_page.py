@@ -170,18 +170,25 @@ def test_steps_of_props_and_supports() -> None:
     data = page_data(text)
     history = {row[-1]: (data["colours"][row[5]], *row[-3:-1]) for row in data["blocks"]}
     assert history == {
-        "plate": ("support", 0, 0), "post": ("#0ac81e", 1, 0), "prop": ("prop", 2, 4),
+        "plate": ("support", 0, 0),
+        "post": ("#0ac81e", 1, 0),
+        "prop": ("prop", 2, 4),
         "L": (PALETTE[0], 3, 0),
-    }  # fmt: skip
+    }
     assert data["captions"][4].startswith("Remove prop prop")
     rows = re.findall(r'<tr data-step="(\d)">.*?<td>(place|remove)</td>', text)
     assert rows == [("1", "place"), ("2", "place"), ("3", "place"), ("4", "remove")]
     bill = text.split("Bill of blocks")[1].split("</table>")[0]
-    lines = [re.findall(r"<td[^>]*>(?:<svg.*?</svg>)?([^<]*)</td>", row)
-             for row in re.findall(r"<tr>(.*?)</tr>", bill)[1:]]  # fmt: skip
+    lines = [
+        re.findall(r"<td[^>]*>(?:<svg.*?</svg>)?([^<]*)</td>", row)
+        for row in re.findall(r"<tr>(.*?)</tr>", bill)[1:]
+    ]
     assert [line[2:4] for line in lines] == [
-        ["0 + 1 standing", "–"], ["1", "–"], ["0", "1"], ["1", "–"]
-    ]  # fmt: skip
+        ["0 + 1 standing", "–"],
+        ["1", "–"],
+        ["0", "1"],
+        ["1", "–"],
+    ]
 
 
 def test_a_prop_that_is_used_twice_stays_twice() -> None:
@@ -233,8 +240,14 @@ def test_text_of_an_assembly_never_becomes_markup(evil: str) -> None:
     def render(text: str) -> str:
         block = box_block(text, (0, 0, 0), (1, 1, 1), kind=text)
         assembly = Assembly((block,), (Step(place=text),))
-        return render_assembly_page(assembly, title=text, facts=[(text, text)], status=text,
-                                    reason=text, step_notes=[StepNote(text, 1.0)])  # fmt: skip
+        return render_assembly_page(
+            assembly,
+            title=text,
+            facts=[(text, text)],
+            status=text,
+            reason=text,
+            step_notes=[StepNote(text, 1.0)],
+        )
 
     clean, page = render("plain"), render(evil)
     assert page.count("<script") == clean.count("<script")
@@ -250,10 +263,12 @@ def test_two_thousand_blocks_are_a_small_page(tmp_path: Path) -> None:
     assert len(assembly.blocks) > 2000
     contacts = find_contacts(assembly)
     write_assembly_page(
-        tmp_path / "view.html", assembly, title="large",
+        tmp_path / "view.html",
+        assembly,
+        title="large",
         step_notes=[StepNote("local certificate", 0.3)] * len(assembly.steps),
         forces=(contacts, np.ones_like(contacts.points)),
-    )  # fmt: skip
+    )
     assert (tmp_path / "view.html").stat().st_size < 5_000_000
 
 
@@ -282,9 +297,12 @@ def test_blocks_and_layers_follow_the_timeline(browser: str, tmp_path: Path) -> 
 def test_blocks_are_drawn_in_every_layer_they_reach_into(browser: str, tmp_path: Path) -> None:
     write_assembly_page(tmp_path / "view.html", steps_and_gate(), title="levels")
     dom, log = browse(
-        browser, tmp_path / "run", f"{(tmp_path / 'view.html').as_uri()}#step=3", *FLAT,
+        browser,
+        tmp_path / "run",
+        f"{(tmp_path / 'view.html').as_uri()}#step=3",
+        *FLAT,
         "--dump-dom",
-    )  # fmt: skip
+    )
     assert "CONSOLE" not in log, log
     assert dom.count('class="block reaching"') == 2, "stairs and gate, in the second layer"
 
@@ -293,9 +311,13 @@ def test_blocks_are_drawn_in_every_layer_they_reach_into(browser: str, tmp_path:
 def test_the_page_runs_without_an_error(browser: str, tmp_path: Path) -> None:
     write_assembly_page(tmp_path / "view.html", with_prop(), title="prop")
     dom, log = browse(
-        browser, tmp_path / "run", f"{(tmp_path / 'view.html').as_uri()}#step=4", *SPATIAL,
-        "--dump-dom", "--window-size=500,600",
-    )  # fmt: skip
+        browser,
+        tmp_path / "run",
+        f"{(tmp_path / 'view.html').as_uri()}#step=4",
+        *SPATIAL,
+        "--dump-dom",
+        "--window-size=500,600",
+    )
     root = re.search(r"<html[^>]*>", dom)
     assert root, log
     assert 'data-ready="yes"' in root[0], log
@@ -357,8 +379,14 @@ def test_sides_are_left_out_only_where_blocks_cover_them() -> None:
     number = {place: k for k, place in enumerate(places)}
     middle = covers[number[1, 1, 1]]
     assert middle is not None
-    assert middle == [[number[0, 1, 1]], [number[2, 1, 1]], [number[1, 0, 1]], [number[1, 2, 1]],
-                      [number[1, 1, 0]], [number[1, 1, 2]]]  # fmt: skip
+    assert middle == [
+        [number[0, 1, 1]],
+        [number[2, 1, 1]],
+        [number[1, 0, 1]],
+        [number[1, 2, 1]],
+        [number[1, 1, 0]],
+        [number[1, 1, 2]],
+    ]
     corner = covers[number[0, 0, 0]]
     assert corner is not None
     assert [bool(side) for side in corner] == [False, True, False, True, False, True]

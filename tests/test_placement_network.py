@@ -60,10 +60,14 @@ def network(
     it looks around the hand unless told otherwise."""
     torch.manual_seed(seed)
     config = NetworkConfig(
-        encoder="relational", width=width, rounds=rounds, num_actions=task.num_actions,
-        action_mode=task.action_mode, pitch=task.pitch,
+        encoder="relational",
+        width=width,
+        rounds=rounds,
+        num_actions=task.num_actions,
+        action_mode=task.action_mode,
+        pitch=task.pitch,
         hand=task.action_mode == "grips" if hand is None else hand,
-    )  # fmt: skip
+    )
     net = make_network(config)
     assert isinstance(net, PlacementNetwork)
     return net
@@ -140,12 +144,16 @@ def test_number_of_parameters(rounds: int, expected: int, num_actions: int) -> N
     written_out = (
         linear(EDGE_FEATURES, f)  # an edge of an outline
         + (OFFSETS + 1) * f  # the offsets to placed blocks
-        + linear(3 * f, 2 * f) + linear(2 * f, f)  # a side
+        + linear(3 * f, 2 * f)
+        + linear(2 * f, f)  # a side
         + linear(4, f)  # the summary
         + rounds * (linear(2 * f, f) + linear(2 * f, 2 * f) + linear(2 * f, f))
-        + linear(f, f) + 3 * f + f * f  # a member of a placement, its lever, the context
-        + linear(f, f) + linear(f, 2)  # the read-out
-    )  # fmt: skip
+        + linear(f, f)
+        + 3 * f
+        + f * f  # a member of a placement, its lever, the context
+        + linear(f, f)
+        + linear(f, 2)  # the read-out
+    )
     found = sum(p.numel() for p in make_network(config).parameters())
     assert found == written_out == expected
     if num_actions == 20:
@@ -223,18 +231,22 @@ def test_order_of_nodes_carries_no_meaning(name: str, seed: int, rounds: int) ->
     theirs = evaluate(net, graph._replace(nodes=nodes, object_id=object_id))
     for row in range(3):
         count = int(mine.cells.placements.count[row])
-        before = dict(zip(mine.cells.placements.key[row, :count].tolist(), mine.q[row].tolist(),
-                          strict=False))  # fmt: skip
-        after = dict(zip(theirs.cells.placements.key[row, :count].tolist(), theirs.q[row].tolist(),
-                         strict=False))  # fmt: skip
+        before = dict(
+            zip(mine.cells.placements.key[row, :count].tolist(), mine.q[row].tolist(), strict=False)
+        )
+        after = dict(
+            zip(
+                theirs.cells.placements.key[row, :count].tolist(),
+                theirs.q[row].tolist(),
+                strict=False,
+            )
+        )
         assert before.keys() == after.keys()
         for key, value in before.items():
             assert after[key] == pytest.approx(value, abs=2e-4)
 
 
-@pytest.mark.parametrize(
-    ("name", "quarters"), [("two", 2), ("four", 1), ("four", 2), ("four", 3)]
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "quarters"), [("two", 2), ("four", 1), ("four", 2), ("four", 3)])
 @given(seed=st.integers(0, 10_000))
 @settings(max_examples=10, deadline=None)
 def test_turned_cubes_have_the_same_q(name: str, quarters: int, seed: int) -> None:
@@ -307,8 +319,12 @@ def test_best_and_select_are_those_of_q(name: str, seed: int, rounds: int) -> No
         assert (values.select(drawn) <= value).all()
     for row in range(3):
         t, p, n = (int(c[row]) for c in (graph.num_targets, graph.num_placed, graph.num_nodes))
-        every = [(i, j, k) for i in range(t + p, n) for j in range(t, t + p)
-                 for k in range(task.num_actions)]  # fmt: skip
+        every = [
+            (i, j, k)
+            for i in range(t + p, n)
+            for j in range(t, t + p)
+            for k in range(task.num_actions)
+        ]
         many = graph.take(np.full(len(every), row))
         one_by_one = evaluate(net, many).select(torch.tensor(every))
         assert float(one_by_one.max()) == pytest.approx(float(value[row]), abs=2e-4)

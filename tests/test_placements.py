@@ -20,14 +20,29 @@ from learning_data import advance, look_ahead
 
 PITCH = 0.06
 _OBJECTS = Task(
-    "set-26", num_sides=2, grid=3, num_nodes=20, objects="set-26", rotations=4, reward="scaled",
+    "set-26",
+    num_sides=2,
+    grid=3,
+    num_nodes=20,
+    objects="set-26",
+    rotations=4,
+    reward="scaled",
     success_threshold=0.75,
-)  # fmt: skip
+)
 _GRIPPED = Task(
-    "gripped", num_sides=2, grid=3, num_nodes=18, rotations=4, action_mode="grips", pitch=PITCH,
-    layout="slanted-rows", success_threshold=0.75, cover_filter="wide", normalise_initial=False,
+    "gripped",
+    num_sides=2,
+    grid=3,
+    num_nodes=18,
+    rotations=4,
+    action_mode="grips",
+    pitch=PITCH,
+    layout="slanted-rows",
+    success_threshold=0.75,
+    cover_filter="wide",
+    normalise_initial=False,
     max_initial_cover=0.6,
-)  # fmt: skip
+)
 TASKS = {
     task.name: task
     for task in (
@@ -91,9 +106,15 @@ def try_everything(simulator: Simulator, state: State, row: int) -> Tried:
     first = [one[0] for one in filled]
     held = first if gripped else [None] * len(first)
     return Tried(
-        actions, cells, list(zip(cells, grips, held, strict=True)), first,
-        step.reward, step.terminated, step.verdict == 0, many.plane_coverage - before,
-    )  # fmt: skip
+        actions,
+        cells,
+        list(zip(cells, grips, held, strict=True)),
+        first,
+        step.reward,
+        step.terminated,
+        step.verdict == 0,
+        many.plane_coverage - before,
+    )
 
 
 def in_the_way(simulator: Simulator, graph: Graph, row: int, action: np.ndarray) -> int:

@@ -33,10 +33,12 @@ def test_plans_of_other_versions_are_refused(version: int) -> None:
 
 @given(
     positions=st.lists(st.tuples(NUMBER, NUMBER, NUMBER), max_size=5),
-    margin=st.none() | st.floats(0, 10), kind=st.none() | st.text(max_size=5),
-    prop=st.booleans(), action=st.sampled_from(["place", "remove"]),
+    margin=st.none() | st.floats(0, 10),
+    kind=st.none() | st.text(max_size=5),
+    prop=st.booleans(),
+    action=st.sampled_from(["place", "remove"]),
     cells=st.none() | st.builds(CellCount, *[st.integers(0, 999)] * 3),
-)  # fmt: skip
+)
 def test_writing_and_reading_changes_nothing(
     positions: list, margin: float | None, kind: str | None, prop: bool, action: Any, cells: Any
 ) -> None:

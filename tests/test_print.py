@@ -40,8 +40,14 @@ def test_no_printed_page_is_empty_and_none_cuts_a_line(
     (tmp_path / "view.html").write_text(text, encoding="utf-8")
     paper = tmp_path / "paper.pdf"
     address = (tmp_path / "view.html").as_uri()
-    browse(browser, tmp_path / "run", address, *FLAT, "--no-pdf-header-footer",
-           f"--print-to-pdf={paper}")  # fmt: skip
+    browse(
+        browser,
+        tmp_path / "run",
+        address,
+        *FLAT,
+        "--no-pdf-header-footer",
+        f"--print-to-pdf={paper}",
+    )
     pages = [page.extract_text() for page in pypdf.PdfReader(paper).pages]
     assert len(pages) > 1
     assert all(len(words.split()) > 20 for words in pages)

@@ -107,8 +107,11 @@ LEARNS = {
 def python(code: str, *words: str, folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-c", code, *words],
-        capture_output=True, text=True, check=False, cwd=folder,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=folder,
+    )
 
 
 def test_the_product_asks_for_nothing_of_the_extra(tmp_path: Path) -> None:
@@ -132,8 +135,14 @@ def test_every_module_loads_or_names_the_extra(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr[-2000:]
     learning = {name.split(".")[1] for name in done.stdout.split()}
     assert learning == {
-        "graph", "networks", "learning", "planning", "evaluation", "envs", "reproduction",
-    }  # fmt: skip
+        "graph",
+        "networks",
+        "learning",
+        "planning",
+        "evaluation",
+        "envs",
+        "reproduction",
+    }
     planning = {name for name in done.stdout.split() if ".planning." in name}
     assert planning == {
         f"learn2assemble.planning.{name}" for name in ("agent.tasks", "episode", "world_model")
@@ -209,9 +218,16 @@ except l2a.Learn2AssembleError as error:
     lines = python(code, folder=tmp_path).stdout.splitlines()
     assert all(line.endswith(LINE) for line in lines)
     assert {line.split()[0] for line in lines} == {
-        "Agent", "AssemblyEnv", "AssemblyVectorEnv", "Evaluation", "TrainingRun", "build",
-        "evaluate", "load_agent", "train",
-    }  # fmt: skip
+        "Agent",
+        "AssemblyEnv",
+        "AssemblyVectorEnv",
+        "Evaluation",
+        "TrainingRun",
+        "build",
+        "evaluate",
+        "load_agent",
+        "train",
+    }
 
 
 def test_the_bench_measures_the_product(

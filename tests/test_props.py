@@ -102,9 +102,7 @@ def test_impossible_side_cups_are_refused(tmp_path: Path, old: str, new: str, wo
 # ---------------------------------------------------------------- grasps
 
 
-@given(
-    st.tuples(*(st.floats(0.012, 0.1) for _ in range(3))), st.floats(-3.0, 3.0)
-)  # fmt: skip
+@given(st.tuples(*(st.floats(0.012, 0.1) for _ in range(3))), st.floats(-3.0, 3.0))
 @settings(deadline=None)
 def test_a_side_cup_meets_a_side_face(size: tuple[float, ...], yaw: float) -> None:
     half, centre = np.array(size), np.array([0.1, 0.2, size[2]])
@@ -118,13 +116,16 @@ def test_a_side_cup_meets_a_side_face(size: tuple[float, ...], yaw: float) -> No
         lip = hand.tool_point(centre) + turn @ np.array(SIDE.lip.at)
         c, s = math.cos(yaw), math.sin(yaw)
         x, y, z = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ (lip - centre)
-        on = [math.isclose(abs(x), half[0]) and abs(y) < 1e-9,
-              math.isclose(abs(y), half[1]) and abs(x) < 1e-9]  # fmt: skip
+        on = [
+            math.isclose(abs(x), half[0]) and abs(y) < 1e-9,
+            math.isclose(abs(y), half[1]) and abs(x) < 1e-9,
+        ]
         assert sum(on) == 1
         assert abs(z) <= half[2] - SIDE.radius
         # Out of the cup is into the block, and the whole tool stays above the table.
-        np.testing.assert_allclose(hand.approach()[:2], (centre - lip)[:2] /
-                                   np.linalg.norm((centre - lip)[:2]), atol=1e-9)  # fmt: skip
+        np.testing.assert_allclose(
+            hand.approach()[:2], (centre - lip)[:2] / np.linalg.norm((centre - lip)[:2]), atol=1e-9
+        )
         assert hand.tool_point(centre)[2] > 4e-3
 
 
@@ -168,8 +169,12 @@ def gate(room: float, mass: float = 1.0) -> tuple[Scene, np.ndarray]:
     """Two piers with a lintel on them, and a prop below it, lower by ``room``; and where the prop
     goes. The lintel is ``mass`` times as dense as the others."""
     position = [[-0.1, 0.1, 0.02], [0.1, 0.1, 0.02], [0.0, 0.1, 0.06], [0.0, 0.1, 0.02 - room / 2]]
-    half = [[0.03, 0.02, 0.02], [0.03, 0.02, 0.02], [0.13, 0.02, 0.02],
-            [0.04, 0.02, 0.02 - room / 2]]  # fmt: skip
+    half = [
+        [0.03, 0.02, 0.02],
+        [0.03, 0.02, 0.02],
+        [0.13, 0.02, 0.02],
+        [0.04, 0.02, 0.02 - room / 2],
+    ]
     density = np.array([800.0, 800.0, 800.0 * mass, 800.0])
     scene = Scene(np.array(position), np.zeros(4), np.arange(4), 3, np.array(half), density)
     return scene, np.array([0.2, -0.12, 0.02 - room / 2])
@@ -215,8 +220,9 @@ def test_a_prop_under_a_load_that_is_too_heavy_comes_off_and_the_report_says_so(
 def bridge() -> tuple[Plan, Kit]:
     """A bridge whose deck takes a prop until it stands by itself."""
     kit = load_kit("bricks").at_pitch((0.04, 0.04, 0.04))
-    cells = CellDesign("bridge", shapes.bridge(1, 6, 4, 2, 1, 4), kit.pitch, None, 0.0, None, "",
-                       None)  # fmt: skip
+    cells = CellDesign(
+        "bridge", shapes.bridge(1, 6, 4, 2, 1, 4), kit.pitch, None, 0.0, None, "", None
+    )
     plan = plan_cells(cells, kit, seconds=600)
     assert plan.complete
     assert any(step.action == "remove" for step in plan.steps)

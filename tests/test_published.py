@@ -115,8 +115,9 @@ def test_beyond_reach(cubes: PublishedCell) -> None:
     far = Move(1, cell(30, 0, 0), AA.grasp, AA.place)
     assert failure(cubes, start, far) == (Outcome.UNREACHABLE, "waypoint 0")
     assert failure(cubes, start, Move(2, cell(0, 1, 0), AA.grasp, AA.place)) == (
-        Outcome.UNREACHABLE, "approach",
-    )  # fmt: skip
+        Outcome.UNREACHABLE,
+        "approach",
+    )
 
 
 @pytest.mark.parametrize("z", [0, 1])
@@ -197,8 +198,11 @@ def test_bad_cells_are_refused() -> None:
 
 
 def test_published_is_a_judge() -> None:
-    names = {"robot-one-sided-5x5-15-17": "one-sided", "robot-two-sided-3x3-10-14": "cubes",
-             "robot-objects-two-sided-5x5-20-24": "objects"}  # fmt: skip
+    names = {
+        "robot-one-sided-5x5-15-17": "one-sided",
+        "robot-two-sided-3x3-10-14": "cubes",
+        "robot-objects-two-sided-5x5-20-24": "objects",
+    }
     for name, rules in names.items():
         assert published_rules(get_task(name)) == rules
     judge = resolve_checker("published", get_task("robot-two-sided-3x3-10-14"))
@@ -287,9 +291,16 @@ def test_contact_points_live_until_they_slide_or_part() -> None:
     def find(step: int, spots: list[list[float]], depth: float = -1e-4) -> np.ndarray:
         count = len(spots)
         update_manifolds(
-            manifolds, step, np.tile([0, 1], (count, 1)), body, np.array(spots).reshape(count, 3),
-            np.tile(normal, (count, 1)), np.full(count, depth), position, rotation,
-        )  # fmt: skip
+            manifolds,
+            step,
+            np.tile([0, 1], (count, 1)),
+            body,
+            np.array(spots).reshape(count, 3),
+            np.tile(normal, (count, 1)),
+            np.full(count, depth),
+            position,
+            rotation,
+        )
         return contact_points(manifolds, body, position, rotation, awake).distance
 
     corners = [[0.0, 0.0, 0.0], [0.05, 0.0, 0.0], [0.0, 0.05, 0.0], [0.05, 0.05, 0.0]]
@@ -365,9 +376,15 @@ def test_changed_records_are_noticed(data: Path, tmp_path: Path) -> None:
     report = replay_robot_file(path)
     assert (report.agree, report.same_class, report.rule) == (0, 0, 0)
     assert report.disagreements == [
-        {"line": 1, "ep": 0, "t": 0, "recorded": "success", "detail": "",
-         "here": "place-collision: contact before opening"}
-    ]  # fmt: skip
+        {
+            "line": 1,
+            "ep": 0,
+            "t": 0,
+            "recorded": "success",
+            "detail": "",
+            "here": "place-collision: contact before opening",
+        }
+    ]
     assert report.to_dict()["fraction"] == 0.0
 
 
@@ -377,9 +394,12 @@ def test_bad_logs_are_refused(data: Path, tmp_path: Path) -> None:
     line = next(read_lines(data / "transitions_robot_failures.jsonl"))
     path = tmp_path / "log.jsonl"
     for changes, what in (
-        ({"blk": 99}, "blk"), ({"fail": "gremlins"}, "gremlins"), ({"variant": "3robo"}, "3robo"),
-        ({"placed": [[0.0, 0.0]]}, "line 1"), ({"grasp_variant": 4}, "line 1"),
-    ):  # fmt: skip
+        ({"blk": 99}, "blk"),
+        ({"fail": "gremlins"}, "gremlins"),
+        ({"variant": "3robo"}, "3robo"),
+        ({"placed": [[0.0, 0.0]]}, "line 1"),
+        ({"grasp_variant": 4}, "line 1"),
+    ):
         path.write_text(json.dumps({**line, **changes}), encoding="utf-8")
         with pytest.raises(InputError, match=what):
             replay_robot_file(path)

@@ -275,8 +275,18 @@ def test_a_preview_shows_what_was_drawn_over_the_cells(
         l2a.preview("tests/data/ascii_wall.json", path)
 
 
-@pytest.mark.parametrize("name", ["gate.svg", "courtyard.svg", "circle.svg", "figure.png",
-                                  "dome.stl", "keep.json", "off_centre_tower.json"])  # fmt: skip
+@pytest.mark.parametrize(
+    "name",
+    [
+        "gate.svg",
+        "courtyard.svg",
+        "circle.svg",
+        "figure.png",
+        "dome.stl",
+        "keep.json",
+        "off_centre_tower.json",
+    ],
+)
 def test_the_surface_that_is_drawn_is_that_of_the_design(name: str) -> None:
     """Its section through the busiest layer has the area of what was drawn there."""
     import shapely

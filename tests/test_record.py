@@ -77,8 +77,11 @@ def test_a_record_comes_back_from_its_file(tmp_path: Path, name: str) -> None:
     again = read_record(tmp_path / "a.json")
     assert_same(record, again)
     assert [step.outcome for step in again.steps] == [
-        Outcome.REACHED, Outcome.GRASP_LOST, Outcome.REACHED, Outcome.REACHED,
-    ]  # fmt: skip
+        Outcome.REACHED,
+        Outcome.GRASP_LOST,
+        Outcome.REACHED,
+        Outcome.REACHED,
+    ]
     assert find_fault(again) is None
     write_record(again, tmp_path / "b.json")
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
@@ -212,8 +215,11 @@ def test_a_sound_record_has_no_fault(name: str) -> None:
     assert find_fault(record) is None
     require_sound(record)
     assert {step.outcome.label for step in record.steps} == {
-        "reached", "grasp-lost", "unreachable", "dropped",
-    }  # fmt: skip
+        "reached",
+        "grasp-lost",
+        "unreachable",
+        "dropped",
+    }
 
 
 def sampled(record: BuildRecord, k: int, **arrays: np.ndarray) -> BuildRecord:
@@ -246,33 +252,46 @@ def faulty(record: BuildRecord) -> dict[str, tuple[BuildRecord, str]]:
     nan = added(s.width, 4, np.nan)
     return {
         "position": (
-            replace(record, arm=replace(arm, lower=added(arm.lower, 3, 0.5))), "joint4 is at",
+            replace(record, arm=replace(arm, lower=added(arm.lower, 3, 0.5))),
+            "joint4 is at",
         ),
         "velocity": (
-            replace(record, arm=replace(arm, velocity=0.3 * arm.velocity)), "rad/s, limit",
+            replace(record, arm=replace(arm, velocity=0.3 * arm.velocity)),
+            "rad/s, limit",
         ),
         "mean velocity": (
-            sampled(record, 2, joints=added(s.joints, np.s_[half:, 1], 0.2)), "moves at",
+            sampled(record, 2, joints=added(s.joints, np.s_[half:, 1], 0.2)),
+            "moves at",
         ),
         "acceleration": (
-            sampled(record, 2, velocity=s.velocity + beat, joints=s.joints + wave), "accelerates",
+            sampled(record, 2, velocity=s.velocity + beat, joints=s.joints + wave),
+            "accelerates",
         ),
-        "rest": (sampled(record, 0, velocity=added(record.steps[0].samples.velocity, np.s_[:, 2],
-                                                   0.4)), "joint3 accelerates"),
+        "rest": (
+            sampled(record, 0, velocity=added(record.steps[0].samples.velocity, np.s_[:, 2], 0.4)),
+            "joint3 accelerates",
+        ),
         "jump": (sampled(record, 2, joints=added(s.joints, np.s_[half:, 1], 0.02)), "joint2 jumps"),
         "jump between steps": (
-            sampled(record, 2, joints=added(s.joints, np.s_[:, 5], 0.02)), "joint6 jumps",
+            sampled(record, 2, joints=added(s.joints, np.s_[:, 5], 0.02)),
+            "joint6 jumps",
         ),
         "width": (sampled(record, 2, width=s.width + 0.05), "gripper is open"),
         "negative width": (sampled(record, 2, width=added(s.width, 9, -0.07)), "gripper is open"),
-        "width jump": (sampled(record, 2, width=added(s.width, np.s_[half:], 0.022)),
-                       "the gripper jumps"),
+        "width jump": (
+            sampled(record, 2, width=added(s.width, np.s_[half:], 0.022)),
+            "the gripper jumps",
+        ),
         "time": (sampled(record, 2, time=added(s.time, half, 0.003)), "it should be at"),
         "late": (sampled(record, 2, time=s.time + 0.02), "it should be at"),
         "stage": (stepped(record, 2, stages=(Stage("lift", start - 1, start),)), "stage lift"),
         "stage order": (
-            stepped(record, 2, stages=(Stage("lift", start, start + 1),
-                                       Stage("place", start + 0.5, start + 2))), "stage place",
+            stepped(
+                record,
+                2,
+                stages=(Stage("lift", start, start + 1), Stage("place", start + 0.5, start + 2)),
+            ),
+            "stage place",
         ),
         "objects": (replace(record, objects=((0, 1), (1,), (2, 3, 4, 5))), "each once"),
         "cells": (stepped(record, 2, cells=(1, 2)), "no object of the build"),
@@ -286,15 +305,18 @@ def faulty(record: BuildRecord) -> dict[str, tuple[BuildRecord, str]]:
         "finite": (sampled(record, 2, width=nan), "not finite"),
         "never held": (stepped(record, 2, grip=None, release=None), "never held and released"),
         "reached and still held": (stepped(record, 2, release=None), "never held and released"),
-        "no grip": (stepped(record, 2, grip=None, outcome=Outcome.DROPPED, detail="x"),
-                    "but never held"),
+        "no grip": (
+            stepped(record, 2, grip=None, outcome=Outcome.DROPPED, detail="x"),
+            "but never held",
+        ),
         "held too long": (stepped(record, 2, release=1e3), "outside"),
         "held backwards": (stepped(record, 2, release=grip - 0.5), "outside"),
         "no reason": (stepped(record, 2, outcome=Outcome.TOPPLED), "without a reason"),
         "moved by nobody": (
-            stepped(record, 1, after=added(last.after, (4, 0), 0.01)), "cell 4 does not begin",
+            stepped(record, 1, after=added(last.after, (4, 0), 0.01)),
+            "cell 4 does not begin",
         ),
-    }  # fmt: skip
+    }
 
 
 def test_every_kind_of_fault_is_found_and_told_in_one_line(record: BuildRecord) -> None:
@@ -351,8 +373,16 @@ def test_steps_are_put_on_one_clock() -> None:
     after = added(poses, (1, 0), 0.1)
     stage = Stage("lift", 0.0, 0.2)
     for _ in range(2):
-        book.add(**order, motion=still, outcome=Outcome.DROPPED, detail="lost", stages=[stage],
-                 grip=0.04, release=0.1, after=after)  # fmt: skip
+        book.add(
+            **order,
+            motion=still,
+            outcome=Outcome.DROPPED,
+            detail="lost",
+            stages=[stage],
+            grip=0.04,
+            release=0.1,
+            after=after,
+        )
     book.number_steps([None, 1, 1])
     record = book.record()
     assert find_fault(record) is None
@@ -411,8 +441,15 @@ def test_what_slips_is_not_held_any_more() -> None:
 
     def made(pose: np.ndarray, stage: np.ndarray) -> Trajectory:
         still = np.zeros((count, 7))
-        return Trajectory(0.02 * np.arange(count), still + arm.home, still, np.full(count, 0.05),
-                          np.full(count, 0.05), stage, pose)  # fmt: skip
+        return Trajectory(
+            0.02 * np.arange(count),
+            still + arm.home,
+            still,
+            np.full(count, 0.05),
+            np.full(count, 0.05),
+            stage,
+            pose,
+        )
 
     assert holding(arm, made(pose, stage), 0) == (0.04, None), "still in the hand at the end"
     slipped = pose.copy()
@@ -427,10 +464,16 @@ def test_what_slips_is_not_held_any_more() -> None:
 def test_a_suction_tool_is_told_on_or_off(record: BuildRecord) -> None:
     cup = replace(record.arm, tool_name="suction", suction=True, max_width=0.0)
     steps = tuple(
-        replace(step, samples=replace(step.samples, width=0 * step.samples.width,
-                command=np.round(step.samples.width / 0.06)))
+        replace(
+            step,
+            samples=replace(
+                step.samples,
+                width=0 * step.samples.width,
+                command=np.round(step.samples.width / 0.06),
+            ),
+        )
         for step in record.steps
-    )  # fmt: skip
+    )
     held = replace(record, arm=cup, steps=steps, half=np.full((record.num_cells, 3), 0.025))
     assert find_fault(held) is None
     again = record_from(json.loads(json.dumps(record_data(held))))

@@ -109,8 +109,16 @@ def test_a_search_of_ones_own_has_a_name() -> None:
 def test_objects_of_ones_own_are_drawn_and_built() -> None:
     bent = Shape(((0, 0, 0), (1, 0, 0), (1, 1, 0), (1, 1, 1)), turned=True)
     register_object_set("bent", (("cube",), ("bent", "vertical-2")), {"bent": bent})
-    task = Task("mine", num_sides=2, grid=4, num_nodes=30, objects="bent", rotations=4,
-                layout="narrow-field", stability="object")  # fmt: skip
+    task = Task(
+        "mine",
+        num_sides=2,
+        grid=4,
+        num_nodes=30,
+        objects="bent",
+        rotations=4,
+        layout="narrow-field",
+        stability="object",
+    )
     simulator, rng = Simulator(task), np.random.default_rng(0)
     state = simulator.new(64, rng)
     sizes = {int((row == number).sum()) for row in state.object_id for number in row}
@@ -130,16 +138,24 @@ BAD: dict[str, tuple[Callable[[], None], str]] = {
     "no cube": (lambda: register_object_set("a", (("bar",),)), "the cube first"),
     "no groups": (lambda: register_object_set("a", ()), "the cube first"),
     "taken shape": (
-        lambda: register_object_set("a", (("cube",),), {"bar": Shape(((0, 0, 0),))}), "bar"),
+        lambda: register_object_set("a", (("cube",),), {"bar": Shape(((0, 0, 0),))}),
+        "bar",
+    ),
     "in pieces": (
         lambda: register_object_set("a", (("cube",),), {"b": Shape(((0, 0, 0), (2, 0, 0)))}),
-        "hang together"),
+        "hang together",
+    ),
     "too large": (
         lambda: register_object_set(
-            "a", (("cube",),), {"b": Shape(tuple((k, 0, 0) for k in range(5)))}), "1 to 4"),
+            "a", (("cube",),), {"b": Shape(tuple((k, 0, 0) for k in range(5)))}
+        ),
+        "1 to 4",
+    ),
     "in the air": (
-        lambda: register_object_set("a", (("cube",),), {"b": Shape(((0, 0, 1),))}), "height 0"),
-}  # fmt: skip
+        lambda: register_object_set("a", (("cube",),), {"b": Shape(((0, 0, 1),))}),
+        "height 0",
+    ),
+}
 
 
 @pytest.mark.parametrize("name", BAD)
@@ -220,16 +236,20 @@ def test_what_is_no_plain_word_names_nothing(kind: str, name: Any) -> None:
 @pytest.mark.parametrize("value", [None, 3, "", "nosuch", b"x", object(), float("nan"), "\0"])
 def test_what_is_no_value_is_not_registered(value: Any, tmp_path: Path) -> None:
     calls: tuple[Callable[[], Any], ...] = (
-        lambda: register_task(value), lambda: l2a.register_arm("m", value),
-        lambda: l2a.register_tool("m", value), lambda: register_network("m", value),
-        lambda: register_learner("m", value), lambda: register_search("m", value),
-        lambda: register_object_set("m", value), lambda: register_object_set("m", [value]),
+        lambda: register_task(value),
+        lambda: l2a.register_arm("m", value),
+        lambda: l2a.register_tool("m", value),
+        lambda: register_network("m", value),
+        lambda: register_learner("m", value),
+        lambda: register_search("m", value),
+        lambda: register_object_set("m", value),
+        lambda: register_object_set("m", [value]),
         lambda: register_object_set("m", [[value]]),
         lambda: register_object_set("m", [["cube"]], value or 3),
         lambda: register_object_set("m", [["cube"]], {"m": value}),
         lambda: register_object_set("m", [["cube"]], {"m": Shape(value)}),
         lambda: register_object_set("m", [["cube"]], {"m": Shape(((str(value), 0, 0),))}),
-    )  # fmt: skip
+    )
     before = [dict(table) for table in TABLES]
     for call in calls:
         with pytest.raises(InputError):
@@ -251,11 +271,16 @@ def test_a_configuration_of_nonsense_is_bad_input(kind: Any) -> None:
 def test_what_is_no_name_of_a_file_is_bad_input(value: Any, tmp_path: Path) -> None:
     plan = l2a.load_plan(DATA / "example_plan")
     for call in (
-        l2a.load_design, l2a.load_goals, l2a.load_plan, l2a.load_agent, l2a.read_assembly,
-        plan.save, lambda value: l2a.replay_program(value, "panda"),
+        l2a.load_design,
+        l2a.load_goals,
+        l2a.load_plan,
+        l2a.load_agent,
+        l2a.read_assembly,
+        plan.save,
+        lambda value: l2a.replay_program(value, "panda"),
         lambda value: l2a.export_assembly(tmp_path, "glb", value),
         lambda value: l2a.train("one-sided-3x3-22-24", out=value),
-    ):  # fmt: skip
+    ):
         with pytest.raises(InputError):
             call(value)
 
@@ -263,21 +288,32 @@ def test_what_is_no_name_of_a_file_is_bad_input(value: Any, tmp_path: Path) -> N
 @pytest.mark.parametrize("name", [[], {}, None, 3])
 def test_what_is_no_name_is_unknown(name: Any, tmp_path: Path) -> None:
     for call in (
-        l2a.get_task, l2a.Simulator, l2a.AssemblyEnv, l2a.get_arm,
+        l2a.get_task,
+        l2a.Simulator,
+        l2a.AssemblyEnv,
+        l2a.get_arm,
         lambda name: l2a.evaluate(name, episodes=1),
         lambda name: l2a.export_assembly(tmp_path, name, tmp_path / "x"),
         lambda name: l2a.export_program(tmp_path, name, tmp_path / "x"),
-    ):  # fmt: skip
+    ):
         with pytest.raises(InputError):
             call(name)
 
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"config": 3}, {"config": None}, {"resume": 3}, {"init": 3}, {"init": []}, {"settings": None},
-     {"settings": "network.heads=1"}, {"settings": [3]}],
+    [
+        {"config": 3},
+        {"config": None},
+        {"resume": 3},
+        {"init": 3},
+        {"init": []},
+        {"settings": None},
+        {"settings": "network.heads=1"},
+        {"settings": [3]},
+    ],
     ids=repr,
-)  # fmt: skip
+)
 def test_a_training_of_nonsense_is_bad_input(wrong: dict[str, Any], tmp_path: Path) -> None:
     with pytest.raises(InputError):
         l2a.train("one-sided-3x3-22-24", out=tmp_path / "run", **{"samples": 8, **wrong})
@@ -288,9 +324,10 @@ def test_blocks_and_worlds_of_nonsense_are_bad_input() -> None:
     wrong: Any
     for wrong in (None, 3, "x", [3], float("nan")):
         for call in (
-            l2a.Assembly, lambda wrong: l2a.Block("a", np.eye(4)[:, :3], wrong),
+            l2a.Assembly,
+            lambda wrong: l2a.Block("a", np.eye(4)[:, :3], wrong),
             lambda wrong: l2a.Block(wrong, np.eye(4)[:, :3], ((0, 1, 2),)),
             lambda wrong: l2a.AssemblyVectorEnv("one-sided-3x3-22-24", wrong if wrong != 3 else 0),
-        ):  # fmt: skip
+        ):
             with pytest.raises(InputError):
                 call(wrong)

@@ -194,8 +194,9 @@ def test_sample_of_objects_agrees(data: Path) -> None:
 def test_objects_need_all_earlier_steps(tmp_path: Path, data: Path) -> None:
     lines = list(read_lines(data / "transitions_objects.jsonl"))
     second = next(line for line in lines if line["t"] == 1)
-    first = next(x for x in lines if (x["variant"], x["ep"], x["t"]) == (
-        second["variant"], second["ep"], 0))  # fmt: skip
+    first = next(
+        x for x in lines if (x["variant"], x["ep"], x["t"]) == (second["variant"], second["ep"], 0)
+    )
     assert replay_file(_write(tmp_path, first, second)).lines == 2
     with pytest.raises(InputError, match="lacks a step before 1"):
         replay_file(_write(tmp_path, second))
@@ -302,11 +303,16 @@ def test_missing_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content"),
     [
-        ("a.jsonl", b"{"), ("a.jsonl", b"[1, 2]\n"), ("a.jsonl", b"3\n"), ("a.jsonl", b"\xff\xfe"),
-        ("a.jsonl", b"{}\n"), ("a.jsonl", b"\n"), ("a.jsonl.gz", b"{}\n"),
+        ("a.jsonl", b"{"),
+        ("a.jsonl", b"[1, 2]\n"),
+        ("a.jsonl", b"3\n"),
+        ("a.jsonl", b"\xff\xfe"),
+        ("a.jsonl", b"{}\n"),
+        ("a.jsonl", b"\n"),
+        ("a.jsonl.gz", b"{}\n"),
         ("a.jsonl.gz", gzip.compress(b"{}" * 500)[:-9]),
     ],
-)  # fmt: skip
+)
 def test_files_that_are_not_logs(tmp_path: Path, name: str, content: bytes) -> None:
     path = tmp_path / name
     path.write_bytes(content)
@@ -327,10 +333,30 @@ def test_a_probe_needs_its_real_line(tmp_path: Path, data: Path) -> None:
         replay_file(_write(tmp_path, probe))
 
 
-USED = ["variant", "ep", "t", "targets", "mask_px", "unplaced", "u", "ref", "blk", "placed",
-        "placed_after", "px_init", "px_plane_before", "px_comp_before", "px_plane_after",
-        "px_comp_after", "tilt_after", "reward", "done", "invalid", "accv",
-        "accv_obj"]  # fmt: skip
+USED = [
+    "variant",
+    "ep",
+    "t",
+    "targets",
+    "mask_px",
+    "unplaced",
+    "u",
+    "ref",
+    "blk",
+    "placed",
+    "placed_after",
+    "px_init",
+    "px_plane_before",
+    "px_comp_before",
+    "px_plane_after",
+    "px_comp_after",
+    "tilt_after",
+    "reward",
+    "done",
+    "invalid",
+    "accv",
+    "accv_obj",
+]
 
 
 @pytest.mark.parametrize("field", USED)
@@ -343,13 +369,26 @@ def test_a_missing_field_is_named(tmp_path: Path, line: dict[str, Any], field: s
 @pytest.mark.parametrize(
     "change",
     [
-        {"variant": ["2wo"]}, {"ep": [1]}, {"u": [1]}, {"u": "abc"}, {"ref": "a"}, {"ref": 1.5},
-        {"targets": []}, {"targets": [[]]}, {"targets": 5}, {"targets": [[[0.0, 0.0]]]},
-        {"placed": []}, {"placed": "x"}, {"placed": [[0.0, 0.0]]}, {"placed_after": None},
-        {"tilt_after": None}, {"px_init": None}, {"unplaced": None},
+        {"variant": ["2wo"]},
+        {"ep": [1]},
+        {"u": [1]},
+        {"u": "abc"},
+        {"ref": "a"},
+        {"ref": 1.5},
+        {"targets": []},
+        {"targets": [[]]},
+        {"targets": 5},
+        {"targets": [[[0.0, 0.0]]]},
+        {"placed": []},
+        {"placed": "x"},
+        {"placed": [[0.0, 0.0]]},
+        {"placed_after": None},
+        {"tilt_after": None},
+        {"px_init": None},
+        {"unplaced": None},
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_a_field_of_another_kind_is_refused(
     tmp_path: Path, line: dict[str, Any], change: dict[str, Any]
 ) -> None:

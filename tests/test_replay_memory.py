@@ -28,9 +28,14 @@ def numbered(start: int, worlds: int, graph: Graph, end: set[int]) -> Batch:
     for g, shift in ((first, 0.0), (last, 0.5)):
         g.nodes[:, 0, 0] = number + shift
     return Batch(
-        first, np.stack([number, number + 1, number + 2], -1), number.astype(np.float32),
-        np.isin(number, list(end)), last, np.full(worlds, 0.5, np.float32), number % 3 != 0,
-    )  # fmt: skip
+        first,
+        np.stack([number, number + 1, number + 2], -1),
+        number.astype(np.float32),
+        np.isin(number, list(end)),
+        last,
+        np.full(worlds, 0.5, np.float32),
+        number % 3 != 0,
+    )
 
 
 @given(
@@ -147,9 +152,7 @@ def test_arrays_of_outcomes_grow(size: int, widths: list[int], seed: int) -> Non
 
 @pytest.mark.parametrize("dense_weight", [0.0, 1.0])
 def test_replay_survives_a_checkpoint(dense_weight: float) -> None:
-    config = TrainConfig(
-        network=RELATIONAL, num_envs=3, replay_size=20, dense_weight=dense_weight
-    )  # fmt: skip
+    config = TrainConfig(network=RELATIONAL, num_envs=3, replay_size=20, dense_weight=dense_weight)
     trainer = Trainer(TINY, config, 0)
     for _ in range(11):
         trainer.collect()

@@ -110,8 +110,12 @@ def test_interrupted_run_goes_on_as_if_nothing_happened(
     assert log == sorted(log)
     assert log[-1] == QUICK.num_samples
     assert sorted(p.name for p in (tmp_path / "b").iterdir() if p.is_file()) == [
-        "agent.json", "agent.safetensors", "config.json", "log.jsonl", "state.safetensors"
-    ]  # fmt: skip
+        "agent.json",
+        "agent.safetensors",
+        "config.json",
+        "log.jsonl",
+        "state.safetensors",
+    ]
 
 
 def test_log_lines_after_the_checkpoint_are_dropped(tmp_path: Path) -> None:
@@ -176,8 +180,9 @@ def test_killed_run_resumes_from_its_last_checkpoint(tmp_path: Path) -> None:
     arguments = [json.dumps(dataclasses.asdict(TINY)), json.dumps(config.to_dict())]
     process = subprocess.Popen(
         [sys.executable, "-c", KILLED, str(out), *arguments],
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-    )  # fmt: skip
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    )
     try:
         deadline, checkpoints = time.monotonic() + 60, set[int]()
         while len(checkpoints) < 3:
@@ -205,9 +210,13 @@ def test_killed_run_resumes_from_its_last_checkpoint(tmp_path: Path) -> None:
     counters["config"]["num_samples"] = goal
     save_file(tensors, out / "state.safetensors", metadata={"counters": json.dumps(counters)})
     metrics = run_training(
-        TINY, dataclasses.replace(config, num_samples=goal), out,
-        device="cpu", quiet=True, resume=True,
-    )  # fmt: skip
+        TINY,
+        dataclasses.replace(config, num_samples=goal),
+        out,
+        device="cpu",
+        quiet=True,
+        resume=True,
+    )
     assert metrics["samples"] >= goal
     assert metrics["updates"] > saved["updates"]
     assert metrics["episodes"] >= saved["episodes"]

@@ -31,9 +31,14 @@ SEEDS = st.integers(0, 2**32 - 1)
 ROW = np.array([0])
 BAR2, BAR3 = [(0, 0, 0), (1, 0, 0)], [(0, 0, 0), (1, 0, 0), (2, 0, 0)]
 SHAPES = [
-    [(0, 0, 0)], BAR2, [(0, 0, 0), (0, 0, 1)], BAR3, [(1, 0, 0), (0, 0, 0), (0, 0, 1)],
-    [(1, 0, 0), (0, 0, 0), (0, 1, 0)], [(1, 0, 0), (0, 0, 0), (0, 0, 1), (-1, 0, 1)],
-]  # fmt: skip
+    [(0, 0, 0)],
+    BAR2,
+    [(0, 0, 0), (0, 0, 1)],
+    BAR3,
+    [(1, 0, 0), (0, 0, 0), (0, 0, 1)],
+    [(1, 0, 0), (0, 0, 0), (0, 1, 0)],
+    [(1, 0, 0), (0, 0, 0), (0, 0, 1), (-1, 0, 1)],
+]
 
 
 def world(*structures: list[tuple[float, ...]], objects: list[int] | None = None) -> State:
@@ -122,9 +127,14 @@ def test_block_between_neighbours_falls() -> None:
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize(
     ("overhang", "verdict"),
-    [(0.2, Verdict.STABLE), (-0.49, Verdict.STABLE), (0.51, Verdict.UNSTABLE),
-     (-0.6, Verdict.UNSTABLE), (0.9, Verdict.UNSTABLE)],
-)  # fmt: skip
+    [
+        (0.2, Verdict.STABLE),
+        (-0.49, Verdict.STABLE),
+        (0.51, Verdict.UNSTABLE),
+        (-0.6, Verdict.UNSTABLE),
+        (0.9, Verdict.UNSTABLE),
+    ],
+)
 def test_overhang(overhang: float, verdict: Verdict, axis: int) -> None:
     at = [0.0, 0.0, 1.0]
     at[axis] = overhang
@@ -133,9 +143,12 @@ def test_overhang(overhang: float, verdict: Verdict, axis: int) -> None:
 
 @pytest.mark.parametrize(
     ("last", "verdict"),
-    [((0, 0, 0), Verdict.OVERLAP), ((0.3, 0, 0.5), Verdict.OVERLAP),
-     ((1, 0, -1), Verdict.BELOW_GROUND)],
-)  # fmt: skip
+    [
+        ((0, 0, 0), Verdict.OVERLAP),
+        ((0.3, 0, 0.5), Verdict.OVERLAP),
+        ((1, 0, -1), Verdict.BELOW_GROUND),
+    ],
+)
 def test_geometric_facts_are_not_simulated(last: tuple[float, ...], verdict: Verdict) -> None:
     state = world([(0, 0, 0), (0, 0, 1), last])
     before, physics = state.copy(), RigidPhysics()
@@ -242,8 +255,10 @@ def test_bars_hold_as_one_body() -> None:
     assert settle((0, 0, 0), (2, 0, 0), (1, 0, 1)) == Verdict.FLOATING
     end = [(0, 0, 0), (0, 0, 1), (1, 0, 1), (2, 0, 1)]
     assert settle(*end, objects=[0, 1, 1, 1]) == Verdict.UNSTABLE
-    assert settle(*end, (0, 0, 2), (0, 0, 3), (0, 0, 4), (0, 0, 5),
-                  objects=[0, 1, 1, 1, 2, 3, 4, 5]) == Verdict.STABLE  # fmt: skip
+    assert (
+        settle(*end, (0, 0, 2), (0, 0, 3), (0, 0, 4), (0, 0, 5), objects=[0, 1, 1, 1, 2, 3, 4, 5])
+        == Verdict.STABLE
+    )
     assert settle(*end, (0, 0, 1), objects=[0, 1, 1, 1, 2]) == Verdict.OVERLAP
     assert settle((0, 0, 1), (1, 0, 1), objects=[4, 4]) == Verdict.FLOATING
     assert settle((0, 0, 0), (0, 0, -1), objects=[4, 4]) == Verdict.BELOW_GROUND

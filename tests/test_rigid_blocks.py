@@ -168,8 +168,13 @@ def linear(assembly: Assembly, contacts: Contacts, friction: float) -> bool:
             rays.append(np.kron(np.eye(len(contacts.points))[k], normal + friction * tangent))
     cones = np.array(rays).T if rays else np.zeros((matrix.shape[1], 0))
     scale = np.abs(weight).max()
-    answer = linprog(np.zeros(cones.shape[1]), A_eq=sp.csr_matrix(matrix @ cones),
-                     b_eq=weight / scale, bounds=(0, None), method="highs")  # fmt: skip
+    answer = linprog(
+        np.zeros(cones.shape[1]),
+        A_eq=sp.csr_matrix(matrix @ cones),
+        b_eq=weight / scale,
+        bounds=(0, None),
+        method="highs",
+    )
     assert answer.status in (0, 2), answer.message
     return answer.status == 0
 
@@ -317,29 +322,45 @@ def column_on_a_slope(angle: float) -> Assembly:
 def test_a_deck_clamped_between_walls_needs_tight_joints() -> None:
     """Two bars of 4 over a gap of 6 lean on each other and on the walls beside them."""
     deck = boxes(
-        (-3, 0, 0, -1, 1, 2), (7, 0, 0, 9, 1, 2), (-1, 0, 0, 0, 1, 1), (6, 0, 0, 7, 1, 1),
-        (-1, 0, 1, 3, 1, 2), (3, 0, 1, 7, 1, 2), support=4,
-    )  # fmt: skip
+        (-3, 0, 0, -1, 1, 2),
+        (7, 0, 0, 9, 1, 2),
+        (-1, 0, 0, 0, 1, 1),
+        (6, 0, 0, 7, 1, 1),
+        (-1, 0, 1, 3, 1, 2),
+        (3, 0, 1, 7, 1, 2),
+        support=4,
+    )
     answer = check(deck)
     assert answer.verdict == TIGHT
     bed = bed_patches(answer.contacts)
     pressed = np.linalg.norm(answer.forces, axis=1)[~bed[answer.contacts.patch]]
     assert pressed.max() > 100
     # A bar of 8 over the same gap carries itself.
-    lintel = boxes(*[tuple(np.ravel([b.vertices.min(0), b.vertices.max(0)])) for b in
-                     deck.blocks[:4]], (-1, 0, 1, 7, 1, 2), support=4)  # fmt: skip
+    lintel = boxes(
+        *[tuple(np.ravel([b.vertices.min(0), b.vertices.max(0)])) for b in deck.blocks[:4]],
+        (-1, 0, 1, 7, 1, 2),
+        support=4,
+    )
     assert check(lintel).verdict == STANDS
 
 
 def arch(voussoirs: int, thick: float = 0.3) -> Assembly:
     """A half circle of voussoirs between two abutments, in the plane y = 0."""
     angles = np.linspace(np.pi, 0, voussoirs + 1)
-    blocks = [box_block(f"abutment-{side}", (x, 0, -0.5), (x + thick, 0.4, 0), support=True)
-              for side, x in (("left", -1 - thick), ("right", 1.0))]  # fmt: skip
+    blocks = [
+        box_block(f"abutment-{side}", (x, 0, -0.5), (x + thick, 0.4, 0), support=True)
+        for side, x in (("left", -1 - thick), ("right", 1.0))
+    ]
     for k in range(voussoirs):
-        ends = [(r * np.cos(t), r * np.sin(t)) for t, r in
-                [(angles[k], 1.0), (angles[k], 1 + thick),
-                 (angles[k + 1], 1 + thick), (angles[k + 1], 1.0)]]  # fmt: skip
+        ends = [
+            (r * np.cos(t), r * np.sin(t))
+            for t, r in [
+                (angles[k], 1.0),
+                (angles[k], 1 + thick),
+                (angles[k + 1], 1 + thick),
+                (angles[k + 1], 1.0),
+            ]
+        ]
         corners = np.array([(x, y, z) for y in (0.0, 0.4) for x, z in ends])
         faces = ((3, 2, 1, 0), (4, 5, 6, 7), (1, 5, 4, 0), (2, 6, 5, 1), (3, 7, 6, 2), (0, 4, 7, 3))
         blocks.append(Block(f"{k}", corners, faces))
@@ -386,9 +407,14 @@ def test_the_cross_vault_stands(reference: Path) -> None:
 
 def test_a_wedge_in_a_socket_withstands_any_push() -> None:
     socket = boxes(
-        (-1, -1, -1, 2, 2, 0), (-1, -1, 0, 0, 2, 2), (1, -1, 0, 2, 2, 2), (0, -1, 0, 1, 0, 2),
-        (0, 1, 0, 1, 2, 2), (0, 0, 0, 1, 1, 1), support=5,
-    )  # fmt: skip
+        (-1, -1, -1, 2, 2, 0),
+        (-1, -1, 0, 0, 2, 2),
+        (1, -1, 0, 2, 2, 2),
+        (0, -1, 0, 1, 0, 2),
+        (0, 1, 0, 1, 2, 2),
+        (0, 0, 0, 1, 1, 1),
+        support=5,
+    )
     assert margin(socket, find_contacts(socket)) == MOST_G
     assert check(socket).margin_g == pytest.approx(0.5, rel=0.015), "on its bed alone it slides"
 
@@ -412,8 +438,18 @@ def test_supports_alone_stand() -> None:
 # ---------------------------------------------------------------- invariance
 
 
-@pytest.mark.parametrize("name", ["04_stacks_20", "04_stacks_27", "05_wedge_b_y90", "16_A",
-                                  "06_arch20", "wedge_b_145", "07_shelf-stable"])  # fmt: skip
+@pytest.mark.parametrize(
+    "name",
+    [
+        "04_stacks_20",
+        "04_stacks_27",
+        "05_wedge_b_y90",
+        "16_A",
+        "06_arch20",
+        "wedge_b_145",
+        "07_shelf-stable",
+    ],
+)
 def test_rotation_mirror_and_unit_change_nothing(name: str) -> None:
     assembly = masonry(CASES[name])
     plain = check(assembly)

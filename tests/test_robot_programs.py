@@ -88,9 +88,12 @@ def extremes(knots: Knots) -> list[tuple[np.ndarray, np.ndarray]]:
 
 @settings(max_examples=60, deadline=None)
 @given(
-    seed=st.integers(0, 2**32 - 1), count=st.integers(2, 40), reach=st.floats(1e-4, 1.0),
-    speed=st.floats(0.0, 3.0), even=st.booleans(),
-)  # fmt: skip
+    seed=st.integers(0, 2**32 - 1),
+    count=st.integers(2, 40),
+    reach=st.floats(1e-4, 1.0),
+    speed=st.floats(0.0, 3.0),
+    even=st.booleans(),
+)
 def test_limits_hold_between_any_samples(
     seed: int, count: int, reach: float, speed: float, even: bool
 ) -> None:
@@ -102,9 +105,12 @@ def test_limits_hold_between_any_samples(
     velocity[[0, -1]] = 0.0
     whole = np.full(joints, 1e6)
     limits = Limits(
-        rng.uniform(0.5, 3, joints), rng.uniform(1, 20, joints), rng.uniform(50, 5000, joints),
-        -whole, whole,
-    )  # fmt: skip
+        rng.uniform(0.5, 3, joints),
+        rng.uniform(1, 20, joints),
+        rng.uniform(50, 5000, joints),
+        -whole,
+        whole,
+    )
     motion, factor = slow_down(fit(time, position, velocity), limits)
     assert factor >= 1
     # The same path: the samples are still on it, and it runs in the same directions there.
@@ -192,8 +198,9 @@ def test_the_gripper_is_told_what_was_meant_not_what_was_simulated(name: str) ->
     program, arm = program_of(name), get_arm(name)
     widths = {state.width for state in program.states}
     assert widths == {OPENING, 0.05}
-    assert all(state.force == (arm.gripper.force if state.width == 0.05 else 0)
-               for state in program.states)  # fmt: skip
+    assert all(
+        state.force == (arm.gripper.force if state.width == 0.05 else 0) for state in program.states
+    )
     assert all(a.time <= b.time for a, b in itertools.pairwise(program.states))
     # It only moves while the arm stands still, and has the time it takes.
     for before, state in itertools.pairwise(program.states):
@@ -219,17 +226,27 @@ def test_the_gripper_is_told_what_was_meant_not_what_was_simulated(name: str) ->
 def craig(a: float, alpha: float, d: float, theta: float) -> np.ndarray:
     """Link frame by modified Denavit-Hartenberg parameters."""
     (c, s), (ca, sa) = (math.cos(theta), math.sin(theta)), (math.cos(alpha), math.sin(alpha))
-    return np.array([
-        [c, -s, 0, a], [s * ca, c * ca, -sa, -d * sa], [s * sa, c * sa, ca, d * ca], [0, 0, 0, 1],
-    ])  # fmt: skip
+    return np.array(
+        [
+            [c, -s, 0, a],
+            [s * ca, c * ca, -sa, -d * sa],
+            [s * sa, c * sa, ca, d * ca],
+            [0, 0, 0, 1],
+        ]
+    )
 
 
 def classic(a: float, alpha: float, d: float, theta: float) -> np.ndarray:
     """Link frame by standard Denavit-Hartenberg parameters."""
     (c, s), (ca, sa) = (math.cos(theta), math.sin(theta)), (math.cos(alpha), math.sin(alpha))
-    return np.array([
-        [c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1],
-    ])  # fmt: skip
+    return np.array(
+        [
+            [c, -s * ca, s * sa, a * c],
+            [s, c * ca, -c * sa, a * s],
+            [0, sa, ca, d],
+            [0, 0, 0, 1],
+        ]
+    )
 
 
 def frame(pose: np.ndarray) -> np.ndarray:
@@ -367,14 +384,25 @@ def test_a_packed_table_is_the_same_table(tmp_path: Path) -> None:
 # ---------------------------------------------------------------- URScript
 
 ARITY = {
-    "movej": (1, {"a", "v", "t", "r"}), "set_tcp": (1, set()), "set_payload": (2, set()),
-    "set_tool_digital_out": (2, set()), "get_tool_digital_in": (1, set()), "sleep": (1, set()),
-    "textmsg": (2, set()), "popup": (1, {"title", "warning", "error", "blocking"}),
-    "set_standard_digital_out": (2, set()), "get_standard_digital_in": (1, set()),
-    "get_tool_analog_in": (1, set()), "get_standard_analog_in": (1, set()), "norm": (1, set()),
-    "pose_trans": (2, set()), "pose_inv": (1, set()), "get_forward_kin": (1, set()),
-    "get_inverse_kin": (2, set()), "get_actual_joint_positions": (0, set()),
-}  # fmt: skip
+    "movej": (1, {"a", "v", "t", "r"}),
+    "set_tcp": (1, set()),
+    "set_payload": (2, set()),
+    "set_tool_digital_out": (2, set()),
+    "get_tool_digital_in": (1, set()),
+    "sleep": (1, set()),
+    "textmsg": (2, set()),
+    "popup": (1, {"title", "warning", "error", "blocking"}),
+    "set_standard_digital_out": (2, set()),
+    "get_standard_digital_in": (1, set()),
+    "get_tool_analog_in": (1, set()),
+    "get_standard_analog_in": (1, set()),
+    "norm": (1, set()),
+    "pose_trans": (2, set()),
+    "pose_inv": (1, set()),
+    "get_forward_kin": (1, set()),
+    "get_inverse_kin": (2, set()),
+    "get_actual_joint_positions": (0, set()),
+}
 """Functions of URScript: arguments in their place, and those by name."""
 
 
@@ -494,9 +522,14 @@ class UrScript:
 
 def test_the_parser_finds_faults() -> None:
     for bad in (
-        "def f():\n  movej([0], 1)\nend", "def f():\n  fly(1)\nend", "def f():\n  sleep(1)\n",
-        "end", "def f()\nend", "def f():\n  movej([0], x=1)\nend", "def f():\n  sleep((1)\nend",
-    ):  # fmt: skip
+        "def f():\n  movej([0], 1)\nend",
+        "def f():\n  fly(1)\nend",
+        "def f():\n  sleep(1)\n",
+        "end",
+        "def f()\nend",
+        "def f():\n  movej([0], x=1)\nend",
+        "def f():\n  sleep((1)\nend",
+    ):
         with pytest.raises((AssertionError, IndexError)):
             UrScript(bad)
 
@@ -608,9 +641,12 @@ def as_controller(script: str, program: Program, arm: Arm) -> Program:
     ]
     supply = tuple(one._replace(time=time[-1]) for one in program.blocks.supply)
     return dataclasses.replace(
-        program, knots=Knots(np.array(time), np.array(rows), still, still), states=tuple(states),
-        steps=tuple(steps), blocks=program.blocks._replace(supply=supply),
-    )  # fmt: skip
+        program,
+        knots=Knots(np.array(time), np.array(rows), still, still),
+        states=tuple(states),
+        steps=tuple(steps),
+        blocks=program.blocks._replace(supply=supply),
+    )
 
 
 def test_urscript_builds_the_same(suction_build: BuildRecord, tmp_path: Path) -> None:
@@ -660,11 +696,13 @@ def test_what_a_layout_says_stands_at_the_top_of_the_program(tmp_path: Path) -> 
     frame = planned_frame(get_arm("ur5e")) + shift
     layout = tmp_path / "cell.json"
     section = {
-        "speed_factor": 0.25, "dwell": 0.3, "start_tolerance": 0.02,
+        "speed_factor": 0.25,
+        "dwell": 0.3,
+        "start_tolerance": 0.02,
         "output": {"bank": "standard", "number": 5, "on": False},
         "input": {"bank": "standard", "number": 1, "held": False, "threshold": 2.5},
         "base_frame": frame.tolist(),
-    }  # fmt: skip
+    }
     head = {"format": "learn2assemble-layout", "version": 2}
     layout.write_text(json.dumps({**head, "program": section}))
     record = arm_record("ur5e", 4, failures=False)
@@ -672,17 +710,27 @@ def test_what_a_layout_says_stands_at_the_top_of_the_program(tmp_path: Path) -> 
     text = done.file.read_text()
     script = UrScript(text)
     told = {
-        "l2a_factor": "0.25", "l2a_resume_from": "3", "l2a_output": "5", "l2a_output_on": "False",
-        "l2a_input": "1", "l2a_input_held": "False", "l2a_threshold": "2.5", "l2a_dwell": "0.3",
-        "l2a_start_tolerance": "0.02", "l2a_first_step": "1",
+        "l2a_factor": "0.25",
+        "l2a_resume_from": "3",
+        "l2a_output": "5",
+        "l2a_output_on": "False",
+        "l2a_input": "1",
+        "l2a_input_held": "False",
+        "l2a_threshold": "2.5",
+        "l2a_dwell": "0.3",
+        "l2a_start_tolerance": "0.02",
+        "l2a_first_step": "1",
         "l2a_last_step": str(len(record.steps)),
-    }  # fmt: skip
+    }
     assert told.items() <= script.top.items()
     assert json.loads(script.top["l2a_frame"][1:]) == pytest.approx(frame.tolist(), abs=1e-6)
     # They stand before anything else, and everything that depends on them names them.
     assert max(text.index(f"global {name}") for name in told) < text.index("  def ")
-    for call in ("set_standard_digital_out(l2a_output, l2a_output_on)", "sleep(l2a_dwell)",
-                 "get_standard_analog_in(l2a_input)"):  # fmt: skip
+    for call in (
+        "set_standard_digital_out(l2a_output, l2a_output_on)",
+        "sleep(l2a_dwell)",
+        "get_standard_analog_in(l2a_input)",
+    ):
         assert call in text
     # Each step is left out as a whole, and begins with a check of where the arm is.
     parts = text.split("  # step ")[1:]
@@ -706,14 +754,19 @@ def test_what_a_layout_says_stands_at_the_top_of_the_program(tmp_path: Path) -> 
     ("section", "words"),
     [
         ({"speed_factor": 0}, "program.speed_factor: got 0"),
-        ({"speed_factor": 1.01}, "speed_factor"), ({"dwell": -1}, "0 to 10"),
-        ({"output": {"number": 2}}, "output.number"), ({"output": {"bank": "tol"}}, "'tool'"),
-        ({"input": {"threshold": 11}}, "threshold"), ({"output": {"on": 1}}, "true or false"),
+        ({"speed_factor": 1.01}, "speed_factor"),
+        ({"dwell": -1}, "0 to 10"),
+        ({"output": {"number": 2}}, "output.number"),
+        ({"output": {"bank": "tol"}}, "'tool'"),
+        ({"input": {"threshold": 11}}, "threshold"),
+        ({"output": {"on": 1}}, "true or false"),
         ({"input": {"threshold": 1, "bank": "standard", "number": 2}}, "0 to 1"),
-        ({"base_frame": [0, 0, 0]}, "base_frame"), ({"base_frame": [5, 0, 0, 0, 0, 0]}, "within"),
-        ({"sped": 1}, "'speed_factor'"), ([], "JSON object"),
+        ({"base_frame": [0, 0, 0]}, "base_frame"),
+        ({"base_frame": [5, 0, 0, 0, 0, 0]}, "within"),
+        ({"sped": 1}, "'speed_factor'"),
+        ([], "JSON object"),
     ],
-)  # fmt: skip
+)
 def test_settings_of_programs_that_are_wrong_are_refused(
     section: Any, words: str, tmp_path: Path
 ) -> None:
@@ -796,8 +849,9 @@ def test_a_bag_is_read_without_ros(files: dict[tuple[str, str], Path], name: str
         for time, message in found["/tf"]
         for t in message.transforms
         if t.child_frame_id == f"cell_{step.cells[0]}"
-        and step.held is not None and step.held[0] + 0.05 < time < step.held[1] - 0.05
-    ]  # fmt: skip
+        and step.held is not None
+        and step.held[0] + 0.05 < time < step.held[1] - 0.05
+    ]
     assert len(held) > 20
     assert np.ptp(np.linalg.norm(held, axis=1)) < 1e-6
     flanges = {t.child_frame_id: t for _, m in found["/tf_static"] for t in m.transforms}
@@ -849,11 +903,17 @@ FAULTS: dict[str, tuple[Callable[[str], str], str]] = {
     "no table": (lambda text: "a,b\n1,2\n", "header"),
     "no limits": (lambda t: re.sub("# limits:.*\n", "", t), "limits"),
     "limits of nothing": (lambda t: re.sub("# limits:.*\n", "# limits: {}\n", t), "limits"),
-    "a limit of 0": (lambda t: t.replace('"jerk": [500.0', '"jerk": [0.0')
-                     .replace('"jerk": [7500.0', '"jerk": [0.0'), "limits.jerk"),
+    "a limit of 0": (
+        lambda t: t.replace('"jerk": [500.0', '"jerk": [0.0').replace(
+            '"jerk": [7500.0', '"jerk": [0.0'
+        ),
+        "limits.jerk",
+    ),
     "no rate": (lambda t: re.sub("# rate:.*\n", "", t), "rate"),
-    **{f"rate {rate}": (lambda t, rate=rate: re.sub("# rate:.*\n", f"# rate: {rate}\n", t), "rate")
-       for rate in ("1e9", "0", "-1000", "NaN", "true", '"fast"')},
+    **{
+        f"rate {rate}": (lambda t, rate=rate: re.sub("# rate:.*\n", f"# rate: {rate}\n", t), "rate")
+        for rate in ("1e9", "0", "-1000", "NaN", "true", '"fast"')
+    },
     "header without blocks": (lambda t: re.sub("# blocks:.*\n", "", t), "blocks"),
     "nan": (cell_of(40, "q_elbow_joint", "nan"), "finite number"),
     "word": (cell_of(40, "q_elbow_joint", "fast"), "numbers"),
@@ -865,14 +925,16 @@ FAULTS: dict[str, tuple[Callable[[str], str], str]] = {
     "jerk": (cell_of(40, "ddq_elbow_joint", "3.0"), "elbow_joint.*jerk"),
     "column": (lambda t: t.replace("q_elbow_joint", "q_knee", 1), "columns"),
     "other joints": (lambda t: t.replace('"elbow_joint"', '"knee"', 1), "joints"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_damaged_table_is_refused_in_one_line(
-    fault: str, files: dict[tuple[str, str], Path], tmp_path: Path,
+    fault: str,
+    files: dict[tuple[str, str], Path],
+    tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     damage, words = FAULTS[fault]
     file = tmp_path / "bad.csv"
     file.write_text(damage(files["ur5e", "csv"].read_text()))
@@ -959,9 +1021,14 @@ def built(arm: Arm, state: Scene, targets: list[np.ndarray], hand: Attitude) -> 
     robot, width = DynamicCell(arm), 0.0 if arm.suction else OPENING
     cells = len(state.position)
     log = BuildRecorder(
-        arm, arm.home, width, upright(state.position, state.yaw), [[k] for k in range(cells)],
-        "MuJoCo", state.half,
-    )  # fmt: skip
+        arm,
+        arm.home,
+        width,
+        upright(state.position, state.yaw),
+        [[k] for k in range(cells)],
+        "MuJoCo",
+        state.half,
+    )
     numbers, joints, turns = np.arange(cells), None, None
     for target in targets:
         move = Move(state.num_placed, target, hand, hand)
@@ -996,21 +1063,27 @@ def suction_build() -> BuildRecord:
     shown = np.array([[0.2, -0.25, 0.025, 1.0, 0, 0, 0]])
     for step in record.steps:
         last = step is record.steps[-1]
-        steps.append(dataclasses.replace(
-            step, before=np.vstack([step.before, hidden]),
-            after=np.vstack([step.after, shown if last else hidden]),
-        ))  # fmt: skip
+        steps.append(
+            dataclasses.replace(
+                step,
+                before=np.vstack([step.before, hidden]),
+                after=np.vstack([step.after, shown if last else hidden]),
+            )
+        )
     assert record.half is not None
     return dataclasses.replace(
-        record, steps=tuple(steps), objects=(*record.objects, (3,)),
+        record,
+        steps=tuple(steps),
+        objects=(*record.objects, (3,)),
         half=np.vstack([record.half, BRICK]),
-    )  # fmt: skip
+    )
 
 
 def test_a_block_alone_is_lifted_to_the_end_of_its_way_without_jumps() -> None:
     """The way up is hardly longer than the slot the block slides out of slowly."""
-    state = Scene(np.array([[-0.12, 0.0, 0.025]]), np.zeros(1), np.arange(1), 0,
-                  np.full((1, 3), 0.025))  # fmt: skip
+    state = Scene(
+        np.array([[-0.12, 0.0, 0.025]]), np.zeros(1), np.arange(1), 0, np.full((1, 3), 0.025)
+    )
     arm = get_arm("panda", "suction")
     record = built(arm, state, [np.array([0.0, 0.1, 0.025])], Attitude(depth=0.025))
     assert find_fault(record) is None
@@ -1065,9 +1138,11 @@ def test_an_arm_that_runs_into_something_ends_the_dry_run(
     ]
     assert suction_build.half is not None
     record = dataclasses.replace(
-        suction_build, steps=tuple(steps), objects=(*suction_build.objects, (4,)),
+        suction_build,
+        steps=tuple(steps),
+        objects=(*suction_build.objects, (4,)),
         half=np.vstack([suction_build.half, [0.02, 0.02, 0.25]]),
-    )  # fmt: skip
+    )
     file = export_program(record, "ros2", tmp_path).file
     assert main(["replay-trajectory", str(file), "--arm", "ur5e"]) == 1
     assert re.search("step 1: .* touches block 4", capsys.readouterr().out)

@@ -89,10 +89,20 @@ def test_the_papers_robot_tasks() -> None:
         "robot-objects-two-sided-6x6-30-34": (2, 6, 40, (30, 34), 20, 0.06, *columns),
     }
     found = {
-        name: (t.num_sides, t.grid, t.num_nodes, t.block_range, t.num_actions, t.pitch, t.layout,
-               t.reward, t.discount)
-        for name, t in ROBOTS.items() if not t.aisle
-    }  # fmt: skip
+        name: (
+            t.num_sides,
+            t.grid,
+            t.num_nodes,
+            t.block_range,
+            t.num_actions,
+            t.pitch,
+            t.layout,
+            t.reward,
+            t.discount,
+        )
+        for name, t in ROBOTS.items()
+        if not t.aisle
+    }
     assert found == wanted
     for task in [task for task in ROBOTS.values() if not task.aisle]:
         assert (task.success_threshold, task.max_initial_cover) == (0.75, 0.6)
@@ -110,9 +120,13 @@ def test_the_twin_differs_from_the_one_sided_cell_by_the_robot_alone() -> None:
         get_task("robot-one-sided-5x5-15-17").replace(arm="none"),
     )
     assert twin == robot.replace(
-        name=twin.name, pitch=EDGE, cover_filter="narrow", normalise_initial=True,
-        success_threshold=0.975, max_initial_cover=0.95,
-    )  # fmt: skip
+        name=twin.name,
+        pitch=EDGE,
+        cover_filter="narrow",
+        normalise_initial=True,
+        success_threshold=0.975,
+        max_initial_cover=0.95,
+    )
     assert (twin.num_actions, twin.block_range) == (robot.num_actions, robot.block_range)
 
 
@@ -183,8 +197,13 @@ def test_cover_is_relative_to_the_whole_target(task: Task) -> None:
 
 def test_the_tolerant_camera_sees_blocks_that_stand_beside_their_places() -> None:
     """Faces 1 cm before and 2 cm behind the plane still count, and not with the narrow window."""
-    for shift, wide, narrow in ((0.0, True, True), (-0.01, True, False), (0.02, True, False),
-                                (-0.04, False, False), (0.04, False, False)):  # fmt: skip
+    for shift, wide, narrow in (
+        (0.0, True, True),
+        (-0.01, True, False),
+        (0.02, True, False),
+        (-0.04, False, False),
+        (0.04, False, False),
+    ):
         seen = {}
         for name in ("wide", "narrow"):
             sim = Simulator(TWO.replace(num_sides=1, num_nodes=15, cover_filter=name))

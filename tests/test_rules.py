@@ -72,8 +72,13 @@ def random_actions(task: Task, state: State, rng: np.random.Generator) -> np.nda
 def test_relations_point_where_their_names_say() -> None:
     state = empty_state(1, 1, 3, 2)
     state.position[0, 0] = 0.1, 0.2, 0.3
-    wanted = {"top": (0, 0, 1), "left": (-1, 0, 0), "right": (1, 0, 0), "front": (0, -1, 0),
-              "behind": (0, 1, 0)}  # fmt: skip
+    wanted = {
+        "top": (0, 0, 1),
+        "left": (-1, 0, 0),
+        "right": (1, 0, 0),
+        "front": (0, -1, 0),
+        "behind": (0, 1, 0),
+    }
     assert tuple(wanted) == RELATIONS
     for relation, name in enumerate(RELATIONS):
         cell = target_cell(state, 0, 0, relation)

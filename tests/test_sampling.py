@@ -88,20 +88,24 @@ def our_draws(task: Task) -> Draws:
     draws = np.array([sim.reset(state, np.array([row]), rng) for row in range(OURS)])
     places = state.position[:, 0, None, :2] - sim.frames[None, :, 2:]
     return Draws(
-        state.mask_pixels, state.plane_pixels / state.mask_pixels,
-        np.abs(places).sum(-1).argmin(1), state.num_unplaced, draws,
-    )  # fmt: skip
+        state.mask_pixels,
+        state.plane_pixels / state.mask_pixels,
+        np.abs(places).sum(-1).argmin(1),
+        state.num_unplaced,
+        draws,
+    )
 
 
 def recorded_draws(lines: list[dict[str, Any]], task: Task) -> Draws:
     frames = side_frames(task.num_sides, task.pitch)
     area = np.array([line["px_total"] for line in lines])
     return Draws(
-        area, np.array([line["px_init"] for line in lines]) / area,
+        area,
+        np.array([line["px_init"] for line in lines]) / area,
         np.array([_side(line, frames) for line in lines]),
         np.array([line["n_unplaced"] for line in lines]),
         np.array([line.get("draws", 0) for line in lines]),
-    )  # fmt: skip
+    )
 
 
 def _side(line: dict[str, Any], frames: np.ndarray) -> int:

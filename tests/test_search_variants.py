@@ -153,17 +153,24 @@ def test_max_backup_keeps_the_prior_as_one_vote() -> None:
     assert values == pytest.approx([0.7, (1 + 0.3) / 2, (1 + 0.4) / 2])
 
 
-@given(seed=st.integers(0, 10_000), widening=st.sampled_from([0.3, 0.6, 1.0]),
-       expansion=st.sampled_from(["epsilon-greedy", "uct"]))  # fmt: skip
+@given(
+    seed=st.integers(0, 10_000),
+    widening=st.sampled_from([0.3, 0.6, 1.0]),
+    expansion=st.sampled_from(["epsilon-greedy", "uct"]),
+)
 @settings(max_examples=60, deadline=None)
 def test_whole_tree_with_max_backup_is_exact(seed: int, widening: float, expansion: str) -> None:
     """Every edge once, the largest below: the exhaustive optimum of every root action."""
     model = random_tree(seed)
     actions = sum(len(edges) for edges in model.edges.values())
     decision = decide(
-        model, budget=10 * actions, prior=False, backup="max", widening=widening,
+        model,
+        budget=10 * actions,
+        prior=False,
+        backup="max",
+        widening=widening,
         expansion=expansion,
-    )  # fmt: skip
+    )
     assert size(decision.root) == actions
     for key, edge in enumerate(model.edges["root"]):
         later = 0.0 if edge.to is None else model.discount * best_return(model, edge.to)[0]
@@ -187,9 +194,13 @@ def test_random_rollouts_against_enumeration(seed: int) -> None:
     model, count = random_tree(seed), 1500
     width = len(model.edges["root"])
     config = SearchConfig(
-        budget=width, epsilon=0.0, expansion="uct", prior=False, rollout=TO_THE_END,
+        budget=width,
+        epsilon=0.0,
+        expansion="uct",
+        prior=False,
+        rollout=TO_THE_END,
         rollout_policy="random",
-    )  # fmt: skip
+    )
     decisions = search(model, root(*["root"] * count), config, np.random.default_rng(0))
     for action in range(width):
         values = np.array([d.root.children[action].value for d in decisions])
@@ -220,8 +231,10 @@ def test_one_level_of_many_roots_is_one_step_and_two_evaluations(name: str) -> N
     config = dataclasses.replace(SEARCHES[name], budget=7)
     search(model, root(*["root"] * 20), config, np.random.default_rng(0))
     assert {k: model.calls[k] for k in ("action_values", "step", "best")} == {
-        "action_values": 1, "step": 1, "best": 1
-    }  # fmt: skip
+        "action_values": 1,
+        "step": 1,
+        "best": 1,
+    }
 
 
 def test_plain_uct_never_looks_at_q() -> None:
@@ -383,11 +396,19 @@ def test_named_searches_play(name: str) -> None:
 
 @pytest.mark.parametrize(
     "changes",
-    [{"expansion": "uctt"}, {"exploration": -1.0}, {"widening": 0.0}, {"widening": 1.5},
-     {"depth": 0}, {"rollout_policy": "best"}, {"backup": "min"}, {"final": "first"},
-     {"final": "gumbel"}],
+    [
+        {"expansion": "uctt"},
+        {"exploration": -1.0},
+        {"widening": 0.0},
+        {"widening": 1.5},
+        {"depth": 0},
+        {"rollout_policy": "best"},
+        {"backup": "min"},
+        {"final": "first"},
+        {"final": "gumbel"},
+    ],
     ids=str,
-)  # fmt: skip
+)
 def test_config_refuses(changes: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=next(iter(changes))):
         SearchConfig(**changes)
@@ -395,10 +416,14 @@ def test_config_refuses(changes: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize(
     "changes",
-    [{"considered": 0}, {"temperature": 0.0}, {"value_scale": float("nan")},
-     {"visit_offset": -1.0}],
+    [
+        {"considered": 0},
+        {"temperature": 0.0},
+        {"value_scale": float("nan")},
+        {"visit_offset": -1.0},
+    ],
     ids=str,
-)  # fmt: skip
+)
 def test_gumbel_config_refuses(changes: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=next(iter(changes))):
         GumbelConfig(**changes)

@@ -83,8 +83,11 @@ def assert_every_state_stands(plan: Plan) -> None:
     assert plan.assembly is not None
     ground = box_block("the ground", (-9, -9, -0.1), (9, 9, 0), support=True)
     for there, held in states_of(plan):
-        blocks = [replace(b, prop=False, support=b.support or b.id in held)
-                  for b in plan.assembly.blocks if b.id in there]  # fmt: skip
+        blocks = [
+            replace(b, prop=False, support=b.support or b.id in held)
+            for b in plan.assembly.blocks
+            if b.id in there
+        ]
         assembly = Assembly((ground, *blocks), friction=plan.assembly.friction)
         assert check(assembly).verdict != FALLS, (sorted(there), sorted(held))
         contacts = find_contacts(assembly)
@@ -280,9 +283,10 @@ def test_what_is_said_does_not_depend_on_how_it_is_told(change: str) -> None:
             "unit": np.eye(3) * 10,
         }[change]
         flip = change == "mirror"
-        blocks = [Block(b.id, b.vertices @ matrix.T,
-                        tuple(f[::-1] for f in b.faces) if flip else b.faces)
-                  for b in blocks]  # fmt: skip
+        blocks = [
+            Block(b.id, b.vertices @ matrix.T, tuple(f[::-1] for f in b.faces) if flip else b.faces)
+            for b in blocks
+        ]
     other = plan_assembly(Assembly(tuple(blocks), friction=assembly.friction))
     assert (other.status, len(other.steps)) == (plain.status, len(plain.steps))
 

@@ -91,8 +91,9 @@ def stands(blocks: list[Placed], kit: Kit, friction: float = 0.0, inset: float =
     matrix = np.array(columns).T
     scale = np.abs(matrix).max(1) + 1e-12
     goal = weight.reshape(-1) / weight.max()
-    answer = linprog(np.zeros(len(columns)), A_eq=matrix / scale[:, None], b_eq=goal / scale,
-                     method="highs")  # fmt: skip
+    answer = linprog(
+        np.zeros(len(columns)), A_eq=matrix / scale[:, None], b_eq=goal / scale, method="highs"
+    )
     return answer.status == 0
 
 
@@ -100,8 +101,10 @@ def can_be_ordered(blocks: tuple[Placed, ...], kit: Kit) -> bool:
     """Whether some order has every state standing without friction, each block after those it
     lies on."""
     owner = {cell: n for n, (_, own) in enumerate(blocks) for cell in own}
-    below = [{owner[x, y, z - 1] for x, y, z in own if z and owner.get((x, y, z - 1), n) != n}
-             for n, (_, own) in enumerate(blocks)]  # fmt: skip
+    below = [
+        {owner[x, y, z - 1] for x, y, z in own if z and owner.get((x, y, z - 1), n) != n}
+        for n, (_, own) in enumerate(blocks)
+    ]
     everything, seen = frozenset(range(len(blocks))), set()
     queue = [frozenset()]
     while queue and len(seen) < 3000:
@@ -194,8 +197,10 @@ def check_plan(tiling, ordering, kit: Kit) -> None:
     from learn2assemble.planning.tiling import placement_cells
 
     kinds = [kind.name for kind in kit.kinds]
-    blocks = [(kinds.index(p.kind), tuple(map(tuple, placement_cells(p, kit).tolist())))
-              for p in tiling.placements]  # fmt: skip
+    blocks = [
+        (kinds.index(p.kind), tuple(map(tuple, placement_cells(p, kit).tolist())))
+        for p in tiling.placements
+    ]
     state: list[int] = []
     for step in ordering.steps:
         if step.place is not None:
@@ -216,8 +221,9 @@ def test_nothing_is_refused_that_stands_and_nothing_complete_falls(seed: int) ->
 REFUSALS = Path(__file__).parent / "data" / "refusals"
 
 
-@pytest.mark.parametrize(("name", "friction"), [("wall213", None), ("rep", None), ("cant6", None),
-                                                ("tie", 0.5)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "friction"), [("wall213", None), ("rep", None), ("cant6", None), ("tie", 0.5)]
+)
 def test_what_was_refused_though_it_stands(name: str, friction: float | None) -> None:
     file = REFUSALS / f"{name}.toml"
     kit = load_kit(str(file) if file.exists() else "bricks-lintels")

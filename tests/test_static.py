@@ -59,8 +59,9 @@ def brute(placed: np.ndarray, cube: np.ndarray) -> Verdict | None:
 
 def random_cells(rng: np.random.Generator, count: int) -> np.ndarray:
     """Centres near a small lattice [m]; they may overlap, float or be under the table."""
-    cells = np.stack([rng.integers(-1, 2, count), rng.integers(0, 2, count),
-                      rng.integers(-1, 4, count)], -1)  # fmt: skip
+    cells = np.stack(
+        [rng.integers(-1, 2, count), rng.integers(0, 2, count), rng.integers(-1, 4, count)], -1
+    )
     return EDGE * cells + [0, 0, HALF] + rng.choice(SHIFTS, (count, 3))
 
 
@@ -82,8 +83,13 @@ def test_random_cells_are_of_every_kind() -> None:
     for _ in range(300):
         cells = random_cells(rng, 4)
         kinds.add(brute(cells[:3], cells[3]))
-    assert kinds >= {Verdict.STABLE, Verdict.OVERLAP, Verdict.BELOW_GROUND, Verdict.FLOATING,
-                     Verdict.UNDECIDED}  # fmt: skip
+    assert kinds >= {
+        Verdict.STABLE,
+        Verdict.OVERLAP,
+        Verdict.BELOW_GROUND,
+        Verdict.FLOATING,
+        Verdict.UNDECIDED,
+    }
 
 
 @given(

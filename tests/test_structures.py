@@ -103,14 +103,19 @@ def test_a_pile_of_stones_does_not_fall() -> None:
     [
         ("arch", ["5"]),
         ("turned_wall", ["9"]),
-        *(pytest.param(name, [], marks=pytest.mark.slow)
-          for name in ("vaults", "dome", "spiral_stair", "stones")),
+        *(
+            pytest.param(name, [], marks=pytest.mark.slow)
+            for name in ("vaults", "dome", "spiral_stair", "stones")
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_script_writes_its_assembly_and_a_plan_with_page_and_picture(
-    name: str, words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    name: str,
+    words: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     monkeypatch.setattr(sys, "argv", [name, str(tmp_path / "out"), *words])
     # Whether it is built is told elsewhere; large ones take longer than a test has.
     monkeypatch.setattr(l2a, "build", partial(l2a.build, seconds=5))
@@ -120,8 +125,11 @@ def test_a_script_writes_its_assembly_and_a_plan_with_page_and_picture(
     assert len(plans) == (2 if name == "vaults" else 1)
     for plan in plans:
         assert {"view.html", "progress.png"} <= {path.name for path in plan.parent.iterdir()}
-        [own] = [p for p in plan.parent.glob("*.json") if p.stem.startswith(name.removesuffix("s"))
-                 or p.stem.endswith("_vault")]  # fmt: skip
+        [own] = [
+            p
+            for p in plan.parent.glob("*.json")
+            if p.stem.startswith(name.removesuffix("s")) or p.stem.endswith("_vault")
+        ]
         blocks = json.loads(own.read_text())["blocks"]
         assert len(l2a.read_assembly(own).blocks) == len(blocks)
 

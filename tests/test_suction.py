@@ -91,7 +91,7 @@ def mine(tmp_path: Path) -> Path:
         ("speed = [0.15, 0.10]", "speed = [0.15]", r"speed: got \[0.15\], expected 2 numbers"),
         ("[cup]", "[cup", r"valid TOML"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_tool_is_refused_in_one_line(mine: Path, old: str, new: str, message: str) -> None:
     text = mine.read_text(encoding="utf-8")
     assert old in text
@@ -214,7 +214,7 @@ def test_a_block_is_pulled_off_at_its_limit(
         (0.7 * CUP.shear * X, 0.714 * CUP.torsion * Z),
     ],
     ids=["shear", "torsion", "both"],
-)  # fmt: skip
+)
 def test_a_block_slips_at_its_limit(force: np.ndarray, moment: np.ndarray, share: float) -> None:
     sim = held(0.2)
     begin = sim.in_hand(), sim.poses[0, 3:].copy()

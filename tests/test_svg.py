@@ -116,11 +116,16 @@ GATE = '<path d="M0 0H60V50H40V20H20V50H0z"/>'
         ("<filter id='f'/><rect width='9' height='9' filter='url(#f)'/>", "1 filter"),
         ("<style>rect{filter:blur(2px)}</style><rect width='9' height='9'/>", "1 filter"),
         ("<g filter='url(#f)'><rect width='9' height='9' fill='none'/></g>", None),
-        ("<style>@import 'x'; a ~ b{fill:red} a:hover{fill:red}</style>",
-         "1 imported style sheet, 1 style rule"),
+        (
+            "<style>@import 'x'; a ~ b{fill:red} a:hover{fill:red}</style>",
+            "1 imported style sheet, 1 style rule",
+        ),
         ("<pattern id='p'/><rect width='9' height='9' fill='url(#p)'/>", "1 pattern"),
-        ("<linearGradient id='p'><stop/><stop stop-opacity='0'/></linearGradient>"
-         "<rect width='9' height='9' fill='url(#p)'/>", "1 gradient"),
+        (
+            "<linearGradient id='p'><stop/><stop stop-opacity='0'/></linearGradient>"
+            "<rect width='9' height='9' fill='url(#p)'/>",
+            "1 gradient",
+        ),
         ("<rect width='9' height='9' style='fill:var(--a)'/>", "1 CSS variable"),
         ("<rect width='9' height='9' fill='oklch(0 0 0)'/>", "1 colour"),
         ("<path d='M0 0h9v9z L x'/>", "1 path with an error"),
@@ -129,7 +134,7 @@ GATE = '<path d="M0 0H60V50H40V20H20V50H0z"/>'
         ("<g><animate attributeName='x'/></g>", "1 animation"),
         ("<rect x='90' width='9' height='9'/>", "outside the page: 1 shape"),
     ],
-)  # fmt: skip
+)
 def test_what_is_not_read_is_named(body: str, said: str | None) -> None:
     """Of a gate beside it nothing is missing."""
     drawn = read_svg(_page(GATE + body), "a.svg")

@@ -43,9 +43,14 @@ torch.set_num_threads(1)
 
 ROOT = Path(__file__).parent.parent
 TINY_CHANGES = (
-    "network.width=16", "network.rounds=1", "num_samples=64", "num_envs=4", "replay_size=50",
-    "batch_size=4", "initial_samples=8",
-)  # fmt: skip
+    "network.width=16",
+    "network.rounds=1",
+    "num_samples=64",
+    "num_envs=4",
+    "replay_size=50",
+    "batch_size=4",
+    "initial_samples=8",
+)
 TINY = Recipe("tiny", NAME, (Stage("published", TINY_CHANGES),), seeds=2)
 
 
@@ -76,8 +81,18 @@ def test_a_table_is_measured_once(
     agents: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Measured, printed, written; a second call measures nothing and writes the same page."""
-    words = ["table", "small", "--agents", agents, "--out", tmp_path / "out", "--episodes", 2,
-             "--workers", 1]  # fmt: skip
+    words = [
+        "table",
+        "small",
+        "--agents",
+        agents,
+        "--out",
+        tmp_path / "out",
+        "--episodes",
+        2,
+        "--workers",
+        1,
+    ]
     first, text = l2a(capsys, *words)
     assert first["measured"] == 11
     assert " 11 to measure: " in text
@@ -116,10 +131,7 @@ def test_a_quick_look_says_so_and_stays_apart(
     assert QUICK in text
     assert QUICK in Path(result["files"]["markdown"]).read_text()
     assert [path.name for path in out.iterdir()] == ["quick"]
-    (ours,) = {
-        (cell["agents"], cell["episodes"])
-        for row in result["rows"] for cell in row["ours"]
-    }  # fmt: skip
+    (ours,) = {(cell["agents"], cell["episodes"]) for row in result["rows"] for cell in row["ours"]}
     assert ours == (1, 50)
 
 
@@ -130,8 +142,20 @@ def test_a_page_carries_the_main_numbers(
     begin, end = "<!-- table small: begin -->", "<!-- table small: end -->"
     page = tmp_path / "page.md"
     page.write_text(f"before\n{begin}\nold\n{end}\nafter\n")
-    words = ["table", "small", "--agents", agents, "--out", tmp_path / "out", "--episodes", 1,
-             "--workers", 1, "--into", page]  # fmt: skip
+    words = [
+        "table",
+        "small",
+        "--agents",
+        agents,
+        "--out",
+        tmp_path / "out",
+        "--episodes",
+        1,
+        "--workers",
+        1,
+        "--into",
+        page,
+    ]
     l2a(capsys, *words)
     text = page.read_text()
     assert text.startswith(f"before\n{begin}\n| task |")
@@ -144,8 +168,19 @@ def test_a_page_carries_the_main_numbers(
 @pytest.mark.usefixtures("small")
 def test_training_the_agents_of_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """``--train`` trains, measures and keeps the logs; again, it only looks."""
-    words = ["table", "small", "--train", "--runs", tmp_path / "runs", "--out", tmp_path / "out",
-             "--episodes", 1, "--workers", 1]  # fmt: skip
+    words = [
+        "table",
+        "small",
+        "--train",
+        "--runs",
+        tmp_path / "runs",
+        "--out",
+        tmp_path / "out",
+        "--episodes",
+        1,
+        "--workers",
+        1,
+    ]
     first, _ = l2a(capsys, *words)
     assert {row["state"] for row in first["rows"] if row["method"] == "plain"} == {"measured"}
     assert first["rows"][0]["ours"][0]["agents"] == 2

@@ -91,7 +91,8 @@ NAME = "one-sided-3x3-22-24"
 TASK = get_task(NAME)
 PAPER_CELL = Published(R=3.0, R_ci95=0.1, a=8.0, b=None, f=0.2)
 SMALL = Table(
-    "small", "A table for the tests",
+    "small",
+    "A table for the tests",
     (Column(NAME, True, {"grid": "3x3", "blocks": "20-24"}),),
     (
         Row("plain", "tiny", paper={"method": "DQN", "search_budget": "0"}),
@@ -101,7 +102,7 @@ SMALL = Table(
         Row("played elsewhere", policy=RANDOM, columns=(1,)),
     ),
     {"source_table": "main_T2"},
-)  # fmt: skip
+)
 
 
 def save_tiny(folder: Path, name: str, seed: int) -> Path:
@@ -134,8 +135,9 @@ def test_every_published_number_has_its_place() -> None:
         shown = sorted((p.R, p.f) for p in found if p is not None)
         wanted = [
             (float(line["R"]), float(line["f"]))
-            for line in lines if all(line[key] == value for key, value in table.paper.items())
-        ]  # fmt: skip
+            for line in lines
+            if all(line[key] == value for key, value in table.paper.items())
+        ]
         assert shown == sorted(wanted), name
         assert wanted
 
@@ -229,8 +231,11 @@ def test_agents_of_a_row_share_its_problems(agents: Path) -> None:
     row, by_name = SMALL.rows[0], {job.cell.path: job for job in jobs(SMALL, weights, 120)}
     cells = row_cells(SMALL, row, 0, row.pick(weights))
     assert [(cell.agent, cell.share) for cell in cells[:4]] == [
-        ("tiny-s0", 0), ("tiny-s1", 1), ("tiny-s3", 3), ("tiny-s8", 3)
-    ]  # fmt: skip
+        ("tiny-s0", 0),
+        ("tiny-s1", 1),
+        ("tiny-s3", 3),
+        ("tiny-s8", 3),
+    ]
     assert {by_name[cell.path].episodes for cell in cells} == {40}
     assert share_size(1000, 3) == 350
     problems, simulator = episode_generators(2)[0], Simulator(TASK)
@@ -308,10 +313,15 @@ def fake(root: Path, cell: Cell, returns: list[float], failed: list[int], **more
     """A result file with given numbers."""
     count = len(returns)
     data = {
-        "commit": "abc", "episodes": count, "returns": returns,
-        "actions": [4] * count, "failed": failed, "success": [1 - f for f in failed],
-        "coverage": [0.5] * count, **more,
-    }  # fmt: skip
+        "commit": "abc",
+        "episodes": count,
+        "returns": returns,
+        "actions": [4] * count,
+        "failed": failed,
+        "success": [1 - f for f in failed],
+        "coverage": [0.5] * count,
+        **more,
+    }
     write_result(root, cell, "hash" if cell.agent else None, data)
 
 
@@ -328,9 +338,10 @@ def test_result_files_round_trip_and_staleness(tmp_path: Path) -> None:
     assert not is_current(tmp_path, cell, "hash", 3)
     assert not is_current(tmp_path, cell, "other", 2)
     for change in (
-        {"task": TASK.replace(discount=0.9)}, {"seed": 4},
+        {"task": TASK.replace(discount=0.9)},
+        {"seed": 4},
         {"search": dataclasses.replace(cell.search or SearchConfig(), prior=False)},
-    ):  # fmt: skip
+    ):
         changed = dataclasses.replace(cell, **change)
         file = tmp_path / changed.path
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -341,9 +352,15 @@ def test_result_files_round_trip_and_staleness(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", "{", "[]", "{}", '{"format": "learn2assemble-cell", "version": 2}',
-     '{"format": "learn2assemble-cell", "version": 1, "cell": {}, "agent_hash": null}'],
-)  # fmt: skip
+    [
+        "",
+        "{",
+        "[]",
+        "{}",
+        '{"format": "learn2assemble-cell", "version": 2}',
+        '{"format": "learn2assemble-cell", "version": 1, "cell": {}, "agent_hash": null}',
+    ],
+)
 def test_damaged_result_files_count_as_absent(text: str, tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text(text)
     assert read_result(tmp_path / "a.json") is None
@@ -459,8 +476,12 @@ def test_numbers_of_a_row_by_hand(tmp_path: Path) -> None:
     assert noisy.share is None
     assert entry.paper == Published(3.21, 0.05, 7.93, None, 0.16)
     assert [e[0].state for e in data.entries] == [
-        "", NOT_MEASURED, NOT_TRAINED, NOT_MEASURED, NOT_AVAILABLE
-    ]  # fmt: skip
+        "",
+        NOT_MEASURED,
+        NOT_TRAINED,
+        NOT_MEASURED,
+        NOT_AVAILABLE,
+    ]
     assert data.problems == (4, 4)
 
 
@@ -524,14 +545,24 @@ def test_ours_stands_against_the_published_rows_with_or_without_a_search() -> No
     table = get_table("T4")
     column, condition = table.columns[0], table.conditions[0]
     numbers = {
-        "DQN": None, "DQN+MCTS, budget 10": None, "ours, no search": summary(3.3, 0.12),
-        "ours, budget 10": summary(3.3, 0.3), "exact look-ahead": summary(3.0, 0.13),
-    }  # fmt: skip
+        "DQN": None,
+        "DQN+MCTS, budget 10": None,
+        "ours, no search": summary(3.3, 0.12),
+        "ours, budget 10": summary(3.3, 0.3),
+        "exact look-ahead": summary(3.0, 0.13),
+    }
     entries = tuple(
-        (Entry(row, column, PAPER_CELL if number is None else None, "",
-               {condition: number} if number else {}),)
+        (
+            Entry(
+                row,
+                column,
+                PAPER_CELL if number is None else None,
+                "",
+                {condition: number} if number else {},
+            ),
+        )
         for row, number in zip(table.rows, numbers.values(), strict=True)
-    )  # fmt: skip
+    )
     assert [row.label for row in table.rows] == list(numbers)
     (sentence,) = against_paper(TableData(table, entries, (1, 1), False, ()), condition)
     # 3.3 - 0.1 > 3 + 0.1; 0.12 < 0.2 - 1.96 * sqrt(0.2 * 0.8 / 500 + 0.12 * 0.88 / 100), not 0.3.

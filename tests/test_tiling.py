@@ -147,8 +147,11 @@ def test_a_second_layer_pays_least_for_its_bond(length: int, wide: bool) -> None
     second = tuple(b for b in tiling.placements if b.origin[2] == 1)
 
     def price(blocks: tuple[BlockPlacement, ...]) -> float:
-        above = owners(tuple(replace(b, origin=(*b.origin[:2], 0)) for b in blocks), SMALL,
-                       (*wanted.shape[:2], 1))  # fmt: skip
+        above = owners(
+            tuple(replace(b, origin=(*b.origin[:2], 0)) for b in blocks),
+            SMALL,
+            (*wanted.shape[:2], 1),
+        )
         kept = [int((a & b).sum()) for a, b in zip(below, find_seams(above[:, :, 0]), strict=True)]
         return len(blocks) - COSTS.seam * (sum(int(b.sum()) for b in below) - sum(kept))
 
@@ -303,10 +306,16 @@ def test_time_that_ran_out_is_called_so() -> None:
 
 def program(**changes: object) -> Program:
     fields: dict = {
-        "cost": np.ones(2), "lower": np.zeros(2), "upper": np.ones(2), "row_lower": np.ones(1),
-        "row_upper": np.ones(1), "start": np.array([0, 1, 2]), "index": np.array([0, 0]),
-        "value": np.ones(2), "integer": True,
-    }  # fmt: skip
+        "cost": np.ones(2),
+        "lower": np.zeros(2),
+        "upper": np.ones(2),
+        "row_lower": np.ones(1),
+        "row_upper": np.ones(1),
+        "start": np.array([0, 1, 2]),
+        "index": np.array([0, 0]),
+        "value": np.ones(2),
+        "integer": True,
+    }
     return Program(**{**fields, **changes})
 
 

@@ -47,13 +47,23 @@ def test_epsilon_greedy_rate_and_legality(config: NetworkConfig) -> None:
 def test_schedules() -> None:
     """Epsilon linear in the samples, then constant; cosine learning rate."""
     config = TrainConfig(
-        network=SMALL, epsilon_final=0.1, epsilon_samples=1000, num_samples=2000,
-        learning_rate=1e-3, final_learning_rate=1e-4, num_envs=2, replay_size=10,
-    )  # fmt: skip
+        network=SMALL,
+        epsilon_final=0.1,
+        epsilon_samples=1000,
+        num_samples=2000,
+        learning_rate=1e-3,
+        final_learning_rate=1e-4,
+        num_envs=2,
+        replay_size=10,
+    )
     trainer = Trainer(TINY, config, 0)
     for samples, epsilon, rate in (
-        (0, 1.0, 1e-3), (500, 0.55, None), (1000, 0.1, 5.5e-4), (2000, 0.1, 1e-4), (3000, 0.1, 1e-4)
-    ):  # fmt: skip
+        (0, 1.0, 1e-3),
+        (500, 0.55, None),
+        (1000, 0.1, 5.5e-4),
+        (2000, 0.1, 1e-4),
+        (3000, 0.1, 1e-4),
+    ):
         trainer.samples = samples
         assert trainer.epsilon == pytest.approx(epsilon)
         if rate is not None:
@@ -65,9 +75,14 @@ def test_schedules() -> None:
 def test_target_network_follows(rate: float) -> None:
     """A hard copy every ``target_period`` updates, or a running average."""
     config = TrainConfig(
-        network=SMALL, num_envs=4, replay_size=100, target_period=3, target_rate=rate,
-        batch_size=4, learning_rate=1e-2,
-    )  # fmt: skip
+        network=SMALL,
+        num_envs=4,
+        replay_size=100,
+        target_period=3,
+        target_rate=rate,
+        batch_size=4,
+        learning_rate=1e-2,
+    )
     trainer = Trainer(TINY, config, 0)
     for _ in range(4):
         trainer.collect()
@@ -110,9 +125,14 @@ def test_configurations_survive_json() -> None:
 def test_override() -> None:
     config = override(
         CONFIGS["published"],
-        ["learning_rate=3e-4", "network.heads=1", "augment=FALSE", "network.connectivity=full",
-         "num_envs=7"],
-    )  # fmt: skip
+        [
+            "learning_rate=3e-4",
+            "network.heads=1",
+            "augment=FALSE",
+            "network.connectivity=full",
+            "num_envs=7",
+        ],
+    )
     assert config.learning_rate == 3e-4
     assert config.network.heads == 1
     assert config.augment is False

@@ -108,9 +108,12 @@ def test_a_stop_stays_on_the_path_within_the_limits(seed: int, share: float) -> 
 
 
 @given(
-    st.floats(0.05, 2), st.floats(0.2, 20), st.floats(2, 3000), st.floats(0.001, 1.0),
+    st.floats(0.05, 2),
+    st.floats(0.2, 20),
+    st.floats(2, 3000),
+    st.floats(0.001, 1.0),
     st.floats(0.0, 1.0),
-)  # fmt: skip
+)
 @example(1.0, 1 - 2**-53, 2.0, 1 - 2**-53, 0.0)  # two shapes of the profile meet
 @settings(max_examples=100, deadline=None)
 def test_speeds_within_reach_need_no_run_up(
@@ -152,14 +155,20 @@ def test_numbers_must_be_finite() -> None:
 
 def test_without_ruckig_the_extra_is_named() -> None:
     done = subprocess.run(
-        [sys.executable, "-c", "import sys; sys.modules['ruckig'] = None\n"
-         "from learn2assemble.robot.arm import get_arm\n"
-         "from learn2assemble.robot.dynamic.cell import DynamicCell\n"
-         "import learn2assemble.evaluation.bench, learn2assemble.cli.commands\n"
-         "import learn2assemble.planning.episode\n"
-         "print('imported')\nDynamicCell(get_arm('panda'))"],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-c",
+            "import sys; sys.modules['ruckig'] = None\n"
+            "from learn2assemble.robot.arm import get_arm\n"
+            "from learn2assemble.robot.dynamic.cell import DynamicCell\n"
+            "import learn2assemble.evaluation.bench, learn2assemble.cli.commands\n"
+            "import learn2assemble.planning.episode\n"
+            "print('imported')\nDynamicCell(get_arm('panda'))",
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert "imported" in done.stdout
     assert done.returncode != 0
     assert "pip install 'learn2assemble[robot]'" in done.stderr

@@ -64,10 +64,13 @@ def over(y: float, z: float = 0.15, x: float = 0.0, arm: Arm = PANDA) -> np.ndar
 
 
 @given(
-    st.sampled_from(["panda", "ur5e"]), st.floats(-0.2, 0.2), st.floats(-0.35, 0.2),
-    st.floats(0.0, 0.2), st.sampled_from([0.0, -np.pi / 2, np.pi]),
+    st.sampled_from(["panda", "ur5e"]),
+    st.floats(-0.2, 0.2),
+    st.floats(-0.35, 0.2),
+    st.floats(0.0, 0.2),
+    st.sampled_from([0.0, -np.pi / 2, np.pi]),
     st.sampled_from([0.0, np.pi / 6]),
-)  # fmt: skip
+)
 @settings(max_examples=12, deadline=None)
 def test_columns_stay_on_one_branch_and_on_their_line(
     name: str, x: float, y: float, z: float, yaw: float, tilt: float

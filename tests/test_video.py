@@ -83,14 +83,24 @@ def still_life(kinds: list[int], boxes: list[tuple[np.ndarray, np.ndarray]]) -> 
     rows = []
     for k, (kind, (half, centre)) in enumerate(zip(kinds, boxes, strict=True)):
         mesh = box(np.array(half, float))
-        rows.append((mesh.vertices + centre, mesh.normals, np.full(len(mesh.vertices), k),
-                     mesh.faces + 24 * k, np.full(len(mesh.faces), kind)))  # fmt: skip
+        rows.append(
+            (
+                mesh.vertices + centre,
+                mesh.normals,
+                np.full(len(mesh.vertices), k),
+                mesh.faces + 24 * k,
+                np.full(len(mesh.faces), kind),
+            )
+        )
     vertices, normals, body, faces, kind = (np.concatenate(c) for c in zip(*rows, strict=True))
     return Triangles(
-        vertices.astype(np.float32), normals.astype(np.float32),
-        np.zeros((len(vertices), 2), np.float32), body.astype(np.int32), faces.astype(np.int32),
+        vertices.astype(np.float32),
+        normals.astype(np.float32),
+        np.zeros((len(vertices), 2), np.float32),
+        body.astype(np.int32),
+        faces.astype(np.int32),
         kind.astype(np.uint8),
-    )  # fmt: skip
+    )
 
 
 def test_a_box_hides_what_is_behind_and_casts_a_shadow() -> None:
@@ -243,8 +253,12 @@ def test_the_files_of_a_build_and_an_unsound_one(
     plan = replace(arm_plan(COUNT), record=record)
     files = plan.save(tmp_path, video=True, page=False)
     assert {path.name for path in files.values()} >= {
-        "plan.json", "assembly.json", "trajectory.json", "trajectory.csv", "build.mp4",
-    }  # fmt: skip
+        "plan.json",
+        "assembly.json",
+        "trajectory.json",
+        "trajectory.csv",
+        "build.mp4",
+    }
     assert drawn == [tmp_path / "build.mp4"]
     slow = replace(record, arm=replace(record.arm, velocity=record.arm.velocity / 5))
     report = ArmReport("panda", 0.06, 2, (), 1.0)

@@ -87,10 +87,17 @@ def _scripts(page: _Page) -> list[dict[str, str | None]]:
 def test_page_says_what_the_plan_says(plan: Plan) -> None:
     text = html.unescape(render_page(plan)).replace("\u00a0", " ")
     for words in (
-        "9 of 22", "100 % of the target (97.5 % needed)", "agent with search, budget 10",
-        plan.verified_by, "To the left of b1; front 100 %, back 57.5 %.", "fills the target",
-        "56.2 %", ">Front</button>", ">Back</button>", "relational-cubes-s0",
-    ):  # fmt: skip
+        "9 of 22",
+        "100 % of the target (97.5 % needed)",
+        "agent with search, budget 10",
+        plan.verified_by,
+        "To the left of b1; front 100 %, back 57.5 %.",
+        "fills the target",
+        "56.2 %",
+        ">Front</button>",
+        ">Back</button>",
+        "relational-cubes-s0",
+    ):
         assert words in text, words
     rows = [a for a in _Page(text).having("tr") if "data-step" in a]
     assert [int(a["data-step"] or 0) for a in rows] == list(range(1, len(plan.steps) + 1))
@@ -102,13 +109,16 @@ def test_every_kind_of_plan_becomes_a_small_page(tmp_path: Path, plan: Plan, sta
     assert plan.assembly is not None
     steps = {"complete": 8, "incomplete": 5, "refused": 0}[status]
     made = dataclasses.replace(
-        plan, status=status, reason=None if status == "complete" else "Too few blocks.",
+        plan,
+        status=status,
+        reason=None if status == "complete" else "Too few blocks.",
         steps=plan.steps[:steps],
         assembly=dataclasses.replace(
-            plan.assembly, blocks=plan.assembly.blocks[: steps + 1],
+            plan.assembly,
+            blocks=plan.assembly.blocks[: steps + 1],
             steps=plan.assembly.steps[:steps],
         ),
-    )  # fmt: skip
+    )
     path = tmp_path / "view.html"
     write_plan_page(made, path)
     assert path.stat().st_size < 1_500_000
@@ -190,11 +200,16 @@ def test_text_from_a_plan_never_becomes_markup(plan: Plan, evil: str) -> None:
     incomplete = dataclasses.replace(plan, status="incomplete", reason="short")
     clean = _Page(render_page(incomplete))
     targets = tuple(dataclasses.replace(t, name=evil) for t in plan.design.targets)
-    text = render_page(dataclasses.replace(
-        incomplete, reason=evil, agent=evil, verified_by=evil,
-        design=dataclasses.replace(plan.design, name=evil, source=evil, targets=targets),
-        search=SearchReport(evil, 0, (SearchStage(evil, evil, 0.0),)),
-    ))  # fmt: skip
+    text = render_page(
+        dataclasses.replace(
+            incomplete,
+            reason=evil,
+            agent=evil,
+            verified_by=evil,
+            design=dataclasses.replace(plan.design, name=evil, source=evil, targets=targets),
+            search=SearchReport(evil, 0, (SearchStage(evil, evil, 0.0),)),
+        )
+    )
     page = _Page(text)
     assert len(_scripts(page)) == len(_scripts(clean))
     assert not page.having("img")
@@ -295,8 +310,17 @@ def test_server_gives_the_page_and_nothing_else(running: PageServer, tmp_path: P
     assert _ask(running, "/my%20view.html") == (200, b"hello")
     assert _ask(running, "/")[1] == b"hello"
     assert _ask(running, "/my%20view.html", "HEAD") == (200, b"")
-    for target in ("/plan.json", "/.secret", "/link.html", "/../", "/..%2f.secret", "//etc/passwd",
-                   "/my%20view.html/", "/%00", "*"):  # fmt: skip
+    for target in (
+        "/plan.json",
+        "/.secret",
+        "/link.html",
+        "/../",
+        "/..%2f.secret",
+        "//etc/passwd",
+        "/my%20view.html/",
+        "/%00",
+        "*",
+    ):
         assert _ask(running, target)[0] in (400, 404), target
     assert _ask(running, "/", "POST")[0] == 501
 
@@ -373,9 +397,13 @@ def test_page_runs_without_an_error(browser: str, tmp_path: Path, plan: Plan) ->
     write_plan_page(plan, tmp_path / "view.html")
     address = (tmp_path / "view.html").as_uri()
     dom, log = browse(
-        browser, tmp_path / "run", f"{address}#step=5", *SPATIAL, "--dump-dom",
+        browser,
+        tmp_path / "run",
+        f"{address}#step=5",
+        *SPATIAL,
+        "--dump-dom",
         "--window-size=500,600",
-    )  # fmt: skip
+    )
     root = re.search(r"<html[^>]*>", dom)
     assert root, log
     assert 'data-ready="yes"' in root[0], log

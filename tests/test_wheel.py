@@ -32,11 +32,25 @@ def test_the_wheel_builds_a_design_elsewhere(tmp_path: Path) -> None:
         assert any(name.startswith(f"{folder}/meshes/") for name in names)
     design = ROOT / "examples" / "designs" / "stepped_tower.json"
     done = subprocess.run(
-        [sys.executable, "-m", "learn2assemble", "build", str(design), "--out", "out", "--json",
-         "--seconds", "200"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=900, check=False,
+        [
+            sys.executable,
+            "-m",
+            "learn2assemble",
+            "build",
+            str(design),
+            "--out",
+            "out",
+            "--json",
+            "--seconds",
+            "200",
+        ],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=900,
+        check=False,
         env={**os.environ, "PYTHONPATH": str(installed)},
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout.splitlines()[-1])
     assert result["status"] == "complete"
@@ -44,16 +58,22 @@ def test_the_wheel_builds_a_design_elsewhere(tmp_path: Path) -> None:
         assert (tmp_path / "out" / name).stat().st_size > 1000
     absent = subprocess.run(
         [sys.executable, "-m", "learn2assemble", "eval", "bars-one-sided-5x5-25-27"],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
         env={**os.environ, "PYTHONPATH": str(installed)},
-    )  # fmt: skip
+    )
     assert absent.returncode == 2
     (line,) = absent.stderr.splitlines()
     assert "relational-bars-s0" in line
     assert "in the folder agents of the source repository" in line
     where = subprocess.run(
         [sys.executable, "-c", "import learn2assemble; print(learn2assemble.__file__)"],
-        cwd=tmp_path, capture_output=True, text=True, check=True,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
         env={**os.environ, "PYTHONPATH": str(installed)},
-    )  # fmt: skip
+    )
     assert str(installed) in where.stdout

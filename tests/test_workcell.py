@@ -122,9 +122,16 @@ def test_any_polycube_is_exactly_its_cells_inside_their_joints(growth: list[tupl
     kit = load_kit("tetrominoes")
     block = Block("polycube", *polycube(own, kit, kit.joint_gap))
     half, edge = kit.joint_gap / 2, kit.pitch[0]
-    level = [shapely.union_all([shapely.box(x, y, x + edge, y + edge)
-                                for x, y, z in own * np.array(kit.pitch) if z == at])
-             for at in np.unique(own[:, 2]) * kit.pitch[2]]  # fmt: skip
+    level = [
+        shapely.union_all(
+            [
+                shapely.box(x, y, x + edge, y + edge)
+                for x, y, z in own * np.array(kit.pitch)
+                if z == at
+            ]
+        )
+        for at in np.unique(own[:, 2]) * kit.pitch[2]
+    ]
     area = sum(shapely.buffer(face, -half, join_style="mitre").area for face in level)
     assert math.isclose(block.volume, area * kit.pitch[2], rel_tol=1e-9)
     found = in_every_turn(block)
@@ -275,8 +282,11 @@ def test_an_interrupted_build_goes_on_to_the_same_end(window: Plan, tmp_path: Pa
     # ours at all.
     for wrong in (
         [head, first[:99] + bytes([first[99] ^ 0x80]) + first[100:], *rest],
-        [head, moved, *rest], [head, first[:-9], *rest], [head, b"[]", *rest], [b"\x89PNG"],
-    ):  # fmt: skip
+        [head, moved, *rest],
+        [head, first[:-9], *rest],
+        [head, b"[]", *rest],
+        [b"\x89PNG"],
+    ):
         log.write_bytes(b"\n".join(wrong))
         with pytest.raises(InputError, match="--resume"):
             carry_out(window, quick(noise=(5e-4, 0.002), log=log))
@@ -301,13 +311,22 @@ def test_blocks_come_from_where_the_layout_says(window: Plan, tmp_path: Path) ->
     first = kinds[0]
     count = sum(step.kind == first for step in window.steps)
     path = written(
-        tmp_path, base={"position": [0, -0.5, 0], "yaw": QUARTER},
-        magazines=[{"kind": kind, "at": [0.34, -0.3 + 0.08 * n, 0.0]}
-                   for n, kind in enumerate(kinds[1:])],
-        pallets=[{"kind": first, "at": [-0.35, -0.3], "rows": 1 + count, "columns": 1,
-                  "pitch": [0.1, 0.06]}],
+        tmp_path,
+        base={"position": [0, -0.5, 0], "yaw": QUARTER},
+        magazines=[
+            {"kind": kind, "at": [0.34, -0.3 + 0.08 * n, 0.0]} for n, kind in enumerate(kinds[1:])
+        ],
+        pallets=[
+            {
+                "kind": first,
+                "at": [-0.35, -0.3],
+                "rows": 1 + count,
+                "columns": 1,
+                "pitch": [0.1, 0.06],
+            }
+        ],
         obstacles=[{"at": [-0.4, 0.3], "size": [0.1, 0.1, 0.1]}],
-    )  # fmt: skip
+    )
     site = read_site(path)
     job, _, order, _ = prepare(window, quick(site=site), KIT.joint_gap)
     assert not order.stuck
@@ -340,26 +359,43 @@ def test_a_magazine_that_runs_empty_pauses_the_build(window: Plan, tmp_path: Pat
         ({"magazines": [{"kind": "1x4", "at": [0.9, 0]}]}, "on the table"),
         ({"magazines": [{"kind": "1x4"}]}, "at"),
         ({"magazines": [{"kind": "1x4", "at": [0.2, -0.3], "count": -1}]}, "0 or more"),
-        ({"pallets": [{"kind": "1x4", "at": [0.2, -0.3], "rows": 0, "columns": 1,
-                       "pitch": [0.1, 0.1]}]}, "rows"),
+        (
+            {
+                "pallets": [
+                    {"kind": "1x4", "at": [0.2, -0.3], "rows": 0, "columns": 1, "pitch": [0.1, 0.1]}
+                ]
+            },
+            "rows",
+        ),
         ({"obstacles": [{"at": [0, 0], "size": [0.1, 0.1, 0.1]}]}, "building site"),
-        ({"obstacles": [{"at": [0, -0.25], "size": [0.1, 0.1, 0.1]}],
-          "magazines": [{"kind": "1x4", "at": [0, -0.25]}]}, "obstacles"),
+        (
+            {
+                "obstacles": [{"at": [0, -0.25], "size": [0.1, 0.1, 0.1]}],
+                "magazines": [{"kind": "1x4", "at": [0, -0.25]}],
+            },
+            "obstacles",
+        ),
         ({"obstacles": [{"at": [0, 0], "size": [0, 0.1, 0.1]}]}, "positive"),
-        ({"magazines": [{"kind": "1x4", "at": [0.2, -0.3]}, {"kind": "1x44", "at": [0, -0.3]}]},
-         "magazines[1].kind: got '1x44', expected one of 1x4; did you mean '1x4'?"),
-        ({"pallets": [{"kind": "lx4", "at": [0.2, -0.3], "rows": 1, "columns": 1,
-                       "pitch": [0.1, 0.1]}]}, "pallets[0].kind"),
+        (
+            {"magazines": [{"kind": "1x4", "at": [0.2, -0.3]}, {"kind": "1x44", "at": [0, -0.3]}]},
+            "magazines[1].kind: got '1x44', expected one of 1x4; did you mean '1x4'?",
+        ),
+        (
+            {
+                "pallets": [
+                    {"kind": "lx4", "at": [0.2, -0.3], "rows": 1, "columns": 1, "pitch": [0.1, 0.1]}
+                ]
+            },
+            "pallets[0].kind",
+        ),
         ({"positions": [{"kind": "1x8", "at": [0.2, -0.3]}]}, "positions[0].kind"),
         ({"heaps": []}, "heaps"),
         ({"version": 3}, "version: got 3, expected 2"),
         ({"version": 1, "positions": []}, "version: got 1, expected 2"),
         ({"positions": [[0.2, -0.3]]}, "positions[0]"),
     ],
-)  # fmt: skip
-def test_layouts_that_cannot_be_used(
-    tmp_path: Path, fields: dict[str, object], what: str
-) -> None:  # fmt: skip
+)
+def test_layouts_that_cannot_be_used(tmp_path: Path, fields: dict[str, object], what: str) -> None:
     plan = planned(np.ones((8, 1, 1), bool), dataclasses.replace(KIT, kinds=(KIT.kind("1x4"),)))
     with pytest.raises(InputError) as error:
         carry_out(plan, quick(site=read_site(written(tmp_path, **fields))))
@@ -500,9 +536,11 @@ def bracket(path: Path, gap: float = 0.0) -> np.ndarray:
 
 def test_boxes_cover_a_mesh_and_leave_its_opening_free(tmp_path: Path) -> None:
     faces = bracket(tmp_path / "gate.stl")
-    layout = {"format": "learn2assemble-layout", "version": 2,
-              "obstacles": [{"at": [0.4, 0.2], "mesh": "gate.stl", "unit": 0.001,
-                             "yaw": math.pi / 2}]}  # fmt: skip
+    layout = {
+        "format": "learn2assemble-layout",
+        "version": 2,
+        "obstacles": [{"at": [0.4, 0.2], "mesh": "gate.stl", "unit": 0.001, "yaw": math.pi / 2}],
+    }
     (tmp_path / "layout.json").write_text(json.dumps(layout))
     boxes = read_site(tmp_path / "layout.json").obstacles
     assert 3 <= len(boxes) <= 48
@@ -546,8 +584,11 @@ def test_bad_meshes_are_refused_in_one_line(
     bracket(tmp_path / "open.stl", 1.0)
     (tmp_path / "text.stl").write_text("hello")
     (tmp_path / "gate.step").write_text("hello")
-    layout = {"format": "learn2assemble-layout", "version": 2,
-              "obstacles": [{"at": [0.4, 0.2], **entry}]}  # fmt: skip
+    layout = {
+        "format": "learn2assemble-layout",
+        "version": 2,
+        "obstacles": [{"at": [0.4, 0.2], **entry}],
+    }
     (tmp_path / "layout.json").write_text(json.dumps(layout))
     with pytest.raises(InputError, match=words) as caught:
         read_site(tmp_path / "layout.json")

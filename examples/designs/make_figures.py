@@ -44,8 +44,10 @@ def surface(cells: np.ndarray, edge: float) -> np.ndarray:
             faces = np.argwhere(padded & ~np.roll(padded, -step, axis)) - 1.0
             u, v = _across(axis, step)
             corner = faces + (np.eye(3)[axis] if step > 0 else 0)
-            found += [np.stack([corner, corner + u, corner + u + v], 1),
-                      np.stack([corner, corner + u + v, corner + v], 1)]  # fmt: skip
+            found += [
+                np.stack([corner, corner + u, corner + u + v], 1),
+                np.stack([corner, corner + u + v, corner + v], 1),
+            ]
     return (np.concatenate(found) * edge).astype(np.float32)
 
 

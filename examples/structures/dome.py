@@ -9,9 +9,13 @@ import learn2assemble as l2a
 
 
 def dome(
-    rings: int = 10, voussoirs: int = 12, radius: float = 0.5, thickness: float = 0.1,
-    top: float = 80.0, key: bool = True,
-) -> l2a.Assembly:  # fmt: skip
+    rings: int = 10,
+    voussoirs: int = 12,
+    radius: float = 0.5,
+    thickness: float = 0.1,
+    top: float = 80.0,
+    key: bool = True,
+) -> l2a.Assembly:
     """Rings of voussoirs with radial joints, on the ground, with a key stone or an open eye.
 
     Every joint is a plane through the middle of the dome, so the voussoirs of all rings stand
@@ -28,8 +32,10 @@ def dome(
     up, round_ = np.radians(np.linspace(0, top, rings + 1)), np.arange(voussoirs + 1)
     round_ = 2 * np.pi / voussoirs * (round_ % voussoirs)
     up, round_ = up[:, None], round_[None]
-    sphere = np.stack(np.broadcast_arrays(
-        np.cos(up) * np.cos(round_), np.cos(up) * np.sin(round_), np.sin(up)), -1)  # fmt: skip
+    sphere = np.stack(
+        np.broadcast_arrays(np.cos(up) * np.cos(round_), np.cos(up) * np.sin(round_), np.sin(up)),
+        -1,
+    )
     shells = np.stack([(radius + side * thickness / 2) * sphere for side in (-1, 1)])
     blocks = []
     for ring in range(rings):

@@ -9,9 +9,12 @@ import learn2assemble as l2a
 
 
 def spiral_stair(
-    steps: int = 24, radius: float = 0.3, newel: float = 0.04, rise: float = 0.04,
+    steps: int = 24,
+    radius: float = 0.3,
+    newel: float = 0.04,
+    rise: float = 0.04,
     wall: float = 0.05,
-) -> l2a.Assembly:  # fmt: skip
+) -> l2a.Assembly:
     """Steps round a newel, one turn of ``steps`` steps, whose outer ends lie in a wall.
 
     A step is a piece of the newel and a tread in one stone, twice as wide as the next step leaves

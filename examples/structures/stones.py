@@ -54,8 +54,11 @@ def stones(count: int = 20, seed: int = 0, spread: float = 0.03) -> l2a.Assembly
         corners = _placed(shape, pose[k])
         low, high = corners[:, :2].min(0), corners[:, :2].max(0)
         lying = [_placed(shapes[n], pose[n]) for n in range(k)]
-        under = [at[:, 2].max() for at in lying
-                 if (at[:, :2].min(0) < high).all() and (at[:, :2].max(0) > low).all()]  # fmt: skip
+        under = [
+            at[:, 2].max()
+            for at in lying
+            if (at[:, :2].min(0) < high).all() and (at[:, :2].max(0) > low).all()
+        ]
         pose[k, 2] = max(under, default=0.0) + 1e-3 - corners[:, 2].min()
         model.body_gravcomp[k + 1] = 0.0
         _settle(model, data, k + 1, LONGEST[k + 1 == count])
@@ -64,8 +67,10 @@ def stones(count: int = 20, seed: int = 0, spread: float = 0.03) -> l2a.Assembly
         if np.abs(data.qvel).max() < 10 * REST and data.contact.dist.min(initial=0) > -DEEPEST:
             break
         mujoco.mj_step(model, data)
-    blocks = [l2a.hull_block(s.id, _placed(s, at), density=DENSITY, kind="stone")
-              for s, at in zip(shapes, pose, strict=True)]  # fmt: skip
+    blocks = [
+        l2a.hull_block(s.id, _placed(s, at), density=DENSITY, kind="stone")
+        for s, at in zip(shapes, pose, strict=True)
+    ]
     return l2a.Assembly(tuple(blocks), friction=FRICTION, name=f"stones_{count}_{seed}")
 
 

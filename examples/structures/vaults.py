@@ -10,9 +10,13 @@ import learn2assemble as l2a
 
 
 def barrel_vault(
-    voussoirs: int = 9, courses: int = 10, radius: float = 0.5, thickness: float = 0.1,
-    course: float = 0.1, bond: bool = False,
-) -> l2a.Assembly:  # fmt: skip
+    voussoirs: int = 9,
+    courses: int = 10,
+    radius: float = 0.5,
+    thickness: float = 0.1,
+    course: float = 0.1,
+    bond: bool = False,
+) -> l2a.Assembly:
     """Semicircular courses of voussoirs one behind the other along y, on the ground.
 
     Args:

@@ -88,9 +88,11 @@ class ArmPhysics:
         placed, count = int(before.num_placed[n]), int(before.num_blocks[n])
         unplaced, _, action = actions[n].tolist()
         scene = scene_of(
-            before.position[n, :count], before.quaternion[n, :count],
-            before.object_id[n, :count], placed,
-        )  # fmt: skip
+            before.position[n, :count],
+            before.quaternion[n, :count],
+            before.object_id[n, :count],
+            placed,
+        )
         target = state.position[row, last_object(state, row)].copy()
         pair = self.grasps[action % len(self.grasps)]
         grasp = along(pair.grasp, float(scene.yaw[placed + unplaced]))

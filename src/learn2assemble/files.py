@@ -400,10 +400,12 @@ def from_plain(kind: Any, value: Any, source: str, path: str = "") -> Any:
         need = tuple(name for name, (_, needed) in fields.items() if needed)
         check_keys(given, source, path, tuple(fields), need)
         prefix = f"{path}." if path else ""
-        return kind(**{  # pyright: ignore[reportCallIssue, reportUnknownVariableType]
-            name: from_plain(fields[name][0], item, source, prefix + name)
-            for name, item in given.items()
-        })  # fmt: skip
+        return kind(
+            **{  # pyright: ignore[reportCallIssue, reportUnknownVariableType]
+                name: from_plain(fields[name][0], item, source, prefix + name)
+                for name, item in given.items()
+            }
+        )
     return {bool: boolean, int: integer, float: number, str: text}[kind](value, where)
 
 
@@ -424,9 +426,13 @@ def _fields(kind: Any) -> dict[str, tuple[Any, bool]]:
 
 
 _NOT_PLAIN = (
-    (stat.S_ISLNK, "a symbolic link"), (stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe"),
-    (stat.S_ISSOCK, "a socket"), (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"),
-)  # fmt: skip
+    (stat.S_ISLNK, "a symbolic link"),
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
 
 
 def not_plain(path: Path) -> str | None:

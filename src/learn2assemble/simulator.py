@@ -78,9 +78,19 @@ def _propose(state, actions, spec, active, previous):
 
 @njit(cache=True)
 def _score(
-    state, rows, verdict, frames, depths, previous, recompute, kind, threshold, reward, ended,
+    state,
+    rows,
+    verdict,
+    frames,
+    depths,
+    previous,
+    recompute,
+    kind,
+    threshold,
+    reward,
+    ended,
     success,
-):  # fmt: skip
+):
     for n in range(len(rows)):
         row = rows[n]
         if recompute:
@@ -127,9 +137,15 @@ class Simulator:
         self._stock = inventory(task.objects)
         self._waiting = waiting_places(task.layout, task.max_blocks)
         self._problems = Problems(
-            task.grid, task.num_nodes, task.min_mask_pixels, task.max_initial_cover,
-            task.unseen_shapes_only, task.pitch, self.depths, task.normalise_initial,
-        )  # fmt: skip
+            task.grid,
+            task.num_nodes,
+            task.min_mask_pixels,
+            task.max_initial_cover,
+            task.unseen_shapes_only,
+            task.pitch,
+            self.depths,
+            task.normalise_initial,
+        )
 
     def empty(self, batch: int) -> State:
         """A state for ``batch`` worlds; reset its rows before use."""
@@ -144,9 +160,14 @@ class Simulator:
         if not len(rows):
             return 0
         draws = _reset_rows(
-            state, np.asarray(rows, np.int64), rng, self.frames, self._stock, self._waiting,
+            state,
+            np.asarray(rows, np.int64),
+            rng,
+            self.frames,
+            self._stock,
+            self._waiting,
             self._problems,
-        )  # fmt: skip
+        )
         if draws < 0:
             name = self.task.name
             raise Learn2AssembleError(f"task {name}: no acceptable target in 100,000 draws")
@@ -179,9 +200,19 @@ class Simulator:
         success, verdicts = np.zeros(batch, np.bool_), np.zeros(batch, np.int8)
         verdicts[rows] = verdict
         _score(
-            state, rows, verdict, self.frames, self.depths, previous, self.physics.moves_blocks,
-            REWARDS[self.task.reward], self.task.success_threshold, reward, ended, success,
-        )  # fmt: skip
+            state,
+            rows,
+            verdict,
+            self.frames,
+            self.depths,
+            previous,
+            self.physics.moves_blocks,
+            REWARDS[self.task.reward],
+            self.task.success_threshold,
+            reward,
+            ended,
+            success,
+        )
         return Transition(reward, ended, success, verdicts)
 
     def random_actions(self, state: State, rng: np.random.Generator) -> np.ndarray:
@@ -205,9 +236,15 @@ class Simulator:
         """
         actions = (placements.action - node_offset(graph)[:, None]) * placements.used[..., None]
         found = outcomes(
-            state, actions, placements.count, self.action_spec, self.frames, self.task.reward,
-            self.task.success_threshold, self.depths,
-        )  # fmt: skip
+            state,
+            actions,
+            placements.count,
+            self.action_spec,
+            self.frames,
+            self.task.reward,
+            self.task.success_threshold,
+            self.depths,
+        )
         if self.task.has_arm and not without_arm:
             undecided = found.valid.copy()
             for field in found:

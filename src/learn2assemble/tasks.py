@@ -132,12 +132,13 @@ class Task:
             ("pitch", is_number(self.pitch, EDGE, MAX_PITCH), f"{EDGE} to {MAX_PITCH} m"),
             ("discount", is_number(self.discount, 0, 1), "0 < gamma <= 1"),
             ("success_threshold", is_number(self.success_threshold, 0, 1), "0 < Delta < 1"),
-            ("min_mask_pixels", is_whole(self.min_mask_pixels, 0, 10**6),
-             "a whole number from 0"),
+            ("min_mask_pixels", is_whole(self.min_mask_pixels, 0, 10**6), "a whole number from 0"),
             ("max_initial_cover", is_number(self.max_initial_cover, 0, 1), "0 to 1"),
-            *[(name, isinstance(getattr(self, name), bool), "True or False")
-              for name in ("normalise_initial", "unseen_shapes_only")],
-        )  # fmt: skip
+            *[
+                (name, isinstance(getattr(self, name), bool), "True or False")
+                for name in ("normalise_initial", "unseen_shapes_only")
+            ],
+        )
         check_name("action mode", self.action_mode, ACTION_MODES)
         get_action_spec(self.action_mode, self.rotations, self.pitch)
         least = MAX_VERTICES * self.num_sides + 1
@@ -206,29 +207,56 @@ def _draft(num_sides: int, grid: int, num_nodes: int, **more: Any) -> dict[str, 
 
 
 _OBJECTS = _draft(
-    2, 5, 30, objects="set-26", rotations=4,
-    layout="narrow-field", reward="scaled", discount=0.95, success_threshold=0.75,
+    2,
+    5,
+    30,
+    objects="set-26",
+    rotations=4,
+    layout="narrow-field",
+    reward="scaled",
+    discount=0.95,
+    success_threshold=0.75,
     stability="object",
-)  # fmt: skip
+)
 _BARS = _draft(
-    1, 5, 30, objects="bars", layout="field", reward="scaled",
-)  # fmt: skip
+    1,
+    5,
+    30,
+    objects="bars",
+    layout="field",
+    reward="scaled",
+)
 
 # Shared by all workcells: room for the fingers, a tolerant camera, coverage of the whole
 # target. One side has five actions, all by one grip.
 _ROBOT = _draft(
-    2, 3, 20, rotations=4, action_mode="grips", pitch=0.06,
-    layout="slanted-rows", success_threshold=0.75, cover_filter="wide", normalise_initial=False,
-    max_initial_cover=0.6, arm="panda",
-)  # fmt: skip
+    2,
+    3,
+    20,
+    rotations=4,
+    action_mode="grips",
+    pitch=0.06,
+    layout="slanted-rows",
+    success_threshold=0.75,
+    cover_filter="wide",
+    normalise_initial=False,
+    max_initial_cover=0.6,
+    arm="panda",
+)
 _ROBOT_MORE = dict(_ROBOT, num_nodes=24, unseen_shapes_only=True)
 _ROBOT_ONE_SIDED = dict(
     _ROBOT, num_sides=1, grid=5, rotations=1, action_mode="turns", pitch=0.055, layout="rows"
 )
 _ROBOT_OBJECTS = dict(
-    _ROBOT, grid=5, num_nodes=30, objects="set-26", layout="columns", reward="scaled",
-    discount=0.95, stability="object",
-)  # fmt: skip
+    _ROBOT,
+    grid=5,
+    num_nodes=30,
+    objects="set-26",
+    layout="columns",
+    reward="scaled",
+    discount=0.95,
+    stability="object",
+)
 
 _ALL = {
     "two-sided-3x3-20-24": _draft(2, 3, 30),
@@ -272,14 +300,19 @@ _ALL = {
     "robot-random-two-sided-5x5-14-18": dict(_ROBOT_MORE, layout="random", grid=5),
     # Ours, for building designs: walls with an aisle for the fingers, filled as far as gaps allow.
     "robot-walls-two-sided-5x5-26-30": dict(
-        _ROBOT, grid=5, num_nodes=36, aisle=1, layout="around", success_threshold=0.85,
+        _ROBOT,
+        grid=5,
+        num_nodes=36,
+        aisle=1,
+        layout="around",
+        success_threshold=0.85,
     ),
     "robot-four-sided-3x3-10-18": dict(_ROBOT, num_sides=4, num_nodes=30),
     "robot-four-sided-3x3-16-24": dict(_ROBOT_MORE, num_sides=4, num_nodes=36),
     "robot-objects-two-sided-5x5-20-24": _ROBOT_OBJECTS,
     "robot-objects-two-sided-5x5-30-34": dict(_ROBOT_OBJECTS, num_nodes=40),
     "robot-objects-two-sided-6x6-30-34": dict(_ROBOT_OBJECTS, num_nodes=40, grid=6),
-}  # fmt: skip
+}
 
 PRESETS: Registry[Task] = Registry("task", _ALL, lambda name, given: Task(name, **given))
 """Every task by name; see :func:`register_task`."""

@@ -12,9 +12,19 @@ from learn2assemble.assembly.blocks import Assembly, Block, fan_triangles, to_ma
 from learn2assemble.assembly.cuts import POST
 
 PALETTE = (
-    "#c96f4a", "#ecca90", "#8fae7a", "#b98bb0", "#d8a13f", "#7f9fa3", "#a88468", "#c7cf8b",
-    "#d99a94", "#8d8fb5", "#6f9a86", "#b7b2a6",
-)  # fmt: skip
+    "#c96f4a",
+    "#ecca90",
+    "#8fae7a",
+    "#b98bb0",
+    "#d8a13f",
+    "#7f9fa3",
+    "#a88468",
+    "#c7cf8b",
+    "#d99a94",
+    "#8d8fb5",
+    "#6f9a86",
+    "#b7b2a6",
+)
 """Colours of kinds, in the order in which they first appear."""
 COLOURS = {
     "current": "#63b0f2",

@@ -460,9 +460,10 @@ def _check_faces(faces: tuple[tuple[int, ...], ...], count: int, where: str) -> 
     for (start, end), times in edges.items():
         if start == end or edges[end, start] != times:
             raise InputError(
-                f"{where}: edge between vertices", (start, end), "a closed surface, "
-                "every edge once in each direction",
-            )  # fmt: skip
+                f"{where}: edge between vertices",
+                (start, end),
+                "a closed surface, every edge once in each direction",
+            )
 
 
 def _part(block: Block, id_: str, faces: Sequence[tuple[int, ...]]) -> Block:

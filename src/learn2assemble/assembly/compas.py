@@ -74,36 +74,51 @@ def to_compas(assembly: Assembly) -> dict[str, Any]:
     for block in finished.blocks:
         nodes[str(place[block.id])] = {
             **dict(zip("xyz", np.round(block.centroid, DIGITS).tolist(), strict=True)),
-            "block": _compas_mesh(block, place[block.id]), "is_support": block.support,
+            "block": _compas_mesh(block, place[block.id]),
+            "is_support": block.support,
             "step": number.get(block.id),
-        }  # fmt: skip
+        }
     ground = len(assembly.blocks)
     if not any(block.support for block in finished.blocks):
         slab = _ground_slab(finished)
         nodes[str(ground)] = {
             **dict(zip("xyz", np.round(slab.centroid, DIGITS).tolist(), strict=True)),
-            "block": _compas_mesh(slab, ground), "is_support": True, "step": None, "ground": True,
-        }  # fmt: skip
+            "block": _compas_mesh(slab, ground),
+            "is_support": True,
+            "step": None,
+            "ground": True,
+        }
     graph = {
         "attributes": {"name": "Graph"},
         "default_node_attributes": {
-            "x": 0.0, "y": 0.0, "z": 0.0, "block": None, "is_support": False, "section": None,
-            "mesh_size": None, "displacement": [0, 0, 0, 0, 0, 0], "step": None, "ground": False,
+            "x": 0.0,
+            "y": 0.0,
+            "z": 0.0,
+            "block": None,
+            "is_support": False,
+            "section": None,
+            "mesh_size": None,
+            "displacement": [0, 0, 0, 0, 0, 0],
+            "step": None,
+            "ground": False,
         },
         "default_edge_attributes": {"interfaces": None},
         "node": nodes,
         "edge": _compas_edges(finished, [place[block.id] for block in finished.blocks], ground),
         "max_node": max(map(int, nodes)),
-    }  # fmt: skip
+    }
     attributes = {
-        "name": assembly.name or "Assembly", "friction": assembly.friction, "units": "m",
+        "name": assembly.name or "Assembly",
+        "friction": assembly.friction,
+        "units": "m",
         "steps": [to_plain(step) for step in assembly.steps],
         "props": [
-            _compas_mesh(block, k) for block in assembly.blocks
+            _compas_mesh(block, k)
+            for block in assembly.blocks
             if str(k := place[block.id]) not in nodes
         ],
         **({"not_built": list(assembly.not_built)} if assembly.not_built else {}),
-    }  # fmt: skip
+    }
     return {
         "dtype": _COMPAS_ASSEMBLIES[0],
         "data": {
@@ -120,8 +135,12 @@ def _compas_mesh(block: Block, place: int) -> dict[str, Any]:
     vertices = np.round(block.vertices, DIGITS).tolist()
     data = {
         "attributes": {
-            "name": block.id, "node": place, "kind": block.kind, "density": block.density,
-            "prop": block.prop, "colour": block.colour,
+            "name": block.id,
+            "node": place,
+            "kind": block.kind,
+            "density": block.density,
+            "prop": block.prop,
+            "colour": block.colour,
         },
         "default_vertex_attributes": {"x": 0.0, "y": 0.0, "z": 0.0},
         "default_edge_attributes": {},
@@ -132,12 +151,14 @@ def _compas_mesh(block: Block, place: int) -> dict[str, Any]:
         "edgedata": {},
         "max_vertex": len(vertices) - 1,
         "max_face": len(block.faces) - 1,
-    }  # fmt: skip
+    }
     return {
-        "dtype": _COMPAS_BLOCK, "data": data, "name": block.id,
+        "dtype": _COMPAS_BLOCK,
+        "data": data,
+        "name": block.id,
         "inheritance": ["compas.datastructures/Mesh"],
         "guid": str(uuid5(NAMESPACE_URL, f"{place}/{block.id}")),
-    }  # fmt: skip
+    }
 
 
 def _ground_slab(assembly: Assembly) -> Block:
@@ -162,14 +183,16 @@ def _compas_edges(assembly: Assembly, nodes: Sequence[int], ground: int) -> dict
         interface = {
             "dtype": "compas_assembly.datastructures/Interface",
             "data": {
-                "points": np.round(points, DIGITS).tolist(), "size": float(contacts.area[k]),
+                "points": np.round(points, DIGITS).tolist(),
+                "size": float(contacts.area[k]),
                 "frame": {
                     "dtype": "compas.geometry/Frame",
                     "data": {key: np.round(at, DIGITS).tolist() for key, at in frame.items()},
                 },
-                "forces": None, "mesh": None,
+                "forces": None,
+                "mesh": None,
             },
-        }  # fmt: skip
+        }
         a = ground if contacts.a[k] == GROUND else nodes[contacts.a[k]]
         edge = edges[str(a)].setdefault(str(nodes[contacts.b[k]]), {"interfaces": []})
         edge["interfaces"].append(interface)
@@ -261,8 +284,15 @@ class _CompasMesh(NamedTuple):
         density = number(extra.get("density") or 1000.0, f"{where}: density")
         kind = text(extra.get("kind") or "", f"{where}: kind")
         points = coordinates(rows, f"{where}: vertex") * unit
-        made = outward(id_, points, tuple(faces), kind=kind, density=density,
-                       support=self.support, prop=extra.get("prop") is True)  # fmt: skip
+        made = outward(
+            id_,
+            points,
+            tuple(faces),
+            kind=kind,
+            density=density,
+            support=self.support,
+            prop=extra.get("prop") is True,
+        )
         return replace(made, colour=any_colour(extra.get("colour")))
 
 

@@ -57,9 +57,13 @@ class Contacts(NamedTuple):
         corner = keep[self.patch]
         number = np.cumsum(keep) - 1
         return Contacts(
-            self.a[keep], self.b[keep], self.normal[keep], self.area[keep],
-            self.points[corner], number[self.patch[corner]],
-        )  # fmt: skip
+            self.a[keep],
+            self.b[keep],
+            self.normal[keep],
+            self.area[keep],
+            self.points[corner],
+            number[self.patch[corner]],
+        )
 
 
 def shrunk(contacts: Contacts, distance: float) -> Contacts:
@@ -167,11 +171,13 @@ def add_point_contacts(
     certain[len(contacts.a) :] = [patch.certain for patch in found]
     sizes = [len(patch.points) for patch in found]
     more = Contacts(
-        np.array([patch.a for patch in found]), np.array([patch.b for patch in found]),
-        np.array([patch.normal for patch in found]), np.zeros(len(found)),
+        np.array([patch.a for patch in found]),
+        np.array([patch.b for patch in found]),
+        np.array([patch.normal for patch in found]),
+        np.zeros(len(found)),
         np.concatenate([patch.points for patch in found]),
         len(contacts.a) + np.repeat(np.arange(len(found)), sizes),
-    )  # fmt: skip
+    )
     return Contacts(*map(np.concatenate, zip(contacts, more, strict=True))), certain
 
 
@@ -208,8 +214,10 @@ def check_overlaps(assembly: Assembly, tolerance: float | None = None) -> None:
     solids: dict[int, Any] = {}
     for i, j in near_pairs(lower, upper, -float(width.min())).tolist():
         depth = float(min(width[i], width[j]))
-        if any(_separates(facets, slice(first[p], first[p + 1]), blocks[p], blocks[q], depth)
-               for p, q in ((i, j), (j, i))):  # fmt: skip
+        if any(
+            _separates(facets, slice(first[p], first[p + 1]), blocks[p], blocks[q], depth)
+            for p, q in ((i, j), (j, i))
+        ):
             continue
         for k in (i, j):
             if k not in solids:

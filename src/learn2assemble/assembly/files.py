@@ -51,7 +51,7 @@ from learn2assemble.files import (
     text,
     to_plain,
     write_file,
-)  # fmt: skip
+)
 
 FORMAT, VERSION = "learn2assemble-assembly", 1
 KIND = "file of blocks: JSON, a mesh, or a folder of meshes"
@@ -136,11 +136,15 @@ def to_json(assembly: Assembly) -> dict[str, Any]:
         for block in assembly.blocks
     ]
     return {
-        "format": FORMAT, "version": VERSION, "units": "m",
-        **({"name": assembly.name} if assembly.name else {}), "friction": assembly.friction,
-        "blocks": blocks, "steps": [to_plain(step) for step in assembly.steps],
+        "format": FORMAT,
+        "version": VERSION,
+        "units": "m",
+        **({"name": assembly.name} if assembly.name else {}),
+        "friction": assembly.friction,
+        "blocks": blocks,
+        "steps": [to_plain(step) for step in assembly.steps],
         **({"not_built": list(assembly.not_built)} if assembly.not_built else {}),
-    }  # fmt: skip
+    }
 
 
 def from_json(document: Any, source: str = "assembly") -> Assembly:
@@ -193,10 +197,9 @@ def _indices(faces: Any, where: str) -> tuple[tuple[int, ...], ...]:
     expected = "a list of lists of vertex numbers"
     rows = sequence(faces, where, expected)
     return tuple(
-        tuple(integer(k, f"{where}[{n}]")
-              for k in sequence(row, f"{where}[{n}]", expected))
+        tuple(integer(k, f"{where}[{n}]") for k in sequence(row, f"{where}[{n}]", expected))
         for n, row in enumerate(rows)
-    )  # fmt: skip
+    )
 
 
 def _own_colour(value: Any, where: str) -> tuple[int, int, int] | None:

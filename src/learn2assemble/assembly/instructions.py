@@ -45,10 +45,11 @@ _CHANGE = {"place": 1, "remove": -1}
 """What actions change the number of blocks by that stand."""
 Turn = tuple[float, float, float]
 _QUARTERS = tuple(
-    (x, y, z) for (x, y), z in product(
+    (x, y, z)
+    for (x, y), z in product(
         ((0, 0), (90, 0), (180, 0), (270, 0), (0, 90), (0, 270)), (0, 90, 180, 270)
     )
-)  # fmt: skip
+)
 """The 24 ways to lay a block on one of its sides, as turns about x, y and z [deg]."""
 
 
@@ -225,13 +226,21 @@ def instructions(assembly: Assembly) -> Instructions:
     steps: list[tuple[int, Action]] = [(assembly.index(s.block), s.action) for s in assembly.steps]
     steps = steps or [(k, "place") for k, b in enumerate(assembly.blocks) if not b.support]
     told = {index for index, _ in steps} | {assembly.index(id_) for id_ in assembly.not_built}
-    start = tuple(shapes.placement(k, 0, assembly.blocks[k], "place")
-                  for k in range(len(assembly.blocks)) if k not in told)  # fmt: skip
+    start = tuple(
+        shapes.placement(k, 0, assembly.blocks[k], "place")
+        for k in range(len(assembly.blocks))
+        if k not in told
+    )
     upright = _carried_straight_down(assembly)
     return Instructions(
-        assembly, origin, high - origin, joint, tuple(shapes.found), start,
+        assembly,
+        origin,
+        high - origin,
+        joint,
+        tuple(shapes.found),
+        start,
         tuple(_groups(assembly, steps, shapes, upright)),
-    )  # fmt: skip
+    )
 
 
 def _groups(
@@ -279,8 +288,10 @@ def _carried_straight_down(assembly: Assembly) -> np.ndarray:
     import shapely
 
     prisms = [is_prism(block) for block in assembly.blocks]
-    areas = [sections(b)[0].area if good else shapely.Point()
-             for b, good in zip(assembly.blocks, prisms, strict=True)]  # fmt: skip
+    areas = [
+        sections(b)[0].area if good else shapely.Point()
+        for b, good in zip(assembly.blocks, prisms, strict=True)
+    ]
     low = np.array([block.vertices[:, 2].min() for block in assembly.blocks])
     high = np.array([block.vertices[:, 2].max() for block in assembly.blocks])
     floor = min(0.0, float(low.min())) if abs(low.min()) > 1e-6 else float(low.min())
@@ -293,8 +304,9 @@ def _carried_straight_down(assembly: Assembly) -> np.ndarray:
         if block.support or abs(low[k] - floor) <= 1e-5:
             filled[k] = True
             continue
-        below = [j for j in tree.query(areas[k]).tolist()
-                 if filled[j] and abs(high[j] - low[k]) <= 1e-5]  # fmt: skip
+        below = [
+            j for j in tree.query(areas[k]).tolist() if filled[j] and abs(high[j] - low[k]) <= 1e-5
+        ]
         carried = sum(areas[k].intersection(areas[j]).area for j in below)
         filled[k] = carried >= _COVERED * areas[k].area
     return filled
@@ -344,8 +356,18 @@ class _Shapes:
         while not letter or left >= 0:
             letter, left = chr(65 + left % 26) + letter, left // 26 - 1
         asked = colour == colour_words(block)
-        made = Shape(letter, kind, colour, asked, corners, block.faces, bool(is_box), (x, y, z),
-                     block.volume, block.mass)  # fmt: skip
+        made = Shape(
+            letter,
+            kind,
+            colour,
+            asked,
+            corners,
+            block.faces,
+            bool(is_box),
+            (x, y, z),
+            block.volume,
+            block.mass,
+        )
         self.found.append(made)
         return made
 

@@ -239,13 +239,20 @@ def parse_kit(content: str, source: str = "kit") -> Kit:
     except (tomllib.TOMLDecodeError, ValueError, RecursionError) as error:
         raise InputError(source, printable(str(error)), "TOML") from None
     keys = tuple(_KitFile.__dataclass_fields__)
-    head = read_head(root, source, FORMAT, VERSION, ("format", "version", "units", *keys),
-                     ("format", "version", "name", "kinds"))  # fmt: skip
+    head = read_head(
+        root,
+        source,
+        FORMAT,
+        VERSION,
+        ("format", "version", "units", *keys),
+        ("format", "version", "name", "kinds"),
+    )
     given = [
         {**entry, "colour": _from_hex(entry["colour"], f"{source}: kinds[{k}].colour")}
-        if isinstance(entry, dict) and isinstance(entry.get("colour"), str) else entry
+        if isinstance(entry, dict) and isinstance(entry.get("colour"), str)
+        else entry
         for k, entry in enumerate(sequence(head["kinds"], f"{source}: kinds", "a list of kinds"))
-    ]  # fmt: skip
+    ]
     if not 1 <= len(given) <= MAX_KINDS:
         raise InputError(f"{source}: kinds", f"{len(given)} kinds", f"1 to {MAX_KINDS}")
     plain = {**{key: head[key] for key in keys if key in head}, "kinds": given}

@@ -107,9 +107,7 @@ def _apart(one: _Body, two: _Body, axes: np.ndarray) -> np.ndarray:
     return (two.vertices @ axes.T).min(0) - (one.vertices @ axes.T).max(0)
 
 
-def _touch(
-    one: _Body, two: _Body, width: float
-) -> tuple[np.ndarray, np.ndarray, bool] | None:  # fmt: skip
+def _touch(one: _Body, two: _Body, width: float) -> tuple[np.ndarray, np.ndarray, bool] | None:
     axes = np.concatenate([one.normals, -two.normals])
     apart = _apart(one, two, axes)
     if apart.max() > width:

@@ -29,14 +29,17 @@ _AGENT = arg("--agent", default="builder-s0", help="shipped builder or .safetens
 
 
 @command(
-    COMMANDS, "train-builder", "train the learned builder of designs",
+    COMMANDS,
+    "train-builder",
+    "train the learned builder of designs",
     "l2a train-builder --out runs/builder --seconds 600",
-    _OUT, _SEED,
+    _OUT,
+    _SEED,
     arg("--name", default="agent", help="of the builder"),
     arg("--teacher", default="exact", help="exact planner, or own search: no demonstrations"),
     arg("--seconds", type=positive, default=1200.0, help="of processor time"),
     learns=True,
-)  # fmt: skip
+)
 def _train(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.learning.run import provenance
     from learn2assemble.planning.agent.network import save_builder
@@ -55,9 +58,13 @@ def _train(options: argparse.Namespace, output: Output) -> None:
 
 
 @command(
-    COMMANDS, "measure-builder", "measure the learned builder beside the exact planner",
+    COMMANDS,
+    "measure-builder",
+    "measure the learned builder beside the exact planner",
     "l2a measure-builder --out out/builder --designs 20",
-    _OUT, _SEED, _AGENT,
+    _OUT,
+    _SEED,
+    _AGENT,
     arg("--beside", default=None, help="a second builder, trained otherwise"),
     arg("--designs", type=count, default=200, help="of every small set"),
     arg("--large", type=count, default=20, help="designs of 200 to 400 blocks"),
@@ -65,7 +72,7 @@ def _train(options: argparse.Namespace, output: Output) -> None:
     arg("--exact", type=count, default=40, help="of a set, for both planners"),
     arg("--examples", type=named, default=None, help="folder of the examples"),
     learns=True,
-)  # fmt: skip
+)
 def _measure(options: argparse.Namespace, output: Output) -> None:
     """``builders.json``: what the builder builds, with search and alone, beside others."""
     import json
@@ -83,9 +90,11 @@ def _measure(options: argparse.Namespace, output: Output) -> None:
         raise InputError("--examples", str(options.examples), "a folder")
     config = Measure(options.designs, options.large, options.compared, options.exact, options.seed)
     head = {
-        "agent": builder.name, "other": options.beside, "measure": vars(config),
+        "agent": builder.name,
+        "other": options.beside,
+        "measure": vars(config),
         "machine": provenance("cpu"),
-    }  # fmt: skip
+    }
 
     def keep(found: dict[str, Any]) -> None:
         text = json.dumps({**head, **found}, indent=1)
@@ -95,25 +104,32 @@ def _measure(options: argparse.Namespace, output: Output) -> None:
         found = measure(builder, config, options.examples, output.progress, other, keep)
     result = {**head, **found}
     players = [name for name in PLAYERS if other is not None or not name.startswith("other")]
-    output.table("complete", ("designs", *players), [
-        (name, *(f"{row[player]['complete']:.1%}" for player in players))
-        for name, row in found["sets"].items()
-    ])  # fmt: skip
+    output.table(
+        "complete",
+        ("designs", *players),
+        [
+            (name, *(f"{row[player]['complete']:.1%}" for player in players))
+            for name, row in found["sets"].items()
+        ],
+    )
     output.finish(result)
 
 
 @command(
-    COMMANDS, "measure-builder-arm", "measure the learned builder with an arm",
+    COMMANDS,
+    "measure-builder-arm",
+    "measure the learned builder with an arm",
     "l2a measure-builder-arm --out out/arm --suction 10 --gripper 10",
     arg("--out", type=named, required=True, help="new or empty folder, or --resume"),
-    _SEED, _AGENT,
+    _SEED,
+    _AGENT,
     arg("--resume", action="store_true", help="go on with what --out holds"),
     arg("--suction", type=natural, default=200, help="designs built with suction"),
     arg("--gripper", type=natural, default=200, help="designs built with fingers"),
     arg("--prior", type=count, default=50, help="designs of four planners"),
     arg("--limit", type=positive, default=60.0, help="of one of them [s, processor]"),
     learns=True,
-)  # fmt: skip
+)
 def _measure_arm(options: argparse.Namespace, output: Output) -> None:
     """``builder_arm.json``: builds with an arm, and whether the builder helps the exact planner."""
     import json
@@ -143,14 +159,22 @@ def _measure_arm(options: argparse.Namespace, output: Output) -> None:
             head["earlier"] = [*known.get("earlier", []), before]
     with nullcontext() if options.resume else claim_folder(options.out):
         found = measure_arm(options.agent, config, output.progress, keep, known)
-    output.table("complete", ("tool", "designs", "complete"), [
-        (tool, str(row["designs"]), f"{row['complete']:.1%}")
-        for tool, row in found["sets"].items()
-    ])  # fmt: skip
+    output.table(
+        "complete",
+        ("tool", "designs", "complete"),
+        [
+            (tool, str(row["designs"]), f"{row['complete']:.1%}")
+            for tool, row in found["sets"].items()
+        ],
+    )
     told = found["comparison"]
-    output.table(f"{told['designs']} designs of 100 to 300 blocks", ("planner", "complete",
-                 "failed attempts"), [
-        (way, f"{told[way]['complete']:.1%}", str(told[way]["failed"]))
-        for way in WAYS if way in told
-    ])  # fmt: skip
+    output.table(
+        f"{told['designs']} designs of 100 to 300 blocks",
+        ("planner", "complete", "failed attempts"),
+        [
+            (way, f"{told[way]['complete']:.1%}", str(told[way]["failed"]))
+            for way in WAYS
+            if way in told
+        ],
+    )
     output.finish({**head, **found})

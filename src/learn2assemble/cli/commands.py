@@ -58,53 +58,114 @@ CELL_COUNTS = ("wanted", "missing", "outside", "other_colour")
 STATE = "build.jsonl"
 """What a build by an arm appends to, in its folder; gone when the plan is written."""
 _BUILD = (
-    "planner", "kit", "friction", "gap", "arm", "agent", "layout", "seed", "seconds", "tool",
-    "physics", "supports", "holds",
-)  # fmt: skip
+    "planner",
+    "kit",
+    "friction",
+    "gap",
+    "arm",
+    "agent",
+    "layout",
+    "seed",
+    "seconds",
+    "tool",
+    "physics",
+    "supports",
+    "holds",
+)
 """Options that are arguments of :func:`learn2assemble.build`."""
 
 
 @command(
-    _COMMANDS, "build", "plan a design, prove every step, write the report",
+    _COMMANDS,
+    "build",
+    "plan a design, prove every step, write the report",
     "l2a build examples/designs/gabled_house.json --arm panda --out out/house",
     arg("design", metavar="DESIGN", help="a drawing, picture, mesh, voxels, blocks, or a task"),
     either(
         arg("--out", type=named, help="new or empty folder"),
-        arg("--preview", type=named, metavar="PNG",
-            help="only draw what was read and the cells that were chosen, and stop"),
+        arg(
+            "--preview",
+            type=named,
+            metavar="PNG",
+            help="only draw what was read and the cells that were chosen, and stop",
+        ),
     ),
     arg("--planner", default=None, help="of a design: exact (the default) or agent"),
     group(
         "a design and its blocks (docs/building.md)",
         reading_arguments,
-        arg("--friction", type=span_of(friction), default=None, metavar="MU[:MU]",
-            help="prove every step for this coefficient or range (the kit's)"),
-        arg("--gap", type=span_of(length), default=None, metavar="W[:W]",
-            help="width of vertical joints or range of it, e.g. 0:0.5mm (the kit's)"),
-        arg("--supports", default="auto",
+        arg(
+            "--friction",
+            type=span_of(friction),
+            default=None,
+            metavar="MU[:MU]",
+            help="prove every step for this coefficient or range (the kit's)",
+        ),
+        arg(
+            "--gap",
+            type=span_of(length),
+            default=None,
+            metavar="W[:W]",
+            help="width of vertical joints or range of it, e.g. 0:0.5mm (the kit's)",
+        ),
+        arg(
+            "--supports",
+            default="auto",
             help="what may carry blocks for a while: auto, none, props (of the kit) or posts "
-            "(under given blocks)"),
-        arg("--no-props", dest="supports", action="store_const", const="none",
-            help="the same as --supports none"),
-        arg("--holds", type=natural, default=0, metavar="K",
-            help="of given blocks, how many a hand may hold while the next one comes (0)"),
+            "(under given blocks)",
+        ),
+        arg(
+            "--no-props",
+            dest="supports",
+            action="store_const",
+            const="none",
+            help="the same as --supports none",
+        ),
+        arg(
+            "--holds",
+            type=natural,
+            default=0,
+            metavar="K",
+            help="of given blocks, how many a hand may hold while the next one comes (0)",
+        ),
     ),
     arg("--arm", default=None, help=f"an arm builds it: {' or '.join(ARMS)}"),
-    arg("--layout", type=named, default=None, metavar="FILE",
-        help="where the blocks wait for the arm (docs/layouts.md); by default around the site"),
-    arg("--video", action=argparse.BooleanOptionalAction, default=True,
-        help="of the arm, build.mp4 (needs the extra video)"),
+    arg(
+        "--layout",
+        type=named,
+        default=None,
+        metavar="FILE",
+        help="where the blocks wait for the arm (docs/layouts.md); by default around the site",
+    ),
+    arg(
+        "--video",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="of the arm, build.mp4 (needs the extra video)",
+    ),
     arg("--tool", default=None, help="of the arm: suction (default), suction-side or gripper"),
-    arg("--physics", default="dynamic",
-        help="cell in which the arm carries out an exact plan: dynamic or kinematic"),
-    arg("--sense-noise", type=noise, default=(0.0, 0.0), metavar="MM[:DEG]",
-        help="standard deviations of the poses that are read back after every placement"),
+    arg(
+        "--physics",
+        default="dynamic",
+        help="cell in which the arm carries out an exact plan: dynamic or kinematic",
+    ),
+    arg(
+        "--sense-noise",
+        type=noise,
+        default=(0.0, 0.0),
+        metavar="MM[:DEG]",
+        help="standard deviations of the poses that are read back after every placement",
+    ),
     arg("--resume", action="store_true", help="go on with the interrupted build in --out"),
     arg("--seed", type=natural, default=0, help="of the search and of a task's problem"),
     arg("--agent", default=None, help=f"of a design, a builder; of a task, a {AGENT_HELP}"),
-    arg("--seconds", type=positive, default=None,
-        help="limit of planning and proof (60), or of the widest search of a task (20)"),
-)  # fmt: skip
+    arg(
+        "--seconds",
+        type=positive,
+        default=None,
+        help="limit of planning and proof (60), or of the widest search of a task (20)",
+    ),
+)
 def _build(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 for a complete plan, 1 for an incomplete or refused one."""
     if options.preview is not None:
@@ -129,10 +190,13 @@ def _build(options: argparse.Namespace, output: Output) -> int:
     require(*needs)
     with claim_folder(options.out, options.resume):
         plan = build(
-            options.design, **{name: getattr(options, name) for name in _BUILD},
-            noise=options.sense_noise, state=state, progress=output.progress,
+            options.design,
+            **{name: getattr(options, name) for name in _BUILD},
+            noise=options.sense_noise,
+            state=state,
+            progress=output.progress,
             **reading_of(options),
-        )  # fmt: skip
+        )
         files = plan.save(options.out, video=video, progress=output.progress)
         if state is not None and plan.complete:
             state.unlink(missing_ok=True)  # Everything is in the files of the plan now.
@@ -170,31 +234,49 @@ def _preview(options: argparse.Namespace, output: Output) -> int:
     if found.note:
         output.say(found.note)
     output.say(f"preview: {options.preview}")
-    output.finish({
-        "design": found.name, "shape": shape, "cells_wanted": cells, "cell": list(found.cell),
-        "iou": found.iou, "volume_error": found.volume_error, "note": found.note,
-        "files": {"preview": str(options.preview)},
-    })  # fmt: skip
+    output.finish(
+        {
+            "design": found.name,
+            "shape": shape,
+            "cells_wanted": cells,
+            "cell": list(found.cell),
+            "iou": found.iou,
+            "volume_error": found.volume_error,
+            "note": found.note,
+            "files": {"preview": str(options.preview)},
+        }
+    )
     return 0
 
 
 def _summary(plan: Plan) -> dict[str, Any]:
     cells, design = plan.cells, plan.design
     return {
-        "design": design.name, "status": plan.status, "reason": plan.reason,
-        "planner": plan.planner, "agent": plan.agent,
+        "design": design.name,
+        "status": plan.status,
+        "reason": plan.reason,
+        "planner": plan.planner,
+        "agent": plan.agent,
         "planner_chosen": [a.result for a in plan.search.attempts] if plan.search else [],
-        "kit": plan.kit, "blocks": plan.blocks.used,
+        "kit": plan.kit,
+        "blocks": plan.blocks.used,
         "props": sum(step.prop and step.action == "place" for step in plan.steps),
         "holds": sum(step.action == "hold" for step in plan.steps),
-        "steps": len(plan.steps), "coverage": plan.coverage,
+        "steps": len(plan.steps),
+        "coverage": plan.coverage,
         **{f"cells_{k}": cells and getattr(cells, k) for k in CELL_COUNTS},
-        "iou": design.iou, "volume_error": design.volume_error, "note": design.note,
-        "not_read": design.not_read, "planning_s": plan.planning_s,
-        "proof_s": plan.proof_s, "seconds": plan.seconds, "margin_g": plan.margin_g,
-        "friction_range": plan.friction_range, "gap_range": plan.gap_range,
+        "iou": design.iou,
+        "volume_error": design.volume_error,
+        "note": design.note,
+        "not_read": design.not_read,
+        "planning_s": plan.planning_s,
+        "proof_s": plan.proof_s,
+        "seconds": plan.seconds,
+        "margin_g": plan.margin_g,
+        "friction_range": plan.friction_range,
+        "gap_range": plan.gap_range,
         **({"arm": to_plain(plan.arm)} if plan.arm else {}),
-    }  # fmt: skip
+    }
 
 
 def _print_plan(output: Output, plan: Plan, files: dict[str, Path]) -> None:
@@ -265,18 +347,32 @@ def _print_arm(output: Output, arm: ArmReport) -> None:
 
 
 _TRAIN = (
-    "minutes", "samples", "config", "method", "seed", "device", "threads", "arm", "init", "resume",
-)  # fmt: skip
+    "minutes",
+    "samples",
+    "config",
+    "method",
+    "seed",
+    "device",
+    "threads",
+    "arm",
+    "init",
+    "resume",
+)
 """Options that are arguments of :func:`learn2assemble.train`."""
 
 
 @command(
-    _COMMANDS, "train", "train an agent",
+    _COMMANDS,
+    "train",
+    "train an agent",
     "l2a train two-sided-3x3-20-24 --out runs/first --minutes 15",
     arg("task", metavar="TASK"),
     arg("--method", default=None, help="learner: dqn, q-mcts or eps-mcts"),
-    arg("--config", default="relational",
-        help="relational, relational-objects (ours), published or paper"),
+    arg(
+        "--config",
+        default="relational",
+        help="relational, relational-objects (ours), published or paper",
+    ),
     arg("--out", type=named, required=True, help="new or empty folder, or --resume"),
     arg("--minutes", type=positive, default=None, help="stop after so long"),
     arg("--samples", type=count, default=None, help="environment steps (the configuration's)"),
@@ -288,26 +384,44 @@ _TRAIN = (
     arm_argument,
     arg("--init", default=None, help="agent whose weights to start from"),
     arg("--resume", action="store_true", help="go on with the run in --out"),
-    arg("--set", action="append", default=[], metavar="KEY=VALUE",
-        help="change one setting, e.g. learning_rate=1e-3 or network.heads=1"),
+    arg(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change one setting, e.g. learning_rate=1e-3 or network.heads=1",
+    ),
     learns=True,
-)  # fmt: skip
+)
 def _train(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.learning.run import train, train_seeds
 
     chosen = {name: getattr(options, name) for name in _TRAIN} | {"settings": options.set}
     if options.seeds is not None:
         runs = train_seeds(
-            options.task, options.out, seeds=options.seeds, workers=options.workers or 1,
-            ray=options.ray, progress=output.progress, **chosen,
-        )  # fmt: skip
+            options.task,
+            options.out,
+            seeds=options.seeds,
+            workers=options.workers or 1,
+            ray=options.ray,
+            progress=output.progress,
+            **chosen,
+        )
         names = sorted({name for run in runs for name in run.metrics})
-        output.table(f"{runs[0].task} ({runs[0].config})", ("agent", *names), [
-            (run.out.name, *[run.metrics.get(name, float("nan")) for name in names]) for run in runs
-        ])  # fmt: skip
-        output.finish({
-            "task": runs[0].task, "runs": [{"out": str(run.out), **run.metrics} for run in runs],
-        })  # fmt: skip
+        output.table(
+            f"{runs[0].task} ({runs[0].config})",
+            ("agent", *names),
+            [
+                (run.out.name, *[run.metrics.get(name, float("nan")) for name in names])
+                for run in runs
+            ],
+        )
+        output.finish(
+            {
+                "task": runs[0].task,
+                "runs": [{"out": str(run.out), **run.metrics} for run in runs],
+            }
+        )
         return
     if options.workers or options.ray:
         raise InputError("--workers or --ray", "given", "--seeds N beside it")
@@ -321,8 +435,16 @@ def _train(options: argparse.Namespace, output: Output) -> None:
 
 
 _EVAL = (
-    "agent", "search", "budget", "rollout", "distinct", "epsilon", "episodes", "seed", "physics",
-)  # fmt: skip
+    "agent",
+    "search",
+    "budget",
+    "rollout",
+    "distinct",
+    "epsilon",
+    "episodes",
+    "seed",
+    "physics",
+)
 """Options that are arguments of :func:`learn2assemble.evaluate`."""
 
 
@@ -331,28 +453,39 @@ def _rollout(text: str) -> int:
 
 
 @command(
-    _COMMANDS, "eval", "play whole episodes and report the paper's metrics",
+    _COMMANDS,
+    "eval",
+    "play whole episodes and report the paper's metrics",
     "l2a eval two-sided-3x3-20-24 --search mcts --budget 10 --epsilon 0.05 --episodes 100",
     arg("task", metavar="TASK"),
     arg("--agent", default=None, help=AGENT_HELP),
-    arg("--search", choices=("none", *SEARCHES), default="none",
-        help=f"none, {', '.join(SEARCHES)}"),
+    arg(
+        "--search", choices=("none", *SEARCHES), default="none", help=f"none, {', '.join(SEARCHES)}"
+    ),
     arg("--budget", type=natural, default=None, help="the search's own: mostly 10"),
-    arg("--rollout", type=_rollout, default=None,
-        help="steps, or 'end'; the search's own: mostly 1"),
-    arg("--distinct", action="store_true", default=None,
-        help="expand one of several placements that lead to the same structure (ours, D14)"),
+    arg(
+        "--rollout", type=_rollout, default=None, help="steps, or 'end'; the search's own: mostly 1"
+    ),
+    arg(
+        "--distinct",
+        action="store_true",
+        default=None,
+        help="expand one of several placements that lead to the same structure (ours, D14)",
+    ),
     arg("--legacy", action="store_true", help="search in copies with the published restore faults"),
     arg("--epsilon", type=share, default=None, help="the search's own: 0.05"),
     arg("--episodes", type=count, default=100),
     arg("--seed", type=natural, default=0),
-    arg("--physics", default=None,
+    arg(
+        "--physics",
+        default=None,
         help="what checks placements: static or rigid; with an arm these stand for its kinematic "
-        "workcell, and dynamic and published are others"),
+        "workcell, and dynamic and published are others",
+    ),
     arm_argument,
     arg("--out", type=named, default=None, help="write the result to this file"),
     learns=True,
-)  # fmt: skip
+)
 def _evaluate(options: argparse.Namespace, output: Output) -> None:
     from tqdm import tqdm
 
@@ -369,9 +502,11 @@ def _evaluate(options: argparse.Namespace, output: Output) -> None:
             bar.update(done - bar.n)
 
         result = evaluate(
-            task, **{name: getattr(options, name) for name in _EVAL},
-            search_model=SEARCH_MODELS["published"] if options.legacy else None, progress=advance,
-        )  # fmt: skip
+            task,
+            **{name: getattr(options, name) for name in _EVAL},
+            search_model=SEARCH_MODELS["published"] if options.legacy else None,
+            progress=advance,
+        )
     write_result(options.out, result.to_dict())
     output.table(task.name, ("metric", "value"), list(result.metrics.to_dict().items()))
     output.finish(result.to_dict())
@@ -381,9 +516,12 @@ def _evaluate(options: argparse.Namespace, output: Output) -> None:
 
 
 @command(
-    _COMMANDS, "bench", "measure the speed of this machine", "l2a bench --seconds 2",
+    _COMMANDS,
+    "bench",
+    "measure the speed of this machine",
+    "l2a bench --seconds 2",
     arg("--seconds", type=positive, default=2.0, help="per measurement"),
-)  # fmt: skip
+)
 def _bench(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.evaluation.bench import MEASUREMENTS, machine
 
@@ -413,41 +551,76 @@ def _tasks(options: argparse.Namespace, output: Output) -> None:
     rows: list[dict[str, Any]] = []
     for name, task in PRESETS.items():
         low, high = task.block_range
-        rows.append({
-            "name": name, "sides": task.num_sides, "grid": task.grid, "nodes": task.num_nodes,
-            "blocks": [low, high], "objects": task.objects, "arm": task.arm,
-            "actions": task.num_actions, "discount": task.discount,
-            "success_threshold": task.success_threshold, "agents": agents.get(name, []),
-        })  # fmt: skip
-    output.table("", ("task", "sides", "grid", "nodes", "blocks", "objects", "arm", "agents"), [
-        (r["name"], r["sides"], f"{r['grid']}x{r['grid']}", r["nodes"],
-         f"{r['blocks'][0]}-{r['blocks'][1]}", r["objects"], r["arm"],
-         ", ".join(r["agents"]) or "-")
-        for r in rows
-    ])  # fmt: skip
+        rows.append(
+            {
+                "name": name,
+                "sides": task.num_sides,
+                "grid": task.grid,
+                "nodes": task.num_nodes,
+                "blocks": [low, high],
+                "objects": task.objects,
+                "arm": task.arm,
+                "actions": task.num_actions,
+                "discount": task.discount,
+                "success_threshold": task.success_threshold,
+                "agents": agents.get(name, []),
+            }
+        )
+    output.table(
+        "",
+        ("task", "sides", "grid", "nodes", "blocks", "objects", "arm", "agents"),
+        [
+            (
+                r["name"],
+                r["sides"],
+                f"{r['grid']}x{r['grid']}",
+                r["nodes"],
+                f"{r['blocks'][0]}-{r['blocks'][1]}",
+                r["objects"],
+                r["arm"],
+                ", ".join(r["agents"]) or "-",
+            )
+            for r in rows
+        ],
+    )
     designs: list[dict[str, Any]] = [
         {
-            "name": name, "families": list(task.families), "kit": task.kit,
-            "blocks": list(task.blocks), "limited_heap": task.limited_heap,
+            "name": name,
+            "families": list(task.families),
+            "kit": task.kit,
+            "blocks": list(task.blocks),
+            "limited_heap": task.limited_heap,
         }
         for name, task in DESIGN_TASKS.items()
-    ]  # fmt: skip
-    output.table("", ("task of designs", "families", "kit", "blocks", "heap"), [
-        (r["name"], ", ".join(r["families"]), r["kit"], f"{r['blocks'][0]}-{r['blocks'][1]}",
-         "exact" if r["limited_heap"] else "no limit")
-        for r in designs
-    ])  # fmt: skip
+    ]
+    output.table(
+        "",
+        ("task of designs", "families", "kit", "blocks", "heap"),
+        [
+            (
+                r["name"],
+                ", ".join(r["families"]),
+                r["kit"],
+                f"{r['blocks'][0]}-{r['blocks'][1]}",
+                "exact" if r["limited_heap"] else "no limit",
+            )
+            for r in designs
+        ],
+    )
     goals = {name: task.goals for name, task in GOAL_TASKS.items()}
     output.table("", ("task of goals", "goals"), list(goals.items()))
     output.finish({"tasks": rows, "designs": designs, "goals": goals})
 
 
 @command(
-    _COMMANDS, "view", "open the page of a finished plan", "l2a view out/house",
+    _COMMANDS,
+    "view",
+    "open the page of a finished plan",
+    "l2a view out/house",
     arg("plan", metavar="PLAN", type=named, help="plan.json or its folder"),
     arg("--port", type=number(int, 0, 65535, "a port number"), default=0),
     arg("--no-browser", action="store_true", help="only serve the page"),
-)  # fmt: skip
+)
 def _view(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.planning.plan import Plan
 

@@ -137,9 +137,12 @@ class Output:
             )
             indent = " " * 2
             for line in textwrap.wrap(
-                words, max(self.console.width, 10), initial_indent=indent,
-                subsequent_indent=indent, break_on_hyphens=False,
-            ):  # fmt: skip
+                words,
+                max(self.console.width, 10),
+                initial_indent=indent,
+                subsequent_indent=indent,
+                break_on_hyphens=False,
+            ):
                 self.say(line)
 
     def finish(self, result: dict[str, Any]) -> None:

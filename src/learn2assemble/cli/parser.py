@@ -229,9 +229,11 @@ def workers_arguments(parser: argparse.ArgumentParser, what: str) -> None:
     """Add ``--workers`` and ``--ray``, see :func:`learn2assemble.workers.run_all`."""
     parser.add_argument("--workers", type=count, default=None, help=what)
     parser.add_argument(
-        "--ray", metavar="ADDRESS", default=None,
+        "--ray",
+        metavar="ADDRESS",
+        default=None,
         help="work on a Ray cluster: HOST:PORT, auto or local (extra ray)",
-    )  # fmt: skip
+    )
 
 
 def make_parser(words: Sequence[str] = ()) -> argparse.ArgumentParser:
@@ -243,9 +245,10 @@ def make_parser(words: Sequence[str] = ()) -> argparse.ArgumentParser:
     """
     names = words[:1] if words and words[0] in COMMANDS else COMMANDS
     parser = _Parser(
-        prog="l2a", description="From a target design to a verified build plan.",
+        prog="l2a",
+        description="From a target design to a verified build plan.",
         epilog="example: l2a build examples/designs/gabled_house.json --out out/house",
-    )  # fmt: skip
+    )
     parser.add_argument("--version", action="version", version=f"learn2assemble {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True, parser_class=_Parser)
     for name in names:
@@ -256,8 +259,9 @@ def make_parser(words: Sequence[str] = ()) -> argparse.ArgumentParser:
         assert isinstance(added, _Parser)
         added.fill = command.arguments
         added.add_argument(
-            "--json", action="store_true",
+            "--json",
+            action="store_true",
             help="end standard output with one JSON object; all else goes to standard error",
-        )  # fmt: skip
+        )
         added.set_defaults(run=command.run, learns=command.learns)
     return parser

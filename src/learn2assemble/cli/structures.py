@@ -51,7 +51,9 @@ def _write_page(
 
 
 @command(
-    COMMANDS, "reach", "what of a design an arm reaches, and from where it reaches most",
+    COMMANDS,
+    "reach",
+    "what of a design an arm reaches, and from where it reaches most",
     "l2a reach examples/designs/h.svg --arm panda --out out/reach",
     arg("design", metavar="DESIGN", help="a drawing, picture, mesh, voxels or blocks"),
     arg("--arm", required=True, help=" or ".join(ARMS)),
@@ -59,19 +61,25 @@ def _write_page(
     reading_arguments,
     arg("--layout", type=named, default=None, metavar="FILE", help="with the base asked about"),
     arg("--out", type=named, default=None, metavar="DIR", help="write a page that shows it there"),
-)  # fmt: skip
+)
 def _reach(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where everything is within reach, else 1."""
     from learn2assemble.planning.build import reach
 
     with _claimed(options.out):
         found = reach(
-            options.design, arm=options.arm, tool=options.tool, kit=options.kit,
-            layout=options.layout, **reading_of(options),
-        )  # fmt: skip
+            options.design,
+            arm=options.arm,
+            tool=options.tool,
+            kit=options.kit,
+            layout=options.layout,
+            **reading_of(options),
+        )
         here, best, blocks = found.here, found.best, found.assembly.blocks
-        rows = [(blocks[k].id, blocks[k].kind, *(f"{v:.3f}" for v in blocks[k].centroid), why)
-                for k, why in here.out.items()]  # fmt: skip
+        rows = [
+            (blocks[k].id, blocks[k].kind, *(f"{v:.3f}" for v in blocks[k].centroid), why)
+            for k, why in here.out.items()
+        ]
         if rows:
             output.table("out of reach", ("block", "kind", "x [m]", "y [m]", "z [m]", "why"), rows)
         within = here.count - len(here.out)
@@ -81,31 +89,51 @@ def _reach(options: argparse.Namespace, output: Output) -> int:
         if best.base != here.base:
             reached = best.count - len(best.out)
             output.say(f"a base at {best.words} reaches {reached} of {best.count}")
-        facts = [("arm", f"{found.arm} with {found.tool}"), ("base", here.words),
-                 ("within reach", f"{within} of {here.count} blocks"),
-                 ("base that reaches most", best.words)]  # fmt: skip
+        facts = [
+            ("arm", f"{found.arm} with {found.tool}"),
+            ("base", here.words),
+            ("within reach", f"{within} of {here.count} blocks"),
+            ("base that reaches most", best.words),
+        ]
         files = _write_page(
-            options.out, output, found.assembly, title=found.assembly.name or "reach", facts=facts,
+            options.out,
+            output,
+            found.assembly,
+            title=found.assembly.name or "reach",
+            facts=facts,
             moving=[blocks[k].id for k in here.out],
             status="within reach" if found.complete else "out of reach",
-        )  # fmt: skip
-    output.finish({
-        "arm": found.arm, "tool": found.tool, "base": list(here.base), "blocks": here.count,
-        "out_of_reach": {blocks[k].id: why for k, why in here.out.items()},
-        "best_base": list(best.base), "best_reaches": best.count - len(best.out), "files": files,
-    })  # fmt: skip
+        )
+    output.finish(
+        {
+            "arm": found.arm,
+            "tool": found.tool,
+            "base": list(here.base),
+            "blocks": here.count,
+            "out_of_reach": {blocks[k].id: why for k, why in here.out.items()},
+            "best_base": list(best.base),
+            "best_reaches": best.count - len(best.out),
+            "files": files,
+        }
+    )
     return 0 if found.complete else 1
 
 
 @command(
-    COMMANDS, "check", "whether an assembly of blocks stands, and what moves first",
+    COMMANDS,
+    "check",
+    "whether an assembly of blocks stands, and what moves first",
     "l2a check wall.json --out out/check",
-    arg("file", metavar="FILE", type=named,
-        help="a plan or its folder, assembly JSON, COMPAS JSON, meshes or a folder of them"),
+    arg(
+        "file",
+        metavar="FILE",
+        type=named,
+        help="a plan or its folder, assembly JSON, COMPAS JSON, meshes or a folder of them",
+    ),
     arg("--friction", type=friction, default=None, help="instead of the file's coefficient"),
     arg("--unit", default="m", choices=tuple(UNITS), help="of the coordinates in meshes"),
     arg("--out", type=named, default=None, metavar="DIR", help="write a page with forces there"),
-)  # fmt: skip
+)
 def _check(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where it stands, if only with tight joints, else 1."""
     from learn2assemble.assembly.files import read_assembly
@@ -119,22 +147,35 @@ def _check(options: argparse.Namespace, output: Output) -> int:
             ("margin", f"{found.margin_g:.3f} g sideways, {found.tilt:.1f} degrees of tilt"),
             ("holding force", f"{found.holding_force:.4g} N"),
             ("moves first", ", ".join(found.moving[:8]) or "-"),
-            ("blocks", found.blocks), ("contacts", len(found.contacts.a)),
+            ("blocks", found.blocks),
+            ("contacts", len(found.contacts.a)),
             ("seconds", f"{found.seconds:.2f}"),
-        ]  # fmt: skip
+        ]
         output.table(f"{options.file.name}: {found.verdict}", ("quantity", "value"), rows)
         files = _write_page(
-            options.out, output, assembly.finished, title=assembly.name or options.file.stem,
-            facts=[(name, str(value)) for name, value in rows], moving=found.moving,
-            forces=(found.contacts, found.forces), status=found.verdict,
-        )  # fmt: skip
-    output.finish({
-        "verdict": found.verdict, "proof": found.proof,
-        "margin_g": found.margin_g, "tilt_deg": found.tilt,
-        "holding_force": found.holding_force, "moves_first": list(found.moving),
-        "blocks": found.blocks, "contacts": len(found.contacts.a),
-        "seconds": round(found.seconds, 3), "files": files,
-    })  # fmt: skip
+            options.out,
+            output,
+            assembly.finished,
+            title=assembly.name or options.file.stem,
+            facts=[(name, str(value)) for name, value in rows],
+            moving=found.moving,
+            forces=(found.contacts, found.forces),
+            status=found.verdict,
+        )
+    output.finish(
+        {
+            "verdict": found.verdict,
+            "proof": found.proof,
+            "margin_g": found.margin_g,
+            "tilt_deg": found.tilt,
+            "holding_force": found.holding_force,
+            "moves_first": list(found.moving),
+            "blocks": found.blocks,
+            "contacts": len(found.contacts.a),
+            "seconds": round(found.seconds, 3),
+            "files": files,
+        }
+    )
     return FALLS if found.verdict in ("falls", "not certain") else 0
 
 
@@ -147,16 +188,21 @@ def _format_argument(parser: argparse.ArgumentParser) -> None:
 
 
 @command(
-    COMMANDS, "export",
+    COMMANDS,
+    "export",
     "a plan as GLB, MJCF, COMPAS, bill of blocks or step cards, or as program of a robot",
     "l2a export out/house --format glb",
     arg("plan", metavar="PLAN", type=named, help="folder of a plan, its plan.json, or an assembly"),
     _format_argument,
     arg("--out", type=named, default=Path(), metavar="PATH", help="file or folder (here)"),
-    arg("--layout", type=named, metavar="FILE",
-        help="urscript: layout whose section `program` has speed, inputs, outputs, taught frame"),
+    arg(
+        "--layout",
+        type=named,
+        metavar="FILE",
+        help="urscript: layout whose section `program` has speed, inputs, outputs, taught frame",
+    ),
     arg("--resume-from", type=int, metavar="N", help="urscript: leave out the steps before N"),
-)  # fmt: skip
+)
 def _export(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.export import PROGRAM_FORMATS
     from learn2assemble.export.formats import FORMATS, export_assembly
@@ -178,28 +224,36 @@ def _export_program(options: argparse.Namespace, output: Output) -> None:
     from learn2assemble.export.robot_programs import export_program
 
     done = export_program(
-        options.plan, options.format, options.out, layout=options.layout,
+        options.plan,
+        options.format,
+        options.out,
+        layout=options.layout,
         resume_from=options.resume_from,
-    )  # fmt: skip
+    )
     used = ", ".join(f"{name} {100 * share:.0f} %" for name, share in done.used.items())
     output.say(
         f"{options.format}: {done.file}, {done.seconds:.1f} s, of the limits at most {used}, "
         f"time stretched by {done.stretch:.3f} at most"
     )
-    output.finish({
-        "format": options.format, "file": str(done.file), "seconds": round(done.seconds, 3),
-        "stretch": round(done.stretch, 6),
-        "used": {name: round(share, 6) for name, share in done.used.items()},
-    })  # fmt: skip
+    output.finish(
+        {
+            "format": options.format,
+            "file": str(done.file),
+            "seconds": round(done.seconds, 3),
+            "stretch": round(done.stretch, 6),
+            "used": {name: round(share, 6) for name, share in done.used.items()},
+        }
+    )
 
 
 @command(
-    COMMANDS, "replay-trajectory",
+    COMMANDS,
+    "replay-trajectory",
     "play an exported program of a robot in the simulation, without looking",
     "l2a replay-trajectory out/program.csv --arm panda",
     arg("file", metavar="FILE", type=named, help="what l2a export wrote as csv, franka, ros2"),
     arg("--arm", required=True, help=f"which arm: {' or '.join(ARMS)}"),
-)  # fmt: skip
+)
 def _replay(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where the same structure results, and 1 where it does not."""
     from learn2assemble.export.robot_programs import replay_program
@@ -213,10 +267,15 @@ def _replay(options: argparse.Namespace, output: Output) -> int:
         f"blocks are {1e3 * done.error.mean():.2f} mm from where they should be on average, block "
         f"{worst} {1e3 * done.error[worst]:.2f} mm (limit {1e3 * SAME:g})"
     )
-    output.finish({
-        "same": done.same, "fault": done.fault, "seconds": round(done.seconds, 3),
-        "blocks": len(done.error),
-        "mean_error_m": round(float(done.error.mean()), 7),
-        "worst_error_m": round(float(done.error[worst]), 7), "worst_block": worst,
-    })  # fmt: skip
+    output.finish(
+        {
+            "same": done.same,
+            "fault": done.fault,
+            "seconds": round(done.seconds, 3),
+            "blocks": len(done.error),
+            "mean_error_m": round(float(done.error.mean()), 7),
+            "worst_error_m": round(float(done.error[worst]), 7),
+            "worst_block": worst,
+        }
+    )
     return 0 if done.same else DIFFERS

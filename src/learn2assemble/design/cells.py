@@ -166,11 +166,17 @@ def kind_of(content: bytes, source: str) -> str:
         InputError: for content of no known kind.
     """
     for magic, kind in (
-        (b"\x89PNG\r\n\x1a\n", "png"), (b"\x93NUMPY", "npy"), (b"PK\x03\x04", "npz"),
-        (b"glTF", "glb"), (b"3D Geometry File Format", "3dm"), (b"ply\n", "ply"),
-        (b"ply\r", "ply"), (b"OFF", "off"), (b"\xff\xd8\xff", "jpeg"),
+        (b"\x89PNG\r\n\x1a\n", "png"),
+        (b"\x93NUMPY", "npy"),
+        (b"PK\x03\x04", "npz"),
+        (b"glTF", "glb"),
+        (b"3D Geometry File Format", "3dm"),
+        (b"ply\n", "ply"),
+        (b"ply\r", "ply"),
+        (b"OFF", "off"),
+        (b"\xff\xd8\xff", "jpeg"),
         (b"AutoCAD Binary DXF", "dxf"),
-    ):  # fmt: skip
+    ):
         if content.startswith(magic):
             return kind
     if content[:4] == b"RIFF" and content[8:12] == b"WEBP":
@@ -197,10 +203,11 @@ def kind_of(content: bytes, source: str) -> str:
     elif Path(source).suffix.casefold() == ".stl":
         got = f"{got}; its header says {facets} triangles"
     raise InputError(
-        source, got,
+        source,
+        got,
         "a whole file of elevation JSON, SVG, DXF, PNG, JPEG, WebP, STL, OBJ, PLY, GLB, OFF, 3DM, "
         "NPY, NPZ or assembly JSON",
-    )  # fmt: skip
+    )
 
 
 # ---------------------------------------------------------------- from each kind to cells
@@ -236,8 +243,10 @@ def _from_drawing(drawing: Drawing, origin: _Origin) -> CellDesign:
             unit = (turn * cell[axis], cell[2])  # noqa: B023
             return [((c - origins[side]) * scale / unit)[::turn] for c in contours]
 
-        walls = [np.concatenate([_prism(contour, k) for contour in seen(drawing.sides[side], side)])
-                 for k, side in enumerate(names)]  # fmt: skip
+        walls = [
+            np.concatenate([_prism(contour, k) for contour in seen(drawing.sides[side], side)])
+            for k, side in enumerate(names)
+        ]
         if walls:
             triangles = np.concatenate(walls)
             points_ = triangles.reshape(-1, 3)
@@ -248,11 +257,15 @@ def _from_drawing(drawing: Drawing, origin: _Origin) -> CellDesign:
             share, first = fit(triangles, (0,))
             tint = np.zeros(share.shape, np.int64)
             for k, side in enumerate(names):
-                paints = [(seen(contours, side), colour)
-                          for contours, colour in drawing.paints.get(side, ())]  # fmt: skip
+                paints = [
+                    (seen(contours, side), colour)
+                    for contours, colour in drawing.paints.get(side, ())
+                ]
                 tint[:, k] = _tints(paints, palette, first, (len(share), share.shape[2]))
-            whole = [np.concatenate([wall, _caps(seen(drawing.sides[side], side), k)])
-                     for k, (side, wall) in enumerate(zip(names, walls, strict=True))]  # fmt: skip
+            whole = [
+                np.concatenate([wall, _caps(seen(drawing.sides[side], side), k)])
+                for k, (side, wall) in enumerate(zip(names, walls, strict=True))
+            ]
             pairs.append(_Walls(axis, names, np.stack([share, tint]), first, whole))
     least = 3 if drawing.placed and len(boxes) > 2 else 1
     share, tint, surface = _footprint(pairs, given.depth, cell, least, drawing.placed)
@@ -264,8 +277,15 @@ def _from_drawing(drawing: Drawing, origin: _Origin) -> CellDesign:
         ]
     thick = given.depth / (cell[1] * max(1, round(given.depth / cell[1]))) if given.depth else 1.0
     origin = replace(origin, kit=kit, remedies=extent.remedies(), blocks=drawing.blocks)
-    return _design(share, origin, cell, thickness=thick, trim=not drawing.placed, colours=colours,
-                   surface=surface)  # fmt: skip
+    return _design(
+        share,
+        origin,
+        cell,
+        thickness=thick,
+        trim=not drawing.placed,
+        colours=colours,
+        surface=surface,
+    )
 
 
 def _origins(boxes: dict[str, np.ndarray], placed: bool) -> dict[str, np.ndarray]:
@@ -284,9 +304,11 @@ def _origins(boxes: dict[str, np.ndarray], placed: bool) -> dict[str, np.ndarray
 
 
 def _tints(
-    paints: list[drawings.Paint], palette: list[drawings.Colour], origin: np.ndarray,
+    paints: list[drawings.Paint],
+    palette: list[drawings.Colour],
+    origin: np.ndarray,
     shape: tuple[int, int],
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """Which colour shows most in every cell of a wall, int64[X, Z]: index into palette + 1, or 0.
 
     Args:
@@ -370,8 +392,7 @@ def _footprint(
         spans[axis] = both.shape[1]
         walls |= {name: both[:, :, k] for k, name in enumerate(pair.names)}
         moved = (before - pair.first[0], 0.0, below - pair.first[2])
-        around |= {name: pair.triangles[k] - (0, k, 0) + moved
-                   for k, name in enumerate(pair.names)}  # fmt: skip
+        around |= {name: pair.triangles[k] - (0, k, 0) + moved for k, name in enumerate(pair.names)}
     for axis, pair in enumerate((SIDES[2:], SIDES[:2])):
         # Without the other pair, walls stand back to back.
         spans[axis] = max(spans[axis], thick[axis] * sum(side in walls for side in pair))
@@ -455,10 +476,16 @@ def _from_solid(solid: Solid, origin: _Origin) -> CellDesign:
 
 
 def _design(
-    share: np.ndarray, origin: _Origin, cell: Lengths, *, colours: np.ndarray | None = None,
-    thickness: float = 1.0, exact: bool = False, trim: bool = True,
+    share: np.ndarray,
+    origin: _Origin,
+    cell: Lengths,
+    *,
+    colours: np.ndarray | None = None,
+    thickness: float = 1.0,
+    exact: bool = False,
+    trim: bool = True,
     surface: np.ndarray | None = None,
-) -> CellDesign:  # fmt: skip
+) -> CellDesign:
     """Cells from shares of cells.
 
     Args:
@@ -471,9 +498,12 @@ def _design(
     wanted = np.asarray(share >= HALF)
     if not wanted.any():
         edges = " x ".join(f"{edge:g}" for edge in cell)
-        raise InputError(source, f"a design of which no cell of {edges} m is half full",
-                         "something to build (a smaller cell, a larger size?)",
-                         *origin.remedies)  # fmt: skip
+        raise InputError(
+            source,
+            f"a design of which no cell of {edges} m is half full",
+            "something to build (a smaller cell, a larger size?)",
+            *origin.remedies,
+        )
     drawn, filled = float(share.sum()) * thickness, int(wanted.sum())
     common = float(share[wanted].sum()) * min(thickness, 1.0)
     if trim:
@@ -493,8 +523,19 @@ def _design(
     iou = None if exact else common / (drawn + filled - common)
     wanted = np.ascontiguousarray(wanted)
     colours = None if colours is None else np.ascontiguousarray(colours)
-    return CellDesign(origin.name, wanted, cell, colours, error, iou, source, origin.kit,
-                      origin.blocks, surface, origin.note)  # fmt: skip
+    return CellDesign(
+        origin.name,
+        wanted,
+        cell,
+        colours,
+        error,
+        iou,
+        source,
+        origin.kit,
+        origin.blocks,
+        surface,
+        origin.note,
+    )
 
 
 def _check_carried(wanted: np.ndarray, cell: Lengths, source: str) -> None:

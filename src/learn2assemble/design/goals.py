@@ -173,9 +173,11 @@ def read_goals(
 
 
 def parse_goals(
-    given: Any, source: str = "goals", kit: Kit | str | None = None,
+    given: Any,
+    source: str = "goals",
+    kit: Kit | str | None = None,
     cell: float | Sequence[float] | None = None,
-) -> Goals:  # fmt: skip
+) -> Goals:
     """The goals of parsed JSON; see :func:`read_goals`."""
     keys = tuple(GoalsFile.__dataclass_fields__)
     root = read_head(given, source, FORMAT, VERSION, (*_HEAD, *keys), ("format", "version", "site"))
@@ -226,8 +228,10 @@ def _on_lattice(file: GoalsFile, kit: Kit, source: str) -> Goals:
         place = np.floor(np.array(point) / pitch - corner + 1e-6).astype(int)
         if (place < 0).any() or (place >= shape).any():
             half = shape * pitch / 2
-            words = (f"a point inside the site, |x| < {half[0]:g}, |y| < {half[1]:g} and "
-                     f"0 <= z < {2 * half[2]:g} m")  # fmt: skip
+            words = (
+                f"a point inside the site, |x| < {half[0]:g}, |y| < {half[1]:g} and "
+                f"0 <= z < {2 * half[2]:g} m"
+            )
             raise InputError(where, list(point), words)
         return _cell(place)
 
@@ -261,8 +265,10 @@ def _on_lattice(file: GoalsFile, kit: Kit, source: str) -> Goals:
         names += [(where, _cell(c)) for c in np.argwhere(part & ~must)]
         must |= part
     surfaces: list[Surface] = []
-    loads = [(f"load[{k}]", load.at, _mass(load, f"{source}: load[{k}]"))
-             for k, load in enumerate(file.load)]  # fmt: skip
+    loads = [
+        (f"load[{k}]", load.at, _mass(load, f"{source}: load[{k}]"))
+        for k, load in enumerate(file.load)
+    ]
     for key, point, mass in [(f"reach[{k}]", p, 0.0) for k, p in enumerate(file.reach)] + loads:
         where = f"{source}: {key}"
         level = point[2] / pitch[2]
@@ -281,8 +287,12 @@ def _on_lattice(file: GoalsFile, kit: Kit, source: str) -> Goals:
         if solid[at]:
             raise InputError(where, list(at), "a cell outside the obstacles")
         if not free[at]:
-            raise InputError(where, list(at), "a cell with no obstacle above it and above no "
-                             "surface that is to be reached or loaded")  # fmt: skip
+            raise InputError(
+                where,
+                list(at),
+                "a cell with no obstacle above it and above no "
+                "surface that is to be reached or loaded",
+            )
     if not names:
         raise InputError(source, "no goal", "a goal: 'occupy', 'reach' or 'load'")
     for array in (free, must):

@@ -170,8 +170,9 @@ class Extent:
             raise InputError(f"{self.source}: unit", got, expected, *self.remedies())
         size = unit * float(self.units.max())
         if not size <= FARTHEST:
-            raise InputError(self.source, f"{size:g} m across", f"at most {FARTHEST:g} m",
-                             *self.remedies())  # fmt: skip
+            raise InputError(
+                self.source, f"{size:g} m across", f"at most {FARTHEST:g} m", *self.remedies()
+            )
         return unit
 
     def check(self, scale: float) -> None:
@@ -192,8 +193,11 @@ class Extent:
         if self.fixed:
             return ()
         sizes = {unit: self.units * length / self.cell for unit, length in UNITS.items()}
-        fit = {unit: cells for unit, cells in sizes.items()
-               if cells.max() <= MAX_CELLS + 1e-6 and cells.min() >= 0.5}  # fmt: skip
+        fit = {
+            unit: cells
+            for unit, cells in sizes.items()
+            if cells.max() <= MAX_CELLS + 1e-6 and cells.min() >= 0.5
+        }
         if fit:
             found = sorted(fit, key=lambda unit: -fit[unit].max())[:2]
             return tuple(Remedy("unit", u, f"gives {_counts(fit[u])} cells") for u in found)

@@ -182,8 +182,14 @@ def write_rhino_meshes(folder: str) -> None:
         elif meshes:  # curves, points and texts have none
             found.append(_joined([_rhino_mesh(mesh) for mesh in meshes]))
     unit = str(model.Settings.ModelUnitSystem).rpartition(".")[2]
-    lengths = {"Millimeters": 1e-3, "Centimeters": 1e-2, "Decimeters": 0.1, "Meters": 1.0,
-               "Inches": 0.0254, "Feet": 0.3048}  # fmt: skip
+    lengths = {
+        "Millimeters": 1e-3,
+        "Centimeters": 1e-2,
+        "Decimeters": 0.1,
+        "Meters": 1.0,
+        "Inches": 0.0254,
+        "Feet": 0.3048,
+    }
     arrays: dict[str, Any] = {"metres": lengths.get(unit, np.nan), "refused": refused}
     for k, (vertices, faces) in enumerate(found):
         arrays |= {f"v{k}": vertices, f"f{k}": faces}

@@ -47,10 +47,17 @@ _AUTOMATIC = re.compile(r"(g|group|path|svg|layer|layer_|layer )[\W_\d]*$", re.I
 _SHAPES = frozenset(("path", "rect", "circle", "ellipse", "line", "polyline", "polygon"))
 _GROUPS = frozenset(("g", "a", "switch", "svg", "symbol", "use"))
 _NOT_READ = {
-    "text": "text", "image": "image", "foreignObject": "foreign object", "video": "video",
-    "canvas": "canvas", "iframe": "frame", "animate": "animation", "set": "animation",
-    "animateTransform": "animation", "animateMotion": "animation",
-}  # fmt: skip
+    "text": "text",
+    "image": "image",
+    "foreignObject": "foreign object",
+    "video": "video",
+    "canvas": "canvas",
+    "iframe": "frame",
+    "animate": "animation",
+    "set": "animation",
+    "animateTransform": "animation",
+    "animateMotion": "animation",
+}
 """Elements that show something and are not read, in words."""
 _MARKED = ("start", "mid", "end")
 _IDENTITY = np.eye(3)
@@ -216,9 +223,12 @@ class _Walk:
     # ------------------------------------------------ elements
 
     def _style(
-        self, element: ElementTree.Element, parent: Style,
-        around: tuple[ElementTree.Element, ...], frame: Frame,
-    ) -> Style:  # fmt: skip
+        self,
+        element: ElementTree.Element,
+        parent: Style,
+        around: tuple[ElementTree.Element, ...],
+        frame: Frame,
+    ) -> Style:
         """The style of an element; the size of its letters is a number."""
         declared = self.sheets.declared(element, around, self.source)
         style = styles.inherited(parent, declared)
@@ -278,9 +288,11 @@ class _Walk:
         return [part for parts, _ in drawn for part in parts], _joined(box for _, box in drawn)
 
     def draw(
-        self, element: ElementTree.Element, place: _Place,
+        self,
+        element: ElementTree.Element,
+        place: _Place,
         sizes: tuple[str | None, str | None] | None = None,
-    ) -> _Drawn:  # fmt: skip
+    ) -> _Drawn:
         """What an element paints.
 
         Args:
@@ -299,9 +311,15 @@ class _Walk:
             self._leave_out(tag, element, style)
             return [], None
         frame = replace(place.frame, font=float(style["font-size"]))
-        inside = replace(place, style=style, frame=frame, around=(*place.around, element),
-                         layer=_layer(element, place), depth=place.depth + 1,
-                         local=_IDENTITY).moved(self._transform(style, frame))  # fmt: skip
+        inside = replace(
+            place,
+            style=style,
+            frame=frame,
+            around=(*place.around, element),
+            layer=_layer(element, place),
+            depth=place.depth + 1,
+            local=_IDENTITY,
+        ).moved(self._transform(style, frame))
         before = None if styles.share(style.get("opacity", "1")) else Counter(self.not_read)
         inside, parts, box = self._content(tag, element, inside, sizes)
         parts = self._finish(parts, box, style, inside)
@@ -309,9 +327,12 @@ class _Walk:
         return parts, _mapped(box, inside.local)
 
     def _content(
-        self, tag: str, element: ElementTree.Element, place: _Place,
+        self,
+        tag: str,
+        element: ElementTree.Element,
+        place: _Place,
         sizes: tuple[str | None, str | None] | None,
-    ) -> tuple[_Place, list[Part], np.ndarray | None]:  # fmt: skip
+    ) -> tuple[_Place, list[Part], np.ndarray | None]:
         """Parts and box of what is in an element, and the place where that stands."""
         if tag in ("svg", "symbol"):
             return self._viewport(element, place, sizes or (None, None))
@@ -348,8 +369,10 @@ class _Walk:
         origin = re.split(r"[\s,]+", style.get("transform-origin", "").strip())
         if len(origin) < 2 or given == "none":
             return made
-        x, y = (paths.length(words.get(word, word), along, frame, self.source)
-                for word, along in zip(origin, "xy", strict=False))  # fmt: skip
+        x, y = (
+            paths.length(words.get(word, word), along, frame, self.source)
+            for word, along in zip(origin, "xy", strict=False)
+        )
         return paths.shift(x, y) @ made @ paths.shift(-x, -y)
 
     def _use(
@@ -374,10 +397,11 @@ class _Walk:
         box = _view_box(element)
         x, y = (self._length(place, name, "0") for name in "xy")
         wide, high = (
-            paths.length(given, "xy"[k], place.frame, self.source) if given
+            paths.length(given, "xy"[k], place.frame, self.source)
+            if given
             else self._length(place, ("width", "height")[k], "100%")
             for k, given in enumerate(sizes)
-        )  # fmt: skip
+        )
         if not (wide > 0 and high > 0) or (box and not min(box[2:]) > 0):
             return place, [], None
         clip = _area(x, y, wide, high, place.matrix)
@@ -441,8 +465,10 @@ class _Walk:
             curves = paths.polygon(points or [])
             curves = [replace(curve, closed=tag == "polygon") for curve in curves]
         elif tag == "line":
-            ends = [paths.length(element.get(name, "0"), name[0], place.frame, self.source)
-                    for name in ("x1", "y1", "x2", "y2")]  # fmt: skip
+            ends = [
+                paths.length(element.get(name, "0"), name[0], place.frame, self.source)
+                for name in ("x1", "y1", "x2", "y2")
+            ]
             curves = [replace(curve, closed=False) for curve in paths.polygon(ends)]
         else:
             curves = self._basic(tag, place)
@@ -596,8 +622,9 @@ class _Walk:
         if style.get("display") == "none" or not (shown or tag == "use"):
             return [], None
         frame = replace(place.frame, font=float(style["font-size"]))
-        inside = replace(place, style=style, frame=frame, around=(*place.around, element),
-                         local=_IDENTITY).moved(self._transform(style, frame))  # fmt: skip
+        inside = replace(
+            place, style=style, frame=frame, around=(*place.around, element), local=_IDENTITY
+        ).moved(self._transform(style, frame))
         if tag == "use":
             target = self._target((element.get("href") or element.get(_HREF) or "").strip())
             x, y = (self._length(inside, name, "0") for name in "xy")
@@ -625,14 +652,24 @@ class _Walk:
         x, y, wide, high = (
             paths.length(inside.style.get(name, default), "xy"[k % 2], frame, self.source)
             for k, (name, default) in enumerate(
-                (("x", "-10%"), ("y", "-10%"), ("width", "120%"), ("height", "120%")))
-        )  # fmt: skip
-        whole = _area(x, y, max(wide, 0.0), max(high, 0.0),
-                      place.matrix @ (_unit(box) if boxed else _IDENTITY))  # fmt: skip
+                (("x", "-10%"), ("y", "-10%"), ("width", "120%"), ("height", "120%"))
+            )
+        )
+        whole = _area(
+            x,
+            y,
+            max(wide, 0.0),
+            max(high, 0.0),
+            place.matrix @ (_unit(box) if boxed else _IDENTITY),
+        )
         boxed = target.get("maskContentUnits") == "objectBoundingBox"
         matrix = place.matrix @ (_unit(box) if boxed else _IDENTITY)
-        own = replace(inside, matrix=matrix, frame=Frame(1.0, 1.0) if boxed else place.frame,
-                      depth=place.depth + 1)  # fmt: skip
+        own = replace(
+            inside,
+            matrix=matrix,
+            frame=Frame(1.0, 1.0) if boxed else place.frame,
+            depth=place.depth + 1,
+        )
         outer, self.not_read = self.not_read, Counter()
         was, self.masking = self.masking, True
         parts, _ = self._children(target, own)
@@ -688,7 +725,8 @@ def _applies(element: ElementTree.Element) -> bool:
     """Whether the conditions hold that an element is drawn on; the language is English."""
     spoken = element.get("systemLanguage")
     english = spoken is None or any(
-        re.match(r"en\b", word.strip(), re.IGNORECASE) for word in spoken.split(","))  # fmt: skip
+        re.match(r"en\b", word.strip(), re.IGNORECASE) for word in spoken.split(",")
+    )
     return english and not element.get("requiredExtensions", "").strip()
 
 

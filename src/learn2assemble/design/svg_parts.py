@@ -84,9 +84,12 @@ class Page:
 
 def counted(found: Counter[str]) -> str:
     """Numbers of things in words."""
-    plural = {"foreign object": "foreign objects", "reference to another file": "references to "
-              "other files", "transform of the whole": "transforms of the whole",
-              "text in a clip path": "texts in clip paths"}  # fmt: skip
+    plural = {
+        "foreign object": "foreign objects",
+        "reference to another file": "references to other files",
+        "transform of the whole": "transforms of the whole",
+        "text in a clip path": "texts in clip paths",
+    }
 
     def word(name: str, number: int) -> str:
         thing, error, rest = name.partition(" with an error")
@@ -190,8 +193,15 @@ class _Converted:
         contours = [points for points in flat if _has_extent(points)]
         clips = tuple(map(self._region, part.clips))
         self.number += 1
-        return Shape(contours, part.even_odd, part.paper, part.colour, clips,
-                     self._region(part.cuts), self.number)  # fmt: skip
+        return Shape(
+            contours,
+            part.even_odd,
+            part.paper,
+            part.colour,
+            clips,
+            self._region(part.cuts),
+            self.number,
+        )
 
     def _region(self, parts: tuple[Part, ...]) -> tuple[Shape, ...]:
         """The same of a clip path; what several share stays one."""

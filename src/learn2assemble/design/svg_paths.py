@@ -23,8 +23,16 @@ _FUNCTION = re.compile(r"[\s,]*([a-zA-Z]+)\s*\(([^()]*)\)")
 _TAKES = {"M": 2, "L": 2, "H": 1, "V": 1, "C": 6, "S": 4, "Q": 4, "T": 2, "A": 7, "Z": 0}
 LARGEST = 1e30
 """Numbers beyond this are errors; they could not be squared."""
-PIXELS = {"": 1.0, "px": 1.0, "in": 96.0, "cm": 96 / 2.54, "mm": 96 / 25.4, "q": 24 / 25.4,
-          "pt": 4 / 3, "pc": 16.0}  # fmt: skip
+PIXELS = {
+    "": 1.0,
+    "px": 1.0,
+    "in": 96.0,
+    "cm": 96 / 2.54,
+    "mm": 96 / 25.4,
+    "q": 24 / 25.4,
+    "pt": 4 / 3,
+    "pc": 16.0,
+}
 """User units of a length without a view box."""
 _DEGREES = {"": 1.0, "deg": 1.0, "grad": 0.9, "turn": 360.0, "rad": 180 / math.pi}
 
@@ -124,11 +132,9 @@ _FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., Matrix]]] = {
     "skewy": ((1,), lambda angle: affine(1, math.tan(math.radians(angle)), 0, 1, 0, 0)),
     "skew": (
         (1, 2),
-        lambda x, y=0.0: affine(
-            1, math.tan(math.radians(y)), math.tan(math.radians(x)), 1, 0, 0
-        ),
+        lambda x, y=0.0: affine(1, math.tan(math.radians(y)), math.tan(math.radians(x)), 1, 0, 0),
     ),
-}  # fmt: skip
+}
 
 
 def transform(text: str) -> Matrix | None:
@@ -175,15 +181,24 @@ def fitted(
     words = keep.split() or ["xMidYMid"]
     words = words[1:] if words[0] == "defer" else words
     wide, high = place[2] / box[2], place[3] / box[3]
-    where = words[0] if words and re.fullmatch(r"none|x(Min|Mid|Max)Y(Min|Mid|Max)", words[0]) \
-        else "xMidYMid"  # fmt: skip
+    where = (
+        words[0]
+        if words and re.fullmatch(r"none|x(Min|Mid|Max)Y(Min|Mid|Max)", words[0])
+        else "xMidYMid"
+    )
     if where != "none":
         wide = high = (max if "slice" in words else min)(wide, high)
     share = {"Min": 0.0, "Mid": 0.5, "Max": 1.0, "": 0.0}
-    x = place[0] - box[0] * wide + share[where[1:4] if where != "none" else ""] * (
-        place[2] - box[2] * wide)  # fmt: skip
-    y = place[1] - box[1] * high + share[where[5:8] if where != "none" else ""] * (
-        place[3] - box[3] * high)  # fmt: skip
+    x = (
+        place[0]
+        - box[0] * wide
+        + share[where[1:4] if where != "none" else ""] * (place[2] - box[2] * wide)
+    )
+    y = (
+        place[1]
+        - box[1] * high
+        + share[where[5:8] if where != "none" else ""] * (place[3] - box[3] * high)
+    )
     return wide, high, x, y
 
 
@@ -270,9 +285,13 @@ class _Pen:
         self.control = middle
 
     def arc(
-        self, radii: tuple[float, float], turn: float, large: float, sweep: float,
+        self,
+        radii: tuple[float, float],
+        turn: float,
+        large: float,
+        sweep: float,
         end: tuple[float, float],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """An arc of an ellipse, by the formulas of the SVG specification (appendix B.2.4)."""
         rx, ry = abs(radii[0]), abs(radii[1])
         if self.at == end:
@@ -324,8 +343,11 @@ class _Pen:
 
     def _line_or_curve(self, kind: str, v: Sequence[float], x: float, y: float) -> None:
         if kind in "LHV":
-            end = {"L": lambda: (v[0] + x, v[1] + y), "H": lambda: (v[0] + x, self.at[1]),
-                   "V": lambda: (self.at[0], v[0] + y)}[kind]()  # fmt: skip
+            end = {
+                "L": lambda: (v[0] + x, v[1] + y),
+                "H": lambda: (v[0] + x, self.at[1]),
+                "V": lambda: (self.at[0], v[0] + y),
+            }[kind]()
             self.points.append(end)
             self.at = end
         elif kind == "A":
@@ -390,9 +412,11 @@ def rectangle(x: float, y: float, wide: float, high: float, rx: float, ry: float
     pen, right, low = _Pen(), x + wide, y + high
     pen.draw("M", (x + rx, y))
     for line, end in (
-        ((right - rx, y), (right, y + ry)), ((right, low - ry), (right - rx, low)),
-        ((x + rx, low), (x, low - ry)), ((x, y + ry), (x + rx, y)),
-    ):  # fmt: skip
+        ((right - rx, y), (right, y + ry)),
+        ((right, low - ry), (right - rx, low)),
+        ((x + rx, low), (x, low - ry)),
+        ((x, y + ry), (x + rx, y)),
+    ):
         pen.draw("L", line)
         pen.draw("A", (rx, ry, 0, 0, 1, *end))
     pen.lift(True)

@@ -18,19 +18,57 @@ from learn2assemble.design.svg_paths import pair
 from learn2assemble.errors import InputError
 
 INHERITED = frozenset(
-    ("fill", "fill-rule", "fill-opacity", "stroke", "stroke-opacity", "stroke-width", "visibility",
-     "clip-rule", "color", "font-size", "marker-start", "marker-mid", "marker-end")
-)  # fmt: skip
+    (
+        "fill",
+        "fill-rule",
+        "fill-opacity",
+        "stroke",
+        "stroke-opacity",
+        "stroke-width",
+        "visibility",
+        "clip-rule",
+        "color",
+        "font-size",
+        "marker-start",
+        "marker-mid",
+        "marker-end",
+    )
+)
 _OWN = frozenset(
-    ("opacity", "display", "clip-path", "mask", "overflow", "mask-type", "stop-color",
-     "stop-opacity", "transform", "transform-origin", "x", "y", "width", "height", "cx", "cy",
-     "r", "rx", "ry", "d")
-)  # fmt: skip
+    (
+        "opacity",
+        "display",
+        "clip-path",
+        "mask",
+        "overflow",
+        "mask-type",
+        "stop-color",
+        "stop-opacity",
+        "transform",
+        "transform-origin",
+        "x",
+        "y",
+        "width",
+        "height",
+        "cx",
+        "cy",
+        "r",
+        "rx",
+        "ry",
+        "d",
+    )
+)
 NOT_READ = {
-    "filter": "filter", "mix-blend-mode": "blend mode", "transform-box": "transform box",
-    "rotate": "CSS rotation", "scale": "CSS scale", "translate": "CSS translation",
-    "offset-path": "motion path", "mask-image": "mask image", "zoom": "zoom",
-}  # fmt: skip
+    "filter": "filter",
+    "mix-blend-mode": "blend mode",
+    "transform-box": "transform box",
+    "rotate": "CSS rotation",
+    "scale": "CSS scale",
+    "translate": "CSS translation",
+    "offset-path": "motion path",
+    "mask-image": "mask image",
+    "zoom": "zoom",
+}
 """Properties that change what is visible and are not read, in words."""
 _ONLY_CSS = frozenset(NOT_READ) - {"filter"}
 _PLAIN = frozenset(("", "none", "normal", "view-box", "auto", "initial", "unset", "1"))
@@ -88,8 +126,10 @@ def colour(text: str) -> Colour | None:
     alpha = given[3][0] / (100 if given[3][1] == "%" else 1) if len(given) == 4 else 1.0
     if found[1] == "hsl":
         hue, lightness, strength = given[0][0] / 360 % 1, given[2][0] / 100, given[1][0] / 100
-        mixed = [255 * v for v in colorsys.hls_to_rgb(
-            hue, min(max(lightness, 0), 1), min(max(strength, 0), 1))]  # fmt: skip
+        mixed = [
+            255 * v
+            for v in colorsys.hls_to_rgb(hue, min(max(lightness, 0), 1), min(max(strength, 0), 1))
+        ]
     else:
         mixed = [v * 2.55 if unit == "%" else v for v, unit in given[:3]]
     r, g, b = (round(min(max(v, 0), 255)) for v in mixed)
@@ -117,7 +157,8 @@ def _is_valid(name: str, value: str) -> bool:
     if name in ("opacity", "fill-opacity", "stroke-opacity", "stop-opacity"):
         found = pair(value)
         return value in ("inherit", "initial", "unset") or (
-            found is not None and found[1] in ("", "%"))  # fmt: skip
+            found is not None and found[1] in ("", "%")
+        )
     return bool(value)
 
 
@@ -270,21 +311,28 @@ class Sheets:
         key = id(element), id(around[0]) if around else 0
         if key in self._known:
             return self._known[key]
-        given = [(name, value.strip(), (0, -1, 0, 0, 0, 0)) for name, value in element.items()
-                 if (name in INHERITED or name in _OWN or name in NOT_READ)
-                 and name not in _ONLY_CSS]  # fmt: skip
+        given = [
+            (name, value.strip(), (0, -1, 0, 0, 0, 0))
+            for name, value in element.items()
+            if (name in INHERITED or name in _OWN or name in NOT_READ) and name not in _ONLY_CSS
+        ]
         for rule in self._matching(element, around, source):
-            given += [(name, value, (important, 0, *rule.weight, rule.order))
-                      for name, value, important in rule.declared]  # fmt: skip
-        given += [(name, value, (important, 1, 0, 0, 0, 0))
-                  for name, value, important in declarations(element.get("style", ""))]  # fmt: skip
+            given += [
+                (name, value, (important, 0, *rule.weight, rule.order))
+                for name, value, important in rule.declared
+            ]
+        given += [
+            (name, value, (important, 1, 0, 0, 0, 0))
+            for name, value, important in declarations(element.get("style", ""))
+        ]
         made: Style = {}
         unread = set()
         for name, value, _ in sorted(given, key=lambda item: item[2]):
             if name in NOT_READ:
                 made[name] = value
-            elif "var(" in value or (name in ("fill", "stroke") and "(" in value
-                                     and not _is_valid(name, value)):  # fmt: skip
+            elif "var(" in value or (
+                name in ("fill", "stroke") and "(" in value and not _is_valid(name, value)
+            ):
                 unread.add("CSS variable" if "var(" in value else "colour")
             elif _is_valid(name, value):
                 made[name] = value
@@ -319,10 +367,12 @@ class Sheets:
             tag, marks, root = rule.compounds[k]
             self.compared += len(places)
             places = {
-                at for at in places
-                if tag in ("*", local(chain[at])) and marks <= self._marks(chain[at])
+                at
+                for at in places
+                if tag in ("*", local(chain[at]))
+                and marks <= self._marks(chain[at])
                 and (not root or (at == 0 and local(chain[at]) == "svg"))
-            }  # fmt: skip
+            }
             if not places:
                 return False
             if k:  # Of several ancestors that fit, any may be meant.

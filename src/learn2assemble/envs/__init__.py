@@ -60,13 +60,16 @@ def _register(name: str) -> None:
 
 
 _ENVIRONMENTS: tuple[tuple[Registry[Any], dict[str, Any]], ...] = (
-    (PRESETS, {
-        "entry_point": "learn2assemble.envs.assembly:AssemblyEnv",
-        "vector_entry_point": "learn2assemble.envs.assembly:AssemblyVectorEnv",
-    }),
+    (
+        PRESETS,
+        {
+            "entry_point": "learn2assemble.envs.assembly:AssemblyEnv",
+            "vector_entry_point": "learn2assemble.envs.assembly:AssemblyVectorEnv",
+        },
+    ),
     (DESIGN_TASKS, {"entry_point": "learn2assemble.envs.designs:DesignEnv"}),
     (GOAL_TASKS, {"entry_point": "learn2assemble.envs.designs:GoalsEnv"}),
-)  # fmt: skip
+)
 """Which environment plays the tasks of each table."""
 
 

@@ -138,9 +138,15 @@ def resolve_actions(task: Task, state: State, flat: np.ndarray) -> tuple[np.ndar
     actions = np.empty((len(flat), 3), np.int64)
     clipped = np.empty(len(flat), np.bool_)
     _resolve(
-        state.num_vertices, state.num_placed, state.num_blocks, flat,
-        task.num_nodes, task.num_actions, actions, clipped,
-    )  # fmt: skip
+        state.num_vertices,
+        state.num_placed,
+        state.num_blocks,
+        flat,
+        task.num_nodes,
+        task.num_actions,
+        actions,
+        clipped,
+    )
     return actions, clipped
 
 
@@ -267,9 +273,13 @@ class _Worlds:
     """A batch of worlds of one task that takes flat actions and gives observations and infos."""
 
     def __init__(
-        self, task: Task | str, physics: str | Physics, count: int, physics_mask: bool,
+        self,
+        task: Task | str,
+        physics: str | Physics,
+        count: int,
+        physics_mask: bool,
         render_mode: str | None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise UnknownNameError("render_mode", render_mode, RENDER_MODES)
         self.render_mode = render_mode
@@ -496,10 +506,12 @@ class AssemblyVectorEnv(_Worlds, VectorEnv[dict[str, np.ndarray], np.ndarray, np
         """
         seeds = _seeds(seed, self.num_envs)
         mask = self._reset_mask(options)
-        self._seed([
-            seeding.np_random(new) if chosen and new is not None else pair
-            for pair, new, chosen in zip(self._pairs, seeds, mask, strict=True)
-        ])  # fmt: skip
+        self._seed(
+            [
+                seeding.np_random(new) if chosen and new is not None else pair
+                for pair, new, chosen in zip(self._pairs, seeds, mask, strict=True)
+            ]
+        )
         self._restart(mask)
         return self._observe(), self._infos(mask)
 

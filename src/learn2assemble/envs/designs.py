@@ -39,11 +39,13 @@ class _CandidateEnv(gymnasium.Env[dict[str, Any], np.int64]):
         if render_mode is not None:
             raise InputError("render_mode", render_mode, "none")
         self.render_mode = None
-        self.observation_space = spaces.Dict({
-            "candidates": spaces.Box(-_MOST, _MOST, (most, features.NUM_FEATURES), np.float32),
-            "summary": spaces.Box(-_MOST, _MOST, (features.NUM_SUMMARY,), np.float32),
-            "mask": spaces.MultiBinary(most),
-        })  # fmt: skip
+        self.observation_space = spaces.Dict(
+            {
+                "candidates": spaces.Box(-_MOST, _MOST, (most, features.NUM_FEATURES), np.float32),
+                "summary": spaces.Box(-_MOST, _MOST, (features.NUM_SUMMARY,), np.float32),
+                "mask": spaces.MultiBinary(most),
+            }
+        )
         self.action_space = spaces.Discrete(most)
         self.world: World | None = None
         """What has been built; copy it before you change it."""
@@ -230,6 +232,8 @@ class GoalsEnv(_CandidateEnv):
     def _info(self, world: World, stood: bool) -> dict[str, Any]:
         return {
             "action_masks": self.action_masks().astype(np.int8),
-            "blocks": len(world.placed), "missing": self._relaxed.blocks,
-            "success": self._success(world), "stood": stood,
-        }  # fmt: skip
+            "blocks": len(world.placed),
+            "missing": self._relaxed.blocks,
+            "success": self._success(world),
+            "stood": stood,
+        }

@@ -197,8 +197,12 @@ def _decisions(config: str, worlds: int, seconds: float) -> float:
     states = states.take(np.flatnonzero(~states.terminated))
 
     def step() -> int:
-        search(model, states.take(rng.integers(0, len(states.num_placed), worlds)),
-               SearchConfig(budget=10), rng)  # fmt: skip
+        search(
+            model,
+            states.take(rng.integers(0, len(states.num_placed), worlds)),
+            SearchConfig(budget=10),
+            rng,
+        )
         return worlds
 
     return _rate(step, seconds)

@@ -64,10 +64,12 @@ class ArmMeasure:
 
 
 def measure_arm(
-    builder: str, config: ArmMeasure, progress: Progress = lambda text: None,
+    builder: str,
+    config: ArmMeasure,
+    progress: Progress = lambda text: None,
     keep: Callable[[dict[str, Any]], None] = lambda found: None,
     known: Mapping[str, Any] | None = None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Sets and comparison.
 
     Args:
@@ -113,22 +115,32 @@ def _built(design: Solved, workcell: Workcell, builder: str) -> dict[str, Any]:
     def plan_with(kit: Kit, hand: Hand) -> Plan:
         hands.append(hand)
         return plan_cells(
-            _cells(design.site.wanted, design.kit), kit, planner="agent", builder=builder,
-            hand=hand, seconds=INF,
-        )  # fmt: skip
+            _cells(design.site.wanted, design.kit),
+            kit,
+            planner="agent",
+            builder=builder,
+            hand=hand,
+            seconds=INF,
+        )
 
     row: dict[str, Any] = {"family": design.family, "blocks": len(design.order)}
     try:
         plan = build_by_arm(plan_with, design.site.wanted, design.kit, workcell, lambda text: None)
-        row |= {"status": plan.status, "reason": plan.reason, "steps": len(plan.steps),
-                "joint_mm": round(1e3 * (hands[-1].job.joint if hands[-1].job else 0), 2),
-                "attempts": plan.arm.attempts if plan.arm else 0}  # fmt: skip
+        row |= {
+            "status": plan.status,
+            "reason": plan.reason,
+            "steps": len(plan.steps),
+            "joint_mm": round(1e3 * (hands[-1].job.joint if hands[-1].job else 0), 2),
+            "attempts": plan.arm.attempts if plan.arm else 0,
+        }
     except InputError as error:
         row |= {"status": "refused", "reason": str(error)}
     row |= {
-        "tried": sum(hand.tried for hand in hands), "failed": sum(hand.failed for hand in hands),
-        "joints": len(hands), "seconds": round(time.process_time() - started, 2),
-    }  # fmt: skip
+        "tried": sum(hand.tried for hand in hands),
+        "failed": sum(hand.failed for hand in hands),
+        "joints": len(hands),
+        "seconds": round(time.process_time() - started, 2),
+    }
     return row
 
 
@@ -136,17 +148,21 @@ def _counted(rows: list[dict[str, Any]], asked: float) -> dict[str, Any]:
     done = [row for row in rows if row["status"] == "complete"]
     short = [row for row in rows if row["status"] != "complete"]
     return {
-        "task": SMALL.name, "asked": asked, "designs": len(rows),
+        "task": SMALL.name,
+        "asked": asked,
+        "designs": len(rows),
         "complete": round(len(done) / len(rows), 4),
         "interval": wilson(len(done), len(rows)),
-        "attempts_in_the_build_per_block":
-            round(sum(r["attempts"] for r in done) / max(sum(r["steps"] for r in done), 1), 4),
-        "placements_tried_per_block":
-            round(sum(r["tried"] for r in done) / max(sum(r["steps"] for r in done), 1), 3),
+        "attempts_in_the_build_per_block": round(
+            sum(r["attempts"] for r in done) / max(sum(r["steps"] for r in done), 1), 4
+        ),
+        "placements_tried_per_block": round(
+            sum(r["tried"] for r in done) / max(sum(r["steps"] for r in done), 1), 3
+        ),
         "wider_joints": sum(row["joint_mm"] > 1 for row in done),
         "seconds_median": round(float(np.median([row["seconds"] for row in rows])), 2),
         "not_complete": [(r["family"], r["blocks"], r["status"], r["reason"]) for r in short],
-    }  # fmt: skip
+    }
 
 
 def wilson(done: int, count: int) -> tuple[float, float]:
@@ -165,8 +181,10 @@ def _compared(design: Solved, config: ArmMeasure, agent: Builder) -> dict[str, A
     planner ask for them, and the tool tries every placement with the same cell."""
     site = make_site(design.site.wanted, design.kit.at_pitch((PITCH, PITCH, PITCH)))
     row: dict[str, Any] = {
-        "family": design.family, "kit": site.kit.name, "blocks": len(design.order),
-    }  # fmt: skip
+        "family": design.family,
+        "kit": site.kit.name,
+        "blocks": len(design.order),
+    }
     known = run(site, list(design.order))
     hand = Hand(Workcell(config.arm, "suction", physics="kinematic"))
     try:
@@ -190,10 +208,13 @@ def _compared(design: Solved, config: ArmMeasure, agent: Builder) -> dict[str, A
             world = build(start, agent, seed=config.seed, hand=hand).world
         spent = time.process_time() - begun
         row[way] = {
-            "complete": world.complete and spent <= config.seconds, "placed": len(world.placed),
+            "complete": world.complete and spent <= config.seconds,
+            "placed": len(world.placed),
             "tried": hand.tried,
-            "failed": hand.failed, "props": 0, "seconds": round(spent, 2),
-        }  # fmt: skip
+            "failed": hand.failed,
+            "props": 0,
+            "seconds": round(spent, 2),
+        }
     return row
 
 
@@ -244,24 +265,26 @@ def compare(rows: list[dict[str, Any]], draws: int = 10_000) -> dict[str, Any]:
         way: {
             "complete": np.array([row[way]["complete"] for row in good], float),
             "failed_per_block": np.array([row[way]["failed"] / row["blocks"] for row in good]),
-            "tried_per_placed": np.array([
-                row[way]["tried"] / max(row[way]["placed"], 1) for row in good
-            ]),
+            "tried_per_placed": np.array(
+                [row[way]["tried"] / max(row[way]["placed"], 1) for row in good]
+            ),
             "seconds": np.array([row[way]["seconds"] for row in good]),
         }
         for way in WAYS
-    }  # fmt: skip
+    }
     for way in WAYS:
         found[way] = {name: round(float(v.mean()), 4) for name, v in value[way].items()}
         found[way]["failed"] = sum(row[way]["failed"] for row in good)
         found[way]["props"] = 0
         if way != WAYS[0]:
             found[way]["minus_far_to_near"] = {
-                name: [round(float(v), 4) for v in (change.mean(), *np.quantile(
-                    change[picked].mean(1), (0.025, 0.975)))]
+                name: [
+                    round(float(v), 4)
+                    for v in (change.mean(), *np.quantile(change[picked].mean(1), (0.025, 0.975)))
+                ]
                 for name in value[way]
                 for change in [value[way][name] - value[WAYS[0]][name]]
-            }  # fmt: skip
+            }
     exact, prior = found[WAYS[0]], found[WAYS[2]]
     fewer = exact["failed"] > 0 and prior["failed"] <= 0.7 * exact["failed"]
     found["helps"] = bool(fewer or prior["complete"] >= exact["complete"] + 0.1)

@@ -28,10 +28,13 @@ from learn2assemble.tasks import DESIGN_TASKS
 
 Progress = Callable[[str], None]
 PLAYERS: dict[str, tuple[str, int]] = {
-    "agent with search": ("agent", BUDGET), "agent alone": ("agent", 1),
-    "other with search": ("other", BUDGET), "other alone": ("other", 1),
-    "random with search": ("random", BUDGET), "random alone": ("random", 1),
-}  # fmt: skip
+    "agent with search": ("agent", BUDGET),
+    "agent alone": ("agent", 1),
+    "other with search": ("other", BUDGET),
+    "other alone": ("other", 1),
+    "random with search": ("random", BUDGET),
+    "random alone": ("random", 1),
+}
 """Who scores, and the budget; ``other`` is a second builder, where one is given."""
 SETS: dict[str, tuple[str, float]] = {
     "cubes, up to 60 blocks": ("designs-cubes-60-held-out", 0.95),
@@ -66,10 +69,13 @@ class Measure:
 
 
 def measure(
-    builder: Builder, config: Measure, examples: Path | None,
-    progress: Progress = lambda text: None, other: Builder | None = None,
+    builder: Builder,
+    config: Measure,
+    examples: Path | None,
+    progress: Progress = lambda text: None,
+    other: Builder | None = None,
     keep: Callable[[dict[str, Any]], None] = lambda found: None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """All figures of a builder.
 
     Args:
@@ -95,18 +101,24 @@ def measure(
                 designs.append(make_design(DESIGN_TASKS[task], rng))
         exact = min(config.exact // 5 if large else config.exact, count)
         sets[name] = {
-            "task": task, "asked": asked, "designs": count,
+            "task": task,
+            "asked": asked,
+            "designs": count,
             "families": dict(Counter(d.family for d in designs)),
             "blocks": [int(v) for v in np.quantile([len(d.order) for d in designs], (0, 0.5, 1))],
             **{
                 player: _play(
                     designs if scorer == "agent" else designs[: config.compared],
-                    scorers[scorer], budget, f"{name}: {player}", progress,
+                    scorers[scorer],
+                    budget,
+                    f"{name}: {player}",
+                    progress,
                 )
-                for player, (scorer, budget) in PLAYERS.items() if scorer in scorers
+                for player, (scorer, budget) in PLAYERS.items()
+                if scorer in scorers
             },
             "planners": _time_planners(designs[:exact], builder, progress, name),
-        }  # fmt: skip
+        }
         keep(found)
     return found
 
@@ -176,8 +188,16 @@ def _time_planners(
 # ---------------------------------------------------------------- examples and hand-drawn designs
 
 
-EIGHT = ("arch_pair", "gabled_house", "keep", "leaning_parallelogram", "pavilion", "pyramid",
-         "skyline", "stepped_tower")  # fmt: skip
+EIGHT = (
+    "arch_pair",
+    "gabled_house",
+    "keep",
+    "leaning_parallelogram",
+    "pavilion",
+    "pyramid",
+    "skyline",
+    "stepped_tower",
+)
 _DRAWN = {
     "bridge": "##########/##########/##......##/##......##",
     "bridge, two spans": "############/#....##....#/#....##....#",
@@ -222,7 +242,8 @@ def measure_examples(
         started = perf_counter()
         exact, ordered = plan_exact(wanted, kit, seconds=_EXACT_SECONDS)
         rows[name] = {
-            "kit": kit.name, "cells": int(wanted.sum()),
+            "kit": kit.name,
+            "cells": int(wanted.sum()),
             "agent": tiling.status if tiling.status != "complete" else ordering.status,
             "agent_reason": tiling.reason or ordering.reason,
             "blocks": sum(not block.prop for block in tiling.placements),
@@ -234,5 +255,5 @@ def measure_examples(
             "exact_blocks": sum(not block.prop for block in exact.placements),
             "exact_props": sum(block.prop for block in exact.placements),
             "exact_s": round(perf_counter() - started, 3),
-        }  # fmt: skip
+        }
     return rows

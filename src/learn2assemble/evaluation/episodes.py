@@ -134,18 +134,23 @@ def load_player(name_or_path: str | Path) -> Agent | Builder:
 
 
 def make_policy(
-    task: Task, player: Network | Builder, config: SearchConfig | None, epsilon: float, *,
+    task: Task,
+    player: Network | Builder,
+    config: SearchConfig | None,
+    epsilon: float,
+    *,
     search_model: Callable[[WorldModel], SearchModel] | None = None,
-) -> Policy:  # fmt: skip
+) -> Policy:
     """The policy of a network or a builder: plain Q without ``config``, with search otherwise.
 
     The search always looks ahead with static physics, whatever judges the episode.
     ``search_model`` may put another model of the world around the exact one.
     """
     model = (
-        TaskModel(Simulator(task), player) if isinstance(player, Builder)
+        TaskModel(Simulator(task), player)
+        if isinstance(player, Builder)
         else WorldModel(Simulator(task), player)
-    )  # fmt: skip
+    )
     if config is None or config.budget == 0:
         return greedy_policy(model, epsilon, task.num_actions)
     return search_policy(search_model(model) if search_model else model, config)
@@ -166,9 +171,13 @@ def episode_generators(
 
 
 def run_episodes(
-    task: Task, policy: Policy, episodes: int, seed: int, physics: Physics | None = None,
+    task: Task,
+    policy: Policy,
+    episodes: int,
+    seed: int,
+    physics: Physics | None = None,
     progress: Callable[[int], None] = lambda done: None,
-) -> Metrics:  # fmt: skip
+) -> Metrics:
     """Play ``episodes`` fresh problems of ``task`` to their end; means over them.
 
     Args:
@@ -200,9 +209,13 @@ def run_episodes(
 
 
 def play_episodes(
-    simulator: Simulator, policy: Policy, episodes: int, seed: int,
-    progress: Callable[[int], None] = lambda done: None, first: int = 0,
-) -> Episodes:  # fmt: skip
+    simulator: Simulator,
+    policy: Policy,
+    episodes: int,
+    seed: int,
+    progress: Callable[[int], None] = lambda done: None,
+    first: int = 0,
+) -> Episodes:
     """Play ``episodes`` fresh problems to their end, the first ``first`` of the seed left out;
     other arguments as in :func:`run_episodes`."""
     problem_rng, policy_rng = episode_generators(seed, first)
@@ -220,10 +233,14 @@ def _play(simulator: Simulator, state: State, policy: Policy, rng: np.random.Gen
     """Every row of ``state`` to its end."""
     batch, gammas = state.batch_size, np.array([simulator.task.discount, *DISCOUNTS])
     found = Episodes(
-        np.zeros(batch), np.zeros((batch, len(gammas))), np.zeros(batch, np.int64),
-        np.zeros(batch, np.bool_), np.zeros(batch, np.bool_), np.zeros(batch),
+        np.zeros(batch),
+        np.zeros((batch, len(gammas))),
+        np.zeros(batch, np.int64),
+        np.zeros(batch, np.bool_),
+        np.zeros(batch, np.bool_),
+        np.zeros(batch),
         np.zeros(batch, np.int8),
-    )  # fmt: skip
+    )
     rows, discount = np.arange(batch), np.ones(len(gammas))
     while len(rows):
         step = simulator.step(state, policy(state, rng))

@@ -66,8 +66,12 @@ class Comparison:
         # The first one compiles.
         kinematic, dynamic = np.array([trial.seconds for trial in self.trials])[1:].sum(0).tolist()
         return {
-            "task": self.task, "arm": self.arm, "agent": self.agent, "seed": self.seed,
-            "actions": count, "agree": sum(trial.agrees for trial in self.trials),
+            "task": self.task,
+            "arm": self.arm,
+            "agent": self.agent,
+            "seed": self.seed,
+            "actions": count,
+            "agree": sum(trial.agrees for trial in self.trials),
             "share": round(self.share, 4),
             "same_outcome": sum(t.kinematic.outcome == t.dynamic.outcome for t in self.trials),
             "outcomes": {f"{a} / {b}": n for (a, b), n in sorted(self.outcomes.items())},
@@ -75,12 +79,15 @@ class Comparison:
             "dynamic_ms": round(1000 * dynamic / count, 1),
             "times_faster": round(dynamic / max(kinematic, 1e-9), 1),
             "disagreements": [
-                {"kinematic": f"{one.outcome.label}: {one.detail}",
-                 "dynamic": f"{two.outcome.label}: {two.detail}"}
-                for one, two, _ in self.trials if one.reached != two.reached
+                {
+                    "kinematic": f"{one.outcome.label}: {one.detail}",
+                    "dynamic": f"{two.outcome.label}: {two.detail}",
+                }
+                for one, two, _ in self.trials
+                if one.reached != two.reached
             ],
             **provenance("cpu"),
-        }  # fmt: skip
+        }
 
 
 def compare(

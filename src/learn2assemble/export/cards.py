@@ -43,14 +43,22 @@ def step_cards(assembly: Assembly) -> str:
     start = _table(HEAD, book.start) if book.start else ""
     cuts = _table(CUT_HEAD, book.cuts, "bill") if book.cuts else ""
     return Template(asset("cards.html")).substitute(
-        title=escape(book.title), style=pen.style(), symbols=pen.symbols(), cover=cover,
+        title=escape(book.title),
+        style=pen.style(),
+        symbols=pen.symbols(),
+        cover=cover,
         facts="".join(f"<li>{escape(fact)}</li>" for fact in book.facts),
-        read=escape(HOW_TO_READ), bill=_table(BILL_HEAD, book.bill, "bill"), shapes=shapes,
+        read=escape(HOW_TO_READ),
+        bill=_table(BILL_HEAD, book.bill, "bill"),
+        shapes=shapes,
         cuts=cuts and f"<h2>Posts to cut</h2><div class='wide'>{cuts}</div>",
-        corners="".join(f"<p class='corners'><b>Shape {letter}</b>, corners: {words}</p>"
-                        for letter, words in book.corners),
-        start=start and f"<h2>Stands from the start</h2>{start}", cards=cards,
-    )  # fmt: skip
+        corners="".join(
+            f"<p class='corners'><b>Shape {letter}</b>, corners: {words}</p>"
+            for letter, words in book.corners
+        ),
+        start=start and f"<h2>Stands from the start</h2>{start}",
+        cards=cards,
+    )
 
 
 def _card(pen: _Pen, card) -> str:
@@ -106,12 +114,16 @@ class _Pen:
             self.figures.add(use.name)
             name = "g" if use.mark == "gone" else self.paint(use.colour) if use.colour else ""
             name = name and f" class={name}"
-            parts.append(f'<use{name} href=#f{use.name} x={_short(use.at[0] * self.unit)}'
-                         f' y={_short(-use.at[1] * self.unit)} />')  # fmt: skip
+            parts.append(
+                f"<use{name} href=#f{use.name} x={_short(use.at[0] * self.unit)}"
+                f" y={_short(-use.at[1] * self.unit)} />"
+            )
         for use in picture.outlines:
-            parts.append(f'<use class={_LINES[use.mark]} href=#e{use.name}'
-                         f' x={_short(use.at[0] * self.unit)}'
-                         f' y={_short(-use.at[1] * self.unit)} />')  # fmt: skip
+            parts.append(
+                f"<use class={_LINES[use.mark]} href=#e{use.name}"
+                f" x={_short(use.at[0] * self.unit)}"
+                f" y={_short(-use.at[1] * self.unit)} />"
+            )
         for start, end in picture.arrows:
             parts.append(f'<path class=a d="{self._arrow(start, end, font)}"/>')
         for point, text in picture.labels:
@@ -130,9 +142,11 @@ class _Pen:
         back = (a - b) / max(float(np.linalg.norm(a - b)), 1e-9) * 0.6 * font
         across = np.array([-back[1], back[0]]) * 0.6
         p, q = b + back + across, b + back - across
-        return (f"M{_short(a[0])} {_short(a[1])}L{_short(b[0])} {_short(b[1])}"
-                f"M{_short(p[0])} {_short(p[1])}L{_short(b[0])} {_short(b[1])}"
-                f"L{_short(q[0])} {_short(q[1])}")  # fmt: skip
+        return (
+            f"M{_short(a[0])} {_short(a[1])}L{_short(b[0])} {_short(b[1])}"
+            f"M{_short(p[0])} {_short(p[1])}L{_short(b[0])} {_short(b[1])}"
+            f"L{_short(q[0])} {_short(q[1])}"
+        )
 
     def _map(self, place: tuple[float, float, float, float], x0: float, y0: float, w: float) -> str:
         x, y, width, depth = place

@@ -48,9 +48,10 @@ def bill_of_blocks(assembly: Assembly) -> str:
         peak = Counter(entry[b.id] for b in assembly.blocks if b.prop)
     ordered = {step.place for step in assembly.steps}
     placed = Counter(
-        entry[b.id] for b in assembly.finished.blocks
+        entry[b.id]
+        for b in assembly.finished.blocks
         if not b.prop and not b.support and (b.id in ordered or not assembly.steps)
-    )  # fmt: skip
+    )
     first = {entry[b.id]: b for b in reversed(assembly.blocks)}
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
@@ -114,9 +115,15 @@ def mjcf(assembly: Assembly) -> bytes:
     """
     root = ElementTree.Element("mujoco", model=assembly.name or "assembly")
     ElementTree.SubElement(
-        root, "option", timestep="0.001", cone="elliptic", impratio="100", iterations="100",
-        tolerance="1e-12", gravity="0 0 -9.81",
-    )  # fmt: skip
+        root,
+        "option",
+        timestep="0.001",
+        cone="elliptic",
+        impratio="100",
+        iterations="100",
+        tolerance="1e-12",
+        gravity="0 0 -9.81",
+    )
     default = ElementTree.SubElement(root, "default")
     friction = f"{assembly.friction:g} 0.005 0.0001"
     ElementTree.SubElement(
@@ -142,9 +149,10 @@ def mjcf(assembly: Assembly) -> bytes:
             low, high = part.vertices.min(0), part.vertices.max(0)
             if is_box(part):
                 attributes |= {
-                    "type": "box", "size": _numbers((high - low) / 2),
+                    "type": "box",
+                    "size": _numbers((high - low) / 2),
                     "pos": _numbers((low + high) / 2 - centre),
-                }  # fmt: skip
+                }
             else:
                 mesh = f"{block.id}/{number}"
                 # MuJoCo centres a mesh on its own; inertia "exact" and pos keep it in place.

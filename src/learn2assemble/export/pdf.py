@@ -117,13 +117,22 @@ class _Pages:
     # ------------------------------------------------------------ text
 
     def _write(
-        self, x: float, y: float, text: str, size: float = 8.5,
-        colour: tuple[float, ...] = _INK, side: str = "left", bold: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        x: float,
+        y: float,
+        text: str,
+        size: float = 8.5,
+        colour: tuple[float, ...] = _INK,
+        side: str = "left",
+        bold: bool = False,
+    ) -> None:
         self.canvas.setFont("Helvetica-Bold" if bold else "Helvetica", size)
         self.canvas.setFillColorRGB(*colour)
-        draw = {"left": self.canvas.drawString, "middle": self.canvas.drawCentredString,
-                "right": self.canvas.drawRightString}[side]  # fmt: skip
+        draw = {
+            "left": self.canvas.drawString,
+            "middle": self.canvas.drawCentredString,
+            "right": self.canvas.drawRightString,
+        }[side]
         draw(x, y, _plain(text))
 
     def _wrapped(self, text: str, width: float, size: float) -> list[str]:
@@ -292,8 +301,14 @@ class _Pages:
             canvas.endForm()
         self.wanted.clear()
 
-    def _lines(self, lines: Any, scale: float, shift: np.ndarray, colour: tuple[float, ...],
-               width: float | None) -> None:  # fmt: skip
+    def _lines(
+        self,
+        lines: Any,
+        scale: float,
+        shift: np.ndarray,
+        colour: tuple[float, ...],
+        width: float | None,
+    ) -> None:
         if not len(lines):
             return
         self.canvas.setStrokeColorRGB(*colour)
@@ -309,8 +324,11 @@ class _Pages:
     def _arrow(self, start: np.ndarray, end: np.ndarray) -> None:
         back = (start - end) / max(float(np.linalg.norm(start - end)), 1e-9) * 4
         across = np.array([-back[1], back[0]]) * 0.6
-        lines = [np.array([start, end]), np.array([end + back + across, end]),
-                 np.array([end + back - across, end])]  # fmt: skip
+        lines = [
+            np.array([start, end]),
+            np.array([end + back + across, end]),
+            np.array([end + back - across, end]),
+        ]
         self._lines(lines, 1.0, np.zeros(2), _MARK, 1.1)
 
     def _map(self, place: tuple[float, float, float, float], x: float, top: float) -> None:
@@ -323,5 +341,11 @@ class _Pages:
         self.canvas.rect(x + 2, top - 2 - h, w, h, stroke=1, fill=0)
         self.canvas.setFillColorRGB(*_MARK)
         px, py, width, depth = place
-        self.canvas.rect(x + 2 + px * w, top - 2 - h + py * h, max(width * w, 2),
-                         max(depth * h, 2), stroke=0, fill=1)  # fmt: skip
+        self.canvas.rect(
+            x + 2 + px * w,
+            top - 2 - h + py * h,
+            max(width * w, 2),
+            max(depth * h, 2),
+            stroke=0,
+            fill=1,
+        )

@@ -123,13 +123,21 @@ def booklet(assembly: Assembly) -> Booklet:
     for group, standing in zip(told.groups, scene.standing(), strict=True):
         cards.append(_card(told, scene, group, standing, spacing, whole, grids, layers, until))
     finished = {assembly.index(b.id) for b in assembly.finished.blocks}
-    colours = {p.block: p.shape.colour
-               for p in (*told.start, *told.placements)}  # fmt: skip
-    uses = tuple(Use(d.name, d.at, colours.get(d.block))
-                 for d in scene.drawn if d.block in finished)  # fmt: skip
+    colours = {p.block: p.shape.colour for p in (*told.start, *told.placements)}
+    uses = tuple(
+        Use(d.name, d.at, colours.get(d.block)) for d in scene.drawn if d.block in finished
+    )
     cover = _framed(scene, uses, whole, told.extent)
-    book = Booklet(told, scene, cards, cover, _shape_pictures(told, scene), spacing,
-                   assembly.name or "Assembly", facts(told))  # fmt: skip
+    book = Booklet(
+        told,
+        scene,
+        cards,
+        cover,
+        _shape_pictures(told, scene),
+        spacing,
+        assembly.name or "Assembly",
+        facts(told),
+    )
     for line in told.bill:
         book.bill.append(bill_words(line))
         if words := corner_words(line.shape):
@@ -140,9 +148,16 @@ def booklet(assembly: Assembly) -> Booklet:
 
 
 def _card(
-    told: Instructions, scene: Scene, group: Group, standing: set[int], spacing: float,
-    whole: Grid, grids: dict[tuple, Grid], layers: int, until: dict[int, int],
-) -> Card:  # fmt: skip
+    told: Instructions,
+    scene: Scene,
+    group: Group,
+    standing: set[int],
+    spacing: float,
+    whole: Grid,
+    grids: dict[tuple, Grid],
+    layers: int,
+    until: dict[int, int],
+) -> Card:
     shown, all_ = scene.shown(group, standing)
     marks: dict[int, Mark] = dict.fromkeys(group.held, "held")
     colours = dict.fromkeys(group.held, "held")
@@ -174,9 +189,10 @@ def _card(
             grids[key] = _grid(tuple(low[:2]), tuple(high[:2]), level, spacing, 0.0)
         grid = grids[key]
         new = [p.block for p in group.placements]
-        corner, size = scene.low[new].min(0)[:2], np.ptp(
-            np.concatenate([scene.low[new], scene.high[new]])[:, :2], axis=0
-        )  # fmt: skip
+        corner, size = (
+            scene.low[new].min(0)[:2],
+            np.ptp(np.concatenate([scene.low[new], scene.high[new]])[:, :2], axis=0),
+        )
         x, y, w, d = (*(corner / told.extent[:2]), *(size / told.extent[:2]))
         place = (float(x), float(y), float(w), float(d))
     arrows, labels = [], []
@@ -204,8 +220,16 @@ def _card(
             labels.append((top + 0.1 * length * _UP, str(p.number)))
     numbers = [p.number for p in group.placements]
     wanted = tuple(f"{count} × {shape.letter} ({shape.kind})" for shape, count in group.wanted)
-    picture = _framed(scene, uses, grid, told.extent if all_ else None, outlines,
-                      tuple(arrows), tuple(labels), place)  # fmt: skip
+    picture = _framed(
+        scene,
+        uses,
+        grid,
+        told.extent if all_ else None,
+        outlines,
+        tuple(arrows),
+        tuple(labels),
+        place,
+    )
     words = _words(told, group, layers, until, numbers)
     rows = tuple(placement_words(p) for p in group.placements)
     return Card(f"Step {group.number}", words, wanted, rows, picture, group)
@@ -263,10 +287,15 @@ def _way_out(scene: Scene, block: int, standing: set[int]) -> np.ndarray:
 
 
 def _framed(
-    scene: Scene, uses: tuple[Use, ...], grid: Grid, extent: np.ndarray | None,
-    outlines: tuple[Use, ...] = (), arrows: tuple = (), labels: tuple = (),
+    scene: Scene,
+    uses: tuple[Use, ...],
+    grid: Grid,
+    extent: np.ndarray | None,
+    outlines: tuple[Use, ...] = (),
+    arrows: tuple = (),
+    labels: tuple = (),
     place: tuple[float, float, float, float] | None = None,
-) -> Picture:  # fmt: skip
+) -> Picture:
     """A picture with its frame; of a whole structure the same on every card."""
     points = [*grid.lines, *(np.array(arrow) for arrow in arrows)]
     points += [scene.figures[use.name].frame + use.at for use in uses]
@@ -337,6 +366,8 @@ def _grid(
         corner = (xs[0], ys[-1])
         lines.append(project(np.array([(*corner, 0), (*corner, top[-1])])))
         every = -(-len(top) // 5)
-        labels += [(project(np.array([*corner, z])), f"z {length_words(z)}", "left")
-                   for z in top[every::every]]  # fmt: skip
+        labels += [
+            (project(np.array([*corner, z])), f"z {length_words(z)}", "left")
+            for z in top[every::every]
+        ]
     return Grid(tuple(lines), tuple(labels))

@@ -52,28 +52,39 @@ def header(program: Program, arm: Arm) -> dict[str, Any]:
     """What a reader of a program has to know besides its motion, for :func:`to_json`."""
     driver, limits, blocks = driver_of(arm), arm.bounds, program.blocks
     return {
-        "format": FORMAT, "version": VERSION, "arm": program.arm, "tool": program.tool,
+        "format": FORMAT,
+        "version": VERSION,
+        "arm": program.arm,
+        "tool": program.tool,
         "joints": driver.joints,
         "units": "s, m, rad, N, kg; quaternions w, x, y, z; world: z up, table top z = 0",
         "stand": np.append(arm.base_position, arm.base_yaw),
         "base": {"frame": driver.base_frame, "in": "world", "pose": driver.base},
         "tcp": {"frame": "tcp", "in": driver.flange_frame, "pose": driver.tcp},
         "limits": limits._asdict(),
-        "seconds": round(program.seconds, 6), "stretch": round(program.stretch, 6),
+        "seconds": round(program.seconds, 6),
+        "stretch": round(program.stretch, 6),
         "gripper_speed": program.states[0].speed,
         "blocks": {
-            "edge": blocks.edge, "half": blocks.half, "density": blocks.density,
-            "objects": blocks.objects, "start": blocks.start, "end": blocks.end,
+            "edge": blocks.edge,
+            "half": blocks.half,
+            "density": blocks.density,
+            "objects": blocks.objects,
+            "start": blocks.start,
+            "end": blocks.end,
             "supply": [one._asdict() | {"time": round(one.time, 6)} for one in blocks.supply],
         },
         "steps": [
             {
-                "step": step.number, "cells": step.cells, "target": step.target,
-                "end": round(step.end, 6), "reached": step.reached,
+                "step": step.number,
+                "cells": step.cells,
+                "target": step.target,
+                "end": round(step.end, 6),
+                "reached": step.reached,
             }
             for step in program.steps
         ],
-    }  # fmt: skip
+    }
 
 
 def to_json(value: Any) -> str:
@@ -122,16 +133,26 @@ def read_header(data: Any, source: str, name: str) -> Header:
             for cells in [tuple(one["cells"])]
         )
         blocks = Blocks(
-            objects, float(told["edge"]), half, _array(told["start"], count, 7),
-            _array(told["end"], count, 7), supply, density,
-        )  # fmt: skip
+            objects,
+            float(told["edge"]),
+            half,
+            _array(told["start"], count, 7),
+            _array(told["end"], count, 7),
+            supply,
+            density,
+        )
         steps = tuple(
             ProgramStep(
-                int(one["step"]), tuple(one["cells"]), _array(one["target"], 7),
-                float(one["end"]), one["reached"] is True, (), None,
+                int(one["step"]),
+                tuple(one["cells"]),
+                _array(one["target"], 7),
+                float(one["end"]),
+                one["reached"] is True,
+                (),
+                None,
             )
             for one in data["steps"]
-        )  # fmt: skip
+        )
         moved = [*(step.cells for step in steps), *(one.cells for one in supply)]
         if any(set(cells) not in [set(one) for one in objects] for cells in moved):
             raise InputError(f"{source}: steps", "cells that are no object", "cells of one object")
@@ -211,10 +232,16 @@ def write_table(program: Program, arm: Arm, path: Path, more: dict[str, Any] | N
         for first in range(0, count, CHUNK):
             time = np.arange(first, min(first + CHUNK, count)) / RATE
             piece = program.knots.pieces(time)
-            numbers = np.column_stack([
-                time, program.motion[piece], program.step[piece], blocks[piece],
-                *program.knots.at(time), tool[program.states_at(time)],
-            ])  # fmt: skip
+            numbers = np.column_stack(
+                [
+                    time,
+                    program.motion[piece],
+                    program.step[piece],
+                    blocks[piece],
+                    *program.knots.at(time),
+                    tool[program.states_at(time)],
+                ]
+            )
             names = [STAGES[k] if k >= 0 else "" for k in program.stage[piece].tolist()]
             rows = zip((numbers + 0.0).tolist(), names, strict=True)
             file.write("".join(pattern % tuple(row) % name for row, name in rows).encode())
@@ -266,9 +293,14 @@ def read_table(path: Path, name: str) -> tuple[Program, Arm]:
     kinds = [(one, "U12" if one == "stage" else "f8") for one in expected]
     try:
         rows = np.loadtxt(
-            io.BytesIO(content), delimiter=",", dtype=kinds, comments=None, ndmin=1,
-            skiprows=skipped, encoding="utf-8",
-        )  # fmt: skip
+            io.BytesIO(content),
+            delimiter=",",
+            dtype=kinds,
+            comments=None,
+            ndmin=1,
+            skiprows=skipped,
+            encoding="utf-8",
+        )
     except (ValueError, IndexError) as error:
         reason = str(error).partition(";")[0]
         raise InputError(source, reason, f"lines of {len(expected)} numbers") from None
@@ -284,10 +316,18 @@ def read_table(path: Path, name: str) -> tuple[Program, Arm]:
     _check_motion(knots, arm, source)
     stage = np.array([STAGES.index(one) if one in STAGES else -1 for one in rows["stage"]])
     program = Program(
-        name, arm.tool_name, suction, knots, stage[1:].astype(np.int8),
-        table[1:, 2].astype(np.int64), table[1:, 1].astype(np.int64), _states(rows, suction),
-        told.steps, told.blocks, told.stretch,
-    )  # fmt: skip
+        name,
+        arm.tool_name,
+        suction,
+        knots,
+        stage[1:].astype(np.int8),
+        table[1:, 2].astype(np.int64),
+        table[1:, 1].astype(np.int64),
+        _states(rows, suction),
+        told.steps,
+        told.blocks,
+        told.stretch,
+    )
     return program, arm
 
 
@@ -330,9 +370,10 @@ def _check_motion(knots: Knots, arm: Arm, source: str) -> None:
     fault(q > limits.upper + 1e-6, "position", q, limits.upper)
     fault(q < limits.lower - 1e-6, "position below", -q, -limits.lower)
     for values, below, what, most in (
-        (v, q, "velocity", limits.velocity), (a, v, "acceleration", limits.acceleration),
+        (v, q, "velocity", limits.velocity),
+        (a, v, "acceleration", limits.acceleration),
         (None, a, "jerk", limits.jerk),
-    ):  # fmt: skip
+    ):
         mean = np.diff(below, axis=0) * RATE
         for found in (mean,) if values is None else (values, mean):
             fault(np.abs(found) > most * (1 + SLACK), what, found, most)

@@ -98,9 +98,11 @@ def write_bag(program: Program, arm: Arm, path: Path) -> None:
     writer = Writer(out)
     schemas = {kind: writer.register_msgdef(kind, text) for kind, text in _definitions().items()}
     messages = [
-        *_head_messages(program, arm), *_motion_messages(program, arm),
-        *_tool_messages(program), *_scene_messages(program, arm),
-    ]  # fmt: skip
+        *_head_messages(program, arm),
+        *_motion_messages(program, arm),
+        *_tool_messages(program),
+        *_scene_messages(program, arm),
+    ]
     for time, topic, message in sorted(messages, key=itemgetter(0)):
         writer.write_message(topic, schemas[_TOPICS[topic]], message, time, time)
     writer.finish()
@@ -131,10 +133,14 @@ def _motion_messages(program: Program, arm: Arm) -> Iterator[Message]:
         start = _ns(knots.time[begin])
         rows = zip(*(part[begin : end + 1].tolist() for part in knots), strict=True)
         points = [
-            {"positions": q, "velocities": v, "accelerations": a,
-             "time_from_start": _stamp(_ns(time) - start)}
+            {
+                "positions": q,
+                "velocities": v,
+                "accelerations": a,
+                "time_from_start": _stamp(_ns(time) - start),
+            }
             for time, q, v, a in rows
-        ]  # fmt: skip
+        ]
         message = {"header": _header(start, "world"), "joint_names": names, "points": points}
         yield start, "/joint_trajectory", message
     time = _grid(program)
@@ -228,21 +234,27 @@ def _header(time: int, frame: str) -> dict[str, Any]:
 def _transform(time: int, parent: str, child: str, pose: np.ndarray) -> dict[str, Any]:
     x, y, z, *turn = (float(value) for value in pose)
     return {
-        "header": _header(time, parent), "child_frame_id": child,
+        "header": _header(time, parent),
+        "child_frame_id": child,
         "transform": {
             "translation": {"x": x, "y": y, "z": z},
             "rotation": dict(zip("wxyz", turn, strict=True)),
         },
-    }  # fmt: skip
+    }
 
 
 def _marker(cell: int, size: np.ndarray, colour: tuple[float, float, float]) -> dict[str, Any]:
     """A cube in the frame of its cell; what is not told is 0 or empty."""
     return {
-        "header": {"frame_id": f"cell_{cell}"}, "ns": "blocks", "id": cell, "type": 1,
-        "pose": {"orientation": {"w": 1.0}}, "scale": dict(zip("xyz", size.tolist(), strict=True)),
-        "color": {**dict(zip("rgb", colour, strict=True)), "a": 1.0}, "frame_locked": True,
-    }  # fmt: skip
+        "header": {"frame_id": f"cell_{cell}"},
+        "ns": "blocks",
+        "id": cell,
+        "type": 1,
+        "pose": {"orientation": {"w": 1.0}},
+        "scale": dict(zip("xyz", size.tolist(), strict=True)),
+        "color": {**dict(zip("rgb", colour, strict=True)), "a": 1.0},
+        "frame_locked": True,
+    }
 
 
 _DAMAGE = (ValueError, TypeError, LookupError, AttributeError, OverflowError, MemoryError)
@@ -288,9 +300,18 @@ def read_bag(path: Path, name: str) -> tuple[Program, Arm]:
     knots, motion = _knots_from(found["/joint_trajectory"], told.seconds, arm, source)
     none = np.zeros(len(motion), np.int64)
     program = Program(
-        name, arm.tool_name, arm.suction is not None, knots, none.astype(np.int8) - 1, none,
-        motion, _states_from(found, told.speed), told.steps, told.blocks, told.stretch,
-    )  # fmt: skip
+        name,
+        arm.tool_name,
+        arm.suction is not None,
+        knots,
+        none.astype(np.int8) - 1,
+        none,
+        motion,
+        _states_from(found, told.speed),
+        told.steps,
+        told.blocks,
+        told.stretch,
+    )
     return program, arm
 
 
@@ -338,11 +359,13 @@ def _knots_from(
 
 def _states_from(found: dict[str, list[tuple[float, Any]]], speed: float) -> tuple[ToolState, ...]:
     told = [
-        *((time, {"width": m.position, "force": m.max_effort})
-          for time, m in found["/gripper/command"]),
+        *(
+            (time, {"width": m.position, "force": m.max_effort})
+            for time, m in found["/gripper/command"]
+        ),
         *((time, {"vacuum": bool(m.data)}) for time, m in found["/suction/vacuum"]),
         *((time, {"load": m.data}) for time, m in found["/tool/load"]),
-    ]  # fmt: skip
+    ]
     state = ToolState(0.0, 0.0, speed, 0.0, False, 0.0)
     states = {0.0: state}
     for time, new in sorted(told, key=itemgetter(0)):

@@ -95,14 +95,25 @@ def _head(program: Program, arm: Arm, settings: ProgramSettings, resume_from: in
     output, held = settings.output, settings.input
     return asset("urscript.script").format(
         about=f"{len(numbers)} moves, {program.seconds:.0f} s, tool {program.tool}",
-        factor=f"{settings.speed_factor:g}", resume=resume, first=numbers[0], last=numbers[-1],
-        output_bank=output.bank, output=output.number, on=output.on,
-        input_bank=held.bank, input=held.number, held=held.held,
+        factor=f"{settings.speed_factor:g}",
+        resume=resume,
+        first=numbers[0],
+        last=numbers[-1],
+        output_bank=output.bank,
+        output=output.number,
+        on=output.on,
+        input_bank=held.bank,
+        input=held.number,
+        held=held.held,
         threshold=-1.0 if held.threshold is None else f"{held.threshold:g}",
-        dwell=f"{settings.dwell:g}", tolerance=f"{settings.start_tolerance:g}",
-        frame=_list(taught), planned=_list(planned), mass=f"{driver.tool_mass:.4f}",
-        centre=_list(driver.tool_centre), tcp=_list(_pose(driver.tcp)),
-    )  # fmt: skip
+        dwell=f"{settings.dwell:g}",
+        tolerance=f"{settings.start_tolerance:g}",
+        frame=_list(taught),
+        planned=_list(planned),
+        mass=f"{driver.tool_mass:.4f}",
+        centre=_list(driver.tool_centre),
+        tcp=_list(_pose(driver.tcp)),
+    )
 
 
 def planned_frame(arm: Arm) -> np.ndarray:
@@ -192,11 +203,15 @@ def _told(program: Program, arm: Arm) -> Iterator[_Line]:
     for k, step in enumerate(program.steps):
         first = program.knots.at(np.array([begin]))[0][0]
         state = program.states[int(program.states_at(np.array([begin]))[0])]
-        yield _Line(begin, "end\n" * bool(k) + (
-            f"# step {step.number}, block {step.cells[0]}\n"
-            f"if (l2a_resume_from <= {step.number}):\n"
-            f"l2a_start({step.number}, [{_list(first)}], {state.width:.4f}, {state.speed:.3f})"
-        ))  # fmt: skip
+        yield _Line(
+            begin,
+            "end\n" * bool(k)
+            + (
+                f"# step {step.number}, block {step.cells[0]}\n"
+                f"if (l2a_resume_from <= {step.number}):\n"
+                f"l2a_start({step.number}, [{_list(first)}], {state.width:.4f}, {state.speed:.3f})"
+            ),
+        )
         for time in step.checks:
             yield _Line(time, f"l2a_check({step.number}, {step.cells[0]})")
         begin = step.end

@@ -41,8 +41,15 @@ def find_crossing(
         above[first : 2 * first] = above[pairs].reshape(first, 2, 3).max(1)
         shared[first : 2 * first] = _common(*shared[pairs].reshape(first, 2, 3).swapaxes(0, 1))
         first //= 2
-    found = _search(np.ascontiguousarray(points, np.float64), edges.astype(np.int64),
-                    shared, below, above, depth, inside)  # fmt: skip
+    found = _search(
+        np.ascontiguousarray(points, np.float64),
+        edges.astype(np.int64),
+        shared,
+        below,
+        above,
+        depth,
+        inside,
+    )
     return None if found < 0 else edges[found]
 
 
@@ -80,8 +87,14 @@ def _search(points, edges, shared, below, above, depth, inside):
         while top:
             top -= 1
             n = stack[top]
-            if (below[n, 0] > x1 or above[n, 0] < x0 or below[n, 1] > y1 or above[n, 1] < y0
-                    or below[n, 2] > z1 or above[n, 2] < z0):  # fmt: skip
+            if (
+                below[n, 0] > x1
+                or above[n, 0] < x0
+                or below[n, 1] > y1
+                or above[n, 1] < y0
+                or below[n, 2] > z1
+                or above[n, 2] < z0
+            ):
                 continue
             u, v, w = shared[n]
             if i in (u, v, w) or j in (u, v, w):

@@ -57,12 +57,34 @@ def matrix_quaternion(rotation: np.ndarray) -> np.ndarray:
     """float64[4] of a rotation matrix float64[3, 3]."""
     m = rotation
     # Of the four ways to write it, the one whose first divisor is largest.
-    all_four = np.array([
-        [1 + m[0, 0] + m[1, 1] + m[2, 2], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
-        [m[2, 1] - m[1, 2], 1 + m[0, 0] - m[1, 1] - m[2, 2], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]],
-        [m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 - m[0, 0] + m[1, 1] - m[2, 2], m[1, 2] + m[2, 1]],
-        [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 - m[0, 0] - m[1, 1] + m[2, 2]],
-    ])  # fmt: skip
+    all_four = np.array(
+        [
+            [
+                1 + m[0, 0] + m[1, 1] + m[2, 2],
+                m[2, 1] - m[1, 2],
+                m[0, 2] - m[2, 0],
+                m[1, 0] - m[0, 1],
+            ],
+            [
+                m[2, 1] - m[1, 2],
+                1 + m[0, 0] - m[1, 1] - m[2, 2],
+                m[0, 1] + m[1, 0],
+                m[0, 2] + m[2, 0],
+            ],
+            [
+                m[0, 2] - m[2, 0],
+                m[0, 1] + m[1, 0],
+                1 - m[0, 0] + m[1, 1] - m[2, 2],
+                m[1, 2] + m[2, 1],
+            ],
+            [
+                m[1, 0] - m[0, 1],
+                m[0, 2] + m[2, 0],
+                m[1, 2] + m[2, 1],
+                1 - m[0, 0] - m[1, 1] + m[2, 2],
+            ],
+        ]
+    )
     best = all_four[int(np.argmax(np.diag(all_four)))]
     return best / np.linalg.norm(best)
 

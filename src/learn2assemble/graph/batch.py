@@ -137,11 +137,23 @@ def cell_tensors(
         found = look_around(plain, placements, spec)
         hands = put(found.around[legal]), put(found.place[legal])
     return CellTensors(
-        put(row), put(used), put(relations.edges[used]), put(relations.edge_used[row]),
-        put(relations.offsets[used]), put(summary.astype(np.float32)), put(cell), put(part_of),
-        put(lever), put(legal), put(placements.action), put(spec.grips[way]), hands, placements,
-        plain, spec,
-    )  # fmt: skip
+        put(row),
+        put(used),
+        put(relations.edges[used]),
+        put(relations.edge_used[row]),
+        put(relations.offsets[used]),
+        put(summary.astype(np.float32)),
+        put(cell),
+        put(part_of),
+        put(lever),
+        put(legal),
+        put(placements.action),
+        put(spec.grips[way]),
+        hands,
+        placements,
+        plain,
+        spec,
+    )
 
 
 def _parts(placements: Placements, ends: np.ndarray) -> tuple[np.ndarray, ...]:

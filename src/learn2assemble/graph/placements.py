@@ -211,9 +211,19 @@ def _enter_cell(table, row, stamps, keys, cell, cells, num_cells):
 
 @njit(cache=True)
 def _enumerate(
-    nodes, object_id, num_targets, num_placed, num_nodes, spec,
-    out_cells, num_cells, out_action, out_members, count, out_key,
-):  # fmt: skip
+    nodes,
+    object_id,
+    num_targets,
+    num_placed,
+    num_nodes,
+    spec,
+    out_cells,
+    num_cells,
+    out_action,
+    out_members,
+    count,
+    out_key,
+):
     """Write all rows; returns False where the arrays are too small."""
     slots = 4 * out_action.shape[1]
     tables = np.empty((3, slots), np.int64)
@@ -226,9 +236,18 @@ def _enumerate(
     for row in range(len(num_targets)):
         first = num_targets[row] + num_placed[row]
         shapes = choose(
-            nodes[row], object_id[row], first, num_nodes[row], spec, tables[0], stamps[0], keys[0],
-            row, offsets[0], best,
-        )  # fmt: skip
+            nodes[row],
+            object_id[row],
+            first,
+            num_nodes[row],
+            spec,
+            tables[0],
+            stamps[0],
+            keys[0],
+            row,
+            offsets[0],
+            best,
+        )
         for shape in range(shapes):
             lift, size = 0.0, 0
             for way in range(rotations):
@@ -244,9 +263,16 @@ def _enumerate(
                         if way > 0 and size == 1 and grips[way] == grips[way - 1]:
                             continue  # A turned cube is the same cube.
                         key = fill_cells(
-                            nodes[row], reference, relation, way, spec, offsets[way], size, lift,
+                            nodes[row],
+                            reference,
+                            relation,
+                            way,
+                            spec,
+                            offsets[way],
+                            size,
+                            lift,
                             cells,
-                        )  # fmt: skip
+                        )
                         n = count[row]
                         if enter(tables[1], row, stamps[1], keys[1], key, n) != n:
                             continue
@@ -258,17 +284,25 @@ def _enumerate(
                         out_key[row, n] = key
                         for k in range(size):
                             c = _enter_cell(
-                                tables[2], row, stamps[2], keys[2], cells[k], out_cells[row],
+                                tables[2],
+                                row,
+                                stamps[2],
+                                keys[2],
+                                cells[k],
+                                out_cells[row],
                                 num_cells,
-                            )  # fmt: skip
+                            )
                             if c < 0:
                                 return False
                             out_members[row, n, k] = c
                         count[row] += 1
         for block in range(num_targets[row], first):
-            if _enter_cell(
-                tables[2], row, stamps[2], keys[2], nodes[row, block], out_cells[row], num_cells
-            ) < 0:  # fmt: skip
+            if (
+                _enter_cell(
+                    tables[2], row, stamps[2], keys[2], nodes[row, block], out_cells[row], num_cells
+                )
+                < 0
+            ):
                 return False
     return True
 
@@ -290,18 +324,27 @@ def distinct_placements(graph: Graph, spec: ActionSpec) -> Placements:
             np.empty((batch, capacity), np.uint64),
         )
         if _enumerate(
-            graph.nodes, graph.object_id, graph.num_targets, graph.num_placed, graph.num_nodes,
-            spec, *out,
-        ):  # fmt: skip
+            graph.nodes,
+            graph.object_id,
+            graph.num_targets,
+            graph.num_placed,
+            graph.num_nodes,
+            spec,
+            *out,
+        ):
             break
         capacity *= 2
     most_cells, most = max(1, int(out.num_cells.max())), max(1, int(out.count.max()))
     members = out.members[:, :most]
     largest = max(1, int((members >= 0).any((0, 1)).sum()))
     return Placements(
-        out.cells[:, :most_cells], out.num_cells, out.action[:, :most], members[..., :largest],
-        out.count, out.key[:, :most],
-    )  # fmt: skip
+        out.cells[:, :most_cells],
+        out.num_cells,
+        out.action[:, :most],
+        members[..., :largest],
+        out.count,
+        out.key[:, :most],
+    )
 
 
 @njit(cache=True)
@@ -333,7 +376,15 @@ def locate(
     """
     out = np.full(len(action), -1, np.int64)
     _locate(
-        graph.nodes, graph.object_id, graph.num_targets, graph.num_placed, graph.num_nodes,
-        spec, action, placements.count, placements.key, out,
-    )  # fmt: skip
+        graph.nodes,
+        graph.object_id,
+        graph.num_targets,
+        graph.num_placed,
+        graph.num_nodes,
+        spec,
+        action,
+        placements.count,
+        placements.key,
+        out,
+    )
     return out

@@ -80,9 +80,21 @@ def offset_number(right, out, up, pitch):
 
 @njit(cache=True)
 def _relate(
-    nodes, object_id, num_targets, num_placed, cells, num_cells, most_edges, frames,
-    pitch, sight, edges, edge_used, offsets, total_area,
-):  # fmt: skip
+    nodes,
+    object_id,
+    num_targets,
+    num_placed,
+    cells,
+    num_cells,
+    most_edges,
+    frames,
+    pitch,
+    sight,
+    edges,
+    edge_used,
+    offsets,
+    total_area,
+):
     corner = np.empty((most_edges, 2))
     for row in range(len(num_targets)):
         targets, placed = num_targets[row], num_placed[row]
@@ -152,10 +164,21 @@ def relate(graph: Graph, placements: Placements, pitch: float = EDGE, sight: int
     offsets = np.full((batch, most, sides, int(graph.num_placed.max())), OFFSETS, np.int64)
     area = np.zeros(batch, np.float32)
     _relate(
-        graph.nodes, graph.object_id, graph.num_targets, graph.num_placed, placements.cells,
-        placements.num_cells, most_edges, side_frames(sides, pitch), pitch,
-        sight + 0.5 if sight else np.inf, edges, edge_used, offsets, area,
-    )  # fmt: skip
+        graph.nodes,
+        graph.object_id,
+        graph.num_targets,
+        graph.num_placed,
+        placements.cells,
+        placements.num_cells,
+        most_edges,
+        side_frames(sides, pitch),
+        pitch,
+        sight + 0.5 if sight else np.inf,
+        edges,
+        edge_used,
+        offsets,
+        area,
+    )
     return Relations(edges, edge_used, offsets, area)
 
 
@@ -188,9 +211,19 @@ def _seen(origin, other, turns, pitch):
 
 @njit(cache=True)
 def _look(
-    nodes, object_id, num_targets, num_placed, num_nodes, cells, action, members, count, spec,
-    around, place,
-):  # fmt: skip
+    nodes,
+    object_id,
+    num_targets,
+    num_placed,
+    num_nodes,
+    cells,
+    action,
+    members,
+    count,
+    spec,
+    around,
+    place,
+):
     most = 0
     for row in range(len(count)):
         first = num_targets[row]
@@ -233,7 +266,16 @@ def look_around(graph: Graph, placements: Placements, spec: ActionSpec) -> Hands
         np.zeros((batch, most, PLACE_FEATURES), np.float32),
     )
     used = _look(
-        graph.nodes, graph.object_id, graph.num_targets, graph.num_placed, graph.num_nodes,
-        placements.cells, placements.action, placements.members, placements.count, spec, *out,
-    )  # fmt: skip
+        graph.nodes,
+        graph.object_id,
+        graph.num_targets,
+        graph.num_placed,
+        graph.num_nodes,
+        placements.cells,
+        placements.action,
+        placements.members,
+        placements.count,
+        spec,
+        *out,
+    )
     return out._replace(around=out.around[..., :used])

@@ -18,11 +18,18 @@ from learn2assemble.search.config import SearchConfig, training_search
 from learn2assemble.tasks import Task
 
 LARGEST = {
-    "num_envs": 10**5, "batch_size": 10**5, "replay_size": 10**7, "steps": 1000,
-    "steps_per_round": 10**6, "updates_per_round": 10**6, "search_budget": 10**5,
-    "num_samples": 10**12, "initial_samples": 10**12, "epsilon_samples": 10**12,
+    "num_envs": 10**5,
+    "batch_size": 10**5,
+    "replay_size": 10**7,
+    "steps": 1000,
+    "steps_per_round": 10**6,
+    "updates_per_round": 10**6,
+    "search_budget": 10**5,
+    "num_samples": 10**12,
+    "initial_samples": 10**12,
+    "epsilon_samples": 10**12,
     "target_period": 10**12,
-}  # fmt: skip
+}
 """Whole numbers from 1; beyond these no training would fit into any machine's memory or time."""
 
 
@@ -91,17 +98,23 @@ class TrainConfig:
         relational, encoder = self.network.values_placements, self.network.encoder
         check_fields(
             self,
-            *((name, 1 <= getattr(self, name) <= most, f"a whole number from 1 to {most}")
-              for name, most in LARGEST.items()),
-            *((name, 0 < getattr(self, name) < 1, "a rate between 0 and 1")
-              for name in ("learning_rate", "final_learning_rate")),
-            *((name, 0 <= getattr(self, name) <= 1, "a share between 0 and 1")
-              for name in ("target_rate", "search_weight")),
+            *(
+                (name, 1 <= getattr(self, name) <= most, f"a whole number from 1 to {most}")
+                for name, most in LARGEST.items()
+            ),
+            *(
+                (name, 0 < getattr(self, name) < 1, "a rate between 0 and 1")
+                for name in ("learning_rate", "final_learning_rate")
+            ),
+            *(
+                (name, 0 <= getattr(self, name) <= 1, "a share between 0 and 1")
+                for name in ("target_rate", "search_weight")
+            ),
             ("epsilon_final", 0 <= self.epsilon_final <= 1, "0 <= epsilon <= 1"),
             ("dense_weight", 0 <= self.dense_weight < math.inf, "a weight of at least 0"),
             ("dense_weight", relational or not self.dense_weight, "0 unless encoder is relational"),
             ("augment", not (self.augment and relational), f"false for the encoder {encoder}"),
-        )  # fmt: skip
+        )
 
     @property
     def searches(self) -> bool:
@@ -168,10 +181,14 @@ class Learner:
     loss: Callable[..., tuple[Any, dict[str, float]]] | None = None
 
 
-METHODS: Registry[Learner] = Registry("method", {
-    "dqn": Learner(), "q-mcts": Learner(functools.partial(training_search, "q-mcts")),
-    "eps-mcts": Learner(functools.partial(training_search, "eps-mcts")),
-})  # fmt: skip
+METHODS: Registry[Learner] = Registry(
+    "method",
+    {
+        "dqn": Learner(),
+        "q-mcts": Learner(functools.partial(training_search, "q-mcts")),
+        "eps-mcts": Learner(functools.partial(training_search, "eps-mcts")),
+    },
+)
 
 
 def register_learner(name: str, learner: Learner) -> None:
@@ -184,47 +201,78 @@ def register_learner(name: str, learner: Learner) -> None:
         raise InputError("learner", learner, "a Learner")
     check_fields(
         learner,
-        ("search", learner.search is None or callable(learner.search),
-         "a function of budget and epsilon that returns a SearchConfig, or None"),
+        (
+            "search",
+            learner.search is None or callable(learner.search),
+            "a function of budget and epsilon that returns a SearchConfig, or None",
+        ),
         ("loss", learner.loss is None or callable(learner.loss), "a function like q_loss, or None"),
-    )  # fmt: skip
+    )
     METHODS.register(name, learner)
 
 
 _RELATIONAL = TrainConfig(
-    network=NetworkConfig(encoder="relational", rounds=2), num_samples=100_000,
-    learning_rate=1e-3, final_learning_rate=3e-5, epsilon_samples=20_000, batch_size=32,
-    updates_per_round=4, dense_weight=1.0,
-)  # fmt: skip
+    network=NetworkConfig(encoder="relational", rounds=2),
+    num_samples=100_000,
+    learning_rate=1e-3,
+    final_learning_rate=3e-5,
+    epsilon_samples=20_000,
+    batch_size=32,
+    updates_per_round=4,
+    dense_weight=1.0,
+)
 """Our own method."""
 
-CONFIGS: Registry[TrainConfig] = Registry("config", {
-    "paper": TrainConfig(
-        network=NetworkConfig(feed_forward="wide"), num_samples=500_000, num_envs=4,
-        steps_per_round=25, updates_per_round=25, batch_size=32, learning_rate=1e-4,
-        final_learning_rate=1e-4, replay_size=30_000, epsilon_samples=100_000, target_period=1250,
-        double=False,
-    ),
-    # The published learners and networks with a quarter of the gradient steps (deviation D8).
-    "published": TrainConfig(
-        num_samples=240_000, learning_rate=2e-3, final_learning_rate=1e-4, epsilon_samples=25_000,
-        batch_size=32, updates_per_round=4, augment=True,
-    ),
-    "relational": _RELATIONAL,
-    # Objects of several cells have ten times as many placements.
-    "relational-objects": dataclasses.replace(
-        _RELATIONAL, num_samples=60_000, replay_size=20_000, epsilon_samples=15_000, batch_size=16
-    ),
-})  # fmt: skip
+CONFIGS: Registry[TrainConfig] = Registry(
+    "config",
+    {
+        "paper": TrainConfig(
+            network=NetworkConfig(feed_forward="wide"),
+            num_samples=500_000,
+            num_envs=4,
+            steps_per_round=25,
+            updates_per_round=25,
+            batch_size=32,
+            learning_rate=1e-4,
+            final_learning_rate=1e-4,
+            replay_size=30_000,
+            epsilon_samples=100_000,
+            target_period=1250,
+            double=False,
+        ),
+        # The published learners and networks with a quarter of the gradient steps (deviation D8).
+        "published": TrainConfig(
+            num_samples=240_000,
+            learning_rate=2e-3,
+            final_learning_rate=1e-4,
+            epsilon_samples=25_000,
+            batch_size=32,
+            updates_per_round=4,
+            augment=True,
+        ),
+        "relational": _RELATIONAL,
+        # Objects of several cells have ten times as many placements.
+        "relational-objects": dataclasses.replace(
+            _RELATIONAL,
+            num_samples=60_000,
+            replay_size=20_000,
+            epsilon_samples=15_000,
+            batch_size=16,
+        ),
+    },
+)
 
 
 def fit_to(config: TrainConfig, task: Task) -> TrainConfig:
     """The configuration with what the task decides: its actions and lattice, whether there is a
     hand to look around, and no symmetries that only cubes without a robot have."""
     network = dataclasses.replace(
-        config.network, num_actions=task.num_actions, action_mode=task.action_mode,
-        pitch=task.pitch, sight=task.sight,
+        config.network,
+        num_actions=task.num_actions,
+        action_mode=task.action_mode,
+        pitch=task.pitch,
+        sight=task.sight,
         hand=task.has_arm and config.network.encoder == "relational",
-    )  # fmt: skip
+    )
     augment = config.augment and task.objects == "cubes" and task.touching
     return dataclasses.replace(config, network=network, augment=augment)

@@ -65,9 +65,12 @@ class Replay:
     ) -> None:
         self.size, self.length, self.cursor, self.worlds = size, 0, 0, worlds
         columns: dict[str, tuple[Any, ...]] = {
-            "action": (np.int64, 3), "reward": (np.float32,), "terminal": (np.bool_,),
-            "discount": (np.float32,), "greedy": (np.bool_,),
-        }  # fmt: skip
+            "action": (np.int64, 3),
+            "reward": (np.float32,),
+            "terminal": (np.bool_,),
+            "discount": (np.float32,),
+            "greedy": (np.bool_,),
+        }
         for prefix in ("", "next_"):
             columns[f"{prefix}position"] = np.float32, num_nodes, 3
             columns[f"{prefix}object_id"] = np.int16, num_nodes
@@ -116,9 +119,16 @@ class Replay:
             action, value, explored = (a[f"searched.{name}"][rows] for name in Searched._fields)
             searched = Searched(action.astype(np.int64), value, explored.astype(np.int64))
         return Batch(
-            self._graph("", rows), a["action"][rows], reward, a["terminal"][last],
-            self._graph("next_", last), discount, a["greedy"][rows], outcomes, searched,
-        )  # fmt: skip
+            self._graph("", rows),
+            a["action"][rows],
+            reward,
+            a["terminal"][last],
+            self._graph("next_", last),
+            discount,
+            a["greedy"][rows],
+            outcomes,
+            searched,
+        )
 
     def _follow(self, rows: np.ndarray, steps: int) -> tuple[np.ndarray, ...]:
         """Last joined transition, discounted reward up to it and discount after it."""
@@ -212,6 +222,8 @@ def random_symmetry(batch: Batch, num_sides: int, rng: np.random.Generator) -> B
         return graph._replace(nodes=nodes, object_id=object_id)
 
     return batch._replace(
-        graph=turn(batch.graph), next_graph=turn(batch.next_graph), action=act(batch.action),
+        graph=turn(batch.graph),
+        next_graph=turn(batch.next_graph),
+        action=act(batch.action),
         searched=searched and searched._replace(action=act(searched.action)),
-    )  # fmt: skip
+    )

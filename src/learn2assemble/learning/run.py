@@ -82,9 +82,14 @@ def _commit() -> str:
     # Variables of git that a hook sets would point to another repository.
     env = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
     git = functools.partial(
-        subprocess.run, cwd=here.parent, env=env, capture_output=True, text=True, check=True,
+        subprocess.run,
+        cwd=here.parent,
+        env=env,
+        capture_output=True,
+        text=True,
+        check=True,
         timeout=5,
-    )  # fmt: skip
+    )
     try:
         git(["git", "ls-files", "--error-unmatch", here.name])
         return git(["git", "rev-parse", "--short", "HEAD"]).stdout.strip()
@@ -224,9 +229,12 @@ def train(
         ("samples", samples is None or is_whole(samples, 1), "a whole number of at least 1"),
         ("seed", seed is None or is_whole(seed, 0), "a whole number of at least 0"),
         ("minutes", minutes is None or (is_number(minutes) and minutes > 0), "a positive number"),
-        ("threads", threads is None or is_whole(threads, 1, MAX_THREADS),
-         f"a whole number from 1 to {MAX_THREADS}"),
-    )  # fmt: skip
+        (
+            "threads",
+            threads is None or is_whole(threads, 1, MAX_THREADS),
+            f"a whole number from 1 to {MAX_THREADS}",
+        ),
+    )
     check_instance("config", config, (str, TrainConfig), "a TrainConfig, or the name of one")
     check_instance("resume", resume, bool, "True or False")
     check_instance("init", init, (str, Path, Agent, type(None)), "an agent, or its name or file")
@@ -252,9 +260,16 @@ def train(
     if threads is not None:
         torch.set_num_threads(threads)
     metrics = run_training(
-        task, config, out, seed=seed or 0, minutes=minutes, device=device, resume=resume,
-        init=load_agent(init) if isinstance(init, str | Path) else init, quiet=quiet,
-    )  # fmt: skip
+        task,
+        config,
+        out,
+        seed=seed or 0,
+        minutes=minutes,
+        device=device,
+        resume=resume,
+        init=load_agent(init) if isinstance(init, str | Path) else init,
+        quiet=quiet,
+    )
     return TrainingRun(task.name, out, words, metrics)
 
 
@@ -380,9 +395,13 @@ def run_training(
             started_from = _read_config(out).get("init")
         else:
             run = {
-                "task": dataclasses.asdict(task), "seed": trainer.seed, "minutes": minutes,
-                "init": started_from, "config": config.to_dict(), **provenance(trainer.device),
-            }  # fmt: skip
+                "task": dataclasses.asdict(task),
+                "seed": trainer.seed,
+                "minutes": minutes,
+                "init": started_from,
+                "config": config.to_dict(),
+                **provenance(trainer.device),
+            }
             write_file(out / "config.json", json.dumps(run, indent=1) + "\n", "configuration")
         logs = _Logs(out, trainer.samples)
         if not resume:
@@ -405,9 +424,13 @@ def _rounds(
     started, base = time.monotonic(), trainer.seconds
     next_log, next_save = started + LOG_SECONDS, started + CHECKPOINT_SECONDS
     with tqdm(
-        total=trainer.config.num_samples, initial=trainer.samples, unit=" samples", disable=quiet,
-        desc=trainer.task.name, dynamic_ncols=True,
-    ) as bar:  # fmt: skip
+        total=trainer.config.num_samples,
+        initial=trainer.samples,
+        unit=" samples",
+        disable=quiet,
+        desc=trainer.task.name,
+        dynamic_ncols=True,
+    ) as bar:
         while not trainer.finished and trainer.seconds < limit:
             before = trainer.samples
             trainer.round()
@@ -430,8 +453,12 @@ def _rounds(
 def _save(trainer: Trainer, out: Path, started_from: dict[str, Any] | None) -> None:
     trainer.save(out / "state.safetensors")
     origin = {
-        "config": trainer.config.to_dict(), "seed": trainer.seed, "samples": trainer.samples,
-        "updates": trainer.updates, "seconds": round(trainer.seconds, 1), "init": started_from,
+        "config": trainer.config.to_dict(),
+        "seed": trainer.seed,
+        "samples": trainer.samples,
+        "updates": trainer.updates,
+        "seconds": round(trainer.seconds, 1),
+        "init": started_from,
         **provenance(trainer.device),
-    }  # fmt: skip
+    }
     save_agent(Agent("agent", trainer.agent_network, trainer.task.name, origin), out)

@@ -214,10 +214,12 @@ class Trainer:
             self.online.parameters(), lr=config.learning_rate, fused=True
         )
         self.replay = Replay(
-            config.replay_size, task.num_nodes, worlds=config.num_envs,
+            config.replay_size,
+            task.num_nodes,
+            worlds=config.num_envs,
             outcomes=config.dense_weight > 0,
             explored=config.search_budget if self.learner.search else 0,
-        )  # fmt: skip
+        )
         self.state = self.simulator.new(config.num_envs, self.rng)
         self.graph = self.simulator.observe(self.state)
         self.samples = self.updates = self.episodes = 0
@@ -293,10 +295,17 @@ class Trainer:
         discount = np.full(len(action), self.task.discount, np.float32)
         self.replay.add(
             Batch(
-                graph, action + offset, step.reward.astype(np.float32), step.terminated, after,
-                discount, greedy, outcomes, searched,
+                graph,
+                action + offset,
+                step.reward.astype(np.float32),
+                step.terminated,
+                after,
+                discount,
+                greedy,
+                outcomes,
+                searched,
             )
-        )  # fmt: skip
+        )
         self.samples += len(action)
         self.running_return += self.running_discount * step.reward
         self.running_discount *= self.task.discount
@@ -350,9 +359,11 @@ class Trainer:
             tensors |= {f"adam.{number}.{k}": v.cpu() for k, v in slots.items()}
         counters = {
             **{name: getattr(self, name) for name in (*_COUNTERS, "seconds")},
-            "task": self.task.name, "config": self.config.to_dict(), "cursor": self.replay.cursor,
+            "task": self.task.name,
+            "config": self.config.to_dict(),
+            "cursor": self.replay.cursor,
             "rng": self.rng.bit_generator.state,
-        }  # fmt: skip
+        }
         write_tensors(path, tensors, "state", {"counters": json.dumps(counters)})
 
     def _worlds(self) -> dict[str, np.ndarray]:
@@ -381,8 +392,15 @@ class Trainer:
                 counters: dict[str, Any] = json.loads(file.metadata()["counters"])
                 tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
             self._restore(counters, tensors)
-        except (SafetensorError, OSError, LookupError, ValueError, TypeError, RuntimeError,
-                AttributeError) as error:  # fmt: skip
+        except (
+            SafetensorError,
+            OSError,
+            LookupError,
+            ValueError,
+            TypeError,
+            RuntimeError,
+            AttributeError,
+        ) as error:
             if isinstance(error, InputError):
                 raise
             reason = " ".join(str(error).split())[:120]

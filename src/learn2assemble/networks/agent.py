@@ -102,9 +102,11 @@ def _named(name: str) -> Path:
         return look_up("agent", name, files)
     known = ", ".join(files) or "none"
     raise InputError(
-        "agent", name, f"one of {known}; all others lie in the folder agents of the source "
+        "agent",
+        name,
+        f"one of {known}; all others lie in the folder agents of the source "
         "repository: give the path of the .safetensors file",
-    )  # fmt: skip
+    )
 
 
 def _info_file(weights: Path) -> Path:
@@ -112,11 +114,15 @@ def _info_file(weights: Path) -> Path:
 
 
 DEFAULTS = {
-    "robot-four": "relational-four-sided-s0", "robot-one": "robot-one-sided-s0",
-    "robot-objects": "relational-robot-objects-s0", "robot": "relational-two-sided-s0",
-    "objects": "relational-objects-s0", "bars": "relational-bars-s0",
-    "other-bars": "relational-bars-s0", "": "relational-cubes-s0",
-}  # fmt: skip
+    "robot-four": "relational-four-sided-s0",
+    "robot-one": "robot-one-sided-s0",
+    "robot-objects": "relational-robot-objects-s0",
+    "robot": "relational-two-sided-s0",
+    "objects": "relational-objects-s0",
+    "bars": "relational-bars-s0",
+    "other-bars": "relational-bars-s0",
+    "": "relational-cubes-s0",
+}
 """Our agent for tasks by how their names begin: what is built with."""
 
 
@@ -156,9 +162,13 @@ def save_agent(agent: Agent, folder: Path) -> Path:
     """Write both files into ``folder``; returns the path of the weights."""
     weights = folder / f"{agent.name}.safetensors"
     info = {
-        "format": FORMAT, "version": 1, "name": agent.name, "task": agent.task,
-        "network": dataclasses.asdict(agent.network.config), "origin": agent.origin,
-    }  # fmt: skip
+        "format": FORMAT,
+        "version": 1,
+        "name": agent.name,
+        "task": agent.task,
+        "network": dataclasses.asdict(agent.network.config),
+        "origin": agent.origin,
+    }
     tensors = {k: v.detach().cpu().contiguous() for k, v in agent.network.state_dict().items()}
     write_tensors(weights, tensors, "agent")
     write_file(weights.with_suffix(".json"), json.dumps(info, indent=1) + "\n", "agent")

@@ -62,12 +62,14 @@ class NetworkConfig:
             check_name(name, getattr(self, name), valid)
         check_fields(
             self,
-            *((name, 1 <= getattr(self, name) <= most, f"a whole number from 1 to {most}")
-              for name, most in whole.items()),
+            *(
+                (name, 1 <= getattr(self, name) <= most, f"a whole number from 1 to {most}")
+                for name, most in whole.items()
+            ),
             ("pitch", 0 < self.pitch < math.inf, "a positive length [m]"),
             ("sight", 0 <= self.sight <= 1000, "a whole number from 0 to 1000"),
             ("position_scale", 0 < self.position_scale < math.inf, "a positive length [m]"),
-        )  # fmt: skip
+        )
         s2v, relational = self.encoder == "s2v", self.encoder == "relational"
         check_fields(
             self,
@@ -106,10 +108,14 @@ def _imported(module: str, name: str) -> Callable[[NetworkConfig], Any]:
 
 _published = NetworkKind(_imported("learn2assemble.networks.qnetwork", "QNetwork"))
 _relational = _imported("learn2assemble.networks.placement", "PlacementNetwork")
-NETWORKS: Registry[NetworkKind] = Registry("network", {
-    "attention": _published, "s2v": _published,
-    "relational": NetworkKind(_relational, values_placements=True),
-})  # fmt: skip
+NETWORKS: Registry[NetworkKind] = Registry(
+    "network",
+    {
+        "attention": _published,
+        "s2v": _published,
+        "relational": NetworkKind(_relational, values_placements=True),
+    },
+)
 NAMES: dict[str, Collection[str]] = {
     "feed_forward": ("light", "wide", "none"),
     "encoder": NETWORKS,

@@ -50,9 +50,10 @@ _TOLERANCES = (1e-8, 1e-6, 1e-5)
 solved again with the next one, still far below what counts as rounding."""
 _SOLVED = (_conic.SolverStatus.Solved, _conic.SolverStatus.AlmostSolved)
 _STUCK = (
-    _conic.SolverStatus.InsufficientProgress, _conic.SolverStatus.NumericalError,
+    _conic.SolverStatus.InsufficientProgress,
+    _conic.SolverStatus.NumericalError,
     _conic.SolverStatus.MaxIterations,
-)  # fmt: skip
+)
 _STEP, _MIX = 0.5, (-3.0, 0.5)
 """Damping of the fixed point, and bounds of how the round before is mixed in (Anderson 1965)."""
 _FIRM = 1e-8
@@ -85,9 +86,12 @@ class System:
     """The balance of all free blocks as sparse matrices, in units of a median block."""
 
     def __init__(
-        self, assembly: Assembly, contacts: Contacts, present: np.ndarray | None = None,
+        self,
+        assembly: Assembly,
+        contacts: Contacts,
+        present: np.ndarray | None = None,
         held: np.ndarray | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         blocks = assembly.blocks
         there = np.ones(len(blocks), bool) if present is None else np.asarray(present, bool)
         if there.shape != (len(blocks),):
@@ -105,8 +109,10 @@ class System:
         self._newton = GRAVITY * float(mass.mean()) if self.count else 1.0
         self.mass = mass / mass.mean() if self.count else mass
         centre = np.array([blocks[k].centroid for k in self.free]).reshape(-1, 3)
-        reach = [np.linalg.norm(blocks[k].vertices - c, axis=1).max()
-                 for k, c in zip(self.free, centre, strict=True)]  # fmt: skip
+        reach = [
+            np.linalg.norm(blocks[k].vertices - c, axis=1).max()
+            for k, c in zip(self.free, centre, strict=True)
+        ]
         self.radius = np.array(reach) / self._length
         self._frame = corner_frames(contacts)
         self.upright = bool((np.abs(contacts.normal[:, 2]) > 1 - 1e-6).all())
@@ -151,9 +157,12 @@ class System:
         return result
 
     def fall(
-        self, method: Literal["rbe", "cra"], forces: np.ndarray, held: np.ndarray,
+        self,
+        method: Literal["rbe", "cra"],
+        forces: np.ndarray,
+        held: np.ndarray,
         motion: np.ndarray,
-    ) -> Equilibrium:  # fmt: skip
+    ) -> Equilibrium:
         """The answer where holding forces are needed."""
         size = np.linalg.norm(motion, axis=1)
         moving = self.free[size >= _MOVES * size.max()]
@@ -195,8 +204,10 @@ class System:
         count, corners = 6 * self.count, self.corners
         energy = sp.diags(np.concatenate([soft, np.full(count, 1 / _FIRM)]))
         disc = sp.diags(np.tile([0.0, -1.0, -1.0], corners))
-        pick = sp.csc_matrix((-np.ones(corners), (np.arange(corners), 3 * np.arange(corners))),
-                             (corners, 3 * corners))  # fmt: skip
+        pick = sp.csc_matrix(
+            (-np.ones(corners), (np.arange(corners), 3 * np.arange(corners))),
+            (corners, 3 * corners),
+        )
         signs = sp.vstack([pick, disc])
         matrix = sp.bmat([[self.balance, sp.identity(count)], [signs, None]]).tocsc()
         discs = [_conic.SecondOrderConeT(3)] * corners
@@ -245,8 +256,9 @@ class System:
         excess = np.hypot(forces[:, 1], forces[:, 2]) - friction * forces[:, 0]
         sums = []
         for value in (np.maximum(excess, 0), np.maximum(forces[:, 0], 0)):
-            at = [np.bincount(body[body >= 0], value[body >= 0], self.count)
-                  for body in self._bodies]  # fmt: skip
+            at = [
+                np.bincount(body[body >= 0], value[body >= 0], self.count) for body in self._bodies
+            ]
             sums.append(at[0] + at[1])
         return float((sums[0] / np.maximum(sums[1], self.mass)).max())
 
@@ -263,11 +275,14 @@ class System:
         count, corners = self.count, 3 * self.corners
         energy = sp.diags(np.concatenate([soft, np.zeros(7 * count)]))
         cost = np.concatenate([np.zeros(corners + 6 * count), np.full(count, price)])
-        held, norm = (sp.kron(sp.identity(count), -part)
-                      for part in (np.eye(7, 6, -1), np.eye(7, 1)))  # fmt: skip
+        held, norm = (
+            sp.kron(sp.identity(count), -part) for part in (np.eye(7, 6, -1), np.eye(7, 1))
+        )
         rows = [
-            [self.balance, sp.identity(6 * count), None], [signs, None, None], [None, held, norm],
-        ]  # fmt: skip
+            [self.balance, sp.identity(6 * count), None],
+            [signs, None, None],
+            [None, held, norm],
+        ]
         matrix = sp.bmat(rows).tocsc()
         bound = np.concatenate([self.weight, limits, np.zeros(7 * count)])
         cones = [_conic.ZeroConeT(6 * count), *parts, *[_conic.SecondOrderConeT(7)] * count]
@@ -281,7 +296,7 @@ class System:
 
     def least_parting(
         self, friction: float, jump: sp.csc_matrix, price: np.ndarray
-    ) -> np.ndarray | None:  # fmt: skip
+    ) -> np.ndarray | None:
         """How far pairs of blocks part in a motion that lowers the weight, or None.
 
         The motion opens or slides every joint at least as steeply as friction asks for, so that no
@@ -330,9 +345,11 @@ class System:
         load[:, 0, 0] = load[:, 1, 1] = self.mass
         # Work that is left over costs what the largest load would do.
         rows = [
-            [sp.csr_matrix(load.reshape(-1, 2).T), sp.identity(2), None], [-moves, None, None],
-            [None, None, -sp.identity(1)], [None, -sp.identity(2), None],
-        ]  # fmt: skip
+            [sp.csr_matrix(load.reshape(-1, 2).T), sp.identity(2), None],
+            [-moves, None, None],
+            [None, None, -sp.identity(1)],
+            [None, -sp.identity(2), None],
+        ]
         matrix = sp.bmat(rows).tocsc()
         cones = [_conic.ZeroConeT(2), *cones, _conic.SecondOrderConeT(3)]
         cost = np.concatenate([self.weight, np.zeros(2), [MOST_G]])
@@ -375,10 +392,12 @@ def corner_wrenches(blocks: Sequence[Block], contacts: Contacts) -> tuple[np.nda
     the ground mean nothing.
     """
     centre = np.array([block.centroid for block in blocks])
-    reach = np.array([
-        np.linalg.norm(block.vertices - at, axis=1).max()
-        for block, at in zip(blocks, centre, strict=True)
-    ])  # fmt: skip
+    reach = np.array(
+        [
+            np.linalg.norm(block.vertices - at, axis=1).max()
+            for block, at in zip(blocks, centre, strict=True)
+        ]
+    )
     frame = corner_frames(contacts)
     first, second = (
         _wrenches(contacts.points - centre[body], sign * frame, reach[body])
@@ -429,9 +448,13 @@ def _cones(corners: int, friction: float) -> tuple[Any, list]:
 
 
 def _run(
-    energy: Any, cost: np.ndarray, matrix: Any, bound: np.ndarray, cones: list,
+    energy: Any,
+    cost: np.ndarray,
+    matrix: Any,
+    bound: np.ndarray,
+    cones: list,
     tolerances: tuple[float, ...] = _TOLERANCES,
-) -> Any:  # fmt: skip
+) -> Any:
     """Solve one cone program; None where it is infeasible or the solver cannot tell."""
     for tolerance in tolerances:
         answer = _solver(energy, cost, matrix, bound, cones, tolerance).solve()

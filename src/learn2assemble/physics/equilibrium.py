@@ -280,9 +280,21 @@ class _Program:
         weight = weight.reshape(-1)
         # Arrays, not a HighsLp: its fields are lists, which take a millisecond to fill.
         solver.passModel(
-            num_columns, num_rows, len(self._value), _COLUMNWISE, _MINIMIZE, 0.0,
-            zeros, zeros, free, weight, weight,
-            self._start, self._index, self._value, np.zeros(num_columns, np.int32),
-        )  # fmt: skip
+            num_columns,
+            num_rows,
+            len(self._value),
+            _COLUMNWISE,
+            _MINIMIZE,
+            0.0,
+            zeros,
+            zeros,
+            free,
+            weight,
+            weight,
+            self._start,
+            self._index,
+            self._value,
+            np.zeros(num_columns, np.int32),
+        )
         self._solver = solver
         return solver

@@ -119,9 +119,10 @@ def group_cells(
         lattice = np.rint(relative / spacing)
         if np.abs(relative - spacing * lattice).max() > CELL_TOLERANCE:
             raise InputError(
-                f"object {ids[head]}", position[cells].tolist(),
+                f"object {ids[head]}",
+                position[cells].tolist(),
                 f"cells on one {100 * pitch:g} cm lattice",
-            )  # fmt: skip
+            )
         layout.append(tuple(tuple(int(v) for v in cell) for cell in lattice))
         offset[cells] = object_parts(lattice, pitch).cells
     return Grouping(tuple(layout), body, offset, lead)

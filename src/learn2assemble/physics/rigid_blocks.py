@@ -123,10 +123,18 @@ def check(
     forces[keep[contacts.patch]] = result.forces
     moving = tuple(standing.blocks[k].id for k in result.moving.tolist())
     return Check(
-        verdict, margin_g, float(np.degrees(np.arctan(margin_g))), result.holding_force, moving,
-        len(standing.blocks), contacts, forces, result.method, _shown(result, margin_g, verdict),
+        verdict,
+        margin_g,
+        float(np.degrees(np.arctan(margin_g))),
+        result.holding_force,
+        moving,
+        len(standing.blocks),
+        contacts,
+        forces,
+        result.method,
+        _shown(result, margin_g, verdict),
         time.perf_counter() - started,
-    )  # fmt: skip
+    )
 
 
 class Decision(NamedTuple):
@@ -245,10 +253,15 @@ def pressed_patches(contacts: Contacts, present: np.ndarray | None = None) -> np
 
 
 def solve(
-    assembly: Assembly, contacts: Contacts, friction: float | None = None, *,
-    present: np.ndarray | None = None, held: np.ndarray | None = None, coupled: bool = True,
+    assembly: Assembly,
+    contacts: Contacts,
+    friction: float | None = None,
+    *,
+    present: np.ndarray | None = None,
+    held: np.ndarray | None = None,
+    coupled: bool = True,
     stiffness: tuple[float, ...] = STIFFNESS,
-) -> Equilibrium:  # fmt: skip
+) -> Equilibrium:
     """Whether the blocks stand on some patches of contact.
 
     Args:
@@ -292,9 +305,13 @@ def solve(
 
 
 def margin(
-    assembly: Assembly, contacts: Contacts, friction: float | None = None, *,
-    present: np.ndarray | None = None, held: np.ndarray | None = None,
-) -> float:  # fmt: skip
+    assembly: Assembly,
+    contacts: Contacts,
+    friction: float | None = None,
+    *,
+    present: np.ndarray | None = None,
+    held: np.ndarray | None = None,
+) -> float:
     """Sideways acceleration [g] that RBE withstands in every direction, from below.
 
     The accelerations that contact forces can balance are a convex set. Each program gives a point

@@ -52,15 +52,22 @@ class State:
         return self.present.tobytes() + self.held.tobytes()
 
     def change(
-        self, *, place: Iterable[int] = (), remove: Iterable[int] = (), hold: Iterable[int] = (),
+        self,
+        *,
+        place: Iterable[int] = (),
+        remove: Iterable[int] = (),
+        hold: Iterable[int] = (),
         release: Iterable[int] = (),
-    ) -> State:  # fmt: skip
+    ) -> State:
         """The state after blocks were placed, removed, held and released, in this order."""
         present, held = self.present.copy(), self.held.copy()
         for blocks, array, value in (
-            (place, present, True), (remove, present, False), (hold, held, True),
-            (release, held, False), (remove, held, False),
-        ):  # fmt: skip
+            (place, present, True),
+            (remove, present, False),
+            (hold, held, True),
+            (release, held, False),
+            (remove, held, False),
+        ):
             array[list(blocks)] = value
         return State(present, held)
 
@@ -140,8 +147,9 @@ class States:
         held[block] = False
         near = np.zeros(len(self._fixed), bool)
         near[[block, *self._near[block]]] = True
-        found = solve(self.assembly, self.contacts, self.friction, present=near & state.present,
-                      held=held)  # fmt: skip
+        found = solve(
+            self.assembly, self.contacts, self.friction, present=near & state.present, held=held
+        )
         return found.stands
 
     def corners(self, state: State) -> int:
@@ -150,13 +158,15 @@ class States:
 
     def coupled(self, state: State, friction: float) -> bool:
         """Whether the coupled analysis holds the whole of a state."""
-        return solve(self.assembly, self.contacts, friction, present=state.present,
-                     held=state.held).stands  # fmt: skip
+        return solve(
+            self.assembly, self.contacts, friction, present=state.present, held=state.held
+        ).stands
 
     def margin(self, state: State) -> float:
         """Sideways acceleration that a state withstands in every direction [g]."""
-        return margin(self.assembly, self.contacts, self.friction, present=state.present,
-                      held=state.held)  # fmt: skip
+        return margin(
+            self.assembly, self.contacts, self.friction, present=state.present, held=state.held
+        )
 
     def _live(self, state: State) -> np.ndarray:
         """bool[C]: corners between blocks that are there."""
@@ -164,8 +174,14 @@ class States:
 
     def moving(self, state: State) -> list[int]:
         """Blocks that move first in a state that falls."""
-        found = solve(self.assembly, self.contacts, self.friction, present=state.present,
-                      held=state.held, coupled=False)  # fmt: skip
+        found = solve(
+            self.assembly,
+            self.contacts,
+            self.friction,
+            present=state.present,
+            held=state.held,
+            coupled=False,
+        )
         return found.moving.tolist()
 
     def near(self, block: int) -> set[int]:
@@ -209,9 +225,13 @@ class States:
             mine = np.flatnonzero(on[corners])
             at = 6 * row[body[corners[mine]]][:, None, None] + np.arange(6)
             column = 3 * mine[:, None, None] + np.arange(3)[:, None]
-            entries.append((np.broadcast_to(at, (len(mine), 3, 6)).ravel(),
-                            np.broadcast_to(column, (len(mine), 3, 6)).ravel(),
-                            wrench[corners[mine]].ravel()))  # fmt: skip
+            entries.append(
+                (
+                    np.broadcast_to(at, (len(mine), 3, 6)).ravel(),
+                    np.broadcast_to(column, (len(mine), 3, 6)).ravel(),
+                    wrench[corners[mine]].ravel(),
+                )
+            )
         rows, columns, values = map(np.concatenate, zip(*entries, strict=True))
         shape = 6 * len(region), 3 * len(corners)
         matrix = sp.csc_matrix((values, (rows, columns)), shape)

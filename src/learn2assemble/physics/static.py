@@ -125,9 +125,17 @@ def _try_object(state, row, unplaced, reference, action, spec, position):
     if spec.level:
         z += waiting_level(state.position[row, state.num_placed[row] + unplaced, 2])
     count = placed + lay_object(
-        state, row, unplaced, reference, x, y, z, spec.turns[way], position[placed:],
+        state,
+        row,
+        unplaced,
+        reference,
+        x,
+        y,
+        z,
+        spec.turns[way],
+        position[placed:],
         spec.pitch,
-    )  # fmt: skip
+    )
     return classify_object(position, placed, count, HALF), count
 
 

@@ -26,9 +26,12 @@ _SHARE, _MOST = 0.5, 10.0
 
 
 def advise(
-    tiling: Tiling, kit: Kit, seconds: float, progress: Callable[[str], None] = lambda text: None,
+    tiling: Tiling,
+    kit: Kit,
+    seconds: float,
+    progress: Callable[[str], None] = lambda text: None,
     **options: Any,
-) -> str:  # fmt: skip
+) -> str:
     """What makes a plan of this design complete, in one clause; empty where nothing tried does.
 
     Tried in this order: joints of width 0, the kits of the package, filling what is under an
@@ -67,8 +70,10 @@ def _trials(tiling: Tiling, kit: Kit, options: dict[str, Any]) -> Iterator[_Tria
         if name != kit.name:
             yield f"kit `{name}` does", wanted, load_kit(name).at_pitch(kit.pitch), {}
     cells = np.array(tiling.lacking, np.int64).reshape(-1, 3)
-    for what, under in (("what is under the overhangs", cells),
-                        ("everything down to the table", np.argwhere(wanted))):  # fmt: skip
+    for what, under in (
+        ("what is under the overhangs", cells),
+        ("everything down to the table", np.argwhere(wanted)),
+    ):
         filled = fill_below(wanted, under)
         more = int(filled.sum() - wanted.sum())
         if more:
@@ -76,8 +81,15 @@ def _trials(tiling: Tiling, kit: Kit, options: dict[str, Any]) -> Iterator[_Tria
     for levels in range(1, MOST_CUT + 1):
         higher = wanted[:, :, levels:]
         if higher.any() and wanted[:, :, 0].sum() < 0.5 * higher[:, :, 0].sum():
-            yield (f"without its lowest {levels} level{'s' * (levels > 1)}, on a flat base, "
-                   "it stands"), higher, kit, {}  # fmt: skip
+            yield (
+                (
+                    f"without its lowest {levels} level{'s' * (levels > 1)}, on a flat base, "
+                    "it stands"
+                ),
+                higher,
+                kit,
+                {},
+            )
     half = replace(kit, pitch=tuple(p / 2 for p in kit.pitch))
     if np.max(width) < min(half.pitch[:2]) / 2:
         finer = wanted.repeat(2, 0).repeat(2, 1).repeat(2, 2)
@@ -93,8 +105,9 @@ def pool(wanted: np.ndarray) -> np.ndarray:
     one cell deep stays so."""
     size = [min(2, n) for n in wanted.shape]
     padded = np.pad(wanted, [(0, -n % k) for n, k in zip(wanted.shape, size, strict=True)])
-    blocks = padded.reshape([m for n, k in zip(padded.shape, size, strict=True)
-                             for m in (n // k, k)])  # fmt: skip
+    blocks = padded.reshape(
+        [m for n, k in zip(padded.shape, size, strict=True) for m in (n // k, k)]
+    )
     return blocks.mean((1, 3, 5)) >= 0.5
 
 

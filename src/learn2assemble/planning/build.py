@@ -138,10 +138,18 @@ def build(
         if planner == "exact":
             raise InputError("planner", "exact", f"agent, for the task {design}")
         given = {
-            "kit": kit, "friction": friction, "gap": gap, "layout": layout, "tool": tool,
-            "state": state, "supports": supports != "auto", "holds": holds, "noise": any(noise),
-            "physics": physics != PHYSICS[0], **dict.fromkeys(reading, True),
-        }  # fmt: skip
+            "kit": kit,
+            "friction": friction,
+            "gap": gap,
+            "layout": layout,
+            "tool": tool,
+            "state": state,
+            "supports": supports != "auto",
+            "holds": holds,
+            "noise": any(noise),
+            "physics": physics != PHYSICS[0],
+            **dict.fromkeys(reading, True),
+        }
         _refuse(given, f"a design (not the task {design})")
         if arm is not None:
             check_name("arm", arm, (*ARMS, NO_ARM))
@@ -163,13 +171,21 @@ def build(
         how.check()
     else:
         _refuse(
-            {"tool": tool, "layout": layout, "state": state, "physics": physics != PHYSICS[0],
-             "noise": any(noise)}, "an arm to build with (--arm)",
-        )  # fmt: skip
+            {
+                "tool": tool,
+                "layout": layout,
+                "state": state,
+                "physics": physics != PHYSICS[0],
+                "noise": any(noise),
+            },
+            "an arm to build with (--arm)",
+        )
     given = {
-        "friction": friction, "gap": gap, "progress": progress,
+        "friction": friction,
+        "gap": gap,
+        "progress": progress,
         "seconds": EXACT_SECONDS if seconds is None else seconds,
-    }  # fmt: skip
+    }
     return _build_design(
         design, kit, (supports, holds), reading, how, planner, builder, seed, given
     )
@@ -270,12 +286,15 @@ def _check_values(**given: Any) -> None:
     check_arguments(
         given,
         ("holds", is_whole(given["holds"], 0), "a whole number of at least 0"),
-        ("noise", pair and all(is_number(one, 0) for one in noise),
-         "two standard deviations of at least 0, in m and rad"),
+        (
+            "noise",
+            pair and all(is_number(one, 0) for one in noise),
+            "two standard deviations of at least 0, in m and rad",
+        ),
         ("seed", is_whole(given["seed"], 0), "a whole number of at least 0"),
         ("seconds", seconds is None or (is_number(seconds) and seconds > 0), "a positive number"),
         ("progress", callable(given["progress"]), "a function of a line of text"),
-    )  # fmt: skip
+    )
 
 
 def _check_names(function: Callable[..., Any], reading: Mapping[str, Any]) -> None:
@@ -324,9 +343,16 @@ class _Arm(NamedTuple):
 
 
 def _build_design(
-    design: object, kit: Any, help_: tuple[str, int], reading: dict[str, Any], how: _Arm | None,
-    planner: str, builder: str | None, seed: int, given: dict[str, Any],
-) -> Plan:  # fmt: skip
+    design: object,
+    kit: Any,
+    help_: tuple[str, int],
+    reading: dict[str, Any],
+    how: _Arm | None,
+    planner: str,
+    builder: str | None,
+    seed: int,
+    given: dict[str, Any],
+) -> Plan:
     """Plan what is no task, and carry it out where an arm is named.
 
     Args:
@@ -380,9 +406,15 @@ def _build_design(
     def plan_with(blocks: Kit, hand: Hand | None = None) -> Plan:
         options: dict[str, Any] = given if blocks is kit else {**given, "gap": None}
         return plan_cells(
-            design, blocks, props=props, builder=builder, seed=seed, hand=hand,
-            planner=planner, **options,
-        )  # fmt: skip
+            design,
+            blocks,
+            props=props,
+            builder=builder,
+            seed=seed,
+            hand=hand,
+            planner=planner,
+            **options,
+        )
 
     if workcell is None:
         return plan_with(kit)
@@ -415,8 +447,11 @@ def _read(design: object, kit: Kit | None, reading: Mapping[str, Any]) -> object
         given = cast("str | Path | np.ndarray", design)
         return read_design(given, **cell, **reading)
     if reading:
-        raise InputError(", ".join(sorted(reading)), "given",
-                         "a design file or an array, which it tells how to read")  # fmt: skip
+        raise InputError(
+            ", ".join(sorted(reading)),
+            "given",
+            "a design file or an array, which it tells how to read",
+        )
     return design
 
 

@@ -82,19 +82,32 @@ def plan_cells(
         from learn2assemble.planning.agent.planner import plan_with_agent
 
         tiling, ordering, search, agent = plan_with_agent(
-            design.wanted, kit, builder=builder, seed=seed, seconds=seconds,
-            friction=friction, gap=gap, hand=hand, props=props,
-        )  # fmt: skip
+            design.wanted,
+            kit,
+            builder=builder,
+            seed=seed,
+            seconds=seconds,
+            friction=friction,
+            gap=gap,
+            hand=hand,
+            props=props,
+        )
     else:
         left = max(seconds - (time.perf_counter() - started), 1.0)
         tiling, ordering = plan_exact(
-            design.wanted, kit, seconds=left, friction=friction, gap=gap, props_allowed=props,
+            design.wanted,
+            kit,
+            seconds=left,
+            friction=friction,
+            gap=gap,
+            props_allowed=props,
             shades=design.shades,
-        )  # fmt: skip
+        )
         if (ordering or tiling).status in ("refused", "not found") and tiling.placements:
             left = seconds - (time.perf_counter() - started)
-            help_ = advise(tiling, kit, left, progress, friction=friction, gap=gap,
-                           props_allowed=props)  # fmt: skip
+            help_ = advise(
+                tiling, kit, left, progress, friction=friction, gap=gap, props_allowed=props
+            )
             why = f"{(ordering or tiling).reason}; {help_ or NO_ADVICE}"
             tiling = replace(tiling, reason=why)
             ordering = None if ordering is None else replace(ordering, reason=why)
@@ -102,15 +115,28 @@ def plan_cells(
     if tiling.status == "refused" and empty and not kit.limited and planner == EXACT:
         raise InputError("kit", kit.name, f"one that fills every cell ({tiling.reason})")
     return report_plan(
-        design, kit, tiling, ordering, seconds=time.perf_counter() - started, planner=planner,
-        agent=agent, search=search,
-    )  # fmt: skip
+        design,
+        kit,
+        tiling,
+        ordering,
+        seconds=time.perf_counter() - started,
+        planner=planner,
+        agent=agent,
+        search=search,
+    )
 
 
 def report_plan(
-    design: CellDesign, kit: Kit, tiling: Tiling, ordering: Ordering | None, *, seconds: float,
-    planner: str, agent: str | None = None, search: plans.SearchReport | None = None,
-) -> Plan:  # fmt: skip
+    design: CellDesign,
+    kit: Kit,
+    tiling: Tiling,
+    ordering: Ordering | None,
+    *,
+    seconds: float,
+    planner: str,
+    agent: str | None = None,
+    search: plans.SearchReport | None = None,
+) -> Plan:
     """The plan of blocks and their order, whoever chose them: complete where it fills the cells.
 
     Args:
@@ -130,8 +156,11 @@ def report_plan(
     missing = int((design.wanted & ~filled).sum())
     strange = None
     if (shades := design.shades) is not None:
-        strange = sum(int(strange_cells(shades[tuple(placement_cells(p, kit).T)][None])[0])
-                      for p in (tiling.placements[n] for n in standing) if not p.prop)  # fmt: skip
+        strange = sum(
+            int(strange_cells(shades[tuple(placement_cells(p, kit).T)][None])[0])
+            for p in (tiling.placements[n] for n in standing)
+            if not p.prop
+        )
     done = bool(tiling.status == ordered.status == "complete" and not missing and not outside)
     reason = None if done else ordered.reason or tiling.reason or f"{missing} cells are open"
     statuses = tiling.status, ordered.status
@@ -141,8 +170,10 @@ def report_plan(
         done, refused = False, True
         removed = needed - len(standing)
         and_props = f", {removed} of them props," if removed else ""
-        reason = (f"{needed} blocks of kit `{kit.name}`{and_props} are needed; "
-                  f"the design has {design.blocks} (\"blocks\")")  # fmt: skip
+        reason = (
+            f"{needed} blocks of kit `{kit.name}`{and_props} are needed; "
+            f'the design has {design.blocks} ("blocks")'
+        )
     assembly = None
     if tiling.placements:
         pressed = any(step.proof == TIGHT for step in ordered.steps)
@@ -203,8 +234,11 @@ def _blamed(tiling: Tiling, ordered: Ordering, kit: Kit) -> tuple[plans.BlamedCe
     """The cells that are to blame for a design's not being built, by reason."""
 
     def cells_of(blocks: Iterable[int]) -> list[Cell]:
-        return [(x, y, z) for block in blocks
-                for x, y, z in placement_cells(tiling.placements[block], kit).tolist()]  # fmt: skip
+        return [
+            (x, y, z)
+            for block in blocks
+            for x, y, z in placement_cells(tiling.placements[block], kit).tolist()
+        ]
 
     stuck = ordered.stuck[:1]
     groups: tuple[tuple[plans.Why, Sequence[Cell]], ...] = (

@@ -68,9 +68,11 @@ def balance(program: Program, share: np.ndarray, near: np.ndarray) -> np.ndarray
         matrix = arms @ sp.diags_array(soft) @ turned
         damp = 1e-11 * float(matrix.diagonal().max()) + 1e-14
         change = splu(
-            (matrix + damp * sp.eye_array(m)).tocsc(), permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0, options={"SymmetricMode": True},
-        ).solve(left)  # fmt: skip
+            (matrix + damp * sp.eye_array(m)).tocsc(),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        ).solve(left)
         slope, along, step = float(left @ change), turned @ change, 1.0
         if not np.isfinite(slope) or slope <= 0:
             return None

@@ -115,9 +115,15 @@ class _Without(WorldModel):
 
 
 def plan_episode(
-    simulator: Simulator, state: State, network: Network, *, seed: int = 0, seconds: float = 20.0,
-    avoid: frozenset[Key] = frozenset(), progress: Progress = lambda text: None,
-) -> Found:  # fmt: skip
+    simulator: Simulator,
+    state: State,
+    network: Network,
+    *,
+    seed: int = 0,
+    seconds: float = 20.0,
+    avoid: frozenset[Key] = frozenset(),
+    progress: Progress = lambda text: None,
+) -> Found:
     """The first episode that fills the target, else the one that fills most.
 
     Args:
@@ -418,9 +424,14 @@ class _Build:
         avoid: frozenset[Key] = frozenset()
         while not self.filled and self.failed <= MAX_REPLANS and self.state.num_unplaced[0]:
             found = plan_episode(
-                self.simulator, self.state, network, seed=seed, seconds=seconds, avoid=avoid,
+                self.simulator,
+                self.state,
+                network,
+                seed=seed,
+                seconds=seconds,
+                avoid=avoid,
                 progress=progress,
-            )  # fmt: skip
+            )
             self.stage = max(self.stage, found.stage)
             self.tried += found.tried
             if avoid and not found.success:
@@ -487,12 +498,18 @@ class _Build:
         x, y, z, *turn = (round(float(v), 6) for v in poses[0])
         attempts = self.real.log.steps if self.real else []
         step = plans.Step(
-            0, 0, (x, y, z), (turn[0], turn[1], turn[2], turn[3]), kind=_kind(len(cells)),
-            relation=RELATIONS[int(action[2]) // task.rotations], coverage=round(coverage, 6),
-            sides=tuple(sides.round(6).tolist()), margin_g=round(margin, 4),
+            0,
+            0,
+            (x, y, z),
+            (turn[0], turn[1], turn[2], turn[3]),
+            kind=_kind(len(cells)),
+            relation=RELATIONS[int(action[2]) // task.rotations],
+            coverage=round(coverage, 6),
+            sides=tuple(sides.round(6).tolist()),
+            margin_g=round(margin, 4),
             proof="arm" if self.real else "rigid bodies",
             outcome=attempts[-1].outcome.label if attempts else None,
-        )  # fmt: skip
+        )
         reference = int(before.object_id[0, action[1]])
         self.made.append(_Made(number, reference, poses, coverage, step, len(attempts)))
 
@@ -528,29 +545,39 @@ def _plan(build: _Build, agent: str, source: str, started: float) -> Plan:
     outlines = [start.vertices[0, side, :n] for side, n in enumerate(start.num_vertices[0])]
     plan = Plan(
         design=plans.PlanDesign(
-            name=source.removeprefix("task "), source=source, block_edge=EDGE,
+            name=source.removeprefix("task "),
+            source=source,
+            block_edge=EDGE,
             targets=tuple(map(_target, SIDES, frames, outlines)),
             success_threshold=task.success_threshold,
         ),
-        status="complete" if build.filled else "incomplete", reason=reason,
-        blocks=plans.BlockSupply(available, len(made) + 1), steps=tuple(steps), coverage=reached,
-        seconds=round(time.perf_counter() - started, 3), agent=agent, planner="agent",
+        status="complete" if build.filled else "incomplete",
+        reason=reason,
+        blocks=plans.BlockSupply(available, len(made) + 1),
+        steps=tuple(steps),
+        coverage=reached,
+        seconds=round(time.perf_counter() - started, 3),
+        agent=agent,
+        planner="agent",
         search=plans.SearchReport(
             STAGES[build.stage], (*BUDGETS, 0)[build.stage], tuple(build.tried)
         ),
         verified_by=f"MuJoCo {mujoco.__version__}, {simulated}",
         assembly=Assembly(tuple(blocks), order, FRICTION, source),
-    )  # fmt: skip
+    )
     if real is None:
         return plan
-    real.log.number_steps([
-        next((n for n, item in enumerate(made, 1) if item.attempt == step.number), None)
-        for step in real.log.steps
-    ])  # fmt: skip
+    real.log.number_steps(
+        [
+            next((n for n, item in enumerate(made, 1) if item.attempt == step.number), None)
+            for step in real.log.steps
+        ]
+    )
     failures = tuple(
         plans.ArmFailure(step.number, step.outcome.label, step.detail, step.replanned)
-        for step in real.log.steps if step.outcome != Outcome.REACHED
-    )  # fmt: skip
+        for step in real.log.steps
+        if step.outcome != Outcome.REACHED
+    )
     report = plans.ArmReport(
         real.cell.arm.name, task.pitch, len(real.log.steps), failures, round(real.log.now, 2)
     )
@@ -588,8 +615,11 @@ def _renumbered(record: BuildRecord, first: list[int]) -> BuildRecord:
     number = {old: new for new, old in enumerate(order)}
     steps = tuple(
         replace(
-            step, cells=tuple(number[cell] for cell in step.cells),
-            before=step.before[order], after=step.after[order],
-        ) for step in record.steps
-    )  # fmt: skip
+            step,
+            cells=tuple(number[cell] for cell in step.cells),
+            before=step.before[order],
+            after=step.after[order],
+        )
+        for step in record.steps
+    )
     return replace(record, steps=steps)

@@ -83,9 +83,15 @@ Blame = tuple[frozenset[BlockPlacement], bool]
 
 
 def plan_exact(
-    wanted: np.ndarray, kit: Kit, *, seconds: float = 60.0, friction: Bounds = None,
-    gap: Bounds = None, props_allowed: bool = True, shades: np.ndarray | None = None,
-) -> tuple[Tiling, Ordering | None]:  # fmt: skip
+    wanted: np.ndarray,
+    kit: Kit,
+    *,
+    seconds: float = 60.0,
+    friction: Bounds = None,
+    gap: Bounds = None,
+    props_allowed: bool = True,
+    shades: np.ndarray | None = None,
+) -> tuple[Tiling, Ordering | None]:
     """Blocks of ``kit`` that fill ``wanted`` exactly, and an order in which every state stands.
 
     Args:
@@ -140,16 +146,20 @@ def _impossible(wanted: np.ndarray, kit: Kit) -> str:
     count, step = int(wanted.sum()), reduce(math.gcd, sizes)
     _check_size(-(-count // max(sizes)), kit)
     if count % step:
-        return (f"all blocks of kit `{kit.name}` have a multiple of {step} cells; "
-                f"the design has {count}")  # fmt: skip
+        return (
+            f"all blocks of kit `{kit.name}` have a multiple of {step} cells; "
+            f"the design has {count}"
+        )
     # On a checkerboard in space, how many cells more of one colour a block has does not depend on
     # where it lies.
     uneven = [abs(int(np.sum((-1) ** np.sum(kind.cells, axis=1)))) for kind in kit.kinds]
     odd = abs(int(np.sum((-1) ** np.argwhere(wanted).sum(1))))
     most_odd = count * max(n / size for n, size in zip(uneven, sizes, strict=True))
     if odd > most_odd + 1e-6:
-        return (f"on a checkerboard the design has {odd} cells more of one colour; blocks of kit "
-                f"`{kit.name}` that fill it have at most {int(most_odd + 1e-6)}")  # fmt: skip
+        return (
+            f"on a checkerboard the design has {odd} cells more of one colour; blocks of kit "
+            f"`{kit.name}` that fill it have at most {int(most_odd + 1e-6)}"
+        )
     heap = [kind.count for kind in kit.kinds]
     most = sum(n * size for n, size in zip(heap, sizes, strict=True) if n is not None)
     if None not in heap and most < count:
@@ -159,8 +169,11 @@ def _impossible(wanted: np.ndarray, kit: Kit) -> str:
 
 def _check_size(blocks: int, kit: Kit) -> None:
     if blocks > MAX_PLACEMENTS:
-        raise InputError("design", f"at least {blocks} blocks of kit `{kit.name}`",
-                         f"at most {MAX_PLACEMENTS} (larger cells or blocks?)")  # fmt: skip
+        raise InputError(
+            "design",
+            f"at least {blocks} blocks of kit `{kit.name}`",
+            f"at most {MAX_PLACEMENTS} (larger cells or blocks?)",
+        )
 
 
 class _Search:
@@ -172,9 +185,16 @@ class _Search:
     """
 
     def __init__(
-        self, tiling: Tiling, kit: Kit, clock: Clock, law: str, mu: tuple[float, float],
-        friction: Bounds, gap: Bounds, props_allowed: bool,
-    ) -> None:  # fmt: skip
+        self,
+        tiling: Tiling,
+        kit: Kit,
+        clock: Clock,
+        law: str,
+        mu: tuple[float, float],
+        friction: Bounds,
+        gap: Bounds,
+        props_allowed: bool,
+    ) -> None:
         self.first, self.kit, self.clock, self.law, self.mu = tiling, kit, clock, law, mu
         self.friction, self.gap, self.props_allowed = friction, gap, props_allowed
         self.width = value_range(gap, kit.joint_gap, "gap")[1]
@@ -234,8 +254,9 @@ class _Search:
         if whole:
             self.again.barred = {
                 blocks: self.again.barred[blocks]
-                for blocks in self.again.barred if blocks in set(self.certain)
-            }  # fmt: skip
+                for blocks in self.again.barred
+                if blocks in set(self.certain)
+            }
             for blocks in self.tried:
                 self.again.bar(blocks)
         better = self.again.solve(min(self.clock.left, NEXT_SECONDS))
@@ -274,9 +295,14 @@ class _Search:
             made = replace(stood, status="not found", reason=f"{names} lie on one another")
             return made, None, [(frozenset(blocks[b] for b in ring), True)]
         made, ordering = prop_and_order(
-            stood, kit, self.clock, friction=self.friction, gap=self.gap,
-            props_allowed=self.props_allowed, law=self.law,
-        )  # fmt: skip
+            stood,
+            kit,
+            self.clock,
+            friction=self.friction,
+            gap=self.gap,
+            props_allowed=self.props_allowed,
+            law=self.law,
+        )
         if ordering is None:
             hanging = unsupported(stood, kit)
             if not self.props_allowed:
@@ -300,9 +326,16 @@ class _Search:
 
 
 def stand_by_friction(
-    tiling: Tiling, kit: Kit, law: str, friction: tuple[float, float], clock: Clock, *,
-    gap: float = 0.0, rounds: int = FRICTION_ROUNDS, again: Retiling | None = None,
-) -> Tiling:  # fmt: skip
+    tiling: Tiling,
+    kit: Kit,
+    law: str,
+    friction: tuple[float, float],
+    clock: Clock,
+    *,
+    gap: float = 0.0,
+    rounds: int = FRICTION_ROUNDS,
+    again: Retiling | None = None,
+) -> Tiling:
     """The tiling, changed where it falls even with friction, until the finished building stands.
 
     Args:
@@ -318,8 +351,10 @@ def stand_by_friction(
     from learn2assemble.physics.block_forces import System
 
     square = bool(np.isclose(kit.pitch[0], kit.pitch[1]))
-    boxes = all(np.prod(np.ptp(np.array(way.cells), axis=0) + 1) == len(way.cells)
-                for way in orientations(kit))  # fmt: skip
+    boxes = all(
+        np.prod(np.ptp(np.array(way.cells), axis=0) + 1) == len(way.cells)
+        for way in orientations(kit)
+    )
     again = again or Retiling(tiling, kit, tight=law == TIGHT)
     what = "tight joints" if law == TIGHT else "friction on bed faces"
     falls = f"it would fall with {what}, too"
@@ -360,9 +395,15 @@ def _alike(kit: Kit) -> bool:
 
 
 def prop_and_order(
-    structure: Tiling, kit: Kit, clock: Clock, *, friction: Bounds, gap: Bounds,
-    props_allowed: bool, law: str = FRICTIONLESS,
-) -> tuple[Tiling, Ordering | None]:  # fmt: skip
+    structure: Tiling,
+    kit: Kit,
+    clock: Clock,
+    *,
+    friction: Bounds,
+    gap: Bounds,
+    props_allowed: bool,
+    law: str = FRICTIONLESS,
+) -> tuple[Tiling, Ordering | None]:
     """The order of a building that stands, with the fewest props it takes.
 
     Args:
@@ -388,8 +429,9 @@ def prop_and_order(
         if ordering.status != "not found" or not props_allowed or props is None:
             break
         new = [b for b in ordering.stuck if b < count and b not in demands]
-        walled = [len(placement_cells(tiling.placements[b], kit))
-                  for b in ordering.stuck if b >= count]  # fmt: skip
+        walled = [
+            len(placement_cells(tiling.placements[b], kit)) for b in ordering.stuck if b >= count
+        ]
         if new:
             demands[new[0]] = frozenset((*ordering.falls, new[0]))
         elif walled:
@@ -517,9 +559,14 @@ def _falling_part(proof: Proof, tiling: Tiling, clock: Clock) -> np.ndarray:
 
 
 def _stand_near(
-    tiling: Tiling, kit: Kit, stack: Stack, held: list[int], tried: set[bytes], clock: Clock,
+    tiling: Tiling,
+    kit: Kit,
+    stack: Stack,
+    held: list[int],
+    tried: set[bytes],
+    clock: Clock,
     barred: Collection[frozenset[BlockPlacement]],
-) -> tuple[str, Tiling | None]:  # fmt: skip
+) -> tuple[str, Tiling | None]:
     """Blocks that stand round those that fall, or ``"infeasible"`` where no tiling does.
 
     Args:
@@ -543,9 +590,12 @@ def _stand_near(
 
 
 def _stand_whole(
-    tiling: Tiling, kit: Kit, stack: Stack, barred: Collection[frozenset[BlockPlacement]],
+    tiling: Tiling,
+    kit: Kit,
+    stack: Stack,
+    barred: Collection[frozenset[BlockPlacement]],
     clock: Clock,
-) -> tuple[str, Tiling | None]:  # fmt: skip
+) -> tuple[str, Tiling | None]:
     """All blocks chosen together with their forces, where the design is small enough."""
     if tiling.wanted.sum() > MAX_ABOVE:
         return "unknown", None
@@ -615,5 +665,4 @@ def describe_lack(kit: Kit, wanted: np.ndarray, cells: np.ndarray) -> str:
     first = (int(at[0, 0]), int(at[0, 1]), level)
     if run == 1:
         return f"no block of kit `{kit.name}` carries the cell {first}"
-    return (f"no block of kit `{kit.name}` spans {run} cells at level {level} "
-            f"(the first is {first})")  # fmt: skip
+    return f"no block of kit `{kit.name}` spans {run} cells at level {level} (the first is {first})"

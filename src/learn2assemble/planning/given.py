@@ -132,9 +132,13 @@ def _completes(problem: Problem, supports: Supports, clock: Clock) -> bool:
 
 
 def _plan(
-    problem: Problem, found: Sequenced, ends: tuple[float, float],
-    gaps: tuple[float, float] | None, source: str, started: float,
-) -> Plan:  # fmt: skip
+    problem: Problem,
+    found: Sequenced,
+    ends: tuple[float, float],
+    gaps: tuple[float, float] | None,
+    source: str,
+    started: float,
+) -> Plan:
     assembly = problem.assembly
     support = np.array([block.support for block in found.blocks])
     wanted = ~support & ~np.array([block.prop for block in found.blocks])

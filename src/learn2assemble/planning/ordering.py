@@ -104,9 +104,13 @@ class Coupled:
     """
 
     def __init__(
-        self, tiling: Tiling, kit: Kit, friction: tuple[float, float], law: str = TIGHT,
+        self,
+        tiling: Tiling,
+        kit: Kit,
+        friction: tuple[float, float],
+        law: str = TIGHT,
         gap: float = 0.0,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.tiling, self.kit, self.friction = tiling, kit, sorted(set(friction))
         self.law, self.gap = law, gap
         self._stiffness = 0.0
@@ -159,9 +163,14 @@ class _Site:
     """What stands, and the forces that prove it under gravity and under sideways acceleration."""
 
     def __init__(
-        self, tiling: Tiling, kit: Kit, gap: float, friction: float, clock: Clock,
+        self,
+        tiling: Tiling,
+        kit: Kit,
+        gap: float,
+        friction: float,
+        clock: Clock,
         coupled: Coupled | None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.blocks, self.clock, self.coupled = tiling.placements, clock, coupled
         self.law = BED if coupled is None else coupled.law
         self.cells = [placement_cells(block, kit) for block in self.blocks]
@@ -263,8 +272,11 @@ class _Site:
         """
         count = len(self.blocks)
         below = [self.stack.below(b) for b in range(count)]
-        enclosed = [b for b in range(count)
-                    if self.blocks[b].prop and not way_out(self.wanted, self.cells[b])]  # fmt: skip
+        enclosed = [
+            b
+            for b in range(count)
+            if self.blocks[b].prop and not way_out(self.wanted, self.cells[b])
+        ]
         left, level = list(range(count)), 0
         if not given:
             left.sort(key=lambda b: (self.blocks[b].origin[::-1], b))
@@ -310,8 +322,10 @@ class _Site:
 
     def remove(self, props: list[int]) -> list[int]:
         """Take props away, from above; those that cannot be."""
-        left = sorted((b for b in props if self.placed[b]),
-                      key=lambda b: (-self.blocks[b].origin[2], self.blocks[b].origin))  # fmt: skip
+        left = sorted(
+            (b for b in props if self.placed[b]),
+            key=lambda b: (-self.blocks[b].origin[2], self.blocks[b].origin),
+        )
         before = None
         while left != before:
             before = list(left)
@@ -325,9 +339,15 @@ class _Site:
 
 
 def order(
-    tiling: Tiling, kit: Kit, *, friction: Bounds = None, gap: Bounds = None,
-    seconds: float = 60.0, law: str = FRICTIONLESS, given: bool = False,
-) -> Ordering:  # fmt: skip
+    tiling: Tiling,
+    kit: Kit,
+    *,
+    friction: Bounds = None,
+    gap: Bounds = None,
+    seconds: float = 60.0,
+    law: str = FRICTIONLESS,
+    given: bool = False,
+) -> Ordering:
     """The order of building ``tiling``, every state proven before the next.
 
     Args:
@@ -354,8 +374,10 @@ def order(
     steps, status, reason, falls = site.steps, "complete", "", ()
     if stuck and site.late:
         status, stuck = "time", []
-        reason = (f"time ran out after {seconds:g} s with {len(steps)} steps proven; "
-                  f"{TIME_OPTION} gives more")  # fmt: skip
+        reason = (
+            f"time ran out after {seconds:g} s with {len(steps)} steps proven; "
+            f"{TIME_OPTION} gives more"
+        )
     elif stuck:
         status, reason = "not found", _why_stuck(site, stuck[0])
         if not blocks[stuck[0]].prop:
@@ -369,8 +391,17 @@ def order(
     gaps = (0.0, widest)
     if status == "complete" and not rubs:
         gaps = 0.0, _widest_gap(tiling, kit, steps, widest, clock)
-    return Ordering(tuple(steps), status, reason, margin, ends if rubs else (0.0, INF), gaps,
-                    tuple(stuck), falls, clock.spent)  # fmt: skip
+    return Ordering(
+        tuple(steps),
+        status,
+        reason,
+        margin,
+        ends if rubs else (0.0, INF),
+        gaps,
+        tuple(stuck),
+        falls,
+        clock.spent,
+    )
 
 
 def _firm(site: _Site) -> None:
@@ -470,9 +501,14 @@ def _holds(tiling: Tiling, kit: Kit, steps: list[OrderedStep], gap: float, clock
 
 
 def to_assembly(
-    tiling: Tiling, ordering: Ordering | None, kit: Kit, *, name: str = "",
-    friction: float | None = None, gap: float | None = None,
-) -> Assembly:  # fmt: skip
+    tiling: Tiling,
+    ordering: Ordering | None,
+    kit: Kit,
+    *,
+    name: str = "",
+    friction: float | None = None,
+    gap: float | None = None,
+) -> Assembly:
     """Blocks as polyhedra where they stand, with the steps of the ordering.
 
     Cell (i, j, k) of X x Y x Z is centred at ((i + 0.5 - X/2) dx, (j + 0.5 - Y/2) dy,
@@ -495,10 +531,13 @@ def to_assembly(
         ids.append(f"{'prop' if block.prop else 'block'}-{number + 1}")
         moved = vertices + (np.array(block.origin) - middle) * kit.pitch
         density = kit.density if kind.density is None else kind.density
-        blocks.append(Block(ids[-1], moved, faces, block.kind, density, prop=block.prop,
-                            colour=kind.colour))  # fmt: skip
-    steps = [Step(ids[step.block]) if step.remove is None else Step(remove=ids[step.block])
-             for step in (ordering.steps if ordering else ())]  # fmt: skip
+        blocks.append(
+            Block(ids[-1], moved, faces, block.kind, density, prop=block.prop, colour=kind.colour)
+        )
+    steps = [
+        Step(ids[step.block]) if step.remove is None else Step(remove=ids[step.block])
+        for step in (ordering.steps if ordering else ())
+    ]
     friction = kit.friction if friction is None else friction
     return Assembly(tuple(blocks), tuple(steps), friction, name).as_far_as_placed()
 

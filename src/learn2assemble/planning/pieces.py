@@ -97,8 +97,9 @@ def pieces_of(assembly: Assembly) -> tuple[Piece, ...]:
         InputError: for a block that is not made of upright boxes.
     """
     bottoms = [(b.vertices.min(0), b.vertices.max(0)) for b in assembly.blocks if not b.prop]
-    return tuple(_piece(b, PROP_ROOM if b.prop and _carries(b, bottoms) else 0.0)
-                 for b in assembly.blocks)  # fmt: skip
+    return tuple(
+        _piece(b, PROP_ROOM if b.prop and _carries(b, bottoms) else 0.0) for b in assembly.blocks
+    )
 
 
 def _carries(block: Block, others: list[tuple[np.ndarray, np.ndarray]]) -> bool:
@@ -203,13 +204,18 @@ def footprint(shape: tuple[Part, ...], pose: Pose) -> Any:
     """What a shape covers at a pose, as a shapely area."""
     import shapely
 
-    return shapely.union_all([
-        shapely.affinity.translate(
-            shapely.affinity.rotate(
-                shapely.box(c[0] - h[0], c[1] - h[1], c[0] + h[0], c[1] + h[1]),
-                pose.yaw, origin=(0, 0), use_radians=True,
-            ),
-            pose.x, pose.y,
-        )
-        for c, h in shape
-    ])  # fmt: skip
+    return shapely.union_all(
+        [
+            shapely.affinity.translate(
+                shapely.affinity.rotate(
+                    shapely.box(c[0] - h[0], c[1] - h[1], c[0] + h[0], c[1] + h[1]),
+                    pose.yaw,
+                    origin=(0, 0),
+                    use_radians=True,
+                ),
+                pose.x,
+                pose.y,
+            )
+            for c, h in shape
+        ]
+    )

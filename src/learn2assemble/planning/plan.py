@@ -190,9 +190,15 @@ def block_step(number: int, index: int, block: Block, action: Action, coverage: 
     """The step with a number, from 1, of a block with an index in its assembly."""
     x, y, z = (round(float(c), 6) for c in block.centroid)
     return Step(
-        step=number, block=index, position=(x, y, z), quaternion=(1.0, 0.0, 0.0, 0.0),
-        action=action, kind=block.kind or None, prop=block.prop, coverage=round(coverage, 6),
-    )  # fmt: skip
+        step=number,
+        block=index,
+        position=(x, y, z),
+        quaternion=(1.0, 0.0, 0.0, 0.0),
+        action=action,
+        kind=block.kind or None,
+        prop=block.prop,
+        coverage=round(coverage, 6),
+    )
 
 
 @dataclass(frozen=True)

@@ -88,8 +88,12 @@ class _Site:
     def posts(self, k: int) -> list[Post]:
         """Those that have room under the free face that is nearest below the centre of a block."""
         middle = shapely.Point(self.blocks[k].centroid[:2])
-        free = [part for face in self.faces[k] if face.normal[2] < _DOWN
-                for part in self._free_parts(k, face)]  # fmt: skip
+        free = [
+            part
+            for face in self.faces[k]
+            if face.normal[2] < _DOWN
+            for part in self._free_parts(k, face)
+        ]
         free.sort(key=lambda face: (face.outline.distance(middle), -face.outline.area))
         for face in free:
             found = self._under(k, face, middle)
@@ -143,8 +147,9 @@ class _Site:
             corners = contacts.points[contacts.start[patch] : contacts.start[patch + 1], :2]
             left = left.difference(shapely.MultiPoint(corners).convex_hull.buffer(1e-3 * size))
         parts = [part for part in getattr(left, "geoms", [left]) if isinstance(part, Polygon)]
-        return [face._replace(outline=part) for part in parts
-                if part.area > _LEAST * face.outline.area]  # fmt: skip
+        return [
+            face._replace(outline=part) for part in parts if part.area > _LEAST * face.outline.area
+        ]
 
     def _prism(self, k: int, face: _Face, square: np.ndarray, name: str) -> Post | None:
         """A post of that outline on the highest floor below it, unless something is in its way."""

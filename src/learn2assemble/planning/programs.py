@@ -91,9 +91,13 @@ class Model:
         self._count = self._height = 0
 
     def columns(
-        self, cost: np.ndarray, upper: np.ndarray | float = INF, *,
-        lower: np.ndarray | float = 0.0, integer: bool = False,
-    ) -> np.ndarray:  # fmt: skip
+        self,
+        cost: np.ndarray,
+        upper: np.ndarray | float = INF,
+        *,
+        lower: np.ndarray | float = 0.0,
+        integer: bool = False,
+    ) -> np.ndarray:
         """Add columns; int64[n], their numbers."""
         self._columns.append(np.stack(np.broadcast_arrays(cost, lower, upper, integer)))
         self._count += len(cost)
@@ -124,8 +128,17 @@ class Model:
         row, column, value = map(np.concatenate, zip(*self._entries, strict=True))
         order = np.lexsort((row, column))
         start = np.searchsorted(column[order], np.arange(len(cost) + 1))
-        return Program(cost, lower, upper, row_lower, row_upper, start, row[order], value[order],
-                       integer.astype(bool))  # fmt: skip
+        return Program(
+            cost,
+            lower,
+            upper,
+            row_lower,
+            row_upper,
+            start,
+            row[order],
+            value[order],
+            integer.astype(bool),
+        )
 
 
 def solve(
@@ -158,16 +171,22 @@ def solve(
     if math.isfinite(seconds):
         solver.setOptionValue("time_limit", float(seconds))
     status = solver.passModel(
-        n, m, len(program.value), _COLUMNWISE, _MINIMIZE, 0.0,
+        n,
+        m,
+        len(program.value),
+        _COLUMNWISE,
+        _MINIMIZE,
+        0.0,
         np.ascontiguousarray(program.cost, float),
-        np.ascontiguousarray(program.lower, float), np.ascontiguousarray(program.upper, float),
+        np.ascontiguousarray(program.lower, float),
+        np.ascontiguousarray(program.upper, float),
         np.ascontiguousarray(program.row_lower, float),
         np.ascontiguousarray(program.row_upper, float),
         np.ascontiguousarray(program.start, np.int32),
         np.ascontiguousarray(program.index, np.int32),
         np.ascontiguousarray(program.value, float),
         np.broadcast_to(program.integer, n).astype(np.int32),
-    )  # fmt: skip
+    )
     if status == highspy.HighsStatus.kError:
         raise Learn2AssembleError("program: the solver refused the matrix")
     solver.run()

@@ -44,9 +44,12 @@ def _carried(tiling: Tiling, kit: Kit, block: BlockPlacement) -> tuple[np.ndarra
 
 
 def choose_props(
-    tiling: Tiling, kit: Kit, demands: dict[int, frozenset[int]], seconds: float = INF,
+    tiling: Tiling,
+    kit: Kit,
+    demands: dict[int, frozenset[int]],
+    seconds: float = INF,
     largest: int | None = None,
-) -> list[BlockPlacement] | None:  # fmt: skip
+) -> list[BlockPlacement] | None:
     """The fewest temporary blocks under blocks that cannot be put down on their own.
 
     A prop is a stack of like blocks from the table, or from the top of the structure, up to the
@@ -67,15 +70,23 @@ def choose_props(
             return None
         cells = {block: placement_cells(block, kit) for block in made}
         top = {block: _top_of_stack(block, tuple(made)) for block in made}
-        barred |= (walled := {
-            block for block in set(top.values())
-            if not way_out(tiling.wanted[:, :, : block.origin[2] + 2], cells[block])
-        })  # fmt: skip
-        caught = [] if walled else [
-            len(cells[block]) for level in sorted({block.origin[2] for block in top.values()})
-            for block in _caught(tiling.wanted[:, :, : level + 2], cells)
-            if top[block].origin[2] == level
-        ]  # fmt: skip
+        barred |= (
+            walled := {
+                block
+                for block in set(top.values())
+                if not way_out(tiling.wanted[:, :, : block.origin[2] + 2], cells[block])
+            }
+        )
+        caught = (
+            []
+            if walled
+            else [
+                len(cells[block])
+                for level in sorted({block.origin[2] for block in top.values()})
+                for block in _caught(tiling.wanted[:, :, : level + 2], cells)
+                if top[block].origin[2] == level
+            ]
+        )
         if caught:
             # Props that keep one another in are made smaller.
             largest = max(caught) - 1
@@ -105,9 +116,13 @@ def _caught(wanted: np.ndarray, props: dict[BlockPlacement, np.ndarray]) -> set[
 
 
 def _fewest_props(
-    tiling: Tiling, kit: Kit, demands: dict[int, frozenset[int]], seconds: float,
-    barred: Collection[BlockPlacement], largest: int | None,
-) -> list[BlockPlacement] | None:  # fmt: skip
+    tiling: Tiling,
+    kit: Kit,
+    demands: dict[int, frozenset[int]],
+    seconds: float,
+    barred: Collection[BlockPlacement],
+    largest: int | None,
+) -> list[BlockPlacement] | None:
     """:func:`choose_props`, without the stacks with the uppermost blocks ``barred``."""
     wanted, blocks = tiling.wanted, tiling.placements
     heap = {kind.name: kind.count for kind in kit.kinds if kind.count is not None}
@@ -148,9 +163,12 @@ def _fewest_props(
     row, column = np.array(sorted(set(serves))).T
     model.rows(np.ones(len(need)), INF, (row, column, 1.0))
     cell_rows: dict[Cell, int] = {}
-    taken = [(cell_rows.setdefault((x + u, y + v, w), len(cell_rows)), number)
-             for number, ((way, x, y, z), base) in enumerate(zip(listed, bottoms, strict=True))
-             for u, v, _ in ways[way].cells for w in range(base or 0, z)]  # fmt: skip
+    taken = [
+        (cell_rows.setdefault((x + u, y + v, w), len(cell_rows)), number)
+        for number, ((way, x, y, z), base) in enumerate(zip(listed, bottoms, strict=True))
+        for u, v, _ in ways[way].cells
+        for w in range(base or 0, z)
+    ]
     row, column = np.array(taken).T
     model.rows(np.full(len(cell_rows), -INF), 1.0, (row, column, 1.0))
     kinds = [kit.kinds[ways[way].kind].name for way, *_ in listed]
@@ -163,8 +181,10 @@ def _fewest_props(
     made = []
     for number in np.flatnonzero(answer.x > 0.5):
         way, x, y, z = listed[number]
-        made += [BlockPlacement(kinds[number], ways[way].turn, (x, y, w), True)
-                 for w in range(bottoms[number] or 0, z)]  # fmt: skip
+        made += [
+            BlockPlacement(kinds[number], ways[way].turn, (x, y, w), True)
+            for w in range(bottoms[number] or 0, z)
+        ]
     return list(from_below(made))
 
 

@@ -63,8 +63,10 @@ def improve_bond(tiling: Tiling, kit: Kit, clock: Clock) -> Tiling:
     wanted = tiling.wanted
     if not kit.flat:
         return tiling
-    layers = [[block for block in tiling.placements if block.origin[2] == z]
-              for z in range(wanted.shape[2])]  # fmt: skip
+    layers = [
+        [block for block in tiling.placements if block.origin[2] == z]
+        for z in range(wanted.shape[2])
+    ]
     _improve(layers, tiling, kit, clock)
     return replace(tiling, placements=from_below(chain.from_iterable(layers)))
 
@@ -104,14 +106,22 @@ def _seams(layers: _Layers, wanted: np.ndarray, kit: Kit) -> tuple[np.ndarray, n
 def _continued(layers: _Layers, wanted: np.ndarray, kit: Kit, low: int, high: int) -> int:
     """Joints at, below and above the layers ``low`` to ``high`` that the next layer continues."""
     low, high = max(low - 1, 0), min(high + 1, len(layers))
-    return sum(int((seam[:, :, low : high - 1] & seam[:, :, low + 1 : high]).sum())
-               for seam in _seams(layers, wanted, kit))  # fmt: skip
+    return sum(
+        int((seam[:, :, low : high - 1] & seam[:, :, low + 1 : high]).sum())
+        for seam in _seams(layers, wanted, kit)
+    )
 
 
 def _window(
-    layers: _Layers, wanted: np.ndarray, kit: Kit, found: Candidates, price: np.ndarray, low: int,
-    high: int, clock: Clock,
-) -> _Layers | None:  # fmt: skip
+    layers: _Layers,
+    wanted: np.ndarray,
+    kit: Kit,
+    found: Candidates,
+    price: np.ndarray,
+    low: int,
+    high: int,
+    clock: Clock,
+) -> _Layers | None:
     """The blocks of the layers ``low`` to ``high``, chosen together."""
     level = found.origin[:, 2]
     keep = np.flatnonzero((level >= low) & (level < high))
@@ -131,17 +141,18 @@ def _window(
     has = kinds >= 0
     model = Model()
     chosen = model.columns(np.where(has, cost, 0.0), np.where(has, 1.0, 0.0), integer=True)
-    model.rows(np.ones(len(must)), 1.0,
-               (row_of_cell[part.cell], np.repeat(chosen, part.size()), 1.0))  # fmt: skip
+    model.rows(
+        np.ones(len(must)), 1.0, (row_of_cell[part.cell], np.repeat(chosen, part.size()), 1.0)
+    )
     number = np.array([float(used[kit.kinds[k].name]) for k in limits])
     model.rows(number, number, (kinds[has], chosen[has], 1.0))
     # Edges that may be joints in two layers, and the rows of those below and above each layer.
     joints, extra = _seams(layers, wanted, kit), 0
     rows = [np.full((*joint.shape[:2], len(layers) + 1), -1) for joint in joints]
     for z in range(max(low, 1), min(high + 1, len(layers))):
-        for axis, (first, second) in enumerate((
-            (wanted[:-1], wanted[1:]), (wanted[:, :-1], wanted[:, 1:])
-        )):  # fmt: skip
+        for axis, (first, second) in enumerate(
+            ((wanted[:-1], wanted[1:]), (wanted[:, :-1], wanted[:, 1:]))
+        ):
             edge = (first & second)[:, :, z - 1 : z + 1].all(2)
             edge &= joints[axis][:, :, z - 1] | (z - 1 >= low)
             edge &= joints[axis][:, :, z] | (z < high)
@@ -283,9 +294,15 @@ class Retiling:
         barred = [number[blocks] for blocks in self.barred.values()]
         must = np.flatnonzero(live & old.wanted.reshape(-1))
         answer, picked, _, _ = cover(
-            self.found.take(keep), self.cost[keep], must, kit=kit, counts=heap_of(kit), cuts=cuts,
-            barred=[blocks for blocks in barred if (blocks >= 0).all()], seconds=clock.left,
-        )  # fmt: skip
+            self.found.take(keep),
+            self.cost[keep],
+            must,
+            kit=kit,
+            counts=heap_of(kit),
+            cuts=cuts,
+            barred=[blocks for blocks in barred if (blocks >= 0).all()],
+            seconds=clock.left,
+        )
         if answer.status == "infeasible":
             return None
         if answer.status == "time":

@@ -107,9 +107,11 @@ class Sequenced:
 
 
 def find_sequence(
-    problem: Problem, supports: Supports, clock: Clock,
+    problem: Problem,
+    supports: Supports,
+    clock: Clock,
     progress: Callable[[str], None] = lambda text: None,
-) -> Sequenced:  # fmt: skip
+) -> Sequenced:
     """Order, supports and proof for blocks that are given where they stand.
 
     Without help first, then with hands as far as they are there, at last with posts. Of a few
@@ -183,9 +185,13 @@ class _Search:
     """
 
     def __init__(
-        self, problem: Problem, posts: list[Post], holds: int, clock: Clock,
+        self,
+        problem: Problem,
+        posts: list[Post],
+        holds: int,
+        clock: Clock,
         progress: Callable[[str], None],
-    ) -> None:  # fmt: skip
+    ) -> None:
         given = problem.assembly.blocks
         self.problem, self.posts, self.holds = problem, posts, holds
         self.clock, self.progress, self.count = clock, progress, len(given)
@@ -210,10 +216,12 @@ class _Search:
         self.clearance = Clearance(self.blocks, 2 * depth)
         self.rank = _from_below(self.blocks)
         self.under = [
-            sorted((p for p in self.near[k] if p >= self.count and posts[p - self.count].base != k),
-                   key=lambda p, k=k: (posts[p - self.count].carries != k, p))
+            sorted(
+                (p for p in self.near[k] if p >= self.count and posts[p - self.count].base != k),
+                key=lambda p, k=k: (posts[p - self.count].carries != k, p),
+            )
             for k in range(self.count)
-        ]  # fmt: skip
+        ]
         self.allowed = set(range(self.count, len(self.blocks)))
         self.guards: dict[int, set[int]] = {}
         """Blocks that close the way out of props, which have to go before."""

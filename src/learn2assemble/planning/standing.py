@@ -74,9 +74,14 @@ def _whole_blocks(tiling: Tiling, kit: Kit, region: np.ndarray) -> np.ndarray:
 
 
 def tile_standing(
-    tiling: Tiling, kit: Kit, stack: Stack, region: np.ndarray, *,
-    barred: Collection[frozenset[BlockPlacement]] = (), seconds: float = INF,
-) -> tuple[str, Tiling | None]:  # fmt: skip
+    tiling: Tiling,
+    kit: Kit,
+    stack: Stack,
+    region: np.ndarray,
+    *,
+    barred: Collection[frozenset[BlockPlacement]] = (),
+    seconds: float = INF,
+) -> tuple[str, Tiling | None]:
     """The tiling, with the blocks of a region chosen anew so that they stand.
 
     Args:
@@ -97,8 +102,7 @@ def tile_standing(
     bodies = found.blocks(kit, np.arange(len(found)))
     bodies += [blocks[b] for b in np.flatnonzero(rests)]
     used = Counter(block.kind for block in stays)
-    heap = {kind.name: kind.count - used[kind.name] for kind in kit.kinds
-            if kind.count is not None}  # fmt: skip
+    heap = {kind.name: kind.count - used[kind.name] for kind in kit.kinds if kind.count is not None}
     apart = []
     for together in barred:
         fixed = set(stays) & together
@@ -114,9 +118,14 @@ def tile_standing(
 
 
 def _program(
-    wanted: np.ndarray, kit: Kit, region: np.ndarray, bodies: list[BlockPlacement],
-    cost: np.ndarray, heap: dict[str, int], apart: list[np.ndarray],
-) -> Program:  # fmt: skip
+    wanted: np.ndarray,
+    kit: Kit,
+    region: np.ndarray,
+    bodies: list[BlockPlacement],
+    cost: np.ndarray,
+    heap: dict[str, int],
+    apart: list[np.ndarray],
+) -> Program:
     """Columns: whether each candidate is used, then the forces at four corners of every face.
 
     Args:
@@ -181,9 +190,13 @@ def face_points(kit: Kit, points: np.ndarray, inset: bool = True) -> np.ndarray:
 
 
 def find_faces(
-    body: np.ndarray, cell: np.ndarray, wanted: np.ndarray, loose: np.ndarray,
-    middle: np.ndarray, points: np.ndarray,
-) -> Faces:  # fmt: skip
+    body: np.ndarray,
+    cell: np.ndarray,
+    wanted: np.ndarray,
+    loose: np.ndarray,
+    middle: np.ndarray,
+    points: np.ndarray,
+) -> Faces:
     """The faces of bodies, each a set of cells.
 
     Args:
@@ -224,24 +237,36 @@ def add_forces(model: Model, used: np.ndarray, faces: Faces, own: np.ndarray, mo
     lever = (np.ones_like(faces.lever[:, :, 0]), *np.moveaxis(faces.lever, 2, 0))
     balance = np.where(np.arange(count)[:, None] < n, 0.0, own).reshape(-1)
     model.rows(
-        balance, balance, *((row + k, force, sign * lever[k]) for k in range(arms)),
+        balance,
+        balance,
+        *((row + k, force, sign * lever[k]) for k in range(arms)),
         *((arms * np.arange(n) + k, used, -own[:n, k]) for k in range(arms)),
-    )  # fmt: skip
+    )
     loads = (faces.sign < 0) & (faces.body < n)  # what is not used bears nothing
-    model.rows(np.full(n, -INF), 0.0, (faces.body[loads, None], force[loads], 1.0),
-               (np.arange(n), used, -most))  # fmt: skip
+    model.rows(
+        np.full(n, -INF),
+        0.0,
+        (faces.body[loads, None], force[loads], 1.0),
+        (np.arange(n), used, -most),
+    )
     row = m * faces.plane[:, None] + np.arange(m)
-    model.rows(np.zeros(m * (faces.plane.max(initial=-1) + 1)), 0.0,
-               (row, force[faces.joined], sign[faces.joined]))  # fmt: skip
+    model.rows(
+        np.zeros(m * (faces.plane.max(initial=-1) + 1)),
+        0.0,
+        (row, force[faces.joined], sign[faces.joined]),
+    )
 
 
 # ---------------------------------------------------------------- how it falls
 
 
 def find_mechanisms(
-    stack: Stack, owner: np.ndarray, most: int = 12, seconds: float = INF,
+    stack: Stack,
+    owner: np.ndarray,
+    most: int = 12,
+    seconds: float = INF,
     moving: np.ndarray | None = None,
-) -> list[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """Ways in which a stack falls down, as the joints that would have to be glued.
 
     A mechanism is a virtual motion of the blocks, each along z and tilting about x and y, that
@@ -278,18 +303,25 @@ def find_mechanisms(
 
     point, bears = np.arange(len(stack.point)), np.flatnonzero(stack.lower >= 0)
     model.rows(
-        np.zeros(len(point)), INF, *along_z(point, stack.upper, stack.point[:, :2], 1.0),
+        np.zeros(len(point)),
+        INF,
+        *along_z(point, stack.upper, stack.point[:, :2], 1.0),
         *along_z(bears, stack.lower[bears], stack.point[bears, :2], -1.0),
-    )  # fmt: skip
+    )
     model.rows(1.0, 1.0, (0, motion[:, 0], -stack.weight / stack.weight.mean()))
     number = 3 * np.arange(m)
     model.rows(
-        np.zeros(3 * m), 0.0,
+        np.zeros(3 * m),
+        0.0,
         *((np.arange(3 * m), jump, sign) for jump, sign in zip(jumps, (-1.0, 1.0), strict=True)),
-        *along_z(number, sides[:, 0], foot, 1.0), *along_z(number, sides[:, 1], foot, -1.0),
-        *((number + k, motion[sides[:, side], k], sign)
-          for k in (1, 2) for side, sign in ((0, 1.0), (1, -1.0))),
-    )  # fmt: skip
+        *along_z(number, sides[:, 0], foot, 1.0),
+        *along_z(number, sides[:, 1], foot, -1.0),
+        *(
+            (number + k, motion[sides[:, side], k], sign)
+            for k in (1, 2)
+            for side, sign in ((0, 1.0), (1, -1.0))
+        ),
+    )
     program, clock = model.program(), Clock(seconds)
 
     def part(price: np.ndarray, closed: np.ndarray) -> np.ndarray | None:
@@ -306,9 +338,11 @@ def find_mechanisms(
 
 
 def _partings(
-    part: Callable[[np.ndarray, np.ndarray], np.ndarray | None], size: np.ndarray, most: int,
+    part: Callable[[np.ndarray, np.ndarray], np.ndarray | None],
+    size: np.ndarray,
+    most: int,
     rounding: float,
-) -> list[np.ndarray]:  # fmt: skip
+) -> list[np.ndarray]:
     """bool[m] for each of up to ``most`` motions without a common joint: which joints it opens.
 
     Args:
@@ -363,7 +397,7 @@ def _edges(
 
 def find_slides(
     system: System, owner: np.ndarray, friction: float, most: int = 4
-) -> list[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """Ways in which blocks with tight joints fall down, as the joints that would have to be glued.
 
     As :func:`find_mechanisms`, with motions in all six directions of every block that friction on

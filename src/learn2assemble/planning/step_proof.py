@@ -98,8 +98,9 @@ class Stack:
     @cached_property
     def bases(self) -> list[np.ndarray]:
         """For each block, int64: those it rests on, sorted, without the table."""
-        return [found[found >= 0] for found in
-                map(np.unique, np.split(self.lower, self.start[1:-1]))]  # fmt: skip
+        return [
+            found[found >= 0] for found in map(np.unique, np.split(self.lower, self.start[1:-1]))
+        ]
 
     @cached_property
     def tops(self) -> list[np.ndarray]:
@@ -114,10 +115,16 @@ class Stack:
         points = np.flatnonzero(number[self.upper] >= 0)
         upper = number[self.upper[points]]
         return replace(
-            self, weight=self.weight[blocks], centre=self.centre[blocks], point=self.point[points],
-            upper=upper, lower=number[self.lower[points]], share=self.share[points],
-            start=np.searchsorted(upper, np.arange(len(blocks) + 1)), rank=self.rank[blocks],
-        )  # fmt: skip
+            self,
+            weight=self.weight[blocks],
+            centre=self.centre[blocks],
+            point=self.point[points],
+            upper=upper,
+            lower=number[self.lower[points]],
+            share=self.share[points],
+            start=np.searchsorted(upper, np.arange(len(blocks) + 1)),
+            rank=self.rank[blocks],
+        )
 
     def below(self, block: int) -> np.ndarray:
         """Blocks that ``block`` rests on, sorted, without the table."""
@@ -125,9 +132,11 @@ class Stack:
 
 
 def find_stack(
-    placements: tuple[BlockPlacement, ...], kit: Kit, shape: tuple[int, ...],
+    placements: tuple[BlockPlacement, ...],
+    kit: Kit,
+    shape: tuple[int, ...],
     gap: float | None = None,
-) -> Stack:  # fmt: skip
+) -> Stack:
     """The blocks of a tiling, props included, and their bed joints.
 
     Args:
@@ -174,9 +183,16 @@ def find_stack(
     tops = np.array(upper, np.int64)
     start = np.searchsorted(tops, np.arange(len(placements) + 1))
     stack = Stack(
-        weight, centre, np.concatenate(points), tops, np.array(lower, np.int64), np.array(share),
-        start, np.zeros(len(placements), np.int64), pitch[:2],
-    )  # fmt: skip
+        weight,
+        centre,
+        np.concatenate(points),
+        tops,
+        np.array(lower, np.int64),
+        np.array(share),
+        start,
+        np.zeros(len(placements), np.int64),
+        pitch[:2],
+    )
     stack.rank[:] = _ranks(stack)
     return stack
 
@@ -201,12 +217,15 @@ def stack_of_contacts(blocks: Sequence[Block], contacts: Contacts) -> Stack:
     width = float(np.median([np.ptp(block.vertices, axis=0)[:2].min() for block in blocks]))
     stack = Stack(
         np.array([block.mass for block in blocks]),
-        np.array([block.centroid for block in blocks]), contacts.points[index], tops,
+        np.array([block.centroid for block in blocks]),
+        contacts.points[index],
+        tops,
         np.repeat(lower[order], size[order]),
         np.repeat(contacts.area[order] / np.maximum(size[order], 1), size[order]),
-        np.searchsorted(tops, np.arange(len(blocks) + 1)), np.zeros(len(blocks), np.int64),
+        np.searchsorted(tops, np.arange(len(blocks) + 1)),
+        np.zeros(len(blocks), np.int64),
         np.full(2, width),
-    )  # fmt: skip
+    )
     stack.rank[:] = _ranks(stack)
     return stack
 
@@ -353,8 +372,24 @@ def _answer(force, xs, ys, share, target, cx, cy, unit, scale, trial):
 
 
 @njit(cache=True)
-def _settle(force, px, py, cx, cy, weight, share, start, upper, lower, placed, dirty, unit, above,
-            above_start, order):  # fmt: skip
+def _settle(
+    force,
+    px,
+    py,
+    cx,
+    cy,
+    weight,
+    share,
+    start,
+    upper,
+    lower,
+    placed,
+    dirty,
+    unit,
+    above,
+    above_start,
+    order,
+):
     """Balance every block that is ``dirty``, from above; True where all could be.
 
     Args:
@@ -389,8 +424,18 @@ def _settle(force, px, py, cx, cy, weight, share, start, upper, lower, placed, d
                 target[1] += force[p] * (px[p] - cx[b]) / unit
                 target[2] += force[p] * (py[p] - cy[b]) / unit
         before = force[first:last].copy()
-        if not _answer(force[first:last], px[first:last], py[first:last], live[first:last],
-                       target, cx[b], cy[b], unit, target[0], trial[: last - first]):  # fmt: skip
+        if not _answer(
+            force[first:last],
+            px[first:last],
+            py[first:last],
+            live[first:last],
+            target,
+            cx[b],
+            cy[b],
+            unit,
+            target[0],
+            trial[: last - first],
+        ):
             return False
         for p in range(first, last):
             a = lower[p]
@@ -425,9 +470,24 @@ class Proof:
         """Balance locally what is ``dirty`` (bool[n]) where ``placed`` stands; False: unchanged."""
         s, before = self.stack, self.force.copy()
         above, above_start = s.above
-        sound = _settle(self.force, self.px, self.py, self.cx, self.cy, s.weight, s.share, s.start,
-                        s.upper, s.lower, placed, dirty.copy(), s.pitch, above, above_start,
-                        s.order)  # fmt: skip
+        sound = _settle(
+            self.force,
+            self.px,
+            self.py,
+            self.cx,
+            self.cy,
+            s.weight,
+            s.share,
+            s.start,
+            s.upper,
+            s.lower,
+            placed,
+            dirty.copy(),
+            s.pitch,
+            above,
+            above_start,
+            s.order,
+        )
         if not sound:
             self.force = before
         return bool(sound)
@@ -460,12 +520,15 @@ class Proof:
         n, m = len(free), len(program.row_lower)
         rows = np.arange(m)
         held = Program(
-            np.concatenate([np.zeros(n), np.ones(2 * m)]), np.zeros(n + 2 * m),
-            np.full(n + 2 * m, INF), program.row_lower, program.row_upper,
+            np.concatenate([np.zeros(n), np.ones(2 * m)]),
+            np.zeros(n + 2 * m),
+            np.full(n + 2 * m, INF),
+            program.row_lower,
+            program.row_upper,
             np.concatenate([program.start, program.start[-1] + 1 + np.arange(2 * m)]),
             np.concatenate([program.index, rows, rows]),
             np.concatenate([program.value, np.ones(m), -np.ones(m)]),
-        )  # fmt: skip
+        )
         answer = solve(held, seconds)
         if answer.x is None:
             return []
@@ -504,8 +567,9 @@ class Proof:
         keep = values != 0
         start = np.concatenate([[0], np.cumsum(keep.sum(1))])
         n = len(free)
-        program = Program(np.zeros(n), np.zeros(n), np.full(n, INF), right, right, start,
-                          rows[keep], values[keep])  # fmt: skip
+        program = Program(
+            np.zeros(n), np.zeros(n), np.full(n, INF), right, right, start, rows[keep], values[keep]
+        )
         return free, blocks, program
 
     def _levers(self, points: np.ndarray, block: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -133,8 +133,16 @@ class Candidates:
         start = np.concatenate([[0], np.cumsum(size)])
         inner = np.arange(start[-1]) - np.repeat(start[:-1], size)
         cell = self.cell[np.repeat(self.start[keep], size) + inner]
-        return Candidates(self.ways, self.way[keep], self.origin[keep], start, cell,
-                          self.support[keep], self.hanging[keep], self.strange[keep])  # fmt: skip
+        return Candidates(
+            self.ways,
+            self.way[keep],
+            self.origin[keep],
+            start,
+            cell,
+            self.support[keep],
+            self.hanging[keep],
+            self.strange[keep],
+        )
 
     def blocks(self, kit: Kit, picked: np.ndarray) -> list[BlockPlacement]:
         """The candidates with the given indices as blocks of ``kit``."""
@@ -160,8 +168,11 @@ def check_cells(wanted: object) -> np.ndarray:
         raise InputError("cells", "no filled cell", "at least one")
     if not cells[:, :, 0].any():
         level = int(np.flatnonzero(cells.any((0, 1)))[0])
-        raise InputError("cells", f"a design that begins at level {level}",
-                         "one that stands on the table (level 0)")  # fmt: skip
+        raise InputError(
+            "cells",
+            f"a design that begins at level {level}",
+            "one that stands on the table (level 0)",
+        )
     return np.ascontiguousarray(cells)
 
 
@@ -213,8 +224,11 @@ def _support_margin(plan: bytes, bears: bytes, inset: tuple[float, ...]) -> floa
 def hull_of_boxes(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """float64[h, 2]: the convex hull of rectangles with the corners float64[n, 2]."""
     ends = np.stack([low, high])
-    return convex_hull(np.concatenate([np.stack([ends[i, :, 0], ends[j, :, 1]], -1)
-                                       for i in (0, 1) for j in (0, 1)]))  # fmt: skip
+    return convex_hull(
+        np.concatenate(
+            [np.stack([ends[i, :, 0], ends[j, :, 1]], -1) for i in (0, 1) for j in (0, 1)]
+        )
+    )
 
 
 def convex_hull(points: np.ndarray) -> np.ndarray:
@@ -260,9 +274,16 @@ def find_candidates(
     flat_carried = carried.reshape(-1)
     ways, strides = orientations(kit), np.array([*wanted.shape[1:], 1])[::-1].cumprod()[::-1]
     parts: list[tuple[Any, ...]] = [
-        (none := np.empty(0, np.int64), np.empty((0, 3), np.int64), none, none,
-         np.empty(0), np.empty(0), none),
-    ]  # fmt: skip
+        (
+            none := np.empty(0, np.int64),
+            np.empty((0, 3), np.int64),
+            none,
+            none,
+            np.empty(0),
+            np.empty(0),
+            none,
+        ),
+    ]
     for number, way in enumerate(ways):
         cells = np.array(way.cells)
         extent = cells.max(0) + 1
@@ -283,13 +304,19 @@ def find_candidates(
         bears = flat_carried[index] & lowest
         patterns, which = np.unique(bears, axis=0, return_inverse=True)
         margins = np.array([support_margin(cells, pattern, kit) for pattern in patterns])
-        parts.append((
-            np.full(len(origin), number), origin, index.reshape(-1),
-            np.full(len(origin), len(cells)), margins[which.reshape(-1)],
-            1 - bears.sum(1) / lowest.sum(),
-            np.zeros(len(origin), np.int64) if shades is None
-            else strange_cells(shades.reshape(-1)[index]),
-        ))  # fmt: skip
+        parts.append(
+            (
+                np.full(len(origin), number),
+                origin,
+                index.reshape(-1),
+                np.full(len(origin), len(cells)),
+                margins[which.reshape(-1)],
+                1 - bears.sum(1) / lowest.sum(),
+                np.zeros(len(origin), np.int64)
+                if shades is None
+                else strange_cells(shades.reshape(-1)[index]),
+            )
+        )
     which, origin, cell, size, support, hanging, strange = map(
         np.concatenate, zip(*parts, strict=True)
     )
@@ -311,8 +338,12 @@ def _slots(cells: tuple[Cell, ...]) -> list[tuple[int, int, int, int]]:
     columns: dict[tuple[int, int], list[int]] = {}
     for x, y, z in sorted(cells):
         columns.setdefault((x, y), []).append(z)
-    return [(*at, low + 1, high) for at, levels in columns.items()
-            for low, high in pairwise(levels) if high > low + 1]  # fmt: skip
+    return [
+        (*at, low + 1, high)
+        for at, levels in columns.items()
+        for low, high in pairwise(levels)
+        if high > low + 1
+    ]
 
 
 def standing_cost(candidates: Candidates) -> np.ndarray:
@@ -343,8 +374,9 @@ def glued(candidates: Candidates, edges: tuple[np.ndarray, np.ndarray]) -> np.nd
         edges: bool[X - 1, Y, Z] and bool[X, Y - 1, Z]: pairs of neighbours in x, and in y.
     """
     found = [(*filled_pairs(candidates, axis), edge) for axis, edge in enumerate(edges)]
-    one, other = (np.bincount(which, edge[tuple(place.T)], len(candidates))
-                  for which, place, edge in found)  # fmt: skip
+    one, other = (
+        np.bincount(which, edge[tuple(place.T)], len(candidates)) for which, place, edge in found
+    )
     return one + other
 
 
@@ -407,10 +439,19 @@ def seams_bridged(tiling: Tiling, kit: Kit) -> tuple[int, int]:
 
 
 def cover(
-    candidates: Candidates, cost: np.ndarray, must: np.ndarray, *, may: np.ndarray | None = None,
-    kit: Kit, counts: dict[int, int] | None = None, exact: bool = False, open_cost: float = 0.0,
-    cuts: Sequence[np.ndarray] = (), barred: Sequence[np.ndarray] = (), seconds: float = INF,
-) -> tuple[Answer, np.ndarray, np.ndarray, dict[int, int]]:  # fmt: skip
+    candidates: Candidates,
+    cost: np.ndarray,
+    must: np.ndarray,
+    *,
+    may: np.ndarray | None = None,
+    kit: Kit,
+    counts: dict[int, int] | None = None,
+    exact: bool = False,
+    open_cost: float = 0.0,
+    cuts: Sequence[np.ndarray] = (),
+    barred: Sequence[np.ndarray] = (),
+    seconds: float = INF,
+) -> tuple[Answer, np.ndarray, np.ndarray, dict[int, int]]:
     """The cheapest choice of candidates that covers cells.
 
     Args:
@@ -444,11 +485,17 @@ def cover(
         left = model.columns(np.full(len(must), open_cost), 1.0, integer=True)
         lack = model.columns(open_cost * sizes, 1e5, integer=True)
     model.rows(
-        np.arange(len(cells)) < len(must), 1.0, (np.arange(len(left)), left, 1.0),
+        np.arange(len(cells)) < len(must),
+        1.0,
+        (np.arange(len(left)), left, 1.0),
         (row_of_cell[candidates.cell], np.repeat(used, candidates.size()), 1.0),
-    )  # fmt: skip
-    model.rows(number if exact else -INF, number.astype(float),
-               (kinds[counted], counted, 1.0), (np.arange(len(lack)), lack, -1.0))  # fmt: skip
+    )
+    model.rows(
+        number if exact else -INF,
+        number.astype(float),
+        (kinds[counted], counted, 1.0),
+        (np.arange(len(lack)), lack, -1.0),
+    )
     for cut in cuts:
         model.rows(1.0, INF, (0, cut, 1.0))
     for together in barred:
@@ -491,8 +538,14 @@ class _Layers:
                     chosen.append(block)
         return chosen
 
-    def _part(self, part: np.ndarray, below: np.ndarray, seams: tuple[np.ndarray, ...],
-              z: int, heap: dict[int, int] | None) -> list[BlockPlacement]:  # fmt: skip
+    def _part(
+        self,
+        part: np.ndarray,
+        below: np.ndarray,
+        seams: tuple[np.ndarray, ...],
+        z: int,
+        heap: dict[int, int] | None,
+    ) -> list[BlockPlacement]:
         """The blocks of one part of the layer at level ``z``."""
         if not part.any():
             return []
@@ -501,20 +554,33 @@ class _Layers:
         mask, under = part[x0:x1, y0:y1], (below & part)[x0:x1, y0:y1]
         near = seams[0][x0 : x1 - 1, y0:y1], seams[1][x0:x1, y0 : y1 - 1]
         tint = None if self.shades is None else self.shades[x0:x1, y0:y1, z, None]
-        key = b"|".join([repr((mask.shape, heap)).encode(), mask.tobytes(), under.tobytes(),
-                         near[0].tobytes(), near[1].tobytes(),
-                         b"" if tint is None else tint[mask].tobytes()])  # fmt: skip
+        key = b"|".join(
+            [
+                repr((mask.shape, heap)).encode(),
+                mask.tobytes(),
+                under.tobytes(),
+                near[0].tobytes(),
+                near[1].tobytes(),
+                b"" if tint is None else tint[mask].tobytes(),
+            ]
+        )
         if key not in self.known:
             self.known[key] = self._solve(mask[:, :, None], under, near, heap, tint)
         blocks, left = self.known[key]
         self.left += [(x + x0, y + y0, z) for x, y, _ in left]
-        return [replace(block, origin=(block.origin[0] + x0, block.origin[1] + y0, z))
-                for block in blocks]  # fmt: skip
+        return [
+            replace(block, origin=(block.origin[0] + x0, block.origin[1] + y0, z))
+            for block in blocks
+        ]
 
     def _solve(
-        self, mask: np.ndarray, under: np.ndarray, seams: tuple[np.ndarray, np.ndarray],
-        heap: dict[int, int] | None, shades: np.ndarray | None,
-    ) -> tuple[list[BlockPlacement], list[Cell]]:  # fmt: skip
+        self,
+        mask: np.ndarray,
+        under: np.ndarray,
+        seams: tuple[np.ndarray, np.ndarray],
+        heap: dict[int, int] | None,
+        shades: np.ndarray | None,
+    ) -> tuple[list[BlockPlacement], list[Cell]]:
         """Blocks and open cells of a mask (bool[X, Y, 1]), about its corner."""
         found = find_candidates(mask, self.kit, under, flat_only=True, shades=shades)
         cost = bond_cost(found, (seams[0][:, :, None], seams[1][:, :, None]))
@@ -538,10 +604,16 @@ class _Layers:
             # A block that reaches into the next strip pays here for the cells of this one.
             price = cost[keep] - (1 - share[keep] / part.size())
             answer, picked, left, _ = cover(
-                part, price, must, may=may, kit=self.kit, counts=heap, exact=heap is not None,
+                part,
+                price,
+                must,
+                may=may,
+                kit=self.kit,
+                counts=heap,
+                exact=heap is not None,
                 open_cost=0.0 if self.fills_any and heap is None else COSTS.open_cell,
                 seconds=self.clock.left,
-            )  # fmt: skip
+            )
             self.timed_out |= answer.status == "time"
             open_ += to_cells(left, mask.shape)
             chosen += part.blocks(self.kit, picked)
@@ -574,17 +646,24 @@ def tile(
     else:
         found = find_candidates(wanted, kit, shades=shades)
         answer, picked, open_, short = cover(
-            found, standing_cost(found), np.flatnonzero(wanted), kit=kit, counts=heap_of(kit),
-            open_cost=COSTS.open_cell, seconds=clock.left,
-        )  # fmt: skip
+            found,
+            standing_cost(found),
+            np.flatnonzero(wanted),
+            kit=kit,
+            counts=heap_of(kit),
+            open_cost=COSTS.open_cell,
+            seconds=clock.left,
+        )
         layers.timed_out = answer.status == "time"
         chosen, left = found.blocks(kit, picked), to_cells(open_, wanted.shape)
         if kit.flat and chosen and not left and not short and clock.left > 0:
             used = Counter((block.kind, block.origin[2]) for block in chosen)
-            bonded = layers.run([
-                {k: used[kind.name, z] for k, kind in enumerate(kit.kinds)}
-                for z in range(wanted.shape[2])
-            ])  # fmt: skip
+            bonded = layers.run(
+                [
+                    {k: used[kind.name, z] for k, kind in enumerate(kit.kinds)}
+                    for z in range(wanted.shape[2])
+                ]
+            )
             if not layers.left:
                 chosen = bonded
     made = Tiling(from_below(chosen), wanted, missing=tuple(sorted(left)), shades=shades)
@@ -607,8 +686,10 @@ def _judged(
 ) -> Tiling:
     """The tiling with its status and reason."""
     if timed_out and made.missing:
-        reason = (f"time ran out after {seconds:g} s with {len(made.missing)} of "
-                  f"{int(made.wanted.sum())} cells open; {TIME_OPTION} gives more")  # fmt: skip
+        reason = (
+            f"time ran out after {seconds:g} s with {len(made.missing)} of "
+            f"{int(made.wanted.sum())} cells open; {TIME_OPTION} gives more"
+        )
         return replace(made, status="time", reason=reason)
     if short:
         names = ", ".join(f"{n} x {kit.kinds[k].name}" for k, n in sorted(short.items()))
@@ -616,7 +697,9 @@ def _judged(
         return replace(made, status="refused", reason=reason)
     if made.missing:
         levels = sorted({z for _, _, z in made.missing})
-        reason = (f"no blocks of kit `{kit.name}` fill {len(made.missing)} cells exactly, "
-                  f"the first at {made.missing[0]}, level {levels[0]}")  # fmt: skip
+        reason = (
+            f"no blocks of kit `{kit.name}` fill {len(made.missing)} cells exactly, "
+            f"the first at {made.missing[0]}, level {levels[0]}"
+        )
         return replace(made, status="refused", reason=reason)
     return made

@@ -135,9 +135,14 @@ def job_of(plan: Plan, arm: str, joint: float) -> Job:
     if len(kept) < len(plan.assembly.blocks):
         raise InputError("design", "blocks that stand before the first step", "none, for an arm")
     return Job(
-        pieces_of(plan.assembly), steps, plan.assembly, get_arm(arm), (),
-        friction=plan.assembly.friction, joint=joint,
-    )  # fmt: skip
+        pieces_of(plan.assembly),
+        steps,
+        plan.assembly,
+        get_arm(arm),
+        (),
+        friction=plan.assembly.friction,
+        joint=joint,
+    )
 
 
 # ---------------------------------------------------------------- where everything is
@@ -169,9 +174,13 @@ class World:
             if source.magazine:
                 continue
             piece = next(
-                (k for k, p in enumerate(self.pieces)
-                 if p.shape == source.shape and self.source[k] is None), None,
-            )  # fmt: skip
+                (
+                    k
+                    for k, p in enumerate(self.pieces)
+                    if p.shape == source.shape and self.source[k] is None
+                ),
+                None,
+            )
             if piece is not None:
                 self.source[piece], self.state[piece] = n, LOOSE
                 self.pose[piece] = self.presented(piece, n)
@@ -203,8 +212,9 @@ class World:
     def magazine(self, piece: int) -> int | None:
         """The magazine of its shape, if there is one."""
         shape = self.pieces[piece].shape
-        return next((n for n, s in enumerate(self.job.sources) if s.magazine and s.shape == shape),
-                    None)  # fmt: skip
+        return next(
+            (n for n, s in enumerate(self.job.sources) if s.magazine and s.shape == shape), None
+        )
 
     def target(self, piece: int) -> np.ndarray:
         """float64[7]: the pose it has in the finished structure."""
@@ -285,14 +295,28 @@ def rows_of(world: World, poses: np.ndarray, moving: int, masses: np.ndarray | N
     for n, obstacle in enumerate(world.job.obstacles):
         size = np.array(obstacle.size) / 2
         place = np.array(obstacle.middle)
-        fixed.append((place, obstacle.yaw, len(world.pieces) + n, size, OBSTACLE_DENSITY,
-                      yaw_quaternion(obstacle.yaw), -1, n))  # fmt: skip
+        fixed.append(
+            (
+                place,
+                obstacle.yaw,
+                len(world.pieces) + n,
+                size,
+                OBSTACLE_DENSITY,
+                yaw_quaternion(obstacle.yaw),
+                -1,
+                n,
+            )
+        )
     place, yaw, number, half, density, turn, owner, part = zip(*fixed, *columns, strict=True)
     placed = len(place) - len(world.pieces[moving].shape)
     scene = Scene(
-        np.array(place), np.array(yaw, float), np.array(number, np.int64), placed,
-        np.array(half), np.array(density, float),
-    )  # fmt: skip
+        np.array(place),
+        np.array(yaw, float),
+        np.array(number, np.int64),
+        placed,
+        np.array(half),
+        np.array(density, float),
+    )
     return Rows(scene, np.array(turn), np.array(owner, np.int64), np.array(part, np.int64))
 
 
@@ -325,9 +349,11 @@ def moves(world: World, rows: Rows, moving: int, goal: np.ndarray) -> Iterator[M
             change = (yaw - frame.yaw + math.pi) % (2 * math.pi) - math.pi
             spun = quaternion_matrix(yaw_quaternion(frame.yaw + change))
             yield Move(
-                int(mine[k]), goal[:3] + spun @ (offset if upright else frame.side.T @ offset),
-                grasp, grasp._replace(yaw=grasp.yaw + change, way=WAY),
-            )  # fmt: skip
+                int(mine[k]),
+                goal[:3] + spun @ (offset if upright else frame.side.T @ offset),
+                grasp,
+                grasp._replace(yaw=grasp.yaw + change, way=WAY),
+            )
 
 
 def way_out(rows: Rows, mine: np.ndarray, way: np.ndarray) -> float | None:
@@ -361,8 +387,9 @@ def different(found: Sequence[Attitude], arm: Arm) -> list[Attitude]:
         same = (
             math.isclose(math.cos(one.yaw - other.yaw - turn), 1.0)
             and (one.tilt, one.depth) == (other.tilt, other.depth)
-            for other in out for turn in (0.0, *arm.turns)
-        )  # fmt: skip
+            for other in out
+            for turn in (0.0, *arm.turns)
+        )
         if not any(same):
             out.append(one)
     return out
@@ -492,9 +519,12 @@ def arrange(
 
 
 def _arrange(
-    job: Job, structure: Structure, cell: KinematicCell, key: Callable[[int], Any],
+    job: Job,
+    structure: Structure,
+    cell: KinematicCell,
+    key: Callable[[int], Any],
     progress: Progress,
-) -> Arranged:  # fmt: skip
+) -> Arranged:
     world = World(job)
     standing: set[int] = set()
     order: list[StepOf] = []
@@ -574,7 +604,9 @@ def supply_of(world: World, k: int) -> list[int]:
         return [n for n in (world.source[k],) if n is not None]
     shape = world.pieces[k].shape
     return [
-        n for n, source in enumerate(world.job.sources)
-        if source.magazine and source.shape == shape
+        n
+        for n, source in enumerate(world.job.sources)
+        if source.magazine
+        and source.shape == shape
         and (source.left is None or world.used[n] < source.left)
-    ]  # fmt: skip
+    ]

@@ -125,8 +125,10 @@ class Building:
             last = self.known.done[-1]
             piece = self.world.pieces[action.block]
             left = sum(not self.known.satisfied(step) for step in self.known.order)
-            progress(f"attempt {last.number}: {last.what} {piece.id} ({piece.name}): "
-                     f"{last.outcome}, {left} steps left")  # fmt: skip
+            progress(
+                f"attempt {last.number}: {last.what} {piece.id} ({piece.name}): "
+                f"{last.outcome}, {left} steps left"
+            )
         return f"given up after {most} attempts"
 
     # ------------------------------------------------------------ one attempt
@@ -159,9 +161,16 @@ class Building:
         found = self._carry_out(action, move, rng)
         self._update(action, found)
         self.known.done.append(
-            Done(len(self.known.done) + 1, k, action.what, found.outcome.label,
-                 found.detail, found.stage, move.grasp.sideways)
-        )  # fmt: skip
+            Done(
+                len(self.known.done) + 1,
+                k,
+                action.what,
+                found.outcome.label,
+                found.detail,
+                found.stage,
+                move.grasp.sideways,
+            )
+        )
         self.known.fails[key] = 0 if found.reached else self.known.fails[key] + 1
         self.known.refused.clear()
         if len(self.known.done) in self.disturbance.push:
@@ -206,8 +215,14 @@ class Building:
         found = self.physical.attempt(
             rows.scene, move, joints=self.joints, quaternion=rows.quaternion
         )
-        step = next((n for n, s in enumerate(self.known.order, 1)
-                     if s.block == k and s.remove == (action.what == "remove")), None)  # fmt: skip
+        step = next(
+            (
+                n
+                for n, s in enumerate(self.known.order, 1)
+                if s.block == k and s.remove == (action.what == "remove")
+            ),
+            None,
+        )
         if not self.recording.recorder.steps and found.trajectory is not None:
             self.recording.begin(self.joints, float(found.trajectory.width[0]))
         found = found._replace(detail=named(found.detail, rows, self.world))
@@ -267,8 +282,9 @@ class Building:
             frame, off = frame_of(world.pose[n, 3:]), world.pose[n, :3] - world.target(n)[:3]
             upright = bool((frame.side == np.eye(3)).all()) and frame.tilt < FLAT
             in_place = np.linalg.norm(off) < GONE and upright
-            if in_place and (n != k or found.outcome not in (Outcome.UNREACHABLE,) or
-                             world.state[n] == STANDING):  # fmt: skip
+            if in_place and (
+                n != k or found.outcome not in (Outcome.UNREACHABLE,) or world.state[n] == STANDING
+            ):
                 world.state[n] = STANDING
                 self.known.accepted.discard(n) if n == k else None
             elif n == k and action.source is not None and self._still_there(n, action.source):
@@ -325,10 +341,11 @@ class Building:
                 hits = any(
                     (np.minimum(b, d) - np.maximum(a, c) > 1e-4).all()
                     for n in standing - {k}
-                    for c, d in self.world.pieces[n].boxes(self.world.pose[n, :3],
-                                                           self.world.pieces[n].yaw)
+                    for c, d in self.world.pieces[n].boxes(
+                        self.world.pose[n, :3], self.world.pieces[n].yaw
+                    )
                     for a, b in mine
-                )  # fmt: skip
+                )
                 if not hits:
                     self.world.pose[k] += [*step, 0, 0, 0, 0]
                     self.recording.sync()
@@ -353,10 +370,14 @@ class Building:
             return
         world = self.world
         state = {
-            "pose": world.pose.tolist(), "state": world.state, "used": world.used,
-            "source": world.source, "joints": self.joints.tolist(),
-            **self.known.state(), **self.recording.state(),
-        }  # fmt: skip
+            "pose": world.pose.tolist(),
+            "state": world.state,
+            "used": world.used,
+            "source": world.source,
+            "joints": self.joints.tolist(),
+            **self.known.state(),
+            **self.recording.state(),
+        }
         if self.physical is not None:
             state["record"] = packed(self.recording.recorder.steps[-1])
         append_state(self.log, state)
@@ -404,9 +425,13 @@ def prepare(
 
 
 def carry_out(
-    plan: Plan, workcell: Workcell, *, joint: float = 1e-4, progress: Progress = lambda text: None,
+    plan: Plan,
+    workcell: Workcell,
+    *,
+    joint: float = 1e-4,
+    progress: Progress = lambda text: None,
     found: Prepared | None = None,
-) -> Plan:  # fmt: skip
+) -> Plan:
     """A complete exact plan, carried out by an arm.
 
     Args:
@@ -432,18 +457,28 @@ def carry_out(
         if gone and not (job.arm.suction and job.arm.suction.cups[1:]):
             reason += "; a tool that also takes hold of side faces, --tool suction-side, may"
         report = _report(job, workcell, None)
-        return replace(plan, status="refused", reason=reason, steps=(), coverage=0.0, arm=report,
-                       blocks=replace(plan.blocks, used=0),
-                       assembly=replace(plan.assembly, steps=(), not_built=()))  # fmt: skip
+        return replace(
+            plan,
+            status="refused",
+            reason=reason,
+            steps=(),
+            coverage=0.0,
+            arm=report,
+            blocks=replace(plan.blocks, used=0),
+            assembly=replace(plan.assembly, steps=(), not_built=()),
+        )
     building = Building(found, workcell, _key(plan, workcell))
     reason = building.run(progress)
     return _carried_out(plan, building, workcell, reason, time.perf_counter() - started)
 
 
 def carry_out_cells(
-    plan: Plan, kit: Kit, workcell: Workcell, progress: Progress,
+    plan: Plan,
+    kit: Kit,
+    workcell: Workcell,
+    progress: Progress,
     plan_again: Callable[[Kit], Plan],
-) -> Plan:  # fmt: skip
+) -> Plan:
     """As :func:`carry_out`, with the blocks farther apart where fingers have no room otherwise.
 
     Args:
@@ -489,8 +524,15 @@ def _key(plan: Plan, workcell: Workcell) -> str:
     # A magazine that ran empty may have been filled again.
     filled = tuple(magazine._replace(count=None) for magazine in workcell.site.magazines)
     site = replace(workcell.site, magazines=filled, source="")
-    told = (steps, workcell.arm, workcell.tool, site, workcell.physics, workcell.seed,
-            workcell.noise)  # fmt: skip
+    told = (
+        steps,
+        workcell.arm,
+        workcell.tool,
+        site,
+        workcell.physics,
+        workcell.seed,
+        workcell.noise,
+    )
     return hashlib.sha256(repr(told).encode()).hexdigest()[:24]
 
 
@@ -501,20 +543,33 @@ def _report(job: Job, workcell: Workcell, building: Building | None) -> ArmRepor
     if building is None:
         return ArmReport(workcell.arm, 0.0, 0, (), 0.0, workcell.tool, base, len(job.sources))
     failures = tuple(
-        ArmFailure(d.number, d.outcome, f"{d.what} {building.world.pieces[d.block].id}, {d.stage}: "
-                   f"{d.detail}", False)
-        for d in building.known.done if d.outcome != Outcome.REACHED.label
-    )  # fmt: skip
+        ArmFailure(
+            d.number,
+            d.outcome,
+            f"{d.what} {building.world.pieces[d.block].id}, {d.stage}: {d.detail}",
+            False,
+        )
+        for d in building.known.done
+        if d.outcome != Outcome.REACHED.label
+    )
     satisfied = sum(building.known.satisfied(step) for step in building.known.order)
-    errors = [float(np.linalg.norm(building.world.pose[k, :3] - building.world.target(k)[:3]))
-              for k in building.known.standing()]  # fmt: skip
+    errors = [
+        float(np.linalg.norm(building.world.pose[k, :3] - building.world.target(k)[:3]))
+        for k in building.known.standing()
+    ]
     return ArmReport(
-        workcell.arm, _pitch(job), len(building.known.done), failures,
-        round(building.recording.recorder.now, 2), workcell.tool, base, len(job.sources),
+        workcell.arm,
+        _pitch(job),
+        len(building.known.done),
+        failures,
+        round(building.recording.recorder.now, 2),
+        workcell.tool,
+        base,
+        len(job.sources),
         round(len(building.known.done) / max(satisfied, 1), 4),
         round(float(np.mean(errors)), 6) if errors else None,
         round(max(errors), 6) if errors else None,
-    )  # fmt: skip
+    )
 
 
 def _pitch(job: Job) -> float:
@@ -528,8 +583,11 @@ def _carried_out(
     """The plan with what really happened."""
     job, world = building.job, building.world
     assert plan.assembly is not None
-    last = {d.step: d for d in building.known.done
-            if d.outcome == Outcome.REACHED.label and d.what != "away"}  # fmt: skip
+    last = {
+        d.step: d
+        for d in building.known.done
+        if d.outcome == Outcome.REACHED.label and d.what != "away"
+    }
     done = [step for step in building.known.order if building.known.satisfied(step)]
     done.sort(key=lambda step: last[step].number if step in last else 0)
     proven = {StepOf(s.block, s.action == "remove"): s for s in plan.steps}
@@ -553,15 +611,21 @@ def _carried_out(
         how = f"suction from {above}" if job.arm.suction else "fingers"
         steps.append(
             replace(
-                old, step=number, position=(x, y, z), quaternion=(w, a, b, c),
+                old,
+                step=number,
+                position=(x, y, z),
+                quaternion=(w, a, b, c),
                 coverage=round(covered, 6),
-                outcome=attempt.outcome if attempt else None, grasp=how,
+                outcome=attempt.outcome if attempt else None,
+                grasp=how,
             )
-        )  # fmt: skip
+        )
     made = tuple(
-        AssemblyStep(remove=plan.assembly.blocks[s.block].id) if s.remove
-        else AssemblyStep(place=plan.assembly.blocks[s.block].id) for s in done
-    )  # fmt: skip
+        AssemblyStep(remove=plan.assembly.blocks[s.block].id)
+        if s.remove
+        else AssemblyStep(place=plan.assembly.blocks[s.block].id)
+        for s in done
+    )
     assembly = replace(plan.assembly, steps=made, not_built=()).as_far_as_placed()
     ranges: dict[str, Any] = {}
     if not same:
@@ -574,18 +638,29 @@ def _carried_out(
     record = building.recording.record() if building.physical is not None else None
     if record is not None:
         numbers = {step: n for n, step in enumerate(done, 1)}
-        record = replace(record, steps=tuple(
-            replace(step, plan_step=numbers.get(d.step) if d.what != "away" else None)
-            for step, d in zip(record.steps, building.known.done, strict=True)
-        ))  # fmt: skip
+        record = replace(
+            record,
+            steps=tuple(
+                replace(step, plan_step=numbers.get(d.step) if d.what != "away" else None)
+                for step, d in zip(record.steps, building.known.done, strict=True)
+            ),
+        )
     return replace(
-        plan, status="incomplete" if reason else "complete", reason=reason, steps=tuple(steps),
-        coverage=steps[-1].coverage if steps else 0.0, seconds=round(plan.seconds + seconds, 3),
-        blocks=replace(plan.blocks, used=len(building.known.standing()),
-                       waiting=_waiting(building)),
+        plan,
+        status="incomplete" if reason else "complete",
+        reason=reason,
+        steps=tuple(steps),
+        coverage=steps[-1].coverage if steps else 0.0,
+        seconds=round(plan.seconds + seconds, 3),
+        blocks=replace(
+            plan.blocks, used=len(building.known.standing()), waiting=_waiting(building)
+        ),
         verified_by=f"{plan.verified_by}, and {_words(job, workcell)}",
-        arm=_report(job, workcell, building), record=record, assembly=assembly, **ranges,
-    )  # fmt: skip
+        arm=_report(job, workcell, building),
+        record=record,
+        assembly=assembly,
+        **ranges,
+    )
 
 
 def _waiting(building: Building) -> tuple[Any, ...]:

@@ -261,8 +261,9 @@ def check_held(arm: Arm, pieces: Sequence[Piece]) -> None:
     if faults:
         more = f" (and {len(faults) - 1} more kinds)" if len(faults) > 1 else ""
         other = "gripper" if arm.suction else "suction"
-        raise InputError(f"tool {arm.tool_name}", f"{faults[0]}{more}", f"blocks it can hold; "
-                         f"--tool {other} may")  # fmt: skip
+        raise InputError(
+            f"tool {arm.tool_name}", f"{faults[0]}{more}", f"blocks it can hold; --tool {other} may"
+        )
 
 
 def set_up(job: Job, name: str, tool: str, site: Site) -> Job:
@@ -409,9 +410,13 @@ def cells_of(job: Job) -> int:
 
 
 def _magazine_places(
-    job: Job, cell: KinematicCell, shape: tuple[Part, ...], blocked: Any, table: Any,
+    job: Job,
+    cell: KinematicCell,
+    shape: tuple[Part, ...],
+    blocked: Any,
+    table: Any,
     back: bool = False,
-) -> Iterator[Pose]:  # fmt: skip
+) -> Iterator[Pose]:
     """Poses at which blocks of a shape can be taken with the finished structure there, and if
     ``back`` those that are taken away from it can be put."""
     import shapely

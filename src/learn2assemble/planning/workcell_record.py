@@ -104,11 +104,16 @@ def _array(value: list[Any]) -> np.ndarray:
 def _unpacked(value: dict[str, Any]) -> StepRecord:
     samples = Samples(**{name: _array(array) for name, array in value["samples"].items()})
     arrays = {name: _array(value[name]) for name in ("target", "before", "after")}
-    return StepRecord(**{
-        **value, **arrays, "samples": samples, "cells": tuple(value["cells"]),
-        "stages": tuple(Stage(*stage) for stage in value["stages"]),
-        "outcome": Outcome(value["outcome"]),
-    })  # fmt: skip
+    return StepRecord(
+        **{
+            **value,
+            **arrays,
+            "samples": samples,
+            "cells": tuple(value["cells"]),
+            "stages": tuple(Stage(*stage) for stage in value["stages"]),
+            "outcome": Outcome(value["outcome"]),
+        }
+    )
 
 
 class Recording:
@@ -122,9 +127,7 @@ class Recording:
         words: what the outcomes come from.
     """
 
-    def __init__(
-        self, world: World, joints: np.ndarray, masses: np.ndarray, words: str
-    ) -> None:  # fmt: skip
+    def __init__(self, world: World, joints: np.ndarray, masses: np.ndarray, words: str) -> None:
         self.world, self.job, self.words = world, world.job, words
         count = len(world.pieces)
         self.body = list(range(count))
@@ -169,10 +172,12 @@ class Recording:
 
     def numbers(self, rows: Rows) -> np.ndarray:
         """int64[n]: cell of the record of each row."""
-        return np.array([
-            self.fixed[part] if owner < 0 else self.cells[self.body[owner]][part]
-            for owner, part in zip(rows.owner, rows.part, strict=True)
-        ])  # fmt: skip
+        return np.array(
+            [
+                self.fixed[part] if owner < 0 else self.cells[self.body[owner]][part]
+                for owner, part in zip(rows.owner, rows.part, strict=True)
+            ]
+        )
 
     def replace(self, k: int) -> int:
         """Another block takes the place of a piece; the number of this one from now on."""
@@ -188,9 +193,11 @@ class Recording:
     def state(self) -> dict[str, Any]:
         """What a file says of it, besides the steps."""
         return {
-            "body": self.body, "like": self.like, "cells": [list(c) for c in self.cells],
+            "body": self.body,
+            "like": self.like,
+            "cells": [list(c) for c in self.cells],
             "masses": self.masses.tolist(),
-        }  # fmt: skip
+        }
 
     def restore(self, state: dict[str, Any], steps: list[dict[str, Any]]) -> None:
         """As a file says it was; the world has its blocks already."""

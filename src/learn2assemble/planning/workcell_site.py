@@ -38,8 +38,18 @@ MESHES = ("stl", "obj", "ply", "glb", "3dm")
 MOST_BOXES, SPARE = 48, 0.15
 """A mesh is covered by so many boxes at most, and by no more than it takes to leave this share of
 the room that its bounding box has to spare."""
-_KEYS = ("format", "version", "units", "base", "table", "obstacles", "magazines", "pallets",
-         "positions", SECTION)  # fmt: skip
+_KEYS = (
+    "format",
+    "version",
+    "units",
+    "base",
+    "table",
+    "obstacles",
+    "magazines",
+    "pallets",
+    "positions",
+    SECTION,
+)
 TABLE = (1.5, 1.0)
 """Size of the table along x and y, its middle at the origin [m]."""
 
@@ -73,8 +83,11 @@ class Pallet(NamedTuple):
         """Of all its blocks."""
         x, y, yaw = self.pose
         c, s = math.cos(yaw), math.sin(yaw)
-        steps = [(i * self.pitch[0], j * self.pitch[1])
-                 for j in range(self.rows) for i in range(self.columns)]  # fmt: skip
+        steps = [
+            (i * self.pitch[0], j * self.pitch[1])
+            for j in range(self.rows)
+            for i in range(self.columns)
+        ]
         return [Pose(x + c * u - s * v, y + s * u + c * v, yaw) for u, v in steps]
 
 
@@ -154,11 +167,15 @@ def _site(value: Any, source: str, folder: Path) -> Site:
     if len(obstacles) > MAX_PLACES:
         raise InputError(f"{source}: obstacles", f"{len(obstacles)} boxes", f"at most {MAX_PLACES}")
     site = Site(
-        base, (width, depth), obstacles,
+        base,
+        (width, depth),
+        obstacles,
         every("magazines", _magazine),
-        every("pallets", _pallet), every("positions", _position, MAX_PLACES), source,
+        every("pallets", _pallet),
+        every("positions", _position, MAX_PLACES),
+        source,
         parse_settings(root.get(SECTION, {}), f"{source}: {SECTION}"),
-    )  # fmt: skip
+    )
     blocks = len(site.positions) + sum(p.rows * p.columns for p in site.pallets)
     if blocks > MAX_PLACES:
         raise InputError(f"{source}: pallets", f"{blocks} blocks", f"at most {MAX_PLACES}")
@@ -342,10 +359,14 @@ def given_sources(site: Site, pieces: Sequence[Piece], order: Sequence[int]) -> 
         for shape in shapes.get(magazine.kind, []):
             where = f"{site.source}: magazines[{n}]"
             found.append((where, Source(shape, magazine.pose, magazine.count, True, where)))
-    lying = [(f"{site.source}: pallets[{n}]", p.kind, pose)
-             for n, p in enumerate(site.pallets) for pose in p.poses()]  # fmt: skip
-    lying += [(f"{site.source}: positions[{n}]", p.kind, p.pose)
-              for n, p in enumerate(site.positions)]  # fmt: skip
+    lying = [
+        (f"{site.source}: pallets[{n}]", p.kind, pose)
+        for n, p in enumerate(site.pallets)
+        for pose in p.poses()
+    ]
+    lying += [
+        (f"{site.source}: positions[{n}]", p.kind, p.pose) for n, p in enumerate(site.positions)
+    ]
     waiting = [k for k in order if pieces[k].shape not in {source.shape for _, source in found}]
     for where, kind, pose in lying:
         fits = (k for k in waiting if kind is None or pieces[k].kind == kind)
@@ -388,8 +409,9 @@ def check_sources(site: Site, found: list[tuple[str, Source]], pieces: Sequence[
     for where, source in found:
         face, at = footprint(source.shape, source.pose), [round(v, 4) for v in source.pose]
         if not table.contains(face):
-            raise InputError(where, at, f"a place on the table ({site.table[0]:g} x "
-                             f"{site.table[1]:g} m)")  # fmt: skip
+            raise InputError(
+                where, at, f"a place on the table ({site.table[0]:g} x {site.table[1]:g} m)"
+            )
         if face.intersection(structure).area > 1e-9:
             raise InputError(where, at, "a place outside the building site")
         for what, area in blocked:

@@ -199,10 +199,12 @@ class Choice:
     def state(self) -> dict[str, Any]:
         """What a file says of it, with what came of the last attempt."""
         return {
-            "done": dataclasses.asdict(self.done[-1]), "belief": self.belief.tolist(),
-            "variance": self.variance.tolist(), "accepted": sorted(self.accepted),
+            "done": dataclasses.asdict(self.done[-1]),
+            "belief": self.belief.tolist(),
+            "variance": self.variance.tolist(),
+            "accepted": sorted(self.accepted),
             "fails": [[k, what, n] for (k, what), n in self.fails.items()],
-        }  # fmt: skip
+        }
 
     def restore(self, state: dict[str, Any], done: list[dict[str, Any]]) -> None:
         """As a file says it was."""
@@ -234,8 +236,11 @@ class Choice:
                 if not ready and not blocked:
                     ready.append(step)
                 break
-            missing = {k for k in self.structure.below[step.block] - standing
-                       if self.world.state[k] != RETURNED}  # fmt: skip
+            missing = {
+                k
+                for k in self.structure.below[step.block] - standing
+                if self.world.state[k] != RETURNED
+            }
             if missing:
                 blocked[step.block] = WAITING
             elif not self.structure.stands(frozenset(standing | {step.block})):
@@ -356,12 +361,16 @@ class Choice:
         size = float(np.linalg.norm(self.world.pieces[k].half))
         tried = self.fails[k, "away"]
         grid = np.arange(-0.6, 0.61, 0.1)
-        around = [(float(x), float(y)) for x in grid + self.job.base[0]
-                  for y in grid + self.job.base[1]]  # fmt: skip
+        around = [
+            (float(x), float(y)) for x in grid + self.job.base[0] for y in grid + self.job.base[1]
+        ]
         around.sort(key=lambda p: abs(math.dist(p, self.job.base) - 0.45))
-        free = [p for p in around
-                if shapely.Point(p).distance(taken) > size + 0.03
-                and math.dist(p, self.job.base) > 0.25 + size]  # fmt: skip
+        free = [
+            p
+            for p in around
+            if shapely.Point(p).distance(taken) > size + 0.03
+            and math.dist(p, self.job.base) > 0.25 + size
+        ]
         return free[tried : tried + 1]
 
     def _in_the_way(self, k: int) -> bool:
@@ -372,12 +381,15 @@ class Choice:
             if math.dist((at.x, at.y), world.pose[k, :2]) < BESIDE:
                 return False  # It still waits where it always has.
         near = area(world.pieces[k], world.pose[k]).buffer(BESIDE)
-        open_places = [n for n in range(len(self.job.pieces))
-                       if n != k and world.state[n] in (STOCK, LOOSE)]  # fmt: skip
+        open_places = [
+            n for n in range(len(self.job.pieces)) if n != k and world.state[n] in (STOCK, LOOSE)
+        ]
         if any(world.pieces[n].face().intersects(near) for n in open_places):
             return True
-        return any(source.magazine and footprint(source.shape, source.pose).intersects(near)
-                   for source in self.job.sources)  # fmt: skip
+        return any(
+            source.magazine and footprint(source.shape, source.pose).intersects(near)
+            for source in self.job.sources
+        )
 
     def fitted(self, k: int) -> np.ndarray:
         """float64[7]: where a block goes, see :func:`fitted`."""
@@ -393,6 +405,9 @@ def area(piece: Piece, pose: np.ndarray) -> Any:
     import shapely
 
     turn = quaternion_matrix(pose[3:])
-    corners = [pose[:3] + turn @ (np.array(c) + np.array(h) * signs)
-               for c, h in piece.shape for signs in product((-1, 1), repeat=3)]  # fmt: skip
+    corners = [
+        pose[:3] + turn @ (np.array(c) + np.array(h) * signs)
+        for c, h in piece.shape
+        for signs in product((-1, 1), repeat=3)
+    ]
     return shapely.MultiPoint(np.array(corners)[:, :2]).convex_hull

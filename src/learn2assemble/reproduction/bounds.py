@@ -86,10 +86,19 @@ def best_returns(simulator: Simulator, count: int, rng: np.random.Generator) -> 
     """
     task, state = simulator.task, simulator.new(count, rng)
     if task.reward == "scaled":
-        return np.array([
-            object_return_bound(state, row, simulator.frames, task.discount,
-                                task.success_threshold, task.rotations) for row in range(count)
-        ])  # fmt: skip
+        return np.array(
+            [
+                object_return_bound(
+                    state,
+                    row,
+                    simulator.frames,
+                    task.discount,
+                    task.success_threshold,
+                    task.rotations,
+                )
+                for row in range(count)
+            ]
+        )
     if task.num_sides <= 2:
         return np.array([best_return(simulator, state, row) for row in range(count)])
     return return_bound(state, task.discount)
@@ -195,12 +204,16 @@ def find_towers(simulator: Simulator, state: State, row: int) -> Towers:
         beside=beside,
         own=own[side, column],
         shared=shared,
-        counts=np.array([
-            state.mask_pixels[row], state.initial_pixels[row], state.complete_pixels[row],
-            state.num_blocks[row],
-        ]),
+        counts=np.array(
+            [
+                state.mask_pixels[row],
+                state.initial_pixels[row],
+                state.complete_pixels[row],
+                state.num_blocks[row],
+            ]
+        ),
         threshold=task.success_threshold,
-    )  # fmt: skip
+    )
 
 
 def _places(frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -464,14 +477,22 @@ def _packing(
     for option, value in options.items():
         solver.setOptionValue(option, value)
     solver.passModel(
-        len(rows), len(upper), int(start[-1]), int(highspy.MatrixFormat.kColwise),
-        int(highspy.ObjSense.kMaximize), 0.0,
+        len(rows),
+        len(upper),
+        int(start[-1]),
+        int(highspy.MatrixFormat.kColwise),
+        int(highspy.ObjSense.kMaximize),
+        0.0,
         np.concatenate([np.zeros(len(poses)), weight.astype(float)]),
-        np.zeros(len(rows)), np.ones(len(rows)),
-        np.full(len(upper), -highspy.kHighsInf), np.array(upper),
-        start.astype(np.int32), np.concatenate(rows).astype(np.int32), np.concatenate(values),
+        np.zeros(len(rows)),
+        np.ones(len(rows)),
+        np.full(len(upper), -highspy.kHighsInf),
+        np.array(upper),
+        start.astype(np.int32),
+        np.concatenate(rows).astype(np.int32),
+        np.concatenate(values),
         np.repeat([1, 0], [len(poses), len(weight)]).astype(np.int32),
-    )  # fmt: skip
+    )
     return limit, solver
 
 
@@ -505,9 +526,13 @@ def discounted_bound(most: np.ndarray, span: int, discount: float, threshold: fl
 
 
 def object_return_bound(
-    state: State, row: int, frames: np.ndarray, discount: float, threshold: float,
+    state: State,
+    row: int,
+    frames: np.ndarray,
+    discount: float,
+    threshold: float,
     rotations: int = 4,
-) -> float:  # fmt: skip
+) -> float:
     """Upper bound on the discounted scaled return from a state (proven, see the module).
 
     Args:

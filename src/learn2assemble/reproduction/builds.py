@@ -27,9 +27,15 @@ from learn2assemble.reproduction.measured import Figures, Result
 
 EXAMPLES = Path("examples/designs")
 DESIGNS = (
-    "arch_pair.json", "gabled_house.json", "gate.svg", "keep.json", "pavilion.json",
-    "pyramid.json", "skyline.json", "stepped_tower.json",
-)  # fmt: skip
+    "arch_pair.json",
+    "gabled_house.json",
+    "gate.svg",
+    "keep.json",
+    "pavilion.json",
+    "pyramid.json",
+    "skyline.json",
+    "stepped_tower.json",
+)
 FALLS = "leaning_parallelogram.json"
 """The example that falls as drawn, whatever the kit."""
 ARMS, TOOLS, SEEDS = ("panda", "ur5e"), ("suction", "gripper"), 10
@@ -37,7 +43,7 @@ PLAN_SECONDS = 120.0
 LARGE: dict[str, tuple[Callable[[], np.ndarray], float]] = {
     "wall with a window, 100 blocks": (lambda: shapes.wall(20, 3, 16, (7, 13, 5, 10)), 0.032),
     "wall with a window, 158 blocks": (lambda: shapes.wall(20, 6, 18, (7, 13, 5, 11)), 0.032),
-}  # fmt: skip
+}
 """Cells, and the edge of a cell [m]."""
 PROPS: dict[str, tuple[Callable[[], np.ndarray], str]] = {
     # Of the bricks none spans the opening of the bridge, so its deck needs props.
@@ -66,9 +72,12 @@ def names() -> list[str]:
 def configuration() -> Result:
     """The disturbances of the entries ``noise``."""
     return {
-        "supply_mm": 1.0, "supply_deg": 1.0, "friction_share": 0.2, "mass_share": 0.1,
+        "supply_mm": 1.0,
+        "supply_deg": 1.0,
+        "friction_share": 0.2,
+        "mass_share": 0.1,
         "sensing_mm": 1e3 * SENSING,
-    }  # fmt: skip
+    }
 
 
 def entry(name: str) -> Result:
@@ -81,11 +90,12 @@ def entry(name: str) -> Result:
     workcell = Workcell(arm, tool, seed=seed)
     if kind == "noise":
         workcell = replace(
-            workcell, noise=(SENSING, 0.0),
+            workcell,
+            noise=(SENSING, 0.0),
             disturbance=Disturbance(
                 supply=(1e-3, math.radians(1)), friction=float(rng.uniform(-0.2, 0.2)), mass=0.1
             ),
-        )  # fmt: skip
+        )
     started = time.process_time()
     plan = plan_cells(design, kit, seconds=PLAN_SECONDS)
     if kind == "faults":
@@ -97,9 +107,12 @@ def entry(name: str) -> Result:
         )
     planned = time.process_time()
     done = carry_out_cells(
-        plan, kit, workcell, lambda text: None,
+        plan,
+        kit,
+        workcell,
+        lambda text: None,
         lambda other: plan_cells(design, other, seconds=PLAN_SECONDS),
-    )  # fmt: skip
+    )
     result = _described(done, planned - started, time.process_time() - planned)
     if done.complete and kind == "props":
         result |= {"settled": _settled(done)}
@@ -122,16 +135,28 @@ def _design(kind: str, what: str) -> tuple[CellDesign, Kit]:
 def _described(plan: Plan, planning: float, building: float) -> Result:
     arm = plan.arm
     return {
-        "status": plan.status, "reason": plan.reason, "blocks": plan.blocks.used,
-        "steps": len(plan.steps), "props": sum(s.prop and s.action == "place" for s in plan.steps),
-        "planning_s": round(planning, 2), "building_s": round(building, 2),
-        **({} if arm is None else {
-            "attempts": arm.attempts, "attempts_per_step": arm.attempts_per_step,
-            "error_mean": arm.error_mean, "error_worst": arm.error_worst,
-            "failures": to_plain(arm.failures), "places": arm.places,
-            "robot_s": arm.seconds, "pitch": arm.pitch,
-        }),
-    }  # fmt: skip
+        "status": plan.status,
+        "reason": plan.reason,
+        "blocks": plan.blocks.used,
+        "steps": len(plan.steps),
+        "props": sum(s.prop and s.action == "place" for s in plan.steps),
+        "planning_s": round(planning, 2),
+        "building_s": round(building, 2),
+        **(
+            {}
+            if arm is None
+            else {
+                "attempts": arm.attempts,
+                "attempts_per_step": arm.attempts_per_step,
+                "error_mean": arm.error_mean,
+                "error_worst": arm.error_worst,
+                "failures": to_plain(arm.failures),
+                "places": arm.places,
+                "robot_s": arm.seconds,
+                "pitch": arm.pitch,
+            }
+        ),
+    }
 
 
 def _settled(plan: Plan) -> float:
@@ -146,9 +171,13 @@ def _settled(plan: Plan) -> float:
     kept = np.flatnonzero(pose[:, 2] > 0)
     owner = np.argsort(np.concatenate(record.objects))
     owner = np.repeat(np.arange(len(record.objects)), [len(c) for c in record.objects])[owner]
-    scene = Scene(pose[kept, :3], np.zeros(len(kept)), owner[kept], len(kept), *(
-        None if of_all is None else of_all[kept] for of_all in (record.half, record.density)
-    ))  # fmt: skip
+    scene = Scene(
+        pose[kept, :3],
+        np.zeros(len(kept)),
+        owner[kept],
+        len(kept),
+        *(None if of_all is None else of_all[kept] for of_all in (record.half, record.density)),
+    )
     x, y, z = record.arm.base_position.tolist()
     base = x, y, z, record.arm.base_yaw
     cell = DynamicCell(get_arm(record.arm.name, record.arm.tool_name, base))
@@ -178,23 +207,30 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
         key = f"{kind}/{rest[-1]}" if kind == "example" else kind
         groups.setdefault(key, {})["/".join([what, *rest])] = one
     for name, one in groups.pop("large", {}).items():
-        rows.append((
-            name, "complete; 120 s, 1.05 attempts, 1 / 3 mm at 100 blocks",
-            f"{one['status']}, {one['blocks']} blocks, "
-            f"{one['planning_s'] + one['building_s']:.0f} s, {one.get('attempts_per_step')} "
-            f"attempts, {1e3 * (one.get('error_mean') or 0):.2f} / "
-            f"{1e3 * (one.get('error_worst') or 0):.2f} mm",
-        ))  # fmt: skip
+        rows.append(
+            (
+                name,
+                "complete; 120 s, 1.05 attempts, 1 / 3 mm at 100 blocks",
+                f"{one['status']}, {one['blocks']} blocks, "
+                f"{one['planning_s'] + one['building_s']:.0f} s, {one.get('attempts_per_step')} "
+                f"attempts, {1e3 * (one.get('error_mean') or 0):.2f} / "
+                f"{1e3 * (one.get('error_worst') or 0):.2f} mm",
+            )
+        )
     asked = {"props": "all", "program": "all", "faults": ">= 90 %", "noise": ">= 95 %"}
     for key, group in sorted(groups.items()):
         done = sum(one["status"] == "complete" for one in group.values())
-        left = [f"{name} ({one['reason']})" for name, one in group.items()
-                if one["status"] != "complete"]  # fmt: skip
+        left = [
+            f"{name} ({one['reason']})"
+            for name, one in group.items()
+            if one["status"] != "complete"
+        ]
         words = f"{done} of {len(group)}" + (f"; not: {'; '.join(left[:6])}" if left else "")
         rows.append((key, asked.get(key, "all"), words))
         if key == "program":
-            worst = max((one["program"]["worst"] for one in group.values() if "program" in one),
-                        default=0.0)  # fmt: skip
+            worst = max(
+                (one["program"]["worst"] for one in group.values() if "program" in one), default=0.0
+            )
             rows.append(("blocks of exported programs off by", "2 mm", f"{1e3 * worst:.2f} mm"))
     return rows
 

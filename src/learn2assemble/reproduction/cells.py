@@ -154,19 +154,25 @@ def measure(cell: Cell, agent_file: str | None, episodes: int) -> dict[str, Any]
         arrays = {"returns": _rounded(best_returns(simulator, episodes, rng))}
     else:
         played = play_episodes(
-            simulator, make_cell_policy(cell, agent_file), episodes, cell.seed,
+            simulator,
+            make_cell_policy(cell, agent_file),
+            episodes,
+            cell.seed,
             first=cell.share * episodes,
-        )  # fmt: skip
+        )
         other = {
             f"returns_at_{gamma:g}": _rounded(column)
             for gamma, column in zip(DISCOUNTS, played.returns_at.T, strict=True)
             if gamma != cell.task.discount
         }
         arrays = {
-            "returns": _rounded(played.returns), **other, "actions": played.actions.tolist(),
+            "returns": _rounded(played.returns),
+            **other,
+            "actions": played.actions.tolist(),
             "failed": played.failed.astype(int).tolist(),
-            "success": played.success.astype(int).tolist(), "coverage": _rounded(played.coverage),
-        }  # fmt: skip
+            "success": played.success.astype(int).tolist(),
+            "coverage": _rounded(played.coverage),
+        }
     return {**provenance("cpu"), "episodes": episodes, **arrays}
 
 
@@ -288,8 +294,11 @@ def write_result(root: Path, cell: Cell, agent_hash: str | None, data: dict[str,
     """
     file = root / cell.path
     head = {
-        "format": FORMAT, "version": VERSION, "cell": cell.to_dict(), "agent_hash": agent_hash,
-    }  # fmt: skip
+        "format": FORMAT,
+        "version": VERSION,
+        "cell": cell.to_dict(),
+        "agent_hash": agent_hash,
+    }
     lines = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in {**head, **data}.items()]
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -411,10 +420,18 @@ def row_cells(table: Table, row: Row, column: int, agents: list[str]) -> list[Ce
     task = table.columns[column].preset
     names = shares(row, agents) if row.agents else {"": 0}
     return [
-        Cell(task, row.policy, name, row.search_config(condition.epsilon), condition.epsilon,
-             condition.physics, share=share)
-        for condition in table.conditions for name, share in names.items()
-    ]  # fmt: skip
+        Cell(
+            task,
+            row.policy,
+            name,
+            row.search_config(condition.epsilon),
+            condition.epsilon,
+            condition.physics,
+            share=share,
+        )
+        for condition in table.conditions
+        for name, share in names.items()
+    ]
 
 
 def shares(row: Row, agents: list[str]) -> dict[str, int]:
@@ -430,9 +447,11 @@ def share_size(problems: int, count: int) -> int:
 
 
 def jobs(
-    table: Table, agents: dict[str, Path], episodes: int | None = None,
+    table: Table,
+    agents: dict[str, Path],
+    episodes: int | None = None,
     max_agents: int | None = None,
-) -> list[Job]:  # fmt: skip
+) -> list[Job]:
     """Everything a table is made of, every cell once.
 
     Args:
@@ -460,11 +479,13 @@ def jobs(
     hashes = {name: agent_hash(agents[name]) for name in {c.agent for c in cells.values()} if name}
     return [
         Job(
-            cell, str(agents[cell.agent]) if cell.agent else None, hashes.get(cell.agent),
+            cell,
+            str(agents[cell.agent]) if cell.agent else None,
+            hashes.get(cell.agent),
             count[path],
         )
         for path, cell in cells.items()
-    ]  # fmt: skip
+    ]
 
 
 def stale(root: Path, wanted: list[Job]) -> list[Job]:
@@ -474,9 +495,12 @@ def stale(root: Path, wanted: list[Job]) -> list[Job]:
 
 
 def run_jobs(
-    root: Path, todo: list[Job], workers: int, progress: Callable[[Job], None] = lambda job: None,
+    root: Path,
+    todo: list[Job],
+    workers: int,
+    progress: Callable[[Job], None] = lambda job: None,
     ray: str | None = None,
-) -> None:  # fmt: skip
+) -> None:
     """Measure and write every job; those done before an interruption stay.
 
     Args:

@@ -50,14 +50,17 @@ def _table_arguments(parser: argparse.ArgumentParser) -> None:
     add("name", metavar="NAME", help=", ".join(TABLES))
     add("--out", type=named, default=Path("results"), help="folder of the results")
     add(
-        "--episodes", type=count, default=None,
+        "--episodes",
+        type=count,
+        default=None,
         help="problems of a cell, in place of 1000 (200 and 100 with an arm)",
-    )  # fmt: skip
+    )
     workers_arguments(parser, "processes (all cores)")
     add(
-        "--quick", action="store_true",
+        "--quick",
+        action="store_true",
         help="one agent a row and 50 episodes, into the folder quick below --out",
-    )  # fmt: skip
+    )
     source = parser.add_mutually_exclusive_group()
     source.add_argument(
         "--agents",
@@ -94,9 +97,13 @@ def _run_table(options: argparse.Namespace, output: Output) -> None:
 
         wanted = [RECIPES[name] for name in table.stems if name in RECIPES]
         train_recipes(
-            wanted, options.runs, seeds=most, workers=workers, ray=options.ray,
+            wanted,
+            options.runs,
+            seeds=most,
+            workers=workers,
+            ray=options.ray,
             progress=output.progress,
-        )  # fmt: skip
+        )
         copy_logs(wanted, options.runs, root / "runs")
         agents = cells.find_agents(options.runs)
     todo: list[Job] = []
@@ -145,9 +152,14 @@ def _measure(root: Path, todo: list[Job], name: str, workers: int, ray: str | No
     if not todo:
         return
     total = round(sum(job.cost for job in todo))
-    with tqdm(total=total, desc=name, unit="", unit_scale=True, dynamic_ncols=True,
-              bar_format="{desc} {percentage:3.0f}% |{bar}| {elapsed}<{remaining} {postfix}",
-              ) as bar:  # fmt: skip
+    with tqdm(
+        total=total,
+        desc=name,
+        unit="",
+        unit_scale=True,
+        dynamic_ncols=True,
+        bar_format="{desc} {percentage:3.0f}% |{bar}| {elapsed}<{remaining} {postfix}",
+    ) as bar:
         done = 0
 
         def advance(job: Job) -> None:
@@ -164,8 +176,10 @@ def _write(data: TableData, root: Path) -> dict[str, Path]:
 
     name, title = data.table.name, data.table.title
     _prepare(root / "tables")
-    files = {kind: root / "tables" / f"{name}{ending}" for kind, ending in
-             (("markdown", ".md"), ("picture", ".png"))}  # fmt: skip
+    files = {
+        kind: root / "tables" / f"{name}{ending}"
+        for kind, ending in (("markdown", ".md"), ("picture", ".png"))
+    }
     write_file(files["markdown"], report.markdown(data), "--out")
     title = f"{name}  {title}{'  (quick look)' if data.quick else ''}"
     curves.write_table(title, report.sections(data), report.notes(data), files["picture"])
@@ -191,7 +205,8 @@ def _print(output: Output, data: TableData, files: dict[str, Path]) -> None:
 def _summary(data: TableData, measured: int, files: dict[str, Path]) -> dict[str, Any]:
     rows = [
         {
-            "task": entry.column.name, "method": entry.row.name,
+            "task": entry.column.name,
+            "method": entry.row.name,
             "state": entry.state or "measured",
             "paper": entry.paper and dataclasses.asdict(entry.paper),
             "ours": [
@@ -199,12 +214,16 @@ def _summary(data: TableData, measured: int, files: dict[str, Path]) -> dict[str
                 for condition, summary in entry.results.items()
             ],
         }
-        for line in data.entries for entry in line
-    ]  # fmt: skip
+        for line in data.entries
+        for entry in line
+    ]
     return {
-        "table": data.table.name, "quick": data.quick, "measured": measured, "rows": rows,
+        "table": data.table.name,
+        "quick": data.quick,
+        "measured": measured,
+        "rows": rows,
         "files": {name: str(path) for name, path in files.items()},
-    }  # fmt: skip
+    }
 
 
 def _around(path: Path, table: Table) -> tuple[str, str]:
@@ -224,10 +243,11 @@ def _around(path: Path, table: Table) -> tuple[str, str]:
 
 def _curves_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "name", metavar="NAME",
+        "name",
+        metavar="NAME",
         help="architectures, connectivity or algorithms; scaling: over the size of targets, "
         "decision times are measured where missing",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--runs", type=named, default=Path("results/runs"), help="folder with logs of runs"
     )
@@ -243,14 +263,23 @@ def _run_scaling(options: argparse.Namespace, output: Output) -> None:
     rows = curves.load_scaled(options.out.parent, found["entries"])
     path: Path = options.out / f"{curves.SIZES}.png"
     curves.write_curves(
-        "Targets larger than those of training (DQN: 3x3, ours: 5x5)", rows,
+        "Targets larger than those of training (DQN: 3x3, ours: 5x5)",
+        rows,
         f"ε = 0. Decisions: of one core, worlds a third built, {curves.TIMED_WORLDS} at a time.",
-        path, curves.SCALING, "grid",
-    )  # fmt: skip
-    output.table("targets by size", ("row", "grid", *curves.SCALING), [
-        (r.label, int(grid), *[float(r.mean[key][n]) for key in curves.SCALING])
-        for r in rows for n, grid in enumerate(r.samples) if math.isfinite(r.mean["f"][n])
-    ])  # fmt: skip
+        path,
+        curves.SCALING,
+        "grid",
+    )
+    output.table(
+        "targets by size",
+        ("row", "grid", *curves.SCALING),
+        [
+            (r.label, int(grid), *[float(r.mean[key][n]) for key in curves.SCALING])
+            for r in rows
+            for n, grid in enumerate(r.samples)
+            if math.isfinite(r.mean["f"][n])
+        ],
+    )
     output.say(str(path))
     output.finish({"figure": curves.SIZES, "picture": str(path), "rows": [r.label for r in rows]})
 
@@ -277,31 +306,67 @@ def _run_curves(options: argparse.Namespace, output: Output) -> None:
         "highest, smoothed. " + figure.note
     ).strip()
     write_curves(figure.title, curves, note, path)
-    output.table(figure.title, ("line", "agents", "samples", "R", "f", "success"), [
-        (c.label, c.seeds, int(c.samples[-1]), *[float(c.mean[q][-1]) for q in
-         ("R", "f", "success")]) for c in curves
-    ])  # fmt: skip
-    output.table("first reached, quartiles over agents", (
-        "line", "R", "agents", "reached", "samples: 25 %", "50 %", "75 %", "minutes: 25 %", "50 %",
-        "75 %",
-    ), [
-        (r.label, r.level, r.seeds, r.reached, *[_known(n) for n in r.samples],
-         *[_known(n, 60) for n in r.seconds]) for r in reached
-    ])  # fmt: skip
+    output.table(
+        figure.title,
+        ("line", "agents", "samples", "R", "f", "success"),
+        [
+            (
+                c.label,
+                c.seeds,
+                int(c.samples[-1]),
+                *[float(c.mean[q][-1]) for q in ("R", "f", "success")],
+            )
+            for c in curves
+        ],
+    )
+    output.table(
+        "first reached, quartiles over agents",
+        (
+            "line",
+            "R",
+            "agents",
+            "reached",
+            "samples: 25 %",
+            "50 %",
+            "75 %",
+            "minutes: 25 %",
+            "50 %",
+            "75 %",
+        ),
+        [
+            (
+                r.label,
+                r.level,
+                r.seeds,
+                r.reached,
+                *[_known(n) for n in r.samples],
+                *[_known(n, 60) for n in r.seconds],
+            )
+            for r in reached
+        ],
+    )
     absent = sorted({label for label, _ in figure.lines} - {c.label for c in curves})
     if absent:
         output.say(f"no runs of {', '.join(absent)}")
     output.say(str(path))
-    output.finish({
-        "figure": figure.name, "picture": str(path), "absent": absent,
-        "lines": [{"label": c.label, "seeds": c.seeds} for c in curves],
-        "reached": [
-            {**r._asdict(), **{
-                key: [n if math.isfinite(n) else None for n in getattr(r, key)]
-                for key in ("samples", "seconds")
-            }} for r in reached
-        ],
-    })  # fmt: skip
+    output.finish(
+        {
+            "figure": figure.name,
+            "picture": str(path),
+            "absent": absent,
+            "lines": [{"label": c.label, "seeds": c.seeds} for c in curves],
+            "reached": [
+                {
+                    **r._asdict(),
+                    **{
+                        key: [n if math.isfinite(n) else None for n in getattr(r, key)]
+                        for key in ("samples", "seconds")
+                    },
+                }
+                for r in reached
+            ],
+        }
+    )
 
 
 def _known(number: float, unit: float = 1) -> str:
@@ -311,10 +376,20 @@ def _known(number: float, unit: float = 1) -> str:
 # ---------------------------------------------------------------- replay
 
 REPLAY_COLUMNS = (
-    "file", "lines", "mask_exact", "plane_exact", "complete_exact", "max_px_diff",
-    "valid_static", "valid_rigid", "edge_lines", "valid_static_firm", "valid_rigid_firm", "reward",
+    "file",
+    "lines",
+    "mask_exact",
+    "plane_exact",
+    "complete_exact",
+    "max_px_diff",
+    "valid_static",
+    "valid_rigid",
+    "edge_lines",
+    "valid_static_firm",
+    "valid_rigid_firm",
+    "reward",
     "done",
-)  # fmt: skip
+)
 ARM_COLUMNS = ("file", "cell", "lines", "agree", "same_class", "rule")
 
 
@@ -333,22 +408,32 @@ def _run_replay(options: argparse.Namespace, output: Output) -> None:
         reports.append(replay_file(path, RigidPhysics).to_dict())
         if any(map(is_robot_line, read_lines(path))):
             robots.append(replay_robot_file(path).to_dict())
-    output.table("agreement with recorded transitions", REPLAY_COLUMNS, [
-        [report[column] for column in REPLAY_COLUMNS] for report in reports
-    ])  # fmt: skip
+    output.table(
+        "agreement with recorded transitions",
+        REPLAY_COLUMNS,
+        [[report[column] for column in REPLAY_COLUMNS] for report in reports],
+    )
     if robots:
-        output.table("agreement of the arm on success or failure", ARM_COLUMNS, [
-            [report[column] for column in ARM_COLUMNS] for report in robots
-        ])  # fmt: skip
+        output.table(
+            "agreement of the arm on success or failure",
+            ARM_COLUMNS,
+            [[report[column] for column in ARM_COLUMNS] for report in robots],
+        )
     output.finish({"files": reports, "robot": robots})
 
 
 # ---------------------------------------------------------------- fidelities
 
 FIDELITY_COLUMNS = (
-    "task", "arm", "actions", "agree", "same outcome", "kinematic [ms]", "dynamic [ms]",
+    "task",
+    "arm",
+    "actions",
+    "agree",
+    "same outcome",
+    "kinematic [ms]",
+    "dynamic [ms]",
     "times faster",
-)  # fmt: skip
+)
 
 
 def _fidelities_arguments(parser: argparse.ArgumentParser) -> None:
@@ -383,15 +468,29 @@ def _run_fidelities(options: argparse.Namespace, output: Output) -> None:
         with one_thread():
             found.append(compare(task, agent, options.actions, options.seed, progress))
     result = {"fidelities": [one.to_dict() for one in found]}
-    output.table("the same moves in both cells", FIDELITY_COLUMNS, [
-        (one["task"], one["arm"], one["actions"], f"{one['share']:.1%}", one["same_outcome"],
-         one["kinematic_ms"], one["dynamic_ms"], one["times_faster"])
-        for one in result["fidelities"]
-    ])  # fmt: skip
+    output.table(
+        "the same moves in both cells",
+        FIDELITY_COLUMNS,
+        [
+            (
+                one["task"],
+                one["arm"],
+                one["actions"],
+                f"{one['share']:.1%}",
+                one["same_outcome"],
+                one["kinematic_ms"],
+                one["dynamic_ms"],
+                one["times_faster"],
+            )
+            for one in result["fidelities"]
+        ],
+    )
     outcomes: Counter[tuple[str, str]] = sum((one.outcomes for one in found), Counter())
-    output.table("outcomes", ("kinematic", "dynamic", "moves"), [
-        (*pair, count) for pair, count in outcomes.most_common()
-    ])  # fmt: skip
+    output.table(
+        "outcomes",
+        ("kinematic", "dynamic", "moves"),
+        [(*pair, count) for pair, count in outcomes.most_common()],
+    )
     write_result(options.out, result)
     output.finish(result)
 
@@ -420,9 +519,13 @@ def _figures(module: str, title: str, help: str, example: str) -> Command:
         figures = importlib.import_module(f"learn2assemble.reproduction.{module}").FIGURES
         _prepare(options.out.parent)
         found = measure(
-            figures, options.out, only=options.only, again=options.again, workers=options.workers,
+            figures,
+            options.out,
+            only=options.only,
+            again=options.again,
+            workers=options.workers,
             progress=output.progress,
-        )  # fmt: skip
+        )
         rows = figures.summary(found["entries"])
         output.table(title, ("what", "asked", "got"), rows)
         output.finish({"rows": [list(row) for row in rows], "file": str(options.out)})
@@ -432,34 +535,42 @@ def _figures(module: str, title: str, help: str, example: str) -> Command:
 
 _COMMANDS = {
     "measure-goals": _figures(
-        "goals", "figures of goals without a drawing",
+        "goals",
+        "figures of goals without a drawing",
         "measure the search for structures that meet goals, beside the exact program",
         "l2a measure-goals --only planar/ --workers 2",
     ),
     "measure-builds": _figures(
-        "builds", "figures of builds by an arm",
+        "builds",
+        "figures of builds by an arm",
         "measure builds by an arm: large ones, with noise, with faults",
         "l2a measure-builds --only noise/ --workers 2",
     ),
     "measure-designs": _figures(
-        "designs", "figures of the exact planner and the check",
+        "designs",
+        "figures of the exact planner and the check",
         "measure the exact planner and the check on shapes and drawings",
         "l2a measure-designs --only shape/ --workers 2",
     ),
     "table": Command(
-        "measure a table of the paper and print it beside the paper's numbers", "l2a table T2",
-        _table_arguments, _run_table,
+        "measure a table of the paper and print it beside the paper's numbers",
+        "l2a table T2",
+        _table_arguments,
+        _run_table,
     ),
     "curves": Command(
         "draw learning curves", "l2a curves algorithms", _curves_arguments, _run_curves
     ),
     "replay": Command(
         "repeat recorded transitions and report the agreement",
-        "l2a replay tests/data/transitions_sample.jsonl", _replay_arguments, _run_replay,
+        "l2a replay tests/data/transitions_sample.jsonl",
+        _replay_arguments,
+        _run_replay,
     ),
     "fidelities": Command(
         "the kinematic workcell of an arm against the dynamic one",
         "l2a fidelities robot-two-sided-3x3-10-14 robot-four-sided-3x3-10-18 --actions 250",
-        _fidelities_arguments, _run_fidelities,
+        _fidelities_arguments,
+        _run_fidelities,
     ),
-}  # fmt: skip
+}

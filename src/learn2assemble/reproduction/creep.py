@@ -82,9 +82,10 @@ def standing_after(assembly: Assembly, count: int) -> Assembly:
         elif step.action == "remove":
             del present[step.block]
     blocks = tuple(
-        replace(block, prop=False) for block in assembly.blocks
+        replace(block, prop=False)
+        for block in assembly.blocks
         if block.id in present or block.support
-    )  # fmt: skip
+    )
     return replace(assembly, blocks=blocks, steps=())
 
 
@@ -108,7 +109,8 @@ def entry(name: str) -> dict[str, Any]:
     """The largest move of a case for every width of its joints."""
     made = {gap: structure(name, gap) for gap in GAPS}
     return {
-        "seconds": SECONDS, "blocks": len(made[GAPS[0]].blocks),
+        "seconds": SECONDS,
+        "blocks": len(made[GAPS[0]].blocks),
         "props": sum(b.id.startswith("prop") for b in made[GAPS[0]].blocks),
         "largest_move_m": {f"{gap:g}": round(largest_move(made[gap]), 6) for gap in GAPS},
-    }  # fmt: skip
+    }

@@ -102,15 +102,24 @@ class Reached(NamedTuple):
 
 
 _ALL = (
-    Curves("architectures", "Architectures (appendix figure 3a; full graph)",
-           (("MHA", "mha-full"), ("SHA", "sha-full"), ("S2V", "s2v-full"))),
-    Curves("connectivity", "Connectivity (appendix figure 3b; bars, one side)",
-           (("partially connected", "bars-partial"), ("fully connected", "bars-full")),
-           levels=BAR_LEVELS),
-    Curves("algorithms", "Learning algorithms (appendix figure 5)",
-           (("DQN", "dqn"), ("ε-MCTS", "eps-mcts"), ("Q-MCTS", "q-mcts")),
-           "Q-MCTS and ε-MCTS search while they collect: their curves are of the search."),
-)  # fmt: skip
+    Curves(
+        "architectures",
+        "Architectures (appendix figure 3a; full graph)",
+        (("MHA", "mha-full"), ("SHA", "sha-full"), ("S2V", "s2v-full")),
+    ),
+    Curves(
+        "connectivity",
+        "Connectivity (appendix figure 3b; bars, one side)",
+        (("partially connected", "bars-partial"), ("fully connected", "bars-full")),
+        levels=BAR_LEVELS,
+    ),
+    Curves(
+        "algorithms",
+        "Learning algorithms (appendix figure 5)",
+        (("DQN", "dqn"), ("ε-MCTS", "eps-mcts"), ("Q-MCTS", "q-mcts")),
+        "Q-MCTS and ε-MCTS search while they collect: their curves are of the search.",
+    ),
+)
 FIGURES: dict[str, Curves] = {figure.name: figure for figure in _ALL}
 
 
@@ -299,10 +308,12 @@ TIMES = Figures(
 _COLOURS = (ACCENT, "#d9480f", "#5f3dc4", "#2b8a3e", "#e67700", INK, "#868e96", "#c2255c")
 _DPI = 130
 TITLES = {
-    "R": "discounted return R", "f": "share ended by an invalid action f",
-    "success": "share filled", "share": "share of the bound on R",
+    "R": "discounted return R",
+    "f": "share ended by an invalid action f",
+    "success": "share filled",
+    "share": "share of the bound on R",
     "ms": "processor time of a decision [ms]",
-}  # fmt: skip
+}
 _EMPTY = {"R": 0.16, "success": 0.36}
 """How high the large panel is empty at its right, where the legend goes."""
 LEARNING = ("R", "f", "success")
@@ -312,9 +323,13 @@ SCALING = ("success", "share", "f", "ms")
 
 
 def write_curves(
-    title: str, lines: Sequence[Curve], note: str, path: Path,
-    panels: Sequence[str] = LEARNING, axis: str = "training samples",
-) -> None:  # fmt: skip
+    title: str,
+    lines: Sequence[Curve],
+    note: str,
+    path: Path,
+    panels: Sequence[str] = LEARNING,
+    axis: str = "training samples",
+) -> None:
     """Draw curves of the first of ``panels`` large and of the others beside it into a PNG.
 
     Raises:
@@ -326,18 +341,28 @@ def write_curves(
     figure.text(0.05, 0.035, note, fontsize=8, color=SOFT, va="center")
     first, *others = panels
     grid = figure.add_gridspec(
-        len(others), 2, width_ratios=(2, 1), left=0.06, right=0.98, top=0.86, bottom=0.14,
-        wspace=0.16, hspace=0.6,
-    )  # fmt: skip
+        len(others),
+        2,
+        width_ratios=(2, 1),
+        left=0.06,
+        right=0.98,
+        top=0.86,
+        bottom=0.14,
+        wspace=0.16,
+        hspace=0.6,
+    )
     places = {first: grid[:, 0]} | {name: grid[n, 1] for n, name in enumerate(others)}
     for quantity, place in places.items():
         axes = figure.add_subplot(place)
         _panel(axes, quantity, lines)
         if quantity == first:
             axes.legend(
-                loc="center right", bbox_to_anchor=(1, _EMPTY[quantity]), frameon=False,
-                fontsize=9, labelcolor=INK,
-            )  # fmt: skip
+                loc="center right",
+                bbox_to_anchor=(1, _EMPTY[quantity]),
+                frameon=False,
+                fontsize=9,
+                labelcolor=INK,
+            )
             axes.set_xlabel(axis, fontsize=9, color=SOFT)
     save(figure, path, _DPI)
 
@@ -346,13 +371,22 @@ def _panel(axes: Axes, quantity: str, lines: Sequence[Curve]) -> None:
     for line, colour in zip(lines, cycle(_COLOURS), strict=False):
         marker = "o" if len(line.samples) < 20 else None
         axes.plot(
-            line.samples, line.mean[quantity], color=colour, linewidth=1.8, label=line.legend,
-            marker=marker, markersize=3.5,
-        )  # fmt: skip
+            line.samples,
+            line.mean[quantity],
+            color=colour,
+            linewidth=1.8,
+            label=line.legend,
+            marker=marker,
+            markersize=3.5,
+        )
         axes.fill_between(
-            line.samples, line.low[quantity], line.high[quantity], color=colour, alpha=0.15,
+            line.samples,
+            line.low[quantity],
+            line.high[quantity],
+            color=colour,
+            alpha=0.15,
             linewidth=0,
-        )  # fmt: skip
+        )
     axes.set_title(TITLES[quantity], fontsize=10, color=INK, loc="left")
     axes.set_facecolor(PAPER)
     axes.set_xlim(left=0, right=max(float(line.samples[-1]) for line in lines) * 1.02)
@@ -451,9 +485,13 @@ def _draw(axes: Axes, block: Section, widths: Sequence[float], top: float) -> No
 
 
 def _line(
-    axes: Axes, cells: Sequence[str], widths: Sequence[float], right: Sequence[float], y: float,
+    axes: Axes,
+    cells: Sequence[str],
+    widths: Sequence[float],
+    right: Sequence[float],
+    y: float,
     color: str,
-) -> None:  # fmt: skip
+) -> None:
     for number, (cell, edge) in enumerate(zip(cells, right, strict=True)):
         if number == 0:
             write(axes, edge - widths[0] + _PAD / 2, y, cell, fontsize=_SIZE, color=color)

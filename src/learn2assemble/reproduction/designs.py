@@ -37,19 +37,47 @@ LARGE: dict[str, tuple[Callable[[], np.ndarray], float]] = {
     "dome of about 100 blocks": (lambda: shapes.dome(7, 2.5), 2.0),
     "house of 24x20x24 cells": (shapes.big_house, 10.0),
     "house of about 550 blocks": (
-        lambda: shapes.house(38, 32, 20, 2, (16, 22, 7), windows=(
-            (4, 8, 4, 8), (28, 32, 4, 8), (4, 8, 12, 16), (17, 21, 12, 16), (28, 32, 12, 16),
-        )), 10.0,
+        lambda: shapes.house(
+            38,
+            32,
+            20,
+            2,
+            (16, 22, 7),
+            windows=(
+                (4, 8, 4, 8),
+                (28, 32, 4, 8),
+                (4, 8, 12, 16),
+                (17, 21, 12, 16),
+                (28, 32, 12, 16),
+            ),
+        ),
+        10.0,
     ),
     "tower of 16x16x40 cells": (lambda: shapes.tower(16, 16, 40, 3, 5), 30.0),
     "tower of about 1,050 blocks": (lambda: shapes.tower(20, 20, 50, 3, 5), 30.0),
     "2,000 blocks": (lambda: shapes.tower(28, 28, 64, 3, 5), 120.0),
-}  # fmt: skip
+}
 """Designs of a size, and the seconds asked for."""
-DRAWN = ("gate.svg", "t.svg", "h.svg", "arch.svg", "circle.svg", "two_towers.svg", "figure.png",
-         "dome.npy", "off_centre_tower.json", "arch_pair.json", "courtyard.svg",
-         "gabled_house.json", "keep.json", "leaning_parallelogram.json", "pavilion.json",
-         "pyramid.json", "skyline.json", "stepped_tower.json")  # fmt: skip
+DRAWN = (
+    "gate.svg",
+    "t.svg",
+    "h.svg",
+    "arch.svg",
+    "circle.svg",
+    "two_towers.svg",
+    "figure.png",
+    "dome.npy",
+    "off_centre_tower.json",
+    "arch_pair.json",
+    "courtyard.svg",
+    "gabled_house.json",
+    "keep.json",
+    "leaning_parallelogram.json",
+    "pavilion.json",
+    "pyramid.json",
+    "skyline.json",
+    "stepped_tower.json",
+)
 TIGHT_SECONDS = 600.0
 """Limit where side faces may press: a state with them takes a second."""
 PREFIXES, SIMULATED = 6, 60
@@ -109,13 +137,22 @@ def _planned(
     bridged, total = seams_bridged(tiling, kit)
     last = ordering or tiling
     steps = ordering.steps if ordering else ()
-    return tiling, ordering, {
-        "status": last.status, "reason": last.reason, "cells": int(tiling.wanted.sum()),
-        "blocks": count[False], "props": count[True], "seconds": round(seconds, 3),
-        "seams": [bridged, total], "seams_bridged": round(bridged / max(total, 1), 4),
-        "margin_g": round(ordering.margin_g, 6) if ordering else None,
-        "proofs": dict(Counter(step.proof for step in steps)),
-    }  # fmt: skip
+    return (
+        tiling,
+        ordering,
+        {
+            "status": last.status,
+            "reason": last.reason,
+            "cells": int(tiling.wanted.sum()),
+            "blocks": count[False],
+            "props": count[True],
+            "seconds": round(seconds, 3),
+            "seams": [bridged, total],
+            "seams_bridged": round(bridged / max(total, 1), 4),
+            "margin_g": round(ordering.margin_g, 6) if ordering else None,
+            "proofs": dict(Counter(step.proof for step in steps)),
+        },
+    )
 
 
 def shape_entry(wanted: np.ndarray, kit: Kit) -> Result:
@@ -194,11 +231,14 @@ def proof_entry(wanted: np.ndarray, kit: Kit) -> Result:
         if present.sum() <= SIMULATED:
             moves.append(round(creep.largest_move(creep.standing_after(assembly, steps), 1.0), 6))
     return {
-        "status": "complete", "states": len(chosen), "second_solver": holds,
+        "status": "complete",
+        "states": len(chosen),
+        "second_solver": holds,
         "tight": sum(step.proof == TIGHT for step in ordering.steps),
-        "simulated": len(moves), "largest_move_m": max(moves, default=0.0),
+        "simulated": len(moves),
+        "largest_move_m": max(moves, default=0.0),
         "stood": sum(move < 0.1 * kit.pitch[2] for move in moves),
-    }  # fmt: skip
+    }
 
 
 def large_entry(wanted: np.ndarray, kit: Kit, asked: float) -> Result:
@@ -233,12 +273,15 @@ def drawn_entry(path: Path) -> Result:
         size = page.stat().st_size if page.exists() else 0
     assert plan.cells is not None
     return {
-        "status": plan.status, "reason": plan.reason or "", "seconds": round(seconds, 3),
+        "status": plan.status,
+        "reason": plan.reason or "",
+        "seconds": round(seconds, 3),
         "blocks": plan.blocks.used,
         "props": sum(step.prop and step.action == "place" for step in plan.steps),
-        "cells_missing": plan.cells.missing, "cells_outside": plan.cells.outside,
+        "cells_missing": plan.cells.missing,
+        "cells_outside": plan.cells.outside,
         "page_bytes": size,
-    }  # fmt: skip
+    }
 
 
 def wall_entry(_: Path) -> Result:
@@ -255,22 +298,37 @@ def _checked(assembly: Assembly) -> Result:
     started = time.process_time()
     found = check(assembly)
     return {
-        "verdict": found.verdict, "proof": found.proof, "margin_g": found.margin_g,
-        "blocks": found.blocks, "seconds": round(time.process_time() - started, 3),
-    }  # fmt: skip
+        "verdict": found.verdict,
+        "proof": found.proof,
+        "margin_g": found.margin_g,
+        "blocks": found.blocks,
+        "seconds": round(time.process_time() - started, 3),
+    }
 
 
 def _masonry(path: Path) -> list[tuple[Result, Assembly]]:
     with gzip.open(path, "rt", encoding="utf-8") as file:
         cases = [json.loads(line) for line in file]
     return [
-        (case, Assembly(
-            tuple(Block(str(b["id"]), np.array(b["vertices"]), b["faces"], density=b["density"],
-                        support=b["support"]) for b in case["blocks"]),
-            friction=case["friction"], name=case["name"],
-        ))
+        (
+            case,
+            Assembly(
+                tuple(
+                    Block(
+                        str(b["id"]),
+                        np.array(b["vertices"]),
+                        b["faces"],
+                        density=b["density"],
+                        support=b["support"],
+                    )
+                    for b in case["blocks"]
+                ),
+                friction=case["friction"],
+                name=case["name"],
+            ),
+        )
         for case in cases
-    ]  # fmt: skip
+    ]
 
 
 def masonry_entry(path: Path) -> Result:
@@ -287,9 +345,12 @@ def masonry_entry(path: Path) -> Result:
         coupled += stands == (case["cra"] == "stands")
         wrong += stands and case["cra"] == "falls"
     return {
-        "cases": len(cases), "rbe_agrees": rbe, "cra_agrees": coupled, "falls_called_stands": wrong,
+        "cases": len(cases),
+        "rbe_agrees": rbe,
+        "cra_agrees": coupled,
+        "falls_called_stands": wrong,
         "seconds": round(time.perf_counter() - started, 3),
-    }  # fmt: skip
+    }
 
 
 def armadillo_entry(path: Path) -> Result:
@@ -313,8 +374,11 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
     """What was asked, and what was reached: (what, asked, got)."""
 
     def group(kind: str) -> dict[str, Result]:
-        return {name.partition("/")[2]: entry for name, entry in entries.items()
-                if name.startswith(f"{kind}/")}  # fmt: skip
+        return {
+            name.partition("/")[2]: entry
+            for name, entry in entries.items()
+            if name.startswith(f"{kind}/")
+        }
 
     rows: list[tuple[str, str, str]] = []
 
@@ -334,8 +398,11 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
             more = f", {len(tight)} more with tight joints ({', '.join(tight)})" if tight else ""
             others = ", ".join(sorted(set(made) - set(built) - set(tight))) or "none"
             row(words, "all that can stand", f"{len(built)} of {len(made)}{more}; not: {others}")
-            row(f"slowest ({words})", "< 5 s" if kind == "drawn" else "",
-                f"{max(e['seconds'] for e in made.values()):.1f} s")  # fmt: skip
+            row(
+                f"slowest ({words})",
+                "< 5 s" if kind == "drawn" else "",
+                f"{max(e['seconds'] for e in made.values()):.1f} s",
+            )
         if made and kind == "drawn":
             wrong = sum(e["cells_missing"] + e["cells_outside"] for e in built.values())
             row("cells missing or outside on what is complete", "0", wrong)
@@ -349,8 +416,11 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
                     tight = entry["gap_0"]
                     built = f"complete, {tight['props']} props, {tight['seconds']:.0f} s"
                     why = tight["reason"].split("; ")[-1]
-                    row(f"{name} with tight joints", "built, or why not",
-                        built if tight["status"] == "complete" else why)  # fmt: skip
+                    row(
+                        f"{name} with tight joints",
+                        "built, or why not",
+                        built if tight["status"] == "complete" else why,
+                    )
             bonded(made, "seams bridged, walls and houses")
     heaps = group("heap")
     if heaps:
@@ -365,22 +435,35 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
         if proofs:
             row(what, "100 %", sum(e[key] for e in proofs), "of", sum(e[total] for e in proofs))
     for name, entry in group("large").items():
-        row(name, f"<= {entry['seconds_asked']:g} s", f"{entry['seconds']:.1f} s,",
+        row(
+            name,
+            f"<= {entry['seconds_asked']:g} s",
+            f"{entry['seconds']:.1f} s,",
             f"{entry['status']}, {entry['blocks']} blocks, {entry['props']} props,",
-            f"page {entry.get('page_bytes', 0) / 1e6:.2f} MB")  # fmt: skip
+            f"page {entry.get('page_bytes', 0) / 1e6:.2f} MB",
+        )
     for name, entry in group("creep").items():
-        row(f"MuJoCo model, {entry['seconds']:g} s: {name}", f"<= {1e3 * creep.LIMIT:g} mm",
-            f"{entry['blocks']} blocks, {entry['props']} props,", "; ".join(
+        row(
+            f"MuJoCo model, {entry['seconds']:g} s: {name}",
+            f"<= {1e3 * creep.LIMIT:g} mm",
+            f"{entry['blocks']} blocks, {entry['props']} props,",
+            "; ".join(
                 f"joints of {1e3 * float(gap):g} mm: {1e3 * move:.3f} mm"
-                for gap, move in entry["largest_move_m"].items()))  # fmt: skip
+                for gap, move in entry["largest_move_m"].items()
+            ),
+        )
     for name, entry in group("check").items():
         if "cases" in entry:
             row("check: RBE agrees", "100 %", entry["rbe_agrees"], "of", entry["cases"])
             row("check: CRA agrees", ">= 60 of 62", entry["cra_agrees"], "of", entry["cases"])
             row("check: falls of CRA called stands", "0", entry["falls_called_stands"])
         else:
-            row(f"check: {name}", "<= 10 s", f"{entry['seconds']:.1f} s,",
-                f"{entry['blocks']} blocks, {entry['verdict']}")  # fmt: skip
+            row(
+                f"check: {name}",
+                "<= 10 s",
+                f"{entry['seconds']:.1f} s,",
+                f"{entry['blocks']} blocks, {entry['verdict']}",
+            )
     return rows
 
 

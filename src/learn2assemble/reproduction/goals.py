@@ -42,17 +42,22 @@ ARM = "panda"
 def names() -> list[str]:
     """Every measurement: player / task."""
     return [
-        f"{player}/{task}" for player in PLAYERS for task in fixed_names()
+        f"{player}/{task}"
+        for player in PLAYERS
+        for task in fixed_names()
         if player != "optimum" or not task.startswith(IMPOSSIBLE)
-    ]  # fmt: skip
+    ]
 
 
 def configuration() -> Result:
     """Limits of the players, and the arm."""
     return {
-        "seconds": SECONDS, "program_seconds": PROGRAM_SECONDS, "optimum_seconds": OPTIMUM_SECONDS,
-        "arm": ARM, "tool": "suction",
-    }  # fmt: skip
+        "seconds": SECONDS,
+        "program_seconds": PROGRAM_SECONDS,
+        "optimum_seconds": OPTIMUM_SECONDS,
+        "arm": ARM,
+        "tool": "suction",
+    }
 
 
 def entry(name: str) -> Result:
@@ -72,10 +77,13 @@ def entry(name: str) -> Result:
     planned = time.process_time() - started
     stages = plan.search.attempts if plan.search else ()
     result = {
-        "status": plan.status, "reason": plan.reason, "blocks": plan.blocks.used,
-        "planning_cpu_s": round(planned, 2), "margin_g": plan.margin_g,
+        "status": plan.status,
+        "reason": plan.reason,
+        "blocks": plan.blocks.used,
+        "planning_cpu_s": round(planned, 2),
+        "margin_g": plan.margin_g,
         "stages": [f"{stage.stage}: {stage.result} ({stage.seconds:.2f} s)" for stage in stages],
-    }  # fmt: skip
+    }
     if player == "search" and plan.complete:
         result["arm"] = _by_arm(task, plan)
     return result
@@ -85,16 +93,21 @@ def _by_arm(task: str, plan: Plan) -> Result:
     goals = fixed_goals(task)
     workcell = Workcell(ARM)
     try:
-        done = carry_out(plan, Workcell(ARM, site=with_obstacles(workcell.site, goals)),
-                         joint=goals.kit.joint_gap)  # fmt: skip
+        done = carry_out(
+            plan,
+            Workcell(ARM, site=with_obstacles(workcell.site, goals)),
+            joint=goals.kit.joint_gap,
+        )
     except InputError as error:
         return {"status": "refused", "reason": str(error)}
     arm = done.arm
     return {
-        "status": done.status, "reason": done.reason,
-        "attempts": arm.attempts if arm else None, "robot_s": arm.seconds if arm else None,
+        "status": done.status,
+        "reason": done.reason,
+        "attempts": arm.attempts if arm else None,
+        "robot_s": arm.seconds if arm else None,
         "error_worst": arm.error_worst if arm else None,
-    }  # fmt: skip
+    }
 
 
 def _optimum(task: str) -> Result:
@@ -129,20 +142,33 @@ def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
                 continue
             done = {task: one for task, one in mine.items() if one["status"] == "complete"}
             left = ", ".join(sorted(set(mine) - set(done))) or "none"
-            rows.append((f"{player}: {kind} tasks solved", asked,
-                         f"{len(done)} of {len(mine)}; not: {left}"))  # fmt: skip
+            rows.append(
+                (
+                    f"{player}: {kind} tasks solved",
+                    asked,
+                    f"{len(done)} of {len(mine)}; not: {left}",
+                )
+            )
             ratio = [done[task]["blocks"] / best[task]["blocks"] for task in done if task in best]
             if ratio:
-                rows.append((
-                    f"{player}: {kind} blocks by the optimum, where it is known", "<= 1.15",
-                    f"{sum(ratio) / len(ratio):.3f} on average, {max(ratio):.2f} at most, "
-                    f"{sum(r > 1.15 for r in ratio)} of {len(ratio)} above",
-                ))  # fmt: skip
+                rows.append(
+                    (
+                        f"{player}: {kind} blocks by the optimum, where it is known",
+                        "<= 1.15",
+                        f"{sum(ratio) / len(ratio):.3f} on average, {max(ratio):.2f} at most, "
+                        f"{sum(r > 1.15 for r in ratio)} of {len(ratio)} above",
+                    )
+                )
             armed = [one["arm"]["status"] for one in done.values() if "arm" in one]
             if armed:
                 count = armed.count("complete")
-                rows.append((f"{player}: {kind} built by the {ARM}", ">= 80 %",
-                             f"{count} of {len(armed)} ({count / len(armed):.0%})"))  # fmt: skip
+                rows.append(
+                    (
+                        f"{player}: {kind} built by the {ARM}",
+                        ">= 80 %",
+                        f"{count} of {len(armed)} ({count / len(armed):.0%})",
+                    )
+                )
         cannot = [one["status"] for one in tasks(f"{player}/{IMPOSSIBLE}").values()]
         if cannot:
             wrong, told = cannot.count("complete"), cannot.count("refused")

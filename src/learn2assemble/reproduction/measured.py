@@ -39,9 +39,14 @@ class Figures:
 
 
 def measure(
-    figures: Figures, out: Path, *, only: str = "", again: bool = False, workers: int = 1,
+    figures: Figures,
+    out: Path,
+    *,
+    only: str = "",
+    again: bool = False,
+    workers: int = 1,
     progress: Callable[[str], None] = lambda text: None,
-) -> Result:  # fmt: skip
+) -> Result:
     """Measure what is missing in ``out`` and write it after every entry.
 
     Args:

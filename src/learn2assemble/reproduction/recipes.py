@@ -180,8 +180,14 @@ def _train(job: tuple[Recipe, int, Path]) -> str:
         folder = stage_folder(recipe, seed, runs, number)
         resume = (folder / "state.safetensors").is_file()
         metrics = run_training(
-            get_task(recipe.task), stage.resolve(recipe.task), folder, seed=seed, device="cpu",
-            resume=resume, init=None if resume else init, quiet=True,
-        )  # fmt: skip
+            get_task(recipe.task),
+            stage.resolve(recipe.task),
+            folder,
+            seed=seed,
+            device="cpu",
+            resume=resume,
+            init=None if resume else init,
+            quiet=True,
+        )
         init = load_agent(str(folder))
     return f"{recipe.name}-s{seed}: R {metrics.get('R', float('nan')):.2f} in training"

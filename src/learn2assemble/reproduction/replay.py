@@ -145,9 +145,13 @@ def replay_file(path: Path, rigid: Callable[[str], Physics] | None = None) -> Re
 
 
 def _replay_line(
-    line: Line, task: Task, log: Log, report: ReplayReport, agreement: Agreement,
+    line: Line,
+    task: Task,
+    log: Log,
+    report: ReplayReport,
+    agreement: Agreement,
     rigid: Physics | None,
-) -> None:  # fmt: skip
+) -> None:
     real, robot, several = is_real(line), not task.touching, task.objects != "cubes"
     key = (line["ep"], line["t"])
     if key not in log.problems:
@@ -197,9 +201,14 @@ def _replay_line(
             else:
                 why = explain(*outcome.structure, line["invalid"], speeds)
             report.disagreements.append(
-                {"line": report.lines, **note, "recorded_invalid": line["invalid"],
-                 "physics": name, "why": why}
-            )  # fmt: skip
+                {
+                    "line": report.lines,
+                    **note,
+                    "recorded_invalid": line["invalid"],
+                    "physics": name,
+                    "why": why,
+                }
+            )
 
 
 def _compare_pixels(
@@ -250,9 +259,12 @@ class _Outcome(NamedTuple):
 
 
 def _repeat(
-    scene: RecordedScene, line: Line, unplaced: list[list[float]], objects: list[int] | None,
+    scene: RecordedScene,
+    line: Line,
+    unplaced: list[list[float]],
+    objects: list[int] | None,
     physics: Physics,
-) -> _Outcome:  # fmt: skip
+) -> _Outcome:
     """Our outcome of the recorded action from the recorded state."""
     task, spec = scene.task, scene.task.action_spec
     state = scene.place(line["placed"], len(unplaced))
@@ -410,6 +422,12 @@ def _compare(line: Line, order: Order, cell: PublishedCell, report: RobotReport)
     if not agrees:
         here = SUCCESS if attempt.reached else f"{attempt.outcome.label}: {attempt.stage}"
         report.disagreements.append(
-            {"line": report.lines, "ep": line["ep"], "t": line["t"], "recorded": theirs,
-             "here": here, "detail": attempt.detail}
-        )  # fmt: skip
+            {
+                "line": report.lines,
+                "ep": line["ep"],
+                "t": line["t"],
+                "recorded": theirs,
+                "here": here,
+                "detail": attempt.detail,
+            }
+        )

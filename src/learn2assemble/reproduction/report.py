@@ -160,9 +160,8 @@ def load_table(table: Table, root: Path, quick: bool = False) -> TableData:
         for row, line in zip(table.rows, found, strict=True)
     )
     played = [
-        summary.problems for line in entries for entry in line
-        for summary in entry.results.values()
-    ]  # fmt: skip
+        summary.problems for line in entries for entry in line for summary in entry.results.values()
+    ]
     span = (min(played), max(played)) if played else (0, 0)
     return TableData(table, entries, span, quick, tuple(sorted(missing)))
 
@@ -191,14 +190,19 @@ def _shares(results: list[Result]) -> list[Result]:
     size = min(result.episodes for result in results)
     return [
         result if result.episodes == size else result.head(size)
-        for result in results if result.episodes == size or not result.cell.share
-    ]  # fmt: skip
+        for result in results
+        if result.episodes == size or not result.cell.share
+    ]
 
 
 def _entry(
-    table: Table, row: Row, number: int, root: Path, results: Results | None,
+    table: Table,
+    row: Row,
+    number: int,
+    root: Path,
+    results: Results | None,
     reference: Results | None,
-) -> Entry:  # fmt: skip
+) -> Entry:
     column, state = table.columns[number], ""
     if results is None:
         state = NOT_TRAINED if row.agents else NOT_AVAILABLE
@@ -214,9 +218,12 @@ def _entry(
 
 
 def _summary(
-    table: Table, condition: Condition, results: list[Result], base: list[Result] | None,
+    table: Table,
+    condition: Condition,
+    results: list[Result],
+    base: list[Result] | None,
     root: Path,
-) -> Summary:  # fmt: skip
+) -> Summary:
     def mean(name: str) -> float:
         return float(np.mean([result.array(name).mean() for result in results]))
 
@@ -229,14 +236,19 @@ def _summary(
         R=float(means.mean()),
         R_ci95=_half_width(returns, means if bounds is None else means - bounds),
         R_ci95_problems=_half_width([problems[np.isfinite(problems)]], means[:1]),
-        a=mean("actions"), b=float(np.mean(ran_out)), f=mean("failed"), success=mean("success"),
-        agents=len(results), episodes=sum(r.episodes for r in results),
+        a=mean("actions"),
+        b=float(np.mean(ran_out)),
+        f=mean("failed"),
+        success=mean("success"),
+        agents=len(results),
+        episodes=sum(r.episodes for r in results),
         problems=int(np.isfinite(problems).sum()),
         R_other=mean(other) if all(other in r.data for r in results) else None,
-        share=None if bounds is None or condition != Condition(0.0)
+        share=None
+        if bounds is None or condition != Condition(0.0)
         else float(means.sum() / bounds.sum()),
         difference=None if base is None else paired(problems, _by_problem(base)),
-    )  # fmt: skip
+    )
 
 
 def _by_problem(results: list[Result]) -> np.ndarray:
@@ -353,24 +365,29 @@ def sections(data: TableData, brief: bool = False) -> list[Section]:
     paper = PAPER if brief else f"{PAPER}, {PAPER_PROTOCOL.label}"
     columns = [_Column("", "method", lambda entry: entry.row.name), _Column("", "agents", _agents)]
     columns += [
-        _Column(paper, name, partial(_paper, name)) for name in ("R", "a", "b", "f")
+        _Column(paper, name, partial(_paper, name))
+        for name in ("R", "a", "b", "f")
         if any(e.paper and getattr(e.paper, name) is not None for e in all_entries)
-    ]  # fmt: skip
+    ]
     for condition in table.conditions:
         ours = condition.label if brief else f"ours, {condition.label}"
         names = ["R", "− ours", "R'", "a", "b", "f", "success", "of bound"]
         absent = {
-            "− ours": table.reference is None, "R'": table.other_discount is None,
+            "− ours": table.reference is None,
+            "R'": table.other_discount is None,
             "of bound": condition != Condition(0.0),
-        }  # fmt: skip
+        }
         columns += [
             _Column(ours, name, partial(_ours, condition, name))
-            for name in names if not absent.get(name)
-        ]  # fmt: skip
+            for name in names
+            if not absent.get(name)
+        ]
     if brief:
         columns = [column for column in columns if not column.group or column.name in BRIEF]
-    shown = [[entry for entry in line if entry.row.played_in(n)] for n, line in
-             enumerate(zip(*data.entries, strict=True))]  # fmt: skip
+    shown = [
+        [entry for entry in line if entry.row.played_in(n)]
+        for n, line in enumerate(zip(*data.entries, strict=True))
+    ]
     return [_section(entries[0].title, columns, entries) for entries in shown]
 
 
@@ -379,18 +396,25 @@ def compact(data: TableData) -> Section:
     columns = [
         _Column("", "task", lambda entry: entry.title),
         _Column("", "method", lambda entry: entry.row.name),
-        _Column(f"{PAPER}, {PAPER_PROTOCOL.label}", "R / f", lambda entry: DASH
-                if entry.paper is None else f"{_two(entry.paper.R)} / {_two(entry.paper.f)}"),
-    ]  # fmt: skip
+        _Column(
+            f"{PAPER}, {PAPER_PROTOCOL.label}",
+            "R / f",
+            lambda entry: (
+                DASH if entry.paper is None else f"{_two(entry.paper.R)} / {_two(entry.paper.f)}"
+            ),
+        ),
+    ]
     for condition in data.table.conditions:
         ours = f"ours, {condition.label}"
         columns.append(_Column(ours, "R / f / success", partial(_main, condition)))
         if condition == Condition(0.0):
             columns.append(_Column(ours, "of bound", partial(_ours, condition, "of bound")))
     entries = [
-        entry for line in zip(*data.entries, strict=True) for entry in line
+        entry
+        for line in zip(*data.entries, strict=True)
+        for entry in line
         if entry.results or entry.paper
-    ]  # fmt: skip
+    ]
     return _section(data.table.title, columns, entries)
 
 
@@ -499,10 +523,12 @@ def _opponent(line: tuple[Entry, ...], entry: Entry, condition: Condition) -> Su
     if entry.row.kind == OWN:
         return entry.results.get(condition)
     found = [
-        other.results[condition] for other in line
-        if other.row.help == MODEL_LABELS and condition in other.results
+        other.results[condition]
+        for other in line
+        if other.row.help == MODEL_LABELS
+        and condition in other.results
         and bool(other.row.budget) == bool(entry.row.budget)
-    ]  # fmt: skip
+    ]
     return found[-1] if found else None
 
 
@@ -553,11 +579,15 @@ def _ours(condition: Condition, name: str, entry: Entry) -> str:
         return DASH
     low, high = _marks(entry, condition, ours)
     return {
-        "R": f"{_interval_text(ours)}{low}", "− ours": _difference(ours),
-        "R'": _two(ours.R_other), "a": f"{ours.a:.2f}",
-        "b": _two(ours.b), "f": f"{ours.f:.2f}{high}", "success": _two(ours.success),
+        "R": f"{_interval_text(ours)}{low}",
+        "− ours": _difference(ours),
+        "R'": _two(ours.R_other),
+        "a": f"{ours.a:.2f}",
+        "b": _two(ours.b),
+        "f": f"{ours.f:.2f}{high}",
+        "success": _two(ours.success),
         "of bound": DASH if ours.share is None else f"{100 * ours.share:.1f} %",
-    }[name]  # fmt: skip
+    }[name]
 
 
 def _main(condition: Condition, entry: Entry) -> str:

@@ -30,9 +30,15 @@ def wall(x: int, y: int, z: int, *holes: tuple[int, int, int, int]) -> Cells:
 
 
 def house(
-    x: int, y: int, eaves: int, thick: int, door: tuple[int, int, int], *,
-    windows: tuple[tuple[int, int, int, int], ...] = (), gables: bool = True,
-) -> Cells:  # fmt: skip
+    x: int,
+    y: int,
+    eaves: int,
+    thick: int,
+    door: tuple[int, int, int],
+    *,
+    windows: tuple[tuple[int, int, int, int], ...] = (),
+    gables: bool = True,
+) -> Cells:
     """Walls with a door in the front, windows in front and back, and gables at both ends of x.
 
     Args:
@@ -53,9 +59,13 @@ def house(
 def big_house() -> Cells:
     """24 x 20 x 24 cells: two storeys, a door, windows on all sides, gables."""
     cells = house(
-        24, 20, 14, 2, (10, 14, 6),
+        24,
+        20,
+        14,
+        2,
+        (10, 14, 6),
         windows=((3, 7, 3, 6), (17, 21, 3, 6), (3, 7, 9, 12), (10, 14, 9, 12), (17, 21, 9, 12)),
-    )  # fmt: skip
+    )
     cells[:2, 8:12, 9:12] = cells[-2:, 8:12, 9:12] = False
     return cells
 
@@ -193,5 +203,5 @@ SHAPES: dict[str, Callable[[], Cells]] = {
     "blob-2": lambda: blob(2, 14, 6),
     "letter-h": lambda: letter("##...##/##...##/#######/##...##/##...##", 1, 2),
     "table": lambda: table(10, 8, 5, 2, 2),
-}  # fmt: skip
+}
 """The 28 shapes of the benchmark, ready to be built with the kit ``bricks-lintels``."""

@@ -121,9 +121,12 @@ class Row:
         if not self.search:
             return None
         return replace(
-            SEARCHES[self.search], budget=self.budget, rollout=self.rollout,
-            distinct=self.distinct, epsilon=epsilon,
-        )  # fmt: skip
+            SEARCHES[self.search],
+            budget=self.budget,
+            rollout=self.rollout,
+            distinct=self.distinct,
+            epsilon=epsilon,
+        )
 
     def pick(self, names: Iterable[str]) -> list[str]:
         """Its agents among ``names``, in the order of their seeds."""
@@ -201,9 +204,14 @@ def _played(agents: str) -> tuple[Row, ...]:
     """Published agents without search and with."""
     return (
         Row("DQN", agents, paper={"method": "DQN", "search_budget": "0"}),
-        Row("DQN+MCTS, budget 10", agents, "dqn-mcts", 10,
-            paper={"method": "DQN+MCTS", "search_budget": "10"}),
-    )  # fmt: skip
+        Row(
+            "DQN+MCTS, budget 10",
+            agents,
+            "dqn-mcts",
+            10,
+            paper={"method": "DQN+MCTS", "search_budget": "10"},
+        ),
+    )
 
 
 def _network(name: str, agents: str, graph: str, label: str) -> Row:
@@ -227,9 +235,15 @@ def _own(agents: str) -> tuple[Row, ...]:
 _BUILDER = _ours("builder, budget 10", BUILDER, "dqn-mcts", help=DESIGNS)
 _LOOK_AHEAD = Row("exact look-ahead", help=KNOWS, policy=LOOK_AHEAD, kind=REFERENCE)
 _UCT = Row(
-    "UCT, budget 1000", "", "uct", 1000, TO_THE_END, policy=UNTRAINED, columns=(0,),
+    "UCT, budget 1000",
+    "",
+    "uct",
+    1000,
+    TO_THE_END,
+    policy=UNTRAINED,
+    columns=(0,),
     paper={"method": "UCT (no prior)", "search_budget": "1000"},
-)  # fmt: skip
+)
 _RANDOM = Row("uniformly random actions", policy=RANDOM, kind=REFERENCE, columns=(0,))
 _MHA, _SHA, _S2V = (
     _network(name, f"{name.lower()}-full", "full", name) for name in ("MHA", "SHA", "S2V")
@@ -274,11 +288,17 @@ _SIZES = _columns(
     "two-sided", "6x6-50-54", "8x8-90-94", "10x10-140-144", "12x12-200-204", star=False
 )
 _A3_COLUMNS = (
-    *_columns("bars-one-sided", "5x5-25-27", "5x5-35-37", "6x6-35-37",
-              objects="cube+horizontal2+vertical2"),
-    *_columns("other-bars-one-sided", "5x5-25-27", star=False,
-              objects="different types (unspecified)"),
-)  # fmt: skip
+    *_columns(
+        "bars-one-sided",
+        "5x5-25-27",
+        "5x5-35-37",
+        "6x6-35-37",
+        objects="cube+horizontal2+vertical2",
+    ),
+    *_columns(
+        "other-bars-one-sided", "5x5-25-27", star=False, objects="different types (unspecified)"
+    ),
+)
 _OBJECT_SIZES = ("5x5-20-24", "5x5-30-34", "6x6-30-34")
 _TWO_SIZES = ("3x3-10-14", "3x3-14-18", "5x5-14-18")
 
@@ -303,9 +323,11 @@ _SEARCHES = (
     "looked ahead in the fast mode itself.",
 )
 FIDELITIES = (
-    Condition(0.05, "published"), Condition(0.05, "kinematic"), Condition(0.05, "dynamic"),
+    Condition(0.05, "published"),
+    Condition(0.05, "kinematic"),
+    Condition(0.05, "dynamic"),
     Condition(0.0, "dynamic"),
-)  # fmt: skip
+)
 """The authors' fast mode, and our two: a cell that looks at collisions of every link, and one that
 simulates arm, grasp and blocks."""
 _NO_ROBOT = {"source_table": "main_T5", "experiment": "multi_object_no_robot"}
@@ -316,124 +338,221 @@ _TRANSFER = "robot-two-sided-3x3-10-14"
 
 _ALL = (
     Table(
-        "T1", "Architectures (main Table 1; full graph)", _T1_COLUMNS,
-        (_MHA, _S2V, *_own(OWN_CUBES), _LOOK_AHEAD), {"source_table": "main_T1"}, notes=_TRAINED,
-    ),
-    Table(
-        "A2", "Architectures (appendix Table 2; full graph)", _T1_COLUMNS,
-        (_MHA, _SHA, _S2V, *_own(OWN_CUBES), _LOOK_AHEAD), {"source_table": "app_T2"},
+        "T1",
+        "Architectures (main Table 1; full graph)",
+        _T1_COLUMNS,
+        (_MHA, _S2V, *_own(OWN_CUBES), _LOOK_AHEAD),
+        {"source_table": "main_T1"},
         notes=_TRAINED,
     ),
     Table(
-        "T2", "Learning algorithms (main Table 2; two sides, no robot)", _T2_COLUMNS,
+        "A2",
+        "Architectures (appendix Table 2; full graph)",
+        _T1_COLUMNS,
+        (_MHA, _SHA, _S2V, *_own(OWN_CUBES), _LOOK_AHEAD),
+        {"source_table": "app_T2"},
+        notes=_TRAINED,
+    ),
+    Table(
+        "T2",
+        "Learning algorithms (main Table 2; two sides, no robot)",
+        _T2_COLUMNS,
         (*_budget(0), *_budget(10), _UCT, _RANDOM, *_own(OWN_CUBES), _LOOK_AHEAD),
-        {"source_table": "main_T2"}, notes=(*_TRAINED, *_CHANCE),
+        {"source_table": "main_T2"},
+        notes=(*_TRAINED, *_CHANCE),
     ),
     Table(
-        "A4", "Learning algorithms (appendix Table 4; two sides, no robot)", _T2_COLUMNS,
-        (*_budget(0), *_budget(5), *_budget(5, TO_THE_END), *_budget(10), _UCT, _RANDOM,
-         *_own(OWN_CUBES), _LOOK_AHEAD),
-        {"source_table": "app_T4"}, notes=(*_TRAINED, *_CHANCE),
+        "A4",
+        "Learning algorithms (appendix Table 4; two sides, no robot)",
+        _T2_COLUMNS,
+        (
+            *_budget(0),
+            *_budget(5),
+            *_budget(5, TO_THE_END),
+            *_budget(10),
+            _UCT,
+            _RANDOM,
+            *_own(OWN_CUBES),
+            _LOOK_AHEAD,
+        ),
+        {"source_table": "app_T4"},
+        notes=(*_TRAINED, *_CHANCE),
     ),
     Table(
-        "A3", "Connectivity (appendix Table 3; bars, one side)", _A3_COLUMNS,
-        (_network("MHA", "bars-full", "full", "fully connected"),
-         _network("MHA", "bars-partial", "partial", "partially connected"),
-         *_own(OWN_BARS), _BUILDER, _LOOK_AHEAD),
-        {"source_table": "app_T3"}, other_discount=0.95,
+        "A3",
+        "Connectivity (appendix Table 3; bars, one side)",
+        _A3_COLUMNS,
+        (
+            _network("MHA", "bars-full", "full", "fully connected"),
+            _network("MHA", "bars-partial", "partial", "partially connected"),
+            *_own(OWN_BARS),
+            _BUILDER,
+            _LOOK_AHEAD,
+        ),
+        {"source_table": "app_T3"},
+        other_discount=0.95,
     ),
     Table(
-        "T5", "Several objects (main Table 5, row without robot)",
+        "T5",
+        "Several objects (main Table 5, row without robot)",
         _columns("objects-two-sided", *_OBJECT_SIZES),
-        (_played("objects")[1], *_own(OWN_OBJECTS), _LOOK_AHEAD), _NO_ROBOT, other_discount=0.8,
+        (_played("objects")[1], *_own(OWN_OBJECTS), _LOOK_AHEAD),
+        _NO_ROBOT,
+        other_discount=0.8,
     ),
     Table(
-        "A6", "Several objects (appendix Table 6, rows without robot)",
+        "A6",
+        "Several objects (appendix Table 6, rows without robot)",
         _columns("objects-two-sided", *_OBJECT_SIZES),
         (*_played("objects"), *_own(OWN_OBJECTS), _BUILDER, _LOOK_AHEAD),
-        {**_NO_ROBOT, "source_table": "app_T6"}, other_discount=0.8,
+        {**_NO_ROBOT, "source_table": "app_T6"},
+        other_discount=0.8,
     ),
     Table(
-        "ablation", "What each part of our method brings (24,000 samples; searches: shipped agent)",
+        "ablation",
+        "What each part of our method brings (24,000 samples; searches: shipped agent)",
         (_T2_COLUMNS[0], _T2_COLUMNS[4]),
-        (*(_ours(label, f"ablation-{stem}", help=help_) for label, stem, help_ in _PARTS),
-         *_budget(0, learners=("DQN",)), _ours("shipped agent, no search", SHIPPED),
-         *(_ours(f"shipped agent, {name}, budget 10", SHIPPED, name, distinct=True)
-           for name in ("dqn-mcts", "widening", "gumbel")),
-         _LOOK_AHEAD),
+        (
+            *(_ours(label, f"ablation-{stem}", help=help_) for label, stem, help_ in _PARTS),
+            *_budget(0, learners=("DQN",)),
+            _ours("shipped agent, no search", SHIPPED),
+            *(
+                _ours(f"shipped agent, {name}, budget 10", SHIPPED, name, distinct=True)
+                for name in ("dqn-mcts", "widening", "gumbel")
+            ),
+            _LOOK_AHEAD,
+        ),
     ),
     Table(
-        "scaling", "Targets larger than those of training (DQN: 3x3, ours, the shipped agent: 5x5)",
+        "scaling",
+        "Targets larger than those of training (DQN: 3x3, ours, the shipped agent: 5x5)",
         (_T2_COLUMNS[0], *_T2_COLUMNS[3:], *_SIZES),
-        (*_budget(0, learners=("DQN",)), *_own(SHIPPED),
-         _ours("ours, budget 10, gumbel", SHIPPED, "gumbel", distinct=True),
-         _ours("ours, budget 10, farther", SHIPPED, "gumbel", distinct=True,
-               policy=FARTHER, columns=(4, 5)),
-         _ours("ours, budget 10", SHIPPED, "dqn-mcts", help=HELPED, policy=MENDED), _LOOK_AHEAD),
+        (
+            *_budget(0, learners=("DQN",)),
+            *_own(SHIPPED),
+            _ours("ours, budget 10, gumbel", SHIPPED, "gumbel", distinct=True),
+            _ours(
+                "ours, budget 10, farther",
+                SHIPPED,
+                "gumbel",
+                distinct=True,
+                policy=FARTHER,
+                columns=(4, 5),
+            ),
+            _ours("ours, budget 10", SHIPPED, "dqn-mcts", help=HELPED, policy=MENDED),
+            _LOOK_AHEAD,
+        ),
         conditions=(Condition(0.0),),
-        notes=("R is discounted, so the last blocks of a large target hardly show in it; the "
-               "success is the share of targets that are finished.",
-               "farther: the search is gumbel with nine simulations; where the placement it chose "
-               "brings no reward, the agent values all placements again, seeing blocks up to four "
-               "or five cells away in turn instead of three, and takes the best one if the tenth "
-               "simulation shows that it is valid."),
+        notes=(
+            "R is discounted, so the last blocks of a large target hardly show in it; the "
+            "success is the share of targets that are finished.",
+            "farther: the search is gumbel with nine simulations; where the placement it chose "
+            "brings no reward, the agent values all placements again, seeing blocks up to four "
+            "or five cells away in turn instead of three, and takes the best one if the tenth "
+            "simulation shows that it is valid.",
+        ),
     ),
     Table(
-        "shipped", "The shipped agent beside the published methods",
-        (*(replace(column, star=False) for column in _T2_COLUMNS[:4]),
-         replace(_T2_COLUMNS[4], star=True), _SIZES[0]),
-        (_ours("no search", SHIPPED, paper={"method": "DQN", "search_budget": "0"}),
-         _ours("budget 10", SHIPPED, "dqn-mcts",
-               paper={"method": "DQN+MCTS", "search_budget": "10"}),
-         _BUILDER, _LOOK_AHEAD),
+        "shipped",
+        "The shipped agent beside the published methods",
+        (
+            *(replace(column, star=False) for column in _T2_COLUMNS[:4]),
+            replace(_T2_COLUMNS[4], star=True),
+            _SIZES[0],
+        ),
+        (
+            _ours("no search", SHIPPED, paper={"method": "DQN", "search_budget": "0"}),
+            _ours(
+                "budget 10",
+                SHIPPED,
+                "dqn-mcts",
+                paper={"method": "DQN+MCTS", "search_budget": "10"},
+            ),
+            _BUILDER,
+            _LOOK_AHEAD,
+        ),
         {"source_table": "main_T2"},
-        (Condition(0.05), Condition(0.0), Condition(0.05, "rigid")), notes=_READINGS,
+        (Condition(0.05), Condition(0.0), Condition(0.05, "rigid")),
+        notes=_READINGS,
     ),
     Table(
-        "T3", "Four sides with a robot (main Table 3)",
+        "T3",
+        "Four sides with a robot (main Table 3)",
         _columns("robot-four-sided", "3x3-10-18", "3x3-16-24"),
-        _robot_rows("robot-four-sided", "relational-four-sided"), {"source_table": "main_T3"},
-        FIDELITIES, notes=_SEARCHES,
+        _robot_rows("robot-four-sided", "relational-four-sided"),
+        {"source_table": "main_T3"},
+        FIDELITIES,
+        notes=_SEARCHES,
     ),
     Table(
-        "T4", "Two sides with a robot, blocks waiting in rows (main Table 4)",
-        _columns("robot-two-sided", *_TWO_SIZES), _TWO_ROWS,
-        {"source_table": "main_T4", "experiment": "robot_2_sided"}, FIDELITIES, notes=_SEARCHES,
+        "T4",
+        "Two sides with a robot, blocks waiting in rows (main Table 4)",
+        _columns("robot-two-sided", *_TWO_SIZES),
+        _TWO_ROWS,
+        {"source_table": "main_T4", "experiment": "robot_2_sided"},
+        FIDELITIES,
+        notes=_SEARCHES,
     ),
     Table(
-        "T4-random", "Two sides with a robot, blocks waiting anywhere (main Table 4)",
-        _columns("robot-random-two-sided", *_TWO_SIZES, star=False), _TWO_ROWS,
-        {"source_table": "main_T4", "experiment": "robot_2_sided_random_layout"}, FIDELITIES,
+        "T4-random",
+        "Two sides with a robot, blocks waiting anywhere (main Table 4)",
+        _columns("robot-random-two-sided", *_TWO_SIZES, star=False),
+        _TWO_ROWS,
+        {"source_table": "main_T4", "experiment": "robot_2_sided_random_layout"},
+        FIDELITIES,
         notes=(*_SEARCHES, "The agents were trained with blocks waiting in rows."),
     ),
     Table(
-        "transfer", "Agents trained with the Panda, with another arm",
-        tuple(Column(task, not arm and task == _TRANSFER, arm=arm)
-              for task in (_TRANSFER, "robot-two-sided-5x5-14-18") for arm in ("", "ur5e")),
-        tuple(replace(row, paper={}) for row in _TWO_ROWS), conditions=FIDELITIES[1:],
-        notes=(*_SEARCHES, "Nothing is trained for the UR5e; its cell knows its own reach and "
-               "shape, which decide what is valid, and the agents do not."),
+        "transfer",
+        "Agents trained with the Panda, with another arm",
+        tuple(
+            Column(task, not arm and task == _TRANSFER, arm=arm)
+            for task in (_TRANSFER, "robot-two-sided-5x5-14-18")
+            for arm in ("", "ur5e")
+        ),
+        tuple(replace(row, paper={}) for row in _TWO_ROWS),
+        conditions=FIDELITIES[1:],
+        notes=(
+            *_SEARCHES,
+            "Nothing is trained for the UR5e; its cell knows its own reach and "
+            "shape, which decide what is valid, and the agents do not.",
+        ),
     ),
     Table(
-        "A5", "Training with a robot or without (appendix Table 5; played with it)",
+        "A5",
+        "Training with a robot or without (appendix Table 5; played with it)",
         _columns("robot-one-sided", "5x5-15-17", "6x6-16-18"),
-        (*(Row(f"DQN trained {how} robot", stem, paper={"method": f"DQN trained {how} robot"})
-           for how, stem in (("with", "robot-one-sided"), ("without", "one-sided"))),
-         _LOOK_AHEAD),
-        {"source_table": "app_T5"}, FIDELITIES,
+        (
+            *(
+                Row(f"DQN trained {how} robot", stem, paper={"method": f"DQN trained {how} robot"})
+                for how, stem in (("with", "robot-one-sided"), ("without", "one-sided"))
+            ),
+            _LOOK_AHEAD,
+        ),
+        {"source_table": "app_T5"},
+        FIDELITIES,
     ),
     Table(
-        "T5-robot", "Several objects with a robot (main Table 5)",
-        _columns("robot-objects-two-sided", *_OBJECT_SIZES), _OBJECT_ROWS[1:], _ROBOT_OBJECTS,
-        FIDELITIES, other_discount=0.8, notes=_SEARCHES,
-    ),
-    Table(
-        "A6-robot", "Several objects with a robot (appendix Table 6)",
-        _columns("robot-objects-two-sided", *_OBJECT_SIZES), _OBJECT_ROWS,
-        {**_ROBOT_OBJECTS, "source_table": "app_T6"}, FIDELITIES, other_discount=0.8,
+        "T5-robot",
+        "Several objects with a robot (main Table 5)",
+        _columns("robot-objects-two-sided", *_OBJECT_SIZES),
+        _OBJECT_ROWS[1:],
+        _ROBOT_OBJECTS,
+        FIDELITIES,
+        other_discount=0.8,
         notes=_SEARCHES,
     ),
-)  # fmt: skip
+    Table(
+        "A6-robot",
+        "Several objects with a robot (appendix Table 6)",
+        _columns("robot-objects-two-sided", *_OBJECT_SIZES),
+        _OBJECT_ROWS,
+        {**_ROBOT_OBJECTS, "source_table": "app_T6"},
+        FIDELITIES,
+        other_discount=0.8,
+        notes=_SEARCHES,
+    ),
+)
 
 TABLES: dict[str, Table] = {table.name: table for table in _ALL}
 

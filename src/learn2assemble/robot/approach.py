@@ -93,8 +93,13 @@ def follow_poses(
     """
     joints: list[np.ndarray] = []
     for point in points:
-        found = solve(arm, point, rotation, joints[-1] if joints else start,
-                      restarts=0 if joints else restarts)  # fmt: skip
+        found = solve(
+            arm,
+            point,
+            rotation,
+            joints[-1] if joints else start,
+            restarts=0 if joints else restarts,
+        )
         reason = "" if found.ok else found.failure.name.lower().replace("_", " ")
         if not reason and joints and np.abs(found.joints - joints[-1]).max() > jump:
             reason = "no steady way there"

@@ -205,20 +205,24 @@ def load_arm(path: Path) -> Arm:
     limits = np.array([_joint_range(model, joint, where) for joint in joints])
     tool = _named(model, "site", value(data, "tool", where), where)
     arm = Arm(
-        name=name, mjcf=mjcf, joints=joints,
-        lower=frozen(limits[:, 0]), upper=frozen(limits[:, 1]),
+        name=name,
+        mjcf=mjcf,
+        joints=joints,
+        lower=frozen(limits[:, 0]),
+        upper=frozen(limits[:, 1]),
         velocity=numbers(data, "velocity", count, where),
         acceleration=numbers(data, "acceleration", count, where),
         jerk=numbers(data, "jerk", count, where),
         home=numbers(data, "home", count, where),
-        base_position=position, base_yaw=yaw,
+        base_position=position,
+        base_yaw=yaw,
         tool=tool,
         gripper=_gripper(gripper, model, tool, where),
         branches={
             label: _branch(ranges, joints, limits, f"{where}, branches.{label}")
             for label, ranges in data.get("branches", {}).items()
         },
-    )  # fmt: skip
+    )
     if not arm.inside_limits(arm.home):
         raise InputError(f"{where}, home", arm.home.tolist(), "joints within their limits")
     return arm
@@ -235,12 +239,18 @@ def _gripper(data: dict[str, Any], model: mujoco.MjModel, site: str, where: str)
     fingers = names("fingers", "body")
     return Gripper(
         hand=_named(model, "body", value(data, "hand", where), where),
-        fingers=fingers, pads=names("pads", "geom"), tip=_beyond(model, fingers, site),
-        joints=names("joints", "joint"), actuator=actuator,
-        max_width=width, closed_command=float(closed), open_command=float(opened),
-        force=float(value(data, "force", where)), speed=float(value(data, "speed", where)),
+        fingers=fingers,
+        pads=names("pads", "geom"),
+        tip=_beyond(model, fingers, site),
+        joints=names("joints", "joint"),
+        actuator=actuator,
+        max_width=width,
+        closed_command=float(closed),
+        open_command=float(opened),
+        force=float(value(data, "force", where)),
+        speed=float(value(data, "speed", where)),
         stiffness=per_command * abs(float(opened - closed)) / width,
-    )  # fmt: skip
+    )
 
 
 def _beyond(model: mujoco.MjModel, fingers: tuple[str, ...], site: str) -> float:

@@ -52,9 +52,17 @@ PATIENCE = 8
 
 @njit(cache=True)
 def damped_least_squares(
-    chain, lower, upper, posture, target_position, target_rotation, rows, tolerance,
-    max_iterations, q,
-):  # fmt: skip
+    chain,
+    lower,
+    upper,
+    posture,
+    target_position,
+    target_rotation,
+    rows,
+    tolerance,
+    max_iterations,
+    q,
+):
     """Improves q, float64[n] [rad], in place.
 
     Args:
@@ -248,9 +256,17 @@ def _solve(
             _copy(table.joints[nearest], trial)
         _clip(trial, lower, upper)
         state, left, taken = damped_least_squares(
-            chain, lower, upper, posture, position, rotation, rows, TOLERANCE, max_iterations,
+            chain,
+            lower,
+            upper,
+            posture,
+            position,
+            rotation,
+            rows,
+            TOLERANCE,
+            max_iterations,
             trial,
-        )  # fmt: skip
+        )
         spent += taken
         if state == CONVERGED:
             _unwind(trial, start, lower, upper)
@@ -277,9 +293,17 @@ def _solve(
     for restart in range(2):
         _copy(q if restart == 0 else start, trial)
         state, left, taken = damped_least_squares(
-            chain, below, above, posture, position, rotation, rows, TOLERANCE, max_iterations,
+            chain,
+            below,
+            above,
+            posture,
+            position,
+            rotation,
+            rows,
+            TOLERANCE,
+            max_iterations,
             trial,
-        )  # fmt: skip
+        )
         spent += taken
         if state == CONVERGED:
             _unwind(trial, start, lower, upper)
@@ -413,9 +437,18 @@ def solve(
     # Copies: a read-only array is another type, and would be compiled for anew.
     lower, upper = (limit.copy() for limit in arm.limits(branch))
     failure, error, iterations = _solve(
-        get_chain(arm), lower, upper, arm.home.copy(), ik_seeds(arm, branch), position, rotation,
-        rows, max_iterations, restarts, joints,
-    )  # fmt: skip
+        get_chain(arm),
+        lower,
+        upper,
+        arm.home.copy(),
+        ik_seeds(arm, branch),
+        position,
+        rotation,
+        rows,
+        max_iterations,
+        restarts,
+        joints,
+    )
     return Solution(joints, IKFailure(failure), error, iterations)
 
 

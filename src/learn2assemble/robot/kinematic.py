@@ -238,9 +238,12 @@ def _compile(arm: Arm, num_cells: int, sized: bool, most: int) -> mujoco.MjModel
 
 def _box(body: mujoco.MjsBody, half: list[float], contype: int, conaffinity: int) -> mujoco.MjsGeom:
     return body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_BOX, size=half, contype=contype, conaffinity=conaffinity,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=half,
+        contype=contype,
+        conaffinity=conaffinity,
         mass=0.01,
-    )  # fmt: skip
+    )
 
 
 def _between(position: np.ndarray, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

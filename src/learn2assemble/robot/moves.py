@@ -231,9 +231,7 @@ def attitudes(arm: Arm, half: np.ndarray) -> tuple[Attitude, ...]:
     if depth > half[2]:
         return ()
     fits = [2 * width + ROOM <= arm.gripper.max_width for width in (half[1], half[0])]
-    return tuple(
-        Attitude(-k * QUARTER, 0.0, float(depth)) for k in (0, 2, 1, 3) if fits[k % 2]
-    )  # fmt: skip
+    return tuple(Attitude(-k * QUARTER, 0.0, float(depth)) for k in (0, 2, 1, 3) if fits[k % 2])
 
 
 HEADROOM = 0.005

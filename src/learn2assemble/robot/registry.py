@@ -14,9 +14,13 @@ ARMS: Registry[Path] = Registry(
     "arm", {name: ASSETS / "arms" / name / "arm.toml" for name in ("panda", "ur5e")}
 )
 """Every arm by name, and its file."""
-TOOLS: Registry[Path] = Registry("tool", {
-    name: ASSETS / "tools" / name / "tool.toml" for name in ("gripper", "suction", "suction-side")
-})  # fmt: skip
+TOOLS: Registry[Path] = Registry(
+    "tool",
+    {
+        name: ASSETS / "tools" / name / "tool.toml"
+        for name in ("gripper", "suction", "suction-side")
+    },
+)
 """Every tool by name, and its file; ``gripper`` are the fingers an arm comes with."""
 
 

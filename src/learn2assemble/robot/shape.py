@@ -79,9 +79,19 @@ def box(half: np.ndarray) -> Mesh:
     """A box with these half extents, float64[3] [m], about the origin."""
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
     faces = [
-        (0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1), (2, 3, 7), (2, 7, 6),
-        (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3),
-    ]  # fmt: skip
+        (0, 1, 3),
+        (0, 3, 2),
+        (4, 6, 7),
+        (4, 7, 5),
+        (0, 4, 5),
+        (0, 5, 1),
+        (2, 3, 7),
+        (2, 7, 6),
+        (0, 2, 6),
+        (0, 6, 4),
+        (1, 5, 7),
+        (1, 7, 3),
+    ]
     return shaded(signs * half, np.array(faces))
 
 
@@ -186,9 +196,13 @@ def arm_shape(arm: Arm) -> Shape:
 
 
 def _finger(
-    arm: Arm, model: mujoco.MjModel, data: mujoco.MjData, body: int, position: np.ndarray,
+    arm: Arm,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    body: int,
+    position: np.ndarray,
     rotation: np.ndarray,
-) -> Finger:  # fmt: skip
+) -> Finger:
     joint = int(model.body_jntadr[body])
     share = 1 / len(arm.gripper.fingers)
     return Finger(

@@ -170,11 +170,14 @@ def load_suction(path: Path) -> Suction | None:
         raise InputError(f"{where}, sides", sides, "tables [[sides]]")
     others = [_side(side, length, f"{where}, sides[{k}]") for k, side in enumerate(sides)]
     return Suction(
-        cups=(first, *others), payload=_positive(data, "payload", first.pull_off / 9.81, where),
-        length=length, mass=_positive(data, "mass", 20.0, where),
-        grip_time=grip_time, release_time=release_time,
+        cups=(first, *others),
+        payload=_positive(data, "payload", first.pull_off / 9.81, where),
+        length=length,
+        mass=_positive(data, "mass", 20.0, where),
+        grip_time=grip_time,
+        release_time=release_time,
         parts=tuple(_part(part, length, f"{where}, parts[{k}]") for k, part in enumerate(parts)),
-    )  # fmt: skip
+    )
 
 
 def _positive(source: dict[str, Any], key: str, most: float, where: str) -> float:
@@ -229,9 +232,7 @@ def _part(data: dict[str, Any], length: float, where: str) -> Part:
     return Part(radius, (a, b, c), (d, e, f))
 
 
-def mount(
-    spec: mujoco.MjSpec, hand: str, site: str, suction: Suction, pictures: bool
-) -> None:  # fmt: skip
+def mount(spec: mujoco.MjSpec, hand: str, site: str, suction: Suction, pictures: bool) -> None:
     """Put a suction tool in the place of a hand with fingers.
 
     Args:
@@ -269,9 +270,14 @@ def mount(
                 name=f"{hand}_{'c' if solid else 'v'}_tool{k}",
                 type=mujoco.mjtGeom.mjGEOM_CYLINDER,
                 size=[part.radius, float(np.linalg.norm(end - begin)) / 2, 0],
-                pos=middle, quat=quat, group=group, mass=0,
-                contype=solid, conaffinity=solid, rgba=_BLACK if k % 2 else _GREY,
-            )  # fmt: skip
+                pos=middle,
+                quat=quat,
+                group=group,
+                mass=0,
+                contype=solid,
+                conaffinity=solid,
+                rgba=_BLACK if k % 2 else _GREY,
+            )
 
 
 # ---------------------------------------------------------------- reading TOML

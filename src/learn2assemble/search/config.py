@@ -121,27 +121,38 @@ class SearchConfig:
         return self.budget == 0 or self.prior or self.expansion != "uct" or self.backup == "max"
 
 
-SEARCHES: Registry[SearchConfig] = Registry("search", {
-    # Published. The first three are one search; tables name it after the agents' training.
-    "mcts": SearchConfig(),
-    "dqn-mcts": SearchConfig(),
-    "q-mcts": SearchConfig(),
-    "eps-mcts": SearchConfig(expansion="uct", random_first=True),
-    # Plain UCT: nothing learned takes part in it.
-    "uct": SearchConfig(
-        budget=1000, expansion="uct", prior=False, repeats=True, rollout=TO_THE_END,
-        rollout_policy="random",
-    ),
-    # Ours.
-    "distinct": SearchConfig(distinct=True),
-    "widening": SearchConfig(
-        distinct=True, expansion="uct", widening=0.8, exploration=0.2, backup="max"
-    ),
-    "gumbel": SearchConfig(
-        distinct=True, expansion="gumbel", repeats=True, final="gumbel", backup="max",
-        gumbel=GumbelConfig(considered=8),
-    ),
-})  # fmt: skip
+SEARCHES: Registry[SearchConfig] = Registry(
+    "search",
+    {
+        # Published. The first three are one search; tables name it after the agents' training.
+        "mcts": SearchConfig(),
+        "dqn-mcts": SearchConfig(),
+        "q-mcts": SearchConfig(),
+        "eps-mcts": SearchConfig(expansion="uct", random_first=True),
+        # Plain UCT: nothing learned takes part in it.
+        "uct": SearchConfig(
+            budget=1000,
+            expansion="uct",
+            prior=False,
+            repeats=True,
+            rollout=TO_THE_END,
+            rollout_policy="random",
+        ),
+        # Ours.
+        "distinct": SearchConfig(distinct=True),
+        "widening": SearchConfig(
+            distinct=True, expansion="uct", widening=0.8, exploration=0.2, backup="max"
+        ),
+        "gumbel": SearchConfig(
+            distinct=True,
+            expansion="gumbel",
+            repeats=True,
+            final="gumbel",
+            backup="max",
+            gumbel=GumbelConfig(considered=8),
+        ),
+    },
+)
 
 
 def register_search(name: str, search: SearchConfig) -> None:

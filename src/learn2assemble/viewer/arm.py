@@ -93,9 +93,13 @@ def _attempt(number: int, step: StepRecord, name: str) -> str:
     again = ' <span class="tag">planned anew</span>' if step.replanned else ""
     outcome = f'class="{"yes" if good else "no"}" title="{escape(OUTCOME_WORDS[step.outcome])}"'
     cells = [
-        str(number), escape(name), step.outcome.label, escape(sentence(step.detail)) + again,
-        f"{1000 * step.error:.1f} mm" if good else "–", f"{step.seconds:.1f} s",
-    ]  # fmt: skip
+        str(number),
+        escape(name),
+        step.outcome.label,
+        escape(sentence(step.detail)) + again,
+        f"{1000 * step.error:.1f} mm" if good else "–",
+        f"{step.seconds:.1f} s",
+    ]
     of_cells = {2: outcome, 4: NUMBER, 5: NUMBER}
     return row(cells, of_cells, f'data-segment="{number - 1}"', f"Show attempt {number}")
 
@@ -139,10 +143,18 @@ def arm_data(playback: Playback, labels: Labels) -> dict[str, Any]:
         "parts": [_part(part) for part in shape.parts],
         "samples": packed(np.column_stack([samples.joints, samples.width]), np.uint16),
         "cells": [
-            {"kind": colour, "fixed": fixed, "half": size,
-             "position": position, "quaternion": quaternion}
+            {
+                "kind": colour,
+                "fixed": fixed,
+                "half": size,
+                "position": position,
+                "quaternion": quaternion,
+            }
             for colour, fixed, size, position, quaternion in zip(
-                labels.colours, labels.fixed, playback.half, *split(record.steps[0].before),
+                labels.colours,
+                labels.fixed,
+                playback.half,
+                *split(record.steps[0].before),
                 strict=True,
             )
         ],
@@ -152,7 +164,7 @@ def arm_data(playback: Playback, labels: Labels) -> dict[str, Any]:
         "start": labels.captions[0],
         "extent": extent(playback),
         "turn": _short(playback.side),
-    }  # fmt: skip
+    }
 
 
 def _segment(playback: Playback, number: int, labels: Labels) -> dict[str, Any]:
@@ -179,12 +191,14 @@ def _segment(playback: Playback, number: int, labels: Labels) -> dict[str, Any]:
         ],
         "before": {str(cell): split(step.before[cell]) for cell in appeared},
         "glides": [
-            {name: _short(value) if isinstance(value, float) else value
-             for name, value in glide._asdict().items()}
+            {
+                name: _short(value) if isinstance(value, float) else value
+                for name, value in glide._asdict().items()
+            }
             for glide in segment.glides
         ],
         "after": {str(glide.cell): split(step.after[glide.cell]) for glide in segment.glides},
-    }  # fmt: skip
+    }
 
 
 def extent(playback: Playback) -> np.ndarray:

@@ -70,9 +70,12 @@ def _hash(text: str) -> str:
 def to_json(value: Any) -> str:
     """JSON that cannot end the script element it stands in; arrays are rounded to 1e-6."""
     text = json.dumps(
-        value, ensure_ascii=True, allow_nan=False, separators=(",", ":"),
+        value,
+        ensure_ascii=True,
+        allow_nan=False,
+        separators=(",", ":"),
         default=lambda array: (np.round(array, 6) + 0.0).tolist(),
-    )  # fmt: skip
+    )
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
@@ -121,9 +124,11 @@ def packed(
     scale = np.maximum(high - low, 1e-9) / levels
     whole = np.round((values - low) / scale).clip(0, levels).astype(kind)
     return {
-        "low": [float(f"{v:.9g}") for v in low], "scale": [float(f"{v:.9g}") for v in scale],
-        "bytes": kind(0).nbytes, "data": to_base64(whole),
-    }  # fmt: skip
+        "low": [float(f"{v:.9g}") for v in low],
+        "scale": [float(f"{v:.9g}") for v in scale],
+        "bytes": kind(0).nbytes,
+        "data": to_base64(whole),
+    }
 
 
 def to_base64(array: np.ndarray) -> str:

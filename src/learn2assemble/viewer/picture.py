@@ -67,9 +67,17 @@ def write_progress(plan: Plan, path: Path) -> None:
         painted = colour.copy()
         painted[:-3][_held(assembly, step)] = rgb("held")
         picture = renderer.render(
-            triangles, buffers, camera, light, place, turn, shown, painted,
-            np.array(_SKY, np.float32), np.array(_RIM, np.float32),
-        )  # fmt: skip
+            triangles,
+            buffers,
+            camera,
+            light,
+            place,
+            turn,
+            shown,
+            painted,
+            np.array(_SKY, np.float32),
+            np.array(_RIM, np.float32),
+        )
         corner = (number % columns * WIDTH, number // columns * HEIGHT)
         sheet.paste(Image.fromarray(picture), corner)
         text = f"after step {step} of {steps}" if steps else assembly.name

@@ -33,8 +33,11 @@ class View(NamedTuple):
     """The axis it is seen along."""
 
 
-VIEWS = (View("from the front", 0, 2, 1), View("from the right", 1, 2, 0),
-         View("from above", 0, 1, 2))  # fmt: skip
+VIEWS = (
+    View("from the front", 0, 2, 1),
+    View("from the right", 1, 2, 0),
+    View("from above", 0, 1, 2),
+)
 
 
 def preview(
@@ -150,8 +153,9 @@ def _words(design: CellDesign) -> list[str]:
     """Cells, size, and how far they are what was drawn."""
     shape = " × ".join(map(str, design.wanted.shape))
     size = millimetres(*(n * e for n, e in zip(design.wanted.shape, design.cell, strict=True)))
-    words = (f"{shape} cells of {millimetres(*design.cell)}, {int(design.wanted.sum())} to fill; "
-             f"{size}")  # fmt: skip
+    words = (
+        f"{shape} cells of {millimetres(*design.cell)}, {int(design.wanted.sum())} to fill; {size}"
+    )
     same = "" if design.iou is None else f"{design.iou:.1%} of drawing and cells in common"
     return [words, "; ".join(filter(None, (same, design.note)))]
 

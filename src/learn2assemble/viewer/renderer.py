@@ -330,10 +330,16 @@ class Bodies:
     def add(self, body: int, mesh: Mesh, kind: int, marks: np.ndarray | None = None) -> None:
         """Add a mesh in the frame of its body; ``marks`` as in :class:`Triangles`."""
         v, f = len(mesh.vertices), len(mesh.faces)
-        self._rows.append((
-            mesh.vertices, mesh.normals, np.zeros((v, 2)) if marks is None else marks,
-            np.full(v, body), mesh.faces + self._vertices, np.full(f, kind),
-        ))  # fmt: skip
+        self._rows.append(
+            (
+                mesh.vertices,
+                mesh.normals,
+                np.zeros((v, 2)) if marks is None else marks,
+                np.full(v, body),
+                mesh.faces + self._vertices,
+                np.full(f, kind),
+            )
+        )
         self._vertices += v
 
     def add_bars(
@@ -384,9 +390,17 @@ class Buffers:
 
 
 def render(
-    triangles: Triangles, buffers: Buffers, camera: Camera, light: Light, position: np.ndarray,
-    rotation: np.ndarray, shown: np.ndarray, colour: np.ndarray, sky: np.ndarray, rim: np.ndarray,
-) -> np.ndarray:  # fmt: skip
+    triangles: Triangles,
+    buffers: Buffers,
+    camera: Camera,
+    light: Light,
+    position: np.ndarray,
+    rotation: np.ndarray,
+    shown: np.ndarray,
+    colour: np.ndarray,
+    sky: np.ndarray,
+    rim: np.ndarray,
+) -> np.ndarray:
     """One picture: uint8[height, width, 3], valid until the next call with these buffers.
 
     Args:
@@ -412,11 +426,29 @@ def render(
     # Down is positive in the picture, so what faces the camera has a negative area.
     fill(screen, faces, there & (screen[faces, 2] > 0).all(1), -1, b.depth, b.seen)
     slopes(
-        screen, world, normals, faces, triangles.body, shown, triangles.marks,
-        light.axes, light.low, SHADOW_SIZE / light.size, b.slope,
-    )  # fmt: skip
+        screen,
+        world,
+        normals,
+        faces,
+        triangles.body,
+        shown,
+        triangles.marks,
+        light.axes,
+        light.low,
+        SHADOW_SIZE / light.size,
+        b.slope,
+    )
     shade(
-        b.seen, b.slope, b.owner, triangles.kind, colour, rim,
-        sky.astype(np.uint8), light.axes[2], b.shadow, camera.focal, b.image,
-    )  # fmt: skip
+        b.seen,
+        b.slope,
+        b.owner,
+        triangles.kind,
+        colour,
+        rim,
+        sky.astype(np.uint8),
+        light.axes[2],
+        b.shadow,
+        camera.focal,
+        b.image,
+    )
     return b.image

@@ -88,26 +88,42 @@ def scene_data(
         "heights": [rounded(height) for height in layers],
         "shapes": _shape_data(shapes),
         "blocks": [
-            [part.shape, *map(rounded, part.origin), kinds[part.kind], colours[part.colour],
-             part.layer, part.placed, part.removed, part.block.id]
+            [
+                part.shape,
+                *map(rounded, part.origin),
+                kinds[part.kind],
+                colours[part.colour],
+                part.layer,
+                part.placed,
+                part.removed,
+                part.block.id,
+            ]
             for part in parts
         ],
         "holds": [[number, *ends] for number, part in enumerate(parts) for ends in part.holds],
         "covers": side_covers([part.block for part in parts]),
-    }  # fmt: skip
+    }
 
 
 def nothing_to_draw(size: float) -> dict[str, Any]:
     """The same without a block; ``size`` of a usual one [m]."""
     shapes = {
-        "vertices": packed(np.zeros((1, 3)), np.uint16), "triangles": "", "wide": False,
-        "first": [0], "faces": [0], "sections": [], "widths": [],
-    }  # fmt: skip
+        "vertices": packed(np.zeros((1, 3)), np.uint16),
+        "triangles": "",
+        "wide": False,
+        "first": [0],
+        "faces": [0],
+        "sections": [],
+        "widths": [],
+    }
     lists = ("kinds", "colours", "heights", "blocks", "holds", "covers")
     return {
-        "edge": rounded(size), "floor": 0.0, "steps": 0, "shapes": shapes,
+        "edge": rounded(size),
+        "floor": 0.0,
+        "steps": 0,
+        "shapes": shapes,
         **{name: [] for name in lists},
-    }  # fmt: skip
+    }
 
 
 def mark_data(marks: Sequence[Mark]) -> list[dict[str, Any]]:
@@ -249,8 +265,12 @@ def _drawn(section: Section, corner: np.ndarray) -> list[Any]:
     centre = section.area.centroid
     middle = centre if section.area.contains(centre) else section.area.representative_point()
     rings = [[[rounded(u - x), rounded(v - y)] for u, v in ring] for ring in section.rings]
-    return [rounded(section.bottom - z), rounded(section.top - z), rings,
-            [rounded(middle.x - x), rounded(middle.y - y)]]  # fmt: skip
+    return [
+        rounded(section.bottom - z),
+        rounded(section.top - z),
+        rings,
+        [rounded(middle.x - x), rounded(middle.y - y)],
+    ]
 
 
 def side_covers(blocks: list[Block]) -> list[list[list[int]] | None]:
@@ -263,10 +283,13 @@ def side_covers(blocks: list[Block]) -> list[list[list[int]] | None]:
     """
     low = np.array([block.vertices.min(0) for block in blocks])
     high = np.array([block.vertices.max(0) for block in blocks])
-    boxes = np.array([
-        len(b.vertices) == 8 and bool((np.isclose(b.vertices, u) | np.isclose(b.vertices, v)).all())
-        for b, u, v in zip(blocks, low, high, strict=True)
-    ])  # fmt: skip
+    boxes = np.array(
+        [
+            len(b.vertices) == 8
+            and bool((np.isclose(b.vertices, u) | np.isclose(b.vertices, v)).all())
+            for b, u, v in zip(blocks, low, high, strict=True)
+        ]
+    )
     found: list[list[list[int]]] = [[[] for _ in range(6)] for _ in blocks]
     near = _COVERED * float((high - low)[boxes].min()) if boxes.any() else 0.0
     for axis in range(3):
@@ -290,8 +313,10 @@ def side_covers(blocks: list[Block]) -> list[list[list[int]] | None]:
         for side in (0, 1):
             for k in np.flatnonzero(boxes & (covered[side] < (1 - _COVERED) * area)):
                 found[k][2 * axis + side] = []
-    return [sides if box and any(sides) else None
-            for sides, box in zip(found, boxes.tolist(), strict=True)]  # fmt: skip
+    return [
+        sides if box and any(sides) else None
+        for sides, box in zip(found, boxes.tolist(), strict=True)
+    ]
 
 
 def joint_data(forces: tuple[Contacts, np.ndarray | None]) -> dict[str, Any] | None:
@@ -299,8 +324,9 @@ def joint_data(forces: tuple[Contacts, np.ndarray | None]) -> dict[str, Any] | N
     if not len(contacts.points):
         return None
     found: dict[str, Any] = {
-        "points": packed(contacts.points, np.uint16), "start": contacts.start.tolist()
-    }  # fmt: skip
+        "points": packed(contacts.points, np.uint16),
+        "start": contacts.start.tolist(),
+    }
     if vectors is not None and (largest := float(np.linalg.norm(vectors, axis=1).max())) > 0:
         found |= {"forces": packed(vectors, np.uint16), "largest": largest}
     return found

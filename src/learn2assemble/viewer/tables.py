@@ -34,9 +34,22 @@ from learn2assemble.viewer.words import percent
 STANDARD_GRAVITY = 9.80665
 """[m/s²]"""
 STEP_HEAD = (
-    "Step", "Action", "Shape", "x", "y", "z", "Turn", "Kind", "Nominal size", "Layer", "Block",
-    "Proof", "Push [N]", "Push [g]", "Tilt [°]",
-)  # fmt: skip
+    "Step",
+    "Action",
+    "Shape",
+    "x",
+    "y",
+    "z",
+    "Turn",
+    "Kind",
+    "Nominal size",
+    "Layer",
+    "Block",
+    "Proof",
+    "Push [N]",
+    "Push [g]",
+    "Tilt [°]",
+)
 _UNKNOWN = {False: "–", True: "not computed"}
 """The push that is withstood where it is not known, without and with a proof."""
 _NUMBERS = (3, 4, 5, 8, 9, 12, 13, 14, 15)

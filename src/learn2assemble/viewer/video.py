@@ -80,9 +80,11 @@ class Frames:
         self.count = self.cells + record.num_cells
         self.triangles = self._triangles()
         self.placed_by = {
-            cell: step.number for step in record.steps if step.outcome == Outcome.REACHED
+            cell: step.number
+            for step in record.steps
+            if step.outcome == Outcome.REACHED
             for cell in step.cells
-        }  # fmt: skip
+        }
         self.buffers = renderer.Buffers(self.triangles, WIDTH, HEIGHT - _FOOT)
         self.camera = self._camera()
         self.light = renderer.sunlight(self._turned(_SUN), self._points(), 0.12)
@@ -106,10 +108,16 @@ class Frames:
         shown[self.cells :] = poses[0][self.cells :, 2] > 0
         shown[GOAL] = 0 < clock < self.playback.duration and not done
         picture = renderer.render(
-            self.triangles, self.buffers, self.camera, self.light,
-            *poses, shown, self._colours(segment, clock),
-            SKY, rgb(RIM),
-        )  # fmt: skip
+            self.triangles,
+            self.buffers,
+            self.camera,
+            self.light,
+            *poses,
+            shown,
+            self._colours(segment, clock),
+            SKY,
+            rgb(RIM),
+        )
         for corners in self.sheets:
             renderer.blend_sheet(corners, rgb(ACCENT), 0.2, self.buffers.depth, picture)
         return picture
@@ -217,9 +225,14 @@ class Frames:
         segment, top = playback.segment_at(clock), HEIGHT - _FOOT
 
         def write(
-            text: str, x: float, y: float, size: int, colour: str, bold: bool = False,
+            text: str,
+            x: float,
+            y: float,
+            size: int,
+            colour: str,
+            bold: bool = False,
             anchor: str = "ls",
-        ) -> float:  # fmt: skip
+        ) -> float:
             """A line of text with its base line at row ``y``; where it ends [px]."""
             draw.text((x, y), text, colour, _font(size, bold), anchor)
             return x + draw.textlength(text, _font(size, bold))

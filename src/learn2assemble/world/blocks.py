@@ -137,21 +137,24 @@ SHAPES: dict[str, Shape] = {
 _CUBE, _UP, _L = ("cube",), ("vertical-2",), ("l-up", "l-ground")
 _SET_26 = (_CUBE, _UP, ("cube", "vertical-2"), ("cube", "vertical-2"), ("l-up",), ("s",))
 Groups = tuple[tuple[str, ...], ...]
-OBJECT_SETS: Registry[Groups] = Registry("object set", {
-    "cubes": (_CUBE,),
-    "bars": (_CUBE, ("bar",), _UP),
-    "set-20": (
-        _CUBE,
-        ("horizontal-3", "horizontal-2"),
-        ("vertical-3", "vertical-2"),
-        (*_L, "w-up", "w-ground"),
-    ),
-    "set-21": (_CUBE, ("horizontal-2", "vertical-2"), _L),
-    "set-23": (_CUBE, ("horizontal-2", "vertical-2"), _L, ("s",)),
-    "set-25": (_CUBE, _UP, ("cube", "vertical-2"), ("l-up",)),
-    "set-26": _SET_26,
-    "paper-four": _SET_26,
-})  # fmt: skip
+OBJECT_SETS: Registry[Groups] = Registry(
+    "object set",
+    {
+        "cubes": (_CUBE,),
+        "bars": (_CUBE, ("bar",), _UP),
+        "set-20": (
+            _CUBE,
+            ("horizontal-3", "horizontal-2"),
+            ("vertical-3", "vertical-2"),
+            (*_L, "w-up", "w-ground"),
+        ),
+        "set-21": (_CUBE, ("horizontal-2", "vertical-2"), _L),
+        "set-23": (_CUBE, ("horizontal-2", "vertical-2"), _L, ("s",)),
+        "set-25": (_CUBE, _UP, ("cube", "vertical-2"), ("l-up",)),
+        "set-26": _SET_26,
+        "paper-four": _SET_26,
+    },
+)
 """Per set its groups: an object is drawn from a group, the group uniformly from the set. The
 numbers are those of the published code, whose sets 22 and 24 the protocol does not describe.
 ``bars`` is drawn by counts instead, so its groups only list the shapes. ``paper-four`` is set 26,

@@ -292,9 +292,14 @@ def start_objects(state, row, frames, waiting, side, num_blocks, depths=NARROW):
     state.quaternion[row, :, 0] = 1.0
     state.quaternion[row, :, 1:] = 0.0
     state.num_placed[row] = _spread(
-        state.position[row], state.object_id[row], waiting.position,
-        0.0 if waiting.random else waiting.apart, frames[side, 2], frames[side, 3], num_blocks,
-    )  # fmt: skip
+        state.position[row],
+        state.object_id[row],
+        waiting.position,
+        0.0 if waiting.random else waiting.apart,
+        frames[side, 2],
+        frames[side, 3],
+        num_blocks,
+    )
     first, last = state.mask.shape[2], 0
     for s in range(state.mask.shape[1]):
         for r in range(state.mask.shape[2]):

@@ -75,9 +75,21 @@ def _cover(state, row, frames, depths, position, placed, count, covered, occlude
 
 @njit(cache=True)
 def _try_all(
-    state, actions, count, spec, frames, depths, reward_kind, threshold,
-    reward, terminal, valid, gain, covered, occluded,
-):  # fmt: skip
+    state,
+    actions,
+    count,
+    spec,
+    frames,
+    depths,
+    reward_kind,
+    threshold,
+    reward,
+    terminal,
+    valid,
+    gain,
+    covered,
+    occluded,
+):
     position = np.empty((state.position.shape[1] + 8, 3))
     for row in range(len(count)):
         placed = state.num_placed[row]
@@ -89,9 +101,17 @@ def _try_all(
             if spec.level:
                 z += waiting_level(state.position[row, placed + unplaced, 2])
             end = placed + lay_object(
-                state, row, unplaced, reference, x, y, z, spec.turns[way], position[placed:],
+                state,
+                row,
+                unplaced,
+                reference,
+                x,
+                y,
+                z,
+                spec.turns[way],
+                position[placed:],
                 spec.pitch,
-            )  # fmt: skip
+            )
             verdict = _verdict(position, state.object_id[row], placed, end)
             if verdict == UNDECIDED:
                 continue
@@ -104,18 +124,30 @@ def _try_all(
                 state, row, frames, depths, position, placed, end, covered, occluded
             )
             reward[row, n], success = reward_and_success(
-                state.mask_pixels[row], state.initial_pixels[row], state.plane_pixels[row],
-                plane, complete, True, reward_kind, threshold,
-            )  # fmt: skip
+                state.mask_pixels[row],
+                state.initial_pixels[row],
+                state.plane_pixels[row],
+                plane,
+                complete,
+                True,
+                reward_kind,
+                threshold,
+            )
             span = state.mask_pixels[row] - state.initial_pixels[row]
             gain[row, n] = (plane - state.plane_pixels[row]) / span
             terminal[row, n] = success or end >= state.num_blocks[row]
 
 
 def outcomes(
-    state: State, actions: np.ndarray, count: np.ndarray, spec: ActionSpec, frames: np.ndarray,
-    reward: str, threshold: float, depths: DepthFilter = NARROW,
-) -> Outcomes:  # fmt: skip
+    state: State,
+    actions: np.ndarray,
+    count: np.ndarray,
+    spec: ActionSpec,
+    frames: np.ndarray,
+    reward: str,
+    threshold: float,
+    depths: DepthFilter = NARROW,
+) -> Outcomes:
     """Try placements of every row by static physics.
 
     Args:
@@ -128,7 +160,16 @@ def outcomes(
     kinds = (np.float32, np.bool_, np.bool_, np.float32)
     out = Outcomes(*[np.zeros(actions.shape[:2], kind) for kind in kinds])
     _try_all(
-        state, actions, count, spec, frames, depths, REWARDS[reward], threshold, *out,
-        np.empty_like(state.covered[0]), np.empty_like(state.occluded[0]),
-    )  # fmt: skip
+        state,
+        actions,
+        count,
+        spec,
+        frames,
+        depths,
+        REWARDS[reward],
+        threshold,
+        *out,
+        np.empty_like(state.covered[0]),
+        np.empty_like(state.occluded[0]),
+    )
     return out

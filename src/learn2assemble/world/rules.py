@@ -212,9 +212,15 @@ def reward_and_end(state, row, previous_plane, valid, reward_kind, threshold):
     ``previous_plane`` is c_pl before the step. Returns ``(reward, terminated, success)``.
     """
     reward, success = reward_and_success(
-        state.mask_pixels[row], state.initial_pixels[row], previous_plane,
-        state.plane_pixels[row], state.complete_pixels[row], valid, reward_kind, threshold,
-    )  # fmt: skip
+        state.mask_pixels[row],
+        state.initial_pixels[row],
+        previous_plane,
+        state.plane_pixels[row],
+        state.complete_pixels[row],
+        valid,
+        reward_kind,
+        threshold,
+    )
     terminated = (not valid) or success or state.num_placed[row] >= state.num_blocks[row]
     return reward, terminated, success
 

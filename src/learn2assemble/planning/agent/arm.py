@@ -71,8 +71,9 @@ class Hand:
         """
         arm = get_arm(self.workcell.arm, self.workcell.tool)
         held = []
-        for kind, piece in zip(kit.kinds, _pieces(kit, [(k.name, 0) for k in kit.kinds]),
-                               strict=True):  # fmt: skip
+        for kind, piece in zip(
+            kit.kinds, _pieces(kit, [(k.name, 0) for k in kit.kinds]), strict=True
+        ):
             mass = piece.density * sum(8 * float(np.prod(half)) for _, half in piece.shape)
             if any(why_not_held(arm, np.array(half), mass) is None for _, half in piece.shape):
                 held.append(kind)
@@ -97,8 +98,15 @@ class Hand:
         tiling = Tiling(tuple(site.placement(c) for c in world.placed), site.wanted, "complete")
         assembly = to_assembly(tiling, None, site.kit)
         steps = tuple(StepOf(k) for k in range(len(world.placed)))
-        job = Job(pieces_of(assembly), steps, assembly, get_arm(at.arm), (),
-                  friction=site.kit.friction, joint=site.kit.joint_gap)  # fmt: skip
+        job = Job(
+            pieces_of(assembly),
+            steps,
+            assembly,
+            get_arm(at.arm),
+            (),
+            friction=site.kit.friction,
+            joint=site.kit.joint_gap,
+        )
         where = at.site
         if turn and self._base is not None:
             angle, (x, y, z, facing) = turn * math.pi / 2, self._base
@@ -120,15 +128,16 @@ class Hand:
         ways = [(site.kit.kinds[way.kind].name, way.turn) for way in site.found.ways]
         self.pieces = _pieces(site.kit, ways, site.wanted)
         """Of every way to put down a block, at the corner of the design."""
-        boxes = [_boxes(piece.shape, piece.target, piece.yaw, piece.density)
-                 for piece in self.pieces]  # fmt: skip
+        boxes = [
+            _boxes(piece.shape, piece.target, piece.yaw, piece.density) for piece in self.pieces
+        ]
         self.count = np.array([len(box) for box in boxes])
         self.first = np.cumsum(self.count) - self.count
         self.parts = _columns([box for group in boxes for box in group])
         self.fixed = [
             (np.array(o.middle), o.yaw, np.array(o.size) / 2, cells.OBSTACLE_DENSITY)
             for o in job.obstacles
-        ]  # fmt: skip
+        ]
         self.world = cells.World(replace(job, pieces=self.pieces, steps=()))
         self.middle = np.array([piece.target[:2] for piece in self.pieces])
         halves = np.array([piece.half[:2] for piece in self.pieces])
@@ -171,8 +180,9 @@ class Hand:
                 attempt = self.cell.attempt(rows.scene, move)
                 if attempt.reached:
                     return None
-                touched |= {int(owner[int(row)]) for row in re.findall(r"block (\d+)",
-                            attempt.detail)}  # fmt: skip
+                touched |= {
+                    int(owner[int(row)]) for row in re.findall(r"block (\d+)", attempt.detail)
+                }
         self.failed += 1
         blamed = [self.site.cells(world.placed[n]) for n in sorted(touched - {-1})]
         return np.concatenate(blamed or [self.site.cells(candidate)])
@@ -234,17 +244,22 @@ class Hand:
         if self.job is None or not plan.complete:
             return plan
         job = replace(
-            job_of(plan, self.workcell.arm, self.job.joint), arm=self.job.arm,
-            sources=self.job.sources, obstacles=self.job.obstacles,
-        )  # fmt: skip
+            job_of(plan, self.workcell.arm, self.job.joint),
+            arm=self.job.arm,
+            sources=self.job.sources,
+            obstacles=self.job.obstacles,
+        )
         found = Prepared(job, Structure(job), Arranged(job.steps, {}), self.cell)
         return carry_out(plan, self.workcell, joint=job.joint, progress=progress, found=found)
 
 
 def build_by_arm(
-    plan_with: Callable[[Kit, Hand], Plan], wanted: np.ndarray, kit: Kit, workcell: Workcell,
+    plan_with: Callable[[Kit, Hand], Plan],
+    wanted: np.ndarray,
+    kit: Kit,
+    workcell: Workcell,
     progress: Progress,
-) -> Plan:  # fmt: skip
+) -> Plan:
     """The builder's plan for an arm, carried out; with fingers, the blocks stand as far apart as
     they need.
 

@@ -277,11 +277,20 @@ def _figures(rng: np.random.Generator, size: float) -> Cells:
 
 
 FAMILIES: dict[str, Family] = {
-    "walls": _wall, "stairs": _stairs, "bridges": _bridge, "stepped-arches": _stepped_arch,
-    "gables": _gable, "courts": _court, "unions": _union, "ziggurats": _ziggurat,
-    "letters": _letters, "round-arches": _round_arch, "towers": _towers, "rings": _rings,
+    "walls": _wall,
+    "stairs": _stairs,
+    "bridges": _bridge,
+    "stepped-arches": _stepped_arch,
+    "gables": _gable,
+    "courts": _court,
+    "unions": _union,
+    "ziggurats": _ziggurat,
+    "letters": _letters,
+    "round-arches": _round_arch,
+    "towers": _towers,
+    "rings": _rings,
     "figures": _figures,
-}  # fmt: skip
+}
 _DRAWINGS = 12
 """Drawings of one family and size before another is drawn."""
 HELD_OUT = ("letters", "round-arches", "towers", "rings", "figures")

@@ -73,17 +73,38 @@ def describe(world: World, candidates: np.ndarray) -> tuple[np.ndarray, np.ndarr
         1,
     )
     _describe(
-        out, candidates, found.way, site.kind, found.origin, found.start, found.cell,
-        found.support, found.hanging, wanted, world.owner, world.cover, world.alive,
-        site.over_start, site.over, heap, lowest, last,
-    )  # fmt: skip
+        out,
+        candidates,
+        found.way,
+        site.kind,
+        found.origin,
+        found.start,
+        found.cell,
+        found.support,
+        found.hanging,
+        wanted,
+        world.owner,
+        world.cover,
+        world.alive,
+        site.over_start,
+        site.over,
+        heap,
+        lowest,
+        last,
+    )
     return out, _summary(world, lowest, limited, stock, sizes, places, open_mask, len(candidates))
 
 
 def _summary(
-    world: World, lowest: int, limited: float, stock: float, sizes: np.ndarray,
-    places: np.ndarray, open_mask: np.ndarray, legal: int,
-) -> np.ndarray:  # fmt: skip
+    world: World,
+    lowest: int,
+    limited: float,
+    stock: float,
+    sizes: np.ndarray,
+    places: np.ndarray,
+    open_mask: np.ndarray,
+    legal: int,
+) -> np.ndarray:
     wanted, total = world.site.wanted, max(int(world.site.wanted.sum()), 1)
     cover = world.cover[open_mask]
     available = (world.heap != 0) & (places >= 0)
@@ -109,9 +130,25 @@ def _summary(
 
 @njit(cache=True)
 def _describe(
-    out, candidates, way, kind, origin, start, cell, support, hanging, wanted, owner, cover,
-    alive, over_start, over, heap, lowest, last,
-):  # fmt: skip
+    out,
+    candidates,
+    way,
+    kind,
+    origin,
+    start,
+    cell,
+    support,
+    hanging,
+    wanted,
+    owner,
+    cover,
+    alive,
+    over_start,
+    over,
+    heap,
+    lowest,
+    last,
+):
     size_x, size_y, size_z = wanted.shape
     lost = np.zeros(len(cover), np.int64)
     seen = np.full(len(alive), -1)

@@ -64,10 +64,14 @@ def forward(weights: Any, candidates: Any, summary: Any) -> Any:
 
 def _shapes(hidden: int, width: int) -> Mapping[str, tuple[int, ...]]:
     return {
-        "first": (NUM_FEATURES, hidden), "whole": (NUM_SUMMARY, hidden), "first_bias": (hidden,),
-        "second": (hidden, width), "second_bias": (width,), "score": (width, 1),
+        "first": (NUM_FEATURES, hidden),
+        "whole": (NUM_SUMMARY, hidden),
+        "first_bias": (hidden,),
+        "second": (hidden, width),
+        "second_bias": (width,),
+        "score": (width, 1),
         "score_bias": (1,),
-    }  # fmt: skip
+    }
 
 
 def initial_weights(seed: int, hidden: int = 128, width: int = 64) -> dict[str, np.ndarray]:

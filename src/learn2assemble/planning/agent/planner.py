@@ -28,11 +28,18 @@ _SET_UP = 3.0
 
 
 def plan_with_agent(
-    wanted: np.ndarray, kit: Kit, *, builder: str | Builder | None = None, seed: int = 0,
-    seconds: float = 60.0, friction: float | tuple[float, float] | None = None,
-    gap: float | tuple[float, float] | None = None, budget: int = BUDGET, hand: Hand | None = None,
+    wanted: np.ndarray,
+    kit: Kit,
+    *,
+    builder: str | Builder | None = None,
+    seed: int = 0,
+    seconds: float = 60.0,
+    friction: float | tuple[float, float] | None = None,
+    gap: float | tuple[float, float] | None = None,
+    budget: int = BUDGET,
+    hand: Hand | None = None,
     props: bool = True,
-) -> tuple[Tiling, Ordering, SearchReport, str]:  # fmt: skip
+) -> tuple[Tiling, Ordering, SearchReport, str]:
     """Blocks of ``kit`` that fill ``wanted``, chosen by the builder, every state proven again.
 
     Args:
@@ -63,8 +70,9 @@ def plan_with_agent(
     outcome = build(site, agent, budget=budget, seed=seed, seconds=seconds)
     expanded, first = outcome.expanded, outcome.world
     if props and not site.props and not outcome.complete:
-        again = build(make_site(wanted, kit, props), agent, budget=budget, seed=seed,
-                      seconds=clock.left)  # fmt: skip
+        again = build(
+            make_site(wanted, kit, props), agent, budget=budget, seed=seed, seconds=clock.left
+        )
         expanded += again.expanded
         outcome, site = (again, again.world.site) if again.complete else (outcome, site)
     if hand is not None and outcome.complete:
@@ -97,13 +105,15 @@ def plan_with_agent(
     placements = tuple(site.placement(candidate) for candidate in world.placed)
     missing = tuple(world.cells_open())
     tiling = Tiling(
-        placements, site.wanted, "complete" if world.complete else "incomplete",
-        _reason(outcome, seconds), missing,
-    )  # fmt: skip
+        placements,
+        site.wanted,
+        "complete" if world.complete else "incomplete",
+        _reason(outcome, seconds),
+        missing,
+    )
     ordering = Ordering((), tiling.status, tiling.reason)
     if world.complete and world.propped:
-        propped = prop_and_order(tiling, kit, clock, friction=friction, gap=gap,
-                                 props_allowed=True)  # fmt: skip
+        propped = prop_and_order(tiling, kit, clock, friction=friction, gap=gap, props_allowed=True)
         tiling, ordering = propped[0], propped[1] or ordering
     elif placements:
         ordering = order(
@@ -115,7 +125,7 @@ def plan_with_agent(
         text += f"; {hand.tried} placements tried by the arm, {hand.failed} of them failed"
     report = SearchReport(
         "agent with search", budget, (SearchStage("agent with search", text, round(spent, 3)),)
-    )  # fmt: skip
+    )
     return tiling, ordering, report, agent.name
 
 

@@ -236,9 +236,14 @@ class _Search:
 
 
 def build(
-    start: Site | World, builder: Builder | None, *, budget: float = BUDGET, seed: int = 0,
-    seconds: float = INF, hand: Hand | None = None,
-) -> Outcome:  # fmt: skip
+    start: Site | World,
+    builder: Builder | None,
+    *,
+    budget: float = BUDGET,
+    seed: int = 0,
+    seconds: float = INF,
+    hand: Hand | None = None,
+) -> Outcome:
     """Build a design.
 
     Args:

@@ -139,10 +139,13 @@ def make_problem(simulator: Simulator, state: State, row: int) -> Problem:
     corner = places.min(0)
     wanted = np.zeros(places.max(0) - corner + 1, bool)
     wanted[tuple((places - corner).T)] = True
-    kit = Kit("blocks", tuple(
-        Kind(f"block {number}", shape, count=count)
-        for number, (shape, count) in enumerate(sorted(kinds.items()))
-    ))  # fmt: skip
+    kit = Kit(
+        "blocks",
+        tuple(
+            Kind(f"block {number}", shape, count=count)
+            for number, (shape, count) in enumerate(sorted(kinds.items()))
+        ),
+    )
     site = make_site(wanted, kit)
     names = np.random.default_rng(0).integers(2**63, size=wanted.size, dtype=np.uint64)
     known = np.add.reduceat(names[site.found.cell], site.found.start[:-1])

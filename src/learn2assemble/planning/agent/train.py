@@ -65,9 +65,11 @@ class BuilderConfig:
     teacher: str = "exact"
     seed: int = 0
     designs: tuple[tuple[str, int], ...] = (
-        ("designs-lintels-60", 350), ("designs-lintels-60-heap", 350), ("designs-bricks-60", 80),
+        ("designs-lintels-60", 350),
+        ("designs-lintels-60-heap", 350),
+        ("designs-bricks-60", 80),
         ("designs-cubes-60", 20),
-    )  # fmt: skip
+    )
     fresh: float = 3.0
     seconds: float = 1200.0
     states: int = 1_000_000
@@ -148,9 +150,12 @@ def _from_search(builder: Builder | None, solved: Solved, known: np.ndarray | No
 
 
 def _episode(
-    site: Site, target: np.ndarray, builder: Builder, rng: np.random.Generator,
+    site: Site,
+    target: np.ndarray,
+    builder: Builder,
+    rng: np.random.Generator,
     config: BuilderConfig,
-) -> Iterator[_Sample]:  # fmt: skip
+) -> Iterator[_Sample]:
     """The states of one design; see the module."""
     world = World(site)
     leave = config.teacher == "exact"
@@ -185,9 +190,13 @@ def _episode(
 
 
 def _keep(
-    features: np.ndarray, summary: np.ndarray, right: np.ndarray, logits: np.ndarray,
-    config: BuilderConfig, rng: np.random.Generator,
-) -> _Sample:  # fmt: skip
+    features: np.ndarray,
+    summary: np.ndarray,
+    right: np.ndarray,
+    logits: np.ndarray,
+    config: BuilderConfig,
+    rng: np.random.Generator,
+) -> _Sample:
     """A sample with at most ``kept`` candidates: half of the others the likeliest, half random."""
     if len(right) > config.kept:
         noise = rng.random(len(right))
@@ -268,11 +277,17 @@ def train(
             figures += (float(loss.detach()), right)
             if steps % 200 == 0:
                 known = sum(t is not None for t in targets)
-                report({
-                    "seconds": round(elapsed() * config.seconds, 1), "designs": len(designs),
-                    "states": visited, "steps": steps, "loss": figures[0] / 200,
-                    "right": figures[1] / 200, "solutions": known,
-                })  # fmt: skip
+                report(
+                    {
+                        "seconds": round(elapsed() * config.seconds, 1),
+                        "designs": len(designs),
+                        "states": visited,
+                        "steps": steps,
+                        "loss": figures[0] / 200,
+                        "right": figures[1] / 200,
+                        "solutions": known,
+                    }
+                )
                 figures[:] = 0
     origin = {
         "config": dataclasses.asdict(config),

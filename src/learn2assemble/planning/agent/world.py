@@ -136,10 +136,20 @@ def make_site(wanted: np.ndarray, kit: Kit, props: bool = False) -> Site:
         centre[number] = alone.centre[0] + np.array([*shape[:2] / 2, 0.0]) * kit.pitch
     limits = [-1 if kind.count is None else kind.count for kind in kit.kinds]
     return Site(
-        wanted, kit, found, kinds[found.way], over_start, over, on_start, on,
-        np.bincount(candidate[rests], minlength=n), weight, centre, np.array(limits, np.int64),
+        wanted,
+        kit,
+        found,
+        kinds[found.way],
+        over_start,
+        over,
+        on_start,
+        on,
+        np.bincount(candidate[rests], minlength=n),
+        weight,
+        centre,
+        np.array(limits, np.int64),
         props,
-    )  # fmt: skip
+    )
 
 
 def _grouped(key: np.ndarray, value: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -208,9 +218,13 @@ class World:
         """
         found = self.site.found
         return _pack(
-            np.flatnonzero(self.alive), self.site.kind, len(self.heap), found.start, found.cell,
+            np.flatnonzero(self.alive),
+            self.site.kind,
+            len(self.heap),
+            found.start,
+            found.cell,
             len(self.owner),
-        )  # fmt: skip
+        )
 
     def place(self, candidate: int, program: bool = False) -> bool:
         """Put down a legal candidate if the new state is proven to stand.
@@ -251,10 +265,19 @@ class World:
         """Put down a candidate that is known to stand."""
         site, kind = self.site, int(self.site.kind[candidate])
         _fill(
-            site.cells(candidate), len(self.placed), self.owner, self.alive, self.waits,
-            self.cover, site.over_start, site.over, site.on_start, site.on, site.found.start,
+            site.cells(candidate),
+            len(self.placed),
+            self.owner,
+            self.alive,
+            self.waits,
+            self.cover,
+            site.over_start,
+            site.over,
+            site.on_start,
+            site.on,
+            site.found.start,
             site.found.cell,
-        )  # fmt: skip
+        )
         self.open -= len(site.cells(candidate))
         self.placed.append(candidate)
         if self.heap[kind] > 0:
@@ -335,11 +358,19 @@ def _pack(alive, kind, kinds, start, cell, cells):
 @lru_cache(maxsize=64)
 def _nothing(kit: Kit) -> Proof:
     """The proof of no block at all."""
-    return Proof(Stack(
-        np.empty(0), np.empty((0, 3)), np.empty((0, 3)), np.empty(0, np.int64),
-        np.empty(0, np.int64), np.empty(0), np.zeros(1, np.int64), np.empty(0, np.int64),
-        np.array(kit.pitch[:2]),
-    ))  # fmt: skip
+    return Proof(
+        Stack(
+            np.empty(0),
+            np.empty((0, 3)),
+            np.empty((0, 3)),
+            np.empty(0, np.int64),
+            np.empty(0, np.int64),
+            np.empty(0),
+            np.zeros(1, np.int64),
+            np.empty(0, np.int64),
+            np.array(kit.pitch[:2]),
+        )
+    )
 
 
 def grow(world: World, candidate: int) -> Stack:

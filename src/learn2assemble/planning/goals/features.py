@@ -54,24 +54,46 @@ def describe(
     needed = np.bincount(site.kind[used], minlength=len(world.heap))[kinds]
     limited = heap >= 0
     rows = [
-        relaxed.used[children], np.minimum(relaxed.cost[children] - 1, 20) / _FAR, size / _FAR,
-        extent[:, :2].max(1) / _FAR, extent[:, :2].min(1) / _FAR, origin[:, 2] / _FAR,
-        share(wanted) * size / 4, carried, away.min(1) / _FAR,
-        (at[nearest, 2] - origin[:, 2]) / _FAR, share(column), share(planned), share(above),
-        lean, lever, np.where(limited, np.minimum(heap, 10) / 10, 1.0), limited,
-        np.where(limited, np.minimum(needed / np.maximum(heap, 1), 4), 0.0), ballast,
-        ballast > 0, ballast >= ballast.max() if len(ballast) else ballast,
+        relaxed.used[children],
+        np.minimum(relaxed.cost[children] - 1, 20) / _FAR,
+        size / _FAR,
+        extent[:, :2].max(1) / _FAR,
+        extent[:, :2].min(1) / _FAR,
+        origin[:, 2] / _FAR,
+        share(wanted) * size / 4,
+        carried,
+        away.min(1) / _FAR,
+        (at[nearest, 2] - origin[:, 2]) / _FAR,
+        share(column),
+        share(planned),
+        share(above),
+        lean,
+        lever,
+        np.where(limited, np.minimum(heap, 10) / 10, 1.0),
+        limited,
+        np.where(limited, np.minimum(needed / np.maximum(heap, 1), 4), 0.0),
+        ballast,
+        ballast > 0,
+        ballast >= ballast.max() if len(ballast) else ballast,
         np.clip(relaxed.detour[children], 0, 6) / 3,
-    ]  # fmt: skip
+    ]
     state = [
-        relaxed.blocks / _FAR, len(goals) / _FAR, len(world.placed) / _FAR, not len(goals),
-        (ballast > 0).any(), len(children) / 200, (world.heap >= 0).mean(), min(shape[:2]) > 1,
+        relaxed.blocks / _FAR,
+        len(goals) / _FAR,
+        len(world.placed) / _FAR,
+        not len(goals),
+        (ballast > 0).any(),
+        len(children) / 200,
+        (world.heap >= 0).mean(),
+        min(shape[:2]) > 1,
         sum(load.mass for load in problem.goals.loads)
-        / max(world.proof.stack.weight.sum(), 0.1) / 4,
-    ]  # fmt: skip
+        / max(world.proof.stack.weight.sum(), 0.1)
+        / 4,
+    ]
     return (
-        np.stack(rows, 1).astype(np.float32), np.minimum(np.array(state), 10).astype(np.float32)
-    )  # fmt: skip
+        np.stack(rows, 1).astype(np.float32),
+        np.minimum(np.array(state), 10).astype(np.float32),
+    )
 
 
 def _levers(

@@ -41,10 +41,16 @@ _DIRECTIONS = 16
 
 
 def plan_goals(
-    goals: Goals, *, ways: tuple[str, ...] = WAYS, seed: int = 0, seconds: float = 60.0,
-    friction: Bounds = None, gap: Bounds = None, timer: Callable[[], float] = time.monotonic,
+    goals: Goals,
+    *,
+    ways: tuple[str, ...] = WAYS,
+    seed: int = 0,
+    seconds: float = 60.0,
+    friction: Bounds = None,
+    gap: Bounds = None,
+    timer: Callable[[], float] = time.monotonic,
     progress: Callable[[str], None] = lambda text: None,
-) -> Plan:  # fmt: skip
+) -> Plan:
     """A structure that meets some goals, its order, and the proof of every step.
 
     Args:
@@ -90,8 +96,10 @@ def plan_goals(
         reason = "" if blocks else f"time ran out after {seconds:g} s; --seconds gives more"
         if exact.status == "infeasible":
             status = "refused"
-            reason = (f"no structure of up to {MOST} blocks of kit `{goals.kit.name}` meets the "
-                      "goals and stands (mixed-integer program)")  # fmt: skip
+            reason = (
+                f"no structure of up to {MOST} blocks of kit `{goals.kit.name}` meets the "
+                "goals and stands (mixed-integer program)"
+            )
     if not blocks and not tight and status != "refused":
         blocks = _stack(problem, seconds, stages, progress)
         chosen, reason = (STACKS, "") if blocks else (chosen, reason)
@@ -108,8 +116,12 @@ def plan_goals(
     )
     also = ", and under every set of the loads" if goals.loads else ""
     design = replace(plan.design, boxes=tuple(plans.PlanBox(*box) for box in goals.boxes()))
-    return replace(plan, design=design, search=plans.SearchReport(chosen, 0, tuple(stages)),
-                   verified_by=f"{plan.verified_by}{also}")  # fmt: skip
+    return replace(
+        plan,
+        design=design,
+        search=plans.SearchReport(chosen, 0, tuple(stages)),
+        verified_by=f"{plan.verified_by}{also}",
+    )
 
 
 def _is_tight(problem: Problem) -> bool:
@@ -121,9 +133,11 @@ def _is_tight(problem: Problem) -> bool:
 
 
 def _stack(
-    problem: Problem, seconds: float, stages: list[plans.SearchStage],
+    problem: Problem,
+    seconds: float,
+    stages: list[plans.SearchStage],
     progress: Callable[[str], None],
-) -> tuple[BlockPlacement, ...]:  # fmt: skip
+) -> tuple[BlockPlacement, ...]:
     """Stacks under all goals, and a note of what came of it."""
     progress("sharing the blocks out among stacks")
     started = time.perf_counter()
@@ -158,15 +172,19 @@ def impossible(problem: Problem) -> str:
         if asked > cells:
             return f"{asked} cells have to be filled; the heap fills {cells}"
         sizes = [np.ptp(kind.cells, axis=0) + 1 for kind in kit.kinds]
-        tall = [int(size.max() if kind.turns == "any" else size[2])
-                for kind, size in zip(kit.kinds, sizes, strict=True)]  # fmt: skip
+        tall = [
+            int(size.max() if kind.turns == "any" else size[2])
+            for kind, size in zip(kit.kinds, sizes, strict=True)
+        ]
         reached = sum((kind.count or 0) * t for kind, t in zip(kit.kinds, tall, strict=True))
         level = int(np.argwhere(goals.must)[:, 2].max()) + 1
         if reached < level:
             return f"a goal is {level} levels high; the whole heap on one another is {reached}"
     if not goals.props and not np.isfinite(relax(problem, World(problem.site)).blocks):
-        return (f"no chain of blocks of kit `{kit.name}`, each carried below its centroid, leads "
-                "from the table to every goal around the obstacles")  # fmt: skip
+        return (
+            f"no chain of blocks of kit `{kit.name}`, each carried below its centroid, leads "
+            "from the table to every goal around the obstacles"
+        )
     return ""
 
 
@@ -183,8 +201,9 @@ def check_loads(goals: Goals) -> None:
     dense = max(kind.density or kit.density for kind in kit.kinds) * float(np.prod(pitch))
     middle = np.array(goals.shape[:2]) / 2
     ground = (np.argwhere(goals.open[:, :, 0]) - middle) * pitch[:2]
-    corners = np.concatenate([ground + np.array(c) * pitch[:2] for c in
-                              ((0, 0), (0, 1), (1, 0), (1, 1))])  # fmt: skip
+    corners = np.concatenate(
+        [ground + np.array(c) * pitch[:2] for c in ((0, 0), (0, 1), (1, 0), (1, 1))]
+    )
     centres = (np.argwhere(goals.open)[:, :2] + 0.5 - middle) * pitch[:2]
     for load in goals.loads:
         for angle in np.arange(_DIRECTIONS) * 2 * np.pi / _DIRECTIONS:
@@ -197,9 +216,10 @@ def check_loads(goals: Goals) -> None:
             most = dense * float(np.maximum(levers, 0).sum()) / beyond
             if load.mass > most:
                 raise InputError(
-                    f"{goals.source}: load at {list(load.point)}", f"{load.mass:g} kg",
+                    f"{goals.source}: load at {list(load.point)}",
+                    f"{load.mass:g} kg",
                     f"at most {most:.3g} kg, which is what the heap can balance there",
-                )  # fmt: skip
+                )
 
 
 def with_obstacles(site: Site, goals: Goals) -> Site:
@@ -213,9 +233,16 @@ def with_obstacles(site: Site, goals: Goals) -> Site:
 
 
 def _report(
-    goals: Goals, blocks: tuple[BlockPlacement, ...], reason: str, status: str, friction: Bounds,
-    gap: Bounds, seconds: float, planner: str, limit: float,
-) -> Plan:  # fmt: skip
+    goals: Goals,
+    blocks: tuple[BlockPlacement, ...],
+    reason: str,
+    status: str,
+    friction: Bounds,
+    gap: Bounds,
+    seconds: float,
+    planner: str,
+    limit: float,
+) -> Plan:
     """The plan of blocks in their order, with the same proof as any other."""
     kit = goals.kit
     wanted = np.zeros(goals.shape, bool)
@@ -225,8 +252,9 @@ def _report(
     tiling = Tiling(blocks, wanted, "complete" if blocks else status, reason)
     ordering = None
     if blocks:
-        ordering = order(tiling, kit, friction=friction, gap=gap, seconds=max(limit, 10.0),
-                         given=True)  # fmt: skip
+        ordering = order(
+            tiling, kit, friction=friction, gap=gap, seconds=max(limit, 10.0), given=True
+        )
         widest = value_range(gap, kit.joint_gap, "gap")[1]
         kept = tuple(block for block in blocks if not block.prop)
         stack = find_stack(kept, kit, goals.shape, widest)

@@ -128,8 +128,9 @@ def _program(
     of_kind = np.full(len(site.limits) + 1, -1)
     of_kind[limited] = np.arange(len(limited))
     counted = np.flatnonzero(of_kind[site.kind] >= 0)
-    model.rows(np.zeros(len(limited)), site.limits[limited],
-               (of_kind[site.kind[counted]], counted, 1.0))  # fmt: skip
+    model.rows(
+        np.zeros(len(limited)), site.limits[limited], (of_kind[site.kind[counted]], counted, 1.0)
+    )
     model.rows(0.0, float(most), (0, used, 1.0))
     for chosen in ruled_out:
         model.rows(-INF, len(chosen) - 1.0, (0, used, np.where(np.isin(used, chosen), 1.0, -1.0)))
@@ -145,8 +146,11 @@ def _program(
     row_of = np.full(n, -1)
     row_of[raised] = np.arange(len(raised))
     away = bed_at[:, :2] - problem.centre[bed_body]
-    sides = [side for axis in range(1 if planar else 2)
-             for side in (away[:, axis] > -1 + 1e-6, away[:, axis] < -1e-6)]  # fmt: skip
+    sides = [
+        side
+        for axis in range(1 if planar else 2)
+        for side in (away[:, axis] > -1 + 1e-6, away[:, axis] < -1e-6)
+    ]
     for side in sides if not goals.props else [np.ones(len(away), bool)]:
         pairs = np.flatnonzero(side & above)
         below = problem.bed[pairs] - 1
@@ -154,8 +158,9 @@ def _program(
         inner = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
         q = site.over[np.repeat(site.over_start[below], counts) + inner]
         p, q = np.unique(np.stack([np.repeat(bed_body[pairs], counts), q]), axis=1)
-        model.rows(np.zeros(len(raised)), INF, (row_of[p], q, 1.0),
-                   (np.arange(len(raised)), raised, -1.0))  # fmt: skip
+        model.rows(
+            np.zeros(len(raised)), INF, (row_of[p], q, 1.0), (np.arange(len(raised)), raised, -1.0)
+        )
     # Forces.
     weight = site.weight[found.way]
     unit = float(weight.mean())

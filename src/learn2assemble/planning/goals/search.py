@@ -145,8 +145,9 @@ class Search:
         loads = tuple(load for load in self.problem.goals.loads if owner[load.cell] >= 0)
         if not loads:
             return None
-        stack = loaded(world.proof.stack, owner, loads, self.problem.goals.shape,
-                       self.problem.goals.kit.pitch)  # fmt: skip
+        stack = loaded(
+            world.proof.stack, owner, loads, self.problem.goals.shape, self.problem.goals.kit.pitch
+        )
         proof, everything = Proof(stack), np.ones(len(stack), bool)
         proof.force = world.proof.force.copy()
         return None if proof.settle(everything, everything) else stack

@@ -57,8 +57,11 @@ def find_stacks(problem: Problem, *, seconds: float = INF) -> tuple[BlockPlaceme
     row_of[limited] = np.arange(len(limited))
     kinds = row_of[site.kind[keep]]
     counted = np.flatnonzero(kinds >= 0)
-    model.rows(np.full(len(limited), -INF), site.limits[limited].astype(float),
-               (kinds[counted], used[counted], 1.0))  # fmt: skip
+    model.rows(
+        np.full(len(limited), -INF),
+        site.limits[limited].astype(float),
+        (kinds[counted], used[counted], 1.0),
+    )
     raised = np.flatnonzero(part.origin[:, 2] > 0)
     carried, carries = [], []
     for row, top in enumerate(raised):
@@ -66,8 +69,12 @@ def find_stacks(problem: Problem, *, seconds: float = INF) -> tuple[BlockPlaceme
             if number[base] >= 0:
                 carried.append(row)
                 carries.append(number[base])
-    model.rows(np.full(len(raised), -INF), 0.0, (np.arange(len(raised)), used[raised], 1.0),
-               (np.array(carried, np.int64), np.array(carries, np.int64), -1.0))  # fmt: skip
+    model.rows(
+        np.full(len(raised), -INF),
+        0.0,
+        (np.arange(len(raised)), used[raised], 1.0),
+        (np.array(carried, np.int64), np.array(carries, np.int64), -1.0),
+    )
     for _ in range(_ROUNDS):
         answer = solve(model.program(), clock.left)
         if answer.x is None:
@@ -86,11 +93,17 @@ def _carriers(problem: Problem, candidate: int) -> list[int]:
     flat = site.cells(candidate)
     cells = np.stack(np.unravel_index(flat, shape), 1)
     lowest = (cells[:, 2] > 0) & ~np.isin(flat - 1, flat)
-    near = {int(q) for c in flat[lowest] - 1
-            for q in site.over[site.over_start[c] : site.over_start[c + 1]]}  # fmt: skip
-    return [q for q in sorted(near)
-            if support_margin(cells, lowest & np.isin(flat - 1, site.cells(q)),
-                              problem.goals.kit) > FIRM]  # fmt: skip
+    near = {
+        int(q)
+        for c in flat[lowest] - 1
+        for q in site.over[site.over_start[c] : site.over_start[c + 1]]
+    }
+    return [
+        q
+        for q in sorted(near)
+        if support_margin(cells, lowest & np.isin(flat - 1, site.cells(q)), problem.goals.kit)
+        > FIRM
+    ]
 
 
 def _holds(problem: Problem, candidates: list[int]) -> bool:

@@ -25,9 +25,15 @@ class _Draft:
     def __init__(self, rng: np.random.Generator, x: int, y: int, z: int) -> None:
         self.rng, self.shape = rng, (x, y, z)
         self.file: Json = {
-            "format": FORMAT, "version": VERSION, "site": [round(EDGE * n, 6) for n in (x, y, z)],
-            "kit": "bricks-lintels", "occupy": [], "reach": [], "load": [], "obstacles": [],
-        }  # fmt: skip
+            "format": FORMAT,
+            "version": VERSION,
+            "site": [round(EDGE * n, 6) for n in (x, y, z)],
+            "kit": "bricks-lintels",
+            "occupy": [],
+            "reach": [],
+            "load": [],
+            "obstacles": [],
+        }
 
     def point(self, x: float, y: float, z: float) -> list[float]:
         """Of a cell's middle, with the height of its top."""
@@ -186,9 +192,16 @@ def _scatter(d: _Draft, deep: bool) -> None:
 
 
 FAMILIES: dict[str, Family] = {
-    "bridge": _bridge, "corbel": _corbel, "tower": _tower, "cantilever": _cantilever,
-    "table": _table, "joined": _joined, "stairs": _stairs, "arch": _arch, "scatter": _scatter,
-}  # fmt: skip
+    "bridge": _bridge,
+    "corbel": _corbel,
+    "tower": _tower,
+    "cantilever": _cantilever,
+    "table": _table,
+    "joined": _joined,
+    "stairs": _stairs,
+    "arch": _arch,
+    "scatter": _scatter,
+}
 PLANAR, SPATIAL = "planar", "spatial"
 
 
@@ -221,31 +234,50 @@ FIRST_FIXED_SEED = 20_000
 """The fixed tasks have seeds from here on; nothing was chosen or tuned on any of them."""
 _SEEDS: _Seeds = {
     PLANAR: {
-        "bridge": (20000, 20001, 20002, 20003), "corbel": (20001, 20002, 20003, 20005),
-        "tower": (20000, 20001, 20002, 20003), "cantilever": (20000, 20001, 20003, 20004),
-        "table": (20000, 20001, 20002, 20003), "joined": (20000, 20001, 20002),
-        "stairs": (20001, 20002, 20004), "arch": (20000, 20001, 20002, 20003),
+        "bridge": (20000, 20001, 20002, 20003),
+        "corbel": (20001, 20002, 20003, 20005),
+        "tower": (20000, 20001, 20002, 20003),
+        "cantilever": (20000, 20001, 20003, 20004),
+        "table": (20000, 20001, 20002, 20003),
+        "joined": (20000, 20001, 20002),
+        "stairs": (20001, 20002, 20004),
+        "arch": (20000, 20001, 20002, 20003),
     },
     SPATIAL: {
-        "bridge": (20000, 20001, 20002), "corbel": (20001, 20002),
-        "tower": (20000, 20001, 20002), "cantilever": (20001, 20003),
-        "table": (20000, 20001, 20002), "joined": (20000, 20001), "stairs": (20000, 20001),
+        "bridge": (20000, 20001, 20002),
+        "corbel": (20001, 20002),
+        "tower": (20000, 20001, 20002),
+        "cantilever": (20001, 20003),
+        "table": (20000, 20001, 20002),
+        "joined": (20000, 20001),
+        "stairs": (20000, 20001),
         "arch": (20001, 20002, 20003),
     },
-}  # fmt: skip
+}
 """Of every family the first seeds. A seed is left out only where its goals contradict one another,
 are proven impossible (by a bound or by the exact program), or are those of another task."""
 _DEVELOPED: _Seeds = {
     PLANAR: {
-        "bridge": (0, 1, 2, 3), "corbel": (0, 1, 2, 3), "tower": (0, 1, 2, 3),
-        "cantilever": (0, 1, 2, 3), "table": (0, 1, 2, 3), "joined": (0, 1, 2),
-        "stairs": (0, 1, 2), "arch": (0, 1, 2, 3),
+        "bridge": (0, 1, 2, 3),
+        "corbel": (0, 1, 2, 3),
+        "tower": (0, 1, 2, 3),
+        "cantilever": (0, 1, 2, 3),
+        "table": (0, 1, 2, 3),
+        "joined": (0, 1, 2),
+        "stairs": (0, 1, 2),
+        "arch": (0, 1, 2, 3),
     },
     SPATIAL: {
-        "bridge": (0, 1, 2), "corbel": (0, 1), "tower": (0, 1, 2), "cantilever": (0, 1),
-        "table": (0, 1, 2), "joined": (0, 1), "stairs": (0, 1), "arch": (0, 1, 2),
+        "bridge": (0, 1, 2),
+        "corbel": (0, 1),
+        "tower": (0, 1, 2),
+        "cantilever": (0, 1),
+        "table": (0, 1, 2),
+        "joined": (0, 1),
+        "stairs": (0, 1),
+        "arch": (0, 1, 2),
     },
-}  # fmt: skip
+}
 """The search was tuned on these; the first seeds whose goals the plain search had met."""
 IMPOSSIBLE = "impossible"
 
@@ -286,9 +318,12 @@ def _far(d: _Draft) -> None:
 
 
 _CANNOT = {
-    "short heap": (_short_heap, False), "walled": (_walled, False), "low heap": (_low_heap, False),
-    "heavy load": (_heavy, True), "cubes": (_far, True),
-}  # fmt: skip
+    "short heap": (_short_heap, False),
+    "walled": (_walled, False),
+    "low heap": (_low_heap, False),
+    "heavy load": (_heavy, True),
+    "cubes": (_far, True),
+}
 
 
 def fixed_names(*, development: bool = False) -> list[str]:
@@ -297,9 +332,12 @@ def fixed_names(*, development: bool = False) -> list[str]:
     Args:
         development: those the search was tuned on instead, which are no measure of it.
     """
-    names = [f"{kind}/{family}/{seed}"
-             for kind, families in (_DEVELOPED if development else _SEEDS).items()
-             for family, seeds in families.items() for seed in seeds]  # fmt: skip
+    names = [
+        f"{kind}/{family}/{seed}"
+        for kind, families in (_DEVELOPED if development else _SEEDS).items()
+        for family, seeds in families.items()
+        for seed in seeds
+    ]
     return names if development else names + [f"{IMPOSSIBLE}/{name}" for name in _CANNOT]
 
 

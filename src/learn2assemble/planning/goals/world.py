@@ -91,18 +91,28 @@ def make_problem(goals: Goals) -> Problem:
         mass[bears] += load.mass
         heavy[bears] /= mass[bears, None]
     return Problem(
-        goals, site, np.argsort(found.origin[:, 2], kind="stable"),
+        goals,
+        site,
+        np.argsort(found.origin[:, 2], kind="stable"),
         np.concatenate([[0], np.cumsum([len(bed) for bed in beds])]).astype(np.int64),
         np.concatenate(beds) if beds else none,
-        centre, heavy, must,
-    )  # fmt: skip
+        centre,
+        heavy,
+        must,
+    )
 
 
 def legal(problem: Problem, world: World) -> np.ndarray:
     """int64[m]: candidates that nothing covers and whose centroid has something that carries on
     every side; the whole structure may still fall."""
-    return _legal(world.owner, world.alive, problem.bed_start, problem.bed,
-                  problem.centre, np.array(problem.goals.shape))  # fmt: skip
+    return _legal(
+        world.owner,
+        world.alive,
+        problem.bed_start,
+        problem.bed,
+        problem.centre,
+        np.array(problem.goals.shape),
+    )
 
 
 def put(world: World, candidate: int, program: bool = True) -> World | None:
@@ -149,17 +159,34 @@ def _relaxed(
 ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
     site, found = problem.site, problem.site.found
     return _relax(
-        world.owner, world.alive, problem.order, found.start, found.cell, problem.bed_start,
-        problem.bed, problem.centre, heavy, found.origin[:, 2], goals, site.over_start, site.over,
-        1 + price[site.kind], np.array(site.wanted.shape),
-    )  # fmt: skip
+        world.owner,
+        world.alive,
+        problem.order,
+        found.start,
+        found.cell,
+        problem.bed_start,
+        problem.bed,
+        problem.centre,
+        heavy,
+        found.origin[:, 2],
+        goals,
+        site.over_start,
+        site.over,
+        1 + price[site.kind],
+        np.array(site.wanted.shape),
+    )
 
 
 # ---------------------------------------------------------------- loads
 
 
-def loaded(stack: Stack, owner: np.ndarray, loads: tuple[Surface, ...], shape: tuple[int, ...],
-           pitch: tuple[float, ...]) -> Stack:  # fmt: skip
+def loaded(
+    stack: Stack,
+    owner: np.ndarray,
+    loads: tuple[Surface, ...],
+    shape: tuple[int, ...],
+    pitch: tuple[float, ...],
+) -> Stack:
     """The stack with masses on top faces, each a part of the block it lies on.
 
     Args:
@@ -184,9 +211,12 @@ def load_cases(goals: Goals) -> list[tuple[Surface, ...]]:
 
 
 def failing_load(
-    goals: Goals, stack: Stack, owner: np.ndarray, force: np.ndarray | None = None,
+    goals: Goals,
+    stack: Stack,
+    owner: np.ndarray,
+    force: np.ndarray | None = None,
     seconds: float = INF,
-) -> tuple[Surface, ...] | None:  # fmt: skip
+) -> tuple[Surface, ...] | None:
     """The first set of loads under which a finished structure falls; None where it bears all.
 
     Args:
@@ -302,8 +332,23 @@ def _support(need, bed, first, last, cx, cy, step_x, step_y, size_y, ref_kind, r
 
 
 @njit(cache=True)
-def _relax(owner, alive, order, start, cell, bed_start, bed, centre, heavy, level, goals,
-           over_start, over, own, shape):  # fmt: skip
+def _relax(
+    owner,
+    alive,
+    order,
+    start,
+    cell,
+    bed_start,
+    bed,
+    centre,
+    heavy,
+    level,
+    goals,
+    over_start,
+    over,
+    own,
+    shape,
+):
     size_y, size_z = shape[1], shape[2]
     step_x, step_y = size_y * size_z, size_z
     count, cells = len(alive), len(owner)
@@ -334,11 +379,33 @@ def _relax(owner, alive, order, start, cell, bed_start, bed, centre, heavy, leve
         if level[k] == 0:
             best = 0.0
         else:
-            best = _support(need, bed, bed_start[k], bed_start[k + 1], centre[k, 0], centre[k, 1],
-                            step_x, step_y, size_y, ref_kind[k], ref_cell[k])  # fmt: skip
+            best = _support(
+                need,
+                bed,
+                bed_start[k],
+                bed_start[k + 1],
+                centre[k, 0],
+                centre[k, 1],
+                step_x,
+                step_y,
+                size_y,
+                ref_kind[k],
+                ref_cell[k],
+            )
             if heavy[k, 0] != centre[k, 0] or heavy[k, 1] != centre[k, 1]:
-                more = _support(need, bed, bed_start[k], bed_start[k + 1], heavy[k, 0],
-                                heavy[k, 1], step_x, step_y, size_y, kinds, places)  # fmt: skip
+                more = _support(
+                    need,
+                    bed,
+                    bed_start[k],
+                    bed_start[k + 1],
+                    heavy[k, 0],
+                    heavy[k, 1],
+                    step_x,
+                    step_y,
+                    size_y,
+                    kinds,
+                    places,
+                )
                 if more > best:
                     best = more
                     ref_kind[k], ref_cell[k] = kinds, places

@@ -145,10 +145,15 @@ class Manifolds(NamedTuple):
 def empty_manifolds(shapes: int, pairs: int) -> Manifolds:
     """Room for so many shapes and touching pairs."""
     return Manifolds(
-        np.full((shapes, shapes), -1), np.full((pairs, 2), -1), np.zeros(pairs, np.int64),
-        np.zeros((pairs, POINTS, 3)), np.zeros((pairs, POINTS, 3)), np.zeros((pairs, POINTS, 3)),
-        np.zeros((pairs, POINTS)), np.zeros(pairs, np.int64),
-    )  # fmt: skip
+        np.full((shapes, shapes), -1),
+        np.full((pairs, 2), -1),
+        np.zeros(pairs, np.int64),
+        np.zeros((pairs, POINTS, 3)),
+        np.zeros((pairs, POINTS, 3)),
+        np.zeros((pairs, POINTS, 3)),
+        np.zeros((pairs, POINTS)),
+        np.zeros(pairs, np.int64),
+    )
 
 
 @njit(cache=True)
@@ -280,9 +285,13 @@ def contact_points(m, body, position, rotation, awake):
     rows = rows[np.argsort(-m.since[rows], kind="mergesort")]
     total = m.count[rows].sum()
     out = Contacts(
-        np.empty(total, np.int64), np.empty(total, np.int64), np.empty((total, 3)),
-        np.empty((total, 3)), np.empty((total, 3, 3)), np.empty(total),
-    )  # fmt: skip
+        np.empty(total, np.int64),
+        np.empty(total, np.int64),
+        np.empty((total, 3)),
+        np.empty((total, 3)),
+        np.empty((total, 3, 3)),
+        np.empty(total),
+    )
     c = 0
     for row in rows:
         a, b = body[m.pair[row, 0]], body[m.pair[row, 1]]

@@ -149,9 +149,13 @@ def compile_shapes(parts: tuple[np.ndarray, ...], objects: tuple[Cells, ...]) ->
         mesh = spec.add_mesh(name=f"part {number}", uservert=corners.ravel())
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
         hand.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, mass=0,
-            contype=HAND_SHAPE, conaffinity=THING_SHAPE, margin=SKIN + BREAKING,
-        )  # fmt: skip
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=mesh.name,
+            mass=0,
+            contype=HAND_SHAPE,
+            conaffinity=THING_SHAPE,
+            margin=SKIN + BREAKING,
+        )
     for number, cells in enumerate(objects):
         boxes = object_boxes(np.array(cells), np.full(3, HALF), GAP / 2)
         add_object(spec, f"object {number}", boxes, None, **things)
@@ -275,10 +279,15 @@ class BulletWorld:
         self._twist[HAND] = jac @ self._rates
         drive = Drive(jac, inverse, self.joints, self._command, LOWER, UPPER, self._impulse)
         resolve(
-            self._position, self._twist, self._rates,
+            self._position,
+            self._twist,
+            self._rates,
             inverse_mass_matrix(s.inverse_mass, s.inverse_inertia, self._rotation, awake),
-            contacts, drive, self._hold(), TIMESTEP,
-        )  # fmt: skip
+            contacts,
+            drive,
+            self._hold(),
+            TIMESTEP,
+        )
         integrate(self._position, self._quaternion, self._twist, awake, self._still, TIMESTEP)
         self.joints = self.joints + TIMESTEP * self._rates
         self._follow()
@@ -346,9 +355,16 @@ class BulletWorld:
         near = np.flatnonzero(distance < BREAKING)
         self._clock += 1
         update_manifolds(
-            self._manifolds, self._clock, shapes[near], body, found.pos[near],
-            found.frame[near, :3], distance[near], self._position, self._rotation,
-        )  # fmt: skip
+            self._manifolds,
+            self._clock,
+            shapes[near],
+            body,
+            found.pos[near],
+            found.frame[near, :3],
+            distance[near],
+            self._position,
+            self._rotation,
+        )
 
     def _hold(self) -> Hold:
         error, point = np.zeros(6), np.zeros(3)
@@ -377,9 +393,10 @@ class BulletWorld:
         for number, (_, cells, offset, _, _) in enumerate(groups):
             self._body[cells], self._offset[cells] = FIRST + number, offset
         return (
-            tuple(group[0] for group in groups), np.array([group[3] for group in groups]),
+            tuple(group[0] for group in groups),
+            np.array([group[3] for group in groups]),
             np.array([group[4] for group in groups]),
-        )  # fmt: skip
+        )
 
 
 def _shapes(model: mujoco.MjModel) -> _Shapes:
@@ -388,6 +405,10 @@ def _shapes(model: mujoco.MjModel) -> _Shapes:
     centre = model.body_ipos.copy()
     centre[:FIRST] = 0
     return _Shapes(
-        model, mujoco.MjData(model), model.geom_bodyid.astype(np.int64), centre, inverse_mass,
+        model,
+        mujoco.MjData(model),
+        model.geom_bodyid.astype(np.int64),
+        centre,
+        inverse_mass,
         inverse_inertia(model),
-    )  # fmt: skip
+    )

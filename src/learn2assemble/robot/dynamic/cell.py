@@ -141,9 +141,16 @@ class DynamicCell:
             return _report(order, order.poses, self.arm.home if joints is None else joints, failure)
         width = order.opening if self.arm.suction is None else 0.0
         sim = Simulation(
-            self.arm, world, order.poses, order.names, order.target, course.there[0], width,
-            self.sample_steps, self.dump,
-        )  # fmt: skip
+            self.arm,
+            world,
+            order.poses,
+            order.names,
+            order.target,
+            course.there[0],
+            width,
+            self.sample_steps,
+            self.dump,
+        )
         sim.contacts.upright = scene.half is not None
         run = Execution(sim, order, course, self.limits, self.loaded, self.skip_free_motion)
         failure = None
@@ -208,9 +215,13 @@ def _report(
     error = np.linalg.norm(after.position[order.scene.num_placed] - order.move.target)
     return Attempt(
         Outcome.REACHED if failure is None else failure.outcome,
-        "" if failure is None else failure.stage, "" if failure is None else failure.detail,
-        after=after, quaternion=quaternion, error=float(error), joints=joints,
-    )  # fmt: skip
+        "" if failure is None else failure.stage,
+        "" if failure is None else failure.detail,
+        after=after,
+        quaternion=quaternion,
+        error=float(error),
+        joints=joints,
+    )
 
 
 # ---------------------------------------------------------------- dry run
@@ -265,9 +276,16 @@ def play(program: Program, arm: Arm) -> DryRun:
             names = [f"block {rows[int(name.split()[-1])]}" for name in names]
             start = program.knots.at(np.array([first * TIMESTEP]))[0][0]
             sim = Simulation(
-                arm, cell.world(objects), state, names, int(objects.owner[move.cell]), start,
-                float(told[first]), count + 10**6, None,
-            )  # fmt: skip
+                arm,
+                cell.world(objects),
+                state,
+                names,
+                int(objects.owner[move.cell]),
+                start,
+                float(told[first]),
+                count + 10**6,
+                None,
+            )
             span = slice(first, last)
             motion = Motion(np.zeros((last - first, 3)), *program.knots.at(clock[span]))
             watch = BLIND
@@ -297,8 +315,9 @@ def _order(blocks: Blocks, poses: np.ndarray, step: ProgramStep) -> tuple[np.nda
     for number, cells in enumerate(blocks.objects):
         owner[list(cells)] = number
     yaw = np.array([cube_yaw(quaternion_matrix(turn)) for turn in poses[rows, 3:]])
-    half, density = (None if of_all is None else of_all[rows]
-                     for of_all in (blocks.half, blocks.density))  # fmt: skip
+    half, density = (
+        None if of_all is None else of_all[rows] for of_all in (blocks.half, blocks.density)
+    )
     scene = Scene(poses[rows, :3], yaw, owner[rows], 0, half, density)
     row = int(np.searchsorted(rows, step.cells[0]))
     turn = quaternion_matrix(step.target[3:]) @ quaternion_matrix(poses[step.cells[0], 3:]).T

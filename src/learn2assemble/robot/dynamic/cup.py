@@ -120,8 +120,12 @@ class Vacuum:
 
     def _take(self) -> None:
         """Hold the object whose face the lip is closed on, if there is one."""
-        found = ((k, cup) for cup in self.suction.cups for k in range(self._count())
-                 if self.closed_on(k, cup))  # fmt: skip
+        found = (
+            (k, cup)
+            for cup in self.suction.cups
+            for k in range(self._count())
+            if self.closed_on(k, cup)
+        )
         number, self.used = next(found, (None, self.used))
         if number is None:
             return
@@ -225,8 +229,14 @@ def peak_load(
     up = np.array([0.0, 0.0, GRAVITY])
     force = load.mass * (np.diff(middle, 2, axis=0) / period**2 + up)
     spin = turn[1:] @ turn[:-1].transpose(0, 2, 1)  # by small angles
-    rate = np.stack([spin[:, 2, 1] - spin[:, 1, 2], spin[:, 0, 2] - spin[:, 2, 0],
-                     spin[:, 1, 0] - spin[:, 0, 1]], -1) / (2 * period)  # fmt: skip
+    rate = np.stack(
+        [
+            spin[:, 2, 1] - spin[:, 1, 2],
+            spin[:, 0, 2] - spin[:, 2, 0],
+            spin[:, 1, 0] - spin[:, 0, 1],
+        ],
+        -1,
+    ) / (2 * period)
     inertia = turn[1:-1] @ load.inertia @ turn[1:-1].transpose(0, 2, 1)
     mean = (rate[1:] + rate[:-1]) / 2
     swing = np.einsum("kij,kj->ki", inertia, np.diff(rate, axis=0) / period)

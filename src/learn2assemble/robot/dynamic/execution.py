@@ -93,9 +93,14 @@ class Execution:
     """
 
     def __init__(
-        self, sim: Simulation, order: Order, course: Course, limits: Limits, loaded: Limits,
+        self,
+        sim: Simulation,
+        order: Order,
+        course: Course,
+        limits: Limits,
+        loaded: Limits,
         skip_free: bool = False,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.sim, self.order, self.course = sim, order, course
         self.limits, self.loaded, self.skip_free = limits, loaded, skip_free
         self.inside: ApproachPath | None = None

@@ -137,9 +137,13 @@ def group(scene: Scene, quaternion: np.ndarray, free: np.ndarray | None = None) 
     owner = number[owner]
     owner[still] = len(lead) + np.arange(len(still))
     return Objects(
-        tuple(shapes), owner, offset, lead,
-        np.hstack([scene.position[still], quaternion[still]]), _thinner(scene.halves[still]),
-    )  # fmt: skip
+        tuple(shapes),
+        owner,
+        offset,
+        lead,
+        np.hstack([scene.position[still], quaternion[still]]),
+        _thinner(scene.halves[still]),
+    )
 
 
 def _sized(scene: Scene, cells: np.ndarray, centre: np.ndarray) -> list[Box]:
@@ -267,10 +271,15 @@ def compile_world(
     if arm.suction is not None:
         # The block in the cup: which one, where, and whether, is said when it is attached.
         weld = spec.add_equality(
-            name="cup", type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY,
-            name1=arm.gripper.hand, name2="object0", active=False, solref=_CUP_REF,
+            name="cup",
+            type=mujoco.mjtEq.mjEQ_WELD,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            name1=arm.gripper.hand,
+            name2="object0",
+            active=False,
+            solref=_CUP_REF,
             solimp=_CUP_IMP,
-        )  # fmt: skip
+        )
         weld.data[:] = 0.0
     plan = spec.compile()
     plan.opt.enableflags = 0
@@ -301,8 +310,9 @@ def set_held(world: World, held: int | None) -> None:
     and all other things do."""
     model, kind = world.plan, world.kind
     model.geom_contype[kind >= 0], model.geom_conaffinity[kind >= 0] = (
-        _THING_BIT, _ARM_BIT | _HELD_BIT
-    )  # fmt: skip
+        _THING_BIT,
+        _ARM_BIT | _HELD_BIT,
+    )
     model.geom_margin[kind >= 0] = 0.0
     if held is not None:
         model.geom_margin[kind == held] = LOOK
@@ -324,15 +334,22 @@ def _world(
     kind[[model.geom(name).id for name in arm.gripper.pads]] = PAD  # none for a cup
     drive = np.array([_drive_of(model, name) for name in arm.joints])
     return World(
-        spec, model, plan,
+        spec,
+        model,
+        plan,
         joint=np.array([model.joint(name).qposadr[0] for name in arm.joints]),
         finger=np.array([model.joint(name).qposadr[0] for name in arm.gripper.joints], np.int64),
         drive=drive,
         gripper=-1 if arm.suction else model.actuator(arm.gripper.actuator).id,
-        stiffness=-model.actuator_biasprm[drive, 1], damping=-model.actuator_biasprm[drive, 2],
-        pose=model.nq - 7 * count, tree=model.ntree - count, kind=kind,
-        tool=model.site(arm.tool).id, first=first, num_still=num_still,
-    )  # fmt: skip
+        stiffness=-model.actuator_biasprm[drive, 1],
+        damping=-model.actuator_biasprm[drive, 2],
+        pose=model.nq - 7 * count,
+        tree=model.ntree - count,
+        kind=kind,
+        tool=model.site(arm.tool).id,
+        first=first,
+        num_still=num_still,
+    )
 
 
 def _drive_of(model: mujoco.MjModel, joint: str) -> int:
@@ -408,9 +425,17 @@ def take_order(scene: Scene, move: Move, quaternion: np.ndarray | None = None) -
     turns = np.vstack([poses, objects.still])[objects.owner, 3:]
     held = grip_width(scene, move.cell, move.grasp)
     return Order(
-        scene, turns, move, objects, poses, names, int(objects.owner[move.cell]),
-        crossing_height(scene, move), held, held + ROOM,
-    )  # fmt: skip
+        scene,
+        turns,
+        move,
+        objects,
+        poses,
+        names,
+        int(objects.owner[move.cell]),
+        crossing_height(scene, move),
+        held,
+        held + ROOM,
+    )
 
 
 def rigid_objects(

@@ -87,8 +87,9 @@ class Contacts:
         """Only what holds the target up counts as its support, not what it slides along."""
         self._class = np.select(
             [world.kind == TABLE, world.kind == ARM, world.kind == PAD, world.kind == target],
-            [_TABLE, _ARM, _PAD, _TARGET], _OTHER,
-        )  # fmt: skip
+            [_TABLE, _ARM, _PAD, _TARGET],
+            _OTHER,
+        )
         self._wrench = np.empty(6)
 
     def collision(self, thresholds: np.ndarray) -> str | None:
@@ -440,9 +441,11 @@ class Simulation:
             if payloads is not None:
                 self.drives.payload = float(payloads[part][-1])
             rows = self.drives.commands(
-                run.position[part], run.velocity[part], run.acceleration[part],
+                run.position[part],
+                run.velocity[part],
+                run.acceleration[part],
                 np.array(self.width) if widths is None else widths[part],
-            )  # fmt: skip
+            )
             for k, row in enumerate(rows, first):
                 self.data.ctrl[:] = row
                 mujoco.mj_step(self.model, self.data)
@@ -493,10 +496,17 @@ class Simulation:
             self._record()
 
     def _record(self) -> None:
-        self._samples.append((
-            self.time, self.joints, self.velocity, self.opening, self.width,
-            STAGES.index(self.stage), self.poses.copy(),
-        ))  # fmt: skip
+        self._samples.append(
+            (
+                self.time,
+                self.joints,
+                self.velocity,
+                self.opening,
+                self.width,
+                STAGES.index(self.stage),
+                self.poses.copy(),
+            )
+        )
 
     def past(self) -> np.ndarray:
         """float64[T, n]: joint positions so far [rad]."""

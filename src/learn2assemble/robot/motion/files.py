@@ -78,11 +78,15 @@ def record_from(data: Any) -> BuildRecord:
             steps.append(_step_from(item, where, len(arm.joints), count))
         where = "trajectory"
         return BuildRecord(
-            arm, _number("rate", data["rate"]), _number("block_edge", data["block_edge"]),
-            objects, str(data["simulated_by"]), tuple(steps),
+            arm,
+            _number("rate", data["rate"]),
+            _number("block_edge", data["block_edge"]),
+            objects,
+            str(data["simulated_by"]),
+            tuple(steps),
             None if data["half"] is None else _array("half", data["half"], (count, 3)),
             None if data["density"] is None else _array("density", data["density"], (count,)),
-        )  # fmt: skip
+        )
     except KeyError as error:
         raise InputError(where, f"no field {error}", f"every field of a {FORMAT} file") from None
     except (TypeError, AttributeError, ValueError) as error:
@@ -98,12 +102,16 @@ def _arm_from(data: Mapping[str, Any]) -> ArmFacts:
         for key in ("lower", "upper", "velocity", "acceleration")
     ]
     return ArmFacts(
-        str(data["name"]), joints, *limits,
+        str(data["name"]),
+        joints,
+        *limits,
         base_position=_array("arm.base_position", data["base_position"], (3,)),
         base_yaw=_number("arm.base_yaw", data["base_yaw"]),
-        tool=str(data["tool"]), max_width=_number("arm.max_width", data["max_width"]),
-        tool_name=str(data["tool_name"]), suction=data["suction"] is True,
-    )  # fmt: skip
+        tool=str(data["tool"]),
+        max_width=_number("arm.max_width", data["max_width"]),
+        tool_name=str(data["tool_name"]),
+        suction=data["suction"] is True,
+    )
 
 
 def _step_from(item: Mapping[str, Any], where: str, n: int, cells: int) -> StepRecord:
@@ -125,15 +133,27 @@ def _step_from(item: Mapping[str, Any], where: str, n: int, cells: int) -> StepR
         for name, *span in item["stages"]
     )
     samples = Samples(
-        array("time", times), array("joints", times, n, most=MOST_JOINT),
-        array("velocity", times, n), array("width", times), array("command", times),
-    )  # fmt: skip
+        array("time", times),
+        array("joints", times, n, most=MOST_JOINT),
+        array("velocity", times, n),
+        array("width", times),
+        array("command", times),
+    )
     return StepRecord(
-        int(item["step"]), None if item["plan_step"] is None else int(item["plan_step"]),
-        tuple(int(c) for c in item["cells"]), array("target", 7), OUTCOMES[outcome],
-        str(item["detail"]), bool(item["replanned"]), stages, time("grip"), time("release"),
-        samples, array("before", cells, 7), array("after", cells, 7),
-    )  # fmt: skip
+        int(item["step"]),
+        None if item["plan_step"] is None else int(item["plan_step"]),
+        tuple(int(c) for c in item["cells"]),
+        array("target", 7),
+        OUTCOMES[outcome],
+        str(item["detail"]),
+        bool(item["replanned"]),
+        stages,
+        time("grip"),
+        time("release"),
+        samples,
+        array("before", cells, 7),
+        array("after", cells, 7),
+    )
 
 
 def rounded(values: np.ndarray) -> np.ndarray:
@@ -194,10 +214,13 @@ def _text(value: Any, indent: int = 0) -> str:
 def csv_header(joints: tuple[str, ...], suction: bool = False) -> list[str]:
     """Names of the columns of ``trajectory.csv``, with units."""
     return [
-        "step", "stage", "time [s]", *(f"{name} [rad]" for name in joints),
+        "step",
+        "stage",
+        "time [s]",
+        *(f"{name} [rad]" for name in joints),
         *(f"{name} velocity [rad/s]" for name in joints),
         "suction (1: on)" if suction else "gripper width [m]",
-    ]  # fmt: skip
+    ]
 
 
 def write_csv(record: BuildRecord, path: Path) -> None:

@@ -58,12 +58,17 @@ class Knots(NamedTuple):
         d = np.diff(self.position, axis=0)
         v0, v1 = self.velocity[:-1] * h, self.velocity[1:] * h
         a0, a1 = self.acceleration[:-1] * h**2, self.acceleration[1:] * h**2
-        return np.stack([
-            self.position[:-1], v0, a0 / 2,
-            10 * d - 6 * v0 - 4 * v1 - 1.5 * a0 + 0.5 * a1,
-            -15 * d + 8 * v0 + 7 * v1 + 1.5 * a0 - a1,
-            6 * d - 3 * (v0 + v1) - 0.5 * (a0 - a1),
-        ], -1)  # fmt: skip
+        return np.stack(
+            [
+                self.position[:-1],
+                v0,
+                a0 / 2,
+                10 * d - 6 * v0 - 4 * v1 - 1.5 * a0 + 0.5 * a1,
+                -15 * d + 8 * v0 + 7 * v1 + 1.5 * a0 - a1,
+                6 * d - 3 * (v0 + v1) - 0.5 * (a0 - a1),
+            ],
+            -1,
+        )
 
     def at(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions, velocities and accelerations, each float64[m, n], at times float64[m]."""
@@ -174,9 +179,11 @@ def slow_down(motion: Knots, limits: Limits) -> tuple[Knots, float]:
     factor = needed / (1 - MARGIN)
     start = motion.time[0]
     return Knots(
-        start + (motion.time - start) * factor, motion.position, motion.velocity / factor,
+        start + (motion.time - start) * factor,
+        motion.position,
+        motion.velocity / factor,
         motion.acceleration / factor**2,
-    ), factor  # fmt: skip
+    ), factor
 
 
 class ToolState(NamedTuple):
@@ -330,11 +337,14 @@ def driver_of(arm: Arm) -> Driver:
     tcp = turn.T @ (tool.xpos - position), matrix_quaternion(turn.T @ tool.xmat.reshape(3, 3))
     yaw = yaw_quaternion(arm.base_yaw + told.get("base_yaw", 0.0))
     return Driver(
-        tuple(told.get("joints", arm.joints)), told.get("base_frame", "base"),
-        np.concatenate([arm.base_position, yaw]), told.get("flange_frame", "flange"),
-        np.concatenate(tcp), float(model.body(arm.gripper.hand).subtreemass[0]),
+        tuple(told.get("joints", arm.joints)),
+        told.get("base_frame", "base"),
+        np.concatenate([arm.base_position, yaw]),
+        told.get("flange_frame", "flange"),
+        np.concatenate(tcp),
+        float(model.body(arm.gripper.hand).subtreemass[0]),
         turn.T @ (data.body(arm.gripper.hand).subtree_com - position),
-    )  # fmt: skip
+    )
 
 
 def usage(knots: Knots, limits: Limits) -> dict[str, float]:
@@ -411,12 +421,26 @@ def make_program(record: BuildRecord, arm: Arm) -> Program:
     names = [by_number[int(n)].stage_at(t) for n, t in zip(number[1:], middle, strict=True)]
     stage = np.array([STAGES.index(name) if name else -1 for name in names], np.int8)
     program = Program(
-        arm.name, record.arm.tool_name, record.arm.suction, whole, stage, number[1:], motion,
-        (), (), Blocks(
-            record.objects, record.block_edge, record.half, record.steps[0].before,
-            record.steps[-1].after, (), record.density,
-        ), stretch,
-    )  # fmt: skip
+        arm.name,
+        record.arm.tool_name,
+        record.arm.suction,
+        whole,
+        stage,
+        number[1:],
+        motion,
+        (),
+        (),
+        Blocks(
+            record.objects,
+            record.block_edge,
+            record.half,
+            record.steps[0].before,
+            record.steps[-1].after,
+            (),
+            record.density,
+        ),
+        stretch,
+    )
     return _with_tool(program, record, arm, samples)
 
 
@@ -427,9 +451,12 @@ def _stopped(samples: Samples, number: np.ndarray, period: float) -> tuple[Sampl
     if np.abs(v).max() <= REST:
         return samples, number
     more = Samples(
-        samples.time[-1:] + period, (q + 0.4 * v * period)[None], np.zeros((1, len(v))),
-        samples.width[-1:], samples.command[-1:],
-    )  # fmt: skip
+        samples.time[-1:] + period,
+        (q + 0.4 * v * period)[None],
+        np.zeros((1, len(v))),
+        samples.width[-1:],
+        samples.command[-1:],
+    )
     joined = (
         np.concatenate(pair)
         for pair in zip(vars(samples).values(), vars(more).values(), strict=True)
@@ -528,16 +555,25 @@ def _with_tool(program: Program, record: BuildRecord, arm: Arm, samples: Samples
     for step, checks, here in steps:
         end = float(time[int(here[-1]) + 1]) if len(here) else end
         held = None if step.grip is None else (now(step.grip), now(step.release))
-        made.append(ProgramStep(
-            step.number, step.cells, step.target, end, step.outcome == Outcome.REACHED,
-            tuple(float(time[k]) for k in checks), held, step.after,
-        ))  # fmt: skip
+        made.append(
+            ProgramStep(
+                step.number,
+                step.cells,
+                step.target,
+                end,
+                step.outcome == Outcome.REACHED,
+                tuple(float(time[k]) for k in checks),
+                held,
+                step.after,
+            )
+        )
     return replace(
-        program, knots=program.knots._replace(time=time),
+        program,
+        knots=program.knots._replace(time=time),
         states=tuple(state._replace(time=float(time[k] + wait)) for k, wait, state in teller.told),
         steps=tuple(made),
         blocks=blocks._replace(supply=tuple(_supply(record, [one.end for one in made]))),
-    )  # fmt: skip
+    )
 
 
 def _meant(samples: Samples, span: slice, arm: Arm, edge: float) -> float:

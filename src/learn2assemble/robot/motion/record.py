@@ -176,10 +176,19 @@ class BuildRecord:
 def arm_facts(arm: Arm) -> ArmFacts:
     """What a record says about an arm."""
     return ArmFacts(
-        arm.name, arm.joints, arm.lower, arm.upper, arm.velocity, arm.acceleration,
-        arm.base_position, arm.base_yaw, arm.tool, arm.gripper.max_width,
-        arm.tool_name, arm.suction is not None,
-    )  # fmt: skip
+        arm.name,
+        arm.joints,
+        arm.lower,
+        arm.upper,
+        arm.velocity,
+        arm.acceleration,
+        arm.base_position,
+        arm.base_yaw,
+        arm.tool,
+        arm.gripper.max_width,
+        arm.tool_name,
+        arm.suction is not None,
+    )
 
 
 GRAIN = 1e-6
@@ -235,8 +244,9 @@ def _structure(record: BuildRecord) -> Iterator[str]:
         arrays, long = list(vars(step.samples).values()), len(step.samples.time)
         if [array.shape for array in arrays] != [(long,), (long, n), (long, n), (long,), (long,)]:
             yield f"step {k}: its samples differ in number"
-        if not all(np.isfinite(array).all() for array in (*arrays, step.before, step.after,
-                                                          step.target)):  # fmt: skip
+        if not all(
+            np.isfinite(array).all() for array in (*arrays, step.before, step.after, step.target)
+        ):
             yield f"step {k}: a number is not finite"
 
 
@@ -395,13 +405,23 @@ class BuildRecorder:
         time = (self._count + np.arange(count)) / RATE
         self._count += count
         end = self.poses if after is None else np.array(after, float)
-        self.steps.append(StepRecord(
-            len(self.steps) + 1, plan_step, tuple(map(int, cells)), np.array(target, float),
-            outcome, detail, False,
-            tuple(Stage(s.name, s.start + start, s.end + start) for s in stages),
-            None if grip is None else grip + start, None if release is None else release + start,
-            Samples(time, *parts), self.poses, end,
-        ))  # fmt: skip
+        self.steps.append(
+            StepRecord(
+                len(self.steps) + 1,
+                plan_step,
+                tuple(map(int, cells)),
+                np.array(target, float),
+                outcome,
+                detail,
+                False,
+                tuple(Stage(s.name, s.start + start, s.end + start) for s in stages),
+                None if grip is None else grip + start,
+                None if release is None else release + start,
+                Samples(time, *parts),
+                self.poses,
+                end,
+            )
+        )
         self.poses = end
 
     def add_attempt(
@@ -438,10 +458,17 @@ class BuildRecorder:
             motion = (done.joints[1:], done.velocity[1:], width, done.command[1:])
             stages, held = stages_of(done), holding(self.arm, done, move.cell)
         self.add(
-            plan_step=plan_step, cells=numbers[members].tolist(),
-            target=np.array([*move.target, *turn]), outcome=attempt.outcome, detail=attempt.detail,
-            motion=motion, stages=stages, grip=held[0], release=held[1], after=after,
-        )  # fmt: skip
+            plan_step=plan_step,
+            cells=numbers[members].tolist(),
+            target=np.array([*move.target, *turn]),
+            outcome=attempt.outcome,
+            detail=attempt.detail,
+            motion=motion,
+            stages=stages,
+            grip=held[0],
+            release=held[1],
+            after=after,
+        )
         return order
 
     def take(self, step: StepRecord) -> None:
@@ -463,9 +490,15 @@ class BuildRecorder:
     def record(self) -> BuildRecord:
         """The record so far."""
         return BuildRecord(
-            arm_facts(self.arm), RATE, EDGE, self.objects, self.simulated_by, tuple(self.steps),
-            self.half, self.density,
-        )  # fmt: skip
+            arm_facts(self.arm),
+            RATE,
+            EDGE,
+            self.objects,
+            self.simulated_by,
+            tuple(self.steps),
+            self.half,
+            self.density,
+        )
 
 
 def upright(position: np.ndarray, yaw: np.ndarray) -> np.ndarray:
