@@ -19,9 +19,10 @@ $(PRODUCT): pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --editable '.[robot,video]'
 	touch $@
 
-$(STAMP): pyproject.toml | $(BIN)/python
+$(STAMP): pyproject.toml laboratory/pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet $(TORCH)
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --no-deps --editable laboratory
 	@echo "compiling (once)"; $(BIN)/l2a bench --seconds 0.01 >/dev/null 2>&1
 	touch $@ $(PRODUCT)
 

@@ -5,8 +5,8 @@ import sys
 import torch
 
 import learn2assemble as l2a
-from learn2assemble.graph.batch import GraphTensors
-from learn2assemble.networks.qnetwork import QFactors
+from learn2assemble.tasks.graph.batch import GraphTensors
+from learn2assemble.tasks.networks.qnetwork import QFactors
 
 
 class Perceptron(torch.nn.Module):

@@ -3,8 +3,8 @@
 import sys
 from pathlib import Path
 
-from learn2assemble.physics.rigid import RigidPhysics
-from learn2assemble.reproduction.replay import replay_file
+from l2a_lab.replay import replay_file
+from learn2assemble.tasks.physics.rigid import RigidPhysics
 
 own = Path(__file__).parents[1] / "tests" / "data" / "transitions_sample.jsonl"
 file = sys.argv[1] if len(sys.argv) > 1 else own

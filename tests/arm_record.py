@@ -12,14 +12,14 @@ from scipy.interpolate import PchipInterpolator
 
 from learn2assemble.assembly.blocks import Assembly, box_block
 from learn2assemble.assembly.blocks import Step as Placed
+from learn2assemble.motion.record import RATE, BuildRecord, BuildRecorder, Stage, upright
 from learn2assemble.planning import plan as plans
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.grasps import get_grasps
 from learn2assemble.robot.kinematic import KinematicCell
-from learn2assemble.robot.motion.record import RATE, BuildRecord, BuildRecorder, Stage, upright
 from learn2assemble.robot.moves import OPENING, Move, Outcome, Scene
-from learn2assemble.world.layouts import sobol
+from learn2assemble.tasks.world.layouts import sobol
 
 EDGE, PITCH = 0.05, 0.06
 WALL = (6, 6, 4, 2, 2)

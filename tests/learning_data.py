@@ -10,16 +10,16 @@ import numpy as np
 import torch
 from safetensors import safe_open
 
-from learn2assemble.graph.features import Graph, node_offset
-from learn2assemble.graph.placements import Placements, distinct_placements
-from learn2assemble.learning.config import TrainConfig
-from learn2assemble.learning.replay import Batch
-from learn2assemble.networks.agent import Network, make_network
-from learn2assemble.networks.config import NetworkConfig
-from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import Task
-from learn2assemble.world.outcomes import Outcomes
-from learn2assemble.world.state import State
+from learn2assemble.tasks.graph.features import Graph, node_offset
+from learn2assemble.tasks.graph.placements import Placements, distinct_placements
+from learn2assemble.tasks.learning.config import TrainConfig
+from learn2assemble.tasks.learning.replay import Batch
+from learn2assemble.tasks.networks.agent import Network, make_network
+from learn2assemble.tasks.networks.config import NetworkConfig
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.task import Task
+from learn2assemble.tasks.world.outcomes import Outcomes
+from learn2assemble.tasks.world.state import State
 
 torch.set_num_threads(1)
 

@@ -20,7 +20,7 @@ from learn2assemble.assembly.instructions import corners_at, instructions
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.export.cards import step_cards
 from learn2assemble.export.pdf import pdf
-from learn2assemble.planning.construct import plan_cells
+from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.viewer.page import render_assembly_page
 
 DESIGNS = Path(__file__).resolve().parents[1] / "examples" / "designs"

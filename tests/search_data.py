@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from learn2assemble.search.config import SearchConfig
-from learn2assemble.search.mcts import Decision, search
-from learn2assemble.search.tree import ActionValues, Node, StepResult
+from learn2assemble.tasks.search.config import SearchConfig
+from learn2assemble.tasks.search.mcts import Decision, search
+from learn2assemble.tasks.search.tree import ActionValues, Node, StepResult
 
 torch.set_num_threads(1)
 

@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull
 
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.geometry.rotations import quaternion_matrix
-from learn2assemble.physics.rigid_blocks import STANDS, TIGHT, check
+from learn2assemble.statics.rigid_blocks import STANDS, TIGHT, check
 
 FRICTION, STEP = 0.6, 0.001
 STAYS, FALLS = 1e-3, 2e-2

@@ -13,9 +13,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.dynamic.cell import DynamicCell
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Move, Scene, attitudes, put_down
+from learn2assemble.simulation.cell import DynamicCell
 
 ARMS = tuple(get_arm(name, "suction") for name in ("panda", "ur5e"))
 KINDS = {"slot": 0.4, "course": 0.3, "tower": 0.12, "blocked": 0.08, "far": 0.05, "sunk": 0.05}

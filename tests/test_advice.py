@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from l2a_lab import shapes
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.design.cells import CellDesign
-from learn2assemble.planning.advice import NO_ADVICE, _trials, fill_below, pool
-from learn2assemble.planning.construct import plan_cells
-from learn2assemble.planning.exact import plan_exact
-from learn2assemble.planning.tiling import Tiling
-from learn2assemble.reproduction import shapes
+from learn2assemble.planning.tiling.advice import NO_ADVICE, _trials, fill_below, pool
+from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.planning.tiling.exact import plan_exact
+from learn2assemble.planning.tiling.tile import Tiling
 
 CELL = (0.05, 0.05, 0.05)
 

@@ -13,11 +13,11 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.evaluation.episodes import make_policy, run_episodes
-from learn2assemble.graph.batch import to_tensors
-from learn2assemble.learning.config import TrainConfig
-from learn2assemble.networks import agent as agent_module
-from learn2assemble.networks.agent import (
+from learn2assemble.tasks.evaluation.episodes import make_policy, run_episodes
+from learn2assemble.tasks.graph.batch import to_tensors
+from learn2assemble.tasks.learning.config import TrainConfig
+from learn2assemble.tasks.networks import agent as agent_module
+from learn2assemble.tasks.networks.agent import (
     Agent,
     agent_files,
     agent_info,
@@ -26,10 +26,10 @@ from learn2assemble.networks.agent import (
     make_network,
     save_agent,
 )
-from learn2assemble.networks.config import NetworkConfig
-from learn2assemble.networks.placement import PlacementNetwork, PlacementValues
-from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import PRESETS, get_task
+from learn2assemble.tasks.networks.config import NetworkConfig
+from learn2assemble.tasks.networks.placement import PlacementNetwork, PlacementValues
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.task import PRESETS, get_task
 
 torch.set_num_threads(1)
 

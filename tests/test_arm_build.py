@@ -13,16 +13,16 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from learn2assemble.planning import episode
-from learn2assemble.planning.episode import RealCell, build_task, left_to_build, sample_problem
+from learn2assemble.motion.program import make_program
+from learn2assemble.motion.record import find_fault
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.dynamic.cell import DynamicCell, play
 from learn2assemble.robot.kinematic import KinematicCell
-from learn2assemble.robot.motion.program import make_program
-from learn2assemble.robot.motion.record import find_fault
 from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene
-from learn2assemble.tasks import get_task
+from learn2assemble.simulation.cell import DynamicCell, play
+from learn2assemble.tasks import episode
+from learn2assemble.tasks.episode import RealCell, build_task, left_to_build, sample_problem
+from learn2assemble.tasks.task import get_task
 from learn2assemble.viewer.playback import Playback, block_of_cell
 
 Array = np.ndarray | None

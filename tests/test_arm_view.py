@@ -20,10 +20,10 @@ from arm_record import arm_plan, arm_record
 from headless import SPATIAL, browse, pixels, shoot
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.motion.record import BuildRecord, Stage
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot import shape as shapes
 from learn2assemble.robot.arm import arm_model, get_arm
-from learn2assemble.robot.motion.record import BuildRecord, Stage
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.shape import Mesh, arm_shape, box, capsule, shaded
 from learn2assemble.viewer import words as arm_words

@@ -7,14 +7,14 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from learn2assemble.geometry.coverage import paper_mask
-from learn2assemble.graph.features import node_offset
-from learn2assemble.learning.replay import EXCHANGE, MIRROR, Searched, random_symmetry
-from learn2assemble.simulator import Simulator
-from learn2assemble.world.blocks import EDGE, HALF
-from learn2assemble.world.layouts import to_world
-from learn2assemble.world.rules import count_row, recover_all
-from learn2assemble.world.state import State
+from learn2assemble.constants import EDGE, HALF
+from learn2assemble.tasks.graph.features import node_offset
+from learn2assemble.tasks.learning.replay import EXCHANGE, MIRROR, Searched, random_symmetry
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.world.coverage import paper_mask
+from learn2assemble.tasks.world.layouts import to_world
+from learn2assemble.tasks.world.rules import count_row, recover_all
+from learn2assemble.tasks.world.state import State
 from learning_data import TASKS, Recorded, random_actions, rows_of
 
 

@@ -9,22 +9,22 @@ import pytest
 
 import learn2assemble as l2a
 from learn2assemble.errors import InputError
-from learn2assemble.networks.agent import Agent, load_agent
-from learn2assemble.networks.config import NetworkConfig
-from learn2assemble.networks.qnetwork import QNetwork
-from learn2assemble.physics.rigid_blocks import check
-from learn2assemble.planning import episode
-from learn2assemble.planning.episode import (
+from learn2assemble.planning.plan import Plan
+from learn2assemble.statics.rigid_blocks import check
+from learn2assemble.tasks import episode
+from learn2assemble.tasks.episode import (
     STAGES,
     build_task,
     placement_key,
     plan_episode,
     sample_problem,
 )
-from learn2assemble.planning.plan import Plan
-from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import get_task
-from learn2assemble.world.state import State
+from learn2assemble.tasks.networks.agent import Agent, load_agent
+from learn2assemble.tasks.networks.config import NetworkConfig
+from learn2assemble.tasks.networks.qnetwork import QNetwork
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.task import get_task
+from learn2assemble.tasks.world.state import State
 
 TASK = "two-sided-3x3-20-24"
 

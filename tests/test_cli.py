@@ -20,12 +20,12 @@ from bad_calls import BAD, TASK, TINY_RUN, BadCall, prepare
 from learn2assemble import __version__
 from learn2assemble.cli import main, output
 from learn2assemble.cli.parser import COMMANDS, make_parser
-from learn2assemble.evaluation.episodes import search_config
-from learn2assemble.networks.agent import Agent, agent_files, load_agent, save_agent
-from learn2assemble.networks.config import NetworkConfig
-from learn2assemble.networks.qnetwork import QNetwork
-from learn2assemble.search.config import SEARCHES
-from learn2assemble.tasks import PRESETS
+from learn2assemble.tasks.evaluation.episodes import search_config
+from learn2assemble.tasks.networks.agent import Agent, agent_files, load_agent, save_agent
+from learn2assemble.tasks.networks.config import NetworkConfig
+from learn2assemble.tasks.networks.qnetwork import QNetwork
+from learn2assemble.tasks.search.config import SEARCHES
+from learn2assemble.tasks.task import PRESETS
 
 torch.set_num_threads(1)
 
@@ -355,7 +355,7 @@ def test_json_of_a_very_short_training(l2a: Call, tmp_path: Path) -> None:
 
 def test_bench(l2a: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     """Measurements are replaced, so that this test does not depend on the machine."""
-    from learn2assemble.evaluation import bench
+    from learn2assemble import benchmark as bench
 
     monkeypatch.setattr(bench, "MEASUREMENTS", {"fast_things_per_s": lambda seconds: 2 * seconds})
     result = l2a("bench", "--seconds", "1.5", "--json")

@@ -13,19 +13,19 @@ import pytest
 
 import learn2assemble as l2a
 from headless import SPATIAL, pixels, shoot
+from l2a_lab import shapes
 from learn2assemble.assembly.blocks import Assembly, Step, box_block
 from learn2assemble.assembly.compas import write_compas
 from learn2assemble.assembly.kit import Kind, Kit, load_kit
 from learn2assemble.cli import main
 from learn2assemble.design.cells import CellDesign, read_design
 from learn2assemble.errors import InputError
-from learn2assemble.physics.rigid_blocks import check
-from learn2assemble.planning.construct import plan_cells, report_plan
 from learn2assemble.planning.given import plan_assembly
-from learn2assemble.planning.ordering import order, to_assembly
 from learn2assemble.planning.plan import BlamedCells, Plan
-from learn2assemble.planning.tiling import placement_cells, tile
-from learn2assemble.reproduction import shapes
+from learn2assemble.planning.tiling.construct import plan_cells, report_plan
+from learn2assemble.planning.tiling.ordering import order, to_assembly
+from learn2assemble.planning.tiling.tile import placement_cells, tile
+from learn2assemble.statics.rigid_blocks import check
 from test_ordering import deck
 
 DESIGNS = Path(__file__).resolve().parents[1] / "examples" / "designs"

@@ -24,7 +24,7 @@ from PIL import Image
 from learn2assemble.design.cells import CellDesign, kind_of, read_design
 from learn2assemble.design.lattice import fit, shares
 from learn2assemble.design.solids import crossed
-from learn2assemble.design.svg import read_svg
+from learn2assemble.design.svg.walk import read_svg
 from learn2assemble.errors import InputError, MissingExtraError
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "designs"

@@ -10,8 +10,8 @@ import pytest
 
 from learn2assemble.cli import main
 from learn2assemble.cli.parser import make_parser
-from learn2assemble.networks.agent import agent_files
-from learn2assemble.tasks import PRESETS
+from learn2assemble.tasks.networks.agent import agent_files
+from learn2assemble.tasks.task import PRESETS
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])

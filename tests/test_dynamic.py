@@ -12,19 +12,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from learn2assemble.benchmark import build_wall
 from learn2assemble.errors import InputError
-from learn2assemble.evaluation.bench import build_wall
 from learn2assemble.robot.arm import Arm, get_arm
-from learn2assemble.robot.dynamic.cell import DynamicCell
-from learn2assemble.robot.dynamic.execution import (
-    ONE_SIDED,
-    Execution,
-    ShiftRule,
-    check_rest,
-)
-from learn2assemble.robot.dynamic.model import TIMESTEP, take_order
-from learn2assemble.robot.dynamic.prepare import Failure, WorldChecker, prepare
-from learn2assemble.robot.dynamic.simulation import Drives, Simulation, SimulationDivergedError
 from learn2assemble.robot.grasps import Attitude, get_grasps
 from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import (
@@ -37,6 +27,16 @@ from learn2assemble.robot.moves import (
     Trajectory,
     put_down,
 )
+from learn2assemble.simulation.cell import DynamicCell
+from learn2assemble.simulation.execution import (
+    ONE_SIDED,
+    Execution,
+    ShiftRule,
+    check_rest,
+)
+from learn2assemble.simulation.model import TIMESTEP, take_order
+from learn2assemble.simulation.prepare import Failure, WorldChecker, prepare
+from learn2assemble.simulation.simulation import Drives, Simulation, SimulationDivergedError
 from robot_scenes import GROUND, PITCH, cell, scene
 
 AA, AB, BA, BB = get_grasps("paper")

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from learn2assemble.assembly.kit import load_kit
-from learn2assemble.planning.elastic import balance
-from learn2assemble.planning.programs import solve
-from learn2assemble.planning.step_proof import Proof, find_stack
-from learn2assemble.planning.tiling import tile
+from learn2assemble.linear_programs import solve
+from learn2assemble.planning.tiling.stack import find_stack
+from learn2assemble.planning.tiling.tile import tile
+from learn2assemble.statics.elastic import balance
+from learn2assemble.statics.step_proof import Proof
 from test_small_designs import random_design
 
 

@@ -22,15 +22,16 @@ from gymnasium.vector import AutoresetMode
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from learn2assemble.constants import EDGE
 from learn2assemble.envs import assembly, env_id, register_all
 from learn2assemble.envs.assembly import COLOURS, SCALE, AssemblyEnv, AssemblyVectorEnv
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.graph.features import Graph, connectivity
-from learn2assemble.physics.protocol import Verdict
-from learn2assemble.physics.static import StaticPhysics
-from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import PRESETS, get_task
-from learn2assemble.world.blocks import DIRECTIONS, EDGE, RELATIONS
+from learn2assemble.tasks.graph.features import Graph, connectivity
+from learn2assemble.tasks.physics.protocol import Verdict
+from learn2assemble.tasks.physics.static import StaticPhysics
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.task import PRESETS, get_task
+from learn2assemble.tasks.world.blocks import DIRECTIONS, RELATIONS
 
 DATA = Path(__file__).parent / "data"
 SMALL = "two-sided-3x3-20-24"

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
+from learn2assemble.constants import EDGE, HALF
 from learn2assemble.errors import InputError
-from learn2assemble.physics.equilibrium import find_contacts, is_stable, stability_margin
-from learn2assemble.world.blocks import EDGE, HALF
+from learn2assemble.tasks.physics.equilibrium import find_contacts, is_stable, stability_margin
 
 SEEDS = st.integers(0, 2**32 - 1)
 ROUND = np.cos(np.pi / 16)

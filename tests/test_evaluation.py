@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from learn2assemble.evaluation import episodes
-from learn2assemble.evaluation.episodes import (
+from learn2assemble.tasks.episode import sample_problem
+from learn2assemble.tasks.evaluation import episodes
+from learn2assemble.tasks.evaluation.episodes import (
     BATCH,
     EVALUATION_STREAM,
     Policy,
@@ -19,17 +20,16 @@ from learn2assemble.evaluation.episodes import (
     run_episodes,
     search_policy,
 )
-from learn2assemble.learning.config import TrainConfig
-from learn2assemble.learning.trainer import TRAINING_STREAM, Trainer
-from learn2assemble.networks.config import NetworkConfig
-from learn2assemble.networks.qnetwork import QNetwork
-from learn2assemble.physics.rigid import RigidPhysics
-from learn2assemble.planning.episode import sample_problem
-from learn2assemble.planning.world_model import WorldModel
-from learn2assemble.search.config import SearchConfig
-from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import Task, get_task
-from learn2assemble.world.state import State
+from learn2assemble.tasks.learning.config import TrainConfig
+from learn2assemble.tasks.learning.trainer import TRAINING_STREAM, Trainer
+from learn2assemble.tasks.networks.config import NetworkConfig
+from learn2assemble.tasks.networks.qnetwork import QNetwork
+from learn2assemble.tasks.physics.rigid import RigidPhysics
+from learn2assemble.tasks.search.config import SearchConfig
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.task import Task, get_task
+from learn2assemble.tasks.world.state import State
+from learn2assemble.tasks.world_model import WorldModel
 
 torch.set_num_threads(1)
 

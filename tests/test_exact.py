@@ -9,12 +9,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from learn2assemble.errors import InputError
-from learn2assemble.geometry.coverage import ROWS, WORDS, add_box, clear_to_ground, to_pixels
-from learn2assemble.graph.features import node_offset
-from learn2assemble.planning.world_model import lookahead_actions
-from learn2assemble.reproduction import bounds
-from learn2assemble.reproduction.bounds import (
+from l2a_lab import bounds
+from l2a_lab.bounds import (
     MAX_COLUMN,
     Inventory,
     Lattice,
@@ -34,11 +30,16 @@ from learn2assemble.reproduction.bounds import (
     tower_bound,
     turned,
 )
-from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import Task, get_task
-from learn2assemble.world.blocks import DIRECTIONS, EDGE, HALF
-from learn2assemble.world.layouts import start_objects, waiting_places
-from learn2assemble.world.state import State
+from learn2assemble.constants import EDGE, HALF
+from learn2assemble.errors import InputError
+from learn2assemble.tasks.graph.features import node_offset
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.task import Task, get_task
+from learn2assemble.tasks.world.blocks import DIRECTIONS
+from learn2assemble.tasks.world.coverage import ROWS, WORDS, add_box, clear_to_ground, to_pixels
+from learn2assemble.tasks.world.layouts import start_objects, waiting_places
+from learn2assemble.tasks.world.state import State
+from learn2assemble.tasks.world_model import lookahead_actions
 from learning_data import look_ahead
 from pixel_data import from_pixels
 

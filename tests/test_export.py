@@ -17,15 +17,15 @@ import numpy as np
 import pytest
 import trimesh
 
+from l2a_lab import creep, shapes
 from learn2assemble.assembly.blocks import Assembly, Step, box_block
 from learn2assemble.assembly.files import read_assembly
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.export.formats import FORMATS, bill_of_blocks, export_assembly, step_cards
 from learn2assemble.export.pictures import booklet
-from learn2assemble.planning.exact import plan_exact
-from learn2assemble.planning.ordering import to_assembly
-from learn2assemble.reproduction import creep, shapes
+from learn2assemble.planning.tiling.exact import plan_exact
+from learn2assemble.planning.tiling.ordering import to_assembly
 from learn2assemble.viewer.page import render_assembly_page
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from learn2assemble.evaluation.fidelities import compare
-from learn2assemble.networks.agent import load_agent
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Attempt, Outcome
-from learn2assemble.tasks import get_task
+from learn2assemble.tasks.evaluation.fidelities import compare
+from learn2assemble.tasks.networks.agent import load_agent
+from learn2assemble.tasks.task import get_task
 
 TASK = get_task("robot-two-sided-3x3-10-14")
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import Phase, assume, example, given, settings
 from hypothesis import strategies as st
 
-from learn2assemble.geometry.coverage import (
+from learn2assemble.tasks.world.coverage import (
     HALF_EXTENT,
     IMAGE_SIZE,
     NARROW,
@@ -29,7 +29,7 @@ from learn2assemble.geometry.coverage import (
     to_pixels,
     unproject,
 )
-from learn2assemble.world.layouts import sample_outline
+from learn2assemble.tasks.world.layouts import sample_outline
 from pixel_data import from_pixels
 
 HALF = 0.025

@@ -12,17 +12,21 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import learn2assemble as l2a
+from l2a_lab import goals as figures
 from learn2assemble.assembly.blocks import box_block
 from learn2assemble.cli import main
 from learn2assemble.design.goals import Goals, parse_goals, read_goals
 from learn2assemble.errors import InputError
-from learn2assemble.physics.rigid_blocks import check
-from learn2assemble.planning.exact import plan_exact
 from learn2assemble.planning.goals.planner import EXACT, SEARCH, WAYS, plan_goals, prepare
 from learn2assemble.planning.goals.program import Exact, find_order, plan_program
 from learn2assemble.planning.goals.search import Found, finished, search
 from learn2assemble.planning.goals.stacks import find_stacks
-from learn2assemble.planning.goals.tasks import (
+from learn2assemble.planning.goals.world import make_problem
+from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.tiling.exact import plan_exact
+from learn2assemble.planning.tiling.tile import placement_cells
+from learn2assemble.statics.rigid_blocks import check
+from learn2assemble.tasks.goals import (
     FAMILIES,
     FIRST_FIXED_SEED,
     draw,
@@ -31,11 +35,7 @@ from learn2assemble.planning.goals.tasks import (
     fixed_goals,
     fixed_names,
 )
-from learn2assemble.planning.goals.world import make_problem
-from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.tiling import placement_cells
-from learn2assemble.reproduction import goals as figures
-from learn2assemble.tasks import GOAL_TASKS
+from learn2assemble.tasks.task import GOAL_TASKS
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "goals" / "over_the_water.json"
 GOOD: dict[str, Any] = {

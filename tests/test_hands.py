@@ -9,20 +9,20 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from learn2assemble.constants import EDGE
 from learn2assemble.geometry.rotations import yaw_matrix
-from learn2assemble.graph.batch import to_tensors
-from learn2assemble.graph.features import Graph, node_offset
-from learn2assemble.graph.placements import Placements, distinct_placements
-from learn2assemble.graph.relations import AROUND, OFFSETS, REACH, WINDOW, look_around
-from learn2assemble.networks.agent import make_network
-from learn2assemble.networks.config import NetworkConfig
-from learn2assemble.networks.placement import PlacementNetwork
 from learn2assemble.robot.grasps import get_grasps
 from learn2assemble.robot.moves import Outcome
-from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import Task
-from learn2assemble.world.blocks import EDGE
-from learn2assemble.world.state import State
+from learn2assemble.tasks.graph.batch import to_tensors
+from learn2assemble.tasks.graph.features import Graph, node_offset
+from learn2assemble.tasks.graph.placements import Placements, distinct_placements
+from learn2assemble.tasks.graph.relations import AROUND, OFFSETS, REACH, WINDOW, look_around
+from learn2assemble.tasks.networks.agent import make_network
+from learn2assemble.tasks.networks.config import NetworkConfig
+from learn2assemble.tasks.networks.placement import PlacementNetwork
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.task import Task
+from learn2assemble.tasks.world.state import State
 from learning_data import advance
 from turned import turned_graph
 

@@ -26,9 +26,8 @@ from learn2assemble.export.cards import step_cards
 from learn2assemble.export.formats import bill_of_blocks, export_assembly
 from learn2assemble.export.pictures import booklet
 from learn2assemble.planning.given import plan_assembly
-from learn2assemble.planning.laws import FORCES
-from learn2assemble.planning.ordering import BED
 from learn2assemble.planning.plan import Plan
+from learn2assemble.statics.proofs import BED, FORCES
 from learn2assemble.viewer.page import render_assembly_page
 from learn2assemble.viewer.tables import StepNote
 from read_back import ALLOWED, PRINTED, arch, largest_error, visible_text

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from l2a_lab.bullet.inverse import solve_as_published
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.reproduction.bullet.inverse import solve_as_published
 from learn2assemble.robot.arm import ARMS, Arm, arm_model, get_arm
 from learn2assemble.robot.inverse import SINGULAR_VALUE, TOLERANCE, IKFailure, Solution, solve
 from learn2assemble.robot.kinematics import forward, forward_many, get_chain, jacobian

@@ -15,77 +15,55 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "learn2assemble"
 SOURCE = ROOT / "src" / PACKAGE
 
-_WORLD = {"errors", "registry", "files", "geometry", "world"}
-_TASK = _WORLD | {"physics", "robot", "tasks", "graph", "checkers", "simulator"}
+_BASE = {"errors", "registry", "files", "constants"}
+_ARM = _BASE | {"geometry", "robot", "motion"}
+_PRODUCT = _ARM | {"linear_programs", "assembly", "design", "statics", "planning", "simulation"}
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
+    "constants": set(),
     "registry": {"errors"},
     "files": {"errors"},
     "workers": {"errors"},
+    "linear_programs": {"errors"},
     "geometry": set(),
-    "world": {"errors", "registry", "files", "geometry"},
-    "assembly": _WORLD,
-    "design": {"errors", "files", "geometry", "assembly"},
-    "physics": _WORLD | {"assembly"},
-    "export": _WORLD | {"assembly", "robot"},
-    "robot": _WORLD | {"physics"},
-    "tasks": _WORLD | {"robot"},
-    "graph": _WORLD,
-    "checkers": _WORLD | {"physics", "robot", "tasks"},
-    "simulator": _WORLD | {"physics", "tasks", "graph", "checkers"},
-    "networks": {"errors", "registry", "files", "graph", "world"},
-    "search": {"errors", "registry"},
-    "learning": _TASK | {"networks", "search", "planning", "workers"},
-    "planning": _TASK | {"networks", "search", "assembly", "design"},
-    "evaluation": _TASK
-    | {"networks", "search", "learning", "planning", "envs", "assembly", "design"},
-    "envs": _TASK | {"planning"},
-    "viewer": _WORLD | {"robot", "planning", "assembly", "design"},
-    "cli": _TASK
-    | {
-        "networks",
-        "search",
-        "learning",
-        "planning",
-        "evaluation",
-        "envs",
-        "viewer",
-        "__init__",
-        "assembly",
-        "export",
-    },
-    "reproduction": _TASK
-    | {"networks", "search", "learning", "planning", "evaluation", "viewer", "cli", "workers"}
-    | {"assembly", "design", "export"},
+    "assembly": _BASE | {"geometry"},
+    "design": _BASE | {"geometry", "assembly"},
+    "statics": _BASE | {"geometry", "linear_programs", "assembly"},
+    "robot": _BASE | {"geometry"},
+    "motion": _BASE | {"geometry", "robot"},
+    "simulation": _ARM,
+    "planning": _BASE | {"geometry", "linear_programs", "assembly", "design", "statics", "motion"},
+    "cell": _PRODUCT,
+    "jobs": _PRODUCT | {"cell"},
+    "export": _ARM | {"assembly", "simulation"},
+    "viewer": _ARM | {"assembly", "design", "statics", "planning", "jobs"},
+    "tasks": _PRODUCT | {"cell", "jobs", "workers"},
+    "envs": _PRODUCT | {"tasks"},
+    "benchmark": _PRODUCT | {"tasks", "envs"},
+    "cli": _PRODUCT
+    | {"cell", "jobs", "export", "viewer", "tasks", "envs", "benchmark", "__init__"},
     "__main__": {"cli", "errors"},
-    "__init__": _TASK
-    | {
-        "networks",
-        "search",
-        "learning",
-        "planning",
-        "evaluation",
-        "envs",
-        "assembly",
-        "design",
-        "export",
-        "viewer",
-    },
+    "__init__": _PRODUCT | {"cell", "jobs", "export", "viewer", "tasks", "envs"},
 }
 """What each part may import, besides itself. ``__init__`` is the package as such."""
 
 LIBRARIES = {"torch", "numpy", "numba", "safetensors", "tqdm"}
 """What the training path may need."""
 HEAVY = {"ray", "mujoco", "gymnasium", "rich", "matplotlib", "highspy", "ruckig"}
-LIGHT_PARTS = ["geometry", "world", "tasks", "graph", "simulator", "networks", "search", "learning"]
+WING = {"tasks", "envs"}
+"""What is the paper's."""
+LIGHT = [
+    f"tasks.{part}"
+    for part in ("world", "task", "graph", "simulator", "networks", "search", "learning")
+]
 ONLY: dict[str, set[str]] = {
     "errors": set(),
     "geometry": {"numpy", "numba"},
-    "search": {"numpy"},
-    "tasks": set(),
-    "simulator": {"numpy", "numba"},
-    "networks": {"torch", "safetensors"},
-    "learning": LIBRARIES | {"tensorboard"},
+    "tasks.search": {"numpy"},
+    "tasks.task": set(),
+    "tasks.simulator": {"numpy", "numba"},
+    "tasks.networks": {"torch", "safetensors"},
+    "tasks.learning": LIBRARIES | {"tensorboard"},
 }
 """Libraries of the parts that promise to know few."""
 
@@ -186,29 +164,62 @@ def test_no_two_modules_import_each_other() -> None:
 
 @pytest.mark.parametrize("part", ONLY)
 def test_parts_that_know_few_libraries(part: str) -> None:
-    names = [module for module in MODULES if part_of(module) == part]
+    names = [module for module in MODULES if f"{module}.".startswith(f"{part}.")]
     assert names
     for module in names:
         assert libraries(imports(module)) <= ONLY[part], module
 
 
+def test_nothing_between_a_design_and_a_robot_knows_the_tasks_of_the_paper() -> None:
+    above = WING | {"benchmark", "cli", "__init__"}
+    for module in MODULES:
+        if part_of(module) not in above:
+            assert not {part_of(n) for n in map(_inside, imports(module)) if n} & WING, module
+
+
+def test_no_room_imports_the_laboratory() -> None:
+    for module in MODULES:
+        assert "l2a_lab" not in libraries(imports(module)), module
+
+
+CELLS = (
+    "design",
+    "planning.tiling",
+    "planning.goals",
+    "jobs",
+    "viewer.preview",
+    "tasks",
+    "envs",
+    "cli",
+    "benchmark",
+)
+"""What knows cells: drawings, tilings, structures for goals, their pictures before anything is
+planned, and the wing of the paper; ``jobs`` and those above hand them on."""
+
+
+def test_only_designs_and_tilings_know_cells() -> None:
+    """All else takes blocks with poses and shapes."""
+    for module in MODULES:
+        if not f"{module}.".startswith(tuple(f"{part}." for part in (*CELLS, "__init__"))):
+            inner = {n for n in map(_inside, imports(module)) if n}
+            used = {n for n in inner if n.startswith(("design.cells", "planning.tiling"))}
+            assert not used, f"{module} knows {sorted(used)}"
+
+
 @pytest.mark.parametrize(
     ("library", "parts"),
     [
-        ("mujoco", {"physics", "planning", "robot", "reproduction"}),
-        ("ruckig", {"robot"}),
+        ("mujoco", {"robot", "motion", "simulation", "cell", "tasks"}),
+        ("ruckig", {"simulation"}),
         ("ezdxf", {"design"}),
         ("rhino3dm", {"design"}),
         ("av", {"viewer"}),
         ("mcap_ros2", {"export"}),
-        ("highspy", {"physics", "evaluation", "planning", "reproduction"}),
-        ("gymnasium", {"envs", "evaluation", "reproduction"}),
-        ("matplotlib", {"viewer", "reproduction"}),
+        ("highspy", {"linear_programs", "tasks", "planning", "benchmark"}),
+        ("gymnasium", {"envs", "benchmark"}),
+        ("matplotlib", {"viewer"}),
         ("rich", {"cli"}),
-        (
-            "torch",
-            {"graph", "networks", "learning", "planning", "evaluation", "cli", "reproduction"},
-        ),
+        ("torch", {"tasks", "cli", "benchmark"}),
     ],
 )
 def test_a_library_stays_where_it_belongs(library: str, parts: set[str]) -> None:
@@ -241,18 +252,22 @@ def loaded_with(module: str) -> set[str]:
     return found
 
 
-LIGHT = [module for module in MODULES if part_of(module) in LIGHT_PARTS]
+LIGHT_MODULES = [
+    module for module in MODULES if f"{module}.".startswith(tuple(f"{part}." for part in LIGHT))
+]
 
 
-@pytest.mark.parametrize("module", [*LIGHT, "physics.static", "physics.protocol"])
+@pytest.mark.parametrize(
+    "module", [*LIGHT_MODULES, "tasks.physics.static", "tasks.physics.protocol"]
+)
 def test_light_modules_load_no_heavy_library(module: str) -> None:
     assert not loaded_with(module) & HEAVY
 
 
 def test_the_walk_finds_what_is_there() -> None:
-    assert "highspy" in loaded_with("physics.equilibrium")
-    assert "mujoco" in loaded_with("planning.episode")
-    assert {"torch", "numba"} <= loaded_with("learning.trainer")
+    assert "highspy" in loaded_with("tasks.physics.equilibrium")
+    assert "mujoco" in loaded_with("tasks.episode")
+    assert {"torch", "numba"} <= loaded_with("tasks.learning.trainer")
 
 
 def declared() -> set[str]:
@@ -266,11 +281,11 @@ SCRIPT = """
 import sys
 for name in sys.argv[1].split():
     sys.modules[name] = None  # as if it were not installed
-import learn2assemble.learning.run, learn2assemble.learning.trainer
-from learn2assemble.learning.config import METHODS
-from learn2assemble.graph.placements import distinct_placements
-from learn2assemble.tasks import get_task
-from learn2assemble.simulator import Simulator
+import learn2assemble.tasks.learning.run, learn2assemble.tasks.learning.trainer
+from learn2assemble.tasks.learning.config import METHODS
+from learn2assemble.tasks.graph.placements import distinct_placements
+from learn2assemble.tasks.task import get_task
+from learn2assemble.tasks.simulator import Simulator
 import numpy as np
 sim = Simulator(get_task("two-sided-3x3-20-24"))
 state = sim.new(2, np.random.default_rng(0))
@@ -300,7 +315,7 @@ def test_a_blocked_library_is_missed() -> None:
         [
             sys.executable,
             "-c",
-            "import sys; sys.modules['numba'] = None\nimport learn2assemble.simulator",
+            "import sys; sys.modules['numba'] = None\nimport learn2assemble.tasks.simulator",
         ],
         capture_output=True,
         text=True,

@@ -12,26 +12,26 @@ import numpy as np
 import pytest
 import torch
 
-from learn2assemble.evaluation.episodes import make_policy, random_policy, run_episodes
-from learn2assemble.graph.batch import to_tensors
-from learn2assemble.graph.features import node_offset
-from learn2assemble.learning.config import CONFIGS, TrainConfig, override
-from learn2assemble.learning.replay import Searched
-from learn2assemble.learning.run import run_training
-from learn2assemble.learning.trainer import (
+from learn2assemble.tasks.evaluation.episodes import make_policy, random_policy, run_episodes
+from learn2assemble.tasks.graph.batch import to_tensors
+from learn2assemble.tasks.graph.features import node_offset
+from learn2assemble.tasks.learning.config import CONFIGS, TrainConfig, override
+from learn2assemble.tasks.learning.replay import Searched
+from learn2assemble.tasks.learning.run import run_training
+from learn2assemble.tasks.learning.trainer import (
     Trainer,
     q_loss,
     search_cross_entropy,
     td_targets,
 )
-from learn2assemble.networks.config import NetworkConfig
-from learn2assemble.networks.qnetwork import QFactors
-from learn2assemble.planning.world_model import WorldModel
-from learn2assemble.search.config import training_search
-from learn2assemble.search.mcts import search
-from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import get_task
-from learn2assemble.world.state import State
+from learn2assemble.tasks.networks.config import NetworkConfig
+from learn2assemble.tasks.networks.qnetwork import QFactors
+from learn2assemble.tasks.search.config import training_search
+from learn2assemble.tasks.search.mcts import search
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.task import get_task
+from learn2assemble.tasks.world.state import State
+from learn2assemble.tasks.world_model import WorldModel
 from learning_data import RELATIONAL, SMALL, TINY, look_ahead
 
 

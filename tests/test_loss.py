@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import torch
 
-from learn2assemble.graph.batch import to_tensors
-from learn2assemble.graph.features import Graph, node_offset
-from learn2assemble.learning.config import TrainConfig
-from learn2assemble.learning.replay import Batch
-from learn2assemble.learning.trainer import dense_error, q_loss, td_targets
-from learn2assemble.networks.agent import Network
-from learn2assemble.networks.placement import PlacementValues
-from learn2assemble.networks.qnetwork import NEGATIVE, QFactors
-from learn2assemble.world.outcomes import Outcomes
+from learn2assemble.tasks.graph.batch import to_tensors
+from learn2assemble.tasks.graph.features import Graph, node_offset
+from learn2assemble.tasks.learning.config import TrainConfig
+from learn2assemble.tasks.learning.replay import Batch
+from learn2assemble.tasks.learning.trainer import dense_error, q_loss, td_targets
+from learn2assemble.tasks.networks.agent import Network
+from learn2assemble.tasks.networks.placement import PlacementValues
+from learn2assemble.tasks.networks.qnetwork import NEGATIVE, QFactors
+from learn2assemble.tasks.world.outcomes import Outcomes
 from learning_data import RELATIONAL, SMALL, TASKS, TINY, Recorded, network
 
 

@@ -20,9 +20,9 @@ from learn2assemble.assembly.blocks import Assembly, box_block
 from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.geometry.reach import inner_circle
-from learn2assemble.physics.rigid_blocks import bed_patches, margin
-from learn2assemble.planning.exact import plan_exact
-from learn2assemble.planning.ordering import to_assembly
+from learn2assemble.planning.tiling.exact import plan_exact
+from learn2assemble.planning.tiling.ordering import to_assembly
+from learn2assemble.statics.rigid_blocks import bed_patches, margin
 from test_rigid_blocks import GRAVITY, about, wrenches
 
 DATA = Path(__file__).parent / "data" / "refusals"

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.errors import InputError
-from learn2assemble.graph.batch import GraphTensors, to_tensors
-from learn2assemble.graph.features import Graph, connectivity
-from learn2assemble.networks.config import NetworkConfig
-from learn2assemble.networks.qnetwork import (
+from learn2assemble.tasks.graph.batch import GraphTensors, to_tensors
+from learn2assemble.tasks.graph.features import Graph, connectivity
+from learn2assemble.tasks.networks.config import NetworkConfig
+from learn2assemble.tasks.networks.qnetwork import (
     ROTARY,
     AttentionRound,
     QFactors,

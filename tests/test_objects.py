@@ -12,29 +12,33 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from learn2assemble.checkers import resolve_checker
+from learn2assemble.constants import EDGE, HALF
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.geometry.support import BALANCE_TOLERANCE, STABLE, UNSTABLE, classify_object
-from learn2assemble.graph.features import connectivity
-from learn2assemble.physics.equilibrium import is_stable
-from learn2assemble.physics.protocol import Verdict
-from learn2assemble.physics.rigid import RigidPhysics
-from learn2assemble.physics.static import StaticPhysics, survey_objects
-from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import PRESETS, Task, get_task
-from learn2assemble.world.blocks import (
+from learn2assemble.tasks.checkers import resolve_checker
+from learn2assemble.tasks.graph.features import connectivity
+from learn2assemble.tasks.physics.equilibrium import is_stable
+from learn2assemble.tasks.physics.protocol import Verdict
+from learn2assemble.tasks.physics.rigid import RigidPhysics
+from learn2assemble.tasks.physics.static import StaticPhysics, survey_objects
+from learn2assemble.tasks.physics.support import (
+    BALANCE_TOLERANCE,
+    STABLE,
+    UNSTABLE,
+    classify_object,
+)
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.task import PRESETS, Task, get_task
+from learn2assemble.tasks.world.blocks import (
     DIRECTIONS,
-    EDGE,
-    HALF,
     OBJECT_SETS,
     SHAPES,
     draw_objects,
     inventory,
     quarter_turn,
 )
-from learn2assemble.world.layouts import sobol, waiting_places
-from learn2assemble.world.rules import last_object, move_block, recover_all, target_cell
-from learn2assemble.world.state import State, empty_state
+from learn2assemble.tasks.world.layouts import sobol, waiting_places
+from learn2assemble.tasks.world.rules import last_object, move_block, recover_all, target_cell
+from learn2assemble.tasks.world.state import State, empty_state
 
 SEEDS = st.integers(0, 2**32 - 1)
 SEVERAL = [name for name in OBJECT_SETS if name != "cubes"]

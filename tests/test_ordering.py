@@ -10,20 +10,28 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
+from l2a_lab import shapes
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import check_overlaps, find_contacts
 from learn2assemble.assembly.kit import Kind, Kit, load_kit
 from learn2assemble.errors import InputError
-from learn2assemble.physics.rigid_blocks import solve
-from learn2assemble.planning.exact import plan_exact, stand_by_friction, uncarried_cells
-from learn2assemble.planning.ordering import LOCAL, TIGHT, Ordering, order, to_assembly, way_out
-from learn2assemble.planning.programs import Clock
-from learn2assemble.planning.props import choose_props, unsupported
-from learn2assemble.planning.retiling import mirrored
-from learn2assemble.planning.standing import find_mechanisms, region_near, tile_standing
-from learn2assemble.planning.step_proof import TOLERANCE, Proof, find_stack
-from learn2assemble.planning.tiling import BlockPlacement, Tiling, owners, placement_cells, tile
-from learn2assemble.reproduction import shapes
+from learn2assemble.linear_programs import Clock
+from learn2assemble.planning.tiling.exact import plan_exact, stand_by_friction, uncarried_cells
+from learn2assemble.planning.tiling.ordering import Ordering, order, to_assembly, way_out
+from learn2assemble.planning.tiling.props import choose_props, unsupported
+from learn2assemble.planning.tiling.retiling import mirrored
+from learn2assemble.planning.tiling.stack import find_stack
+from learn2assemble.planning.tiling.standing import find_mechanisms, region_near, tile_standing
+from learn2assemble.planning.tiling.tile import (
+    BlockPlacement,
+    Tiling,
+    owners,
+    placement_cells,
+    tile,
+)
+from learn2assemble.statics.proofs import LOCAL, TIGHT
+from learn2assemble.statics.rigid_blocks import solve
+from learn2assemble.statics.step_proof import TOLERANCE, Proof
 from test_tiling import LINTELS, SMALL, blocks_of, check_cover, covers, designs
 
 SQUARE = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / np.sqrt(2)

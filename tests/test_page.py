@@ -22,7 +22,7 @@ from learn2assemble.assembly.blocks import Assembly, Block, Step, box_block
 from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.errors import InputError
-from learn2assemble.planning.ordering import polycube
+from learn2assemble.planning.tiling.ordering import polycube
 from learn2assemble.viewer.page import render_assembly_page
 from learn2assemble.viewer.scene import side_covers
 from learn2assemble.viewer.tables import StepNote

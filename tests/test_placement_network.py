@@ -11,20 +11,21 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from learn2assemble.constants import EDGE
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.graph.batch import GraphTensors, cell_tensors, to_tensors
-from learn2assemble.graph.features import Graph
-from learn2assemble.graph.placements import MAX_CELLS, distinct_placements
-from learn2assemble.graph.relations import EDGE_FEATURES, OFFSETS
-from learn2assemble.networks.agent import fitted, make_network
-from learn2assemble.networks.config import NetworkConfig
-from learn2assemble.networks.placement import PlacementNetwork, PlacementValues
-from learn2assemble.networks.qnetwork import QNetwork
-from learn2assemble.planning.world_model import WorldModel
-from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import Task, get_task
-from learn2assemble.world.blocks import EDGE, get_action_spec
-from learn2assemble.world.state import State
+from learn2assemble.tasks.graph.batch import GraphTensors, cell_tensors, to_tensors
+from learn2assemble.tasks.graph.features import Graph
+from learn2assemble.tasks.graph.placements import MAX_CELLS, distinct_placements
+from learn2assemble.tasks.graph.relations import EDGE_FEATURES, OFFSETS
+from learn2assemble.tasks.networks.agent import fitted, make_network
+from learn2assemble.tasks.networks.config import NetworkConfig
+from learn2assemble.tasks.networks.placement import PlacementNetwork, PlacementValues
+from learn2assemble.tasks.networks.qnetwork import QNetwork
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.task import Task, get_task
+from learn2assemble.tasks.world.blocks import get_action_spec
+from learn2assemble.tasks.world.state import State
+from learn2assemble.tasks.world_model import WorldModel
 from learning_data import advance, random_actions
 from turned import turned_graph
 

@@ -9,13 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import learn2assemble.physics.static as static_module
-from learn2assemble.graph.features import Graph, node_offset
-from learn2assemble.graph.placements import action_keys, distinct_placements, locate
-from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import Task
-from learn2assemble.world.blocks import EDGE, HALF, get_action_spec
-from learn2assemble.world.state import State
+import learn2assemble.tasks.physics.static as static_module
+from learn2assemble.constants import EDGE, HALF
+from learn2assemble.tasks.graph.features import Graph, node_offset
+from learn2assemble.tasks.graph.placements import action_keys, distinct_placements, locate
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.task import Task
+from learn2assemble.tasks.world.blocks import get_action_spec
+from learn2assemble.tasks.world.state import State
 from learning_data import advance, look_ahead
 
 PITCH = 0.06

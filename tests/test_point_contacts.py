@@ -9,8 +9,8 @@ import pytest
 
 from learn2assemble.assembly.blocks import Assembly, Block, box_block
 from learn2assemble.assembly.files import read_assembly
-from learn2assemble.physics.rigid_blocks import FALLS, STANDS, UNCERTAIN, check
 from learn2assemble.planning.given import plan_assembly
+from learn2assemble.statics.rigid_blocks import FALLS, STANDS, UNCERTAIN, check
 
 DATA = Path(__file__).parent / "data" / "point_contacts"
 """Settled in MuJoCo, where they stay within 1 mm for two seconds; see settled.py."""

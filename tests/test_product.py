@@ -26,7 +26,7 @@ class Missing:
     @staticmethod
     def find_spec(name, path=None, target=None):
         if name.split('.')[0] in {'torch', 'gymnasium', 'safetensors', 'tqdm'} or (
-            laboratory and name.startswith('learn2assemble.reproduction')
+            laboratory and name.startswith('l2a_lab')
         ):
             asked.append(name)
             raise ModuleNotFoundError(f'No module named {name!r}', name=name)
@@ -67,7 +67,7 @@ for words in (
     if code or asked:
         sys.exit(f'{words} ends with {code} and has asked for {asked}')
 assert l2a.build(gate).complete
-loaded = {'torch', 'gymnasium', 'learn2assemble.reproduction'} & set(sys.modules)
+loaded = {'torch', 'gymnasium', 'l2a_lab'} & set(sys.modules)
 sys.exit(f'asked for {asked}, loaded {loaded}' if asked or loaded else None)
 """
 )
@@ -134,19 +134,9 @@ def test_every_module_loads_or_names_the_extra(tmp_path: Path) -> None:
     done = python(ALL_MODULES, *names, folder=tmp_path)
     assert done.returncode == 0, done.stderr[-2000:]
     learning = {name.split(".")[1] for name in done.stdout.split()}
-    assert learning == {
-        "graph",
-        "networks",
-        "learning",
-        "planning",
-        "evaluation",
-        "envs",
-        "reproduction",
-    }
-    planning = {name for name in done.stdout.split() if ".planning." in name}
-    assert planning == {
-        f"learn2assemble.planning.{name}" for name in ("agent.tasks", "episode", "world_model")
-    }
+    assert learning == {"tasks", "envs"}
+    wing = {name.split(".")[2] for name in done.stdout.split() if ".tasks." in name}
+    assert wing == {"graph", "networks", "learning", "evaluation", "episode", "world_model"}
 
 
 @pytest.fixture
@@ -233,14 +223,14 @@ except l2a.Learn2AssembleError as error:
 def test_the_bench_measures_the_product(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from learn2assemble.evaluation import bench
+    from learn2assemble import benchmark as bench
 
     names = ("check_s", "decision_ms", "gradient_samples_per_s", "static_single_steps_per_s")
     for name in ("torch", "gymnasium", "safetensors", "tqdm"):
         monkeypatch.setitem(sys.modules, name, None)
     for name in list(sys.modules):
         # Loaded by other tests, with what they need.
-        if name.startswith(("learn2assemble.envs", "learn2assemble.learning.trainer")):
+        if name.startswith(("learn2assemble.envs", "learn2assemble.tasks.learning.trainer")):
             monkeypatch.delitem(sys.modules, name)
     monkeypatch.setattr(bench, "MEASUREMENTS", {name: bench.MEASUREMENTS[name] for name in names})
     monkeypatch.setattr(bench, "_rate", lambda step, seconds: step() and 1.0)

@@ -10,18 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from l2a_lab import shapes
 from learn2assemble.assembly.kit import Kit, load_kit
+from learn2assemble.cell.carry_out import Workcell, carry_out
+from learn2assemble.cell.pieces import PROP_ROOM, pieces_of
+from learn2assemble.cell.workcell import Rows, way_out
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
-from learn2assemble.planning.construct import plan_cells
-from learn2assemble.planning.pieces import PROP_ROOM, pieces_of
 from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.workcell import Rows, way_out
-from learn2assemble.planning.workcell_plan import Workcell, carry_out
-from learn2assemble.reproduction import shapes
+from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.robot.arm import Arm, get_arm
-from learn2assemble.robot.dynamic.cell import DynamicCell
-from learn2assemble.robot.dynamic.cup import Load, peak_load
 from learn2assemble.robot.grasps import WAY, Attitude
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.kinematics import get_chain
@@ -29,7 +27,9 @@ from learn2assemble.robot.moves import Move, Outcome, Scene, attitudes, overload
 from learn2assemble.robot.registry import TOOLS
 from learn2assemble.robot.shape import arm_shape
 from learn2assemble.robot.tool import load_suction
-from learn2assemble.world.blocks import GRAVITY
+from learn2assemble.simulation.cell import DynamicCell
+from learn2assemble.simulation.cup import Load, peak_load
+from learn2assemble.tasks.world.blocks import GRAVITY
 
 ARMS = [get_arm(name, "suction-side", (-0.5, 0.0, 0.0, 0.0)) for name in ("panda", "ur5e")]
 TOOL = ARMS[0].suction

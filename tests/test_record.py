@@ -16,11 +16,7 @@ from hypothesis import strategies as st
 
 from arm_record import arm_record
 from learn2assemble.errors import InputError
-from learn2assemble.robot.arm import get_arm
-from learn2assemble.robot.dynamic.cell import DynamicCell
-from learn2assemble.robot.grasps import get_grasps
-from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.motion.files import (
+from learn2assemble.motion.files import (
     csv_header,
     read_record,
     record_data,
@@ -28,7 +24,7 @@ from learn2assemble.robot.motion.files import (
     write_csv,
     write_record,
 )
-from learn2assemble.robot.motion.record import (
+from learn2assemble.motion.record import (
     LOST,
     BuildRecord,
     BuildRecorder,
@@ -41,7 +37,11 @@ from learn2assemble.robot.motion.record import (
     stages_of,
     upright,
 )
+from learn2assemble.robot.arm import get_arm
+from learn2assemble.robot.grasps import get_grasps
+from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import OPENING, STAGES, Move, Outcome, Scene, Trajectory
+from learn2assemble.simulation.cell import DynamicCell
 
 
 @pytest.fixture(scope="module")

@@ -14,20 +14,26 @@ from torch import nn
 
 import learn2assemble as l2a
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.evaluation.episodes import make_policy, run_episodes
-from learn2assemble.graph.batch import GraphTensors
-from learn2assemble.graph.features import NUM_FEATURES
-from learn2assemble.learning.config import METHODS, Learner, TrainConfig, register_learner
-from learn2assemble.learning.run import run_training
-from learn2assemble.learning.trainer import Trainer, q_loss
-from learn2assemble.networks.agent import load_agent
-from learn2assemble.networks.config import NETWORKS, NetworkConfig, register_network
-from learn2assemble.networks.qnetwork import QFactors
 from learn2assemble.registry import Registry
-from learn2assemble.search.config import SEARCHES, SearchConfig, register_search
-from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import Task, register_task
-from learn2assemble.world.blocks import OBJECT_SETS, SHAPES, Shape, inventory, register_object_set
+from learn2assemble.tasks.evaluation.episodes import make_policy, run_episodes
+from learn2assemble.tasks.graph.batch import GraphTensors
+from learn2assemble.tasks.graph.features import NUM_FEATURES
+from learn2assemble.tasks.learning.config import METHODS, Learner, TrainConfig, register_learner
+from learn2assemble.tasks.learning.run import run_training
+from learn2assemble.tasks.learning.trainer import Trainer, q_loss
+from learn2assemble.tasks.networks.agent import load_agent
+from learn2assemble.tasks.networks.config import NETWORKS, NetworkConfig, register_network
+from learn2assemble.tasks.networks.qnetwork import QFactors
+from learn2assemble.tasks.search.config import SEARCHES, SearchConfig, register_search
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.task import Task, register_task
+from learn2assemble.tasks.world.blocks import (
+    OBJECT_SETS,
+    SHAPES,
+    Shape,
+    inventory,
+    register_object_set,
+)
 from learning_data import QUICK, TINY
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -8,14 +8,14 @@ import shapely
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from learn2assemble.geometry.coverage import pixel_vertex, unproject
-from learn2assemble.graph.features import Graph
-from learn2assemble.graph.placements import Placements, distinct_placements
-from learn2assemble.graph.relations import OFFSETS, REACH, WINDOW, relate
-from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import Task
-from learn2assemble.world.blocks import EDGE, HALF
-from learn2assemble.world.state import State
+from learn2assemble.constants import EDGE, HALF
+from learn2assemble.tasks.graph.features import Graph
+from learn2assemble.tasks.graph.placements import Placements, distinct_placements
+from learn2assemble.tasks.graph.relations import OFFSETS, REACH, WINDOW, relate
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.task import Task
+from learn2assemble.tasks.world.coverage import pixel_vertex, unproject
+from learn2assemble.tasks.world.state import State
 from learning_data import advance
 from turned import turned_graph
 

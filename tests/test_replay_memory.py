@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from learn2assemble.graph.features import Graph
-from learn2assemble.graph.placements import distinct_placements, locate
-from learn2assemble.learning.config import TrainConfig
-from learn2assemble.learning.replay import Batch, Replay
-from learn2assemble.learning.trainer import Trainer
-from learn2assemble.simulator import Simulator
-from learn2assemble.world.blocks import get_action_spec
-from learn2assemble.world.outcomes import Outcomes
+from learn2assemble.tasks.graph.features import Graph
+from learn2assemble.tasks.graph.placements import distinct_placements, locate
+from learn2assemble.tasks.learning.config import TrainConfig
+from learn2assemble.tasks.learning.replay import Batch, Replay
+from learn2assemble.tasks.learning.trainer import Trainer
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.world.blocks import get_action_spec
+from learn2assemble.tasks.world.outcomes import Outcomes
 from learning_data import RELATIONAL, TINY
 
 

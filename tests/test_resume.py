@@ -19,13 +19,13 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 
-import learn2assemble.learning.run as run_module
+import learn2assemble.tasks.learning.run as run_module
 from learn2assemble.errors import InputError
-from learn2assemble.graph.features import Graph
-from learn2assemble.learning.run import run_training
-from learn2assemble.learning.trainer import Trainer
-from learn2assemble.simulator import Simulator
-from learn2assemble.world.state import State
+from learn2assemble.tasks.graph.features import Graph
+from learn2assemble.tasks.learning.run import run_training
+from learn2assemble.tasks.learning.trainer import Trainer
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.world.state import State
 from learning_data import OWN, QUICK, TINY, assert_same_training, contents
 
 RESUMED: dict[str, dict[str, Any]] = {
@@ -161,9 +161,9 @@ import sys
 from pathlib import Path
 import torch
 torch.set_num_threads(1)
-import learn2assemble.learning.run as run
-from learn2assemble.learning.config import TrainConfig
-from learn2assemble.tasks import Task
+import learn2assemble.tasks.learning.run as run
+from learn2assemble.tasks.learning.config import TrainConfig
+from learn2assemble.tasks.task import Task
 run.CHECKPOINT_SECONDS = 0.2
 run.LOG_SECONDS = 0.05
 import json

@@ -10,10 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from learn2assemble.constants import EDGE, HALF, MASS
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.physics.equilibrium import is_stable
-from learn2assemble.physics.protocol import Physics, Verdict
-from learn2assemble.physics.rigid import (
+from learn2assemble.tasks.physics.equilibrium import is_stable
+from learn2assemble.tasks.physics.protocol import Physics, Verdict
+from learn2assemble.tasks.physics.rigid import (
     RULES,
     SHRINK,
     RigidPhysics,
@@ -21,11 +22,11 @@ from learn2assemble.physics.rigid import (
     compile_model,
     group_cells,
 )
-from learn2assemble.physics.static import StaticPhysics
-from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import get_task
-from learn2assemble.world.blocks import DIRECTIONS, EDGE, HALF, MASS
-from learn2assemble.world.state import State, empty_state
+from learn2assemble.tasks.physics.static import StaticPhysics
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.task import get_task
+from learn2assemble.tasks.world.blocks import DIRECTIONS
+from learn2assemble.tasks.world.state import State, empty_state
 
 SEEDS = st.integers(0, 2**32 - 1)
 ROW = np.array([0])

@@ -20,8 +20,8 @@ from learn2assemble.assembly.blocks import Assembly, Block, box_block
 from learn2assemble.assembly.contacts import Contacts, find_contacts
 from learn2assemble.assembly.files import from_json
 from learn2assemble.errors import InputError
-from learn2assemble.physics.block_forces import GRAVITY, MOST_G
-from learn2assemble.physics.rigid_blocks import (
+from learn2assemble.statics.block_forces import GRAVITY, MOST_G
+from learn2assemble.statics.rigid_blocks import (
     FALLS,
     STANDS,
     TIGHT,

@@ -25,6 +25,7 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.interpolate import BPoly, PPoly
 
 from arm_record import arm_record
+from learn2assemble.cell.site import read_site
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError, MissingExtraError, UnknownNameError
 from learn2assemble.export import PROGRAM_FORMATS
@@ -35,13 +36,8 @@ from learn2assemble.export.robot_programs import (
     replay_program,
 )
 from learn2assemble.export.urscript import BLEND, ROUND, held_centre, planned_frame
-from learn2assemble.planning.workcell_site import read_site
-from learn2assemble.robot.arm import Arm, Limits, arm_model, get_arm
-from learn2assemble.robot.dynamic.cell import DynamicCell, play
-from learn2assemble.robot.grasps import Attitude
-from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.motion.files import write_record
-from learn2assemble.robot.motion.program import (
+from learn2assemble.motion.files import write_record
+from learn2assemble.motion.program import (
     Knots,
     Program,
     driver_of,
@@ -50,9 +46,13 @@ from learn2assemble.robot.motion.program import (
     slow_down,
     usage,
 )
-from learn2assemble.robot.motion.record import BuildRecord, BuildRecorder, find_fault, upright
-from learn2assemble.robot.motion.settings import ToolOutput
+from learn2assemble.motion.record import BuildRecord, BuildRecorder, find_fault, upright
+from learn2assemble.motion.settings import ToolOutput
+from learn2assemble.robot.arm import Arm, Limits, arm_model, get_arm
+from learn2assemble.robot.grasps import Attitude
+from learn2assemble.robot.kinematics import forward, get_chain
 from learn2assemble.robot.moves import OPENING, Move, Scene
+from learn2assemble.simulation.cell import DynamicCell, play
 from robot_scenes import cell, scene
 
 ARMS = ("panda", "ur5e")

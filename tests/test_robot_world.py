@@ -14,8 +14,18 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from l2a_lab.bounds import has_bound
+from l2a_lab.restore_faults import LegacyModel
+from learn2assemble.constants import EDGE, HALF, MASS
 from learn2assemble.errors import InputError, Learn2AssembleError, UnknownNameError
-from learn2assemble.geometry.support import (
+from learn2assemble.tasks.learning.config import CONFIGS, fit_to
+from learn2assemble.tasks.learning.trainer import Trainer
+from learn2assemble.tasks.networks.agent import make_network
+from learn2assemble.tasks.physics.equilibrium import is_stable
+from learn2assemble.tasks.physics.protocol import Verdict
+from learn2assemble.tasks.physics.rigid import RigidPhysics, compile_model, object_parts
+from learn2assemble.tasks.physics.static import StaticPhysics
+from learn2assemble.tasks.physics.support import (
     BALANCE_TOLERANCE,
     FLOATING,
     STABLE,
@@ -24,38 +34,21 @@ from learn2assemble.geometry.support import (
     classify_object,
     find_fillers,
 )
-from learn2assemble.learning.config import CONFIGS, fit_to
-from learn2assemble.learning.trainer import Trainer
-from learn2assemble.networks.agent import make_network
-from learn2assemble.physics.equilibrium import is_stable
-from learn2assemble.physics.protocol import Verdict
-from learn2assemble.physics.rigid import RigidPhysics, compile_model, object_parts
-from learn2assemble.physics.static import StaticPhysics
-from learn2assemble.planning.world_model import WorldModel
-from learn2assemble.reproduction.bounds import has_bound
-from learn2assemble.reproduction.restore_faults import LegacyModel
-from learn2assemble.search.config import SearchConfig
-from learn2assemble.search.mcts import search
-from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import PRESETS, Task, get_task
-from learn2assemble.world.blocks import (
-    DIRECTIONS,
-    EDGE,
-    HALF,
-    MASS,
-    SHAPES,
-    get_action_spec,
-    quarter_turn,
-)
-from learn2assemble.world.layouts import scatter, side_frames, waiting_places
-from learn2assemble.world.rules import (
+from learn2assemble.tasks.search.config import SearchConfig
+from learn2assemble.tasks.search.mcts import search
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.task import PRESETS, Task, get_task
+from learn2assemble.tasks.world.blocks import DIRECTIONS, SHAPES, get_action_spec, quarter_turn
+from learn2assemble.tasks.world.layouts import scatter, side_frames, waiting_places
+from learn2assemble.tasks.world.rules import (
     last_object,
     move_block,
     recover_all,
     target_cell,
     waiting_level,
 )
-from learn2assemble.world.state import State, empty_state
+from learn2assemble.tasks.world.state import State, empty_state
+from learn2assemble.tasks.world_model import WorldModel
 
 SEEDS = st.integers(0, 2**32 - 1)
 ROBOTS = {name: task.replace(arm="none") for name, task in PRESETS.items() if task.has_arm}

@@ -7,12 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from learn2assemble.geometry.coverage import IMAGE_SIZE, ROWS
-from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import PRESETS, Task, get_task
-from learn2assemble.world.blocks import DIRECTIONS, EDGE, HALF, RELATIONS
-from learn2assemble.world.layouts import side_frames
-from learn2assemble.world.rules import (
+from learn2assemble.constants import EDGE, HALF
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.task import PRESETS, Task, get_task
+from learn2assemble.tasks.world.blocks import DIRECTIONS, RELATIONS
+from learn2assemble.tasks.world.coverage import IMAGE_SIZE, ROWS
+from learn2assemble.tasks.world.layouts import side_frames
+from learn2assemble.tasks.world.rules import (
     DISCRETE,
     SCALED,
     count_row,
@@ -24,7 +25,7 @@ from learn2assemble.world.rules import (
     reward_and_success,
     target_cell,
 )
-from learn2assemble.world.state import State, empty_state
+from learn2assemble.tasks.world.state import State, empty_state
 from pixel_data import from_pixels
 
 SEEDS = st.integers(0, 2**32 - 1)

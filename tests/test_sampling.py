@@ -19,19 +19,19 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from learn2assemble.geometry.coverage import paper_mask
-from learn2assemble.reproduction.recordings import waiting_objects
-from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import PRESETS, Task, get_task
-from learn2assemble.world.blocks import EDGE
-from learn2assemble.world.layouts import (
+from l2a_lab.recordings import waiting_objects
+from learn2assemble.constants import EDGE
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.task import PRESETS, Task, get_task
+from learn2assemble.tasks.world.coverage import paper_mask
+from learn2assemble.tasks.world.layouts import (
     sample_outline,
     side_frames,
     sobol,
     start_objects,
     waiting_places,
 )
-from learn2assemble.world.state import empty_state
+from learn2assemble.tasks.world.state import empty_state
 
 OURS = 1500
 LEVEL = 0.001

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.errors import InputError
-from learn2assemble.search.config import TO_THE_END, SearchConfig
-from learn2assemble.search.mcts import epsilon_greedy_expansions, final_key, search
-from learn2assemble.search.tree import ActionValues, Node
+from learn2assemble.tasks.search.config import TO_THE_END, SearchConfig
+from learn2assemble.tasks.search.mcts import epsilon_greedy_expansions, final_key, search
+from learn2assemble.tasks.search.tree import ActionValues, Node
 from search_data import (
     THREE,
     Edge,

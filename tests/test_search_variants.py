@@ -12,15 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.search.config import (
+from learn2assemble.tasks.search.config import (
     SEARCHES,
     TO_THE_END,
     GumbelConfig,
     SearchConfig,
     training_search,
 )
-from learn2assemble.search.mcts import completed_policy, final_key, gumbel_scores, search
-from learn2assemble.search.tree import Node
+from learn2assemble.tasks.search.mcts import completed_policy, final_key, gumbel_scores, search
+from learn2assemble.tasks.search.tree import Node
 from search_data import Edge, TreeModel, best_return, decide, explored, random_tree, root, size
 
 UCT = {"expansion": "uct", "prior": False, "repeats": True}

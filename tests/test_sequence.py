@@ -15,17 +15,18 @@ from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.assembly.cuts import POST
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.errors import InputError
-from learn2assemble.physics.clearance import LEVEL, Clearance, overlap, parts_of
-from learn2assemble.physics.rigid_blocks import FALLS, bed_patches, check, solve
-from learn2assemble.physics.states import State, States
+from learn2assemble.linear_programs import Clock
+from learn2assemble.planning.clearance import LEVEL, Clearance, overlap, parts_of
 from learn2assemble.planning.given import plan_assembly
-from learn2assemble.planning.laws import ByForces, ByLoads
-from learn2assemble.planning.ordering import to_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.posts import find_posts
-from learn2assemble.planning.programs import Clock
-from learn2assemble.planning.step_proof import Proof, find_stack
-from learn2assemble.planning.tiling import tile
+from learn2assemble.planning.tiling.ordering import to_assembly
+from learn2assemble.planning.tiling.stack import find_stack
+from learn2assemble.planning.tiling.tile import tile
+from learn2assemble.statics.laws import ByForces, ByLoads
+from learn2assemble.statics.rigid_blocks import FALLS, bed_patches, check, solve
+from learn2assemble.statics.states import State, States
+from learn2assemble.statics.step_proof import Proof
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "examples" / "structures"
 

@@ -15,7 +15,7 @@ import pytest
 from scipy.optimize import linprog
 
 from learn2assemble.assembly.kit import Kind, Kit, kit_names, load_kit, orientations
-from learn2assemble.planning.exact import plan_exact
+from learn2assemble.planning.tiling.exact import plan_exact
 
 INSET = 1e-3 + 1e-4
 """Share of a cell by which supports are smaller than cells: what stands here stands by a hair."""
@@ -194,7 +194,7 @@ def compare(seed: int) -> str:
 
 def check_plan(tiling, ordering, kit: Kit) -> None:
     """Exact cover, and every state in equilibrium by the program above."""
-    from learn2assemble.planning.tiling import placement_cells
+    from learn2assemble.planning.tiling.tile import placement_cells
 
     kinds = [kind.name for kind in kit.kinds]
     blocks = [

@@ -9,15 +9,16 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from learn2assemble.geometry.support import classify_cube
-from learn2assemble.physics.equilibrium import is_stable
-from learn2assemble.physics.protocol import Verdict
-from learn2assemble.physics.static import StaticPhysics, survey
-from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import get_task
-from learn2assemble.world.blocks import DIRECTIONS, EDGE, HALF
-from learn2assemble.world.rules import move_block, target_cell
-from learn2assemble.world.state import State, empty_state
+from learn2assemble.constants import EDGE, HALF
+from learn2assemble.tasks.physics.equilibrium import is_stable
+from learn2assemble.tasks.physics.protocol import Verdict
+from learn2assemble.tasks.physics.static import StaticPhysics, survey
+from learn2assemble.tasks.physics.support import classify_cube
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.task import get_task
+from learn2assemble.tasks.world.blocks import DIRECTIONS
+from learn2assemble.tasks.world.rules import move_block, target_cell
+from learn2assemble.tasks.world.state import State, empty_state
 
 SEEDS = st.integers(0, 2**32 - 1)
 TOLERANCE = 2e-3

@@ -16,7 +16,7 @@ import pytest
 import learn2assemble as l2a
 from learn2assemble.assembly.contacts import check_overlaps, find_contacts
 from learn2assemble.errors import InputError
-from learn2assemble.physics.rigid_blocks import FALLS, STANDS
+from learn2assemble.statics.rigid_blocks import FALLS, STANDS
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "examples" / "structures"
 

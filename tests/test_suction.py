@@ -14,16 +14,11 @@ import pytest
 
 import learn2assemble as l2a
 from learn2assemble.errors import InputError
+from learn2assemble.motion.record import holding
 from learn2assemble.robot.arm import Arm, get_arm
-from learn2assemble.robot.dynamic.cell import DynamicCell
-from learn2assemble.robot.dynamic.cup import Load, Vacuum, peak_load
-from learn2assemble.robot.dynamic.model import free_cells, take_order
-from learn2assemble.robot.dynamic.prepare import Failure, WorldChecker, prepare
-from learn2assemble.robot.dynamic.simulation import Simulation
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.kinematics import get_chain
-from learn2assemble.robot.motion.record import holding
 from learn2assemble.robot.moves import (
     IMMOVABLE,
     STAGES,
@@ -36,7 +31,12 @@ from learn2assemble.robot.moves import (
 from learn2assemble.robot.registry import TOOLS
 from learn2assemble.robot.shape import arm_shape
 from learn2assemble.robot.tool import load_suction
-from learn2assemble.world.blocks import GRAVITY
+from learn2assemble.simulation.cell import DynamicCell
+from learn2assemble.simulation.cup import Load, Vacuum, peak_load
+from learn2assemble.simulation.model import free_cells, take_order
+from learn2assemble.simulation.prepare import Failure, WorldChecker, prepare
+from learn2assemble.simulation.simulation import Simulation
+from learn2assemble.tasks.world.blocks import GRAVITY
 from suction_moves import random_moves
 
 PANDA, UR5E = get_arm("panda", "suction"), get_arm("ur5e", "suction")
@@ -146,7 +146,7 @@ def held(mass: float, half: np.ndarray = BRICK, off: float = 0.0) -> Simulation:
 
 
 def tell(sim: Simulation, command: float, seconds: float) -> None:
-    from learn2assemble.robot.dynamic.execution import BLIND
+    from learn2assemble.simulation.execution import BLIND
 
     with suppress(Failure):  # what holds it may let go
         sim.squeeze(np.full(round(seconds / 0.002), command), "cross", BLIND)
@@ -198,7 +198,7 @@ def test_a_block_is_pulled_off_at_its_limit(
     else:
         assert "pulled off by" in cup.lost
         # It is told so, whatever is looked for.
-        from learn2assemble.robot.dynamic.execution import BLIND
+        from learn2assemble.simulation.execution import BLIND
 
         with pytest.raises(Failure) as told:
             sim.wait(10, "cross", BLIND)
@@ -456,7 +456,7 @@ def test_a_heavy_lintel_is_moved_so_that_it_does_not_slip(
             super().__init__(*given)
             cups.append(self)
 
-    monkeypatch.setattr("learn2assemble.robot.dynamic.simulation.Vacuum", Watched)
+    monkeypatch.setattr("learn2assemble.simulation.simulation.Vacuum", Watched)
     half = np.array([0.2, 0.05, 0.025])
     world = Scene(np.array([[0.1, -0.3, 0.025]]), np.zeros(1), np.arange(1), 0, half[None])
     grasp = attitudes(PANDA, half)[0]

@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw
 
 from headless import find_browser
 from learn2assemble.design.lattice import HALF, shares
-from learn2assemble.design.svg import read_svg
+from learn2assemble.design.svg.walk import read_svg
 from svg_drawings import DRAWINGS, SIZE, recorded, shown_by
 
 CELLS = 16

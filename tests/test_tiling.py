@@ -11,12 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from l2a_lab import shapes
 from learn2assemble.assembly.kit import Kind, Kit, load_kit, orientations
 from learn2assemble.errors import InputError, Learn2AssembleError
-from learn2assemble.planning import retiling
-from learn2assemble.planning.programs import Clock, Program, solve
-from learn2assemble.planning.retiling import improve_bond
-from learn2assemble.planning.tiling import (
+from learn2assemble.linear_programs import Clock, Program, solve
+from learn2assemble.planning.tiling import retiling
+from learn2assemble.planning.tiling.retiling import improve_bond
+from learn2assemble.planning.tiling.tile import (
     COSTS,
     BlockPlacement,
     Tiling,
@@ -28,7 +29,6 @@ from learn2assemble.planning.tiling import (
     support_margin,
     tile,
 )
-from learn2assemble.reproduction import shapes
 
 LINTELS = load_kit("bricks-lintels")
 SMALL = Kit("small", tuple(Kind(f"1x{n}", tuple((k, 0, 0) for k in range(n))) for n in (1, 2, 3)))

@@ -11,15 +11,15 @@ import pytest
 import torch
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.graph.batch import to_tensors
-from learn2assemble.graph.features import node_offset
-from learn2assemble.learning.config import CONFIGS, TrainConfig, fit_to, override
-from learn2assemble.learning.run import choose_device, train
-from learn2assemble.learning.trainer import Trainer, epsilon_greedy
-from learn2assemble.networks.config import NetworkConfig
-from learn2assemble.planning.world_model import WorldModel
-from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import get_task
+from learn2assemble.tasks.graph.batch import to_tensors
+from learn2assemble.tasks.graph.features import node_offset
+from learn2assemble.tasks.learning.config import CONFIGS, TrainConfig, fit_to, override
+from learn2assemble.tasks.learning.run import choose_device, train
+from learn2assemble.tasks.learning.trainer import Trainer, epsilon_greedy
+from learn2assemble.tasks.networks.config import NetworkConfig
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.task import get_task
+from learn2assemble.tasks.world_model import WorldModel
 from learning_data import RELATIONAL, SMALL, TINY, network
 
 

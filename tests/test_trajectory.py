@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 
 from learn2assemble.errors import InputError
 from learn2assemble.robot.arm import Limits
-from learn2assemble.robot.dynamic.trajectory import (
-    JointPath,
+from learn2assemble.robot.joint_path import JointPath, joint_path
+from learn2assemble.simulation.trajectory import (
     PathLimits,
     Segment,
-    joint_path,
     limits_along,
     motion,
     reachable_speed,
@@ -160,9 +159,9 @@ def test_without_ruckig_the_extra_is_named() -> None:
             "-c",
             "import sys; sys.modules['ruckig'] = None\n"
             "from learn2assemble.robot.arm import get_arm\n"
-            "from learn2assemble.robot.dynamic.cell import DynamicCell\n"
-            "import learn2assemble.evaluation.bench, learn2assemble.cli.commands\n"
-            "import learn2assemble.planning.episode\n"
+            "from learn2assemble.simulation.cell import DynamicCell\n"
+            "import learn2assemble.benchmark, learn2assemble.cli.commands\n"
+            "import learn2assemble.tasks.episode\n"
             "print('imported')\nDynamicCell(get_arm('panda'))",
         ],
         capture_output=True,

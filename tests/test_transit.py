@@ -18,8 +18,13 @@ from learn2assemble.robot.approach import (
     tool_path,
 )
 from learn2assemble.robot.arm import Arm, get_arm
-from learn2assemble.robot.dynamic.model import compile_world, take_order
-from learn2assemble.robot.dynamic.prepare import (
+from learn2assemble.robot.grasps import Attitude, get_grasps
+from learn2assemble.robot.inverse import solve
+from learn2assemble.robot.kinematic import Collision
+from learn2assemble.robot.kinematics import forward, get_chain
+from learn2assemble.robot.moves import OPENING, Move, Scene
+from learn2assemble.simulation.model import compile_world, take_order
+from learn2assemble.simulation.prepare import (
     KEEP,
     PRESS,
     STRIDE,
@@ -28,11 +33,6 @@ from learn2assemble.robot.dynamic.prepare import (
     prepare,
     straight_or_tree,
 )
-from learn2assemble.robot.grasps import Attitude, get_grasps
-from learn2assemble.robot.inverse import solve
-from learn2assemble.robot.kinematic import Collision
-from learn2assemble.robot.kinematics import forward, get_chain
-from learn2assemble.robot.moves import OPENING, Move, Scene
 
 PANDA = get_arm("panda")
 AA = get_grasps("along-y")[0]
@@ -233,7 +233,7 @@ def test_where_no_way_is_free_the_target_is_unreachable(monkeypatch: pytest.Monk
     def nowhere(*_: object) -> Collision:
         return Collision("link5", "block 0", True)
 
-    monkeypatch.setattr("learn2assemble.robot.dynamic.prepare.straight_or_tree", nowhere)
+    monkeypatch.setattr("learn2assemble.simulation.prepare.straight_or_tree", nowhere)
     order = take_order(tower(1), Move(1, np.array([0.0, 0.15, 0.025]), *AA))
     world = compile_world(PANDA, order.objects.shape, 1.0)
     with pytest.raises(Failure, match=r"unreachable \(cross\): no free way: link5 touches"):

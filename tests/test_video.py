@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from arm_record import arm_plan, arm_record
 from learn2assemble.cli import main
 from learn2assemble.errors import InputError, MissingExtraError
+from learn2assemble.motion.files import write_record
 from learn2assemble.planning.plan import ArmReport, Plan
-from learn2assemble.robot.motion.files import write_record
 from learn2assemble.robot.shape import box
 from learn2assemble.viewer.renderer import (
     GROUND,

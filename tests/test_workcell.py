@@ -14,26 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import learn2assemble as l2a
+from l2a_lab.shapes import wall
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.kit import Kit, load_kit
-from learn2assemble.design.cells import CellDesign
-from learn2assemble.errors import InputError
-from learn2assemble.export.robot_programs import export_program
-from learn2assemble.geometry.rotations import yaw_quaternion
-from learn2assemble.planning.construct import plan_cells
-from learn2assemble.planning.ordering import BED, polycube
-from learn2assemble.planning.pieces import QUARTER, Piece, Pose, footprint, pieces_of
-from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.workcell import (
-    STANDING,
-    Disturbance,
-    Structure,
-    World,
-    frame_of,
-    rows_of,
-)
-from learn2assemble.planning.workcell_plan import Workcell, carry_out, job_of, prepare
-from learn2assemble.planning.workcell_site import (
+from learn2assemble.cell.carry_out import Workcell, carry_out, job_of, prepare
+from learn2assemble.cell.pieces import QUARTER, Piece, Pose, footprint, pieces_of
+from learn2assemble.cell.site import (
     Magazine,
     Obstacle,
     Pallet,
@@ -41,9 +27,24 @@ from learn2assemble.planning.workcell_site import (
     Site,
     read_site,
 )
-from learn2assemble.planning.workcell_state import area
-from learn2assemble.reproduction.shapes import wall
-from learn2assemble.robot.motion.record import find_fault
+from learn2assemble.cell.state import area
+from learn2assemble.cell.workcell import (
+    STANDING,
+    Disturbance,
+    Structure,
+    World,
+    frame_of,
+    rows_of,
+)
+from learn2assemble.design.cells import CellDesign
+from learn2assemble.errors import InputError
+from learn2assemble.export.robot_programs import export_program
+from learn2assemble.geometry.rotations import yaw_quaternion
+from learn2assemble.motion.record import find_fault
+from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.planning.tiling.ordering import polycube
+from learn2assemble.statics.proofs import BED
 
 ROOT = Path(__file__).resolve().parents[1]
 KIT = dataclasses.replace(load_kit("bricks-lintels"), pitch=(0.04, 0.04, 0.04))

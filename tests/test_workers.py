@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from learn2assemble.errors import InputError, MissingExtraError, UnknownNameError
-from learn2assemble.learning.run import train_seeds
+from learn2assemble.tasks.learning.run import train_seeds
 from learn2assemble.workers import MAX_DEATHS, WorkerError, run_all
 
 

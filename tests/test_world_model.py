@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 import torch
 
-from learn2assemble.graph.features import node_offset
-from learn2assemble.networks.agent import make_network
-from learn2assemble.networks.config import NetworkConfig
-from learn2assemble.networks.qnetwork import QNetwork
-from learn2assemble.planning.world_model import WorldModel
-from learn2assemble.reproduction.restore_faults import LegacyModel
-from learn2assemble.search.config import TO_THE_END, SearchConfig
-from learn2assemble.search.mcts import search
-from learn2assemble.simulator import Simulator
-from learn2assemble.tasks import Task
-from learn2assemble.world.state import State
+from l2a_lab.restore_faults import LegacyModel
+from learn2assemble.tasks.graph.features import node_offset
+from learn2assemble.tasks.networks.agent import make_network
+from learn2assemble.tasks.networks.config import NetworkConfig
+from learn2assemble.tasks.networks.qnetwork import QNetwork
+from learn2assemble.tasks.search.config import TO_THE_END, SearchConfig
+from learn2assemble.tasks.search.mcts import search
+from learn2assemble.tasks.simulator import Simulator
+from learn2assemble.tasks.task import Task
+from learn2assemble.tasks.world.state import State
+from learn2assemble.tasks.world_model import WorldModel
 from learning_data import advance, look_ahead
 
 torch.set_num_threads(1)
@@ -274,7 +274,7 @@ def test_parts_of_a_forward_pass_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     """More graphs than one part holds give the values of a single pass."""
     model, state = walls(TINY.replace(num_sides=2, num_nodes=20, grid=3), 30)
     whole = [model.best(state)[0], *[v.values for v in model.action_values(state)]]
-    monkeypatch.setattr("learn2assemble.planning.world_model.PART", 7)
+    monkeypatch.setattr("learn2assemble.tasks.world_model.PART", 7)
     parts = [model.best(state)[0], *[v.values for v in model.action_values(state)]]
     for mine, theirs in zip(whole, parts, strict=True):
         np.testing.assert_allclose(mine, theirs, atol=1e-5)
@@ -303,7 +303,7 @@ def test_values_are_kept(encoder: str, monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(values(model, [3, 25, 19]), expected, atol=1e-5)
     np.testing.assert_allclose(values(model, [3, 25, 19]), expected, atol=1e-5)
     assert calls == [1], "only the one that is new"
-    monkeypatch.setattr("learn2assemble.planning.world_model.MEMORY", 2)
+    monkeypatch.setattr("learn2assemble.tasks.world_model.MEMORY", 2)
     values(model, [25])
     values(model, [25, 3])
     assert calls == [1, 1], "the latest are kept"

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from learn2assemble.graph.features import Graph
-from learn2assemble.world.blocks import EDGE
+from learn2assemble.constants import EDGE
+from learn2assemble.tasks.graph.features import Graph
 
 _MIDDLE = {2: EDGE / 2, 4: EDGE}
 _NEXT = {2: {0: 1, 1: 0}, 4: {0: 2, 2: 1, 1: 3, 3: 0}}

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 import learn2assemble as l2a
-from learn2assemble.physics import scene
+from learn2assemble.robot import scene
 
 FRICTION = 0.8
 DENSITY = 2500.0

@@ -17,30 +17,30 @@ if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Step as AssemblyStep
     from learn2assemble.assembly.files import read_assembly, write_assembly
     from learn2assemble.assembly.kit import Kind, Kit, load_kit
+    from learn2assemble.cell.site import Site
     from learn2assemble.design.cells import CellDesign
     from learn2assemble.design.cells import read_design as load_design
     from learn2assemble.design.goals import Goals
     from learn2assemble.design.goals import read_goals as load_goals
     from learn2assemble.envs.assembly import AssemblyEnv, AssemblyVectorEnv
     from learn2assemble.errors import InputError, Learn2AssembleError
-    from learn2assemble.evaluation.episodes import Evaluation, evaluate
     from learn2assemble.export.formats import export_assembly
     from learn2assemble.export.robot_programs import export_program, replay_program
-    from learn2assemble.learning.config import Learner, TrainConfig, register_learner
-    from learn2assemble.learning.run import TrainingRun, train
-    from learn2assemble.networks.agent import Agent, load_agent
-    from learn2assemble.networks.config import NetworkConfig, register_network
-    from learn2assemble.physics.rigid_blocks import Check, check
-    from learn2assemble.planning.build import build, reach
+    from learn2assemble.jobs.build import build, reach
     from learn2assemble.planning.plan import Plan, Step, load_plan
-    from learn2assemble.planning.workcell_site import Site
     from learn2assemble.robot.arm import get_arm
     from learn2assemble.robot.registry import register_arm, register_tool
-    from learn2assemble.search.config import SearchConfig, register_search
-    from learn2assemble.simulator import Simulator
-    from learn2assemble.tasks import Task, get_task, register_task
+    from learn2assemble.statics.rigid_blocks import Check, check
+    from learn2assemble.tasks.evaluation.episodes import Evaluation, evaluate
+    from learn2assemble.tasks.learning.config import Learner, TrainConfig, register_learner
+    from learn2assemble.tasks.learning.run import TrainingRun, train
+    from learn2assemble.tasks.networks.agent import Agent, load_agent
+    from learn2assemble.tasks.networks.config import NetworkConfig, register_network
+    from learn2assemble.tasks.search.config import SearchConfig, register_search
+    from learn2assemble.tasks.simulator import Simulator
+    from learn2assemble.tasks.task import Task, get_task, register_task
+    from learn2assemble.tasks.world.blocks import Shape, register_object_set
     from learn2assemble.viewer.preview import preview
-    from learn2assemble.world.blocks import Shape, register_object_set
 
 __version__ = "0.1.0"
 
@@ -52,24 +52,24 @@ _HOME = {
     "design.goals": "Goals load_goals=read_goals",
     "envs.assembly": "AssemblyEnv AssemblyVectorEnv",
     "errors": "InputError Learn2AssembleError",
-    "evaluation.episodes": "Evaluation evaluate",
+    "tasks.evaluation.episodes": "Evaluation evaluate",
     "export.formats": "export_assembly",
     "export.robot_programs": "export_program replay_program",
-    "learning.config": "Learner TrainConfig register_learner",
-    "learning.run": "TrainingRun train",
-    "networks.agent": "Agent load_agent",
-    "networks.config": "NetworkConfig register_network",
-    "physics.rigid_blocks": "Check check",
-    "planning.build": "build reach",
+    "tasks.learning.config": "Learner TrainConfig register_learner",
+    "tasks.learning.run": "TrainingRun train",
+    "tasks.networks.agent": "Agent load_agent",
+    "tasks.networks.config": "NetworkConfig register_network",
+    "statics.rigid_blocks": "Check check",
+    "jobs.build": "build reach",
     "planning.plan": "Plan Step load_plan",
-    "planning.workcell_site": "Site",
+    "cell.site": "Site",
     "robot.arm": "get_arm",
     "robot.registry": "register_arm register_tool",
-    "search.config": "SearchConfig register_search",
-    "simulator": "Simulator",
-    "tasks": "Task get_task register_task",
+    "tasks.search.config": "SearchConfig register_search",
+    "tasks.simulator": "Simulator",
+    "tasks.task": "Task get_task register_task",
     "viewer.preview": "preview",
-    "world.blocks": "Shape register_object_set",
+    "tasks.world.blocks": "Shape register_object_set",
 }
 """The public names of every module; with its name there where that is another one."""
 _PLACES = {
@@ -148,6 +148,6 @@ def __dir__() -> list[str]:
     return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
 
 
-add_plugin("learn2assemble.reproduction", "physics", "search model")
+add_plugin("l2a_lab", "physics", "search model", optional=True)
 add_plugin("learn2assemble.viewer", "export")
 add_plugin("learn2assemble.export", "export")

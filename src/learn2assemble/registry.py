@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
@@ -15,14 +15,21 @@ _PLAIN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 PLAIN_NAME = "a word of letters, digits, '.', '_' and '-'"
 _plugins: dict[str, list[str]] = {}
 """Modules that add values of a kind, and are not imported yet."""
+_optional: set[str] = set()
+"""Those of distributions that may be missing."""
 
 
-def add_plugin(module: str, *kinds: str) -> None:
+def add_plugin(module: str, *kinds: str, optional: bool = False) -> None:
     """Name a module whose ``register_KIND(table)`` adds values to the tables of these kinds.
 
     It is imported only when a name is needed that its table does not hold yet, after those that
     were named before it, or when all names are listed.
+
+    Args:
+        optional: of a distribution that may be missing, which adds nothing then.
     """
+    if optional:
+        _optional.add(module)
     for kind in kinds:
         _plugins.setdefault(kind, []).append(module)
 
@@ -76,7 +83,9 @@ class Registry(Mapping[str, T]):
         self._loading = True
         try:
             register = f"register_{self.kind.replace(' ', '_')}"
-            getattr(importlib.import_module(modules.pop(0)), register)(self)
+            module = modules.pop(0)
+            if module not in _optional or importlib.util.find_spec(module.partition(".")[0]):
+                getattr(importlib.import_module(module), register)(self)
         finally:
             self._loading = False
         return True

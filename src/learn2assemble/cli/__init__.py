@@ -14,13 +14,13 @@ from types import FrameType
 from typing import Any
 
 from learn2assemble.cli.output import Heartbeat, Output
-from learn2assemble.cli.parser import make_parser
+from learn2assemble.cli.parser import L2A, Program, make_parser
 from learn2assemble.errors import InputError, Learn2AssembleError, one_line, require
 from learn2assemble.files import printable
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit code.
+def main(arguments: Sequence[str] | None = None, program: Program = L2A) -> int:
+    """Run one command of a program; returns the exit code.
 
     0: done. 1: the answer is no: a plan that is incomplete or refused (``build``), blocks that fall
     (``check``) or are out of reach (``reach``), another structure (``replay-trajectory``). 2: bad
@@ -33,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         words = sys.argv[1:] if arguments is None else arguments
         _check_words(words)
-        options = make_parser(words).parse_args(words)
+        options = make_parser(words, program).parse_args(words)
         # From here on an interrupt lets the command tidy up.
         sys.unraisablehook = partial(_unraisable, report)
         signal.signal(signal.SIGINT, _interrupt)
@@ -45,10 +45,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return code
     except InputError as error:
-        sys.stderr.write(f"l2a: error: {' '.join(error.for_command_line().split())}\n")
+        sys.stderr.write(f"{program.name}: error: {' '.join(error.for_command_line().split())}\n")
         return 2
     except Learn2AssembleError as error:
-        sys.stderr.write(f"l2a: error: {one_line(error)}\n")
+        sys.stderr.write(f"{program.name}: error: {one_line(error)}\n")
         return 2
     except BrokenPipeError:
         # The reader of our output has left; there is nobody to tell.
@@ -60,11 +60,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         name, reason = error.filename or "output", error.strerror or type(error).__name__
         expected = f"a file that can be read or written ({reason})"
         where = InputError("file", printable(os.fsdecode(name)), expected)
-        sys.stderr.write(f"l2a: error: {one_line(where)}\n")
+        sys.stderr.write(f"{program.name}: error: {one_line(where)}\n")
         _drop_output()
         return 2
     except KeyboardInterrupt:
-        sys.stderr.write("l2a: interrupted\n")
+        sys.stderr.write(f"{program.name}: interrupted\n")
         return 130
     finally:
         sys.unraisablehook = report

@@ -7,7 +7,6 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from learn2assemble.cli.builders import COMMANDS as BUILDERS
 from learn2assemble.cli.output import check_new_file, write_result
 from learn2assemble.cli.parser import (
     Command,
@@ -35,7 +34,7 @@ from learn2assemble.errors import InputError, MissingExtraError, require
 from learn2assemble.files import check_exists, claim_folder, to_plain
 from learn2assemble.registry import Registry
 from learn2assemble.robot.registry import ARMS
-from learn2assemble.search.config import SEARCHES, TO_THE_END
+from learn2assemble.tasks.search.config import SEARCHES, TO_THE_END
 
 if TYPE_CHECKING:
     from learn2assemble.cli.output import Output
@@ -47,7 +46,7 @@ AGENT_HELP = "shipped agent, .safetensors or run folder"
 
 def register_command(commands: Registry[Command]) -> None:
     """Add the commands of the product."""
-    for name, made in {**_COMMANDS, **STRUCTURES, **BUILDERS}.items():
+    for name, made in {**_COMMANDS, **STRUCTURES}.items():
         commands.register(name, made)
 
 
@@ -170,7 +169,7 @@ def _build(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 for a complete plan, 1 for an incomplete or refused one."""
     if options.preview is not None:
         return _preview(options, output)
-    from learn2assemble.planning.build import build, builds_with_arm, is_task
+    from learn2assemble.jobs.build import build, builds_with_arm, is_task
 
     with_arm, task = builds_with_arm(options.design, options.arm), is_task(options.design)
     video = options.video and with_arm
@@ -207,7 +206,7 @@ def _build(options: argparse.Namespace, output: Output) -> int:
 
 def _resume_finished(options: argparse.Namespace, output: Output) -> int:
     """What ``--resume`` does where nothing is left to do: say so."""
-    from learn2assemble.planning.build import is_task
+    from learn2assemble.jobs.build import is_task
     from learn2assemble.planning.plan import Plan
 
     file = options.out / "plan.json"
@@ -394,7 +393,7 @@ _TRAIN = (
     learns=True,
 )
 def _train(options: argparse.Namespace, output: Output) -> None:
-    from learn2assemble.learning.run import train, train_seeds
+    from learn2assemble.tasks.learning.run import train, train_seeds
 
     chosen = {name: getattr(options, name) for name in _TRAIN} | {"settings": options.set}
     if options.seeds is not None:
@@ -489,8 +488,8 @@ def _rollout(text: str) -> int:
 def _evaluate(options: argparse.Namespace, output: Output) -> None:
     from tqdm import tqdm
 
-    from learn2assemble.evaluation.episodes import SEARCH_MODELS, evaluate
-    from learn2assemble.tasks import get_task
+    from learn2assemble.tasks.evaluation.episodes import SEARCH_MODELS, evaluate
+    from learn2assemble.tasks.task import get_task
 
     task = get_task(options.task, options.arm)
     check_new_file(options.out)
@@ -523,7 +522,7 @@ def _evaluate(options: argparse.Namespace, output: Output) -> None:
     arg("--seconds", type=positive, default=2.0, help="per measurement"),
 )
 def _bench(options: argparse.Namespace, output: Output) -> None:
-    from learn2assemble.evaluation.bench import MEASUREMENTS, machine
+    from learn2assemble.benchmark import MEASUREMENTS, machine
 
     results: dict[str, float] = {}
     left: dict[str, list[str]] = {}
@@ -542,8 +541,8 @@ def _bench(options: argparse.Namespace, output: Output) -> None:
 
 @command(_COMMANDS, "tasks", "list the tasks and their agents", "l2a tasks", learns=True)
 def _tasks(options: argparse.Namespace, output: Output) -> None:
-    from learn2assemble.networks.agent import agent_files, agent_info
-    from learn2assemble.tasks import DESIGN_TASKS, GOAL_TASKS, PRESETS
+    from learn2assemble.tasks.networks.agent import agent_files, agent_info
+    from learn2assemble.tasks.task import DESIGN_TASKS, GOAL_TASKS, PRESETS
 
     agents: dict[str, list[str]] = {}
     for name in agent_files():

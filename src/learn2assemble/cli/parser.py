@@ -6,7 +6,7 @@ import argparse
 import difflib
 import math
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, cast
@@ -42,7 +42,7 @@ Adder = Callable[[argparse.ArgumentParser], object]
 COMMANDS: Registry[Command] = Registry("command", {})
 """Every command by name, in the order of the help."""
 add_plugin("learn2assemble.cli.commands", "command")
-add_plugin("learn2assemble.reproduction.commands", "command")
+add_plugin("l2a_lab.commands", "command", optional=True)
 
 
 def arg(*names: str, **options: Any) -> Adder:
@@ -236,23 +236,43 @@ def workers_arguments(parser: argparse.ArgumentParser, what: str) -> None:
     )
 
 
-def make_parser(words: Sequence[str] = ()) -> argparse.ArgumentParser:
-    """The parser of ``l2a`` and its commands; ``options.run`` is the command chosen.
+@dataclass(frozen=True)
+class Program:
+    """A program of the command line."""
+
+    name: str
+    description: str
+    example: str
+    commands: Mapping[str, Command]
+
+
+L2A = Program(
+    "l2a",
+    "From a target design to a verified build plan.",
+    "l2a build examples/designs/gabled_house.json --out out/house",
+    COMMANDS,
+)
+
+
+def make_parser(words: Sequence[str] = (), program: Program = L2A) -> argparse.ArgumentParser:
+    """The parser of a program and its commands; ``options.run`` is the command chosen.
 
     Args:
         words: what will be parsed: a command that is named first is the only one, so that a build
-            does not load the commands of the reproduction.
+            does not load the commands of the laboratory.
+        program: whose.
     """
-    names = words[:1] if words and words[0] in COMMANDS else COMMANDS
+    table = program.commands
+    names = words[:1] if words and words[0] in table else table
     parser = _Parser(
-        prog="l2a",
-        description="From a target design to a verified build plan.",
-        epilog="example: l2a build examples/designs/gabled_house.json --out out/house",
+        prog=program.name,
+        description=program.description,
+        epilog=f"example: {program.example}",
     )
     parser.add_argument("--version", action="version", version=f"learn2assemble {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True, parser_class=_Parser)
     for name in names:
-        command = COMMANDS[name]
+        command = table[name]
         added = commands.add_parser(
             name, help=command.help, description=command.help, epilog=f"example: {command.example}"
         )

@@ -64,7 +64,7 @@ def _write_page(
 )
 def _reach(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where everything is within reach, else 1."""
-    from learn2assemble.planning.build import reach
+    from learn2assemble.jobs.build import reach
 
     with _claimed(options.out):
         found = reach(
@@ -137,7 +137,7 @@ def _reach(options: argparse.Namespace, output: Output) -> int:
 def _check(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where it stands, if only with tight joints, else 1."""
     from learn2assemble.assembly.files import read_assembly
-    from learn2assemble.physics.rigid_blocks import check
+    from learn2assemble.statics.rigid_blocks import check
 
     with _claimed(options.out):
         assembly = read_assembly(options.file, unit=options.unit)
@@ -257,7 +257,7 @@ def _export_program(options: argparse.Namespace, output: Output) -> None:
 def _replay(options: argparse.Namespace, output: Output) -> int:
     """Exit code 0 where the same structure results, and 1 where it does not."""
     from learn2assemble.export.robot_programs import replay_program
-    from learn2assemble.robot.dynamic.cell import SAME
+    from learn2assemble.simulation.cell import SAME
 
     done = replay_program(options.file, options.arm)
     worst = int(done.error.argmax())

@@ -29,7 +29,7 @@ from learn2assemble.design.reading import (
     check_length,
 )
 from learn2assemble.design.solids import Solid, Voxels
-from learn2assemble.design.svg import read_svg
+from learn2assemble.design.svg.walk import read_svg
 from learn2assemble.errors import InputError, Remedy, check_fields, is_number
 from learn2assemble.files import as_path, read_bytes
 

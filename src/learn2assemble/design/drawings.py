@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 SIDES = ("front", "back", "right", "left")
 """Names of sides, in the order in which the elevations of a JSON design stand and in that of
-:func:`learn2assemble.world.layouts.side_frames`."""
+:func:`learn2assemble.tasks.world.layouts.side_frames`."""
 MAX_ENTITIES = 3000
 """Most entities of a drawing, references expanded."""
 MAX_PAINTS = 300

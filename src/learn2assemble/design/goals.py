@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from learn2assemble.assembly.kit import DEFAULT_KIT, MAX_COUNT, Cell, Kit, load_kit
+from learn2assemble.constants import GRAVITY
 from learn2assemble.design.drawings import check_line
 from learn2assemble.design.lattice import MAX_CELLS
 from learn2assemble.errors import InputError, look_up
@@ -30,8 +31,6 @@ from learn2assemble.files import (
 )
 
 FORMAT, VERSION = "learn2assemble-goals", 1
-GRAVITY = 9.81
-"""[m/s²]; the mass of a load given as a force is counted with it."""
 MAX_GOALS, MAX_LOADS = 64, 5
 _HEAD = ("format", "version", "units", "heap")
 _GRAIN = 1e-3

@@ -1,6 +1,6 @@
 """Gymnasium environments: single and native vectorised, registered over the tasks.
 
-Thin skins over :class:`learn2assemble.simulator.Simulator`: no rule of the world lives here.
+Thin skins over :class:`learn2assemble.tasks.simulator.Simulator`: no rule of the world lives here.
 Importing this package only registers ``learn2assemble/<task>-v0``; the environments load when one
 is made. It needs the extra ``learn``.
 
@@ -15,7 +15,7 @@ from typing import Any
 
 from learn2assemble.errors import extra
 from learn2assemble.registry import Registry
-from learn2assemble.tasks import DESIGN_TASKS, GOAL_TASKS, PRESETS, get_task
+from learn2assemble.tasks.task import DESIGN_TASKS, GOAL_TASKS, PRESETS, get_task
 
 with extra("gymnasium", "learn"):
     import gymnasium

@@ -21,8 +21,13 @@ from gymnasium.vector.utils import batch_space
 from numba import njit
 from numpy.typing import ArrayLike
 
+from learn2assemble.constants import EDGE, HALF
 from learn2assemble.errors import InputError, UnknownNameError, is_whole
-from learn2assemble.geometry.coverage import (
+from learn2assemble.tasks.graph.features import NUM_FEATURES, POSITION
+from learn2assemble.tasks.physics.protocol import Physics, Verdict
+from learn2assemble.tasks.simulator import Simulator, Transition
+from learn2assemble.tasks.task import Task, get_task
+from learn2assemble.tasks.world.coverage import (
     HALF_EXTENT,
     IMAGE_SIZE,
     NARROW,
@@ -33,12 +38,7 @@ from learn2assemble.geometry.coverage import (
     project,
     to_pixels,
 )
-from learn2assemble.graph.features import NUM_FEATURES, POSITION
-from learn2assemble.physics.protocol import Physics, Verdict
-from learn2assemble.simulator import Simulator, Transition
-from learn2assemble.tasks import Task, get_task
-from learn2assemble.world.blocks import EDGE, HALF
-from learn2assemble.world.state import State
+from learn2assemble.tasks.world.state import State
 
 WAITING_REACH = 1.25
 """No waiting block and no target is farther from the origin than this along an axis [m]."""
@@ -57,7 +57,8 @@ def num_flat_actions(task: Task) -> int:
 
 
 def observation_space(task: Task) -> spaces.Dict:
-    """The graph of one world; :func:`learn2assemble.graph.features.connectivity` needs no more.
+    """The graph of one world; :func:`learn2assemble.tasks.graph.features.connectivity` needs no
+    more.
 
     ``nodes`` float32[N, 5]: x, y, z [m, world], placed and target flag (+-1). ``object_id``
     int32[N]: object number; -1 - s for vertices of side s. ``num_targets``, ``num_placed``,
@@ -365,7 +366,7 @@ class AssemblyEnv(_Worlds, gymnasium.Env[dict[str, Any], np.int64]):
     ``info``: ``action_masks`` int8[N*N*Na]: legal, as ``action_space.sample`` wants it;
     ``physics_mask`` int8[N*N*Na]: legal, free and stable by static physics, a help the paper's
     agent does not have, never applied; ``coverage`` and ``plane_coverage``: F_co and F_pl; and
-    after a step ``verdict`` (name of a :class:`~learn2assemble.physics.protocol.Verdict`),
+    after a step ``verdict`` (name of a :class:`~learn2assemble.tasks.physics.protocol.Verdict`),
     ``success`` and ``clipped``.
 
     Args:

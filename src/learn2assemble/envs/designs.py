@@ -12,14 +12,18 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 
 from learn2assemble.errors import InputError
-from learn2assemble.planning.agent import features as design_features
-from learn2assemble.planning.agent.designs import Solved, make_design
-from learn2assemble.planning.agent.world import World
-from learn2assemble.planning.goals import features as goal_features
 from learn2assemble.planning.goals.search import Search
-from learn2assemble.planning.goals.tasks import fixed_goals
 from learn2assemble.planning.goals.world import bears, legal, make_problem, put, relax
-from learn2assemble.tasks import DESIGN_TASKS, GOAL_TASKS, DesignTask, GoalTask
+from learn2assemble.planning.tiling.world import World
+from learn2assemble.tasks import design_features, goal_features
+from learn2assemble.tasks.designs import Solved, make_design
+from learn2assemble.tasks.goals import fixed_goals
+from learn2assemble.tasks.task import (
+    DESIGN_TASKS,
+    GOAL_TASKS,
+    DesignTask,
+    GoalTask,
+)
 
 _MOST, _BLOCK_COST = 100.0, 0.05
 """No feature is larger; what every block of a structure for goals costs."""
@@ -137,7 +141,7 @@ class DesignEnv(_CandidateEnv):
     cells (of which no candidate is left), ``success``, ``stood`` (of the last action).
 
     Args:
-        task: of :data:`learn2assemble.tasks.DESIGN_TASKS`, by name or as such.
+        task: of :data:`learn2assemble.tasks.task.DESIGN_TASKS`, by name or as such.
     """
 
     def __init__(self, task: DesignTask | str, render_mode: str | None = None) -> None:
@@ -189,7 +193,7 @@ class GoalsEnv(_CandidateEnv):
     ``info``: ``blocks``, ``missing`` (of the relaxed plan), ``success``, ``stood``.
 
     Args:
-        task: of :data:`learn2assemble.tasks.GOAL_TASKS`, by name or as such.
+        task: of :data:`learn2assemble.tasks.task.GOAL_TASKS`, by name or as such.
     """
 
     def __init__(self, task: GoalTask | str, render_mode: str | None = None) -> None:

@@ -19,6 +19,7 @@ from learn2assemble.assembly.blocks import Assembly, Block, convex_parts, fan_tr
 from learn2assemble.assembly.compas import write_compas
 from learn2assemble.assembly.cuts import POST, Cut, cut_of
 from learn2assemble.assembly.files import read_assembly, write_assembly
+from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError
 from learn2assemble.export.cards import step_cards
 from learn2assemble.export.pdf import pdf
@@ -122,7 +123,7 @@ def mjcf(assembly: Assembly) -> bytes:
         impratio="100",
         iterations="100",
         tolerance="1e-12",
-        gravity="0 0 -9.81",
+        gravity=f"0 0 {-GRAVITY}",
     )
     default = ElementTree.SubElement(root, "default")
     friction = f"{assembly.friction:g} 0.005 0.0001"

@@ -2,7 +2,7 @@
 (:mod:`.ros2`).
 
 All of them are made from the record that a build with an arm leaves, by way of a
-:class:`~learn2assemble.robot.motion.program.Program` (``docs/robot_programs.md``).
+:class:`~learn2assemble.motion.program.Program` (``docs/robot_programs.md``).
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from learn2assemble.export.robot_tables import read_table, write_franka, write_t
 from learn2assemble.export.ros2 import is_bag, read_bag, write_bag
 from learn2assemble.export.urscript import write_urscript
 from learn2assemble.files import as_path, check_exists, check_output
+from learn2assemble.motion.files import read_record
+from learn2assemble.motion.program import Program, arm_of, make_program, usage
+from learn2assemble.motion.record import BuildRecord
+from learn2assemble.motion.settings import ProgramSettings, read_settings
 from learn2assemble.registry import Registry
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.motion.files import read_record
-from learn2assemble.robot.motion.program import Program, arm_of, make_program, usage
-from learn2assemble.robot.motion.record import BuildRecord
-from learn2assemble.robot.motion.settings import ProgramSettings, read_settings
 from learn2assemble.robot.registry import ARMS
 
 if TYPE_CHECKING:
-    from learn2assemble.robot.dynamic.cell import DryRun
+    from learn2assemble.simulation.cell import DryRun
 
 # ---------------------------------------------------------------- all formats
 
@@ -149,6 +149,6 @@ def replay_program(path: str | Path, arm: str) -> DryRun:
         InputError: see :func:`read_program`.
         MissingExtraError: without the extra ``robot``.
     """
-    from learn2assemble.robot.dynamic.cell import play
+    from learn2assemble.simulation.cell import play
 
     return play(*read_program(path, arm))

@@ -34,15 +34,15 @@ from learn2assemble.geometry.rotations import (
     quaternion_product,
     rotate_vectors,
 )
-from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.kinematics import forward_many, get_chain
-from learn2assemble.robot.motion.program import (
+from learn2assemble.motion.program import (
     Knots,
     Program,
     ToolState,
     driver_of,
     usage,
 )
+from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.kinematics import forward_many, get_chain
 from learn2assemble.robot.moves import STAGES
 
 STATE_RATE = 50.0

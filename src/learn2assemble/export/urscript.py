@@ -18,10 +18,10 @@ from learn2assemble.export import asset
 from learn2assemble.export.robot_tables import changes, motions
 from learn2assemble.files import write_file
 from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.motion.program import Program, ProgramStep, driver_of
+from learn2assemble.motion.settings import ProgramSettings
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import forward_many, get_chain
-from learn2assemble.robot.motion.program import Program, ProgramStep, driver_of
-from learn2assemble.robot.motion.settings import ProgramSettings
 
 ROUND = 5e-4
 """A line between two joint positions is nowhere farther from the planned path [rad]."""

@@ -11,16 +11,9 @@ import numpy as np
 from learn2assemble.assembly.blocks import Assembly, Step
 from learn2assemble.assembly.contacts import check_overlaps, shrunk
 from learn2assemble.errors import InputError, is_whole
-from learn2assemble.physics.rigid_blocks import (
-    UNCERTAIN,
-    Joints,
-    bed_patches,
-    pressed_patches,
-)
+from learn2assemble.linear_programs import Clock
 from learn2assemble.planning import plan as plans
-from learn2assemble.planning.ordering import BED, POINTS, TIGHT, Bounds, value_range
 from learn2assemble.planning.plan import Plan, PlanDesign
-from learn2assemble.planning.programs import Clock
 from learn2assemble.planning.sequence import (
     Layer,
     Problem,
@@ -29,6 +22,13 @@ from learn2assemble.planning.sequence import (
     find_sequence,
     follow_steps,
     list_ids,
+)
+from learn2assemble.statics.proofs import BED, POINTS, TIGHT, Bounds, value_range
+from learn2assemble.statics.rigid_blocks import (
+    UNCERTAIN,
+    Joints,
+    bed_patches,
+    pressed_patches,
 )
 
 MOST_HOLDS = 8

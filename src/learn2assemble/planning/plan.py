@@ -30,7 +30,7 @@ from learn2assemble.registry import Registry
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly, Block
-    from learn2assemble.robot.motion.record import BuildRecord
+    from learn2assemble.motion.record import BuildRecord
 
 FORMAT, VERSION = "learn2assemble-plan", 3
 Metre = Annotated[float, Range(-1e3, 1e3)]
@@ -396,7 +396,7 @@ class Plan:
         plan = cls.from_dict(*read_json(file, "plan.json or its folder", MAX_GENERATED))
         trajectory = file.with_name("trajectory.json")
         if trajectory.exists():
-            from learn2assemble.robot.motion.files import read_record
+            from learn2assemble.motion.files import read_record
 
             plan = dataclasses.replace(plan, record=read_record(trajectory))
         blocks = file.with_name("assembly.json")
@@ -442,7 +442,7 @@ class Plan:
         if page:
             files |= self.write_page(folder)
         if self.record is not None:
-            from learn2assemble.robot.motion.files import write_csv, write_record
+            from learn2assemble.motion.files import write_csv, write_record
 
             files["trajectory"] = folder / "trajectory.json"
             files["trajectory table"] = folder / "trajectory.csv"
@@ -457,7 +457,7 @@ class Plan:
         """The same, with what is wrong with the motion of the arm, if anything is."""
         if self.record is None or self.arm is None:
             return self
-        from learn2assemble.robot.motion.record import find_fault
+        from learn2assemble.motion.record import find_fault
 
         fault = find_fault(self.record)
         if fault is None:

@@ -19,12 +19,12 @@ import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.contacts import Contacts, contact_tolerance, find_contacts
-from learn2assemble.physics.clearance import LEVEL, Clearance, ways_out
-from learn2assemble.physics.rigid_blocks import SIDE
-from learn2assemble.physics.states import State
-from learn2assemble.planning.laws import ByForces, ByLoads, Law
+from learn2assemble.linear_programs import Clock
+from learn2assemble.planning.clearance import LEVEL, Clearance, ways_out
 from learn2assemble.planning.posts import Post, find_posts
-from learn2assemble.planning.programs import Clock
+from learn2assemble.statics.laws import ByForces, ByLoads, Law
+from learn2assemble.statics.rigid_blocks import SIDE
+from learn2assemble.statics.states import State
 
 Action = Literal["place", "remove", "hold", "release"]
 _SMALL = 10

@@ -17,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.dynamic.trajectory import joint_path
 from learn2assemble.robot.grasps import WAY, Attitude
 from learn2assemble.robot.inverse import RESTARTS, ik_seeds, seed_distances, solve
+from learn2assemble.robot.joint_path import joint_path
 from learn2assemble.robot.moves import LEVEL
 
 RISE = (0.0, 0.008, 0.03, WAY)

@@ -1,7 +1,7 @@
 """The arm without dynamics: can it reach, and does it touch anything on the way?
 
 The cheap fidelity, for training and search: inverse kinematics and MuJoCo's collision detection. It
-moves nothing and decides nothing about balance; :mod:`learn2assemble.physics` does.
+moves nothing and decides nothing about balance; :mod:`learn2assemble.statics` does.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -15,8 +15,8 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from learn2assemble.constants import HALF
 from learn2assemble.geometry.rotations import yaw_matrix, yaw_quaternion
-from learn2assemble.physics.scene import resize_boxes, rotation_matrix
 from learn2assemble.robot.approach import RISE, ApproachCache
 from learn2assemble.robot.arm import Arm, arm_spec
 from learn2assemble.robot.moves import (
@@ -34,7 +34,7 @@ from learn2assemble.robot.moves import (
     turned,
     turns,
 )
-from learn2assemble.world.blocks import HALF
+from learn2assemble.robot.scene import resize_boxes, rotation_matrix
 
 SHRINK = 0.001
 """What is carried counts as this much smaller on every side [m], so that resting on a block or

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from learn2assemble.constants import EDGE, GRAVITY, HALF, MASS
 from learn2assemble.geometry.rotations import yaw_matrix
 from learn2assemble.robot.grasps import QUARTER, Attitude
-from learn2assemble.world.blocks import EDGE, GRAVITY, HALF, MASS
 
 if TYPE_CHECKING:
     from learn2assemble.robot.arm import Arm

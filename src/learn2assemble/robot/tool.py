@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
+from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError, look_up
 from learn2assemble.robot.grasps import FIRST, Lip
 
@@ -171,7 +172,7 @@ def load_suction(path: Path) -> Suction | None:
     others = [_side(side, length, f"{where}, sides[{k}]") for k, side in enumerate(sides)]
     return Suction(
         cups=(first, *others),
-        payload=_positive(data, "payload", first.pull_off / 9.81, where),
+        payload=_positive(data, "payload", first.pull_off / GRAVITY, where),
         length=length,
         mass=_positive(data, "mass", 20.0, where),
         grip_time=grip_time,

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from learn2assemble.geometry.rotations import matrix_quaternion
-from learn2assemble.robot.motion.record import StepRecord
+from learn2assemble.motion.record import StepRecord
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.shape import Part
 from learn2assemble.viewer.html import NUMBER, packed, row, speed_options, to_base64

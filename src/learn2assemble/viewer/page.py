@@ -19,6 +19,7 @@ from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import Contacts
 from learn2assemble.assembly.instruction_words import HOW_TO_READ, count_words, length_words
 from learn2assemble.assembly.instructions import Instructions, instructions
+from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError
 from learn2assemble.files import write_file
 from learn2assemble.planning.plan import LARGEST, Plan
@@ -349,7 +350,7 @@ def _weakest(plan: Plan) -> str:
         return f"{margin:.3f} g sideways"
     here = replace(plan.assembly, steps=plan.assembly.steps[: step.step], not_built=())
     mass = sum(b.mass for b in here.as_far_as_placed().finished.blocks if not b.support)
-    push = margin * mass * tables.STANDARD_GRAVITY
+    push = margin * mass * GRAVITY
     return f"a sideways push of {push:.2g} N ({margin:.3f} g)"
 
 

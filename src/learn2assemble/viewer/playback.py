@@ -12,22 +12,22 @@ from typing import NamedTuple
 
 import numpy as np
 
+from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import (
     interpolate_quaternions,
     matrix_quaternion,
     quaternion_product,
 )
+from learn2assemble.motion.record import BuildRecord, Samples, StepRecord
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm, get_arm
-from learn2assemble.robot.motion.record import BuildRecord, Samples, StepRecord
 from learn2assemble.robot.shape import Shape, arm_shape
 
 PAUSE = 2.5
 """What a step without motion takes in a replay [s]."""
 SETTLE = 0.25
 """A released or pushed object comes to rest within this time [s]; a fall takes longer."""
-_GRAVITY = 10.0
 _STILL = 1e-5
 """Cells whose poses differ by less have not moved."""
 
@@ -183,7 +183,7 @@ class Playback:
                 grip, release = step.grip + delay, let_go + delay
             drop = float(where[2] - step.after[cell, 2])
             falls = drop > 0.01
-            takes = max(SETTLE, math.sqrt(2 * drop / _GRAVITY)) if falls else SETTLE
+            takes = max(SETTLE, math.sqrt(2 * drop / GRAVITY)) if falls else SETTLE
             end = min(release + takes, segment.end)
             found.append(Glide(cell, grip, release, offset, turn, end, where, turned, falls))
         return found

@@ -10,7 +10,7 @@ import numpy as np
 
 from learn2assemble.assembly.appearance import millimetres
 from learn2assemble.files import write_file
-from learn2assemble.planning.build import cells_of
+from learn2assemble.jobs.build import cells_of
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.kit import Kit

@@ -26,13 +26,12 @@ from learn2assemble.assembly.instruction_words import (
     placement_words,
 )
 from learn2assemble.assembly.instructions import Instructions, Placement
+from learn2assemble.constants import GRAVITY
 from learn2assemble.planning.plan import LARGEST, SearchStage
 from learn2assemble.viewer.html import NUMBER, row
 from learn2assemble.viewer.scene import Mark, Part
 from learn2assemble.viewer.words import percent
 
-STANDARD_GRAVITY = 9.80665
-"""[m/s²]"""
 STEP_HEAD = (
     "Step",
     "Action",
@@ -160,7 +159,7 @@ def noted_steps(
     for placement, note in zip(placements, notes, strict=True):
         part = of_step[placement.number]
         mass += part.block.mass * {"place": 1, "remove": -1}.get(placement.action, 0)
-        weight = mass * STANDARD_GRAVITY
+        weight = mass * GRAVITY
         held = tuple(id_ for id_ in held if id_ != part.block.id)
         found.append(Noted(placement.number, part, placement, note, weight, filled, held))
         held += (part.block.id,) if placement.action == "hold" else ()

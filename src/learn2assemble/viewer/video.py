@@ -18,8 +18,8 @@ from learn2assemble.assembly.appearance import rgb
 from learn2assemble.errors import InputError, extra
 from learn2assemble.files import replacing
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_matrix
+from learn2assemble.motion.record import BuildRecord
 from learn2assemble.planning.plan import Plan
-from learn2assemble.robot.motion.record import BuildRecord
 from learn2assemble.robot.moves import Outcome
 from learn2assemble.robot.shape import Mesh, box
 from learn2assemble.viewer import renderer

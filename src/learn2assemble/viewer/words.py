@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
+from learn2assemble.motion.record import BuildRecord, Stage, StepRecord
 from learn2assemble.planning.plan import Step
-from learn2assemble.robot.motion.record import BuildRecord, Stage, StepRecord
 from learn2assemble.robot.moves import Outcome
 
 _RELATIONS = {
@@ -41,8 +41,7 @@ def proof_words(proof: str, leaning: bool) -> str:
         leaning: whether blocks have joints that lean, such as those of an arch.
     """
     # These load compiled code.
-    from learn2assemble.planning.laws import FORCES
-    from learn2assemble.planning.ordering import BED
+    from learn2assemble.statics.proofs import BED, FORCES
 
     if proof == BED and leaning:
         return "joints that weight presses"

@@ -12,8 +12,6 @@ from learn2assemble.design.cells import CellDesign
 from learn2assemble.design.goals import Goals
 from learn2assemble.errors import InputError
 from learn2assemble.planning import plan as plans
-from learn2assemble.planning.agent.world import World
-from learn2assemble.planning.construct import EXACT, report_plan
 from learn2assemble.planning.goals.program import MOST, plan_program
 from learn2assemble.planning.goals.search import Found, search
 from learn2assemble.planning.goals.stacks import TIGHT, find_stacks
@@ -24,11 +22,13 @@ from learn2assemble.planning.goals.world import (
     make_problem,
     relax,
 )
-from learn2assemble.planning.ordering import Bounds, order, value_range
 from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.step_proof import find_stack
-from learn2assemble.planning.tiling import BlockPlacement, Tiling, owners, placement_cells
-from learn2assemble.planning.workcell_site import Obstacle, Site
+from learn2assemble.planning.tiling.construct import EXACT, report_plan
+from learn2assemble.planning.tiling.ordering import order
+from learn2assemble.planning.tiling.stack import find_stack
+from learn2assemble.planning.tiling.tile import BlockPlacement, Tiling, owners, placement_cells
+from learn2assemble.planning.tiling.world import World
+from learn2assemble.statics.proofs import Bounds, value_range
 
 SEARCH, STACKS = "search", "stacks"
 """Who else plans: :mod:`.search`, and :mod:`.stacks` where one stack under every goal is enough."""
@@ -220,16 +220,6 @@ def check_loads(goals: Goals) -> None:
                     f"{load.mass:g} kg",
                     f"at most {most:.3g} kg, which is what the heap can balance there",
                 )
-
-
-def with_obstacles(site: Site, goals: Goals) -> Site:
-    """A workcell with the obstacles of some goals, each from the table up, for nothing is built
-    below them."""
-    found = []
-    for low, high in goals.obstacles:
-        size = high[0] - low[0], high[1] - low[1], high[2]
-        found.append(Obstacle(((low[0] + high[0]) / 2, (low[1] + high[1]) / 2), size))
-    return replace(site, obstacles=(*site.obstacles, *found))
 
 
 def _report(

@@ -8,7 +8,8 @@ With a binary :math:`x_p` for every candidate :math:`p`,
     \;\text{(all cells)}, \qquad \sum_{p \in k} x_p \le n_k ,
 
 and, for every set of loads, forces under and on every candidate as in
-:mod:`learn2assemble.planning.standing`. Sets of loads are added where an answer does not bear them.
+:mod:`learn2assemble.planning.tiling.standing`. Sets of loads are added where an answer does not
+bear them.
 A block that is put down stands on its own bed: on every side of its centroid something that
 carries it is chosen, too. An answer still needs an order; where there is none it is ruled out and
 the next best is looked for. So the number of blocks is the optimum where an order is found, and a
@@ -22,13 +23,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from learn2assemble.design.goals import Surface
-from learn2assemble.planning.agent.world import World
+from learn2assemble.linear_programs import INF, Clock, Model, Program, solve
 from learn2assemble.planning.goals.search import finished
 from learn2assemble.planning.goals.world import Problem, failing_load, legal, put
-from learn2assemble.planning.programs import INF, Clock, Model, Program, solve
-from learn2assemble.planning.standing import add_forces, face_points, find_faces
-from learn2assemble.planning.step_proof import find_stack
-from learn2assemble.planning.tiling import BlockPlacement, owners
+from learn2assemble.planning.tiling.stack import find_stack
+from learn2assemble.planning.tiling.standing import add_forces, face_points, find_faces
+from learn2assemble.planning.tiling.tile import BlockPlacement, owners
+from learn2assemble.planning.tiling.world import World
 
 MOST = 24
 """Blocks of a structure the program looks for."""

@@ -27,7 +27,7 @@ from itertools import count
 
 import numpy as np
 
-from learn2assemble.planning.agent.world import World, grow
+from learn2assemble.linear_programs import INF, Clock, Model, solve
 from learn2assemble.planning.goals.world import (
     Problem,
     Relaxed,
@@ -39,9 +39,10 @@ from learn2assemble.planning.goals.world import (
     relax,
     unmet,
 )
-from learn2assemble.planning.programs import INF, Clock, Model, solve
-from learn2assemble.planning.step_proof import Proof, Stack, find_stack
-from learn2assemble.planning.tiling import BlockPlacement, owners
+from learn2assemble.planning.tiling.stack import find_stack
+from learn2assemble.planning.tiling.tile import BlockPlacement, owners
+from learn2assemble.planning.tiling.world import World, grow
+from learn2assemble.statics.step_proof import Proof, Stack
 
 WEIGHTS = 3.0, 1.0
 """Of what is missing: while the first structure is looked for, then both in turn."""

@@ -18,11 +18,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from learn2assemble.planning.agent.world import World
+from learn2assemble.linear_programs import INF, Clock, Model, solve
 from learn2assemble.planning.goals.world import Problem, bears, legal, put, unmet
-from learn2assemble.planning.programs import INF, Clock, Model, solve
-from learn2assemble.planning.props import FIRM
-from learn2assemble.planning.tiling import BlockPlacement, support_margin
+from learn2assemble.planning.tiling.props import FIRM
+from learn2assemble.planning.tiling.tile import BlockPlacement, support_margin
+from learn2assemble.planning.tiling.world import World
 
 TIGHT = 0.75
 """Share of the blocks of a heap that goals need at least for stacks to be tried before a search."""

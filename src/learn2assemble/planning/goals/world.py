@@ -23,9 +23,9 @@ import numpy as np
 from numba import njit
 
 from learn2assemble.design.goals import Goals, Surface
-from learn2assemble.planning.agent.world import Site, World, make_site
-from learn2assemble.planning.programs import INF
-from learn2assemble.planning.step_proof import Proof, Stack
+from learn2assemble.linear_programs import INF
+from learn2assemble.planning.tiling.world import Site, World, make_site
+from learn2assemble.statics.step_proof import Proof, Stack
 
 PRICE, PRICE_ROUNDS = 0.4, 4
 """By how much a kind gets dearer, and how often [blocks]."""

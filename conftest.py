@@ -1,0 +1,34 @@
+"""Fixtures shared by all tests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+from headless import find_browser
+from make_recordings import REFERENCE, SAMPLE
+
+# The same examples on every machine; `pytest -m hypothesis --hypothesis-profile=default` looks for
+# others.
+settings.register_profile("repeatable", derandomize=True)
+settings.load_profile("repeatable")
+
+
+@pytest.fixture(scope="session")
+def reference() -> Path:
+    """Folder of what the published simulator was recorded to do: all of it where it is present,
+    else the part in ``tests/data``."""
+    return REFERENCE if REFERENCE.is_dir() else SAMPLE
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """Folder of the project's own test data."""
+    return Path(__file__).parent / "tests" / "data"
+
+
+@pytest.fixture(scope="session")
+def browser() -> str:
+    return find_browser()

@@ -1,0 +1,238 @@
+"""What arms reach with exact plans, measured in the dynamic workcell: ``results/builds.json``.
+
+Every entry is one build. Seconds are of the processor, so that other programs on the machine do not
+count.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from l2a_lab import shapes
+from l2a_lab.measured import Figures, Result
+from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
+from learn2assemble.cell.carry_out import Workcell, carry_out_cells
+from learn2assemble.cell.workcell import Disturbance
+from learn2assemble.design.cells import CellDesign, read_design
+from learn2assemble.files import to_plain
+from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.tiling.construct import plan_cells
+
+EXAMPLES = Path("examples/designs")
+DESIGNS = (
+    "arch_pair.json",
+    "gabled_house.json",
+    "gate.svg",
+    "keep.json",
+    "pavilion.json",
+    "pyramid.json",
+    "skyline.json",
+    "stepped_tower.json",
+)
+FALLS = "leaning_parallelogram.json"
+"""The example that falls as drawn, whatever the kit."""
+ARMS, TOOLS, SEEDS = ("panda", "ur5e"), ("suction", "gripper"), 10
+PLAN_SECONDS = 120.0
+LARGE: dict[str, tuple[Callable[[], np.ndarray], float]] = {
+    "wall with a window, 100 blocks": (lambda: shapes.wall(20, 3, 16, (7, 13, 5, 10)), 0.032),
+    "wall with a window, 158 blocks": (lambda: shapes.wall(20, 6, 18, (7, 13, 5, 11)), 0.032),
+}
+"""Cells, and the edge of a cell [m]."""
+PROPS: dict[str, tuple[Callable[[], np.ndarray], str]] = {
+    # Of the bricks none spans the opening of the bridge, so its deck needs props.
+    "bridge of span 6": (lambda: shapes.bridge(1, 6, 4, 3, 1, 4), "bricks"),
+    "bridge of three spans": (shapes.SHAPES["bridge-long"], DEFAULT_KIT),
+}
+"""Cells of 4 cm, and the kit they are built of."""
+SENSING = 5e-4
+"""Standard deviation of what is read back [m]."""
+FAULTS = 3
+"""Blocks that are dropped or pushed in one build."""
+
+
+def names() -> list[str]:
+    """Every measurement: kind / design / arm / tool or seed."""
+    found = [f"large/{name}/{arm}" for name in LARGE for arm in ARMS]
+    found += [f"props/{name}/{arm}" for name in PROPS for arm in ARMS]
+    examples = (*DESIGNS, FALLS)
+    found += [f"example/{d}/{arm}/{tool}" for d in examples for arm in ARMS for tool in TOOLS]
+    found += [f"program/{d}/{arm}" for d in DESIGNS[:4] for arm in ARMS]
+    found += [f"faults/{d}/{arm}/{seed}" for d in DESIGNS for arm in ARMS for seed in range(2)]
+    found += [f"noise/{d}/{arm}/{seed}" for seed in range(SEEDS) for d in DESIGNS for arm in ARMS]
+    return found
+
+
+def configuration() -> Result:
+    """The disturbances of the entries ``noise``."""
+    return {
+        "supply_mm": 1.0,
+        "supply_deg": 1.0,
+        "friction_share": 0.2,
+        "mass_share": 0.1,
+        "sensing_mm": 1e3 * SENSING,
+    }
+
+
+def entry(name: str) -> Result:
+    """One measurement by its name."""
+    kind, what, arm, *rest = name.split("/")
+    seed = int(rest[0]) if kind in ("noise", "faults") else 0
+    design, kit = _design(kind, what)
+    rng = np.random.default_rng([seed, *what.encode(), *arm.encode()])
+    tool = {"example": rest[0] if rest else "", "props": "suction-side"}.get(kind, "suction")
+    workcell = Workcell(arm, tool, seed=seed)
+    if kind == "noise":
+        workcell = replace(
+            workcell,
+            noise=(SENSING, 0.0),
+            disturbance=Disturbance(
+                supply=(1e-3, math.radians(1)), friction=float(rng.uniform(-0.2, 0.2)), mass=0.1
+            ),
+        )
+    started = time.process_time()
+    plan = plan_cells(design, kit, seconds=PLAN_SECONDS)
+    if kind == "faults":
+        count = len(plan.steps)
+        at = rng.choice(np.arange(2, max(count, FAULTS + 2)), FAULTS, replace=False).tolist()
+        dropped = frozenset(at[: 1 + seed % 2])
+        workcell = replace(
+            workcell, disturbance=Disturbance(drop=dropped, push=frozenset(at) - dropped)
+        )
+    planned = time.process_time()
+    done = carry_out_cells(
+        plan,
+        kit,
+        workcell,
+        lambda text: None,
+        lambda other: plan_cells(design, other, seconds=PLAN_SECONDS),
+    )
+    result = _described(done, planned - started, time.process_time() - planned)
+    if done.complete and kind == "props":
+        result |= {"settled": _settled(done)}
+    return result | (_program(done) if kind in ("program", "props") and done.complete else {})
+
+
+def _design(kind: str, what: str) -> tuple[CellDesign, Kit]:
+    if kind in ("large", "props"):
+        if kind == "props":
+            (make, name), cell = PROPS[what], 0.04
+        else:
+            (make, cell), name = LARGE[what], DEFAULT_KIT
+        kit = load_kit(name).at_pitch((cell, cell, cell))
+        return CellDesign(what, make(), kit.pitch, None, 0.0, None, "", None), kit
+    design = read_design(EXAMPLES / what)
+    assert isinstance(design, CellDesign)
+    return design, load_kit(design.kit or DEFAULT_KIT).at_pitch(design.cell)
+
+
+def _described(plan: Plan, planning: float, building: float) -> Result:
+    arm = plan.arm
+    return {
+        "status": plan.status,
+        "reason": plan.reason,
+        "blocks": plan.blocks.used,
+        "steps": len(plan.steps),
+        "props": sum(s.prop and s.action == "place" for s in plan.steps),
+        "planning_s": round(planning, 2),
+        "building_s": round(building, 2),
+        **(
+            {}
+            if arm is None
+            else {
+                "attempts": arm.attempts,
+                "attempts_per_step": arm.attempts_per_step,
+                "error_mean": arm.error_mean,
+                "error_worst": arm.error_worst,
+                "failures": to_plain(arm.failures),
+                "places": arm.places,
+                "robot_s": arm.seconds,
+                "pitch": arm.pitch,
+            }
+        ),
+    }
+
+
+def _settled(plan: Plan) -> float:
+    """How far a block moves when all of a finished structure are let go at once [m]."""
+    from learn2assemble.robot.arm import get_arm
+    from learn2assemble.robot.moves import Scene
+    from learn2assemble.simulation.cell import DynamicCell
+
+    record = plan.record
+    assert record is not None
+    pose = record.steps[-1].after
+    kept = np.flatnonzero(pose[:, 2] > 0)
+    owner = np.argsort(np.concatenate(record.objects))
+    owner = np.repeat(np.arange(len(record.objects)), [len(c) for c in record.objects])[owner]
+    scene = Scene(
+        pose[kept, :3],
+        np.zeros(len(kept)),
+        owner[kept],
+        len(kept),
+        *(None if of_all is None else of_all[kept] for of_all in (record.half, record.density)),
+    )
+    x, y, z = record.arm.base_position.tolist()
+    base = x, y, z, record.arm.base_yaw
+    cell = DynamicCell(get_arm(record.arm.name, record.arm.tool_name, base))
+    after, _, still = cell.settle(scene, quaternion=pose[kept, 3:])
+    moved = float(np.linalg.norm(after.position - scene.position, axis=1).max())
+    return round(moved, 6) if still else math.inf
+
+
+def _program(plan: Plan) -> Result:
+    """What comes of the exported build, played open loop."""
+    from learn2assemble.export.robot_programs import export_program, replay_program
+
+    assert plan.record is not None
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "program.csv"
+        export_program(plan.record, "csv", file)
+        run = replay_program(file, plan.record.arm.name)
+    return {"program": {"same": run.same, "worst": float(run.error.max()), "fault": run.fault}}
+
+
+def summary(entries: dict[str, Result]) -> list[tuple[str, str, str]]:
+    """What was asked, and what was reached: (what, asked, got)."""
+    rows: list[tuple[str, str, str]] = []
+    groups: dict[str, dict[str, Result]] = {}
+    for name, one in entries.items():
+        kind, what, *rest = name.split("/")
+        key = f"{kind}/{rest[-1]}" if kind == "example" else kind
+        groups.setdefault(key, {})["/".join([what, *rest])] = one
+    for name, one in groups.pop("large", {}).items():
+        rows.append(
+            (
+                name,
+                "complete; 120 s, 1.05 attempts, 1 / 3 mm at 100 blocks",
+                f"{one['status']}, {one['blocks']} blocks, "
+                f"{one['planning_s'] + one['building_s']:.0f} s, {one.get('attempts_per_step')} "
+                f"attempts, {1e3 * (one.get('error_mean') or 0):.2f} / "
+                f"{1e3 * (one.get('error_worst') or 0):.2f} mm",
+            )
+        )
+    asked = {"props": "all", "program": "all", "faults": ">= 90 %", "noise": ">= 95 %"}
+    for key, group in sorted(groups.items()):
+        done = sum(one["status"] == "complete" for one in group.values())
+        left = [
+            f"{name} ({one['reason']})"
+            for name, one in group.items()
+            if one["status"] != "complete"
+        ]
+        words = f"{done} of {len(group)}" + (f"; not: {'; '.join(left[:6])}" if left else "")
+        rows.append((key, asked.get(key, "all"), words))
+        if key == "program":
+            worst = max(
+                (one["program"]["worst"] for one in group.values() if "program" in one), default=0.0
+            )
+            rows.append(("blocks of exported programs off by", "2 mm", f"{1e3 * worst:.2f} mm"))
+    return rows
+
+
+FIGURES = Figures("learn2assemble-build-figures", names, entry, configuration, summary)

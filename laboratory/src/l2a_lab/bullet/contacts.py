@@ -1,0 +1,541 @@
+"""Contact solver of the published cell, after the simulator the authors used.
+
+Free bodies have gravity, drag and sleep; body 0 is the world and body 1 the hand, both moved by
+others. At most four contact points for each pair of shapes live on from step to step, with the
+normal they began with: a block that slips off an edge is dragged by them.
+
+Motors, hold and contacts are solved by sequential impulses. Where a block is squeezed between a
+hand that does not yield and the table, no velocities satisfy all constraints. Which of them gives
+way is decided by their order and by the number of sweeps: first motors and hold, then all normals,
+then all friction, 50 times. A solver that converges, or one whose friction lifts what slides,
+throws blocks that the published simulator only nudges.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from learn2assemble.constants import FRICTION, HALF
+from learn2assemble.tasks.world.blocks import GRAVITY
+
+DRAG = 10.0
+"""Deceleration per speed: DRAG (1 + speed) [1/s], and the same of turns."""
+FASTEST = 100.0
+"""Velocities are cut here [m/s], [rad/s]."""
+SLOW = 1e-3
+"""A body slower than this [m/s] is still ..."""
+REST = 10
+"""... and after so many steps asleep, with all it touches."""
+TABLE, HAND, FIRST = 0, 1, 2
+"""Bodies: the world, the hand, and the first of the free ones."""
+
+
+@njit(cache=True)
+def wake(still, touching, held):
+    """bool[b]: bodies that are in motion, held or touched by what is.
+
+    Args:
+        still: int64[b]: steps for which a body has been still; set to 0 where it is awake for
+            another reason.
+        touching: int64[m, 2]: bodies that touch; the world (body 0) connects nothing.
+        held: body in the hand, or -1.
+    """
+    awake = still < REST
+    awake[0], awake[HAND] = False, True
+    if held >= 0:
+        awake[held] = True
+    changed = True
+    while changed:
+        changed = False
+        for c in range(len(touching)):
+            a, b = touching[c, 0], touching[c, 1]
+            if a > 0 and b > 0 and awake[a] != awake[b]:
+                awake[a] = awake[b] = changed = True
+    for b in range(FIRST, len(awake)):
+        if awake[b] and still[b] >= REST:
+            still[b] = 0
+    return awake
+
+
+@njit(cache=True)
+def accelerate(twist, awake, timestep):
+    """Gravity and drag, on twists float64[b, 6] (velocity of the centre of mass, spin), in
+    place."""
+    for b in range(FIRST, len(awake)):
+        if awake[b]:
+            speed = np.sqrt(np.sum(twist[b, :3] ** 2))
+            rate = np.sqrt(np.sum(twist[b, 3:] ** 2))
+            twist[b, :3] *= max(1 - timestep * DRAG * (1 + speed), 0.0)
+            twist[b, 3:] *= max(1 - timestep * DRAG * (1 + rate), 0.0)
+            twist[b, 2] -= timestep * GRAVITY
+
+
+@njit(cache=True)
+def inverse_mass_matrix(inverse_mass, inverse_inertia, rotation, awake):
+    """float64[b, 6, 6]: twist per impulse at the centre of mass; 0 for what is not awake.
+
+    Args:
+        inverse_mass: float64[b] [1/kg].
+        inverse_inertia: float64[b, 3, 3], in the body's frame.
+        rotation: float64[b, 3, 3].
+    """
+    out = np.zeros((len(awake), 6, 6))
+    for b in range(FIRST, len(awake)):
+        if awake[b]:
+            out[b, :3, :3] = inverse_mass[b] * np.eye(3)
+            out[b, 3:, 3:] = rotation[b] @ inverse_inertia[b] @ rotation[b].T
+    return out
+
+
+@njit(cache=True)
+def integrate(position, quaternion, twist, awake, still, timestep):
+    """Poses and stillness after a step, in place."""
+    for b in range(FIRST, len(awake)):
+        if not awake[b]:
+            twist[b] = 0.0
+            still[b] = REST
+            continue
+        for i in range(6):
+            twist[b, i] = min(max(twist[b, i], -FASTEST), FASTEST)
+        position[b] += timestep * twist[b, :3]
+        rate = np.sqrt(np.sum(twist[b, 3:] ** 2))
+        speed = np.abs(twist[b, :3]).max()
+        still[b] = still[b] + 1 if max(speed, HALF * rate) < SLOW else 0
+        if rate > 0:
+            half = 0.5 * rate * timestep
+            s = np.sin(half) / rate
+            w, x, y, z = np.cos(half), s * twist[b, 3], s * twist[b, 4], s * twist[b, 5]
+            q = quaternion[b].copy()
+            quaternion[b, 0] = w * q[0] - x * q[1] - y * q[2] - z * q[3]
+            quaternion[b, 1] = w * q[1] + x * q[0] + y * q[3] - z * q[2]
+            quaternion[b, 2] = w * q[2] - x * q[3] + y * q[0] + z * q[1]
+            quaternion[b, 3] = w * q[3] + x * q[2] - y * q[1] + z * q[0]
+            quaternion[b] /= np.sqrt(np.sum(quaternion[b] ** 2))
+
+
+POINTS = 4
+BREAKING = 0.866e-3
+"""A point ends when its ends are farther apart, or have slid farther, than this [m]: 2 % of a
+block's half diagonal."""
+
+
+class Manifolds(NamedTuple):
+    """All pairs of ``g`` shapes that touch or did so in the last step."""
+
+    slot: np.ndarray
+    """int64[g, g]: row of a pair (first shape, second shape) below, or -1."""
+    pair: np.ndarray
+    """int64[m, 2]: shapes."""
+    count: np.ndarray
+    """int64[m]."""
+    one: np.ndarray
+    """float64[m, 4, 3]: the point in the frame of the first shape's body [m]."""
+    two: np.ndarray
+    """float64[m, 4, 3]: in that of the second."""
+    normal: np.ndarray
+    """float64[m, 4, 3]: from first to second, world frame."""
+    distance: np.ndarray
+    """float64[m, 4] [m]."""
+    since: np.ndarray
+    """int64[m]: step at which the pair began."""
+
+
+def empty_manifolds(shapes: int, pairs: int) -> Manifolds:
+    """Room for so many shapes and touching pairs."""
+    return Manifolds(
+        np.full((shapes, shapes), -1),
+        np.full((pairs, 2), -1),
+        np.zeros(pairs, np.int64),
+        np.zeros((pairs, POINTS, 3)),
+        np.zeros((pairs, POINTS, 3)),
+        np.zeros((pairs, POINTS, 3)),
+        np.zeros((pairs, POINTS)),
+        np.zeros(pairs, np.int64),
+    )
+
+
+@njit(cache=True)
+def _local(point, position, rotation, out):
+    for i in range(3):
+        out[i] = 0.0
+        for k in range(3):
+            out[i] += rotation[k, i] * (point[k] - position[k])
+
+
+@njit(cache=True)
+def _cross_size(a, b):
+    x = a[1] * b[2] - a[2] * b[1]
+    y = a[2] * b[0] - a[0] * b[2]
+    z = a[0] * b[1] - a[1] * b[0]
+    return x * x + y * y + z * z
+
+
+@njit(cache=True)
+def _place_for(one, distance, count, point, depth):
+    """Which point a new one takes the place of: one that is near, a free one, or the one whose
+    loss costs least area, but never the deepest."""
+    best, nearest = -1, BREAKING**2
+    for k in range(count):
+        gap = np.sum((one[k] - point) ** 2)
+        if gap < nearest:
+            nearest, best = gap, k
+    if best >= 0:
+        return best
+    if count < POINTS:
+        return count
+    deepest, most = -1, depth
+    for k in range(POINTS):
+        if distance[k] < most:
+            most, deepest = distance[k], k
+    area, best = -1.0, 0
+    others = ((1, 3, 2), (0, 3, 2), (0, 3, 1), (0, 2, 1))
+    for k in range(POINTS):
+        if k == deepest:
+            continue
+        a, b, c = others[k]
+        size = _cross_size(point - one[a], one[b] - one[c])
+        if size > area:
+            area, best = size, k
+    return best
+
+
+@njit(cache=True)
+def update_manifolds(m, step, shapes, body, point, normal, distance, position, rotation):
+    """Bring the manifolds up to date with the contacts found in this step.
+
+    Args:
+        m: see :class:`Manifolds`.
+        step: number of the step.
+        shapes: int64[c, 2] that touch; body: int64[g] of each shape.
+        point: float64[c, 3], halfway between the surfaces [m].
+        normal: float64[c, 3] from first to second; distance: float64[c] [m].
+        position: float64[b, 3] [m]; rotation: float64[b, 3, 3].
+    """
+    one, two, end = np.empty(3), np.empty(3), np.empty(3)
+    for c in range(len(shapes)):
+        i, j = shapes[c, 0], shapes[c, 1]
+        a, b = body[i], body[j]
+        row = m.slot[i, j]
+        if row < 0:
+            row = 0
+            while row < len(m.count) and m.pair[row, 0] >= 0:
+                row += 1
+            if row == len(m.count):
+                continue
+            m.slot[i, j], m.count[row], m.since[row] = row, 0, step
+            m.pair[row, 0], m.pair[row, 1] = i, j
+        for k in range(3):
+            end[k] = point[c, k] - 0.5 * distance[c] * normal[c, k]
+        _local(end, position[a], rotation[a], one)
+        for k in range(3):
+            end[k] = point[c, k] + 0.5 * distance[c] * normal[c, k]
+        _local(end, position[b], rotation[b], two)
+        place = _place_for(m.one[row], m.distance[row], m.count[row], one, distance[c])
+        m.one[row, place], m.two[row, place] = one, two
+        m.normal[row, place], m.distance[row, place] = normal[c], distance[c]
+        m.count[row] = max(m.count[row], place + 1)
+    for row in range(len(m.count)):
+        if m.pair[row, 0] < 0:
+            continue
+        a, b = body[m.pair[row, 0]], body[m.pair[row, 1]]
+        k = m.count[row] - 1
+        while k >= 0:
+            first = position[a] + rotation[a] @ m.one[row, k]
+            second = position[b] + rotation[b] @ m.two[row, k]
+            gap = second - first
+            along = 0.0
+            for i in range(3):
+                along += gap[i] * m.normal[row, k, i]
+            slid = 0.0
+            for i in range(3):
+                slid += (gap[i] - along * m.normal[row, k, i]) ** 2
+            m.distance[row, k] = along
+            if along > BREAKING or slid > BREAKING**2:
+                last = m.count[row] - 1
+                m.one[row, k], m.two[row, k] = m.one[row, last], m.two[row, last]
+                m.normal[row, k], m.distance[row, k] = m.normal[row, last], m.distance[row, last]
+                m.count[row] = last
+            k -= 1
+        if m.count[row] == 0:
+            m.slot[m.pair[row, 0], m.pair[row, 1]] = -1
+            m.pair[row, 0] = -1
+
+
+@njit(cache=True)
+def touching_bodies(m, body):
+    """int64[k, 2]: bodies of every pair."""
+    rows = np.flatnonzero(m.pair[:, 0] >= 0)
+    out = np.empty((len(rows), 2), np.int64)
+    for k in range(len(rows)):
+        out[k, 0], out[k, 1] = body[m.pair[rows[k], 0]], body[m.pair[rows[k], 1]]
+    return out
+
+
+@njit(cache=True)
+def contact_points(m, body, position, rotation, awake):
+    """The contacts of bodies that are awake, bool[b], the youngest pairs first, as
+    :class:`Contacts`."""
+    rows = np.flatnonzero(m.pair[:, 0] >= 0)
+    for r in range(len(rows)):
+        if not (awake[body[m.pair[rows[r], 0]]] or awake[body[m.pair[rows[r], 1]]]):
+            rows[r] = -1
+    rows = rows[rows >= 0]
+    rows = rows[np.argsort(-m.since[rows], kind="mergesort")]
+    total = m.count[rows].sum()
+    out = Contacts(
+        np.empty(total, np.int64),
+        np.empty(total, np.int64),
+        np.empty((total, 3)),
+        np.empty((total, 3)),
+        np.empty((total, 3, 3)),
+        np.empty(total),
+    )
+    c = 0
+    for row in rows:
+        a, b = body[m.pair[row, 0]], body[m.pair[row, 1]]
+        for k in range(m.count[row]):
+            out.first[c], out.second[c] = a, b
+            out.end_1[c] = position[a] + rotation[a] @ m.one[row, k]
+            out.end_2[c] = position[b] + rotation[b] @ m.two[row, k]
+            out.distance[c] = m.distance[row, k]
+            n = out.frame[c, 0]
+            n[:] = m.normal[row, k]
+            # A tangent in the plane of the normal's two largest entries, or nearly so.
+            if abs(n[2]) > 0.7:
+                size = np.sqrt(n[1] ** 2 + n[2] ** 2)
+                out.frame[c, 1] = 0.0, -n[2] / size, n[1] / size
+            else:
+                size = np.sqrt(n[0] ** 2 + n[1] ** 2)
+                out.frame[c, 1] = -n[1] / size, n[0] / size, 0.0
+            out.frame[c, 2] = np.cross(n, out.frame[c, 1])
+            c += 1
+    return out
+
+
+SWEEPS = 50
+CONTACT_SHARE, HOLD_SHARE, STOP_SHARE = 0.08, 0.2, 0.2
+"""Shares of a penetration, of an error of the hold and of an angle beyond a stop that go in a
+step."""
+MOTOR_SHARE = 0.1
+"""Share of the way to its command that a joint goes in a step."""
+SLOP = 1e-5
+"""Penetration that is left alone [m]."""
+RESIDUAL = 1e-7
+"""Squared change of a velocity below which the sweeps end."""
+
+
+class Contacts(NamedTuple):
+    """Points where bodies touch."""
+
+    first: np.ndarray
+    """int64[c]: body."""
+    second: np.ndarray
+    """int64[c]: body."""
+    end_1: np.ndarray
+    """float64[c, 3]: the point on the first body [m, world]."""
+    end_2: np.ndarray
+    """float64[c, 3]: on the second [m, world]."""
+    frame: np.ndarray
+    """float64[c, 3, 3]: rows the normal from first to second and two tangents, world frame."""
+    distance: np.ndarray
+    """float64[c]: negative where they overlap [m]."""
+
+
+class Drive(NamedTuple):
+    """The arm in this step; all arrays per joint."""
+
+    jacobian: np.ndarray
+    """float64[6, n] of the tool, world axes."""
+    inverse: np.ndarray
+    """float64[n, n] of the mass matrix."""
+    joints: np.ndarray
+    """[rad]."""
+    command: np.ndarray
+    """Where the motors want them [rad]."""
+    lower: np.ndarray
+    """[rad]."""
+    upper: np.ndarray
+    """[rad]."""
+    impulse: float
+    """Largest of a motor in a step [N m s]."""
+
+
+class Hold(NamedTuple):
+    """The constraint between hand and held object."""
+
+    body: int
+    """-1: the hand is empty."""
+    point: np.ndarray
+    """float64[3]: of the object, to be at the tool point [m, world]."""
+    error: np.ndarray
+    """float64[6]: shift [m] and rotation [rad] the object lacks, world axes."""
+
+
+@njit(cache=True)
+def _dot(a, b):
+    total = 0.0
+    for i in range(a.shape[0]):
+        total += a[i] * b[i]
+    return total
+
+
+@njit(cache=True)
+def _add(a, factor, b):
+    for i in range(a.shape[0]):
+        a[i] += factor * b[i]
+
+
+@njit(cache=True)
+def _wrench(direction, point, centre, sign, out):
+    """float64[6]: impulse of size ``sign`` along a direction at a point, about a centre."""
+    x, y, z = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
+    out[0], out[1], out[2] = sign * direction[0], sign * direction[1], sign * direction[2]
+    out[3] = y * out[2] - z * out[1]
+    out[4] = z * out[0] - x * out[2]
+    out[5] = x * out[1] - y * out[0]
+
+
+@njit(cache=True)
+def resolve(centre, twist, rates, inverse_mass, contacts, drive, hold, timestep):
+    """Changes twists and rates in place.
+
+    Args:
+        centre: float64[b, 3]: centres of mass; of the hand its tool point [m].
+        twist: float64[b, 6]: velocity of the centre [m/s] and spin [rad/s].
+        rates: float64[n] of the joints [rad/s].
+        inverse_mass: float64[b, 6, 6]: twist per impulse; 0 for what does not move. The hand's is
+            filled in here.
+        contacts: see :class:`Contacts`; drive: :class:`Drive`; hold: :class:`Hold`.
+        timestep: [s].
+    """
+    count, n = len(contacts.first), len(rates)
+    arm = drive.inverse @ drive.jacobian.T
+    inverse_mass[HAND] = drive.jacobian @ arm
+    hand_turn = np.ascontiguousarray(arm)
+    # Rows of contacts, then six of the hold: wrenches on both bodies, and what they do.
+    total = 3 * count + 6
+    one, two = np.zeros((total, 6)), np.zeros((total, 6))
+    effect_1, effect_2 = np.zeros((total, 6)), np.zeros((total, 6))
+    reach, mass, impulse = np.zeros((total, n)), np.zeros(total), np.zeros(total)
+    least = np.empty(count)
+    for c in range(count):
+        a, b = contacts.first[c], contacts.second[c]
+        for k in range(3):
+            row = 3 * c + k
+            _wrench(contacts.frame[c, k], contacts.end_1[c], centre[a], -1.0, one[row])
+            _wrench(contacts.frame[c, k], contacts.end_2[c], centre[b], 1.0, two[row])
+            effect_1[row], effect_2[row] = (inverse_mass[a] @ one[row], inverse_mass[b] @ two[row])
+            mass[row] = 1.0 / (_dot(one[row], effect_1[row]) + _dot(two[row], effect_2[row]))
+            if a == HAND:
+                reach[row] = arm @ one[row]
+            elif b == HAND:
+                reach[row] = arm @ two[row]
+        depth = contacts.distance[c] + SLOP
+        least[c] = -depth / timestep if depth > 0 else -CONTACT_SHARE * depth / timestep
+    first_hold, held = 3 * count, hold.body
+    if held >= 0:
+        axes = np.eye(3)
+        for k in range(6):
+            row = first_hold + k
+            if k < 3:
+                _wrench(axes[k], hold.point, centre[HAND], -1.0, one[row])
+                _wrench(axes[k], hold.point, centre[held], 1.0, two[row])
+            else:
+                one[row, k], two[row, k] = -1.0, 1.0
+            effect_1[row], effect_2[row] = (
+                inverse_mass[HAND] @ one[row],
+                inverse_mass[held] @ two[row],
+            )
+            reach[row] = arm @ one[row]
+            mass[row] = 1.0 / (_dot(one[row], effect_1[row]) + _dot(two[row], effect_2[row]))
+    motor, stop = np.zeros(n), np.zeros(n)
+    for sweep in range(SWEEPS):
+        change = 0.0
+        guided = 2 * n + (6 if held >= 0 else 0)
+        for number in range(guided):
+            # Motors, stops, hold, and every other time backwards.
+            index = number if sweep % 2 else guided - 1 - number
+            if index < 2 * n:
+                moved = _joint(index, drive, rates, twist[HAND], hand_turn, motor, stop, timestep)
+            else:
+                k = index - 2 * n
+                row = first_hold + k
+                now = _dot(one[row], twist[HAND]) + _dot(two[row], twist[held])
+                moved = HOLD_SHARE * hold.error[k] / timestep - now
+                extra = moved * mass[row]
+                _add(twist[HAND], extra, effect_1[row])
+                _add(twist[held], extra, effect_2[row])
+                _add(rates, extra, reach[row])
+            change = max(change, moved * moved)
+        for c in range(count):
+            a, b, row = contacts.first[c], contacts.second[c], 3 * c
+            now = _dot(one[row], twist[a]) + _dot(two[row], twist[b])
+            new = max(impulse[row] + (least[c] - now) * mass[row], 0.0)
+            extra = new - impulse[row]
+            if extra != 0:
+                impulse[row] = new
+                _apply(a, b, extra, effect_1[row], effect_2[row], reach[row], twist, rates)
+                change = max(change, (extra / mass[row]) ** 2)
+        for c in range(count):
+            row = 3 * c
+            if impulse[row] <= 0 and impulse[row + 1] == 0 and impulse[row + 2] == 0:
+                continue
+            a, b = contacts.first[c], contacts.second[c]
+            x = impulse[row + 1] - mass[row + 1] * (
+                _dot(one[row + 1], twist[a]) + _dot(two[row + 1], twist[b])
+            )
+            y = impulse[row + 2] - mass[row + 2] * (
+                _dot(one[row + 2], twist[a]) + _dot(two[row + 2], twist[b])
+            )
+            size, most = np.sqrt(x * x + y * y), FRICTION * impulse[row]
+            if size > most:
+                x, y = x * most / size, y * most / size
+            for k in range(1, 3):
+                new = x if k == 1 else y
+                extra = new - impulse[row + k]
+                impulse[row + k] = new
+                _apply(
+                    a, b, extra, effect_1[row + k], effect_2[row + k], reach[row + k], twist, rates
+                )
+                change = max(change, (extra / mass[row + k]) ** 2)
+        if change < RESIDUAL:
+            break
+
+
+@njit(cache=True)
+def _apply(a, b, extra, effect_1, effect_2, reach, twist, rates):
+    _add(twist[a], extra, effect_1)
+    _add(twist[b], extra, effect_2)
+    if a == HAND or b == HAND:
+        _add(rates, extra, reach)
+
+
+@njit(cache=True)
+def _joint(index, drive, rates, hand, hand_turn, motor, stop, timestep):
+    """One motor or stop; returns the change of the joint's rate."""
+    n = len(rates)
+    i = index % n
+    own = drive.inverse[i, i]
+    if index < n:
+        wanted = MOTOR_SHARE * (drive.command[i] - drive.joints[i]) / timestep
+        new = motor[i] + (wanted - rates[i]) / own
+        new = min(max(new, -drive.impulse), drive.impulse)
+        extra = new - motor[i]
+        motor[i] = new
+    else:
+        below, above = drive.lower[i] - drive.joints[i], drive.joints[i] - drive.upper[i]
+        if below > 0:
+            new = max(stop[i] + (STOP_SHARE * below / timestep - rates[i]) / own, 0.0)
+        elif above > 0:
+            new = min(stop[i] + (-STOP_SHARE * above / timestep - rates[i]) / own, 0.0)
+        else:
+            return 0.0
+        extra = new - stop[i]
+        stop[i] = new
+    _add(rates, extra, drive.inverse[i])
+    # The mass matrix is symmetric, so a row of M^-1 J^T is what a joint does to the hand.
+    _add(hand, extra, hand_turn[i])
+    return extra * own

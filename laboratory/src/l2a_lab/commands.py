@@ -1,0 +1,577 @@
+"""Commands that reproduce the paper: its tables and curves, recordings, the arm's fidelities."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import importlib
+import math
+import os
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from l2a_lab.builder.commands import COMMANDS as BUILDERS
+from learn2assemble.cli.output import check_new_file, write_result
+from learn2assemble.cli.parser import (
+    Command,
+    arm_argument,
+    count,
+    named,
+    natural,
+    workers_arguments,
+)
+from learn2assemble.errors import InputError, check_name
+from learn2assemble.files import check_exists, check_output, read_text, write_file
+from learn2assemble.registry import Registry
+
+if TYPE_CHECKING:
+    from l2a_lab.cells import Job
+    from l2a_lab.report import TableData
+    from l2a_lab.tables import Table
+    from learn2assemble.cli.output import Output
+    from learn2assemble.tasks.evaluation.fidelities import Comparison
+
+
+def register_command(commands: Registry[Command]) -> None:
+    """Add the commands of the laboratory; all of them play or judge what was learned."""
+    for name, command in {**_COMMANDS, **BUILDERS}.items():
+        commands.register(name, dataclasses.replace(command, learns=True))
+
+
+# ---------------------------------------------------------------- table
+
+QUICK_EPISODES = 50
+
+
+def _table_arguments(parser: argparse.ArgumentParser) -> None:
+    from l2a_lab.tables import TABLES
+
+    add = parser.add_argument
+    add("name", metavar="NAME", help=", ".join(TABLES))
+    add("--out", type=named, default=Path("results"), help="folder of the results")
+    add(
+        "--episodes",
+        type=count,
+        default=None,
+        help="problems of a cell, in place of 1000 (200 and 100 with an arm)",
+    )
+    workers_arguments(parser, "processes (all cores)")
+    add(
+        "--quick",
+        action="store_true",
+        help="one agent a row and 50 episodes, into the folder quick below --out",
+    )
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument(
+        "--agents",
+        type=named,
+        default=None,
+        help="folder of agents or runs (the shipped ones)",
+    )
+    source.add_argument(
+        "--train", action="store_true", help="first train all its agents in --runs, or go on"
+    )
+    source.add_argument(
+        "--from-files", action="store_true", help="measure nothing: print what --out holds"
+    )
+    add("--runs", type=named, default=Path("runs"), help="folder of --train")
+    add("--into", type=named, default=None, help="also put the main numbers into this page")
+
+
+def _run_table(options: argparse.Namespace, output: Output) -> None:
+    from l2a_lab import cells, report
+    from l2a_lab.tables import get_table
+
+    table = get_table(options.name)
+    page: Path | None = options.into
+    around = ("", "") if page is None else _around(page, table)
+    root: Path = options.out / "quick" if options.quick else options.out
+    workers: int = options.workers or os.cpu_count() or 1
+    most = 1 if options.quick else None
+    agents = {} if options.train or options.from_files else cells.find_agents(options.agents)
+    _prepare(root)
+    if options.quick:
+        output.progress(report.QUICK)
+    if options.train:
+        from l2a_lab.recipes import RECIPES, copy_logs, train_recipes
+
+        wanted = [RECIPES[name] for name in table.stems if name in RECIPES]
+        train_recipes(
+            wanted,
+            options.runs,
+            seeds=most,
+            workers=workers,
+            ray=options.ray,
+            progress=output.progress,
+        )
+        copy_logs(wanted, options.runs, root / "runs")
+        agents = cells.find_agents(options.runs)
+    todo: list[Job] = []
+    if not options.from_files:
+        episodes = options.episodes or (QUICK_EPISODES if options.quick else None)
+        jobs = cells.jobs(table, agents, episodes, most)
+        todo = cells.stale(root, jobs)
+        output.progress(f"{len(jobs)} cells, {len(todo)} to measure{_words(todo, workers)}")
+        _measure(root, todo, options.name, workers, options.ray)
+    data = report.load_table(table, root, options.quick)
+    files = _write(data, root)
+    if page is not None:
+        write_file(page, report.compact_markdown(data).join(around), "--into")
+        files["page"] = page
+    _print(output, data, files)
+    output.finish(_summary(data, len(todo), files))
+
+
+def _words(todo: list[Job], workers: int) -> str:
+    """What is about to be measured, and how long that takes."""
+    if not todo:
+        return ""
+    episodes, tasks = sum(job.episodes for job in todo), {job.cell.task.name for job in todo}
+    hours = sum(job.seconds for job in todo) / workers / 3600
+    long = f"{hours:.1f} hours" if hours >= 1 else f"{max(60 * hours, 1):.0f} minutes"
+    return (
+        f": {episodes} episodes on {len(tasks)} tasks, roughly {long} with {workers} processes; "
+        "--quick measures less, --from-files nothing"
+    )
+
+
+def _prepare(folder: Path) -> None:
+    """Make a folder of results, before hours of work."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or "unwritable"
+        raise InputError("--out", str(folder), f"a writable folder ({reason})") from None
+
+
+def _measure(root: Path, todo: list[Job], name: str, workers: int, ray: str | None) -> None:
+    from tqdm import tqdm
+
+    from l2a_lab import cells
+
+    if not todo:
+        return
+    total = round(sum(job.cost for job in todo))
+    with tqdm(
+        total=total,
+        desc=name,
+        unit="",
+        unit_scale=True,
+        dynamic_ncols=True,
+        bar_format="{desc} {percentage:3.0f}% |{bar}| {elapsed}<{remaining} {postfix}",
+    ) as bar:
+        done = 0
+
+        def advance(job: Job) -> None:
+            nonlocal done
+            done += 1
+            bar.set_postfix_str(f"{done}/{len(todo)} cells, last: {job.cell.path[6:]}")
+            bar.update(round(job.cost))
+
+        cells.run_jobs(root, todo, workers, advance, ray)
+
+
+def _write(data: TableData, root: Path) -> dict[str, Path]:
+    from l2a_lab import curves, report
+
+    name, title = data.table.name, data.table.title
+    _prepare(root / "tables")
+    files = {
+        kind: root / "tables" / f"{name}{ending}"
+        for kind, ending in (("markdown", ".md"), ("picture", ".png"))
+    }
+    write_file(files["markdown"], report.markdown(data), "--out")
+    title = f"{name}  {title}{'  (quick look)' if data.quick else ''}"
+    curves.write_table(title, report.sections(data), report.notes(data), files["picture"])
+    return files
+
+
+def _print(output: Output, data: TableData, files: dict[str, Path]) -> None:
+    from l2a_lab import report
+
+    output.say(f"{data.table.name}: {data.table.title}")
+    for section in report.sections(data, brief=True):
+        output.say("")
+        output.table(section.title, report.headings(section, "\n"), section.rows)
+    output.say("")
+    for note in report.notes(data):
+        output.say(note)
+    if data.left_out:
+        output.say(f"not measured yet: {len(data.left_out)} cells")
+    for path in files.values():
+        output.say(str(path))
+
+
+def _summary(data: TableData, measured: int, files: dict[str, Path]) -> dict[str, Any]:
+    rows = [
+        {
+            "task": entry.column.name,
+            "method": entry.row.name,
+            "state": entry.state or "measured",
+            "paper": entry.paper and dataclasses.asdict(entry.paper),
+            "ours": [
+                {**dataclasses.asdict(condition), **dataclasses.asdict(summary)}
+                for condition, summary in entry.results.items()
+            ],
+        }
+        for line in data.entries
+        for entry in line
+    ]
+    return {
+        "table": data.table.name,
+        "quick": data.quick,
+        "measured": measured,
+        "rows": rows,
+        "files": {name: str(path) for name, path in files.items()},
+    }
+
+
+def _around(path: Path, table: Table) -> tuple[str, str]:
+    """What stands in a page before a table and after it, the lines that mark its place included."""
+    begin, end = (f"<!-- table {table.name}: {word} -->" for word in ("begin", "end"))
+    check_exists(path, "page for --into")
+    check_output(path, "--into")
+    text, _ = read_text(path, "page for --into")
+    head, _, rest = text.partition(begin)
+    if text.count(begin) != 1 or end not in rest:
+        raise InputError("--into", str(path), f"a file with the lines {begin} and {end}")
+    return f"{head}{begin}\n", f"\n{end}{rest.partition(end)[2]}"
+
+
+# ---------------------------------------------------------------- curves
+
+
+def _curves_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "name",
+        metavar="NAME",
+        help="architectures, connectivity or algorithms; scaling: over the size of targets, "
+        "decision times are measured where missing",
+    )
+    parser.add_argument(
+        "--runs", type=named, default=Path("results/runs"), help="folder with logs of runs"
+    )
+    parser.add_argument("--out", type=named, default=Path("results/curves"), help="folder")
+
+
+def _run_scaling(options: argparse.Namespace, output: Output) -> None:
+    from l2a_lab import curves
+    from l2a_lab.measured import measure
+
+    _prepare(options.out)
+    found = measure(curves.TIMES, options.out / "decisions.json", progress=output.say)
+    rows = curves.load_scaled(options.out.parent, found["entries"])
+    path: Path = options.out / f"{curves.SIZES}.png"
+    curves.write_curves(
+        "Targets larger than those of training (DQN: 3x3, ours: 5x5)",
+        rows,
+        f"ε = 0. Decisions: of one core, worlds a third built, {curves.TIMED_WORLDS} at a time.",
+        path,
+        curves.SCALING,
+        "grid",
+    )
+    output.table(
+        "targets by size",
+        ("row", "grid", *curves.SCALING),
+        [
+            (r.label, int(grid), *[float(r.mean[key][n]) for key in curves.SCALING])
+            for r in rows
+            for n, grid in enumerate(r.samples)
+            if math.isfinite(r.mean["f"][n])
+        ],
+    )
+    output.say(str(path))
+    output.finish({"figure": curves.SIZES, "picture": str(path), "rows": [r.label for r in rows]})
+
+
+def _run_curves(options: argparse.Namespace, output: Output) -> None:
+    from l2a_lab.curves import (
+        FIGURES,
+        SIZES,
+        load_curves,
+        time_to,
+        write_curves,
+    )
+
+    if options.name == SIZES:
+        return _run_scaling(options, output)
+    check_name("figure", options.name, [*FIGURES, SIZES])
+    figure = FIGURES[options.name]
+    curves = load_curves(figure, options.runs)
+    reached = time_to(figure, options.runs)
+    path: Path = options.out / f"{figure.name}.png"
+    _prepare(options.out)
+    note = (
+        "Training episodes, exploration included; mean over agents, band from the lowest to the "
+        "highest, smoothed. " + figure.note
+    ).strip()
+    write_curves(figure.title, curves, note, path)
+    output.table(
+        figure.title,
+        ("line", "agents", "samples", "R", "f", "success"),
+        [
+            (
+                c.label,
+                c.seeds,
+                int(c.samples[-1]),
+                *[float(c.mean[q][-1]) for q in ("R", "f", "success")],
+            )
+            for c in curves
+        ],
+    )
+    output.table(
+        "first reached, quartiles over agents",
+        (
+            "line",
+            "R",
+            "agents",
+            "reached",
+            "samples: 25 %",
+            "50 %",
+            "75 %",
+            "minutes: 25 %",
+            "50 %",
+            "75 %",
+        ),
+        [
+            (
+                r.label,
+                r.level,
+                r.seeds,
+                r.reached,
+                *[_known(n) for n in r.samples],
+                *[_known(n, 60) for n in r.seconds],
+            )
+            for r in reached
+        ],
+    )
+    absent = sorted({label for label, _ in figure.lines} - {c.label for c in curves})
+    if absent:
+        output.say(f"no runs of {', '.join(absent)}")
+    output.say(str(path))
+    output.finish(
+        {
+            "figure": figure.name,
+            "picture": str(path),
+            "absent": absent,
+            "lines": [{"label": c.label, "seeds": c.seeds} for c in curves],
+            "reached": [
+                {
+                    **r._asdict(),
+                    **{
+                        key: [n if math.isfinite(n) else None for n in getattr(r, key)]
+                        for key in ("samples", "seconds")
+                    },
+                }
+                for r in reached
+            ],
+        }
+    )
+
+
+def _known(number: float, unit: float = 1) -> str:
+    return f"{number / unit:,.0f}" if math.isfinite(number) else "never"
+
+
+# ---------------------------------------------------------------- replay
+
+REPLAY_COLUMNS = (
+    "file",
+    "lines",
+    "mask_exact",
+    "plane_exact",
+    "complete_exact",
+    "max_px_diff",
+    "valid_static",
+    "valid_rigid",
+    "edge_lines",
+    "valid_static_firm",
+    "valid_rigid_firm",
+    "reward",
+    "done",
+)
+ARM_COLUMNS = ("file", "cell", "lines", "agree", "same_class", "rule")
+
+
+def _replay_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("files", metavar="FILE", nargs="+", type=named)
+
+
+def _run_replay(options: argparse.Namespace, output: Output) -> None:
+    from l2a_lab.recordings import read_lines
+    from l2a_lab.replay import is_robot_line, replay_file, replay_robot_file
+    from learn2assemble.tasks.physics.rigid import RigidPhysics
+
+    reports, robots = [], []
+    for path in options.files:
+        output.progress(f"replaying {path.name}")
+        reports.append(replay_file(path, RigidPhysics).to_dict())
+        if any(map(is_robot_line, read_lines(path))):
+            robots.append(replay_robot_file(path).to_dict())
+    output.table(
+        "agreement with recorded transitions",
+        REPLAY_COLUMNS,
+        [[report[column] for column in REPLAY_COLUMNS] for report in reports],
+    )
+    if robots:
+        output.table(
+            "agreement of the arm on success or failure",
+            ARM_COLUMNS,
+            [[report[column] for column in ARM_COLUMNS] for report in robots],
+        )
+    output.finish({"files": reports, "robot": robots})
+
+
+# ---------------------------------------------------------------- fidelities
+
+FIDELITY_COLUMNS = (
+    "task",
+    "arm",
+    "actions",
+    "agree",
+    "same outcome",
+    "kinematic [ms]",
+    "dynamic [ms]",
+    "times faster",
+)
+
+
+def _fidelities_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("tasks", metavar="TASK", nargs="+")
+    add("--actions", type=count, default=100, help="moves of every task")
+    add("--agent", default=None, help="who builds what the moves are drawn from")
+    arm_argument(parser)
+    add("--seed", type=natural, default=0)
+    add("--out", type=named, default=None, help="new file for the result")
+
+
+def _run_fidelities(options: argparse.Namespace, output: Output) -> None:
+    from learn2assemble.tasks.evaluation.fidelities import compare
+    from learn2assemble.tasks.networks.agent import default_agent, load_agent, one_thread
+    from learn2assemble.tasks.task import get_task
+
+    tasks = [get_task(name, options.arm) for name in options.tasks]
+    for task in tasks:
+        if not task.has_arm:
+            raise InputError("task", task.name, "tasks with an arm")
+    check_new_file(options.out)
+    found: list[Comparison] = []
+    for task in tasks:
+        agent = load_agent(options.agent or default_agent(task.name))
+        output.progress(f"{task.name}: {options.actions} moves in both cells")
+
+        def progress(done: int) -> None:
+            if done % 50 == 0:
+                output.progress(f"{done} of {options.actions}")
+
+        with one_thread():
+            found.append(compare(task, agent, options.actions, options.seed, progress))
+    result = {"fidelities": [one.to_dict() for one in found]}
+    output.table(
+        "the same moves in both cells",
+        FIDELITY_COLUMNS,
+        [
+            (
+                one["task"],
+                one["arm"],
+                one["actions"],
+                f"{one['share']:.1%}",
+                one["same_outcome"],
+                one["kinematic_ms"],
+                one["dynamic_ms"],
+                one["times_faster"],
+            )
+            for one in result["fidelities"]
+        ],
+    )
+    outcomes: Counter[tuple[str, str]] = sum((one.outcomes for one in found), Counter())
+    output.table(
+        "outcomes",
+        ("kinematic", "dynamic", "moves"),
+        [(*pair, count) for pair, count in outcomes.most_common()],
+    )
+    write_result(options.out, result)
+    output.finish(result)
+
+
+# ---------------------------------------------------------------- figures
+
+
+def _figures(module: str, title: str, help: str, example: str) -> Command:
+    """The command that measures the figures of a module and prints what was asked beside them."""
+
+    def arguments(parser: argparse.ArgumentParser) -> None:
+        add = parser.add_argument
+        add(
+            "--out",
+            type=named,
+            default=Path(f"results/{module}.json"),
+            help="file of the results",
+        )
+        add("--only", default="", metavar="WORD", help="entries with this in their name")
+        add("--again", action="store_true", help="also those that were measured before")
+        add("--workers", type=count, default=1, help="entries measured at once")
+
+    def run(options: argparse.Namespace, output: Output) -> None:
+        from l2a_lab.measured import measure
+
+        figures = importlib.import_module(f"l2a_lab.{module}").FIGURES
+        _prepare(options.out.parent)
+        found = measure(
+            figures,
+            options.out,
+            only=options.only,
+            again=options.again,
+            workers=options.workers,
+            progress=output.progress,
+        )
+        rows = figures.summary(found["entries"])
+        output.table(title, ("what", "asked", "got"), rows)
+        output.finish({"rows": [list(row) for row in rows], "file": str(options.out)})
+
+    return Command(help, example, arguments, run)
+
+
+_COMMANDS = {
+    "measure-goals": _figures(
+        "goals",
+        "figures of goals without a drawing",
+        "measure the search for structures that meet goals, beside the exact program",
+        "l2a measure-goals --only planar/ --workers 2",
+    ),
+    "measure-builds": _figures(
+        "builds",
+        "figures of builds by an arm",
+        "measure builds by an arm: large ones, with noise, with faults",
+        "l2a measure-builds --only noise/ --workers 2",
+    ),
+    "measure-designs": _figures(
+        "designs",
+        "figures of the exact planner and the check",
+        "measure the exact planner and the check on shapes and drawings",
+        "l2a measure-designs --only shape/ --workers 2",
+    ),
+    "table": Command(
+        "measure a table of the paper and print it beside the paper's numbers",
+        "l2a table T2",
+        _table_arguments,
+        _run_table,
+    ),
+    "curves": Command(
+        "draw learning curves", "l2a curves algorithms", _curves_arguments, _run_curves
+    ),
+    "replay": Command(
+        "repeat recorded transitions and report the agreement",
+        "l2a replay tests/data/transitions_sample.jsonl",
+        _replay_arguments,
+        _run_replay,
+    ),
+    "fidelities": Command(
+        "the kinematic workcell of an arm against the dynamic one",
+        "l2a fidelities robot-two-sided-3x3-10-14 robot-four-sided-3x3-10-18 --actions 250",
+        _fidelities_arguments,
+        _run_fidelities,
+    ),
+}

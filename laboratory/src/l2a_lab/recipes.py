@@ -1,0 +1,193 @@
+"""Trainings by name: what it takes to make each agent behind the tables.
+
+A recipe is a task and one or more stages; a stage starts from the agent of the one before it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from learn2assemble.errors import InputError
+from learn2assemble.files import MAX_GENERATED, read_bytes, write_file
+from learn2assemble.tasks.learning.config import CONFIGS, TrainConfig, fit_to, override
+from learn2assemble.tasks.learning.run import run_training
+from learn2assemble.tasks.networks.agent import load_agent, one_thread
+from learn2assemble.tasks.task import get_task
+from learn2assemble.workers import run_all
+
+SEEDS = 5
+"""Agents of a published row."""
+LOGS = ("config.json", "log.jsonl")
+"""What is worth keeping of a run besides its agent: small, enough for learning curves."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A named configuration, fitted to the task, with some settings changed (``KEY=VALUE``)."""
+
+    config: str = "published"
+    changes: tuple[str, ...] = ()
+
+    def resolve(self, task: str) -> TrainConfig:
+        return override(fit_to(CONFIGS[self.config], get_task(task)), list(self.changes))
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How the agents ``NAME-s0``, ``NAME-s1``, ... are made."""
+
+    name: str
+    task: str
+    stages: tuple[Stage, ...] = (Stage(),)
+    seeds: int = SEEDS
+
+
+_CUBES, _LARGE = "two-sided-3x3-20-24", "two-sided-5x5-40-44"
+_ROBOT_TWO, _ROBOT_FOUR = "robot-two-sided-3x3-10-14", "robot-four-sided-3x3-10-18"
+_ROBOT_OBJECTS = "robot-objects-two-sided-5x5-20-24"
+_WALLS = "robot-walls-two-sided-5x5-26-30"
+_BARS, _OBJECTS = "bars-one-sided-5x5-25-27", "objects-two-sided-5x5-20-24"
+
+
+_FULL = "network.connectivity=full"
+_EDGES = "network.position_scale=0.08"
+"""Positions in about block edges instead of metres (deviation D34)."""
+_FAST = (_EDGES, "num_samples=100000")
+_SHORTER = "num_samples=160000"
+_SHORT = "num_samples=60000"
+_NO_HAND = "network.hand=false"
+"""Of two sides a hand needs no view of its own: both show which way its fingers close."""
+_AGAIN = ("learning_rate=0.001", "final_learning_rate=0.00003", "epsilon_samples=1")
+"""A later stage: half the learning rate, and no more exploration than the first ends with."""
+
+
+def _published(name: str, task: str, *changes: str) -> Recipe:
+    return Recipe(name, task, (Stage(changes=changes),))
+
+
+def _ablation(name: str, *changes: str) -> Recipe:
+    stage = Stage("relational", ("num_samples=24000", "epsilon_samples=8000", *changes))
+    return Recipe(f"ablation-{name}", _CUBES, (stage,))
+
+
+_ALL = (
+    _published("dqn", _CUBES, *_FAST),
+    _published("q-mcts", _CUBES, *_FAST, "method=q-mcts"),
+    _published("eps-mcts", _CUBES, *_FAST, "method=eps-mcts"),
+    _published("mha-full", _CUBES, _FULL, _EDGES, "num_samples=120000"),
+    _published("sha-full", _CUBES, _FULL, _EDGES, "num_samples=120000", "network.heads=1"),
+    _published("s2v-full", _CUBES, _FULL, *_FAST, "network.encoder=s2v"),
+    _published("bars-full", _BARS, _FULL, _EDGES),
+    _published("bars-partial", _BARS, _EDGES),
+    _published("objects", _OBJECTS, _EDGES, "num_samples=480000"),
+    _published("robot-two-sided", _ROBOT_TWO),
+    Recipe("robot-two-sided-paper", _ROBOT_TWO, (Stage("paper"),)),
+    Recipe("robot-four-sided", _ROBOT_FOUR, (Stage(), Stage(changes=_AGAIN))),
+    _published("robot-objects", _ROBOT_OBJECTS),
+    _published("robot-one-sided", "robot-one-sided-5x5-15-17", _SHORTER),
+    _published("one-sided", "one-sided-5x5-15-17", _SHORTER),
+    Recipe("relational-cubes", _LARGE, (Stage("relational", ("num_samples=120000",)),)),
+    Recipe("relational-bars", _BARS, (Stage("relational", (_SHORT,)),)),
+    Recipe("relational-objects", _OBJECTS, (Stage("relational-objects"),)),
+    Recipe("relational-two-sided", _ROBOT_TWO, (Stage("relational", (_SHORT, _NO_HAND)),)),
+    Recipe("relational-four-sided", _ROBOT_FOUR, (Stage("relational"),)),
+    Recipe("relational-walls", _WALLS, (Stage("relational", (_SHORT,)),)),
+    Recipe("relational-robot-objects", _ROBOT_OBJECTS, (Stage("relational-objects"),)),
+    _ablation("full"),
+    _ablation("no-dense-labels", "dense_weight=0"),
+    _ablation("single-q", "double=false"),
+    _ablation("one-round", "network.rounds=1"),
+    _ablation("three-steps", "steps=3"),
+)
+
+RECIPES: dict[str, Recipe] = {recipe.name: recipe for recipe in _ALL}
+
+
+def train_recipes(
+    recipes: list[Recipe],
+    runs: Path,
+    *,
+    seeds: int | None = None,
+    workers: int = 1,
+    ray: str | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> None:
+    """Train the agents of ``recipes`` into ``runs/NAME-sSEED``; what is there is continued.
+
+    Args:
+        seeds: agents of every recipe; by default as many as it says.
+        workers, ray: trainings at once, one thread each; see
+            :func:`learn2assemble.workers.run_all`.
+
+    Raises:
+        InputError: for a folder that belongs to another training.
+        UnknownNameError: for a task that is not a preset.
+    """
+    work = [(r, seed, runs) for seed in range(SEEDS) for r in recipes if seed < (seeds or r.seeds)]
+    for recipe, seed, _ in work:
+        get_task(recipe.task)
+        for number, stage in enumerate(recipe.stages):
+            _check(stage_folder(recipe, seed, runs, number), recipe, stage)
+    progress(f"{len(work)} trainings in {runs}, {min(workers, len(work))} at a time")
+    with one_thread():
+        for _, text in run_all(_train, work, workers=workers, ray=ray):
+            progress(text)
+
+
+def stage_folder(recipe: Recipe, seed: int, runs: Path, stage: int) -> Path:
+    """Folder of a stage; the last one has the name of the agent."""
+    early = f".stage{stage + 1}" if stage + 1 < len(recipe.stages) else ""
+    return runs / f"{recipe.name}-s{seed}{early}"
+
+
+def copy_logs(recipes: list[Recipe], runs: Path, folder: Path) -> None:
+    """Copy configuration and log of every run of ``recipes``, for learning curves."""
+    for recipe in recipes:
+        for seed in range(SEEDS):
+            sources = [stage_folder(recipe, seed, runs, n) for n in range(len(recipe.stages))]
+            for source in sources:
+                if all((source / file).is_file() for file in LOGS):
+                    (folder / source.name).mkdir(parents=True, exist_ok=True)
+                    for file in LOGS:
+                        content, _ = read_bytes(source / file, "log", MAX_GENERATED)
+                        write_file(folder / source.name / file, content, "log")
+
+
+def _check(folder: Path, recipe: Recipe, stage: Stage) -> None:
+    """Refuse to continue what was started with another configuration."""
+    file = folder / "config.json"
+    if not file.is_file():
+        return
+    try:
+        saved = json.loads(file.read_text(encoding="utf-8"))
+        same = (saved["task"]["name"], TrainConfig.from_dict(saved["config"])) == (
+            recipe.task,
+            stage.resolve(recipe.task),
+        )
+    except (ValueError, KeyError, TypeError):
+        same = False
+    if not same:
+        raise InputError("--runs", str(folder), f"a run of the recipe {recipe.name}")
+
+
+def _train(job: tuple[Recipe, int, Path]) -> str:
+    recipe, seed, runs = job
+    metrics, init = {}, None
+    for number, stage in enumerate(recipe.stages):
+        folder = stage_folder(recipe, seed, runs, number)
+        resume = (folder / "state.safetensors").is_file()
+        metrics = run_training(
+            get_task(recipe.task),
+            stage.resolve(recipe.task),
+            folder,
+            seed=seed,
+            device="cpu",
+            resume=resume,
+            init=None if resume else init,
+            quiet=True,
+        )
+        init = load_agent(str(folder))
+    return f"{recipe.name}-s{seed}: R {metrics.get('R', float('nan')):.2f} in training"

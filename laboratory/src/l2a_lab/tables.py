@@ -1,0 +1,569 @@
+"""The tables as data: rows of methods, columns of tasks, where the published numbers stand."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from learn2assemble.errors import UnknownNameError
+from learn2assemble.tasks.search.config import SEARCHES, TO_THE_END, SearchConfig
+from learn2assemble.tasks.task import Task, get_task
+
+AGENT, LOOK_AHEAD, UNTRAINED, RANDOM = "agent", "look-ahead", "untrained", "random"
+MENDED, FARTHER = "mended", "farther"
+"""What chooses actions: trained agents, the exact look-ahead, search without learning, chance;
+agents whose idle placements are mended by the look-ahead, or by themselves with a wider view
+(:func:`.cells.mended_policy`)."""
+MODEL_LABELS, KNOWS, HELPED = "model labels", "knows outcomes", "helped by look-ahead"
+DESIGNS = "knows outcomes, trained on designs"
+HELPS = {
+    MODEL_LABELS: "trained with rewards the one-step model gives for placements that were not "
+    "made (deviation D6); plays without any mask.",
+    HELPED: "trained with model labels; where the placement it chose would bring nothing, which "
+    "the exact model tells, the exact look-ahead chooses another.",
+    DESIGNS: "the exact model tells it what every placement pays and which are valid; among "
+    "those that pay the same it chooses by a network trained on designs alone, with solutions of "
+    "the exact planner, never on these tasks. Chance, too, picks among what it offers only, so its "
+    "figures at ε = 0.05 cannot be compared with those of agents that may pick anything.",
+    KNOWS: "no learning; the exact model tells it what every placement brings and which are valid.",
+}
+"""Help that the paper's agent does not have: the words in a row's name, and what they mean."""
+METHOD, OWN, REFERENCE = "method", "own", "reference"
+"""Kinds of rows: a published method, a method of this project, neither."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """How episodes are played: chance of a random action, and the placement checker."""
+
+    epsilon: float
+    physics: str = "static"
+
+    @property
+    def label(self) -> str:
+        rigid = "" if self.physics == "static" else f", {self.physics}"
+        return f"ε = {self.epsilon:g}{rigid}"
+
+
+PAPER_PROTOCOL = Condition(0.05)
+"""Test exploration of the published numbers."""
+CONDITIONS = (PAPER_PROTOCOL, Condition(0.0))
+
+
+@dataclass(frozen=True)
+class Column:
+    """One task of a table.
+
+    Args:
+        task: name of the preset.
+        star: the agents were trained on it; what is not so is said in the notes.
+        paper: fields of ``published.csv`` that pick the column.
+        arm: builds in place of the task's own.
+    """
+
+    task: str
+    star: bool = False
+    paper: dict[str, str] = field(default_factory=dict)
+    arm: str = ""
+
+    @property
+    def name(self) -> str:
+        """The task, with the arm where it is another one."""
+        return f"{self.task}@{self.arm}" if self.arm else self.task
+
+    @property
+    def preset(self) -> Task:
+        task = get_task(self.task)
+        return task.replace(name=self.name, arm=self.arm) if self.arm else task
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method of a table.
+
+    Args:
+        label: its name.
+        agents: stem of its agents; ``dqn`` stands for ``dqn``, ``dqn-s0``, ``dqn-s1``, ...
+        search: named search; empty plays the Q-policy.
+        budget, rollout, distinct: of that search.
+        paper: fields of ``published.csv`` that pick the row; empty where it was not published.
+        help: what the paper's agent does not have, one of ``HELPS``; printed with the label.
+        policy: what chooses the actions.
+        kind: ``method``, ``own`` or ``reference``.
+        columns: numbers of the columns it is played in; ``None``: all.
+    """
+
+    label: str
+    agents: str = ""
+    search: str = ""
+    budget: int = 0
+    rollout: int = 1
+    distinct: bool = False
+    paper: dict[str, str] = field(default_factory=dict)
+    help: str = ""
+    policy: str = AGENT
+    kind: str = METHOD
+    columns: tuple[int, ...] | None = None
+
+    @property
+    def name(self) -> str:
+        """The label with any help."""
+        return f"{self.label} ({self.help})" if self.help else self.label
+
+    def played_in(self, column: int) -> bool:
+        """Whether it is played in the column with this number."""
+        return self.columns is None or column in self.columns
+
+    def search_config(self, epsilon: float) -> SearchConfig | None:
+        """Its search at a chance ``epsilon`` of random choices."""
+        if not self.search:
+            return None
+        return replace(
+            SEARCHES[self.search],
+            budget=self.budget,
+            rollout=self.rollout,
+            distinct=self.distinct,
+            epsilon=epsilon,
+        )
+
+    def pick(self, names: Iterable[str]) -> list[str]:
+        """Its agents among ``names``, in the order of their seeds."""
+        pattern = re.compile(rf"{re.escape(self.agents)}(-s\d+)?")
+        found = [name for name in names if self.agents and pattern.fullmatch(name)]
+        return sorted(found, key=lambda name: (self.seed(name), name))
+
+    def seed(self, name: str) -> int:
+        """Of the training of one of its agents, as its name says."""
+        return int(name[len(self.agents) + 2 :] or 0)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of the paper, or one of ours.
+
+    Args:
+        name: as in ``l2a table NAME``.
+        title: one line.
+        columns, rows: what is played.
+        paper: fields of ``published.csv`` that pick the table.
+        conditions: how; those at epsilon 0 under static physics get the share of the upper bound.
+        other_discount: a second gamma R is also given for.
+        notes: sentences printed below.
+    """
+
+    name: str
+    title: str
+    columns: tuple[Column, ...]
+    rows: tuple[Row, ...]
+    paper: dict[str, str] = field(default_factory=dict)
+    conditions: tuple[Condition, ...] = CONDITIONS
+    other_discount: float | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def stems(self) -> list[str]:
+        """Stems of its agents, in the order of its rows."""
+        names = [re.sub(r"-s\d+$", "", row.agents) for row in self.rows if row.agents]
+        return list(dict.fromkeys(names))
+
+    @property
+    def reference(self) -> int | None:
+        """Number of the row all others are compared with: our agent with the paper's budget."""
+        own = [n for n, row in enumerate(self.rows) if row.kind == OWN and row.budget == 10]
+        return own[0] if own else None
+
+
+# ---------------------------------------------------------------- rows
+
+OWN_CUBES, OWN_BARS, OWN_OBJECTS = "relational-cubes", "relational-bars", "relational-objects"
+SHIPPED = f"{OWN_CUBES}-s0"
+BUILDER = "builder"
+"""Stems of our own agents, the one that is shipped, and the stem of the builder of designs."""
+_LEARNERS = {"DQN": ("dqn", "dqn-mcts"), "ε-MCTS": ("eps-mcts",) * 2, "Q-MCTS": ("q-mcts",) * 2}
+"""Learner -> stem of its agents and its search."""
+
+
+def _budget(budget: int, rollout: int = 1, learners: Iterable[str] = _LEARNERS) -> tuple[Row, ...]:
+    """The published learners with one budget of search."""
+    rows = []
+    depth = "none" if not budget else "1" if rollout == 1 else "to_termination"
+    for learner in learners:
+        agents, search = _LEARNERS[learner]
+        name = f"{learner}+MCTS" if learner == "DQN" and budget else learner
+        more = f", budget {budget}{'' if rollout == 1 else ', to the end'}" if budget else ""
+        paper = {"method": name.replace("ε", "eps"), "search_budget": str(budget), "rollout": depth}
+        rows.append(
+            Row(name + more, agents, search if budget else "", budget, rollout, paper=paper)
+        )
+    return tuple(rows)
+
+
+def _played(agents: str) -> tuple[Row, ...]:
+    """Published agents without search and with."""
+    return (
+        Row("DQN", agents, paper={"method": "DQN", "search_budget": "0"}),
+        Row(
+            "DQN+MCTS, budget 10",
+            agents,
+            "dqn-mcts",
+            10,
+            paper={"method": "DQN+MCTS", "search_budget": "10"},
+        ),
+    )
+
+
+def _network(name: str, agents: str, graph: str, label: str) -> Row:
+    return Row(label, agents, paper={"method": f"DQN[{name}]", "graph": graph})
+
+
+def _ours(label: str, agents: str, search: str = "", **more: Any) -> Row:
+    more = {"help": MODEL_LABELS, **more}
+    return Row(label, agents, search, 10 if search else 0, kind=OWN, **more)
+
+
+def _own(agents: str) -> tuple[Row, ...]:
+    """Our own agents; their searches expand distinct placements whatever ``distinct`` says."""
+    return (
+        _ours("ours, no search", agents),
+        _ours("ours, budget 10", agents, "dqn-mcts"),
+        _ours("ours, budget 10, deeper", agents, "widening", distinct=True),
+    )
+
+
+_BUILDER = _ours("builder, budget 10", BUILDER, "dqn-mcts", help=DESIGNS)
+_LOOK_AHEAD = Row("exact look-ahead", help=KNOWS, policy=LOOK_AHEAD, kind=REFERENCE)
+_UCT = Row(
+    "UCT, budget 1000",
+    "",
+    "uct",
+    1000,
+    TO_THE_END,
+    policy=UNTRAINED,
+    columns=(0,),
+    paper={"method": "UCT (no prior)", "search_budget": "1000"},
+)
+_RANDOM = Row("uniformly random actions", policy=RANDOM, kind=REFERENCE, columns=(0,))
+_MHA, _SHA, _S2V = (
+    _network(name, f"{name.lower()}-full", "full", name) for name in ("MHA", "SHA", "S2V")
+)
+_PARTS = (
+    ("all parts", "full", MODEL_LABELS),
+    ("without dense labels", "no-dense-labels", ""),
+    ("without double Q", "single-q", MODEL_LABELS),
+    ("one round of pooling", "one-round", MODEL_LABELS),
+    ("targets over three steps", "three-steps", MODEL_LABELS),
+)
+"""Rows of the ablation: label, stem of the agents, help."""
+
+
+def _robot_rows(agents: str, own: str) -> tuple[Row, ...]:
+    return (*_played(agents), *_own(own)[:2], _LOOK_AHEAD)
+
+
+# ---------------------------------------------------------------- columns
+
+
+def _columns(
+    kind: str, *sizes: str, star: bool = True, suffix: str = "", objects: str = ""
+) -> tuple[Column, ...]:
+    """Tasks of a kind by grid and blocks; the agents were trained on the first of them, or not."""
+    found = []
+    for size in sizes:
+        grid, _, blocks = size.partition("-")
+        paper = {"grid": grid, "blocks": blocks, **({"objects": objects} if objects else {})}
+        found.append(Column(f"{kind}-{size}{suffix}", star and not found, paper))
+    return tuple(found)
+
+
+_SMALL = (
+    *_columns("two-sided", "3x3-20-24", "3x3-30-34"),
+    *_columns("two-sided", "3x3-30-34", star=False, suffix="-trained-shapes"),
+)
+"""The published column 3x3 30-34 in both readings."""
+_T1_COLUMNS = (*_SMALL, *_columns("two-sided", "4x4-20-24", star=False))
+_T2_COLUMNS = (*_SMALL, *_columns("two-sided", "4x4-30-34", "5x5-40-44", star=False))
+_SIZES = _columns(
+    "two-sided", "6x6-50-54", "8x8-90-94", "10x10-140-144", "12x12-200-204", star=False
+)
+_A3_COLUMNS = (
+    *_columns(
+        "bars-one-sided",
+        "5x5-25-27",
+        "5x5-35-37",
+        "6x6-35-37",
+        objects="cube+horizontal2+vertical2",
+    ),
+    *_columns(
+        "other-bars-one-sided", "5x5-25-27", star=False, objects="different types (unspecified)"
+    ),
+)
+_OBJECT_SIZES = ("5x5-20-24", "5x5-30-34", "6x6-30-34")
+_TWO_SIZES = ("3x3-10-14", "3x3-14-18", "5x5-14-18")
+
+
+# ---------------------------------------------------------------- tables
+
+_CHANCE = (
+    "The published UCT scores about what uniformly random actions score, so its final choice can "
+    "hardly have depended on its values; ours is the same search with exact restores.",
+)
+_READINGS = (
+    "3x3 30-34 stands here twice: with unseen shapes, as the paper's text says, and with the "
+    "shapes of training, which the released code draws; with unseen shapes switched on, that code "
+    "does not end on a 3x3 grid, so which of the two the paper played is open.",
+)
+_TRAINED = (
+    "Ours was trained on two-sided-5x5-40-44 alone, the published methods on the starred task.",
+    *_READINGS,
+)
+_SEARCHES = (
+    "Every search looks ahead in the kinematic cell, whatever judges the episode; the paper's "
+    "looked ahead in the fast mode itself.",
+)
+FIDELITIES = (
+    Condition(0.05, "published"),
+    Condition(0.05, "kinematic"),
+    Condition(0.05, "dynamic"),
+    Condition(0.0, "dynamic"),
+)
+"""The authors' fast mode, and our two: a cell that looks at collisions of every link, and one that
+simulates arm, grasp and blocks."""
+_NO_ROBOT = {"source_table": "main_T5", "experiment": "multi_object_no_robot"}
+_ROBOT_OBJECTS = {"source_table": "main_T5", "experiment": "multi_object_robot"}
+_TWO_ROWS = _robot_rows("robot-two-sided", "relational-two-sided")
+_OBJECT_ROWS = _robot_rows("robot-objects", "relational-robot-objects")
+_TRANSFER = "robot-two-sided-3x3-10-14"
+
+_ALL = (
+    Table(
+        "T1",
+        "Architectures (main Table 1; full graph)",
+        _T1_COLUMNS,
+        (_MHA, _S2V, *_own(OWN_CUBES), _LOOK_AHEAD),
+        {"source_table": "main_T1"},
+        notes=_TRAINED,
+    ),
+    Table(
+        "A2",
+        "Architectures (appendix Table 2; full graph)",
+        _T1_COLUMNS,
+        (_MHA, _SHA, _S2V, *_own(OWN_CUBES), _LOOK_AHEAD),
+        {"source_table": "app_T2"},
+        notes=_TRAINED,
+    ),
+    Table(
+        "T2",
+        "Learning algorithms (main Table 2; two sides, no robot)",
+        _T2_COLUMNS,
+        (*_budget(0), *_budget(10), _UCT, _RANDOM, *_own(OWN_CUBES), _LOOK_AHEAD),
+        {"source_table": "main_T2"},
+        notes=(*_TRAINED, *_CHANCE),
+    ),
+    Table(
+        "A4",
+        "Learning algorithms (appendix Table 4; two sides, no robot)",
+        _T2_COLUMNS,
+        (
+            *_budget(0),
+            *_budget(5),
+            *_budget(5, TO_THE_END),
+            *_budget(10),
+            _UCT,
+            _RANDOM,
+            *_own(OWN_CUBES),
+            _LOOK_AHEAD,
+        ),
+        {"source_table": "app_T4"},
+        notes=(*_TRAINED, *_CHANCE),
+    ),
+    Table(
+        "A3",
+        "Connectivity (appendix Table 3; bars, one side)",
+        _A3_COLUMNS,
+        (
+            _network("MHA", "bars-full", "full", "fully connected"),
+            _network("MHA", "bars-partial", "partial", "partially connected"),
+            *_own(OWN_BARS),
+            _BUILDER,
+            _LOOK_AHEAD,
+        ),
+        {"source_table": "app_T3"},
+        other_discount=0.95,
+    ),
+    Table(
+        "T5",
+        "Several objects (main Table 5, row without robot)",
+        _columns("objects-two-sided", *_OBJECT_SIZES),
+        (_played("objects")[1], *_own(OWN_OBJECTS), _LOOK_AHEAD),
+        _NO_ROBOT,
+        other_discount=0.8,
+    ),
+    Table(
+        "A6",
+        "Several objects (appendix Table 6, rows without robot)",
+        _columns("objects-two-sided", *_OBJECT_SIZES),
+        (*_played("objects"), *_own(OWN_OBJECTS), _BUILDER, _LOOK_AHEAD),
+        {**_NO_ROBOT, "source_table": "app_T6"},
+        other_discount=0.8,
+    ),
+    Table(
+        "ablation",
+        "What each part of our method brings (24,000 samples; searches: shipped agent)",
+        (_T2_COLUMNS[0], _T2_COLUMNS[4]),
+        (
+            *(_ours(label, f"ablation-{stem}", help=help_) for label, stem, help_ in _PARTS),
+            *_budget(0, learners=("DQN",)),
+            _ours("shipped agent, no search", SHIPPED),
+            *(
+                _ours(f"shipped agent, {name}, budget 10", SHIPPED, name, distinct=True)
+                for name in ("dqn-mcts", "widening", "gumbel")
+            ),
+            _LOOK_AHEAD,
+        ),
+    ),
+    Table(
+        "scaling",
+        "Targets larger than those of training (DQN: 3x3, ours, the shipped agent: 5x5)",
+        (_T2_COLUMNS[0], *_T2_COLUMNS[3:], *_SIZES),
+        (
+            *_budget(0, learners=("DQN",)),
+            *_own(SHIPPED),
+            _ours("ours, budget 10, gumbel", SHIPPED, "gumbel", distinct=True),
+            _ours(
+                "ours, budget 10, farther",
+                SHIPPED,
+                "gumbel",
+                distinct=True,
+                policy=FARTHER,
+                columns=(4, 5),
+            ),
+            _ours("ours, budget 10", SHIPPED, "dqn-mcts", help=HELPED, policy=MENDED),
+            _LOOK_AHEAD,
+        ),
+        conditions=(Condition(0.0),),
+        notes=(
+            "R is discounted, so the last blocks of a large target hardly show in it; the "
+            "success is the share of targets that are finished.",
+            "farther: the search is gumbel with nine simulations; where the placement it chose "
+            "brings no reward, the agent values all placements again, seeing blocks up to four "
+            "or five cells away in turn instead of three, and takes the best one if the tenth "
+            "simulation shows that it is valid.",
+        ),
+    ),
+    Table(
+        "shipped",
+        "The shipped agent beside the published methods",
+        (
+            *(replace(column, star=False) for column in _T2_COLUMNS[:4]),
+            replace(_T2_COLUMNS[4], star=True),
+            _SIZES[0],
+        ),
+        (
+            _ours("no search", SHIPPED, paper={"method": "DQN", "search_budget": "0"}),
+            _ours(
+                "budget 10",
+                SHIPPED,
+                "dqn-mcts",
+                paper={"method": "DQN+MCTS", "search_budget": "10"},
+            ),
+            _BUILDER,
+            _LOOK_AHEAD,
+        ),
+        {"source_table": "main_T2"},
+        (Condition(0.05), Condition(0.0), Condition(0.05, "rigid")),
+        notes=_READINGS,
+    ),
+    Table(
+        "T3",
+        "Four sides with a robot (main Table 3)",
+        _columns("robot-four-sided", "3x3-10-18", "3x3-16-24"),
+        _robot_rows("robot-four-sided", "relational-four-sided"),
+        {"source_table": "main_T3"},
+        FIDELITIES,
+        notes=_SEARCHES,
+    ),
+    Table(
+        "T4",
+        "Two sides with a robot, blocks waiting in rows (main Table 4)",
+        _columns("robot-two-sided", *_TWO_SIZES),
+        _TWO_ROWS,
+        {"source_table": "main_T4", "experiment": "robot_2_sided"},
+        FIDELITIES,
+        notes=_SEARCHES,
+    ),
+    Table(
+        "T4-random",
+        "Two sides with a robot, blocks waiting anywhere (main Table 4)",
+        _columns("robot-random-two-sided", *_TWO_SIZES, star=False),
+        _TWO_ROWS,
+        {"source_table": "main_T4", "experiment": "robot_2_sided_random_layout"},
+        FIDELITIES,
+        notes=(*_SEARCHES, "The agents were trained with blocks waiting in rows."),
+    ),
+    Table(
+        "transfer",
+        "Agents trained with the Panda, with another arm",
+        tuple(
+            Column(task, not arm and task == _TRANSFER, arm=arm)
+            for task in (_TRANSFER, "robot-two-sided-5x5-14-18")
+            for arm in ("", "ur5e")
+        ),
+        tuple(replace(row, paper={}) for row in _TWO_ROWS),
+        conditions=FIDELITIES[1:],
+        notes=(
+            *_SEARCHES,
+            "Nothing is trained for the UR5e; its cell knows its own reach and "
+            "shape, which decide what is valid, and the agents do not.",
+        ),
+    ),
+    Table(
+        "A5",
+        "Training with a robot or without (appendix Table 5; played with it)",
+        _columns("robot-one-sided", "5x5-15-17", "6x6-16-18"),
+        (
+            *(
+                Row(f"DQN trained {how} robot", stem, paper={"method": f"DQN trained {how} robot"})
+                for how, stem in (("with", "robot-one-sided"), ("without", "one-sided"))
+            ),
+            _LOOK_AHEAD,
+        ),
+        {"source_table": "app_T5"},
+        FIDELITIES,
+    ),
+    Table(
+        "T5-robot",
+        "Several objects with a robot (main Table 5)",
+        _columns("robot-objects-two-sided", *_OBJECT_SIZES),
+        _OBJECT_ROWS[1:],
+        _ROBOT_OBJECTS,
+        FIDELITIES,
+        other_discount=0.8,
+        notes=_SEARCHES,
+    ),
+    Table(
+        "A6-robot",
+        "Several objects with a robot (appendix Table 6)",
+        _columns("robot-objects-two-sided", *_OBJECT_SIZES),
+        _OBJECT_ROWS,
+        {**_ROBOT_OBJECTS, "source_table": "app_T6"},
+        FIDELITIES,
+        other_discount=0.8,
+        notes=_SEARCHES,
+    ),
+)
+
+TABLES: dict[str, Table] = {table.name: table for table in _ALL}
+
+
+def get_table(name: str) -> Table:
+    """The table called ``name``; letter case does not matter.
+
+    Raises:
+        UnknownNameError: naming the nearest one.
+    """
+    for table in TABLES.values():
+        if table.name.lower() == name.lower():
+            return table
+    raise UnknownNameError("table", name, TABLES)

@@ -1,0 +1,165 @@
+"""The arm in the builder's search: what it makes, and what it says is in the way."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from l2a_lab.builder import measure_arm as builder_arm
+from l2a_lab.builder.arm import Hand, build_by_arm
+from l2a_lab.builder.measure_arm import WAYS, compare
+from l2a_lab.builder.network import load_builder
+from l2a_lab.builder.search import build
+from learn2assemble.assembly.kit import load_kit
+from learn2assemble.cell import workcell
+from learn2assemble.cell.carry_out import Workcell
+from learn2assemble.cell.pieces import pieces_of
+from learn2assemble.cell.site import Obstacle, Site
+from learn2assemble.design.cells import CellDesign
+from learn2assemble.errors import InputError
+from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.planning.tiling.ordering import to_assembly
+from learn2assemble.planning.tiling.tile import Tiling
+from learn2assemble.planning.tiling.world import World, make_site
+from learn2assemble.tasks.designs import make_design
+from learn2assemble.tasks.task import DesignTask
+
+H = np.array([[c == "#" for c in row] for row in ("#...#", "#####", "#...#")])[::-1].T[:, None]
+THICK = np.ones((3, 3, 2), bool)
+
+
+def settled(
+    cells: np.ndarray, tool: str = "suction", kit_name: str = "bricks-lintels", **site: Any
+) -> tuple[Hand, World]:
+    """An arm before a design, and a world with half of it built."""
+    hand = Hand(Workcell("panda", tool, Site(**site), physics="kinematic"))
+    kit = hand.holds(load_kit(kit_name))
+    first = build(make_site(cells, kit), load_builder()).world
+    place = make_site(cells, hand.set_up(first))
+    hand.enter(place)
+    done = build(place, load_builder()).world
+    half = World(place)
+    for candidate in done.placed[: len(done.placed) // 2]:
+        assert half.place(candidate, program=True)
+    return hand, half
+
+
+def test_the_scene_is_that_of_the_build() -> None:
+    hand, world = settled(H, obstacles=(Obstacle((0.3, 0.3), (0.05, 0.04, 0.1), 0.2),))
+    assert hand.job is not None
+    site = world.site
+    nxt = next(int(c) for c in world.legal() if world.copy().place(int(c), program=True))
+    blocks = tuple(site.placement(c) for c in [*world.placed, nxt])
+    assembly = to_assembly(Tiling(blocks, site.wanted, "complete"), None, site.kit)
+    job = replace(hand.job, pieces=pieces_of(assembly), steps=(), assembly=assembly)
+    other = workcell.World(job)
+    for k in range(len(world.placed)):
+        other.pose[k], other.state[k] = other.target(k), workcell.STANDING
+    last = len(world.placed)
+    other.pose[last] = other.presented(last, workcell.supply_of(other, last)[0])
+    expected = workcell.rows_of(other, other.pose, last)
+    seen = []
+    attempt = hand.cell.attempt
+    hand.cell.attempt = lambda scene, move: seen.append((scene, move)) or attempt(scene, move)
+    assert hand.blocked(world, nxt) is None
+    scene, move = seen[0]
+    assert scene.num_placed == expected.scene.num_placed
+    np.testing.assert_allclose(scene.position, expected.scene.position, atol=1e-9)
+    np.testing.assert_allclose(scene.halves, expected.scene.halves, atol=1e-9)
+    assert scene.density is not None
+    assert expected.scene.density is not None
+    np.testing.assert_allclose(scene.density, expected.scene.density)
+    turn = scene.yaw - expected.scene.yaw
+    np.testing.assert_allclose(np.cos(turn), 1, atol=1e-12)
+    ways = list(workcell.moves(other, expected, last, other.target(last)))
+    assert any(np.allclose(move.target, way.target) and move.place == way.place for way in ways)
+
+
+def test_what_is_in_the_way_is_named() -> None:
+    """Fingers cannot put a block between two others; those are to blame."""
+    hand, _ = settled(THICK, "gripper", "cubes")
+    site, world = hand.site, World(hand.site)
+    where = {tuple(site.found.origin[c]): int(c) for c in world.legal()}
+    for around in ((0, 1, 0), (2, 1, 0), (1, 0, 0), (1, 2, 0)):
+        assert world.place(where[around])
+    blamed = hand.blocked(world, where[1, 1, 0])
+    assert blamed is not None
+    assert set(blamed) <= set(np.flatnonzero(world.owner >= 0))
+    assert hand.blocked(World(site), where[1, 1, 0]) is None
+
+
+@pytest.mark.parametrize(("cells", "tool"), [(H, "suction"), (H, "gripper"), (THICK, "gripper")])
+def test_the_builders_plan_is_carried_out_in_its_order(cells: np.ndarray, tool: str) -> None:
+    design = CellDesign("it", cells, (0.05, 0.05, 0.05), None, 0.0, None, "it", None)
+    hands = []
+
+    def plan_with(kit, hand):
+        hands.append(hand)
+        return plan_cells(design, kit, planner="agent", hand=hand)
+
+    kit = load_kit("bricks-lintels")
+    at = Workcell("panda", tool, physics="kinematic")
+    plan = build_by_arm(plan_with, cells, kit, at, lambda text: None)
+    assert plan.complete, plan.reason
+    assert plan.arm is not None
+    assert plan.arm.attempts == len(plan.steps)
+    assert not plan.arm.failures
+    assert [step.block for step in plan.steps] == list(range(len(plan.steps)))
+    assert plan.cells is not None
+    assert plan.cells.missing == plan.cells.outside == 0
+    # Without room for fingers, they stand farther apart.
+    assert (plan.arm.pitch > 0.07) == (cells is THICK)
+
+
+def test_a_tool_that_holds_nothing_is_refused() -> None:
+    with pytest.raises(InputError, match="blocks that it can hold"):
+        Hand(Workcell("panda", "suction")).holds(load_kit("cubes").at_pitch((0.02, 0.02, 0.02)))
+
+
+def test_the_comparison_says_whether_the_builder_helps() -> None:
+    def row(exact: int, prior: int) -> dict[str, Any]:
+        told = {"complete": True, "placed": 10, "tried": 10, "props": 0, "seconds": 1.0}
+        failed = dict(zip(WAYS, (exact, exact, prior, prior), strict=True))
+        return {"blocks": 10} | {way: told | {"failed": failed[way]} for way in WAYS}
+
+    assert compare([row(10, 7), row(10, 7)])["helps"]
+    assert not compare([row(10, 8), row(10, 7)])["helps"]
+    assert not compare([row(0, 0), {"left_out": "out of reach"}])["helps"]
+    told = compare([row(10, 7), row(20, 17), {"left_out": "out of reach"}])
+    assert (told["designs"], told["left_out"]) == (2, 1)
+    assert told["agent as prior"]["minus_far_to_near"]["failed_per_block"] == [-0.3, -0.3, -0.3]
+
+
+def test_the_planners_of_the_comparison_place_the_same_blocks() -> None:
+    task = DesignTask("little", ("rings",), "cubes", blocks=(8, 20))
+    design = make_design(task, np.random.default_rng(3))
+    row = builder_arm._compared(design, builder_arm.ArmMeasure(seconds=5.0), load_builder())
+    for way in WAYS:
+        assert row[way]["complete"], way
+        assert row[way]["placed"] == len(design.order) == row[way]["tried"] - row[way]["failed"]
+
+
+def test_the_measurement_counts_every_design(monkeypatch: pytest.MonkeyPatch) -> None:
+    little = DesignTask("little", ("rings",), "cubes", blocks=(4, 12))
+    monkeypatch.setattr(builder_arm, "SMALL", little)
+    monkeypatch.setattr(builder_arm, "LARGE", (little,))
+    kept = []
+    config = builder_arm.ArmMeasure(2, 1, 1, 5.0)
+    found = builder_arm.measure_arm("builder-s0", config, keep=lambda now: kept.append(dict(now)))
+    assert len(kept) == 2
+    assert (found["sets"]["suction"]["designs"], found["sets"]["gripper"]["designs"]) == (2, 1)
+    assert found["sets"]["suction"]["complete"] == 1
+    low, high = found["sets"]["suction"]["interval"]
+    assert low < 1 <= high + 1e-9
+    assert found["comparison"]["designs"] + found["comparison"]["left_out"] == 1
+    more = builder_arm.measure_arm(
+        "builder-s0", builder_arm.ArmMeasure(3, 1, 1, 5.0), known=json.loads(json.dumps(found))
+    )
+    assert more["sets"]["suction"]["designs"] == 3
+    assert more["sets"]["suction"]["rows"][:2] == found["sets"]["suction"]["rows"]
+    assert more["sets"]["gripper"] == json.loads(json.dumps(found["sets"]["gripper"]))
+    assert more["comparison"] == json.loads(json.dumps(found["comparison"]))

@@ -1,0 +1,63 @@
+"""The measured builds by an arm: every entry once, and what is no result is refused."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from l2a_lab import builds
+from l2a_lab.measured import measure
+from learn2assemble.errors import InputError
+
+
+def test_every_measurement_has_a_name_of_its_own() -> None:
+    names = builds.names()
+    assert len(names) == len(set(names))
+    count = len(builds.DESIGNS) * len(builds.ARMS)
+    assert sum(name.startswith("noise/") for name in names) == builds.SEEDS * count == 160
+
+
+def test_what_was_measured_is_not_measured_again(tmp_path: Path) -> None:
+    calls: list[str] = []
+
+    def fake(name: str) -> dict[str, Any]:
+        calls.append(name)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return {"status": "complete", "reason": None}
+
+    figures = replace(builds.FIGURES, entry=fake)
+    out = tmp_path / "builds.json"
+    with pytest.raises(KeyboardInterrupt):
+        measure(figures, out, only="pyramid.json/panda")
+    first = set(json.loads(out.read_text())["entries"])
+    assert len(first) == 2
+    calls[:] = [""] * 3
+    found = measure(figures, out, only="pyramid.json/panda")
+    assert not first & set(calls)
+    assert set(found["entries"]) == {n for n in builds.names() if "pyramid.json/panda" in n}
+    rows = builds.summary(found["entries"])
+    assert ("noise", ">= 95 %", "10 of 10") in rows
+
+
+def test_other_files_are_not_overwritten(tmp_path: Path) -> None:
+    out = tmp_path / "builds.json"
+    out.write_text("{}")
+    with pytest.raises(InputError, match="--out"):
+        measure(builds.FIGURES, out, only="pyramid")
+    assert out.read_text() == "{}"
+    with pytest.raises(InputError, match="--only"):
+        measure(builds.FIGURES, tmp_path / "new.json", only="pyramdi")
+
+
+@pytest.mark.slow
+def test_a_small_example_is_built_and_its_program_played() -> None:
+    found = builds.entry("program/arch_pair.json/panda")
+    assert found["status"] == "complete"
+    assert found["program"]["same"]
+    assert found["program"]["worst"] < 2e-3
+    assert found["attempts_per_step"] >= 1

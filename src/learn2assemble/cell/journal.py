@@ -1,0 +1,224 @@
+"""What is kept of a build: a file that is appended to after every attempt, and the record of what
+the arm did.
+
+The first line of the file says what is built, every other line is the whole state after an attempt,
+with what the arm did in it. A line that was cut off is not read: what it says was not done.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import json
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from learn2assemble.cell.workcell import HIDDEN, OBSTACLE_DENSITY, Rows, World
+from learn2assemble.errors import InputError
+from learn2assemble.files import append_line, unwritable, write_file
+from learn2assemble.geometry.rotations import quaternion_matrix, yaw_quaternion
+from learn2assemble.motion.record import (
+    BuildRecord,
+    BuildRecorder,
+    Samples,
+    Stage,
+    StepRecord,
+)
+from learn2assemble.robot.moves import Outcome
+
+FORMAT, VERSION = "learn2assemble-build", 2
+SUM = "checksum"
+"""Key of every state: the CRC-32 of the rest, so that damage is seen whatever it hits."""
+
+
+def read_states(path: Path, key: str) -> list[dict[str, Any]]:
+    """The states in a file, oldest first; an incomplete last line is cut off the file.
+
+    Args:
+        path: written with its first line where it does not exist.
+        key: of what is built.
+
+    Raises:
+        InputError: for a file of another build, a damaged one, and one that cannot be written.
+    """
+    head = json.dumps({"format": FORMAT, "version": VERSION, "key": key})
+    try:
+        text = path.read_text(encoding="utf-8") if path.exists() else ""
+        if head.startswith(text):  # Not even the first line is whole.
+            write_file(path, head + "\n", "--resume")
+            return []
+        first, *lines = text.split("\n")[:-1]
+        if first != head:
+            expected = "the same design, kit, arm, tool, layout and seed as before"
+            raise InputError("--resume", str(path), expected)
+        states = [_unsealed(line) for line in lines]
+        write_file(path, "".join(f"{line}\n" for line in (first, *lines)), "--resume")
+    except OSError as error:
+        raise unwritable("--resume", path, error) from None
+    except InputError:
+        raise
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        raise InputError("--resume", str(path), "the undamaged file of a build") from None
+    return states
+
+
+def append_state(path: Path, state: dict[str, Any]) -> None:
+    """Append a state; it is on the disk when this returns."""
+    append_line(path, json.dumps({**state, SUM: _checksum(state)}), "state of the build")
+
+
+def _checksum(state: dict[str, Any]) -> int:
+    return zlib.crc32(json.dumps(state).encode())
+
+
+def _unsealed(line: str) -> dict[str, Any]:
+    """The state in a line.
+
+    Raises:
+        ValueError: where it is not what was written; also other errors, of JSON and of types.
+    """
+    state = json.loads(line)
+    if state.pop(SUM) != _checksum(state):
+        raise ValueError("another checksum")
+    return state
+
+
+def packed(value: Any) -> Any:
+    """A step of a record, or a value in it, as JSON can write it."""
+    if isinstance(value, np.ndarray):
+        data = zlib.compress(np.ascontiguousarray(value, float).tobytes(), 6)
+        return [list(value.shape), base64.b64encode(data).decode("ascii")]
+    if isinstance(value, StepRecord | Samples):
+        return {f.name: packed(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    return value
+
+
+def _array(value: list[Any]) -> np.ndarray:
+    data = zlib.decompress(base64.b64decode(value[1]))
+    return np.frombuffer(data, float).reshape(value[0]).copy()
+
+
+def _unpacked(value: dict[str, Any]) -> StepRecord:
+    samples = Samples(**{name: _array(array) for name, array in value["samples"].items()})
+    arrays = {name: _array(value[name]) for name in ("target", "before", "after")}
+    return StepRecord(
+        **{
+            **value,
+            **arrays,
+            "samples": samples,
+            "cells": tuple(value["cells"]),
+            "stages": tuple(Stage(*stage) for stage in value["stages"]),
+            "outcome": Outcome(value["outcome"]),
+        }
+    )
+
+
+class Recording:
+    """The record of a build, whose cells are those of physical blocks, replaced ones included, and
+    of obstacles.
+
+    Args:
+        world: where everything is.
+        joints: float64[n] where the arm begins [rad].
+        masses: float64[N], factors of the densities.
+        words: what the outcomes come from.
+    """
+
+    def __init__(self, world: World, joints: np.ndarray, masses: np.ndarray, words: str) -> None:
+        self.world, self.job, self.words = world, world.job, words
+        count = len(world.pieces)
+        self.body = list(range(count))
+        """The physical block that each piece is; others where one was lost."""
+        self.like: list[int] = []
+        """Of every block beyond those of the plan, the piece it is like."""
+        self.cells = world.cells()
+        self.fixed = [sum(map(len, self.cells)) + n for n in range(len(self.job.obstacles))]
+        self.masses = masses
+        self.begin(joints, 0.0)
+
+    def begin(self, joints: np.ndarray, width: float) -> None:
+        """Before the first attempt; the pads are ``width`` apart [m]."""
+        poses, objects, half, density = self._there()
+        self.recorder = BuildRecorder(
+            self.job.arm, joints, width, poses, objects, self.words, half, density
+        )
+
+    def sync(self) -> None:
+        """The record has all cells there are now, and they are where they are now."""
+        made = self.recorder
+        made.poses, made.objects, made.half, made.density = self._there()
+        if made.steps:
+            made.steps[-1] = dataclasses.replace(made.steps[-1], after=made.poses)
+
+    def _there(self) -> tuple[np.ndarray, tuple[tuple[int, ...], ...], np.ndarray, np.ndarray]:
+        """Poses float64[C, 7] of all cells of the record, its objects, half extents float64[C, 3]
+        [m] and densities float64[C] [kg/m3]."""
+        count = sum(map(len, self.cells)) + len(self.fixed)
+        halves, densities, poses = np.empty((count, 3)), np.empty(count), np.zeros((count, 7))
+        for body, piece, pose, mass in zip(
+            self.body, self.world.pieces, self.world.pose, self.masses, strict=True
+        ):
+            cells, turn = list(self.cells[body]), quaternion_matrix(pose[3:])
+            halves[cells] = [half for _, half in piece.shape]
+            densities[cells] = piece.density * mass
+            poses[cells] = [[*(pose[:3] + turn @ np.array(c)), *pose[3:]] for c, _ in piece.shape]
+        for cell, obstacle in zip(self.fixed, self.job.obstacles, strict=True):
+            halves[cell], densities[cell] = np.array(obstacle.size) / 2, OBSTACLE_DENSITY
+            poses[cell] = [*obstacle.middle, *yaw_quaternion(obstacle.yaw)]
+        return poses, (*self.cells, *((cell,) for cell in self.fixed)), halves, densities
+
+    def numbers(self, rows: Rows) -> np.ndarray:
+        """int64[n]: cell of the record of each row."""
+        return np.array(
+            [
+                self.fixed[part] if owner < 0 else self.cells[self.body[owner]][part]
+                for owner, part in zip(rows.owner, rows.part, strict=True)
+            ]
+        )
+
+    def replace(self, k: int) -> int:
+        """Another block takes the place of a piece; the number of this one from now on."""
+        spare = self.world.add(k)
+        self.like.append(k)
+        first = sum(map(len, self.cells)) + len(self.fixed)
+        self.cells.append(tuple(range(first, first + len(self.world.pieces[k].shape))))
+        self.body.append(self.body[k])
+        self.body[k] = len(self.cells) - 1
+        self.masses = np.append(self.masses, self.masses[k])
+        return spare
+
+    def state(self) -> dict[str, Any]:
+        """What a file says of it, besides the steps."""
+        return {
+            "body": self.body,
+            "like": self.like,
+            "cells": [list(c) for c in self.cells],
+            "masses": self.masses.tolist(),
+        }
+
+    def restore(self, state: dict[str, Any], steps: list[dict[str, Any]]) -> None:
+        """As a file says it was; the world has its blocks already."""
+        for step in steps:
+            self.recorder.take(_unpacked(step))
+        self.body, self.like = state["body"], state["like"]
+        self.cells = [tuple(c) for c in state["cells"]]
+        self.masses = np.array(state["masses"])
+        self.sync()
+
+    def record(self) -> BuildRecord:
+        """What the arm did."""
+        found, hidden = self.recorder.record(), self.recorder.poses.copy()
+        hidden[:, 2] = -HIDDEN - 0.1
+
+        def whole(poses: np.ndarray) -> np.ndarray:
+            # Replacements wait in their magazines until they are needed.
+            return np.vstack([poses, hidden[len(poses) :]])
+
+        steps: list[StepRecord] = []
+        for step in found.steps:
+            before = steps[-1].after if steps else whole(step.before)
+            steps.append(dataclasses.replace(step, before=before, after=whole(step.after)))
+        return dataclasses.replace(found, steps=tuple(steps))

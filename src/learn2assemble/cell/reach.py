@@ -1,0 +1,469 @@
+"""What of a structure an arm reaches from where, and where magazines go.
+
+A place counts as reached when the inverse kinematics has a way down to it from above everything
+that stands by then, on one branch of solutions. Whether links touch anything on the way is for
+:mod:`.workcell`, which looks at every step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from learn2assemble.cell.pieces import QUARTER, Part, Piece, Pose, footprint, pieces_of
+from learn2assemble.cell.site import Site, Source, given_sources, outline
+from learn2assemble.cell.workcell import (
+    LOOSE,
+    RETURNED,
+    STANDING,
+    Job,
+    StepOf,
+    World,
+    different,
+    moves,
+    rows_of,
+    try_step,
+)
+from learn2assemble.errors import InputError
+from learn2assemble.geometry.rotations import yaw_matrix, yaw_quaternion
+from learn2assemble.robot.approach import ApproachCache
+from learn2assemble.robot.arm import Arm, get_arm
+from learn2assemble.robot.inverse import RESTARTS, solve
+from learn2assemble.robot.kinematic import KinematicCell
+from learn2assemble.robot.kinematics import forward, get_chain
+from learn2assemble.robot.moves import (
+    CLEARANCE,
+    FINE_LEVEL,
+    Move,
+    Scene,
+    attitudes,
+    turned,
+    turns,
+    why_not_held,
+)
+
+if TYPE_CHECKING:
+    from learn2assemble.assembly.blocks import Assembly
+    from learn2assemble.planning.plan import Plan
+
+Base = tuple[float, float, float, float]
+"""x, y, z [m] and the direction the arm faces [rad from x]."""
+FARTHEST, NEAREST = 0.85, 0.22
+"""Of a base from the middle, and from the edge, of a structure [m]."""
+DISTANCES = (0.5, 0.45, 0.55, 0.4, 0.6, 0.35, 0.65, 0.3, 0.7, 0.75)
+HEIGHTS = (0.0, 0.2, 0.4)
+"""Of bases that are tried [m], the preferred ones first."""
+FOLDED = 0.35
+"""Nearer to the base an arm has to fold so far that there is no steady way down [m]."""
+CLEAR, APART = 0.06, 0.01
+"""Between magazines and the structure, and between two of them [m]."""
+GRID, MOST_TRIED = 0.04, 150
+"""Between places that are tried for a magazine [m], and how many are."""
+LOW = 0.25
+"""Structures lower than this need no raised base [m]."""
+
+
+def place_arm(name: str, tool: str, base: Base | None = None) -> Arm:
+    """An arm whose base stands somewhere and faces some way; by default where its file says."""
+    if base is None:
+        return get_arm(name, tool)
+    x, y, z, facing = base
+    return get_arm(name, tool, (x, y, z, get_arm(name).base_yaw + facing))
+
+
+@dataclass(frozen=True)
+class Reach:
+    """What an arm reaches of a structure from one base."""
+
+    base: Base
+    out: dict[int, str]
+    """By piece, why it is out of reach."""
+    count: int
+    """How many pieces there are."""
+
+    @property
+    def words(self) -> str:
+        """Where the base stands, in words."""
+        x, y, z, facing = self.base
+        return f"[{x:.2f}, {y:.2f}, {z:.2f}] facing {math.degrees(facing):.0f} degrees"
+
+
+def reach_from(
+    arm: Arm, base: Base, pieces: Sequence[Piece], which: Sequence[int] | None = None
+) -> Reach:
+    """What is out of reach.
+
+    Args:
+        arm: at its base.
+        base: the same, for the report.
+        pieces: of the structure.
+        which: pieces to look at; by default all.
+    """
+    cache = ApproachCache(arm)
+    out: dict[int, str] = {}
+    for k in range(len(pieces)) if which is None else which:
+        piece = pieces[k]
+        why = way_down(cache, piece.shape, piece.target, piece.yaw, piece.top)
+        if why is not None:
+            out[k] = why
+    return Reach(base, out, len(pieces))
+
+
+def way_down(
+    cache: ApproachCache, shape: tuple[Part, ...], middle: np.ndarray, yaw: float, top: float
+) -> str | None:
+    """Why the tool has no way down to a block; None where it has one.
+
+    Args:
+        cache: of the arm.
+        shape: of the block.
+        middle: float64[3] of its bounding box [m].
+        yaw: of its shape [rad].
+        top: of what it has to be carried over [m].
+    """
+    parts = sorted(shape, key=lambda part: (-part[0][2] - part[1][2], np.hypot(*part[0][:2])))
+    tall = 2 * max(abs(c[2]) + h[2] for c, h in shape)
+    why = ""
+    for centre, half in parts:
+        where = middle + yaw_matrix(yaw) @ np.array(centre)
+        for attitude in different(attitudes(cache.arm, np.array(half)), cache.arm):
+            height = top + CLEARANCE + tall + attitude.depth
+            height = FINE_LEVEL * math.ceil(height / FINE_LEVEL - 1e-9)
+            for turn in (0.0, *cache.arm.turns):
+                turned = attitude._replace(yaw=attitude.yaw + yaw + turn)
+                found = cache.solve(where, turned, height)
+                if not isinstance(found, str):
+                    return None
+                why = why or found
+    return why or "the tool cannot hold it"
+
+
+def _check_sources(arm: Arm, given: Sequence[Source], top: float) -> None:
+    """Refuse places of a layout that are out of reach.
+
+    Raises:
+        InputError: naming the first one.
+    """
+    cache = ApproachCache(arm)
+    for source in given:
+        half = max(abs(c[2]) + h[2] for c, h in source.shape)
+        middle = np.array([source.pose.x, source.pose.y, half])
+        why = way_down(cache, source.shape, middle, source.pose.yaw, top)
+        if why is not None:
+            at = [round(v, 4) for v in source.pose]
+            raise InputError(source.name, at, f"a place {arm.name} can reach ({why})")
+
+
+def extreme(pieces: Sequence[Piece]) -> list[int]:
+    """Pieces that decide: those of every level that lie farthest out, in eight directions."""
+    levels = np.array([round(float(p.target[2]), 4) for p in pieces])
+    where = np.array([p.target[:2] for p in pieces])
+    found: set[int] = set()
+    for level in np.unique(levels):
+        here = np.flatnonzero(levels == level)
+        for k in range(8):
+            way = np.array([math.cos(k * math.pi / 4), math.sin(k * math.pi / 4)])
+            found.add(int(here[np.argmax(where[here] @ way)]))
+    return sorted(found)
+
+
+def bases(pieces: Sequence[Piece]) -> Iterator[Base]:
+    """Bases to try, the preferred ones first: before the long side, then before the short one."""
+    half = np.max([np.abs(c) for p in pieces for b in p.boxes(p.target, p.yaw) for c in b], axis=0)
+    long = QUARTER if half[0] > half[1] + 0.02 else 0.0
+    top = max(p.top for p in pieces)
+    for height in HEIGHTS if top > LOW else HEIGHTS[:1]:
+        for facing in (long, QUARTER - long):
+            depth = half[1] if facing else half[0]
+            for distance in DISTANCES:
+                if distance - depth >= NEAREST:
+                    x, y = -distance * math.cos(facing), -distance * math.sin(facing)
+                    yield round(x, 4) + 0.0, round(y, 4) + 0.0, height, facing
+
+
+def suggest(name: str, tool: str, pieces: Sequence[Piece]) -> Reach:
+    """The base from which most of a structure is in reach."""
+    key, best = extreme(pieces), None
+    for base in bases(pieces):
+        found = reach_from(place_arm(name, tool, base), base, pieces, key)
+        if best is None or len(found.out) < len(best.out):
+            best = found
+        if not found.out:
+            break
+    return _whole(name, tool, pieces, best)
+
+
+def _whole(name: str, tool: str, pieces: Sequence[Piece], best: Reach | None) -> Reach:
+    """The same of all pieces, after the decisive ones."""
+    base = (-DISTANCES[0], 0.0, 0.0, 0.0) if best is None else best.base
+    return reach_from(place_arm(name, tool, base), base, pieces)
+
+
+@dataclass(frozen=True, eq=False)
+class ReachReport:
+    """What of a design an arm reaches."""
+
+    arm: str
+    tool: str
+    assembly: Assembly
+    """The blocks; :attr:`Reach.out` refers to them by index."""
+    here: Reach
+    """From the base that was asked about, else from the best one."""
+    best: Reach
+    """From the base that reaches most."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether everything is within reach."""
+        return not self.here.out
+
+
+def report_reach(
+    plan: Plan, arm: str, tool: str = "suction", site: Site | None = None
+) -> ReachReport:
+    """What an arm reaches of the blocks of a plan, and from where it reaches most.
+
+    Args:
+        plan: with an assembly.
+        site: with the base that is asked about, if any.
+
+    Raises:
+        InputError: for a plan without blocks, and for blocks the tool cannot hold.
+    """
+    if plan.assembly is None:
+        raise InputError("design", plan.reason or "no blocks", "a design that blocks fill")
+    pieces = pieces_of(plan.assembly)
+    check_held(get_arm(arm, tool), pieces)
+    best = here = suggest(arm, tool, pieces)
+    if site is not None and site.base is not None:
+        here = reach_from(place_arm(arm, tool, site.base), site.base, pieces)
+    return ReachReport(arm, tool, plan.assembly, here, best)
+
+
+def check_held(arm: Arm, pieces: Sequence[Piece]) -> None:
+    """Refuse kinds that the tool cannot hold.
+
+    Raises:
+        InputError: naming the kind and why.
+    """
+    seen: dict[tuple[Part, ...], str | None] = {}
+    for piece in pieces:
+        if piece.shape not in seen:
+            mass = piece.density * sum(8 * float(np.prod(half)) for _, half in piece.shape)
+            why = [why_not_held(arm, np.array(half), mass) for _, half in piece.shape]
+            seen[piece.shape] = None if None in why else f"{piece.name}: {why[0]}"
+    faults = [why for why in seen.values() if why]
+    if faults:
+        more = f" (and {len(faults) - 1} more kinds)" if len(faults) > 1 else ""
+        other = "gripper" if arm.suction else "suction"
+        raise InputError(
+            f"tool {arm.tool_name}", f"{faults[0]}{more}", f"blocks it can hold; --tool {other} may"
+        )
+
+
+def set_up(job: Job, name: str, tool: str, site: Site) -> Job:
+    """The job with an arm at a base that reaches all of it, and with sources for all blocks.
+
+    Args:
+        job: its arm and sources are replaced.
+        name, tool: of the arm.
+        site: what the user has said.
+
+    Raises:
+        InputError: for what the tool cannot hold, blocks out of reach (with the base that reaches
+            most), and where there is no room for a magazine.
+    """
+    pieces = job.pieces
+    check_held(get_arm(name, tool), pieces)
+    job = replace(job, obstacles=site.obstacles)
+    order = [step.block for step in job.steps if not step.remove]
+    given = given_sources(site, pieces, order)
+    top = max(p.top for p in pieces)
+    if site.base is not None:
+        found = reach_from(place_arm(name, tool, site.base), site.base, pieces)
+        if found.out:
+            raise _out_of_reach(name, pieces, found, suggest(name, tool, pieces))
+        arm = resting(place_arm(name, tool, site.base), site.base[3], pieces)
+        _check_sources(arm, given, top)
+        return _supplied(replace(job, arm=arm), given, site)
+    key, fault, most, second = extreme(pieces), None, None, None
+    for base in bases(pieces):
+        arm = place_arm(name, tool, base)
+        found = reach_from(arm, base, pieces, key)
+        if most is None or len(found.out) < len(most.out):
+            most = found
+        if found.out or reach_from(arm, base, pieces).out:
+            continue
+        try:
+            _check_sources(arm, given, top)
+            here = replace(job, arm=resting(arm, base[3], pieces))
+            if takes_away(here):
+                return _supplied(here, given, site)
+            second = second or here
+        except InputError as error:
+            fault = fault or error
+    if second is not None:
+        # The order will say what cannot be taken away.
+        return _supplied(second, given, site)
+    if fault is not None:
+        raise fault
+    best = _whole(name, tool, pieces, most)
+    raise _out_of_reach(name, pieces, best, best)
+
+
+def removals(job: Job, shape: tuple[Part, ...] | None = None) -> Iterator[tuple[World, StepOf]]:
+    """Worlds in which a block, perhaps one of a shape, is to be taken away, everything else as the
+    plan has it then."""
+    world = World(replace(job, sources=tuple(s for s in job.sources if s.magazine)))
+    for step in job.steps:
+        k = step.block
+        if step.remove and shape in (None, job.pieces[k].shape):
+            yield world, step
+        world.pose[k] = world.target(k)
+        world.state[k] = RETURNED if step.remove else STANDING
+
+
+def takes_away(job: Job) -> bool:
+    """Whether the arm can take hold of every block that is to be taken away, and come out with it;
+    true of a tool that only comes from above, for which other bases change nothing."""
+    if job.arm.suction is None or len(job.arm.suction.cups) == 1:
+        return True
+    cell = KinematicCell(job.arm, cells_of(job))
+    for world, step in removals(job):
+        rows = rows_of(world, world.pose, step.block)
+        ways = moves(world, rows, step.block, world.target(step.block))
+        if not any(_picked(cell, rows.scene, move) for move in ways):
+            return False
+    return True
+
+
+def _out_of_reach(name: str, pieces: Sequence[Piece], found: Reach, best: Reach) -> InputError:
+    names = [f"{pieces[k].id} ({pieces[k].name})" for k in found.out]
+    listed = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    got = f"{len(names)} of {found.count} blocks out of it: {listed}"
+    what = f"reach of {name} at {found.words}"
+    if not best.out:
+        return InputError(what, got, f"a base at {best.words}, which reaches all of them")
+    count = best.count - len(best.out)
+    expected = f"a smaller design or kit; the best base, {best.words}, reaches {count}"
+    return InputError(what, got, expected)
+
+
+def resting(arm: Arm, facing: float, pieces: Sequence[Piece]) -> Arm:
+    """The arm with a home pose over everything, between its base and the structure."""
+    rotation = forward(get_chain(arm), arm.home)[1]
+    top = max(p.top for p in pieces)
+    way = np.array([math.cos(facing), math.sin(facing)])
+    for above in (0.25, 0.2, 0.15, 0.1):
+        for radius in (0.4, 0.35, 0.45, 0.3):
+            point = np.array([*(arm.base_position[:2] + radius * way), max(top + above, 0.35)])
+            found = solve(arm, point, rotation, arm.home, restarts=RESTARTS)
+            if found.ok:
+                home = found.joints.copy()
+                home.flags.writeable = False
+                return replace(arm, home=home)
+    return arm
+
+
+def _supplied(job: Job, given: list[Source], site: Site) -> Job:
+    """The job with magazines for what the layout gives no source for.
+
+    Raises:
+        InputError: where there is no room.
+    """
+    import shapely
+
+    needed = Counter(job.pieces[step.block].shape for step in job.steps if not step.remove)
+    # What a user has given too few of runs empty, and the build waits for more.
+    known = {source.shape for source in given}
+    missing = [shape for shape, _ in needed.most_common() if shape not in known]
+    finished = replace(job, sources=())
+    cell = KinematicCell(job.arm, cells_of(job))
+    structure = shapely.union_all([p.face() for p in job.pieces]).buffer(CLEAR)
+    taken = [footprint(source.shape, source.pose).buffer(APART) for source in given]
+    taken += [outline(o).buffer(2 * APART) for o in job.obstacles]
+    taken.append(shapely.Point(*job.base).buffer(0.16))
+    table = shapely.box(*(-np.array(site.table) / 2), *(np.array(site.table) / 2))
+    made: list[Source] = []
+    for shape in missing:
+        blocked = shapely.union_all([structure, *taken])
+        place = next(_magazine_places(finished, cell, shape, blocked, table, True), None)
+        place = place or next(_magazine_places(finished, cell, shape, blocked, table), None)
+        if place is None:
+            piece = next(p for p in job.pieces if p.shape == shape)
+            got = f"no room for a magazine of kind {piece.name} within reach"
+            raise InputError("supply", got, "a layout with places for it (--layout)")
+        made.append(Source(shape, place, None, True))
+        taken.append(footprint(shape, place).buffer(APART))
+    return replace(job, sources=(*given, *made))
+
+
+def cells_of(job: Job) -> int:
+    """Boxes in the largest scene of a build: everything, obstacles and a few spare blocks."""
+    most = max(len(piece.shape) for piece in job.pieces)
+    return sum(len(p.shape) for p in job.pieces) + len(job.obstacles) + 12 * most
+
+
+def _magazine_places(
+    job: Job,
+    cell: KinematicCell,
+    shape: tuple[Part, ...],
+    blocked: Any,
+    table: Any,
+    back: bool = False,
+) -> Iterator[Pose]:
+    """Poses at which blocks of a shape can be taken with the finished structure there, and if
+    ``back`` those that are taken away from it can be put."""
+    import shapely
+
+    world = World(replace(job, sources=()))
+    number = next(k for k, p in enumerate(job.pieces) if p.shape == shape)
+    kept = {s.block for s in job.steps} - {s.block for s in job.steps if s.remove}
+    for k in kept:
+        world.pose[k], world.state[k] = world.target(k), STANDING
+    moving = world.add(number)
+    world.state[moving], world.pose[moving, 3:] = LOOSE, (1.0, 0.0, 0.0, 0.0)
+    half = job.pieces[number].half
+    top = max(float(p.target[2]) for p in job.pieces) + half[2]
+    scenes = []
+    for yaw in (0.0, QUARTER):
+        world.pose[moving] = [0.0, 0.0, half[2], *yaw_quaternion(yaw)]
+        rows = rows_of(world, world.pose, moving)
+        goal = np.array([0.0, 0.0, top, *yaw_quaternion(yaw)])
+        scenes.append((yaw, rows, list(moves(world, rows, moving, goal))))
+    steps = np.arange(-25, 26) * GRID
+    grid = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
+    away = np.linalg.norm(grid - job.base, axis=1)
+    grid = grid[(away > FOLDED) & (away < FARTHEST)]
+    # Near the structure, and rather between it and the arm than behind it.
+    cost = np.linalg.norm(grid, axis=1) + 0.3 * np.linalg.norm(grid - job.base, axis=1)
+    mine = slice(-len(shape), None)
+    tried = 0
+    for x, y in grid[np.argsort(cost, kind="stable")].tolist():
+        for yaw, rows, ways in scenes:
+            face = footprint(shape, Pose(x, y, yaw))
+            if not shapely.contains(table, face) or shapely.intersects(face, blocked):
+                continue
+            moved = rows.scene.position.copy()
+            moved[mine, :2] += x, y
+            scene = rows.scene._replace(position=moved)
+            pose = Pose(round(x, 4), round(y, 4), yaw)
+            there = replace(job, sources=(Source(shape, pose, None, True),))
+            if any(_picked(cell, scene, move) for move in ways) and not (
+                back and any(try_step(w, cell, step) for w, step in removals(there, shape))
+            ):
+                yield pose
+            tried += 1
+            if tried >= MOST_TRIED:
+                return
+
+
+def _picked(cell: KinematicCell, scene: Scene, move: Move) -> bool:
+    """Whether the first half of a move is possible, whichever way the hand is turned."""
+    ways = (0.0, *turns(cell.arm, move))
+    return any(cell.pick(scene, turned(move, turn)).reached for turn in ways)

@@ -1,0 +1,441 @@
+"""The workcell around a build: where the arm stands, and what blocks come from.
+
+World frame: that of the exact plan, whose design stands on the table (z = 0) with its middle at
+x = y = 0. A *magazine* presents the next block of a kind at one pose whenever it is asked to, and
+takes back what is put there; nothing stands at its pose otherwise. Blocks on *pallets* and at
+single *positions* lie on the table from the beginning.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from learn2assemble.cell.pieces import Part, Piece, Pose, footprint
+from learn2assemble.errors import InputError, check_name
+from learn2assemble.files import (
+    check_keys,
+    integer,
+    load_json,
+    mapping,
+    number,
+    read_bytes,
+    read_head,
+    read_text,
+    sequence,
+    text,
+    too_deep,
+)
+from learn2assemble.motion.settings import LAYOUT, SECTION, ProgramSettings, parse_settings
+
+if TYPE_CHECKING:
+    from learn2assemble.design.goals import Goals
+
+MAX_PLACES, MAX_ENTRIES = 400, 64
+MESHES = ("stl", "obj", "ply", "glb", "3dm")
+MOST_BOXES, SPARE = 48, 0.15
+"""A mesh is covered by so many boxes at most, and by no more than it takes to leave this share of
+the room that its bounding box has to spare."""
+_KEYS = (
+    "format",
+    "version",
+    "units",
+    "base",
+    "table",
+    "obstacles",
+    "magazines",
+    "pallets",
+    "positions",
+    SECTION,
+)
+TABLE = (1.5, 1.0)
+"""Size of the table along x and y, its middle at the origin [m]."""
+
+T = TypeVar("T")
+
+
+# ---------------------------------------------------------------- layouts
+
+
+class Magazine(NamedTuple):
+    """Presents the next block of a kind."""
+
+    kind: str
+    pose: Pose
+    count: int | None = None
+    """How many it holds; None: as many as needed."""
+
+
+class Pallet(NamedTuple):
+    """Blocks of a kind in rows."""
+
+    kind: str
+    pose: Pose
+    """Of the first block; columns go on along its x, rows along its y."""
+    rows: int
+    columns: int
+    pitch: tuple[float, float]
+    """From column to column, and from row to row [m]."""
+
+    def poses(self) -> list[Pose]:
+        """Of all its blocks."""
+        x, y, yaw = self.pose
+        c, s = math.cos(yaw), math.sin(yaw)
+        steps = [
+            (i * self.pitch[0], j * self.pitch[1])
+            for j in range(self.rows)
+            for i in range(self.columns)
+        ]
+        return [Pose(x + c * u - s * v, y + s * u + c * v, yaw) for u, v in steps]
+
+
+class Position(NamedTuple):
+    """One block on the table."""
+
+    kind: str | None
+    """None: of the next block of the plan."""
+    pose: Pose
+
+
+class Obstacle(NamedTuple):
+    """A box that nothing may touch."""
+
+    centre: tuple[float, float]
+    """[m]"""
+    size: tuple[float, float, float]
+    """[m]"""
+    yaw: float = 0.0
+    bottom: float = 0.0
+    """Above the table [m]."""
+    name: str = "obstacles"
+    """What messages call it."""
+
+    @property
+    def middle(self) -> tuple[float, float, float]:
+        """Its centre [m]."""
+        return *self.centre, self.bottom + self.size[2] / 2
+
+
+@dataclass(frozen=True)
+class Site:
+    """A workcell as a user describes it; what is not given is chosen."""
+
+    base: tuple[float, float, float, float] | None = None
+    """x, y, z [m] of the arm's base, and the direction it faces [rad from x]."""
+    table: tuple[float, float] = TABLE
+    obstacles: tuple[Obstacle, ...] = ()
+    magazines: tuple[Magazine, ...] = ()
+    pallets: tuple[Pallet, ...] = ()
+    positions: tuple[Position, ...] = ()
+    source: str = "layout"
+    program: ProgramSettings = field(default_factory=ProgramSettings)
+    """For programs of the real robot that are exported later."""
+
+
+def read_site(path: Path) -> Site:
+    """The workcell in a layout file (``docs/layouts.md``).
+
+    Raises:
+        InputError: one line that names the file and the JSON path of the fault.
+    """
+    content, source = read_text(Path(path), "layout file")
+    try:
+        root = load_json(content, source, LAYOUT)
+        return _site(root, source, Path(path).parent)
+    except RecursionError:
+        raise too_deep(source) from None
+
+
+def _site(value: Any, source: str, folder: Path) -> Site:
+    root = read_head(value, source, LAYOUT, 2, _KEYS, ("format", "version"))
+    base = None
+    if "base" in root:
+        given = _table(root["base"], f"{source}: base", ("position", "yaw"), ("position",))
+        x, y, z = _numbers(given["position"], f"{source}: base.position", 3)
+        base = x, y, z, number(given.get("yaw", 0.0), f"{source}: base.yaw")
+    width, depth = _numbers(root.get("table", TABLE), f"{source}: table", 2, positive=True)
+
+    def every(key: str, make: Callable[[Any, str], T], most: int = MAX_ENTRIES) -> tuple[T, ...]:
+        where = f"{source}: {key}"
+        given = _entries(root[key], where, most) if key in root else ()
+        return tuple(make(entry, f"{where}[{k}]") for k, entry in enumerate(given))
+
+    boxes = every("obstacles", lambda entry, where: _obstacle(entry, where, folder))
+    obstacles = tuple(box for found in boxes for box in found)
+    if len(obstacles) > MAX_PLACES:
+        raise InputError(f"{source}: obstacles", f"{len(obstacles)} boxes", f"at most {MAX_PLACES}")
+    site = Site(
+        base,
+        (width, depth),
+        obstacles,
+        every("magazines", _magazine),
+        every("pallets", _pallet),
+        every("positions", _position, MAX_PLACES),
+        source,
+        parse_settings(root.get(SECTION, {}), f"{source}: {SECTION}"),
+    )
+    blocks = len(site.positions) + sum(p.rows * p.columns for p in site.pallets)
+    if blocks > MAX_PLACES:
+        raise InputError(f"{source}: pallets", f"{blocks} blocks", f"at most {MAX_PLACES}")
+    return site
+
+
+def _obstacle(value: Any, where: str, folder: Path) -> list[Obstacle]:
+    """A box, or the boxes that cover a mesh."""
+    shape = "mesh" if "mesh" in mapping(value, where) else "size"
+    keys = ("at", shape, "yaw", "unit") if shape == "mesh" else ("at", shape, "yaw")
+    given = _table(value, where, keys, keys[:2])
+    x, y = _numbers(given["at"], f"{where}.at", 2)
+    yaw, name = number(given.get("yaw", 0.0), f"{where}.yaw"), where.split(": ")[-1]
+    if "mesh" not in given:
+        a, b, c = _numbers(given["size"], f"{where}.size", 3, positive=True)
+        return [Obstacle((x, y), (a, b, c), yaw, 0.0, name)]
+    unit = number(given["unit"], f"{where}.unit") if "unit" in given else None
+    if unit is not None and not 0 < unit <= 100:
+        raise InputError(f"{where}.unit", unit, "the length of a unit of the file in metres")
+    boxes = mesh_boxes(folder / text(given["mesh"], f"{where}.mesh"), unit, f"{where}.mesh")
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    found = []
+    for low, high in boxes:
+        (u, v, _), (a, b, c) = ((low + high) / 2).tolist(), (high - low).tolist()
+        at = x + cos * u - sin * v, y + sin * u + cos * v
+        found.append(Obstacle(at, (a, b, c), yaw, float(low[2]), name))
+    return found
+
+
+def mesh_boxes(path: Path, unit: float | None, where: str) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Boxes (low, high), float64[3] each [m], that together contain a closed mesh, whose bounding
+    box has its middle at x = y = 0 and stands on z = 0.
+
+    The piece whose bounding box has most room to spare is cut in two across its longest side,
+    until that is little or there are :data:`MOST_BOXES`.
+
+    Args:
+        unit: length of a unit of the file [m]; by default what the file says, else 1.
+        where: what messages call it.
+
+    Raises:
+        InputError: for a file that is no closed mesh, and for one that is too large.
+    """
+    from learn2assemble.design.solids import read_mesh
+
+    kind = path.suffix.lower().lstrip(".")
+    if kind not in MESHES:
+        raise InputError(where, str(path), f"a file in {', '.join(MESHES)}")
+    content, source = read_bytes(path, where)
+    solid = read_mesh(content, kind, source)
+    triangles = solid.triangles * (unit or solid.metres or 1.0)
+    if solid.up == "y":
+        triangles = triangles[..., [0, 2, 1]] * [1.0, -1.0, 1.0]
+    low, high = triangles.min((0, 1)), triangles.max((0, 1))
+    if (high - low).max() > 100 or (high - low).min() < 1e-4:
+        expected = "0.1 mm to 100 m on every side; `unit` says how long a unit is [m]"
+        raise InputError(where, [float(f"{v:.4g}") for v in high - low], expected)
+    return _covering(triangles - [*(low + high)[:2] / 2, low[2]])
+
+
+def _covering(triangles: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    from manifold3d import Manifold, Mesh64
+
+    corners, index = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
+    whole = Manifold(Mesh64(corners, index.reshape(-1, 3).astype(np.uint64)))
+
+    def bounds(piece: Manifold) -> tuple[np.ndarray, np.ndarray]:
+        box = np.array(piece.bounding_box())
+        return box[:3], box[3:]
+
+    def spare(piece: Manifold) -> float:
+        low, high = bounds(piece)
+        return float(np.prod(high - low)) - piece.volume()
+
+    pieces, enough = [whole], SPARE * spare(whole) + 1e-9
+    while len(pieces) < MOST_BOXES and sum(map(spare, pieces)) > enough:
+        worst = max(pieces, key=spare)
+        low, high = bounds(worst)
+        axis = int(np.argmax(high - low))
+        normal = [float(k == axis) for k in range(3)]
+        halves = worst.split_by_plane(normal, float((low + high)[axis] / 2))
+        pieces.remove(worst)
+        pieces += [half for half in halves if not half.is_empty()]
+    return [bounds(piece) for piece in pieces]
+
+
+def _magazine(value: Any, where: str) -> Magazine:
+    given = _table(value, where, ("kind", "at", "count"), ("kind", "at"))
+    count = given.get("count")
+    if count is not None and integer(count, f"{where}.count") < 0:
+        raise InputError(f"{where}.count", count, "0 or more")
+    return Magazine(text(given["kind"], f"{where}.kind"), _pose(given["at"], f"{where}.at"), count)
+
+
+def _pallet(value: Any, where: str) -> Pallet:
+    keys = ("kind", "at", "rows", "columns", "pitch")
+    given = _table(value, where, keys, keys)
+    rows, columns = (integer(given[key], f"{where}.{key}") for key in ("rows", "columns"))
+    for key, count in (("rows", rows), ("columns", columns)):
+        if not 1 <= count <= MAX_PLACES:
+            raise InputError(f"{where}.{key}", count, f"1 to {MAX_PLACES}")
+    u, v = _numbers(given["pitch"], f"{where}.pitch", 2, positive=True)
+    kind, pose = text(given["kind"], f"{where}.kind"), _pose(given["at"], f"{where}.at")
+    return Pallet(kind, pose, rows, columns, (u, v))
+
+
+def _position(value: Any, where: str) -> Position:
+    given = _table(value, where, ("kind", "at"), ("at",))
+    kind = None if given.get("kind") is None else text(given["kind"], f"{where}.kind")
+    return Position(kind, _pose(given["at"], f"{where}.at"))
+
+
+def _entries(value: Any, where: str, most: int) -> Sequence[Any]:
+    expected = f"a list of 1 to {most} entries"
+    found = sequence(value, where, expected)
+    if not 1 <= len(found) <= most:
+        raise InputError(where, f"{len(found)} entries", expected)
+    return found
+
+
+def _table(value: Any, where: str, valid: tuple[str, ...], need: tuple[str, ...]) -> Any:
+    check_keys(mapping(value, where), where, "", valid, need)
+    return value
+
+
+def _pose(value: Any, where: str) -> Pose:
+    expected = "[x, y] in metres, or [x, y, yaw] with the yaw in radians"
+    found = sequence(value, where, expected)
+    if len(found) not in (2, 3):
+        raise InputError(where, value, expected)
+    return Pose(*(_bounded(item, where) for item in found))
+
+
+def _numbers(value: Any, where: str, count: int, positive: bool = False) -> list[float]:
+    expected = f"{count} {'positive ' * positive}numbers up to 100"
+    found = [_bounded(item, where) for item in sequence(value, where, expected)]
+    if len(found) != count or (positive and min(found) <= 0):
+        raise InputError(where, value, expected)
+    return found
+
+
+def _bounded(value: Any, where: str) -> float:
+    found = number(value, where)
+    if abs(found) > 100:
+        raise InputError(where, found, "at most 100 [m]")
+    return found
+
+
+# ---------------------------------------------------------------- what blocks come from
+
+
+@dataclass(frozen=True)
+class Source:
+    """One pose at which blocks of a shape can be taken."""
+
+    shape: tuple[Part, ...]
+    pose: Pose
+    """Of the shape's frame."""
+    left: int | None
+    """How many blocks it can present; None: as many as needed."""
+    magazine: bool
+    """Presents blocks only when asked; else its one block lies there from the beginning."""
+    name: str = "supply"
+    """What messages call it."""
+
+
+def given_sources(site: Site, pieces: Sequence[Piece], order: Sequence[int]) -> list[Source]:
+    """The sources a layout names, for the pieces of a plan in the order they are needed.
+
+    Raises:
+        InputError: for a kind the plan does not use, places that overlap or lie off the table.
+    """
+    _check_kinds(site, {piece.kind for piece in pieces})
+    shapes: dict[str, list[tuple[Part, ...]]] = {}
+    for k in order:
+        known = shapes.setdefault(pieces[k].kind, [])
+        if pieces[k].shape not in known:
+            known.append(pieces[k].shape)
+    found: list[tuple[str, Source]] = []
+    for n, magazine in enumerate(site.magazines):
+        for shape in shapes.get(magazine.kind, []):
+            where = f"{site.source}: magazines[{n}]"
+            found.append((where, Source(shape, magazine.pose, magazine.count, True, where)))
+    lying = [
+        (f"{site.source}: pallets[{n}]", p.kind, pose)
+        for n, p in enumerate(site.pallets)
+        for pose in p.poses()
+    ]
+    lying += [
+        (f"{site.source}: positions[{n}]", p.kind, p.pose) for n, p in enumerate(site.positions)
+    ]
+    waiting = [k for k in order if pieces[k].shape not in {source.shape for _, source in found}]
+    for where, kind, pose in lying:
+        fits = (k for k in waiting if kind is None or pieces[k].kind == kind)
+        k = next(fits, None)
+        if k is not None:  # More places than blocks are left empty.
+            waiting.remove(k)
+            found.append((where, Source(pieces[k].shape, pose, 1, False, where)))
+    check_sources(site, found, pieces)
+    return [source for _, source in found]
+
+
+def _check_kinds(site: Site, kinds: set[str]) -> None:
+    """Refuse a kind that is none of the plan's: the arm would be sent to an empty place, or a
+    magazine be chosen where the user has meant another.
+
+    Raises:
+        UnknownNameError: naming the entry of the layout and the nearest kind.
+    """
+    for name in ("magazines", "pallets", "positions"):
+        for n, entry in enumerate(getattr(site, name)):
+            if entry.kind is not None:
+                check_name(f"{site.source}: {name}[{n}].kind", entry.kind, kinds)
+
+
+def check_sources(site: Site, found: list[tuple[str, Source]], pieces: Sequence[Piece]) -> None:
+    """Refuse sources off the table, or where something else is.
+
+    Raises:
+        InputError: naming the entry of the layout.
+    """
+    import shapely
+
+    table = shapely.box(*(-np.array(site.table) / 2), *(np.array(site.table) / 2))
+    structure = shapely.union_all([p.face() for p in pieces if p.target[2] - p.half[2] < 1e-3])
+    blocked = [(o.name, outline(o)) for o in site.obstacles]
+    for k, (what, area) in enumerate(blocked):
+        if area.intersection(structure).area > 1e-9:
+            at = list(site.obstacles[k].centre)
+            raise InputError(f"{site.source}: {what}", at, "a place outside the building site")
+    for where, source in found:
+        face, at = footprint(source.shape, source.pose), [round(v, 4) for v in source.pose]
+        if not table.contains(face):
+            raise InputError(
+                where, at, f"a place on the table ({site.table[0]:g} x {site.table[1]:g} m)"
+            )
+        if face.intersection(structure).area > 1e-9:
+            raise InputError(where, at, "a place outside the building site")
+        for what, area in blocked:
+            if face.intersection(area).area > 1e-9:
+                raise InputError(where, at, f"a place that does not overlap {what}")
+        if not source.magazine:
+            blocked.append((where.split(": ")[-1], face))
+
+
+def outline(obstacle: Obstacle) -> Any:
+    """What an obstacle covers, as a shapely area."""
+    a, b, c = obstacle.size
+    part: Part = ((0.0, 0.0, 0.0), (a / 2, b / 2, c / 2))
+    return footprint((part,), Pose(*obstacle.centre, obstacle.yaw))
+
+
+def with_obstacles(site: Site, goals: Goals) -> Site:
+    """A workcell with the obstacles of some goals, each from the table up, for nothing is built
+    below them."""
+    found = []
+    for low, high in goals.obstacles:
+        size = high[0] - low[0], high[1] - low[1], high[2]
+        found.append(Obstacle(((low[0] + high[0]) / 2, (low[1] + high[1]) / 2), size))
+    return replace(site, obstacles=(*site.obstacles, *found))

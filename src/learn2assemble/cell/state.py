@@ -1,0 +1,413 @@
+"""What is known of a build, and what follows from it.
+
+The arm acts on beliefs. Readings are noisy: the estimate of a block begins where the arm has put
+it, as exactly as the arm places, and is averaged with the readings since then (a Kalman filter of a
+block at rest); a reading that is off by far means that the block was moved. From the estimates
+follows the next step that can be done, or what has to be put right first.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections import Counter
+from itertools import product
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from learn2assemble.cell.pieces import QUARTER, Piece, footprint
+from learn2assemble.cell.workcell import (
+    LEANS,
+    LOOSE,
+    LOST,
+    RETURNED,
+    STANDING,
+    STANDS,
+    STOCK,
+    TRIES,
+    Job,
+    StepOf,
+    Structure,
+    World,
+    frame_of,
+    supply_of,
+)
+from learn2assemble.geometry.rotations import (
+    matrix_quaternion,
+    quaternion_matrix,
+    yaw_quaternion,
+)
+
+# ---------------------------------------------------------------- beliefs
+
+STEADY, STEADY_YAW = 3e-4, 3e-3
+"""How exactly the arm places a block: standard deviations of x and y [m] and of its yaw [rad]."""
+DRIFT, DRIFT_YAW = 5e-5, 1e-4
+"""By which the estimate of a block at rest may be wrong anew after every attempt [m], [rad]."""
+SPREAD = 5.0
+"""A reading that is off by more standard deviations means that the block has moved."""
+
+
+def read_back(
+    belief: np.ndarray,
+    variance: np.ndarray,
+    true: np.ndarray,
+    noise: tuple[float, float],
+    rng: np.random.Generator,
+) -> None:
+    """Read the pose of a block back; height and lean are read exactly.
+
+    Args:
+        belief: float64[7], the estimate; changed.
+        variance: float64[2], of its place and of its yaw; changed.
+        true: float64[7].
+        noise: standard deviations of a reading: x and y [m], yaw [rad].
+        rng: draws the noise.
+    """
+    place, turn = noise
+    seen, spin = true[:2] + rng.normal(0.0, place, 2), rng.normal(0.0, turn)
+    variance += DRIFT**2, DRIFT_YAW**2
+    if np.abs(seen - belief[:2]).max() > SPREAD * math.hypot(math.sqrt(variance[0]), place):
+        belief[:2], variance[:] = seen, (place**2, turn**2)
+    gain = variance / (variance + np.array([place**2, turn**2]) + 1e-18)
+    belief[:2] += gain[0] * (seen - belief[:2])
+    variance *= 1 - gain
+    # The error of the yaw shrinks with the readings as that of the place does.
+    spun = yaw_quaternion(spin * math.sqrt(float(gain[1])))
+    belief[2] = true[2]
+    belief[3:] = matrix_quaternion(quaternion_matrix(spun) @ quaternion_matrix(true[3:]))
+
+
+def fitted(world: World, belief: np.ndarray, standing: set[int], k: int) -> np.ndarray:
+    """Where a block goes, shifted by the little that its neighbours are off.
+
+    Args:
+        belief: float64[N, 7] of all blocks.
+        standing: pieces in the structure, without the block itself.
+        k: the block.
+
+    Returns:
+        float64[7]: in the middle of a slot that is too narrow for half a joint on both sides.
+    """
+    piece, goal, joint = world.pieces[k], world.target(k), world.job.joint
+    low, high = np.full(2, -np.inf), np.full(2, np.inf)
+    rise = []
+    mine = piece.boxes(piece.target, piece.yaw)
+    for n in sorted(standing):
+        other = world.pieces[n]
+        if np.abs(other.target - piece.target).max() > 1.0:
+            continue
+        shift = belief[n, :3] - other.target
+        theirs = other.boxes(other.target, other.yaw)
+        for (a, b), (c, d) in ((m, t) for m in mine for t in theirs):
+            shared = np.minimum(b, d) - np.maximum(a, c)
+            if (shared[:2] > 1e-3).all() and abs(d[2] - a[2]) < 1e-3:
+                rise.append(shift[2])
+            for axis in (0, 1):
+                if shared[1 - axis] < 1e-3 or shared[2] < 1e-3 or shared[axis] > 1e-3:
+                    continue
+                if c[axis] >= b[axis] - 1e-3:
+                    free = c[axis] + shift[axis] - b[axis] - joint / 2
+                    high[axis] = min(high[axis], free)
+                else:
+                    free = d[axis] + shift[axis] - a[axis] + joint / 2
+                    low[axis] = max(low[axis], free)
+    for axis in (0, 1):
+        a, b = low[axis], high[axis]
+        if a > b:
+            goal[axis] += (a + b) / 2
+        else:
+            goal[axis] += min(max(0.0, a), b)
+    if rise:
+        goal[2] += float(np.mean(rise))
+    return goal
+
+
+# ---------------------------------------------------------------- what follows
+
+NEAT = 8e-4
+"""A neighbour that is off by more is put right where it leaves the next block no room [m]."""
+BESIDE = 0.012
+"""What lies nearer to a place than this is in its way [m]."""
+WAITING = "what it stands on is missing"
+
+
+class Action(NamedTuple):
+    """What the arm shall do next."""
+
+    block: int
+    goal: np.ndarray
+    """float64[7]: pose the block shall have."""
+    what: str
+    """``place``, ``remove``, ``again`` (from where it stands wrongly) or ``away``."""
+    source: int | None = None
+    """Where it comes from, or where it goes to where it is taken away."""
+
+
+@dataclasses.dataclass
+class Done:
+    """What came of one attempt."""
+
+    number: int
+    block: int
+    what: str
+    outcome: str
+    detail: str
+    stage: str
+    sideways: bool = False
+    """Whether the block was held by its side."""
+
+    @property
+    def step(self) -> StepOf:
+        """The step of the order it belongs to."""
+        return StepOf(self.block, self.what == "remove")
+
+
+class Choice:
+    """What is known of a build, and what follows from it.
+
+    Args:
+        job: what is to be built.
+        order: proven, and possible for the arm.
+        structure: what rests on what.
+    """
+
+    def __init__(self, job: Job, order: tuple[StepOf, ...], structure: Structure) -> None:
+        self.job, self.order, self.structure = job, order, structure
+        self.world = World(job)
+        self.believe()
+        self.fails: Counter[tuple[int, str]] = Counter()
+        """By block and what was tried: failures since the last success."""
+        self.refused: dict[int, str] = {}
+        """Blocks that the arm cannot place as things are, and why."""
+        self.accepted: set[int] = set()
+        """Blocks that stay as they are, though not right."""
+        self.done: list[Done] = []
+
+    def believe(self) -> None:
+        """Everything is where it really is: float64[N, 7], and variances float64[N, 2]."""
+        self.belief = self.world.pose.copy()
+        self.variance = np.full((len(self.belief), 2), STEADY**2)
+
+    def replace(self, k: int, spare: int) -> None:
+        """Another block takes the place of a piece, which has this number from now on."""
+        self.belief = np.vstack([self.belief, self.world.pose[spare]])
+        self.belief[k] = self.world.pose[k]
+        self.variance = np.vstack([self.variance, self.variance[k]])
+
+    def state(self) -> dict[str, Any]:
+        """What a file says of it, with what came of the last attempt."""
+        return {
+            "done": dataclasses.asdict(self.done[-1]),
+            "belief": self.belief.tolist(),
+            "variance": self.variance.tolist(),
+            "accepted": sorted(self.accepted),
+            "fails": [[k, what, n] for (k, what), n in self.fails.items()],
+        }
+
+    def restore(self, state: dict[str, Any], done: list[dict[str, Any]]) -> None:
+        """As a file says it was."""
+        self.done = [Done(**one) for one in done]
+        self.belief, self.variance = np.array(state["belief"]), np.array(state["variance"])
+        self.accepted = set(state["accepted"])
+        self.fails = Counter({(k, what): n for k, what, n in state["fails"]})
+
+    def standing(self) -> set[int]:
+        """Pieces of the plan that are in their places."""
+        return {k for k in range(len(self.job.pieces)) if self.world.state[k] == STANDING}
+
+    def satisfied(self, step: StepOf) -> bool:
+        """Whether a step is done and holds."""
+        state = self.world.state[step.block]
+        return state == RETURNED or (not step.remove and state == STANDING)
+
+    def choose(self) -> Action | str | None:
+        """The next action; None where all is done, words where nothing can be."""
+        repair = self._repair()
+        if repair is not None:
+            return repair
+        standing, blocked = self.standing(), dict[int, str]()
+        ready: list[StepOf] = []
+        for step in self.order:
+            if self.satisfied(step):
+                continue
+            if step.remove:
+                if not ready and not blocked:
+                    ready.append(step)
+                break
+            missing = {
+                k
+                for k in self.structure.below[step.block] - standing
+                if self.world.state[k] != RETURNED
+            }
+            if missing:
+                blocked[step.block] = WAITING
+            elif not self.structure.stands(frozenset(standing | {step.block})):
+                blocked[step.block] = "it would fall"
+            else:
+                ready.append(step)
+        ready = [step for step in ready if self._left(step.block, "place") > 0]
+        ready.sort(key=lambda step: self.fails[step.block, "place"] // TRIES)
+        for step in ready:
+            why = self.refused.get(step.block)
+            if why is None:
+                action = self._place_or_remove(step)
+                if isinstance(action, Action):
+                    return action
+                self.refused[step.block] = why = action
+            crooked = self._crooked(step.block)
+            if crooked is not None:
+                return crooked
+            blocked[step.block] = why
+        if not blocked and all(self.satisfied(step) for step in self.order):
+            return None
+        for step in self.order:
+            if not self.satisfied(step) and step.block not in blocked:
+                last = [d for d in self.done if d.block == step.block]
+                blocked[step.block] = last[-1].detail if last else "it comes later"
+        causes = [k for k, why in blocked.items() if why != WAITING]
+        number = next(iter(causes or blocked))
+        why = blocked[number]
+        others = f" and {len(blocked) - 1} others" if len(blocked) > 1 else ""
+        piece = self.world.pieces[number]
+        return f"{piece.id} ({piece.name}){others} cannot be placed: {why}"
+
+    def _left(self, block: int, what: str) -> int:
+        return 3 * TRIES - self.fails[block, what]
+
+    def _place_or_remove(self, step: StepOf) -> Action | str:
+        world, k = self.world, step.block
+        if step.remove:
+            goal = self._away(k)
+            return goal if isinstance(goal, str) else goal._replace(what="remove")
+        if world.state[k] == LOOSE:
+            return Action(k, self.fitted(k), "place", world.source[k])
+        places = supply_of(world, k)
+        if not places:
+            return f"no {world.pieces[k].name} is left in the supply"
+        return Action(k, self.fitted(k), "place", places[0])
+
+    # ------------------------------------------------------------ repair
+
+    def _repair(self) -> Action | None:
+        """What has to be put right first."""
+        world, standing = self.world, self.standing()
+        wrong = [k for k in sorted(standing - self.accepted) if self._wrong(k)]
+        for k in wrong:
+            top = next(iter(self.structure.loads(k, standing)), k)
+            whole = self._bed(top) <= standing | self.accepted
+            if top == k and whole and self._left(k, "again") > 2 * TRIES:
+                return Action(k, self.fitted(k), "again")
+            action = self._away(top) if self._left(top, "away") > 2 * TRIES else ""
+            if isinstance(action, Action):
+                return action
+            self.accepted.add(k)  # Nothing helps: it stays as it is.
+        for k in range(len(world.pieces)):
+            if world.state[k] in (LOOSE, LOST) and self._in_the_way(k):
+                action = self._away(k) if self._left(k, "away") > TRIES else ""
+                if isinstance(action, Action):
+                    return action
+        return None
+
+    def _crooked(self, k: int) -> Action | None:
+        """Put a neighbour right that leaves a block no room."""
+        standing, place = self.standing(), self.world.pieces[k].face().buffer(BESIDE)
+        for n in sorted(standing - self.accepted):
+            off = self.belief[n, :2] - self.world.target(n)[:2]
+            other, piece = self.job.pieces[n], self.job.pieces[k]
+            level = abs(other.target[2] - piece.target[2]) < other.half[2] + piece.half[2] - 1e-3
+            free = not self.structure.loads(n, standing) and self._left(n, "again") > 2 * TRIES
+            beside = self.world.pieces[n].face().intersects(place)
+            if level and free and beside and np.linalg.norm(off) > NEAT:
+                return Action(n, self.fitted(n), "again")
+        return None
+
+    def _bed(self, k: int) -> set[int]:
+        """What a piece stands on and that is not meant to be gone."""
+        return {b for b in self.structure.below[k] if self.world.state[b] != RETURNED}
+
+    def _wrong(self, k: int) -> bool:
+        """Whether a block has to be taken up again."""
+        target, found = self.world.target(k), self.belief[k]
+        frame = frame_of(found[3:])
+        turned = abs((frame.yaw - self.world.pieces[k].yaw + QUARTER / 2) % QUARTER - QUARTER / 2)
+        off = float(np.linalg.norm(found[:3] - target[:3]))
+        missing = self._bed(k) - self.standing()
+        return off > STANDS or max(turned, frame.tilt) > LEANS or bool(missing)
+
+    def _away(self, k: int) -> Action | str:
+        """Back to a magazine, to where it came from, or to a free place on the table."""
+        world, piece = self.world, self.world.pieces[k]
+        if (frame_of(world.pose[k, 3:]).side == np.eye(3)).all():
+            own = world.source[k]
+            number = world.magazine(k) if own is None else own
+            if number is not None:
+                return Action(k, world.presented(k, number), "away", number)
+        for x, y in self._free_places(k):
+            goal = np.array([x, y, piece.half[2], *yaw_quaternion(0.0)])
+            return Action(k, goal, "away")
+        return "there is no free place for it"
+
+    def _free_places(self, k: int) -> list[tuple[float, float]]:
+        """Places on the table where a block may lie, the nearest to the arm first."""
+        import shapely
+
+        world = self.world
+        lying = [area(world.pieces[n], world.pose[n]) for n in world.visible() if n != k]
+        places = [p.face() for p in self.job.pieces]
+        sources = [footprint(s.shape, s.pose) for s in self.job.sources]
+        taken = shapely.union_all(lying + places + sources)
+        size = float(np.linalg.norm(self.world.pieces[k].half))
+        tried = self.fails[k, "away"]
+        grid = np.arange(-0.6, 0.61, 0.1)
+        around = [
+            (float(x), float(y)) for x in grid + self.job.base[0] for y in grid + self.job.base[1]
+        ]
+        around.sort(key=lambda p: abs(math.dist(p, self.job.base) - 0.45))
+        free = [
+            p
+            for p in around
+            if shapely.Point(p).distance(taken) > size + 0.03
+            and math.dist(p, self.job.base) > 0.25 + size
+        ]
+        return free[tried : tried + 1]
+
+    def _in_the_way(self, k: int) -> bool:
+        """Whether it lies where a block shall stand or is presented."""
+        world = self.world
+        if world.source[k] is not None and world.state[k] == LOOSE:
+            at = self.job.sources[world.source[k] or 0].pose
+            if math.dist((at.x, at.y), world.pose[k, :2]) < BESIDE:
+                return False  # It still waits where it always has.
+        near = area(world.pieces[k], world.pose[k]).buffer(BESIDE)
+        open_places = [
+            n for n in range(len(self.job.pieces)) if n != k and world.state[n] in (STOCK, LOOSE)
+        ]
+        if any(world.pieces[n].face().intersects(near) for n in open_places):
+            return True
+        return any(
+            source.magazine and footprint(source.shape, source.pose).intersects(near)
+            for source in self.job.sources
+        )
+
+    def fitted(self, k: int) -> np.ndarray:
+        """float64[7]: where a block goes, see :func:`fitted`."""
+        return fitted(self.world, self.belief, self.standing() - {k}, k)
+
+
+def area(piece: Piece, pose: np.ndarray) -> Any:
+    """Hull of what lies below a block, wherever it lies and however it is turned [m].
+
+    Args:
+        pose: float64[7]: position and quaternion (w, x, y, z) of its centre.
+    """
+    import shapely
+
+    turn = quaternion_matrix(pose[3:])
+    corners = [
+        pose[:3] + turn @ (np.array(c) + np.array(h) * signs)
+        for c, h in piece.shape
+        for signs in product((-1, 1), repeat=3)
+    ]
+    return shapely.MultiPoint(np.array(corners)[:, :2]).convex_hull

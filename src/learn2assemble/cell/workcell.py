@@ -1,0 +1,612 @@
+"""An arm carries out an exact plan: any kit, tight joints, props placed and taken away.
+
+First the order is chosen with the kinematic cell: among the blocks whose support stands, those of
+the lowest level and farthest from the arm first, the first one that the arm can pick up and put
+down; every state is proven to stand as in the plan. Then the dynamic cell carries it out. After
+every attempt the poses of all blocks are read back, with noise where asked; small deviations are
+corrected in the next placements, large ones are repaired: what stands wrongly is taken up and
+placed again, after what stands on it has been taken away.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from learn2assemble.cell.pieces import QUARTER, Piece, pieces_of
+from learn2assemble.cell.site import Obstacle, Site, Source
+from learn2assemble.errors import InputError
+from learn2assemble.geometry.rotations import (
+    matrix_quaternion,
+    quaternion_matrix,
+    yaw_quaternion,
+)
+from learn2assemble.robot.arm import Arm, get_arm
+from learn2assemble.robot.grasps import WAY, Attitude
+from learn2assemble.robot.kinematic import KinematicCell
+from learn2assemble.robot.moves import Attempt, Move, Scene, attitudes, side_attitudes
+from learn2assemble.statics.proofs import BED, TIGHT
+
+if TYPE_CHECKING:
+    from learn2assemble.assembly.blocks import Assembly
+    from learn2assemble.assembly.contacts import Contacts
+    from learn2assemble.planning.plan import Plan
+
+Progress = Callable[[str], None]
+STANDS = 0.003
+"""A block farther from its place than this is placed again [m] ..."""
+LEANS = math.radians(2.0)
+"""... and so is one that leans or is turned by more [rad]."""
+FLAT = math.radians(4.0)
+"""What leans more cannot be picked up [rad]."""
+HIDDEN = 0.05
+"""Blocks in a magazine lie so far under the table [m]."""
+OBSTACLE_DENSITY = 20_000.0
+"""Nothing moves an obstacle [kg/m³]."""
+FARTHEST_OUT, OUT_ROOM = 0.5, 0.005
+"""No block is drawn out from below others farther than this, and what room it then has [m]."""
+TRIES = 3
+"""Attempts at one step before others come first."""
+
+
+class StepOf(NamedTuple):
+    """A step of the order."""
+
+    block: int
+    """Index of the piece."""
+    remove: bool = False
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """What goes otherwise than planned, for tests of repair and noise."""
+
+    supply: tuple[float, float] = (0.0, 0.0)
+    """Standard deviations of where a presented block stands [m] and of its yaw [rad]."""
+    friction: float = 0.0
+    """Share by which friction differs, and ..."""
+    mass: float = 0.0
+    """... largest share by which masses differ."""
+    drop: frozenset[int] = frozenset()
+    """Numbers of attempts, from 1, in which the block is let go beside and above its place."""
+    push: frozenset[int] = frozenset()
+    """Numbers of attempts after which a block that carries nothing is pushed by 15 mm."""
+
+
+@dataclass(frozen=True)
+class Workcell:
+    """How an arm builds."""
+
+    arm: str
+    tool: str = "suction"
+    site: Site = dataclasses.field(default_factory=Site)
+    physics: str = "dynamic"
+    seed: int = 0
+    noise: tuple[float, float] = (0.0, 0.0)
+    """Standard deviations of what is read back: x and y [m], yaw [rad]."""
+    disturbance: Disturbance | None = None
+    log: Path | None = None
+    """What is appended to after every attempt; where it exists, the build goes on from it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """What is to be built, by whom and from what."""
+
+    pieces: tuple[Piece, ...]
+    steps: tuple[StepOf, ...]
+    """As the exact plan orders them."""
+    assembly: Assembly
+    arm: Arm
+    sources: tuple[Source, ...]
+    obstacles: tuple[Obstacle, ...] = ()
+    friction: float = 0.5
+    joint: float = 1e-4
+    """Width of a vertical joint [m]."""
+
+    @property
+    def base(self) -> np.ndarray:
+        """float64[2] of the arm [m]."""
+        return self.arm.base_position[:2]
+
+
+def job_of(plan: Plan, arm: str, joint: float) -> Job:
+    """What a complete exact plan asks of an arm.
+
+    Raises:
+        InputError: for steps that hold a block, and for blocks that are no boxes.
+    """
+    assert plan.assembly is not None
+    holds = sum(step.action == "hold" for step in plan.steps)
+    if holds:
+        expected = "a plan without holds; one arm has one hand"
+        raise InputError("steps that hold a block", holds, expected)
+    steps = tuple(StepOf(step.block, step.action == "remove") for step in plan.steps)
+    placed = {step.block for step in steps}
+    kept = [k for k in range(len(plan.assembly.blocks)) if k in placed]
+    if len(kept) < len(plan.assembly.blocks):
+        raise InputError("design", "blocks that stand before the first step", "none, for an arm")
+    return Job(
+        pieces_of(plan.assembly),
+        steps,
+        plan.assembly,
+        get_arm(arm),
+        (),
+        friction=plan.assembly.friction,
+        joint=joint,
+    )
+
+
+# ---------------------------------------------------------------- where everything is
+
+
+STOCK, STANDING, LOOSE, LOST, RETURNED = range(5)
+"""A block waits in a magazine, stands in the structure, lies elsewhere where the arm may take it,
+lies where it cannot, or is a prop that has been returned."""
+
+
+class World:
+    """Poses of all blocks, and which is where.
+
+    Args:
+        job: its pieces, to which replacements may be added.
+    """
+
+    def __init__(self, job: Job) -> None:
+        self.job, self.pieces = job, list(job.pieces)
+        count = len(self.pieces)
+        self.pose = np.zeros((count, 7))
+        """float64[N, 7]: middle of the bounding box [m], quaternion (w, x, y, z) of the frame of
+        its shape."""
+        self.state = [STOCK] * count
+        self.source: list[int | None] = [None] * count
+        """Where each is taken from."""
+        self.used = [0] * len(job.sources)
+        for n, source in enumerate(job.sources):
+            if source.magazine:
+                continue
+            piece = next(
+                (
+                    k
+                    for k, p in enumerate(self.pieces)
+                    if p.shape == source.shape and self.source[k] is None
+                ),
+                None,
+            )
+            if piece is not None:
+                self.source[piece], self.state[piece] = n, LOOSE
+                self.pose[piece] = self.presented(piece, n)
+        for k in range(count):
+            if self.state[k] == STOCK:
+                self.hide(k)
+
+    def add(self, piece: int) -> int:
+        """A further block like ``piece``, in stock; its number."""
+        self.pieces.append(self.pieces[piece])
+        self.pose = np.vstack([self.pose, self.pose[piece]])
+        self.state.append(STOCK)
+        self.source.append(None)
+        self.hide(len(self.pieces) - 1)
+        return len(self.pieces) - 1
+
+    def presented(self, piece: int, source: int) -> np.ndarray:
+        """float64[7]: the pose at which a source presents a block."""
+        at = self.job.sources[source].pose
+        return np.array([at.x, at.y, self.pieces[piece].half[2], *yaw_quaternion(at.yaw)])
+
+    def hide(self, piece: int) -> None:
+        """The block lies in its magazine, under the table."""
+        source = self.magazine(piece)
+        if source is not None:
+            self.pose[piece] = self.presented(piece, source)
+            self.pose[piece, 2] = -HIDDEN - self.pieces[piece].half[2]
+
+    def magazine(self, piece: int) -> int | None:
+        """The magazine of its shape, if there is one."""
+        shape = self.pieces[piece].shape
+        return next(
+            (n for n, s in enumerate(self.job.sources) if s.magazine and s.shape == shape), None
+        )
+
+    def target(self, piece: int) -> np.ndarray:
+        """float64[7]: the pose it has in the finished structure."""
+        one = self.pieces[piece]
+        return np.array([*one.target, *yaw_quaternion(one.yaw)])
+
+    def visible(self) -> list[int]:
+        """Blocks that are on the table or in the structure."""
+        return [k for k, s in enumerate(self.state) if s in (STANDING, LOOSE, LOST)]
+
+    def cells(self) -> list[tuple[int, ...]]:
+        """Cells of every block: its boxes, numbered through."""
+        out, count = [], 0
+        for piece in self.pieces:
+            out.append(tuple(range(count, count + len(piece.shape))))
+            count += len(piece.shape)
+        return out
+
+
+class Frame(NamedTuple):
+    """How a block lies: on which side, how turned, how tilted."""
+
+    side: np.ndarray
+    """float64[3, 3] with one entry in every row: from a frame whose z axis points up to that of
+    the shape."""
+    yaw: float
+    tilt: float
+    """[rad]"""
+
+
+def frame_of(quaternion: np.ndarray) -> Frame:
+    """The side a block lies on, and its yaw and tilt there."""
+    turn = quaternion_matrix(quaternion)
+    axis = int(np.argmax(np.abs(turn[2])))
+    if axis == 2 and turn[2, 2] > 0:
+        side = np.eye(3)
+    else:
+        up = np.zeros(3)
+        up[axis] = math.copysign(1.0, turn[2, axis])
+        across = np.eye(3)[(axis + 1) % 3]
+        side = np.stack([across, np.cross(up, across), up], 1)
+    upright = turn @ side
+    yaw = math.atan2(upright[1, 0], upright[0, 0])
+    return Frame(side, yaw, math.acos(min(1.0, abs(float(upright[2, 2])))))
+
+
+class Rows(NamedTuple):
+    """A scene and what its rows are."""
+
+    scene: Scene
+    quaternion: np.ndarray
+    """float64[n, 4]"""
+    owner: np.ndarray
+    """int64[n]: piece of each row, -1 for an obstacle."""
+    part: np.ndarray
+    """int64[n]: number of the box in its piece."""
+
+
+def rows_of(world: World, poses: np.ndarray, moving: int, masses: np.ndarray | None = None) -> Rows:
+    """The scene in which ``moving`` waits and everything else is in its place.
+
+    Args:
+        poses: float64[N, 7] that blocks are taken to have.
+        masses: float64[N], factors of their densities.
+    """
+    others = [k for k in world.visible() if k != moving]
+    columns: list[tuple[Any, ...]] = []
+    for k in [*others, moving]:
+        piece, frame = world.pieces[k], frame_of(poses[k, 3:])
+        turn = quaternion_matrix(poses[k, 3:])
+        upright = matrix_quaternion(turn @ frame.side)
+        density = piece.density * (1.0 if masses is None else masses[k])
+        for number, (centre, half) in enumerate(piece.shape):
+            place = poses[k, :3] + turn @ np.array(centre)
+            size = np.abs(frame.side.T) @ np.array(half)
+            columns.append((place, frame.yaw, k, size, density, upright, k, number))
+    fixed: list[tuple[Any, ...]] = []
+    for n, obstacle in enumerate(world.job.obstacles):
+        size = np.array(obstacle.size) / 2
+        place = np.array(obstacle.middle)
+        fixed.append(
+            (
+                place,
+                obstacle.yaw,
+                len(world.pieces) + n,
+                size,
+                OBSTACLE_DENSITY,
+                yaw_quaternion(obstacle.yaw),
+                -1,
+                n,
+            )
+        )
+    place, yaw, number, half, density, turn, owner, part = zip(*fixed, *columns, strict=True)
+    placed = len(place) - len(world.pieces[moving].shape)
+    scene = Scene(
+        np.array(place),
+        np.array(yaw, float),
+        np.array(number, np.int64),
+        placed,
+        np.array(half),
+        np.array(density, float),
+    )
+    return Rows(scene, np.array(turn), np.array(owner, np.int64), np.array(part, np.int64))
+
+
+def moves(world: World, rows: Rows, moving: int, goal: np.ndarray) -> Iterator[Move]:
+    """Ways to bring a block to a pose, float64[7]: where it is held, and how the hand turns."""
+    piece, arm = world.pieces[moving], world.job.arm
+    frame = frame_of(world.pose[moving, 3:])
+    upright = bool((frame.side == np.eye(3)).all())
+    mine = np.flatnonzero(rows.owner == moving)
+    halves = rows.scene.halves[mine]
+    tops = rows.scene.position[mine, 2] + halves[:, 2]
+    middle = rows.scene.position[mine].mean(0)
+    away = np.linalg.norm((rows.scene.position[mine] - middle)[:, :2], axis=1)
+    goal_turn = quaternion_matrix(goal[3:])
+    goal_yaw = math.atan2(goal_turn[1, 0], goal_turn[0, 0])
+    parts = sorted(range(len(mine)), key=lambda k: (-round(tops[k], 4), away[k]))
+    hands = [(k, grasp) for k in parts for grasp in different(attitudes(arm, halves[k]), arm)]
+    # From the side last, and only as far as it takes to come out from below others.
+    hands += [(k, grasp) for k in parts for grasp in side_attitudes(arm, halves[k])]
+    for k, grasp in hands:
+        offset = np.array(piece.shape[rows.part[mine[k]]][0])
+        grasp = grasp._replace(yaw=grasp.yaw + frame.yaw)
+        if grasp.sideways:
+            way = way_out(rows, mine, -grasp.approach())
+            if way is None:
+                continue
+            grasp = grasp._replace(way=way)
+        for turn in piece.turns() if upright else (0,):
+            yaw = goal_yaw + turn * QUARTER
+            change = (yaw - frame.yaw + math.pi) % (2 * math.pi) - math.pi
+            spun = quaternion_matrix(yaw_quaternion(frame.yaw + change))
+            yield Move(
+                int(mine[k]),
+                goal[:3] + spun @ (offset if upright else frame.side.T @ offset),
+                grasp,
+                grasp._replace(yaw=grasp.yaw + change, way=WAY),
+            )
+
+
+def way_out(rows: Rows, mine: np.ndarray, way: np.ndarray) -> float | None:
+    """How far boxes have to be drawn out until nothing is above them any more.
+
+    Args:
+        rows: the scene.
+        mine: int64[m], its boxes that are moved.
+        way: float64[3], a level unit vector.
+
+    Returns:
+        [m]; None where it is farther than :data:`FARTHEST_OUT`.
+    """
+    turns = np.abs([quaternion_matrix(turn) for turn in rows.quaternion])
+    reach = np.einsum("nij,nj->ni", turns, rows.scene.halves)
+    low, high = rows.scene.position - reach, rows.scene.position + reach
+    others = np.setdiff1d(np.arange(len(low)), mine)
+    covered = others[high[others, 2] > high[mine, 2].max() + 1e-3]
+    for far in np.arange(WAY, FARTHEST_OUT, 0.01).tolist():
+        a, b = (side[mine, :2] + far * way[:2] for side in (low, high))
+        apart = np.minimum(b[:, None], high[covered, :2]) - np.maximum(a[:, None], low[covered, :2])
+        if not (apart > -OUT_ROOM).all(2).any():
+            return round(far, 3)
+    return None
+
+
+def different(found: Sequence[Attitude], arm: Arm) -> list[Attitude]:
+    """Attitudes of which none is another one with the hand turned as it may be anyway."""
+    out: list[Attitude] = []
+    for one in found:
+        same = (
+            math.isclose(math.cos(one.yaw - other.yaw - turn), 1.0)
+            and (one.tilt, one.depth) == (other.tilt, other.depth)
+            for other in out
+            for turn in (0.0, *arm.turns)
+        )
+        if not any(same):
+            out.append(one)
+    return out
+
+
+# ---------------------------------------------------------------- the order
+
+
+@dataclass(frozen=True)
+class Arranged:
+    """An order the arm can carry out, or why there is none."""
+
+    steps: tuple[StepOf, ...]
+    stuck: dict[int, str]
+    """By piece, why it cannot be placed or taken away; empty where the order is complete."""
+    moves: dict[StepOf, Attitude] = dataclasses.field(default_factory=dict)
+
+
+class Structure:
+    """What rests on what, and whether a state stands.
+
+    Args:
+        job: its assembly is proven.
+    """
+
+    def __init__(self, job: Job) -> None:
+        from learn2assemble.assembly.contacts import find_contacts
+        from learn2assemble.statics.rigid_blocks import bed_patches
+
+        self.job, self.contacts = job, find_contacts(job.assembly)
+        self.lying = self.contacts.only(bed_patches(self.contacts))
+        count = len(job.pieces)
+        self.below: list[set[int]] = [set() for _ in range(count)]
+        self.above: list[set[int]] = [set() for _ in range(count)]
+        lying = self.lying
+        for a, b, normal in zip(lying.a.tolist(), lying.b.tolist(), lying.normal, strict=True):
+            lower, upper = (a, b) if normal[2] > 0 else (b, a)
+            if upper >= 0 and lower >= 0:
+                self.below[upper].add(lower)
+                self.above[lower].add(upper)
+        standing: set[int] = set()
+        self._proven = {frozenset(standing)}
+        for step in job.steps:
+            standing = standing - {step.block} if step.remove else standing | {step.block}
+            self._proven.add(frozenset(standing))
+
+    def stands(self, standing: frozenset[int]) -> bool:
+        """Whether these pieces stand without the others, by the proof of the plan or another."""
+        if standing not in self._proven and self._pressing(standing) is not None:
+            self._proven.add(standing)
+        return standing in self._proven
+
+    def proof(self, standing: frozenset[int]) -> tuple[str, float] | None:
+        """What shows that these pieces stand without the others, and the sideways acceleration
+        in every direction [g] that they withstand; None where nothing shows it."""
+        from learn2assemble.statics.rigid_blocks import margin
+
+        pressing = self._pressing(standing)
+        if pressing is None:
+            return None
+        present = self._present(standing)
+        worth = margin(self.job.assembly, pressing, self.job.friction, present=present)
+        return BED if pressing is self.lying else TIGHT, worth
+
+    def _pressing(self, standing: frozenset[int]) -> Contacts | None:
+        """The joints whose forces can hold these pieces: horizontal ones alone, or all."""
+        from learn2assemble.statics.rigid_blocks import solve
+
+        present = self._present(standing)
+        for contacts in (self.lying, self.contacts):
+            if solve(self.job.assembly, contacts, self.job.friction, present=present).stands:
+                return contacts
+        return None
+
+    def _present(self, standing: frozenset[int]) -> np.ndarray:
+        present = np.zeros(len(self.job.pieces), bool)
+        present[list(standing)] = True
+        return present
+
+    def loads(self, block: int, standing: set[int]) -> list[int]:
+        """Pieces among ``standing`` that rest on a piece, directly or not, the topmost first."""
+        found, queue = [], [block]
+        for one in queue:
+            for upper in sorted(self.above[one] & standing):
+                if upper not in found:
+                    found.append(upper)
+                    queue.append(upper)
+        return sorted(found, key=lambda k: -self.job.pieces[k].target[2])
+
+
+def segments(steps: Sequence[StepOf]) -> list[list[StepOf]]:
+    """The steps cut where a block is taken away: only placements of one part change places."""
+    return [list(group) for _, group in itertools.groupby(steps, key=lambda step: step.remove)]
+
+
+def priorities(job: Job) -> list[Callable[[int], tuple[float, ...]]]:
+    """Which block comes first where several could; tried one after the other."""
+    place = {step.block: n for n, step in enumerate(job.steps) if not step.remove}
+
+    def level(k: int) -> float:
+        return round(float(job.pieces[k].target[2] - job.pieces[k].half[2]), 4)
+
+    def away(k: int) -> float:
+        return round(float(np.linalg.norm(job.pieces[k].target[:2] - job.base)), 4)
+
+    return [
+        lambda k: (level(k), -away(k)),
+        lambda k: (level(k), float(place[k])),
+        lambda k: (level(k), away(k)),
+        lambda k: (float(place[k]),),
+    ]
+
+
+def arrange(
+    job: Job, structure: Structure, cell: KinematicCell, progress: Progress = lambda text: None
+) -> Arranged:
+    """The first order in which the arm reaches everything; else the one that comes farthest."""
+    best: Arranged | None = None
+    for key in priorities(job):
+        found = _arrange(job, structure, cell, key, progress)
+        if best is None or len(found.steps) > len(best.steps):
+            best = found
+        if not found.stuck or job.arm.suction is not None:
+            break
+    assert best is not None
+    return best
+
+
+def _arrange(
+    job: Job,
+    structure: Structure,
+    cell: KinematicCell,
+    key: Callable[[int], Any],
+    progress: Progress,
+) -> Arranged:
+    world = World(job)
+    standing: set[int] = set()
+    order: list[StepOf] = []
+    for part in segments(job.steps):
+        left = part if part[0].remove else sorted(part, key=lambda step: key(step.block))
+        while left:
+            stuck: dict[int, str] = {}
+            for step in left:
+                if not step.remove and not structure.below[step.block] <= standing:
+                    continue
+                after = standing - {step.block} if step.remove else standing | {step.block}
+                if not structure.stands(frozenset(after)):
+                    stuck.setdefault(step.block, "it would fall")
+                    continue
+                why = try_step(world, cell, step)
+                if why is None:
+                    break
+                stuck[step.block] = why
+                if step.remove:
+                    return Arranged(tuple(order), stuck)
+            else:
+                missing = {s.block: "what it stands on is missing" for s in left}
+                return Arranged(tuple(order), missing | stuck)
+            left.remove(step)
+            order.append(step)
+            standing = after
+            world.pose[step.block] = world.target(step.block)
+            world.state[step.block] = RETURNED if step.remove else STANDING
+            if len(order) % 20 == 0:
+                progress(f"an order the arm can reach: step {len(order)} of {len(job.steps)}")
+    return Arranged(tuple(order), {})
+
+
+def try_step(world: World, cell: KinematicCell, step: StepOf) -> str | None:
+    """Why the arm cannot do a step in a world where everything is as planned; None if it can."""
+    k = step.block
+    before = world.pose[k].copy(), world.state[k]
+    places = supply_of(world, k)
+    if not places:
+        return "no supply"
+    why = ""
+    for source in places:
+        at = world.presented(k, source)
+        goal = at if step.remove else world.target(k)
+        if not step.remove:
+            world.pose[k] = at
+        rows = rows_of(world, world.pose, k)
+        for move in moves(world, rows, k, goal):
+            found = cell.attempt(rows.scene, move)
+            if found.reached:
+                world.pose[k] = before[0]
+                return None
+            why = why or named(describe(found), rows, world)
+        world.pose[k] = before[0]
+    return why or "the tool cannot hold it"
+
+
+def describe(found: Attempt) -> str:
+    """Outcome, stage and reason of an attempt that failed, in words."""
+    return f"{found.outcome.label} ({found.stage}): {found.detail}"
+
+
+def named(text: str, rows: Rows, world: World) -> str:
+    """Words of a cell, which counts the rows of its scene, with the names of the plan."""
+
+    def name(found: re.Match[str]) -> str:
+        row = int(found[1])
+        owner = int(rows.owner[row]) if row < len(rows.owner) else -1
+        return world.pieces[owner].id if owner >= 0 else "an obstacle"
+
+    return re.sub(r"block (\d+)", name, text)
+
+
+def supply_of(world: World, k: int) -> list[int]:
+    """Sources a block can come from; for a prop, those it may return to."""
+    if world.source[k] is not None:
+        return [n for n in (world.source[k],) if n is not None]
+    shape = world.pieces[k].shape
+    return [
+        n
+        for n, source in enumerate(world.job.sources)
+        if source.magazine
+        and source.shape == shape
+        and (source.left is None or world.used[n] < source.left)
+    ]

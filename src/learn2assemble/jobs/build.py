@@ -1,0 +1,468 @@
+"""The main job: from a design to a plan, every step of which is proven or carried out by an arm.
+
+The exact planner (:mod:`~learn2assemble.planning.tiling.construct`) fills the cells of a design
+with the blocks of a kit, or the
+learned builder does where it is asked to or the record of both is for it, and an arm carries that
+out where one is named. The agent of the paper builds random problems of its tasks
+(:mod:`~learn2assemble.tasks.episode`).
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeGuard, cast
+
+import numpy as np
+
+from learn2assemble.errors import (
+    InputError,
+    UnknownNameError,
+    check_arguments,
+    check_name,
+    is_number,
+    is_whole,
+)
+from learn2assemble.files import (
+    MAX_BYTES,
+    MAX_GENERATED,
+    load_json,
+    nearest,
+    read_bytes,
+)
+from learn2assemble.jobs.problems import NO_ARM, PROBLEMS
+from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.tiling.planners import PLANNERS
+from learn2assemble.robot.registry import ARMS, TOOLS
+
+if TYPE_CHECKING:
+    from learn2assemble.assembly.blocks import Assembly
+    from learn2assemble.assembly.kit import Kit
+    from learn2assemble.cell.carry_out import Workcell
+    from learn2assemble.cell.reach import ReachReport
+    from learn2assemble.cell.site import Site
+    from learn2assemble.design.cells import CellDesign
+    from learn2assemble.design.goals import Goals
+
+DEFAULT_TOOL = "suction"
+"""Of an arm that carries out an exact plan: with fingers, blocks cannot stand close."""
+PHYSICS = ("dynamic", "kinematic")
+"""Cells in which an arm carries out exact plans."""
+SUPPORTS = ("auto", "none", "props", "posts")
+"""What may carry blocks until they carry themselves."""
+AGENT_SECONDS, EXACT_SECONDS = 20.0, 60.0
+"""Limits of the widest search of a task, and of planning a design with its proof [s]."""
+Progress = Callable[[str], None]
+
+
+def build(
+    design: str | Path | np.ndarray | CellDesign | Goals | Assembly,
+    *,
+    planner: str | None = None,
+    kit: str | Kit | None = None,
+    friction: float | tuple[float, float] | None = None,
+    gap: float | tuple[float, float] | None = None,
+    supports: str = "auto",
+    holds: int = 0,
+    arm: str | None = None,
+    agent: str | Path | object | None = None,
+    layout: str | Path | Site | None = None,
+    seed: int = 0,
+    seconds: float | None = None,
+    progress: Progress = lambda text: None,
+    tool: str | None = None,
+    physics: str = "dynamic",
+    noise: tuple[float, float] = (0.0, 0.0),
+    state: Path | None = None,
+    **reading: Any,
+) -> Plan:
+    """Plan a design and prove every step.
+
+    Of a design, the exact planner or the learned builder chooses the blocks and their order, and
+    every state is proven to be in static equilibrium; a simulated arm carries that out where one is
+    named. A random problem of a task is built by the agent of the paper with its search.
+
+    Args:
+        design: a design, its file or its cells as an array (``docs/design_files.md``), goals
+            instead of a design or their file (``docs/goals.md``), an assembly of given blocks, or
+            the name of a task, of which a random problem is built.
+        planner: of a design, ``"exact"``; ``"agent"``: the learned builder with its search alone
+            of the laboratory; by default the builder where one is named, else exact. Goals and
+            tasks have their own.
+        kit: for designs of cells, a kit, its name or its file; by default the one the design
+            names, else ``bricks-lintels``.
+        friction: coefficient, or the range to prove every step for; by default the kit's.
+        gap: width of vertical joints [m], or the range to prove every step for.
+        supports: what may carry blocks until they carry themselves: ``"auto"``; ``"none"``;
+            ``"props"``, blocks of the kit, for designs of cells and goals; ``"posts"``, cut to
+            the blocks they carry, for assemblies.
+        holds: of an assembly, how many blocks a hand may hold while the next one comes.
+        arm: name of the arm that builds; by default none, for a task its own.
+        agent: of a design, a builder by name or ``.safetensors`` file; of a task, an agent, a
+            shipped one by name, a ``.safetensors`` file or the folder of a training; by default one
+            that knows problems like this.
+        layout: where the blocks wait for the arm (``docs/layouts.md``); by default around the
+            building site.
+        seed: of the search, and of the problem of a task.
+        seconds: limit of planning and proof, or of the widest search of a task [s]; by default
+            60 and 20.
+        progress: called with a line of text for everything that takes long.
+        tool: what the arm holds blocks with, ``"suction"`` (the default), ``"suction-side"`` or
+            ``"gripper"``.
+        physics: in which cell an exact plan is carried out, ``"dynamic"`` or ``"kinematic"``.
+        noise: standard deviations of what is read back while an exact plan is carried out: x and y
+            [m], yaw [rad].
+        state: file to which an exact plan's build by an arm appends every attempt; where it
+            exists, the build goes on from it.
+        reading: how to read a file or an array: ``unit``, ``cell``, ``size``, ``up``, ``depth``,
+            ``cells_wide``, ``repair``, ``colours``, see
+            :class:`learn2assemble.design.reading.Reading`.
+
+    Returns:
+        The plan: complete, incomplete or refused. With an arm, its motion is ``plan.record``.
+
+    Raises:
+        InputError: for a design, arm, agent or layout that cannot be used.
+    """
+    # What can be refused at once comes before the libraries that take seconds to load.
+    if planner is not None:
+        check_name("planner", planner, PLANNERS)
+    check_name("supports", supports, SUPPORTS)
+    _check_values(noise=noise, holds=holds, seed=seed, seconds=seconds, progress=progress)
+    _check_names(build, reading)
+    if is_task(design):
+        if planner == "exact":
+            raise InputError("planner", "exact", f"agent, for the task {design}")
+        given = {
+            "kit": kit,
+            "friction": friction,
+            "gap": gap,
+            "layout": layout,
+            "tool": tool,
+            "state": state,
+            "supports": supports != "auto",
+            "holds": holds,
+            "noise": any(noise),
+            "physics": physics != PHYSICS[0],
+            **dict.fromkeys(reading, True),
+        }
+        _refuse(given, f"a design (not the task {design})")
+        if arm is not None:
+            check_name("arm", arm, (*ARMS, NO_ARM))
+        limit = AGENT_SECONDS if seconds is None else seconds
+        return PROBLEMS[design].build(
+            arm=arm, agent=agent, seed=seed, seconds=limit, progress=progress
+        )
+    if isinstance(design, str | Path):
+        _check_file(Path(design))
+    if agent is not None:
+        planner = planner or "agent"
+        agent = PLANNERS[planner].resolve_agent(agent)
+    planner = planner or "exact"
+    how = None
+    if arm is not None:
+        how = _Arm(arm, tool, layout, physics, noise, state, seed)
+        how.check()
+    else:
+        _refuse(
+            {
+                "tool": tool,
+                "layout": layout,
+                "state": state,
+                "physics": physics != PHYSICS[0],
+                "noise": any(noise),
+            },
+            "an arm to build with (--arm)",
+        )
+    given = {
+        "friction": friction,
+        "gap": gap,
+        "progress": progress,
+        "seconds": EXACT_SECONDS if seconds is None else seconds,
+    }
+    return _build_design(design, kit, (supports, holds), reading, how, planner, agent, seed, given)
+
+
+def reach(
+    design: str | Path | np.ndarray | CellDesign | Assembly,
+    *,
+    arm: str,
+    tool: str = DEFAULT_TOOL,
+    kit: str | Kit | None = None,
+    layout: str | Path | Site | None = None,
+    seconds: float | None = None,
+    **reading: Any,
+) -> ReachReport:
+    """What of a design an arm reaches, and from where it reaches most.
+
+    Args:
+        design, kit, reading, seconds: see :func:`build`; the exact planner chooses the blocks.
+        arm: name of the arm.
+        tool: what it holds blocks with.
+        layout: with the base that is asked about (``docs/layouts.md``).
+
+    Raises:
+        InputError: for a design, arm, tool or layout that cannot be used.
+    """
+    if is_task(design):
+        raise InputError("design", design, "a design; a task has places of its own")
+    _check_names(reach, reading)
+    how = _Arm(arm, tool, layout, PHYSICS[0], (0.0, 0.0), None, 0)
+    how.check()
+    site = how.workcell().site
+    plan = build(design, planner="exact", kit=kit, seconds=seconds, **reading)
+    from learn2assemble.cell.reach import report_reach
+
+    return report_reach(plan, arm, tool, site)
+
+
+def cells_of(
+    design: object, kit: str | Kit | None, reading: Mapping[str, Any], function: Callable[..., Any]
+) -> CellDesign:
+    """The cells of a design that :func:`build` would fill; nothing is planned.
+
+    Args:
+        design, kit, reading: see :func:`build`.
+        function: that takes these arguments, for messages.
+
+    Raises:
+        InputError: for what is no design of cells.
+    """
+    if is_task(design):
+        raise InputError("design", design, "a design of cells; a task has none")
+    _check_names(function, reading)
+    if isinstance(design, str | Path):
+        _check_file(Path(design))
+    from learn2assemble.design.cells import CellDesign
+
+    kit = _kit(kit)
+    found = None if _goals(design, kit, True, reading) else _read(design, kit, reading)
+    if not isinstance(found, CellDesign):
+        raise InputError("design", _called(design), "a design of cells, for a picture of them")
+    return found
+
+
+def is_task(design: object) -> TypeGuard[str]:
+    """Whether this names a task; all else is a design."""
+    return isinstance(design, str) and design in PROBLEMS
+
+
+def builds_with_arm(design: object, arm: str | None = None) -> bool:
+    """Whether an arm would build this; arguments of :func:`build`."""
+    return PROBLEMS[design].has_arm(arm) if is_task(design) else arm is not None
+
+
+def _refuse(given: Mapping[str, Any], expected: str) -> None:
+    """Refuse those arguments that have a value, as they mean nothing here."""
+    if named := [name for name, value in given.items() if value]:
+        raise InputError(", ".join(named), "given", expected)
+
+
+def _check_values(**given: Any) -> None:
+    """Refuse arguments of :func:`build` that no design and no arm can do anything with."""
+    noise, seconds = given["noise"], given["seconds"]
+    pair = _is(noise, tuple, list) and len(noise) == 2
+    check_arguments(
+        given,
+        ("holds", is_whole(given["holds"], 0), "a whole number of at least 0"),
+        (
+            "noise",
+            pair and all(is_number(one, 0) for one in noise),
+            "two standard deviations of at least 0, in m and rad",
+        ),
+        ("seed", is_whole(given["seed"], 0), "a whole number of at least 0"),
+        ("seconds", seconds is None or (is_number(seconds) and seconds > 0), "a positive number"),
+        ("progress", callable(given["progress"]), "a function of a line of text"),
+    )
+
+
+def _check_names(function: Callable[..., Any], reading: Mapping[str, Any]) -> None:
+    """Refuse arguments of a function that are neither its own nor say how a design is read."""
+    from learn2assemble.design.reading import OPTIONS
+
+    names = {*inspect.signature(function).parameters, *OPTIONS} - {"reading"}
+    for name in reading:
+        check_name(f"argument of {function.__name__}", name, names)
+
+
+def _is(value: Any, *kinds: type) -> bool:
+    return isinstance(value, kinds)
+
+
+class _Arm(NamedTuple):
+    """How an arm carries out an exact plan; fields as the arguments of :func:`build`."""
+
+    arm: str
+    tool: str | None
+    layout: str | Path | Site | None
+    physics: str
+    noise: tuple[float, float]
+    state: Path | None
+    seed: int
+
+    def check(self) -> None:
+        """Refuse names that do not exist, before libraries load."""
+        check_name("arm", self.arm, ARMS)
+        if self.tool is not None:
+            check_name("tool", self.tool, TOOLS)
+        check_name("physics", self.physics, PHYSICS)
+
+    def workcell(self) -> Workcell:
+        """The same with defaults, the layout read."""
+        from learn2assemble.cell.carry_out import Workcell
+        from learn2assemble.cell.site import Site, read_site
+
+        site = Site() if self.layout is None else self.layout
+        if isinstance(site, str | Path):
+            site = read_site(Path(site))
+        if not isinstance(site, Site):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise InputError("layout", site, "a layout (docs/layouts.md) or its file")
+        tool = self.tool or DEFAULT_TOOL
+        return Workcell(self.arm, tool, site, self.physics, self.seed, self.noise, log=self.state)
+
+
+def _build_design(
+    design: object,
+    kit: Any,
+    help_: tuple[str, int],
+    reading: dict[str, Any],
+    how: _Arm | None,
+    planner: str,
+    agent: object,
+    seed: int,
+    given: dict[str, Any],
+) -> Plan:
+    """Plan what is no task, and carry it out where an arm is named.
+
+    Args:
+        help_: supports and holds.
+        given: friction, gap, seconds and progress, as every planner takes them.
+    """
+    from learn2assemble.assembly.blocks import Assembly
+    from learn2assemble.assembly.kit import DEFAULT_KIT, load_kit
+    from learn2assemble.design.cells import CellDesign
+    from learn2assemble.design.goals import Goals
+    from learn2assemble.planning.given import plan_assembly
+    from learn2assemble.planning.tiling.construct import plan_cells
+
+    kit = _kit(kit)
+    source = Path(design).name if isinstance(design, str | Path) else ""
+    supports, holds = help_
+    props = supports != "none"
+    design = _goals(design, kit, props, reading) or _read(design, kit, reading)
+    if isinstance(design, Assembly):
+        if kit is not None:
+            raise InputError("kit", kit.name, "a design of cells; these blocks are given")
+        if planner != "exact":
+            raise InputError("planner", planner, "exact, for blocks that are given")
+    elif isinstance(design, Goals):
+        if planner != "exact":
+            raise InputError("planner", planner, "exact, for goals instead of a design")
+    elif not isinstance(design, CellDesign):
+        raise InputError("design", _called(design), "a file, cells or an assembly")
+    if not isinstance(design, Assembly) and (holds or supports == "posts"):
+        got = f"holds={holds}" if holds else f"supports={supports!r}"
+        raise InputError("design", got, "an assembly of given blocks for posts and holds")
+    workcell, progress = None if how is None else how.workcell(), given["progress"]
+    if not isinstance(design, CellDesign):
+        if isinstance(design, Goals):
+            from learn2assemble.cell.site import with_obstacles
+            from learn2assemble.planning.goals.planner import plan_goals
+
+            plan = plan_goals(design, seed=seed, **given)
+            if workcell is not None:
+                workcell = replace(workcell, site=with_obstacles(workcell.site, design))
+        else:
+            plan = plan_assembly(design, source=source, supports=supports, holds=holds, **given)
+        if workcell is None:
+            return plan
+        from learn2assemble.cell.carry_out import carry_out
+
+        joint = design.kit.joint_gap if isinstance(design, Goals) else 0.0
+        return carry_out(plan, workcell, joint=joint, progress=progress)
+    # Blocks are as large as the cells that were asked for.
+    kit = (kit or load_kit(design.kit or DEFAULT_KIT)).at_pitch(design.cell)
+
+    def plan_with(blocks: Kit, hand: Any = None) -> Plan:
+        options: dict[str, Any] = given if blocks is kit else {**given, "gap": None}
+        return plan_cells(
+            design,
+            blocks,
+            props=props,
+            agent=agent,
+            seed=seed,
+            hand=hand,
+            planner=planner,
+            **options,
+        )
+
+    if workcell is None:
+        return plan_with(kit)
+    by_arm = PLANNERS[planner].carry_out
+    if by_arm is not None:
+        return by_arm(plan_with, design.wanted, kit, workcell, progress)
+    from learn2assemble.cell.carry_out import carry_out_cells
+
+    return carry_out_cells(plan_with(kit), kit, workcell, progress, plan_with)
+
+
+def _kit(kit: Any) -> Kit | None:
+    """The kit that is given, or named."""
+    from learn2assemble.assembly.kit import Kit, load_kit
+
+    if isinstance(kit, str | Path):
+        kit = load_kit(str(kit))
+    if not (kit is None or isinstance(kit, Kit)):
+        raise InputError("kit", kit, "a kit, its name or its file")
+    return kit
+
+
+def _read(design: object, kit: Kit | None, reading: Mapping[str, Any]) -> object:
+    """The design in a file or an array; all else as it is."""
+    from learn2assemble.design.cells import read_design
+
+    if isinstance(design, str | Path | np.ndarray):
+        cell = {} if kit is None or "cell" in reading else {"cell": kit.pitch}
+        given = cast("str | Path | np.ndarray", design)
+        return read_design(given, **cell, **reading)
+    if reading:
+        raise InputError(
+            ", ".join(sorted(reading)),
+            "given",
+            "a design file or an array, which it tells how to read",
+        )
+    return design
+
+
+def _called(design: object) -> str:
+    """What a message calls a design that is none."""
+    return str(design) if isinstance(design, str | Path) else type(design).__name__
+
+
+def _goals(
+    design: object, kit: Kit | None, props: bool, reading: Mapping[str, Any]
+) -> Goals | None:
+    """The goals that are given instead of a design, or that a file holds; else None."""
+    from learn2assemble.design.cells import MAX_FILE
+    from learn2assemble.design.goals import Goals, is_goals, read_goals
+
+    if isinstance(design, str | Path) and is_goals(
+        read_bytes(Path(design), "design file", MAX_FILE)[0]
+    ):
+        if other := sorted(set(reading) - {"cell"}):
+            raise InputError(", ".join(other), "given", "no option but cell, for goals")
+        design = read_goals(design, kit, reading.get("cell"))
+    if not isinstance(design, Goals):
+        return None
+    return design if props else replace(design, props=False)
+
+
+def _check_file(path: Path) -> None:
+    """Refuse what is no file, a word that may be a misspelt task, and damaged JSON."""
+    if path.suffix == "" and len(path.parts) < 2 and not (path.exists() or nearest(path)):
+        raise UnknownNameError("design", str(path), PROBLEMS)
+    content, source = read_bytes(path, "design file", MAX_GENERATED)
+    if content.lstrip()[:1] in (b"{", b"[") and len(content) <= MAX_BYTES:
+        load_json(content.decode("utf-8-sig", "replace"), source, "design file")

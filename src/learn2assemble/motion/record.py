@@ -1,0 +1,536 @@
+"""What the arm did in a whole build, whether such a record is sound, and how it is taken.
+
+One sequence of samples at a fixed rate, cut into steps; a step is one attempt to pick up an object
+and to put it down. Cells are numbered as the blocks of the plan. Times count from the beginning of
+the build. The fields are described in ``docs/trajectory.md``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from learn2assemble.constants import EDGE
+from learn2assemble.errors import InputError
+from learn2assemble.geometry.rotations import yaw_quaternion
+from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.kinematics import forward_many, get_chain
+from learn2assemble.robot.moves import STAGES, Attempt, Move, Outcome, Scene, Trajectory
+
+RATE = 50.0
+"""Samples per second."""
+
+
+class Stage(NamedTuple):
+    """A part of a step."""
+
+    name: str
+    """One of :data:`~.moves.STAGES`."""
+    start: float
+    """[s]."""
+    end: float
+    """[s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class ArmFacts:
+    """The arm of a record: what a reader of its samples has to know."""
+
+    name: str
+    joints: tuple[str, ...]
+    lower: np.ndarray
+    """float64[n] [rad]."""
+    upper: np.ndarray
+    """float64[n] [rad]."""
+    velocity: np.ndarray
+    """float64[n], largest magnitude [rad/s]."""
+    acceleration: np.ndarray
+    """float64[n], largest magnitude [rad/s^2]."""
+    base_position: np.ndarray
+    """float64[3] [m, world]."""
+    base_yaw: float
+    """Turn of the base about z [rad]."""
+    tool: str
+    """Name of the tool frame."""
+    max_width: float
+    """Largest opening between the pads [m]; 0 for a suction tool."""
+    tool_name: str = "gripper"
+    """What it holds blocks with, a name of :data:`~.registry.TOOLS`."""
+    suction: bool = False
+    """It does so with a cup; commands of the tool are then 1 (vacuum on) and 0 (off)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Joint motion at equal steps of time; T may be 0."""
+
+    time: np.ndarray
+    """float64[T] [s]."""
+    joints: np.ndarray
+    """float64[T, n], commanded positions [rad]."""
+    velocity: np.ndarray
+    """float64[T, n], commanded velocities [rad/s]."""
+    width: np.ndarray
+    """float64[T], opening between the pads as it was [m]; 0 for a suction tool."""
+    command: np.ndarray
+    """float64[T], what the tool was told: the opening [m], less than what it holds where it
+    presses; for a suction tool 1 (vacuum on) or 0 (off)."""
+
+
+@dataclass(frozen=True, eq=False)
+class StepRecord:
+    """One attempt to pick up an object and to put it down."""
+
+    number: int
+    """1, 2, ... in the order of execution."""
+    plan_step: int | None
+    """The step of ``plan.json`` it carries out, also where it failed and was tried again; None
+    where the plan has no such step (any more)."""
+    cells: tuple[int, ...]
+    """Cells of the object, the grasped one first."""
+    target: np.ndarray
+    """float64[7]: pose the grasped cell shall have."""
+    outcome: Outcome
+    detail: str
+    """Why it failed, in one line; empty for a success."""
+    replanned: bool
+    """After it the rest of the build was planned anew from where the blocks really were."""
+    stages: tuple[Stage, ...]
+    grip: float | None
+    """When the object follows the hand from [s]; None: never."""
+    release: float | None
+    """When it does not any more, on purpose or not [s]; None: never held, or still at the end."""
+    samples: Samples
+    before: np.ndarray
+    """float64[C, 7]: poses of all cells before the step: x, y, z [m, world], quaternion
+    (w, x, y, z)."""
+    after: np.ndarray
+    """The same when everything has come to rest."""
+
+    @property
+    def seconds(self) -> float:
+        """How long the arm takes for it [s]."""
+        return float(np.ptp(self.samples.time)) if len(self.samples.time) else 0.0
+
+    @property
+    def error(self) -> float:
+        """Distance of the grasped cell from where it should stand, at the end [m]."""
+        return float(np.linalg.norm(self.after[self.cells[0], :3] - self.target[:3]))
+
+    def stage_at(self, time: float) -> str:
+        """The stage at a time [s]; empty outside all of them."""
+        for stage in reversed(self.stages):
+            if stage.start - 1e-9 <= time <= stage.end + 1e-9:
+                return stage.name
+        return ""
+
+
+@dataclass(frozen=True, eq=False)
+class BuildRecord:
+    """A build by an arm."""
+
+    arm: ArmFacts
+    rate: float
+    """Samples per second."""
+    block_edge: float
+    """[m]."""
+    objects: tuple[tuple[int, ...], ...]
+    """Cells of every rigid object; each cell of the build is in exactly one."""
+    simulated_by: str
+    """What the outcomes come from, in words."""
+    steps: tuple[StepRecord, ...]
+    half: np.ndarray | None = None
+    """float64[C, 3]: half extents of the box of each cell in its own frame [m]; None: all are
+    cubes with edge ``block_edge``."""
+    density: np.ndarray | None = None
+    """float64[C] of each cell's box [kg/m3], see :class:`~.moves.Scene`; None: that of the
+    cubes."""
+
+    @property
+    def num_cells(self) -> int:
+        return sum(map(len, self.objects))
+
+    def spans(self) -> list[tuple[float, float]]:
+        """Start and end of every step [s]; one without samples takes no time."""
+        now, found = 0.0, []
+        for step in self.steps:
+            start = now
+            if len(step.samples.time):
+                now = float(step.samples.time[-1])
+            found.append((start, now))
+        return found
+
+    def joined(self) -> tuple[Samples, np.ndarray]:
+        """All samples in a row, and int64[T], the number of the step of each."""
+        n, found = len(self.arm.joints), []
+        none = Samples(np.empty(0), np.empty((0, n)), np.empty((0, n)), np.empty(0), np.empty(0))
+        for parts in zip(*(vars(one.samples).values() for one in self.steps), strict=True):
+            found.append(np.concatenate(parts))
+        numbers = [np.full(len(step.samples.time), step.number) for step in self.steps]
+        return Samples(*found) if found else none, np.concatenate([np.empty(0, np.int64), *numbers])
+
+
+def arm_facts(arm: Arm) -> ArmFacts:
+    """What a record says about an arm."""
+    return ArmFacts(
+        arm.name,
+        arm.joints,
+        arm.lower,
+        arm.upper,
+        arm.velocity,
+        arm.acceleration,
+        arm.base_position,
+        arm.base_yaw,
+        arm.tool,
+        arm.gripper.max_width,
+        arm.tool_name,
+        arm.suction is not None,
+    )
+
+
+GRAIN = 1e-6
+"""Numbers are rounded to this, which is all the slack the limits get [rad], [rad/s], [m]."""
+WIDTH_SPEED = 1.0
+"""No opening between pads changes faster; what does is a jump in the record [m/s]."""
+
+
+def require_sound(record: BuildRecord) -> None:
+    """Refuse a record that is not sound.
+
+    Raises:
+        InputError: saying what is wrong, in one line.
+    """
+    fault = find_fault(record)
+    if fault is not None:
+        raise InputError("trajectory", fault, "a motion within the limits, without jumps")
+
+
+def find_fault(record: BuildRecord) -> str | None:
+    """The first thing that is wrong with a record, in one line; None where nothing is."""
+    checks = (_structure, _times, _motion, _steps)
+    return next((fault for check in checks for fault in check(record)), None)
+
+
+def _structure(record: BuildRecord) -> Iterator[str]:
+    cells = sorted(cell for cells in record.objects for cell in cells)
+    count, arm, n = len(cells), record.arm, len(record.arm.joints)
+    if cells != list(range(count)):
+        yield f"objects: cells {cells} are not 0 to {count - 1}, each once"
+    if not record.rate > 0:
+        yield f"rate: {record.rate:g} samples per second"
+    for what in ("lower", "upper", "velocity", "acceleration"):
+        if getattr(arm, what).shape != (n,):
+            yield f"arm.{what}: {len(getattr(arm, what))} numbers for {n} joints"
+    for what, given, shape, words in (
+        ("half", record.half, (count, 3), "three lengths"),
+        ("density", record.density, (count,), "a number"),
+    ):
+        if given is not None and (given.shape != shape or not (given > 0).all()):
+            yield f"{what}: not {words} above 0 for each of {count} cells"
+    own = [set(c) for c in record.objects]
+    for k, step in enumerate(record.steps, 1):
+        if step.number != k:
+            yield f"step {step.number}: should have number {k}"
+        if not step.cells or set(step.cells) not in own or len(set(step.cells)) < len(step.cells):
+            yield f"step {k}: cells {list(step.cells)} are no object of the build"
+        for what, poses in (("before", step.before), ("after", step.after)):
+            if poses.shape != (count, 7):
+                yield f"step {k}: {what} does not hold 7 numbers for each of {count} cells"
+            elif np.abs(np.linalg.norm(poses[:, 3:], axis=1) - 1).max(initial=0.0) > 1e-4:
+                yield f"step {k}: {what} holds a quaternion that is not of length 1"
+        arrays, long = list(vars(step.samples).values()), len(step.samples.time)
+        if [array.shape for array in arrays] != [(long,), (long, n), (long, n), (long,), (long,)]:
+            yield f"step {k}: its samples differ in number"
+        if not all(
+            np.isfinite(array).all() for array in (*arrays, step.before, step.after, step.target)
+        ):
+            yield f"step {k}: a number is not finite"
+
+
+def _times(record: BuildRecord) -> Iterator[str]:
+    samples, number = record.joined()
+    wanted = np.arange(len(samples.time)) / record.rate
+    for i in np.flatnonzero(np.abs(samples.time - wanted) > 2 * GRAIN).tolist():
+        yield (
+            f"step {number[i]}: sample {i} of the build is at {samples.time[i]:.6g} s, at "
+            f"{record.rate:g} per second it should be at {wanted[i]:.6g} s"
+        )
+    for step, (before, end) in zip(record.steps, record.spans(), strict=True):
+        for stage in step.stages:
+            if not (before - GRAIN <= stage.start <= stage.end <= end + GRAIN):
+                yield (
+                    f"step {step.number}: stage {stage.name} from {stage.start:g} to "
+                    f"{stage.end:g} s lies outside {before:g} to {end:g} s"
+                )
+            before = stage.end
+
+
+def _motion(record: BuildRecord) -> Iterator[str]:
+    """Limits; and positions follow from velocities: what the limits on acceleration cannot explain
+    is a jump."""
+    samples, number = record.joined()
+    arm, rate, period = record.arm, record.rate, 1 / record.rate
+    q, v, width = samples.joints, samples.velocity, samples.width
+
+    def at(i: int) -> str:
+        return f"step {number[i]}, t = {samples.time[i]:.2f} s"
+
+    for i, j in np.argwhere((q < arm.lower - GRAIN) | (q > arm.upper + GRAIN)).tolist():
+        limits = f"limits {arm.lower[j]:.4f} to {arm.upper[j]:.4f}"
+        yield f"{at(i)}: {arm.joints[j]} is at {q[i, j]:.4f} rad, {limits}"
+    # Mean over a sample, too, which the commanded velocity at its ends does not show.
+    mean = np.abs(np.diff(q, axis=0)) * rate
+    fast = np.maximum(np.abs(v), np.vstack([np.zeros((min(len(v), 1), v.shape[1])), mean]))
+    for i, j in np.argwhere(fast > arm.velocity + GRAIN * (1 + 2 * rate)).tolist():
+        speed = f"{fast[i, j]:.4f} rad/s, limit {arm.velocity[j]:.4f}"
+        yield f"{at(i)}: {arm.joints[j]} moves at {speed}"
+    rest = np.zeros((min(len(v), 1), v.shape[1]))  # before the first sample and after the last
+    change = np.abs(np.diff(np.vstack([rest, v, rest]), axis=0)) * rate
+    for i, j in np.argwhere(change > arm.acceleration + 2 * GRAIN * rate).tolist():
+        much = f"{change[i, j]:.4f} rad/s^2, limit {arm.acceleration[j]:.4f}"
+        yield f"{at(min(i, len(v) - 1))}: {arm.joints[j]} accelerates at {much}"
+    for i in np.flatnonzero((width < -GRAIN) | (width > arm.max_width + GRAIN)).tolist():
+        open_by = f"{1000 * width[i]:.3f} mm, limits 0 to {1000 * arm.max_width:g}"
+        yield f"{at(i)}: the gripper is open {open_by}"
+    told = samples.command if arm.suction else np.zeros(0)
+    for i in np.flatnonzero((told != 0) & (told != 1)).tolist():
+        yield f"{at(i)}: the vacuum is told {told[i]:g}, neither 0 nor 1"
+    gap = np.abs(np.diff(q, axis=0) - period * (v[1:] + v[:-1]) / 2)
+    slack = arm.acceleration * period**2 / 4 + GRAIN * (1 + period)
+    for i, j in np.argwhere(gap > slack).tolist():
+        yield f"{at(i + 1)}: {arm.joints[j]} jumps by {gap[i, j]:.4f} rad against its velocity"
+    jump = np.abs(np.diff(width))
+    for i in np.flatnonzero(jump > WIDTH_SPEED * period + GRAIN).tolist():
+        yield f"{at(i + 1)}: the gripper jumps by {1000 * jump[i]:.1f} mm"
+
+
+def _steps(record: BuildRecord) -> Iterator[str]:
+    last = None
+    for step, (start, end) in zip(record.steps, record.spans(), strict=True):
+        k, reached = step.number, step.outcome == Outcome.REACHED
+        if reached and (step.grip is None or step.release is None):
+            yield f"step {k}: reached, but the object is never held and released"
+        if step.grip is None and step.release is not None:
+            yield f"step {k}: released at {step.release:g} s, but never held"
+        if step.grip is not None:
+            release = end if step.release is None else step.release
+            if not start - GRAIN <= step.grip <= release <= end + GRAIN:
+                held = f"held from {step.grip:g} to {release:g} s"
+                yield f"step {k}: {held}, outside {start:g} to {end:g} s"
+            if not len(step.samples.time):
+                yield f"step {k}: holds an object without a motion"
+        if not reached and not step.detail:
+            yield f"step {k}: {step.outcome.label} without a reason"
+        if last is not None and not np.allclose(last.after, step.before, rtol=0, atol=2 * GRAIN):
+            cell = int(np.abs(last.after - step.before).max(1).argmax())
+            yield f"step {k}: cell {cell} does not begin where step {last.number} has left it"
+        last = step
+
+
+# ---------------------------------------------------------------- while a build goes on
+
+LOST = 0.008
+"""What has moved so far in the hand is not drawn as held any more [m]."""
+
+
+class BuildRecorder:
+    """Appends steps to a record and puts them on its clock.
+
+    Args:
+        arm: it stands still at ``joints`` with its gripper open by ``width`` when the build begins.
+        poses: float64[C, 7] of every cell at the beginning, as in
+            :class:`StepRecord`.
+        objects: cells of every rigid object.
+        simulated_by: what the outcomes come from, in words.
+        half: float64[C, 3], half extents of the cells' boxes where they are no cubes [m].
+        density: float64[C] of them [kg/m3].
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        joints: np.ndarray,
+        width: float,
+        poses: np.ndarray,
+        objects: Sequence[Sequence[int]],
+        simulated_by: str,
+        half: np.ndarray | None = None,
+        density: np.ndarray | None = None,
+    ) -> None:
+        self.arm, self.poses = arm, np.array(poses, float)
+        self.objects = tuple(tuple(cells) for cells in objects)
+        self.simulated_by, self.half, self.density = simulated_by, half, density
+        self.steps: list[StepRecord] = []
+        self._first = np.array(joints, float), float(width)
+        self._count = 0
+
+    @property
+    def now(self) -> float:
+        """Time of the record at which the next step begins [s]."""
+        return max(self._count - 1, 0) / RATE
+
+    def add(
+        self,
+        *,
+        plan_step: int | None,
+        cells: Sequence[int],
+        target: np.ndarray,
+        outcome: Outcome,
+        detail: str = "",
+        motion: tuple[Any, ...] | None = None,
+        stages: Sequence[Stage] = (),
+        grip: float | None = None,
+        release: float | None = None,
+        after: np.ndarray | None = None,
+    ) -> None:
+        """Append a step; fields as in :class:`StepRecord`, times from its beginning.
+
+        Args:
+            motion: joints float64[T, n], the first one a period (1 / 50 s) after the last of the
+                step before, velocity float64[T, n], width float64[T] and, where it differs,
+                what the tool was told float64[T]; None where the arm does not move.
+            after: float64[C, 7]; None where nothing has moved.
+        """
+        n, start = len(self.arm.joints), self.now
+        parts = [np.empty((0, n)), np.empty((0, n)), np.empty(0), np.empty(0)]
+        if motion is not None:
+            parts = [np.array(part, float) for part in (*motion, motion[2])[:4]]
+        if not self._count and len(parts[0]):
+            first = self._first[0][None], np.zeros((1, n)), [self._first[1]], [self._first[1]]
+            parts = [np.concatenate(pair) for pair in zip(first, parts, strict=True)]
+        count = len(parts[0])
+        time = (self._count + np.arange(count)) / RATE
+        self._count += count
+        end = self.poses if after is None else np.array(after, float)
+        self.steps.append(
+            StepRecord(
+                len(self.steps) + 1,
+                plan_step,
+                tuple(map(int, cells)),
+                np.array(target, float),
+                outcome,
+                detail,
+                False,
+                tuple(Stage(s.name, s.start + start, s.end + start) for s in stages),
+                None if grip is None else grip + start,
+                None if release is None else release + start,
+                Samples(time, *parts),
+                self.poses,
+                end,
+            )
+        )
+        self.poses = end
+
+    def add_attempt(
+        self,
+        attempt: Attempt,
+        scene: Scene,
+        move: Move,
+        numbers: np.ndarray,
+        plan_step: int | None = None,
+    ) -> np.ndarray:
+        """Append what a cell reports of a move.
+
+        Args:
+            attempt: the report.
+            scene: as things were before it.
+            move: the order.
+            numbers: int64[n], which cell of the build each row of ``scene`` is.
+            plan_step: as in :class:`StepRecord`.
+
+        Returns:
+            int64[n]: which cell of the build each row of ``attempt.after`` is.
+        """
+        members = scene.members(move.cell)
+        rest = np.setdiff1d(np.arange(scene.num_placed, len(scene.position)), members)
+        order = numbers[np.concatenate([np.arange(scene.num_placed), members, rest])]
+        turn = yaw_quaternion(scene.yaw[[move.cell]] + move.turn)[0]
+        after = None
+        if attempt.after is not None and attempt.quaternion is not None:
+            after = self.poses.copy()
+            after[order] = np.hstack([attempt.after.position, attempt.quaternion])
+        done, motion, stages, held = attempt.trajectory, None, [], (None, None)
+        if done is not None and len(done.time) > 1:
+            width = done.width[1:].clip(0, self.arm.gripper.max_width)
+            motion = (done.joints[1:], done.velocity[1:], width, done.command[1:])
+            stages, held = stages_of(done), holding(self.arm, done, move.cell)
+        self.add(
+            plan_step=plan_step,
+            cells=numbers[members].tolist(),
+            target=np.array([*move.target, *turn]),
+            outcome=attempt.outcome,
+            detail=attempt.detail,
+            motion=motion,
+            stages=stages,
+            grip=held[0],
+            release=held[1],
+            after=after,
+        )
+        return order
+
+    def take(self, step: StepRecord) -> None:
+        """Append a step that was recorded before, with its times as they are."""
+        self.steps.append(step)
+        self._count += len(step.samples.time)
+
+    def replanned(self) -> None:
+        """The rest of the build has been planned anew after the last step."""
+        self.steps[-1] = replace(self.steps[-1], replanned=True)
+
+    def number_steps(self, plan_steps: Sequence[int | None]) -> None:
+        """Say which step of the finished plan each step of the record carries out."""
+        self.steps = [
+            replace(step, plan_step=number)
+            for step, number in zip(self.steps, plan_steps, strict=True)
+        ]
+
+    def record(self) -> BuildRecord:
+        """The record so far."""
+        return BuildRecord(
+            arm_facts(self.arm),
+            RATE,
+            EDGE,
+            self.objects,
+            self.simulated_by,
+            tuple(self.steps),
+            self.half,
+            self.density,
+        )
+
+
+def upright(position: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+    """Poses float64[n, 7] of cells at centres float64[n, 3] [m], turned about z by float64[n]."""
+    return np.hstack([position, yaw_quaternion(yaw)])
+
+
+def stages_of(trajectory: Trajectory) -> list[Stage]:
+    """The stages one after the other; a sample ends the time that led to it."""
+    changes = np.flatnonzero(np.diff(trajectory.stage[1:])) + 1
+    ends = [*changes.tolist(), len(trajectory.time) - 1]
+    starts = [0, *changes.tolist()]
+    return [
+        Stage(STAGES[trajectory.stage[b]], float(trajectory.time[a]), float(trajectory.time[b]))
+        for a, b in zip(starts, ends, strict=True)
+    ]
+
+
+def holding(arm: Arm, trajectory: Trajectory, cell: int) -> tuple[float | None, float | None]:
+    """When a cell begins to follow the hand and when it ceases to [s].
+
+    It does from the moment it is lifted, until the fingers open or it has moved in the hand by
+    more than :data:`LOST`.
+    """
+    lifted = np.flatnonzero(trajectory.stage == STAGES.index("lift"))
+    if not len(lifted):
+        return None, None
+    grip = int(lifted[0]) - 1
+    where, turn = forward_many(get_chain(arm), np.ascontiguousarray(trajectory.joints))
+    inside = np.einsum("tji,tj->ti", turn, trajectory.pose[:, cell, :3] - where)
+    gone = np.linalg.norm(inside - inside[grip], axis=1) > LOST
+    gone |= trajectory.stage == STAGES.index("release")
+    gone[: grip + 1] = False
+    first = int(np.argmax(gone))
+    return float(trajectory.time[grip]), float(trajectory.time[first - 1]) if gone.any() else None

@@ -1,1 +1,0 @@
-"""Whether a placement holds: static equilibrium and MuJoCo rigid bodies behind one protocol."""

@@ -1,1 +1,0 @@
-"""The learned builder of designs: tasks, world, network, search and training."""

@@ -1,0 +1,1 @@
+"""From cells and a kit to blocks in an order: the room where planning knows a lattice."""

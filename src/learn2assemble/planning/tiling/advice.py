@@ -1,0 +1,144 @@
+"""What would help a design that is not built: every piece of advice is tried before it is given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from learn2assemble.assembly.kit import Kit, kit_names, load_kit
+from learn2assemble.linear_programs import Clock
+from learn2assemble.planning.tiling.exact import plan_exact
+from learn2assemble.planning.tiling.ordering import Ordering
+from learn2assemble.planning.tiling.tile import MAX_EXTENT, Tiling
+
+MAX_CELLS = 3000
+"""Of a design for which something else is tried; more take minutes."""
+NO_ADVICE = (
+    "none of what was tried helps: other kits, tight joints, filled overhangs, a flat base, other "
+    "cells"
+)
+MOST_CUT = 3
+"""Levels that are left out at most for a flat base."""
+_SHARE, _MOST = 0.5, 10.0
+"""Of the time that is left, for one trial, and no trial takes longer [s]."""
+
+
+def advise(
+    tiling: Tiling,
+    kit: Kit,
+    seconds: float,
+    progress: Callable[[str], None] = lambda text: None,
+    **options: Any,
+) -> str:
+    """What makes a plan of this design complete, in one clause; empty where nothing tried does.
+
+    Tried in this order: joints of width 0, the kits of the package, filling what is under an
+    overhang, filling everything down to the table, leaving out the lowest levels so that the base
+    is flat, cells half as large, cells twice as large.
+
+    Args:
+        tiling: that was refused or not found, with the cells that lack support.
+        seconds: limit of all trials together.
+        options: of :func:`learn2assemble.planning.tiling.exact.plan_exact`.
+    """
+    clock = Clock(seconds)
+    for text, wanted, blocks, changed in _trials(tiling, kit, options):
+        if clock.left <= 0 or wanted.sum() > MAX_CELLS or max(wanted.shape) > MAX_EXTENT:
+            continue
+        progress(f"trying whether {text}")
+        made, ordering = plan_exact(
+            wanted, blocks, seconds=min(_MOST, _SHARE * clock.left), **{**options, **changed}
+        )
+        if (ordering or made).status == "complete":
+            return text
+    return ""
+
+
+def advised_exact(
+    wanted: np.ndarray,
+    kit: Kit,
+    *,
+    seconds: float,
+    progress: Callable[[str], None] = lambda text: None,
+    shades: np.ndarray | None = None,
+    **options: Any,
+) -> tuple[Tiling, Ordering | None]:
+    """The exact plan of a design, and in its reason what would help where there is none.
+
+    Args:
+        options, shades: as :func:`.exact.plan_exact` takes them.
+    """
+    clock = Clock(seconds)
+    tiling, ordering = plan_exact(wanted, kit, seconds=seconds, shades=shades, **options)
+    if (ordering or tiling).status in ("refused", "not found") and tiling.placements:
+        help_ = advise(tiling, kit, clock.left, progress, **options)
+        why = f"{(ordering or tiling).reason}; {help_ or NO_ADVICE}"
+        tiling = replace(tiling, reason=why)
+        ordering = None if ordering is None else replace(ordering, reason=why)
+    return tiling, ordering
+
+
+_Trial = tuple[str, np.ndarray, Kit, dict[str, Any]]
+
+
+def _trials(tiling: Tiling, kit: Kit, options: dict[str, Any]) -> Iterator[_Trial]:
+    """In words, the cells, the kit and changed options of everything that may help."""
+    wanted = tiling.wanted
+    width = options.get("gap")
+    width = kit.joint_gap if width is None else width
+    if np.max(width) > 0:
+        yield "it stands only with tight joints (gap 0)", wanted, kit, {"gap": 0.0}
+    for name in kit_names():
+        if name != kit.name:
+            yield f"kit `{name}` does", wanted, load_kit(name).at_pitch(kit.pitch), {}
+    cells = np.array(tiling.lacking, np.int64).reshape(-1, 3)
+    for what, under in (
+        ("what is under the overhangs", cells),
+        ("everything down to the table", np.argwhere(wanted)),
+    ):
+        filled = fill_below(wanted, under)
+        more = int(filled.sum() - wanted.sum())
+        if more:
+            yield f"with {what} filled ({more} cells more) it stands", filled, kit, {}
+    for levels in range(1, MOST_CUT + 1):
+        higher = wanted[:, :, levels:]
+        if higher.any() and wanted[:, :, 0].sum() < 0.5 * higher[:, :, 0].sum():
+            yield (
+                (
+                    f"without its lowest {levels} level{'s' * (levels > 1)}, on a flat base, "
+                    "it stands"
+                ),
+                higher,
+                kit,
+                {},
+            )
+    half = replace(kit, pitch=tuple(p / 2 for p in kit.pitch))
+    if np.max(width) < min(half.pitch[:2]) / 2:
+        finer = wanted.repeat(2, 0).repeat(2, 1).repeat(2, 2)
+        yield "with cells half as large it stands", finer, half, {}
+    coarser = pool(wanted)
+    if coarser[:, :, 0].any() and min(wanted.shape[0], wanted.shape[2]) > 1:
+        twice = replace(kit, pitch=tuple(2 * p for p in kit.pitch))
+        yield "with cells twice as large it stands", coarser, twice, {}
+
+
+def pool(wanted: np.ndarray) -> np.ndarray:
+    """``wanted`` (bool[X, Y, Z]) in cells twice as large, each filled where half of it is; what is
+    one cell deep stays so."""
+    size = [min(2, n) for n in wanted.shape]
+    padded = np.pad(wanted, [(0, -n % k) for n, k in zip(wanted.shape, size, strict=True)])
+    blocks = padded.reshape(
+        [m for n, k in zip(padded.shape, size, strict=True) for m in (n // k, k)]
+    )
+    return blocks.mean((1, 3, 5)) >= 0.5
+
+
+def fill_below(wanted: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """``wanted`` (bool[X, Y, Z]) with all that is under the given cells (int64[n, 3])."""
+    filled = wanted.copy()
+    for x, y, z in cells.tolist():
+        filled[x, y, :z] = True
+    return filled

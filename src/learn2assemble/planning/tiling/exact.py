@@ -1,0 +1,662 @@
+"""The exact planner: a design and a kit in, blocks in a proven order out.
+
+Tile; if the finished building would fall, rule that mechanism out and tile again, until it stands
+or no tiling does (:mod:`learn2assemble.planning.tiling.standing`); prop up what cannot be put down
+on
+its own; order, with more props where the order gets stuck. Where a tiling has no order, what is to
+blame is barred and the next tiling is tried.
+
+What is found first is taken: dry joints without friction, friction on bed faces, then tight joints.
+Side faces press only where no gap is left, so tight joints are used where a gap of 0 is asked for
+and nowhere else.
+
+*Refused* means that no plan exists: no blocks fill the cells, or everything that does falls, with
+friction, too. Where that is not proven the answer is *not found*, with what was tried.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable
+from dataclasses import replace
+from functools import reduce
+
+import numpy as np
+
+from learn2assemble.assembly.kit import Cell, Kit, orientations, parts_of
+from learn2assemble.errors import InputError
+from learn2assemble.linear_programs import INF, Clock
+from learn2assemble.planning.tiling.ordering import Coupled, Ordering, order
+from learn2assemble.planning.tiling.props import FIRM, choose_props, unsupported
+from learn2assemble.planning.tiling.retiling import Retiling, improve_bond, mirrored
+from learn2assemble.planning.tiling.stack import find_stack
+from learn2assemble.planning.tiling.standing import (
+    find_mechanisms,
+    find_slides,
+    region_above,
+    region_near,
+    tile_standing,
+)
+from learn2assemble.planning.tiling.tile import (
+    TIME_OPTION,
+    BlockPlacement,
+    Tiling,
+    check_cells,
+    find_candidates,
+    owners,
+    placement_cells,
+    tile,
+)
+from learn2assemble.statics.proofs import BED, FRICTIONLESS, TIGHT, Bounds, value_range
+from learn2assemble.statics.step_proof import Proof, Stack, find_ring, lies_above
+
+MAX_ROUNDS = 200
+"""Of tiling again, and of adding props."""
+MAX_TILINGS, MAX_TRIED = 24, 400
+"""Tilings that are tried one after the other because none of those before has an order, and blocks
+of all of them together; at least ``MIN_TILINGS``."""
+MIN_TILINGS = 4
+NEXT_SECONDS = 5.0
+"""Of the program that looks for another tiling; it mostly takes a fraction of a second."""
+CUT_ROUNDS = 4
+"""Rounds of ruling out mechanisms, mostly enough and fast, before blocks are chosen together with
+their forces."""
+FRICTION_ROUNDS = 24
+"""Of tiling again where friction carries."""
+MAX_NEAR, MAX_ABOVE = 500, 700
+"""Cells that one program decides together with their forces: round what falls, and all above."""
+MAX_WHOLE = 600
+"""Of a building of more blocks, the uppermost part that falls is looked at first, and alone."""
+MAX_COUPLED = 400
+"""Of a building of more blocks it is not asked whether friction carries it; that takes minutes."""
+MAX_PLACEMENTS = 10_000
+"""Blocks of a plan."""
+
+Blame = tuple[frozenset[BlockPlacement], bool]
+"""Blocks that are not to be used together, and whether it is proven that they cannot be."""
+
+
+def plan_exact(
+    wanted: np.ndarray,
+    kit: Kit,
+    *,
+    seconds: float = 60.0,
+    friction: Bounds = None,
+    gap: Bounds = None,
+    props_allowed: bool = True,
+    shades: np.ndarray | None = None,
+) -> tuple[Tiling, Ordering | None]:
+    """Blocks of ``kit`` that fill ``wanted`` exactly, and an order in which every state stands.
+
+    Args:
+        wanted: bool[X, Y, Z].
+        seconds: wall-clock limit for everything.
+        friction, gap: as for :func:`learn2assemble.planning.tiling.ordering.order`.
+        props_allowed: whether temporary blocks may be used.
+        shades: int[X, Y, Z], equal where cells have one colour; blocks keep to one where they can.
+
+    Returns:
+        the tiling with its props; the order, None where there was nothing to order. Status and
+        reason of the last of the two say how it went.
+    """
+    clock = Clock(seconds)
+    mu = value_range(friction, kit.friction, "friction")
+    tight = value_range(gap, kit.joint_gap, "gap")[1] == 0
+    wanted = check_cells(wanted)
+    if reason := _impossible(wanted, kit):
+        return Tiling((), wanted, "refused", reason), None
+    tiling = tile(wanted, kit, seconds=seconds, shades=shades)
+    if tiling.status != "complete":
+        return tiling, None
+    _check_size(len(tiling.placements), kit)
+    tiling = improve_bond(tiling, kit, clock) if kit.limited else tiling
+    first: tuple[Tiling, Ordering | None] | None = None
+    proven = True
+    for law in (FRICTIONLESS, BED, TIGHT) if tight else (FRICTIONLESS, BED):
+        search = _Search(tiling, kit, clock, law, mu, friction, gap, props_allowed)
+        made, ordering = search.run()
+        status = (ordering or made).status
+        if status == "complete" or (status == "time" and first is None):
+            return made, ordering
+        # With friction the same tilings fall in fewer ways, so only the last proof counts.
+        proven = status == "refused"
+        first = first or (made, ordering)
+        if clock.left <= 0 or not search.friction_may_help:
+            break
+    assert first is not None
+    also = made.reason if made is not first[0] and not search.tried else ""
+    made, ordering = first
+    made = replace(made, reason="; ".join(filter(None, (made.reason, also))))
+    status = "refused" if proven else "not found"
+    if ordering is not None:
+        reason = "; ".join(filter(None, (ordering.reason, also)))
+        return replace(made, status="complete"), replace(ordering, status=status, reason=reason)
+    return replace(made, status=status), None
+
+
+def _impossible(wanted: np.ndarray, kit: Kit) -> str:
+    """Why numbers alone rule a design out, in one line; empty where they do not."""
+    sizes = [len(kind.cells) for kind in kit.kinds]
+    count, step = int(wanted.sum()), reduce(math.gcd, sizes)
+    _check_size(-(-count // max(sizes)), kit)
+    if count % step:
+        return (
+            f"all blocks of kit `{kit.name}` have a multiple of {step} cells; "
+            f"the design has {count}"
+        )
+    # On a checkerboard in space, how many cells more of one colour a block has does not depend on
+    # where it lies.
+    uneven = [abs(int(np.sum((-1) ** np.sum(kind.cells, axis=1)))) for kind in kit.kinds]
+    odd = abs(int(np.sum((-1) ** np.argwhere(wanted).sum(1))))
+    most_odd = count * max(n / size for n, size in zip(uneven, sizes, strict=True))
+    if odd > most_odd + 1e-6:
+        return (
+            f"on a checkerboard the design has {odd} cells more of one colour; blocks of kit "
+            f"`{kit.name}` that fill it have at most {int(most_odd + 1e-6)}"
+        )
+    heap = [kind.count for kind in kit.kinds]
+    most = sum(n * size for n, size in zip(heap, sizes, strict=True) if n is not None)
+    if None not in heap and most < count:
+        return f"the heap of kit `{kit.name}` has {most} cells; the design has {count}"
+    return ""
+
+
+def _check_size(blocks: int, kit: Kit) -> None:
+    if blocks > MAX_PLACEMENTS:
+        raise InputError(
+            "design",
+            f"at least {blocks} blocks of kit `{kit.name}`",
+            f"at most {MAX_PLACEMENTS} (larger cells or blocks?)",
+        )
+
+
+class _Search:
+    """Tilings of a design, one after the other, until one has an order.
+
+    Args:
+        law: what may carry a state, see :func:`learn2assemble.planning.tiling.ordering.order`.
+        mu: smallest and largest coefficient of friction.
+    """
+
+    def __init__(
+        self,
+        tiling: Tiling,
+        kit: Kit,
+        clock: Clock,
+        law: str,
+        mu: tuple[float, float],
+        friction: Bounds,
+        gap: Bounds,
+        props_allowed: bool,
+    ) -> None:
+        self.first, self.kit, self.clock, self.law, self.mu = tiling, kit, clock, law, mu
+        self.friction, self.gap, self.props_allowed = friction, gap, props_allowed
+        self.width = value_range(gap, kit.joint_gap, "gap")[1]
+        self.again = Retiling(tiling, kit, tight=law == TIGHT)
+        self.tried: list[frozenset[BlockPlacement]] = []
+        self.certain: list[frozenset[BlockPlacement]] = []
+        self.friction_may_help = True
+        self.gave_up = False
+        size = max(len(tiling.placements), 1)
+        most = MAX_TILINGS if law == FRICTIONLESS else MIN_TILINGS
+        self.most = int(np.clip(MAX_TRIED // size, MIN_TILINGS, most))
+
+    def run(self) -> tuple[Tiling, Ordering | None]:
+        """The first tiling with an order, else what became of the first that stands."""
+        failed: tuple[Tiling, Ordering | None] | None = None
+        tiling: Tiling | None = self.first
+        whole = False  # whether what is barred are whole tilings
+        while tiling is not None:
+            stood = self._stand(tiling)
+            if stood.status != "complete":
+                # That the others fall says nothing of those that were barred.
+                barred = stood.status == "refused" and len(self.certain) < len(self.again.barred)
+                if failed is None:
+                    return stood, None
+                if stood.status != "refused" or not barred or whole:
+                    return self._ended(failed, "not found" if barred else stood.status)
+                tiling, whole = self._next(whole=True), True
+                continue
+            made, ordering, blamed = self._order(stood)
+            if (ordering or made).status in ("complete", "time"):
+                return made, ordering
+            failed = failed or (made, ordering)
+            self.tried.append(frozenset(stood.placements))
+            new = [self._bar(*blame) for blame in blamed]
+            if len(self.tried) >= self.most or self.clock.left <= 0 or not any(new):
+                return self._ended(failed, "not found")
+            tiling = self._next(whole)
+            barred = len(self.certain) < len(self.again.barred)
+            if tiling is None and not whole and barred and not self.gave_up:
+                tiling, whole = self._next(whole=True), True
+        assert failed is not None
+        proven = len(self.certain) == len(self.again.barred) and not self.gave_up
+        return self._ended(failed, "refused" if proven else "not found")
+
+    def _bar(self, blocks: frozenset[BlockPlacement], certain: bool) -> bool:
+        new = self.again.bar(blocks)
+        if new and certain:
+            self.certain.append(blocks)
+        return new
+
+    def _next(self, whole: bool) -> Tiling | None:
+        """Another tiling; None where there is none.
+
+        Args:
+            whole: bar whole tilings that failed, in place of what was taken to be to blame.
+        """
+        if whole:
+            self.again.barred = {
+                blocks: self.again.barred[blocks]
+                for blocks in self.again.barred
+                if blocks in set(self.certain)
+            }
+            for blocks in self.tried:
+                self.again.bar(blocks)
+        better = self.again.solve(min(self.clock.left, NEXT_SECONDS))
+        self.gave_up |= better is not None and better.status != "complete"
+        return None if self.gave_up else better
+
+    def _ended(
+        self, failed: tuple[Tiling, Ordering | None], status: str
+    ) -> tuple[Tiling, Ordering | None]:
+        made, ordering = failed
+        others = len(self.tried) - 1
+        words = f"; nor has any of {others} other tilings an order" if others > 0 else ""
+        reason = f"{(ordering or made).reason}{words}"
+        if ordering is not None:
+            return made, replace(ordering, status=status, reason=reason)
+        return replace(made, status=status, reason=reason), None
+
+    def _stand(self, tiling: Tiling) -> Tiling:
+        if self.law == FRICTIONLESS:
+            stood = stand(tiling, self.kit, self.clock, self.again)
+            # What lies on nothing falls, whatever friction does.
+            self.friction_may_help = not len(uncarried_cells(tiling.wanted, self.kit, -INF)) or (
+                self.width == 0
+            )
+            return stood
+        return stand_by_friction(
+            tiling, self.kit, self.law, self.mu, self.clock, gap=self.width, again=self.again
+        )
+
+    def _order(self, stood: Tiling) -> tuple[Tiling, Ordering | None, list[Blame]]:
+        """The order, and what is to blame where there is none."""
+        blocks, kit = stood.placements, self.kit
+        stack = find_stack(blocks, kit, stood.wanted.shape)
+        if ring := find_ring(stack):
+            names = " and ".join(f"{blocks[b].kind} at {blocks[b].origin}" for b in ring[:2])
+            made = replace(stood, status="not found", reason=f"{names} lie on one another")
+            return made, None, [(frozenset(blocks[b] for b in ring), True)]
+        made, ordering = prop_and_order(
+            stood,
+            kit,
+            self.clock,
+            friction=self.friction,
+            gap=self.gap,
+            props_allowed=self.props_allowed,
+            law=self.law,
+        )
+        if ordering is None:
+            hanging = unsupported(stood, kit)
+            if not self.props_allowed:
+                found = self.again.found
+                bad = found.blocks(kit, np.flatnonzero(found.support <= FIRM))
+                return made, None, [(frozenset((block,)), True) for block in bad]
+            endless = replace(kit, kinds=tuple(replace(k, count=None) for k in kit.kinds))
+            bad = [
+                b
+                for b in hanging
+                if choose_props(stood, endless, {b: frozenset((b,))}, self.clock.left) is None
+            ]
+            # Where the heap is short of props, a tiling that needs fewer may do.
+            blamed = [(frozenset((blocks[b],)), False) for b in bad or hanging]
+            return made, None, blamed or [(frozenset(blocks), False)]
+        near = {b for b in (*ordering.stuck, *ordering.falls) if b < len(blocks)}
+        stacked = find_stack(blocks, kit, stood.wanted.shape)
+        for b in tuple(near):
+            near |= {*stacked.below(b).tolist(), *stacked.tops[b].tolist()}
+        return made, ordering, [(frozenset(blocks[b] for b in near or range(len(blocks))), False)]
+
+
+def stand_by_friction(
+    tiling: Tiling,
+    kit: Kit,
+    law: str,
+    friction: tuple[float, float],
+    clock: Clock,
+    *,
+    gap: float = 0.0,
+    rounds: int = FRICTION_ROUNDS,
+    again: Retiling | None = None,
+) -> Tiling:
+    """The tiling, changed where it falls even with friction, until the finished building stands.
+
+    Args:
+        law: ``BED``, friction on bed faces, or ``TIGHT``, on side faces that touch, too.
+        friction: smallest and largest coefficient at which it has to.
+        gap: width of vertical joints [m].
+        rounds: how often it may be changed.
+        again: what is barred so far.
+
+    Returns:
+        the tiling; its status is ``"refused"`` where every tiling was proven to fall.
+    """
+    from learn2assemble.statics.block_forces import System
+
+    square = bool(np.isclose(kit.pitch[0], kit.pitch[1]))
+    boxes = all(
+        np.prod(np.ptp(np.array(way.cells), axis=0) + 1) == len(way.cells)
+        for way in orientations(kit)
+    )
+    again = again or Retiling(tiling, kit, tight=law == TIGHT)
+    what = "tight joints" if law == TIGHT else "friction on bed faces"
+    falls = f"it would fall with {what}, too"
+    reason = f"nor was a way found in which {what} carries it"
+    if len(tiling.placements) > MAX_COUPLED:
+        reason = f"whether {what} carries it is not tried beyond {MAX_COUPLED} blocks"
+    unknown = replace(tiling, status="not found", reason=reason)
+    for number in range(rounds + 1):
+        if len(tiling.placements) > MAX_COUPLED or clock.left <= 0:
+            break
+        coupled = Coupled(tiling, kit, friction, law, gap)
+        if coupled.margin(np.ones(len(tiling.placements), bool)) is not None:
+            return tiling
+        slides = []
+        if boxes and number < rounds:
+            system = System(*coupled.assembly)
+            owner = owners(tiling.placements, kit, tiling.wanted.shape)
+            slides = find_slides(system, owner, friction[0])
+        if not slides:
+            break
+        rigid = any(not (x.any() or y.any()) for x, y in slides)
+        new = [again.add(cut) for edges in slides for cut in mirrored(edges, tiling.wanted, square)]
+        if not rigid and not any(new):
+            break
+        better = None if rigid else again.solve(clock.left)
+        if better is None:
+            return replace(tiling, status="refused" if _alike(kit) else "not found", reason=falls)
+        if better.status != "complete":
+            break
+        tiling = better
+    return unknown
+
+
+def _alike(kit: Kit) -> bool:
+    """Whether all blocks are equally heavy for their size, so that how one tiling falls says how
+    every tiling does that can move in the same way."""
+    return len({kit.density if kind.density is None else kind.density for kind in kit.kinds}) == 1
+
+
+def prop_and_order(
+    structure: Tiling,
+    kit: Kit,
+    clock: Clock,
+    *,
+    friction: Bounds,
+    gap: Bounds,
+    props_allowed: bool,
+    law: str = FRICTIONLESS,
+) -> tuple[Tiling, Ordering | None]:
+    """The order of a building that stands, with the fewest props it takes.
+
+    Args:
+        law: what may carry; tight joints also hold what no prop reaches.
+    """
+    tight = law == TIGHT
+    hanging = unsupported(structure, kit)
+    if hanging and not (props_allowed or tight):
+        return _not_carried(structure, kit, hanging), None
+    demands = {block: frozenset((block,)) for block in hanging if props_allowed}
+    largest: int | None = None
+    count, tiling, ordering = len(structure.placements), structure, None
+    for _ in range(MAX_ROUNDS):
+        props = choose_props(structure, kit, demands, clock.left, largest)
+        if props is None and not tight:
+            if ordering is None:
+                return _not_carried(structure, kit, [max(demands)], out_of_reach=True), None
+            break
+        if props is None:
+            demands = {}
+        tiling = replace(structure, placements=structure.placements + tuple(props or ()))
+        ordering = order(tiling, kit, friction=friction, gap=gap, seconds=clock.left, law=law)
+        if ordering.status != "not found" or not props_allowed or props is None:
+            break
+        new = [b for b in ordering.stuck if b < count and b not in demands]
+        walled = [
+            len(placement_cells(tiling.placements[b], kit)) for b in ordering.stuck if b >= count
+        ]
+        if new:
+            demands[new[0]] = frozenset((*ordering.falls, new[0]))
+        elif walled:
+            # Props that wall one another in, or that what is above them does, are made smaller.
+            largest = max(walled) - 1
+        else:
+            break
+    assert ordering is not None
+    return tiling, ordering
+
+
+def _not_carried(
+    structure: Tiling, kit: Kit, blocks: list[int], *, out_of_reach: bool = False
+) -> Tiling:
+    """The refusal of blocks that nothing holds while they are put down.
+
+    Args:
+        out_of_reach: whether props are allowed, and none reaches the blocks.
+    """
+    cells = uncarried_cells(structure.wanted, kit)
+    if not len(cells) or out_of_reach:
+        cells = np.concatenate([placement_cells(structure.placements[b], kit) for b in blocks])
+    why = "no prop reaches them" if out_of_reach else "props are not allowed"
+    reason = f"{describe_lack(kit, structure.wanted, cells)}, and {why}"
+    return replace(structure, status="not found", reason=reason, lacking=to_cells(cells))
+
+
+# ---------------------------------------------------------------- the finished building
+
+
+def stand(tiling: Tiling, kit: Kit, clock: Clock, again: Retiling | None = None) -> Tiling:
+    """The tiling, changed as little as it takes for the finished building to stand.
+
+    The answer is exact: where its status is ``"refused"``, every tiling of these cells with this
+    kit falls as long as bed faces alone carry it, without friction.
+
+    Args:
+        again: what is barred so far.
+    """
+    again = again or Retiling(tiling, kit)
+    wanted, shape = tiling.wanted, tiling.wanted.shape
+    loose = uncarried_cells(wanted, kit, -INF)
+    if len(loose):
+        return _falls(tiling, kit, loose, any_way=True)
+    square = bool(np.isclose(kit.pitch[0], kit.pitch[1]))
+    tried: set[bytes] = set()
+    first = tiling
+    for number in range(MAX_ROUNDS):
+        # Tilings that cuts led to fall in more places than the one they began with.
+        tiling = first if number == CUT_ROUNDS else tiling
+        stack = find_stack(tiling.placements, kit, shape)
+        proof, everything = Proof(stack), np.ones(len(stack), bool)
+        part = np.arange(len(stack))
+        if proof.settle(everything, everything):
+            return tiling
+        if kit.flat and len(stack) > MAX_WHOLE:
+            part = _falling_part(proof, tiling, clock)
+            if not len(part):
+                return tiling
+        elif proof.program(everything, everything, clock.left):
+            return tiling
+        # What is below is ground: if the part falls there, it does on anything.
+        small = stack.part(part)
+        held_there = Proof(small).held(np.ones(len(small), bool), clock.left)
+        held = part[held_there].tolist()
+        if clock.left <= 0 or not held:
+            break
+        status, better = "unknown", None
+        if number >= CUT_ROUNDS:
+            status, better = _stand_near(tiling, kit, stack, held, tried, clock, again.barred)
+        if status == "infeasible":
+            return _falls(tiling, kit, uncarried_cells(wanted, kit), held)
+        if better is not None:
+            tiling = better
+            continue
+        owner = owners(tiling.placements, kit, shape)
+        number_there = np.full(len(stack) + 1, -1)
+        number_there[part] = np.arange(len(part))
+        there = number_there[owner]
+        # What has to be held moves, and what stands on it: a much smaller program.
+        moving = lies_above(small, held_there)
+        found = find_mechanisms(small, there, seconds=clock.left, moving=moving)
+        found = found or find_mechanisms(small, there, seconds=clock.left)
+        if clock.left <= 0:
+            break
+        new = [again.add(cut) for edges in found for cut in mirrored(edges, wanted, square)]
+        rigid = any(not (x.any() or y.any()) for x, y in found)
+        better = None if rigid or not any(new) else again.solve(clock.left)
+        if better is None:
+            if not _alike(kit):
+                # Which blocks are heavy decides what falls: ask the program that knows weights.
+                status, better = _stand_whole(tiling, kit, stack, again.barred, clock)
+                if better is not None:
+                    tiling = better
+                    continue
+            moves = sorted({int(b) for edges in found for b in _opened(edges, owner)})
+            fallen = _falls(tiling, kit, uncarried_cells(wanted, kit), moves or range(len(stack)))
+            sure = _alike(kit) or status == "infeasible"
+            return fallen if sure else replace(fallen, status="not found")
+        if better.status != "complete":
+            break
+        tiling = better
+    cells = uncarried_cells(wanted, kit)
+    reason = f"time ran out after {clock.limit:g} s while looking for blocks that stand"
+    if len(cells):
+        reason += f" ({describe_lack(kit, wanted, cells)})"
+    reason += f"; {TIME_OPTION} gives more"
+    return replace(tiling, status="time", reason=reason)
+
+
+def _falling_part(proof: Proof, tiling: Tiling, clock: Clock) -> np.ndarray:
+    """int64: blocks of the fewest uppermost levels that fall on what is below them, which is taken
+    for ground; empty where everything stands. Where time runs out, all that was looked at."""
+    level = np.array([block.origin[2] for block in tiling.placements])
+    everything = np.ones(len(level), bool)
+    stands, falls, wide = int(level.max()) + 1, -1, 1  # what is from these levels up
+    while stands > falls + 1:
+        # Parts grow until one falls; then the border is looked for.
+        middle = max(stands - wide, 0) if falls < 0 else (stands + falls) // 2
+        if proof.program(everything, level >= middle, clock.left):
+            stands, wide = middle, 2 * wide
+        else:
+            falls = middle
+    return np.flatnonzero(level >= falls) if falls >= 0 else np.empty(0, np.int64)
+
+
+def _stand_near(
+    tiling: Tiling,
+    kit: Kit,
+    stack: Stack,
+    held: list[int],
+    tried: set[bytes],
+    clock: Clock,
+    barred: Collection[frozenset[BlockPlacement]],
+) -> tuple[str, Tiling | None]:
+    """Blocks that stand round those that fall, or ``"infeasible"`` where no tiling does.
+
+    Args:
+        tried: regions that were decided before, which are not decided again.
+        barred: sets of blocks that are not all used together.
+    """
+    near, above = region_near(tiling, kit, held), region_above(tiling, kit, held)
+    # Where blocks below could be of other kinds or reach up, what is above alone proves nothing.
+    proves = (kit.flat and not kit.limited) or bool((above == tiling.wanted).all())
+    for region, most in ((near, MAX_NEAR), (above, MAX_ABOVE)):
+        key = np.packbits(region).tobytes()
+        if key in tried or region.sum() > most:
+            continue
+        tried.add(key)
+        status, made = tile_standing(
+            tiling, kit, stack, region, barred=barred, seconds=clock.left / 2
+        )
+        if made is not None or (status == "infeasible" and proves and (region == above).all()):
+            return status, made
+    return "unknown", None
+
+
+def _stand_whole(
+    tiling: Tiling,
+    kit: Kit,
+    stack: Stack,
+    barred: Collection[frozenset[BlockPlacement]],
+    clock: Clock,
+) -> tuple[str, Tiling | None]:
+    """All blocks chosen together with their forces, where the design is small enough."""
+    if tiling.wanted.sum() > MAX_ABOVE:
+        return "unknown", None
+    return tile_standing(
+        tiling, kit, stack, tiling.wanted.copy(), barred=barred, seconds=clock.left / 2
+    )
+
+
+def _falls(
+    tiling: Tiling, kit: Kit, cells: np.ndarray, blocks: Iterable[int] = (), any_way: bool = False
+) -> Tiling:
+    """The refusal of what falls with every tiling, for ``cells`` or else those of ``blocks``.
+
+    Args:
+        any_way: whether it does with any friction.
+    """
+    if not len(cells):
+        cells = np.concatenate([placement_cells(tiling.placements[b], kit) for b in blocks])
+    reason = f"{describe_lack(kit, tiling.wanted, cells)}; the finished building would fall"
+    if not any_way:
+        reason += " without friction"
+    return replace(tiling, status="refused", reason=reason, lacking=to_cells(cells))
+
+
+def _opened(edges: tuple[np.ndarray, np.ndarray], owner: np.ndarray) -> np.ndarray:
+    """Blocks at joints that open."""
+    x, y = edges
+    return np.unique(
+        np.concatenate([owner[:-1][x], owner[1:][x], owner[:, :-1][y], owner[:, 1:][y]])
+    )
+
+
+# ---------------------------------------------------------------- what is not carried
+
+
+def uncarried_cells(wanted: np.ndarray, kit: Kit, least: float = FIRM) -> np.ndarray:
+    """int64[n, 3]: cells in no block of ``kit`` whose centroid is above what carries it.
+
+    Args:
+        least: how far inside; with -INF, cells in no block that lies on anything, so that no tiling
+            of the design stands on bed faces.
+    """
+    found = find_candidates(wanted, kit)
+    good = found.take(np.flatnonzero(found.support > least))
+    carried = np.zeros(wanted.size, bool)
+    carried[good.cell] = True
+    return np.argwhere(wanted & ~carried.reshape(wanted.shape))
+
+
+def to_cells(cells: np.ndarray) -> tuple[Cell, ...]:
+    """The rows of int64[n, 3], each once."""
+    return tuple((x, y, z) for x, y, z in sorted(set(map(tuple, cells.tolist()))))
+
+
+def describe_lack(kit: Kit, wanted: np.ndarray, cells: np.ndarray) -> str:
+    """Which cells no block of ``kit`` carries.
+
+    Args:
+        cells: int[n, 3], not carried; the lowest group of neighbours is named.
+    """
+    level = int(cells[:, 2].min())
+    mask = np.zeros(wanted.shape[:2], bool)
+    mask[tuple(cells[cells[:, 2] == level, :2].T)] = True
+    group = parts_of(mask)[0]
+    at = np.argwhere(group)
+    run = int(max(group.sum(0).max(), group.sum(1).max()))
+    first = (int(at[0, 0]), int(at[0, 1]), level)
+    if run == 1:
+        return f"no block of kit `{kit.name}` carries the cell {first}"
+    return f"no block of kit `{kit.name}` spans {run} cells at level {level} (the first is {first})"

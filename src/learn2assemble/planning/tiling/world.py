@@ -1,0 +1,462 @@
+"""A design as a sequence of placements: which are possible, which stand, and what they leave.
+
+The state is the array of filled cells, the blocks put down so far and what is left of the heap. A
+*candidate* is a kind of block, turned, at a place, all of whose cells are wanted and open. It is
+*legal* where
+
+* every wanted cell directly below it is filled (what is built over could not be filled from above
+  any more) and at least one is, or it lies on the table;
+* its centroid is above the hull of what carries it, since it would tip at once otherwise;
+* the heap has such a block.
+
+A legal placement is carried out only where :mod:`learn2assemble.statics.step_proof` proves that
+the new state stands. Candidates are found once; every placement then changes only what it touches.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+
+from learn2assemble.assembly.kit import Cell, Kit, orientations
+from learn2assemble.planning.tiling.props import FIRM, choose_props
+from learn2assemble.planning.tiling.stack import find_stack
+from learn2assemble.planning.tiling.tile import (
+    BlockPlacement,
+    Candidates,
+    Tiling,
+    check_cells,
+    convex_hull,
+    find_candidates,
+)
+from learn2assemble.statics.step_proof import EDGE_INSET, Proof, Stack, lies_below
+
+
+@dataclass(frozen=True, eq=False)
+class Site:
+    """What does not change while a design is built."""
+
+    wanted: np.ndarray
+    """bool[X, Y, Z]."""
+    kit: Kit
+    found: Candidates
+    """Every placement whose centroid is above what the design gives it as support; where props may
+    be used, also those that fill a cell which none of these does."""
+    kind: np.ndarray
+    """int64[n]: index of the kind of every candidate."""
+    over_start: np.ndarray
+    over: np.ndarray
+    """Candidates that fill a cell: ``over[over_start[c]:over_start[c + 1]]``, flat cell c."""
+    on_start: np.ndarray
+    on: np.ndarray
+    """Candidates that rest on a cell, likewise."""
+    rests: np.ndarray
+    """int64[n]: wanted cells directly below a candidate."""
+    weight: np.ndarray
+    """float64[ways]: weight of a block put down so [kg]."""
+    centre: np.ndarray
+    """float64[ways, 3]: its centre of mass from the corner of its cells [m]."""
+    limits: np.ndarray
+    """int64[kinds]: blocks in the heap at the start, -1 without limit."""
+    props: bool = False
+    """Whether blocks that fall may be propped up."""
+
+    def __len__(self) -> int:
+        return len(self.found)
+
+    def cells(self, candidate: int) -> np.ndarray:
+        """int64[m]: flat indices of the cells of a candidate."""
+        start = self.found.start
+        return self.found.cell[start[candidate] : start[candidate + 1]]
+
+    def placement(self, candidate: int) -> BlockPlacement:
+        """The candidate as the planners write it."""
+        way = self.found.ways[self.found.way[candidate]]
+        x, y, z = (int(v) for v in self.found.origin[candidate])
+        return BlockPlacement(self.kit.kinds[way.kind].name, way.turn, (x, y, z))
+
+    def candidate(self, placement: BlockPlacement) -> int:
+        """Index of a placement.
+
+        Raises:
+            KeyError: where it is none, because nothing carries it.
+        """
+        ways = self.found.ways
+        for index in np.flatnonzero((self.found.origin == placement.origin).all(1)):
+            way = ways[self.found.way[index]]
+            name = self.kit.kinds[way.kind].name
+            if (name, way.turn) == (placement.kind, placement.turn):
+                return int(index)
+        raise KeyError(placement)
+
+
+def make_site(wanted: np.ndarray, kit: Kit, props: bool = False) -> Site:
+    """Every candidate of a design.
+
+    Args:
+        props: also those that only a prop carries, for cells that nothing else fills.
+
+    Raises:
+        InputError: for cells that cannot be used.
+    """
+    wanted = check_cells(wanted)
+    found = find_candidates(wanted, kit)
+    good = found.support > FIRM
+    if props:
+        firm = np.zeros(wanted.size, bool)
+        firm[found.take(np.flatnonzero(good)).cell] = True
+        needed = np.logical_or.reduceat(~firm[found.cell], found.start[:-1])
+        good |= needed & (found.support > -np.inf)
+    found = found.take(np.flatnonzero(good))
+    ways = orientations(kit)
+    kinds = np.array([way.kind for way in ways], np.int64)
+    n, cells = len(found), wanted.size
+    candidate = np.repeat(np.arange(n), found.size())
+    over_start, over = _grouped(found.cell, candidate, cells)
+    # A lowest cell of a block has none of the same block below it.
+    lowest = [np.array([(x, y, z - 1) not in set(w.cells) for x, y, z in w.cells]) for w in ways]
+    low = np.concatenate([lowest[w] for w in found.way]) if n else np.empty(0, bool)
+    z = found.cell % wanted.shape[2]
+    rests = low & (z > 0) & wanted.reshape(-1)[np.maximum(found.cell - 1, 0)]
+    on_start, on = _grouped(found.cell[rests] - 1, candidate[rests], cells)
+    weight, centre = np.empty(len(ways)), np.empty((len(ways), 3))
+    for number, way in enumerate(ways):
+        shape = np.max(way.cells, axis=0) + 1
+        block = BlockPlacement(kit.kinds[way.kind].name, way.turn, (0, 0, 0))
+        alone = find_stack((block,), kit, tuple(int(v) for v in shape))
+        weight[number] = alone.weight[0]
+        centre[number] = alone.centre[0] + np.array([*shape[:2] / 2, 0.0]) * kit.pitch
+    limits = [-1 if kind.count is None else kind.count for kind in kit.kinds]
+    return Site(
+        wanted,
+        kit,
+        found,
+        kinds[found.way],
+        over_start,
+        over,
+        on_start,
+        on,
+        np.bincount(candidate[rests], minlength=n),
+        weight,
+        centre,
+        np.array(limits, np.int64),
+        props,
+    )
+
+
+def _grouped(key: np.ndarray, value: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Values by key: those of key k are ``values[start[k]:start[k + 1]]``."""
+    order = np.argsort(key, kind="stable")
+    return np.searchsorted(key[order], np.arange(count + 1)), value[order]
+
+
+class World:
+    """A design while it is built.
+
+    Args:
+        site: see :func:`make_site`.
+    """
+
+    def __init__(self, site: Site) -> None:
+        self.site = site
+        size = site.wanted.size
+        self.owner = np.full(size, -1)
+        """int64[cells]: number of the block that fills a flat cell, -1 for none."""
+        self.alive = np.ones(len(site), bool)
+        """bool[n]: candidates whose cells are open and whose kind the heap has."""
+        self.waits = site.rests.copy()
+        """int64[n]: cells below a candidate that have to be filled before."""
+        self.cover = np.diff(site.over_start).astype(np.int64)
+        """int64[cells]: candidates that are alive and would fill a cell."""
+        self.heap = site.limits.copy()
+        """int64[kinds]: blocks that are left, -1 without limit."""
+        self.placed: list[int] = []
+        """Candidates in the order they were put down."""
+        self.propped: list[int] = []
+        """Numbers of those of them that did not stand when they were put down: props hold them, so
+        they carry what is put on them, and are not balanced before all is built."""
+        self.open = int(site.wanted.sum())
+        """Number of wanted cells that are open."""
+        self.proof = _nothing(site.kit)
+        for kind in np.flatnonzero(self.heap == 0):
+            self._run_out(int(kind))
+
+    def copy(self) -> World:
+        """A world that goes its own way."""
+        other = object.__new__(World)
+        other.site, other.open, other.proof = self.site, self.open, self.proof
+        for name in ("owner", "alive", "waits", "cover", "heap", "placed", "propped"):
+            setattr(other, name, getattr(self, name).copy())
+        return other
+
+    @property
+    def complete(self) -> bool:
+        """Whether every wanted cell is filled."""
+        return self.open == 0
+
+    def legal(self) -> np.ndarray:
+        """int64[m]: legal candidates; what stands is only known when it is tried."""
+        return np.flatnonzero(self.alive & (self.waits == 0))
+
+    def stranded(self) -> np.ndarray:
+        """int64[k]: flat indices of open cells that no candidate fills any more: a dead end."""
+        wanted = self.site.wanted.reshape(-1)
+        return np.flatnonzero(wanted & (self.owner < 0) & (self.cover == 0))
+
+    def room(self) -> np.ndarray:
+        """int64[kinds]: how many blocks of a kind, all alike, could still be put beside each other.
+
+        Packed greedily, which is exact for walls one cell thick and else may be too few.
+        """
+        found = self.site.found
+        return _pack(
+            np.flatnonzero(self.alive),
+            self.site.kind,
+            len(self.heap),
+            found.start,
+            found.cell,
+            len(self.owner),
+        )
+
+    def place(self, candidate: int, program: bool = False) -> bool:
+        """Put down a legal candidate if the new state is proven to stand.
+
+        Args:
+            program: where the local proof fails, ask the linear program.
+        """
+        proof = self._prove(candidate, program)
+        if proof is None:
+            return False
+        self.proof = proof
+        self.put(candidate)
+        return True
+
+    def prop_up(self, candidate: int) -> bool:
+        """Put down a legal candidate that falls, where a stack of blocks below it can be a prop."""
+        site, block = self.site, self.site.placement(candidate)
+        alone = Tiling((block,), site.wanted, "complete")
+        if choose_props(alone, site.kit, {0: frozenset((0,))}) is None:
+            return False
+        self.proof = self._grown(candidate)
+        self.propped.append(len(self.placed))
+        self.put(candidate)
+        return True
+
+    def falls(self) -> list[int]:
+        """Numbers of blocks that would have to be held, were all props taken away."""
+        if not self.propped:
+            return []
+        blocks = tuple(self.site.placement(c) for c in self.placed)
+        proof = Proof(find_stack(blocks, self.site.kit, self.site.wanted.shape))
+        every = np.ones(len(blocks), bool)
+        if proof.settle(every, every) or proof.program(every, every):
+            return []
+        return proof.held(every) or self.propped
+
+    def put(self, candidate: int) -> None:
+        """Put down a candidate that is known to stand."""
+        site, kind = self.site, int(self.site.kind[candidate])
+        _fill(
+            site.cells(candidate),
+            len(self.placed),
+            self.owner,
+            self.alive,
+            self.waits,
+            self.cover,
+            site.over_start,
+            site.over,
+            site.on_start,
+            site.on,
+            site.found.start,
+            site.found.cell,
+        )
+        self.open -= len(site.cells(candidate))
+        self.placed.append(candidate)
+        if self.heap[kind] > 0:
+            self.heap[kind] -= 1
+            if self.heap[kind] == 0:
+                self._run_out(kind)
+
+    def _run_out(self, kind: int) -> None:
+        gone = np.flatnonzero(self.alive & (self.site.kind == kind))
+        self.alive[gone] = False
+        found = self.site.found
+        for candidate in gone:
+            self.cover[found.cell[found.start[candidate] : found.start[candidate + 1]]] -= 1
+
+    def _prove(self, candidate: int, program: bool) -> Proof | None:
+        proof = self._grown(candidate)
+        stack, count = proof.stack, len(proof.stack)
+        placed, dirty = np.ones(count, bool), np.zeros(count, bool)
+        dirty[-1] = True
+        if proof.settle(dirty, placed):
+            return proof
+        if program:
+            free = placed.copy()
+            free[self.propped] = False
+            for changing in (lies_below(stack, [count - 1], placed), free):
+                if proof.program(placed, changing):
+                    return proof
+        return None
+
+    def _grown(self, candidate: int) -> Proof:
+        """The forces with one more block, which nothing balances yet."""
+        proof = Proof(grow(self, candidate))
+        proof.force[: len(self.proof.force)] = self.proof.force
+        return proof
+
+    def cells_open(self) -> list[Cell]:
+        """Wanted cells that are open."""
+        at = np.argwhere(self.site.wanted & (self.owner < 0).reshape(self.site.wanted.shape))
+        return [(int(x), int(y), int(z)) for x, y, z in at]
+
+
+@njit(cache=True)
+def _fill(cells, number, owner, alive, waits, cover, over_start, over, on_start, on, start, cell):
+    """Fill ``cells`` with block ``number``: candidates there are gone, those above come nearer."""
+    for c in cells:
+        owner[c] = number
+        for k in range(over_start[c], over_start[c + 1]):
+            d = over[k]
+            if alive[d]:
+                alive[d] = False
+                for j in range(start[d], start[d + 1]):
+                    cover[cell[j]] -= 1
+        for k in range(on_start[c], on_start[c + 1]):
+            waits[on[k]] -= 1
+
+
+@njit(cache=True)
+def _pack(alive, kind, kinds, start, cell, cells):
+    taken = np.full((kinds, cells), False)
+    count = np.zeros(kinds, np.int64)
+    for c in alive:
+        k = kind[c]
+        free = True
+        for j in range(start[c], start[c + 1]):
+            if taken[k, cell[j]]:
+                free = False
+                break
+        if free:
+            count[k] += 1
+            for j in range(start[c], start[c + 1]):
+                taken[k, cell[j]] = True
+    return count
+
+
+# ---------------------------------------------------------------- equilibrium, one block at a time
+
+
+@lru_cache(maxsize=64)
+def _nothing(kit: Kit) -> Proof:
+    """The proof of no block at all."""
+    return Proof(
+        Stack(
+            np.empty(0),
+            np.empty((0, 3)),
+            np.empty((0, 3)),
+            np.empty(0, np.int64),
+            np.empty(0, np.int64),
+            np.empty(0),
+            np.zeros(1, np.int64),
+            np.empty(0, np.int64),
+            np.array(kit.pitch[:2]),
+        )
+    )
+
+
+def grow(world: World, candidate: int) -> Stack:
+    """The stack with one more block, the same as :func:`find_stack` makes of all of them."""
+    site, old = world.site, world.proof.stack
+    shape, pitch = site.wanted.shape, np.array(site.kit.pitch)
+    way, number = int(site.found.way[candidate]), len(old)
+    middle = np.array([shape[0] / 2, shape[1] / 2, 0.0])
+    centre = site.centre[way] + (site.found.origin[candidate] - middle) * pitch
+    points, lower, share = _beds(world, candidate)
+    points[:, :2] -= middle[:2] * pitch[:2]
+    below = [base for base in set(lower) if base >= 0]
+    rank = max((int(old.rank[base]) for base in below), default=-1) + 1
+    count = len(lower)
+    return Stack(
+        np.append(old.weight, site.weight[way]),
+        np.concatenate([old.centre, centre[None]]),
+        np.concatenate([old.point, points]),
+        np.concatenate([old.upper, np.full(count, number)]),
+        np.concatenate([old.lower, np.array(lower, np.int64)]),
+        np.concatenate([old.share, np.array(share)]),
+        np.append(old.start, old.start[-1] + count),
+        np.append(old.rank, rank),
+        old.cell,
+    )
+
+
+def _beds(world: World, candidate: int) -> tuple[np.ndarray, list[int], list[float]]:
+    """Corners of the bed joints of a new block [m] from the corner of the lattice.
+
+    Returns:
+        float64[P, 3]; the block below every corner, -1 for the table; the area that is its share.
+    """
+    site = world.site
+    size_x, size_y, size_z = site.wanted.shape
+    dx, dy, dz = site.kit.pitch
+    inset = site.kit.joint_gap / 2 + EDGE_INSET * min(dx, dy)
+    cells = site.cells(candidate).tolist()
+    own, owner = set(cells), world.owner
+    beds: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    for cell in cells:
+        z = cell % size_z
+        base = -1 if z == 0 else int(owner[cell - 1])
+        if (z == 0 or base >= 0) and (z == 0 or cell - 1 not in own):
+            x, y = divmod(cell // size_z, size_y)
+            beds.setdefault((base, z), []).append((x, y))
+    points: list[tuple[float, float, float]] = []
+    lower: list[int] = []
+    share: list[float] = []
+    for (base, z), at in sorted(beds.items()):
+        boxes, area = [], 0.0
+        for x, y in at:
+            sides = []
+            for u, v in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+                inside = 0 <= x + u < size_x and 0 <= y + v < size_y
+                near = ((x + u) * size_y + y + v) * size_z + z
+                ends = not inside or near not in own
+                ends = ends or (base >= 0 and int(owner[near - 1]) != base)
+                sides.append(inset if ends else 0.0)
+            a, b = x * dx + sides[0], (x + 1) * dx - sides[1]
+            c, d = y * dy + sides[2], (y + 1) * dy - sides[3]
+            boxes.append((a, b, c, d))
+            area += (b - a) * (d - c)
+        a, c = min(box[0] for box in boxes), min(box[2] for box in boxes)
+        b, d = max(box[1] for box in boxes), max(box[3] for box in boxes)
+        corners = [(a, c), (b, c), (b, d), (a, d)]
+        if len(at) > 1 and area < 0.999 * (b - a) * (d - c):
+            every = [(x, y) for box in boxes for x in box[:2] for y in box[2:]]
+            corners = [(float(x), float(y)) for x, y in convex_hull(np.array(every))]
+        points += [(x, y, z * dz) for x, y in corners]
+        lower += [-1 if base in world.propped else base] * len(corners)
+        share += [area / len(corners)] * len(corners)
+    return np.array(points), lower, share
+
+
+def run(site: Site, order: list[int]) -> World | None:
+    """The world after some candidates, None where one of them is not legal or falls."""
+    world = World(site)
+    for candidate in order:
+        legal = world.alive[candidate] and world.waits[candidate] == 0
+        if not legal or not world.place(candidate, program=True):
+            return None
+    return world
+
+
+def only(site: Site, candidates: np.ndarray) -> World:
+    """A world in which nothing but some candidates may be put down."""
+    world = World(site)
+    chosen = np.zeros(len(site), bool)
+    chosen[candidates] = True
+    world.alive &= chosen
+    alive = np.repeat(world.alive, site.found.size())
+    world.cover = np.bincount(site.found.cell[alive], minlength=site.wanted.size)
+    return world

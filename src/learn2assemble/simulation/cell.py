@@ -1,0 +1,354 @@
+"""The arm for real: every pick and place is simulated, blocks are held by friction alone.
+
+Open loop: the same commands to the same cell, without looking.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from learn2assemble.constants import FRICTION, GRAVITY
+from learn2assemble.errors import InputError
+from learn2assemble.geometry.rotations import cube_yaw, quaternion_matrix
+from learn2assemble.motion.program import Blocks, Program, ProgramStep
+from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.grasps import Attitude
+from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene
+from learn2assemble.simulation.execution import (
+    BLIND,
+    LOAD_TIME,
+    REST_TIME,
+    Execution,
+    ShiftRule,
+    abandon,
+    check_rest,
+)
+from learn2assemble.simulation.model import (
+    TIMESTEP,
+    Failure,
+    Objects,
+    Order,
+    World,
+    compile_world,
+    hold_still,
+    rigid_objects,
+    take_order,
+)
+from learn2assemble.simulation.prepare import (
+    WorldChecker,
+    prepare,
+    require_held,
+    rest_pose,
+)
+from learn2assemble.simulation.simulation import PUSH, Rules, Simulation
+from learn2assemble.simulation.trajectory import Motion, load_ruckig
+
+LOADED_SPEED = 0.6
+"""Share of the arm's speed that is used while the hand holds something."""
+SETTLE_TIME = 2.0
+"""Longest time to wait for a whole structure to rest [s]."""
+_MAX_WORLDS = 32
+
+
+class DynamicCell:
+    """Picks and places with one arm, in MuJoCo.
+
+    Args:
+        arm: the robot.
+        speed: share of the arm's speed that is used with an empty hand (acceleration and jerk
+            follow).
+        recover: after a failure on the way, bring what is held back to where it was, and the arm
+            home; else it stops, holding it.
+        precheck: report an occupied target without moving; else the motion has to find it.
+        skip_free_motion: let only the time pass while the empty hand travels far from everything.
+        shift_rule: how far other blocks may be moved.
+        friction: between blocks, and of blocks on the table.
+        gravity: [m/s^2].
+        sample_steps: simulation steps of 2 ms between samples of the trajectory.
+        dump: folder for model and state should the simulation diverge; a new one by default.
+
+    Attempts depend on their arguments only. One instance serves one thread.
+
+    Raises:
+        InputError: for a value out of range.
+        MissingExtraError: without the extra ``robot``.
+    """
+
+    name = "dynamic"
+
+    def __init__(
+        self,
+        arm: Arm,
+        *,
+        speed: float = 0.8,
+        recover: bool = False,
+        precheck: bool = True,
+        skip_free_motion: bool = False,
+        shift_rule: ShiftRule | None = None,
+        friction: float = FRICTION,
+        gravity: float = GRAVITY,
+        sample_steps: int = 10,
+        dump: Path | None = None,
+    ) -> None:
+        if not 0 < speed <= 1:
+            raise InputError("speed", speed, "a share, above 0 and at most 1")
+        if sample_steps < 1:
+            raise InputError("sample_steps", sample_steps, "1 or more")
+        load_ruckig()
+        self.arm = arm
+        self.limits, self.loaded = arm.bounds.scaled(speed), arm.bounds.scaled(LOADED_SPEED)
+        self.recover, self.precheck, self.skip_free_motion = recover, precheck, skip_free_motion
+        self.shift_rule = shift_rule or ShiftRule()
+        self.friction, self.gravity = friction, gravity
+        self.sample_steps, self.dump = sample_steps, dump
+        self._worlds: OrderedDict[tuple[object, int], World] = OrderedDict()
+
+    def attempt(
+        self,
+        scene: Scene,
+        move: Move,
+        *,
+        joints: np.ndarray | None = None,
+        quaternion: np.ndarray | None = None,
+    ) -> Attempt:
+        """Carry out a move; the scene is left alone.
+
+        Args:
+            scene: as things are.
+            move: the order; the fingers may be exchanged.
+            joints: float64[n] where the arm begins [rad]; by default at home, or above it where
+                something stands there.
+            quaternion: float64[n, 4] orientations of the cells where not all stand upright.
+
+        Raises:
+            InputError: for a cell that is not waiting, or numbers that are not finite.
+            SimulationDivergedError: where the simulation left the numbers.
+        """
+        order = take_order(scene, move, quaternion)
+        if joints is not None:
+            joints = np.array(joints, float)
+            if joints.shape != self.arm.home.shape or not self.arm.inside_limits(joints):
+                within = f"{len(self.arm.joints)} angles within the limits"
+                raise InputError("joints", joints.tolist(), within)
+        world = self.world(order.objects)
+        try:
+            if self.precheck:
+                require_held(self.arm, scene, move)
+            course = prepare(self.arm, world, order, joints, self.precheck)
+        except Failure as failure:
+            return _report(order, order.poses, self.arm.home if joints is None else joints, failure)
+        width = order.opening if self.arm.suction is None else 0.0
+        sim = Simulation(
+            self.arm,
+            world,
+            order.poses,
+            order.names,
+            order.target,
+            course.there[0],
+            width,
+            self.sample_steps,
+            self.dump,
+        )
+        sim.contacts.upright = scene.half is not None
+        run = Execution(sim, order, course, self.limits, self.loaded, self.skip_free_motion)
+        failure = None
+        try:
+            run.go()
+            speed = sim.speed(order.target)
+            check_rest(order, sim.poses, speed, run.landed, self.shift_rule)
+        except Failure as found:
+            failure = abandon(run, found, self.recover)
+        found = _report(order, sim.poses, sim.joints.copy(), failure)
+        return found._replace(held=run.holding, trajectory=sim.trajectory(order.objects))
+
+    def settle(
+        self,
+        scene: Scene,
+        quaternion: np.ndarray | None = None,
+    ) -> tuple[Scene, np.ndarray, bool]:
+        """Let all blocks go at once and wait: whether a whole structure stands by itself, also
+        those parts that single moves hold still.
+
+        Args:
+            scene: as things are.
+            quaternion: float64[n, 4] orientations of the cells where not all stand upright.
+
+        Returns:
+            the scene as it is then, float64[n, 4] orientations of its cells, and whether
+            everything has come to rest.
+
+        Raises:
+            InputError: for numbers that are not finite.
+            SimulationDivergedError: where the simulation left the numbers.
+        """
+        objects, poses, names = rigid_objects(scene, quaternion)
+        world = self.world(objects)
+        joints = rest_pose(self.arm, WorldChecker(self.arm, world, poses, names))
+        sim = Simulation(self.arm, world, poses, names, 0, joints, 0.0, 10**9, self.dump)
+        sim.wait(round(SETTLE_TIME / TIMESTEP), "home", BLIND._replace(until=sim.asleep))
+        position, turns, yaw = objects.cells(sim.poses)
+        return scene._replace(position=position, yaw=yaw), turns, sim.asleep()
+
+    def world(self, objects: Objects) -> World:
+        """The compiled cell for these objects; remembered."""
+        count = len(objects.still)
+        room = 64 * math.ceil(count / 64)
+        known = [key for key in self._worlds if key[0] == objects.shape and key[1] >= count]
+        key = known[0] if known else (objects.shape, room)
+        world = self._worlds.get(key)
+        if world is None:
+            world = compile_world(self.arm, objects.shape, self.friction, room, self.gravity)
+            self._worlds[key] = world
+            if len(self._worlds) > _MAX_WORLDS:
+                self._worlds.popitem(last=False)
+        if world.num_still:
+            hold_still(world, objects)
+        return world
+
+
+def _report(
+    order: Order, poses: np.ndarray, joints: np.ndarray, failure: Failure | None
+) -> Attempt:
+    after, quaternion = order.after(poses)
+    error = np.linalg.norm(after.position[order.scene.num_placed] - order.move.target)
+    return Attempt(
+        Outcome.REACHED if failure is None else failure.outcome,
+        "" if failure is None else failure.stage,
+        "" if failure is None else failure.detail,
+        after=after,
+        quaternion=quaternion,
+        error=float(error),
+        joints=joints,
+    )
+
+
+# ---------------------------------------------------------------- dry run
+
+SAME = 0.002
+"""A structure is the same when no block is farther from where it should be [m]."""
+
+
+class DryRun(NamedTuple):
+    """What came of a program that was played without looking."""
+
+    poses: np.ndarray
+    """float64[C, 7] of all cells at the end, as in :class:`Blocks`."""
+    error: np.ndarray
+    """float64[C]: distance of each cell from where the program says it ends [m]."""
+    seconds: float
+    """How long the robot moved [s]."""
+    fault: str = ""
+    """What the arm ran into, where that ended the run."""
+
+    @property
+    def same(self) -> bool:
+        """Whether the same structure results."""
+        return not self.fault and bool(self.error.max(initial=0.0) <= SAME)
+
+
+def play(program: Program, arm: Arm) -> DryRun:
+    """Play a program open loop in the dynamic cell, from its first pose to its last.
+
+    The drives get positions, velocities, accelerations, openings or vacuum, and loads, and nothing
+    is looked at until the end; blocks go on from where the step before has left them. As in the
+    build, boxes that a step does not concern are held still; an arm that pushes against one ends
+    the run.
+
+    Raises:
+        InputError: for the program of another arm.
+        SimulationDivergedError: where the simulation left the numbers.
+    """
+    if program.arm != arm.name:
+        raise InputError("arm", arm.name, f"{program.arm}, which the program is for")
+    blocks, cell = program.blocks, DynamicCell(arm)
+    poses, supply, fault = blocks.start.copy(), list(blocks.supply), ""
+    count = math.ceil(program.seconds / TIMESTEP - 1e-9)
+    clock = np.arange(1, count + 1) * TIMESTEP
+    told, loads = _driven(program, arm, clock)
+    first = 0
+    for step in program.steps:
+        last = count if step is program.steps[-1] else round(step.end / TIMESTEP)
+        if last > first:
+            rows, scene, move = _order(blocks, poses, step)
+            objects, state, names = rigid_objects(scene, poses[rows, 3:], move)
+            names = [f"block {rows[int(name.split()[-1])]}" for name in names]
+            start = program.knots.at(np.array([first * TIMESTEP]))[0][0]
+            sim = Simulation(
+                arm,
+                cell.world(objects),
+                state,
+                names,
+                int(objects.owner[move.cell]),
+                start,
+                float(told[first]),
+                count + 10**6,
+                None,
+            )
+            span = slice(first, last)
+            motion = Motion(np.zeros((last - first, 3)), *program.knots.at(clock[span]))
+            watch = BLIND
+            if step.reached and len(objects.still):
+                watch = BLIND._replace(rules=Rules(PUSH, None, None))
+            try:
+                sim.run(motion, told[span], "approach", watch, loads[span])
+            except Failure as failure:
+                fault = f"step {step.number}: {failure.detail}"
+            sim.wait(round(REST_TIME / TIMESTEP), "home", BLIND._replace(until=sim.asleep))
+            position, quaternion, _ = objects.cells(sim.poses)
+            poses[rows] = np.hstack([position, quaternion])
+            if fault:
+                break
+            first = last
+        while supply and supply[0].time <= step.end + 1e-6:
+            present = supply.pop(0)
+            poses[list(present.cells)] = present.poses
+    error = np.linalg.norm(poses[:, :3] - blocks.end[:, :3], axis=1)
+    return DryRun(poses, error, program.seconds, fault)
+
+
+def _order(blocks: Blocks, poses: np.ndarray, step: ProgramStep) -> tuple[np.ndarray, Scene, Move]:
+    """The cells that are on the table, their scene, and what the step does in it."""
+    rows = np.flatnonzero(poses[:, 2] >= 0)
+    owner = np.empty(len(poses), np.int64)
+    for number, cells in enumerate(blocks.objects):
+        owner[list(cells)] = number
+    yaw = np.array([cube_yaw(quaternion_matrix(turn)) for turn in poses[rows, 3:]])
+    half, density = (
+        None if of_all is None else of_all[rows] for of_all in (blocks.half, blocks.density)
+    )
+    scene = Scene(poses[rows, :3], yaw, owner[rows], 0, half, density)
+    row = int(np.searchsorted(rows, step.cells[0]))
+    turn = quaternion_matrix(step.target[3:]) @ quaternion_matrix(poses[step.cells[0], 3:]).T
+    place = Attitude(yaw=math.atan2(turn[1, 0], turn[0, 0]))
+    return rows, scene, Move(row, step.target[:3], Attitude(), place)
+
+
+def _driven(program: Program, arm: Arm, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What the drives are told at times float64[m]: openings of a gripper [m], which change at the
+    speed of the state and press by being too small, or whether the vacuum is on; and loads [kg]
+    that come little by little."""
+    lines: tuple[list[tuple[float, float]], ...] = ([], [])
+    for state in program.states:
+        wanted = (state.width - state.force / max(arm.gripper.stiffness, 1e-9), state.load)
+        for line, value, speed in zip(lines, wanted, (state.speed, None), strict=True):
+            if line and value == line[-1][1]:
+                continue  # told before, and perhaps still on the way there
+            past = np.array(line or [(0.0, value)])
+            now = float(np.interp(state.time, past[:, 0], past[:, 1]))
+            while line and line[-1][0] >= state.time:
+                line.pop()
+            line.append((state.time, now))
+            if value != now:
+                takes = abs(value - now) / speed if speed else LOAD_TIME
+                line.append((state.time + takes, value))
+    widths, loads = (np.array(line) for line in lines)
+    told = np.interp(time, widths[:, 0], widths[:, 1])
+    if program.suction:
+        told = np.array([state.vacuum for state in program.states], float)
+        told = told[program.states_at(time)]
+    return told, np.interp(time, loads[:, 0], loads[:, 1])

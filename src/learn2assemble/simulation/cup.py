@@ -1,0 +1,255 @@
+"""A suction cup in the simulation: when it takes hold, what it is loaded with, how it lets go.
+
+The cup obeys its command and nothing else: with the vacuum on, it takes hold of whatever face its
+lip is closed on, once the vacuum has built up; with the vacuum off it lets go. What it holds hangs
+on a soft weld, whose forces are the load on the cup. Every step they are compared with what the cup
+can hold (:mod:`learn2assemble.robot.tool`): beyond the friction of the lip the block slips along
+its face, the faster the more it is, beyond the pull-off force, or where the lip has
+slipped over an edge, it comes off.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from learn2assemble.constants import GRAVITY
+from learn2assemble.robot.kinematics import Chain, forward_many
+from learn2assemble.robot.scene import rotation_matrix
+from learn2assemble.robot.tool import Cup, Suction
+from learn2assemble.simulation.model import SHRINK, TIMESTEP, World
+
+RIM = 16
+"""Points at which the lip is looked at."""
+FACING = math.radians(4.0)
+"""Largest angle between cup and face [rad]."""
+TIGHT = 1e-3 + SHRINK
+"""The lip may stand over an edge by this [m]."""
+SLIDING = 4.0
+"""Share of its give that the lip slips each step, by excess of the load: a block slips at 80 mm/s
+under 1.2 times what friction carries. The weld that stands for the bellows damps as well as it
+springs, so that a share of 1 would let it creep."""
+LOOK = 10
+"""Steps between two looks whether the lip is closed."""
+
+
+class Vacuum:
+    """The cups of a simulated arm, on one vacuum: whichever lip is closed on a face holds it.
+
+    Args:
+        suction: the tool.
+        world: model of the cell.
+        data: its state.
+    """
+
+    def __init__(self, suction: Suction, world: World, data: mujoco.MjData) -> None:
+        self.suction, self.world, self.model, self.data = suction, world, world.model, data
+        self.held: int | None = None
+        """Number of the object in the cup."""
+        self.used = suction.cups[0]
+        """The cup that holds it, or that was the last to."""
+        self.lost = ""
+        """Why it came off, until the vacuum is turned off; empty if it did not."""
+        self.most = (0.0, 0.0)
+        """Largest shares of pull-off force and friction so far, see
+        :meth:`~learn2assemble.robot.tool.Suction.load`."""
+        self._on = self._off = 0
+        self._weld = self.model.equality("cup").id
+        self._hand = int(self.model.site_bodyid[world.tool])
+        angle = np.linspace(0.0, 2 * np.pi, RIM, endpoint=False)
+        self._rim = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+        data.eq_active[self._weld] = 0
+
+    def step(self, command: float) -> None:
+        """A simulation step is done, in which the vacuum was on (1) or off (0)."""
+        if command < 0.5:
+            self._on, self._off = 0, self._off + 1
+            if self._off * TIMESTEP >= self.suction.release_time:
+                self.lost = ""
+                if self.held is not None:
+                    self._let_go()
+        else:
+            self._on, self._off = self._on + 1, 0
+            ready = self._on * TIMESTEP >= self.suction.grip_time
+            if self.held is None and ready and not self.lost and self._on % LOOK == 0:
+                self._take()
+        if self.held is not None:
+            self._watch()
+
+    def load(self) -> tuple[np.ndarray, np.ndarray]:
+        """What the held block loads the cup with: force [N] and moment about the tool point [N m],
+        each float64[3] in the tool frame."""
+        d, w = self.data, self.world
+        # The weld comes last among the equalities, which come first: the force at the cup, then
+        # the moment in the frame of the block, in units of twice the turn.
+        rows = d.efc_force[d.ne - 6 : d.ne]
+        tool = self._lip(self.used)[1]
+        block = d.xmat[w.first + (self.held or 0)].reshape(3, 3)
+        return tool.T @ rows[:3], 0.5 * (tool.T @ (block @ rows[3:]))
+
+    def _lip(self, cup: Cup) -> tuple[np.ndarray, np.ndarray]:
+        """Where the middle of a lip is, float64[3] [m], and axes of the cup float64[3, 3]."""
+        d, w = self.data, self.world
+        tool = d.site_xmat[w.tool].reshape(3, 3)
+        return d.site_xpos[w.tool] + tool @ np.array(cup.lip.at), tool @ cup.lip.frame()
+
+    def closed_on(self, number: int, cup: Cup | None = None) -> bool:
+        """Whether the lip of a cup, by default the one that is used, is closed on a face of an
+        object."""
+        d, w, cup = self.data, self.world, cup or self.used
+        turn = rotation_matrix(d.xquat[w.first + number])
+        point, tool = self._lip(cup)
+        away = point - d.xpos[w.first + number]
+        axis = turn.T @ tool[:, 2]
+        k = int(np.argmax(np.abs(axis)))
+        if abs(axis[k]) < math.cos(FACING):
+            return False
+        lip = (away + cup.radius * self._rim @ tool.T) @ turn
+        closed = np.zeros(len(lip), bool)
+        side = [j for j in range(3) if j != k]
+        for geom in np.flatnonzero(w.kind == number):
+            apart, half = lip - self.model.geom_pos[geom], self.model.geom_size[geom]
+            inside = (np.abs(apart[:, side]) <= half[side] + TIGHT).all(1)
+            gap = -math.copysign(1.0, axis[k]) * apart[:, k] - half[k]
+            closed |= inside & (np.abs(gap) <= cup.stroke)
+        return bool(closed.all())
+
+    def _take(self) -> None:
+        """Hold the object whose face the lip is closed on, if there is one."""
+        found = (
+            (k, cup)
+            for cup in self.suction.cups
+            for k in range(self._count())
+            if self.closed_on(k, cup)
+        )
+        number, self.used = next(found, (None, self.used))
+        if number is None:
+            return
+        m, d, body = self.model, self.data, self.world.first + number
+        point = self._lip(self.used)[0]
+        m.eq_obj2id[self._weld] = body
+        values = m.eq_data[self._weld]
+        values[:3] = d.xmat[body].reshape(3, 3).T @ (point - d.xpos[body])
+        tool = rotation_matrix(m.site_quat[self.world.tool])
+        values[3:6] = m.site_pos[self.world.tool] + tool @ np.array(self.used.lip.at)
+        turn = np.empty(4)
+        mujoco.mju_negQuat(turn, d.xquat[self._hand])
+        mujoco.mju_mulQuat(values[6:10], turn, d.xquat[body])
+        values[10] = 1.0
+        d.eq_active[self._weld] = 1
+        self.held = number
+
+    def _count(self) -> int:
+        return self.model.nbody - self.world.num_still - self.world.first
+
+    def _let_go(self) -> None:
+        self.held = None
+        self.data.eq_active[self._weld] = 0
+
+    def _watch(self) -> None:
+        """Compare the load with what the cup can hold."""
+        if self.data.ne < 6:
+            return  # taken after this step
+        force, moment = self.load()
+        off, slip = self.used.load(force, moment)
+        self.most = max(self.most[0], off), max(self.most[1], slip)
+        if off > 1:
+            words = f"pulled off by {force[2]:.1f} N and {np.hypot(*moment[:2]):.2f} N m"
+        elif slip > 1:
+            self._slip(min(1.0, SLIDING * (1 - 1 / slip)))
+            if self.closed_on(self.held or 0):
+                return
+            words = f"slipped out under {np.hypot(*force[:2]):.1f} N and {abs(moment[2]):.2f} N m"
+        else:
+            return
+        self._let_go()
+        self.lost = words
+
+    def _slip(self, share: float) -> None:
+        """Let the block slip along its face, and turn on it, by a share of what it is off."""
+        m, d = self.model, self.data
+        number = self.held or 0
+        body, values = self.world.first + number, m.eq_data[self._weld]
+        turn, (point, tool) = d.xmat[body].reshape(3, 3), self._lip(self.used)
+        off = point - (d.xpos[body] + turn @ values[:3])
+        off -= tool[:, 2] * (tool[:, 2] @ off)
+        values[:3] += share * (turn.T @ off)
+        now, error, angle = np.empty(4), np.empty(4), np.empty(3)
+        mujoco.mju_negQuat(error, d.xquat[self._hand])
+        mujoco.mju_mulQuat(now, error, d.xquat[body])
+        mujoco.mju_negQuat(error, values[6:10])
+        mujoco.mju_mulQuat(error, now, error.copy())
+        mujoco.mju_quat2Vel(angle, error, 1.0)
+        axis = rotation_matrix(m.site_quat[self.world.tool]) @ np.array(self.used.lip.axis)
+        mujoco.mju_axisAngle2Quat(error, axis, share * float(axis @ angle))
+        mujoco.mju_mulQuat(now, error, values[6:10].copy())
+        values[6:10] = now
+
+
+class Load(NamedTuple):
+    """What hangs from the tool, in its frame."""
+
+    mass: float
+    """[kg]"""
+    centre: np.ndarray
+    """float64[3]: of mass [m]."""
+    inertia: np.ndarray
+    """float64[3, 3]: about it [kg m2]."""
+
+
+def hanging(world: World, data: mujoco.MjData, number: int) -> Load:
+    """An object as it is in the hand now."""
+    m, body = world.model, world.first + number
+    tool = data.site_xmat[world.tool].reshape(3, 3)
+    own = tool.T @ data.ximat[body].reshape(3, 3)
+    centre = tool.T @ (data.xipos[body] - data.site_xpos[world.tool])
+    return Load(float(m.body_mass[body]), centre, own * m.body_inertia[body] @ own.T)
+
+
+def peak_load(
+    cup: Cup, chain: Chain, load: Load, joints: np.ndarray, period: float
+) -> tuple[float, float]:
+    """Largest shares of pull-off force and friction on a motion that is followed exactly.
+
+    Args:
+        cup: that holds it.
+        chain: of the arm.
+        load: what hangs from the tool.
+        joints: float64[k, n] at equal steps of time [rad].
+        period: between them [s].
+    """
+    if len(joints) < 3:
+        joints = np.repeat(joints[:1], 3, axis=0)
+    where, turn = forward_many(chain, np.ascontiguousarray(joints))
+    middle = where + turn @ load.centre
+    up = np.array([0.0, 0.0, GRAVITY])
+    force = load.mass * (np.diff(middle, 2, axis=0) / period**2 + up)
+    spin = turn[1:] @ turn[:-1].transpose(0, 2, 1)  # by small angles
+    rate = np.stack(
+        [
+            spin[:, 2, 1] - spin[:, 1, 2],
+            spin[:, 0, 2] - spin[:, 2, 0],
+            spin[:, 1, 0] - spin[:, 0, 1],
+        ],
+        -1,
+    ) / (2 * period)
+    inertia = turn[1:-1] @ load.inertia @ turn[1:-1].transpose(0, 2, 1)
+    mean = (rate[1:] + rate[:-1]) / 2
+    swing = np.einsum("kij,kj->ki", inertia, np.diff(rate, axis=0) / period)
+    swing += np.cross(mean, np.einsum("kij,kj->ki", inertia, mean))
+    lip, frame = where + turn @ np.array(cup.lip.at), turn @ cup.lip.frame()
+    moment = swing + np.cross(middle[1:-1] - lip[1:-1], force)
+    # The cup is loaded with what it does to the block, the other way.
+    shares = [
+        cup.load(-f, -m)
+        for f, m in zip(
+            np.einsum("kji,kj->ki", frame[1:-1], force),
+            np.einsum("kji,kj->ki", frame[1:-1], moment),
+            strict=True,
+        )
+    ]
+    return max(off for off, _ in shares), max(slip for _, slip in shares)

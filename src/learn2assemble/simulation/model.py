@@ -1,0 +1,479 @@
+"""MuJoCo models of the cell: the arm, a table, and one free body per object of a scene.
+
+Settings that hold a block by friction alone and let structures rest:
+
+- boxes are 0.25 mm thinner per side in x and y, so that neighbours do not rub, but not in z;
+- impratio 10: more does not reduce the creep of a block in the hand, whose cause is that MuJoCo
+  neglects the change of the contact Jacobian (what is held drifts outwards on every turn, by
+  0.2-0.6 mm with the stiff pads of our arms and by 1-3 mm with soft ones), and with 100 the solver
+  fails where the hand jams several blocks;
+- resting islands of blocks sleep, so a step costs what moves, not what is there.
+
+A move in a scene as the simulation sees it: rigid objects with poses, one to be moved.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from learn2assemble.constants import GRAVITY, HALF
+from learn2assemble.errors import InputError
+from learn2assemble.geometry.rotations import cube_yaw, rotate_vectors, yaw_matrix, yaw_quaternion
+from learn2assemble.robot.arm import Arm, arm_spec
+from learn2assemble.robot.grasps import Attitude
+from learn2assemble.robot.moves import (
+    IMMOVABLE,
+    ROOM,
+    Move,
+    Outcome,
+    Scene,
+    carried,
+    crossing_height,
+    grip_width,
+    object_boxes,
+    put_down,
+)
+from learn2assemble.robot.scene import (
+    Surface,
+    add_ground,
+    add_object,
+    resize_boxes,
+    rotation_matrix,
+    set_contact,
+    set_options,
+)
+
+TIMESTEP = 0.002
+"""[s]; with 4 ms the grasp fails."""
+SHRINK = 2.5e-4
+"""How much thinner a box is on each side in x and y [m]."""
+GRAIN, FINE_GRAIN = 1e-3, 1e-5
+"""Places of cells in their object are multiples of this, cubes and boxes of given size [m]."""
+PLAN_MARGIN = 0.005
+"""The arm keeps this distance from everything on planned ways [m]."""
+LOOK = 0.02
+"""Distances up to this are measured when ways are planned [m]."""
+TABLE, ARM, PAD = -1, -2, -3
+"""Kinds of geoms in :attr:`World.kind` that belong to no object."""
+
+_ARM_BIT, _THING_BIT, _HELD_BIT = 1, 2, 4
+_FAR = (0.0, 0.0, 50.0)
+_FIRM_REF = (0.01, 2.0)
+"""Between boxes of given size: with a damping of 1, blocks on several others chatter and creep
+sideways, 0.1 mm a second (measured); cubes keep theirs, for the tables."""
+_CUP_REF, _CUP_IMP = (0.01, 1.0), (0.95, 0.99, 0.001, 0.5, 2.0)
+"""The bellows give way a little: 0.05 mm under the weight of what hangs from them."""
+
+Box = tuple[tuple[float, ...], ...] | tuple[tuple[float, ...], tuple[float, ...], float]
+"""Centre and half extents in the object's frame [m]; of boxes of given size, the mass [kg]."""
+
+
+class Objects(NamedTuple):
+    """How the ``n`` cells of a scene make up ``b`` rigid objects; an object's frame is that of
+    its first cell in the scene. Cells of objects that are held still follow on them, each by
+    itself."""
+
+    shape: tuple[tuple[Box, ...], ...]
+    """Per object its boxes: cells, then fillers."""
+    owner: np.ndarray
+    """int64[n]: object of each cell, objects numbered by their first cell, boxes of given size by
+    their shape; ``b + k`` for the k-th cell that is held still."""
+    offset: np.ndarray
+    """float64[n, 3]: cell centre in the object's frame [m]."""
+    lead: np.ndarray
+    """int64[b]: first cell of each object."""
+    still: np.ndarray
+    """float64[k, 7]: poses of the cells that are held still."""
+    still_half: np.ndarray
+    """float64[k, 3]: their half extents [m]."""
+
+    def cells(self, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Centres float64[n, 3] [m], quaternions float64[n, 4] and yaws float64[n] [rad] of the
+        cells of objects at ``poses`` float64[b, 7]."""
+        pose = np.vstack([poses, self.still])[self.owner]
+        yaw = np.array([cube_yaw(rotation_matrix(turn)) for turn in pose[:, 3:]])
+        return pose[:, :3] + rotate_vectors(pose[:, 3:], self.offset), pose[:, 3:].copy(), yaw
+
+
+def group(scene: Scene, quaternion: np.ndarray, free: np.ndarray | None = None) -> Objects:
+    """Objects of a scene.
+
+    Args:
+        scene: cells.
+        quaternion: float64[n, 4], their orientations.
+        free: bool[n], cells of objects that can move; by default all.
+    """
+    if free is None:
+        free = np.ones(len(scene.position), bool)
+    _, lead, owner = np.unique(scene.object_id, return_index=True, return_inverse=True)
+    still = np.flatnonzero(~free)
+    lead = np.sort(lead[free[lead]])
+    offset = np.zeros_like(scene.position)
+    shapes: list[tuple[Box, ...]] = []
+    for first in lead:
+        cells = np.flatnonzero(owner == owner[first])
+        turn = rotation_matrix(quaternion[first])
+        relative = (scene.position[cells] - scene.position[first]) @ turn
+        if scene.half is None:
+            offset[cells] = GRAIN * np.rint(relative / GRAIN)
+            half = np.array([HALF - SHRINK, HALF - SHRINK, HALF])
+            boxes = object_boxes(offset[cells], half)
+            shapes.append(
+                tuple((tuple(centre.tolist()), tuple(size.tolist())) for centre, size in boxes)
+            )
+        else:
+            offset[cells] = FINE_GRAIN * np.rint(relative / FINE_GRAIN)
+            shapes.append(tuple(_sized(scene, cells, offset[cells])))
+    if scene.half is not None:
+        # The order of what waits and what stands changes with every move; that of shapes does not.
+        order = sorted(range(len(lead)), key=lambda k: (shapes[k], k))
+        lead, shapes = lead[order], [shapes[k] for k in order]
+    number = np.full(len(scene.position), -1)
+    number[owner[lead]] = np.arange(len(lead))
+    owner = number[owner]
+    owner[still] = len(lead) + np.arange(len(still))
+    return Objects(
+        tuple(shapes),
+        owner,
+        offset,
+        lead,
+        np.hstack([scene.position[still], quaternion[still]]),
+        _thinner(scene.halves[still]),
+    )
+
+
+def _sized(scene: Scene, cells: np.ndarray, centre: np.ndarray) -> list[Box]:
+    """Boxes of given size at ``centre`` float64[m, 3] in the frame of their object [m]."""
+    half, mass = _thinner(scene.halves[cells]), scene.mass(cells)
+    return [
+        (tuple(c.tolist()), tuple(np.round(h, 9).tolist()), round(float(m), 9))
+        for c, h, m in zip(centre, half, mass, strict=True)
+    ]
+
+
+def _thinner(half: np.ndarray) -> np.ndarray:
+    return half - np.array([SHRINK, SHRINK, 0.0])
+
+
+NEAR = 0.005
+"""What is so near to a block where it is taken or where it is put is free to move [m]."""
+MOST_FREE = 40
+"""No more objects than this are, the nearest ones."""
+
+
+def free_cells(scene: Scene, quaternion: np.ndarray, move: Move) -> np.ndarray:
+    """bool[n]: cells of the objects that a move may move: the object itself, what it stands on or
+    beside where it is taken and where it is put, and what rests on those. All others are held
+    still, obstacles always, which is what keeps a move in a large structure as cheap as in a small
+    one."""
+    rotation = np.array([rotation_matrix(turn) for turn in quaternion])
+    reach = np.einsum("nij,nj->ni", np.abs(rotation), scene.halves)
+    low, high = scene.position - reach, scene.position + reach
+    members = scene.members(move.cell)
+    there = carried(scene, move, members)[0]
+    turn = np.abs(yaw_matrix(move.turn))
+    extent = reach[members] @ turn.T
+    boxes = [(low[k], high[k]) for k in members]
+    boxes += list(zip(there - extent, there + extent, strict=True))
+    _, number = np.unique(scene.object_id, return_inverse=True)
+    if scene.density is not None:
+        # Obstacles are near nothing and rest on nothing.
+        high[scene.density >= IMMOVABLE] = low[scene.density >= IMMOVABLE] = np.inf
+    found = np.zeros(number.max() + 1, bool)
+    found[number[members]] = True
+    for lower, upper in boxes:
+        near = ((low <= upper + NEAR) & (high >= lower - NEAR)).all(1)
+        found[number[near]] = True
+    while True:
+        free = found[number]
+        on = (low[:, None, :2] < high[free, :2]) & (high[:, None, :2] > low[free, :2])
+        rests = np.abs(low[:, None, 2] - high[free, 2]) < NEAR
+        more = (on.all(2) & rests).any(1) & ~free
+        if not more.any():
+            break
+        found[number[more]] = True
+    if found.sum() > MOST_FREE:
+        distance = np.full(len(found), np.inf)
+        ends = np.vstack([there, scene.position[members]])
+        apart = np.linalg.norm(scene.position[:, None] - ends, axis=2).min(1)
+        np.minimum.at(distance, number, apart)
+        distance[number[members]] = -1.0
+        distance[~found] = np.inf
+        found[np.argsort(distance, kind="stable")[MOST_FREE:]] = False
+    return found[number]
+
+
+class World(NamedTuple):
+    """A compiled cell and where things are in it."""
+
+    spec: mujoco.MjSpec
+    model: mujoco.MjModel
+    plan: mujoco.MjModel
+    """The same to plan ways with: a margin around the arm, and objects do not meet each other."""
+    joint: np.ndarray
+    """int64[n]: addresses of the arm's joints in qpos and qvel (the arm comes first)."""
+    finger: np.ndarray
+    """int64[f]: the same of the fingers."""
+    drive: np.ndarray
+    """int64[n]: actuators of the joints."""
+    gripper: int
+    """Actuator of the gripper; -1 for a suction tool."""
+    stiffness: np.ndarray
+    """float64[n]: of the drives [N m/rad]."""
+    damping: np.ndarray
+    """float64[n]: of the drives [N m s/rad]."""
+    pose: int
+    """Address of the first object's pose in qpos; each takes 7 numbers."""
+    tree: int
+    """Kinematic tree of the first object; one each."""
+    kind: np.ndarray
+    """int64[g]: object a geom belongs to, or TABLE, ARM, PAD."""
+    tool: int
+    """Site of the tool."""
+    first: int
+    """Body of the first object; one each, those that are held still follow."""
+    num_still: int
+    """How many cells can be held still."""
+
+
+def compile_world(
+    arm: Arm,
+    shape: tuple[tuple[Box, ...], ...],
+    friction: float,
+    num_still: int = 0,
+    gravity: float = GRAVITY,
+) -> World:
+    """The cell with these objects, somewhere.
+
+    Args:
+        arm: the robot.
+        shape: see :attr:`Objects.shape`.
+        friction: between blocks, and of blocks on the table.
+        num_still: room for so many cells that are held still, see :func:`hold_still`.
+        gravity: [m/s^2].
+    """
+    spec = arm_spec(arm)
+    set_options(spec, TIMESTEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST, gravity)
+    spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    # The feed-forward of a drive may ask for more than the joint's range.
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
+    given = num_still > 0 or any(len(box) > 2 for boxes in shape for box in boxes)
+    surface = Surface(friction, solref=_FIRM_REF) if given else Surface(friction)
+    arm_parts = [geom for geom in spec.geoms if geom.contype or geom.conaffinity]
+    for part in arm_parts:
+        part.margin = LOOK
+    add_ground(spec, "table", surface)
+    for number, boxes in enumerate(shape):
+        add_object(spec, f"object{number}", boxes, surface)
+    for number in range(num_still):
+        box = spec.worldbody.add_body(name=f"still{number}", pos=_FAR)
+        geom = box.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[HALF] * 3)
+        set_contact(geom, surface)
+    if arm.suction is not None:
+        # The block in the cup: which one, where, and whether, is said when it is attached.
+        weld = spec.add_equality(
+            name="cup",
+            type=mujoco.mjtEq.mjEQ_WELD,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            name1=arm.gripper.hand,
+            name2="object0",
+            active=False,
+            solref=_CUP_REF,
+            solimp=_CUP_IMP,
+        )
+        weld.data[:] = 0.0
+    plan = spec.compile()
+    plan.opt.enableflags = 0
+    for part in arm_parts:
+        part.margin = 0.0
+    world = _world(arm, spec, spec.compile(), plan, len(shape), num_still)
+    arm_bits, thing_bits = (_ARM_BIT, _ARM_BIT | _THING_BIT), (_THING_BIT, _ARM_BIT | _HELD_BIT)
+    for geom, kind in enumerate(world.kind):
+        bits = thing_bits if kind >= TABLE else arm_bits
+        if plan.geom_contype[geom] or plan.geom_conaffinity[geom]:
+            plan.geom_contype[geom], plan.geom_conaffinity[geom] = bits
+    return world
+
+
+def hold_still(world: World, objects: Objects) -> None:
+    """Put the cells that are held still where they are; for every simulation that begins now."""
+    count = len(objects.still)
+    bodies = world.first + len(objects.shape) + np.arange(world.num_still)
+    for model in (world.model, world.plan):
+        model.body_pos[bodies[count:]] = _FAR
+        model.body_pos[bodies[:count]] = objects.still[:, :3]
+        model.body_quat[bodies[:count]] = objects.still[:, 3:]
+        resize_boxes(model, model.body_geomadr[bodies[:count]], objects.still_half)
+
+
+def set_held(world: World, held: int | None) -> None:
+    """In the model for planning, one object is in the hand: it and the arm do not meet, but it
+    and all other things do."""
+    model, kind = world.plan, world.kind
+    model.geom_contype[kind >= 0], model.geom_conaffinity[kind >= 0] = (
+        _THING_BIT,
+        _ARM_BIT | _HELD_BIT,
+    )
+    model.geom_margin[kind >= 0] = 0.0
+    if held is not None:
+        model.geom_margin[kind == held] = LOOK
+        model.geom_contype[kind == held], model.geom_conaffinity[kind == held] = _HELD_BIT, 0
+
+
+def _world(
+    arm: Arm,
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    plan: mujoco.MjModel,
+    count: int,
+    num_still: int,
+) -> World:
+    body = model.geom_bodyid
+    first = model.body("object0").id if count else model.nbody
+    kind = np.where(body >= first, body - first, ARM)
+    kind[model.geom("table").id] = TABLE
+    kind[[model.geom(name).id for name in arm.gripper.pads]] = PAD  # none for a cup
+    drive = np.array([_drive_of(model, name) for name in arm.joints])
+    return World(
+        spec,
+        model,
+        plan,
+        joint=np.array([model.joint(name).qposadr[0] for name in arm.joints]),
+        finger=np.array([model.joint(name).qposadr[0] for name in arm.gripper.joints], np.int64),
+        drive=drive,
+        gripper=-1 if arm.suction else model.actuator(arm.gripper.actuator).id,
+        stiffness=-model.actuator_biasprm[drive, 1],
+        damping=-model.actuator_biasprm[drive, 2],
+        pose=model.nq - 7 * count,
+        tree=model.ntree - count,
+        kind=kind,
+        tool=model.site(arm.tool).id,
+        first=first,
+        num_still=num_still,
+    )
+
+
+def _drive_of(model: mujoco.MjModel, joint: str) -> int:
+    turned = model.actuator_trnid[:, 0] == model.joint(joint).id
+    on_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+    return int(np.flatnonzero(turned & on_joint)[0])
+
+
+class Order(NamedTuple):
+    """What is asked of the arm, and where."""
+
+    scene: Scene
+    quaternion: np.ndarray
+    """float64[n, 4]: orientations (w, x, y, z) of the cells."""
+    move: Move
+    objects: Objects
+    poses: np.ndarray
+    """float64[b, 7] of the objects: position [m] and quaternion."""
+    names: list[str]
+    """Of the objects, in messages."""
+    target: int
+    """Number of the object to be moved."""
+    height: float
+    """Of the tool between picking and placing [m]."""
+    held: float
+    """Distance of the pads that hold it [m]."""
+    opening: float
+    """Distance of the pads before and after [m]."""
+
+    def in_hand(self, grasp: Attitude) -> tuple[np.ndarray, np.ndarray]:
+        """Pose of the object in the tool frame once it is grasped so: float64[3] [m] and [3, 3]."""
+        tool, pose = grasp.rotation(), self.poses[self.target]
+        contact = grasp.tool_point(self.scene.position[self.move.cell])
+        return tool.T @ (pose[:3] - contact), tool.T @ rotation_matrix(pose[3:])
+
+    def in_world(self, grasp: Attitude, place: Attitude) -> tuple[np.ndarray, np.ndarray]:
+        """Pose of the object once it is placed: float64[3] [m] and float64[3, 3]."""
+        position, rotation = self.in_hand(grasp)
+        tool = place.rotation()
+        return place.tool_point(self.move.target) + tool @ position, tool @ rotation
+
+    def after(self, poses: np.ndarray) -> tuple[Scene, np.ndarray]:
+        """The scene with objects at ``poses`` float64[b, 7], the moved one listed as
+        :func:`~.moves.put_down` does, and quaternions of its cells float64[n, 4]."""
+        position, quaternion, yaw = self.objects.cells(poses)
+        # Which cell goes where in the list, by sending their numbers instead of their yaws.
+        numbered = self.scene._replace(yaw=np.arange(len(yaw), dtype=float))
+        meant = put_down(numbered, self.move)
+        new = np.rint(meant.yaw).astype(np.int64)
+        members = self.scene.members(self.move.cell)
+        new[self.scene.num_placed : self.scene.num_placed + len(members)] = members
+        return meant._replace(position=position[new], yaw=yaw[new]), quaternion[new]
+
+
+def take_order(scene: Scene, move: Move, quaternion: np.ndarray | None = None) -> Order:
+    """The order to carry out ``move``.
+
+    Args:
+        scene: as things are.
+        move: what shall be done.
+        quaternion: float64[n, 4] orientations (w, x, y, z) of the cells; by default all stand
+            upright at their yaw.
+
+    Raises:
+        InputError: for a cell that is not waiting, or numbers that are not finite.
+    """
+    if not scene.num_placed <= move.cell < len(scene.position):
+        waiting = f"the index of a waiting cell, {scene.num_placed} to {len(scene.position) - 1}"
+        raise InputError("cell", move.cell, waiting)
+    if not np.isfinite(move.target).all():
+        raise InputError("target", np.asarray(move.target).tolist(), "finite numbers")
+    objects, poses, names = rigid_objects(scene, quaternion, move)
+    turns = np.vstack([poses, objects.still])[objects.owner, 3:]
+    held = grip_width(scene, move.cell, move.grasp)
+    return Order(
+        scene,
+        turns,
+        move,
+        objects,
+        poses,
+        names,
+        int(objects.owner[move.cell]),
+        crossing_height(scene, move),
+        held,
+        held + ROOM,
+    )
+
+
+def rigid_objects(
+    scene: Scene, quaternion: np.ndarray | None = None, move: Move | None = None
+) -> tuple[Objects, np.ndarray, list[str]]:
+    """The objects of a scene, their poses float64[b, 7] and their names in messages, then those of
+    cells that are held still; with a ``move`` boxes of given size are, where it does not matter.
+
+    Raises:
+        InputError: for numbers that are not finite.
+    """
+    turns = yaw_quaternion(scene.yaw) if quaternion is None else np.asarray(quaternion, float)
+    for array in (scene.position, turns):
+        if not np.isfinite(array).all():
+            raise InputError("scene", array.tolist(), "finite numbers")
+    free = None
+    if scene.half is not None and move is not None:
+        free = free_cells(scene, turns, move)
+    objects = group(scene, turns, free)
+    poses = np.hstack([scene.position[objects.lead], turns[objects.lead]])
+    still = [] if free is None else np.flatnonzero(~free)
+    return objects, poses, [f"block {k}" for k in (*objects.lead, *still)]
+
+
+class Failure(Exception):
+    """What broke a pick and place off, or spoiled it.
+
+    Args:
+        outcome: its kind.
+        stage: one of :data:`learn2assemble.robot.moves.STAGES`, or ``rest`` once the arm is done.
+        detail: one line.
+    """
+
+    def __init__(self, outcome: Outcome, stage: str, detail: str) -> None:
+        super().__init__(f"{outcome.label} ({stage}): {detail}")
+        self.outcome, self.stage, self.detail = outcome, stage, detail

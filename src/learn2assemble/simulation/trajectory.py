@@ -1,0 +1,196 @@
+"""Joint paths and their time laws: never faster than the arm's limits allow.
+
+A path is a cubic spline through joint positions over a parameter s, so that velocity and
+acceleration are continuous. Along it, s(t) is a time-optimal, jerk-limited profile (ruckig) under
+constant limits on its derivatives that keep every joint within its own:
+
+    |q'| s' <= v,   |q'| s'' + |q''| s'^2 <= a,   |q'| s''' + 3 |q''| s' s'' + |q'''| s'^3 <= j
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from learn2assemble.errors import InputError, MissingExtraError
+from learn2assemble.robot.arm import Limits
+from learn2assemble.robot.joint_path import JointPath
+
+if TYPE_CHECKING:
+    import ruckig
+
+_BENT = 0.6
+"""Share of acceleration and jerk that the bends of a path may use."""
+
+
+def load_ruckig() -> Any:
+    """The library of time-optimal profiles; only simulated motions need it.
+
+    Raises:
+        MissingExtraError: where it is not installed.
+    """
+    try:
+        import ruckig
+    except ImportError as error:  # pragma: no cover - depends on the installation
+        raise MissingExtraError("ruckig", "robot") from error
+    return ruckig
+
+
+class PathLimits(NamedTuple):
+    """Limits on the derivatives of s: speed, acceleration [1/s], jerk [1/s^2]."""
+
+    speed: float
+    acceleration: float
+    jerk: float
+
+
+def limits_along(path: JointPath, limits: Limits) -> PathLimits:
+    """Constant limits on s(t) that keep every joint of the path within ``limits``."""
+    if path.length == 0:
+        return PathLimits(1.0, 1.0, 1.0)
+    first, second, third = (np.maximum(bound, 1e-12) for bound in path.bounds())
+    v, a, j = limits[:3]
+    speed = min(
+        np.min(v / first),
+        np.sqrt(np.min(_BENT * a / second)),
+        np.cbrt(np.min(_BENT / 2 * j / third)),
+    )
+    acceleration = min(
+        np.min((a - second * speed**2) / first), np.min(_BENT / 2 * j / (3 * second * speed))
+    )
+    jerk = np.min((j - 3 * second * speed * acceleration - third * speed**3) / first)
+    return PathLimits(float(speed), float(acceleration), float(jerk))
+
+
+def reachable_speed(speed: float, way: float, bounds: PathLimits) -> float:
+    """A speed that can be reached from another one, without acceleration at both ends, on a way;
+    no lower than that."""
+    # The acceleration rises and falls at full jerk; on average it is at least half its peak.
+    peak = min(bounds.acceleration, np.cbrt(bounds.jerk**2 * way / 2))
+    return float(np.sqrt(speed**2 + peak * way))
+
+
+class Motion(NamedTuple):
+    """Where the joints shall be at equal steps of time; the first sample is one step after now."""
+
+    progress: np.ndarray
+    """float64[m, 3]: s and its two derivatives."""
+    position: np.ndarray
+    """float64[m, n] [rad]."""
+    velocity: np.ndarray
+    """float64[m, n] [rad/s]."""
+    acceleration: np.ndarray
+    """float64[m, n] [rad/s^2]."""
+
+
+class Segment(NamedTuple):
+    """A part of a motion along a path."""
+
+    end: float
+    """s where it ends."""
+    end_speed: float = 0.0
+    """Derivative of s there."""
+    top_speed: float = math.inf
+    """Largest derivative of s on the way."""
+
+
+def motion(
+    path: JointPath,
+    bounds: PathLimits,
+    step: float,
+    segments: tuple[Segment, ...] = (),
+) -> Motion:
+    """Move along a path, from rest at its beginning, by default to rest at its end.
+
+    Args:
+        path: where to.
+        bounds: how fast; from :func:`limits_along`, or slower.
+        step: time between samples [s].
+        segments: one after the other, each from where the one before ended.
+    """
+    found, start = [], (0.0, 0.0, 0.0)
+    for segment in segments or (Segment(path.length),):
+        capped = bounds._replace(speed=min(bounds.speed, segment.top_speed))
+        found.append(_profile(capped, start, (segment.end, segment.end_speed)))
+        start = (segment.end, segment.end_speed, 0.0)
+    return _sample(path, found, step)
+
+
+def stop(
+    path: JointPath, bounds: PathLimits, step: float, start: tuple[float, float, float]
+) -> Motion:
+    """Come to rest on the path as soon as possible; ``start`` is s with two derivatives, now."""
+    return _sample(path, [_profile(bounds, start, None)], step)
+
+
+def _profile(
+    bounds: PathLimits, start: tuple[float, float, float], end: tuple[float, float] | None
+) -> ruckig.Trajectory:
+    """The fastest s(t) within ``bounds`` to s and its derivative at the end, or None to rest."""
+    ruckig = load_ruckig()
+    wanted = ruckig.InputParameter(1)
+    if end is None:
+        wanted.control_interface = ruckig.ControlInterface.Velocity
+        wanted.target_velocity = [0.0]
+    else:
+        wanted.target_position, wanted.target_velocity = [end[0]], [end[1]]
+    now = ([start[0]], [start[1]], [start[2]])
+    wanted.current_position, wanted.current_velocity, wanted.current_acceleration = now
+    wanted.max_velocity, wanted.max_jerk = [bounds.speed], [bounds.jerk]
+    found = ruckig.Trajectory(1)
+    # Where two shapes of the profile meet to the last bit Ruckig finds neither; a little less of
+    # the acceleration is clearly one of them.
+    for less in (0.0, 1e-9, 1e-6):
+        wanted.max_acceleration = [bounds.acceleration * (1 - less)]
+        try:
+            if ruckig.Ruckig(1).calculate(wanted, found) == ruckig.Result.Working:
+                return found
+        except ruckig.RuckigError:
+            continue
+    raise InputError("motion", str(wanted), "a motion within the limits of the path")
+
+
+def _sample(path: JointPath, parts: list[ruckig.Trajectory], step: float) -> Motion:
+    progress, begun = [], 0.0
+    for part in parts:
+        first = len(progress) + 1
+        last = math.floor((begun + part.duration) / step + 1e-9)
+        progress += [_now(part, k * step - begun) for k in range(first, last + 1)]
+        begun += part.duration
+    if len(progress) * step < begun - 1e-9:
+        progress.append(_now(parts[-1], math.inf))
+    sampled = np.array(progress).reshape(-1, 3)
+    s, rate, change = sampled[:, 0], sampled[:, 1:2], sampled[:, 2:]
+    q, slope, bend = path.at(np.clip(s, 0.0, path.length))
+    return Motion(sampled, q, slope * rate, slope * change + bend * rate**2)
+
+
+def _now(part: ruckig.Trajectory, time: float) -> tuple[float, float, float]:
+    position, velocity, acceleration = part.at_time(min(time, part.duration))[:3]
+    return position[0], velocity[0], acceleration[0]
+
+
+def approach_speed_limits(
+    path: JointPath, rise: np.ndarray, zones: tuple[tuple[float, float], ...], bounds: PathLimits
+) -> tuple[Segment, ...]:
+    """Segments of a way down that enter zones near the contact at lower speeds.
+
+    Args:
+        path: down an approach path.
+        rise: float64[k] of the tool at its knots [m], falling.
+        zones: height above the contact [m] and largest speed there [m/s], downwards.
+        bounds: of the path.
+    """
+    segments, top, begun, speed = [], bounds.speed, 0.0, 0.0
+    for height, slowly in zones:
+        s = float(np.interp(-height, -rise, path.knots))
+        # Within a zone, s and the way of the tool are all but proportional.
+        limit = min(top, slowly * (path.length - s) / (height - rise[-1]))
+        if s > begun:
+            speed = min(limit, reachable_speed(speed, s - begun, bounds))
+            segments.append(Segment(s, speed, top))
+            begun = s
+        top = limit
+    return (*segments, Segment(path.length, 0.0, top))

@@ -1,0 +1,475 @@
+r"""The balance of rigid blocks as cone programs over the forces at the corners of their contacts.
+
+Forces :math:`f_p` at the corners of the contact patches and a wrench :math:`s_b` with which a hand
+would have to hold every block balance the weight of all blocks:
+
+.. math:: \sum_{p \in C_b} \pm (f_p,\; (x_p - c_b) \times f_p) + s_b + (m_b g, 0) = 0.
+
+Rigid-block equilibrium (RBE) asks for the least :math:`\sum_b |s_b|` with :math:`f_p` in the round
+Coulomb cone. Where it is above zero the assembly falls, and the multipliers of the balance are the
+motion in which it starts to. Where it is zero forces *can* balance, not that they *will*: friction
+may squeeze itself, as in a bar pinched between two posts. The coupled analysis (CRA, Kao et al.
+2022) refuses those. It is reproduced here with elastic joints: the energy
+:math:`\sum f_n^2/k_n + |f_t|^2/k_t` is least subject to :math:`|f_t| \le r_p`, where :math:`r_p` is
+friction times the normal force of the round before (non-associated friction by fixed point,
+Haslinger 1983). The assembly stands where a fixed point without holding force is found.
+
+Inside, lengths are in edges of a median block and forces in mean weights of a block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple
+
+import clarabel
+import numpy as np
+import scipy.sparse as sp
+
+from learn2assemble.assembly.blocks import Assembly, Block
+from learn2assemble.assembly.contacts import Contacts, across
+from learn2assemble.constants import GRAVITY
+from learn2assemble.errors import InputError, Learn2AssembleError
+
+_conic: Any = clarabel
+"""A compiled module without types."""
+
+HELD, HELD_BLOCK = 5e-4, 1e-2
+"""Holding forces taken for rounding: all, in the whole weight; of one block, in its weight."""
+SLIP = 1e-3
+"""Violation of Coulomb's law at a block taken for rounding, in its normal forces."""
+_ROUNDS = (6, 30, 100_000)
+"""Of the fixed point: fewest and most rounds, and corners times rounds in between."""
+_STAYS = 4
+"""Rounds in which a holding force does not shrink, after which it is taken to be needed."""
+_ITERATIONS = 100
+"""Of the cone solver."""
+_TOLERANCES = (1e-8, 1e-6, 1e-5)
+"""Of the cone solver. A program it is stuck in, such as that of blocks that rest on nothing, is
+solved again with the next one, still far below what counts as rounding."""
+_SOLVED = (_conic.SolverStatus.Solved, _conic.SolverStatus.AlmostSolved)
+_STUCK = (
+    _conic.SolverStatus.InsufficientProgress,
+    _conic.SolverStatus.NumericalError,
+    _conic.SolverStatus.MaxIterations,
+)
+_STEP, _MIX = 0.5, (-3.0, 0.5)
+"""Damping of the fixed point, and bounds of how the round before is mixed in (Anderson 1965)."""
+_FIRM = 1e-8
+"""Of the ground spring that holds a block during the rounds: its compliance is 1 / this."""
+_EXACT = 1e4
+"""Price of a holding force against elastic energy; the largest displacement that is not a fall."""
+_MOVES = 0.1
+"""A block moves where its part of the motion is this share of the largest."""
+MOST_G = 10.0
+"""Margins are cut here [g]."""
+
+
+class Equilibrium(NamedTuple):
+    """What :func:`solve` found."""
+
+    stands: bool
+    method: Literal["frictionless", "rbe", "cra"]
+    """What decided: forces without friction, RBE, or the coupled analysis."""
+    holding_force: float
+    """Least sum over blocks of force, or moment over radius, that would hold it [N]."""
+    moving: np.ndarray
+    """int64[M]: indices of the blocks that start to move; empty where it stands."""
+    forces: np.ndarray
+    """float64[C, 3]: on block ``b`` of the patch of each corner [N, world]."""
+    stiffness: float = 0.0
+    """Tangential over normal stiffness of the joints of the fixed point, where one was found."""
+
+
+class System:
+    """The balance of all free blocks as sparse matrices, in units of a median block."""
+
+    def __init__(
+        self,
+        assembly: Assembly,
+        contacts: Contacts,
+        present: np.ndarray | None = None,
+        held: np.ndarray | None = None,
+    ) -> None:
+        blocks = assembly.blocks
+        there = np.ones(len(blocks), bool) if present is None else np.asarray(present, bool)
+        if there.shape != (len(blocks),):
+            raise InputError("present", there.shape, f"shape ({len(blocks)},)")
+        on = there[contacts.b] & ((contacts.a < 0) | there[contacts.a])
+        self._on = on[contacts.patch]
+        contacts = contacts if on.all() else contacts.only(on)
+        free = there & ~np.array([block.support for block in blocks])
+        free &= True if held is None else ~held
+        self.free = np.flatnonzero(free)
+        self.count, self.corners = len(self.free), len(contacts.points)
+        number = np.cumsum(free) - 1
+        self._length = float(np.median([block.volume for block in blocks])) ** (1 / 3)
+        mass = np.array([blocks[k].mass for k in self.free])
+        self._newton = GRAVITY * float(mass.mean()) if self.count else 1.0
+        self.mass = mass / mass.mean() if self.count else mass
+        centre = np.array([blocks[k].centroid for k in self.free]).reshape(-1, 3)
+        reach = [
+            np.linalg.norm(blocks[k].vertices - c, axis=1).max()
+            for k, c in zip(self.free, centre, strict=True)
+        ]
+        self.radius = np.array(reach) / self._length
+        self._frame = corner_frames(contacts)
+        self.upright = bool((np.abs(contacts.normal[:, 2]) > 1 - 1e-6).all())
+        self._soft = corner_softness(contacts, self._length)
+        self._bodies = [
+            np.where((body >= 0) & free[body], number[body], -1)[contacts.patch]
+            for body in (contacts.a, contacts.b)
+        ]
+        self.centre = centre / self._length
+        self.balance = self._balance(contacts.points, centre)
+        weight = np.zeros((self.count, 6))
+        weight[:, 2] = self.mass
+        self.weight = weight.reshape(-1)
+
+    def _balance(self, points: np.ndarray, centre: np.ndarray) -> sp.csc_matrix:
+        """Wrench [6 count] of the corner forces in their frames; column 3 p is a normal force."""
+        rows, columns, values = [], [], []
+        reach, frame = self.radius * self._length, self._frame
+        for body, sign in zip(self._bodies, (-1.0, 1.0), strict=True):
+            corner = np.flatnonzero(body >= 0)
+            of = body[corner]
+            wrench = _wrenches(points[corner] - centre[of], sign * frame[corner], reach[of])
+            row = 6 * of[:, None, None] + np.arange(6)
+            column = 3 * corner[:, None, None] + np.arange(3)[:, None]
+            rows.append(np.broadcast_to(row, wrench.shape).ravel())
+            columns.append(np.broadcast_to(column, wrench.shape).ravel())
+            values.append(wrench.ravel())
+        index = np.concatenate(rows), np.concatenate(columns)
+        shape = 6 * self.count, 3 * self.corners
+        return sp.csc_matrix((np.concatenate(values), index), shape)
+
+    def excess(self, held: np.ndarray) -> float:
+        """Holding forces in what is taken for rounding."""
+        every = held.sum() / (HELD * self.mass.sum())
+        return float(max(every, (held / self.mass).max() / HELD_BLOCK))
+
+    def newtons(self, forces: np.ndarray | None) -> np.ndarray:
+        """Forces in their frames as forces in the world [N], zero at corners of absent blocks."""
+        result = np.zeros((len(self._on), 3))
+        if forces is not None:
+            result[self._on] = self._newton * np.einsum("pk,pkj->pj", forces, self._frame)
+        return result
+
+    def fall(
+        self,
+        method: Literal["rbe", "cra"],
+        forces: np.ndarray,
+        held: np.ndarray,
+        motion: np.ndarray,
+    ) -> Equilibrium:
+        """The answer where holding forces are needed."""
+        size = np.linalg.norm(motion, axis=1)
+        moving = self.free[size >= _MOVES * size.max()]
+        total = float(held.sum()) * self._newton
+        return Equilibrium(False, method, total, moving, self.newtons(forces))
+
+    def frictionless(self) -> np.ndarray | None:
+        """Normal forces [N] that balance everything without friction, or None."""
+        normal = self.balance[:, ::3]
+        rows = np.unique(normal.indices)
+        zero = np.setdiff1d(np.arange(6 * self.count), rows)
+        if np.abs(self.weight[zero]).any():
+            return None
+        count = self.corners
+        matrix = sp.vstack([normal[rows], -sp.identity(count)]).tocsc()
+        bound = np.concatenate([self.weight[rows], np.zeros(count)])
+        cones = [_conic.ZeroConeT(len(rows)), _conic.NonnegativeConeT(count)]
+        answer = _run(sp.diags(self._soft), np.zeros(count), matrix, bound, cones)
+        if answer is None:
+            return None
+        forces = np.zeros((count, 3))
+        forces[:, 0] = np.maximum(answer.x, 0)
+        rest = (self.weight - self.balance @ forces.reshape(-1)).reshape(-1, 6)
+        return self.newtons(forces) if self.excess(np.linalg.norm(rest, axis=1)) <= 1 else None
+
+    def least_holding(self, friction: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """RBE: forces [corners, 3], holding forces [count], motion [count, 6]."""
+        cone, parts = _cones(self.corners, friction)
+        # A little elastic energy chooses among the forces where there are many.
+        return self._with_holding(
+            1e-6 * np.repeat(self._soft, 3), 1.0, cone, np.zeros(3 * self.corners), parts
+        )
+
+    def coupled(
+        self, friction: float, forces: np.ndarray, stiffness: float
+    ) -> tuple[bool, np.ndarray, np.ndarray, np.ndarray]:
+        """CRA from the forces of RBE: whether a fixed point stands, and as least_holding."""
+        soft = (self._soft[:, None] * [1.0, 1 / stiffness, 1 / stiffness]).reshape(-1)
+        count, corners = 6 * self.count, self.corners
+        energy = sp.diags(np.concatenate([soft, np.full(count, 1 / _FIRM)]))
+        disc = sp.diags(np.tile([0.0, -1.0, -1.0], corners))
+        pick = sp.csc_matrix(
+            (-np.ones(corners), (np.arange(corners), 3 * np.arange(corners))),
+            (corners, 3 * corners),
+        )
+        signs = sp.vstack([pick, disc])
+        matrix = sp.bmat([[self.balance, sp.identity(count)], [signs, None]]).tocsc()
+        discs = [_conic.SecondOrderConeT(3)] * corners
+        cones = [_conic.ZeroConeT(count), _conic.NonnegativeConeT(corners), *discs]
+        radius = friction * np.maximum(forces[:, 0], 0)
+        solver, before = None, None
+        needed: list[float] = []
+        fewest, most, work = _ROUNDS
+        for _ in range(int(np.clip(work // max(corners, 1), fewest, most))):
+            limits = np.zeros(4 * corners)
+            limits[corners::3] = radius
+            bound = np.concatenate([self.weight, limits])
+            if solver is None:
+                cost = np.zeros(3 * corners + count)
+                solver = _solver(energy, cost, matrix, bound, cones, _TOLERANCES[1])
+            else:
+                solver.update(b=bound)
+            answer = solver.solve()
+            if answer.status not in _SOLVED:
+                break
+            x = np.array(answer.x)
+            forces = x[: 3 * corners].reshape(-1, 3)
+            held = np.linalg.norm(x[3 * corners :].reshape(-1, 6), axis=1)
+            if self._slip(forces, friction) <= SLIP:
+                if self.excess(held) <= 1:
+                    return True, forces, held, np.zeros((self.count, 6))
+                break
+            # Holding forces that stay, round after round, do not go away.
+            needed.append(self.excess(held))
+            last = needed[-_STAYS:]
+            if len(last) == _STAYS and min(last) > max(10.0, 0.8 * last[0]):
+                break
+            change = friction * np.maximum(forces[:, 0], 0) - radius
+            ahead, mix = radius + _STEP * change, 0.0
+            last_ahead, last_change = before or (ahead, change)
+            if before is not None:
+                turn = change - last_change
+                mix = float(np.clip(change @ turn / max(turn @ turn, 1e-300), *_MIX))
+            before = ahead, change
+            radius = np.maximum((1 - mix) * ahead + mix * last_ahead, 0)
+        parts = [_conic.NonnegativeConeT(corners), *discs]
+        return False, *self._with_holding(soft, _EXACT, signs, limits, parts)
+
+    def _slip(self, forces: np.ndarray, friction: float) -> float:
+        """Largest violation of Coulomb's law at a block, in its normal forces or its weight."""
+        excess = np.hypot(forces[:, 1], forces[:, 2]) - friction * forces[:, 0]
+        sums = []
+        for value in (np.maximum(excess, 0), np.maximum(forces[:, 0], 0)):
+            at = [
+                np.bincount(body[body >= 0], value[body >= 0], self.count) for body in self._bodies
+            ]
+            sums.append(at[0] + at[1])
+        return float((sums[0] / np.maximum(sums[1], self.mass)).max())
+
+    def _with_holding(
+        self, soft: np.ndarray, price: float, signs: Any, limits: np.ndarray, parts: list
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Least elastic energy plus price times the norm of the holding force of every block.
+
+        Args:
+            soft: float64[3 corners], compliance.
+            price: of a holding force.
+            signs: of the constraint ``limits - signs @ forces`` in the cones ``parts``.
+        """
+        count, corners = self.count, 3 * self.corners
+        energy = sp.diags(np.concatenate([soft, np.zeros(7 * count)]))
+        cost = np.concatenate([np.zeros(corners + 6 * count), np.full(count, price)])
+        held, norm = (
+            sp.kron(sp.identity(count), -part) for part in (np.eye(7, 6, -1), np.eye(7, 1))
+        )
+        rows = [
+            [self.balance, sp.identity(6 * count), None],
+            [signs, None, None],
+            [None, held, norm],
+        ]
+        matrix = sp.bmat(rows).tocsc()
+        bound = np.concatenate([self.weight, limits, np.zeros(7 * count)])
+        cones = [_conic.ZeroConeT(6 * count), *parts, *[_conic.SecondOrderConeT(7)] * count]
+        answer = _run(energy, cost, matrix, bound, cones)
+        if answer is None:
+            raise Learn2AssembleError("equilibrium program: the solver stopped without a solution")
+        x = np.array(answer.x)
+        slack = x[corners : corners + 6 * count].reshape(-1, 6)
+        motion = np.array(answer.z[: 6 * count]).reshape(-1, 6)
+        return x[:corners].reshape(-1, 3), np.linalg.norm(slack, axis=1), motion
+
+    def least_parting(
+        self, friction: float, jump: sp.csc_matrix, price: np.ndarray
+    ) -> np.ndarray | None:
+        """How far pairs of blocks part in a motion that lowers the weight, or None.
+
+        The motion opens or slides every joint at least as steeply as friction asks for, so that no
+        contact forces hold it back (Farkas): it exists exactly where RBE has no solution.
+
+        Args:
+            jump: [6 pairs, 6 count], the relative motion of each pair.
+            price: float64[pairs], of the largest component of it; the motion taken is the cheapest.
+
+        Returns:
+            float64[pairs], that component.
+        """
+        pairs, corners = len(price), self.corners
+        dual = sp.diags(np.tile([1.0, friction, friction], corners)) @ self.balance.T
+        most = sp.kron(sp.identity(pairs), np.ones((6, 1)))
+        rows = [[sp.csr_matrix(self.weight), None], [jump, -most], [-jump, -most], [-dual, None]]
+        matrix = sp.bmat(rows).tocsc()
+        bound = np.concatenate([[-1.0], np.zeros(12 * pairs + 3 * corners)])
+        cones = [_conic.ZeroConeT(1), _conic.NonnegativeConeT(12 * pairs)]
+        cones += [_conic.SecondOrderConeT(3)] * corners
+        count = 6 * self.count
+        energy = sp.csc_matrix((count + pairs, count + pairs))
+        answer = _run(energy, np.concatenate([np.zeros(count), price]), matrix, bound, cones)
+        if answer is None:
+            return None
+        return np.abs(jump @ np.array(answer.x)[:count]).reshape(-1, 6).max(1)
+
+    def load_program(
+        self, friction: float
+    ) -> Callable[[np.ndarray], tuple[np.ndarray, float] | None]:
+        """A function of a horizontal direction float64[2]: of all sideways loads up to MOST_G that
+        friction holds the one farthest along it, float64[2] [g], and how far along it that is,
+        which no other passes; None where nothing is held.
+
+        It solves the dual, which is smaller: of all motions that friction holds back nowhere and
+        on which a load does work as the direction tells, the one that lifts the weight least.
+        """
+        corners, count = self.corners, 6 * self.count
+        moves = (sp.diags(np.tile([1.0, friction, friction], corners)) @ self.balance.T).tocsr()
+        if friction > 0:
+            cones = [_conic.SecondOrderConeT(3)] * corners
+        else:
+            # A cone without interior would stall the solver.
+            moves, cones = moves[::3], [_conic.NonnegativeConeT(corners)]
+        load = np.zeros((self.count, 6, 2))
+        load[:, 0, 0] = load[:, 1, 1] = self.mass
+        # Work that is left over costs what the largest load would do.
+        rows = [
+            [sp.csr_matrix(load.reshape(-1, 2).T), sp.identity(2), None],
+            [-moves, None, None],
+            [None, None, -sp.identity(1)],
+            [None, -sp.identity(2), None],
+        ]
+        matrix = sp.bmat(rows).tocsc()
+        cones = [_conic.ZeroConeT(2), *cones, _conic.SecondOrderConeT(3)]
+        cost = np.concatenate([self.weight, np.zeros(2), [MOST_G]])
+        energy = sp.csc_matrix((count + 3, count + 3))
+
+        bound = np.zeros(moves.shape[0] + 5)
+        # Directions differ in this bound alone: the matrix is ordered and scaled once.
+        solver = _solver(energy, cost, matrix, bound, cones, _TOLERANCES[1])
+
+        def run(direction: np.ndarray) -> tuple[np.ndarray, float] | None:
+            bound[:2] = direction
+            solver.update(b=bound)
+            answer = solver.solve()
+            if answer.status in _STUCK:
+                answer = _run(energy, cost, matrix, bound, cones, _TOLERANCES[2:])
+            elif answer.status not in _SOLVED:
+                answer = None
+            return None if answer is None else (-np.array(answer.z[:2]), float(answer.obj_val))
+
+        return run
+
+
+def corner_frames(contacts: Contacts) -> np.ndarray:
+    """float64[C, 3, 3]: at every corner the normal of its patch and two directions across."""
+    frame = np.concatenate([contacts.normal[:, None], across(contacts.normal)], 1)
+    return frame[contacts.patch]
+
+
+def corner_softness(contacts: Contacts, length: float) -> np.ndarray:
+    """float64[C]: compliance of the joint at every corner, in units of a block of that length."""
+    share = np.maximum(np.bincount(contacts.patch, minlength=len(contacts.a)), 1)
+    area = (contacts.area / share)[contacts.patch] / length**2
+    return 1 / np.maximum(area, 1e-4)
+
+
+def corner_wrenches(blocks: Sequence[Block], contacts: Contacts) -> tuple[np.ndarray, np.ndarray]:
+    """float64[C, 3, 6] twice: what unit forces at the corners do to blocks ``a`` and ``b``.
+
+    Moments are about the centroid of the block and in units of force times its radius; those on
+    the ground mean nothing.
+    """
+    centre = np.array([block.centroid for block in blocks])
+    reach = np.array(
+        [
+            np.linalg.norm(block.vertices - at, axis=1).max()
+            for block, at in zip(blocks, centre, strict=True)
+        ]
+    )
+    frame = corner_frames(contacts)
+    first, second = (
+        _wrenches(contacts.points - centre[body], sign * frame, reach[body])
+        for body, sign in ((contacts.a[contacts.patch], -1.0), (contacts.b[contacts.patch], 1.0))
+    )
+    return first, second
+
+
+def _wrenches(arm: np.ndarray, frame: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    """float64[n, 3, 6]: forces along the rows of frames and their moments over ``reach``."""
+    moment = np.cross(arm[:, None], frame) / reach[:, None, None]
+    return np.concatenate([frame, moment], -1)
+
+
+def balancing_forces(
+    matrix: sp.csc_matrix, load: np.ndarray, soft: np.ndarray, friction: float
+) -> np.ndarray | None:
+    """Of the forces float64[k, 3] with ``matrix @ forces = load`` in Coulomb's cone, those of least
+    elastic energy, or None where there are none.
+
+    Args:
+        matrix: [rows, 3 k], columns of normal and tangential forces of each corner in turn.
+        soft: float64[k], compliance of the corners.
+    """
+    rows, corners = len(load), len(soft)
+    filled = np.zeros(rows, bool)
+    filled[matrix.indices] = True
+    if np.abs(load[~filled]).max(initial=0.0) > 0 or not corners:
+        return None
+    cone, parts = _cones(corners, friction)
+    whole = sp.csc_matrix(sp.vstack([matrix, cone]))
+    bound = np.concatenate([load, np.zeros(cone.shape[0])])
+    energy = sp.diags(np.repeat(soft * 1e-3, 3))
+    answer = _run(energy, np.zeros(3 * corners), whole, bound, [_conic.ZeroConeT(rows), *parts])
+    return None if answer is None else np.array(answer.x).reshape(-1, 3)
+
+
+def _cones(corners: int, friction: float) -> tuple[Any, list]:
+    """Coulomb's law: the negated rows of forces, and the cones they are in."""
+    if friction > 0:
+        rows = sp.diags(np.tile([friction, 1.0, 1.0], corners))
+        return -rows, [_conic.SecondOrderConeT(3)] * corners
+    # A cone without interior would stall the solver.
+    order = np.arange(3 * corners).reshape(corners, 3)
+    order = np.concatenate([order[:, 0], order[:, 1:].reshape(-1)])
+    parts = [_conic.NonnegativeConeT(corners), _conic.ZeroConeT(2 * corners)]
+    return -sp.csr_matrix(sp.identity(3 * corners))[order], parts
+
+
+def _run(
+    energy: Any,
+    cost: np.ndarray,
+    matrix: Any,
+    bound: np.ndarray,
+    cones: list,
+    tolerances: tuple[float, ...] = _TOLERANCES,
+) -> Any:
+    """Solve one cone program; None where it is infeasible or the solver cannot tell."""
+    for tolerance in tolerances:
+        answer = _solver(energy, cost, matrix, bound, cones, tolerance).solve()
+        if answer.status not in _STUCK:
+            return answer if answer.status in _SOLVED else None
+    return None
+
+
+def _solver(
+    energy: Any, cost: np.ndarray, matrix: Any, bound: np.ndarray, cones: list, tolerance: float
+) -> Any:
+    """A solver of: least x energy x / 2 + cost x where bound - matrix x is in the cones."""
+    settings = _conic.DefaultSettings()
+    settings.verbose = False
+    settings.max_threads = 1
+    settings.max_iter = _ITERATIONS
+    settings.presolve_enable = False  # it would refuse a new bound
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
+    return _conic.DefaultSolver(sp.csc_matrix(energy), cost, matrix, bound, cones, settings)

@@ -1,0 +1,176 @@
+"""What may carry a state of given blocks, as one interface over two proofs.
+
+Where all joints are level, loads are passed down block by block (:mod:`.step_proof`), which needs
+no friction; else forces in Coulomb's cone balance the state (:mod:`.states`).
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.contacts import Contacts, shrunk
+from learn2assemble.linear_programs import Clock
+from learn2assemble.statics.proofs import FORCES, LOCAL, PROGRAM
+from learn2assemble.statics.sideways import Sideways
+from learn2assemble.statics.states import Answer, State, States
+from learn2assemble.statics.step_proof import (
+    EDGE_INSET,
+    Proof,
+    Stack,
+    lies_below,
+    stack_of_contacts,
+)
+
+_COUPLED_WORK = 3_000
+"""Corners of contacts, summed over states, that the coupled analysis and margins are given."""
+_LEVEL = 1 - 1e-6
+
+
+class Law(Protocol):
+    """What may carry."""
+
+    def answer(self, state: State, thorough: bool) -> Answer:
+        """Whether a state stands; where it does, its forces are the ones to go on from."""
+        ...
+
+    def rests(self, state: State, block: int) -> bool:
+        """Whether a block is carried where all others bear any load, without being squeezed in."""
+        ...
+
+    def report(self, state: State) -> tuple[str, float | None]:
+        """Of a state that stands: what proves it, and the margin [g] where it is known."""
+        ...
+
+    def moving(self, state: State) -> list[int]:
+        """Blocks that move first in a state that falls."""
+        ...
+
+    def falls(self, state: State) -> bool:
+        """Whether no forces balance a state: it falls for certain."""
+        ...
+
+
+class ByForces:
+    """Forces in Coulomb's cone, and while there is work left for it the coupled analysis.
+
+    Args:
+        proof: what a step is called whose state the coupled analysis proves.
+        friction: coefficients at which a state has to stand, the smallest first.
+    """
+
+    def __init__(
+        self, assembly: Assembly, contacts: Contacts, proof: str, friction: list[float]
+    ) -> None:
+        self.states = States(assembly, contacts, friction[0])
+        self.friction, self.proof = friction, proof
+        self.spent = 0
+        self._coupled: dict[bytes, bool] = {}
+        self._rests: dict[tuple[int, bytes], bool] = {}
+
+    def answer(self, state: State, thorough: bool) -> Answer:
+        answer = self.states.answer(state, thorough=thorough)
+        if answer != "stands" or self.spent > _COUPLED_WORK:
+            return answer
+        if state.key not in self._coupled:
+            self.spent += self.states.corners(state)
+            self._coupled[state.key] = all(self.states.coupled(state, mu) for mu in self.friction)
+        return "stands" if self._coupled[state.key] else "falls"
+
+    def rests(self, state: State, block: int) -> bool:
+        near = sorted(self.states.near(block))
+        key = block, state.present[near].tobytes()
+        if key not in self._rests:
+            self._rests[key] = bool(state.held[block]) or self.states.rests(state, block)
+        return self._rests[key]
+
+    def report(self, state: State) -> tuple[str, float | None]:
+        if state.key not in self._coupled:
+            return FORCES, None
+        return self.proof, min(self.states.margin(state), self.friction[0])
+
+    def moving(self, state: State) -> list[int]:
+        return self.states.moving(state)
+
+    def falls(self, state: State) -> bool:
+        return self.states.answer(state) == "falls"
+
+
+class ByLoads:
+    """Loads passed down through level joints, without friction; hands hold nothing here.
+
+    Args:
+        contacts: level ones only.
+        friction: that bounds the margins.
+    """
+
+    def __init__(
+        self, assembly: Assembly, contacts: Contacts, friction: float, clock: Clock
+    ) -> None:
+        least = min(float(np.ptp(block.vertices, axis=0)[:2].min()) for block in assembly.blocks)
+        self.fixed = np.array([block.support for block in assembly.blocks])
+        self.stack: Stack = stack_of_contacts(assembly.blocks, shrunk(contacts, EDGE_INSET * least))
+        self.proof, self.clock = Proof(self.stack), clock
+        self._before = self._told = np.zeros(len(self.fixed), bool)
+        self._sideways, self._upright = Sideways(self.stack, friction), Proof(self.stack)
+        self._rank = -1
+
+    @staticmethod
+    def fits(contacts: Contacts) -> bool:
+        """Whether all contacts are level."""
+        return bool((np.abs(contacts.normal[:, 2]) > _LEVEL).all())
+
+    def answer(self, state: State, thorough: bool) -> Answer:
+        if state.held.any():
+            return "not found"
+        placed = state.present & ~self.fixed
+        if self._balance(self.proof, self._before, placed) is None:
+            return "falls"
+        self._before = placed
+        return "stands"
+
+    def rests(self, state: State, block: int) -> bool:
+        return True  # Without friction nothing is squeezed.
+
+    def report(self, state: State) -> tuple[str, float | None]:
+        """States come in the order in which they are built."""
+        placed = state.present & ~self.fixed
+        dirty = self._dirty(self._told, placed)
+        method = self._balance(self._upright, self._told, placed)
+        assert method is not None
+        self._sideways.follow(dirty, placed, self._upright.force, self.clock)
+        rank = int(self.stack.rank[placed & ~self._told].max(initial=-1))
+        if rank > self._rank or (method == PROGRAM and self._sideways.radius <= 0):
+            self._rank = max(rank, self._rank)
+            self._sideways.search(placed, self._upright.force, self.clock)
+        self._told = placed
+        return method, self._sideways.radius
+
+    def moving(self, state: State) -> list[int]:
+        return self.proof.held(state.present & ~self.fixed, self.clock.left)
+
+    def falls(self, state: State) -> bool:
+        return False  # With friction it may stand.
+
+    def _balance(self, proof: Proof, before: np.ndarray, placed: np.ndarray) -> str | None:
+        """How the forces of a state are made those of the next, or None where it falls."""
+        dirty = self._dirty(before, placed)
+        if proof.settle(dirty, placed):
+            return LOCAL
+        changing = lies_below(self.stack, np.flatnonzero(dirty).tolist(), placed)
+        for blocks in (changing, placed):
+            if proof.program(placed, blocks, self.clock.left):
+                return PROGRAM
+        return None
+
+    def _dirty(self, before: np.ndarray, placed: np.ndarray) -> np.ndarray:
+        """bool[n]: blocks to balance again."""
+        stack = self.stack
+        gone = np.flatnonzero(before & ~placed)
+        dirty = placed & ~before
+        dirty[stack.upper[np.isin(stack.lower, gone)]] = True
+        for block in gone.tolist():
+            dirty[stack.below(block)] = True
+        return dirty & placed

@@ -1,0 +1,28 @@
+"""Which proof a state has, by name, and the ranges of friction and gap it holds for."""
+
+from __future__ import annotations
+
+from learn2assemble.errors import InputError, is_number
+
+LOCAL, PROGRAM = "bed faces, local", "bed faces, program"
+"""Loads are passed down level joints without friction, block by block or by a linear program."""
+FRICTIONLESS, BED, TIGHT = "bed faces, no friction", "bed faces", "tight joints"
+"""What may carry: bed faces without friction; joints that weight presses, with it; side faces that
+touch, too. The latter two name the proof of a step by the coupled analysis."""
+POINTS = "edges and points"
+"""Proof of a step of given blocks that rest on edges or points, too."""
+FORCES = "balance of forces"
+"""Of a step whose state was too much for the coupled analysis."""
+
+Bounds = float | tuple[float, float] | None
+"""A number, or the smallest and the largest of a range; None: that of the kit."""
+
+
+def value_range(given: Bounds, default: float, what: str) -> tuple[float, float]:
+    """Smallest and largest of a number or a range that was asked for, else of ``default``."""
+    pair = tuple(given) if isinstance(given, tuple | list) else (given, given)
+    ends = [default if end is None else end for end in pair]
+    if not all(is_number(end) for end in ends) or not (len(ends) == 2 and 0 <= ends[0] <= ends[1]):
+        raise InputError(what, given, "a number >= 0, or a range of them")
+    low, high = ends
+    return float(low), float(high)

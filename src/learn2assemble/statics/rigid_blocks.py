@@ -1,0 +1,360 @@
+"""Equilibrium of any assembly of rigid polyhedral blocks that touch with dry friction.
+
+Rigid-block equilibrium comes first, then the coupled analysis, which refuses what stands only by
+friction that squeezes itself; both are programs of :mod:`learn2assemble.statics.block_forces`.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from learn2assemble.assembly.blocks import Assembly, check_friction
+from learn2assemble.assembly.contacts import (
+    Contacts,
+    add_point_contacts,
+    check_overlaps,
+    contact_tolerance,
+    find_contacts,
+    widened,
+)
+from learn2assemble.errors import InputError
+from learn2assemble.geometry.reach import inner_circle
+from learn2assemble.statics.block_forces import MOST_G, Equilibrium, System
+
+Verdict = Literal["stands", "stands only with tight joints", "falls", "not certain"]
+STANDS: Verdict = "stands"
+TIGHT: Verdict = "stands only with tight joints"
+FALLS: Verdict = "falls"
+UNCERTAIN: Verdict = "not certain"
+
+SIDE = 0.02
+"""A patch is vertical when the vertical part of its normal is at most this."""
+LEVEL = 0.995
+"""It leans, neither vertical nor level, when that part is less than this (6 degrees)."""
+STIFFNESS = (1.0, 0.2)
+"""Tangential over normal stiffness of a joint; a fixed point with either one is one."""
+_HOPELESS = 100.0
+"""Holding force, in what is taken for rounding, above which no other stiffness is tried: all of the
+weight of one block, or a twentieth of everything."""
+_MARGIN_GAP = 0.01
+_FIRST = np.pi / 8 + np.pi / 2 * np.arange(4)
+"""Directions looked at first [rad]: across none of the sides of what is built along x and y, or
+halfway between, so that each finds a corner of the set of accelerations."""
+NO_MARGIN = 1e-4
+"""Sideways acceleration [g] below which there is none to speak of."""
+_LOADS = (4, 40, 30_000)
+"""Of a margin: fewest and most directions, and corners times directions in between."""
+
+
+def _standing(
+    method: Literal["frictionless", "rbe", "cra"], forces: np.ndarray, stiffness: float = 0.0
+) -> Equilibrium:
+    return Equilibrium(True, method, 0.0, np.empty(0, np.int64), forces, stiffness)
+
+
+@dataclass(frozen=True, eq=False)
+class Check:
+    """The answer of :func:`check`.
+
+    Attributes:
+        verdict: ``stands`` on what weight presses together (:func:`pressed_patches`), ``stands
+            only with tight joints`` where side faces have to press, too, ``falls``, or ``not
+            certain`` where it rests on edges or points and whether it falls depends on where
+            exactly these lie.
+        margin_g: sideways acceleration [g] it withstands in every direction; 0 where it falls.
+        tilt: inclination of the ground it withstands in every direction [deg].
+        holding_force: least force that would hold it, 0 where it stands [N].
+        moving: ids of the blocks that move first; empty where it stands.
+        blocks: how many there are, supports included.
+        contacts: all patches; where it ``stands``, those of :func:`pressed_patches` carry.
+        forces: float64[C, 3], at the corners of ``contacts`` on block ``b`` [N, world].
+        method: what decided; see :class:`Equilibrium`.
+        proof: what was shown, and what was not, in one line. A fixed point is forces that balance
+            and obey Coulomb's law to ``SLIP`` and ``HELD``; where friction is needed other forces
+            may be possible, too, and other programs find none (Kao et al. 2022 solve a nonlinear
+            one). That none was found is no proof of a fall; that RBE has no forces is.
+        seconds: the check took.
+    """
+
+    verdict: Verdict
+    margin_g: float
+    tilt: float
+    holding_force: float
+    moving: tuple[str, ...]
+    blocks: int
+    contacts: Contacts
+    forces: np.ndarray
+    method: str
+    proof: str
+    seconds: float
+
+
+def check(
+    assembly: Assembly, *, friction: float | None = None, tolerance: float | None = None
+) -> Check:
+    """Whether what stands after the last step of an assembly stands.
+
+    Args:
+        assembly: blocks, steps and friction.
+        friction: Coulomb coefficient instead of the assembly's.
+        tolerance: gap that counts as contact [m]; see
+            :func:`~learn2assemble.assembly.contacts.find_contacts`.
+
+    Raises:
+        InputError: for what is no assembly, blocks that overlap, or where nothing stands on a
+            support or the ground.
+    """
+    if not isinstance(assembly, Assembly):
+        raise InputError("assembly", assembly, "an Assembly, which read_assembly reads from files")
+    started = time.perf_counter()
+    friction = assembly.friction if friction is None else friction
+    check_friction(friction)
+    standing = assembly.finished
+    check_overlaps(standing, tolerance)
+    joints = Joints(standing, tolerance)
+    result, contacts, keep, verdict = joints.decide(friction)
+    margin_g = margin(standing, contacts.only(keep), friction) if result.stands else 0.0
+    forces = np.zeros_like(contacts.points)
+    forces[keep[contacts.patch]] = result.forces
+    moving = tuple(standing.blocks[k].id for k in result.moving.tolist())
+    return Check(
+        verdict,
+        margin_g,
+        float(np.degrees(np.arctan(margin_g))),
+        result.holding_force,
+        moving,
+        len(standing.blocks),
+        contacts,
+        forces,
+        result.method,
+        _shown(result, margin_g, verdict),
+        time.perf_counter() - started,
+    )
+
+
+class Decision(NamedTuple):
+    """Whether blocks stand, and on which patches."""
+
+    result: Equilibrium
+    contacts: Contacts
+    """All that were looked at."""
+    keep: np.ndarray
+    """bool[P]: those that carry, or that do not suffice."""
+    verdict: Verdict
+
+
+class Joints:
+    """The contacts of an assembly: of faces and, where these do not carry, of edges and points.
+
+    Args:
+        assembly: blocks where they stand.
+        tolerance: as of :func:`check`.
+
+    Raises:
+        InputError: where nothing stands on a support or the ground.
+    """
+
+    def __init__(self, assembly: Assembly, tolerance: float | None = None) -> None:
+        self.assembly, self.tolerance = assembly, tolerance
+        self.faces = find_contacts(assembly, tolerance)
+        self.support = np.array([block.support for block in assembly.blocks])
+        self.supported = bool(self.support.any() or (self.faces.a < 0).any())
+        _check_supported(assembly, self.faces if self.supported else self.every[0])
+
+    @cached_property
+    def every(self) -> tuple[Contacts, np.ndarray]:
+        """All contacts, those of faces first, and bool[P]: whether the normal of each is known."""
+        return add_point_contacts(self.assembly, self.faces, self.tolerance)
+
+    def decide(self, friction: float, present: np.ndarray | None = None) -> Decision:
+        """Whether the blocks stand, or those of them that are ``present`` (bool[B])."""
+        found = self._on(self.faces, friction, present)
+        if self.supported and found.result.stands:
+            return found
+        # Edges and points are looked at only where faces do not carry: what these hold stands.
+        every, known = self.every
+        if self.supported and len(every.a) == len(self.faces.a):
+            return found
+        found = self._on(every, friction, present)
+        if present is not None:
+            known = known | ~present[every.b] | ((every.a >= 0) & ~present[every.a])
+        certain = found.result.stands or (
+            known.all() and self._falls_anyhow(every, friction, present)
+        )
+        return found if certain else found._replace(verdict=UNCERTAIN)
+
+    def _on(self, contacts: Contacts, friction: float, present: np.ndarray | None) -> Decision:
+        """The answer on the patches that weight presses where these carry, else on all."""
+        keep = pressed_patches(contacts, present)
+        result = solve(self.assembly, contacts.only(keep), friction, present=present)
+        if result.stands or keep.all():
+            return Decision(result, contacts, keep, STANDS if result.stands else FALLS)
+        result = solve(self.assembly, contacts, friction, present=present)
+        return Decision(result, contacts, np.ones_like(keep), TIGHT if result.stands else FALLS)
+
+    def _falls_anyhow(
+        self, contacts: Contacts, friction: float, present: np.ndarray | None
+    ) -> bool:
+        """Whether no forces hold it wherever within the tolerance its points of contact lie."""
+        reach = self.tolerance or float(contact_tolerance(self.assembly.blocks).max())
+        wide = widened(contacts, 2 * reach)
+        found = solve(self.assembly, wide, friction, present=present, coupled=False)
+        return not found.stands
+
+
+def _shown(result: Equilibrium, margin_g: float, verdict: Verdict) -> str:
+    """What an answer rests on, in words."""
+    if verdict == UNCERTAIN:
+        return (
+            "no contact forces were found, but blocks rest on edges or points, and where these "
+            "push, and which way, is known to the tolerance only: neither standing nor falling is "
+            "proven"
+        )
+    if not result.stands:
+        return {
+            "rbe": "no contact forces balance the blocks: it falls for certain",
+            "cra": "contact forces could balance the blocks, but none with elastic joints and "
+            "Coulomb friction were found: a fall is likely, not proven",
+        }[result.method]
+    text = "forces balance the blocks without friction, so with any coefficient"
+    if result.method == "cra":
+        text = "forces balance the blocks with elastic joints and Coulomb friction"
+        if result.stiffness != STIFFNESS[0]:
+            text += f", if joints are {result.stiffness:g} times as stiff along as across"
+    return text if margin_g >= NO_MARGIN else f"{text}; balanced on an edge, without a margin"
+
+
+def bed_patches(contacts: Contacts) -> np.ndarray:
+    """bool[P]: patches that are not vertical, so that they press however wide vertical gaps are."""
+    return np.abs(contacts.normal[:, 2]) > SIDE
+
+
+def pressed_patches(contacts: Contacts, present: np.ndarray | None = None) -> np.ndarray:
+    """bool[P]: patches that weight presses together, without tight joints.
+
+    These are all that are not vertical, and vertical ones between blocks that lean on others, too,
+    as at the crown of an arch: such blocks are wedges, and sink until their joints press.
+
+    Args:
+        contacts: of an assembly.
+        present: bool[B], the blocks that are there; all by default.
+    """
+    upright = np.abs(contacts.normal[:, 2])
+    leaning = (upright > SIDE) & (upright < LEVEL) & (contacts.a >= 0)
+    if present is not None:
+        leaning &= present[contacts.b] & present[np.maximum(contacts.a, 0)]
+    wedges = np.concatenate([contacts.a[leaning], contacts.b[leaning]])
+    return (upright > SIDE) | (np.isin(contacts.a, wedges) & np.isin(contacts.b, wedges))
+
+
+def solve(
+    assembly: Assembly,
+    contacts: Contacts,
+    friction: float | None = None,
+    *,
+    present: np.ndarray | None = None,
+    held: np.ndarray | None = None,
+    coupled: bool = True,
+    stiffness: tuple[float, ...] = STIFFNESS,
+) -> Equilibrium:
+    """Whether the blocks stand on some patches of contact.
+
+    Args:
+        assembly: blocks where they stand.
+        contacts: of that assembly; those of absent blocks are ignored.
+        friction: Coulomb coefficient instead of the assembly's.
+        present: bool[B], the blocks that are there; all by default.
+        held: bool[B], those of them that a hand holds, so that they bear any load.
+        coupled: False answers by RBE alone, which refutes but cannot prove.
+        stiffness: tangential over normal stiffness of the joints, in the order they are tried.
+
+    Raises:
+        Learn2AssembleError: where the solver fails.
+    """
+    friction = assembly.friction if friction is None else friction
+    check_friction(friction)
+    system = System(assembly, contacts, present, held)
+    if system.count == 0:
+        return _standing("frictionless", system.newtons(None))
+    if system.upright:
+        # Forces that need no friction are a fixed point, and cost a third.
+        still = system.frictionless()
+        if still is not None:
+            return _standing("frictionless", still)
+    forces, held, motion = system.least_holding(friction)
+    if system.excess(held) > 1:
+        return system.fall("rbe", forces, held, motion)
+    if not coupled:
+        return _standing("rbe", system.newtons(forces))
+    best = None
+    for ratio in stiffness:
+        fixed, *found = system.coupled(friction, forces, ratio)
+        if fixed:
+            return _standing("cra", system.newtons(found[0]), ratio)
+        if best is None or found[1].sum() < best[1].sum():
+            best = found
+        if system.excess(found[1]) > _HOPELESS:
+            break
+    assert best is not None
+    return system.fall("cra", *best)
+
+
+def margin(
+    assembly: Assembly,
+    contacts: Contacts,
+    friction: float | None = None,
+    *,
+    present: np.ndarray | None = None,
+    held: np.ndarray | None = None,
+) -> float:
+    """Sideways acceleration [g] that RBE withstands in every direction, from below.
+
+    The accelerations that contact forces can balance are a convex set. Each program gives a point
+    of its border and a line that it does not cross, so the largest circle about zero is known from
+    both sides. The next direction is the one in which the hull of the points is nearest to zero,
+    until both agree to 1 % or as many as the size allows were tried. Arguments as :func:`solve`.
+    """
+    friction = assembly.friction if friction is None else friction
+    check_friction(friction)
+    system = System(assembly, contacts, present, held)
+    if system.count == 0:
+        return min(friction, MOST_G)
+    fewest, most, work = _LOADS
+    tries = int(np.clip(work // max(system.corners, 1), fewest, most))
+    program = system.load_program(friction)
+    angles, points, above, below = [], [], MOST_G, 0.0
+    queue = list(_FIRST)
+    while queue:
+        angle = queue.pop(0)
+        found = program(np.array([np.cos(angle), np.sin(angle)]))
+        if found is None:
+            return 0.0
+        angles.append(angle)
+        points.append(found[0])
+        above = min(above, found[1])
+        if queue:
+            continue
+        if above > 0.99 * MOST_G:
+            return MOST_G
+        below, angle = inner_circle(np.array(points))
+        repeated = min(abs(np.angle(np.exp(1j * (angle - a)))) for a in angles) < 1e-3
+        if len(angles) < tries and below < (1 - _MARGIN_GAP) * above and not repeated:
+            queue.append(angle)
+    return max(0.0, min(below, above))
+
+
+def _check_supported(assembly: Assembly, contacts: Contacts) -> None:
+    """Refuse an assembly that has nothing to stand on, or that reaches below the ground."""
+    if any(block.support for block in assembly.blocks):
+        return
+    lows = [float(block.vertices[:, 2].min()) for block in assembly.blocks]
+    lowest = assembly.blocks[int(np.argmin(lows))]
+    reaches_below = min(lows) < -0.01 * float(np.ptp(lowest.vertices[:, 2]))
+    if reaches_below or not (contacts.a < 0).any():
+        where = f"block {lowest.id!r}: lowest point"
+        raise InputError(where, min(lows), "a block with a face on z = 0, or a support block")

@@ -1,0 +1,509 @@
+r"""Whether a stack of lattice blocks stands on its bed faces: a compiled proof and a program.
+
+Only horizontal joints carry force, so nothing depends on how tight the vertical ones are. A state
+is *proven* where normal forces :math:`N_p \ge 0` at the corners of the contact patches balance
+every block :math:`b` of weight :math:`w_b` and centre :math:`c_b`:
+
+.. math::
+
+    \sum_{p \text{ below } b} N_p\,(1, x_p, y_p) - \sum_{p \text{ above } b} N_p\,(1, x_p, y_p)
+        = w_b\,(1, c_{bx}, c_{by}) .
+
+Such forces need no friction, hence hold for every coefficient of friction: forces that balance
+mean that no motion lowers the centre of mass, and friction can only take energy away.
+
+**Sideways acceleration.** Where gravity is joined by a horizontal acceleration ``a`` along ``d``,
+let every force point along :math:`(a d, 1)`: the same equations with :math:`x` replaced by
+:math:`x - a z d` for points and centres. A solution is a proof for every friction of at least
+``a``; tilting the table by :math:`\arctan a` is the same load. Such forces are one family among
+all that friction allows, so the acceleration found is a lower bound of what the stack withstands.
+
+**Local proof.** A new block's load is passed down, block by block: its bed faces answer with the
+smallest change of their forces that balances it and stays non-negative (a linear pressure where
+nothing is at zero yet), a quadratic program in three multipliers solved by Newton's method. Only
+what lies below is touched. Where that fails, forces are looked for under many blocks at once
+(:mod:`.elastic`, and a linear program where that finds no answer): first under what lies below with
+the loads of all else held, then under all blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numba import njit
+
+from learn2assemble.assembly.blocks import Block
+from learn2assemble.assembly.contacts import Contacts
+from learn2assemble.linear_programs import INF, Program, solve
+from learn2assemble.statics.elastic import balance
+
+GROUND = -1
+EDGE_INSET = 1e-3
+"""Support polygons are smaller than bed faces by this share of the pitch on every side, besides
+half the joint gap: what is balanced right on an edge is not called standing."""
+TOLERANCE = 1e-7
+"""Largest imbalance of a proof, in weights of the heaviest block (and of the pitch)."""
+_ITERATIONS = 40
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Blocks and the corners of the bed joints between them."""
+
+    weight: np.ndarray
+    """float64[n] [kg]."""
+    centre: np.ndarray
+    """float64[n, 3] [m]."""
+    point: np.ndarray
+    """float64[P, 3] [m], sorted by ``upper``."""
+    upper: np.ndarray
+    """int64[P]: the block that rests on the point."""
+    lower: np.ndarray
+    """int64[P]: the block that bears it, -1 for the table."""
+    share: np.ndarray
+    """float64[P]: area that belongs to the point [m2]."""
+    start: np.ndarray
+    """int64[n + 1]: block b rests on the points ``start[b]:start[b + 1]``."""
+    rank: np.ndarray
+    """int64[n]: every block has a larger rank than those it rests on."""
+    cell: np.ndarray
+    """float64[2]: width and depth of a lattice cell [m]."""
+
+    @cached_property
+    def pitch(self) -> float:
+        """Unit of length of the solver [m]."""
+        return float(self.cell.min())
+
+    @cached_property
+    def above(self) -> tuple[np.ndarray, np.ndarray]:
+        """int64: points that rest on each block, at ``start[b]:start[b + 1]``; int64[n + 1]."""
+        order = np.argsort(self.lower, kind="stable")
+        points = order[np.searchsorted(self.lower[order], 0) :]
+        return points, np.searchsorted(self.lower[points], np.arange(len(self) + 1))
+
+    @cached_property
+    def order(self) -> np.ndarray:
+        """int64: all blocks that are in no ring and rest on none, each before what bears it."""
+        order = np.argsort(-self.rank, kind="stable")
+        return order[self.rank[order] >= 0]
+
+    def __len__(self) -> int:
+        return len(self.weight)
+
+    @cached_property
+    def bases(self) -> list[np.ndarray]:
+        """For each block, int64: those it rests on, sorted, without the table."""
+        return [
+            found[found >= 0] for found in map(np.unique, np.split(self.lower, self.start[1:-1]))
+        ]
+
+    @cached_property
+    def tops(self) -> list[np.ndarray]:
+        """For each block, int64: those that rest on it, sorted."""
+        points, start = self.above
+        return [np.unique(found) for found in np.split(self.upper[points], start[1:-1])]
+
+    def part(self, blocks: np.ndarray) -> Stack:
+        """The blocks with the given indices (int64[k], ascending), what is below them as ground."""
+        number = np.full(len(self) + 1, GROUND)
+        number[blocks] = np.arange(len(blocks))
+        points = np.flatnonzero(number[self.upper] >= 0)
+        upper = number[self.upper[points]]
+        return replace(
+            self,
+            weight=self.weight[blocks],
+            centre=self.centre[blocks],
+            point=self.point[points],
+            upper=upper,
+            lower=number[self.lower[points]],
+            share=self.share[points],
+            start=np.searchsorted(upper, np.arange(len(blocks) + 1)),
+            rank=self.rank[blocks],
+        )
+
+    def below(self, block: int) -> np.ndarray:
+        """Blocks that ``block`` rests on, sorted, without the table."""
+        return self.bases[block]
+
+
+def stack_of_contacts(blocks: Sequence[Block], contacts: Contacts) -> Stack:
+    """Blocks of any shape and their level joints, supports as part of the table.
+
+    Args:
+        contacts: of these blocks, all with vertical normals.
+    """
+    up = contacts.normal[:, 2] > 0
+    support = np.array([block.support for block in blocks] + [True])
+    upper, lower = np.where(up, contacts.b, contacts.a), np.where(up, contacts.a, contacts.b)
+    lower = np.where(support[lower], GROUND, lower)
+    size = np.diff(contacts.start)
+    order = np.lexsort((np.arange(len(upper)), upper))
+    order = order[~support[upper[order]]]
+    starts = contacts.start.tolist()
+    corners = [np.arange(starts[k], starts[k + 1]) for k in order.tolist()]
+    index = np.concatenate([*corners, np.empty(0, np.int64)])
+    tops = np.repeat(upper[order], size[order])
+    width = float(np.median([np.ptp(block.vertices, axis=0)[:2].min() for block in blocks]))
+    stack = Stack(
+        np.array([block.mass for block in blocks]),
+        np.array([block.centroid for block in blocks]),
+        contacts.points[index],
+        tops,
+        np.repeat(lower[order], size[order]),
+        np.repeat(contacts.area[order] / np.maximum(size[order], 1), size[order]),
+        np.searchsorted(tops, np.arange(len(blocks) + 1)),
+        np.zeros(len(blocks), np.int64),
+        np.full(2, width),
+    )
+    stack.rank[:] = ranks(stack)
+    return stack
+
+
+def find_ring(stack: Stack) -> list[int]:
+    """Blocks that carry one another in a ring, so that none can come first; empty without one."""
+    ringed = np.flatnonzero(stack.rank < 0)
+    if not len(ringed):
+        return []
+    # Whatever is in no ring itself but rests on one has a way down that ends in it.
+    way, at = [], int(ringed[0])
+    while at not in way:
+        way.append(at)
+        at = int(next(b for b in stack.below(at) if stack.rank[b] < 0))
+    return way[way.index(at) :]
+
+
+def ranks(stack: Stack) -> np.ndarray:
+    """int64[n]: longest way down to the table; -1 for blocks that rest on one another in a ring."""
+    rank = np.full(len(stack), -1)
+    below = [stack.below(block) for block in range(len(stack))]
+    above: list[list[int]] = [[] for _ in range(len(stack))]
+    for block, bases in enumerate(below):
+        for base in bases:
+            above[base].append(block)
+    left = np.array([len(bases) for bases in below])
+    ready = np.flatnonzero(left == 0).tolist()
+    rank[ready] = 0
+    for block in ready:
+        for top in above[block]:
+            left[top] -= 1
+            rank[top] = max(rank[top], rank[block] + 1)
+            if left[top] == 0:
+                ready.append(top)
+    rank[left > 0] = -1
+    return rank
+
+
+# ---------------------------------------------------------------- compiled
+
+
+@njit(cache=True)
+def _answer(force, xs, ys, share, target, cx, cy, unit, scale, trial):
+    """Smallest change of ``force`` (float64[k], in place) that balances ``target`` about (cx, cy).
+
+    ``target`` is (force, moments) in the units of ``force`` and of ``unit`` [m]. Returns whether
+    it was found; ``trial`` is float64[k] to work in.
+    """
+    count = len(force)
+    mean = 0.0
+    for p in range(count):
+        mean += share[p]
+    if mean <= 0.0:
+        return False
+    mean /= count
+    l0 = l1 = l2 = 0.0
+    for p in range(count):
+        trial[p] = force[p]
+    r0, r1, r2 = target[0], target[1], target[2]
+    for p in range(count):
+        u, v = (xs[p] - cx) / unit, (ys[p] - cy) / unit
+        r0 -= trial[p]
+        r1 -= trial[p] * u
+        r2 -= trial[p] * v
+    size = abs(r0) + abs(r1) + abs(r2)
+    for _ in range(_ITERATIONS):
+        if size <= 1e-9 * scale:
+            for p in range(count):
+                force[p] = trial[p]
+            return True
+        h00 = h01 = h02 = h11 = h12 = h22 = 0.0
+        for p in range(count):
+            u, v, w = (xs[p] - cx) / unit, (ys[p] - cy) / unit, share[p] / mean
+            if force[p] + w * (l0 + l1 * u + l2 * v) >= 0.0:
+                h00 += w
+                h01 += w * u
+                h02 += w * v
+                h11 += w * u * u
+                h12 += w * u * v
+                h22 += w * v * v
+        damp = 1e-10 * (h00 + h11 + h22) + 1e-14
+        h00 += damp
+        h11 += damp
+        h22 += damp
+        c00 = h11 * h22 - h12 * h12
+        c01 = h02 * h12 - h01 * h22
+        c02 = h01 * h12 - h02 * h11
+        c11 = h00 * h22 - h02 * h02
+        c12 = h01 * h02 - h00 * h12
+        c22 = h00 * h11 - h01 * h01
+        det = h00 * c00 + h01 * c01 + h02 * c02
+        if det <= 0.0:
+            return False
+        s0 = (c00 * r0 + c01 * r1 + c02 * r2) / det
+        s1 = (c01 * r0 + c11 * r1 + c12 * r2) / det
+        s2 = (c02 * r0 + c12 * r1 + c22 * r2) / det
+        step, better = 1.0, False
+        for _ in range(12):
+            t0, t1, t2 = target[0], target[1], target[2]
+            m0, m1, m2 = l0 + step * s0, l1 + step * s1, l2 + step * s2
+            for p in range(count):
+                u, v = (xs[p] - cx) / unit, (ys[p] - cy) / unit
+                trial[p] = max(0.0, force[p] + share[p] / mean * (m0 + m1 * u + m2 * v))
+                t0 -= trial[p]
+                t1 -= trial[p] * u
+                t2 -= trial[p] * v
+            found = abs(t0) + abs(t1) + abs(t2)
+            if found < size * (1.0 - 1e-3 * step):
+                l0, l1, l2, r0, r1, r2, size = m0, m1, m2, t0, t1, t2, found
+                better = True
+                break
+            step /= 2
+        if not better:
+            return False
+    return False
+
+
+@njit(cache=True)
+def _settle(
+    force,
+    px,
+    py,
+    cx,
+    cy,
+    weight,
+    share,
+    start,
+    upper,
+    lower,
+    placed,
+    dirty,
+    unit,
+    above,
+    above_start,
+    order,
+):
+    """Balance every block that is ``dirty``, from above; True where all could be.
+
+    Args:
+        force: float64[P], changed in place also where it fails.
+        px, py, cx, cy: float64: points and centres, sheared by the load.
+        placed, dirty: bool[n]; blocks that have to answer are added to ``dirty``.
+        above: int64: points that rest on each block, at ``above_start[b]:above_start[b + 1]``.
+        order: int64: all blocks that are in no ring, each before those it rests on.
+    """
+    trial = np.empty(256)
+    target = np.empty(3)
+    # Joints of blocks that are not there carry nothing.
+    live = share.copy()
+    for p in range(len(force)):
+        a = lower[p]
+        if not placed[upper[p]] or (a >= 0 and not placed[a]):
+            force[p] = 0.0
+            live[p] = 0.0
+    left = np.sum(dirty)
+    for b in order:
+        if not dirty[b]:
+            continue
+        left -= 1
+        first, last = start[b], start[b + 1]
+        if last - first > 256:
+            return False
+        target[0], target[1], target[2] = weight[b], 0.0, 0.0
+        for k in range(above_start[b], above_start[b + 1]):
+            p = above[k]
+            if force[p] > 0.0:
+                target[0] += force[p]
+                target[1] += force[p] * (px[p] - cx[b]) / unit
+                target[2] += force[p] * (py[p] - cy[b]) / unit
+        before = force[first:last].copy()
+        if not _answer(
+            force[first:last],
+            px[first:last],
+            py[first:last],
+            live[first:last],
+            target,
+            cx[b],
+            cy[b],
+            unit,
+            target[0],
+            trial[: last - first],
+        ):
+            return False
+        for p in range(first, last):
+            a = lower[p]
+            if a >= 0 and abs(force[p] - before[p - first]) > 1e-12 * target[0] and not dirty[a]:
+                dirty[a] = True
+                left += 1
+        if left == 0:
+            break
+    return left == 0  # else blocks in rings are left
+
+
+# ---------------------------------------------------------------- states
+
+
+class Proof:
+    """Forces that prove a growing stack under one load.
+
+    Args:
+        acceleration: (ax, ay), sideways [g].
+    """
+
+    def __init__(self, stack: Stack, acceleration: tuple[float, float] = (0.0, 0.0)) -> None:
+        self.stack = stack
+        ax, ay = acceleration
+        self.px = stack.point[:, 0] - ax * stack.point[:, 2]
+        self.py = stack.point[:, 1] - ay * stack.point[:, 2]
+        self.cx = stack.centre[:, 0] - ax * stack.centre[:, 2]
+        self.cy = stack.centre[:, 1] - ay * stack.centre[:, 2]
+        self.force = np.zeros(len(stack.point))
+
+    def settle(self, dirty: np.ndarray, placed: np.ndarray) -> bool:
+        """Balance locally what is ``dirty`` (bool[n]) where ``placed`` stands; False: unchanged."""
+        s, before = self.stack, self.force.copy()
+        above, above_start = s.above
+        sound = _settle(
+            self.force,
+            self.px,
+            self.py,
+            self.cx,
+            self.cy,
+            s.weight,
+            s.share,
+            s.start,
+            s.upper,
+            s.lower,
+            placed,
+            dirty.copy(),
+            s.pitch,
+            above,
+            above_start,
+            s.order,
+        )
+        if not sound:
+            self.force = before
+        return bool(sound)
+
+    def program(
+        self, placed: np.ndarray, changing: np.ndarray, seconds: float = INF
+    ) -> bool | None:
+        """Forces under the blocks ``changing`` (bool[n]), all found at once.
+
+        All other blocks keep their forces. Returns whether there are any, None where time ran
+        out; where there are, they are taken.
+        """
+        free, _, program = self._equations(placed, changing)
+        unit = self.stack.weight[changing & placed].max()
+        found = balance(program, self.stack.share[free], self.force[free] / unit)
+        if found is None:
+            answer = solve(program, seconds)
+            if answer.status == "time":
+                return None
+            found = False if answer.x is None else np.maximum(answer.x, 0.0)
+        if isinstance(found, bool):
+            return found
+        self.force[~self._live(placed)] = 0.0
+        self.force[free] = found * unit
+        return True
+
+    def held(self, placed: np.ndarray, seconds: float = INF) -> list[int]:
+        """Blocks that the least forces and moments would hold, were ``placed`` to stand."""
+        free, blocks, program = self._equations(placed, placed)
+        n, m = len(free), len(program.row_lower)
+        rows = np.arange(m)
+        held = Program(
+            np.concatenate([np.zeros(n), np.ones(2 * m)]),
+            np.zeros(n + 2 * m),
+            np.full(n + 2 * m, INF),
+            program.row_lower,
+            program.row_upper,
+            np.concatenate([program.start, program.start[-1] + 1 + np.arange(2 * m)]),
+            np.concatenate([program.index, rows, rows]),
+            np.concatenate([program.value, np.ones(m), -np.ones(m)]),
+        )
+        answer = solve(held, seconds)
+        if answer.x is None:
+            return []
+        force = answer.x[n : n + m] + answer.x[n + m :]
+        return blocks[force.reshape(-1, 3).max(1) > 1e-6].tolist()
+
+    def _live(self, placed: np.ndarray) -> np.ndarray:
+        """bool[P]: points between blocks that are there."""
+        s = self.stack
+        return placed[s.upper] & ((s.lower < 0) | placed[np.maximum(s.lower, 0)])
+
+    def _equations(
+        self, placed: np.ndarray, changing: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, Program]:
+        """Free points, changing blocks, and their balance in units of the heaviest of them."""
+        s, live = self.stack, self._live(placed)
+        free = np.flatnonzero(live & changing[s.upper])
+        blocks = np.flatnonzero(changing & placed)
+        row = np.full(len(s), -1)
+        row[blocks] = np.arange(len(blocks))
+        held = np.flatnonzero(live & ~changing[s.upper] & (s.lower >= 0))
+        held = held[row[s.lower[held]] >= 0]
+        load = np.zeros((len(s), 3))
+        load[:, 0] = s.weight
+        for k, lever in enumerate(self._levers(held, s.lower[held])):
+            np.add.at(load[:, k], s.lower[held], self.force[held] * lever)
+        right = load[blocks].reshape(-1) / s.weight[blocks].max()
+        base = np.maximum(s.lower[free], 0)
+        bears = (s.lower[free] >= 0) & (row[base] >= 0)
+        own = np.stack(self._levers(free, s.upper[free]), 1)
+        other = -np.stack(self._levers(free, base), 1)
+        rows = np.concatenate(
+            [3 * row[s.upper[free], None] + np.arange(3), 3 * row[base, None] + np.arange(3)], 1
+        )
+        values = np.concatenate([own, np.where(bears[:, None], other, 0.0)], 1)
+        keep = values != 0
+        start = np.concatenate([[0], np.cumsum(keep.sum(1))])
+        n = len(free)
+        program = Program(
+            np.zeros(n), np.zeros(n), np.full(n, INF), right, right, start, rows[keep], values[keep]
+        )
+        return free, blocks, program
+
+    def _levers(self, points: np.ndarray, block: np.ndarray) -> tuple[np.ndarray, ...]:
+        """1 and the two lever arms of points about the centres of blocks [pitch]."""
+        unit = self.stack.pitch
+        return (
+            np.ones(len(points)),
+            (self.px[points] - self.cx[block]) / unit,
+            (self.py[points] - self.cy[block]) / unit,
+        )
+
+
+def lies_below(stack: Stack, blocks: Iterable[int], placed: np.ndarray) -> np.ndarray:
+    """bool[n]: ``blocks`` and all placed blocks that carry them."""
+    return _reached(
+        stack, [*blocks], lambda top: [b for b in stack.below(top).tolist() if placed[b]]
+    )
+
+
+def lies_above(stack: Stack, blocks: Iterable[int]) -> np.ndarray:
+    """bool[n]: ``blocks`` and all that rest on them, directly or not."""
+    return _reached(stack, [*blocks], lambda base: stack.tops[base].tolist())
+
+
+def _reached(stack: Stack, queue: list[int], near: Callable[[int], Iterable[int]]) -> np.ndarray:
+    found = np.zeros(len(stack), bool)
+    found[queue] = True
+    for block in queue:
+        for other in near(block):
+            if not found[other]:
+                found[other] = True
+                queue.append(other)
+    return found

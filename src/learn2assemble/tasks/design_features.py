@@ -1,0 +1,314 @@
+"""What the network sees of a candidate: its surroundings cell by cell, the heap, and the whole.
+
+A candidate is described in its own frame: its longer side lies along u, the other along v, and
+what is seen on its four sides is listed side by side (u-, u+, v-, v+), so that a mirrored design
+gives the same numbers in another order. Nothing depends on the size of the design or on the number
+of kinds of the kit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from learn2assemble.planning.tiling.world import World
+
+DEPTH = 5
+"""How far the cells beside a candidate are seen one by one [cells]."""
+_RUN = 9
+"""Longest run of open cells beside a candidate that is counted."""
+SIDE = DEPTH * 6 + _RUN + 4
+"""Numbers for each of the four sides."""
+OWN = 40
+NUM_FEATURES = OWN + 4 * SIDE
+NUM_SUMMARY = 24
+"""Numbers that describe the whole."""
+
+
+def mirrored(features: np.ndarray, u: bool, v: bool) -> np.ndarray:
+    """The features of the candidates of a mirrored design.
+
+    Args:
+        features: float32[m, NUM_FEATURES].
+        u, v: along which axes of a candidate.
+    """
+    sides = features[:, OWN:].reshape(len(features), 4, SIDE)
+    order = [1, 0] if u else [0, 1]
+    order += [3, 2] if v else [2, 3]
+    return np.concatenate([features[:, :OWN], sides[:, order].reshape(len(features), -1)], 1)
+
+
+def describe(world: World, candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Features of candidates, and of the whole.
+
+    Args:
+        candidates: int64[m].
+
+    Returns:
+        float32[m, NUM_FEATURES] and float32[NUM_SUMMARY].
+    """
+    site, found = world.site, world.site.found
+    wanted = site.wanted
+    sizes = np.array([len(kind.cells) for kind in site.kit.kinds])
+    alive = np.flatnonzero(world.alive)
+    places = np.bincount(site.kind[alive], minlength=len(sizes))
+    left = np.where(world.heap < 0, 10_000, world.heap)
+    open_cells = max(world.open, 1)
+    stock = float((left * sizes).sum())
+    limited = float((world.heap >= 0).any())
+    out = np.zeros((len(candidates), NUM_FEATURES), np.float32)
+    open_mask = wanted.reshape(-1) & (world.owner < 0)
+    levels = np.flatnonzero(open_mask.reshape(wanted.shape).any((0, 1)))
+    lowest = int(levels[0]) if len(levels) else wanted.shape[2]
+    last = found.origin[world.placed[-1]] if world.placed else np.full(3, -1)
+    heap = np.stack(
+        [
+            np.full(len(sizes), limited),
+            np.minimum(left, 50) / 10.0,
+            np.minimum(left * sizes / open_cells, 2.0),
+            np.log1p(places) / 5.0,
+            np.minimum(left / np.maximum(places, 1), 2.0),
+            np.full(len(sizes), np.clip((stock - open_cells) / 8, -4, 4)),
+        ],
+        1,
+    )
+    _describe(
+        out,
+        candidates,
+        found.way,
+        site.kind,
+        found.origin,
+        found.start,
+        found.cell,
+        found.support,
+        found.hanging,
+        wanted,
+        world.owner,
+        world.cover,
+        world.alive,
+        site.over_start,
+        site.over,
+        heap,
+        lowest,
+        last,
+    )
+    return out, _summary(world, lowest, limited, stock, sizes, places, open_mask, len(candidates))
+
+
+def _summary(
+    world: World,
+    lowest: int,
+    limited: float,
+    stock: float,
+    sizes: np.ndarray,
+    places: np.ndarray,
+    open_mask: np.ndarray,
+    legal: int,
+) -> np.ndarray:
+    wanted, total = world.site.wanted, max(int(world.site.wanted.sum()), 1)
+    cover = world.cover[open_mask]
+    available = (world.heap != 0) & (places >= 0)
+    out = np.zeros(NUM_SUMMARY, np.float32)
+    out[0] = world.open / total
+    out[1] = np.log1p(total) / 8
+    out[2] = np.log1p(world.open) / 8
+    out[3] = np.log1p(len(world.placed)) / 6
+    out[4] = np.log1p(legal) / 7
+    out[5] = lowest / max(wanted.shape[2], 1)
+    out[6] = limited
+    out[7] = np.clip((stock - world.open) / 8, -4, 4)
+    out[8] = np.log1p((cover == 0).sum())
+    for k in range(1, 5):
+        out[8 + k] = (cover == k).sum() / max(len(cover), 1)
+    out[13] = available.sum() / 10
+    out[14] = sizes[available].max(initial=0) / 16
+    out[15] = float((sizes[available] == 1).any())
+    for k, size in enumerate((1, 2, 3, 4, 5, 6, 8)):
+        out[16 + k] = float((sizes[available] == size).any())
+    return out
+
+
+@njit(cache=True)
+def _describe(
+    out,
+    candidates,
+    way,
+    kind,
+    origin,
+    start,
+    cell,
+    support,
+    hanging,
+    wanted,
+    owner,
+    cover,
+    alive,
+    over_start,
+    over,
+    heap,
+    lowest,
+    last,
+):
+    size_x, size_y, size_z = wanted.shape
+    lost = np.zeros(len(cover), np.int64)
+    seen = np.full(len(alive), -1)
+    touched = np.empty(len(cover), np.int64)
+    for row in range(len(candidates)):
+        c = candidates[row]
+        f = out[row]
+        first, last_cell = start[c], start[c + 1]
+        count = last_cell - first
+        x0, y0, z = origin[c]
+        x1, y1, z1 = x0, y0, z
+        fragile, fewest, reach = 0.0, 1 << 30, 0
+        pieces, hang, above = 0, 0, 0
+        base = -1
+        for j in range(first, last_cell):
+            p = cell[j]
+            pz = p % size_z
+            py = (p // size_z) % size_y
+            px = p // (size_z * size_y)
+            x1, y1, z1 = max(x1, px), max(y1, py), max(z1, pz)
+            fewest = min(fewest, cover[p])
+            fragile += 1.0 / cover[p]
+            if pz > 0:
+                if owner[p - 1] >= 0:
+                    if owner[p - 1] != base:
+                        base = owner[p - 1]
+                        pieces += 1
+                elif not wanted[px, py, pz - 1]:
+                    hang += 1
+            if pz + 1 < size_z and wanted[px, py, pz + 1]:
+                above += 1
+        ex, ey, ez = x1 - x0 + 1, y1 - y0 + 1, z1 - z + 1
+        along_x = ex >= ey
+        long, short = (ex, ey) if along_x else (ey, ex)
+        # Candidates that this one would rule out, and cells that nothing else would fill.
+        touches, stranded, least = 0, 0, 1 << 30
+        for j in range(first, last_cell):
+            p = cell[j]
+            for k in range(over_start[p], over_start[p + 1]):
+                d = over[k]
+                if not alive[d] or seen[d] == row:
+                    continue
+                seen[d] = row
+                for i in range(start[d], start[d + 1]):
+                    q = cell[i]
+                    if lost[q] == 0:
+                        touched[touches] = q
+                        touches += 1
+                    lost[q] += 1
+        for j in range(first, last_cell):
+            lost[cell[j]] = -lost[cell[j]]
+        weak = 0.0
+        for t in range(touches):
+            q = touched[t]
+            if lost[q] > 0:
+                rest = cover[q] - lost[q]
+                least = min(least, rest)
+                weak += 1.0 / (1.0 + rest)
+                reach += 1
+                if rest == 0:
+                    stranded += 1
+            lost[q] = 0
+        # Seams of the layer below: bridged by it, and continued by its own sides.
+        bridged, continued = 0, 0
+        for j in range(first, last_cell):
+            p = cell[j]
+            pz = p % size_z
+            py = (p // size_z) % size_y
+            px = p // (size_z * size_y)
+            if pz == 0 or owner[p - 1] < 0:
+                continue
+            for side in range(4):
+                dx = (side == 1) - (side == 0)
+                dy = (side == 3) - (side == 2)
+                nx, ny = px + dx, py + dy
+                if nx < 0 or ny < 0 or nx >= size_x or ny >= size_y:
+                    continue
+                other = owner[(nx * size_y + ny) * size_z + pz - 1]
+                if other < 0 or other == owner[p - 1]:
+                    continue
+                inside = x0 <= nx <= x1 and y0 <= ny <= y1
+                if inside:
+                    bridged += 1
+                elif wanted[nx, ny, pz]:
+                    continued += 1
+        f[0] = count / 8.0
+        f[1] = long / 8.0
+        f[2] = short / 4.0
+        f[3] = ez / 4.0
+        if long <= 8:
+            f[3 + long] = 1.0  # 4 to 11
+        f[12] = short == 1
+        f[13] = short == 2
+        f[14] = count == long * short * ez
+        f[15] = min(support[c], 2.0)
+        f[16] = hanging[c]
+        f[17] = hang / 4.0
+        f[18] = pieces / 4.0
+        f[19] = bridged / 4.0
+        f[20] = continued / 4.0
+        f[21] = above / count
+        f[22] = fewest == 1
+        f[23] = fewest == 2
+        f[24] = np.log(1.0 + fewest) / 4.0
+        f[25] = fragile / count
+        f[26] = stranded > 0
+        f[27] = min(stranded, 4) / 4.0
+        f[28] = least == 1
+        f[29] = np.log(1.0 + min(least, 200)) / 4.0
+        f[30] = weak / max(reach, 1)
+        f[31] = min(z - lowest, 8) / 4.0
+        f[32] = z == lowest
+        for k in range(6):
+            f[33 + k] = heap[kind[c], k]
+        if last[0] >= 0:
+            near = abs(origin[c, 0] - last[0]) + abs(origin[c, 1] - last[1])
+            f[39] = min(near + 2 * abs(z - last[2]), 20) / 10.0
+        for side in range(4):
+            # u-, u+, v-, v+ in the frame of the candidate.
+            along_u = side < 2
+            forward = side % 2 == 1
+            in_x = along_u == along_x
+            breadth = ey if in_x else ex
+            at = OWN + side * SIDE
+            run, ended = _RUN - 1, 0
+            running = True
+            for depth in range(1, _RUN + 1):
+                if not running and depth > DEPTH:
+                    break
+                open_, filled, bare, up, thin, on = 0, 0, 0, 0, 0.0, 0
+                for b in range(breadth):
+                    if in_x:
+                        nx, ny = (x1 + depth if forward else x0 - depth), y0 + b
+                    else:
+                        nx, ny = x0 + b, (y1 + depth if forward else y0 - depth)
+                    if nx < 0 or ny < 0 or nx >= size_x or ny >= size_y:
+                        continue
+                    q = (nx * size_y + ny) * size_z + z
+                    if owner[q] >= 0:
+                        filled += 1
+                    elif wanted[nx, ny, z]:
+                        open_ += 1
+                        thin += 1.0 / max(cover[q], 1)
+                        if z > 0 and not wanted[nx, ny, z - 1]:
+                            bare += 1
+                    if z > 0 and owner[q - 1] >= 0:
+                        on += 1
+                    if z + 1 < size_z and wanted[nx, ny, z + 1]:
+                        up += 1
+                if depth <= DEPTH:
+                    k = at + 6 * (depth - 1)
+                    f[k] = open_ / breadth
+                    f[k + 1] = filled / breadth
+                    f[k + 2] = bare / breadth
+                    f[k + 3] = up / breadth
+                    f[k + 4] = thin / breadth
+                    f[k + 5] = on / breadth
+                if running and open_ < breadth:
+                    running = False
+                    run = depth - 1
+                    ended = 1 if filled == breadth else (2 if open_ + filled == 0 else 3)
+            f[at + 6 * DEPTH + run] = 1.0
+            f[at + 6 * DEPTH + _RUN + ended] = 1.0

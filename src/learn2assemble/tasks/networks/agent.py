@@ -1,0 +1,208 @@
+"""Trained agents: a Q-network, and what it was trained for.
+
+An agent is two files: ``NAME.safetensors`` (weights) and ``NAME.json`` (architecture, task,
+training configuration, counters). The package carries those that most tasks need by default, in
+``pretrained/``; a checkout finds all the others by name in its folder ``agents/``.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import json
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from learn2assemble.errors import InputError, extra, look_up
+from learn2assemble.files import as_path, check_exists, mapping, read_json, replacing, write_file
+from learn2assemble.tasks.networks.config import NETWORKS, NetworkConfig
+from learn2assemble.tasks.networks.placement import PlacementNetwork, PlacementValues
+from learn2assemble.tasks.networks.qnetwork import QFactors, QNetwork
+
+with extra("torch", "learn"):
+    import torch
+with extra("safetensors", "learn"):
+    from safetensors import SafetensorError
+    from safetensors.torch import load_file, save_file  # pyright: ignore[reportUnknownVariableType]
+
+Network = QNetwork | PlacementNetwork
+Values = QFactors | PlacementValues
+
+
+def make_network(config: NetworkConfig) -> Network:
+    """An untrained network of the kind that the configuration names."""
+    return NETWORKS[config.encoder].make(config)
+
+
+def fitted(network: Network, pitch: float, sight: int) -> Network:
+    """The network for blocks at another distance [m] and another sight; weights are shared.
+
+    What it has learned in block edges may hold on another lattice, too.
+    """
+    config = dataclasses.replace(network.config, pitch=pitch, sight=sight)
+    if network.config == config:
+        return network
+    other = copy.copy(network)
+    other.config = config
+    return other
+
+
+@contextmanager
+def one_thread() -> Generator[None, None, None]:
+    """Small batches lose more by sharing them among threads than they gain."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+FORMAT = "learn2assemble-agent"
+PRETRAINED = Path(__file__).parents[2] / "pretrained"
+REPOSITORY = Path(__file__).parents[4] / "agents"
+"""Where a checkout holds the agents that are not installed with the package."""
+
+
+@dataclass(frozen=True)
+class Agent:
+    """A Q-network with its origin."""
+
+    name: str
+    network: Network
+    task: str
+    """Name of the task it was trained on."""
+    origin: dict[str, Any] = field(default_factory=dict[str, Any])
+    """Training configuration, seed, samples, gradient steps, seconds, commit, hardware."""
+
+
+def agent_files() -> dict[str, Path]:
+    """Name and weights of the agents there are by name: those of the package, and of a checkout
+    all others."""
+    files = [f for folder in (REPOSITORY, PRETRAINED) for f in folder.glob("*.safetensors")]
+    return {f.stem: f for f in sorted(files, key=lambda f: f.stem) if _info_file(f).is_file()}
+
+
+def agent_info(name: str) -> dict[str, Any]:
+    """The JSON part of an agent by name.
+
+    Raises:
+        UnknownNameError: for a name there is no agent of.
+    """
+    return json.loads(_info_file(_named(name)).read_text(encoding="utf-8"))
+
+
+def _named(name: str) -> Path:
+    """Weights of the agent called ``name``."""
+    files = agent_files()
+    if name in files or REPOSITORY.is_dir():
+        return look_up("agent", name, files)
+    known = ", ".join(files) or "none"
+    raise InputError(
+        "agent",
+        name,
+        f"one of {known}; all others lie in the folder agents of the source "
+        "repository: give the path of the .safetensors file",
+    )
+
+
+def _info_file(weights: Path) -> Path:
+    return weights.with_suffix(".json")
+
+
+DEFAULTS = {
+    "robot-four": "relational-four-sided-s0",
+    "robot-one": "robot-one-sided-s0",
+    "robot-objects": "relational-robot-objects-s0",
+    "robot": "relational-two-sided-s0",
+    "objects": "relational-objects-s0",
+    "bars": "relational-bars-s0",
+    "other-bars": "relational-bars-s0",
+    "": "relational-cubes-s0",
+}
+"""Our agent for tasks by how their names begin: what is built with."""
+
+
+def default_agent(task: str) -> str:
+    """Our agent for tasks like ``task``, else one trained on it.
+
+    Raises:
+        InputError: where there is neither.
+    """
+    wanted = next(name for start, name in DEFAULTS.items() if task.startswith(start))
+    names = agent_files()
+    trained = (name for name in names if agent_info(name)["task"] == task)
+    return wanted if wanted in names else next(trained, None) or _named(wanted).stem
+
+
+def write_tensors(
+    path: Path, tensors: dict[str, torch.Tensor], what: str, metadata: dict[str, str] | None = None
+) -> None:
+    """Write tensors to a file all or nothing.
+
+    Args:
+        what: the thing that is written, for messages.
+        metadata: words beside the tensors.
+
+    Raises:
+        InputError: where it cannot be written, saying why.
+    """
+    try:
+        with replacing(path, what) as part:
+            save_file(tensors, part, metadata)
+    except SafetensorError as error:
+        reason = " ".join(str(error).split())
+        raise InputError(what, str(path), f"a place that can be written ({reason})") from None
+
+
+def save_agent(agent: Agent, folder: Path) -> Path:
+    """Write both files into ``folder``; returns the path of the weights."""
+    weights = folder / f"{agent.name}.safetensors"
+    info = {
+        "format": FORMAT,
+        "version": 1,
+        "name": agent.name,
+        "task": agent.task,
+        "network": dataclasses.asdict(agent.network.config),
+        "origin": agent.origin,
+    }
+    tensors = {k: v.detach().cpu().contiguous() for k, v in agent.network.state_dict().items()}
+    write_tensors(weights, tensors, "agent")
+    write_file(weights.with_suffix(".json"), json.dumps(info, indent=1) + "\n", "agent")
+    return weights
+
+
+def load_agent(name_or_path: str | Path, device: torch.device | str = "cpu") -> Agent:
+    """An agent by name, or one from a ``.safetensors`` file or a run folder.
+
+    Raises:
+        UnknownNameError: for a name that is neither an agent's nor a path.
+        InputError: for files that are damaged or do not belong together.
+    """
+    path = as_path(name_or_path, "agent")
+    if path.is_dir():
+        path = path / "agent.safetensors"
+    if path.suffix != ".safetensors":
+        if len(path.parts) > 1:  # No agent's name: a file or folder that is misspelt.
+            check_exists(path, "file or folder of an agent")
+        path = _named(str(name_or_path))
+    for file in (path, _info_file(path)):
+        check_exists(file, "file of an agent")
+    try:
+        info = mapping(read_json(_info_file(path), "agent")[0], "agent")
+        if info["format"] != FORMAT:
+            raise ValueError(f"format {info['format']!r}")
+        network = make_network(NetworkConfig(**info["network"]))
+        weights = load_file(path)
+        for key, value in weights.items():
+            if not value.isfinite().all():
+                raise ValueError(f"{key} holds numbers that are not finite")
+        network.load_state_dict(weights)
+        name, task, origin = info["name"], info["task"], info.get("origin", {})
+    except (SafetensorError, OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError("agent", str(path), f"a trained agent ({reason[:120]})") from None
+    return Agent(name, network.to(device).eval(), task, origin)

@@ -1,0 +1,265 @@
+"""The transition of a task: reset, step, snapshot and observation of many worlds at once.
+
+One step is `placement -> rules -> physics -> coverage -> reward -> state`. Everything above
+(environments, search, learning, evaluation) uses this class and nothing below it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from learn2assemble.errors import Learn2AssembleError
+from learn2assemble.tasks.checkers import resolve_checker
+from learn2assemble.tasks.graph.features import Graph, build_graph, node_offset
+from learn2assemble.tasks.graph.placements import Placements
+from learn2assemble.tasks.physics.protocol import Physics
+from learn2assemble.tasks.physics.static import survey, survey_objects
+from learn2assemble.tasks.physics.support import STABLE
+from learn2assemble.tasks.task import MAX_VERTICES, Task, get_task
+from learn2assemble.tasks.world.blocks import inventory
+from learn2assemble.tasks.world.coverage import FILTERS
+from learn2assemble.tasks.world.layouts import Problems, sample_problem, side_frames, waiting_places
+from learn2assemble.tasks.world.outcomes import Outcomes, outcomes
+from learn2assemble.tasks.world.rules import (
+    REWARDS,
+    count_row,
+    cover_block,
+    last_object,
+    move_block,
+    move_cell,
+    recover_all,
+    reward_and_end,
+    target_cell,
+    waiting_level,
+)
+from learn2assemble.tasks.world.state import State, empty_state
+
+
+class Transition(NamedTuple):
+    """What one step did; arrays over the batch. Rows that had already ended report zeros."""
+
+    reward: np.ndarray
+    """float64[B]."""
+    terminated: np.ndarray
+    """bool[B]."""
+    success: np.ndarray
+    """bool[B]: the target is filled and everything stands."""
+    verdict: np.ndarray
+    """int8[B] of `physics.protocol.Verdict`."""
+
+
+@njit(cache=True)
+def _propose_cubes(state, actions, rotations, pitch, active, previous):
+    # Apart from _propose, as a choice inside the loop would double its cost.
+    for row in range(len(actions)):
+        previous[row] = state.plane_pixels[row]
+        if active[row]:
+            reference, relation = actions[row, 1], actions[row, 2] // rotations
+            x, y, z = target_cell(state, row, reference, relation, pitch)
+            source = state.num_placed[row] + actions[row, 0]
+            move_cell(state, row, source, reference, x, y, z)
+
+
+@njit(cache=True)
+def _propose(state, actions, spec, active, previous):
+    for row in range(len(actions)):
+        previous[row] = state.plane_pixels[row]
+        if active[row]:
+            unplaced, reference = actions[row, 0], actions[row, 1]
+            relation, way = divmod(actions[row, 2], len(spec.turns))
+            x, y, z = target_cell(state, row, reference, relation, spec.pitch)
+            if spec.level:
+                z += waiting_level(state.position[row, state.num_placed[row] + unplaced, 2])
+            move_block(state, row, unplaced, reference, x, y, z, spec.turns[way], spec.pitch)
+
+
+@njit(cache=True)
+def _score(
+    state,
+    rows,
+    verdict,
+    frames,
+    depths,
+    previous,
+    recompute,
+    kind,
+    threshold,
+    reward,
+    ended,
+    success,
+):
+    for n in range(len(rows)):
+        row = rows[n]
+        if recompute:
+            recover_all(state, row, frames, depths)
+        else:
+            for block in range(last_object(state, row), state.num_placed[row]):
+                cover_block(state, row, frames, block, depths)
+        count_row(state, row)
+        reward[row], ended[row], success[row] = reward_and_end(
+            state, row, previous[row], verdict[n] == 0, kind, threshold
+        )
+        state.terminated[row] = ended[row]
+
+
+@njit(cache=True)
+def _reset_rows(state, rows, rng, frames, stock, waiting, problems):
+    draws = 0
+    for n in range(len(rows)):
+        d = sample_problem(state, rows[n], rng, frames, stock, waiting, problems)
+        if d == 0:
+            return -1
+        draws += d
+    return draws
+
+
+class Simulator:
+    """Steps a batch of worlds of one task under one physics.
+
+    Args:
+        task: the problem distribution, or its name.
+        physics: the check of placements, or its name, see :mod:`learn2assemble.tasks.checkers`;
+        static
+            equilibrium by default, and the kinematic cell where the task has an arm.
+
+    Raises:
+        UnknownNameError, InputError: see :func:`resolve_checker`.
+    """
+
+    def __init__(self, task: str | Task, physics: str | Physics | None = None) -> None:
+        self.task = task = get_task(task)
+        self.physics: Physics = resolve_checker(physics, task)
+        self.frames = side_frames(task.num_sides, task.pitch, task.aisle)
+        self.depths = FILTERS[task.cover_filter]
+        self.action_spec = task.action_spec
+        self._stock = inventory(task.objects)
+        self._waiting = waiting_places(task.layout, task.max_blocks)
+        self._problems = Problems(
+            task.grid,
+            task.num_nodes,
+            task.min_mask_pixels,
+            task.max_initial_cover,
+            task.unseen_shapes_only,
+            task.pitch,
+            self.depths,
+            task.normalise_initial,
+        )
+
+    def empty(self, batch: int) -> State:
+        """A state for ``batch`` worlds; reset its rows before use."""
+        return empty_state(batch, self.task.num_sides, MAX_VERTICES, self.task.max_blocks)
+
+    def reset(self, state: State, rows: np.ndarray, rng: np.random.Generator) -> int:
+        """Draw fresh problems into ``rows`` (int64[R]); returns the number of draws it took.
+
+        Raises:
+            Learn2AssembleError: where no acceptable problem is found in 100,000 draws.
+        """
+        if not len(rows):
+            return 0
+        draws = _reset_rows(
+            state,
+            np.asarray(rows, np.int64),
+            rng,
+            self.frames,
+            self._stock,
+            self._waiting,
+            self._problems,
+        )
+        if draws < 0:
+            name = self.task.name
+            raise Learn2AssembleError(f"task {name}: no acceptable target in 100,000 draws")
+        return int(draws)
+
+    def new(self, batch: int, rng: np.random.Generator) -> State:
+        """A state of ``batch`` fresh problems."""
+        state = self.empty(batch)
+        self.reset(state, np.arange(batch), rng)
+        return state
+
+    def step(self, state: State, actions: np.ndarray) -> Transition:
+        """Place one object in every row, in place; rows that have ended are left alone.
+
+        Args:
+            actions: int64[B, 3]: number of the unplaced block, number of the placed reference
+                block (both counted within their group), relative action. They must be legal.
+        """
+        batch = state.batch_size
+        active = ~state.terminated
+        rows = np.flatnonzero(active)
+        previous = np.empty(batch, np.int64)
+        self.physics.prepare(state, rows, actions)
+        if self.task.objects == "cubes":
+            _propose_cubes(state, actions, self.task.rotations, self.task.pitch, active, previous)
+        else:
+            _propose(state, actions, self.action_spec, active, previous)
+        verdict = self.physics.settle(state, rows)
+        reward, ended = np.zeros(batch), np.zeros(batch, np.bool_)
+        success, verdicts = np.zeros(batch, np.bool_), np.zeros(batch, np.int8)
+        verdicts[rows] = verdict
+        _score(
+            state,
+            rows,
+            verdict,
+            self.frames,
+            self.depths,
+            previous,
+            self.physics.moves_blocks,
+            REWARDS[self.task.reward],
+            self.task.success_threshold,
+            reward,
+            ended,
+            success,
+        )
+        return Transition(reward, ended, success, verdicts)
+
+    def random_actions(self, state: State, rng: np.random.Generator) -> np.ndarray:
+        """A uniform legal action for every row: int64[B, 3]."""
+        kinds = np.full(state.batch_size, self.task.num_actions)
+        counts = np.stack([state.num_unplaced, state.num_placed, kinds], -1)
+        return (rng.random(counts.shape) * counts).astype(np.int64)
+
+    def observe(self, state: State) -> Graph:
+        """The graph of every row."""
+        return build_graph(state, self.frames, self.task.num_nodes)
+
+    def outcomes(
+        self, state: State, graph: Graph, placements: Placements, without_arm: bool = False
+    ) -> Outcomes:
+        """What every placement of ``placements``, those of ``graph``, would bring to ``state``.
+
+        By static physics; see :class:`Outcomes`. Whether an arm could do it takes an attempt, so
+        with an arm what is valid otherwise is left undecided, unless ``without_arm``. A help the
+        paper's agent does not have.
+        """
+        actions = (placements.action - node_offset(graph)[:, None]) * placements.used[..., None]
+        found = outcomes(
+            state,
+            actions,
+            placements.count,
+            self.action_spec,
+            self.frames,
+            self.task.reward,
+            self.task.success_threshold,
+            self.depths,
+        )
+        if self.task.has_arm and not without_arm:
+            undecided = found.valid.copy()
+            for field in found:
+                field[undecided] = 0
+        return found
+
+    def physics_mask(self, state: State) -> np.ndarray:
+        """Which placements are free and stable by static physics.
+
+        bool[B, M, 5] over (reference, relation) for cubes; for objects of several cells, which
+        differ, bool[B, M, M, Na] over (unplaced block, reference, action).
+        A help the paper's agent does not have; never applied silently.
+        """
+        if self.task.objects == "cubes":
+            stable = survey(state, self.task.pitch) == STABLE
+            return np.repeat(stable, self.task.rotations, -1)
+        return survey_objects(state, self.action_spec) == STABLE

@@ -1,0 +1,1 @@
+"""The block world: sides, targets, waiting layouts, state, placements and rewards."""
