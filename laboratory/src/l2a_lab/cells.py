@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from l2a_lab.bounds import best_returns, has_bound
-from l2a_lab.builder.network import Builder, builder_files
+from l2a_lab.builder.network import builder_files
 from l2a_lab.tables import FARTHER, LOOK_AHEAD, MENDED, RANDOM, Row, Table
 from learn2assemble.errors import InputError, extra
 from learn2assemble.files import check_exists, from_plain, write_file
@@ -35,7 +35,7 @@ from learn2assemble.tasks.evaluation.episodes import (
     random_policy,
 )
 from learn2assemble.tasks.learning.run import provenance
-from learn2assemble.tasks.networks.agent import agent_files, one_thread
+from learn2assemble.tasks.networks.agent import Agent, agent_files, one_thread
 from learn2assemble.tasks.networks.config import NetworkConfig
 from learn2assemble.tasks.networks.placement import PlacementNetwork
 from learn2assemble.tasks.networks.qnetwork import QNetwork
@@ -185,7 +185,7 @@ def make_cell_policy(cell: Cell, agent_file: str | None) -> Policy:
     if cell.agent:
         assert agent_file is not None
         player = load_player(agent_file)
-        network = player if isinstance(player, Builder) else player.network.eval()
+        network = player.network.eval() if isinstance(player, Agent) else player
     else:
         # Its values are never asked for: without a prior and with rollouts to the end.
         task = cell.task

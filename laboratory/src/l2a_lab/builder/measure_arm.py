@@ -118,7 +118,7 @@ def _built(design: Solved, workcell: Workcell, builder: str) -> dict[str, Any]:
             _cells(design.site.wanted, design.kit),
             kit,
             planner="agent",
-            builder=builder,
+            agent=builder,
             hand=hand,
             seconds=INF,
         )

@@ -37,7 +37,7 @@ def plan_cells(
     seconds: float = 60.0,
     progress: Callable[[str], None] = lambda text: None,
     planner: str = EXACT,
-    agent: str | None = None,
+    agent: object = None,
     seed: int = 0,
     hand: Any = None,
 ) -> Plan:
@@ -54,7 +54,7 @@ def plan_cells(
         seconds: wall-clock limit of planning and proof.
         progress: told what is being done.
         planner: by name, see :data:`~.planners.PLANNERS`.
-        agent: of a planner that has some, by name or file.
+        agent: of a planner that has some, itself or its name or file.
         seed: of its search.
         hand: an arm that makes the placements, for a planner that asks it.
 
@@ -69,7 +69,7 @@ def plan_cells(
     if not isinstance(kit, Kit):
         kit = load_kit(kit or design.kit or DEFAULT_KIT).at_pitch(design.cell)
     progress("choosing blocks and proving their order")
-    tiling, ordering, search, agent = PLANNERS[planner].choose(
+    tiling, ordering, search, played = PLANNERS[planner].choose(
         design.wanted,
         kit,
         seconds=max(seconds - (time.perf_counter() - started), 1.0),
@@ -92,7 +92,7 @@ def plan_cells(
         ordering,
         seconds=time.perf_counter() - started,
         planner=planner,
-        agent=agent,
+        agent=played,
         search=search,
     )
 

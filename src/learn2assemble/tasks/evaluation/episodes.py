@@ -44,7 +44,8 @@ DISCOUNTS = (0.8, 0.95)
 class Player(Protocol):
     """What is no agent of the paper and plays tasks all the same."""
 
-    name: str
+    @property
+    def name(self) -> str: ...
 
     def world_model(self, simulator: Simulator) -> WorldModel:
         """The model that a search or a greedy policy asks.
@@ -405,7 +406,7 @@ def evaluate(
         agent = default_agent(task.name)
     if isinstance(agent, str | Path):
         agent = load_player(agent)
-    if not isinstance(agent, Agent | Player):
+    if not isinstance(agent, Agent | Player):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise InputError("agent", agent, "an agent, its name or its file")
     with one_thread():
         player = agent.network if isinstance(agent, Agent) else agent
