@@ -511,6 +511,11 @@ BAD = [
         ["train", TASK, "--out", "{d}/new", "--minutes", "-1"],
         "a number from 0.001",
     ),
+    BadCall(
+        "no hand that holds",
+        ["build", "{d}/design.json", "--out", "{d}/new", "--holds", "0"],
+        "a whole number from 1",
+    ),
     BadCall("no samples", train("--samples", "0"), "a whole number from 1"),
     BadCall("a word as samples", train("--samples", "many"), "a whole number from 1"),
     BadCall("unknown device", train("--device", "gpu"), "auto, cpu or cuda"),

@@ -580,3 +580,13 @@ def test_meshes_that_share_an_edge_in_one_file_are_refused(tmp_path: Path) -> No
     trimesh.util.concatenate([a, b]).export(tmp_path / "both.stl")
     with pytest.raises(InputError, match="share edges"):
         read_assembly(tmp_path / "both.stl")
+
+
+def test_far_too_many_blocks_are_refused_before_they_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "many.json"
+    file.write_text('{"blocks": [' + ", ".join(['{"vertices": []}'] * 100_000) + "]}")
+    monkeypatch.setattr("learn2assemble.assembly.files.load_json", None)
+    with pytest.raises(InputError, match="got 100000, expected 1 to 10000 blocks"):
+        read_assembly(file)

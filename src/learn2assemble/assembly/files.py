@@ -182,6 +182,8 @@ def from_json(document: Any, source: str = "assembly") -> Assembly:
 
 
 def _read_json(content: bytes, path: Path, source: str, unit: float) -> Assembly:
+    # Every block has vertices: far too many are refused before they are read.
+    check_count(max(content.count(b'"vertices"'), 1), source)
     document = mapping(load_json(decoded(content, source), source, FORMAT), source)
     if "dtype" in document:
         assembly = from_compas(document, source, unit)

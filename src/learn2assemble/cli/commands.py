@@ -122,7 +122,7 @@ _BUILD = (
         ),
         arg(
             "--holds",
-            type=natural,
+            type=count,
             default=0,
             metavar="K",
             help="of given blocks, how many a hand may hold while the next one comes (0)",
