@@ -11,7 +11,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from learn2assemble.assembly.blocks import Assembly, box_block
-from learn2assemble.assembly.blocks import Step as Placed
+from learn2assemble.assembly.blocks import AssemblyStep as Placed
 from learn2assemble.motion.record import RATE, BuildRecord, BuildRecorder, Stage, upright
 from learn2assemble.planning import plan as plans
 from learn2assemble.planning.plan import Plan

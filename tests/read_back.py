@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 import learn2assemble as l2a
-from learn2assemble.assembly.blocks import Assembly, Block, Step
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block
 from learn2assemble.assembly.instructions import corners_at, instructions
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.export.cards import step_cards
@@ -50,7 +50,7 @@ def arch(count: int = 9, inner: float = 0.2, outer: float = 0.27) -> Assembly:
         flat = [(r * np.cos(t), r * np.sin(t)) for r, t in polar]
         points = np.array([(x, y, z) for y in (0.0, 0.1) for x, z in flat]) @ quarter.T
         blocks.append(Block(f"v{k}", points, faces))
-    steps = tuple(Step(block.id) for block in blocks)
+    steps = tuple(AssemblyStep(block.id) for block in blocks)
     return Assembly(tuple(blocks), steps, name="Arch")
 
 

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from learn2assemble.assembly.blocks import (
     Assembly,
+    AssemblyStep,
     Block,
-    Step,
     box_block,
     check_simple,
     convex_parts,
@@ -137,9 +137,9 @@ def test_what_is_no_assembly_is_refused() -> None:
     for blocks, steps, friction in (
         ((), (), 0.5),
         ((a, a), (), 0.5),
-        ((a, b), (Step("c"),), 0.5),
-        ((a, b), (Step("a"), Step("a")), 0.5),
-        ((a, b), (Step(remove="a"),), 0.5),
+        ((a, b), (AssemblyStep("c"),), 0.5),
+        ((a, b), (AssemblyStep("a"), AssemblyStep("a")), 0.5),
+        ((a, b), (AssemblyStep(remove="a"),), 0.5),
         ((a, b), (), -0.1),
         ((a, b), (), float("nan")),
         ((a, box_block("speck", (2, 0, 0), (2.00001, 1e-5, 1e-5))), (), 0.5),
@@ -147,14 +147,14 @@ def test_what_is_no_assembly_is_refused() -> None:
         with pytest.raises(InputError):
             Assembly(blocks, steps, friction)
     with pytest.raises(InputError):
-        Step()
+        AssemblyStep()
     with pytest.raises(InputError, match="lower < upper"):
         box_block("a", (0, 0, 0), (1, 0, 1))
 
 
 def test_removed_props_are_not_in_what_is_finished() -> None:
     a, prop = box_block("a", (0, 0, 0), (1, 1, 1)), box_block("p", (2, 0, 0), (3, 1, 1), prop=True)
-    steps = (Step("p"), Step("a"), Step(remove="p"))
+    steps = (AssemblyStep("p"), AssemblyStep("a"), AssemblyStep(remove="p"))
     assert [b.id for b in Assembly((a, prop), steps).finished.blocks] == ["a"]
     assert [b.id for b in Assembly((a, prop), steps[:2]).finished.blocks] == ["a", "p"]
     assert [b.id for b in Assembly((a, prop)).finished.blocks] == ["a"]
@@ -322,7 +322,12 @@ def test_surfaces_that_cross_themselves_are_refused() -> None:
 def example() -> Assembly:
     base = box_block("base", (0, 0, 0), (2, 2, 1), kind="2x2", support=True)
     prop = box_block("prop", (0, 0, 1), (0.5, 0.5, 2), prop=True, density=500.0)
-    steps = (Step("base"), Step("prop"), Step("t"), Step(remove="prop"))
+    steps = (
+        AssemblyStep("base"),
+        AssemblyStep("prop"),
+        AssemblyStep("t"),
+        AssemblyStep(remove="prop"),
+    )
     top = replace(tetrahedron(), vertices=tetrahedron().vertices + 1.0)
     return Assembly((base, prop, top), steps, 0.7, "example")
 
@@ -368,7 +373,9 @@ def tower() -> Assembly:
     """Two blocks on the plane z = 0, and one on both, without a support."""
     blocks = [box_block(f"{k}", (k, 0, 0), (k + 1, 1, 1)) for k in range(2)]
     top = box_block("top", (0.25, 0, 1), (1.75, 1, 2))
-    return Assembly((top, *blocks), (Step("1"), Step("0"), Step("top")), 0.6, "tower")
+    return Assembly(
+        (top, *blocks), (AssemblyStep("1"), AssemblyStep("0"), AssemblyStep("top")), 0.6, "tower"
+    )
 
 
 def test_compas_has_order_ground_and_interfaces(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import pytest
 import learn2assemble as l2a
 from headless import SPATIAL, browse, find_browser
 from learn2assemble.assembly.appearance import PALETTE
-from learn2assemble.assembly.blocks import Assembly, Step, box_block
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, box_block
 from learn2assemble.assembly.compas import from_compas, to_compas
 from learn2assemble.assembly.files import from_json, to_json
 from learn2assemble.assembly.instructions import instructions
@@ -123,7 +123,7 @@ def test_what_is_not_built_is_not_in_the_picture_and_keeps_its_colour() -> None:
         box_block(name, (0.1 * k, 0, 0), (0.1 * k + 0.05, 0.05, 0.05), kind=name)
         for k, name in enumerate(("left out", "built"))
     ]
-    made = Assembly(tuple(blocks), (Step("built"),)).as_far_as_placed()
+    made = Assembly(tuple(blocks), (AssemblyStep("built"),)).as_far_as_placed()
     assert _standing(made, 0).tolist() == [False, False]
     assert _standing(made, 1).tolist() == [False, True]
     assert instructions(made).placements[0].shape.colour == PALETTE[1]

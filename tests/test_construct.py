@@ -14,7 +14,7 @@ import pytest
 import learn2assemble as l2a
 from headless import SPATIAL, pixels, shoot
 from l2a_lab import shapes
-from learn2assemble.assembly.blocks import Assembly, Step, box_block
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, box_block
 from learn2assemble.assembly.compas import write_compas
 from learn2assemble.assembly.kit import Kind, Kit, load_kit
 from learn2assemble.cli import main
@@ -280,7 +280,7 @@ def test_props_come_before_tight_joints() -> None:
     assert "tight joints" in proofs[False]
 
 
-def bridge(*steps: Step) -> Assembly:
+def bridge(*steps: AssemblyStep) -> Assembly:
     return Assembly(
         (
             box_block("lintel", (0, 0, 1), (3, 1, 2)),
@@ -301,7 +301,11 @@ def test_given_blocks_get_an_order_from_below() -> None:
 
 
 def test_a_given_order_is_kept_and_its_first_falling_state_named() -> None:
-    plan = plan_assembly(bridge(Step(place="left"), Step(place="lintel"), Step(place="right")))
+    plan = plan_assembly(
+        bridge(
+            AssemblyStep(place="left"), AssemblyStep(place="lintel"), AssemblyStep(place="right")
+        )
+    )
     assert not plan.complete
     assert plan.reason is not None
     assert "lintel" in plan.reason

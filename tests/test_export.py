@@ -18,7 +18,7 @@ import pytest
 import trimesh
 
 from l2a_lab import creep, shapes
-from learn2assemble.assembly.blocks import Assembly, Step, box_block
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, box_block
 from learn2assemble.assembly.files import read_assembly
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.errors import InputError, UnknownNameError
@@ -38,8 +38,8 @@ def bridge() -> Assembly:
         box_block("prop", (0.05, 0, 0), (0.1, 0.05, 0.05), kind="1x1", prop=True),
         box_block("lintel", (0, 0, 0.05), (0.15, 0.05, 0.1), kind="1x3"),
     )
-    steps = [Step(place=id_) for id_ in ("left", "right", "prop", "lintel")]
-    return Assembly(blocks, (*steps, Step(remove="prop")), name="Bridge <1>")
+    steps = [AssemblyStep(place=id_) for id_ in ("left", "right", "prop", "lintel")]
+    return Assembly(blocks, (*steps, AssemblyStep(remove="prop")), name="Bridge <1>")
 
 
 def test_bill_counts_blocks_and_props(bridge: Assembly) -> None:
@@ -80,7 +80,7 @@ def test_colours_and_the_name_are_kept_in_the_file(bridge: Assembly, tmp_path: P
 
 
 def test_a_prop_used_twice_is_billed_once(bridge: Assembly) -> None:
-    again = (*bridge.steps, Step(place="prop"), Step(remove="prop"))
+    again = (*bridge.steps, AssemblyStep(place="prop"), AssemblyStep(remove="prop"))
     rows = bill_of_blocks(Assembly(bridge.blocks, again)).splitlines()
     assert rows[1].startswith("1x1,,1,1,2,")
 
@@ -88,7 +88,7 @@ def test_a_prop_used_twice_is_billed_once(bridge: Assembly) -> None:
 def test_the_bill_of_an_incomplete_plan_says_what_is_not_placed(bridge: Assembly) -> None:
     blocks = tuple(replace(block, colour=None) for block in bridge.blocks)
 
-    def told(steps: tuple[Step, ...]) -> dict[str, tuple[str, str, str]]:
+    def told(steps: tuple[AssemblyStep, ...]) -> dict[str, tuple[str, str, str]]:
         text = bill_of_blocks(Assembly(blocks, steps))
         rows = csv.DictReader(io.StringIO(text))
         return {r["kind"]: (r["built_in"], r["placed"], r["not_placed"]) for r in rows}

@@ -18,7 +18,7 @@ from learn2assemble.cli import main
 from learn2assemble.design.goals import Goals, parse_goals, read_goals
 from learn2assemble.errors import InputError
 from learn2assemble.planning.goals.planner import EXACT, SEARCH, WAYS, plan_goals, prepare
-from learn2assemble.planning.goals.program import Exact, find_order, plan_program
+from learn2assemble.planning.goals.program import ProgramResult, find_order, plan_program
 from learn2assemble.planning.goals.search import Found, finished, search
 from learn2assemble.planning.goals.stacks import find_stacks
 from learn2assemble.planning.goals.world import make_problem
@@ -395,7 +395,9 @@ def test_goals_for_which_nothing_is_found_end_in_exit_code_1(
 ):
     planner = "learn2assemble.planning.goals.planner"
     monkeypatch.setattr(f"{planner}.search", lambda problem, **given: Found((), 1, 0.0))
-    monkeypatch.setattr(f"{planner}.plan_program", lambda problem, seconds: Exact("time", (), 1, 0))
+    monkeypatch.setattr(
+        f"{planner}.plan_program", lambda problem, seconds: ProgramResult("time", (), 1, 0)
+    )
     monkeypatch.setattr(f"{planner}.find_stacks", lambda problem, seconds: ())
     file = tmp_path / "goals.json"
     file.write_text(json.dumps(GOOD))

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from headless import SPATIAL, find_browser, pixels, shoot
-from learn2assemble.assembly.blocks import Assembly, Block, Step, box_block
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, box_block
 from learn2assemble.assembly.compas import from_compas, to_compas
 from learn2assemble.assembly.cuts import cut_of
 from learn2assemble.assembly.files import read_assembly
@@ -116,7 +116,7 @@ def test_the_page_tells_the_scripts_when_blocks_are_held(folders: dict[str, Path
 
 def test_a_block_that_is_never_let_go_is_held_to_the_end() -> None:
     blocks = (box_block("a", (0, 0, 0), (1, 1, 1)), box_block("b", (0, 0, 1), (1, 1, 2)))
-    assembly = Assembly(blocks, (Step("a"), Step(hold="a"), Step("b")))
+    assembly = Assembly(blocks, (AssemblyStep("a"), AssemblyStep(hold="a"), AssemblyStep("b")))
     page = render_assembly_page(assembly, title="x")
     assert '"holds":[[0,2,4]]' in page.replace(" ", "")
     assert "Still in a hand: a." in caption(page, 3)
@@ -158,7 +158,7 @@ def test_a_post_comes_from_the_side_where_something_stands_above() -> None:
     post = box_block("post-beam", (1, 0.2, 0), (1.5, 0.7, 1), kind="post", prop=True)
     feet = [box_block(f"foot{k}", (k, 0, 0), (k + 0.5, 1, 1)) for k in (0, 2.5)]
     ids = ("foot0", "foot2.5", "beam", "post-beam")
-    assembly = Assembly((*feet, beam, post), tuple(map(Step, ids)))
+    assembly = Assembly((*feet, beam, post), tuple(map(AssemblyStep, ids)))
     [arrow] = booklet(assembly).cards[-1].picture.arrows
     assert abs(arrow[0][0] - arrow[1][0]) > 0.1, "not from straight above"
 
@@ -264,7 +264,7 @@ def test_a_proof_is_told_in_words_that_fit(tmp_path: Path) -> None:
 def test_level_joints_keep_their_name(tmp_path: Path) -> None:
     block = box_block("a", (0, 0, 0), (1, 1, 1))
     page = render_assembly_page(
-        Assembly((block,), (Step("a"),)), title="x", step_notes=[StepNote()]
+        Assembly((block,), (AssemblyStep("a"),)), title="x", step_notes=[StepNote()]
     )
     assert "not computed" not in page.split("<script")[0], "without a proof nothing was to compute"
     plan = plan_assembly(Assembly((block,)))

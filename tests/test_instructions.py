@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from learn2assemble.assembly.blocks import Assembly, Block, Step, box_block
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, box_block
 from learn2assemble.assembly.instructions import MOST_TOGETHER, instructions
 from learn2assemble.export.cards import step_cards
 from learn2assemble.export.pdf import pdf
-from learn2assemble.export.projection import Scene
+from learn2assemble.export.projection import DrawnScene
 from learn2assemble.viewer.page import render_assembly_page
 from read_back import (
     ALLOWED,
@@ -54,7 +54,7 @@ def wide(count: int) -> Assembly:
     blocks = [
         box_block(f"b{k}", (0.1 * k, 0, 0), (0.1 * k + 0.05, 0.05, 0.05)) for k in range(count)
     ]
-    return Assembly(tuple(blocks), tuple(Step(b.id) for b in blocks))
+    return Assembly(tuple(blocks), tuple(AssemblyStep(b.id) for b in blocks))
 
 
 def test_blocks_where_nothing_is_at_stake_are_one_step() -> None:
@@ -69,7 +69,7 @@ def test_what_hangs_over_and_props_are_steps_of_their_own() -> None:
     ]
     prop = box_block("p", (0.05, 0, 0), (0.1, 0.05, 0.05), prop=True)
     ids = ["b0", "p", "b1", "l0", "l1"]
-    steps = (*map(Step, ids), Step(remove="p"))
+    steps = (*map(AssemblyStep, ids), AssemblyStep(remove="p"))
     groups = instructions(Assembly((*posts, prop, *lintels), steps)).groups
     assert [len(group.placements) for group in groups] == [1] * 6
     text = cards_text(Assembly((*posts, prop, *lintels), steps))
@@ -84,7 +84,7 @@ def test_near_blocks_are_drawn_over_far_ones() -> None:
         box_block("top", (0, 0, 1), (1, 2, 2)),
         box_block("right", (1, 0, 0), (2, 1, 1)),
     )
-    scene = Scene(instructions(Assembly(blocks)))
+    scene = DrawnScene(instructions(Assembly(blocks)))
     order = [blocks[drawn.block].id for drawn in scene.drawn]
     assert order.index("back") < order.index("front") < order.index("top")
     assert order.index("right") < order.index("front")
@@ -114,7 +114,7 @@ def test_many_steps_stay_small() -> None:
         for k, (z, x) in enumerate((z, x) for z in range(20) for x in range(30))
     ]
     blocks = (post, *rows)
-    made = Assembly(blocks, tuple(Step(b.id) for b in blocks))
+    made = Assembly(blocks, tuple(AssemblyStep(b.id) for b in blocks))
     assert len(instructions(made).groups) == 601
     for size in (len(step_cards(made)), len(pdf(made))):
         assert size / 601 < 4e6 / 2400
@@ -134,7 +134,7 @@ def test_mirror_images_are_two_shapes() -> None:
         return Block(name, points + np.array([x, 0, 0]), turned)
 
     blocks = (corner("a", 1, 0), corner("b", -1, 0.5), corner("c", 1, 1))
-    bill = instructions(Assembly(blocks, tuple(Step(b.id) for b in blocks))).bill
+    bill = instructions(Assembly(blocks, tuple(AssemblyStep(b.id) for b in blocks))).bill
     assert [line.built for line in bill] == [2, 1]
 
 

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from headless import FLAT, SPATIAL, browse, pixels, shoot
 from learn2assemble.assembly.appearance import PALETTE, millimetres
-from learn2assemble.assembly.blocks import Assembly, Block, Step, box_block
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, box_block
 from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.errors import InputError
@@ -39,7 +39,7 @@ def wall(length: int, height: int) -> Assembly:
             for a, b in itertools.pairwise(ends):
                 box = EDGE * np.array([(a, y, z), (b, y + 1, z + 1)])
                 blocks.append(box_block(f"b{len(blocks)}", *box.tolist(), kind=f"1x{b - a}"))
-    return Assembly(tuple(blocks), tuple(Step(place=block.id) for block in blocks))
+    return Assembly(tuple(blocks), tuple(AssemblyStep(place=block.id) for block in blocks))
 
 
 def corner(id_: str, at: tuple[float, float, float]) -> Block:
@@ -55,7 +55,12 @@ def with_prop() -> Assembly:
     base = box_block("plate", (0, 0, -0.02), (0.5, 0.2, 0), support=True)
     post = box_block("post", (0, 0, 0), (EDGE, EDGE, EDGE), colour=(10, 200, 30))
     prop = box_block("prop", (0.2, 0, 0), (0.25, EDGE, EDGE), prop=True)
-    steps = (Step("post"), Step("prop"), Step("L"), Step(remove="prop"))
+    steps = (
+        AssemblyStep("post"),
+        AssemblyStep("prop"),
+        AssemblyStep("L"),
+        AssemblyStep(remove="prop"),
+    )
     return Assembly((base, post, prop, corner("L", (0, 0, EDGE))), steps)
 
 
@@ -73,7 +78,7 @@ def steps_and_gate() -> Assembly:
         vertices, faces = polycube(cells, kit, kit.joint_gap)
         blocks.append(Block(f"at {x}", vertices + np.array([x, 0, 0]), faces))
     blocks.append(box_block("beside the second level", (1.0, 0.0, 0.05), (1.05, 0.05, 0.1)))
-    return Assembly(tuple(blocks), tuple(Step(block.id) for block in blocks))
+    return Assembly(tuple(blocks), tuple(AssemblyStep(block.id) for block in blocks))
 
 
 def page_data(text: str) -> dict[str, Any]:
@@ -132,7 +137,7 @@ def test_the_table_tells_positions_and_nominal_sizes() -> None:
         for k in (0, 1)
     ]
     text = render_assembly_page(
-        Assembly(tuple(blocks), tuple(Step(b.id) for b in blocks)), title="x"
+        Assembly(tuple(blocks), tuple(AssemblyStep(b.id) for b in blocks)), title="x"
     )
     rows = re.findall(r'<tr data-step="\d">(.*?)</tr>', text)
     told = [re.findall(r"<td[^>]*>([^<]*)</td>", row)[1:] for row in rows]
@@ -193,7 +198,13 @@ def test_steps_of_props_and_supports() -> None:
 
 def test_a_prop_that_is_used_twice_stays_twice() -> None:
     post, prop = with_prop().blocks[1:3]
-    steps = (Step("post"), Step("prop"), Step(remove="prop"), Step("prop"), Step(remove="prop"))
+    steps = (
+        AssemblyStep("post"),
+        AssemblyStep("prop"),
+        AssemblyStep(remove="prop"),
+        AssemblyStep("prop"),
+        AssemblyStep(remove="prop"),
+    )
     text = render_assembly_page(Assembly((post, prop), steps), title="x")
     stays = [row[-3:] for row in page_data(text)["blocks"]]
     assert stays == [[1, 0, "post"], [2, 3, "prop"], [4, 5, "prop"]]
@@ -239,7 +250,7 @@ def test_notes_joints_and_forces_are_those_given() -> None:
 def test_text_of_an_assembly_never_becomes_markup(evil: str) -> None:
     def render(text: str) -> str:
         block = box_block(text, (0, 0, 0), (1, 1, 1), kind=text)
-        assembly = Assembly((block,), (Step(place=text),))
+        assembly = Assembly((block,), (AssemblyStep(place=text),))
         return render_assembly_page(
             assembly,
             title=text,

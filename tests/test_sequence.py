@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from learn2assemble.assembly.blocks import Assembly, Block, Step, box_block, to_manifold
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, box_block, to_manifold
 from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.assembly.cuts import POST
 from learn2assemble.assembly.kit import load_kit
@@ -73,7 +73,7 @@ def states_of(plan: Plan) -> list[tuple[set[str], set[str]]]:
             held.add(step.block)
         else:
             held.remove(step.block)
-        if steps[number + 1 : number + 2] != (Step(hold=step.block),):
+        if steps[number + 1 : number + 2] != (AssemblyStep(hold=step.block),):
             found.append((set(there), set(held)))
     return found
 
@@ -324,14 +324,20 @@ def test_supports_that_are_none_are_refused(arguments: dict[str, object], messag
 @pytest.mark.parametrize(
     ("steps", "message"),
     [
-        ([Step(hold="foot")], "a block in its place"),
-        ([Step(place="foot"), Step(release="foot")], "a block that is held"),
-        ([Step(place="foot"), Step(hold="foot"), Step(hold="foot")], "a block that is not held"),
-        ([Step(place="foot"), Step(hold="foot"), Step(remove="foot")], "not held"),
+        ([AssemblyStep(hold="foot")], "a block in its place"),
+        ([AssemblyStep(place="foot"), AssemblyStep(release="foot")], "a block that is held"),
+        (
+            [AssemblyStep(place="foot"), AssemblyStep(hold="foot"), AssemblyStep(hold="foot")],
+            "a block that is not held",
+        ),
+        (
+            [AssemblyStep(place="foot"), AssemblyStep(hold="foot"), AssemblyStep(remove="foot")],
+            "not held",
+        ),
     ],
 )
 def test_hands_hold_what_is_there_and_let_go_what_they_hold(
-    steps: list[Step], message: str
+    steps: list[AssemblyStep], message: str
 ) -> None:
     with pytest.raises(InputError, match=message):
         replace(cantilever(), steps=tuple(steps))

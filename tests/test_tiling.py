@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from l2a_lab import shapes
 from learn2assemble.assembly.kit import Kind, Kit, load_kit, orientations
 from learn2assemble.errors import InputError, Learn2AssembleError
-from learn2assemble.linear_programs import Clock, Program, solve
+from learn2assemble.linear_programs import Clock, LinearProgram, solve
 from learn2assemble.planning.tiling import retiling
 from learn2assemble.planning.tiling.retiling import improve_bond
 from learn2assemble.planning.tiling.tile import (
@@ -304,7 +304,7 @@ def test_time_that_ran_out_is_called_so() -> None:
     assert "--seconds" in tiling.reason
 
 
-def program(**changes: object) -> Program:
+def program(**changes: object) -> LinearProgram:
     fields: dict = {
         "cost": np.ones(2),
         "lower": np.zeros(2),
@@ -316,7 +316,7 @@ def program(**changes: object) -> Program:
         "value": np.ones(2),
         "integer": True,
     }
-    return Program(**{**fields, **changes})
+    return LinearProgram(**{**fields, **changes})
 
 
 @pytest.mark.parametrize(

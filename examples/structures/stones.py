@@ -78,7 +78,7 @@ def _scene(shapes: list[l2a.Block]) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """Bodies in the order of the stones, after the world; they wait high up and do not fall."""
     spec = mujoco.MjSpec()
     scene.set_options(spec, STEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
-    surface = scene.Surface(friction=FRICTION)
+    surface = scene.ContactSurface(friction=FRICTION)
     scene.add_ground(spec, "ground", surface)
     for k, shape in enumerate(shapes):
         spec.add_mesh(name=shape.id, uservert=shape.vertices.ravel())

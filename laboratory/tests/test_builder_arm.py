@@ -24,7 +24,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.planning.tiling.ordering import to_assembly
 from learn2assemble.planning.tiling.tile import Tiling
-from learn2assemble.planning.tiling.world import World, make_site
+from learn2assemble.planning.tiling.world import LatticeWorld, make_site
 from learn2assemble.tasks.designs import make_design
 from learn2assemble.tasks.task import DesignTask
 
@@ -34,7 +34,7 @@ THICK = np.ones((3, 3, 2), bool)
 
 def settled(
     cells: np.ndarray, tool: str = "suction", kit_name: str = "bricks-lintels", **site: Any
-) -> tuple[Hand, World]:
+) -> tuple[Hand, LatticeWorld]:
     """An arm before a design, and a world with half of it built."""
     hand = Hand(Workcell("panda", tool, Site(**site), physics="kinematic"))
     kit = hand.holds(load_kit(kit_name))
@@ -42,7 +42,7 @@ def settled(
     place = make_site(cells, hand.set_up(first))
     hand.enter(place)
     done = build(place, load_builder()).world
-    half = World(place)
+    half = LatticeWorld(place)
     for candidate in done.placed[: len(done.placed) // 2]:
         assert half.place(candidate, program=True)
     return hand, half
@@ -82,14 +82,14 @@ def test_the_scene_is_that_of_the_build() -> None:
 def test_what_is_in_the_way_is_named() -> None:
     """Fingers cannot put a block between two others; those are to blame."""
     hand, _ = settled(THICK, "gripper", "cubes")
-    site, world = hand.site, World(hand.site)
+    site, world = hand.site, LatticeWorld(hand.site)
     where = {tuple(site.found.origin[c]): int(c) for c in world.legal()}
     for around in ((0, 1, 0), (2, 1, 0), (1, 0, 0), (1, 2, 0)):
         assert world.place(where[around])
     blamed = hand.blocked(world, where[1, 1, 0])
     assert blamed is not None
     assert set(blamed) <= set(np.flatnonzero(world.owner >= 0))
-    assert hand.blocked(World(site), where[1, 1, 0]) is None
+    assert hand.blocked(LatticeWorld(site), where[1, 1, 0]) is None
 
 
 @pytest.mark.parametrize(("cells", "tool"), [(H, "suction"), (H, "gripper"), (THICK, "gripper")])

@@ -33,7 +33,7 @@ from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.tile import support_margin
-from learn2assemble.planning.tiling.world import World, make_site, run
+from learn2assemble.planning.tiling.world import LatticeWorld, make_site, run
 from learn2assemble.statics.rigid_blocks import check
 from learn2assemble.tasks.design_features import (
     NUM_FEATURES,
@@ -62,7 +62,7 @@ def random_cells(rng: np.random.Generator) -> np.ndarray:
     return cells
 
 
-def legal_by_hand(world: World) -> set[tuple[int, tuple[int, int, int]]]:
+def legal_by_hand(world: LatticeWorld) -> set[tuple[int, tuple[int, int, int]]]:
     """Ways and origins of what may be put down, cell by cell from the definition."""
     site, found = world.site, set()
     wanted, filled = site.wanted, (world.owner >= 0).reshape(site.wanted.shape)
@@ -104,7 +104,7 @@ def test_candidates_and_proofs_against_their_definitions(seed: int) -> None:
     """Legal candidates, cover counts and joints stay right while blocks are put down at random."""
     rng = np.random.default_rng(seed)
     kit = KITS[int(rng.integers(len(KITS)))]
-    world = World(make_site(random_cells(rng), kit))
+    world = LatticeWorld(make_site(random_cells(rng), kit))
     site = world.site
     for _ in range(6):
         legal = world.legal()
@@ -142,7 +142,7 @@ def test_features_of_a_mirrored_design_are_mirrored(cells: np.ndarray) -> None:
     kit = KITS[2]
     rows = {}
     for flip in (False, True):
-        world = World(make_site(cells[::-1] if flip else cells, kit))
+        world = LatticeWorld(make_site(cells[::-1] if flip else cells, kit))
         legal = world.legal()
         features, _ = describe(world, legal)
         assert (np.abs(features) < 100).all()
@@ -189,7 +189,7 @@ def test_letters() -> None:
 def test_designs_have_the_solution_they_come_with(task: DesignTask) -> None:
     for seed in range(3):
         solved = make_design(task, np.random.default_rng(seed))
-        world = World(solved.site)
+        world = LatticeWorld(solved.site)
         assert all(world.place(c, program=True) for c in solved.order)
         assert world.complete
         assert task.blocks[0] <= len(solved.order) <= task.blocks[1]
@@ -248,7 +248,7 @@ def test_weights_are_the_same_after_a_file(tmp_path: Path) -> None:
     assert (again.name, again.origin) == ("trial", {"seed": 3})
     for name, value in builder.weights.items():
         np.testing.assert_array_equal(value, again.weights[name])
-    world = World(make_site(H, KITS[2]))
+    world = LatticeWorld(make_site(H, KITS[2]))
     seen = describe(world, world.legal())
     np.testing.assert_array_equal(builder.scores(*seen), again.scores(*seen))
 

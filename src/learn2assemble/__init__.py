@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 from learn2assemble.registry import add_plugin
 
 if TYPE_CHECKING:
-    from learn2assemble.assembly.blocks import Assembly, Block, box_block, hull_block
-    from learn2assemble.assembly.blocks import Step as AssemblyStep
+    from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, box_block, hull_block
     from learn2assemble.assembly.files import read_assembly, write_assembly
     from learn2assemble.assembly.kit import Kind, Kit, load_kit
     from learn2assemble.cell.site import Site
@@ -45,7 +44,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
-    "assembly.blocks": "Assembly AssemblyStep=Step Block box_block hull_block",
+    "assembly.blocks": "Assembly AssemblyStep Block box_block hull_block",
     "assembly.files": "read_assembly write_assembly",
     "assembly.kit": "Kind Kit load_kit",
     "design.cells": "CellDesign load_design=read_design",

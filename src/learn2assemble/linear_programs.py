@@ -21,7 +21,7 @@ _MINIMIZE = int(highspy.ObjSense.kMinimize)
 
 
 @dataclass(frozen=True)
-class Program:
+class LinearProgram:
     """Columns of a sparse program. Every array is checked when it is built."""
 
     cost: np.ndarray
@@ -121,14 +121,14 @@ class Model:
         self._rows.append(np.stack(np.broadcast_arrays(np.atleast_1d(lower), upper)))
         self._height += self._rows[-1].shape[1]
 
-    def program(self) -> Program:
+    def program(self) -> LinearProgram:
         """What was added, as a program."""
         cost, lower, upper, integer = np.concatenate(self._columns, 1)
         row_lower, row_upper = np.concatenate(self._rows, 1)
         row, column, value = map(np.concatenate, zip(*self._entries, strict=True))
         order = np.lexsort((row, column))
         start = np.searchsorted(column[order], np.arange(len(cost) + 1))
-        return Program(
+        return LinearProgram(
             cost,
             lower,
             upper,
@@ -142,7 +142,7 @@ class Model:
 
 
 def solve(
-    program: Program, seconds: float = INF, *, method: str = "choose", gap: float = 0.0
+    program: LinearProgram, seconds: float = INF, *, method: str = "choose", gap: float = 0.0
 ) -> Answer:
     """The optimum of ``program``, on one thread and the same every time.
 

@@ -132,7 +132,7 @@ Action = Literal["place", "remove", "hold", "release"]
 
 
 @dataclass(frozen=True)
-class Step:
+class AssemblyStep:
     """One step of building: exactly one of the ids is given.
 
     Args:
@@ -186,14 +186,14 @@ class Assembly:
     """
 
     blocks: tuple[Block, ...]
-    steps: tuple[Step, ...] = ()
+    steps: tuple[AssemblyStep, ...] = ()
     friction: float = 0.5
     name: str = ""
     not_built: tuple[str, ...] = ()
     _index: dict[str, int] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for name, kind in (("blocks", Block), ("steps", Step), ("not_built", str)):
+        for name, kind in (("blocks", Block), ("steps", AssemblyStep), ("not_built", str)):
             given = getattr(self, name)
             if not isinstance(given, Sequence) or not all(isinstance(one, kind) for one in given):
                 raise InputError(name, given, f"a list of {kind.__name__}s")

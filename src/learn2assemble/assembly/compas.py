@@ -15,7 +15,7 @@ from uuid import NAMESPACE_URL, uuid5
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly, Block, Step, box_block
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, box_block
 from learn2assemble.assembly.values import (
     DIGITS,
     any_colour,
@@ -236,7 +236,7 @@ def from_compas(document: Any, source: str = "assembly", unit: float = 1.0) -> A
         for mesh, name in zip(meshes, names, strict=True)
     )
     friction = number(attributes.get("friction", 0.5), f"{source}: friction")
-    steps = from_plain(tuple[Step, ...], attributes.get("steps") or (), source, "steps")
+    steps = from_plain(tuple[AssemblyStep, ...], attributes.get("steps") or (), source, "steps")
     left = from_plain(tuple[str, ...], attributes.get("not_built") or (), source, "not_built")
     name = attributes.get("name")
     return Assembly(blocks, steps, friction, name if isinstance(name, str) else "", left)

@@ -21,7 +21,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly, Block, Step, shells
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, shells
 from learn2assemble.assembly.compas import from_compas
 from learn2assemble.assembly.meshes import KINDS, mesh_kind, read_parts
 from learn2assemble.assembly.values import (
@@ -175,7 +175,7 @@ def from_json(document: Any, source: str = "assembly") -> Assembly:
             )
         )
     friction = number(root.get("friction", 0.5), f"{source}: friction")
-    steps = from_plain(tuple[Step, ...], root.get("steps", ()), source, "steps")
+    steps = from_plain(tuple[AssemblyStep, ...], root.get("steps", ()), source, "steps")
     name = text(root.get("name", ""), f"{source}: name")
     left = from_plain(tuple[str, ...], root.get("not_built", ()), source, "not_built")
     return Assembly(tuple(blocks), steps, friction, name, left)

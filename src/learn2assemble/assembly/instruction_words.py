@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from learn2assemble.assembly.blocks import Action
-from learn2assemble.assembly.instructions import BillLine, Instructions, Placement, Shape
+from learn2assemble.assembly.instructions import BillLine, BlockShape, Instructions, Placement
 
 HEAD = ("No.", "Shape", "x", "y", "z", "Turn")
 """Of the table of what is placed, see :func:`placement_words`."""
@@ -115,7 +115,7 @@ def action_words(action: Action, block: str) -> str:
     return f"Let go of {block}"
 
 
-def corner_words(shape: Shape) -> str:
+def corner_words(shape: BlockShape) -> str:
     """The corners of a shape that is no box, from the first; empty of a box."""
     if shape.is_box:
         return ""

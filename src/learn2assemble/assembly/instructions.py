@@ -54,7 +54,7 @@ _QUARTERS = tuple(
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class BlockShape:
     """A kind of block of one size."""
 
     letter: str
@@ -94,7 +94,7 @@ class Placement:
     """The step of the assembly, from 1; 0: it stands from the start."""
     block: int
     """Index in the assembly."""
-    shape: Shape
+    shape: BlockShape
     position: tuple[float, float, float]
     """From O [m]: of a block that is turned by quarters, the front left lower corner of the box
     round it; of a block that leans, its corner 1."""
@@ -125,7 +125,7 @@ class Group:
     """Blocks that hands hold when it is done."""
 
     @property
-    def wanted(self) -> list[tuple[Shape, int]]:
+    def wanted(self) -> list[tuple[BlockShape, int]]:
         """Shapes and how many of each the step takes."""
         count = Counter(id(p.shape) for p in self.placements if p.action == "place")
         shapes = {id(p.shape): p.shape for p in self.placements}
@@ -135,7 +135,7 @@ class Group:
 class BillLine(NamedTuple):
     """How many blocks of a shape there have to be."""
 
-    shape: Shape
+    shape: BlockShape
     built: int
     """Placed, and there in the end."""
     props: int
@@ -155,7 +155,7 @@ class Instructions:
     """float64[3]: of what stands in the end [m]."""
     joint: float
     """Width of vertical joints of a lattice [m]; 0 where there are none."""
-    shapes: tuple[Shape, ...]
+    shapes: tuple[BlockShape, ...]
     start: tuple[Placement, ...]
     """What stands from the start."""
     groups: tuple[Group, ...]
@@ -317,8 +317,8 @@ class _Shapes:
 
     def __init__(self, origin: np.ndarray, joint: float) -> None:
         self.origin, self.joint = origin, joint
-        self.found: list[Shape] = []
-        self._like: dict[tuple, list[tuple[Shape, np.ndarray]]] = {}
+        self.found: list[BlockShape] = []
+        self._like: dict[tuple, list[tuple[BlockShape, np.ndarray]]] = {}
         self._of: dict[str, _Match] = {}
         self._known: dict[tuple, _Match] = {}
 
@@ -346,7 +346,7 @@ class _Shapes:
         assert match is not None
         return match
 
-    def _new(self, block: Block, corners: np.ndarray, kind: str, colour: str) -> Shape:
+    def _new(self, block: Block, corners: np.ndarray, kind: str, colour: str) -> BlockShape:
         size = np.ptp(corners, axis=0)
         is_box = abs(size.prod() - block.volume) <= 1e-6 * size.prod() and block.is_convex
         joint = np.array([self.joint, self.joint, 0.0])
@@ -356,7 +356,7 @@ class _Shapes:
         while not letter or left >= 0:
             letter, left = chr(65 + left % 26) + letter, left // 26 - 1
         asked = colour == colour_words(block)
-        made = Shape(
+        made = BlockShape(
             letter,
             kind,
             colour,
@@ -381,13 +381,13 @@ class _Shapes:
 class _Match(NamedTuple):
     """How a block is turned from its shape."""
 
-    shape: Shape
+    shape: BlockShape
     turn: Turn
     first: int | None
     """Of a block that leans: its vertex at which the first corner of the shape lies."""
 
 
-def _turned(shape: Shape, block: Block) -> _Match | None:
+def _turned(shape: BlockShape, block: Block) -> _Match | None:
     """How a block is turned from a shape; None where it is another shape, such as its mirror image.
 
     Quarters come before other turns, and small turns before large ones.
@@ -416,7 +416,7 @@ def _apart(some: np.ndarray, others: np.ndarray) -> float:
     return float(max(there.max(), back.max()))
 
 
-def _alignments(shape: Shape, block: Block) -> Iterator[tuple[int, np.ndarray]]:
+def _alignments(shape: BlockShape, block: Block) -> Iterator[tuple[int, np.ndarray]]:
     """The ways to lay a shape on a block: where its first corner comes to lie, and the rotation."""
     corners, vertices = shape.corners, block.vertices
     if shape.faces == block.faces:

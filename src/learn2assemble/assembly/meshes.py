@@ -24,7 +24,7 @@ MAX_BYTES = 50_000_000
 KINDS = ("stl", "obj", "ply", "glb", "off")
 
 
-class Part(NamedTuple):
+class MeshPart(NamedTuple):
     """An object of a mesh file, where it is in the scene."""
 
     name: str
@@ -47,7 +47,7 @@ def mesh_kind(content: bytes) -> str:
     return "stl" if binary or content.lstrip()[:5] == b"solid" else "obj"
 
 
-def read_parts(content: bytes, kind: str, source: str) -> list[Part]:
+def read_parts(content: bytes, kind: str, source: str) -> list[MeshPart]:
     """The objects of a mesh file.
 
     Args:
@@ -79,7 +79,7 @@ def read_parts(content: bytes, kind: str, source: str) -> list[Part]:
             if isinstance(mesh, trimesh.Trimesh):
                 vertices = trimesh.transform_points(mesh.vertices, transform)
                 faces = np.asarray(mesh.faces, np.int64)
-                parts.append(Part(str(node), np.asarray(vertices, np.float64), faces))
+                parts.append(MeshPart(str(node), np.asarray(vertices, np.float64), faces))
     return checked(parts, source)
 
 
@@ -90,7 +90,7 @@ def check_size(content: bytes, source: str) -> None:
         raise InputError(source, got, f"a mesh of at most {MAX_BYTES // 1_000_000} MB")
 
 
-def checked(parts: list[Part], source: str) -> list[Part]:
+def checked(parts: list[MeshPart], source: str) -> list[MeshPart]:
     """Those of ``parts`` that have faces, if their vertices are in space."""
     parts = [part for part in parts if len(part.faces)]
     count = sum(len(part.faces) for part in parts)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Step as AssemblyStep
+from learn2assemble.assembly.blocks import AssemblyStep
 from learn2assemble.cell.journal import Recording, append_state, packed, read_states
 from learn2assemble.cell.pieces import QUARTER
 from learn2assemble.cell.reach import cells_of, set_up

@@ -14,12 +14,12 @@ from types import FrameType
 from typing import Any
 
 from learn2assemble.cli.output import Heartbeat, Output
-from learn2assemble.cli.parser import L2A, Program, make_parser
+from learn2assemble.cli.parser import L2A, CommandLine, make_parser
 from learn2assemble.errors import InputError, Learn2AssembleError, one_line, require
 from learn2assemble.files import printable
 
 
-def main(arguments: Sequence[str] | None = None, program: Program = L2A) -> int:
+def main(arguments: Sequence[str] | None = None, program: CommandLine = L2A) -> int:
     """Run one command of a program; returns the exit code.
 
     0: done. 1: the answer is no: a plan that is incomplete or refused (``build``), blocks that fall

@@ -237,7 +237,7 @@ def workers_arguments(parser: argparse.ArgumentParser, what: str) -> None:
 
 
 @dataclass(frozen=True)
-class Program:
+class CommandLine:
     """A program of the command line."""
 
     name: str
@@ -246,7 +246,7 @@ class Program:
     commands: Mapping[str, Command]
 
 
-L2A = Program(
+L2A = CommandLine(
     "l2a",
     "From a target design to a verified build plan.",
     "l2a build examples/designs/gabled_house.json --out out/house",
@@ -254,7 +254,7 @@ L2A = Program(
 )
 
 
-def make_parser(words: Sequence[str] = (), program: Program = L2A) -> argparse.ArgumentParser:
+def make_parser(words: Sequence[str] = (), program: CommandLine = L2A) -> argparse.ArgumentParser:
     """The parser of a program and its commands; ``options.run`` is the command chosen.
 
     Args:

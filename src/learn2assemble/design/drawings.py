@@ -153,7 +153,7 @@ def _outline(points: tuple[Point, ...], where: str) -> Contours:
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class DrawnShape:
     """What is drawn at once.
 
     Args:
@@ -168,8 +168,8 @@ class Shape:
     even_odd: bool
     paper: bool = False
     colour: Colour | None = None
-    clips: tuple[tuple[Shape, ...], ...] = ()
-    cuts: tuple[Shape, ...] = ()
+    clips: tuple[tuple[DrawnShape, ...], ...] = ()
+    cuts: tuple[DrawnShape, ...] = ()
     order: int = 0
 
     def box(self, known: dict[int, np.ndarray]) -> np.ndarray:
@@ -207,13 +207,17 @@ class Shape:
         return made - _united(self.cuts, scale, known) if self.cuts else made
 
 
-def _united(shapes: Iterable[Shape], scale: float, known: dict[int, CrossSection]) -> CrossSection:
+def _united(
+    shapes: Iterable[DrawnShape], scale: float, known: dict[int, CrossSection]
+) -> CrossSection:
     from manifold3d import CrossSection, OpType
 
     return CrossSection.batch_boolean([s.region(scale, known) for s in shapes], OpType.Add)
 
 
-def _painted(shapes: Iterable[Shape], scale: float, known: dict[int, CrossSection]) -> CrossSection:
+def _painted(
+    shapes: Iterable[DrawnShape], scale: float, known: dict[int, CrossSection]
+) -> CrossSection:
     """What is left of shapes that are painted one after another, paper over material."""
     from manifold3d import CrossSection
 
@@ -228,16 +232,16 @@ def _painted(shapes: Iterable[Shape], scale: float, known: dict[int, CrossSectio
 class Layer:
     """What is drawn on one layer."""
 
-    filled: list[Shape] = field(default_factory=list)
+    filled: list[DrawnShape] = field(default_factory=list)
     """In the order of drawing."""
     lines: Contours = field(default_factory=list)
     """Closed outlines that are only drawn as lines: those inside others are holes."""
     known: dict[int, CrossSection] = field(default_factory=dict)
     """Regions of clips."""
 
-    def shapes(self) -> list[Shape]:
+    def shapes(self) -> list[DrawnShape]:
         """All shapes of the layer."""
-        return [*self.filled, *([Shape(self.lines, True)] if self.lines else ())]
+        return [*self.filled, *([DrawnShape(self.lines, True)] if self.lines else ())]
 
     def simplify(self, tolerance: float) -> None:
         """Leave out vertices that matter less than ``tolerance``."""
@@ -247,7 +251,7 @@ class Layer:
     def region(self, scale: float) -> CrossSection:
         """The material of the layer; even-odd among lines, filled shapes painted over another."""
         made = _painted(self.filled, scale, self.known)
-        lines = Shape(self.lines, True).region(scale, self.known)
+        lines = DrawnShape(self.lines, True).region(scale, self.known)
         return (made + lines).simplify(FINE * _SPAN)
 
     def paints(self, scale: float, material: CrossSection) -> list[Paint]:
@@ -321,9 +325,9 @@ def to_drawing(layers: Mapping[str | None, Layer], metres: float | None, source:
     return Drawing(sides, metres, paints=paints)
 
 
-def _regions(shapes: Iterable[Shape]) -> list[Shape]:
+def _regions(shapes: Iterable[DrawnShape]) -> list[DrawnShape]:
     """The shapes of the regions that others are confined to or hidden by, each once."""
-    made: dict[int, Shape] = {}
+    made: dict[int, DrawnShape] = {}
     todo = list(shapes)
     while todo:
         shape = todo.pop()
@@ -333,7 +337,7 @@ def _regions(shapes: Iterable[Shape]) -> list[Shape]:
     return list(made.values())
 
 
-def _span(shapes: Iterable[Shape]) -> float:
+def _span(shapes: Iterable[DrawnShape]) -> float:
     """Width or height of what is seen of shapes; not above 0 where nothing is."""
     known: dict[int, np.ndarray] = {}
     boxes = np.array(
@@ -343,7 +347,7 @@ def _span(shapes: Iterable[Shape]) -> float:
     return float((boxes[:, 1].max(0) - boxes[:, 0].min(0)).max()) if len(boxes) else 0.0
 
 
-def _check_work(shapes: Sequence[Shape], source: str) -> None:
+def _check_work(shapes: Sequence[DrawnShape], source: str) -> None:
     """Refuse shapes whose regions would take long: each goes through its clips, and every change
     from material to paper through all that is painted so far."""
     sizes: dict[int, int] = {}

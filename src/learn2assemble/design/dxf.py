@@ -18,8 +18,8 @@ from learn2assemble.design.drawings import (
     MAX_VERTICES,
     Contours,
     Drawing,
+    DrawnShape,
     Layer,
-    Shape,
     to_drawing,
 )
 from learn2assemble.errors import InputError, trusted
@@ -60,7 +60,7 @@ def read_dxf(content: bytes, source: str) -> Drawing:
         ]
         for name, filled, points in _dxf_flat(paths):
             if filled:
-                layers.setdefault(name, Layer()).filled.append(Shape([points], True))
+                layers.setdefault(name, Layer()).filled.append(DrawnShape([points], True))
             else:
                 chains.setdefault(name, []).append(points)
     for name, lines in chains.items():

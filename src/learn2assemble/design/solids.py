@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from learn2assemble.assembly.meshes import Part, check_size, checked, read_parts
+from learn2assemble.assembly.meshes import MeshPart, check_size, checked, read_parts
 from learn2assemble.design.holes import close_holes
 from learn2assemble.errors import InputError, MissingExtraError, Remedy
 from learn2assemble.geometry.crossings import find_crossing
@@ -79,7 +79,7 @@ def read_mesh(content: bytes, kind: str, source: str, repair: bool = False) -> S
     if kind == "3dm":
         check_size(content, source)
         meshes, metres = _rhino(content, source)
-        parts = checked([Part("", *mesh) for mesh in meshes], source)
+        parts = checked([MeshPart("", *mesh) for mesh in meshes], source)
     else:
         parts = read_parts(content, kind, source)
     meshes = [(part.vertices, part.faces) for part in parts]

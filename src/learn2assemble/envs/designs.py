@@ -14,7 +14,7 @@ from gymnasium.error import ResetNeeded
 from learn2assemble.errors import InputError
 from learn2assemble.planning.goals.search import Search
 from learn2assemble.planning.goals.world import bears, legal, make_problem, put, relax
-from learn2assemble.planning.tiling.world import World
+from learn2assemble.planning.tiling.world import LatticeWorld
 from learn2assemble.tasks import design_features, goal_features
 from learn2assemble.tasks.designs import Solved, make_design
 from learn2assemble.tasks.goals import fixed_goals
@@ -51,7 +51,7 @@ class _CandidateEnv(gymnasium.Env[dict[str, Any], np.int64]):
             }
         )
         self.action_space = spaces.Discrete(most)
-        self.world: World | None = None
+        self.world: LatticeWorld | None = None
         """What has been built; copy it before you change it."""
         self._most = most
         self._offered = np.empty(0, np.int64)
@@ -93,7 +93,7 @@ class _CandidateEnv(gymnasium.Env[dict[str, Any], np.int64]):
         self._ended = self._over(self.world)
         return observation, float(reward), self._ended, False, self._info(self.world, stood)
 
-    def _observe(self, world: World) -> dict[str, Any]:
+    def _observe(self, world: LatticeWorld) -> dict[str, Any]:
         """Offer the cheapest candidates, and describe them."""
         candidates, cost = self._candidates(world)
         new = ~np.isin(candidates, list(self._fallen))
@@ -105,27 +105,27 @@ class _CandidateEnv(gymnasium.Env[dict[str, Any], np.int64]):
         mask = self.action_masks().astype(np.int8)
         return {"candidates": padded, "summary": summary, "mask": mask}
 
-    def _over(self, world: World) -> bool:
+    def _over(self, world: LatticeWorld) -> bool:
         return not len(self._offered)
 
     @abstractmethod
-    def _draw(self) -> World:
+    def _draw(self) -> LatticeWorld:
         """The world of a new episode."""
 
     @abstractmethod
-    def _put(self, world: World, candidate: int) -> tuple[bool, float]:
+    def _put(self, world: LatticeWorld, candidate: int) -> tuple[bool, float]:
         """Put down a block in ``self.world``; whether it stood, and the reward."""
 
     @abstractmethod
-    def _candidates(self, world: World) -> tuple[np.ndarray, np.ndarray]:
+    def _candidates(self, world: LatticeWorld) -> tuple[np.ndarray, np.ndarray]:
         """Numbers and costs of what may be put down."""
 
     @abstractmethod
-    def _describe(self, world: World) -> tuple[np.ndarray, np.ndarray]:
+    def _describe(self, world: LatticeWorld) -> tuple[np.ndarray, np.ndarray]:
         """Features of what is offered, a row each, and the summary."""
 
     @abstractmethod
-    def _info(self, world: World, stood: bool) -> dict[str, Any]: ...
+    def _info(self, world: LatticeWorld, stood: bool) -> dict[str, Any]: ...
 
 
 class DesignEnv(_CandidateEnv):
@@ -150,24 +150,24 @@ class DesignEnv(_CandidateEnv):
         self.solved: Solved | None = None
         """The design with the solution that was found for it."""
 
-    def _draw(self) -> World:
+    def _draw(self) -> LatticeWorld:
         self.solved = make_design(self.task, self.np_random)
-        return World(self.solved.site)
+        return LatticeWorld(self.solved.site)
 
-    def _put(self, world: World, candidate: int) -> tuple[bool, float]:
+    def _put(self, world: LatticeWorld, candidate: int) -> tuple[bool, float]:
         before = world.open
         stood = world.place(candidate, program=True)
         reward = (before - world.open) / int(world.site.wanted.sum())
         return stood, reward + world.complete
 
-    def _candidates(self, world: World) -> tuple[np.ndarray, np.ndarray]:
+    def _candidates(self, world: LatticeWorld) -> tuple[np.ndarray, np.ndarray]:
         candidates = world.legal()
         return candidates, world.site.found.origin[candidates, 2]
 
-    def _describe(self, world: World) -> tuple[np.ndarray, np.ndarray]:
+    def _describe(self, world: LatticeWorld) -> tuple[np.ndarray, np.ndarray]:
         return design_features.describe(world, self._offered)
 
-    def _info(self, world: World, stood: bool) -> dict[str, Any]:
+    def _info(self, world: LatticeWorld, stood: bool) -> dict[str, Any]:
         assert self.solved is not None
         return {
             "action_masks": self.action_masks().astype(np.int8),
@@ -202,13 +202,13 @@ class GoalsEnv(_CandidateEnv):
         self._look = Search(self.problem)
         super().__init__(self.task.max_candidates, goal_features, render_mode)
 
-    def _draw(self) -> World:
-        world = World(self.problem.site)
+    def _draw(self) -> LatticeWorld:
+        world = LatticeWorld(self.problem.site)
         self._relaxed = relax(self.problem, world)
         self._start = self._relaxed.blocks
         return world
 
-    def _put(self, world: World, candidate: int) -> tuple[bool, float]:
+    def _put(self, world: LatticeWorld, candidate: int) -> tuple[bool, float]:
         grown, reward = put(world, candidate), 0.0
         if grown is None:
             return False, reward
@@ -218,22 +218,22 @@ class GoalsEnv(_CandidateEnv):
             reward = (before - self._relaxed.blocks) / self._start
         return True, reward + (self._success(grown) - _BLOCK_COST)
 
-    def _success(self, world: World) -> bool:
+    def _success(self, world: LatticeWorld) -> bool:
         return self._relaxed.blocks == 0 and bears(self.problem, world)
 
-    def _over(self, world: World) -> bool:
+    def _over(self, world: LatticeWorld) -> bool:
         lost = not np.isfinite(self._relaxed.blocks) or not len(self._offered)
         return bool(lost or self._success(world))
 
-    def _candidates(self, world: World) -> tuple[np.ndarray, np.ndarray]:
+    def _candidates(self, world: LatticeWorld) -> tuple[np.ndarray, np.ndarray]:
         children = legal(self.problem, world)
         return children, self._relaxed.detour[children] - self._relaxed.used[children]
 
-    def _describe(self, world: World) -> tuple[np.ndarray, np.ndarray]:
+    def _describe(self, world: LatticeWorld) -> tuple[np.ndarray, np.ndarray]:
         helps, _ = self._look.advice(world, self._relaxed, self._offered)
         return goal_features.describe(self.problem, world, self._relaxed, self._offered, helps)
 
-    def _info(self, world: World, stood: bool) -> dict[str, Any]:
+    def _info(self, world: LatticeWorld, stood: bool) -> dict[str, Any]:
         return {
             "action_masks": self.action_masks().astype(np.int8),
             "blocks": len(world.placed),

@@ -33,7 +33,7 @@ def step_cards(assembly: Assembly) -> str:
     are stored once.
     """
     book = booklet(assembly)
-    pen = _Pen(book)
+    pen = _CardPen(book)
     shapes = "".join(
         f"<figure>{pen.draw(picture)}<figcaption>{shape.letter}</figcaption></figure>"
         for shape, picture in book.shapes
@@ -61,7 +61,7 @@ def step_cards(assembly: Assembly) -> str:
     )
 
 
-def _card(pen: _Pen, card) -> str:
+def _card(pen: _CardPen, card) -> str:
     words = "".join(f"<p>{escape(text)}</p>" for text in card.words)
     wanted = "".join(
         f'<li><i class="{pen.paint(shape.colour)}"></i>{escape(text)}</li>'
@@ -81,7 +81,7 @@ def _table(head: tuple[str, ...], rows, name: str = "") -> str:
     return f"<table{name and f' class={name}'}><tr>{top}{body}</table>"
 
 
-class _Pen:
+class _CardPen:
     """Draws pictures, and remembers what they share."""
 
     def __init__(self, book: Booklet) -> None:

@@ -20,13 +20,13 @@ from learn2assemble.assembly.instruction_words import (
     placement_words,
 )
 from learn2assemble.assembly.instructions import (
+    BlockShape,
     Group,
     Instructions,
     Placement,
-    Shape,
     instructions,
 )
-from learn2assemble.export.projection import Figure, Scene, project
+from learn2assemble.export.projection import DrawnScene, Figure, project
 
 _WAYS = np.array([(0, 0, 1), (0, -1, 0), (-1, 0, 0), (1, 0, 0), (0, 1, 0)], float)
 """Directions in which a prop comes and is taken away, those seen best first."""
@@ -95,10 +95,10 @@ class Booklet:
     """Cover and cards of an assembly."""
 
     told: Instructions
-    scene: Scene
+    scene: DrawnScene
     cards: list[Card]
     cover: Picture
-    shapes: list[tuple[Shape, Picture]]
+    shapes: list[tuple[BlockShape, Picture]]
     spacing: float
     title: str
     facts: tuple[str, ...]
@@ -113,7 +113,7 @@ class Booklet:
 def booklet(assembly: Assembly) -> Booklet:
     """Cover and cards of an assembly."""
     told = instructions(assembly)
-    scene = Scene(told)
+    scene = DrawnScene(told)
     spacing = _spacing(told, scene.usual)
     layers = len({group.layer for group in told.groups})
     until = {p.block: g.number for g in told.groups for p in g.placements if p.action == "remove"}
@@ -149,7 +149,7 @@ def booklet(assembly: Assembly) -> Booklet:
 
 def _card(
     told: Instructions,
-    scene: Scene,
+    scene: DrawnScene,
     group: Group,
     standing: set[int],
     spacing: float,
@@ -261,7 +261,7 @@ def _words(
 
 
 def _hands(
-    scene: Scene, placement: Placement, length: float
+    scene: DrawnScene, placement: Placement, length: float
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Arrows towards a block that is held from both sides, away from one that is let go."""
     ends = [scene.figures[d.name].frame + d.at for d in scene.parts_of({placement.block})]
@@ -274,7 +274,7 @@ def _hands(
     return pairs if placement.action == "hold" else [(end, start) for start, end in pairs]
 
 
-def _way_out(scene: Scene, block: int, standing: set[int]) -> np.ndarray:
+def _way_out(scene: DrawnScene, block: int, standing: set[int]) -> np.ndarray:
     """float64[3]: the first direction in which nothing is in the way of a block."""
     others = np.array(sorted(standing - {block}), int)
     for way in _WAYS:
@@ -287,7 +287,7 @@ def _way_out(scene: Scene, block: int, standing: set[int]) -> np.ndarray:
 
 
 def _framed(
-    scene: Scene,
+    scene: DrawnScene,
     uses: tuple[Use, ...],
     grid: Grid,
     extent: np.ndarray | None,
@@ -311,12 +311,12 @@ def _framed(
     return Picture(low - margin - left, high + margin, grid, uses, outlines, arrows, labels, place)
 
 
-def _shape_pictures(told: Instructions, scene: Scene) -> list[tuple[Shape, Picture]]:
+def _shape_pictures(told: Instructions, scene: DrawnScene) -> list[tuple[BlockShape, Picture]]:
     """Every shape as it is when it is not turned, with the numbers of corners where it leans."""
     found = []
     for shape in (line.shape for line in told.bill):
         block = Block(shape.letter, shape.corners, shape.faces)
-        alone = Scene(instructions(Assembly((block,))))
+        alone = DrawnScene(instructions(Assembly((block,))))
         uses = tuple(Use(_adopt(scene, d.figure), d.at, shape.colour) for d in alone.drawn)
         labels = ()
         if not shape.is_box and len(shape.corners) <= 12:
@@ -326,7 +326,7 @@ def _shape_pictures(told: Instructions, scene: Scene) -> list[tuple[Shape, Pictu
     return found
 
 
-def _adopt(scene: Scene, figure: Figure) -> int:
+def _adopt(scene: DrawnScene, figure: Figure) -> int:
     """The number of a figure, which a scene takes in."""
     scene.figures.append(figure)
     return len(scene.figures) - 1

@@ -51,7 +51,7 @@ def project(points: np.ndarray) -> np.ndarray:
     return np.asarray(points) @ np.stack([RIGHT, UP], -1)
 
 
-class Scene:
+class DrawnScene:
     """All blocks of instructions, in an order in which nearer ones cover those behind."""
 
     def __init__(self, told: Instructions) -> None:
@@ -62,8 +62,8 @@ class Scene:
         """Size of a usual block [m], by which drawings choose grid and lines."""
         known: dict[bytes, int] = {}
         self.figures: list[Figure] = []
-        shapes: dict[tuple, list[tuple[_Part, int]]] = {}
-        parts: list[tuple[int, _Part, int]] = []
+        shapes: dict[tuple, list[tuple[_ConvexPart, int]]] = {}
+        parts: list[tuple[int, _ConvexPart, int]] = []
         for index, block in enumerate(assembly.blocks):
             relative = block.vertices - block.vertices.min(0)
             key = (block.faces, np.round(relative / 1e-6).tobytes())
@@ -77,9 +77,9 @@ class Scene:
                         known[content] = len(self.figures)
                         self.figures.append(figure)
                     corners = part.vertices - block.vertices.min(0)
-                    shapes[key].append((_Part(corners, part.faces), known[content]))
+                    shapes[key].append((_ConvexPart(corners, part.faces), known[content]))
             low = block.vertices.min(0)
-            parts += [(index, _Part(p.vertices + low, p.faces), n) for p, n in shapes[key]]
+            parts += [(index, _ConvexPart(p.vertices + low, p.faces), n) for p, n in shapes[key]]
         order = _far_first([part for _, part, _ in parts])
         corner = project(np.array([b.vertices.min(0) - told.origin for b in assembly.blocks]))
         self.drawn = [
@@ -125,7 +125,7 @@ class Scene:
         return set(others[near[np.isfinite(distance[near])]].tolist()), False
 
 
-class _Part:
+class _ConvexPart:
     """A convex part: corners float64[V, 3] [m] and faces."""
 
     def __init__(self, vertices: np.ndarray, faces: tuple[tuple[int, ...], ...]) -> None:
@@ -166,7 +166,7 @@ def _figure(block: Block, part: Block) -> Figure:
     return Figure(tuple(faces), tuple(edges), np.array([points.min(0), points.max(0)]))
 
 
-def _far_first(parts: list[_Part]) -> list[int]:
+def _far_first(parts: list[_ConvexPart]) -> list[int]:
     """Numbers of convex parts, each after those it may cover."""
     import shapely
 
@@ -201,7 +201,7 @@ def _is_square(points: np.ndarray) -> bool:
     return len(points) == 8 and bool((ends < 1e-7).all())
 
 
-def _in_front(a: _Part, b: _Part) -> int:
+def _in_front(a: _ConvexPart, b: _ConvexPart) -> int:
     """+1 where a plane of a face shows a to be in front of b, -1 where b is, 0 where none does."""
     best, found = np.inf, 0
     for one, other, sign in ((a, b, 1), (b, a, -1)):

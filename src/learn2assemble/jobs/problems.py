@@ -16,7 +16,7 @@ NO_ARM = "none"
 """Instead of the name of an arm: nothing carries the blocks."""
 
 
-class Problem(Protocol):
+class ProblemFamily(Protocol):
     """A family of random problems."""
 
     def has_arm(self, arm: str | None) -> bool:
@@ -30,6 +30,6 @@ class Problem(Protocol):
         ...
 
 
-PROBLEMS: Registry[Problem] = Registry("problem", {})
+PROBLEMS: Registry[ProblemFamily] = Registry("problem", {})
 """Every family by name."""
 add_plugin("learn2assemble.tasks.problems", "problem")

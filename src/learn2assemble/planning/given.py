@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly, Step
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep
 from learn2assemble.assembly.contacts import check_overlaps, shrunk
 from learn2assemble.errors import InputError, is_whole
 from learn2assemble.linear_programs import Clock
@@ -149,7 +149,7 @@ def _plan(
         if step.action in ("place", "remove"):
             present[step.block] = step.action == "place"
         covered = float((present & wanted).sum()) / max(int(wanted.sum()), 1)
-        made.append(Step(**{step.action: block.id}))
+        made.append(AssemblyStep(**{step.action: block.id}))
         steps.append(
             plans.block_step(number, step.block, block, step.action, covered).with_proof(
                 step.proof, step.margin_g

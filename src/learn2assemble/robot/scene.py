@@ -21,7 +21,7 @@ from learn2assemble.constants import FRICTION, GRAVITY, MASS
 mujoco.set_mju_user_warning(logging.getLogger("learn2assemble.mujoco").warning)
 
 
-class Surface(NamedTuple):
+class ContactSurface(NamedTuple):
     """Contact parameters of a geom, as MuJoCo means them.
 
     solimp 0.998/0.9998 lets tall structures rest: with 0.95/0.99 columns of 12 / 45 cubes sink.
@@ -53,7 +53,7 @@ def set_options(
         option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
 
-def add_ground(spec: mujoco.MjSpec, name: str, surface: Surface | None, **geom: Any) -> None:
+def add_ground(spec: mujoco.MjSpec, name: str, surface: ContactSurface | None, **geom: Any) -> None:
     """A plane at z = 0; ``geom`` are further fields of the geom."""
     plane = spec.worldbody.add_geom(
         name=name, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], **geom
@@ -65,7 +65,7 @@ def add_object(
     spec: mujoco.MjSpec,
     name: str,
     boxes: Iterable[tuple[Any, ...]],
-    surface: Surface | None,
+    surface: ContactSurface | None,
     **geom: Any,
 ) -> None:
     """A free body made of boxes, each as heavy as a block unless it has a mass of its own.
@@ -103,7 +103,7 @@ def resize_boxes(model: mujoco.MjModel, geoms: np.ndarray, half: np.ndarray) -> 
     model.geom_rbound[geoms] = np.linalg.norm(half, axis=1)
 
 
-def set_contact(geom: mujoco.MjsGeom, surface: Surface | None) -> None:
+def set_contact(geom: mujoco.MjsGeom, surface: ContactSurface | None) -> None:
     """Give a geom these contact parameters; None leaves MuJoCo's own."""
     if surface is not None:
         geom.friction[0] = surface.friction

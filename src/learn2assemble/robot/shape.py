@@ -110,7 +110,7 @@ def capsule(radius: float, half: float, rounded: bool = True) -> Mesh:
 WORLD = -1
 
 
-class Part(NamedTuple):
+class LinkPart(NamedTuple):
     """A mesh in one colour that moves with one frame."""
 
     name: str
@@ -132,13 +132,13 @@ class Finger(NamedTuple):
     """float64[3]: displacement per metre of opening."""
 
 
-class Shape(NamedTuple):
+class ArmShape(NamedTuple):
     """Everything that is needed to draw an arm."""
 
     name: str
     chain: Chain
     fingers: tuple[Finger, ...]
-    parts: tuple[Part, ...]
+    parts: tuple[LinkPart, ...]
 
     def frames(self, joints: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
         """Poses in the world of the joint frames, then of the fingers.
@@ -164,13 +164,13 @@ class Shape(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def arm_shape(arm: Arm) -> Shape:
+def arm_shape(arm: Arm) -> ArmShape:
     """The parts of an arm: its picture meshes, or its collision solids where it has none."""
     model = arm_model(arm, pictures=True)
     data = mujoco.MjData(model)
     data.qpos[:] = 0
     mujoco.mj_kinematics(model, data)
-    shape = Shape(arm.name, get_chain(arm), (), ())
+    shape = ArmShape(arm.name, get_chain(arm), (), ())
     position, rotation = shape.frames(np.zeros(len(arm.joints)), 0.0)
     frame_of = {model.joint(name).bodyid[0]: k for k, name in enumerate(arm.joints)}
     fingers = []
@@ -191,7 +191,7 @@ def arm_shape(arm: Arm) -> Shape:
         if frame != WORLD:
             turn, offset = rotation[frame].T @ turn, rotation[frame].T @ (offset - position[frame])
         placed = Mesh(mesh.vertices @ turn.T + offset, mesh.normals @ turn.T, mesh.faces)
-        parts.append(Part(model.geom(geom).name, frame, _colour(model, geom), placed))
+        parts.append(LinkPart(model.geom(geom).name, frame, _colour(model, geom), placed))
     return shape._replace(parts=tuple(parts))
 
 

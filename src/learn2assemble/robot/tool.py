@@ -113,7 +113,7 @@ class Cup:
         return off, slip / left if left > 0 else math.inf
 
 
-class Part(NamedTuple):
+class ToolPart(NamedTuple):
     """A cylinder of a tool's collision shape, in the frame of the flange: z as the tool's."""
 
     radius: float
@@ -138,7 +138,7 @@ class Suction:
     """Until the vacuum holds [s]."""
     release_time: float
     """Until the cup lets go [s]."""
-    parts: tuple[Part, ...]
+    parts: tuple[ToolPart, ...]
 
     @property
     def round(self) -> bool:
@@ -214,7 +214,7 @@ def _side(data: dict[str, Any], length: float, where: str) -> Cup:
     return _cup(data, Lip((x, y, round(z - length, 9)), (a, b, c)), where)
 
 
-def _part(data: dict[str, Any], length: float, where: str) -> Part:
+def _part(data: dict[str, Any], length: float, where: str) -> ToolPart:
     """A cylinder between two points, or between two heights on the axis."""
     radius = float(numbers(data, "radius", 0, where))
     ends: list[np.ndarray] = []
@@ -230,7 +230,7 @@ def _part(data: dict[str, Any], length: float, where: str) -> Part:
         expected = f"a radius above 0, and an end after its beginning and up to {length:g} m"
         raise InputError(where, [radius, data["from"], data["to"]], expected)
     (a, b, c), (d, e, f) = begin.tolist(), end.tolist()
-    return Part(radius, (a, b, c), (d, e, f))
+    return ToolPart(radius, (a, b, c), (d, e, f))
 
 
 def mount(spec: mujoco.MjSpec, hand: str, site: str, suction: Suction, pictures: bool) -> None:

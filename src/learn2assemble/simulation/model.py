@@ -38,7 +38,7 @@ from learn2assemble.robot.moves import (
     put_down,
 )
 from learn2assemble.robot.scene import (
-    Surface,
+    ContactSurface,
     add_ground,
     add_object,
     resize_boxes,
@@ -262,7 +262,7 @@ def compile_world(
     # The feed-forward of a drive may ask for more than the joint's range.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
     given = num_still > 0 or any(len(box) > 2 for boxes in shape for box in boxes)
-    surface = Surface(friction, solref=_FIRM_REF) if given else Surface(friction)
+    surface = ContactSurface(friction, solref=_FIRM_REF) if given else ContactSurface(friction)
     arm_parts = [geom for geom in spec.geoms if geom.contype or geom.conaffinity]
     for part in arm_parts:
         part.margin = LOOK

@@ -24,7 +24,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from learn2assemble.linear_programs import Program
+from learn2assemble.linear_programs import LinearProgram
 
 STEPS = 30
 """Of Newton's method; where forces exist, mostly fewer than ten."""
@@ -36,7 +36,9 @@ and at most. Without it, a block that lifts off would move without bounds."""
 _HALVINGS = 8
 
 
-def balance(program: Program, share: np.ndarray, near: np.ndarray) -> np.ndarray | bool | None:
+def balance(
+    program: LinearProgram, share: np.ndarray, near: np.ndarray
+) -> np.ndarray | bool | None:
     """The forces float64[n] >= 0 nearest to ``near`` that meet the equations of ``program``.
 
     Args:

@@ -37,7 +37,7 @@ from numba import njit
 
 from learn2assemble.assembly.blocks import Block
 from learn2assemble.assembly.contacts import Contacts
-from learn2assemble.linear_programs import INF, Program, solve
+from learn2assemble.linear_programs import INF, LinearProgram, solve
 from learn2assemble.statics.elastic import balance
 
 GROUND = -1
@@ -423,7 +423,7 @@ class Proof:
         free, blocks, program = self._equations(placed, placed)
         n, m = len(free), len(program.row_lower)
         rows = np.arange(m)
-        held = Program(
+        held = LinearProgram(
             np.concatenate([np.zeros(n), np.ones(2 * m)]),
             np.zeros(n + 2 * m),
             np.full(n + 2 * m, INF),
@@ -446,7 +446,7 @@ class Proof:
 
     def _equations(
         self, placed: np.ndarray, changing: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, Program]:
+    ) -> tuple[np.ndarray, np.ndarray, LinearProgram]:
         """Free points, changing blocks, and their balance in units of the heaviest of them."""
         s, live = self.stack, self._live(placed)
         free = np.flatnonzero(live & changing[s.upper])
@@ -471,7 +471,7 @@ class Proof:
         keep = values != 0
         start = np.concatenate([[0], np.cumsum(keep.sum(1))])
         n = len(free)
-        program = Program(
+        program = LinearProgram(
             np.zeros(n), np.zeros(n), np.full(n, INF), right, right, start, rows[keep], values[keep]
         )
         return free, blocks, program

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from learn2assemble.planning.tiling.world import World
+from learn2assemble.planning.tiling.world import LatticeWorld
 
 DEPTH = 5
 """How far the cells beside a candidate are seen one by one [cells]."""
@@ -38,7 +38,7 @@ def mirrored(features: np.ndarray, u: bool, v: bool) -> np.ndarray:
     return np.concatenate([features[:, :OWN], sides[:, order].reshape(len(features), -1)], 1)
 
 
-def describe(world: World, candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def describe(world: LatticeWorld, candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Features of candidates, and of the whole.
 
     Args:
@@ -96,7 +96,7 @@ def describe(world: World, candidates: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _summary(
-    world: World,
+    world: LatticeWorld,
     lowest: int,
     limited: float,
     stock: float,

@@ -17,7 +17,7 @@ from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.planning.tiling.props import unsupported
 from learn2assemble.planning.tiling.tile import MAX_EXTENT, tile
-from learn2assemble.planning.tiling.world import Site, World, make_site
+from learn2assemble.planning.tiling.world import LatticeSite, LatticeWorld, make_site
 from learn2assemble.tasks.task import DesignTask
 
 Cells = np.ndarray
@@ -306,7 +306,7 @@ class Solved:
     """A design and one way to build it."""
 
     family: str
-    site: Site
+    site: LatticeSite
     order: tuple[int, ...]
     """Candidates of the site in an order in which every state is proven."""
 
@@ -353,14 +353,14 @@ def _hanging_together(cells: Cells) -> Cells:
     return kept
 
 
-def solve(wanted: Cells, kit: Kit, seconds: float = 60.0) -> tuple[Site, list[int]] | None:
+def solve(wanted: Cells, kit: Kit, seconds: float = 60.0) -> tuple[LatticeSite, list[int]] | None:
     """Exact blocks of a design and an order without props; None where there is none.
 
     As the exact planner does it, without margins and ranges of joints, and without other blocks
     where those of its first choice fall.
     """
     site = make_site(wanted, kit)
-    world = World(site)
+    world = LatticeWorld(site)
     if len(world.stranded()):
         return None
     tiling = tile(wanted, kit, seconds=seconds)
@@ -371,7 +371,7 @@ def solve(wanted: Cells, kit: Kit, seconds: float = 60.0) -> tuple[Site, list[in
 
 
 def put_in_order(
-    world: World, candidates: list[int], rng: np.random.Generator | None = None
+    world: LatticeWorld, candidates: list[int], rng: np.random.Generator | None = None
 ) -> list[int] | None:
     """An order in which candidates can be placed, every state proven; None where none is found.
 

@@ -16,8 +16,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly, Block, box_block
-from learn2assemble.assembly.blocks import Step as AssemblyStep
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, box_block
 from learn2assemble.constants import EDGE, FRICTION, HALF, MASS
 from learn2assemble.design.drawings import SIDES
 from learn2assemble.errors import InputError

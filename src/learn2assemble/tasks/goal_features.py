@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from learn2assemble.planning.goals.world import Problem, Relaxed, unmet
-from learn2assemble.planning.tiling.world import World
+from learn2assemble.planning.goals.world import GoalProblem, Relaxed, unmet
+from learn2assemble.planning.tiling.world import LatticeWorld
 
 NUM_FEATURES, NUM_SUMMARY = 22, 9
 _FAR = 8.0
@@ -14,7 +14,11 @@ _FAR = 8.0
 
 
 def describe(
-    problem: Problem, world: World, relaxed: Relaxed, children: np.ndarray, ballast: np.ndarray
+    problem: GoalProblem,
+    world: LatticeWorld,
+    relaxed: Relaxed,
+    children: np.ndarray,
+    ballast: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Features of candidates, float32[m, NUM_FEATURES], and of the state, float32[NUM_SUMMARY].
 
@@ -97,7 +101,7 @@ def describe(
 
 
 def _levers(
-    problem: Problem, world: World, children: np.ndarray, centre: np.ndarray
+    problem: GoalProblem, world: LatticeWorld, children: np.ndarray, centre: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """How far the block below each candidate leans (0 to 1, from the middle of its support to its
     edge), and how far out on that side the candidate would lie [cells / 8], negative behind."""

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from learn2assemble.tasks.task import PRESETS, get_task
 
 if TYPE_CHECKING:
-    from learn2assemble.jobs.problems import Problem
+    from learn2assemble.jobs.problems import ProblemFamily
     from learn2assemble.planning.plan import Plan
     from learn2assemble.registry import Registry
 
 
 class TaskProblem(NamedTuple):
-    """Implements :class:`learn2assemble.jobs.problems.Problem` for a task."""
+    """Implements :class:`learn2assemble.jobs.problems.ProblemFamily` for a task."""
 
     name: str
 
@@ -26,7 +26,7 @@ class TaskProblem(NamedTuple):
         return build_task(self.name, **how)
 
 
-def register_problem(table: Registry[Problem]) -> None:
+def register_problem(table: Registry[ProblemFamily]) -> None:
     """Add every task there is, and every one that a user adds later."""
 
     def add(name: str) -> None:

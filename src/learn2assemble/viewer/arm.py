@@ -11,7 +11,7 @@ import numpy as np
 from learn2assemble.geometry.rotations import matrix_quaternion
 from learn2assemble.motion.record import StepRecord
 from learn2assemble.robot.moves import Outcome
-from learn2assemble.robot.shape import Part
+from learn2assemble.robot.shape import LinkPart
 from learn2assemble.viewer.html import NUMBER, packed, row, speed_options, to_base64
 from learn2assemble.viewer.playback import Playback, split
 from learn2assemble.viewer.words import (
@@ -212,7 +212,7 @@ def extent(playback: Playback) -> np.ndarray:
     return reached[np.unique((reached @ (np.array(around).T - 1.0)).argmax(0))]
 
 
-def _part(part: Part) -> dict[str, Any]:
+def _part(part: LinkPart) -> dict[str, Any]:
     wide = len(part.mesh.vertices) >= 65536
     return {
         "frame": part.frame,

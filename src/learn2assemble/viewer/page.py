@@ -27,7 +27,7 @@ from learn2assemble.viewer import scene, tables
 from learn2assemble.viewer.arm import NEAR_VIEW, arm_data, arm_section, arm_values
 from learn2assemble.viewer.html import fact_list, speed_options, stand_alone
 from learn2assemble.viewer.playback import Playback
-from learn2assemble.viewer.scene import Mark, Part, cell_labels
+from learn2assemble.viewer.scene import Mark, ScenePart, cell_labels
 from learn2assemble.viewer.tables import StepNote
 from learn2assemble.viewer.words import (
     BLAME_WORDS,
@@ -151,7 +151,7 @@ def render_assembly_page(
     return stand_alone(page, data, scripts, (_SHOW, _BLOCKS))
 
 
-def _once(parts: Sequence[Part]) -> list[Part]:
+def _once(parts: Sequence[ScenePart]) -> list[ScenePart]:
     """One stay of every block."""
     return list({part.block.id: part for part in parts}.values())
 
@@ -174,7 +174,7 @@ def _head(title: str, status: str, reason: str, plan: Plan | None) -> dict[str, 
 
 
 def _build(
-    told: Instructions, noted: list[tables.Noted], parts: list[Part], data: dict[str, Any]
+    told: Instructions, noted: list[tables.Noted], parts: list[ScenePart], data: dict[str, Any]
 ) -> dict[str, str]:
     """The 3-D view with its timeline, the plans of layers, the bill and the table of steps."""
     count = str(len(noted))
@@ -215,7 +215,7 @@ def _build(
     }
 
 
-def _corners(parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:
+def _corners(parts: Sequence[ScenePart]) -> tuple[np.ndarray, np.ndarray]:
     """float64[3] each: lower and upper corner of the box round all blocks [m, world]."""
     high = np.max([part.block.vertices.max(0) for part in parts], 0)
     return np.min([part.origin for part in parts], 0), high

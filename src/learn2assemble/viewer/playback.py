@@ -22,7 +22,7 @@ from learn2assemble.geometry.rotations import (
 from learn2assemble.motion.record import BuildRecord, Samples, StepRecord
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm, get_arm
-from learn2assemble.robot.shape import Shape, arm_shape
+from learn2assemble.robot.shape import ArmShape, arm_shape
 
 PAUSE = 2.5
 """What a step without motion takes in a replay [s]."""
@@ -56,7 +56,7 @@ class Glide(NamedTuple):
     falls: bool
 
 
-class Segment(NamedTuple):
+class ReplaySegment(NamedTuple):
     """A step of the record on the clock of the replay."""
 
     step: StepRecord
@@ -85,7 +85,7 @@ class Playback:
         cube = np.full((record.num_cells, 3), record.block_edge / 2)
         self.half = cube if record.half is None else record.half
         """float64[C, 3]: half extents of every cell [m]."""
-        self.shape: Shape = arm_shape(arm)
+        self.shape: ArmShape = arm_shape(arm)
         self.samples = _samples(record, arm)
         self.segments = tuple(self._segments())
 
@@ -103,7 +103,7 @@ class Playback:
         step = math.radians(15)
         return step * round(math.atan2(-away[1], -away[0]) / step)
 
-    def segment_at(self, clock: float) -> Segment:
+    def segment_at(self, clock: float) -> ReplaySegment:
         """The step at a time of the replay; its end belongs to it."""
         for segment in self.segments:
             if clock <= segment.end + 1e-9:
@@ -154,16 +154,16 @@ class Playback:
         width = samples.width[low] + share * (samples.width[high] - samples.width[low])
         return joints, float(width)
 
-    def _segments(self) -> list[Segment]:
+    def _segments(self) -> list[ReplaySegment]:
         delay, found = 0.0, []
         for step, (start, end) in zip(self.record.steps, self.record.spans(), strict=True):
             pause = 0.0 if len(step.samples.time) else PAUSE
-            segment = Segment(step, start + delay, end + delay + pause, delay, ())
+            segment = ReplaySegment(step, start + delay, end + delay + pause, delay, ())
             found.append(segment._replace(glides=tuple(self._glides(segment))))
             delay += pause
         return found
 
-    def _glides(self, segment: Segment) -> list[Glide]:
+    def _glides(self, segment: ReplaySegment) -> list[Glide]:
         step, delay = segment.step, segment.delay
         moved = np.abs(step.after - step.before).max(1) > _STILL
         if step.grip is not None:
@@ -199,7 +199,7 @@ def _samples(record: BuildRecord, arm: Arm) -> Samples:
     return Samples(np.zeros(1), home, np.zeros_like(home), width, width)
 
 
-def _moment(segment: Segment) -> float:
+def _moment(segment: ReplaySegment) -> float:
     """When something that is not held moves: as the block is let go, else as it is grasped."""
     step = segment.step
     if step.release is not None:

@@ -23,7 +23,7 @@ _COVERED = 0.03
 touch may be, as a share of the smallest edge."""
 
 
-class Part(NamedTuple):
+class ScenePart(NamedTuple):
     """One stay of a block in the structure; only props may have several."""
 
     block: Block
@@ -68,7 +68,7 @@ def cell_labels(
 
 
 def scene_data(
-    parts: Sequence[Part], shapes: Sequence[Block], layers: Sequence[float], steps: int
+    parts: Sequence[ScenePart], shapes: Sequence[Block], layers: Sequence[float], steps: int
 ) -> dict[str, Any]:
     """What the scripts need to draw an assembly: metres, world frame.
 
@@ -153,7 +153,7 @@ def _numbered(names: Iterable[str]) -> dict[str, int]:
 
 def block_parts(
     assembly: Assembly, moving: Collection[str] = ()
-) -> tuple[list[Part], list[Block], list[float]]:
+) -> tuple[list[ScenePart], list[Block], list[float]]:
     """The stays of all blocks, one block of every shape, and where layers begin [m].
 
     What is not built is there after a step that never comes.
@@ -189,7 +189,7 @@ def block_parts(
         colour = "bad" if block.id in moving else colour
         for stay in stays.get(block.id, [_Stay(0)]):
             parts.append(
-                Part(
+                ScenePart(
                     block,
                     numbers[key],
                     origin,
@@ -206,7 +206,7 @@ def block_parts(
 
 @dataclass
 class _Stay:
-    """When a block is there: the fields of :class:`Part`."""
+    """When a block is there: the fields of :class:`ScenePart`."""
 
     placed: int
     removed: int = 0

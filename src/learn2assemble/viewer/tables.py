@@ -29,7 +29,7 @@ from learn2assemble.assembly.instructions import Instructions, Placement
 from learn2assemble.constants import GRAVITY
 from learn2assemble.planning.plan import LARGEST, SearchStage
 from learn2assemble.viewer.html import NUMBER, row
-from learn2assemble.viewer.scene import Mark, Part
+from learn2assemble.viewer.scene import Mark, ScenePart
 from learn2assemble.viewer.words import percent
 
 STEP_HEAD = (
@@ -72,7 +72,7 @@ class Noted(NamedTuple):
     """A step of an assembly with all that the page says about it."""
 
     number: int
-    part: Part
+    part: ScenePart
     placement: Placement
     note: StepNote
     weight: float
@@ -136,7 +136,7 @@ def tilt_words(margin_g: float) -> str:
 
 
 def noted_steps(
-    told: Instructions, parts: Sequence[Part], notes: Sequence[StepNote], filled: str
+    told: Instructions, parts: Sequence[ScenePart], notes: Sequence[StepNote], filled: str
 ) -> list[Noted]:
     """Every step of an assembly with what the page says about it.
 
@@ -166,7 +166,7 @@ def noted_steps(
     return found
 
 
-def summary(assembly: Assembly, parts: Sequence[Part], extent: np.ndarray) -> str:
+def summary(assembly: Assembly, parts: Sequence[ScenePart], extent: np.ndarray) -> str:
     """How much there is, in one line; ``extent`` float64[3] of all of it [m]."""
     props = sum(part.block.prop for part in parts)
     supports = sum(part.block.support for part in parts)
@@ -264,7 +264,7 @@ def cuts(told: Instructions) -> str:
 
 
 def layer_words(
-    parts: Sequence[Part], layers: Sequence[float], steps: Sequence[Noted]
+    parts: Sequence[ScenePart], layers: Sequence[float], steps: Sequence[Noted]
 ) -> list[str]:
     """What belongs to every layer and where it begins.
 
@@ -290,7 +290,7 @@ def layer_words(
     return found
 
 
-def legend(parts: Sequence[Part], marks: Sequence[Mark]) -> str:
+def legend(parts: Sequence[ScenePart], marks: Sequence[Mark]) -> str:
     """Kinds by colour; the swatches are SVG, whose colours need no style sheet."""
     words = {"prop": "prop, removed again", "support": "fixed support", "bad": "starts to move"}
     named: dict[str, dict[str, None]] = {}

@@ -25,7 +25,7 @@ from learn2assemble.robot.shape import Mesh, box
 from learn2assemble.viewer import renderer
 from learn2assemble.viewer.arm import extent
 from learn2assemble.viewer.picture import ACCENT, INK, LINE, PAPER, RIM, SOFT
-from learn2assemble.viewer.playback import Playback, Segment, split
+from learn2assemble.viewer.playback import Playback, ReplaySegment, split
 from learn2assemble.viewer.scene import cell_labels
 from learn2assemble.viewer.words import clock_words, stage_words
 
@@ -203,7 +203,7 @@ class Frames:
             ImageDraw.Draw(ahead).rectangle(place, LINE if good else _UNDONE)
         return done, ahead
 
-    def _colours(self, segment: Segment, clock: float) -> np.ndarray:
+    def _colours(self, segment: ReplaySegment, clock: float) -> np.ndarray:
         colour = np.tile(WAITING, (self.count, 1))
         colour[OUTLINE], colour[TOP] = rgb(ACCENT), TABLE
         colour[PLACES] = 0.5 * (TABLE + rgb(SOFT))

@@ -33,7 +33,7 @@ from learn2assemble.geometry.rotations import yaw_matrix, yaw_quaternion
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.ordering import to_assembly
 from learn2assemble.planning.tiling.tile import BlockPlacement, Tiling
-from learn2assemble.planning.tiling.world import Site, World
+from learn2assemble.planning.tiling.world import LatticeSite, LatticeWorld
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import Scene, why_not_held
@@ -82,7 +82,7 @@ class Hand:
             raise InputError(what, f"nothing of kit {kit.name}", "blocks that it can hold")
         return replace(kit, kinds=tuple(held))
 
-    def set_up(self, world: World, turn: int = 0) -> Kit:
+    def set_up(self, world: LatticeWorld, turn: int = 0) -> Kit:
         """Place base and magazines for what stands in ``world``.
 
         Args:
@@ -120,7 +120,7 @@ class Hand:
         used = set(site.kind[world.placed].tolist())
         return replace(site.kit, kinds=tuple(site.kit.kinds[k] for k in sorted(used)))
 
-    def enter(self, site: Site) -> None:
+    def enter(self, site: LatticeSite) -> None:
         """Make ready for the candidates of a site whose kinds wait somewhere."""
         assert self.job is not None
         job, self.site = self.job, site
@@ -156,7 +156,7 @@ class Hand:
         away = np.linalg.norm(np.abs(at - self.job.base) + self.half[way], axis=1)
         return away / self.pitch.min() * FAR - level * LOW
 
-    def blocked(self, world: World, candidate: int) -> np.ndarray | None:
+    def blocked(self, world: LatticeWorld, candidate: int) -> np.ndarray | None:
         """Cells to blame where the arm cannot make a placement; None where it can.
 
         Args:

@@ -27,7 +27,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import INF
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.construct import plan_cells
-from learn2assemble.planning.tiling.world import World, make_site, only, run
+from learn2assemble.planning.tiling.world import LatticeWorld, make_site, only, run
 from learn2assemble.tasks.designs import Solved, make_design
 from learn2assemble.tasks.task import DesignTask
 
@@ -204,7 +204,7 @@ def _compared(design: Solved, config: ArmMeasure, agent: Builder) -> dict[str, A
             most = config.seconds if way == WAYS[1] else 0.0
             world = _by_order(only(site, chosen), hand, chosen, most, config.seed)
         else:
-            start = World(site) if way == WAYS[3] else only(site, chosen)
+            start = LatticeWorld(site) if way == WAYS[3] else only(site, chosen)
             world = build(start, agent, seed=config.seed, hand=hand).world
         spent = time.process_time() - begun
         row[way] = {
@@ -218,7 +218,9 @@ def _compared(design: Solved, config: ArmMeasure, agent: Builder) -> dict[str, A
     return row
 
 
-def _by_order(start: World, hand: Hand, chosen: np.ndarray, seconds: float, seed: int) -> World:
+def _by_order(
+    start: LatticeWorld, hand: Hand, chosen: np.ndarray, seconds: float, seed: int
+) -> LatticeWorld:
     """Place what can be placed, the lowest and farthest first; where that gets stuck, in random
     orders of every level while there are ``seconds`` of processor time. The best is returned."""
     assert hand.job is not None

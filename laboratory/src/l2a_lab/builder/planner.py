@@ -16,7 +16,7 @@ from learn2assemble.planning.plan import SearchReport, SearchStage
 from learn2assemble.planning.tiling.exact import prop_and_order
 from learn2assemble.planning.tiling.ordering import Ordering, order
 from learn2assemble.planning.tiling.tile import TIME_OPTION, Tiling
-from learn2assemble.planning.tiling.world import World, make_site, run
+from learn2assemble.planning.tiling.world import LatticeWorld, make_site, run
 
 if TYPE_CHECKING:
     from l2a_lab.builder.arm import Hand
@@ -65,7 +65,7 @@ def plan_with_agent(
     agent = builder if isinstance(builder, Builder) else load_builder(builder or DEFAULT)
     site = make_site(wanted, kit if hand is None else hand.holds(kit))
     props = props and hand is None
-    if props and len(World(site).stranded()):
+    if props and len(LatticeWorld(site).stranded()):
         site = make_site(wanted, kit, props)
     outcome = build(site, agent, budget=budget, seed=seed, seconds=seconds)
     expanded, first = outcome.expanded, outcome.world
@@ -100,7 +100,7 @@ def plan_with_agent(
     if outcome.world.propped and not outcome.complete:
         # Nobody places props for what is not finished: up to there it stands by itself.
         alone = run(site, outcome.world.placed[: outcome.world.propped[0]])
-        outcome = replace(outcome, world=alone or World(site))
+        outcome = replace(outcome, world=alone or LatticeWorld(site))
     world, spent = outcome.world, clock.spent
     placements = tuple(site.placement(candidate) for candidate in world.placed)
     missing = tuple(world.cells_open())

@@ -29,7 +29,7 @@ import numpy as np
 from l2a_lab.builder.network import Builder
 from learn2assemble.linear_programs import INF, Clock
 from learn2assemble.planning.tiling.props import FIRM
-from learn2assemble.planning.tiling.world import Site, World
+from learn2assemble.planning.tiling.world import LatticeSite, LatticeWorld
 from learn2assemble.tasks.design_features import describe
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ _SNAPSHOT = 16
 class Outcome:
     """How far a search came."""
 
-    world: World
+    world: LatticeWorld
     """The state with the fewest open cells."""
     expanded: int
     """States scored by the network, over the whole search."""
@@ -71,7 +71,7 @@ class Outcome:
         return self.world.complete
 
 
-def window(world: World, legal: np.ndarray, size: int = WINDOW) -> np.ndarray:
+def window(world: LatticeWorld, legal: np.ndarray, size: int = WINDOW) -> np.ndarray:
     """The ``size`` lowest of legal candidates; on a level, the nearest to the last block."""
     if len(legal) <= size:
         return legal
@@ -82,19 +82,21 @@ def window(world: World, legal: np.ndarray, size: int = WINDOW) -> np.ndarray:
 
 
 class _Search:
-    def __init__(self, start: World, builder: Builder | None, seed: int, hand: Hand | None) -> None:
+    def __init__(
+        self, start: LatticeWorld, builder: Builder | None, seed: int, hand: Hand | None
+    ) -> None:
         self.site = site = start.site
         self.builder, self.hand = builder, hand
         self.rng = np.random.default_rng(seed)
         self.world = start.copy()
         self.expanded = 0
         self.taken: Counter[int] = Counter()
-        self.kept: list[World] = [self.world.copy()]
+        self.kept: list[LatticeWorld] = [self.world.copy()]
         self.sizes = np.array([len(kind.cells) for kind in site.kit.kinds])
         self.reach = max(max(max(cell) for cell in way.cells) for way in site.found.ways) + 1
         self.limited = bool((self.world.heap >= 0).any())
         self.left_over: list[int] = []
-        self.dead: tuple[World, list[World], np.ndarray] | None = None
+        self.dead: tuple[LatticeWorld, list[LatticeWorld], np.ndarray] | None = None
         """The dead end with the fewest open cells, what was kept then, and the cells to blame."""
         self.hopeless = len(self.world.stranded())
 
@@ -121,7 +123,7 @@ class _Search:
         if len(self.world.placed) % _SNAPSHOT == 0:
             self.kept.append(self.world.copy())
 
-    def dead_end(self, world: World) -> np.ndarray | None:
+    def dead_end(self, world: LatticeWorld) -> np.ndarray | None:
         """Cells that cannot be filled any more, or whose blocks have to be held when all is done;
         none where the heap is to blame; else None."""
         stranded = world.stranded()
@@ -236,7 +238,7 @@ class _Search:
 
 
 def build(
-    start: Site | World,
+    start: LatticeSite | LatticeWorld,
     builder: Builder | None,
     *,
     budget: float = BUDGET,
@@ -254,11 +256,11 @@ def build(
         seconds: wall-clock limit.
         hand: makes the placements; without one they make themselves.
     """
-    start = start if isinstance(start, World) else World(start)
+    start = start if isinstance(start, LatticeWorld) else LatticeWorld(start)
     clock, search = Clock(seconds), _Search(start, builder, seed, hand)
     decisions: list[float] = []
 
-    def finished(world: World, repairs: int, timed_out: bool = False) -> Outcome:
+    def finished(world: LatticeWorld, repairs: int, timed_out: bool = False) -> Outcome:
         times = tuple(np.diff([*decisions, clock.spent]).tolist())
         return Outcome(world, search.expanded, repairs, clock.spent, times, timed_out)
 

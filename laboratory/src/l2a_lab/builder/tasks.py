@@ -23,7 +23,7 @@ from l2a_lab.builder.network import MAX_LOGIT, Builder
 from learn2assemble.assembly.kit import Kind, Kit, turned_cells
 from learn2assemble.constants import EDGE, HALF
 from learn2assemble.errors import InputError
-from learn2assemble.planning.tiling.world import Site, World, make_site
+from learn2assemble.planning.tiling.world import LatticeSite, LatticeWorld, make_site
 from learn2assemble.tasks.design_features import describe
 from learn2assemble.tasks.graph.features import node_offset
 from learn2assemble.tasks.graph.placements import distinct_placements
@@ -68,7 +68,7 @@ def cell_pixels() -> np.ndarray:
 class Problem:
     """A problem of a task as a design."""
 
-    site: Site
+    site: LatticeSite
     corner: np.ndarray
     """int64[3]: place of the first cell of the design [block edges, world]."""
     strides: np.ndarray
@@ -215,11 +215,11 @@ class TaskModel(WorldModel):
         self._problems.move_to_end(key)
         return self._problems[key]
 
-    def standing(self, states: State, row: int) -> World:
+    def standing(self, states: State, row: int) -> LatticeWorld:
         """The design in a row as far as it is built; objects beside it are left out."""
         problem, at = self.problem(states, row), _lattice(states.position[row])
         objects, count = _objects(states, row, int(states.num_placed[row]))
-        world = World(problem.site)
+        world = LatticeWorld(problem.site)
         for candidate in problem.find(at[objects], count):
             if candidate >= 0:
                 world.put(int(candidate))

@@ -31,7 +31,7 @@ from l2a_lab.builder.network import (
 from l2a_lab.builder.search import build, window
 from learn2assemble.errors import Learn2AssembleError, UnknownNameError, extra
 from learn2assemble.planning.tiling.tile import bond_cost, cover, seams_below
-from learn2assemble.planning.tiling.world import Site, World
+from learn2assemble.planning.tiling.world import LatticeSite, LatticeWorld
 from learn2assemble.tasks.design_features import NUM_SUMMARY, describe, mirrored
 from learn2assemble.tasks.designs import Solved, make_design
 from learn2assemble.tasks.task import DESIGN_TASKS
@@ -95,7 +95,7 @@ class _Sample:
 # ---------------------------------------------------------------- teachers
 
 
-def complete(world: World, target: np.ndarray, level: int) -> np.ndarray | None:
+def complete(world: LatticeWorld, target: np.ndarray, level: int) -> np.ndarray | None:
     """A solution of what is left after a placement that was in none.
 
     Args:
@@ -150,14 +150,14 @@ def _from_search(builder: Builder | None, solved: Solved, known: np.ndarray | No
 
 
 def _episode(
-    site: Site,
+    site: LatticeSite,
     target: np.ndarray,
     builder: Builder,
     rng: np.random.Generator,
     config: BuilderConfig,
 ) -> Iterator[_Sample]:
     """The states of one design; see the module."""
-    world = World(site)
+    world = LatticeWorld(site)
     leave = config.teacher == "exact"
     while not world.complete:
         candidates = window(world, world.legal())

@@ -15,11 +15,11 @@ from learn2assemble.design.drawings import (
     MAX_VERTICES,
     SIDES,
     Drawing,
+    DrawnShape,
     Layer,
-    Shape,
     to_drawing,
 )
-from learn2assemble.design.svg.paths import Curve, Frame, Matrix
+from learn2assemble.design.svg.paths import Curve, LengthContext, Matrix
 from learn2assemble.errors import InputError
 from learn2assemble.files import FARTHEST
 
@@ -30,7 +30,7 @@ OPAQUE = 0.98
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class PaintedPart:
     """What one element paints.
 
     Args:
@@ -46,8 +46,8 @@ class Part:
     alpha: float = 1.0
     stroked: bool = False
     layer: str | None = None
-    clips: tuple[tuple[Part, ...], ...] = ()
-    cuts: tuple[Part, ...] = ()
+    clips: tuple[tuple[PaintedPart, ...], ...] = ()
+    cuts: tuple[PaintedPart, ...] = ()
 
     @property
     def paper(self) -> bool:
@@ -77,7 +77,7 @@ class Page:
     """
 
     matrix: Matrix
-    frame: Frame
+    frame: LengthContext
     window: tuple[float, float, float, float] | None
     metres: float | None
 
@@ -98,13 +98,13 @@ def counted(found: Counter[str]) -> str:
     return ", ".join(f"{n} {word(name, n)}" for name, n in sorted(found.items()) if n > 0)
 
 
-def paint(parts: list[Part], page: Page, not_read: Counter[str], source: str) -> Drawing:
+def paint(parts: list[PaintedPart], page: Page, not_read: Counter[str], source: str) -> Drawing:
     """The drawing that parts make; closed outlines are material where nothing is filled."""
     parts = [part for part in parts if part.seen]
     outlines = not any(part.inked for part in parts)
     convert = _Converted(parts, page, source)
     layers: dict[str | None, Layer] = {}
-    lines: dict[str | None, list[tuple[Part, list[np.ndarray]]]] = {}
+    lines: dict[str | None, list[tuple[PaintedPart, list[np.ndarray]]]] = {}
     outside = 0
     for part in parts:
         shape = convert.shape(part)
@@ -123,7 +123,7 @@ def paint(parts: list[Part], page: Page, not_read: Counter[str], source: str) ->
             contours = [contour for _, closed in items for contour in closed]
             if contours:
                 clips = convert.shape(items[0][0]).clips
-                shape = Shape(contours, True, clips=clips, order=convert.number)
+                shape = DrawnShape(contours, True, clips=clips, order=convert.number)
                 layers.setdefault(name, Layer()).filled.append(shape)
     layers = _named(layers)
     said = _said(not_read, outside)
@@ -169,7 +169,7 @@ class _Converted:
         source: the file, as messages call it.
     """
 
-    def __init__(self, parts: Sequence[Part], page: Page, source: str) -> None:
+    def __init__(self, parts: Sequence[PaintedPart], page: Page, source: str) -> None:
         self.page, self.source = page, source
         points = [curve.points for part in parts for curve in part.curves]
         span = float(np.ptp(np.concatenate(points), axis=0).max()) if points else 1.0
@@ -178,7 +178,7 @@ class _Converted:
         curves = sum(len(curve.cubics) for part in parts for curve in part.curves)
         self.tolerance = max(FINE * span, 1e-300)
         self.most = int(np.clip(MAX_VERTICES // 2 // max(curves, 1), 4, 48))
-        self.known: dict[int, tuple[Shape, ...]] = {}
+        self.known: dict[int, tuple[DrawnShape, ...]] = {}
         self.number = 0
 
     def _points(self, curve: Curve) -> np.ndarray:
@@ -187,13 +187,13 @@ class _Converted:
             raise InputError(self.source, got, "a drawing")
         return curve.flat(self.tolerance, self.most) * (1, -1)
 
-    def shape(self, part: Part) -> Shape:
+    def shape(self, part: PaintedPart) -> DrawnShape:
         """A part as a shape."""
         flat = [self._points(curve) for curve in part.curves]
         contours = [points for points in flat if _has_extent(points)]
         clips = tuple(map(self._region, part.clips))
         self.number += 1
-        return Shape(
+        return DrawnShape(
             contours,
             part.even_odd,
             part.paper,
@@ -203,7 +203,7 @@ class _Converted:
             self.number,
         )
 
-    def _region(self, parts: tuple[Part, ...]) -> tuple[Shape, ...]:
+    def _region(self, parts: tuple[PaintedPart, ...]) -> tuple[DrawnShape, ...]:
         """The same of a clip path; what several share stays one."""
         if not parts:
             return ()
@@ -219,7 +219,7 @@ class _Converted:
         near = 1e-3 * np.ptp(points, axis=0).max()
         return points if curve.closed or np.abs(points[0] - points[-1]).max() <= near else None
 
-    def is_outside(self, shape: Shape) -> bool:
+    def is_outside(self, shape: DrawnShape) -> bool:
         """Whether nothing of a shape is on the page."""
         if not self.page.window or not shape.contours:
             return False

@@ -41,7 +41,7 @@ Matrix = np.ndarray
 
 
 @dataclass(frozen=True)
-class Frame:
+class LengthContext:
     """What relative lengths are relative to.
 
     Args:
@@ -64,7 +64,7 @@ def pair(text: str) -> tuple[float, str] | None:
     return float(found[1]), found[2].lower()
 
 
-def length(text: str, along: str, frame: Frame, source: str) -> float:
+def length(text: str, along: str, frame: LengthContext, source: str) -> float:
     """A length in user units.
 
     Args:

@@ -25,8 +25,8 @@ from learn2assemble.design.drawings import (
 )
 from learn2assemble.design.svg import paths
 from learn2assemble.design.svg import style as styles
-from learn2assemble.design.svg.parts import OPAQUE, Page, Part, counted, paint
-from learn2assemble.design.svg.paths import Curve, Frame, Matrix
+from learn2assemble.design.svg.parts import OPAQUE, Page, PaintedPart, counted, paint
+from learn2assemble.design.svg.paths import Curve, LengthContext, Matrix
 from learn2assemble.design.svg.style import Sheets, Style, local
 from learn2assemble.errors import InputError, trusted
 
@@ -63,25 +63,25 @@ _MARKED = ("start", "mid", "end")
 _IDENTITY = np.eye(3)
 
 
-_Drawn = tuple[list[Part], np.ndarray | None]
+_Drawn = tuple[list[PaintedPart], np.ndarray | None]
 """Parts of an element, and its box in the user units of what it stands in, ``float64[2, 2]``."""
 
 
 @dataclass(frozen=True)
-class _Place:
+class _Context:
     """Where an element stands: what it takes from what is around it."""
 
     matrix: Matrix
     """From its user units to those of the drawing."""
     style: Style
-    frame: Frame
+    frame: LengthContext
     around: tuple[ElementTree.Element, ...]
     layer: str | None = None
     depth: int = 0
     local: Matrix = field(default_factory=lambda: np.eye(3))
     """From its user units to those of what it stands in."""
 
-    def moved(self, matrix: Matrix) -> _Place:
+    def moved(self, matrix: Matrix) -> _Context:
         """The same with user units of its own."""
         return replace(self, matrix=self.matrix @ matrix, local=self.local @ matrix)
 
@@ -154,7 +154,7 @@ def _page(root: ElementTree.Element, source: str) -> Page:
     pixel = 0.0254 / 96 if real else None
     if box is None:
         window = None if wide is None or high is None else (0.0, 0.0, wide, high)
-        return Page(_IDENTITY, Frame(wide, high), window, pixel)
+        return Page(_IDENTITY, LengthContext(wide, high), window, pixel)
     if not min(box[2:]) > 0:
         raise InputError(source, "a viewBox without an area", "a page with an area")
     ratio = box[3] / box[2]
@@ -163,13 +163,13 @@ def _page(root: ElementTree.Element, source: str) -> Page:
     across, up, x, y = paths.fitted(box, (0, 0, wide, high), root.get("preserveAspectRatio", ""))
     matrix = paths.affine(across / up, 0, 0, 1, 0, 0)
     window = -x / up, -y / up, wide / up, high / up
-    return Page(matrix, Frame(box[2], box[3]), window, up * pixel if pixel else None)
+    return Page(matrix, LengthContext(box[2], box[3]), window, up * pixel if pixel else None)
 
 
-def _area(x: float, y: float, wide: float, high: float, matrix: Matrix) -> tuple[Part, ...]:
+def _area(x: float, y: float, wide: float, high: float, matrix: Matrix) -> tuple[PaintedPart, ...]:
     """A rectangle to confine parts to."""
     curves = paths.polygon([x, y, x + wide, y, x + wide, y + high, x, y + high])
-    return (Part(tuple(curve.moved(matrix) for curve in curves), False),)
+    return (PaintedPart(tuple(curve.moved(matrix) for curve in curves), False),)
 
 
 # ---------------------------------------------------------------- the walk
@@ -200,12 +200,12 @@ class _Walk:
         """Path data that was read."""
         self.turns: dict[str, Matrix | None] = {}
         """Transforms that were read."""
-        self.places: dict[ElementTree.Element, _Place] = {}
+        self.places: dict[ElementTree.Element, _Context] = {}
         """Places of what is drawn by reference."""
         self.gradients: dict[ElementTree.Element, tuple[tuple[int, int, int], float] | None] = {}
         """Colours of gradients; None for one that is not read."""
 
-    def whole(self, page: Page) -> list[Part]:
+    def whole(self, page: Page) -> list[PaintedPart]:
         """What the drawing paints."""
         style = self._style(self.root, {}, (), page.frame)
         frame = replace(page.frame, font=float(style["font-size"]))
@@ -213,7 +213,7 @@ class _Walk:
             return []
         if style.get("transform", "none") != "none":
             self.not_read["transform of the whole"] += 1
-        place = _Place(page.matrix, style, frame, (self.root,))
+        place = _Context(page.matrix, style, frame, (self.root,))
         parts = self._finish(*self._children(self.root, place), style, place)
         if page.window is None:
             return parts
@@ -227,7 +227,7 @@ class _Walk:
         element: ElementTree.Element,
         parent: Style,
         around: tuple[ElementTree.Element, ...],
-        frame: Frame,
+        frame: LengthContext,
     ) -> Style:
         """The style of an element; the size of its letters is a number."""
         declared = self.sheets.declared(element, around, self.source)
@@ -237,7 +237,7 @@ class _Walk:
         style["font-size"] = repr(size * units.get(unit, 1.0))
         return style
 
-    def _computed(self, element: ElementTree.Element) -> _Place:
+    def _computed(self, element: ElementTree.Element) -> _Context:
         """The place of what is in an element that is only drawn by reference."""
         if element in self.places:
             return self.places[element]
@@ -245,11 +245,11 @@ class _Walk:
         while chain[-1] in self.parents:
             chain.append(self.parents[chain[-1]])
             self._check_depth(len(chain))
-        style, around, frame = {}, (), Frame(None, None)
+        style, around, frame = {}, (), LengthContext(None, None)
         for each in reversed(chain):
             style = self._style(each, style, around, frame)
             around, frame = (*around, each), replace(frame, font=float(style["font-size"]))
-        self.places[element] = _Place(_IDENTITY, style, frame, around)
+        self.places[element] = _Context(_IDENTITY, style, frame, around)
         return self.places[element]
 
     def _check_depth(self, depth: int) -> None:
@@ -283,14 +283,14 @@ class _Walk:
         """The element that ``#name`` means."""
         return self.named.get(name[1:]) if name[:1] == "#" and len(name) > 1 else None
 
-    def _children(self, element: ElementTree.Element, place: _Place) -> _Drawn:
+    def _children(self, element: ElementTree.Element, place: _Context) -> _Drawn:
         drawn = [self.draw(child, place) for child in element]
         return [part for parts, _ in drawn for part in parts], _joined(box for _, box in drawn)
 
     def draw(
         self,
         element: ElementTree.Element,
-        place: _Place,
+        place: _Context,
         sizes: tuple[str | None, str | None] | None = None,
     ) -> _Drawn:
         """What an element paints.
@@ -330,9 +330,9 @@ class _Walk:
         self,
         tag: str,
         element: ElementTree.Element,
-        place: _Place,
+        place: _Context,
         sizes: tuple[str | None, str | None] | None,
-    ) -> tuple[_Place, list[Part], np.ndarray | None]:
+    ) -> tuple[_Context, list[PaintedPart], np.ndarray | None]:
         """Parts and box of what is in an element, and the place where that stands."""
         if tag in ("svg", "symbol"):
             return self._viewport(element, place, sizes or (None, None))
@@ -356,7 +356,7 @@ class _Walk:
         if shown and styles.share(style.get("opacity", "1")) > 0:
             self.not_read[_NOT_READ[tag]] += 1
 
-    def _transform(self, style: Style, frame: Frame) -> Matrix:
+    def _transform(self, style: Style, frame: LengthContext) -> Matrix:
         """The transform of an element; browsers ignore a wrong one."""
         given = style.get("transform", "none")
         if given not in self.turns:
@@ -376,8 +376,8 @@ class _Walk:
         return paths.shift(x, y) @ made @ paths.shift(-x, -y)
 
     def _use(
-        self, element: ElementTree.Element, place: _Place
-    ) -> tuple[_Place, list[Part], np.ndarray | None]:
+        self, element: ElementTree.Element, place: _Context
+    ) -> tuple[_Context, list[PaintedPart], np.ndarray | None]:
         """A copy of another element."""
         x, y = (self._length(place, name, "0") for name in "xy")
         place = place.moved(paths.shift(x, y))
@@ -391,8 +391,8 @@ class _Walk:
             return place, *self.draw(target, replace(place, around=()), sizes)
 
     def _viewport(
-        self, element: ElementTree.Element, place: _Place, sizes: tuple[str | None, str | None]
-    ) -> tuple[_Place, list[Part], np.ndarray | None]:
+        self, element: ElementTree.Element, place: _Context, sizes: tuple[str | None, str | None]
+    ) -> tuple[_Context, list[PaintedPart], np.ndarray | None]:
         """An ``svg`` inside another, or a symbol."""
         box = _view_box(element)
         x, y = (self._length(place, name, "0") for name in "xy")
@@ -417,7 +417,7 @@ class _Walk:
             parts = [replace(part, clips=(*part.clips, clip)) for part in parts]
         return place, parts, bounds
 
-    def _length(self, place: _Place, name: str, default: str) -> float:
+    def _length(self, place: _Context, name: str, default: str) -> float:
         """A property that is a length."""
         along = {"x": "x", "cx": "x", "width": "x", "rx": "x", "r": ""}.get(name, "y")
         given = place.style.get(name, default)
@@ -426,7 +426,7 @@ class _Walk:
 
     # ------------------------------------------------ shapes
 
-    def _shape(self, tag: str, element: ElementTree.Element, place: _Place) -> _Drawn:
+    def _shape(self, tag: str, element: ElementTree.Element, place: _Context) -> _Drawn:
         """What a shape paints."""
         curves, box = self._outline(tag, element, place)
         if not curves:
@@ -445,10 +445,10 @@ class _Walk:
             if tag not in ("rect", "circle", "ellipse"):
                 self.not_read["marker"] += any(m and self._target(m[0]) is not None for m in marks)
         even_odd = style.get("fill-rule") == "evenodd"
-        return [Part(curves, even_odd, colour, alpha, stroked, place.layer)], box
+        return [PaintedPart(curves, even_odd, colour, alpha, stroked, place.layer)], box
 
     def _outline(
-        self, tag: str, element: ElementTree.Element, place: _Place
+        self, tag: str, element: ElementTree.Element, place: _Context
     ) -> tuple[tuple[Curve, ...], np.ndarray | None]:
         """The curves of a shape in coordinates of the drawing, and its box in its user units."""
         sound = True
@@ -477,7 +477,7 @@ class _Walk:
         box = paths.box_of(curves) if self.boxed else None
         return tuple(curve.moved(place.matrix) for curve in curves), box
 
-    def _basic(self, tag: str, place: _Place) -> list[Curve]:
+    def _basic(self, tag: str, place: _Context) -> list[Curve]:
         """Rectangles and ellipses; a corner radius that is not said is that of the other axis."""
         if tag == "circle":
             rx = ry = self._length(place, "r", "0")
@@ -534,7 +534,9 @@ class _Walk:
             value = style.get("stop-color", "black")
             value = style.get("color", "black") if value.lower() == "currentcolor" else value
             r, g, b, alpha = styles.colour(value) or (0, 0, 0, 1.0)
-            part = Part((), False, (r, g, b), alpha * styles.share(style.get("stop-opacity", "1")))
+            part = PaintedPart(
+                (), False, (r, g, b), alpha * styles.share(style.get("stop-opacity", "1"))
+            )
             kinds.add((part.paper, part.inked))
             mixed.append((*part.colour, part.alpha))
         if len(kinds) != 1:
@@ -545,8 +547,8 @@ class _Walk:
     # ------------------------------------------------ clip paths, masks, opacity
 
     def _finish(
-        self, parts: list[Part], box: np.ndarray | None, style: Style, place: _Place
-    ) -> list[Part]:
+        self, parts: list[PaintedPart], box: np.ndarray | None, style: Style, place: _Context
+    ) -> list[PaintedPart]:
         """What of an element is left by its clip path, mask and opacity."""
         if not any(part.seen for part in parts):
             return parts
@@ -555,7 +557,7 @@ class _Walk:
         alpha = styles.share(style.get("opacity", "1"))
         return parts if alpha >= 1 else self._faded(parts, alpha)
 
-    def _faded(self, parts: list[Part], alpha: float) -> list[Part]:
+    def _faded(self, parts: list[PaintedPart], alpha: float) -> list[PaintedPart]:
         """A group that is partly transparent: its white parts hide others of it, and no more."""
         if self.masking and alpha > 0:
             raise InputError(self.source, "a mask that is partly transparent", "black and white")
@@ -576,8 +578,8 @@ class _Walk:
         return made[::-1]
 
     def _limited(
-        self, parts: list[Part], box: np.ndarray | None, style: Style, place: _Place
-    ) -> list[Part]:
+        self, parts: list[PaintedPart], box: np.ndarray | None, style: Style, place: _Context
+    ) -> list[PaintedPart]:
         """Parts within the clip path and the mask of their element."""
         for name, tag in (("clip-path", "clipPath"), ("mask", "mask")):
             value = style.get(name, "none")
@@ -596,20 +598,20 @@ class _Walk:
         return parts
 
     def _clip(
-        self, target: ElementTree.Element, place: _Place, box: np.ndarray
-    ) -> tuple[Part, ...] | None:
+        self, target: ElementTree.Element, place: _Context, box: np.ndarray
+    ) -> tuple[PaintedPart, ...] | None:
         """The region of a clip path; None where there is none."""
         inside = self._computed(target)
         if inside.style.get("display") == "none":
             return None
         boxed = target.get("clipPathUnits") == "objectBoundingBox"
-        frame = Frame(1.0, 1.0) if boxed else place.frame
+        frame = LengthContext(1.0, 1.0) if boxed else place.frame
         matrix = place.matrix @ (_unit(box) if boxed else _IDENTITY)
         own = replace(inside, matrix=matrix @ self._transform(inside.style, frame), frame=frame)
         made = [part for child in target for part in self._clip_part(child, own)[0]]
         return tuple(self._limited(made, box, inside.style, place))
 
-    def _clip_part(self, element: ElementTree.Element, place: _Place) -> _Drawn:
+    def _clip_part(self, element: ElementTree.Element, place: _Context) -> _Drawn:
         """A shape of a clip path, or a copy of one."""
         tag = local(element)
         if tag == "text":
@@ -634,13 +636,13 @@ class _Walk:
                 parts, box = self._clip_part(target, inside)
         else:
             curves, box = self._outline(tag, element, inside)
-            parts = [Part(curves, style.get("clip-rule") == "evenodd")] if curves else []
+            parts = [PaintedPart(curves, style.get("clip-rule") == "evenodd")] if curves else []
         clipped = {name: value for name, value in style.items() if name != "mask"}
         return self._limited(parts, box, clipped, inside), _mapped(box, inside.local)
 
     def _mask(
-        self, target: ElementTree.Element, place: _Place, box: np.ndarray
-    ) -> tuple[Part, ...]:
+        self, target: ElementTree.Element, place: _Context, box: np.ndarray
+    ) -> tuple[PaintedPart, ...]:
         """The region of a mask that is all or nothing everywhere.
 
         Raises:
@@ -648,7 +650,7 @@ class _Walk:
         """
         inside = self._computed(target)
         boxed = target.get("maskUnits", "objectBoundingBox") == "objectBoundingBox"
-        frame = Frame(1.0, 1.0) if boxed else place.frame
+        frame = LengthContext(1.0, 1.0) if boxed else place.frame
         x, y, wide, high = (
             paths.length(inside.style.get(name, default), "xy"[k % 2], frame, self.source)
             for k, (name, default) in enumerate(
@@ -667,7 +669,7 @@ class _Walk:
         own = replace(
             inside,
             matrix=matrix,
-            frame=Frame(1.0, 1.0) if boxed else place.frame,
+            frame=LengthContext(1.0, 1.0) if boxed else place.frame,
             depth=place.depth + 1,
         )
         outer, self.not_read = self.not_read, Counter()
@@ -685,7 +687,7 @@ class _Walk:
         made = [replace(part, clips=(*part.clips, whole)) for part in made]
         return tuple(self._limited(made, box, inside.style, place))
 
-    def _stencil(self, part: Part, by_alpha: bool) -> Part | None:
+    def _stencil(self, part: PaintedPart, by_alpha: bool) -> PaintedPart | None:
         """A part of a mask as one of a region: black where it shows, white where it hides."""
         light = float(np.dot(part.colour, (0.2126, 0.7152, 0.0722))) / 255
         if part.alpha < _CLEAR:
@@ -730,7 +732,7 @@ def _applies(element: ElementTree.Element) -> bool:
     return english and not element.get("requiredExtensions", "").strip()
 
 
-def _layer(element: ElementTree.Element, place: _Place) -> str | None:
+def _layer(element: ElementTree.Element, place: _Context) -> str | None:
     """The layer of what is in an element.
 
     A layer is a group that an editor marked as one, one at the top that somebody named, or one

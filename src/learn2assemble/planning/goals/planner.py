@@ -17,7 +17,7 @@ from learn2assemble.planning.goals.search import Found, search
 from learn2assemble.planning.goals.stacks import TIGHT, find_stacks
 from learn2assemble.planning.goals.world import (
     MAX_CANDIDATES,
-    Problem,
+    GoalProblem,
     failing_load,
     make_problem,
     relax,
@@ -27,7 +27,7 @@ from learn2assemble.planning.tiling.construct import EXACT, report_plan
 from learn2assemble.planning.tiling.ordering import order
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.tile import BlockPlacement, Tiling, owners, placement_cells
-from learn2assemble.planning.tiling.world import World
+from learn2assemble.planning.tiling.world import LatticeWorld
 from learn2assemble.statics.proofs import Bounds, value_range
 
 SEARCH, STACKS = "search", "stacks"
@@ -124,16 +124,16 @@ def plan_goals(
     )
 
 
-def _is_tight(problem: Problem) -> bool:
+def _is_tight(problem: GoalProblem) -> bool:
     """Whether the goals need most of the blocks that there are."""
-    heap = World(problem.site).heap
+    heap = LatticeWorld(problem.site).heap
     return bool((heap >= 0).all()) and (
-        relax(problem, World(problem.site)).blocks >= TIGHT * heap.sum()
+        relax(problem, LatticeWorld(problem.site)).blocks >= TIGHT * heap.sum()
     )
 
 
 def _stack(
-    problem: Problem,
+    problem: GoalProblem,
     seconds: float,
     stages: list[plans.SearchStage],
     progress: Callable[[str], None],
@@ -147,7 +147,7 @@ def _stack(
     return blocks
 
 
-def prepare(goals: Goals) -> tuple[Problem, str]:
+def prepare(goals: Goals) -> tuple[GoalProblem, str]:
     """The candidates of some goals, and why they cannot be met where that is known at once.
 
     Raises:
@@ -164,7 +164,7 @@ def prepare(goals: Goals) -> tuple[Problem, str]:
     return problem, impossible(problem)
 
 
-def impossible(problem: Problem) -> str:
+def impossible(problem: GoalProblem) -> str:
     """Why no structure meets the goals, where a simple bound proves it; else an empty text."""
     goals, kit = problem.goals, problem.goals.kit
     cells, asked = kit.most_cells, int(goals.must.sum())
@@ -180,7 +180,7 @@ def impossible(problem: Problem) -> str:
         level = int(np.argwhere(goals.must)[:, 2].max()) + 1
         if reached < level:
             return f"a goal is {level} levels high; the whole heap on one another is {reached}"
-    if not goals.props and not np.isfinite(relax(problem, World(problem.site)).blocks):
+    if not goals.props and not np.isfinite(relax(problem, LatticeWorld(problem.site)).blocks):
         return (
             f"no chain of blocks of kit `{kit.name}`, each carried below its centroid, leads "
             "from the table to every goal around the obstacles"

@@ -23,13 +23,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from learn2assemble.design.goals import Surface
-from learn2assemble.linear_programs import INF, Clock, Model, Program, solve
+from learn2assemble.linear_programs import INF, Clock, LinearProgram, Model, solve
 from learn2assemble.planning.goals.search import finished
-from learn2assemble.planning.goals.world import Problem, failing_load, legal, put
+from learn2assemble.planning.goals.world import GoalProblem, failing_load, legal, put
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.standing import add_forces, face_points, find_faces
 from learn2assemble.planning.tiling.tile import BlockPlacement, owners
-from learn2assemble.planning.tiling.world import World
+from learn2assemble.planning.tiling.world import LatticeWorld
 
 MOST = 24
 """Blocks of a structure the program looks for."""
@@ -38,7 +38,7 @@ MAX_STATES = 20_000
 
 
 @dataclass(frozen=True)
-class Exact:
+class ProgramResult:
     """What the program came to."""
 
     status: str
@@ -50,7 +50,7 @@ class Exact:
     seconds: float
 
 
-def plan_program(problem: Problem, *, seconds: float = 60.0, most: int = MOST) -> Exact:
+def plan_program(problem: GoalProblem, *, seconds: float = 60.0, most: int = MOST) -> ProgramResult:
     """The structure with the fewest blocks that meets the goals, and an order.
 
     Args:
@@ -66,11 +66,11 @@ def plan_program(problem: Problem, *, seconds: float = 60.0, most: int = MOST) -
         answer = solve(_program(problem, cases, ruled_out, most), clock.left, gap=0.0)
         if answer.status == "infeasible":
             status = "infeasible" if not ruled_out else "time"
-            return Exact(status, (), bound, clock.spent)
+            return ProgramResult(status, (), bound, clock.spent)
         if np.isfinite(answer.bound):
             bound = max(bound, int(np.ceil(answer.bound - 1e-6)))
         if answer.x is None:
-            return Exact("time", (), bound, clock.spent)
+            return ProgramResult("time", (), bound, clock.spent)
         chosen = np.flatnonzero(answer.x[: len(problem.site)] > 0.5)
         blocks = tuple(problem.site.placement(int(k)) for k in chosen)
         owner = owners(blocks, goals.kit, goals.shape)
@@ -84,17 +84,17 @@ def plan_program(problem: Problem, *, seconds: float = 60.0, most: int = MOST) -
         if order is not None:
             made = tuple(problem.site.placement(k) for k in order)
             status = "optimal" if answer.status == "optimal" else "feasible"
-            return Exact(status, made, bound, clock.spent)
+            return ProgramResult(status, made, bound, clock.spent)
         ruled_out.append(chosen)
         if clock.left <= 0:
-            return Exact("time", (), bound, clock.spent)
+            return ProgramResult("time", (), bound, clock.spent)
 
 
-def find_order(problem: Problem, candidates: list[int]) -> list[int] | None:
+def find_order(problem: GoalProblem, candidates: list[int]) -> list[int] | None:
     """An order in which candidates can be put down, every state standing; None for none."""
     seen: set[frozenset[int]] = set()
 
-    def go(world: World, left: frozenset[int]) -> list[int] | None:
+    def go(world: LatticeWorld, left: frozenset[int]) -> list[int] | None:
         if not left:
             return list(world.placed)
         if left in seen or len(seen) > MAX_STATES:
@@ -108,12 +108,12 @@ def find_order(problem: Problem, candidates: list[int]) -> list[int] | None:
                 return made
         return None
 
-    return go(World(problem.site), frozenset(candidates))
+    return go(LatticeWorld(problem.site), frozenset(candidates))
 
 
 def _program(
-    problem: Problem, cases: list[tuple[Surface, ...]], ruled_out: list[np.ndarray], most: int
-) -> Program:
+    problem: GoalProblem, cases: list[tuple[Surface, ...]], ruled_out: list[np.ndarray], most: int
+) -> LinearProgram:
     """Columns: whether each candidate is used, then for every case the forces at the corners of
     bed faces and of top faces."""
     site, found, goals = problem.site, problem.site.found, problem.goals

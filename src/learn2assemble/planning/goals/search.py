@@ -29,7 +29,7 @@ import numpy as np
 
 from learn2assemble.linear_programs import INF, Clock, Model, solve
 from learn2assemble.planning.goals.world import (
-    Problem,
+    GoalProblem,
     Relaxed,
     bears,
     failing_load,
@@ -41,7 +41,7 @@ from learn2assemble.planning.goals.world import (
 )
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.tile import BlockPlacement, owners
-from learn2assemble.planning.tiling.world import World, grow
+from learn2assemble.planning.tiling.world import LatticeWorld, grow
 from learn2assemble.statics.step_proof import Proof, Stack
 
 WEIGHTS = 3.0, 1.0
@@ -84,7 +84,7 @@ class Found:
 class Node:
     """A structure that stands, and its children in the order in which they are tried."""
 
-    world: World
+    world: LatticeWorld
     relaxed: Relaxed
     missing: float
     children: np.ndarray
@@ -95,17 +95,17 @@ class Node:
 class Search:
     """A search over the structures for some goals."""
 
-    def __init__(self, problem: Problem, seed: int = 0) -> None:
+    def __init__(self, problem: GoalProblem, seed: int = 0) -> None:
         self.problem = problem
         rng = np.random.default_rng(seed)
         self.rng, self.noise = rng, 0.0
         self.hash = rng.integers(0, 2**63, len(problem.site), dtype=np.int64)
         self.expanded = 0
-        self.best: World | None = None
+        self.best: LatticeWorld | None = None
         self.fewest = INF
         self.heaviest = float(problem.site.weight.max())
 
-    def expand(self, world: World, relaxed: Relaxed, spent: float) -> Node:
+    def expand(self, world: LatticeWorld, relaxed: Relaxed, spent: float) -> Node:
         """The node of a structure.
 
         Args:
@@ -124,7 +124,7 @@ class Search:
         return Node(world, relaxed, missing, children[order], spent + surprise[order])
 
     def advice(
-        self, world: World, relaxed: Relaxed, children: np.ndarray
+        self, world: LatticeWorld, relaxed: Relaxed, children: np.ndarray
     ) -> tuple[np.ndarray, float]:
         """How well children lie where ballast is asked for (float64[m], 0 to 1), and how much is
         [kg]."""
@@ -135,12 +135,12 @@ class Search:
         share, weight = self.ballast(world, heavy, liked)
         return share[children], weight
 
-    def hopeless(self, world: World, relaxed: Relaxed) -> bool:
+    def hopeless(self, world: LatticeWorld, relaxed: Relaxed) -> bool:
         """Whether fewer blocks than before are out of sight: a relaxed plan may ask for too many,
         but hardly for twice as many as are needed."""
         return len(world.placed) + max(np.ceil(relaxed.blocks * SURE), 1) >= self.fewest
 
-    def overloaded(self, world: World) -> Stack | None:
+    def overloaded(self, world: LatticeWorld) -> Stack | None:
         """What stands with all loads that have a place by now, where that falls."""
         owner = world.owner.reshape(self.problem.goals.shape)
         loads = tuple(load for load in self.problem.goals.loads if owner[load.cell] >= 0)
@@ -154,7 +154,7 @@ class Search:
         return None if proof.settle(everything, everything) else stack
 
     def ballast(
-        self, world: World, heavy: Stack | None, liked: np.ndarray
+        self, world: LatticeWorld, heavy: Stack | None, liked: np.ndarray
     ) -> tuple[np.ndarray, float]:
         """How well every candidate lies where weight is asked for (float64[n], 0 to 1), and how
         much is [kg].
@@ -194,7 +194,7 @@ class Search:
                 value = len(node.world.placed) + weight * node.missing + node.surprise[index]
                 heapq.heappush(queue, (float(value), -next(ties), index, node))
 
-        world = World(self.problem.site)
+        world = LatticeWorld(self.problem.site)
         push(self.expand(world, relax(self.problem, world), 0.0), 0)
         while queue:
             if clock.left <= 0 or self.expanded > limit or len(seen) > MAX_SEEN:
@@ -221,7 +221,7 @@ class Search:
 
 
 def search(
-    problem: Problem,
+    problem: GoalProblem,
     *,
     seconds: float = 10.0,
     seed: int = 0,
@@ -235,7 +235,9 @@ def search(
     clock, found = Clock(seconds, timer), Search(problem, seed)
     best = Found((), 0, 0.0)
     end, runs = clock, 0
-    exhausted = not len(problem.site) or not np.isfinite(relax(problem, World(problem.site)).blocks)
+    exhausted = not len(problem.site) or not np.isfinite(
+        relax(problem, LatticeWorld(problem.site)).blocks
+    )
     while end.left > 0 and not exhausted:
         before = found.fewest
         weight = WEIGHTS[0 if found.best is None else runs % 2]
@@ -250,7 +252,7 @@ def search(
     return Found(best.placements, found.expanded, clock.spent, exhausted)
 
 
-def trim(problem: Problem, world: World) -> tuple[BlockPlacement, ...]:
+def trim(problem: GoalProblem, world: LatticeWorld) -> tuple[BlockPlacement, ...]:
     """The blocks in their order, without those that nothing needs; where props are allowed, those
     that only building needs are temporary."""
     kept = list(world.placed)
@@ -268,9 +270,9 @@ def trim(problem: Problem, world: World) -> tuple[BlockPlacement, ...]:
     return tuple(blocks)
 
 
-def replay(problem: Problem, candidates: list[int]) -> World | None:
+def replay(problem: GoalProblem, candidates: list[int]) -> LatticeWorld | None:
     """The world after some candidates; None where one is not legal or falls."""
-    world: World | None = World(problem.site)
+    world: LatticeWorld | None = LatticeWorld(problem.site)
     for k in candidates:
         if world is None or k not in legal(problem, world):
             return None
@@ -278,7 +280,7 @@ def replay(problem: Problem, candidates: list[int]) -> World | None:
     return world
 
 
-def finished(problem: Problem, blocks: tuple[BlockPlacement, ...]) -> bool:
+def finished(problem: GoalProblem, blocks: tuple[BlockPlacement, ...]) -> bool:
     """Whether blocks meet the goals, stand and bear the loads, however they got there."""
     goals = problem.goals
     owner = owners(blocks, goals.kit, goals.shape)
@@ -294,7 +296,7 @@ def finished(problem: Problem, blocks: tuple[BlockPlacement, ...]) -> bool:
 
 
 def _least_ballast(
-    problem: Problem, stack: Stack, owner: np.ndarray
+    problem: GoalProblem, stack: Stack, owner: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Cells on top of which the least weight holds a structure, and how much on each [kg]; none
     where it stands without or nothing holds it.

@@ -19,10 +19,10 @@ from __future__ import annotations
 import numpy as np
 
 from learn2assemble.linear_programs import INF, Clock, Model, solve
-from learn2assemble.planning.goals.world import Problem, bears, legal, put, unmet
+from learn2assemble.planning.goals.world import GoalProblem, bears, legal, put, unmet
 from learn2assemble.planning.tiling.props import FIRM
 from learn2assemble.planning.tiling.tile import BlockPlacement, support_margin
-from learn2assemble.planning.tiling.world import World
+from learn2assemble.planning.tiling.world import LatticeWorld
 
 TIGHT = 0.75
 """Share of the blocks of a heap that goals need at least for stacks to be tried before a search."""
@@ -32,7 +32,7 @@ _OFF_CENTRE = 0.01
 """Price of a centroid a cell away from the middle of its stack [blocks]."""
 
 
-def find_stacks(problem: Problem, *, seconds: float = INF) -> tuple[BlockPlacement, ...]:
+def find_stacks(problem: GoalProblem, *, seconds: float = INF) -> tuple[BlockPlacement, ...]:
     """Stacks under all goals, in the order of building; empty where none were found.
 
     Args:
@@ -87,7 +87,7 @@ def find_stacks(problem: Problem, *, seconds: float = INF) -> tuple[BlockPlaceme
     return ()
 
 
-def _carriers(problem: Problem, candidate: int) -> list[int]:
+def _carriers(problem: GoalProblem, candidate: int) -> list[int]:
     """Candidates that bear the centroid of one alone."""
     site, shape = problem.site, problem.goals.shape
     flat = site.cells(candidate)
@@ -106,10 +106,10 @@ def _carriers(problem: Problem, candidate: int) -> list[int]:
     ]
 
 
-def _holds(problem: Problem, candidates: list[int]) -> bool:
+def _holds(problem: GoalProblem, candidates: list[int]) -> bool:
     """Whether candidates can be put down in this order, every state standing, and meet the goals
     and bear their loads."""
-    world: World | None = World(problem.site)
+    world: LatticeWorld | None = LatticeWorld(problem.site)
     for k in candidates:
         if k not in legal(problem, world):
             return False

@@ -24,7 +24,7 @@ from numba import njit
 
 from learn2assemble.design.goals import Goals, Surface
 from learn2assemble.linear_programs import INF
-from learn2assemble.planning.tiling.world import Site, World, make_site
+from learn2assemble.planning.tiling.world import LatticeSite, LatticeWorld, make_site
 from learn2assemble.statics.step_proof import Proof, Stack
 
 PRICE, PRICE_ROUNDS = 0.4, 4
@@ -34,11 +34,11 @@ MAX_CANDIDATES = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class GoalProblem:
     """What does not change while a structure for some goals grows."""
 
     goals: Goals
-    site: Site
+    site: LatticeSite
     order: np.ndarray
     """int64[n]: candidates from below."""
     bed_start: np.ndarray
@@ -68,7 +68,7 @@ class Relaxed:
     """float64[kinds]: what kinds cost beyond a block, because the heap has few."""
 
 
-def make_problem(goals: Goals) -> Problem:
+def make_problem(goals: Goals) -> GoalProblem:
     """Every candidate of some goals."""
     site = make_site(goals.open, goals.kit)
     found = site.found
@@ -90,7 +90,7 @@ def make_problem(goals: Goals) -> Problem:
         heavy[bears] = mass[bears, None] * heavy[bears] + load.mass * at
         mass[bears] += load.mass
         heavy[bears] /= mass[bears, None]
-    return Problem(
+    return GoalProblem(
         goals,
         site,
         np.argsort(found.origin[:, 2], kind="stable"),
@@ -102,7 +102,7 @@ def make_problem(goals: Goals) -> Problem:
     )
 
 
-def legal(problem: Problem, world: World) -> np.ndarray:
+def legal(problem: GoalProblem, world: LatticeWorld) -> np.ndarray:
     """int64[m]: candidates that nothing covers and whose centroid has something that carries on
     every side; the whole structure may still fall."""
     return _legal(
@@ -115,7 +115,7 @@ def legal(problem: Problem, world: World) -> np.ndarray:
     )
 
 
-def put(world: World, candidate: int, program: bool = True) -> World | None:
+def put(world: LatticeWorld, candidate: int, program: bool = True) -> LatticeWorld | None:
     """The world with one more block; None where it would fall."""
     grown = world.copy()
     if not grown.place(candidate, program):
@@ -125,12 +125,12 @@ def put(world: World, candidate: int, program: bool = True) -> World | None:
     return grown
 
 
-def unmet(problem: Problem, world: World) -> np.ndarray:
+def unmet(problem: GoalProblem, world: LatticeWorld) -> np.ndarray:
     """int64[k]: flat cells that have to be filled and are not."""
     return problem.must[world.owner[problem.must] < 0]
 
 
-def relax(problem: Problem, world: World, price: np.ndarray | None = None) -> Relaxed:
+def relax(problem: GoalProblem, world: LatticeWorld, price: np.ndarray | None = None) -> Relaxed:
     """The relaxed plan of a state, see the module.
 
     Args:
@@ -155,7 +155,11 @@ def relax(problem: Problem, world: World, price: np.ndarray | None = None) -> Re
 
 
 def _relaxed(
-    problem: Problem, world: World, goals: np.ndarray, heavy: np.ndarray, price: np.ndarray
+    problem: GoalProblem,
+    world: LatticeWorld,
+    goals: np.ndarray,
+    heavy: np.ndarray,
+    price: np.ndarray,
 ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
     site, found = problem.site, problem.site.found
     return _relax(
@@ -235,7 +239,7 @@ def failing_load(
     return None
 
 
-def bears(problem: Problem, world: World) -> bool:
+def bears(problem: GoalProblem, world: LatticeWorld) -> bool:
     """Whether what stands bears the loads of the goals, all of which are met."""
     owner = world.owner.reshape(problem.goals.shape)
     proof = world.proof

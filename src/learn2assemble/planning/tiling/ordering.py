@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly, Block, Step
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block
 from learn2assemble.assembly.kit import Kit
 from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import INF, Clock
@@ -524,7 +524,9 @@ def to_assembly(
             Block(ids[-1], moved, faces, block.kind, density, prop=block.prop, colour=kind.colour)
         )
     steps = [
-        Step(ids[step.block]) if step.remove is None else Step(remove=ids[step.block])
+        AssemblyStep(ids[step.block])
+        if step.remove is None
+        else AssemblyStep(remove=ids[step.block])
         for step in (ordering.steps if ordering else ())
     ]
     friction = kit.friction if friction is None else friction

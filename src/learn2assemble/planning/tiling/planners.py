@@ -62,7 +62,7 @@ class Planner(Protocol):
         ...
 
 
-class Exact:
+class ExactPlanner:
     """The exact planner (:mod:`.tiling.exact`), and advice where it finds nothing."""
 
     carry_out = None
@@ -89,6 +89,6 @@ class Exact:
         )
 
 
-PLANNERS: Registry[Planner] = Registry("planner", {"exact": Exact()})
+PLANNERS: Registry[Planner] = Registry("planner", {"exact": ExactPlanner()})
 """Every planner by name; the laboratory adds its own where it is installed."""
 add_plugin("l2a_lab.builder", "planner", optional=True)

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from learn2assemble.assembly.kit import Kit
-from learn2assemble.linear_programs import INF, Clock, Entry, Model, Program, solve
+from learn2assemble.linear_programs import INF, Clock, Entry, LinearProgram, Model, solve
 from learn2assemble.planning.tiling.retiling import bonded_candidates, find_blocks
 from learn2assemble.planning.tiling.stack import block_masses
 from learn2assemble.planning.tiling.tile import BlockPlacement, Tiling, from_below, placement_cells
@@ -126,7 +126,7 @@ def _program(
     cost: np.ndarray,
     heap: dict[str, int],
     apart: list[np.ndarray],
-) -> Program:
+) -> LinearProgram:
     """Columns: whether each candidate is used, then the forces at four corners of every face.
 
     Args:

@@ -36,7 +36,7 @@ from learn2assemble.statics.step_proof import EDGE_INSET, Proof, Stack, lies_bel
 
 
 @dataclass(frozen=True, eq=False)
-class Site:
+class LatticeSite:
     """What does not change while a design is built."""
 
     wanted: np.ndarray
@@ -93,7 +93,7 @@ class Site:
         raise KeyError(placement)
 
 
-def make_site(wanted: np.ndarray, kit: Kit, props: bool = False) -> Site:
+def make_site(wanted: np.ndarray, kit: Kit, props: bool = False) -> LatticeSite:
     """Every candidate of a design.
 
     Args:
@@ -130,7 +130,7 @@ def make_site(wanted: np.ndarray, kit: Kit, props: bool = False) -> Site:
         weight[number] = alone.weight[0]
         centre[number] = alone.centre[0] + np.array([*shape[:2] / 2, 0.0]) * kit.pitch
     limits = [-1 if kind.count is None else kind.count for kind in kit.kinds]
-    return Site(
+    return LatticeSite(
         wanted,
         kit,
         found,
@@ -153,14 +153,14 @@ def _grouped(key: np.ndarray, value: np.ndarray, count: int) -> tuple[np.ndarray
     return np.searchsorted(key[order], np.arange(count + 1)), value[order]
 
 
-class World:
+class LatticeWorld:
     """A design while it is built.
 
     Args:
         site: see :func:`make_site`.
     """
 
-    def __init__(self, site: Site) -> None:
+    def __init__(self, site: LatticeSite) -> None:
         self.site = site
         size = site.wanted.size
         self.owner = np.full(size, -1)
@@ -184,9 +184,9 @@ class World:
         for kind in np.flatnonzero(self.heap == 0):
             self._run_out(int(kind))
 
-    def copy(self) -> World:
+    def copy(self) -> LatticeWorld:
         """A world that goes its own way."""
-        other = object.__new__(World)
+        other = object.__new__(LatticeWorld)
         other.site, other.open, other.proof = self.site, self.open, self.proof
         for name in ("owner", "alive", "waits", "cover", "heap", "placed", "propped"):
             setattr(other, name, getattr(self, name).copy())
@@ -368,7 +368,7 @@ def _nothing(kit: Kit) -> Proof:
     )
 
 
-def grow(world: World, candidate: int) -> Stack:
+def grow(world: LatticeWorld, candidate: int) -> Stack:
     """The stack with one more block, the same as :func:`find_stack` makes of all of them."""
     site, old = world.site, world.proof.stack
     shape, pitch = site.wanted.shape, np.array(site.kit.pitch)
@@ -393,7 +393,7 @@ def grow(world: World, candidate: int) -> Stack:
     )
 
 
-def _beds(world: World, candidate: int) -> tuple[np.ndarray, list[int], list[float]]:
+def _beds(world: LatticeWorld, candidate: int) -> tuple[np.ndarray, list[int], list[float]]:
     """Corners of the bed joints of a new block [m] from the corner of the lattice.
 
     Returns:
@@ -441,9 +441,9 @@ def _beds(world: World, candidate: int) -> tuple[np.ndarray, list[int], list[flo
     return np.array(points), lower, share
 
 
-def run(site: Site, order: list[int]) -> World | None:
+def run(site: LatticeSite, order: list[int]) -> LatticeWorld | None:
     """The world after some candidates, None where one of them is not legal or falls."""
-    world = World(site)
+    world = LatticeWorld(site)
     for candidate in order:
         legal = world.alive[candidate] and world.waits[candidate] == 0
         if not legal or not world.place(candidate, program=True):
@@ -451,9 +451,9 @@ def run(site: Site, order: list[int]) -> World | None:
     return world
 
 
-def only(site: Site, candidates: np.ndarray) -> World:
+def only(site: LatticeSite, candidates: np.ndarray) -> LatticeWorld:
     """A world in which nothing but some candidates may be put down."""
-    world = World(site)
+    world = LatticeWorld(site)
     chosen = np.zeros(len(site), bool)
     chosen[candidates] = True
     world.alive &= chosen

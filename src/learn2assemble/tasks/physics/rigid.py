@@ -29,7 +29,7 @@ import numpy as np
 from learn2assemble.constants import EDGE, HALF
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.robot.scene import (
-    Surface,
+    ContactSurface,
     add_ground,
     add_object,
     rotation_matrix,
@@ -47,7 +47,7 @@ Layout = tuple[tuple[tuple[int, int, int], ...], ...]
 TIMESTEP = 0.004
 SHRINK = 1.5e-4
 """How much thinner a box is on each side in x and y [m]."""
-SURFACE = Surface(margin=1e-5)
+SURFACE = ContactSurface(margin=1e-5)
 """A pair pushes at the sum of both margins (at the larger before MuJoCo 3.5). MuJoCo 3.3 ignores
 them between boxes, so tall columns fail there."""
 DAMPING = 10.0
