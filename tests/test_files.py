@@ -323,7 +323,7 @@ def test_an_interrupt_that_a_compiler_drops_comes_again(
     parser = SimpleNamespace(
         parse_args=lambda _: SimpleNamespace(run=command, json=False, learns=False)
     )
-    monkeypatch.setattr("learn2assemble.cli.make_parser", lambda words: parser)
+    monkeypatch.setattr("learn2assemble.cli.make_parser", lambda *_: parser)
     before = signal.getsignal(signal.SIGINT)
     try:
         assert main(["anything"]) == 130

@@ -15,6 +15,7 @@ from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.cell.carry_out import Workcell, carry_out
 from learn2assemble.cell.pieces import PROP_ROOM, pieces_of
 from learn2assemble.cell.workcell import Rows, way_out
+from learn2assemble.constants import GRAVITY
 from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
 from learn2assemble.planning.plan import Plan
@@ -29,7 +30,6 @@ from learn2assemble.robot.shape import arm_shape
 from learn2assemble.robot.tool import load_suction
 from learn2assemble.simulation.cell import DynamicCell
 from learn2assemble.simulation.cup import Load, peak_load
-from learn2assemble.tasks.world.blocks import GRAVITY
 
 ARMS = [get_arm(name, "suction-side", (-0.5, 0.0, 0.0, 0.0)) for name in ("panda", "ur5e")]
 TOOL = ARMS[0].suction

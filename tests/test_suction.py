@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import learn2assemble as l2a
+from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError
 from learn2assemble.motion.record import holding
 from learn2assemble.robot.arm import Arm, get_arm
@@ -36,7 +37,6 @@ from learn2assemble.simulation.cup import Load, Vacuum, peak_load
 from learn2assemble.simulation.model import free_cells, take_order
 from learn2assemble.simulation.prepare import Failure, WorldChecker, prepare
 from learn2assemble.simulation.simulation import Simulation
-from learn2assemble.tasks.world.blocks import GRAVITY
 from suction_moves import random_moves
 
 PANDA, UR5E = get_arm("panda", "suction"), get_arm("ur5e", "suction")
