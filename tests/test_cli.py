@@ -17,6 +17,7 @@ import pytest
 import torch
 
 from bad_calls import BAD, TASK, TINY_RUN, BadCall, prepare
+from l2a_lab.__main__ import command_line
 from learn2assemble import __version__
 from learn2assemble.cli import main, output
 from learn2assemble.cli.parser import COMMANDS, make_parser
@@ -118,18 +119,23 @@ def fingerprint(folder: Path) -> dict[str, str]:
 # Help and versions.
 
 
+def program_of(command: str) -> str:
+    """The program whose command it is, though ``l2a`` takes it, too."""
+    return "l2a-lab" if command in command_line().commands else "l2a"
+
+
 @pytest.mark.parametrize("command", [None, *COMMANDS])
 def test_help_shows_an_example(l2a: Call, command: str | None) -> None:
     result = l2a(*([command] if command else []), "--help")
     assert result.code == 0
     assert result.err == ""
     text = " ".join(result.out.split())
-    assert "example: l2a " in text
+    assert "example: l2a" in text
     if command is None:
         for name in COMMANDS:
             assert name in text
     else:
-        assert f"example: l2a {command}" in text
+        assert f"example: {program_of(command)} {command}" in text
         assert "--json" in text
 
 
@@ -137,7 +143,7 @@ def test_help_shows_an_example(l2a: Call, command: str | None) -> None:
 def test_examples_of_the_help_can_be_parsed(command: str, l2a: Call) -> None:
     """The words of every example are accepted, and the files they name are in the repository."""
     text = " ".join(l2a(command, "--help").out.split())
-    words = text.split("example: l2a ", 1)[1].split()
+    words = text.split(f"example: {program_of(command)} ", 1)[1].split()
     options = make_parser().parse_args(words)
     for file in [getattr(options, "design", None), *getattr(options, "files", [])]:
         assert file is None or (ROOT / file).is_file()

@@ -8,15 +8,17 @@ from pathlib import Path
 
 import pytest
 
+from l2a_lab.__main__ import command_line
 from learn2assemble.cli import main
-from learn2assemble.cli.parser import make_parser
+from learn2assemble.cli.parser import L2A, make_parser
 from learn2assemble.tasks.networks.agent import agent_files
 from learn2assemble.tasks.task import PRESETS
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.M | re.S)
-COMMAND = re.compile(r"^\s*(?:\.venv/bin/)?l2a\s+(.*)$", re.M)
+COMMAND = re.compile(r"^\s*(?:\.venv/bin/)?(l2a(?:-lab)?)\s+(.*)$", re.M)
+PROGRAMS = {program.name: program for program in (L2A, command_line())}
 _SMALL = ("num_envs=4", "network.width=16", "batch_size=4", "initial_samples=4")
 TINY = {
     "train": [
@@ -40,15 +42,15 @@ TOO_LONG = (
 """Commands with these words are parsed, and their tests are elsewhere."""
 
 
-def commands() -> list[tuple[str, list[str]]]:
-    """Page and words of every command in a block of a document, in order."""
+def commands() -> list[tuple[str, str, list[str]]]:
+    """Page, program and words of every command in a block of a document, in order."""
     found = []
     for page in PAGES:
         for _, block in FENCE.findall(page.read_text(encoding="utf-8")):
-            for line in COMMAND.findall(block):
+            for program, line in COMMAND.findall(block):
                 words = shlex.split(line, comments=True)
                 if not any(word.isupper() for word in words[:2]):  # a template: l2a train TASK
-                    found.append((page.name, words))
+                    found.append((page.name, program, words))
     return found
 
 
@@ -56,9 +58,21 @@ def test_commands_are_found() -> None:
     assert len(commands()) >= 20
 
 
-@pytest.mark.parametrize(("page", "words"), commands(), ids=lambda value: str(value)[:60])
-def test_a_command_of_a_document_is_accepted(page: str, words: list[str]) -> None:
-    options = make_parser().parse_args(words)
+def test_commands_of_the_laboratory_are_those_of_its_own_program() -> None:
+    """Everywhere in the documents, in their sentences, too."""
+    names = set(PROGRAMS["l2a-lab"].commands)
+    assert names
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        assert not names & set(re.findall(r"\bl2a ([a-z][a-z-]*)", text)), page.name
+        assert set(re.findall(r"\bl2a-lab ([a-z][a-z-]*)", text)) <= names, page.name
+
+
+@pytest.mark.parametrize(
+    ("page", "program", "words"), commands(), ids=lambda value: str(value)[:60]
+)
+def test_a_command_of_a_document_is_accepted(page: str, program: str, words: list[str]) -> None:
+    options = make_parser(words, PROGRAMS[program]).parse_args(words)
     task = getattr(options, "task", None)
     assert task is None or task in PRESETS, page
     design = getattr(options, "design", None)
@@ -77,7 +91,7 @@ def test_the_commands_of_the_documents_run(
         (tmp_path / name).symlink_to(ROOT / name)
     (tmp_path / "README.md").write_text((ROOT / "README.md").read_text(encoding="utf-8"))
     done = set()
-    for page, words in commands():
+    for page, program, words in commands():
         text = " ".join(words)
         if text in done or any(word in text for word in TOO_LONG) or words[0] == "curves":
             continue
@@ -96,7 +110,8 @@ def test_the_commands_of_the_documents_run(
         out = tmp_path / words[words.index("--out") + 1] if "--out" in words else None
         if out is not None and out.exists() and "--resume" not in words:
             continue
-        assert main([*words, *extra]) == 0, (page, text, capsys.readouterr().err[-500:])
+        code = main([*words, *extra], PROGRAMS[program])
+        assert code == 0, (page, text, capsys.readouterr().err[-500:])
 
 
 def python_blocks() -> list[tuple[str, str]]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import learn2assemble as l2a
+from l2a_lab.__main__ import command_line
 from learn2assemble.cli import main
 from learn2assemble.cli.parser import COMMANDS
 from learn2assemble.errors import MissingExtraError, require
@@ -179,7 +180,8 @@ def test_the_help_needs_no_extra(capsys: pytest.CaptureFixture[str]) -> None:
         with pytest.raises(SystemExit) as left:
             main([name, "--help"])
         assert left.value.code == 0
-        assert f"example: l2a {name}" in capsys.readouterr().out
+        program = "l2a-lab" if name in command_line().commands else "l2a"
+        assert f"example: {program} {name}" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("product")

@@ -1,4 +1,4 @@
-"""``l2a table`` and ``l2a curves``, the trainings behind tables, and learning curves."""
+"""``l2a-lab table`` and ``l2a-lab curves``, the trainings behind tables, and learning curves."""
 
 from __future__ import annotations
 

@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 import sys
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from learn2assemble.cli.parser import CommandLine
 
 
-def run() -> int:
-    """Run ``l2a-lab`` with the words of the command line; the exit code."""
+def command_line() -> CommandLine:
+    """The program with its commands; a checkout has them in ``l2a``, too."""
     from l2a_lab.commands import register_command
-    from learn2assemble.cli import main
     from learn2assemble.cli.parser import Command, CommandLine
     from learn2assemble.registry import Registry
 
     commands: Registry[Command] = Registry("laboratory command", {})
     register_command(commands)
     about = "Measure learn2assemble, and remake its tables and agents."
-    return main(None, CommandLine("l2a-lab", about, "l2a-lab table T2", commands))
+    return CommandLine("l2a-lab", about, "l2a-lab table T2", commands)
+
+
+def run() -> int:
+    """Run ``l2a-lab`` with the words of the command line; the exit code."""
+    from learn2assemble.cli import main
+
+    return main(None, command_line())
 
 
 if __name__ == "__main__":

@@ -539,38 +539,38 @@ _COMMANDS = {
         "goals",
         "figures of goals without a drawing",
         "measure the search for structures that meet goals, beside the exact program",
-        "l2a measure-goals --only planar/ --workers 2",
+        "l2a-lab measure-goals --only planar/ --workers 2",
     ),
     "measure-builds": _figures(
         "builds",
         "figures of builds by an arm",
         "measure builds by an arm: large ones, with noise, with faults",
-        "l2a measure-builds --only noise/ --workers 2",
+        "l2a-lab measure-builds --only noise/ --workers 2",
     ),
     "measure-designs": _figures(
         "designs",
         "figures of the exact planner and the check",
         "measure the exact planner and the check on shapes and drawings",
-        "l2a measure-designs --only shape/ --workers 2",
+        "l2a-lab measure-designs --only shape/ --workers 2",
     ),
     "table": Command(
         "measure a table of the paper and print it beside the paper's numbers",
-        "l2a table T2",
+        "l2a-lab table T2",
         _table_arguments,
         _run_table,
     ),
     "curves": Command(
-        "draw learning curves", "l2a curves algorithms", _curves_arguments, _run_curves
+        "draw learning curves", "l2a-lab curves algorithms", _curves_arguments, _run_curves
     ),
     "replay": Command(
         "repeat recorded transitions and report the agreement",
-        "l2a replay tests/data/transitions_sample.jsonl",
+        "l2a-lab replay tests/data/transitions_sample.jsonl",
         _replay_arguments,
         _run_replay,
     ),
     "fidelities": Command(
         "the kinematic workcell of an arm against the dynamic one",
-        "l2a fidelities robot-two-sided-3x3-10-14 robot-four-sided-3x3-10-18 --actions 250",
+        "l2a-lab fidelities robot-two-sided-3x3-10-14 robot-four-sided-3x3-10-18 --actions 250",
         _fidelities_arguments,
         _run_fidelities,
     ),

@@ -52,7 +52,7 @@ class Curves:
     """Curves that belong together.
 
     Args:
-        name: as in ``l2a curves NAME``.
+        name: as in ``l2a-lab curves NAME``.
         title: one line.
         lines: label and stem of the runs of each.
         note: a sentence printed below.

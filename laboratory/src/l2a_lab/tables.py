@@ -144,7 +144,7 @@ class Table:
     """A table of the paper, or one of ours.
 
     Args:
-        name: as in ``l2a table NAME``.
+        name: as in ``l2a-lab table NAME``.
         title: one line.
         columns, rows: what is played.
         paper: fields of ``published.csv`` that pick the table.
