@@ -7,8 +7,10 @@ import numpy as np
 
 import learn2assemble as l2a
 from learn2assemble.robot.arm import get_arm
+from learn2assemble.robot.bodies import Part, Shape
+from learn2assemble.robot.holding import attitudes, why_not_held
 from learn2assemble.robot.kinematic import KinematicCell
-from learn2assemble.robot.moves import Move, Scene, attitudes, why_not_held
+from learn2assemble.robot.moves import Move, Scene
 
 TOOL = """
 kind = "suction"
@@ -41,8 +43,15 @@ l2a.register_tool("small-cup", folder)
 
 arm = get_arm("panda", tool="small-cup")
 half = np.array([0.05, 0.025, 0.025])  # of a brick [m]
+
+
+def box(size: np.ndarray) -> Shape:
+    """A box with these half extents as the shape of a block."""
+    return (Part((0.0, 0.0, 0.0), tuple(size.tolist())),)
+
+
 for size, mass in ((half, 0.2), (half, 1.5), (0.3 * half, 0.01)):
-    print(2e3 * size, "mm", mass, "kg:", why_not_held(arm, size, mass) or "can be held")
+    print(2e3 * size, "mm", mass, "kg:", why_not_held(arm, box(size), mass) or "can be held")
 
 # Two bricks that stand, with a gap between them that is 0.2 mm wider than the brick that waits.
 position = np.array([[-0.1001, 0, 0.025], [0.1001, 0, 0.025], [0.0, -0.3, 0.025]])
@@ -50,6 +59,6 @@ scene = Scene(position, np.zeros(3), np.arange(3), 2, np.tile(half, (3, 1)))
 for tool in ("small-cup", "gripper"):
     arm = get_arm("panda", tool=tool)
     cell = KinematicCell(arm)
-    for hand in attitudes(arm, half)[:1]:
+    for hand in attitudes(arm, box(half))[:1]:
         found = cell.attempt(scene, Move(2, np.array([0.0, 0, 0.025]), hand, hand))
         print(tool, found.outcome.label, found.detail)

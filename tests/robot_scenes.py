@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.bodies import Part, Shape
+from learn2assemble.robot.grasps import Attitude
+from learn2assemble.robot.holding import attitudes
 from learn2assemble.robot.moves import Scene
 
 PITCH, GROUND = 0.06, 0.025
@@ -20,3 +24,16 @@ def scene(placed: list[tuple], waiting: list[tuple], objects: list[int] | None =
 def cell(x: float, y: float, z: float) -> np.ndarray:
     """Centre of a cell [m]."""
     return np.array([x * PITCH, y * PITCH, z * 0.05 + GROUND])
+
+
+def box(half: np.ndarray) -> Shape:
+    """A box with these half extents as the shape of a block."""
+    x, y, z = half.tolist()
+    return (Part((0.0, 0.0, 0.0), (x, y, z)),)
+
+
+def hands(arm: Arm, half: np.ndarray, side: bool = False) -> list[Attitude]:
+    """How the tool of an arm meets a box that stands upright: from above, or with a cup at its
+    side."""
+    found = attitudes(arm, box(half))
+    return [hand for hand in found if hand.sideways == side and not hand.tilt]

@@ -14,8 +14,9 @@ import numpy as np
 
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.kinematic import KinematicCell
-from learn2assemble.robot.moves import Move, Scene, attitudes, put_down
+from learn2assemble.robot.moves import Move, Scene, put_down
 from learn2assemble.simulation.cell import DynamicCell
+from robot_scenes import hands as hands_of
 
 ARMS = tuple(get_arm(name, "suction") for name in ("panda", "ur5e"))
 KINDS = {"slot": 0.4, "course": 0.3, "tower": 0.12, "blocked": 0.08, "far": 0.05, "sunk": 0.05}
@@ -69,7 +70,7 @@ def random_moves(seed: int) -> Iterator[tuple[str, Scene, Move]]:
             np.vstack([half, sizes]),
             np.full(len(turn), rng.uniform(300, 1500)),
         )
-        hands = attitudes(ARMS[0], size)
+        hands = hands_of(ARMS[0], size)
         if hands:
             hand = hands[int(rng.integers(len(hands)))]
             grasp = hand._replace(yaw=hand.yaw + yaw)

@@ -24,12 +24,13 @@ from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.grasps import WAY, Attitude
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.kinematics import get_chain
-from learn2assemble.robot.moves import Move, Outcome, Scene, attitudes, overload, side_attitudes
+from learn2assemble.robot.moves import Move, Outcome, Scene, overload
 from learn2assemble.robot.registry import TOOLS
 from learn2assemble.robot.shape import arm_shape
 from learn2assemble.robot.tool import load_suction
 from learn2assemble.simulation.cell import DynamicCell
 from learn2assemble.simulation.cup import Load, peak_load
+from robot_scenes import hands
 
 ARMS = [get_arm(name, "suction-side", (-0.5, 0.0, 0.0, 0.0)) for name in ("panda", "ur5e")]
 TOOL = ARMS[0].suction
@@ -106,7 +107,7 @@ def test_impossible_side_cups_are_refused(tmp_path: Path, old: str, new: str, wo
 @settings(deadline=None)
 def test_a_side_cup_meets_a_side_face(size: tuple[float, ...], yaw: float) -> None:
     half, centre = np.array(size), np.array([0.1, 0.2, size[2]])
-    found = side_attitudes(ARMS[0], half)
+    found = hands(ARMS[0], half, side=True)
     seals = [min(half[1 - k], half[2]) >= SIDE.radius for k in (0, 1)]
     assert len(found) <= 2 * sum(seals)
     for hand in found:
@@ -137,7 +138,7 @@ def test_a_block_is_drawn_out_until_nothing_is_above_it(over: float, way: int, s
     half = np.array([[size, size, 0.02], [size + over, size + over, 0.02]])
     position = np.array([[0.0, 0, 0.02], [0.0, 0, 0.06]])
     scene = Scene(position, np.zeros(2), np.arange(2), 1, half)
-    rows = Rows(scene, np.tile([1.0, 0, 0, 0], (2, 1)), np.arange(2), np.zeros(2, int))
+    rows = Rows(scene, np.arange(2), np.zeros(2, int))
     found = way_out(rows, np.array([0]), direction)
     least = max(2 * size + over + 0.005, WAY)
     # Distances that are tried end below half a metre.
@@ -154,7 +155,7 @@ def test_a_block_that_hangs_by_its_side_loads_the_cup_as_by_hand() -> None:
     weight = mass * GRAVITY
     assert off == pytest.approx(weight * half[1] / SIDE.radius / SIDE.pull_off, rel=0.01)
     assert slip == pytest.approx(weight / SIDE.shear, rel=0.01)
-    hand = next(a for a in side_attitudes(ARMS[0], half) if math.isclose(a.depth, half[1]))
+    hand = next(a for a in hands(ARMS[0], half, side=True) if math.isclose(a.depth, half[1]))
     heavy = np.array([2 * SIDE.pull_off * SIDE.radius / half[1] / GRAVITY / (8 * half.prod())])
     scene = Scene(np.array([[0.0, 0, 0.02]]), np.zeros(1), np.zeros(1, int), 0, half[None], heavy)
     words = overload(ARMS[0], scene, Move(0, np.array([0, 0.2, 0.02]), hand, hand))
@@ -182,7 +183,7 @@ def gate(room: float, mass: float = 1.0) -> tuple[Scene, np.ndarray]:
 
 def drawn() -> list[Attitude]:
     """The hand that draws the prop towards the arm."""
-    found = side_attitudes(ARMS[0], np.array([0.04, 0.02, 0.02]))
+    found = hands(ARMS[0], np.array([0.04, 0.02, 0.02]), side=True)
     return [hand for hand in found if hand.approach()[1] > 0.9]
 
 
@@ -192,7 +193,7 @@ def test_a_prop_is_drawn_out_from_below_a_lintel(name: str) -> None:
     scene, goal = gate(PROP_ROOM)
     (hand,) = drawn()
     move = Move(3, goal, hand, hand)
-    above = attitudes(arm, np.array([0.04, 0.02, 0.02]))[0]
+    above = hands(arm, np.array([0.04, 0.02, 0.02]))[0]
     blocked = KinematicCell(arm).attempt(scene, Move(3, goal, above, above))
     assert blocked.outcome == Outcome.GRASP_COLLISION
     assert KinematicCell(arm).attempt(scene, move).reached

@@ -145,8 +145,8 @@ def change(data: dict[str, Any], *path: Any) -> Callable[[Any], None]:
     ("path", "value", "words"),
     [
         (("format",), "other", "learn2assemble-trajectory"),
-        (("version",), 4, "trajectory.version: got 4, expected 3"),
-        (("version",), 2, "trajectory.version: got 2, expected 3"),
+        (("version",), 5, "trajectory.version: got 5, expected 4"),
+        (("version",), 2, "trajectory.version: got 2, expected 4"),
         (("version",), "3", "trajectory.version"),
         (("arm", "lower"), [0.0], "arm.lower"),
         (("arm", "max_width"), "wide", "arm.max_width"),

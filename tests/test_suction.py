@@ -27,7 +27,6 @@ from learn2assemble.robot.moves import (
     Outcome,
     Scene,
     Trajectory,
-    attitudes,
 )
 from learn2assemble.robot.registry import TOOLS
 from learn2assemble.robot.shape import arm_shape
@@ -37,6 +36,7 @@ from learn2assemble.simulation.cup import Load, Vacuum, peak_load
 from learn2assemble.simulation.model import free_cells, take_order
 from learn2assemble.simulation.prepare import Failure, WorldChecker, prepare
 from learn2assemble.simulation.simulation import Simulation
+from robot_scenes import hands
 from suction_moves import random_moves
 
 PANDA, UR5E = get_arm("panda", "suction"), get_arm("ur5e", "suction")
@@ -256,7 +256,7 @@ def test_a_weak_cup_loses_the_block_and_the_report_says_where_it_is(
     tool = dataclasses.replace(TOOL, cups=(weak,))
     cell = DynamicCell(dataclasses.replace(PANDA, suction=tool), precheck=False)
     world, target = one_brick()
-    grasp = attitudes(PANDA, BRICK)[0]
+    grasp = hands(PANDA, BRICK)[0]
     found = cell.attempt(world, Move(0, target, grasp, grasp))
     assert found.reached == reached
     if not reached:
@@ -311,7 +311,7 @@ def field(gap: float, hole: int, half: np.ndarray) -> tuple[Scene, np.ndarray]:
 def test_a_brick_is_lowered_into_a_slot_of_its_size(arm: object, gap: float) -> None:
     cell = DynamicCell(arm)
     world, place = field(gap, 4, BRICK)
-    grasp = attitudes(cell.arm, BRICK)[0]
+    grasp = hands(cell.arm, BRICK)[0]
     found = cell.attempt(world, Move(8, place, grasp, grasp))
     assert found.reached, found.detail
     assert found.error < 3e-4
@@ -332,7 +332,7 @@ def test_a_brick_is_lowered_into_a_slot_of_its_size(arm: object, gap: float) -> 
 def test_a_recording_says_when_the_cup_holds() -> None:
     cell = DynamicCell(UR5E, sample_steps=1)
     world, place = field(5e-4, 4, BRICK)
-    grasp = attitudes(UR5E, BRICK)[0]
+    grasp = hands(UR5E, BRICK)[0]
     found = cell.attempt(world, Move(8, place, grasp, grasp))
     run = found.trajectory
     assert run is not None
@@ -365,7 +365,7 @@ def test_the_way_up_ends_at_rest_however_little_of_it_is_above_others(
     """Nothing else stands there, so the hand rises by 6 cm alone."""
     half = np.array([[0.06, 0.03, height / 2]])
     world = Scene(np.array([[0.05, -0.3, height / 2]]), np.zeros(1), np.arange(1), 0, half)
-    grasp = attitudes(arm, half[0])[0]
+    grasp = hands(arm, half[0])[0]
     target = np.array([0.0, 0.1, height / 2])
     found = DynamicCell(arm, sample_steps=1).attempt(world, Move(0, target, grasp, grasp))
     assert found.reached, found.detail
@@ -411,7 +411,8 @@ def test_objects_of_several_boxes_are_carried_whole() -> None:
     half = np.array([[0.05, 0.025, 0.025], [0.015, 0.05, 0.025], [0.1, 0.1, 0.02]])
     position = np.array([[0.05, -0.3, 0.025], [0.115, -0.275, 0.025], [0.0, 0.1, 0.02]])
     world = Scene(position[[2, 0, 1]], np.zeros(3), np.array([0, 1, 1]), 1, half[[2, 0, 1]])
-    grasp, quarter = (attitudes(UR5E, half[0])[k] for k in (0, 1))
+    grasp = hands(UR5E, half[0])[0]
+    quarter = grasp._replace(yaw=-math.pi / 2)
     target = np.array([0.0, 0.1, 0.065])
     found = DynamicCell(UR5E).attempt(world, Move(1, target, grasp, quarter))
     assert found.reached, found.detail
@@ -424,7 +425,7 @@ def test_objects_of_several_boxes_are_carried_whole() -> None:
 
 def test_what_cannot_be_placed_goes_back_to_where_it_was() -> None:
     world, place = field(5e-4, 4, BRICK)
-    grasp = attitudes(UR5E, BRICK)[0]
+    grasp = hands(UR5E, BRICK)[0]
     blocked = Move(8, place + np.array([0.03, 0.0, 0.0]), grasp, grasp)
     found = DynamicCell(UR5E, recover=True, precheck=False).attempt(world, blocked)
     assert found.outcome == Outcome.PLACE_COLLISION
@@ -459,7 +460,7 @@ def test_a_heavy_lintel_is_moved_so_that_it_does_not_slip(
     monkeypatch.setattr("learn2assemble.simulation.simulation.Vacuum", Watched)
     half = np.array([0.2, 0.05, 0.025])
     world = Scene(np.array([[0.1, -0.3, 0.025]]), np.zeros(1), np.arange(1), 0, half[None])
-    grasp = attitudes(PANDA, half)[0]
+    grasp = hands(PANDA, half)[0]
     place = grasp._replace(yaw=grasp.yaw + turn)
     found = DynamicCell(PANDA).attempt(world, Move(0, np.array([0.1, 0.25, 0.025]), grasp, place))
     assert found.reached, found.detail
@@ -510,7 +511,7 @@ def test_planned_ways_among_towers_touch_nothing_between_their_checks(name: str)
         half[hole, 2] = 0.03
         order = [k for k in range(9) if k != hole] + [hole]
         world = Scene(position[order], np.zeros(9), np.arange(9), 8, half[order])
-        hand = attitudes(arm, half[hole])[0]
+        hand = hands(arm, half[hole])[0]
         asked = take_order(world, Move(8, target, hand, hand))
         model = cell.world(asked.objects)
         try:

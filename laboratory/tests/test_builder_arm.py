@@ -73,8 +73,7 @@ def test_the_scene_is_that_of_the_build() -> None:
     assert scene.density is not None
     assert expected.scene.density is not None
     np.testing.assert_allclose(scene.density, expected.scene.density)
-    turn = scene.yaw - expected.scene.yaw
-    np.testing.assert_allclose(np.cos(turn), 1, atol=1e-12)
+    np.testing.assert_allclose(scene.orientation, expected.scene.orientation, atol=1e-12)
     ways = list(workcell.moves(other, expected, last, other.target(last)))
     assert any(np.allclose(move.target, way.target) and move.place == way.place for way in ways)
 

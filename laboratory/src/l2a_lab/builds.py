@@ -171,17 +171,24 @@ def _settled(plan: Plan) -> float:
     kept = np.flatnonzero(pose[:, 2] > 0)
     owner = np.argsort(np.concatenate(record.objects))
     owner = np.repeat(np.arange(len(record.objects)), [len(c) for c in record.objects])[owner]
+    half, density = (
+        None if of_all is None else of_all[kept] for of_all in (record.half, record.density)
+    )
+    hull = None if record.hull is None else tuple(record.hull[k] for k in kept.tolist())
     scene = Scene(
         pose[kept, :3],
         np.zeros(len(kept)),
         owner[kept],
         len(kept),
-        *(None if of_all is None else of_all[kept] for of_all in (record.half, record.density)),
+        half,
+        density,
+        pose[kept, 3:],
+        hull,
     )
     x, y, z = record.arm.base_position.tolist()
     base = x, y, z, record.arm.base_yaw
     cell = DynamicCell(get_arm(record.arm.name, record.arm.tool_name, base))
-    after, _, still = cell.settle(scene, quaternion=pose[kept, 3:])
+    after, _, still = cell.settle(scene)
     moved = float(np.linalg.norm(after.position - scene.position, axis=1).max())
     return round(moved, 6) if still else math.inf
 

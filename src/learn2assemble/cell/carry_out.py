@@ -18,17 +18,11 @@ import numpy as np
 
 from learn2assemble.assembly.blocks import AssemblyStep
 from learn2assemble.cell.journal import Recording, append_state, packed, read_states
-from learn2assemble.cell.pieces import QUARTER
+from learn2assemble.cell.pieces import QUARTER, overlaps, solids
 from learn2assemble.cell.reach import cells_of, set_up
-from learn2assemble.cell.state import (
-    STEADY,
-    STEADY_YAW,
-    Action,
-    Choice,
-    Done,
-    read_back,
-)
+from learn2assemble.cell.state import STEADY, STEADY_YAW, Action, Choice, Done, read_back
 from learn2assemble.cell.workcell import (
+    DOWN,
     FLAT,
     LOOSE,
     LOST,
@@ -46,7 +40,6 @@ from learn2assemble.cell.workcell import (
     Workcell,
     arrange,
     describe,
-    frame_of,
     job_of,
     moves,
     named,
@@ -55,7 +48,7 @@ from learn2assemble.cell.workcell import (
 from learn2assemble.geometry.rotations import (
     matrix_quaternion,
     quaternion_matrix,
-    yaw_quaternion,
+    yaw_matrix,
 )
 from learn2assemble.planning.plan import ArmFailure, ArmReport, Plan, Step
 from learn2assemble.robot.arm import get_arm
@@ -95,7 +88,7 @@ class Building:
 
     def __init__(self, found: Prepared, workcell: Workcell, key: str = "") -> None:
         self.job, self.kinematic, self.key = found.job, found.cell, key
-        self.known = Choice(found.job, found.order.steps, found.structure)
+        self.known = Choice(found.job, found.order, found.structure)
         self.seed, self.noise, self.log = workcell.seed, workcell.noise, workcell.log
         self.disturbance = workcell.disturbance or Disturbance()
         self.physical = _physical(self.job, workcell.physics, self.disturbance.friction)
@@ -125,9 +118,9 @@ class Building:
             last = self.known.done[-1]
             piece = self.world.pieces[action.block]
             left = sum(not self.known.satisfied(step) for step in self.known.order)
+            how = "by hand" if last.hand else f"attempt {last.number}"
             progress(
-                f"attempt {last.number}: {last.what} {piece.id} ({piece.name}): "
-                f"{last.outcome}, {left} steps left"
+                f"{how}: {last.what} {piece.id} ({piece.name}): {last.outcome}, {left} steps left"
             )
         return f"given up after {most} attempts"
 
@@ -136,6 +129,8 @@ class Building:
     def act(self, action: Action) -> bool:
         """Try an action; False where the arm did not move because it cannot."""
         k, world = action.block, self.world
+        if action.what == "hand":
+            return self._by_hand(action)
         key = k, "place" if action.what == "remove" else action.what
         rng = np.random.default_rng([self.seed, len(self.known.done) + 1])
         before = world.pose[k].copy(), world.state[k], self.known.belief[k].copy()
@@ -145,7 +140,7 @@ class Building:
             self._set_out(k, rng)
             self.known.belief[k] = world.pose[k]
         skip = self.known.fails[key] % TRIES
-        move, why = self._look(k, action.goal, skip)
+        move, why = self._look(action, skip)
         if move is None:
             world.pose[k], world.state[k], self.known.belief[k] = before
             if world.state[k] == LOOSE and action.what == "place" and world.magazine(k) is not None:
@@ -175,16 +170,47 @@ class Building:
         self.known.refused.clear()
         if len(self.known.done) in self.disturbance.push:
             self._push(rng)
-        self._read(action, found, rng)
+        placed = action.what in ("place", "again") and found.reached
+        self._read(k, action.goal if placed else None, rng)
         self._append()
         return True
 
-    def _look(self, k: int, goal: np.ndarray, skip: int) -> tuple[Move | None, str]:
+    def _by_hand(self, action: Action) -> bool:
+        """A step is done by hand: the block is where it shall be, or gone."""
+        k, world = action.block, self.world
+        number = len(self.known.done) + 1
+        what = "remove" if world.state[k] == STANDING else "place"
+        self.recording.by_hand(k, what == "place")
+        if what == "remove":
+            world.state[k] = RETURNED
+            world.hide(k)
+        else:
+            world.state[k], world.pose[k] = STANDING, action.goal
+        self._settle()
+        self.known.done.append(Done(number, k, what, Outcome.REACHED.label, "", "", hand=True))
+        self.known.refused.clear()
+        self._read(k, action.goal, np.random.default_rng([self.seed, number]))
+        self.recording.sync()
+        self._append()
+        return True
+
+    def _settle(self) -> None:
+        """All blocks come to rest by themselves, as after a step that was done by hand."""
+        standing = self.world.visible()
+        if self.physical is None or not standing:
+            return
+        rows = rows_of(self.world, self.world.pose, standing[-1], self.recording.masses)
+        after, quaternion, _ = self.physical.settle(rows.scene)
+        self._put(rows, np.arange(len(rows.owner)), after.position, quaternion)
+
+    def _look(self, action: Action, skip: int) -> tuple[Move | None, str]:
         """The first way the kinematic cell allows, after as many as have failed in reality."""
+        k, goal = action.block, action.goal
         rows, why, first = rows_of(self.world, self.known.belief, k), "", None
-        if frame_of(self.known.belief[k, 3:]).tilt > FLAT:
-            return None, "it leans too much to be picked up"
-        for move in moves(self.world, rows, k, goal):
+        into = DOWN
+        if action.what in ("place", "again"):
+            into = self.known.structure.way_in(k, self.known.standing() - {k})
+        for move in moves(self.world, rows, k, goal, into):
             found = self.kinematic.attempt(rows.scene, move)
             if found.reached:
                 first = first or move
@@ -208,13 +234,11 @@ class Building:
                 where = action.goal.copy()
                 if number in self.disturbance.drop:
                     where[:2] = move.target[:2]
-                    where[2] = self.world.pieces[k].half[2]
+                    where[2] -= self.world.pieces[k].corners(where)[:, 2].min()
                     found = found._replace(outcome=Outcome.DROPPED, stage="place", detail="let go")
             self.world.pose[k] = where
             return found
-        found = self.physical.attempt(
-            rows.scene, move, joints=self.joints, quaternion=rows.quaternion
-        )
+        found = self.physical.attempt(rows.scene, move, joints=self.joints)
         step = next(
             (
                 n
@@ -239,28 +263,41 @@ class Building:
         """The poses a simulation has left."""
         members = rows.scene.members(move.cell)
         order = np.concatenate([np.arange(rows.scene.num_placed), members])
+        self._put(rows, order, after.position, quaternion)
+        self.recording.sync()
+
+    def _put(
+        self, rows: Rows, order: np.ndarray, position: np.ndarray, quaternion: np.ndarray
+    ) -> None:
+        """Blocks are where a simulation has left them.
+
+        Args:
+            rows: the scene before.
+            order: int64[n]: which of its rows each row of the other arguments is.
+            position: float64[n, 3], centres of the parts [m].
+            quaternion: float64[n, 4].
+        """
         seen: set[int] = set()
         for row, old in enumerate(order.tolist()):
             k = int(rows.owner[old])
             if k < 0 or k in seen:
                 continue
             seen.add(k)
-            piece, side = self.world.pieces[k], frame_of(self.world.pose[k, 3:]).side
-            turn = quaternion_matrix(quaternion[row]) @ side.T
-            centre = np.array(piece.shape[rows.part[old]][0])
-            self.world.pose[k, :3] = after.position[row] - turn @ centre
-            self.world.pose[k, 3:] = self._upright(k, matrix_quaternion(turn))
-        self.recording.sync()
+            turn = quaternion_matrix(quaternion[row])
+            centre = np.array(self.world.pieces[k].shape[rows.part[old]].centre)
+            self.world.pose[k, :3] = position[row] - turn @ centre
+            self.world.pose[k, 3:] = self._upright(k, quaternion[row])
 
     def _upright(self, k: int, quaternion: np.ndarray) -> np.ndarray:
-        """The same box with its own z axis up, where its sides are alike."""
-        piece, frame = self.world.pieces[k], frame_of(quaternion)
-        if len(piece.shape) > 1 or (frame.side == np.eye(3)).all():
+        """The same block with its own z axis up as far as it looks the same so."""
+        turn = quaternion_matrix(quaternion)
+        same = max(
+            (turn @ one for one in self.world.pieces[k].turns()),
+            key=lambda found: round(float(found[2, 2]), 3),
+        )
+        if round(float(same[2, 2]), 3) <= round(float(turn[2, 2]), 3):
             return quaternion
-        half = piece.half
-        if np.abs(np.abs(frame.side.T) @ half - half).max() > 1e-6:
-            return quaternion
-        return matrix_quaternion(quaternion_matrix(quaternion) @ frame.side)
+        return matrix_quaternion(same)
 
     def _update(self, action: Action, found: Attempt) -> None:
         """Which block is where now."""
@@ -279,9 +316,10 @@ class Building:
             if n >= len(self.job.pieces):
                 world.state[n] = LOST
                 continue
-            frame, off = frame_of(world.pose[n, 3:]), world.pose[n, :3] - world.target(n)[:3]
-            upright = bool((frame.side == np.eye(3)).all()) and frame.tilt < FLAT
-            in_place = np.linalg.norm(off) < GONE and upright
+            piece, now = world.pieces[n], world.pose[n, 3:]
+            off = world.pose[n, :3] - world.target(n)[:3]
+            in_place = np.linalg.norm(off) < GONE and piece.lean(now, piece.pose[3:]) < FLAT
+            upright = piece.lean(now, piece.waits[3:]) < FLAT
             if in_place and (
                 n != k or found.outcome not in (Outcome.UNREACHABLE,) or world.state[n] == STANDING
             ):
@@ -326,8 +364,8 @@ class Building:
         place, turn = self.disturbance.supply
         if place or turn:
             self.world.pose[k, :2] += rng.normal(0.0, place, 2)
-            yaw = frame_of(self.world.pose[k, 3:]).yaw + rng.normal(0.0, turn)
-            self.world.pose[k, 3:] = yaw_quaternion(yaw)
+            spun = yaw_matrix(rng.normal(0.0, turn)) @ quaternion_matrix(self.world.pose[k, 3:])
+            self.world.pose[k, 3:] = matrix_quaternion(spun)
 
     def _push(self, rng: np.random.Generator) -> None:
         """Somebody pushes a block that carries nothing, to where there is room."""
@@ -337,25 +375,28 @@ class Building:
             piece = self.world.pieces[k]
             for way in rng.permutation(4).tolist():
                 step = PUSH * np.array([math.cos(way * QUARTER), math.sin(way * QUARTER), 0.0])
-                mine = piece.boxes(self.world.pose[k, :3] + step, piece.yaw)
+                there = self.world.pose[k].copy()
+                there[:3] += step
+                mine = solids(piece.shape, there)
                 hits = any(
-                    (np.minimum(b, d) - np.maximum(a, c) > 1e-4).all()
+                    overlaps(mine, solids(self.world.pieces[n].shape, self.world.pose[n]), 1e-4)
                     for n in standing - {k}
-                    for c, d in self.world.pieces[n].boxes(
-                        self.world.pose[n, :3], self.world.pieces[n].yaw
-                    )
-                    for a, b in mine
                 )
                 if not hits:
                     self.world.pose[k] += [*step, 0, 0, 0, 0]
                     self.recording.sync()
                     return
 
-    def _read(self, action: Action, found: Attempt, rng: np.random.Generator) -> None:
-        """Read the poses of all blocks back, and what to believe of them."""
-        if action.what in ("place", "again") and found.reached:
-            self.known.belief[action.block] = action.goal
-            self.known.variance[action.block] = STEADY**2, STEADY_YAW**2
+    def _read(self, placed: int, goal: np.ndarray | None, rng: np.random.Generator) -> None:
+        """Read the poses of all blocks back, and what to believe of them.
+
+        Args:
+            placed: a block that was moved.
+            goal: float64[7]: where it was put; None where it was not.
+        """
+        if goal is not None:
+            self.known.belief[placed] = goal
+            self.known.variance[placed] = STEADY**2, STEADY_YAW**2
         for k, state in enumerate(self.world.state):
             true = self.world.pose[k]
             if state in (STANDING, LOOSE, LOST) and any(self.noise):
@@ -378,7 +419,7 @@ class Building:
             **self.known.state(),
             **self.recording.state(),
         }
-        if self.physical is not None:
+        if self.physical is not None and not self.known.done[-1].hand:
             state["record"] = packed(self.recording.recorder.steps[-1])
         append_state(self.log, state)
 
@@ -418,7 +459,8 @@ def prepare(
     Raises:
         InputError: for what cannot be held or reached, and for a layout that does not work.
     """
-    job = set_up(job_of(plan, workcell.arm, joint), workcell.arm, workcell.tool, workcell.site)
+    job = job_of(plan, workcell.arm, joint, workcell.hands)
+    job = set_up(job, workcell.arm, workcell.tool, workcell.site)
     structure = Structure(job)
     cell = KinematicCell(job.arm, cells_of(job))
     return Prepared(job, structure, arrange(job, structure, cell, progress), cell)
@@ -549,10 +591,15 @@ def _report(job: Job, workcell: Workcell, building: Building | None) -> ArmRepor
             f"{d.what} {building.world.pieces[d.block].id}, {d.stage}: {d.detail}",
             False,
         )
-        for d in building.known.done
+        for d in building.known.attempts()
         if d.outcome != Outcome.REACHED.label
     )
-    satisfied = sum(building.known.satisfied(step) for step in building.known.order)
+    attempts = len(building.known.attempts())
+    satisfied = sum(
+        building.known.satisfied(step)
+        for step in building.known.order
+        if step not in building.known.by_hand
+    )
     errors = [
         float(np.linalg.norm(building.world.pose[k, :3] - building.world.target(k)[:3]))
         for k in building.known.standing()
@@ -560,13 +607,13 @@ def _report(job: Job, workcell: Workcell, building: Building | None) -> ArmRepor
     return ArmReport(
         workcell.arm,
         _pitch(job),
-        len(building.known.done),
+        attempts,
         failures,
         round(building.recording.recorder.now, 2),
         workcell.tool,
         base,
         len(job.sources),
-        round(len(building.known.done) / max(satisfied, 1), 4),
+        round(attempts / max(satisfied, 1), 4),
         round(float(np.mean(errors)), 6) if errors else None,
         round(max(errors), 6) if errors else None,
     )
@@ -609,6 +656,7 @@ def _carried_out(
         x, y, z, w, a, b, c = (round(float(v), 6) for v in pose)
         above = "above" if attempt is None or not attempt.sideways else "the side"
         how = f"suction from {above}" if job.arm.suction else "fingers"
+        hand = attempt is not None and attempt.hand
         steps.append(
             replace(
                 old,
@@ -616,8 +664,9 @@ def _carried_out(
                 position=(x, y, z),
                 quaternion=(w, a, b, c),
                 coverage=round(covered, 6),
-                outcome=attempt.outcome if attempt else None,
-                grasp=how,
+                outcome=attempt.outcome if attempt and not hand else None,
+                grasp="by hand" if hand else how,
+                by_hand=hand,
             )
         )
     made = tuple(
@@ -642,7 +691,7 @@ def _carried_out(
             record,
             steps=tuple(
                 replace(step, plan_step=numbers.get(d.step) if d.what != "away" else None)
-                for step, d in zip(record.steps, building.known.done, strict=True)
+                for step, d in zip(record.steps, building.known.attempts(), strict=True)
             ),
         )
     return replace(
@@ -668,6 +717,6 @@ def _waiting(building: Building) -> tuple[Any, ...]:
     world, out = building.world, []
     for k in range(len(building.job.pieces)):
         number = world.source[k] if world.source[k] is not None else world.magazine(k)
-        pose = world.presented(k, number or 0)
+        pose = world.target(k) if number is None else world.presented(k, number)
         out.append(tuple(round(float(v), 6) for v in pose[:3]))
     return tuple(out)

@@ -23,13 +23,15 @@ from learn2assemble.geometry.rotations import quaternion_matrix, yaw_quaternion
 from learn2assemble.motion.record import (
     BuildRecord,
     BuildRecorder,
+    ByHand,
     Samples,
     Stage,
     StepRecord,
 )
+from learn2assemble.robot.hulls import Hull
 from learn2assemble.robot.moves import Outcome
 
-FORMAT, VERSION = "learn2assemble-build", 2
+FORMAT, VERSION = "learn2assemble-build", 3
 SUM = "checksum"
 """Key of every state: the CRC-32 of the rest, so that damage is seen whatever it hits."""
 
@@ -137,38 +139,55 @@ class Recording:
         self.cells = world.cells()
         self.fixed = [sum(map(len, self.cells)) + n for n in range(len(self.job.obstacles))]
         self.masses = masses
+        self.hands: list[ByHand] = []
         self.begin(joints, 0.0)
 
     def begin(self, joints: np.ndarray, width: float) -> None:
         """Before the first attempt; the pads are ``width`` apart [m]."""
-        poses, objects, half, density = self._there()
+        poses, objects, half, density, hull = self._there()
         self.recorder = BuildRecorder(
-            self.job.arm, joints, width, poses, objects, self.words, half, density
+            self.job.arm, joints, width, poses, objects, self.words, half, density, hull
         )
+
+    def by_hand(self, k: int, place: bool) -> None:
+        """A block is about to be placed or taken away by hand."""
+        cells, name = self.cells[self.body[k]], self.world.pieces[k].id
+        self.hands.append(ByHand(len(self.recorder.steps), cells, name, place))
 
     def sync(self) -> None:
         """The record has all cells there are now, and they are where they are now."""
         made = self.recorder
-        made.poses, made.objects, made.half, made.density = self._there()
+        made.poses, made.objects, made.half, made.density, made.hull = self._there()
         if made.steps:
             made.steps[-1] = dataclasses.replace(made.steps[-1], after=made.poses)
 
-    def _there(self) -> tuple[np.ndarray, tuple[tuple[int, ...], ...], np.ndarray, np.ndarray]:
+    def _there(
+        self,
+    ) -> tuple[
+        np.ndarray,
+        tuple[tuple[int, ...], ...],
+        np.ndarray,
+        np.ndarray,
+        tuple[Hull | None, ...] | None,
+    ]:
         """Poses float64[C, 7] of all cells of the record, its objects, half extents float64[C, 3]
-        [m] and densities float64[C] [kg/m3]."""
+        [m], densities float64[C] [kg/m3] and hulls."""
         count = sum(map(len, self.cells)) + len(self.fixed)
         halves, densities, poses = np.empty((count, 3)), np.empty(count), np.zeros((count, 7))
+        hulls: list[Hull | None] = [None] * count
         for body, piece, pose, mass in zip(
             self.body, self.world.pieces, self.world.pose, self.masses, strict=True
         ):
-            cells, turn = list(self.cells[body]), quaternion_matrix(pose[3:])
-            halves[cells] = [half for _, half in piece.shape]
-            densities[cells] = piece.density * mass
-            poses[cells] = [[*(pose[:3] + turn @ np.array(c)), *pose[3:]] for c, _ in piece.shape]
+            turn = quaternion_matrix(pose[3:])
+            for cell, part in zip(self.cells[body], piece.shape, strict=True):
+                halves[cell], hulls[cell] = part.half, part.hull
+                densities[cell] = piece.density * mass
+                poses[cell] = [*(pose[:3] + turn @ np.array(part.centre)), *pose[3:]]
         for cell, obstacle in zip(self.fixed, self.job.obstacles, strict=True):
             halves[cell], densities[cell] = np.array(obstacle.size) / 2, OBSTACLE_DENSITY
             poses[cell] = [*obstacle.middle, *yaw_quaternion(obstacle.yaw)]
-        return poses, (*self.cells, *((cell,) for cell in self.fixed)), halves, densities
+        objects = (*self.cells, *((cell,) for cell in self.fixed))
+        return poses, objects, halves, densities, tuple(hulls) if any(hulls) else None
 
     def numbers(self, rows: Rows) -> np.ndarray:
         """int64[n]: cell of the record of each row."""
@@ -197,6 +216,7 @@ class Recording:
             "like": self.like,
             "cells": [list(c) for c in self.cells],
             "masses": self.masses.tolist(),
+            "hands": [list(hand) for hand in self.hands],
         }
 
     def restore(self, state: dict[str, Any], steps: list[dict[str, Any]]) -> None:
@@ -206,6 +226,9 @@ class Recording:
         self.body, self.like = state["body"], state["like"]
         self.cells = [tuple(c) for c in state["cells"]]
         self.masses = np.array(state["masses"])
+        self.hands = [
+            ByHand(after, tuple(cells), name, place) for after, cells, name, place in state["hands"]
+        ]
         self.sync()
 
     def record(self) -> BuildRecord:
@@ -221,4 +244,4 @@ class Recording:
         for step in found.steps:
             before = steps[-1].after if steps else whole(step.before)
             steps.append(dataclasses.replace(step, before=before, after=whole(step.after)))
-        return dataclasses.replace(found, steps=tuple(steps))
+        return dataclasses.replace(found, steps=tuple(steps), hands=tuple(self.hands))

@@ -1,25 +1,47 @@
-"""Blocks as upright boxes glued together: what an arm carries, and which may stand for which."""
+"""Blocks as an arm carries them: which may stand for which, how they wait, and where they go.
+
+Blocks whose corners are the same up to a rotation and a shift have one shape, whatever their poses
+in the structure, and come from one magazine. There a block lies on a face on which it rests by
+itself: the one from which the tool has to be tilted least to turn it into its pose.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from learn2assemble.assembly.appearance import millimetres
-from learn2assemble.assembly.blocks import Assembly, Block
-from learn2assemble.errors import InputError
+from learn2assemble.assembly.blocks import Assembly, Block, convex_parts
+from learn2assemble.geometry.rotations import (
+    matrix_quaternion,
+    quaternion_matrix,
+    yaw_matrix,
+)
+from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.bodies import Part, Shape, body_of
+from learn2assemble.robot.grasps import UPRIGHT as STRAIGHT
+from learn2assemble.robot.holding import ways_to_turn
+from learn2assemble.robot.hulls import (
+    hull_of,
+    resting_turns,
+    rotations_onto,
+    separation,
+)
 
 QUARTER = math.pi / 2
-_GRAIN = 1e-6
-"""Shapes that differ by less are one [m]."""
+GRAIN = 2e-6
+"""Corners that differ by less are one [m]."""
+_EXACT = 1e-5
+"""A turn that is off one along the axes by less is that one [rad]."""
 _FLAT = 1e-5
-"""Vertices that differ by less along an axis lie in one plane [m]."""
-Part = tuple[tuple[float, float, float], tuple[float, float, float]]
-"""Centre and half extents of a box [m]."""
+"""Corners that differ by less along an axis lie in one plane [m]."""
+_DOWN = 1 - 1e-9
+"""Of the normal of a face that points down."""
 
 
 class Pose(NamedTuple):
@@ -34,54 +56,184 @@ class Pose(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A block of the plan as boxes that are glued together."""
+    """A block of the plan, as parts that are glued together."""
 
     id: str
     kind: str
     prop: bool
     density: float
     """[kg/m³]"""
+    shape: Shape
+    """Its parts; equal for all blocks that can stand for one another."""
     target: np.ndarray
-    """float64[3]: middle of its bounding box in the finished structure [m]."""
-    turn: int
-    """Quarter turns about z from the frame of its shape."""
-    shape: tuple[Part, ...]
-    """Its boxes about the middle of the bounding box, turned so that it is longest along x; equal
-    for all blocks that can stand for one another."""
+    """float64[3]: origin of the shape's frame in the finished structure [m]."""
+    turn: np.ndarray
+    """float64[3, 3]: rotation of that frame there."""
+    rest: np.ndarray
+    """float64[3, 3]: rotation of that frame as the block waits, at yaw 0."""
 
     @property
     def half(self) -> np.ndarray:
         """float64[3]: half extents of the bounding box in the frame of the shape [m]."""
-        return np.max([np.abs(centre) + np.array(half) for centre, half in self.shape], axis=0)
+        return body_of(self.shape).half
+
+    @property
+    def mass(self) -> float:
+        """[kg]"""
+        return self.density * body_of(self.shape).volume
 
     @property
     def yaw(self) -> float:
         """Of the shape's frame in the structure [rad]."""
-        return self.turn * QUARTER
+        return math.atan2(self.turn[1, 0], self.turn[0, 0])
+
+    @cached_property
+    def pose(self) -> np.ndarray:
+        """float64[7]: in the finished structure: position [m] and quaternion (w, x, y, z)."""
+        return np.array([*self.target, *matrix_quaternion(self.turn)])
+
+    @property
+    def waits(self) -> np.ndarray:
+        """float64[7]: the pose in which it waits, at the origin."""
+        return self.waiting(Pose(0.0, 0.0))
+
+    @cached_property
+    def extent(self) -> tuple[np.ndarray, np.ndarray]:
+        """Its bounds there: lowest and highest coordinates, float64[3] each [m]."""
+        points = self.corners(self.pose)
+        return points.min(0), points.max(0)
 
     @property
     def top(self) -> float:
         """Of it in the finished structure [m]."""
-        return float(self.target[2] + self.half[2])
+        return float(self.extent[1][2])
+
+    def waiting(self, at: Pose) -> np.ndarray:
+        """float64[7]: its pose where it waits at a place on the table."""
+        return waiting(self.shape, at, self.rest)
+
+    def corners(self, pose: np.ndarray) -> np.ndarray:
+        """float64[V, 3]: its corners at a pose float64[7] [m]."""
+        return pose[:3] + body_of(self.shape).points @ quaternion_matrix(pose[3:]).T
 
     def face(self) -> Any:
         """What it covers in the finished structure, as a shapely area."""
-        return footprint(self.shape, Pose(self.target[0], self.target[1], self.yaw))
+        return covered(self.shape, self.pose)
 
     @property
     def name(self) -> str:
         """What messages call its kind."""
         return self.kind or millimetres(*(2 * self.half))
 
-    def turns(self) -> list[int]:
-        """Quarter turns that leave the shape as it is."""
-        return [k for k in range(4) if _recut(_turned(self.shape, k)) == self.shape]
+    def turns(self) -> tuple[np.ndarray, ...]:
+        """Rotations that leave the shape as it is, the one that does nothing first."""
+        return symmetries(self.shape)
 
-    def boxes(self, centre: np.ndarray, yaw: float) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Bounding boxes (low, high) of its parts at a quarter yaw [rad], float64[3] each [m]."""
-        parts = _turned(self.shape, round(yaw / QUARTER) % 4)
-        return [(centre + c - np.array(h), centre + c + np.array(h)) for c, h in parts]
+    def lean(self, quaternion: np.ndarray, wanted: np.ndarray) -> float:
+        """Angle between the vertical in its frame at an orientation and at the one it should have
+        [rad]."""
+        now, then = quaternion_matrix(quaternion)[2], quaternion_matrix(wanted)[2]
+        cosine = max(float(now @ (then @ turn.T)) for turn in self.turns())
+        return math.acos(min(1.0, cosine))
 
+    def turned_by(self, quaternion: np.ndarray, wanted: np.ndarray) -> float:
+        """Angle between an orientation and the one it should have [rad]; orientations in which it
+        looks the same are one."""
+        between = quaternion_matrix(wanted).T @ quaternion_matrix(quaternion)
+        trace = max(float((between * turn).sum()) for turn in self.turns())
+        return math.acos(float(np.clip((trace - 1) / 2, -1.0, 1.0)))
+
+
+Turn = tuple[tuple[float, ...], ...]
+"""Rows of a rotation from the frame of a shape."""
+UPRIGHT: tuple[Turn, ...] = (((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),)
+"""Of a block that lies as its frame has it."""
+
+
+def turn_key(turn: np.ndarray) -> Turn:
+    """A rotation as a value."""
+    return tuple(map(tuple, (turn.round(9) + 0.0).tolist()))
+
+
+def waiting(shape: Shape, at: Pose, rest: np.ndarray) -> np.ndarray:
+    """float64[7]: the pose of a block that waits at a place on the table.
+
+    Args:
+        rest: float64[3, 3]: rotation in which it waits at yaw 0.
+    """
+    turn = yaw_matrix(at.yaw) @ rest
+    height = -float((body_of(shape).points @ turn[2]).min())
+    return np.array([at.x, at.y, height, *matrix_quaternion(turn)])
+
+
+Solid = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Corners, normals of faces and directions of edges of a convex part, where it is."""
+
+
+def solids(shape: Shape, pose: np.ndarray) -> list[Solid]:
+    """The parts of a block at a pose float64[7], as :func:`~.hulls.separation` takes them."""
+    turn = quaternion_matrix(pose[3:])
+    return [
+        (pose[:3] + part.points @ turn.T, part.solid.normals @ turn.T, part.solid.edges @ turn.T)
+        for part in shape
+    ]
+
+
+def overlaps(one: list[Solid], two: list[Solid], depth: float) -> bool:
+    """Whether two blocks share more than ``depth`` along every axis that could part them [m]."""
+    return any(separation(a, b)[0] < -depth for a in one for b in two)
+
+
+def covered(shape: Shape, pose: np.ndarray) -> Any:
+    """What a block covers at a pose float64[7], as a shapely area."""
+    import shapely
+
+    turn = quaternion_matrix(pose[3:])
+    return shapely.union_all(
+        [shapely.MultiPoint((pose[:3] + part.points @ turn.T)[:, :2]).convex_hull for part in shape]
+    )
+
+
+def footprint(shape: Shape, at: Pose, rest: np.ndarray) -> Any:
+    """What a block that waits covers, as a shapely area.
+
+    Args:
+        at: where.
+        rest: float64[3, 3]: rotation in which it waits at yaw 0.
+    """
+    turn = matrix_quaternion(yaw_matrix(at.yaw) @ rest)
+    return covered(shape, np.array([at.x, at.y, 0.0, *turn]))
+
+
+@lru_cache(maxsize=4096)
+def symmetries(shape: Shape) -> tuple[np.ndarray, ...]:
+    """Rotations about the origin that leave a shape as it is, the one that does nothing first."""
+    points = body_of(shape).hull.points
+    middle, solid = points.mean(0), _solid(shape) if len(shape) > 1 else None
+    found = []
+    for turn in map(_exact, rotations_onto(points, points, GRAIN)):
+        if np.linalg.norm(turn @ middle - middle) > GRAIN:
+            continue  # It is one about another point.
+        if solid is not None:
+            there = solid.transform(np.column_stack([turn, np.zeros(3)]))
+            if (solid ^ there).volume() < (1 - 1e-4) * solid.volume():
+                continue
+        found.append(turn)
+    found.sort(key=lambda turn: tuple((-turn[[2, 0, 1], [2, 0, 1]]).round(6)))
+    return tuple(found)
+
+
+def _solid(shape: Shape) -> Any:
+    """A shape as solid of the library ``manifold3d``."""
+    import manifold3d
+
+    whole = manifold3d.Manifold()
+    for part in shape:
+        whole += manifold3d.Manifold.hull_points(part.points)
+    return whole
+
+
+# ---------------------------------------------------------------- from an assembly
 
 PROP_ROOM = 3e-4
 """A prop is lower than the gap that it fills by this [m]: what it carries leans on it until enough
@@ -89,16 +241,27 @@ stands around, and then lifts off, so that the prop can be drawn out; builders h
 With room from 0.1 to 0.5 mm a bridge of span 6 is built alike, without any it falls (measured)."""
 
 
+class _Known(NamedTuple):
+    kind: str
+    shape: Shape
+    corners: np.ndarray
+    """float64[V, 3]: of the block in the shape's frame [m]."""
+    volume: float
+
+
 def pieces_of(assembly: Assembly) -> tuple[Piece, ...]:
-    """The blocks of an assembly as boxes; those of a prop that others lie on are lower by
-    :data:`PROP_ROOM`.
+    """The blocks of an assembly as an arm carries them, waiting as they stand in the structure
+    where they rest so, else on their most stable face; level tops of props that others lie on are
+    lower by :data:`PROP_ROOM`.
 
     Raises:
-        InputError: for a block that is not made of upright boxes.
+        InputError: for a block of too many convex parts.
     """
     bottoms = [(b.vertices.min(0), b.vertices.max(0)) for b in assembly.blocks if not b.prop]
+    known: list[_Known] = []
     return tuple(
-        _piece(b, PROP_ROOM if b.prop and _carries(b, bottoms) else 0.0) for b in assembly.blocks
+        _piece(b, PROP_ROOM if b.prop and _carries(b, bottoms) else 0.0, known)
+        for b in assembly.blocks
     )
 
 
@@ -111,28 +274,77 @@ def _carries(block: Block, others: list[tuple[np.ndarray, np.ndarray]]) -> bool:
     )
 
 
-def _piece(block: Block, room: float) -> Piece:
-    low, high = block.vertices.min(0), block.vertices.max(0) - [0.0, 0.0, room]
-    middle = (low + high) / 2
-    planes, solid = _grid(block)
-    planes[2][-1] -= room
-    at = [np.round((p - m) / _GRAIN) * _GRAIN for p, m in zip(planes, middle, strict=True)]
-    parts = tuple(_box(at, cell, cell + 1) for cell in np.argwhere(solid))
-    turned = [(_recut(_turned(parts, k)), k) for k in range(4)]
-    shape, k = min(turned, key=lambda one: (-_extent(one[0])[0], one[0]))
-    return Piece(block.id, block.kind, block.prop, block.density, middle, -k % 4, shape)
+def _piece(block: Block, room: float, known: list[_Known]) -> Piece:
+    if room:
+        lower = np.array(block.vertices)
+        lower[lower[:, 2] > lower[:, 2].max() - 1e-5, 2] -= room
+        block = replace(block, vertices=lower)
+    points = np.array(block.vertices)
+    for one in known:
+        if abs(one.volume - block.volume) > 1e-4 * one.volume:
+            continue
+        turns = [
+            _exact(_fitted(one.corners, points, turn))
+            for turn in rotations_onto(one.corners, points, GRAIN)
+        ]
+        if one.kind != block.kind:
+            # Kinds that are one only when they are turned over wait in places of their own.
+            turns = [turn for turn in turns if turn[2, 2] > _DOWN]
+        if turns:
+            break
+    else:
+        one, turn = _new_shape(block)
+        known.append(one)
+        turns = [turn]
+    # Of several that look the same the most upright one, then the one with the least turn.
+    turn = max(turns, key=lambda t: (round(float(t[2, 2]), 6), round(float(t[0, 0]), 6)))
+    target = points.mean(0) - turn @ one.corners.mean(0)
+    piece = Piece(
+        block.id, block.kind, block.prop, block.density, one.shape, target, turn, np.eye(3)
+    )
+    return replace(piece, rest=ways_to_rest(piece)[0])
 
 
-def _grid(block: Block) -> tuple[list[np.ndarray], np.ndarray]:
-    """The planes of its faces along every axis [m], and bool[X, Y, Z]: what is filled between.
+def _fitted(one: np.ndarray, two: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """The rotation that brings the points best onto the others, from one that nearly does."""
+    a, b = one - one.mean(0), two - two.mean(0)
+    pairs = np.linalg.norm((a @ turn.T)[:, None] - b, axis=2).argmin(1)
+    u, _, v = np.linalg.svd(b[pairs].T @ a)
+    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
 
-    Raises:
-        InputError: for a face that is neither level nor upright along x or y.
+
+def _exact(turn: np.ndarray) -> np.ndarray:
+    """A rotation, exactly along the axes where it nearly is."""
+    near = np.rint(turn)
+    return near + 0.0 if np.abs(turn - near).max() < _EXACT else turn
+
+
+def _new_shape(block: Block) -> tuple[_Known, np.ndarray]:
+    """A shape from the first block of it, and the rotation from its frame to the world."""
+    turn = _frame(block)
+    corners = np.array(block.vertices) @ turn
+    middle = (corners.min(0) + corners.max(0)) / 2
+    parts = _boxes(corners - middle, block.faces)
+    for part in () if parts else [block] if block.is_convex else convex_parts(block):
+        points = np.array(part.vertices) @ turn - middle
+        low, high = points.min(0), points.max(0)
+        centre, half = ((low + high) / 2).round(9) + 0.0, ((high - low) / 2).round(9)
+        parts.append(Part(_three(centre), _three(half), hull_of(points - centre)))
+    parts.sort(key=lambda part: part.centre)
+    return _Known(block.kind, tuple(parts), corners - middle, block.volume), turn
+
+
+def _boxes(points: np.ndarray, faces: Sequence[tuple[int, ...]]) -> list[Part]:
+    """A block whose faces all are along the axes as boxes without overlap; none where one is not.
+
+    Args:
+        points: float64[V, 3], its corners [m].
+        faces: of it.
     """
     import shapely
 
-    planes, numbers = [], np.empty(block.vertices.shape, int)
-    for axis, values in enumerate(block.vertices.T):
+    planes, numbers = [], np.empty(points.shape, int)
+    for axis, values in enumerate(points.T):
         order = np.argsort(values)
         steps = np.concatenate([[True], np.diff(values[order]) > _FLAT])
         planes.append(values[order][steps])
@@ -140,40 +352,22 @@ def _grid(block: Block) -> tuple[list[np.ndarray], np.ndarray]:
     x, y = np.indices([len(p) - 1 for p in planes[:2]])
     columns = shapely.box(x, y, x + 1, y + 1)
     begins = np.zeros((*x.shape, len(planes[2])))
-    for face in block.faces:
+    for face in faces:
         corners = numbers[list(face)]
         flat = (corners == corners[0]).all(0)
         if not flat.any():
-            raise InputError(f"block {block.id!r}", "another shape", "upright boxes, for an arm")
+            return []
         if flat[2]:
             area = shapely.make_valid(shapely.Polygon(corners[:, :2]))
             sign = -1 if shapely.LinearRing(corners[:, :2]).is_ccw else 1
             begins[:, :, corners[0, 2]] += sign * shapely.area(shapely.intersection(columns, area))
-    return planes, np.cumsum(begins, 2)[:, :, :-1] > 0.5
+    return _merged(planes, np.cumsum(begins, 2)[:, :, :-1] > 0.5)
 
 
-def _box(planes: Sequence[np.ndarray], first: np.ndarray, last: np.ndarray) -> Part:
-    low, high = ([float(p[k]) for p, k in zip(planes, end, strict=True)] for end in (first, last))
-    x, y, z = (round((a + b) / 2, 9) + 0.0 for a, b in zip(low, high, strict=True))
-    u, v, w = (round((b - a) / 2, 9) for a, b in zip(low, high, strict=True))
-    return (x, y, z), (u, v, w)
-
-
-def _recut(parts: tuple[Part, ...]) -> tuple[Part, ...]:
-    """The same solid cut along x, then y, then z, whichever way ``parts`` cut it, so that equal
-    solids have equal boxes."""
-    if len(parts) == 1:
-        return parts
-    ends = np.array([[np.subtract(c, h), np.add(c, h)] for c, h in parts]).round(9)
-    planes = [np.unique(ends[:, :, axis]) for axis in range(3)]
-    first, last = (
-        np.stack([np.searchsorted(planes[k], ends[:, side, k]) for k in range(3)], -1)
-        for side in (0, 1)
-    )
-    left = np.zeros([len(p) - 1 for p in planes], bool)
-    for (i, j, k), (u, v, w) in zip(first, last, strict=True):
-        left[i:u, j:v, k:w] = True
-    found = []
+def _merged(planes: list[np.ndarray], left: np.ndarray) -> list[Part]:
+    """Boxes that fill cells bool[X, Y, Z] between planes, as long along x as possible, then along
+    y and z."""
+    found: list[Part] = []
     while left.any():
         low = np.argwhere(left)[0]
         high = low + 1
@@ -185,37 +379,121 @@ def _recut(parts: tuple[Part, ...]) -> tuple[Part, ...]:
                     break
                 high[axis] += 1
         left[tuple(slice(*end) for end in zip(low, high, strict=True))] = False
-        found.append(_box(planes, low, high))
-    return tuple(sorted(found))
+        ends = np.array([[p[a], p[b]] for p, a, b in zip(planes, low, high, strict=True)])
+        centre, half = ends.mean(1).round(9) + 0.0, (np.diff(ends)[:, 0] / 2).round(9)
+        found.append(Part(_three(centre), _three(half)))
+    return found
 
 
-def _turned(parts: tuple[Part, ...], quarters: int) -> tuple[Part, ...]:
-    for _ in range(quarters % 4):
-        parts = tuple(((-c[1] + 0.0, c[0], c[2]), (h[1], h[0], h[2])) for c, h in parts)
-    return tuple(sorted(parts))
+def _three(vector: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = vector.tolist()
+    return x, y, z
 
 
-def _extent(parts: tuple[Part, ...]) -> tuple[float, float]:
-    x, y = (round(max(abs(c[k]) + h[k] for c, h in parts), 6) for k in (0, 1))
-    return x, y
+def _frame(block: Block) -> np.ndarray:
+    """float64[3, 3]: axes of a block's frame as columns: z up where it has a face that is level,
+    else out of the face opposite to its largest; x along its longer side."""
+    normals, areas, edges = [], [], []
+    for face in block.faces:
+        corners = np.array(block.vertices[list(face)])
+        across = np.cross(corners - corners[0], np.roll(corners, -1, 0) - corners[0]).sum(0)
+        size = float(np.linalg.norm(across))
+        if size > 0:
+            normals.append(across / size)
+            areas.append(size)
+        edges += list(np.roll(corners, -1, 0) - corners)
+    unit = np.array(normals)
+    if unit[:, 2].min() < -_DOWN:
+        up = np.array([0.0, 0.0, 1.0])
+    else:
+        up = -unit[int(np.argmax(np.array(areas).round(9)))]
+    along = np.array(edges)
+    along = along - np.outer(along @ up, up)
+    length = np.linalg.norm(along, axis=1)
+    along = along[length > 0.2 * length.max()] / length[length > 0.2 * length.max(), None]
+    return _exact(_squared(np.array(block.vertices), up, along))
 
 
-def footprint(shape: tuple[Part, ...], pose: Pose) -> Any:
-    """What a shape covers at a pose, as a shapely area."""
-    import shapely
+def _squared(points: np.ndarray, up: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Axes of the smallest box about points that has an edge along one of some directions, the
+    longer level side first."""
+    best: tuple[tuple[float, ...], np.ndarray] | None = None
+    for way in along:
+        x, y = way, np.cross(up, way)
+        a, b = float(np.ptp(points @ x)), float(np.ptp(points @ y))
+        if b > a + 1e-7:
+            x, y, a, b = y, -x, b, a
+        if x[0] < -1e-9 or (abs(x[0]) <= 1e-9 and x[1] < 0):
+            x, y = -x, -y
+        key = (round(a * b, 9), round(-float(x[0]), 6), round(-float(x[1]), 6))
+        if best is None or key < best[0]:
+            best = key, np.stack([x, y, up], 1)
+    assert best is not None
+    return best[1]
 
-    return shapely.union_all(
-        [
-            shapely.affinity.translate(
-                shapely.affinity.rotate(
-                    shapely.box(c[0] - h[0], c[1] - h[1], c[0] + h[0], c[1] + h[1]),
-                    pose.yaw,
-                    origin=(0, 0),
-                    use_radians=True,
-                ),
-                pose.x,
-                pose.y,
-            )
-            for c, h in shape
-        ]
-    )
+
+# ---------------------------------------------------------------- how blocks wait
+
+
+def ways_to_rest(piece: Piece) -> list[np.ndarray]:
+    """Rotations in which a block can wait, as in the structure first if it rests so, then the most
+    stable ones."""
+    return [turn for turn, _ in _resting(piece.shape, _three(piece.turn[2].round(6)))]
+
+
+@lru_cache(maxsize=4096)
+def _resting(shape: Shape, up: tuple[float, float, float]) -> tuple[tuple[np.ndarray, float], ...]:
+    """Rotations and the margins with which a block rests, that nearest to ``up`` first."""
+    body = body_of(shape)
+    found = [
+        (_levelled(shape, one.turn), one.margin) for one in resting_turns(body.hull, body.centre)
+    ]
+    as_built = [one for one in found if one[0][2] @ np.array(up) > math.cos(STRAIGHT)]
+    return tuple(as_built + [one for one in found if not any(one is o for o in as_built)])
+
+
+def _levelled(shape: Shape, turn: np.ndarray) -> np.ndarray:
+    """A rotation with the yaw at which the block is longest along x: none where it lies on the
+    face that its frame has below."""
+    if turn[2, 2] > 1 - 1e-9:
+        return np.eye(3)
+    points = body_of(shape).points @ turn.T
+    edges = np.array([turn @ edge for part in shape for edge in part.solid.edges])
+    flat = edges - np.outer(edges[:, 2], [0, 0, 1])
+    length = np.linalg.norm(flat, axis=1)
+    ways = flat[length > 0.2] / length[length > 0.2, None]
+    axes = _squared(points, np.array([0.0, 0.0, 1.0]), ways)
+    return _exact(axes.T @ turn)
+
+
+def with_rests(pieces: Sequence[Piece], arm: Arm) -> tuple[Piece, ...]:
+    """The pieces, waiting on the faces from which the tool of an arm turns them into their poses
+    with the least tilt."""
+    known: dict[tuple[Shape, tuple[float, float, float]], np.ndarray] = {}
+    out = []
+    for piece in pieces:
+        key = piece.shape, _three(piece.turn[2].round(6))
+        if key not in known:
+            known[key] = _best_rest(piece, arm)
+        out.append(replace(piece, rest=known[key]))
+    return tuple(out)
+
+
+def _best_rest(piece: Piece, arm: Arm) -> np.ndarray:
+    goals = [piece.turn @ turn for turn in piece.turns()]
+    best: tuple[tuple[float, float], np.ndarray] | None = None
+    for turn in ways_to_rest(piece):
+        ways = ways_to_turn(arm, piece.shape, turn, goals)
+        if not ways:
+            continue
+        cost = float(ways[0].aside), float(round(math.degrees(ways[0].tilt)))
+        if best is None or cost < best[0]:
+            best = cost, turn
+    return piece.rest if best is None else best[1]
+
+
+def yaw_of(quaternion: np.ndarray, turns: Sequence[np.ndarray]) -> float:
+    """Yaw of a block [rad]: of the most upright of the orientations in which it looks the same."""
+    now = quaternion_matrix(quaternion)
+    turn = max((now @ turn for turn in turns), key=lambda t: round(float(t[2, 2]), 6))
+    return math.atan2(turn[1, 0], turn[0, 0])

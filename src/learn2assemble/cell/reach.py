@@ -15,24 +15,36 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from learn2assemble.cell.pieces import QUARTER, Part, Piece, Pose, footprint, pieces_of
-from learn2assemble.cell.site import Site, Source, given_sources, outline
+from learn2assemble.cell.pieces import (
+    QUARTER,
+    Piece,
+    Pose,
+    Turn,
+    pieces_of,
+    turn_key,
+    ways_to_rest,
+    with_rests,
+)
+from learn2assemble.cell.site import Site, Source, given_sources, outline, rests_of
 from learn2assemble.cell.workcell import (
     LOOSE,
     RETURNED,
     STANDING,
     Job,
+    Rows,
     StepOf,
     World,
-    different,
     moves,
     rows_of,
     try_step,
 )
 from learn2assemble.errors import InputError
-from learn2assemble.geometry.rotations import yaw_matrix, yaw_quaternion
+from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.robot.approach import ApproachCache
 from learn2assemble.robot.arm import Arm, get_arm
+from learn2assemble.robot.bodies import Shape
+from learn2assemble.robot.grasps import Attitude
+from learn2assemble.robot.holding import attitude, too_wide, ways_to_turn, why_not_held
 from learn2assemble.robot.inverse import RESTARTS, solve
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.kinematics import forward, get_chain
@@ -41,10 +53,8 @@ from learn2assemble.robot.moves import (
     FINE_LEVEL,
     Move,
     Scene,
-    attitudes,
     turned,
     turns,
-    why_not_held,
 )
 
 if TYPE_CHECKING:
@@ -64,6 +74,8 @@ CLEAR, APART = 0.06, 0.01
 """Between magazines and the structure, and between two of them [m]."""
 GRID, MOST_TRIED = 0.04, 150
 """Between places that are tried for a magazine [m], and how many are."""
+MOST_WAYS = 12
+"""Moves with which a magazine is tried."""
 LOW = 0.25
 """Structures lower than this need no raised base [m]."""
 
@@ -108,42 +120,39 @@ def reach_from(
     out: dict[int, str] = {}
     for k in range(len(pieces)) if which is None else which:
         piece = pieces[k]
-        why = way_down(cache, piece.shape, piece.target, piece.yaw, piece.top)
+        why = way_down(cache, piece, piece.pose, piece.top)
         if why is not None:
             out[k] = why
     return Reach(base, out, len(pieces))
 
 
-def way_down(
-    cache: ApproachCache, shape: tuple[Part, ...], middle: np.ndarray, yaw: float, top: float
-) -> str | None:
+def way_down(cache: ApproachCache, piece: Piece, pose: np.ndarray, top: float) -> str | None:
     """Why the tool has no way down to a block; None where it has one.
 
     Args:
         cache: of the arm.
-        shape: of the block.
-        middle: float64[3] of its bounding box [m].
-        yaw: of its shape [rad].
+        piece: the block.
+        pose: float64[7] at which it is.
         top: of what it has to be carried over [m].
     """
-    parts = sorted(shape, key=lambda part: (-part[0][2] - part[1][2], np.hypot(*part[0][:2])))
-    tall = 2 * max(abs(c[2]) + h[2] for c, h in shape)
-    why = ""
-    for centre, half in parts:
-        where = middle + yaw_matrix(yaw) @ np.array(centre)
-        for attitude in different(attitudes(cache.arm, np.array(half)), cache.arm):
-            height = top + CLEARANCE + tall + attitude.depth
-            height = FINE_LEVEL * math.ceil(height / FINE_LEVEL - 1e-9)
-            for turn in (0.0, *cache.arm.turns):
-                turned = attitude._replace(yaw=attitude.yaw + yaw + turn)
-                found = cache.solve(where, turned, height)
-                if not isinstance(found, str):
-                    return None
-                why = why or found
+    arm, why = cache.arm, ""
+    turn = quaternion_matrix(pose[3:])
+    low = float(piece.corners(pose)[:, 2].min())
+    for way in ways_to_turn(arm, piece.shape, quaternion_matrix(piece.waits[3:]), [turn]):
+        centre = np.array(piece.shape[way.hold.part].centre)
+        place = attitude(way.hold, centre, way.goal, way.place)
+        where = pose[:3] + way.goal @ centre
+        rise = float(place.tool_point(where)[2]) - low
+        height = FINE_LEVEL * math.ceil((top + CLEARANCE + rise) / FINE_LEVEL - 1e-9)
+        for angle in (0.0, *arm.turns):
+            found = cache.solve(where, place.spun(angle), height)
+            if not isinstance(found, str):
+                return None
+            why = why or found
     return why or "the tool cannot hold it"
 
 
-def _check_sources(arm: Arm, given: Sequence[Source], top: float) -> None:
+def _check_sources(arm: Arm, given: Sequence[Source], pieces: Sequence[Piece], top: float) -> None:
     """Refuse places of a layout that are out of reach.
 
     Raises:
@@ -151,12 +160,15 @@ def _check_sources(arm: Arm, given: Sequence[Source], top: float) -> None:
     """
     cache = ApproachCache(arm)
     for source in given:
-        half = max(abs(c[2]) + h[2] for c, h in source.shape)
-        middle = np.array([source.pose.x, source.pose.y, half])
-        why = way_down(cache, source.shape, middle, source.pose.yaw, top)
-        if why is not None:
-            at = [round(v, 4) for v in source.pose]
-            raise InputError(source.name, at, f"a place {arm.name} can reach ({why})")
+        seen: set[Turn] = set()
+        for piece in pieces:
+            if not source.presents(piece) or turn_key(piece.rest) in seen:
+                continue
+            seen.add(turn_key(piece.rest))
+            why = way_down(cache, piece, piece.waiting(source.pose), top)
+            if why is not None:
+                at = [round(v, 4) for v in source.pose]
+                raise InputError(source.name, at, f"a place {arm.name} can reach ({why})")
 
 
 def extreme(pieces: Sequence[Piece]) -> list[int]:
@@ -174,7 +186,7 @@ def extreme(pieces: Sequence[Piece]) -> list[int]:
 
 def bases(pieces: Sequence[Piece]) -> Iterator[Base]:
     """Bases to try, the preferred ones first: before the long side, then before the short one."""
-    half = np.max([np.abs(c) for p in pieces for b in p.boxes(p.target, p.yaw) for c in b], axis=0)
+    half = np.max([np.abs(end) for piece in pieces for end in piece.extent], axis=0)
     long = QUARTER if half[0] > half[1] + 0.02 else 0.0
     top = max(p.top for p in pieces)
     for height in HEIGHTS if top > LOW else HEIGHTS[:1]:
@@ -237,7 +249,7 @@ def report_reach(
     """
     if plan.assembly is None:
         raise InputError("design", plan.reason or "no blocks", "a design that blocks fill")
-    pieces = pieces_of(plan.assembly)
+    pieces = with_rests(pieces_of(plan.assembly), get_arm(arm, tool))
     check_held(get_arm(arm, tool), pieces)
     best = here = suggest(arm, tool, pieces)
     if site is not None and site.base is not None:
@@ -246,24 +258,47 @@ def report_reach(
 
 
 def check_held(arm: Arm, pieces: Sequence[Piece]) -> None:
-    """Refuse kinds that the tool cannot hold.
+    """Refuse blocks that the tool cannot hold at any face.
 
     Raises:
-        InputError: naming the kind and why.
+        InputError: naming them, by reason.
     """
-    seen: dict[tuple[Part, ...], str | None] = {}
+    seen: dict[tuple[Shape, Turn], str | None] = {}
+    names: dict[str, list[str]] = {}
     for piece in pieces:
-        if piece.shape not in seen:
-            mass = piece.density * sum(8 * float(np.prod(half)) for _, half in piece.shape)
-            why = [why_not_held(arm, np.array(half), mass) for _, half in piece.shape]
-            seen[piece.shape] = None if None in why else f"{piece.name}: {why[0]}"
-    faults = [why for why in seen.values() if why]
-    if faults:
-        more = f" (and {len(faults) - 1} more kinds)" if len(faults) > 1 else ""
-        other = "gripper" if arm.suction else "suction"
-        raise InputError(
-            f"tool {arm.tool_name}", f"{faults[0]}{more}", f"blocks it can hold; --tool {other} may"
-        )
+        key = piece.shape, turn_key(piece.turn[2:].round(6))
+        if key not in seen:
+            seen[key] = why_not_turned(arm, piece)
+        why = seen[key]
+        if why is not None:
+            names.setdefault(why, []).append(piece.id)
+    if not names:
+        return
+    words = []
+    for why, blocks in names.items():
+        listed = ", ".join(blocks[:3]) + (f" and {len(blocks) - 3} more" if blocks[3:] else "")
+        words.append(f"{listed}: {why}")
+    more = f" (and {len(words) - 6} more reasons)" if len(words) > 6 else ""
+    other = "gripper" if arm.suction else "suction"
+    raise InputError(
+        f"tool {arm.tool_name}",
+        "; ".join(words[:6]) + more,
+        f"blocks it can hold; --tool {other} may",
+    )
+
+
+def why_not_turned(arm: Arm, piece: Piece) -> str | None:
+    """Why the tool of an arm cannot hold a block as it waits and as it shall stand, in words."""
+    why = why_not_held(arm, piece.shape, piece.mass)
+    goals = [piece.turn @ turn for turn in piece.turns()]
+    if why is not None or any(
+        ways_to_turn(arm, piece.shape, r, goals) for r in ways_to_rest(piece)
+    ):
+        return why
+    if arm.suction is None:
+        return too_wide(arm, piece.shape)
+    size = " x ".join(f"{2e3 * side:g}" for side in piece.half.round(7))
+    return f"a block of {size} mm has no face for the cup both as it waits and as it shall stand"
 
 
 def set_up(job: Job, name: str, tool: str, site: Site) -> Job:
@@ -278,18 +313,20 @@ def set_up(job: Job, name: str, tool: str, site: Site) -> Job:
         InputError: for what the tool cannot hold, blocks out of reach (with the base that reaches
             most), and where there is no room for a magazine.
     """
-    pieces = job.pieces
+    every = with_rests(job.pieces, get_arm(name, tool))
+    job = replace(job, obstacles=site.obstacles, pieces=every)
+    # What can be done by hand asks nothing of the arm.
+    pieces = [piece for piece in every if not (job.hands and piece.prop)]
     check_held(get_arm(name, tool), pieces)
-    job = replace(job, obstacles=site.obstacles)
     order = [step.block for step in job.steps if not step.remove]
-    given = given_sources(site, pieces, order)
+    given = given_sources(site, every, order)
     top = max(p.top for p in pieces)
     if site.base is not None:
         found = reach_from(place_arm(name, tool, site.base), site.base, pieces)
         if found.out:
             raise _out_of_reach(name, pieces, found, suggest(name, tool, pieces))
         arm = resting(place_arm(name, tool, site.base), site.base[3], pieces)
-        _check_sources(arm, given, top)
+        _check_sources(arm, given, pieces, top)
         return _supplied(replace(job, arm=arm), given, site)
     key, fault, most, second = extreme(pieces), None, None, None
     for base in bases(pieces):
@@ -300,7 +337,7 @@ def set_up(job: Job, name: str, tool: str, site: Site) -> Job:
         if found.out or reach_from(arm, base, pieces).out:
             continue
         try:
-            _check_sources(arm, given, top)
+            _check_sources(arm, given, pieces, top)
             here = replace(job, arm=resting(arm, base[3], pieces))
             if takes_away(here):
                 return _supplied(here, given, site)
@@ -316,7 +353,7 @@ def set_up(job: Job, name: str, tool: str, site: Site) -> Job:
     raise _out_of_reach(name, pieces, best, best)
 
 
-def removals(job: Job, shape: tuple[Part, ...] | None = None) -> Iterator[tuple[World, StepOf]]:
+def removals(job: Job, shape: Shape | None = None) -> Iterator[tuple[World, StepOf]]:
     """Worlds in which a block, perhaps one of a shape, is to be taken away, everything else as the
     plan has it then."""
     world = World(replace(job, sources=tuple(s for s in job.sources if s.magazine)))
@@ -331,7 +368,7 @@ def removals(job: Job, shape: tuple[Part, ...] | None = None) -> Iterator[tuple[
 def takes_away(job: Job) -> bool:
     """Whether the arm can take hold of every block that is to be taken away, and come out with it;
     true of a tool that only comes from above, for which other bases change nothing."""
-    if job.arm.suction is None or len(job.arm.suction.cups) == 1:
+    if job.arm.suction is None or len(job.arm.suction.cups) == 1 or job.hands:
         return True
     cell = KinematicCell(job.arm, cells_of(job))
     for world, step in removals(job):
@@ -385,7 +422,7 @@ def _supplied(job: Job, given: list[Source], site: Site) -> Job:
     finished = replace(job, sources=())
     cell = KinematicCell(job.arm, cells_of(job))
     structure = shapely.union_all([p.face() for p in job.pieces]).buffer(CLEAR)
-    taken = [footprint(source.shape, source.pose).buffer(APART) for source in given]
+    taken = [source.area.buffer(APART) for source in given]
     taken += [outline(o).buffer(2 * APART) for o in job.obstacles]
     taken.append(shapely.Point(*job.base).buffer(0.16))
     table = shapely.box(*(-np.array(site.table) / 2), *(np.array(site.table) / 2))
@@ -395,11 +432,14 @@ def _supplied(job: Job, given: list[Source], site: Site) -> Job:
         place = next(_magazine_places(finished, cell, shape, blocked, table, True), None)
         place = place or next(_magazine_places(finished, cell, shape, blocked, table), None)
         if place is None:
-            piece = next(p for p in job.pieces if p.shape == shape)
-            got = f"no room for a magazine of kind {piece.name} within reach"
+            of_shape = [piece for piece in job.pieces if piece.shape == shape]
+            if job.hands and all(piece.prop for piece in of_shape):
+                continue
+            got = f"no room for a magazine of kind {of_shape[0].name} within reach"
             raise InputError("supply", got, "a layout with places for it (--layout)")
-        made.append(Source(shape, place, None, True))
-        taken.append(footprint(shape, place).buffer(APART))
+        source = Source(shape, place, None, True, rests=rests_of(job.pieces, shape))
+        made.append(source)
+        taken.append(source.area.buffer(APART))
     return replace(job, sources=(*given, *made))
 
 
@@ -410,32 +450,20 @@ def cells_of(job: Job) -> int:
 
 
 def _magazine_places(
-    job: Job,
-    cell: KinematicCell,
-    shape: tuple[Part, ...],
-    blocked: Any,
-    table: Any,
-    back: bool = False,
+    job: Job, cell: KinematicCell, shape: Shape, blocked: Any, table: Any, back: bool = False
 ) -> Iterator[Pose]:
-    """Poses at which blocks of a shape can be taken with the finished structure there, and if
-    ``back`` those that are taken away from it can be put."""
+    """Poses at which blocks of a shape can be taken with the finished structure there, however
+    they wait, and if ``back`` those that are taken away from it can be put."""
     import shapely
 
     world = World(replace(job, sources=()))
-    number = next(k for k, p in enumerate(job.pieces) if p.shape == shape)
     kept = {s.block for s in job.steps} - {s.block for s in job.steps if s.remove}
     for k in kept:
         world.pose[k], world.state[k] = world.target(k), STANDING
-    moving = world.add(number)
-    world.state[moving], world.pose[moving, 3:] = LOOSE, (1.0, 0.0, 0.0, 0.0)
-    half = job.pieces[number].half
-    top = max(float(p.target[2]) for p in job.pieces) + half[2]
-    scenes = []
-    for yaw in (0.0, QUARTER):
-        world.pose[moving] = [0.0, 0.0, half[2], *yaw_quaternion(yaw)]
-        rows = rows_of(world, world.pose, moving)
-        goal = np.array([0.0, 0.0, top, *yaw_quaternion(yaw)])
-        scenes.append((yaw, rows, list(moves(world, rows, moving, goal))))
+    rests = rests_of(job.pieces, shape)
+    size = max(float(np.linalg.norm(p.half)) for p in job.pieces if p.shape == shape)
+    top = max(float(p.target[2]) for p in job.pieces) + size
+    scenes = [(yaw, _waiting(world, shape, rests, yaw, top)) for yaw in (0.0, QUARTER)]
     steps = np.arange(-25, 26) * GRID
     grid = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
     away = np.linalg.norm(grid - job.base, axis=1)
@@ -445,16 +473,20 @@ def _magazine_places(
     mine = slice(-len(shape), None)
     tried = 0
     for x, y in grid[np.argsort(cost, kind="stable")].tolist():
-        for yaw, rows, ways in scenes:
-            face = footprint(shape, Pose(x, y, yaw))
+        for yaw, waiting in scenes:
+            pose = Pose(round(x, 4), round(y, 4), yaw)
+            source = Source(shape, pose, None, True, rests=rests)
+            face = source.area
             if not shapely.contains(table, face) or shapely.intersects(face, blocked):
                 continue
-            moved = rows.scene.position.copy()
-            moved[mine, :2] += x, y
-            scene = rows.scene._replace(position=moved)
-            pose = Pose(round(x, 4), round(y, 4), yaw)
-            there = replace(job, sources=(Source(shape, pose, None, True),))
-            if any(_picked(cell, scene, move) for move in ways) and not (
+            fits = True
+            for rows, ways in waiting:
+                moved = rows.scene.position.copy()
+                moved[mine, :2] += x, y
+                scene = rows.scene._replace(position=moved)
+                fits = fits and any(_picked(cell, scene, move) for move in ways)
+            there = replace(job, sources=(source,))
+            if fits and not (
                 back and any(try_step(w, cell, step) for w, step in removals(there, shape))
             ):
                 yield pose
@@ -463,7 +495,33 @@ def _magazine_places(
                 return
 
 
+def _waiting(
+    world: World, shape: Shape, rests: Sequence[Turn], yaw: float, top: float
+) -> list[tuple[Rows, list[Move]]]:
+    """Scenes in which a block waits at the origin in each of the ways it may, and the moves with
+    which it can be lifted above everything."""
+    found = []
+    for rest in rests:
+        number = next(
+            k for k, p in enumerate(world.pieces) if p.shape == shape and turn_key(p.rest) == rest
+        )
+        moving, pose = world.add(number), world.pieces[number].waiting(Pose(0.0, 0.0, yaw))
+        world.state[moving], world.pose[moving] = LOOSE, pose
+        rows = rows_of(world, world.pose, moving)
+        ways: dict[Attitude, Move] = {}
+        for piece in world.job.pieces:
+            if piece.shape == shape and turn_key(piece.rest) == rest:
+                goal = np.array([0.0, 0.0, top, *piece.pose[3:]])
+                for move in moves(world, rows, moving, goal):
+                    ways.setdefault(move.grasp, move)
+            if len(ways) >= MOST_WAYS:
+                break
+        found.append((rows, list(ways.values())))
+        world.state[moving] = RETURNED
+    return found
+
+
 def _picked(cell: KinematicCell, scene: Scene, move: Move) -> bool:
     """Whether the first half of a move is possible, whichever way the hand is turned."""
     ways = (0.0, *turns(cell.arm, move))
-    return any(cell.pick(scene, turned(move, turn)).reached for turn in ways)
+    return any(cell.pick(scene, turned(scene, move, turn)).reached for turn in ways)

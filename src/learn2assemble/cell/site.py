@@ -9,14 +9,22 @@ single *positions* lie on the table from the beginning.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from learn2assemble.cell.pieces import Part, Piece, Pose, footprint
+from learn2assemble.cell.pieces import (
+    UPRIGHT,
+    Piece,
+    Pose,
+    Turn,
+    footprint,
+    turn_key,
+    waiting,
+)
 from learn2assemble.errors import InputError, check_name
 from learn2assemble.files import (
     check_keys,
@@ -32,6 +40,7 @@ from learn2assemble.files import (
     too_deep,
 )
 from learn2assemble.motion.settings import LAYOUT, SECTION, ProgramSettings, parse_settings
+from learn2assemble.robot.bodies import Part, Shape
 
 if TYPE_CHECKING:
     from learn2assemble.design.goals import Goals
@@ -334,15 +343,40 @@ def _bounded(value: Any, where: str) -> float:
 class Source:
     """One pose at which blocks of a shape can be taken."""
 
-    shape: tuple[Part, ...]
+    shape: Shape
     pose: Pose
-    """Of the shape's frame."""
+    """Where blocks wait, see :meth:`~.pieces.Piece.waiting`."""
     left: int | None
     """How many blocks it can present; None: as many as needed."""
     magazine: bool
     """Presents blocks only when asked; else its one block lies there from the beginning."""
     name: str = "supply"
     """What messages call it."""
+    rests: tuple[Turn, ...] = UPRIGHT
+    """Rotations, at yaw 0, in which its blocks wait."""
+
+    @property
+    def area(self) -> Any:
+        """What its blocks cover, as a shapely area."""
+        import shapely
+
+        return shapely.union_all(
+            [footprint(self.shape, self.pose, np.array(rest)) for rest in self.rests]
+        )
+
+    def presents(self, piece: Piece) -> bool:
+        """Whether a block may come from here."""
+        return self.shape == piece.shape and turn_key(piece.rest) in self.rests
+
+    def poses(self) -> Iterator[np.ndarray]:
+        """Poses float64[7] in which its blocks wait."""
+        for rest in self.rests:
+            yield waiting(self.shape, self.pose, np.array(rest))
+
+
+def rests_of(pieces: Sequence[Piece], shape: Shape) -> tuple[Turn, ...]:
+    """Rotations in which blocks of a shape wait."""
+    return tuple(sorted({turn_key(piece.rest) for piece in pieces if piece.shape == shape}))
 
 
 def given_sources(site: Site, pieces: Sequence[Piece], order: Sequence[int]) -> list[Source]:
@@ -352,7 +386,7 @@ def given_sources(site: Site, pieces: Sequence[Piece], order: Sequence[int]) -> 
         InputError: for a kind the plan does not use, places that overlap or lie off the table.
     """
     _check_kinds(site, {piece.kind for piece in pieces})
-    shapes: dict[str, list[tuple[Part, ...]]] = {}
+    shapes: dict[str, list[Shape]] = {}
     for k in order:
         known = shapes.setdefault(pieces[k].kind, [])
         if pieces[k].shape not in known:
@@ -361,7 +395,9 @@ def given_sources(site: Site, pieces: Sequence[Piece], order: Sequence[int]) -> 
     for n, magazine in enumerate(site.magazines):
         for shape in shapes.get(magazine.kind, []):
             where = f"{site.source}: magazines[{n}]"
-            found.append((where, Source(shape, magazine.pose, magazine.count, True, where)))
+            rests = rests_of(pieces, shape)
+            source = Source(shape, magazine.pose, magazine.count, True, where, rests)
+            found.append((where, source))
     lying = [
         (f"{site.source}: pallets[{n}]", p.kind, pose)
         for n, p in enumerate(site.pallets)
@@ -376,7 +412,8 @@ def given_sources(site: Site, pieces: Sequence[Piece], order: Sequence[int]) -> 
         k = next(fits, None)
         if k is not None:  # More places than blocks are left empty.
             waiting.remove(k)
-            found.append((where, Source(pieces[k].shape, pose, 1, False, where)))
+            rests = (turn_key(pieces[k].rest),)
+            found.append((where, Source(pieces[k].shape, pose, 1, False, where, rests)))
     check_sources(site, found, pieces)
     return [source for _, source in found]
 
@@ -403,14 +440,14 @@ def check_sources(site: Site, found: list[tuple[str, Source]], pieces: Sequence[
     import shapely
 
     table = shapely.box(*(-np.array(site.table) / 2), *(np.array(site.table) / 2))
-    structure = shapely.union_all([p.face() for p in pieces if p.target[2] - p.half[2] < 1e-3])
+    structure = shapely.union_all([p.face() for p in pieces if p.extent[0][2] < 1e-3])
     blocked = [(o.name, outline(o)) for o in site.obstacles]
     for k, (what, area) in enumerate(blocked):
         if area.intersection(structure).area > 1e-9:
             at = list(site.obstacles[k].centre)
             raise InputError(f"{site.source}: {what}", at, "a place outside the building site")
     for where, source in found:
-        face, at = footprint(source.shape, source.pose), [round(v, 4) for v in source.pose]
+        face, at = source.area, [round(v, 4) for v in source.pose]
         if not table.contains(face):
             raise InputError(
                 where, at, f"a place on the table ({site.table[0]:g} x {site.table[1]:g} m)"
@@ -427,8 +464,8 @@ def check_sources(site: Site, found: list[tuple[str, Source]], pieces: Sequence[
 def outline(obstacle: Obstacle) -> Any:
     """What an obstacle covers, as a shapely area."""
     a, b, c = obstacle.size
-    part: Part = ((0.0, 0.0, 0.0), (a / 2, b / 2, c / 2))
-    return footprint((part,), Pose(*obstacle.centre, obstacle.yaw))
+    part = Part((0.0, 0.0, 0.0), (a / 2, b / 2, c / 2))
+    return footprint((part,), Pose(*obstacle.centre, obstacle.yaw), np.eye(3))
 
 
 def with_obstacles(site: Site, goals: Goals) -> Site:

@@ -16,8 +16,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.cell.pieces import QUARTER, Piece, footprint
+from learn2assemble.cell.pieces import Piece, Solid, solids
 from learn2assemble.cell.workcell import (
+    LEANING,
     LEANS,
     LOOSE,
     LOST,
@@ -26,18 +27,15 @@ from learn2assemble.cell.workcell import (
     STANDS,
     STOCK,
     TRIES,
+    Arranged,
     Job,
     StepOf,
     Structure,
     World,
-    frame_of,
     supply_of,
 )
-from learn2assemble.geometry.rotations import (
-    matrix_quaternion,
-    quaternion_matrix,
-    yaw_quaternion,
-)
+from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix, yaw_quaternion
+from learn2assemble.robot.hulls import separation
 
 # ---------------------------------------------------------------- beliefs
 
@@ -47,6 +45,12 @@ DRIFT, DRIFT_YAW = 5e-5, 1e-4
 """By which the estimate of a block at rest may be wrong anew after every attempt [m], [rad]."""
 SPREAD = 5.0
 """A reading that is off by more standard deviations means that the block has moved."""
+
+
+WITHIN = 0.02
+"""What is farther from the place of a block than this leaves it all the room it needs [m]."""
+SAME_WAY = 1 - 1e-6
+"""Cosine of the angle between two axes that are one."""
 
 
 def read_back(
@@ -80,7 +84,8 @@ def read_back(
 
 
 def fitted(world: World, belief: np.ndarray, standing: set[int], k: int) -> np.ndarray:
-    """Where a block goes, shifted by the little that its neighbours are off.
+    """Where a block goes, shifted by the little that its neighbours are off: on those that carry
+    it, and between those beside it.
 
     Args:
         belief: float64[N, 7] of all blocks.
@@ -91,36 +96,53 @@ def fitted(world: World, belief: np.ndarray, standing: set[int], k: int) -> np.n
         float64[7]: in the middle of a slot that is too narrow for half a joint on both sides.
     """
     piece, goal, joint = world.pieces[k], world.target(k), world.job.joint
-    low, high = np.full(2, -np.inf), np.full(2, np.inf)
-    rise = []
-    mine = piece.boxes(piece.target, piece.yaw)
+    mine, (low, high) = solids(piece.shape, goal), piece.extent
+    beds: list[tuple[np.ndarray, float]] = []
+    sides: list[tuple[np.ndarray, float]] = []
     for n in sorted(standing):
         other = world.pieces[n]
-        if np.abs(other.target - piece.target).max() > 1.0:
+        if (np.maximum(other.extent[0] - high, low - other.extent[1]) > WITHIN).any():
             continue
         shift = belief[n, :3] - other.target
-        theirs = other.boxes(other.target, other.yaw)
-        for (a, b), (c, d) in ((m, t) for m in mine for t in theirs):
-            shared = np.minimum(b, d) - np.maximum(a, c)
-            if (shared[:2] > 1e-3).all() and abs(d[2] - a[2]) < 1e-3:
-                rise.append(shift[2])
-            for axis in (0, 1):
-                if shared[1 - axis] < 1e-3 or shared[2] < 1e-3 or shared[axis] > 1e-3:
-                    continue
-                if c[axis] >= b[axis] - 1e-3:
-                    free = c[axis] + shift[axis] - b[axis] - joint / 2
-                    high[axis] = min(high[axis], free)
-                else:
-                    free = d[axis] + shift[axis] - a[axis] + joint / 2
-                    low[axis] = max(low[axis], free)
-    for axis in (0, 1):
-        a, b = low[axis], high[axis]
-        if a > b:
-            goal[axis] += (a + b) / 2
-        else:
-            goal[axis] += min(max(0.0, a), b)
-    if rise:
-        goal[2] += float(np.mean(rise))
+        for one, two in product(mine, solids(other.shape, other.pose)):
+            gap, way = separation(one, two)
+            if gap > WITHIN or not _faces(one, two, gap, way):
+                continue
+            if way[2] < -LEANING:
+                beds.append((way, float(way @ shift)))
+            elif way[2] < 1 - LEANING:
+                sides.append((way, gap + float(way @ shift) - joint / 2))
+    if beds:
+        ways, off = (np.array(column) for column in zip(*beds, strict=True))
+        goal[:3] += np.linalg.pinv(ways, rcond=1e-3) @ off
+    return _between(goal, goal[:3] - piece.target, sides)
+
+
+def _faces(one: Solid, two: Solid, gap: float, way: np.ndarray) -> bool:
+    """Whether a body would run into another one on the axis that parts them, not past it."""
+    ahead = one[0] + way * (gap + 3e-3), one[1], one[2]
+    return separation(ahead, two)[0] < -1e-3
+
+
+def _between(
+    goal: np.ndarray, moved: np.ndarray, sides: list[tuple[np.ndarray, float]]
+) -> np.ndarray:
+    """A pose moved out of what stands beside it, axis by axis: into the middle of a slot that is
+    too narrow, else by the least that is needed.
+
+    Args:
+        moved: float64[3] that it has been moved already [m].
+        sides: unit vectors towards others, and how far it may be moved along them [m].
+    """
+    left = list(sides)
+    while left:
+        axis = left[0][0]
+        high = min(free for way, free in left if way @ axis > SAME_WAY)
+        low = max((-free for way, free in left if way @ axis < -SAME_WAY), default=-math.inf)
+        left = [(way, free) for way, free in left if abs(way @ axis) <= SAME_WAY]
+        there = float(moved @ axis)
+        wanted = (low + high) / 2 if low > high else min(max(there, low), high)
+        goal[:3] += (wanted - there) * axis
     return goal
 
 
@@ -128,6 +150,8 @@ def fitted(world: World, belief: np.ndarray, standing: set[int], k: int) -> np.n
 
 NEAT = 8e-4
 """A neighbour that is off by more is put right where it leaves the next block no room [m]."""
+OVER = math.radians(45.0)
+"""What leans by more than this from how it waits and how it shall stand has fallen over [rad]."""
 BESIDE = 0.012
 """What lies nearer to a place than this is in its way [m]."""
 WAITING = "what it stands on is missing"
@@ -140,14 +164,15 @@ class Action(NamedTuple):
     goal: np.ndarray
     """float64[7]: pose the block shall have."""
     what: str
-    """``place``, ``remove``, ``again`` (from where it stands wrongly) or ``away``."""
+    """``place``, ``remove``, ``again`` (from where it stands wrongly), ``away``, or ``hand``: the
+    step is done by hand."""
     source: int | None = None
     """Where it comes from, or where it goes to where it is taken away."""
 
 
 @dataclasses.dataclass
 class Done:
-    """What came of one attempt."""
+    """What came of one attempt, or of a step that was done by hand."""
 
     number: int
     block: int
@@ -157,6 +182,8 @@ class Done:
     stage: str
     sideways: bool = False
     """Whether the block was held by its side."""
+    hand: bool = False
+    """Whether it was no attempt of the arm, but done by hand."""
 
     @property
     def step(self) -> StepOf:
@@ -169,12 +196,13 @@ class Choice:
 
     Args:
         job: what is to be built.
-        order: proven, and possible for the arm.
+        found: an order that is proven, and possible for the arm, or by hand.
         structure: what rests on what.
     """
 
-    def __init__(self, job: Job, order: tuple[StepOf, ...], structure: Structure) -> None:
-        self.job, self.order, self.structure = job, order, structure
+    def __init__(self, job: Job, found: Arranged, structure: Structure) -> None:
+        self.job, self.order, self.structure = job, found.steps, structure
+        self.by_hand = found.by_hand
         self.world = World(job)
         self.believe()
         self.fails: Counter[tuple[int, str]] = Counter()
@@ -212,6 +240,10 @@ class Choice:
         self.belief, self.variance = np.array(state["belief"]), np.array(state["variance"])
         self.accepted = set(state["accepted"])
         self.fails = Counter({(k, what): n for k, what, n in state["fails"]})
+
+    def attempts(self) -> list[Done]:
+        """Those of the arm."""
+        return [done for done in self.done if not done.hand]
 
     def standing(self) -> set[int]:
         """Pieces of the plan that are in their places."""
@@ -278,6 +310,8 @@ class Choice:
 
     def _place_or_remove(self, step: StepOf) -> Action | str:
         world, k = self.world, step.block
+        if step in self.by_hand:
+            return Action(k, self.fitted(k), "hand")
         if step.remove:
             goal = self._away(k)
             return goal if isinstance(goal, str) else goal._replace(what="remove")
@@ -316,7 +350,11 @@ class Choice:
         for n in sorted(standing - self.accepted):
             off = self.belief[n, :2] - self.world.target(n)[:2]
             other, piece = self.job.pieces[n], self.job.pieces[k]
-            level = abs(other.target[2] - piece.target[2]) < other.half[2] + piece.half[2] - 1e-3
+            bottom, top = (
+                pick(other.extent[end][2], piece.extent[end][2])
+                for end, pick in ((0, max), (1, min))
+            )
+            level = top - bottom > 1e-3
             free = not self.structure.loads(n, standing) and self._left(n, "again") > 2 * TRIES
             beside = self.world.pieces[n].face().intersects(place)
             if level and free and beside and np.linalg.norm(off) > NEAT:
@@ -330,23 +368,23 @@ class Choice:
     def _wrong(self, k: int) -> bool:
         """Whether a block has to be taken up again."""
         target, found = self.world.target(k), self.belief[k]
-        frame = frame_of(found[3:])
-        turned = abs((frame.yaw - self.world.pieces[k].yaw + QUARTER / 2) % QUARTER - QUARTER / 2)
+        turned = self.world.pieces[k].turned_by(found[3:], target[3:])
         off = float(np.linalg.norm(found[:3] - target[:3]))
         missing = self._bed(k) - self.standing()
-        return off > STANDS or max(turned, frame.tilt) > LEANS or bool(missing)
+        return off > STANDS or turned > LEANS or bool(missing)
 
     def _away(self, k: int) -> Action | str:
         """Back to a magazine, to where it came from, or to a free place on the table."""
         world, piece = self.world, self.world.pieces[k]
-        if (frame_of(world.pose[k, 3:]).side == np.eye(3)).all():
+        now = world.pose[k, 3:]
+        if min(piece.lean(now, piece.pose[3:]), piece.lean(now, piece.waits[3:])) < OVER:
             own = world.source[k]
             number = world.magazine(k) if own is None else own
             if number is not None:
                 return Action(k, world.presented(k, number), "away", number)
         for x, y in self._free_places(k):
-            goal = np.array([x, y, piece.half[2], *yaw_quaternion(0.0)])
-            return Action(k, goal, "away")
+            height = world.pose[k, 2] - float(piece.corners(world.pose[k])[:, 2].min())
+            return Action(k, np.array([x, y, height, *now]), "away")
         return "there is no free place for it"
 
     def _free_places(self, k: int) -> list[tuple[float, float]]:
@@ -356,7 +394,7 @@ class Choice:
         world = self.world
         lying = [area(world.pieces[n], world.pose[n]) for n in world.visible() if n != k]
         places = [p.face() for p in self.job.pieces]
-        sources = [footprint(s.shape, s.pose) for s in self.job.sources]
+        sources = [source.area for source in self.job.sources]
         taken = shapely.union_all(lying + places + sources)
         size = float(np.linalg.norm(self.world.pieces[k].half))
         tried = self.fails[k, "away"]
@@ -386,10 +424,7 @@ class Choice:
         ]
         if any(world.pieces[n].face().intersects(near) for n in open_places):
             return True
-        return any(
-            source.magazine and footprint(source.shape, source.pose).intersects(near)
-            for source in self.job.sources
-        )
+        return any(source.magazine and source.area.intersects(near) for source in self.job.sources)
 
     def fitted(self, k: int) -> np.ndarray:
         """float64[7]: where a block goes, see :func:`fitted`."""
@@ -404,10 +439,4 @@ def area(piece: Piece, pose: np.ndarray) -> Any:
     """
     import shapely
 
-    turn = quaternion_matrix(pose[3:])
-    corners = [
-        pose[:3] + turn @ (np.array(c) + np.array(h) * signs)
-        for c, h in piece.shape
-        for signs in product((-1, 1), repeat=3)
-    ]
-    return shapely.MultiPoint(np.array(corners)[:, :2]).convex_hull
+    return shapely.MultiPoint(piece.corners(pose)[:, :2]).convex_hull

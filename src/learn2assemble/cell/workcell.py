@@ -1,4 +1,4 @@
-"""An arm carries out an exact plan: any kit, tight joints, props placed and taken away.
+"""An arm carries out a plan: any blocks at any pose, tight joints, props placed and taken away.
 
 First the order is chosen with the kinematic cell: among the blocks whose support stands, those of
 the lowest level and farthest from the arm first, the first one that the arm can pick up and put
@@ -21,18 +21,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.cell.pieces import QUARTER, Piece, pieces_of
+from learn2assemble.cell.pieces import Piece, pieces_of
 from learn2assemble.cell.site import Obstacle, Site, Source
 from learn2assemble.errors import InputError
-from learn2assemble.geometry.rotations import (
-    matrix_quaternion,
-    quaternion_matrix,
-    yaw_quaternion,
-)
+from learn2assemble.geometry.rotations import quaternion_matrix, yaw_quaternion
 from learn2assemble.robot.arm import Arm, get_arm
-from learn2assemble.robot.grasps import WAY, Attitude
+from learn2assemble.robot.bodies import Shape
+from learn2assemble.robot.grasps import WAY, facing
+from learn2assemble.robot.holding import attitude, ways_to_turn
 from learn2assemble.robot.kinematic import KinematicCell
-from learn2assemble.robot.moves import Attempt, Move, Scene, attitudes, side_attitudes
+from learn2assemble.robot.moves import Attempt, Move, Scene
 from learn2assemble.statics.proofs import BED, TIGHT
 
 if TYPE_CHECKING:
@@ -53,6 +51,10 @@ OBSTACLE_DENSITY = 20_000.0
 """Nothing moves an obstacle [kg/m³]."""
 FARTHEST_OUT, OUT_ROOM = 0.5, 0.005
 """No block is drawn out from below others farther than this, and what room it then has [m]."""
+LEANING = 0.02
+"""A joint leans where the height of its normal is neither 0 nor 1 by more."""
+STEEP_JOINT = 0.9
+"""Where the height of its normal is less, a block does not come straight down on a joint."""
 TRIES = 3
 """Attempts at one step before others come first."""
 
@@ -93,6 +95,8 @@ class Workcell:
     noise: tuple[float, float] = (0.0, 0.0)
     """Standard deviations of what is read back: x and y [m], yaw [rad]."""
     disturbance: Disturbance | None = None
+    hands: bool = False
+    """Props that the arm cannot place or take away are placed and taken away by hand."""
     log: Path | None = None
     """What is appended to after every attempt; where it exists, the build goes on from it."""
 
@@ -111,6 +115,8 @@ class Job:
     friction: float = 0.5
     joint: float = 1e-4
     """Width of a vertical joint [m]."""
+    hands: bool = False
+    """Props that the arm cannot place or take away are placed and taken away by hand."""
 
     @property
     def base(self) -> np.ndarray:
@@ -118,11 +124,14 @@ class Job:
         return self.arm.base_position[:2]
 
 
-def job_of(plan: Plan, arm: str, joint: float) -> Job:
-    """What a complete exact plan asks of an arm.
+def job_of(plan: Plan, arm: str, joint: float, hands: bool = False) -> Job:
+    """What a complete plan asks of an arm.
+
+    Args:
+        hands: whether props may be placed and taken away by hand.
 
     Raises:
-        InputError: for steps that hold a block, and for blocks that are no boxes.
+        InputError: for steps that hold a block, and for blocks of too many convex parts.
     """
     assert plan.assembly is not None
     holds = sum(step.action == "hold" for step in plan.steps)
@@ -142,6 +151,7 @@ def job_of(plan: Plan, arm: str, joint: float) -> Job:
         (),
         friction=plan.assembly.friction,
         joint=joint,
+        hands=hands,
     )
 
 
@@ -164,8 +174,7 @@ class World:
         self.job, self.pieces = job, list(job.pieces)
         count = len(self.pieces)
         self.pose = np.zeros((count, 7))
-        """float64[N, 7]: middle of the bounding box [m], quaternion (w, x, y, z) of the frame of
-        its shape."""
+        """float64[N, 7]: position [m] and quaternion (w, x, y, z) of the frame of its shape."""
         self.state = [STOCK] * count
         self.source: list[int | None] = [None] * count
         """Where each is taken from."""
@@ -177,7 +186,7 @@ class World:
                 (
                     k
                     for k, p in enumerate(self.pieces)
-                    if p.shape == source.shape and self.source[k] is None
+                    if source.presents(p) and self.source[k] is None
                 ),
                 None,
             )
@@ -199,15 +208,14 @@ class World:
 
     def presented(self, piece: int, source: int) -> np.ndarray:
         """float64[7]: the pose at which a source presents a block."""
-        at = self.job.sources[source].pose
-        return np.array([at.x, at.y, self.pieces[piece].half[2], *yaw_quaternion(at.yaw)])
+        return self.pieces[piece].waiting(self.job.sources[source].pose)
 
     def hide(self, piece: int) -> None:
-        """The block lies in its magazine, under the table."""
-        source = self.magazine(piece)
-        if source is not None:
-            self.pose[piece] = self.presented(piece, source)
-            self.pose[piece, 2] = -HIDDEN - self.pieces[piece].half[2]
+        """The block lies in its magazine, under the table, or is kept elsewhere."""
+        source, one = self.magazine(piece), self.pieces[piece]
+        pose = self.target(piece) if source is None else self.presented(piece, source)
+        pose[2] -= HIDDEN + float(one.corners(pose)[:, 2].max())
+        self.pose[piece] = pose
 
     def magazine(self, piece: int) -> int | None:
         """The magazine of its shape, if there is one."""
@@ -218,15 +226,14 @@ class World:
 
     def target(self, piece: int) -> np.ndarray:
         """float64[7]: the pose it has in the finished structure."""
-        one = self.pieces[piece]
-        return np.array([*one.target, *yaw_quaternion(one.yaw)])
+        return self.pieces[piece].pose.copy()
 
     def visible(self) -> list[int]:
         """Blocks that are on the table or in the structure."""
         return [k for k, s in enumerate(self.state) if s in (STANDING, LOOSE, LOST)]
 
     def cells(self) -> list[tuple[int, ...]]:
-        """Cells of every block: its boxes, numbered through."""
+        """Cells of every block: its parts, numbered through."""
         out, count = [], 0
         for piece in self.pieces:
             out.append(tuple(range(count, count + len(piece.shape))))
@@ -234,43 +241,22 @@ class World:
         return out
 
 
-class Frame(NamedTuple):
-    """How a block lies: on which side, how turned, how tilted."""
-
-    side: np.ndarray
-    """float64[3, 3] with one entry in every row: from a frame whose z axis points up to that of
-    the shape."""
-    yaw: float
-    tilt: float
-    """[rad]"""
-
-
-def frame_of(quaternion: np.ndarray) -> Frame:
-    """The side a block lies on, and its yaw and tilt there."""
-    turn = quaternion_matrix(quaternion)
-    axis = int(np.argmax(np.abs(turn[2])))
-    if axis == 2 and turn[2, 2] > 0:
-        side = np.eye(3)
-    else:
-        up = np.zeros(3)
-        up[axis] = math.copysign(1.0, turn[2, axis])
-        across = np.eye(3)[(axis + 1) % 3]
-        side = np.stack([across, np.cross(up, across), up], 1)
-    upright = turn @ side
-    yaw = math.atan2(upright[1, 0], upright[0, 0])
-    return Frame(side, yaw, math.acos(min(1.0, abs(float(upright[2, 2])))))
-
-
 class Rows(NamedTuple):
     """A scene and what its rows are."""
 
     scene: Scene
-    quaternion: np.ndarray
-    """float64[n, 4]"""
     owner: np.ndarray
     """int64[n]: piece of each row, -1 for an obstacle."""
     part: np.ndarray
-    """int64[n]: number of the box in its piece."""
+    """int64[n]: number of the part in its piece."""
+
+    def pose(self, piece: int, shape: Shape) -> np.ndarray:
+        """float64[7]: of a piece that has a row."""
+        row = int(np.flatnonzero(self.owner == piece)[0])
+        assert self.scene.quaternion is not None
+        turn = self.scene.quaternion[row]
+        centre = np.array(shape[self.part[row]].centre)
+        return np.array([*(self.scene.position[row] - quaternion_matrix(turn) @ centre), *turn])
 
 
 def rows_of(world: World, poses: np.ndarray, moving: int, masses: np.ndarray | None = None) -> Rows:
@@ -283,93 +269,83 @@ def rows_of(world: World, poses: np.ndarray, moving: int, masses: np.ndarray | N
     others = [k for k in world.visible() if k != moving]
     columns: list[tuple[Any, ...]] = []
     for k in [*others, moving]:
-        piece, frame = world.pieces[k], frame_of(poses[k, 3:])
-        turn = quaternion_matrix(poses[k, 3:])
-        upright = matrix_quaternion(turn @ frame.side)
+        piece, turn = world.pieces[k], quaternion_matrix(poses[k, 3:])
         density = piece.density * (1.0 if masses is None else masses[k])
-        for number, (centre, half) in enumerate(piece.shape):
-            place = poses[k, :3] + turn @ np.array(centre)
-            size = np.abs(frame.side.T) @ np.array(half)
-            columns.append((place, frame.yaw, k, size, density, upright, k, number))
+        for number, part in enumerate(piece.shape):
+            place = poses[k, :3] + turn @ np.array(part.centre)
+            columns.append((place, poses[k, 3:], k, part.half, part.hull, density, k, number))
     fixed: list[tuple[Any, ...]] = []
     for n, obstacle in enumerate(world.job.obstacles):
-        size = np.array(obstacle.size) / 2
-        place = np.array(obstacle.middle)
-        fixed.append(
-            (
-                place,
-                obstacle.yaw,
-                len(world.pieces) + n,
-                size,
-                OBSTACLE_DENSITY,
-                yaw_quaternion(obstacle.yaw),
-                -1,
-                n,
-            )
-        )
-    place, yaw, number, half, density, turn, owner, part = zip(*fixed, *columns, strict=True)
-    placed = len(place) - len(world.pieces[moving].shape)
+        size, number = np.array(obstacle.size) / 2, len(world.pieces) + n
+        turn = yaw_quaternion(obstacle.yaw)
+        fixed.append((obstacle.middle, turn, number, size, None, OBSTACLE_DENSITY, -1, n))
+    columns = fixed + columns
+    place, turn, number, half, hull, density, owner, part = zip(*columns, strict=True)
+    placed, axes = len(place) - len(world.pieces[moving].shape), quaternion_matrix(np.array(turn))
     scene = Scene(
-        np.array(place),
-        np.array(yaw, float),
+        np.array(place, float),
+        np.arctan2(axes[:, 1, 0], axes[:, 0, 0]),
         np.array(number, np.int64),
         placed,
-        np.array(half),
+        np.array(half, float),
         np.array(density, float),
+        np.array(turn),
+        hull if any(hull) else None,
     )
-    return Rows(scene, np.array(turn), np.array(owner, np.int64), np.array(part, np.int64))
+    return Rows(scene, np.array(owner, np.int64), np.array(part, np.int64))
 
 
-def moves(world: World, rows: Rows, moving: int, goal: np.ndarray) -> Iterator[Move]:
-    """Ways to bring a block to a pose, float64[7]: where it is held, and how the hand turns."""
+DOWN = (0.0, 0.0, -1.0)
+"""The way on which blocks come to their places, if nothing leans."""
+
+
+def moves(
+    world: World,
+    rows: Rows,
+    moving: int,
+    goal: np.ndarray,
+    into: tuple[float, float, float] = DOWN,
+) -> Iterator[Move]:
+    """Ways to bring a block to a pose: where it is held, and how the hand turns; cups at the side
+    of a tool last, and drawn out only as far as it takes to come out from below others.
+
+    Args:
+        rows: the scene, in which the block waits.
+        goal: float64[7]: the pose it shall have.
+        into: unit vector along which it comes there.
+    """
     piece, arm = world.pieces[moving], world.job.arm
-    frame = frame_of(world.pose[moving, 3:])
-    upright = bool((frame.side == np.eye(3)).all())
+    now = quaternion_matrix(rows.pose(moving, piece.shape)[3:])
+    wanted = quaternion_matrix(goal[3:])
     mine = np.flatnonzero(rows.owner == moving)
-    halves = rows.scene.halves[mine]
-    tops = rows.scene.position[mine, 2] + halves[:, 2]
-    middle = rows.scene.position[mine].mean(0)
-    away = np.linalg.norm((rows.scene.position[mine] - middle)[:, :2], axis=1)
-    goal_turn = quaternion_matrix(goal[3:])
-    goal_yaw = math.atan2(goal_turn[1, 0], goal_turn[0, 0])
-    parts = sorted(range(len(mine)), key=lambda k: (-round(tops[k], 4), away[k]))
-    hands = [(k, grasp) for k in parts for grasp in different(attitudes(arm, halves[k]), arm)]
-    # From the side last, and only as far as it takes to come out from below others.
-    hands += [(k, grasp) for k in parts for grasp in side_attitudes(arm, halves[k])]
-    for k, grasp in hands:
-        offset = np.array(piece.shape[rows.part[mine[k]]][0])
-        grasp = grasp._replace(yaw=grasp.yaw + frame.yaw)
+    of_part = dict(zip(rows.part[mine].tolist(), mine.tolist(), strict=True))
+    goals = [wanted @ turn for turn in piece.turns()]
+    for way in ways_to_turn(arm, piece.shape, now, goals):
+        centre = np.array(piece.shape[way.hold.part].centre)
+        grasp = attitude(way.hold, centre, now, way.grasp)
+        place = facing(way.place)._replace(depth=grasp.depth, lip=grasp.lip, aside=grasp.aside)
         if grasp.sideways:
-            way = way_out(rows, mine, -grasp.approach())
-            if way is None:
+            far = way_out(rows, mine, -grasp.approach())
+            if far is None:
                 continue
-            grasp = grasp._replace(way=way)
-        for turn in piece.turns() if upright else (0,):
-            yaw = goal_yaw + turn * QUARTER
-            change = (yaw - frame.yaw + math.pi) % (2 * math.pi) - math.pi
-            spun = quaternion_matrix(yaw_quaternion(frame.yaw + change))
-            yield Move(
-                int(mine[k]),
-                goal[:3] + spun @ (offset if upright else frame.side.T @ offset),
-                grasp,
-                grasp._replace(yaw=grasp.yaw + change, way=WAY),
-            )
+            grasp = grasp._replace(way=far)
+        if np.abs(place.insertion() - into).max() > 1e-9:
+            place = place._replace(into=into)
+        yield Move(of_part[way.hold.part], goal[:3] + way.goal @ centre, grasp, place)
 
 
 def way_out(rows: Rows, mine: np.ndarray, way: np.ndarray) -> float | None:
-    """How far boxes have to be drawn out until nothing is above them any more.
+    """How far blocks have to be drawn out until nothing is above them any more.
 
     Args:
         rows: the scene.
-        mine: int64[m], its boxes that are moved.
+        mine: int64[m], its rows that are moved.
         way: float64[3], a level unit vector.
 
     Returns:
         [m]; None where it is farther than :data:`FARTHEST_OUT`.
     """
-    turns = np.abs([quaternion_matrix(turn) for turn in rows.quaternion])
-    reach = np.einsum("nij,nj->ni", turns, rows.scene.halves)
-    low, high = rows.scene.position - reach, rows.scene.position + reach
+    low, high = rows.scene.bounds()
     others = np.setdiff1d(np.arange(len(low)), mine)
     covered = others[high[others, 2] > high[mine, 2].max() + 1e-3]
     for far in np.arange(WAY, FARTHEST_OUT, 0.01).tolist():
@@ -378,21 +354,6 @@ def way_out(rows: Rows, mine: np.ndarray, way: np.ndarray) -> float | None:
         if not (apart > -OUT_ROOM).all(2).any():
             return round(far, 3)
     return None
-
-
-def different(found: Sequence[Attitude], arm: Arm) -> list[Attitude]:
-    """Attitudes of which none is another one with the hand turned as it may be anyway."""
-    out: list[Attitude] = []
-    for one in found:
-        same = (
-            math.isclose(math.cos(one.yaw - other.yaw - turn), 1.0)
-            and (one.tilt, one.depth) == (other.tilt, other.depth)
-            for other in out
-            for turn in (0.0, *arm.turns)
-        )
-        if not any(same):
-            out.append(one)
-    return out
 
 
 # ---------------------------------------------------------------- the order
@@ -405,7 +366,8 @@ class Arranged:
     steps: tuple[StepOf, ...]
     stuck: dict[int, str]
     """By piece, why it cannot be placed or taken away; empty where the order is complete."""
-    moves: dict[StepOf, Attitude] = dataclasses.field(default_factory=dict)
+    by_hand: frozenset[StepOf] = frozenset()
+    """Steps that the arm cannot do."""
 
 
 class Structure:
@@ -416,7 +378,7 @@ class Structure:
     """
 
     def __init__(self, job: Job) -> None:
-        from learn2assemble.assembly.contacts import find_contacts
+        from learn2assemble.assembly.contacts import add_point_contacts, find_contacts
         from learn2assemble.statics.rigid_blocks import bed_patches
 
         self.job, self.contacts = job, find_contacts(job.assembly)
@@ -426,15 +388,65 @@ class Structure:
         self.above: list[set[int]] = [set() for _ in range(count)]
         lying = self.lying
         for a, b, normal in zip(lying.a.tolist(), lying.b.tolist(), lying.normal, strict=True):
-            lower, upper = (a, b) if normal[2] > 0 else (b, a)
-            if upper >= 0 and lower >= 0:
-                self.below[upper].add(lower)
-                self.above[lower].add(upper)
+            self._rests(a, b, float(normal[2]))
+        self.leans = self._leaning()
+        last = {step.block for step in job.steps} - {
+            step.block for step in job.steps if step.remove
+        }
+        if self._pressing(frozenset(last)) is None:
+            # Edges and points carry.
+            self.contacts, _ = add_point_contacts(job.assembly, self.contacts)
+            self._leaning()
+            self.leans = True
         standing: set[int] = set()
         self._proven = {frozenset(standing)}
         for step in job.steps:
             standing = standing - {step.block} if step.remove else standing | {step.block}
             self._proven.add(frozenset(standing))
+
+    def _rests(self, a: int, b: int, up: float) -> None:
+        """A block, a or b, rests on the other one; ``up`` is the normal towards b."""
+        lower, upper = (a, b) if up > 0 else (b, a)
+        if upper >= 0 and lower >= 0:
+            self.below[upper].add(lower)
+            self.above[lower].add(upper)
+
+    def _leaning(self) -> bool:
+        """Take up what leans on what, where joints lean: in the order of the steps, as what leans
+        on two others is placed when both are there; whether any does."""
+        place = {step.block: n for n, step in enumerate(self.job.steps) if not step.remove}
+        ends = zip(self.contacts.a.tolist(), self.contacts.b.tolist(), strict=True)
+        found = False
+        for (a, b), normal in zip(ends, self.contacts.normal, strict=True):
+            steep = abs(float(normal[2]))
+            if not LEANING < steep < 1 - LEANING:
+                continue
+            found = True
+            lower, upper = (a, b) if normal[2] > 0 else (b, a)
+            if upper >= 0 and lower >= 0 and place.get(lower, 0) < place.get(upper, 0):
+                self._rests(a, b, float(normal[2]))
+        return found
+
+    def way_in(self, block: int, standing: set[int]) -> tuple[float, float, float]:
+        """Unit vector along which a block comes to its place: straight down, or at right angles to
+        the joints on which it comes to lean where that is not along them."""
+        if not self.leans:
+            return DOWN
+        faces = self.contacts
+        up = [
+            normal if b == block else -normal
+            for a, b, normal in zip(faces.a.tolist(), faces.b.tolist(), faces.normal, strict=True)
+            if block in (a, b) and (a if b == block else b) in {*standing, -1}
+        ]
+        carried = [normal for normal in up if normal[2] > LEANING]
+        if not carried or min(float(normal[2]) for normal in carried) > STEEP_JOINT:
+            return DOWN
+        mean = np.sum(carried, axis=0)
+        mean = mean / np.linalg.norm(mean)
+        if min(float(mean @ normal) for normal in up) < -1e-6:
+            return DOWN
+        x, y, z = (-mean).round(9).tolist()
+        return x, y, z
 
     def stands(self, standing: frozenset[int]) -> bool:
         """Whether these pieces stand without the others, by the proof of the plan or another."""
@@ -485,21 +497,30 @@ def segments(steps: Sequence[StepOf]) -> list[list[StepOf]]:
     return [list(group) for _, group in itertools.groupby(steps, key=lambda step: step.remove)]
 
 
-def priorities(job: Job) -> list[Callable[[int], tuple[float, ...]]]:
-    """Which block comes first where several could; tried one after the other."""
+def priorities(job: Job, leans: bool) -> list[Callable[[int], tuple[float, ...]]]:
+    """Which block comes first where several could; tried one after the other.
+
+    Args:
+        leans: the blocks lean on one another, and what stands is a matter of the whole order.
+    """
     place = {step.block: n for n, step in enumerate(job.steps) if not step.remove}
 
     def level(k: int) -> float:
-        return round(float(job.pieces[k].target[2] - job.pieces[k].half[2]), 4)
+        return round(float(job.pieces[k].extent[0][2]), 4)
 
     def away(k: int) -> float:
         return round(float(np.linalg.norm(job.pieces[k].target[:2] - job.base)), 4)
 
+    def as_planned(k: int) -> tuple[float, ...]:
+        return (float(place[k]),)
+
+    if leans:
+        return [as_planned]
     return [
         lambda k: (level(k), -away(k)),
         lambda k: (level(k), float(place[k])),
         lambda k: (level(k), away(k)),
-        lambda k: (float(place[k]),),
+        as_planned,
     ]
 
 
@@ -508,7 +529,7 @@ def arrange(
 ) -> Arranged:
     """The first order in which the arm reaches everything; else the one that comes farthest."""
     best: Arranged | None = None
-    for key in priorities(job):
+    for key in priorities(job, structure.leans):
         found = _arrange(job, structure, cell, key, progress)
         if best is None or len(found.steps) > len(best.steps):
             best = found
@@ -528,6 +549,7 @@ def _arrange(
     world = World(job)
     standing: set[int] = set()
     order: list[StepOf] = []
+    by_hand: set[StepOf] = set()
     for part in segments(job.steps):
         left = part if part[0].remove else sorted(part, key=lambda step: key(step.block))
         while left:
@@ -539,15 +561,18 @@ def _arrange(
                 if not structure.stands(frozenset(after)):
                     stuck.setdefault(step.block, "it would fall")
                     continue
-                why = try_step(world, cell, step)
+                why = try_step(world, cell, step, structure.way_in(step.block, standing))
                 if why is None:
+                    break
+                if job.hands and job.pieces[step.block].prop:
+                    by_hand.add(step)
                     break
                 stuck[step.block] = why
                 if step.remove:
-                    return Arranged(tuple(order), stuck)
+                    return Arranged(tuple(order), stuck, frozenset(by_hand))
             else:
                 missing = {s.block: "what it stands on is missing" for s in left}
-                return Arranged(tuple(order), missing | stuck)
+                return Arranged(tuple(order), missing | stuck, frozenset(by_hand))
             left.remove(step)
             order.append(step)
             standing = after
@@ -555,11 +580,20 @@ def _arrange(
             world.state[step.block] = RETURNED if step.remove else STANDING
             if len(order) % 20 == 0:
                 progress(f"an order the arm can reach: step {len(order)} of {len(job.steps)}")
-    return Arranged(tuple(order), {})
+    return Arranged(tuple(order), {}, frozenset(by_hand))
 
 
-def try_step(world: World, cell: KinematicCell, step: StepOf) -> str | None:
-    """Why the arm cannot do a step in a world where everything is as planned; None if it can."""
+def try_step(
+    world: World,
+    cell: KinematicCell,
+    step: StepOf,
+    into: tuple[float, float, float] = DOWN,
+) -> str | None:
+    """Why the arm cannot do a step in a world where everything is as planned; None if it can.
+
+    Args:
+        into: unit vector along which the block comes to its place.
+    """
     k = step.block
     before = world.pose[k].copy(), world.state[k]
     places = supply_of(world, k)
@@ -572,7 +606,7 @@ def try_step(world: World, cell: KinematicCell, step: StepOf) -> str | None:
         if not step.remove:
             world.pose[k] = at
         rows = rows_of(world, world.pose, k)
-        for move in moves(world, rows, k, goal):
+        for move in moves(world, rows, k, goal, DOWN if step.remove else into):
             found = cell.attempt(rows.scene, move)
             if found.reached:
                 world.pose[k] = before[0]

@@ -375,6 +375,8 @@ def _build_design(
             if workcell is not None:
                 workcell = replace(workcell, site=with_obstacles(workcell.site, design))
         else:
+            if workcell is not None:
+                workcell = _for_given(design, workcell)
             plan = plan_assembly(design, source=source, supports=supports, holds=holds, **given)
         if workcell is None:
             return plan
@@ -406,6 +408,26 @@ def _build_design(
     from learn2assemble.cell.carry_out import carry_out_cells
 
     return carry_out_cells(plan_with(kit), kit, workcell, progress, plan_with)
+
+
+def _for_given(design: Assembly, workcell: Workcell) -> Workcell:
+    """How an arm builds blocks that are given, of which it can hold every one: with posts by hand
+    where it cannot set them.
+
+    Raises:
+        InputError: for blocks that the tool cannot hold at any face.
+    """
+    from learn2assemble.cell.pieces import pieces_of
+    from learn2assemble.cell.reach import check_held
+    from learn2assemble.robot.arm import get_arm
+
+    pieces = [
+        p
+        for p, b in zip(pieces_of(design), design.blocks, strict=True)
+        if not (b.support or b.prop)
+    ]
+    check_held(get_arm(workcell.arm, workcell.tool), pieces)
+    return replace(workcell, hands=True)
 
 
 def _kit(kit: Any) -> Kit | None:

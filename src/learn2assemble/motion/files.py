@@ -18,10 +18,11 @@ import numpy as np
 
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.files import integer, read_json, write_file
-from learn2assemble.motion.record import ArmFacts, BuildRecord, Samples, Stage, StepRecord
+from learn2assemble.motion.record import ArmFacts, BuildRecord, ByHand, Samples, Stage, StepRecord
+from learn2assemble.robot.hulls import Hull, hull_of
 from learn2assemble.robot.moves import STAGES, Outcome
 
-FORMAT, VERSION = "learn2assemble-trajectory", 3
+FORMAT, VERSION = "learn2assemble-trajectory", 4
 DECIMALS = 6
 MOST, MOST_JOINT = 1e6, 100.0
 """Largest magnitudes of numbers and of joint angles [rad] in a file."""
@@ -86,6 +87,11 @@ def record_from(data: Any) -> BuildRecord:
             tuple(steps),
             None if data["half"] is None else _array("half", data["half"], (count, 3)),
             None if data["density"] is None else _array("density", data["density"], (count,)),
+            None if data["hull"] is None else tuple(map(_hull_from, data["hull"])),
+            tuple(
+                ByHand(int(after), tuple(map(int, cells)), str(name), place is True)
+                for after, cells, name, place in data["hands"]
+            ),
         )
     except KeyError as error:
         raise InputError(where, f"no field {error}", f"every field of a {FORMAT} file") from None
@@ -93,6 +99,15 @@ def record_from(data: Any) -> BuildRecord:
         if isinstance(error, InputError):
             raise
         raise InputError(where, str(error), f"a {FORMAT} file") from None
+
+
+def _hull_from(value: Any) -> Hull | None:
+    if value is None:
+        return None
+    try:
+        return hull_of(_array("hull", value, (len(value), 3)))
+    except ValueError as error:
+        raise InputError("hull", str(error), "corners of a solid") from None
 
 
 def _arm_from(data: Mapping[str, Any]) -> ArmFacts:
@@ -163,10 +178,12 @@ def rounded(values: np.ndarray) -> np.ndarray:
 
 def _plain(value: Any) -> Any:
     """Dataclasses, tuples, outcomes and rounded numbers as JSON values."""
-    if dataclasses.is_dataclass(value):
-        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, Outcome):
         return value.label
+    if isinstance(value, Hull):
+        return _plain(value.points)
+    if dataclasses.is_dataclass(value):
+        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, tuple):
         return [_plain(item) for item in value]
     if value is None or isinstance(value, str | bool | int):

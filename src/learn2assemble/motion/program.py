@@ -28,6 +28,7 @@ from learn2assemble.geometry.rotations import (
 )
 from learn2assemble.motion.record import ArmFacts, BuildRecord, Samples, require_sound
 from learn2assemble.robot.arm import Arm, Limits, arm_model, get_arm
+from learn2assemble.robot.hulls import Hull
 from learn2assemble.robot.moves import DENSITY, STAGES, Outcome
 
 REST = 2e-6
@@ -253,7 +254,9 @@ class Blocks(NamedTuple):
     supply: tuple[Supply, ...] = ()
     """In the order of their times."""
     density: np.ndarray | None = None
-    """float64[C] of the boxes [kg/m3]; None: that of the cubes."""
+    """float64[C] of the cells [kg/m3]; None: that of the cubes."""
+    hull: tuple[Hull | None, ...] | None = None
+    """Of each cell about its centre, where it is no box; None: all are boxes."""
 
     @property
     def halves(self) -> np.ndarray:
@@ -263,7 +266,11 @@ class Blocks(NamedTuple):
     def mass(self, cells: Sequence[int]) -> float:
         """Of some cells [kg]."""
         density = DENSITY if self.density is None else self.density[list(cells)]
-        return float((density * 8 * self.halves[list(cells)].prod(1)).sum())
+        volume = 8 * self.halves[list(cells)].prod(1)
+        for k, cell in enumerate(cells):
+            hull = None if self.hull is None else self.hull[cell]
+            volume[k] = volume[k] if hull is None else hull.volume
+        return float((density * volume).sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -438,6 +445,7 @@ def make_program(record: BuildRecord, arm: Arm) -> Program:
             record.steps[-1].after,
             (),
             record.density,
+            record.hull,
         ),
         stretch,
     )

@@ -17,8 +17,9 @@ from learn2assemble.constants import EDGE
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import yaw_quaternion
 from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.hulls import Hull
 from learn2assemble.robot.kinematics import forward_many, get_chain
-from learn2assemble.robot.moves import STAGES, Attempt, Move, Outcome, Scene, Trajectory
+from learn2assemble.robot.moves import STAGES, Attempt, Move, Outcome, Scene, Trajectory, carried
 
 RATE = 50.0
 """Samples per second."""
@@ -128,6 +129,24 @@ class StepRecord:
         return ""
 
 
+class ByHand(NamedTuple):
+    """A block is placed or taken away by hand, while the arm waits."""
+
+    after: int
+    """So many steps of the arm come before it."""
+    cells: tuple[int, ...]
+    """Of the block."""
+    name: str
+    """What the block is called."""
+    place: bool
+    """It is placed, rather than taken away."""
+
+    @property
+    def words(self) -> str:
+        """What has to be done, in words."""
+        return f"by hand: {'place' if self.place else 'take away'} {self.name}"
+
+
 @dataclass(frozen=True, eq=False)
 class BuildRecord:
     """A build by an arm."""
@@ -146,8 +165,11 @@ class BuildRecord:
     """float64[C, 3]: half extents of the box of each cell in its own frame [m]; None: all are
     cubes with edge ``block_edge``."""
     density: np.ndarray | None = None
-    """float64[C] of each cell's box [kg/m3], see :class:`~.moves.Scene`; None: that of the
-    cubes."""
+    """float64[C] of each cell [kg/m3], see :class:`~.moves.Scene`; None: that of the cubes."""
+    hull: tuple[Hull | None, ...] | None = None
+    """Of each cell about its centre, where it is no box; None: all are boxes."""
+    hands: tuple[ByHand, ...] = ()
+    """What was done by hand, in its order."""
 
     @property
     def num_cells(self) -> int:
@@ -230,7 +252,12 @@ def _structure(record: BuildRecord) -> Iterator[str]:
     ):
         if given is not None and (given.shape != shape or not (given > 0).all()):
             yield f"{what}: not {words} above 0 for each of {count} cells"
+    if record.hull is not None and len(record.hull) != count:
+        yield f"hull: {len(record.hull)} entries for {count} cells"
     own = [set(c) for c in record.objects]
+    for hand in record.hands:
+        if set(hand.cells) not in own or not 0 <= hand.after <= len(record.steps):
+            yield f"hands: cells {list(hand.cells)} after step {hand.after} are none of the build"
     for k, step in enumerate(record.steps, 1):
         if step.number != k:
             yield f"step {step.number}: should have number {k}"
@@ -347,6 +374,7 @@ class BuildRecorder:
         simulated_by: what the outcomes come from, in words.
         half: float64[C, 3], half extents of the cells' boxes where they are no cubes [m].
         density: float64[C] of them [kg/m3].
+        hull: what they are where they are no boxes.
     """
 
     def __init__(
@@ -359,10 +387,12 @@ class BuildRecorder:
         simulated_by: str,
         half: np.ndarray | None = None,
         density: np.ndarray | None = None,
+        hull: tuple[Hull | None, ...] | None = None,
     ) -> None:
         self.arm, self.poses = arm, np.array(poses, float)
         self.objects = tuple(tuple(cells) for cells in objects)
         self.simulated_by, self.half, self.density = simulated_by, half, density
+        self.hull = hull
         self.steps: list[StepRecord] = []
         self._first = np.array(joints, float), float(width)
         self._count = 0
@@ -447,7 +477,7 @@ class BuildRecorder:
         members = scene.members(move.cell)
         rest = np.setdiff1d(np.arange(scene.num_placed, len(scene.position)), members)
         order = numbers[np.concatenate([np.arange(scene.num_placed), members, rest])]
-        turn = yaw_quaternion(scene.yaw[[move.cell]] + move.turn)[0]
+        turn = carried(scene, move, members)[1][0]
         after = None
         if attempt.after is not None and attempt.quaternion is not None:
             after = self.poses.copy()
@@ -498,6 +528,7 @@ class BuildRecorder:
             tuple(self.steps),
             self.half,
             self.density,
+            self.hull,
         )
 
 

@@ -178,6 +178,8 @@ class Step:
     """With an arm: what came of the attempt that placed it."""
     grasp: str | None = None
     """With an arm: how the block was held."""
+    by_hand: bool = False
+    """With an arm: the step is done by hand, and the build waits for it."""
 
     def with_proof(self, proof: str, margin_g: float | None) -> Step:
         """The step with this proof and this margin [g]; None: none is known."""

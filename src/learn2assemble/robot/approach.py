@@ -54,12 +54,12 @@ def tool_path(
         centre: float64[3] of the cell [m].
         attitude: of the hand.
         height: of the last tool point, or that just clear of the cell if that is higher [m].
-        upwards: leave the contact along the vertical, also where the hand comes from the side.
+        upwards: leave the contact the way what is held comes to its place.
     """
     rotation, contact = attitude.rotation(), attitude.tool_point(centre)
     approach, rise = attitude.approach(), np.array(RISE)
-    if upwards and attitude.sideways:
-        approach = np.array([0.0, 0.0, -1.0])
+    if upwards and attitude.apart:
+        approach = attitude.insertion()
     elif attitude.way > RISE[-1]:
         further = math.ceil((attitude.way - RISE[-1]) / (2 * LEVEL))
         rise = np.r_[rise, np.linspace(RISE[-1], attitude.way, further + 1)[1:]]
@@ -121,7 +121,7 @@ class ApproachCache:
         self, centre: np.ndarray, attitude: Attitude, height: float, upwards: bool = False
     ) -> np.ndarray | str:
         """float64[k, n] [rad], or in words why there are none; arguments of :func:`tool_path`."""
-        upwards = upwards and attitude.sideways
+        upwards = upwards and attitude.apart
         key = (*(round(float(c) / GRAIN) for c in centre), attitude, round(height / GRAIN), upwards)
         found = self._known.get(key)
         if found is None:

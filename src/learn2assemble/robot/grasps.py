@@ -13,10 +13,13 @@ from learn2assemble.geometry.rotations import yaw_matrix
 QUARTER = math.pi / 2
 
 
+_NOWHERE = (0.0, 0.0, 0.0)
+
+
 class Lip(NamedTuple):
     """Where the lip of a cup is on its tool."""
 
-    at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    at: tuple[float, float, float] = _NOWHERE
     """Its middle in the tool frame, whose origin is the middle of the first lip and whose z axis
     points out of it [m]."""
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -55,17 +58,24 @@ class Attitude(NamedTuple):
     approach [m]."""
     lip: Lip = FIRST
     """Which cup of the tool it is."""
-    raised: float = 0.0
-    """How far above the cell's centre the approach goes [m]."""
     way: float = WAY
     """How far the hand keeps to the approach from the contact on before it rises [m]."""
+    spin: float = 0.0
+    """Of the hand about the tool's z axis, after the tilt [rad]."""
+    aside: tuple[float, float, float] = _NOWHERE
+    """What else the lip, or the point between the fingers, is off the cell's centre, at right
+    angles to the approach, in the tool frame [m]."""
+    into: tuple[float, float, float] | None = None
+    """Unit vector along which what is held comes to its place, world frame; None: the approach
+    itself, and straight down where that comes from the side."""
 
     def rotation(self) -> np.ndarray:
         """float64[3, 3]: the tool's axes as columns, world frame."""
         c, s = math.cos(self.tilt), math.sin(self.tilt)
         # Half a turn about x points the tool down; the tilt is about the tool's own y axis.
         down = np.array([[c, 0.0, s], [0.0, -1.0, 0.0], [s, 0.0, -c]])
-        return yaw_matrix(self.yaw) @ down
+        turn = yaw_matrix(self.yaw) @ down
+        return turn @ yaw_matrix(self.spin) if self.spin else turn
 
     def approach(self) -> np.ndarray:
         """float64[3]: unit vector along which the hand comes to the cell, world frame."""
@@ -73,16 +83,47 @@ class Attitude(NamedTuple):
 
     @property
     def sideways(self) -> bool:
-        """Whether the hand comes from the side rather than from above."""
-        x, _, z = self.lip.axis
-        return z * math.cos(self.tilt) - x * math.sin(self.tilt) < STEEP
+        """Whether a cup at the side of the tool comes from the side rather than from above."""
+        return self.lip != FIRST and -float(self.approach()[2]) < STEEP
+
+    @property
+    def apart(self) -> bool:
+        """Whether what is held comes to its place another way than the hand leaves it."""
+        return self.into is not None or self.sideways
+
+    def insertion(self) -> np.ndarray:
+        """float64[3]: unit vector along which what is held comes to its place, world frame."""
+        if self.into is not None:
+            return np.array(self.into)
+        return np.array([0.0, 0.0, -1.0]) if self.sideways else self.approach()
+
+    def spun(self, angle: float) -> Attitude:
+        """The hand turned about its own axis [rad], counted as a yaw where it points down."""
+        if self.tilt:
+            return self._replace(spin=self.spin - angle)
+        return self._replace(yaw=self.yaw + angle)
 
     def tool_point(self, centre: np.ndarray) -> np.ndarray:
         """float64[3]: where the tool point is when the hand holds a cell with this centre [m]."""
         point = centre - self.depth * self.approach()
-        if self.lip.at == (0.0, 0.0, 0.0) and not self.raised:
+        if self.lip.at == self.aside == _NOWHERE:
             return point
-        return point - self.rotation() @ np.array(self.lip.at) + np.array([0, 0, self.raised])
+        return point + self.rotation() @ (np.array(self.aside) - np.array(self.lip.at))
+
+
+UPRIGHT = math.radians(1.0)
+"""A tool that is tilted less points straight down [rad]."""
+
+
+def facing(tool: np.ndarray) -> Attitude:
+    """The attitude of a tool, float64[3, 3]: its axes as columns, world frame."""
+    z = tool[:, 2]
+    tilt = math.acos(float(np.clip(-z[2], -1.0, 1.0)))
+    if tilt < UPRIGHT:
+        return Attitude(math.atan2(tool[1, 0], tool[0, 0]))
+    found = Attitude(math.atan2(z[1], z[0]), tilt)
+    own = found.rotation().T @ tool
+    return found._replace(spin=math.atan2(own[1, 0], own[0, 0]))
 
 
 def along(grasp: Attitude, yaw: float) -> Attitude:

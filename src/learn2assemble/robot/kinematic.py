@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from learn2assemble.constants import HALF
-from learn2assemble.geometry.rotations import yaw_matrix, yaw_quaternion
+from learn2assemble.geometry.rotations import quaternion_matrix, yaw_quaternion
 from learn2assemble.robot.approach import RISE, ApproachCache
 from learn2assemble.robot.arm import Arm, arm_spec
+from learn2assemble.robot.hulls import Hull
 from learn2assemble.robot.moves import (
     GAP,
     ROOM,
@@ -34,7 +35,7 @@ from learn2assemble.robot.moves import (
     turned,
     turns,
 )
-from learn2assemble.robot.scene import resize_boxes, rotation_matrix
+from learn2assemble.robot.scene import keep_meshes, reshape, rotation_matrix
 
 SHRINK = 0.001
 """What is carried counts as this much smaller on every side [m], so that resting on a block or
@@ -92,24 +93,33 @@ class CollisionChecker(ABC):
         mujoco.mj_kinematics(self.model, self.data)
 
 
-class BoxChecker(CollisionChecker):
-    """The arm, a table, and boxes that are put where a scene says.
+class BlockChecker(CollisionChecker):
+    """The arm, a table, and blocks that are put where a scene says.
 
     Args:
         arm: the robot.
         num_cells: cells a scene has at most.
-        sized: scenes say how large their boxes are, and have no fillers.
-        most: boxes of the largest object of such a scene.
+        sized: scenes say what their cells are, and have no fillers.
+        most: cells of the largest object of such a scene.
+        hulls: that such scenes may have.
 
     One instance serves one thread.
     """
 
     def __init__(
-        self, arm: Arm, num_cells: int, sized: bool = False, most: int = MAX_SIZED
+        self,
+        arm: Arm,
+        num_cells: int,
+        sized: bool = False,
+        most: int = MAX_SIZED,
+        hulls: frozenset[Hull] = frozenset(),
     ) -> None:
         most = most if sized else MAX_CARRIED
-        super().__init__(arm, _compile(arm, num_cells, sized, most))
+        self._smaller = {hull: hull.shrunk(SHRINK) for hull in hulls}
+        meshes = sorted({*hulls, *self._smaller.values()})
+        super().__init__(arm, _compile(arm, num_cells, sized, most, meshes))
         self.num_cells, self.sized, self.most, m = num_cells, sized, most, self.model
+        self.hulls = hulls
         self._hand = {arm.gripper.hand, *arm.gripper.fingers, "carried"}
         self._carried = np.array([m.body(f"carried {k}").id for k in range(most)])
         if sized:
@@ -125,26 +135,26 @@ class BoxChecker(CollisionChecker):
         self._tool_position, self._tool_rotation = site.pos.copy(), rotation_matrix(site.quat)
 
     def place(self, scene: Scene) -> None:
-        """Put the boxes where the cells of ``scene`` are."""
+        """Put the blocks where the cells of ``scene`` are."""
         n, d, m = len(scene.position), self.data, self.model
         if self.sized:
-            resize_boxes(m, self._boxes[:n], scene.halves)
+            reshape(m, self._boxes[:n], scene.halves, scene.hull)
         else:
             self._pairs = fillers(scene.position, scene.object_id)
             d.mocap_pos[self.num_cells + len(self._pairs) :] = _FAR
         d.mocap_pos[n : self.num_cells] = _FAR
-        self.put(np.arange(n), scene.position, scene.yaw)
+        self.put(np.arange(n), scene.position, scene.orientation)
 
-    def put(self, cells: np.ndarray, position: np.ndarray, yaw: np.ndarray) -> None:
+    def put(self, cells: np.ndarray, position: np.ndarray, quaternion: np.ndarray) -> None:
         """Move whole objects of the scene.
 
         Args:
             cells: int64[c] of the scene.
             position: float64[c, 3], their centres [m].
-            yaw: float64[c] [rad].
+            quaternion: float64[c, 4], their orientations.
         """
         d = self.data
-        d.mocap_pos[cells], d.mocap_quat[cells] = position, yaw_quaternion(yaw)
+        d.mocap_pos[cells], d.mocap_quat[cells] = position, quaternion
         if len(self._pairs):
             numbers = np.flatnonzero(np.isin(self._pairs[:, 0], cells))
             where, angle = _between(d.mocap_pos, self._pairs[numbers])
@@ -153,41 +163,49 @@ class BoxChecker(CollisionChecker):
 
     def take(self, cells: np.ndarray) -> None:
         """Take whole objects out of the scene."""
-        self.put(cells, np.tile(_FAR, (len(cells), 1)), np.zeros(len(cells)))
+        self.put(cells, np.tile(_FAR, (len(cells), 1)), yaw_quaternion(np.zeros(len(cells))))
 
-    def carry(
-        self,
-        position: np.ndarray,
-        object_id: np.ndarray,
-        half: np.ndarray | None = None,
-        turn: np.ndarray | None = None,
-    ) -> None:
-        """Fix the cells of an object to the hand; no cells: the hand is empty.
+    def carry(self, position: np.ndarray, object_id: np.ndarray) -> None:
+        """Fix cubes to the hand; none: the hand is empty.
 
         Args:
             position: float64[c, 3] centres in the tool frame [m]; their sides are parallel to its
-                axes unless ``turn`` is given.
+                axes.
             object_id: int64[c].
-            half: float64[c, 3], half extents of boxes of given size [m].
-            turn: float64[c, 3, 3]: their rotation in the tool frame.
         """
-        m, count = self.model, len(position)
+        m = self.model
+        m.body_pos[self._carried] = _FAR
         if self.sized:
-            m.body_pos[self._carried] = _FAR
-            if half is None or turn is None:
-                return
-            m.body_pos[self._carried[:count]] = self._in_hand(position)
-            for body, rotation in zip(self._carried, self._tool_rotation @ turn, strict=False):
-                mujoco.mju_mat2Quat(m.body_quat[body], rotation.ravel())
-            resize_boxes(m, self._carried_boxes[:count], half - SHRINK)
             return
         pairs = fillers(position, object_id)
-        m.body_pos[self._carried], m.body_pos[self._carried_fillers] = _FAR, _FAR
+        m.body_pos[self._carried_fillers] = _FAR
         m.body_pos[self._carried[: len(position)]] = self._in_hand(position)
         where, angle = _between(position, pairs)
         bodies = self._carried_fillers[: len(pairs)]
         m.body_pos[bodies] = self._in_hand(where)
         m.body_quat[bodies] = yaw_quaternion(angle)  # the tool's z is the hand's
+
+    def hang(self, scene: Scene, cells: np.ndarray, position: np.ndarray, turn: np.ndarray) -> None:
+        """Fix cells that a scene tells the sizes of to the hand.
+
+        Args:
+            scene: that has them.
+            cells: int64[c].
+            position: float64[c, 3] centres in the tool frame [m].
+            turn: float64[c, 3, 3]: their rotations in the tool frame.
+        """
+        m, count = self.model, len(cells)
+        m.body_pos[self._carried] = _FAR
+        m.body_pos[self._carried[:count]] = self._in_hand(position)
+        for body, rotation in zip(self._carried, self._tool_rotation @ turn, strict=False):
+            mujoco.mju_mat2Quat(m.body_quat[body], rotation.ravel())
+        hulls = [
+            None if hull is None else self._smaller[hull]
+            for hull in (
+                [None] * count if scene.hull is None else [scene.hull[k] for k in cells.tolist()]
+            )
+        ]
+        reshape(m, self._carried_boxes[:count], scene.halves[cells] - SHRINK, hulls)
 
     def check(self, joints: np.ndarray) -> Collision | None:
         """See :class:`CollisionChecker`; blocks are called ``block N``, ``filler N`` and
@@ -210,7 +228,9 @@ class BoxChecker(CollisionChecker):
 _THINGS = ("table", "block", "filler")
 
 
-def _compile(arm: Arm, num_cells: int, sized: bool, most: int) -> mujoco.MjModel:
+def _compile(
+    arm: Arm, num_cells: int, sized: bool, most: int, hulls: Sequence[Hull]
+) -> mujoco.MjModel:
     spec = arm_spec(arm)
     mounted = [body.name for body in spec.worldbody.bodies]
     for geom in spec.geoms:
@@ -224,6 +244,7 @@ def _compile(arm: Arm, num_cells: int, sized: bool, most: int) -> mujoco.MjModel
     _box(table, size, _THING, 0).pos = [0.0, 0.0, -TABLE[2]]
     for base in mounted:
         spec.add_exclude(bodyname1="table", bodyname2=base)
+    keep_meshes(spec, hulls, _FAR)
     names = [(f"block {k}", _CELL) for k in range(num_cells)]
     names += [(f"filler {k}", _FILLER) for k in range(0 if sized else num_cells)]
     for name, half in names:
@@ -263,7 +284,7 @@ STAGES = ("pick", "lift", "place", "cross", "release", "retreat")
 
 class KinematicCell:
     """Reach, joint limits and collisions of one arm, for scenes of at most ``num_cells`` cubes, or
-    any number of boxes.
+    any number of blocks.
 
     Joint solutions over a place are remembered, so repeated places cost collision checks only.
     A move is tried as ordered and with the fingers exchanged. One instance serves one thread.
@@ -274,8 +295,8 @@ class KinematicCell:
     def __init__(self, arm: Arm, num_cells: int = 40) -> None:
         self.arm = arm
         self.approaches = ApproachCache(arm)
-        self.collisions = self._cubes = BoxChecker(arm, num_cells)
-        self._boxes: BoxChecker | None = None
+        self.collisions = self._cubes = BlockChecker(arm, num_cells)
+        self._boxes: BlockChecker | None = None
 
     def attempt(self, scene: Scene, move: Move) -> Attempt:
         """Outcome of a move; the scene is left alone."""
@@ -289,19 +310,27 @@ class KinematicCell:
             hand = only_wrist and not best.by_link
             if best.reached or (best.outcome != Outcome.UNREACHABLE and hand):
                 break
-            found = self._attempt(scene, turned(move, turn))
+            found = self._attempt(scene, turned(scene, move, turn))
             best = found if _further(found) > _further(best) else best
         return best
 
-    def _checker(self, scene: Scene) -> BoxChecker:
-        """A checker with room for the boxes of a scene."""
+    def _checker(self, scene: Scene) -> BlockChecker:
+        """A checker with room for the cells of a scene, whatever they are."""
         if scene.half is None:
             return self._cubes
         count, known = len(scene.position), self._boxes
         largest = int(np.unique(scene.object_id, return_counts=True)[1].max())
-        if known is None or known.num_cells < count or known.most < largest:
+        hulls = frozenset(hull for hull in scene.hull or () if hull is not None)
+        if (
+            known is None
+            or known.num_cells < count
+            or known.most < largest
+            or not hulls <= known.hulls
+        ):
             room = 32 * math.ceil(1.25 * count / 32)
-            known = self._boxes = BoxChecker(self.arm, room, True, max(MAX_SIZED, largest))
+            most = max(MAX_SIZED, largest)
+            hulls = hulls if known is None else hulls | known.hulls
+            known = self._boxes = BlockChecker(self.arm, room, True, most, hulls)
         return known
 
     def pick(self, scene: Scene, move: Move) -> Attempt:
@@ -346,11 +375,11 @@ class KinematicCell:
             if over is None:
                 return _failed(Outcome.UNREACHABLE, "cross", hit)
             pick, place = over
-            leave = leave if move.place.sideways else place
+            leave = leave if move.place.apart else place
         # The object now stands at its target and is in the way like all others.
         self.collisions.put(members, *carried(scene, move, members))
         self._open_hand()
-        hit = self._first(leave if move.place.sideways else leave[: len(RISE)], opening)
+        hit = self._first(leave if move.place.apart else leave[: len(RISE)], opening)
         if hit:
             return _failed(Outcome.PLACE_COLLISION, "release", hit)
         hit = self._first(between(leave[-1], self.arm.home), opening)
@@ -380,9 +409,8 @@ class KinematicCell:
         if scene.half is None:
             self.collisions.carry(offset @ rotation, scene.object_id[members])
         else:
-            turn = np.array([rotation.T @ yaw_matrix(yaw) for yaw in scene.yaw[members].tolist()])
-            half = scene.half[members]
-            self.collisions.carry(offset @ rotation, scene.object_id[members], half, turn)
+            turn = rotation.T @ quaternion_matrix(scene.orientation[members])
+            self.collisions.hang(scene, members, offset @ rotation, turn)
 
     def _first(self, joints: Iterable[np.ndarray], opening: float) -> Collision | None:
         self.collisions.opening = opening

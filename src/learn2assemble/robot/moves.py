@@ -14,8 +14,16 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from learn2assemble.constants import EDGE, GRAVITY, HALF, MASS
-from learn2assemble.geometry.rotations import yaw_matrix
-from learn2assemble.robot.grasps import QUARTER, Attitude
+from learn2assemble.geometry.rotations import (
+    matrix_quaternion,
+    quaternion_matrix,
+    yaw_matrix,
+    yaw_quaternion,
+)
+from learn2assemble.robot.bodies import Part
+from learn2assemble.robot.grasps import Attitude
+from learn2assemble.robot.holding import ROOM, why_not_held
+from learn2assemble.robot.hulls import Hull
 
 if TYPE_CHECKING:
     from learn2assemble.robot.arm import Arm
@@ -56,11 +64,11 @@ GAP = 0.01
 
 
 class Scene(NamedTuple):
-    """Boxes on the table, in the world frame; the placed ones first.
+    """Convex solids on the table, in the world frame; the placed ones first.
 
-    Each cell is one box: a cube of the lattice, or a box of any size where ``half`` is given.
-    Objects of several cells are rigid. Where two cubes of one object are horizontal neighbours the
-    gap between them is filled; boxes of given size are what they are.
+    Each cell is one solid: a cube of the lattice, or, where ``half`` is given, a box of any size or
+    the hull that is given for it. Objects of several cells are rigid. Where two cubes of one object
+    are horizontal neighbours the gap between them is filled; all else is what it is.
     """
 
     position: np.ndarray
@@ -74,24 +82,66 @@ class Scene(NamedTuple):
     """float64[n, 3]: half extents of each cell's box in its own frame [m]; None: all are cubes of
     the lattice."""
     density: np.ndarray | None = None
-    """float64[n] of each cell's box [kg/m3]; by default that of the cubes. From
-    :data:`IMMOVABLE` on it is an obstacle."""
+    """float64[n] of each cell [kg/m3]; by default that of the cubes. From :data:`IMMOVABLE` on it
+    is an obstacle."""
+    quaternion: np.ndarray | None = None
+    """float64[n, 4]: orientations (w, x, y, z); None: all stand upright at their yaw."""
+    hull: tuple[Hull | None, ...] | None = None
+    """Of each cell about its centre, where it is no box; None: all are boxes."""
 
     @property
     def halves(self) -> np.ndarray:
         """float64[n, 3]: half extents of each cell's box [m]."""
         return np.full((len(self.position), 3), HALF) if self.half is None else self.half
 
+    @property
+    def orientation(self) -> np.ndarray:
+        """float64[n, 4]: quaternions (w, x, y, z)."""
+        return yaw_quaternion(self.yaw) if self.quaternion is None else self.quaternion
+
+    def solid(self, cell: int) -> Hull:
+        """A cell as a polyhedron about its centre."""
+        return self.part(cell).solid
+
+    def part(self, cell: int) -> Part:
+        """A cell by itself."""
+        x, y, z = self.halves[cell].tolist()
+        return Part((0.0, 0.0, 0.0), (x, y, z), None if self.hull is None else self.hull[cell])
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest coordinates of every cell, float64[n, 3] each [m]."""
+        turn = quaternion_matrix(self.orientation)
+        reach = np.einsum("nij,nj->ni", np.abs(turn), self.halves)
+        low, high = self.position - reach, self.position + reach
+        for k, hull in enumerate(self.hull or ()):
+            if hull is not None:
+                points = self.position[k] + hull.points @ turn[k].T
+                low[k], high[k] = points.min(0), points.max(0)
+        return low, high
+
     def mass(self, cells: np.ndarray) -> np.ndarray:
         """float64[m]: of cells int64[m] without the fillers between them [kg]."""
         volume = 8 * self.halves[cells].prod(1)
+        for k, cell in enumerate(cells.tolist() if self.hull else ()):
+            hull = self.hull[cell] if self.hull else None
+            volume[k] = volume[k] if hull is None else hull.volume
         return volume * (DENSITY if self.density is None else self.density[cells])
 
     def rows(self, cells: np.ndarray, num_placed: int) -> Scene:
         """The scene of some cells int64[m], of which the first ``num_placed`` are placed."""
-        half, density = (None if a is None else a[cells] for a in (self.half, self.density))
+        half, density, turn = (
+            None if a is None else a[cells] for a in (self.half, self.density, self.quaternion)
+        )
+        hull = None if self.hull is None else tuple(self.hull[k] for k in cells.tolist())
         return Scene(
-            self.position[cells], self.yaw[cells], self.object_id[cells], num_placed, half, density
+            self.position[cells],
+            self.yaw[cells],
+            self.object_id[cells],
+            num_placed,
+            half,
+            density,
+            turn,
+            hull,
         )
 
     def members(self, cell: int) -> np.ndarray:
@@ -112,18 +162,35 @@ class Move(NamedTuple):
 
     @property
     def turn(self) -> float:
-        """Rotation of the object about z between picking and placing [rad]."""
+        """Rotation of the object about z between picking and placing, where it is not tilted
+        [rad]."""
         return self.place.yaw - self.grasp.yaw
+
+    @property
+    def level(self) -> bool:
+        """Whether the object is only turned about the vertical."""
+        a, b = self.grasp, self.place
+        return (a.tilt, a.spin) == (b.tilt, b.spin)
+
+    def rotation(self) -> np.ndarray:
+        """float64[3, 3]: of the object between picking and placing."""
+        if self.level:
+            return yaw_matrix(self.turn)
+        return self.place.rotation() @ self.grasp.rotation().T
 
 
 def turns(arm: Arm, move: Move) -> tuple[float, ...]:
-    """Other turns of the hand about the vertical [rad] in which it does the same."""
+    """Other turns of the hand about its axis [rad] in which it does the same."""
     return () if move.grasp.sideways else arm.turns
 
 
-def turned(move: Move, turn: float) -> Move:
-    """The same move with the hand turned about the vertical [rad] at both places."""
-    grasp, place = (a._replace(yaw=a.yaw + turn) for a in (move.grasp, move.place))
+def turned(scene: Scene, move: Move, turn: float) -> Move:
+    """The same move with the hand turned at both places [rad]: with cubes about the vertical, as
+    all their sides are alike, else about its own axis."""
+    if scene.half is None:
+        grasp, place = (a._replace(yaw=a.yaw + turn) for a in (move.grasp, move.place))
+    else:
+        grasp, place = move.grasp.spun(turn), move.place.spun(turn)
     return move._replace(grasp=grasp, place=place)
 
 
@@ -131,19 +198,29 @@ def put_down(scene: Scene, move: Move) -> Scene:
     """The scene after a move that went as ordered: the object's cells are the last placed ones,
     the grasped one first."""
     members = scene.members(move.cell)
-    position, yaw = carried(scene, move, members)
+    position, quaternion = carried(scene, move, members)
     rest = np.setdiff1d(np.arange(scene.num_placed, len(scene.position)), members)
     order = np.concatenate([np.arange(scene.num_placed), members, rest])
     after = scene.rows(order, scene.num_placed + len(members))
-    after.position[scene.num_placed : after.num_placed] = position
-    after.yaw[scene.num_placed : after.num_placed] = yaw
+    moved = slice(scene.num_placed, after.num_placed)
+    after.position[moved] = position
+    after.yaw[moved] += move.turn
+    if after.quaternion is not None:
+        after.quaternion[moved] = quaternion
     return after
 
 
 def carried(scene: Scene, move: Move, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where a move takes cells of the object: centres float64[m, 3] [m] and yaw float64[m]."""
+    """Where a move takes cells of the object: centres float64[m, 3] [m] and quaternions
+    float64[m, 4]."""
     offset = scene.position[members] - scene.position[move.cell]
-    return move.target + offset @ yaw_matrix(move.turn).T, scene.yaw[members] + move.turn
+    turn = move.rotation()
+    if scene.quaternion is None and move.level:
+        quaternion = yaw_quaternion(scene.yaw[members] + move.turn)
+    else:
+        before = quaternion_matrix(scene.orientation[members])
+        quaternion = np.array([matrix_quaternion(turn @ one) for one in before])
+    return move.target + offset @ turn.T, quaternion
 
 
 def fillers(position: np.ndarray, object_id: np.ndarray) -> np.ndarray:
@@ -188,105 +265,19 @@ def object_boxes(
     return boxes
 
 
-ROOM = 0.008
-"""How much wider than a block the fingers are open while approaching, after releasing and while
-retreating [m]: enough for a millimetre or two of error, not so much that neighbours are touched."""
 OPENING = EDGE + ROOM
-"""That opening for a cube [m]."""
+"""Between the fingers while they approach a cube [m]."""
 
 
 def grip_width(scene: Scene, cell: int, grasp: Attitude) -> float:
-    """How far apart the pads are when they hold a cell [m]."""
+    """How far apart the pads are when they hold a cell [m]: the distance of the two faces that
+    they meet."""
     if scene.half is None:
         return EDGE
-    across = round((grasp.yaw - scene.yaw[cell]) / QUARTER) % 2 == 0
-    return 2 * float(scene.half[cell, 1 if across else 0])
-
-
-_GRIP_DEPTH = HALF
-"""A taller block is held so far below its top [m], as the hand is not far above the fingertips."""
-_TIP_ROOM = 0.002
-"""Fingertips stay so far above what a block stands on [m]."""
-
-
-def attitudes(arm: Arm, half: np.ndarray) -> tuple[Attitude, ...]:
-    """The upright attitudes in which the tool of an arm can hold a box that stands at yaw 0; for
-    another yaw, add it.
-
-    Fingers close along y, then along x, each both ways round, where the box fits between them; a
-    cup meets the middle of the top face at four yaws, where the face seals it.
-
-    Args:
-        arm: the robot with its tool.
-        half: float64[3], half extents of the box [m].
-
-    Returns:
-        none where the box is too wide for the fingers, or too small for the cup.
-    """
-    if arm.suction is not None:
-        if min(half[0], half[1]) < arm.suction.cups[0].radius:
-            return ()
-        return tuple(Attitude(-k * QUARTER, 0.0, float(half[2])) for k in range(4))
-    depth = max(half[2] - _GRIP_DEPTH, arm.gripper.tip + _TIP_ROOM - half[2], 0.0)
-    if depth > half[2]:
-        return ()
-    fits = [2 * width + ROOM <= arm.gripper.max_width for width in (half[1], half[0])]
-    return tuple(Attitude(-k * QUARTER, 0.0, float(depth)) for k in (0, 2, 1, 3) if fits[k % 2])
-
-
-HEADROOM = 0.005
-"""A tool that comes from the side stays so far above what a block stands on [m]."""
-CAPTURE = 0.0005
-"""The lip of a cup keeps this distance from the edges of a face [m]."""
-
-
-def side_attitudes(arm: Arm, half: np.ndarray) -> tuple[Attitude, ...]:
-    """The attitudes in which the tool of an arm can hold a box that stands at yaw 0 by a side
-    face: cups at the side of the tool on the faces they seal, high enough for the tool to pass
-    above what the box stands on.
-
-    Args:
-        arm: the robot with its tool.
-        half: float64[3], half extents of the box [m].
-    """
-    found: list[Attitude] = []
-    for cup in arm.suction.cups[1:] if arm.suction else ():
-        facing = Attitude(lip=cup.lip)
-        if not facing.sideways:
-            continue
-        below = max(-float(facing.tool_point(np.zeros(3))[2]), cup.radius)
-        raised = max(0.0, below + HEADROOM - float(half[2]))
-        if raised > half[2] - cup.radius - CAPTURE:
-            continue
-        x, y, _ = facing.approach()
-        for k in range(4):
-            yaw = k * QUARTER - math.atan2(y, x)
-            depth, across = (half[0], half[1]) if k % 2 == 0 else (half[1], half[0])
-            if across >= cup.radius:
-                found.append(facing._replace(yaw=yaw, depth=float(depth), raised=raised))
-    return tuple(found)
-
-
-def why_not_held(arm: Arm, half: np.ndarray, mass: float) -> str | None:
-    """Why the tool of an arm cannot hold a box, in words; None where it can.
-
-    Args:
-        arm: the robot with its tool.
-        half: float64[3], half extents of the box [m].
-        mass: of the whole object [kg].
-    """
-    size = " x ".join(f"{2e3 * side:g}" for side in half) + " mm"
-    cup = arm.suction
-    if not attitudes(arm, half):
-        if cup is None:
-            widest = 1e3 * (arm.gripper.max_width - ROOM)
-            return (
-                f"a block of {size} is too wide for fingers that take {widest:.0f} mm, or too low"
-            )
-        return f"a block of {size} is too small for a cup of {1e3 * cup.cups[0].diameter:g} mm"
-    if cup is not None and mass > cup.payload:
-        return f"{mass:.2f} kg is too heavy for a cup that takes {cup.payload:g} kg"
-    return None
+    closing = quaternion_matrix(scene.orientation[cell]).T @ grasp.rotation()[:, 1]
+    solid = scene.solid(cell)
+    along = solid.normals @ closing
+    return float(solid.offsets[int(along.argmax())] + solid.offsets[int(along.argmin())])
 
 
 CLEARANCE = 0.06
@@ -301,18 +292,23 @@ def crossing_height(scene: Scene, move: Move) -> float:
 
     What hangs below the grasped cell, and the fingertips, pass above everything else.
     """
-    members, half = scene.members(move.cell), scene.halves[:, 2]
+    members = scene.members(move.cell)
     others = np.setdiff1d(np.arange(len(scene.position)), members)
-    highest = np.max(scene.position[others, 2] + half[others], initial=0.0)
-    hanging = np.max(scene.position[move.cell, 2] - scene.position[members, 2] + half[members])
-    height = max(highest, move.target[2] - hanging) + CLEARANCE + hanging
-    # What is held near its top hangs lower than the tool; the small depths of cubes do not count.
-    low = scene.half is not None or move.grasp.depth >= HALF
-    above = move.grasp.depth if low else 0.0
-    if move.grasp.sideways:
-        above = float(move.grasp.tool_point(np.zeros(3))[2])
-    level = LEVEL if scene.half is None else FINE_LEVEL
-    return level * math.ceil((height + above) / level - 1e-9)
+    low, high = scene.bounds()
+    highest = float(np.max(high[others, 2], initial=0.0))
+    there, quaternion = carried(scene, move, members)
+    placed = scene.rows(members, 0)._replace(position=there, quaternion=quaternion)
+    goal = float(placed.bounds()[0][:, 2].min())
+    centre = scene.position[move.cell]
+    hanging = float(centre[2] - low[members, 2].min())
+    if scene.half is None and move.grasp.depth < HALF:
+        # The small depths of the hand above the middle of a cube do not count.
+        rise, level = hanging, LEVEL
+    else:
+        rise = float(move.grasp.tool_point(centre)[2]) - float(centre[2]) + hanging
+        rise = max(rise, float(move.place.tool_point(move.target)[2]) - goal)
+        level = LEVEL if scene.half is None else FINE_LEVEL
+    return level * math.ceil((max(highest, goal) + CLEARANCE + rise) / level - 1e-9)
 
 
 def overload(arm: Arm, scene: Scene, move: Move) -> str | None:
@@ -322,19 +318,35 @@ def overload(arm: Arm, scene: Scene, move: Move) -> str | None:
     if cup is None:
         return None
     mass = scene.mass(members)
-    why = why_not_held(arm, scene.halves[move.cell], float(mass.sum()))
+    shape, axis = (scene.part(move.cell),), None
+    if scene.half is not None:
+        axis = quaternion_matrix(scene.orientation[move.cell]).T @ move.grasp.approach()
+    why = why_not_held(arm, shape, float(mass.sum()), axis)
     if why is not None:
         return why
     grasp, centre = move.grasp, scene.position[move.cell]
     used = next(one for one in cup.cups if one.lip == grasp.lip)
-    turn = grasp.rotation() @ used.lip.frame()
-    point = centre - grasp.depth * turn[:, 2] + np.array([0.0, 0.0, grasp.raised])
-    weight = np.array([0.0, 0.0, -GRAVITY])
-    moment = np.cross(mass @ (scene.position[members] - point), weight)
-    off, slip = used.load(turn.T @ (mass.sum() * weight), turn.T @ moment)
+    tool = grasp.rotation()
+    point = grasp.tool_point(centre) + tool @ np.array(grasp.lip.at)
+    turn, weight = tool @ used.lip.frame(), np.array([0.0, 0.0, -GRAVITY])
+    lever = turn.T @ (mass @ (_middles(scene, members) - point))
+    loads = []
+    for there in (turn, move.place.rotation() @ used.lip.frame()):
+        pull = there.T @ weight
+        loads.append(used.load(mass.sum() * pull, np.cross(lever, pull)))
+    off, slip = (max(share) for share in zip(*loads, strict=True))
     if off > 1:
         return f"its weight is {100 * off:.0f} % of what pulls the cup off"
     return f"its weight is {100 * slip:.0f} % of what the lip carries" if slip > 1 else None
+
+
+def _middles(scene: Scene, cells: np.ndarray) -> np.ndarray:
+    """float64[m, 3]: centres of mass of cells int64[m] [m]."""
+    turn = quaternion_matrix(scene.orientation[cells])
+    own = np.zeros((len(cells), 3))
+    for k, cell in enumerate(cells.tolist() if scene.hull else ()):
+        own[k] = scene.solid(cell).centroid
+    return scene.position[cells] + np.einsum("nij,nj->ni", turn, own)
 
 
 STAGES = ("approach", "pick", "lift", "cross", "place", "release", "retreat", "home")

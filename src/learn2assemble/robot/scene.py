@@ -10,13 +10,14 @@ MuJoCo's warnings go to the logger ``learn2assemble.mujoco``, not to a file in t
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
 from learn2assemble.constants import FRICTION, GRAVITY, MASS
+from learn2assemble.robot.hulls import Hull
 
 mujoco.set_mju_user_warning(logging.getLogger("learn2assemble.mujoco").warning)
 
@@ -68,13 +69,13 @@ def add_object(
     surface: ContactSurface | None,
     **geom: Any,
 ) -> None:
-    """A free body made of boxes, each as heavy as a block unless it has a mass of its own.
+    """A free body made of boxes or hulls, each as heavy as a block unless it has a mass of its own.
 
     Args:
         spec: the scene.
         name: of the body.
         boxes: centre and half extents of each, float[3] in the body's frame [m], and perhaps its
-            mass [kg].
+            mass [kg] and the hull that it is instead of a box.
         surface: contact parameters, or None for MuJoCo's own.
         geom: further fields of the geoms.
     """
@@ -82,25 +83,91 @@ def add_object(
     body.add_freejoint()
     for centre, half, *own in boxes:
         mass = own[0] if own else MASS
-        box = body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX, pos=centre, size=half, mass=mass, **geom
+        if len(own) > 1:
+            solid = body.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_MESH,
+                meshname=mesh_of(spec, own[1]),
+                pos=centre,
+                mass=mass,
+                **geom,
+            )
+        else:
+            solid = body.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX, pos=centre, size=half, mass=mass, **geom
+            )
+        set_contact(solid, surface)
+
+
+def mesh_of(spec: mujoco.MjSpec, hull: Hull) -> str:
+    """The name of the mesh of a hull in a scene; added where it is not there yet."""
+    name = f"hull {hash(hull) & 0xFFFFFFFFFFFF:x}"
+    if all(mesh.name != name for mesh in spec.meshes):
+        spec.add_mesh(name=name, uservert=hull.points.ravel())
+    return name
+
+
+def keep_meshes(spec: mujoco.MjSpec, hulls: Iterable[Hull], place: Sequence[float]) -> None:
+    """Meshes that no body of a scene has yet, for :func:`reshape`; they hang at a far place."""
+    hulls = list(hulls)
+    if not hulls:
+        return
+    body = spec.worldbody.add_body(name="meshes", pos=list(place))
+    for hull in hulls:
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            name=f"shape of {mesh_of(spec, hull)}",
+            meshname=mesh_of(spec, hull),
+            mass=0.01,
+            contype=1 << 30,
+            conaffinity=0,
         )
-        set_contact(box, surface)
 
 
-def resize_boxes(model: mujoco.MjModel, geoms: np.ndarray, half: np.ndarray) -> None:
-    """Change boxes of a compiled model that are the only geoms of bodies without joints.
+def reshape(
+    model: mujoco.MjModel,
+    geoms: np.ndarray,
+    half: np.ndarray,
+    hulls: Sequence[Hull | None] | None = None,
+) -> None:
+    """Change solids of a compiled model that are the only geoms of bodies without joints.
 
     Args:
         model: the scene.
-        geoms: int[k], boxes at the origin of their bodies.
-        half: float64[k, 3], their new half extents [m].
+        geoms: int[k], at the origin of their bodies.
+        half: float64[k, 3], new half extents of those that are boxes [m].
+        hulls: what the others are, which :func:`keep_meshes` has been told of.
     """
-    # The trees of bounding boxes are not made anew; with old ones collisions are missed.
-    model.bvh_aabb[model.body_bvhadr[model.geom_bodyid[geoms]], 3:] = half
+    bodies = model.geom_bodyid[geoms]
+    # No frame is taken to be another one any more.
+    model.geom_sameframe[geoms], model.body_sameframe[bodies] = 0, 0
+    model.geom_type[geoms], model.geom_dataid[geoms] = mujoco.mjtGeom.mjGEOM_BOX, -1
+    model.geom_pos[geoms], model.geom_quat[geoms] = 0.0, (1.0, 0.0, 0.0, 0.0)
     model.geom_size[geoms] = half
-    model.geom_aabb[geoms, 3:] = half
+    model.geom_aabb[geoms, :3], model.geom_aabb[geoms, 3:] = 0.0, half
     model.geom_rbound[geoms] = np.linalg.norm(half, axis=1)
+    for geom, hull in zip(geoms.tolist(), hulls or (), strict=False):
+        if hull is not None:
+            like = model.geom(f"shape of hull {hash(hull) & 0xFFFFFFFFFFFF:x}").id
+            for values in _OF_A_SHAPE:
+                getattr(model, values)[geom] = getattr(model, values)[like]
+    # The trees of bounding boxes, which are in the frames of the centres of mass, are not made
+    # anew; with old ones collisions are missed.
+    model.body_ipos[bodies], model.body_iquat[bodies] = (
+        model.geom_pos[geoms],
+        model.geom_quat[geoms],
+    )
+    model.bvh_aabb[model.body_bvhadr[bodies]] = model.geom_aabb[geoms]
+
+
+_OF_A_SHAPE = (
+    "geom_type",
+    "geom_dataid",
+    "geom_pos",
+    "geom_quat",
+    "geom_size",
+    "geom_aabb",
+    "geom_rbound",
+)
 
 
 def set_contact(geom: mujoco.MjsGeom, surface: ContactSurface | None) -> None:

@@ -17,7 +17,8 @@ from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import cube_yaw, quaternion_matrix
 from learn2assemble.motion.program import Blocks, Program, ProgramStep
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.grasps import Attitude
+from learn2assemble.robot.grasps import Attitude, facing
+from learn2assemble.robot.hulls import Hull
 from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene
 from learn2assemble.simulation.execution import (
     BLIND,
@@ -39,12 +40,7 @@ from learn2assemble.simulation.model import (
     rigid_objects,
     take_order,
 )
-from learn2assemble.simulation.prepare import (
-    WorldChecker,
-    prepare,
-    require_held,
-    rest_pose,
-)
+from learn2assemble.simulation.prepare import WorldChecker, prepare, require_held, rest_pose
 from learn2assemble.simulation.simulation import PUSH, Rules, Simulation
 from learn2assemble.simulation.trajectory import Motion, load_ruckig
 
@@ -106,7 +102,7 @@ class DynamicCell:
         self.shift_rule = shift_rule or ShiftRule()
         self.friction, self.gravity = friction, gravity
         self.sample_steps, self.dump = sample_steps, dump
-        self._worlds: OrderedDict[tuple[object, int], World] = OrderedDict()
+        self._worlds: OrderedDict[tuple[object, int, frozenset[Hull]], World] = OrderedDict()
 
     def attempt(
         self,
@@ -154,7 +150,8 @@ class DynamicCell:
             self.sample_steps,
             self.dump,
         )
-        sim.contacts.upright = scene.half is not None
+        if scene.half is not None:
+            sim.contacts.along = move.place.insertion()
         run = Execution(sim, order, course, self.limits, self.loaded, self.skip_free_motion)
         failure = None
         try:
@@ -192,17 +189,24 @@ class DynamicCell:
         sim = Simulation(self.arm, world, poses, names, 0, joints, 0.0, 10**9, self.dump)
         sim.wait(round(SETTLE_TIME / TIMESTEP), "home", BLIND._replace(until=sim.asleep))
         position, turns, yaw = objects.cells(sim.poses)
-        return scene._replace(position=position, yaw=yaw), turns, sim.asleep()
+        there = None if scene.quaternion is None else turns
+        after = scene._replace(position=position, yaw=yaw, quaternion=there)
+        return after, turns, sim.asleep()
 
     def world(self, objects: Objects) -> World:
         """The compiled cell for these objects; remembered."""
         count = len(objects.still)
         room = 64 * math.ceil(count / 64)
-        known = [key for key in self._worlds if key[0] == objects.shape and key[1] >= count]
-        key = known[0] if known else (objects.shape, room)
+        hulls = objects.hulls()
+        known = [
+            key
+            for key in self._worlds
+            if key[0] == objects.shape and key[1] >= count and hulls <= key[2]
+        ]
+        key = known[0] if known else (objects.shape, room, hulls)
         world = self._worlds.get(key)
         if world is None:
-            world = compile_world(self.arm, objects.shape, self.friction, room, self.gravity)
+            world = compile_world(self.arm, objects.shape, self.friction, room, hulls, self.gravity)
             self._worlds[key] = world
             if len(self._worlds) > _MAX_WORLDS:
                 self._worlds.popitem(last=False)
@@ -321,11 +325,21 @@ def _order(blocks: Blocks, poses: np.ndarray, step: ProgramStep) -> tuple[np.nda
     half, density = (
         None if of_all is None else of_all[rows] for of_all in (blocks.half, blocks.density)
     )
-    scene = Scene(poses[rows, :3], yaw, owner[rows], 0, half, density)
+    hull = None if blocks.hull is None else tuple(blocks.hull[k] for k in rows.tolist())
+    scene = Scene(
+        poses[rows, :3],
+        yaw,
+        owner[rows],
+        0,
+        half,
+        density,
+        None if half is None else poses[rows, 3:],
+        hull,
+    )
     row = int(np.searchsorted(rows, step.cells[0]))
     turn = quaternion_matrix(step.target[3:]) @ quaternion_matrix(poses[step.cells[0], 3:]).T
-    place = Attitude(yaw=math.atan2(turn[1, 0], turn[0, 0]))
-    return rows, scene, Move(row, step.target[:3], Attitude(), place)
+    grasp = Attitude()
+    return rows, scene, Move(row, step.target[:3], grasp, facing(turn @ grasp.rotation()))
 
 
 def _driven(program: Program, arm: Arm, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

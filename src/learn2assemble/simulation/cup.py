@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 
 from learn2assemble.constants import GRAVITY
+from learn2assemble.robot.holding import FACING
 from learn2assemble.robot.kinematics import Chain, forward_many
 from learn2assemble.robot.scene import rotation_matrix
 from learn2assemble.robot.tool import Cup, Suction
@@ -25,8 +26,6 @@ from learn2assemble.simulation.model import SHRINK, TIMESTEP, World
 
 RIM = 16
 """Points at which the lip is looked at."""
-FACING = math.radians(4.0)
-"""Largest angle between cup and face [rad]."""
 TIGHT = 1e-3 + SHRINK
 """The lip may stand over an edge by this [m]."""
 SLIDING = 4.0
@@ -105,17 +104,20 @@ class Vacuum:
         point, tool = self._lip(cup)
         away = point - d.xpos[w.first + number]
         axis = turn.T @ tool[:, 2]
-        k = int(np.argmax(np.abs(axis)))
-        if abs(axis[k]) < math.cos(FACING):
-            return False
         lip = (away + cup.radius * self._rim @ tool.T) @ turn
         closed = np.zeros(len(lip), bool)
-        side = [j for j in range(3) if j != k]
-        for geom in np.flatnonzero(w.kind == number):
-            apart, half = lip - self.model.geom_pos[geom], self.model.geom_size[geom]
-            inside = (np.abs(apart[:, side]) <= half[side] + TIGHT).all(1)
-            gap = -math.copysign(1.0, axis[k]) * apart[:, k] - half[k]
-            closed |= inside & (np.abs(gap) <= cup.stroke)
+        for geom in np.flatnonzero(w.kind == number).tolist():
+            part = w.solids[geom]
+            solid, apart = part.solid, lip - np.array(part.centre)
+            for face in np.flatnonzero(solid.normals @ axis < -math.cos(FACING)):
+                normal = solid.normals[face]
+                gap = apart @ normal - solid.offsets[face]
+                flat = apart - np.outer(gap, normal)
+                # How far over an edge it is counts in the face, not across the one beyond.
+                slope = np.linalg.norm(np.cross(solid.normals, normal), axis=1)
+                beyond = flat @ solid.normals.T - solid.offsets
+                inside = (beyond <= TIGHT * slope + 1e-9).all(1)
+                closed |= inside & (np.abs(gap) <= cup.stroke)
         return bool(closed.all())
 
     def _take(self) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from learn2assemble.motion.program import LOAD_TIME
 from learn2assemble.robot.approach import ApproachPath, approach_path, tool_path
 from learn2assemble.robot.arm import Limits
+from learn2assemble.robot.grasps import facing
 from learn2assemble.robot.joint_path import JointPath, joint_path
 from learn2assemble.robot.kinematics import get_chain
 from learn2assemble.robot.moves import Outcome, carried
@@ -233,11 +234,15 @@ class Execution:
             raise Failure(Outcome.GRASP_LOST, "pick", f"the cup closes on {other}, not on {name}")
 
     def slot(self) -> float:
-        """Height of the object, which it may slide along others [m]."""
-        members = self.order.scene.members(self.order.move.cell)
-        half = self.order.scene.halves[members, 2]
-        height = self.order.scene.position[members, 2]
-        return float((height + half).max() - (height - half).min()) + LOOSE
+        """Height of the object, which it may slide along others [m], where it was or shall be."""
+        scene, move = self.order.scene, self.order.move
+        members = scene.members(move.cell)
+        there, turns = carried(scene, move, members)
+        goal = scene.rows(members, 0)._replace(position=there, quaternion=turns)
+        heights = []
+        for low, high in (scene.rows(members, 0).bounds(), goal.bounds()):
+            heights.append(float(high[:, 2].max() - low[:, 2].min()))
+        return max(heights) + LOOSE
 
     def grip(self) -> float:
         """What the weaker finger presses with [N]."""
@@ -284,9 +289,14 @@ class Execution:
         if sim.cup is not None:
             # Turned by as much as the object is turned in the hand; pads straighten what they hold.
             now = rotation.T @ rotation_matrix(sim.poses[sim.target, 3:])
-            off = now @ order.in_hand(plan.move.grasp)[1].T
-            turn = math.atan2(off[1, 0] - off[0, 1], off[0, 0] + off[1, 1])
-            place = place._replace(yaw=place.yaw + turn)
+            if place.tilt:
+                # The weight of what hangs aside leans it, too.
+                goal = order.in_world(plan.move.grasp, place)[1]
+                straight = facing(goal @ now.T)
+                place = place._replace(yaw=straight.yaw, tilt=straight.tilt, spin=straight.spin)
+            else:
+                off = now @ order.in_hand(plan.move.grasp)[1].T
+                place = place.spun(math.atan2(off[1, 0] - off[0, 1], off[0, 0] + off[1, 1]))
         tool = target - place.rotation() @ rotation.T @ (cell - position)
         centre = tool + target - place.tool_point(target)
         poses = tool_path(centre, place, plan.height, upwards=True)
@@ -497,9 +507,12 @@ def check_rest(
         detail = f"block {k} was moved by {1e3 * shift[k]:.0f} mm"
         raise Failure(Outcome.DISTURBED_STRUCTURE, "rest", detail)
     members = order.scene.members(order.move.cell)
-    ordered, _ = carried(order.scene, order.move, members)
+    ordered, turned = carried(order.scene, order.move, members)
     sunk = position[members, 2] - ordered[:, 2]
-    lean = _lean(order.quaternion[order.move.cell], quaternion[order.move.cell])
+    cell = order.move.cell
+    lean = _lean(
+        turned[0] if order.scene.half is not None else order.quaternion[cell], quaternion[cell]
+    )
     tipped = np.ptp(sunk) > HEIGHT_LIMIT or lean > TILT_LIMIT
     missed = np.linalg.norm(position[members] - ordered, axis=1).max()
     name = order.names[order.target]

@@ -15,16 +15,22 @@ A move in a scene as the simulation sees it: rigid objects with poses, one to be
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
 from learn2assemble.constants import GRAVITY, HALF
 from learn2assemble.errors import InputError
-from learn2assemble.geometry.rotations import cube_yaw, rotate_vectors, yaw_matrix, yaw_quaternion
+from learn2assemble.geometry.rotations import (
+    cube_yaw,
+    quaternion_matrix,
+    rotate_vectors,
+)
 from learn2assemble.robot.arm import Arm, arm_spec
+from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.grasps import Attitude
+from learn2assemble.robot.hulls import Hull
 from learn2assemble.robot.moves import (
     IMMOVABLE,
     ROOM,
@@ -41,7 +47,8 @@ from learn2assemble.robot.scene import (
     ContactSurface,
     add_ground,
     add_object,
-    resize_boxes,
+    keep_meshes,
+    reshape,
     rotation_matrix,
     set_contact,
     set_options,
@@ -50,7 +57,9 @@ from learn2assemble.robot.scene import (
 TIMESTEP = 0.002
 """[s]; with 4 ms the grasp fails."""
 SHRINK = 2.5e-4
-"""How much thinner a box is on each side in x and y [m]."""
+"""How much thinner a box is on its upright sides [m], ..."""
+UPRIGHT = 0.05
+"""... whose normals are level but for this sine."""
 GRAIN, FINE_GRAIN = 1e-3, 1e-5
 """Places of cells in their object are multiples of this, cubes and boxes of given size [m]."""
 PLAN_MARGIN = 0.005
@@ -68,8 +77,13 @@ sideways, 0.1 mm a second (measured); cubes keep theirs, for the tables."""
 _CUP_REF, _CUP_IMP = (0.01, 1.0), (0.95, 0.99, 0.001, 0.5, 2.0)
 """The bellows give way a little: 0.05 mm under the weight of what hangs from them."""
 
-Box = tuple[tuple[float, ...], ...] | tuple[tuple[float, ...], tuple[float, ...], float]
-"""Centre and half extents in the object's frame [m]; of boxes of given size, the mass [kg]."""
+Box = (
+    tuple[tuple[float, ...], ...]
+    | tuple[tuple[float, ...], tuple[float, ...], float]
+    | tuple[tuple[float, ...], tuple[float, ...], float, Hull]
+)
+"""Centre and half extents in the object's frame [m]; of cells of given size, the mass [kg] and,
+where it is no box, the hull."""
 
 
 class Objects(NamedTuple):
@@ -90,6 +104,12 @@ class Objects(NamedTuple):
     """float64[k, 7]: poses of the cells that are held still."""
     still_half: np.ndarray
     """float64[k, 3]: their half extents [m]."""
+    still_hull: tuple[Hull | None, ...]
+    """What they are where they are no boxes."""
+
+    def hulls(self) -> frozenset[Hull]:
+        """Of cells that are held still."""
+        return frozenset(hull for hull in self.still_hull if hull is not None)
 
     def cells(self, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Centres float64[n, 3] [m], quaternions float64[n, 4] and yaws float64[n] [rad] of the
@@ -99,13 +119,19 @@ class Objects(NamedTuple):
         return pose[:, :3] + rotate_vectors(pose[:, 3:], self.offset), pose[:, 3:].copy(), yaw
 
 
-def group(scene: Scene, quaternion: np.ndarray, free: np.ndarray | None = None) -> Objects:
+def group(
+    scene: Scene,
+    quaternion: np.ndarray,
+    free: np.ndarray | None = None,
+    goal: tuple[np.ndarray, np.ndarray] | None = None,
+) -> Objects:
     """Objects of a scene.
 
     Args:
         scene: cells.
         quaternion: float64[n, 4], their orientations.
         free: bool[n], cells of objects that can move; by default all.
+        goal: int64[m], cells that are moved, and float64[m, 4], the orientations they shall have.
     """
     if free is None:
         free = np.ones(len(scene.position), bool)
@@ -114,20 +140,24 @@ def group(scene: Scene, quaternion: np.ndarray, free: np.ndarray | None = None) 
     lead = np.sort(lead[free[lead]])
     offset = np.zeros_like(scene.position)
     shapes: list[tuple[Box, ...]] = []
+    standing = quaternion.copy()
+    if goal is not None:
+        standing[goal[0]] = goal[1]
+    half = _thinner(scene, standing)
     for first in lead:
         cells = np.flatnonzero(owner == owner[first])
         turn = rotation_matrix(quaternion[first])
         relative = (scene.position[cells] - scene.position[first]) @ turn
         if scene.half is None:
             offset[cells] = GRAIN * np.rint(relative / GRAIN)
-            half = np.array([HALF - SHRINK, HALF - SHRINK, HALF])
-            boxes = object_boxes(offset[cells], half)
+            cube = np.array([HALF - SHRINK, HALF - SHRINK, HALF])
+            boxes = object_boxes(offset[cells], cube)
             shapes.append(
                 tuple((tuple(centre.tolist()), tuple(size.tolist())) for centre, size in boxes)
             )
         else:
             offset[cells] = FINE_GRAIN * np.rint(relative / FINE_GRAIN)
-            shapes.append(tuple(_sized(scene, cells, offset[cells])))
+            shapes.append(tuple(_sized(scene, cells, offset[cells], half[cells])))
     if scene.half is not None:
         # The order of what waits and what stands changes with every move; that of shapes does not.
         order = sorted(range(len(lead)), key=lambda k: (shapes[k], k))
@@ -142,21 +172,26 @@ def group(scene: Scene, quaternion: np.ndarray, free: np.ndarray | None = None) 
         offset,
         lead,
         np.hstack([scene.position[still], quaternion[still]]),
-        _thinner(scene.halves[still]),
+        half[still],
+        tuple(None if scene.hull is None else scene.hull[k] for k in still.tolist()),
     )
 
 
-def _sized(scene: Scene, cells: np.ndarray, centre: np.ndarray) -> list[Box]:
-    """Boxes of given size at ``centre`` float64[m, 3] in the frame of their object [m]."""
-    half, mass = _thinner(scene.halves[cells]), scene.mass(cells)
-    return [
-        (tuple(c.tolist()), tuple(np.round(h, 9).tolist()), round(float(m), 9))
-        for c, h, m in zip(centre, half, mass, strict=True)
-    ]
+def _sized(scene: Scene, cells: np.ndarray, centre: np.ndarray, half: np.ndarray) -> list[Box]:
+    """Cells of given size at ``centre`` float64[m, 3] in the frame of their object [m]."""
+    found: list[Box] = []
+    rows = zip(cells.tolist(), centre, half, scene.mass(cells), strict=True)
+    for cell, middle, size, mass in rows:
+        box = tuple(middle.tolist()), tuple(np.round(size, 9).tolist()), round(float(mass), 9)
+        hull = None if scene.hull is None else scene.hull[cell]
+        found.append(box if hull is None else (*box, hull))
+    return found
 
 
-def _thinner(half: np.ndarray) -> np.ndarray:
-    return half - np.array([SHRINK, SHRINK, 0.0])
+def _thinner(scene: Scene, quaternion: np.ndarray) -> np.ndarray:
+    """float64[n, 3]: half extents of the cells, boxes thinner along axes that are level [m]."""
+    axes = quaternion_matrix(quaternion)[:, 2]
+    return scene.halves - SHRINK * (np.abs(axes) < UPRIGHT)
 
 
 NEAR = 0.005
@@ -170,15 +205,12 @@ def free_cells(scene: Scene, quaternion: np.ndarray, move: Move) -> np.ndarray:
     beside where it is taken and where it is put, and what rests on those. All others are held
     still, obstacles always, which is what keeps a move in a large structure as cheap as in a small
     one."""
-    rotation = np.array([rotation_matrix(turn) for turn in quaternion])
-    reach = np.einsum("nij,nj->ni", np.abs(rotation), scene.halves)
-    low, high = scene.position - reach, scene.position + reach
+    scene = scene._replace(quaternion=quaternion)
+    low, high = scene.bounds()
     members = scene.members(move.cell)
-    there = carried(scene, move, members)[0]
-    turn = np.abs(yaw_matrix(move.turn))
-    extent = reach[members] @ turn.T
-    boxes = [(low[k], high[k]) for k in members]
-    boxes += list(zip(there - extent, there + extent, strict=True))
+    there, turns = carried(scene, move, members)
+    goal = scene.rows(members, 0)._replace(position=there, quaternion=turns)
+    boxes = [*zip(low[members], high[members], strict=True), *zip(*goal.bounds(), strict=True)]
     _, number = np.unique(scene.object_id, return_inverse=True)
     if scene.density is not None:
         # Obstacles are near nothing and rest on nothing.
@@ -188,11 +220,17 @@ def free_cells(scene: Scene, quaternion: np.ndarray, move: Move) -> np.ndarray:
     for lower, upper in boxes:
         near = ((low <= upper + NEAR) & (high >= lower - NEAR)).all(1)
         found[number[near]] = True
+    leaning = scene.hull is not None
     while True:
         free = found[number]
-        on = (low[:, None, :2] < high[free, :2]) & (high[:, None, :2] > low[free, :2])
-        rests = np.abs(low[:, None, 2] - high[free, 2]) < NEAR
-        more = (on.all(2) & rests).any(1) & ~free
+        if leaning:
+            # Blocks lean on one another in all directions.
+            meet = (low[:, None] < high[free] + NEAR) & (high[:, None] > low[free] - NEAR)
+            more = np.any(meet.all(2), axis=1) & ~free
+        else:
+            on = (low[:, None, :2] < high[free, :2]) & (high[:, None, :2] > low[free, :2])
+            rests = np.abs(low[:, None, 2] - high[free, 2]) < NEAR
+            more = (on.all(2) & rests).any(1) & ~free
         if not more.any():
             break
         found[number[more]] = True
@@ -238,6 +276,8 @@ class World(NamedTuple):
     """Body of the first object; one each, those that are held still follow."""
     num_still: int
     """How many cells can be held still."""
+    solids: dict[int, Part]
+    """By geom of an object, the part it is, in the frame of the object."""
 
 
 def compile_world(
@@ -245,6 +285,7 @@ def compile_world(
     shape: tuple[tuple[Box, ...], ...],
     friction: float,
     num_still: int = 0,
+    hulls: frozenset[Hull] = frozenset(),
     gravity: float = GRAVITY,
 ) -> World:
     """The cell with these objects, somewhere.
@@ -254,6 +295,7 @@ def compile_world(
         shape: see :attr:`Objects.shape`.
         friction: between blocks, and of blocks on the table.
         num_still: room for so many cells that are held still, see :func:`hold_still`.
+        hulls: what these may be where they are no boxes.
         gravity: [m/s^2].
     """
     spec = arm_spec(arm)
@@ -267,6 +309,7 @@ def compile_world(
     for part in arm_parts:
         part.margin = LOOK
     add_ground(spec, "table", surface)
+    keep_meshes(spec, sorted(hulls), _FAR)
     for number, boxes in enumerate(shape):
         add_object(spec, f"object{number}", boxes, surface)
     for number in range(num_still):
@@ -290,7 +333,7 @@ def compile_world(
     plan.opt.enableflags = 0
     for part in arm_parts:
         part.margin = 0.0
-    world = _world(arm, spec, spec.compile(), plan, len(shape), num_still)
+    world = _world(arm, spec, spec.compile(), plan, shape, num_still)
     arm_bits, thing_bits = (_ARM_BIT, _ARM_BIT | _THING_BIT), (_THING_BIT, _ARM_BIT | _HELD_BIT)
     for geom, kind in enumerate(world.kind):
         bits = thing_bits if kind >= TABLE else arm_bits
@@ -307,7 +350,8 @@ def hold_still(world: World, objects: Objects) -> None:
         model.body_pos[bodies[count:]] = _FAR
         model.body_pos[bodies[:count]] = objects.still[:, :3]
         model.body_quat[bodies[:count]] = objects.still[:, 3:]
-        resize_boxes(model, model.body_geomadr[bodies[:count]], objects.still_half)
+        geoms = model.body_geomadr[bodies[:count]]
+        reshape(model, geoms, objects.still_half, objects.still_hull)
 
 
 def set_held(world: World, held: int | None) -> None:
@@ -329,10 +373,10 @@ def _world(
     spec: mujoco.MjSpec,
     model: mujoco.MjModel,
     plan: mujoco.MjModel,
-    count: int,
+    shape: tuple[tuple[Box, ...], ...],
     num_still: int,
 ) -> World:
-    body = model.geom_bodyid
+    body, count = model.geom_bodyid, len(shape)
     first = model.body("object0").id if count else model.nbody
     kind = np.where(body >= first, body - first, ARM)
     kind[model.geom("table").id] = TABLE
@@ -354,7 +398,25 @@ def _world(
         tool=model.site(arm.tool).id,
         first=first,
         num_still=num_still,
+        solids=_solids(model, shape, first),
     )
+
+
+def _solids(
+    model: mujoco.MjModel, shape: tuple[tuple[Box, ...], ...], first: int
+) -> dict[int, Part]:
+    found = {}
+    for number, boxes in enumerate(shape):
+        begin = int(model.body_geomadr[first + number])
+        for k, (centre, half, *own) in enumerate(boxes):
+            hull = next((one for one in own if isinstance(one, Hull)), None)
+            found[begin + k] = Part(_three(centre), _three(half), hull)
+    return found
+
+
+def _three(numbers: Any) -> tuple[float, float, float]:
+    x, y, z = numbers
+    return x, y, z
 
 
 def _drive_of(model: mujoco.MjModel, joint: str) -> int:
@@ -406,7 +468,11 @@ class Order(NamedTuple):
         new = np.rint(meant.yaw).astype(np.int64)
         members = self.scene.members(self.move.cell)
         new[self.scene.num_placed : self.scene.num_placed + len(members)] = members
-        return meant._replace(position=position[new], yaw=yaw[new]), quaternion[new]
+        there = quaternion[new] if meant.quaternion is not None else None
+        return (
+            meant._replace(position=position[new], yaw=yaw[new], quaternion=there),
+            quaternion[new],
+        )
 
 
 def take_order(scene: Scene, move: Move, quaternion: np.ndarray | None = None) -> Order:
@@ -415,8 +481,8 @@ def take_order(scene: Scene, move: Move, quaternion: np.ndarray | None = None) -
     Args:
         scene: as things are.
         move: what shall be done.
-        quaternion: float64[n, 4] orientations (w, x, y, z) of the cells; by default all stand
-            upright at their yaw.
+        quaternion: float64[n, 4] orientations (w, x, y, z) of the cells; by default as the scene
+            says.
 
     Raises:
         InputError: for a cell that is not waiting, or numbers that are not finite.
@@ -428,6 +494,8 @@ def take_order(scene: Scene, move: Move, quaternion: np.ndarray | None = None) -
         raise InputError("target", np.asarray(move.target).tolist(), "finite numbers")
     objects, poses, names = rigid_objects(scene, quaternion, move)
     turns = np.vstack([poses, objects.still])[objects.owner, 3:]
+    if scene.half is not None:
+        scene = scene._replace(quaternion=turns)
     held = grip_width(scene, move.cell, move.grasp)
     return Order(
         scene,
@@ -452,14 +520,16 @@ def rigid_objects(
     Raises:
         InputError: for numbers that are not finite.
     """
-    turns = yaw_quaternion(scene.yaw) if quaternion is None else np.asarray(quaternion, float)
+    turns = scene.orientation if quaternion is None else np.asarray(quaternion, float)
     for array in (scene.position, turns):
         if not np.isfinite(array).all():
             raise InputError("scene", array.tolist(), "finite numbers")
-    free = None
+    free = goal = None
     if scene.half is not None and move is not None:
         free = free_cells(scene, turns, move)
-    objects = group(scene, turns, free)
+        members = scene.members(move.cell)
+        goal = members, carried(scene._replace(quaternion=turns), move, members)[1]
+    objects = group(scene, turns, free, goal)
     poses = np.hstack([scene.position[objects.lead], turns[objects.lead]])
     still = [] if free is None else np.flatnonzero(~free)
     return objects, poses, [f"block {k}" for k in (*objects.lead, *still)]

@@ -403,7 +403,8 @@ def _plan(arm: Arm, checker: WorldChecker, order: Order) -> Approaches:
     height, given = order.height, order.move
     found: list[tuple[int, float, Approaches]] = []
     reasons: list[Failure] = []
-    for move in (given, *(turned(given, turn) for turn in turns(arm, given))):
+    others = (turned(order.scene, given, turn) for turn in turns(arm, given))
+    for move in (given, *others):
         centre = order.scene.position[move.cell]
         checker.empty(order.opening)
         over = tool_path(centre, move.grasp, height)
@@ -433,7 +434,7 @@ def leaving(
     arm: Arm, target: np.ndarray, attitude: Attitude, height: float, place: ApproachPath
 ) -> ApproachPath | str:
     """The path by which the hand leaves, on the branch of the one it came by."""
-    if not attitude.sideways:
+    if not attitude.apart:
         return place
     return approach_path(arm, tool_path(target, attitude, height), 0.0, place.joints[0])
 

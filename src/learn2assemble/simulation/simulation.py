@@ -34,6 +34,9 @@ of a block. A brush without force is none; a block that it moves nevertheless is
 PUSH = 5.0
 """The same between the open hand and the block it is about to grasp [N]: a finger that slides a
 free block (friction holds it with 1 N) is none, one that lands on it is."""
+SLIDES = 0.1
+"""What the target moves along rather than against: cosine of the angle between its way and the
+normal of a contact."""
 _CLASSES = _TABLE, _ARM, _PAD, _TARGET, _OTHER = range(5)
 _SUBJECT = (4, 0, 0, 1, 3)
 """Which of two things touches the other, by class."""
@@ -82,8 +85,9 @@ class Contacts:
 
     def __init__(self, world: World, data: mujoco.MjData, names: list[str], target: int) -> None:
         self.world, self.data, self.names = world, data, names
-        self.upright = False
-        """Only what holds the target up counts as its support, not what it slides along."""
+        self.along: np.ndarray | None = None
+        """float64[3]: unit vector along which the target comes to its place; what it slides along
+        does not count as its support. None: everything does."""
         self._class = np.select(
             [world.kind == TABLE, world.kind == ARM, world.kind == PAD, world.kind == target],
             [_TABLE, _ARM, _PAD, _TARGET],
@@ -123,9 +127,11 @@ class Contacts:
         total = 0.0
         for k, (a, b) in enumerate(self._class[self._pairs()].tolist()):
             if _TARGET in (a, b) and {a, b} & {_TABLE, _OTHER}:
-                if self.upright and abs(self.data.contact.frame[k, 2]) < 0.5:
-                    continue
-                total += self.force(k)
+                share = 1.0
+                if self.along is not None:
+                    share = abs(float(self.data.contact.frame[k, :3] @ self.along))
+                if share >= SLIDES:
+                    total += share * self.force(k)
         return total
 
     def force(self, contact: int) -> float:

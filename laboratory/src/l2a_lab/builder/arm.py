@@ -18,32 +18,27 @@ import numpy as np
 
 from learn2assemble.assembly.kit import Kit
 from learn2assemble.cell import workcell as cells
-from learn2assemble.cell.carry_out import (
-    FINGER_ROOMS,
-    Prepared,
-    Workcell,
-    carry_out,
-    wider,
-)
-from learn2assemble.cell.pieces import Part, Piece, pieces_of
-from learn2assemble.cell.reach import Base, set_up
+from learn2assemble.cell.carry_out import FINGER_ROOMS, Prepared, Workcell, carry_out, wider
+from learn2assemble.cell.pieces import Piece, pieces_of, with_rests
+from learn2assemble.cell.reach import Base, set_up, why_not_turned
 from learn2assemble.cell.workcell import Arranged, Job, Progress, StepOf, Structure, job_of
 from learn2assemble.errors import InputError
-from learn2assemble.geometry.rotations import yaw_matrix, yaw_quaternion
+from learn2assemble.geometry.rotations import quaternion_matrix, yaw_matrix, yaw_quaternion
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.ordering import to_assembly
 from learn2assemble.planning.tiling.tile import BlockPlacement, Tiling
 from learn2assemble.planning.tiling.world import LatticeSite, LatticeWorld
 from learn2assemble.robot.arm import get_arm
+from learn2assemble.robot.bodies import Shape
 from learn2assemble.robot.kinematic import KinematicCell
-from learn2assemble.robot.moves import Scene, why_not_held
+from learn2assemble.robot.moves import Scene
 
 WIDE_ROOMS = FINGER_ROOMS[2:]
 """Joints that are tried where fingers have no room [m]; less was never enough."""
 FAR, LOW = 1.0, 4.0
 """A logit for every cell that a placement is farther from the arm, and for every level lower."""
-_Box = tuple[np.ndarray, float, np.ndarray, float]
-"""Middle [m], yaw [rad], half extents [m] and density [kg/m³]."""
+_Box = tuple[np.ndarray, np.ndarray, np.ndarray, float]
+"""Middle [m], quaternion, half extents [m] and density [kg/m³]."""
 
 
 class Hand:
@@ -74,8 +69,7 @@ class Hand:
         for kind, piece in zip(
             kit.kinds, _pieces(kit, [(k.name, 0) for k in kit.kinds]), strict=True
         ):
-            mass = piece.density * sum(8 * float(np.prod(half)) for _, half in piece.shape)
-            if any(why_not_held(arm, np.array(half), mass) is None for _, half in piece.shape):
+            if why_not_turned(arm, piece) is None:
                 held.append(kind)
         if not held:
             what = f"tool {arm.tool_name}"
@@ -126,23 +120,25 @@ class Hand:
         job, self.site = self.job, site
         self.cell = KinematicCell(job.arm, 1)
         ways = [(site.kit.kinds[way.kind].name, way.turn) for way in site.found.ways]
-        self.pieces = _pieces(site.kit, ways, site.wanted)
+        self.pieces = with_rests(_pieces(site.kit, ways, site.wanted), job.arm)
         """Of every way to put down a block, at the corner of the design."""
-        boxes = [
-            _boxes(piece.shape, piece.target, piece.yaw, piece.density) for piece in self.pieces
-        ]
+        boxes = [_boxes(piece.shape, piece.pose, piece.density) for piece in self.pieces]
         self.count = np.array([len(box) for box in boxes])
         self.first = np.cumsum(self.count) - self.count
         self.parts = _columns([box for group in boxes for box in group])
         self.fixed = [
-            (np.array(o.middle), o.yaw, np.array(o.size) / 2, cells.OBSTACLE_DENSITY)
+            (
+                np.array(o.middle),
+                yaw_quaternion(o.yaw),
+                np.array(o.size) / 2,
+                cells.OBSTACLE_DENSITY,
+            )
             for o in job.obstacles
         ]
         self.world = cells.World(replace(job, pieces=self.pieces, steps=()))
         self.middle = np.array([piece.target[:2] for piece in self.pieces])
-        halves = np.array([piece.half[:2] for piece in self.pieces])
-        turned = np.array([piece.turn % 2 for piece in self.pieces])[:, None]
-        self.half = np.where(turned, halves[:, ::-1], halves)
+        ends = np.array([piece.extent for piece in self.pieces])
+        self.half = (ends[:, 1] - ends[:, 0])[:, :2] / 2
         self.pitch = np.array(site.kit.pitch[:2])
 
     def prefers(self, candidates: np.ndarray) -> np.ndarray:
@@ -166,15 +162,14 @@ class Hand:
         found, kit = self.site.found, self.site.kit
         way = int(found.way[candidate])
         piece, offset = self.pieces[way], found.origin[candidate] * kit.pitch
-        goal = np.array([*(piece.target + offset), *yaw_quaternion(piece.yaw)])
+        goal = np.array([*(piece.target + offset), *piece.pose[3:]])
         used = Counter(self.pieces[w].shape for w in found.way[world.placed].tolist())
         sources, others = self._supply(used, piece.shape)
         self.tried += 1
         touched: set[int] = set()
         for source in sources:
             pose = self.world.pose[way] = self.world.presented(way, source)
-            yaw = self.job.sources[source].pose.yaw
-            mine = _boxes(piece.shape, pose[:3], yaw, piece.density)
+            mine = _boxes(piece.shape, pose, piece.density)
             rows, owner = self._rows(world.placed, [*self.fixed, *others], mine, way)
             for move in cells.moves(self.world, rows, way, goal):
                 attempt = self.cell.attempt(rows.scene, move)
@@ -187,16 +182,14 @@ class Hand:
         blamed = [self.site.cells(world.placed[n]) for n in sorted(touched - {-1})]
         return np.concatenate(blamed or [self.site.cells(candidate)])
 
-    def _supply(
-        self, used: Counter[tuple[Part, ...]], shape: tuple[Part, ...]
-    ) -> tuple[list[int], list[_Box]]:
+    def _supply(self, used: Counter[Shape], shape: Shape) -> tuple[list[int], list[_Box]]:
         """Sources of the next block of a shape, and boxes of all others that wait on the table.
 
         What lies on the table is taken in the order of the layout, before magazines.
         """
         assert self.job is not None
         magazines, lying, others = [], [], []
-        seen: Counter[tuple[Part, ...]] = Counter()
+        seen: Counter[Shape] = Counter()
         for number, source in enumerate(self.job.sources):
             if source.magazine:
                 if source.shape == shape and (source.left is None or used[shape] < source.left):
@@ -206,9 +199,7 @@ class Hand:
             if seen[source.shape] == used[shape] + 1 and source.shape == shape:
                 lying.append(number)
             elif seen[source.shape] > used[source.shape]:
-                half = max(abs(c[2]) + h[2] for c, h in source.shape)
-                middle = np.array([source.pose.x, source.pose.y, half])
-                others += _boxes(source.shape, middle, source.pose.yaw, 1.0)
+                others += _boxes(source.shape, next(source.poses()), 1.0)
         return lying or magazines, others
 
     def _rows(
@@ -223,7 +214,7 @@ class Hand:
         built = [column[row] for column in self.parts]
         built[0] = built[0] + found.origin[standing][number] * self.site.kit.pitch
         before, after = _columns(others), _columns(mine)
-        position, yaw, half, density = (
+        position, turn, half, density = (
             np.concatenate(three) for three in zip(before, built, after, strict=True)
         )
         owner = np.full(len(position), -1)
@@ -236,8 +227,9 @@ class Hand:
         moving[placed_rows:] = way
         part = np.zeros(len(position), np.int64)
         part[placed_rows:] = np.arange(len(mine))
-        scene = Scene(position, yaw, things, placed_rows, half, density)
-        return cells.Rows(scene, yaw_quaternion(yaw), moving, part), owner
+        yaw = np.zeros(len(position))
+        scene = Scene(position, yaw, things, placed_rows, half, density, turn)
+        return cells.Rows(scene, moving, part), owner
 
     def carry_out(self, plan: Plan, progress: Progress) -> Plan:
         """A plan of this search, carried out in its order."""
@@ -311,12 +303,15 @@ def _pieces(
     return pieces_of(to_assembly(Tiling(blocks, wanted, "complete"), None, kit))
 
 
-def _boxes(shape: tuple[Part, ...], middle: np.ndarray, yaw: float, density: float) -> list[_Box]:
-    turn = yaw_matrix(yaw)
-    return [(middle + turn @ np.array(c), yaw, np.array(half), density) for c, half in shape]
+def _boxes(shape: Shape, pose: np.ndarray, density: float) -> list[_Box]:
+    turn = quaternion_matrix(pose[3:])
+    return [
+        (pose[:3] + turn @ np.array(part.centre), pose[3:], np.array(part.half), density)
+        for part in shape
+    ]
 
 
 def _columns(boxes: list[_Box]) -> list[np.ndarray]:
     if not boxes:
-        return [np.empty((0, 3)), np.empty(0), np.empty((0, 3)), np.empty(0)]
+        return [np.empty((0, 3)), np.empty((0, 4)), np.empty((0, 3)), np.empty(0)]
     return [np.array(column, float) for column in zip(*boxes, strict=True)]
