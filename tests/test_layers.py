@@ -215,7 +215,7 @@ def test_only_designs_and_tilings_know_cells() -> None:
         ("rhino3dm", {"design"}),
         ("av", {"viewer"}),
         ("mcap_ros2", {"export"}),
-        ("highspy", {"linear_programs", "tasks", "planning", "benchmark"}),
+        ("highspy", {"linear_programs", "statics", "tasks", "planning", "benchmark"}),
         ("gymnasium", {"envs", "benchmark"}),
         ("matplotlib", {"viewer"}),
         ("rich", {"cli"}),

@@ -163,7 +163,8 @@ PIECES: dict[str, tuple[tuple[int, int, int], ...]] = {
 def random_kit(rng: np.random.Generator) -> Kit:
     """A kit of the package or one of its own, with densities, heaps and turns."""
     if rng.random() < 0.4:
-        return load_kit(str(rng.choice(sorted(kit_names()))))
+        dry = [name for name in kit_names() if not load_kit(name).joint.holds]
+        return load_kit(str(rng.choice(sorted(dry))))
     names = ["cell", *rng.choice(sorted(set(PIECES) - {"cell"}), rng.integers(1, 4), replace=False)]
     kinds = []
     for name in names:

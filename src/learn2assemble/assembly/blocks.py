@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from learn2assemble.assembly.joints import DRY, Joint, JointOf
 from learn2assemble.errors import InputError, is_number
 from learn2assemble.geometry.crossings import find_crossing
 
@@ -178,6 +179,8 @@ class Assembly:
         friction: Coulomb coefficient of every contact.
         not_built: ids of blocks that are wanted and that no step places, of steps that do not
             finish the structure. Any other block that no step places stands from the start.
+        joint: how its joints hold.
+        joints: other laws of single joints, before ``joint``; the last one that fits counts.
 
     Raises:
         InputError: for ids that repeat, steps that place or remove what they cannot, a friction
@@ -190,10 +193,17 @@ class Assembly:
     friction: float = 0.5
     name: str = ""
     not_built: tuple[str, ...] = ()
+    joint: Joint = DRY
+    joints: tuple[JointOf, ...] = ()
     _index: dict[str, int] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for name, kind in (("blocks", Block), ("steps", AssemblyStep), ("not_built", str)):
+        for name, kind in (
+            ("blocks", Block),
+            ("steps", AssemblyStep),
+            ("not_built", str),
+            ("joints", JointOf),
+        ):
             given = getattr(self, name)
             if not isinstance(given, Sequence) or not all(isinstance(one, kind) for one in given):
                 raise InputError(name, given, f"a list of {kind.__name__}s")
@@ -201,6 +211,8 @@ class Assembly:
         if not 0 < len(self.blocks) <= MAX_BLOCKS:
             raise InputError("blocks", len(self.blocks), f"1 to {MAX_BLOCKS} blocks")
         check_friction(self.friction)
+        if not isinstance(self.joint, Joint):
+            raise InputError("joint", self.joint, "a Joint")
         index = {block.id: k for k, block in enumerate(self.blocks)}
         if len(index) < len(self.blocks):
             twice = Counter(block.id for block in self.blocks).most_common(1)[0][0]
@@ -231,8 +243,37 @@ class Assembly:
             if id_ not in index or id_ in placed:
                 expected = "the id of a block that no step places"
                 raise InputError(f"not_built[{number}]", id_, expected)
+        named = [id_ for one in self.joints for id_ in one.blocks or ()]
+        unknown = [id_ for id_ in named if id_ not in index]
+        if unknown:
+            raise InputError("joints", unknown[0], "the id of a block")
         if len(self.not_built) >= len(self.blocks):
             raise InputError("not_built", len(self.not_built), "fewer than all blocks")
+
+    @property
+    def holds(self) -> bool:
+        """Whether any of its joints can pull."""
+        return any(joint.holds for joint in self.laws)
+
+    @property
+    def laws(self) -> tuple[Joint, ...]:
+        """The laws of its joints, that of most of them first."""
+        return (self.joint, *(one.joint for one in self.joints))
+
+    def with_capacity(self, capacity: float) -> Assembly:
+        """The same with clutches of another capacity [N]; other laws stay.
+
+        Raises:
+            InputError: where no joint is a clutch, or for a capacity that is none.
+        """
+        if all(joint.law != "clutch" for joint in self.laws):
+            raise InputError("capacity", capacity, "an assembly whose joints clutch (--kit lego)")
+
+        def changed(joint: Joint) -> Joint:
+            return replace(joint, capacity=capacity) if joint.law == "clutch" else joint
+
+        joints = tuple(replace(one, joint=changed(one.joint)) for one in self.joints)
+        return replace(self, joint=changed(self.joint), joints=joints)
 
     def as_far_as_placed(self) -> Assembly:
         """The same where free blocks that no step places are not built; itself without steps."""
@@ -264,7 +305,8 @@ class Assembly:
         if all(standing.values()):
             return replace(self, steps=()) if self.steps else self
         here = tuple(block for block in self.blocks if standing[block.id])
-        return replace(self, blocks=here, steps=(), not_built=())
+        kept = tuple(one for one in self.joints if all(standing[id_] for id_ in one.blocks or ()))
+        return replace(self, blocks=here, steps=(), not_built=(), joints=kept)
 
 
 def box_block(id: str, lower: Sequence[float], upper: Sequence[float], **kwargs: Any) -> Block:

@@ -3,12 +3,14 @@
 The kind of a file is found from its content. Our format is::
 
     {"format": "learn2assemble-assembly", "version": 1, "units": "m", "friction": 0.5,
+     "joint": {"law": "clutch", "capacity": 0.7}, "joints": [{"blocks": ["a", "b"], "law": "dry"}],
      "blocks": [{"id": "a", "kind": "1x2", "density": 1000, "support": false, "prop": false,
                  "vertices": [[x, y, z], ...], "faces": [[0, 1, 2], ...]}, ...],
      "steps": [{"place": "a"}, {"hold": "a"}, {"release": "a"}, {"remove": "a"}, ...],
      "not_built": ["b"]}
 
-COMPAS JSON is :mod:`.compas`.
+How joints hold (``joint``, and ``joints`` of two blocks or a kind) is :mod:`.joints`; without it
+they are dry. COMPAS JSON is :mod:`.compas`; files of bricks are :mod:`.bricks.files`.
 """
 
 from __future__ import annotations
@@ -22,7 +24,17 @@ from typing import Any, Literal
 import numpy as np
 
 from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, shells
+from learn2assemble.assembly.bricks.files import brick_format, of_stablelego, read_bricks
+from learn2assemble.assembly.bricks.stablelego import is_stablelego
 from learn2assemble.assembly.compas import from_compas
+from learn2assemble.assembly.joints import (
+    DRY,
+    joint_of_json,
+    joint_to_json,
+    joints_of_json,
+    joints_to_json,
+)
+from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.assembly.meshes import KINDS, mesh_kind, read_parts
 from learn2assemble.assembly.values import (
     DIGITS,
@@ -61,7 +73,18 @@ NAME = "assembly.json"
 """What the blocks of a plan are called, in its folder."""
 MESH_SUFFIXES = tuple(f".{kind}" for kind in KINDS)
 _BLOCK_KEYS = ("id", "kind", "density", "support", "prop", "colour", "vertices", "faces")
-_KEYS = ("format", "version", "units", "name", "friction", "blocks", "steps", "not_built")
+_KEYS = (
+    "format",
+    "version",
+    "units",
+    "name",
+    "friction",
+    "joint",
+    "joints",
+    "blocks",
+    "steps",
+    "not_built",
+)
 
 
 def read_assembly(
@@ -70,6 +93,7 @@ def read_assembly(
     unit: float | str = 1.0,
     up: Literal["y", "z"] | None = None,
     supports: Collection[str] = (),
+    kit: str | Kit | None = None,
 ) -> Assembly:
     """Read an assembly from a file, or from a folder with one mesh a block.
 
@@ -77,12 +101,15 @@ def read_assembly(
     the ground.
 
     Args:
-        path: our JSON, COMPAS JSON, STL, OBJ, PLY, OFF or GLB; a folder of such meshes; or a plan,
-            its folder or its ``plan.json``, with ``assembly.json`` beside it.
+        path: our JSON, COMPAS JSON, STL, OBJ, PLY, OFF or GLB; LDraw, brick text or JSON of
+            StableLego; a folder of meshes; or a plan, its folder or its ``plan.json``, with
+            ``assembly.json`` beside it.
         unit: of the file: ``mm``, ``cm``, ``m``, ``in``, or its length in metres; our JSON is
             always in metres.
         up: the axis of a mesh that points up; by default y for GLB, whose standard says so, else z.
         supports: ids of blocks that are supports besides those the file names.
+        kit: whose blocks a file of bricks names, by default ``lego``; of other files, whose joints
+            hold them where the file says nothing of joints.
 
     Raises:
         InputError: for whatever is not a readable assembly of valid blocks; UnknownNameError for a
@@ -104,10 +131,15 @@ def read_assembly(
     else:
         content, source = read_bytes(path, KIND, MAX_BYTES)
         if content.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] in (b"{", b"["):
-            assembly = _read_json(content, path, source, unit)
+            assembly = _read_json(content, path, source, unit, kit)
+        elif brick_format(content) is not None:
+            assembly = read_bricks(content, source, path.stem, kit)
         else:
             blocks = _mesh_blocks(content, source, "block", unit, up)
             assembly = Assembly(tuple(blocks), name=path.stem)
+    if kit is not None and assembly.joint == DRY and not assembly.joints:
+        joint = kit.joint if isinstance(kit, Kit) else load_kit(kit).joint
+        assembly = replace(assembly, joint=joint)
     return _with_supports(assembly, supports)
 
 
@@ -144,6 +176,8 @@ def to_json(assembly: Assembly) -> dict[str, Any]:
         "blocks": blocks,
         "steps": [to_plain(step) for step in assembly.steps],
         **({"not_built": list(assembly.not_built)} if assembly.not_built else {}),
+        **({"joint": joint_to_json(assembly.joint)} if assembly.joint != DRY else {}),
+        **({"joints": joints_to_json(assembly.joints)} if assembly.joints else {}),
     }
 
 
@@ -178,13 +212,19 @@ def from_json(document: Any, source: str = "assembly") -> Assembly:
     steps = from_plain(tuple[AssemblyStep, ...], root.get("steps", ()), source, "steps")
     name = text(root.get("name", ""), f"{source}: name")
     left = from_plain(tuple[str, ...], root.get("not_built", ()), source, "not_built")
-    return Assembly(tuple(blocks), steps, friction, name, left)
+    joint = joint_of_json(root.get("joint", {}), f"{source}: joint")
+    joints = joints_of_json(root.get("joints", []), f"{source}: joints")
+    return Assembly(tuple(blocks), steps, friction, name, left, joint, joints)
 
 
-def _read_json(content: bytes, path: Path, source: str, unit: float) -> Assembly:
+def _read_json(
+    content: bytes, path: Path, source: str, unit: float, kit: str | Kit | None
+) -> Assembly:
     # Every block has vertices: far too many are refused before they are read.
     check_count(max(content.count(b'"vertices"'), 1), source)
     document = mapping(load_json(decoded(content, source), source, FORMAT), source)
+    if is_stablelego(document):
+        return of_stablelego(document, source, path.stem, kit)
     if "dtype" in document:
         assembly = from_compas(document, source, unit)
     else:

@@ -11,12 +11,16 @@ turned by quarters about the vertical, or lie on any of its sides, as the kit al
     friction = 0.5               # Coulomb coefficient between blocks
     joint_gap = 0.0001           # width of a vertical joint [m]
 
+    [joint]                      # optional: how joints hold, see learn2assemble.assembly.joints
+    law = "clutch"               # or "dry" (default), "mortar"
+    capacity = 0.70              # [N] a contact point
+
     [[kinds]]
     name = "2x4"
     box = [4, 2, 1]              # or cells = [[0, 0, 0], [1, 0, 0], ...]
     count = 12                   # optional; without it there is no limit
     colour = "#b5523b"           # optional
-    density = 2400.0             # optional
+    density = 2400.0             # optional; or mass = 0.002 of a block [kg]
     turns = "z"                  # "none", "z" (default) or "any"
 """
 
@@ -30,10 +34,11 @@ from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
+from learn2assemble.assembly.joints import DRY, Joint, joint_of_json
 from learn2assemble.errors import InputError, look_up
 from learn2assemble.files import Range, from_plain, printable, read_head, read_text, sequence
 
@@ -45,6 +50,7 @@ DEFAULT_KIT = "bricks-lintels"
 MAX_KINDS, MAX_CELLS, MAX_EXTENT, MAX_COUNT, MAX_NAME = 64, 512, 64, 100_000, 40
 Length = Annotated[float, Range(1e-4, 10.0, "m")]
 Density = Annotated[float, Range(1.0, 30_000.0, "kg/m3")]
+Mass = Annotated[float, Range(1e-6, 1e5, "kg")]
 _Size = Annotated[int, Range(1, MAX_EXTENT, "cells")]
 _Place = Annotated[int, Range(-MAX_EXTENT, MAX_EXTENT, "cells")]
 _Byte = Annotated[int, Range(0, 255)]
@@ -79,6 +85,8 @@ class Kit:
     friction: float = 0.5
     joint_gap: float = 0.0001
     """Width of a vertical joint [m]: the sides of blocks lie inside their cells by half of it."""
+    joint: Joint = DRY
+    """How joints hold."""
 
     @property
     def limited(self) -> bool:
@@ -108,7 +116,8 @@ class Kit:
         if min(cell[:2]) <= 2 * self.joint_gap:
             expected = f"more than two joints of kit {self.name}, {2 * self.joint_gap:g} m"
             raise InputError("cell", min(cell[:2]), expected)
-        return replace(self, pitch=cell)
+        joint = replace(self.joint, pitch=(cell[0], cell[2])) if self.joint.holds else self.joint
+        return replace(self, pitch=cell, joint=joint)
 
     def kind(self, name: str) -> Kind:
         """The kind called ``name``."""
@@ -123,6 +132,7 @@ class _KindFile:
     count: Annotated[int, Range(0, MAX_COUNT, "blocks")] | None = None
     colour: tuple[_Byte, _Byte, _Byte] | None = None
     density: Density | None = None
+    mass: Mass | None = None
     turns: Turns = "z"
 
 
@@ -239,14 +249,8 @@ def parse_kit(content: str, source: str = "kit") -> Kit:
     except (tomllib.TOMLDecodeError, ValueError, RecursionError) as error:
         raise InputError(source, printable(str(error)), "TOML") from None
     keys = tuple(_KitFile.__dataclass_fields__)
-    head = read_head(
-        root,
-        source,
-        FORMAT,
-        VERSION,
-        ("format", "version", "units", *keys),
-        ("format", "version", "name", "kinds"),
-    )
+    known = ("format", "version", "units", "joint", *keys)
+    head = read_head(root, source, FORMAT, VERSION, known, ("format", "version", "name", "kinds"))
     given = [
         {**entry, "colour": _from_hex(entry["colour"], f"{source}: kinds[{k}].colour")}
         if isinstance(entry, dict) and isinstance(entry.get("colour"), str)
@@ -260,15 +264,36 @@ def parse_kit(content: str, source: str = "kit") -> Kit:
     if file.joint_gap > min(file.pitch) / 4:
         expected = f"0 to {min(file.pitch) / 4:g} m, a quarter of the pitch"
         raise InputError(f"{source}: joint_gap", file.joint_gap, expected)
-    kinds = tuple(_kind(kind, f"{source}: kinds[{k}]") for k, kind in enumerate(file.kinds))
+    cell = math.prod(file.pitch)
+    kinds = tuple(_kind(kind, f"{source}: kinds[{k}]", cell) for k, kind in enumerate(file.kinds))
     repeated = [name for name, n in Counter(kind.name for kind in kinds).items() if n > 1]
     if repeated:
         raise InputError(f"{source}: kinds", repeated[0], "every name once")
     _check_name(file.name, f"{source}: name")
-    return Kit(file.name, kinds, file.pitch, file.density, file.friction, file.joint_gap)
+    joint = _joint(head.get("joint"), file, kinds, source)
+    return Kit(file.name, kinds, file.pitch, file.density, file.friction, file.joint_gap, joint)
 
 
-def _kind(given: _KindFile, where: str) -> Kind:
+def _joint(given: Any, file: _KitFile, kinds: tuple[Kind, ...], source: str) -> Joint:
+    """The law of the joints of a kit; a clutch has its studs on the lattice of the kit."""
+    if given is None:
+        return DRY
+    where = f"{source}: joint"
+    joint = joint_of_json(given, where, pitch=(file.pitch[0], file.pitch[2]))
+    if joint.law != "clutch":
+        return joint
+    if "pitch" in given or not math.isclose(file.pitch[0], file.pitch[1]):
+        got = "a pitch of its own" if "pitch" in given else list(file.pitch)
+        raise InputError(where, got, "studs on the pitch of the kit, the same along x and y")
+    for k, kind in enumerate(kinds):
+        if math.prod(np.max(kind.cells, 0) + 1) != len(kind.cells) or kind.turns == "any":
+            got = "studs on a side" if kind.turns == "any" else "studs on nothing"
+            expected = "a box whose top is all studs, turned about z alone, for clutch"
+            raise InputError(f"{source}: kinds[{k}]", got, expected)
+    return joint
+
+
+def _kind(given: _KindFile, where: str, cell: float) -> Kind:
     _check_name(given.name, f"{where}.name")
     if given.box is not None and given.cells is None:
         if math.prod(given.box) > MAX_CELLS:
@@ -279,7 +304,14 @@ def _kind(given: _KindFile, where: str) -> Kind:
     else:
         found = sorted(key for key, value in vars(given).items() if value is not None)
         raise InputError(where, found, "either 'box' or 'cells'")
-    return Kind(given.name, cells, given.count, given.colour, given.density, given.turns)
+    density = given.density
+    if given.mass is not None:
+        if density is not None:
+            raise InputError(where, "density and mass", "one of them")
+        density = given.mass / (len(cells) * cell)
+        if not 1e-2 <= density <= 1e6:
+            raise InputError(f"{where}.mass", given.mass, "a mass of 0.01 to 1e6 kg/m3")
+    return Kind(given.name, cells, given.count, given.colour, density, given.turns)
 
 
 def _check_name(name: str, where: str) -> None:

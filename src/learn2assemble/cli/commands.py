@@ -70,6 +70,7 @@ _BUILD = (
     "physics",
     "supports",
     "holds",
+    "hands",
 )
 """Options that are arguments of :func:`learn2assemble.build`."""
 
@@ -119,6 +120,11 @@ _BUILD = (
             action="store_const",
             const="none",
             help="the same as --supports none",
+        ),
+        arg(
+            "--hands",
+            action="store_true",
+            help="of bricks that clutch: from below, too, and several as one, built beside",
         ),
         arg(
             "--holds",

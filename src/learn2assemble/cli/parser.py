@@ -146,6 +146,7 @@ natural = number(int, 0, 2**31 - 1, f"a whole number from 0 to {2**31 - 1}")
 share = number(float, 0, 1, "a number from 0 to 1")
 positive = number(float, 1e-3, 1e7, "a number from 0.001 to 10000000")
 friction = number(float, 0, 10, "a coefficient of friction from 0 to 10")
+pull = number(float, 0, 1e3, "a force from 0 to 1000 N")
 
 
 def named(text: str) -> Path:

@@ -13,6 +13,7 @@ from learn2assemble.cli.parser import (
     command,
     friction,
     named,
+    pull,
     reading_arguments,
     reading_of,
 )
@@ -128,7 +129,20 @@ def _reach(options: argparse.Namespace, output: Output) -> int:
         "file",
         metavar="FILE",
         type=named,
-        help="a plan or its folder, assembly JSON, COMPAS JSON, meshes or a folder of them",
+        help="a plan or its folder, assembly JSON, COMPAS JSON, LDraw, brick text, meshes or a "
+        "folder of them",
+    ),
+    arg(
+        "--kit",
+        default=None,
+        help="of a file of bricks, whose blocks they are (lego); of others, how their joints hold",
+    ),
+    arg(
+        "--capacity",
+        type=pull,
+        default=None,
+        metavar="N",
+        help="of a clutch, the largest pull of one contact point, instead of the kit's",
     ),
     arg("--friction", type=friction, default=None, help="instead of the file's coefficient"),
     arg("--unit", default="m", choices=tuple(UNITS), help="of the coordinates in meshes"),
@@ -140,11 +154,15 @@ def _check(options: argparse.Namespace, output: Output) -> int:
     from learn2assemble.statics.rigid_blocks import check
 
     with _claimed(options.out):
-        assembly = read_assembly(options.file, unit=options.unit)
+        assembly = read_assembly(options.file, unit=options.unit, kit=options.kit)
+        if options.capacity is not None:
+            assembly = assembly.with_capacity(options.capacity)
         found = check(assembly, friction=options.friction)
+        held = found.margin_n is not None
         rows = [
             ("shown", found.proof),
             ("margin", f"{found.margin_g:.3f} g sideways, {found.tilt:.1f} degrees of tilt"),
+            *([("margin of a contact point", f"{found.margin_n:.4g} N")] if held else []),
             ("holding force", f"{found.holding_force:.4g} N"),
             ("moves first", ", ".join(found.moving[:8]) or "-"),
             ("blocks", found.blocks),
@@ -167,6 +185,7 @@ def _check(options: argparse.Namespace, output: Output) -> int:
             "verdict": found.verdict,
             "proof": found.proof,
             "margin_g": found.margin_g,
+            "margin_n": found.margin_n,
             "tilt_deg": found.tilt,
             "holding_force": found.holding_force,
             "moves_first": list(found.moving),

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from learn2assemble.assembly.appearance import millimetres
+from learn2assemble.assembly.bricks.files import is_of_bricks
 from learn2assemble.design import drawings, solids
 from learn2assemble.design.drawings import SIDES, Contours, Drawing
 from learn2assemble.design.dxf import read_dxf
@@ -128,7 +129,7 @@ def read_design(design: str | Path | np.ndarray, **reading: Any) -> CellDesign |
     if kind == "assembly":
         from learn2assemble.assembly.files import read_assembly
 
-        return read_assembly(path)
+        return read_assembly(path, kit=given.kit if is_of_bricks(content) else None)
     given.check(kind)
     origin = _Origin(given, path.stem or "design", source, given.kit)
     if kind == "json":
@@ -188,7 +189,9 @@ def kind_of(content: bytes, source: str) -> str:
     if start[:1] in (b"{", b"["):
         ours = re.search(rb'"format"\s*:\s*"learn2assemble-assembly"', content)
         compas = re.search(rb'"dtype"\s*:\s*"compas', content)
-        return "assembly" if ours or compas else "json"
+        return "assembly" if ours or compas or is_of_bricks(content) else "json"
+    if is_of_bricks(content):
+        return "assembly"
     if start[:1] == b"<" and b"<svg" in content:
         return "svg"
     if re.match(rb"(999[^\n]*\n[^\n]*\n\s*)*0[ \t]*\r?\n\s*SECTION", start):
@@ -206,7 +209,7 @@ def kind_of(content: bytes, source: str) -> str:
         source,
         got,
         "a whole file of elevation JSON, SVG, DXF, PNG, JPEG, WebP, STL, OBJ, PLY, GLB, OFF, 3DM, "
-        "NPY, NPZ or assembly JSON",
+        "NPY, NPZ, LDraw, brick text or assembly JSON",
     )
 
 

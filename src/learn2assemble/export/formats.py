@@ -1,4 +1,4 @@
-"""An assembly as files: bill of blocks, instructions, GLB, COMPAS, MJCF and our own JSON.
+"""An assembly as files: bill, instructions, GLB, COMPAS, LDraw, MJCF and our own JSON.
 
 Every writer makes the whole file before anything is replaced on disk.
 """
@@ -16,6 +16,7 @@ import numpy as np
 
 from learn2assemble.assembly.appearance import colour_words, kinds_and_colours, rgb
 from learn2assemble.assembly.blocks import Assembly, Block, convex_parts, fan_triangles
+from learn2assemble.assembly.bricks.ldraw import to_ldraw
 from learn2assemble.assembly.compas import write_compas
 from learn2assemble.assembly.cuts import POST, Cut, cut_of
 from learn2assemble.assembly.files import read_assembly, write_assembly
@@ -193,6 +194,7 @@ FORMATS: Registry[tuple[str, Callable[[Assembly, Path], None]]] = Registry(
         "cards": ("cards.html", _writer(step_cards, "step cards")),
         "compas": ("compas.json", write_compas),
         "glb": ("structure.glb", _writer(glb, "GLB file")),
+        "ldraw": ("model.ldr", _writer(to_ldraw, "LDraw file")),
         "mjcf": ("structure.xml", write_mjcf),
         "pdf": ("instructions.pdf", _writer(pdf, "PDF file")),
     },

@@ -66,6 +66,7 @@ def build(
     gap: float | tuple[float, float] | None = None,
     supports: str = "auto",
     holds: int = 0,
+    hands: bool = False,
     arm: str | None = None,
     agent: str | Path | object | None = None,
     layout: str | Path | Site | None = None,
@@ -99,6 +100,8 @@ def build(
             ``"props"``, blocks of the kit, for designs of cells and goals; ``"posts"``, cut to
             the blocks they carry, for assemblies.
         holds: of an assembly, how many blocks a hand may hold while the next one comes.
+        hands: of bricks that clutch, whether they may come from below, and several as one, built
+            beside; a hand then holds one while the next one comes.
         arm: name of the arm that builds; by default none, for a task its own.
         agent: of a design, a builder by name or ``.safetensors`` file; of a task, an agent, a
             shipped one by name, a ``.safetensors`` file or the folder of a training; by default one
@@ -144,6 +147,7 @@ def build(
             "state": state,
             "supports": supports != "auto",
             "holds": holds,
+            "hands": hands,
             "noise": any(noise),
             "physics": physics != PHYSICS[0],
             **dict.fromkeys(reading, True),
@@ -182,7 +186,9 @@ def build(
         "progress": progress,
         "seconds": EXACT_SECONDS if seconds is None else seconds,
     }
-    return _build_design(design, kit, (supports, holds), reading, how, planner, agent, seed, given)
+    return _build_design(
+        design, kit, (supports, holds, hands), reading, how, planner, agent, seed, given
+    )
 
 
 def reach(
@@ -326,7 +332,7 @@ class _Arm(NamedTuple):
 def _build_design(
     design: object,
     kit: Any,
-    help_: tuple[str, int],
+    help_: tuple[str, int, bool],
     reading: dict[str, Any],
     how: _Arm | None,
     planner: str,
@@ -337,7 +343,7 @@ def _build_design(
     """Plan what is no task, and carry it out where an arm is named.
 
     Args:
-        help_: supports and holds.
+        help_: supports, holds and hands.
         given: friction, gap, seconds and progress, as every planner takes them.
     """
     from learn2assemble.assembly.blocks import Assembly
@@ -349,12 +355,11 @@ def _build_design(
 
     kit = _kit(kit)
     source = Path(design).name if isinstance(design, str | Path) else ""
-    supports, holds = help_
+    supports, holds, hands = help_
     props = supports != "none"
     design = _goals(design, kit, props, reading) or _read(design, kit, reading)
     if isinstance(design, Assembly):
-        if kit is not None:
-            raise InputError("kit", kit.name, "a design of cells; these blocks are given")
+        design = _with_joints(design, kit)
         if planner != "exact":
             raise InputError("planner", planner, "exact, for blocks that are given")
     elif isinstance(design, Goals):
@@ -362,8 +367,8 @@ def _build_design(
             raise InputError("planner", planner, "exact, for goals instead of a design")
     elif not isinstance(design, CellDesign):
         raise InputError("design", _called(design), "a file, cells or an assembly")
-    if not isinstance(design, Assembly) and (holds or supports == "posts"):
-        got = f"holds={holds}" if holds else f"supports={supports!r}"
+    if not isinstance(design, Assembly) and (holds or hands or supports == "posts"):
+        got = f"holds={holds}" if holds else "hands" if hands else f"supports={supports!r}"
         raise InputError("design", got, "an assembly of given blocks for posts and holds")
     workcell, progress = None if how is None else how.workcell(), given["progress"]
     if not isinstance(design, CellDesign):
@@ -375,9 +380,13 @@ def _build_design(
             if workcell is not None:
                 workcell = replace(workcell, site=with_obstacles(workcell.site, design))
         else:
+            if workcell is not None and design.holds:
+                raise InputError("arm", workcell.arm, "none: an arm presses no bricks home yet")
             if workcell is not None:
                 workcell = _for_given(design, workcell)
-            plan = plan_assembly(design, source=source, supports=supports, holds=holds, **given)
+            plan = plan_assembly(
+                design, source=source, supports=supports, holds=holds, hands=hands, **given
+            )
         if workcell is None:
             return plan
         from learn2assemble.cell.carry_out import carry_out
@@ -430,6 +439,16 @@ def _for_given(design: Assembly, workcell: Workcell) -> Workcell:
     return replace(workcell, hands=True)
 
 
+def _with_joints(design: Assembly, kit: Kit | None) -> Assembly:
+    """Given blocks whose joints hold as those of a kit do, where nothing else is said of them."""
+    if kit is None or design.holds:
+        return design
+    if not kit.joint.holds:
+        expected = "a design of cells, or a kit whose joints hold; these blocks are given"
+        raise InputError("kit", kit.name, expected)
+    return replace(design, joint=kit.joint)
+
+
 def _kit(kit: Any) -> Kit | None:
     """The kit that is given, or named."""
     from learn2assemble.assembly.kit import Kit, load_kit
@@ -445,6 +464,14 @@ def _read(design: object, kit: Kit | None, reading: Mapping[str, Any]) -> object
     """The design in a file or an array; all else as it is."""
     from learn2assemble.design.cells import read_design
 
+    if isinstance(design, str | Path):
+        from learn2assemble.assembly.bricks.files import is_of_bricks
+
+        if is_of_bricks(read_bytes(Path(design), "design file", MAX_GENERATED)[0]):
+            from learn2assemble.assembly.files import read_assembly
+
+            _refuse(reading, "a design of cells; a file of bricks says it all")
+            return read_assembly(design, kit=kit)
     if isinstance(design, str | Path | np.ndarray):
         cell = {} if kit is None or "cell" in reading else {"cell": kit.pitch}
         given = cast("str | Path | np.ndarray", design)

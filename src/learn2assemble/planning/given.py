@@ -8,12 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly, AssemblyStep
+from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import check_overlaps, shrunk
 from learn2assemble.errors import InputError, is_whole
 from learn2assemble.linear_programs import Clock
-from learn2assemble.planning import plan as plans
-from learn2assemble.planning.plan import Plan, PlanDesign
+from learn2assemble.planning.brick_order import Hands
+from learn2assemble.planning.brick_plan import plan_bricks
+from learn2assemble.planning.given_plan import plan_of
+from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.sequence import (
     Layer,
     Problem,
@@ -42,6 +44,7 @@ def plan_assembly(
     gap: Bounds = None,
     supports: str = "auto",
     holds: int = 0,
+    hands: bool = False,
     seconds: float = 60.0,
     progress: Progress = lambda text: None,
     source: str = "",
@@ -62,20 +65,31 @@ def plan_assembly(
         supports: ``"none"``; ``"posts"`` and ``"auto"`` place posts where nothing else helps.
         holds: how many blocks may be held by a hand while the next one comes; a hand is preferred
             to a post.
+        hands: of bricks that clutch, whether they may come from below, and several as one; a hand
+            then holds one while the next one comes.
         seconds: wall-clock limit; the steps proven until then are kept.
 
     Returns:
         The plan; :attr:`~.plan.Plan.assembly` has the posts, as props, behind the given blocks.
 
     Raises:
-        InputError: for blocks that overlap, where nothing stands on a support or the ground, for
-            joints wider than the blocks, and for supports that are none.
+        InputError: for gaps, posts or hands where joints do not take them, for blocks that overlap,
+            where nothing stands on a support or the ground, for joints wider than the blocks, and
+            for supports that are none.
     """
     started = time.perf_counter()
     if supports not in ("auto", "none", "posts"):
         raise InputError("supports", supports, "auto, none or posts: given blocks have no kit")
     if not is_whole(holds, 0, MOST_HOLDS):
         raise InputError("holds", holds, f"a whole number from 0 to {MOST_HOLDS}")
+    if any(joint.law == "clutch" for joint in assembly.laws if joint.holds):
+        if gap is not None or supports == "posts":
+            got = "a gap" if gap is not None else "posts"
+            raise InputError("bricks that clutch", got, "hands and holds alone to help them")
+        help_ = Hands(hands, max(holds, 1) if hands else holds)
+        return plan_bricks(assembly, help_, Clock(seconds), progress, source)
+    if hands:
+        raise InputError("hands", hands, "bricks that clutch (a kit such as lego)")
     check_overlaps(assembly)
     ends = value_range(friction, assembly.friction, "friction")
     widest = value_range(gap, 0.0, "gap")[1]
@@ -93,7 +107,7 @@ def plan_assembly(
             found = replace(found, status="not found", reason=reason)
         elif found.status == "not found":
             found = _advised(found, problem, joints, Supports(supports != "none", holds), clock)
-    return _plan(problem, found, ends, None if gap is None else (0.0, widest), source, started)
+    return plan_of(assembly, found, ends, None if gap is None else (0.0, widest), source, started)
 
 
 def _layers(assembly: Assembly, joints: Joints, gap: float) -> tuple[Layer, ...]:
@@ -129,44 +143,3 @@ def _advised(
 
 def _completes(problem: Problem, supports: Supports, clock: Clock) -> bool:
     return find_sequence(problem, supports, clock).status == "complete"
-
-
-def _plan(
-    problem: Problem,
-    found: Sequenced,
-    ends: tuple[float, float],
-    gaps: tuple[float, float] | None,
-    source: str,
-    started: float,
-) -> Plan:
-    assembly = problem.assembly
-    support = np.array([block.support for block in found.blocks])
-    wanted = ~support & ~np.array([block.prop for block in found.blocks])
-    present = support.copy()
-    steps, made = [], []
-    for number, step in enumerate(found.steps, 1):
-        block = found.blocks[step.block]
-        if step.action in ("place", "remove"):
-            present[step.block] = step.action == "place"
-        covered = float((present & wanted).sum()) / max(int(wanted.sum()), 1)
-        made.append(AssemblyStep(**{step.action: block.id}))
-        steps.append(
-            plans.block_step(number, step.block, block, step.action, covered).with_proof(
-                step.proof, step.margin_g
-            )
-        )
-    blocks = replace(assembly, blocks=found.blocks, steps=tuple(made), not_built=())
-    return Plan(
-        design=PlanDesign(name=assembly.name or "assembly", source=source, block_edge=1.0),
-        status="incomplete" if found.status == "not found" and found.steps else found.status,
-        reason=found.reason,
-        blocks=plans.BlockSupply(int(wanted.sum()), int((present & wanted).sum()), ()),
-        steps=tuple(steps),
-        coverage=steps[-1].coverage if steps else 0.0,
-        seconds=round(time.perf_counter() - started, 3),
-        planner="exact",
-        verified_by="rigid-block equilibrium of every step",
-        friction_range=ends,
-        gap_range=gaps,
-        assembly=blocks.as_far_as_placed(),
-    )

@@ -180,6 +180,9 @@ class Step:
     """With an arm: how the block was held."""
     by_hand: bool = False
     """With an arm: the step is done by hand, and the build waits for it."""
+    way: Literal["above", "below", "beside"] | None = None
+    """Of a brick that clutches: whence it comes; ``beside``: it is built on another one beside, and
+    attached with it when that is released."""
 
     def with_proof(self, proof: str, margin_g: float | None) -> Step:
         """The step with this proof and this margin [g]; None: none is known."""

@@ -62,6 +62,8 @@ class SequenceStep(NamedTuple):
     """Index in the blocks of the sequence."""
     proof: str
     margin_g: float | None
+    way: str | None = None
+    """Of a brick, whence it comes: ``above``, ``below``, or ``beside``, where it was built."""
 
 
 class Move(NamedTuple):

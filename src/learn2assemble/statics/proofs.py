@@ -11,6 +11,8 @@ FRICTIONLESS, BED, TIGHT = "bed faces, no friction", "bed faces", "tight joints"
 touch, too. The latter two name the proof of a step by the coupled analysis."""
 POINTS = "edges and points"
 """Proof of a step of given blocks that rest on edges or points, too."""
+CLUTCH, CLUTCH_TIGHT = "joints that hold", "joints that hold and tight joints"
+"""Proof of a step of bricks that clutch, also under its press: without and with side faces."""
 FORCES = "balance of forces"
 """Of a step whose state was too much for the coupled analysis."""
 

@@ -7,7 +7,8 @@ friction that squeezes itself; both are programs of :mod:`learn2assemble.statics
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, NamedTuple
 
@@ -25,6 +26,13 @@ from learn2assemble.assembly.contacts import (
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.reach import inner_circle
 from learn2assemble.statics.block_forces import MOST_G, Equilibrium, System
+from learn2assemble.statics.holding_check import (
+    corner_forces,
+    margin_n,
+    reference,
+    stands_by_joints,
+    words_of,
+)
 
 Verdict = Literal["stands", "stands only with tight joints", "falls", "not certain"]
 STANDS: Verdict = "stands"
@@ -66,8 +74,7 @@ class Check:
             only with tight joints`` where side faces have to press, too, ``falls``, or ``not
             certain`` where it rests on edges or points and whether it falls depends on where
             exactly these lie.
-        margin_g: sideways acceleration [g] it withstands in every direction; 0 where it falls.
-        tilt: inclination of the ground it withstands in every direction [deg].
+        margin: gives :attr:`margin_g`.
         holding_force: least force that would hold it, 0 where it stands [N].
         moving: ids of the blocks that move first; empty where it stands.
         blocks: how many there are, supports included.
@@ -79,11 +86,12 @@ class Check:
             may be possible, too, and other programs find none (Kao et al. 2022 solve a nonlinear
             one). That none was found is no proof of a fall; that RBE has no forces is.
         seconds: the check took.
+        margin_n: of joints that clutch, what a contact point can pull more than it needs to [N];
+            negative where it falls for that, None where joints do not clutch or none would do.
     """
 
     verdict: Verdict
-    margin_g: float
-    tilt: float
+    margin: Callable[[], float]
     holding_force: float
     moving: tuple[str, ...]
     blocks: int
@@ -92,6 +100,20 @@ class Check:
     method: str
     proof: str
     seconds: float
+    margin_n: float | None = None
+
+    @cached_property
+    def margin_g(self) -> float:
+        """Sideways acceleration [g] it withstands in every direction; 0 where it falls.
+
+        Of joints that hold it is computed when it is asked for.
+        """
+        return self.margin()
+
+    @property
+    def tilt(self) -> float:
+        """Inclination of the ground it withstands in every direction [deg]."""
+        return float(np.degrees(np.arctan(self.margin_g)))
 
 
 def check(
@@ -115,6 +137,8 @@ def check(
     friction = assembly.friction if friction is None else friction
     check_friction(friction)
     standing = assembly.finished
+    if standing.holds:
+        return _check_holding(replace(standing, friction=friction), started)
     check_overlaps(standing, tolerance)
     joints = Joints(standing, tolerance)
     result, contacts, keep, verdict = joints.decide(friction)
@@ -124,8 +148,7 @@ def check(
     moving = tuple(standing.blocks[k].id for k in result.moving.tolist())
     return Check(
         verdict,
-        margin_g,
-        float(np.degrees(np.arctan(margin_g))),
+        lambda: margin_g,
         result.holding_force,
         moving,
         len(standing.blocks),
@@ -134,6 +157,31 @@ def check(
         result.method,
         _shown(result, margin_g, verdict),
         time.perf_counter() - started,
+    )
+
+
+def _check_holding(standing: Assembly, started: float) -> Check:
+    """The answer for blocks whose joints hold."""
+    found = stands_by_joints(standing)
+    need, joint = found.need, reference(standing)
+    names: tuple[str, ...] = ()
+    holding = 0.0
+    if not need.stands:
+        holds = found.balance.holding()
+        holding, names = holds.force, tuple(standing.blocks[k].id for k in holds.moving)
+    verdict = FALLS if not need.stands else TIGHT if found.tight else STANDS
+    return Check(
+        verdict,
+        found.balance.margin_g if need.stands else lambda: 0.0,
+        holding,
+        names,
+        len(standing.blocks),
+        found.forces.contacts,
+        corner_forces(found),
+        "preload",
+        words_of(need),
+        time.perf_counter() - started,
+        margin_n(need.share, joint),
     )
 
 

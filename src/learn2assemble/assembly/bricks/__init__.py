@@ -1,0 +1,1 @@
+"""Bricks on a lattice of studs: their files, their sizes, and which clutch which."""

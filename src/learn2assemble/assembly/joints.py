@@ -1,0 +1,163 @@
+"""How the joints between blocks hold: dry, by clutch (studs of toy bricks), or by mortar.
+
+A law is data of a kit (its table ``[joint]``) and of an assembly. What it means in a balance of
+forces is :mod:`learn2assemble.statics.holding`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from learn2assemble.errors import InputError, check_name, is_number
+from learn2assemble.files import check_keys, mapping, number, text
+
+Law = Literal["dry", "clutch", "mortar"]
+Base = Literal["grips", "table"]
+LAWS: tuple[Law, ...] = ("dry", "clutch", "mortar")
+BASES: tuple[Base, ...] = ("grips", "table")
+MOST_CAPACITY, MOST_PRESS, MOST_STRENGTH, MOST_AGE = 1e3, 1e4, 1e9, 1e6
+"""Largest pull of a contact point and press [N], strength [Pa] and age [h]."""
+
+
+@dataclass(frozen=True)
+class Joint:
+    """The law of a joint.
+
+    Args:
+        law: ``"dry"``: it pushes, with friction; ``"clutch"``: studs, whose contact points also
+            pull; ``"mortar"``: it also pulls and shears, over its whole patch.
+        capacity: of a clutch, the largest pull of one contact point [N].
+        base: whether the ground under a clutch has studs (``"grips"``) or is a ``"table"``.
+        press: of a clutch, the force with which a block is pressed home [N].
+        pitch: of a clutch, the distance of studs and the height of a layer [m].
+        tensile: of mortar, tensile strength [Pa].
+        shear: of mortar, shear strength without load [Pa].
+        age: of mortar, the age at which it holds [h]; until then the joint is dry.
+
+    Raises:
+        InputError: for laws that are unknown, and numbers that are none, negative or absurd.
+    """
+
+    law: Law = "dry"
+    capacity: float = 0.70
+    base: Base = "grips"
+    press: float = 10.0
+    pitch: tuple[float, float] = (0.008, 0.0032)
+    tensile: float = 0.0
+    shear: float = 0.0
+    age: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_name("joint.law", self.law, LAWS)
+        check_name("joint.base", self.base, BASES)
+        for name, most, unit in (
+            ("capacity", MOST_CAPACITY, "N"),
+            ("press", MOST_PRESS, "N"),
+            ("tensile", MOST_STRENGTH, "Pa"),
+            ("shear", MOST_STRENGTH, "Pa"),
+            ("age", MOST_AGE, "h"),
+        ):
+            if not is_number(getattr(self, name), 0.0, most):
+                raise InputError(f"joint.{name}", getattr(self, name), f"0 to {most:g} {unit}")
+        if len(self.pitch) != 2 or not all(is_number(one, 1e-4, 10.0) for one in self.pitch):
+            raise InputError("joint.pitch", self.pitch, "two lengths from 0.0001 to 10 m")
+
+    @property
+    def holds(self) -> bool:
+        """Whether it can pull, or bear more along itself than friction; else it is dry."""
+        if self.law == "mortar":
+            return max(self.tensile, self.shear) > 0
+        return self.law == "clutch" and self.capacity > 0
+
+
+DRY = Joint()
+_OF_LAW = {
+    "dry": (),
+    "clutch": ("capacity", "base", "press", "pitch"),
+    "mortar": ("tensile", "shear", "age"),
+}
+"""Keys that mean something for a law."""
+
+
+@dataclass(frozen=True)
+class JointOf:
+    """A law that only some joints of an assembly have: those of a kind of blocks, or of two blocks.
+
+    Args:
+        joint: the law.
+        kind: kind of the blocks; a joint has the law where both its blocks are of it.
+        blocks: ids of two blocks.
+    """
+
+    joint: Joint
+    kind: str = ""
+    blocks: tuple[str, str] | None = None
+
+
+def joint_to_json(joint: Joint) -> dict[str, Any]:
+    """The law as an object of a file; what does not matter for it is left out."""
+    values = {name: getattr(joint, name) for name in _OF_LAW[joint.law]}
+    return {"law": joint.law, **{k: list(v) if type(v) is tuple else v for k, v in values.items()}}
+
+
+def joint_of_json(value: Any, where: str, **defaults: Any) -> Joint:
+    """The law of a table of a file.
+
+    Args:
+        value: what the file has.
+        where: what messages call it.
+        defaults: values of fields that it does not give.
+
+    Raises:
+        InputError: for keys that are unknown or of another law, and values that are out of range.
+    """
+    given = mapping(value, where)
+    law = text(given.get("law", "dry"), f"{where}.law")
+    check_name(f"{where}.law", law, LAWS)
+    check_keys(given, where, "", ("law", *_OF_LAW[law]), ())
+    made = {k: v for k, v in defaults.items() if k in _OF_LAW[law]}
+    for key, one in given.items():
+        made[key] = _value(key, one, f"{where}.{key}")
+    try:
+        return Joint(**made)
+    except InputError as error:
+        raise InputError(error.what.replace("joint", where, 1), error.got, error.expected) from None
+
+
+def joints_of_json(rows: Any, where: str) -> tuple[JointOf, ...]:
+    """The laws of single joints, see :class:`JointOf`."""
+    if not isinstance(rows, list):
+        raise InputError(where, rows, "a list of laws of joints")
+    made = []
+    for number_, row in enumerate(rows):
+        at = f"{where}[{number_}]"
+        given = dict(mapping(row, at))
+        kind, pair = given.pop("kind", ""), given.pop("blocks", None)
+        named = isinstance(pair, list) and len(pair) == 2 and all(type(p) is str for p in pair)
+        if not (named if kind == "" else type(kind) is str and pair is None):
+            raise InputError(at, sorted(mapping(row, at)), "a 'kind', or 'blocks' with two ids")
+        joint = joint_of_json(given, at)
+        made.append(JointOf(joint, kind, (pair[0], pair[1]) if named and pair else None))
+    return tuple(made)
+
+
+def joints_to_json(joints: tuple[JointOf, ...]) -> list[dict[str, Any]]:
+    """The reverse of :func:`joints_of_json`."""
+    return [
+        {
+            **({"kind": one.kind} if one.kind else {"blocks": list(one.blocks or ())}),
+            **joint_to_json(one.joint),
+        }
+        for one in joints
+    ]
+
+
+def _value(key: str, value: Any, where: str) -> Any:
+    if key in ("law", "base"):
+        return text(value, where)
+    if key == "pitch":
+        if not isinstance(value, list) or len(value) != 2:
+            raise InputError(where, value, "two lengths [m]")
+        return number(value[0], where), number(value[1], where)
+    return number(value, where)

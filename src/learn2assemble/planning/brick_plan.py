@@ -1,0 +1,59 @@
+"""The plan of given bricks that clutch: their order, or that of their file, with its proof."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.linear_programs import Clock
+from learn2assemble.planning.brick_order import Hands, follow_bricks, order_bricks
+from learn2assemble.planning.given_plan import plan_of
+from learn2assemble.planning.plan import Plan
+
+_LEAST = 1.0
+"""Seconds that are left to try what would help."""
+
+
+def plan_bricks(
+    assembly: Assembly,
+    help_: Hands,
+    clock: Clock,
+    progress: Callable[[str], None],
+    source: str,
+) -> Plan:
+    """Order and proof of bricks.
+
+    The order of the file is kept where every state of it stands, pressed, too; else another one is
+    found, and a note says so.
+
+    Args:
+        assembly: bricks on a lattice of studs whose joints clutch.
+        help_: what may help.
+        clock: limits the search.
+        progress: called with a line of text for everything that takes long.
+        source: the file.
+
+    Raises:
+        InputError: for blocks that are no bricks on one lattice.
+    """
+    started = time.perf_counter()
+    note = None
+    found = None
+    if assembly.steps:
+        found, note = follow_bricks(assembly, help_, clock)
+        assembly = assembly.finished
+    if found is None:
+        found = order_bricks(assembly, help_, clock, progress)
+    if found.status == "not found" and not help_.hands and clock.left > _LEAST:
+        more = order_bricks(assembly, Hands(True, max(1, help_.holds)), clock)
+        if more.status == "complete":
+            held = sum(step.action == "hold" for step in more.steps)
+            reason = f"{found.reason}; with hands it is built (--hands), which hold {held} times"
+            found = replace(found, reason=reason)
+    friction = assembly.friction, assembly.friction
+    plan = plan_of(assembly, found, friction, None, source, started)
+    verified = "balance of joints that hold, in every step, also under its press"
+    design = replace(plan.design, note=note)
+    return replace(plan, verified_by=verified, design=design)

@@ -1,0 +1,66 @@
+"""The plan of given blocks that are in an order."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep
+from learn2assemble.planning import plan as plans
+from learn2assemble.planning.plan import Plan, PlanDesign
+from learn2assemble.planning.sequence import Sequenced
+
+
+def plan_of(
+    assembly: Assembly,
+    found: Sequenced,
+    ends: tuple[float, float],
+    gaps: tuple[float, float] | None,
+    source: str,
+    started: float,
+) -> Plan:
+    """The plan of blocks in an order.
+
+    Args:
+        assembly: the given blocks.
+        found: their order.
+        ends: friction it is proven for.
+        gaps: widths of vertical joints it is proven for.
+        source: the file.
+        started: when planning began, of ``time.perf_counter``.
+    """
+    support = np.array([block.support for block in found.blocks])
+    wanted = ~support & ~np.array([block.prop for block in found.blocks])
+    present = support.copy()
+    steps, made = [], []
+    for number, step in enumerate(found.steps, 1):
+        block = found.blocks[step.block]
+        if step.action in ("place", "remove"):
+            present[step.block] = step.action == "place"
+        covered = float((present & wanted).sum()) / max(int(wanted.sum()), 1)
+        made.append(AssemblyStep(**{step.action: block.id}))
+        steps.append(
+            replace(
+                plans.block_step(number, step.block, block, step.action, covered).with_proof(
+                    step.proof, step.margin_g
+                ),
+                way=step.way,
+            )
+        )
+    blocks = replace(assembly, blocks=found.blocks, steps=tuple(made), not_built=())
+    return Plan(
+        design=PlanDesign(name=assembly.name or "assembly", source=source, block_edge=1.0),
+        status="incomplete" if found.status == "not found" and found.steps else found.status,
+        reason=found.reason,
+        blocks=plans.BlockSupply(int(wanted.sum()), int((present & wanted).sum()), ()),
+        steps=tuple(steps),
+        coverage=steps[-1].coverage if steps else 0.0,
+        seconds=round(time.perf_counter() - started, 3),
+        planner="exact",
+        verified_by="rigid-block equilibrium of every step",
+        friction_range=ends,
+        gap_range=gaps,
+        assembly=blocks.as_far_as_placed(),
+    )

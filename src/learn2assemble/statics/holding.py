@@ -1,0 +1,466 @@
+"""The balance of blocks whose joints hold, as one linear program that is kept warm.
+
+Columns are the forces of :mod:`.holding_forces`; six rows a block say that they bear its weight.
+The share of the strength of the joints that is needed is one more column, and the least of it is
+looked for: where it is at most 1, the blocks stand. Placing or holding a block changes bounds and
+that column alone, so that states that follow each other cost little.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import clarabel
+import highspy
+import numpy as np
+import scipy.sparse as sp
+
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.constants import GRAVITY
+from learn2assemble.errors import Learn2AssembleError
+from learn2assemble.geometry.reach import inner_circle
+from learn2assemble.statics.holding_forces import Columns, Forces, forces_of, joined
+
+MOST_G = 10.0
+"""Margins are cut here [g]."""
+_conic: Any = clarabel
+"""A compiled module without types."""
+_COLUMNWISE = int(highspy.MatrixFormat.kColwise)
+_STATUS = highspy.HighsModelStatus
+_OPTIONS = (
+    ("output_flag", False),
+    ("threads", 1),
+    ("random_seed", 0),
+    # Both cost a third of the time here, and change no answer.
+    ("simplex_scale_strategy", 0),
+    ("dual_simplex_cost_perturbation_multiplier", 0.0),
+    ("simplex_dual_edge_weight_strategy", 0),
+    ("simplex_iteration_limit", 20_000),
+)
+_CAREFUL = (
+    ("simplex_scale_strategy", 2),
+    ("dual_simplex_cost_perturbation_multiplier", 1.0),
+    ("simplex_dual_edge_weight_strategy", -1),
+    ("simplex_iteration_limit", 2**31 - 1),
+)
+_DECIDED = (_STATUS.kOptimal, _STATUS.kInfeasible, _STATUS.kUnboundedOrInfeasible)
+_MANY = 300
+"""Blocks from which one state alone is answered by a method of interior points."""
+_CLOSE = 1e-3
+"""Share of the strength by which its answer has to be clear."""
+_FULL = 1.0 + 1e-7
+"""Share of the strength up to which joints hold."""
+_MOVES = 0.1
+"""A block moves where its part of the motion is this share of the largest."""
+_FIRST = np.pi / 8 + np.pi / 4 * np.arange(8)
+_DIRECTIONS = 24
+"""Of a margin: at most so many programs."""
+
+
+class Need(NamedTuple):
+    """What a state needs."""
+
+    share: float
+    """Least share of the strength of the joints with which forces balance it; infinite where none
+    do at any strength."""
+    forces: np.ndarray
+    """float64[n]: of the columns [N]; zero where it does not stand."""
+
+    @property
+    def stands(self) -> bool:
+        """Whether the strength of the joints suffices."""
+        return self.share <= _FULL
+
+
+class Push(NamedTuple):
+    """A force down on a block."""
+
+    block: int
+    force: float
+    """[N]; below 0 it lifts."""
+    at: tuple[float, float]
+    """Where, x and y [m]."""
+
+
+class Holding(NamedTuple):
+    """What would hold a state that falls."""
+
+    force: float
+    """Least sum of forces, and of couples over a length, on all blocks [N]."""
+    moving: list[int]
+    """Blocks that move first."""
+
+
+class Balance:
+    """The program of one assembly.
+
+    Args:
+        assembly: the blocks where they stand; steps are not looked at.
+        forces: of its joints.
+        sides: whether faces side by side push, too.
+    """
+
+    def __init__(self, assembly: Assembly, forces: Forces, sides: bool = False) -> None:
+        blocks = assembly.blocks
+        self.count = len(blocks)
+        self.fixed = np.array([block.support for block in blocks])
+        self.weight = GRAVITY * np.array([block.mass for block in blocks])
+        centre = np.array([block.centroid for block in blocks])
+        self._centre = centre
+        self._unit = float(self.weight.mean())
+        self._length = float(np.cbrt(np.median([block.volume for block in blocks])))
+        self.kept = np.arange(len(forces.upright)) if sides else np.flatnonzero(forces.upright)
+        columns = Columns(*(field[self.kept] for field in forces.columns))
+        self.columns, self.preload = columns, forces.preload
+        self._width = n = len(columns.b)
+        matrix = self._matrix(joined([columns, forces.preload]), centre)
+        first = matrix.indptr[n]
+        matrix.data[first:] = np.asarray(matrix.data[first:], np.float64) / self._unit
+        self._both = matrix
+        self._bodies = columns.a, columns.b
+        self._pull_bodies = forces.preload.a, forces.preload.b
+        rows = 6 * self.count
+        self._last = np.bincount(matrix.indices[first:], matrix.data[first:], rows)
+        filled = np.flatnonzero(self._last)
+        start = np.append(matrix.indptr[: n + 1], first + len(filled)).astype(np.int32)
+        index = np.concatenate([matrix.indices[:first], filled]).astype(np.int32)
+        value = np.concatenate([matrix.data[:first], self._last[filled]])
+        self._solver: Any = highspy.Highs()
+        solver = self._solver
+        for option, chosen in _OPTIONS:
+            solver.setOptionValue(option, chosen)
+        self._lower = np.append(columns.lower / self._unit, 0.0)
+        self._upper = np.append(columns.upper / self._unit, np.inf)
+        load = self._load(np.zeros(self.count), None)
+        cost = np.zeros(n + 1)
+        cost[n] = 1.0
+        self._present = np.ones(self.count, bool)
+        self._free = ~self.fixed
+        low, high = self._row_bounds(load, self._free)
+        status = solver.passModel(
+            n + 1,
+            rows,
+            len(value),
+            _COLUMNWISE,
+            int(highspy.ObjSense.kMinimize),
+            0.0,
+            cost,
+            self._lower,
+            self._upper,
+            low,
+            high,
+            start,
+            index,
+            value,
+            np.zeros(n + 1, np.int32),
+        )
+        if status == highspy.HighsStatus.kError:
+            raise Learn2AssembleError("balance: the solver refused the matrix")
+        self._load_now = load
+        self._started, self._least = False, True
+
+    # ------------------------------------------------------------ the program
+
+    @cached_property
+    def _wrench(self) -> sp.csc_matrix:
+        """[6 count, n]: wrenches of unit forces."""
+        return self._both[:, : self._width]
+
+    @cached_property
+    def _pulls(self) -> sp.csc_matrix:
+        """[6 count, joints]: wrenches of whole preloads, in mean weights."""
+        return self._both[:, self._width :]
+
+    def _matrix(self, columns: Columns, centre: np.ndarray) -> sp.csc_matrix:
+        """Wrenches of unit forces on the blocks, couples over a length."""
+        rows, which, values = [], [], []
+        for body, sign in ((columns.b, 1.0), (columns.a, -1.0)):
+            on = np.flatnonzero((body >= 0) & ~self.fixed[body])
+            of = body[on]
+            arm = columns.at[on] - centre[of]
+            couple = (_cross(arm, columns.force[on]) + columns.couple[on]) / self._length
+            wrench = sign * np.concatenate([columns.force[on], couple], 1)
+            at, part = np.nonzero(np.abs(wrench) > 1e-12)
+            rows.append(6 * of[at] + part)
+            which.append(on[at])
+            values.append(wrench[at, part])
+        index = np.concatenate(rows), np.concatenate(which)
+        shape = 6 * self.count, len(columns.b)
+        return sp.csc_matrix((np.concatenate(values), index), shape)
+
+    def _load(self, push: np.ndarray, sideways: np.ndarray | None) -> np.ndarray:
+        """float64[6 count]: what forces have to balance, in mean weights.
+
+        Args:
+            push: float64[count], further forces down on blocks [N].
+            sideways: float64[2], horizontal acceleration of all blocks [g].
+        """
+        load = np.zeros((self.count, 6))
+        load[:, 2] = (self.weight + push) / self._unit
+        if sideways is not None:
+            load[:, :2] = self.weight[:, None] * sideways / self._unit
+        return load.reshape(-1)
+
+    def _row_bounds(self, load: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        rows = np.repeat(free, 6)
+        return np.where(rows, load, -np.inf), np.where(rows, load, np.inf)
+
+    def _on(self, bodies: tuple[np.ndarray, np.ndarray], present: np.ndarray) -> np.ndarray:
+        a, b = bodies
+        return present[b] & ((a < 0) | present[a])
+
+    def _set(self, present: np.ndarray, free: np.ndarray, load: np.ndarray) -> None:
+        """Change what differs from the state before."""
+        solver = self._solver
+        if (present != self._present).any():
+            before, now = self._on(self._bodies, self._present), self._on(self._bodies, present)
+            change = np.flatnonzero(before != now).astype(np.int32)
+            if len(change):
+                on = now[change]
+                solver.changeColsBounds(
+                    len(change),
+                    change,
+                    np.where(on, self._lower[change], 0.0),
+                    np.where(on, self._upper[change], 0.0),
+                )
+            pulling = self._on(self._pull_bodies, present).astype(float)
+            last = self._pulls @ pulling
+            for row in np.flatnonzero(np.abs(last - self._last) > 1e-12).tolist():
+                solver.changeCoeff(row, self._width, float(last[row]))
+            self._last, self._present = last, present.copy()
+        low, high = self._row_bounds(load, free)
+        old_low, old_high = self._row_bounds(self._load_now, self._free)
+        change = np.flatnonzero((low != old_low) | (high != old_high)).astype(np.int32)
+        if len(change):
+            solver.changeRowsBounds(len(change), change, low[change], high[change])
+        self._free, self._load_now = free.copy(), load
+
+    def _run(self) -> tuple[bool, np.ndarray]:
+        """Whether there is an optimum, and the columns."""
+        solver = self._solver
+        solver.run()
+        status = solver.getModelStatus()
+        if status not in _DECIDED:
+            # It goes round in circles: from the start again, with costs that are perturbed.
+            solver.clearSolver()
+            for option, value in _CAREFUL:
+                solver.setOptionValue(option, value)
+            solver.run()
+            status = solver.getModelStatus()
+            for option, value in _OPTIONS:
+                solver.setOptionValue(option, value)
+        if status == _STATUS.kOptimal:
+            return True, np.array(self._solver.getSolution().col_value)
+        return False, np.zeros(self._width + 1)
+
+    # ------------------------------------------------------------ questions
+
+    def need(
+        self,
+        present: np.ndarray | None = None,
+        held: np.ndarray | None = None,
+        push: np.ndarray | None = None,
+    ) -> Need:
+        """The strength that a state needs.
+
+        Args:
+            present: bool[count], the blocks that are there; all by default.
+            held: bool[count], those of them that a hand holds.
+            push: float64[count], further forces down on blocks, at their middle [N].
+        """
+        there = np.ones(self.count, bool) if present is None else present
+        free = there & ~self.fixed & (True if held is None else ~held)
+        load = self._load(np.zeros(self.count) if push is None else push, None)
+        self._set(there, free, load)
+        if self.count > _MANY and not self._started:
+            found = self._by_cones(load, there, free)
+            if found is not None and abs(found.share - 1.0) > _CLOSE:
+                return found
+        self._started = True
+        self._aim(True)
+        fits, x = self._run()
+        if not fits:
+            return Need(np.inf, x[: self._width])
+        share = float(max(x[self._width], 0.0))
+        return Need(share, x[: self._width] * self._unit)
+
+    def stands(self, present: np.ndarray, held: np.ndarray, push: Push | None = None) -> bool:
+        """Whether a state stands with the strength its joints have; quicker than :meth:`need`.
+
+        Args:
+            present: bool[count], the blocks that are there.
+            held: bool[count], those of them that a hand holds.
+            push: a further force on a block.
+        """
+        free = present & ~self.fixed & ~held
+        if not free.any():
+            return True
+        load = self._load(np.zeros(self.count), None)
+        if push is not None:
+            arm = np.array(push.at) - self._centre[push.block, :2]
+            wrench = push.force / self._unit * np.array([1.0, *(arm[::-1] / self._length)])
+            load[6 * push.block + np.arange(2, 5)] += wrench * [1, 1, -1]
+        self._aim(False)
+        self._set(present, free, load)
+        return self._run()[0]
+
+    def _aim(self, least: bool) -> None:
+        """Look for the least share of the strength, or for any forces with all of it.
+
+        Without a cost every basis is one to go on from, so that states that follow each other cost
+        a few steps each.
+        """
+        if least != self._least:
+            cost, low, high = (1.0, 0.0, np.inf) if least else (0.0, 1.0, 1.0)
+            self._solver.changeColCost(self._width, cost)
+            self._solver.changeColBounds(self._width, low, high)
+            self._least = least
+
+    def _by_cones(self, load: np.ndarray, present: np.ndarray, free: np.ndarray) -> Need | None:
+        """The same by interior points, which many blocks cost less; None where it is stuck."""
+        rows = np.flatnonzero(np.repeat(free, 6))
+        on = np.flatnonzero(self._on(self._bodies, present))
+        last = sp.csc_matrix(self._last[rows].reshape(-1, 1))
+        balance = sp.hstack([self._wrench[rows][:, on], last])
+        lower = np.append(self._lower[on], 0.0)
+        upper = np.append(self._upper[on], np.inf)
+        count = len(on) + 1
+        signs, bound, cones = [balance], [load[rows]], [_conic.ZeroConeT(len(rows))]
+        for limit, sign in ((lower, -1.0), (upper, 1.0)):
+            some = np.flatnonzero(np.isfinite(limit))
+            signs.append(sign * sp.csr_matrix(sp.identity(count))[some])
+            bound.append(sign * limit[some])
+            cones.append(_conic.NonnegativeConeT(len(some)))
+        cost = np.zeros(count)
+        cost[-1] = 1.0
+        settings = _conic.DefaultSettings()
+        settings.verbose = False
+        settings.max_threads = 1
+        settings.direct_solve_method = "qdldl"
+        energy = sp.csc_matrix((count, count))
+        matrix = sp.csc_matrix(sp.vstack(signs))
+        answer = _conic.DefaultSolver(
+            energy, cost, matrix, np.concatenate(bound), cones, settings
+        ).solve()
+        if answer.status != _conic.SolverStatus.Solved:
+            return None
+        forces = np.zeros(self._width)
+        forces[on] = np.array(answer.x)[:-1] * self._unit
+        return Need(float(max(answer.x[-1], 0.0)), forces)
+
+    def margin_g(self, present: np.ndarray | None = None, held: np.ndarray | None = None) -> float:
+        """Sideways acceleration [g] in every direction that a state that stands withstands.
+
+        The accelerations that its joints can balance are a convex set; the largest circle about
+        zero in the hull of points of its border is inside.
+        """
+        there = np.ones(self.count, bool) if present is None else present
+        free = there & ~self.fixed & (True if held is None else ~held)
+        if not free.any():
+            return MOST_G
+        self._aim(True)
+        self._set(there, free, self._load(np.zeros(self.count), None))
+        solver, width = self._solver, self._width
+        pulling = self._on(self._pull_bodies, there).astype(float)
+        offset = self._pulls @ pulling  # The whole strength is there.
+        points, angles, queue, above = [], [], list(_FIRST), MOST_G
+        solver.changeColCost(width, -1.0)
+        load = self._load_now
+        try:
+            low, high = self._row_bounds(load - offset, free)
+            rows = np.arange(len(low), dtype=np.int32)
+            solver.changeRowsBounds(len(low), rows, low, high)
+            while queue:
+                angle = queue.pop(0)
+                way = np.array([np.cos(angle), np.sin(angle)])
+                column = np.zeros((self.count, 6))
+                column[:, :2] = -self.weight[:, None] * way / self._unit
+                self._replace_last(column.reshape(-1))
+                solver.changeColBounds(width, 0.0, MOST_G)
+                fits, x = self._run()
+                if not fits:
+                    return 0.0
+                reach, dual = float(x[width]), np.array(self._solver.getSolution().row_dual)
+                points.append(reach * way)
+                angles.append(angle)
+                above = min(above, self._bound(dual, load - offset, reach, way))
+                if not queue and len(points) < _DIRECTIONS:
+                    below, angle = inner_circle(np.array(points))
+                    known = min(abs(np.angle(np.exp(1j * (angle - a)))) for a in angles) < 1e-3
+                    if below < 0.99 * above and not known:
+                        queue.append(angle)
+            return float(min(max(inner_circle(np.array(points))[0], 0.0), MOST_G))
+        finally:
+            solver.changeColCost(width, 1.0)
+            solver.changeColBounds(width, 0.0, np.inf)
+            self._replace_last(offset)
+            low, high = self._row_bounds(load, free)
+            solver.changeRowsBounds(len(low), np.arange(len(low), dtype=np.int32), low, high)
+
+    def _bound(self, dual: np.ndarray, load: np.ndarray, reach: float, way: np.ndarray) -> float:
+        """How far the line through a point of the border that no acceleration passes is from 0."""
+        side = dual.reshape(-1, 6)[:, :2]
+        slope = (self.weight[:, None] / self._unit * side).sum(0)
+        length = float(np.linalg.norm(slope))
+        return MOST_G if length == 0 else abs(float(slope @ way)) * reach / length
+
+    def _replace_last(self, column: np.ndarray) -> None:
+        for row in np.flatnonzero(np.abs(column - self._last) > 1e-12).tolist():
+            self._solver.changeCoeff(row, self._width, float(column[row]))
+        self._last = column
+
+    def holding(self, present: np.ndarray | None = None, held: np.ndarray | None = None) -> Holding:
+        """The least forces that would hold a state with all its strength, and what moves first."""
+        there = np.ones(self.count, bool) if present is None else present
+        free = there & ~self.fixed & (True if held is None else ~held)
+        rows = np.flatnonzero(np.repeat(free, 6))
+        on = np.flatnonzero(self._on(self._bodies, there))
+        pulling = self._on(self._pull_bodies, there).astype(float)
+        load = self._load(np.zeros(self.count), None) - self._pulls @ pulling
+        matrix = self._wrench[rows][:, on]
+        m, n = len(rows), len(on)
+        slack = sp.identity(m, format="csc")
+        whole = sp.csc_matrix(sp.hstack([matrix, slack, -slack]))
+        solver: Any = highspy.Highs()
+        for option, value in _OPTIONS:
+            solver.setOptionValue(option, value)
+        cost = np.concatenate([np.zeros(n), np.ones(2 * m)])
+        lower = np.concatenate([self._lower[on], np.zeros(2 * m)])
+        upper = np.concatenate([self._upper[on], np.full(2 * m, np.inf)])
+        solver.passModel(
+            n + 2 * m,
+            m,
+            whole.nnz,
+            _COLUMNWISE,
+            int(highspy.ObjSense.kMinimize),
+            0.0,
+            cost,
+            lower,
+            upper,
+            load[rows],
+            load[rows],
+            whole.indptr.astype(np.int32),
+            whole.indices.astype(np.int32),
+            whole.data,
+            np.zeros(n + 2 * m, np.int32),
+        )
+        solver.run()
+        force = float(solver.getInfo().objective_function_value) * self._unit
+        motion = np.zeros(6 * self.count)
+        motion[rows] = np.array(solver.getSolution().row_dual)
+        size = np.linalg.norm(motion.reshape(-1, 6), axis=1)
+        moving = np.flatnonzero(size >= _MOVES * max(size.max(initial=0.0), 1e-12)).tolist()
+        return Holding(force, moving)
+
+
+def balance_of(assembly: Assembly, sides: bool = False, cured: bool = True) -> Balance:
+    """The program of an assembly; arguments as :class:`Balance` and
+    :func:`.holding_forces.forces_of`."""
+    return Balance(assembly, forces_of(assembly, cured), sides)
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross products of rows; quicker than numpy's for few of them."""
+    (x, y, z), (u, v, w) = a.T, b.T
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], 1)

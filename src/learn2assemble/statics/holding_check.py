@@ -1,0 +1,96 @@
+"""Whether an assembly stands whose joints hold, and how far it is from falling."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.contacts import GROUND
+from learn2assemble.assembly.joints import Joint
+from learn2assemble.errors import InputError
+from learn2assemble.statics.holding import Balance, Need
+from learn2assemble.statics.holding_forces import Forces, forces_of
+
+
+class JointAnswer(NamedTuple):
+    """Of :func:`stands_by_joints`."""
+
+    need: Need
+    tight: bool
+    """Whether faces side by side have to push."""
+    balance: Balance
+    forces: Forces
+
+
+def stands_by_joints(assembly: Assembly, cured: bool = True) -> JointAnswer:
+    """Whether an assembly stands on what weight and joints press together, else with faces side by
+    side that push, too.
+
+    Raises:
+        InputError: where nothing stands on a support or the ground; see
+            :func:`~learn2assemble.statics.holding_forces.forces_of`.
+    """
+    forces = forces_of(assembly, cured)
+    supported = any(block.support for block in assembly.blocks)
+    if not supported and not (forces.contacts.a == GROUND).any():
+        low = min(assembly.blocks, key=lambda block: float(block.vertices[:, 2].min()))
+        where = f"block {low.id!r}: lowest point"
+        expected = "a block with a face on z = 0, or a support block"
+        raise InputError(where, float(low.vertices[:, 2].min()), expected)
+    balance = Balance(assembly, forces)
+    need = balance.need()
+    if need.stands or forces.upright.all():
+        return JointAnswer(need, False, balance, forces)
+    beside = Balance(assembly, forces, sides=True)
+    more = beside.need()
+    if more.stands:
+        return JointAnswer(more, True, beside, forces)
+    return JointAnswer(need, False, balance, forces)
+
+
+def reference(assembly: Assembly) -> Joint | None:
+    """The clutch of least capacity of an assembly, in whose newtons margins are told; None where
+    none of its joints clutch."""
+    clutches = [joint for joint in assembly.laws if joint.law == "clutch" and joint.holds]
+    return min(clutches, key=lambda joint: joint.capacity, default=None)
+
+
+def words_of(need: Need) -> str:
+    """What an answer rests on, in words."""
+    if need.stands:
+        return f"forces balance the blocks with {need.share:.1%} of the strength of their joints"
+    if np.isfinite(need.share):
+        return (
+            f"forces would balance the blocks with {need.share:.4g} times the strength of their "
+            "joints: it falls for certain"
+        )
+    return "no forces balance the blocks, however strong their joints: it falls for certain"
+
+
+def margin_n(share: float, joint: Joint | None) -> float | None:
+    """What a contact point could pull less than it can, until the blocks fall [N]; negative where
+    they do, None without clutches or where no strength would do."""
+    if joint is None or not np.isfinite(share):
+        return None
+    return joint.capacity * (1.0 - share)
+
+
+def corner_forces(found: JointAnswer) -> np.ndarray:
+    """float64[C, 3]: forces on block ``b`` at the corners of the contacts [N, world].
+
+    The preload of a joint is shared by its corners.
+    """
+    contacts, columns = found.forces.contacts, found.balance.columns
+    made = np.zeros_like(contacts.points)
+    at = columns.corner >= 0
+    np.add.at(made, columns.corner[at], (found.need.forces[:, None] * columns.force)[at])
+    pulls = found.balance.preload
+    shown = pulls.corner >= 0
+    patch = contacts.patch[pulls.corner[shown]]
+    count = np.bincount(contacts.patch, minlength=len(contacts.a))
+    pull = np.zeros((len(contacts.a), 3))
+    share = min(found.need.share, 1.0)
+    np.add.at(pull, patch, share * pulls.force[shown] / count[patch][:, None])
+    return made + pull[contacts.patch]

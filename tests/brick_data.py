@@ -1,0 +1,69 @@
+"""Models of bricks for tests.
+
+``data/clutch_designs.jsonl.gz`` holds eight designs of StableLego with their verdicts, five samples
+of StableText2Brick and six tasks of APEX-MR; ``data/stablelego_stick.json`` is one of StableLego's
+as it writes them. All are published under the MIT licence: StableLego (Liu et al., RA-L 2024),
+BrickGPT and StableText2Brick (Pun et al., ICCV 2025), APEX-MR (Huang et al., RSS 2025).
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.bricks.files import of_stablelego
+from learn2assemble.assembly.bricks.model import Brick, BrickModel, assembly_of
+from learn2assemble.assembly.kit import load_kit
+
+DATA = Path(__file__).parent / "data"
+LEGO = load_kit("lego")
+PUBLISHED = 0.98
+"""Capacity of the published verdicts [N]."""
+SIZES = [(1, 1), (1, 2), (1, 4), (2, 2), (2, 4), (2, 6), (1, 8), (2, 3)]
+
+
+def designs() -> dict[str, dict[str, Any]]:
+    """The designs by name."""
+    with gzip.open(DATA / "clutch_designs.jsonl.gz", "rt") as file:
+        return {d["name"]: d for d in map(json.loads, file)}
+
+
+def design(name: str) -> Assembly:
+    """One of them."""
+    return of_stablelego(designs()[name], name, name, None)
+
+
+def bricks(*given: tuple[tuple[int, int], tuple[int, int, int]]) -> Assembly:
+    """Bricks of some extents in studs at corners in studs and bricks."""
+    made = [
+        Brick((x, y, 3 * z), (a, b, 3), f"brick {k}") for k, ((a, b), (x, y, z)) in enumerate(given)
+    ]
+    return assembly_of(BrickModel(tuple(made)), LEGO, "test")
+
+
+def random_bricks(seed: int, count: int) -> list[tuple[tuple[int, int], tuple[int, int, int]]]:
+    """A tree of bricks that lie on or hang under one another."""
+    rng = np.random.default_rng(seed)
+    taken: set[tuple[int, int, int]] = set()
+    made: list[tuple[tuple[int, int], tuple[int, int, int]]] = []
+    while len(made) < count:
+        a, b = SIZES[rng.integers(len(SIZES))]
+        if rng.random() < 0.5:
+            a, b = b, a
+        if not made:
+            x, y, z = 20, 20, 0
+        else:
+            (c, d), (u, v, w) = made[rng.integers(len(made))]
+            x = u + int(rng.integers(1 - a, c))
+            y = v + int(rng.integers(1 - b, d))
+            z = w + (1 if rng.random() < 0.75 else -1)
+        cells = {(i, j, z) for i in range(x, x + a) for j in range(y, y + b)}
+        if z >= 0 and not cells & taken:
+            taken |= cells
+            made.append(((a, b), (x, y, z)))
+    return made
