@@ -34,7 +34,7 @@ Doing = tuple[Action, int, Way | None]
 
 
 @dataclass(frozen=True)
-class Hands:
+class BrickHelp:
     """What may help.
 
     Attributes:
@@ -58,7 +58,7 @@ class _Removed(NamedTuple):
 
 def order_bricks(
     assembly: Assembly,
-    help_: Hands,
+    help_: BrickHelp,
     clock: Clock,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Sequenced:
@@ -93,7 +93,7 @@ def order_bricks(
 
 
 def follow_bricks(
-    assembly: Assembly, help_: Hands, clock: Clock
+    assembly: Assembly, help_: BrickHelp, clock: Clock
 ) -> tuple[Sequenced | None, str | None]:
     """The order that an assembly comes with, where every state of it stands, pressed, too.
 
@@ -133,7 +133,7 @@ class _TakingApart:
     def __init__(
         self,
         assembly: Assembly,
-        help_: Hands,
+        help_: BrickHelp,
         balance: Balance,
         clock: Clock,
         progress: Callable[[str], None],

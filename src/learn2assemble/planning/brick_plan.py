@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.linear_programs import Clock
-from learn2assemble.planning.brick_order import Hands, follow_bricks, order_bricks
+from learn2assemble.planning.brick_order import BrickHelp, follow_bricks, order_bricks
 from learn2assemble.planning.given_plan import plan_of
 from learn2assemble.planning.plan import Plan
 
@@ -18,7 +18,7 @@ _LEAST = 1.0
 
 def plan_bricks(
     assembly: Assembly,
-    help_: Hands,
+    help_: BrickHelp,
     clock: Clock,
     progress: Callable[[str], None],
     source: str,
@@ -47,7 +47,7 @@ def plan_bricks(
     if found is None:
         found = order_bricks(assembly, help_, clock, progress)
     if found.status == "not found" and not help_.hands and clock.left > _LEAST:
-        more = order_bricks(assembly, Hands(True, max(1, help_.holds)), clock)
+        more = order_bricks(assembly, BrickHelp(True, max(1, help_.holds)), clock)
         if more.status == "complete":
             held = sum(step.action == "hold" for step in more.steps)
             reason = f"{found.reason}; with hands it is built (--hands), which hold {held} times"

@@ -12,7 +12,7 @@ from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import check_overlaps, shrunk
 from learn2assemble.errors import InputError, is_whole
 from learn2assemble.linear_programs import Clock
-from learn2assemble.planning.brick_order import Hands
+from learn2assemble.planning.brick_order import BrickHelp
 from learn2assemble.planning.brick_plan import plan_bricks
 from learn2assemble.planning.given_plan import plan_of
 from learn2assemble.planning.plan import Plan
@@ -86,7 +86,7 @@ def plan_assembly(
         if gap is not None or supports == "posts":
             got = "a gap" if gap is not None else "posts"
             raise InputError("bricks that clutch", got, "hands and holds alone to help them")
-        help_ = Hands(hands, max(holds, 1) if hands else holds)
+        help_ = BrickHelp(hands, max(holds, 1) if hands else holds)
         return plan_bricks(assembly, help_, Clock(seconds), progress, source)
     if hands:
         raise InputError("hands", hands, "bricks that clutch (a kit such as lego)")

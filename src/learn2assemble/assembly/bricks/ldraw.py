@@ -32,7 +32,7 @@ _TURNS = {
 """The turn of a part whose long side is along x, or along y."""
 
 
-class _Line(NamedTuple):
+class _PartLine(NamedTuple):
     """A part or a submodel in a file."""
 
     colour: str
@@ -46,7 +46,7 @@ class _File(NamedTuple):
     """A model: its lines, None where a step ends."""
 
     title: str
-    lines: list[_Line | None]
+    lines: list[_PartLine | None]
 
 
 class _Place(NamedTuple):
@@ -171,7 +171,7 @@ def _add_colour(words: list[str], colours: dict[int, tuple[int, int, int]]) -> N
     colours[code] = red, green, blue
 
 
-def _line(raw: str, words: list[str], where: str) -> _Line:
+def _line(raw: str, words: list[str], where: str) -> _PartLine:
     if len(words) < 15:
         raise InputError(where, raw, "1 colour x y z a b c d e f g h i part")
     try:
@@ -180,7 +180,7 @@ def _line(raw: str, words: list[str], where: str) -> _Line:
         raise InputError(where, raw, "twelve numbers after the colour") from None
     if not np.isfinite(numbers).all() or np.abs(numbers).max() > 1e7:
         raise InputError(where, raw, "numbers up to 1e7")
-    return _Line(words[1], numbers[3:].reshape(3, 3), numbers[:3], " ".join(words[14:]), where)
+    return _PartLine(words[1], numbers[3:].reshape(3, 3), numbers[:3], " ".join(words[14:]), where)
 
 
 def _count(
@@ -220,7 +220,7 @@ def _expand(
 
 
 def _colour(
-    line: _Line, main: tuple[int, int, int] | None, colours: dict[int, tuple[int, int, int]]
+    line: _PartLine, main: tuple[int, int, int] | None, colours: dict[int, tuple[int, int, int]]
 ) -> tuple[int, int, int] | None:
     word = line.colour
     if re.fullmatch("(0x|#)[0-9a-fA-F]{7,8}", word):
