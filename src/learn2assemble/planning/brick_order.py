@@ -279,7 +279,8 @@ class _TakingApart:
         level = self.help.holds > 0 and not self.stands(present, under, self.middle(press))
         steps: list[Doing] = [("place", b, way)]
         if level:
-            steps += [("hold", b, None), ("release", b, None)]
+            steps.append(("hold", b, None))
+            steps.append(("release", b, None))
         if helper is not None:
             steps.append(("release", helper, None))
         if mate is not None:
