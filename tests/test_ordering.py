@@ -142,7 +142,10 @@ def imbalance(proof: Proof, placed: np.ndarray) -> float:
     rest[:, 0] = -s.weight
     for block, sign in ((s.upper, 1.0), (s.lower, -1.0)):
         at = np.flatnonzero((block >= 0) & (proof.force > 0))
-        arms = (proof.px[at] - proof.cx[block[at]], proof.py[at] - proof.cy[block[at]])
+        arms = (
+            proof.load.px[at] - proof.load.cx[block[at]],
+            proof.load.py[at] - proof.load.cy[block[at]],
+        )
         for k, lever in enumerate((np.ones(len(at)), *(arm / s.pitch for arm in arms))):
             np.add.at(rest[:, k], block[at], sign * proof.force[at] * lever)
     return float(np.abs(rest[placed]).max() / s.weight[placed].max())

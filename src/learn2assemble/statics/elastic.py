@@ -28,12 +28,12 @@ from learn2assemble.linear_programs import LinearProgram
 
 STEPS = 30
 """Of Newton's method; where forces exist, mostly fewer than ten."""
-_ROUNDING = 1e-10
+ROUNDING = 1e-10
 """Largest imbalance, in units of the largest load."""
-_LEAK, _LEAST_LEAK, _MOST_LEAK = 1e-3, 1e-9, 1e-1
+LEAK, LEAST_LEAK, MOST_LEAK = 1e-3, 1e-9, 1e-1
 """How much a point without force still resists, as a share of one with force: at first, at least
 and at most. Without it, a block that lifts off would move without bounds."""
-_HALVINGS = 8
+HALVINGS = 8
 
 
 def balance(
@@ -61,10 +61,10 @@ def balance(
     most = m / 3 * float(load[::3].sum())
     motion, pull, force = np.zeros(m), np.zeros(n), np.maximum(near, 0.0)
     left = load - arms @ force
-    value, leak = 0.5 * float((force**2 / share).sum()), _LEAK
+    value, leak = 0.5 * float((force**2 / share).sum()), LEAK
     for _ in range(STEPS):
         worst = float(np.abs(left).max())
-        if worst <= _ROUNDING * float(np.abs(load).max()):
+        if worst <= ROUNDING * float(np.abs(load).max()):
             return force
         soft = np.where(near + share * pull >= 0, share, leak * share)
         matrix = arms @ sp.diags_array(soft) @ turned
@@ -78,7 +78,7 @@ def balance(
         slope, along, step = float(left @ change), turned @ change, 1.0
         if not np.isfinite(slope) or slope <= 0:
             return None
-        for _ in range(_HALVINGS):
+        for _ in range(HALVINGS):
             there = np.maximum(near + share * (pull + step * along), 0.0)
             after = 0.5 * float((there**2 / share).sum()) - float(load @ (motion + step * change))
             other = load - arms @ there
@@ -87,11 +87,11 @@ def balance(
                 break
             step /= 2
         else:
-            if leak >= _MOST_LEAK:
+            if leak >= MOST_LEAK:
                 return None
-            leak = min(100 * leak, _MOST_LEAK)
+            leak = min(100 * leak, MOST_LEAK)
             continue
-        leak = max(0.1 * leak, _LEAST_LEAK) if step == 1 else min(3 * leak, _MOST_LEAK)
+        leak = max(0.1 * leak, LEAST_LEAK) if step == 1 else min(3 * leak, MOST_LEAK)
         motion, pull = motion + step * change, pull + step * along
         force, value, left = there, after, other
         if float(load @ motion) > most * max(float(pull.max()), 0.0):

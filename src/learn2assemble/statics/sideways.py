@@ -8,7 +8,7 @@ import numpy as np
 
 from learn2assemble.geometry.reach import inner_circle
 from learn2assemble.linear_programs import Clock
-from learn2assemble.statics.step_proof import Proof, Stack, lies_below
+from learn2assemble.statics.step_proof import Proof, Stack
 
 _DIRECTIONS = 16
 """In how many directions a sideways acceleration is proven; all others follow from these."""
@@ -66,10 +66,11 @@ class Sideways:
         enough = math.inf
         for n in sorted(lost, key=lambda n: before[n]):
             load = self.loads[n]
-            load.search(placed, upright, min(before[n], enough))
+            done = before[n] > enough and load.reach(enough, placed, upright)
+            if not done and not load.mend(dirty, placed, before[n]):
+                load.search(placed, upright, min(before[n], enough))
             if load.level <= 0:
-                changing = lies_below(load.stack, np.flatnonzero(dirty).tolist(), placed)
-                load.program(placed, changing, before[n], clock.left)
+                load.spread(placed, before[n], clock.left)
             enough = min(enough, _ENOUGH * load.level) if load.level > 0 else enough
 
     def search(self, placed: np.ndarray, upright: np.ndarray, clock: Clock) -> None:
@@ -106,12 +107,23 @@ class _Load:
             return False
         return True
 
-    def program(
-        self, placed: np.ndarray, changing: np.ndarray, level: float, seconds: float
-    ) -> None:
-        """Take a level that the last proof holds by a program over the blocks ``changing``."""
-        if self.proof.program(placed, changing, seconds):
+    def mend(self, dirty: np.ndarray, placed: np.ndarray, level: float) -> bool:
+        """Take a level that the last proof holds once blocks that are near are balanced
+        together; whether it does."""
+        if self.proof.settle(dirty, placed, mends=True):
             self.level = level
+        return self.level > 0
+
+    def spread(self, placed: np.ndarray, level: float, seconds: float) -> bool:
+        """Take a level that a program over all blocks proves; whether there is one.
+
+        Its forces begin from nothing, so that they are spread and leave room for what comes next.
+        """
+        proof = self._fresh(level)
+        if not proof.program(placed, placed, seconds):
+            return False
+        self.level, self.proof = level, proof
+        return True
 
     def search(
         self, placed: np.ndarray, upright: np.ndarray, most: float, seconds: float = 0.0
@@ -122,25 +134,23 @@ class _Load:
             seconds: for programs, where the local proof finds nothing.
         """
         low, high = self.level, most
-        if high <= low or self._try(high, placed, upright):
+        if high <= low or self.reach(high, placed, upright):
             return
         if low <= 0 and not (
-            self._try(_LEAST, placed, upright) or self._by_program(placed, most, seconds)
+            self.reach(_LEAST, placed, upright) or self._by_program(placed, most, seconds)
         ):
             return
         low = self.level
         while high - low > max(_PRECISION * low, _LEAST / 4):
             middle = math.sqrt(low * high)
-            if self._try(middle, placed, upright):
+            if self.reach(middle, placed, upright):
                 low = middle
             else:
                 high = middle
 
     def _by_program(self, placed: np.ndarray, most: float, seconds: float) -> bool:
         for level in (16 * _LEAST, 4 * _LEAST, _LEAST):
-            proof = self._fresh(level)
-            if level < most and seconds > 0 and proof.program(placed, placed, seconds):
-                self.level, self.proof = level, proof
+            if level < most and seconds > 0 and self.spread(placed, level, seconds):
                 return True
         return False
 
@@ -148,14 +158,13 @@ class _Load:
         """The highest level above the present one, up to ``most``, that a program proves."""
         low, high, level = self.level, most, most
         while high - low > max(_FIRM * low, _LEAST / 4) and clock.left > 0:
-            proof = self._fresh(level)
-            if proof.program(placed, placed, clock.left):
-                low, self.level, self.proof = level, level, proof
+            if self.spread(placed, level, clock.left):
+                low = level
             else:
                 high = level
             level = math.sqrt(max(low, _LEAST / 4) * high)
 
-    def _try(self, level: float, placed: np.ndarray, upright: np.ndarray) -> bool:
+    def reach(self, level: float, placed: np.ndarray, upright: np.ndarray) -> bool:
         # Linear pressures from nothing are smoothest; else the forces of the upright state guide.
         for start in (None, upright):
             proof = self._fresh(level)

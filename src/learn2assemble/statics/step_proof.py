@@ -1,4 +1,4 @@
-r"""Whether a stack of lattice blocks stands on its bed faces: a compiled proof and a program.
+r"""Whether a stack of lattice blocks stands on its bed faces: a local proof and a program.
 
 Only horizontal joints carry force, so nothing depends on how tight the vertical ones are. A state
 is *proven* where normal forces :math:`N_p \ge 0` at the corners of the contact patches balance
@@ -18,12 +18,13 @@ let every force point along :math:`(a d, 1)`: the same equations with :math:`x` 
 ``a``; tilting the table by :math:`\arctan a` is the same load. Such forces are one family among
 all that friction allows, so the acceleration found is a lower bound of what the stack withstands.
 
-**Local proof.** A new block's load is passed down, block by block: its bed faces answer with the
-smallest change of their forces that balances it and stays non-negative (a linear pressure where
-nothing is at zero yet), a quadratic program in three multipliers solved by Newton's method. Only
-what lies below is touched. Where that fails, forces are looked for under many blocks at once
-(:mod:`.elastic`, and a linear program where that finds no answer): first under what lies below with
-the loads of all else held, then under all blocks.
+**Local proof.** A new block's load is passed down, block by block (:mod:`.local_proof`): its bed
+faces answer with the smallest change of their forces that balances it and stays non-negative (a
+linear pressure where nothing is at zero yet). Only what lies below is touched. Where that fails,
+blocks that cannot answer are balanced together with those near them, and where that fails, too,
+forces are looked for under many blocks at once (:mod:`.elastic`, and a linear program where that
+finds no answer): first under what lies below with the loads of all else held, then under all
+blocks.
 """
 
 from __future__ import annotations
@@ -33,12 +34,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 
 from learn2assemble.assembly.blocks import Block
 from learn2assemble.assembly.contacts import Contacts
 from learn2assemble.linear_programs import INF, LinearProgram, solve
 from learn2assemble.statics.elastic import balance
+from learn2assemble.statics.local_proof import Load, settle
 
 GROUND = -1
 EDGE_INSET = 1e-3
@@ -46,7 +47,6 @@ EDGE_INSET = 1e-3
 half the joint gap: what is balanced right on an edge is not called standing."""
 TOLERANCE = 1e-7
 """Largest imbalance of a proof, in weights of the heaviest block (and of the pitch)."""
-_ITERATIONS = 40
 
 
 @dataclass(frozen=True)
@@ -89,6 +89,13 @@ class Stack:
         """int64: all blocks that are in no ring and rest on none, each before what bears it."""
         order = np.argsort(-self.rank, kind="stable")
         return order[self.rank[order] >= 0]
+
+    @cached_property
+    def turn(self) -> np.ndarray:
+        """int64[n]: where each block is in :attr:`order`, -1 where it is not."""
+        turn = np.full(len(self), -1)
+        turn[self.order] = np.arange(len(self.order))
+        return turn
 
     def __len__(self) -> int:
         return len(self.weight)
@@ -196,161 +203,6 @@ def ranks(stack: Stack) -> np.ndarray:
     return rank
 
 
-# ---------------------------------------------------------------- compiled
-
-
-@njit(cache=True)
-def _answer(force, xs, ys, share, target, cx, cy, unit, scale, trial):
-    """Smallest change of ``force`` (float64[k], in place) that balances ``target`` about (cx, cy).
-
-    ``target`` is (force, moments) in the units of ``force`` and of ``unit`` [m]. Returns whether
-    it was found; ``trial`` is float64[k] to work in.
-    """
-    count = len(force)
-    mean = 0.0
-    for p in range(count):
-        mean += share[p]
-    if mean <= 0.0:
-        return False
-    mean /= count
-    l0 = l1 = l2 = 0.0
-    for p in range(count):
-        trial[p] = force[p]
-    r0, r1, r2 = target[0], target[1], target[2]
-    for p in range(count):
-        u, v = (xs[p] - cx) / unit, (ys[p] - cy) / unit
-        r0 -= trial[p]
-        r1 -= trial[p] * u
-        r2 -= trial[p] * v
-    size = abs(r0) + abs(r1) + abs(r2)
-    for _ in range(_ITERATIONS):
-        if size <= 1e-9 * scale:
-            for p in range(count):
-                force[p] = trial[p]
-            return True
-        h00 = h01 = h02 = h11 = h12 = h22 = 0.0
-        for p in range(count):
-            u, v, w = (xs[p] - cx) / unit, (ys[p] - cy) / unit, share[p] / mean
-            if force[p] + w * (l0 + l1 * u + l2 * v) >= 0.0:
-                h00 += w
-                h01 += w * u
-                h02 += w * v
-                h11 += w * u * u
-                h12 += w * u * v
-                h22 += w * v * v
-        damp = 1e-10 * (h00 + h11 + h22) + 1e-14
-        h00 += damp
-        h11 += damp
-        h22 += damp
-        c00 = h11 * h22 - h12 * h12
-        c01 = h02 * h12 - h01 * h22
-        c02 = h01 * h12 - h02 * h11
-        c11 = h00 * h22 - h02 * h02
-        c12 = h01 * h02 - h00 * h12
-        c22 = h00 * h11 - h01 * h01
-        det = h00 * c00 + h01 * c01 + h02 * c02
-        if det <= 0.0:
-            return False
-        s0 = (c00 * r0 + c01 * r1 + c02 * r2) / det
-        s1 = (c01 * r0 + c11 * r1 + c12 * r2) / det
-        s2 = (c02 * r0 + c12 * r1 + c22 * r2) / det
-        step, better = 1.0, False
-        for _ in range(12):
-            t0, t1, t2 = target[0], target[1], target[2]
-            m0, m1, m2 = l0 + step * s0, l1 + step * s1, l2 + step * s2
-            for p in range(count):
-                u, v = (xs[p] - cx) / unit, (ys[p] - cy) / unit
-                trial[p] = max(0.0, force[p] + share[p] / mean * (m0 + m1 * u + m2 * v))
-                t0 -= trial[p]
-                t1 -= trial[p] * u
-                t2 -= trial[p] * v
-            found = abs(t0) + abs(t1) + abs(t2)
-            if found < size * (1.0 - 1e-3 * step):
-                l0, l1, l2, r0, r1, r2, size = m0, m1, m2, t0, t1, t2, found
-                better = True
-                break
-            step /= 2
-        if not better:
-            return False
-    return False
-
-
-@njit(cache=True)
-def _settle(
-    force,
-    px,
-    py,
-    cx,
-    cy,
-    weight,
-    share,
-    start,
-    upper,
-    lower,
-    placed,
-    dirty,
-    unit,
-    above,
-    above_start,
-    order,
-):
-    """Balance every block that is ``dirty``, from above; True where all could be.
-
-    Args:
-        force: float64[P], changed in place also where it fails.
-        px, py, cx, cy: float64: points and centres, sheared by the load.
-        placed, dirty: bool[n]; blocks that have to answer are added to ``dirty``.
-        above: int64: points that rest on each block, at ``above_start[b]:above_start[b + 1]``.
-        order: int64: all blocks that are in no ring, each before those it rests on.
-    """
-    trial = np.empty(256)
-    target = np.empty(3)
-    # Joints of blocks that are not there carry nothing.
-    live = share.copy()
-    for p in range(len(force)):
-        a = lower[p]
-        if not placed[upper[p]] or (a >= 0 and not placed[a]):
-            force[p] = 0.0
-            live[p] = 0.0
-    left = np.sum(dirty)
-    for b in order:
-        if not dirty[b]:
-            continue
-        left -= 1
-        first, last = start[b], start[b + 1]
-        if last - first > 256:
-            return False
-        target[0], target[1], target[2] = weight[b], 0.0, 0.0
-        for k in range(above_start[b], above_start[b + 1]):
-            p = above[k]
-            if force[p] > 0.0:
-                target[0] += force[p]
-                target[1] += force[p] * (px[p] - cx[b]) / unit
-                target[2] += force[p] * (py[p] - cy[b]) / unit
-        before = force[first:last].copy()
-        if not _answer(
-            force[first:last],
-            px[first:last],
-            py[first:last],
-            live[first:last],
-            target,
-            cx[b],
-            cy[b],
-            unit,
-            target[0],
-            trial[: last - first],
-        ):
-            return False
-        for p in range(first, last):
-            a = lower[p]
-            if a >= 0 and abs(force[p] - before[p - first]) > 1e-12 * target[0] and not dirty[a]:
-                dirty[a] = True
-                left += 1
-        if left == 0:
-            break
-    return left == 0  # else blocks in rings are left
-
-
 # ---------------------------------------------------------------- states
 
 
@@ -362,36 +214,34 @@ class Proof:
     """
 
     def __init__(self, stack: Stack, acceleration: tuple[float, float] = (0.0, 0.0)) -> None:
-        self.stack = stack
-        ax, ay = acceleration
-        self.px = stack.point[:, 0] - ax * stack.point[:, 2]
-        self.py = stack.point[:, 1] - ay * stack.point[:, 2]
-        self.cx = stack.centre[:, 0] - ax * stack.centre[:, 2]
-        self.cy = stack.centre[:, 1] - ay * stack.centre[:, 2]
+        self.stack, (ax, ay) = stack, acceleration
+        point, centre = stack.point, stack.centre
+        self.load = Load(
+            px=point[:, 0] - ax * point[:, 2],
+            py=point[:, 1] - ay * point[:, 2],
+            cx=centre[:, 0] - ax * centre[:, 2],
+            cy=centre[:, 1] - ay * centre[:, 2],
+            weight=stack.weight,
+            share=stack.share,
+            start=stack.start,
+            upper=stack.upper,
+            lower=stack.lower,
+            above=stack.above[0],
+            above_start=stack.above[1],
+            order=stack.order,
+            turn=stack.turn,
+            unit=stack.pitch,
+        )
         self.force = np.zeros(len(stack.point))
 
-    def settle(self, dirty: np.ndarray, placed: np.ndarray) -> bool:
-        """Balance locally what is ``dirty`` (bool[n]) where ``placed`` stands; False: unchanged."""
-        s, before = self.stack, self.force.copy()
-        above, above_start = s.above
-        sound = _settle(
-            self.force,
-            self.px,
-            self.py,
-            self.cx,
-            self.cy,
-            s.weight,
-            s.share,
-            s.start,
-            s.upper,
-            s.lower,
-            placed,
-            dirty.copy(),
-            s.pitch,
-            above,
-            above_start,
-            s.order,
-        )
+    def settle(self, dirty: np.ndarray, placed: np.ndarray, mends: bool = False) -> bool:
+        """Balance locally what is ``dirty`` (bool[n]) where ``placed`` stands; False: unchanged.
+
+        Args:
+            mends: balance a block that cannot answer on its own together with others near it.
+        """
+        before = self.force.copy()
+        sound = settle(self.load, self.force, placed, dirty.copy(), mends)
         if not sound:
             self.force = before
         return bool(sound)
@@ -481,8 +331,8 @@ class Proof:
         unit = self.stack.pitch
         return (
             np.ones(len(points)),
-            (self.px[points] - self.cx[block]) / unit,
-            (self.py[points] - self.cy[block]) / unit,
+            (self.load.px[points] - self.load.cx[block]) / unit,
+            (self.load.py[points] - self.load.cy[block]) / unit,
         )
 
 

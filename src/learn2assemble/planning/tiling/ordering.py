@@ -244,6 +244,8 @@ class _Site:
             free = not placed[self.stack.tops[block]].any()
             if free and self.proof.program(placed, alone, self.clock.left) is False:
                 return None
+        if not self.by_friction and self.proof.settle(dirty, placed, mends=True):
+            return PROGRAM
         changing = lies_below(self.stack, np.flatnonzero(dirty).tolist(), placed)
         for blocks in (placed,) if self.by_friction else (changing, placed):
             found = self.proof.program(placed, blocks, self.clock.left)
@@ -477,12 +479,14 @@ def _widest_gap(
 
 def _holds(tiling: Tiling, kit: Kit, steps: list[OrderedStep], gap: float, clock: Clock) -> bool:
     """Whether every step is proven with vertical joints of another width."""
-    proof = Proof(find_stack(tiling.placements, kit, tiling.wanted.shape, gap))
-    placed = np.zeros(len(proof.stack), bool)
+    stack = find_stack(tiling.placements, kit, tiling.wanted.shape, gap)
+    proof, placed = Proof(stack), np.zeros(len(stack), bool)
     for step in steps:
-        placed, dirty = _changed(proof.stack, placed, step.block, step.place is not None)
-        if not proof.settle(dirty, placed) and not proof.program(placed, placed, clock.left):
-            return False
+        placed, dirty = _changed(stack, placed, step.block, step.place is not None)
+        if not proof.settle(dirty, placed) and not proof.settle(dirty, placed, mends=True):
+            proof = Proof(stack)  # Forces from nothing are spread, which leaves room for the next.
+            if not proof.program(placed, placed, clock.left):
+                return False
     return True
 
 
