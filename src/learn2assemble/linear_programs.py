@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import highspy
 import numpy as np
@@ -154,22 +154,59 @@ def solve(
     Raises:
         Learn2AssembleError: where the solver fails.
     """
-    n, m = len(program.cost), len(program.row_lower)
+    n = len(program.cost)
     mixed = bool(np.any(program.integer))
     if n == 0:
         fits = bool(((program.row_lower <= 0) & (program.row_upper >= 0)).all())
         return Answer("optimal" if fits else "infeasible", np.empty(0) if fits else None, 0.0, 0.0)
     if seconds <= 0:
         return Answer("time", None, INF, -INF)
+    solver = _pose(program, method)
+    solver.setOptionValue("mip_rel_gap", float(gap))
+    answer = _run(solver, seconds, mixed)
+    if answer is None and method != "ipm" and not mixed:
+        # On the border of feasibility the simplex method may give up.
+        return solve(program, seconds, method="ipm")
+    if answer is None:
+        raise Learn2AssembleError(f"program: the solver stopped with {solver.getModelStatus()}")
+    return answer
+
+
+class Repeated:
+    """A linear program that is asked again and again with other costs and upper bounds.
+
+    Each answer begins where the last one ended.
+    """
+
+    def __init__(self, program: LinearProgram) -> None:
+        self.program = program
+        self._solver = _pose(program, "choose")
+        self._columns = np.arange(len(program.cost), dtype=np.int32)
+
+    def solve(self, cost: np.ndarray, upper: np.ndarray, seconds: float = INF) -> Answer:
+        """The optimum for ``cost`` and ``upper`` (float64[n], the first finite).
+
+        Args:
+            seconds: wall-clock limit.
+        """
+        if seconds <= 0:
+            return Answer("time", None, INF, -INF)
+        program = replace(self.program, cost=cost, upper=upper)
+        columns = self._columns
+        self._solver.changeColsCost(len(columns), columns, program.cost)
+        self._solver.changeColsBounds(len(columns), columns, program.lower, program.upper)
+        return _run(self._solver, seconds, False) or solve(program, seconds)
+
+
+def _pose(program: LinearProgram, method: str) -> highspy.Highs:
+    """A solver that has the program, on one thread and with the same answer every time."""
+    n, m = len(program.cost), len(program.row_lower)
     solver = highspy.Highs()
     solver.setOptionValue("output_flag", False)
     solver.setOptionValue("threads", 1)
     solver.setOptionValue("random_seed", 0)
-    solver.setOptionValue("mip_rel_gap", float(gap))
     solver.setOptionValue("mip_abs_gap", 1e-6)
     solver.setOptionValue("solver", method)
-    if math.isfinite(seconds):
-        solver.setOptionValue("time_limit", float(seconds))
     status = solver.passModel(
         n,
         m,
@@ -189,6 +226,13 @@ def solve(
     )
     if status == highspy.HighsStatus.kError:
         raise Learn2AssembleError("program: the solver refused the matrix")
+    return solver
+
+
+def _run(solver: highspy.Highs, seconds: float, mixed: bool) -> Answer | None:
+    """What a solver finds; None where it gives up."""
+    if math.isfinite(seconds):  # Its clock goes on from one run to the next.
+        solver.setOptionValue("time_limit", solver.getRunTime() + float(seconds))
     solver.run()
     found, info = solver.getModelStatus(), solver.getInfo()
     known = highspy.HighsModelStatus
@@ -202,10 +246,7 @@ def solve(
     if found in (known.kTimeLimit, known.kIterationLimit, known.kSolutionLimit):
         bound = float(info.mip_dual_bound) if mixed else -INF
         return Answer("time", x, objective, bound)
-    if method != "ipm" and not mixed:
-        # On the border of feasibility the simplex method may give up.
-        return solve(program, seconds, method="ipm")
-    raise Learn2AssembleError(f"program: the solver stopped with {found}")
+    return None
 
 
 class Clock:

@@ -65,6 +65,11 @@ FRICTION_ROUNDS = 24
 """Of tiling again where friction carries."""
 MAX_NEAR, MAX_ABOVE = 500, 700
 """Cells that one program decides together with their forces: round what falls, and all above."""
+NEAR_SECONDS, NEAR_SHARE = 5.0, 0.08
+"""Of one such program, or this share of the limit where that is more; it mostly takes a fraction of
+a second or does not end."""
+MAX_FALLEN, MIN_ROUNDS = 5_000, CUT_ROUNDS + 1
+"""Blocks of all tilings together that are tried because those before fall; at least so many."""
 MAX_WHOLE = 600
 """Of a building of more blocks, the uppermost part that falls is looked at first, and alone."""
 MAX_COUPLED = 400
@@ -471,11 +476,13 @@ def stand(tiling: Tiling, kit: Kit, clock: Clock, again: Retiling | None = None)
     if len(loose):
         return _falls(tiling, kit, loose, any_way=True)
     square = bool(np.isclose(kit.pitch[0], kit.pitch[1]))
-    tried: set[bytes] = set()
-    first = tiling
-    for number in range(MAX_ROUNDS):
-        # Tilings that cuts led to fall in more places than the one they began with.
-        tiling = first if number == CUT_ROUNDS else tiling
+    near = _Near(kit, clock, again.barred)
+    first, meets_cuts = tiling, False
+    rounds = int(np.clip(MAX_FALLEN // len(tiling.placements), MIN_ROUNDS, MAX_ROUNDS))
+    for number in range(rounds):
+        if number == CUT_ROUNDS:
+            # Tilings that cuts led to fall in more places than the one they began with.
+            tiling, meets_cuts = first, False
         stack = find_stack(tiling.placements, kit, shape)
         proof, everything = Proof(stack), np.ones(len(stack), bool)
         part = np.arange(len(stack))
@@ -492,15 +499,17 @@ def stand(tiling: Tiling, kit: Kit, clock: Clock, again: Retiling | None = None)
         held_there = Proof(small).held(np.ones(len(small), bool), clock.left)
         held = part[held_there].tolist()
         if clock.left <= 0 or not held:
-            break
+            return _too_late(tiling, kit, clock)
         status, better = "unknown", None
         if number >= CUT_ROUNDS:
-            status, better = _stand_near(tiling, kit, stack, held, tried, clock, again.barred)
+            status, better = near.decide(tiling, stack, held)
         if status == "infeasible":
             return _falls(tiling, kit, uncarried_cells(wanted, kit), held)
         if better is not None:
-            tiling = better
+            tiling, meets_cuts = better, False
             continue
+        if number == rounds - 1:
+            break
         owner = owners(tiling.placements, kit, shape)
         number_there = np.full(len(stack) + 1, -1)
         number_there[part] = np.arange(len(part))
@@ -508,30 +517,41 @@ def stand(tiling: Tiling, kit: Kit, clock: Clock, again: Retiling | None = None)
         # What has to be held moves, and what stands on it: a much smaller program.
         moving = lies_above(small, held_there)
         found = find_mechanisms(small, there, seconds=clock.left, moving=moving)
-        found = found or find_mechanisms(small, there, seconds=clock.left)
+        # That there are no more takes as long to prove as the first to find.
+        found = found or find_mechanisms(small, there, most=1, seconds=clock.left)
         if clock.left <= 0:
-            break
+            return _too_late(tiling, kit, clock)
         new = [again.add(cut) for edges in found for cut in mirrored(edges, wanted, square)]
         rigid = any(not (x.any() or y.any()) for x, y in found)
-        better = None if rigid or not any(new) else again.solve(clock.left)
+        # A tiling that meets all cuts and falls gives a new one, unless rounding is in the way.
+        lost = meets_cuts and not rigid and not any(new)
+        better = None if rigid or lost else again.solve(clock.left)
         if better is None:
+            sure = not lost
             if not _alike(kit):
                 # Which blocks are heavy decides what falls: ask the program that knows weights.
                 status, better = _stand_whole(tiling, kit, stack, again.barred, clock)
                 if better is not None:
-                    tiling = better
+                    tiling, meets_cuts = better, False
                     continue
+                sure = status == "infeasible"
             moves = sorted({int(b) for edges in found for b in _opened(edges, owner)})
             fallen = _falls(tiling, kit, uncarried_cells(wanted, kit), moves or range(len(stack)))
-            sure = _alike(kit) or status == "infeasible"
             return fallen if sure else replace(fallen, status="not found")
         if better.status != "complete":
-            break
-        tiling = better
-    cells = uncarried_cells(wanted, kit)
+            return _too_late(tiling, kit, clock)
+        tiling, meets_cuts = better, True
+    fallen = _falls(tiling, kit, uncarried_cells(wanted, kit), held)
+    reason = f"{fallen.reason}, as would each of {rounds} tilings that were tried"
+    return replace(fallen, status="not found", reason=reason)
+
+
+def _too_late(tiling: Tiling, kit: Kit, clock: Clock) -> Tiling:
+    """What is said where time ran out."""
+    cells = uncarried_cells(tiling.wanted, kit)
     reason = f"time ran out after {clock.limit:g} s while looking for blocks that stand"
     if len(cells):
-        reason += f" ({describe_lack(kit, wanted, cells)})"
+        reason += f" ({describe_lack(kit, tiling.wanted, cells)})"
     reason += f"; {TIME_OPTION} gives more"
     return replace(tiling, status="time", reason=reason)
 
@@ -552,35 +572,46 @@ def _falling_part(proof: Proof, tiling: Tiling, clock: Clock) -> np.ndarray:
     return np.flatnonzero(level >= falls) if falls >= 0 else np.empty(0, np.int64)
 
 
-def _stand_near(
-    tiling: Tiling,
-    kit: Kit,
-    stack: Stack,
-    held: list[int],
-    tried: set[bytes],
-    clock: Clock,
-    barred: Collection[frozenset[BlockPlacement]],
-) -> tuple[str, Tiling | None]:
-    """Blocks that stand round those that fall, or ``"infeasible"`` where no tiling does.
+class _Near:
+    """Blocks that stand round those that fall, chosen together with their forces.
 
     Args:
-        tried: regions that were decided before, which are not decided again.
         barred: sets of blocks that are not all used together.
     """
-    near, above = region_near(tiling, kit, held), region_above(tiling, kit, held)
-    # Where blocks below could be of other kinds or reach up, what is above alone proves nothing.
-    proves = (kit.flat and not kit.limited) or bool((above == tiling.wanted).all())
-    for region, most in ((near, MAX_NEAR), (above, MAX_ABOVE)):
-        key = np.packbits(region).tobytes()
-        if key in tried or region.sum() > most:
-            continue
-        tried.add(key)
-        status, made = tile_standing(
-            tiling, kit, stack, region, barred=barred, seconds=clock.left / 2
-        )
-        if made is not None or (status == "infeasible" and proves and (region == above).all()):
-            return status, made
-    return "unknown", None
+
+    def __init__(
+        self, kit: Kit, clock: Clock, barred: Collection[frozenset[BlockPlacement]]
+    ) -> None:
+        self.kit, self.clock, self.barred = kit, clock, barred
+        self._tried: set[bytes] = set()  # Regions that were decided are not decided again.
+        self._most = [MAX_NEAR, MAX_ABOVE]
+
+    def decide(self, tiling: Tiling, stack: Stack, held: list[int]) -> tuple[str, Tiling | None]:
+        """The tiling with such blocks, or ``"infeasible"`` where no tiling stands.
+
+        Args:
+            held: blocks of ``tiling`` that fall.
+        """
+        kit = self.kit
+        near, above = region_near(tiling, kit, held), region_above(tiling, kit, held)
+        # Where blocks below could be of other kinds or reach up, what is above alone proves
+        # nothing.
+        proves = (kit.flat and not kit.limited) or bool((above == tiling.wanted).all())
+        for k, region in enumerate((near, above)):
+            key = np.packbits(region).tobytes()
+            if key in self._tried or region.sum() > self._most[k]:
+                continue
+            self._tried.add(key)
+            limit = max(NEAR_SECONDS, NEAR_SHARE * self.clock.limit)
+            seconds = min(limit, self.clock.left / 2)
+            status, made = tile_standing(
+                tiling, kit, stack, region, barred=self.barred, seconds=seconds
+            )
+            if status == "time" and made is None:
+                self._most[k] = 0
+            if made is not None or (status == "infeasible" and proves and (region == above).all()):
+                return status, made
+        return "unknown", None
 
 
 def _stand_whole(

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from learn2assemble.assembly.kit import Kit
-from learn2assemble.linear_programs import INF, Clock, Entry, LinearProgram, Model, solve
+from learn2assemble.linear_programs import INF, Clock, Entry, LinearProgram, Model, Repeated, solve
 from learn2assemble.planning.tiling.retiling import bonded_candidates, find_blocks
 from learn2assemble.planning.tiling.stack import block_masses
 from learn2assemble.planning.tiling.tile import BlockPlacement, Tiling, from_below, placement_cells
@@ -323,13 +323,13 @@ def find_mechanisms(
             for side, sign in ((0, 1.0), (1, -1.0))
         ),
     )
-    program, clock = model.program(), Clock(seconds)
+    program, clock = Repeated(model.program()), Clock(seconds)
 
     def part(price: np.ndarray, closed: np.ndarray) -> np.ndarray | None:
         opens = np.tile(np.repeat(~closed, 3), 2)
         upper = np.concatenate([free, np.where(opens, INF, 0.0)])
         cost = np.concatenate([np.zeros(3 * n), np.tile(np.repeat(price, 3), 2)])
-        answer = solve(replace(program, cost=cost, upper=upper), clock.left)
+        answer = program.solve(cost, upper, clock.left)
         if answer.x is None:
             return None
         gap = np.abs(answer.x[jumps[0]] - answer.x[jumps[1]])
@@ -354,12 +354,15 @@ def _partings(
     """
     closed, found = np.zeros(len(size), bool), []
     while len(found) < most:
-        price, opened = size, None
+        price, opened, last = size, None, None
         for _ in range(1 + _SPARSER):
             gap = part(price, closed)
             if gap is None:
                 break
             widest = float(gap.max(initial=0.0))
+            if last is not None and np.allclose(gap / widest, last, atol=1e-9):
+                break  # The prices are those of before, and so is the answer.
+            last = gap / widest if widest > 0 else None
             now = gap > max(rounding * widest, 1e-7)
             if opened is None or size[now].sum() < size[opened].sum():
                 opened = now
