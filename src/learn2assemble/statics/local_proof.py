@@ -25,7 +25,7 @@ _POINTS = 256
 """Under one block, at most."""
 
 
-class Load(NamedTuple):
+class StackLoad(NamedTuple):
     """A stack under one load: points and centres are sheared by it."""
 
     px: np.ndarray

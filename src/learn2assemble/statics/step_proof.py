@@ -39,7 +39,7 @@ from learn2assemble.assembly.blocks import Block
 from learn2assemble.assembly.contacts import Contacts
 from learn2assemble.linear_programs import INF, LinearProgram, solve
 from learn2assemble.statics.elastic import balance
-from learn2assemble.statics.local_proof import Load, settle
+from learn2assemble.statics.local_proof import StackLoad, settle
 
 GROUND = -1
 EDGE_INSET = 1e-3
@@ -216,7 +216,7 @@ class Proof:
     def __init__(self, stack: Stack, acceleration: tuple[float, float] = (0.0, 0.0)) -> None:
         self.stack, (ax, ay) = stack, acceleration
         point, centre = stack.point, stack.centre
-        self.load = Load(
+        self.load = StackLoad(
             px=point[:, 0] - ax * point[:, 2],
             py=point[:, 1] - ay * point[:, 2],
             cx=centre[:, 0] - ax * centre[:, 2],

@@ -1,0 +1,137 @@
+"""Loads passed down a stack: blocks that cannot answer alone are balanced with those near them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from learn2assemble.assembly.kit import load_kit
+from learn2assemble.linear_programs import INF, Clock
+from learn2assemble.planning.tiling import exact, standing
+from learn2assemble.planning.tiling.exact import plan_exact, stand
+from learn2assemble.planning.tiling.stack import find_stack
+from learn2assemble.planning.tiling.tile import tile
+from learn2assemble.statics.step_proof import TOLERANCE, Proof
+from test_ordering import imbalance
+from test_small_designs import random_design
+
+KIT = load_kit("bricks-lintels")
+
+
+def shell(radius: float, thick: float, levels: int) -> np.ndarray:
+    """A round tower that leans inwards and is closed at the top, so that its rim is weak."""
+    side = int(2 * radius + 1)
+    across = np.arange(side) + 0.5 - side / 2
+    distance = np.hypot(across[:, None], across[None, :])
+    cells = np.zeros((side, side, levels), bool)
+    for z in range(levels):
+        outer = radius - 0.45 * z
+        cells[:, :, z] = (distance < outer) & (distance > max(outer - thick, -1))
+    return cells
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_mended_forces_balance_and_are_found_only_where_a_program_finds_some(seed: int) -> None:
+    """Random piles under accelerations at which many blocks cannot answer alone."""
+    rng = np.random.default_rng(seed)
+    tiling = tile(random_design(rng), KIT)
+    stack = find_stack(tiling.placements, KIT, tiling.wanted.shape)
+    everything = np.ones(len(stack), bool)
+    for size in (0.0, 0.05, 0.1, 0.2):
+        way = rng.normal(size=2)
+        load = float(size * way[0]), float(size * way[1])
+        alone, together = Proof(stack, load), Proof(stack, load)
+        before = together.force.copy()
+        if together.settle(everything, everything, mends=True):
+            assert imbalance(together, everything) <= TOLERANCE
+            assert (together.force >= 0).all()
+            assert Proof(stack, load).program(everything, everything)
+        else:
+            assert not alone.settle(everything, everything)
+            assert (together.force == before).all()
+
+
+def test_blocks_are_mended_where_they_cannot_answer_alone() -> None:
+    """Of a tower that leans inwards under every load up to 0.15 g."""
+    wanted = shell(5.0, 2.4, 12)
+    stack = find_stack(tile(wanted, KIT).placements, KIT, wanted.shape)
+    everything = np.ones(len(stack), bool)
+    for size in (0.0, 0.02, 0.05, 0.1, 0.15):
+        alone, together = Proof(stack, (size, 0.0)), Proof(stack, (size, 0.0))
+        assert not alone.settle(everything, everything)
+        assert together.settle(everything, everything, mends=True)
+        assert imbalance(together, everything) <= TOLERANCE
+
+
+def test_a_tower_is_proven_with_few_programs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Programs over all blocks take most of the time of a large building."""
+    asked = 0
+    program = Proof.program
+
+    def count(
+        self: Proof, placed: np.ndarray, changing: np.ndarray, seconds: float = INF
+    ) -> bool | None:
+        nonlocal asked
+        asked += int(changing.sum() > 1)
+        return program(self, placed, changing, seconds)
+
+    monkeypatch.setattr(Proof, "program", count)
+    _, ordering = plan_exact(shell(5.0, 2.4, 12), KIT, gap=KIT.joint_gap)
+    assert ordering is not None
+    assert ordering.status == "complete"
+    assert asked < len(ordering.steps)
+    assert ordering.margin_g > 0.02
+
+
+def test_cuts_that_are_known_prove_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first tiling is tried again after some rounds; how it falls is known by then."""
+    monkeypatch.setattr(exact, "CUT_ROUNDS", 1)
+    monkeypatch.setattr(exact._Near, "decide", lambda *_: ("unknown", None))
+    tiling = tile(random_design(np.random.default_rng(9)), KIT)
+    assert stand(tiling, KIT, Clock(60.0)).status == "complete"
+
+
+def test_a_large_building_that_falls_ends_after_a_few_tilings(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A count, as time depends on the machine; what was tried is said."""
+    monkeypatch.setattr(exact, "MAX_FALLEN", 30)
+    monkeypatch.setattr(exact._Near, "decide", lambda *_: ("unknown", None))
+    tiling = tile(random_design(np.random.default_rng(9)), KIT)
+    monkeypatch.setattr(exact, "MIN_ROUNDS", 1)
+    monkeypatch.setattr(exact, "CUT_ROUNDS", 1)
+    stood = stand(tiling, KIT, Clock(60.0))
+    assert stood.status == "not found"
+    assert "4 tilings that were tried" in stood.reason
+
+
+def test_a_program_that_timed_out_is_not_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the parts that are decided with their forces each size has one chance."""
+    asked = []
+
+    def too_slow(*given: object, **_: object) -> tuple[str, None]:
+        asked.append(given[3])
+        return "time", None
+
+    monkeypatch.setattr(exact, "tile_standing", too_slow)
+    monkeypatch.setattr(exact, "CUT_ROUNDS", 0)
+    tiling = tile(random_design(np.random.default_rng(9)), KIT)
+    stand(tiling, KIT, Clock(60.0))
+    assert 1 <= len(asked) <= 2
+
+
+def test_motions_are_not_looked_for_again_at_the_prices_of_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Joints all open by the same: so do they at the next prices."""
+    asked = 0
+
+    def part(price: np.ndarray, closed: np.ndarray) -> np.ndarray | None:
+        nonlocal asked
+        asked += 1
+        return None if closed.any() else np.ones(len(price))
+
+    found = standing._partings(part, np.ones(8), 3, 1e-7)
+    assert len(found) == 1
+    assert found[0].all()
+    assert asked == 3  # twice the same, and that there is no other
