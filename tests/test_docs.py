@@ -147,10 +147,10 @@ def test_the_site_names_every_page_and_public_name() -> None:
 
 def test_files_named_in_the_architecture_exist() -> None:
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    source = ROOT / "src" / "learn2assemble"
-    for name in re.findall(r"`([a-z_/]+/[a-z_0-9]*(?:\.py)?)`", text):
-        place = source / name if name.endswith((".py", "/")) else source / f"{name}.py"
-        assert place.exists() or (ROOT / name).exists() or (source / name).exists(), name
+    source, laboratory = ROOT / "src" / "learn2assemble", ROOT / "laboratory" / "src"
+    for named in re.findall(r"`([a-z_0-9/]+/[a-z_0-9]*(?:\.py)?)`", text):
+        name = named if named.endswith((".py", "/")) else f"{named}.py"
+        assert any((folder / name).exists() for folder in (source, ROOT, laboratory)), name
     rooms = {path.name for path in source.iterdir() if (path / "__init__.py").exists()}
     for room in rooms:
         assert f"`{room}/`" in text, room
