@@ -12,7 +12,14 @@ from scipy.interpolate import PchipInterpolator
 
 from learn2assemble.assembly.blocks import Assembly, box_block
 from learn2assemble.assembly.blocks import AssemblyStep as Placed
-from learn2assemble.motion.record import RATE, BuildRecord, BuildRecorder, Stage, upright
+from learn2assemble.motion.record import (
+    RATE,
+    BuildRecord,
+    BuildRecorder,
+    Stage,
+    StepMotion,
+    upright,
+)
 from learn2assemble.planning import plan as plans
 from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import Arm, get_arm
@@ -169,7 +176,10 @@ class Recorder:
     ) -> None:
         poses = self.poses.copy()
         poses[cell] = after
-        motion = tuple(zip(*self.rows, strict=True)) or None
+        motion = None
+        if self.rows:
+            joints, velocity, width = map(np.array, zip(*self.rows, strict=True))
+            motion = StepMotion(joints, velocity, width, width, self.stages, *held)
         self.recording.add(
             plan_step=plan_step,
             cells=[cell],
@@ -177,9 +187,6 @@ class Recorder:
             outcome=outcome,
             detail=detail,
             motion=motion,
-            stages=self.stages,
-            grip=held[0],
-            release=held[1],
             after=poses,
         )
         if outcome != Outcome.REACHED:

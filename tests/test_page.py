@@ -23,7 +23,7 @@ from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.assembly.kit import load_kit
 from learn2assemble.errors import InputError
 from learn2assemble.planning.tiling.ordering import polycube
-from learn2assemble.viewer.page import render_assembly_page
+from learn2assemble.viewer.page import Verdict, render_assembly_page
 from learn2assemble.viewer.scene import side_covers
 from learn2assemble.viewer.tables import StepNote
 
@@ -171,7 +171,7 @@ def test_layers_are_few_and_follow_the_heights(heights: list[float]) -> None:
 
 
 def test_steps_of_props_and_supports() -> None:
-    text = render_assembly_page(with_prop(), title="x", status="complete")
+    text = render_assembly_page(with_prop(), title="x", verdict=Verdict("complete"))
     data = page_data(text)
     history = {row[-1]: (data["colours"][row[5]], *row[-3:-1]) for row in data["blocks"]}
     assert history == {
@@ -255,8 +255,7 @@ def test_text_of_an_assembly_never_becomes_markup(evil: str) -> None:
             assembly,
             title=text,
             facts=[(text, text)],
-            status=text,
-            reason=text,
+            verdict=Verdict(text, text),
             step_notes=[StepNote(text, 1.0)],
         )
 

@@ -12,7 +12,7 @@ import pytest
 from headless import FLAT, SPATIAL, browse, find_browser
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.export.cards import step_cards
-from learn2assemble.viewer.page import render_assembly_page
+from learn2assemble.viewer.page import Verdict, render_assembly_page
 from learn2assemble.viewer.tables import StepNote
 from read_back import STRUCTURES
 
@@ -26,7 +26,9 @@ def house() -> Assembly:
 
 def page_of(assembly: Assembly) -> str:
     notes = [StepNote("bed faces, local", 0.2, 0.5)] * len(assembly.steps)
-    return render_assembly_page(assembly, title="house", step_notes=notes, status="complete")
+    return render_assembly_page(
+        assembly, title="house", step_notes=notes, verdict=Verdict("complete")
+    )
 
 
 @pytest.mark.browser

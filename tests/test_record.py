@@ -30,6 +30,7 @@ from learn2assemble.motion.record import (
     BuildRecorder,
     Samples,
     Stage,
+    StepMotion,
     StepRecord,
     find_fault,
     holding,
@@ -366,21 +367,19 @@ def test_steps_are_put_on_one_clock() -> None:
     arm = get_arm("panda")
     poses = upright(np.array([[0, 0, 0.025], [0.2, 0, 0.025]]), np.zeros(2))
     book = BuildRecorder(arm, arm.home, 0.05, poses, [[0], [1]], "test")
-    still = (np.tile(arm.home, (10, 1)), np.zeros((10, 7)), np.full(10, 0.05))
     order: dict[str, Any] = {"plan_step": 1, "cells": [1], "target": poses[1]}
     book.add(**order, outcome=Outcome.UNREACHABLE, detail="too far")
     book.replanned()
     after = added(poses, (1, 0), 0.1)
-    stage = Stage("lift", 0.0, 0.2)
+    width = np.full(10, 0.05)
+    still = np.tile(arm.home, (10, 1)), np.zeros((10, 7)), width, width
+    motion = StepMotion(*still, (Stage("lift", 0.0, 0.2),), 0.04, 0.1)
     for _ in range(2):
         book.add(
             **order,
-            motion=still,
+            motion=motion,
             outcome=Outcome.DROPPED,
             detail="lost",
-            stages=[stage],
-            grip=0.04,
-            release=0.1,
             after=after,
         )
     book.number_steps([None, 1, 1])

@@ -22,6 +22,7 @@ from learn2assemble.viewer.renderer import (
     GROUND,
     LIT,
     SAMPLES,
+    BodyStates,
     Buffers,
     Camera,
     Light,
@@ -118,9 +119,8 @@ def test_a_box_hides_what_is_behind_and_casts_a_shadow() -> None:
 
     def picture(cube_shown: bool) -> np.ndarray:
         shown = np.array([True, cube_shown])
-        return render(scene, buffers, camera, light, stand, turn, shown, colour, sky, rim).astype(
-            int
-        )
+        bodies = BodyStates(stand, turn, shown, colour)
+        return render(scene, buffers, camera, light, bodies, sky, rim).astype(int)
 
     with_cube, without = picture(True), picture(False)
     assert (with_cube[50, 110] == [0, 0, 255]).all(), "beyond the ground is sky"

@@ -23,6 +23,7 @@ from learn2assemble.design.cells import CellDesign
 from learn2assemble.errors import InputError
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.planning.tiling.ordering import to_assembly
+from learn2assemble.planning.tiling.planners import PlannerChoice
 from learn2assemble.planning.tiling.tile import Tiling
 from learn2assemble.planning.tiling.world import LatticeWorld, make_site
 from learn2assemble.tasks.designs import make_design
@@ -98,7 +99,7 @@ def test_the_builders_plan_is_carried_out_in_its_order(cells: np.ndarray, tool: 
 
     def plan_with(kit, hand):
         hands.append(hand)
-        return plan_cells(design, kit, planner="agent", hand=hand)
+        return plan_cells(design, kit, planner=PlannerChoice("agent", hand=hand))
 
     kit = load_kit("bricks-lintels")
     at = Workcell("panda", tool, physics="kinematic")

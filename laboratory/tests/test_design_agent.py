@@ -31,6 +31,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.planning.plan import CellCount
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.planning.tiling.exact import plan_exact
+from learn2assemble.planning.tiling.planners import PlannerChoice
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.tile import support_margin
 from learn2assemble.planning.tiling.world import LatticeWorld, make_site, run
@@ -333,7 +334,7 @@ def test_what_is_built_is_within_the_rules(seed: int) -> None:
 
 def test_a_plan_of_the_agent_is_proven_again() -> None:
     design = CellDesign("H", H, (0.05, 0.05, 0.05), None, 0.0, None, "H", None)
-    plan = plan_cells(design, "bricks-lintels", planner="agent")
+    plan = plan_cells(design, "bricks-lintels", planner=PlannerChoice("agent"))
     assert plan.complete, plan.reason
     assert (plan.planner, plan.agent) == ("agent", "builder-s0")
     assert plan.cells == CellCount(int(H.sum()), 0, 0)
@@ -347,7 +348,7 @@ def test_a_plan_of_the_agent_is_proven_again() -> None:
 def test_what_the_agent_cannot_build_is_said() -> None:
     span = cells_of("#########/#.......#")
     design = CellDesign("span", span, (0.05, 0.05, 0.05), None, 0.0, None, "span", None)
-    plan = plan_cells(design, "bricks", planner="agent")
+    plan = plan_cells(design, "bricks", planner=PlannerChoice("agent"))
     assert plan.status == "incomplete"
     assert plan.cells is not None
     assert plan.cells.missing
@@ -363,7 +364,9 @@ def test_props_hold_what_does_not_stand_yet(span: int, kit: str) -> None:
     wall = "/".join(["#" * (2 * pier + span)] * 4 + ["#" * pier + "." * span + "#" * pier])
     cells = cells_of(wall)
     design = CellDesign("bridge", cells, (0.05, 0.05, 0.05), None, 0.0, None, "bridge", None)
-    plan, exact = (plan_cells(design, kit, planner=who) for who in ("agent", "exact"))
+    plan, exact = (
+        plan_cells(design, kit, planner=PlannerChoice(who)) for who in ("agent", "exact")
+    )
     assert plan.complete, plan.reason
     assert plan.planner == "agent"
     assert plan.cells == CellCount(int(cells.sum()), 0, 0)
@@ -375,14 +378,14 @@ def test_props_hold_what_does_not_stand_yet(span: int, kit: str) -> None:
         plan.assembly, steps=(), blocks=tuple(b for b in plan.assembly.blocks if not b.prop)
     )
     assert check(standing).verdict == "stands"
-    assert not plan_cells(design, kit, planner="agent", props=False).complete
+    assert not plan_cells(design, kit, planner=PlannerChoice("agent"), props=False).complete
 
 
 def test_a_design_too_large_for_the_agent_is_refused() -> None:
     solid = np.ones((64, 64, 16), bool)
     design = CellDesign("solid", solid, (0.05, 0.05, 0.05), None, 0.0, None, "solid", None)
     with pytest.raises(InputError, match="exact, for more than"):
-        plan_cells(design, "bricks-lintels", planner="agent")
+        plan_cells(design, "bricks-lintels", planner=PlannerChoice("agent"))
 
 
 def test_a_measurement_tells_the_players_apart(monkeypatch: pytest.MonkeyPatch) -> None:

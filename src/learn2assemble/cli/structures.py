@@ -38,15 +38,16 @@ def _claimed(folder: Path | None) -> AbstractContextManager[None]:
 
 
 def _write_page(
-    folder: Path | None, output: Output, assembly: Assembly, **words: Any
+    folder: Path | None, output: Output, assembly: Assembly, status: str, **words: Any
 ) -> dict[str, str]:
     """The page of an assembly in a claimed folder, where one is asked for; the files written."""
     if folder is None:
         return {}
-    from learn2assemble.viewer.page import render_assembly_page
+    from learn2assemble.viewer.page import Verdict, render_assembly_page
 
     page = folder / "view.html"
-    write_file(page, render_assembly_page(assembly, **words), "page")
+    text = render_assembly_page(assembly, verdict=Verdict(status), **words)
+    write_file(page, text, "page")
     output.say(f"page: {page}")
     return {"page": str(page)}
 
@@ -100,10 +101,10 @@ def _reach(options: argparse.Namespace, output: Output) -> int:
             options.out,
             output,
             found.assembly,
+            "within reach" if found.complete else "out of reach",
             title=found.assembly.name or "reach",
             facts=facts,
             moving=[blocks[k].id for k in here.out],
-            status="within reach" if found.complete else "out of reach",
         )
     output.finish(
         {
@@ -174,11 +175,11 @@ def _check(options: argparse.Namespace, output: Output) -> int:
             options.out,
             output,
             assembly.finished,
+            found.verdict,
             title=assembly.name or options.file.stem,
             facts=[(name, str(value)) for name, value in rows],
             moving=found.moving,
             forces=(found.contacts, found.forces),
-            status=found.verdict,
         )
     output.finish(
         {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -118,10 +118,10 @@ def booklet(assembly: Assembly) -> Booklet:
     layers = len({group.layer for group in told.groups})
     until = {p.block: g.number for g in told.groups for p in g.placements if p.action == "remove"}
     whole = _grid((0, 0), tuple(told.extent[:2]), 0.0, spacing, float(told.extent[2]))
-    grids: dict[tuple, Grid] = {}
+    common = _Common(told, scene, spacing, whole, layers, until, {})
     cards = []
     for group, standing in zip(told.groups, scene.standing(), strict=True):
-        cards.append(_card(told, scene, group, standing, spacing, whole, grids, layers, until))
+        cards.append(_card(common, group, standing))
     finished = {assembly.index(b.id) for b in assembly.finished.blocks}
     colours = {p.block: p.shape.colour for p in (*told.start, *told.placements)}
     uses = tuple(
@@ -147,17 +147,29 @@ def booklet(assembly: Assembly) -> Booklet:
     return book
 
 
-def _card(
-    told: Instructions,
-    scene: DrawnScene,
-    group: Group,
-    standing: set[int],
-    spacing: float,
-    whole: Grid,
-    grids: dict[tuple, Grid],
-    layers: int,
-    until: dict[int, int],
-) -> Card:
+class _Common(NamedTuple):
+    """What the cards of a booklet share."""
+
+    told: Instructions
+    scene: DrawnScene
+    spacing: float
+    """Of the lines of a grid [m]."""
+    whole: Grid
+    layers: int
+    """How many there are."""
+    until: dict[int, int]
+    """Number of the step that takes a block away again."""
+    grids: dict[tuple, Grid]
+    """Of cards that do not show all, drawn once each."""
+
+
+def _card(common: _Common, group: Group, standing: set[int]) -> Card:
+    """The card of a step.
+
+    Args:
+        standing: blocks that stand before it.
+    """
+    told, scene, spacing, whole, layers, until, grids = common
     shown, all_ = scene.shown(group, standing)
     marks: dict[int, Mark] = dict.fromkeys(group.held, "held")
     colours = dict.fromkeys(group.held, "held")

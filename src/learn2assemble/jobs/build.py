@@ -34,7 +34,7 @@ from learn2assemble.files import (
 )
 from learn2assemble.jobs.problems import NO_ARM, PROBLEMS
 from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.tiling.planners import PLANNERS
+from learn2assemble.planning.tiling.planners import EXACT, PLANNERS, PlannerChoice
 from learn2assemble.robot.registry import ARMS, TOOLS
 
 if TYPE_CHECKING:
@@ -136,8 +136,8 @@ def build(
     _check_values(noise=noise, holds=holds, seed=seed, seconds=seconds, progress=progress)
     _check_names(build, reading)
     if is_task(design):
-        if planner == "exact":
-            raise InputError("planner", "exact", f"agent, for the task {design}")
+        if planner == EXACT:
+            raise InputError("planner", EXACT, f"agent, for the task {design}")
         given = {
             "kit": kit,
             "friction": friction,
@@ -164,10 +164,10 @@ def build(
     if agent is not None:
         planner = planner or "agent"
         agent = PLANNERS[planner].resolve_agent(agent)
-    planner = planner or "exact"
+    choice = PlannerChoice(planner or EXACT, agent, seed)
     how = None
     if arm is not None:
-        how = _Arm(arm, tool, layout, physics, noise, state, seed)
+        how = _ArmChoice(arm, tool, layout, physics, noise, state, seed)
         how.check()
     else:
         _refuse(
@@ -186,9 +186,8 @@ def build(
         "progress": progress,
         "seconds": EXACT_SECONDS if seconds is None else seconds,
     }
-    return _build_design(
-        design, kit, (supports, holds, hands), reading, how, planner, agent, seed, given
-    )
+    help_ = supports, holds, hands
+    return _build_design(design, kit, help_, reading, how, choice, given)
 
 
 def reach(
@@ -215,7 +214,7 @@ def reach(
     if is_task(design):
         raise InputError("design", design, "a design; a task has places of its own")
     _check_names(reach, reading)
-    how = _Arm(arm, tool, layout, PHYSICS[0], (0.0, 0.0), None, 0)
+    how = _ArmChoice(arm, tool, layout, PHYSICS[0], (0.0, 0.0), None, 0)
     how.check()
     site = how.workcell().site
     plan = build(design, planner="exact", kit=kit, seconds=seconds, **reading)
@@ -297,7 +296,7 @@ def _is(value: Any, *kinds: type) -> bool:
     return isinstance(value, kinds)
 
 
-class _Arm(NamedTuple):
+class _ArmChoice(NamedTuple):
     """How an arm carries out an exact plan; fields as the arguments of :func:`build`."""
 
     arm: str
@@ -334,10 +333,8 @@ def _build_design(
     kit: Any,
     help_: tuple[str, int, bool],
     reading: dict[str, Any],
-    how: _Arm | None,
-    planner: str,
-    agent: object,
-    seed: int,
+    how: _ArmChoice | None,
+    planner: PlannerChoice,
     given: dict[str, Any],
 ) -> Plan:
     """Plan what is no task, and carry it out where an arm is named.
@@ -360,11 +357,11 @@ def _build_design(
     design = _goals(design, kit, props, reading) or _read(design, kit, reading)
     if isinstance(design, Assembly):
         design = _with_joints(design, kit)
-        if planner != "exact":
-            raise InputError("planner", planner, "exact, for blocks that are given")
+        if planner.name != EXACT:
+            raise InputError("planner", planner.name, "exact, for blocks that are given")
     elif isinstance(design, Goals):
-        if planner != "exact":
-            raise InputError("planner", planner, "exact, for goals instead of a design")
+        if planner.name != EXACT:
+            raise InputError("planner", planner.name, "exact, for goals instead of a design")
     elif not isinstance(design, CellDesign):
         raise InputError("design", _called(design), "a file, cells or an assembly")
     if not isinstance(design, Assembly) and (holds or hands or supports == "posts"):
@@ -376,7 +373,7 @@ def _build_design(
             from learn2assemble.cell.site import with_obstacles
             from learn2assemble.planning.goals.planner import plan_goals
 
-            plan = plan_goals(design, seed=seed, **given)
+            plan = plan_goals(design, seed=planner.seed, **given)
             if workcell is not None:
                 workcell = replace(workcell, site=with_obstacles(workcell.site, design))
         else:
@@ -399,19 +396,12 @@ def _build_design(
     def plan_with(blocks: Kit, hand: Any = None) -> Plan:
         options: dict[str, Any] = given if blocks is kit else {**given, "gap": None}
         return plan_cells(
-            design,
-            blocks,
-            props=props,
-            agent=agent,
-            seed=seed,
-            hand=hand,
-            planner=planner,
-            **options,
+            design, blocks, props=props, planner=replace(planner, hand=hand), **options
         )
 
     if workcell is None:
         return plan_with(kit)
-    by_arm = PLANNERS[planner].carry_out
+    by_arm = PLANNERS[planner.name].carry_out
     if by_arm is not None:
         return by_arm(plan_with, design.wanted, kit, workcell, progress)
     from learn2assemble.cell.carry_out import carry_out_cells

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -363,6 +363,23 @@ LOST = 0.008
 """What has moved so far in the hand is not drawn as held any more [m]."""
 
 
+class StepMotion(NamedTuple):
+    """A motion of the arm in T samples, 1 / 50 s apart; times from the beginning of its step."""
+
+    joints: np.ndarray
+    """float64[T, n]: the first ones a period after the last of the step before."""
+    velocity: np.ndarray
+    """float64[T, n]."""
+    width: np.ndarray
+    """float64[T]."""
+    command: np.ndarray
+    """float64[T]: what the tool is told."""
+    stages: Sequence[Stage] = ()
+    grip: float | None = None
+    """When the object is held [s], and when it is let go."""
+    release: float | None = None
+
+
 class BuildRecorder:
     """Appends steps to a record and puts them on its clock.
 
@@ -410,24 +427,21 @@ class BuildRecorder:
         target: np.ndarray,
         outcome: Outcome,
         detail: str = "",
-        motion: tuple[Any, ...] | None = None,
-        stages: Sequence[Stage] = (),
-        grip: float | None = None,
-        release: float | None = None,
+        motion: StepMotion | None = None,
         after: np.ndarray | None = None,
     ) -> None:
-        """Append a step; fields as in :class:`StepRecord`, times from its beginning.
+        """Append a step; fields as in :class:`StepRecord`.
 
         Args:
-            motion: joints float64[T, n], the first one a period (1 / 50 s) after the last of the
-                step before, velocity float64[T, n], width float64[T] and, where it differs,
-                what the tool was told float64[T]; None where the arm does not move.
+            motion: None where the arm does not move.
             after: float64[C, 7]; None where nothing has moved.
         """
         n, start = len(self.arm.joints), self.now
         parts = [np.empty((0, n)), np.empty((0, n)), np.empty(0), np.empty(0)]
+        stages, grip, release = (), None, None
         if motion is not None:
-            parts = [np.array(part, float) for part in (*motion, motion[2])[:4]]
+            parts = [np.array(part, float) for part in motion[:4]]
+            stages, grip, release = motion.stages, motion.grip, motion.release
         if not self._count and len(parts[0]):
             first = self._first[0][None], np.zeros((1, n)), [self._first[1]], [self._first[1]]
             parts = [np.concatenate(pair) for pair in zip(first, parts, strict=True)]
@@ -482,11 +496,17 @@ class BuildRecorder:
         if attempt.after is not None and attempt.quaternion is not None:
             after = self.poses.copy()
             after[order] = np.hstack([attempt.after.position, attempt.quaternion])
-        done, motion, stages, held = attempt.trajectory, None, [], (None, None)
+        done, motion = attempt.trajectory, None
         if done is not None and len(done.time) > 1:
             width = done.width[1:].clip(0, self.arm.gripper.max_width)
-            motion = (done.joints[1:], done.velocity[1:], width, done.command[1:])
-            stages, held = stages_of(done), holding(self.arm, done, move.cell)
+            motion = StepMotion(
+                done.joints[1:],
+                done.velocity[1:],
+                width,
+                done.command[1:],
+                stages_of(done),
+                *holding(self.arm, done, move.cell),
+            )
         self.add(
             plan_step=plan_step,
             cells=numbers[members].tolist(),
@@ -494,9 +514,6 @@ class BuildRecorder:
             outcome=attempt.outcome,
             detail=attempt.detail,
             motion=motion,
-            stages=stages,
-            grip=held[0],
-            release=held[1],
             after=after,
         )
         return order

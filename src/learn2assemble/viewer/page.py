@@ -10,7 +10,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -64,6 +64,18 @@ _LISTED = 12
 """Cells to blame that are named one by one."""
 
 
+class Verdict(NamedTuple):
+    """What came of a plan or a check."""
+
+    status: str = ""
+    """Such as ``complete`` or ``stands only with tight joints``."""
+    reason: str = ""
+    """Why it is not complete, or does not stand."""
+
+
+_UNSAID = Verdict()
+
+
 def render_assembly_page(
     assembly: Assembly,
     *,
@@ -72,8 +84,7 @@ def render_assembly_page(
     step_notes: Sequence[StepNote] = (),
     forces: tuple[Contacts, np.ndarray | None] | None = None,
     moving: Collection[str] = (),
-    status: str = "",
-    reason: str = "",
+    verdict: Verdict = _UNSAID,
     plan: Plan | None = None,
 ) -> str:
     """The page of an assembly as the text of a stand-alone HTML file.
@@ -89,8 +100,7 @@ def render_assembly_page(
         forces: contacts between the blocks of ``assembly.finished``, and float64[C, 3], the
             forces at their corners [N, world], where they are known.
         moving: ids of blocks that start to move; they are marked.
-        status: shown beside the title, e.g. ``complete`` or ``stands only with tight joints``.
-        reason: why it is not complete, or does not stand.
+        verdict: shown beside the title.
         plan: of the assembly, whose targets, goals and obstacles the 3-D view shows, with what was
             tried for it and what an arm did, which the page plays.
 
@@ -118,7 +128,7 @@ def render_assembly_page(
         "scale": scene.scale_data(told.origin, _corners(parts)[1] - told.origin),
     }
     page = {
-        **_head(title, status, reason, plan),
+        **_head(title, verdict, plan),
         **_build(told, noted, parts, data),
         "legend": tables.legend(parts, marks)
         + tables.entry("unbuilt", "not built") * bool(assembly.not_built)
@@ -156,8 +166,9 @@ def _once(parts: Sequence[ScenePart]) -> list[ScenePart]:
     return list({part.block.id: part for part in parts}.values())
 
 
-def _head(title: str, status: str, reason: str, plan: Plan | None) -> dict[str, str]:
+def _head(title: str, verdict: Verdict, plan: Plan | None) -> dict[str, str]:
     """What stands above and below everything else on any page."""
+    status, reason = verdict
     tone = f' <span class="status {TONES.get(status, "warn")}">{escape(status)}</span>'
     words = [f"<p>{escape(text)}</p>" for text in (sentence(reason), *_blame_sentences(plan))]
     page = {
@@ -298,8 +309,7 @@ def write_plan_page(plan: Plan, path: Path) -> None:
         title=plan.design.name,
         facts=_facts(plan),
         step_notes=[_note(step, targets, leaning) for step in plan.steps],
-        status=plan.status,
-        reason=plan.reason or "",
+        verdict=Verdict(plan.status, plan.reason or ""),
         plan=plan,
     )
     write_file(path, text, "page")
@@ -359,7 +369,7 @@ def _page_of_nothing(plan: Plan) -> str:
     tried."""
     marks = _blamed(plan)
     page = {
-        **_head(plan.design.name, plan.status, plan.reason or "", plan),
+        **_head(plan.design.name, Verdict(plan.status, plan.reason or ""), plan),
         "summary": "No blocks were placed.",
         "body": "fixed assembly bare",
         "facts": fact_list(_facts(plan)),

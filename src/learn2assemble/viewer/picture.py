@@ -71,10 +71,7 @@ def write_progress(plan: Plan, path: Path) -> None:
             buffers,
             camera,
             light,
-            place,
-            turn,
-            shown,
-            painted,
+            renderer.BodyStates(place, turn, shown, painted),
             np.array(_SKY, np.float32),
             np.array(_RIM, np.float32),
         )

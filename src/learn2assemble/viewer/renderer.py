@@ -389,35 +389,41 @@ class Buffers:
         self.image = np.empty((height, width, 3), np.uint8)
 
 
+class BodyStates(NamedTuple):
+    """How bodies are drawn."""
+
+    position: np.ndarray
+    """float64[b, 3] [m, world]."""
+    rotation: np.ndarray
+    """float64[b, 3, 3]."""
+    shown: np.ndarray
+    """bool[b]."""
+    colour: np.ndarray
+    """float32[b, 3], 0 to 255."""
+
+
 def render(
     triangles: Triangles,
     buffers: Buffers,
     camera: Camera,
     light: Light,
-    position: np.ndarray,
-    rotation: np.ndarray,
-    shown: np.ndarray,
-    colour: np.ndarray,
+    bodies: BodyStates,
     sky: np.ndarray,
     rim: np.ndarray,
 ) -> np.ndarray:
     """One picture: uint8[height, width, 3], valid until the next call with these buffers.
 
     Args:
-        position: float64[b, 3] of the bodies [m, world].
-        rotation: float64[b, 3, 3].
-        shown: bool[b].
-        colour: float32[b, 3] of the bodies, 0 to 255; likewise ``sky`` and ``rim``, float32[3].
+        sky, rim: float32[3], colours as of bodies.
     """
-    b, turn = buffers, rotation.astype(np.float32)[triangles.body]
-    world = (turn @ triangles.vertices[..., None])[..., 0] + position.astype(np.float32)[
-        triangles.body
-    ]
+    b, turn = buffers, bodies.rotation.astype(np.float32)[triangles.body]
+    moved = bodies.position.astype(np.float32)[triangles.body]
+    world = (turn @ triangles.vertices[..., None])[..., 0] + moved
     normals = (turn @ triangles.normals[..., None])[..., 0]
     lit = world @ light.axes.T - [*light.low, 0.0]
     lit[:, :2] *= SHADOW_SIZE / light.size
     b.shadow.fill(-1e9)
-    faces, there = triangles.faces, shown[b.owner]
+    faces, there = triangles.faces, bodies.shown[b.owner]
     # What is turned away from the sun is left out: something turned to it lies nearer.
     fill(lit.astype(np.float32), faces, there & b.casts, 1, b.shadow, b.shading)
     screen = project(world, camera)
@@ -431,7 +437,7 @@ def render(
         normals,
         faces,
         triangles.body,
-        shown,
+        bodies.shown,
         triangles.marks,
         light.axes,
         light.low,
@@ -443,7 +449,7 @@ def render(
         b.slope,
         b.owner,
         triangles.kind,
-        colour,
+        bodies.colour,
         rim,
         sky.astype(np.uint8),
         light.axes[2],

@@ -112,9 +112,7 @@ class Frames:
             self.buffers,
             self.camera,
             self.light,
-            *poses,
-            shown,
-            self._colours(segment, clock),
+            renderer.BodyStates(*poses, shown, self._colours(segment, clock)),
             SKY,
             rgb(RIM),
         )

@@ -10,12 +10,17 @@ from learn2assemble.errors import InputError
 from learn2assemble.files import check_exists
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from l2a_lab.builder.network import Builder
     from learn2assemble.assembly.kit import Kit
+    from learn2assemble.design.cells import CellDesign
     from learn2assemble.planning.plan import Plan
-    from learn2assemble.planning.tiling.planners import Chosen, Planner, Progress
+    from learn2assemble.planning.tiling.planners import (
+        Chosen,
+        PlanLimits,
+        Planner,
+        PlannerChoice,
+        Progress,
+    )
     from learn2assemble.registry import Registry
     from learn2assemble.tasks.evaluation.episodes import PlayerKind
 
@@ -43,13 +48,17 @@ class LearnedBuilder:
         )
 
     def choose(
-        self, wanted: np.ndarray, kit: Kit, *, seconds: float, progress: Progress, **how: Any
+        self,
+        design: CellDesign,
+        kit: Kit,
+        limits: PlanLimits,
+        choice: PlannerChoice,
+        progress: Progress,
     ) -> Chosen:
         from l2a_lab.builder.planner import plan_with_agent
         from learn2assemble.planning.tiling.planners import Chosen
 
-        asked = {name: how[name] for name in ("friction", "gap", "props", "seed", "hand")}
-        return Chosen(*plan_with_agent(wanted, kit, builder=how["agent"], seconds=seconds, **asked))
+        return Chosen(*plan_with_agent(design.wanted, kit, limits, choice))
 
 
 class Builders:

@@ -23,6 +23,7 @@ from l2a_lab.builder.search import BUDGET, build
 from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.design.cells import CellDesign, read_design
 from learn2assemble.planning.tiling.exact import plan_exact
+from learn2assemble.planning.tiling.planners import PlanLimits, PlannerChoice
 from learn2assemble.tasks.designs import Solved, draw_letter, make_design, with_exact_heap
 from learn2assemble.tasks.task import DESIGN_TASKS
 
@@ -168,7 +169,9 @@ def _time_planners(
         tiling, ordering = plan_exact(wanted, kit, seconds=_EXACT_SECONDS, props_allowed=False)
         found = {"exact": (tiling.status, ordering and ordering.status, perf_counter() - started)}
         started = perf_counter()
-        tiling, ordering, _, _ = plan_with_agent(wanted, kit, builder=builder, seed=k)
+        tiling, ordering, _, _ = plan_with_agent(
+            wanted, kit, PlanLimits(), PlannerChoice("agent", builder, k)
+        )
         found["agent"] = tiling.status, ordering.status, perf_counter() - started
         for planner, (tiled, ordered, seconds) in found.items():
             good = tiled == ordered == "complete"
@@ -237,7 +240,9 @@ def measure_examples(
     for name, (wanted, kit) in example_designs(folder).items():
         progress(f"example {name}")
         started = perf_counter()
-        tiling, ordering, report, _ = plan_with_agent(wanted, kit, builder=builder)
+        tiling, ordering, report, _ = plan_with_agent(
+            wanted, kit, PlanLimits(), PlannerChoice("agent", builder)
+        )
         agent = perf_counter() - started
         started = perf_counter()
         exact, ordered = plan_exact(wanted, kit, seconds=_EXACT_SECONDS)

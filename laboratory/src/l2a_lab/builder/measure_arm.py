@@ -27,6 +27,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import INF
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.construct import plan_cells
+from learn2assemble.planning.tiling.planners import PlannerChoice
 from learn2assemble.planning.tiling.world import LatticeWorld, make_site, only, run
 from learn2assemble.tasks.designs import Solved, make_design
 from learn2assemble.tasks.task import DesignTask
@@ -117,9 +118,7 @@ def _built(design: Solved, workcell: Workcell, builder: str) -> dict[str, Any]:
         return plan_cells(
             _cells(design.site.wanted, design.kit),
             kit,
-            planner="agent",
-            agent=builder,
-            hand=hand,
+            planner=PlannerChoice("agent", builder, hand=hand),
             seconds=INF,
         )
 

@@ -15,11 +15,12 @@ from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.plan import SearchReport, SearchStage
 from learn2assemble.planning.tiling.exact import prop_and_order
 from learn2assemble.planning.tiling.ordering import Ordering, order
+from learn2assemble.planning.tiling.planners import PlanLimits, PlannerChoice
 from learn2assemble.planning.tiling.tile import TIME_OPTION, Tiling
 from learn2assemble.planning.tiling.world import LatticeWorld, make_site, run
 
 if TYPE_CHECKING:
-    from l2a_lab.builder.arm import Hand
+    pass
 
 MAX_CANDIDATES = 1_000_000
 """Cells times ways to put down a block: what the builder keeps grows with it."""
@@ -30,29 +31,19 @@ _SET_UP = 3.0
 def plan_with_agent(
     wanted: np.ndarray,
     kit: Kit,
-    *,
-    builder: str | Builder | None = None,
-    seed: int = 0,
-    seconds: float = 60.0,
-    friction: float | tuple[float, float] | None = None,
-    gap: float | tuple[float, float] | None = None,
+    limits: PlanLimits,
+    choice: PlannerChoice,
     budget: int = BUDGET,
-    hand: Hand | None = None,
-    props: bool = True,
 ) -> tuple[Tiling, Ordering, SearchReport, str]:
     """Blocks of ``kit`` that fill ``wanted``, chosen by the builder, every state proven again.
 
     Args:
         wanted: bool[X, Y, Z].
-        builder: one, or its name or file; the default one without it.
-        seed: of the search.
-        seconds: wall-clock limit for everything.
-        friction, gap: as for :func:`learn2assemble.planning.tiling.ordering.order`.
-        budget: see :mod:`.search`.
-        hand: an arm that makes the placements; without one they make themselves.
-        props: whether temporary blocks may be used where no arm builds: at once where some cell is
+        limits: temporary blocks are used only where no arm builds: at once where some cell is
             filled by nothing that stands by itself, else in a second search, with a budget of its
             own, where the first finds no way without.
+        choice: its agent is a builder, or the name or file of one; the default one without it.
+        budget: see :mod:`.search`.
 
     Returns:
         as :func:`learn2assemble.planning.tiling.exact.plan_exact`, of what was built where not all
@@ -61,8 +52,9 @@ def plan_with_agent(
     most = MAX_CANDIDATES // len(orientations(kit))
     if int(np.asarray(wanted).sum()) > most:
         raise InputError("planner", "agent", f"exact, for more than {most} cells of kit {kit.name}")
-    clock = Clock(seconds)
-    agent = builder if isinstance(builder, Builder) else load_builder(builder or DEFAULT)
+    friction, gap, props, seconds = limits.friction, limits.gap, limits.props, limits.seconds
+    clock, hand, seed, builder = Clock(seconds), choice.hand, choice.seed, choice.agent
+    agent = builder if isinstance(builder, Builder) else load_builder(str(builder or DEFAULT))
     site = make_site(wanted, kit if hand is None else hand.holds(kit))
     props = props and hand is None
     if props and len(LatticeWorld(site).stranded()):

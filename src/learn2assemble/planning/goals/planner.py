@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,8 +24,9 @@ from learn2assemble.planning.goals.world import (
     relax,
 )
 from learn2assemble.planning.plan import Plan
-from learn2assemble.planning.tiling.construct import EXACT, report_plan
+from learn2assemble.planning.tiling.construct import report_plan
 from learn2assemble.planning.tiling.ordering import order
+from learn2assemble.planning.tiling.planners import EXACT, PlanLimits
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.tile import BlockPlacement, Tiling, owners, placement_cells
 from learn2assemble.planning.tiling.world import LatticeWorld
@@ -103,17 +105,9 @@ def plan_goals(
     if not blocks and not tight and status != "refused":
         blocks = _stack(problem, seconds, stages, progress)
         chosen, reason = (STACKS, "") if blocks else (chosen, reason)
-    plan = _report(
-        goals,
-        blocks,
-        reason,
-        status,
-        friction,
-        gap,
-        time.perf_counter() - started,
-        chosen,
-        seconds,
-    )
+    limits = PlanLimits(friction, gap, goals.props, seconds)
+    answer = _Answer(blocks, chosen, status, reason, time.perf_counter() - started)
+    plan = _report(goals, answer, limits)
     also = ", and under every set of the loads" if goals.loads else ""
     design = replace(plan.design, boxes=tuple(plans.PlanBox(*box) for box in goals.boxes()))
     return replace(
@@ -222,28 +216,32 @@ def check_loads(goals: Goals) -> None:
                 )
 
 
-def _report(
-    goals: Goals,
-    blocks: tuple[BlockPlacement, ...],
-    reason: str,
-    status: str,
-    friction: Bounds,
-    gap: Bounds,
-    seconds: float,
-    planner: str,
-    limit: float,
-) -> Plan:
+class _Answer(NamedTuple):
+    """What the ways came to."""
+
+    blocks: tuple[BlockPlacement, ...]
+    """In their order; empty where none was found."""
+    planner: str
+    """Who found them."""
+    status: str
+    """Without blocks."""
+    reason: str
+    seconds: float
+
+
+def _report(goals: Goals, answer: _Answer, limits: PlanLimits) -> Plan:
     """The plan of blocks in their order, with the same proof as any other."""
-    kit = goals.kit
+    kit, blocks, gap = goals.kit, answer.blocks, limits.gap
     wanted = np.zeros(goals.shape, bool)
     for block in blocks:
         if not block.prop:
             wanted[tuple(placement_cells(block, kit).T)] = True
-    tiling = Tiling(blocks, wanted, "complete" if blocks else status, reason)
+    tiling = Tiling(blocks, wanted, "complete" if blocks else answer.status, answer.reason)
     ordering = None
     if blocks:
+        seconds = max(limits.seconds, 10.0)
         ordering = order(
-            tiling, kit, friction=friction, gap=gap, seconds=max(limit, 10.0), given=True
+            tiling, kit, friction=limits.friction, gap=gap, seconds=seconds, given=True
         )
         widest = value_range(gap, kit.joint_gap, "gap")[1]
         kept = tuple(block for block in blocks if not block.prop)
@@ -256,7 +254,7 @@ def _report(
             why = left[0] if left else f"it falls under the loads at {points}"
             tiling = replace(tiling, status="incomplete", reason=why)
     name = CellDesign(goals.name, wanted, kit.pitch, None, 0.0, None, goals.source, kit.name)
-    return report_plan(name, kit, tiling, ordering, seconds=seconds, planner=planner)
+    return report_plan(name, kit, tiling, ordering, seconds=answer.seconds, planner=answer.planner)
 
 
 def _words(found: Found) -> str:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -20,11 +19,15 @@ from learn2assemble.errors import InputError
 from learn2assemble.planning import plan as plans
 from learn2assemble.planning.plan import Plan, PlanDesign
 from learn2assemble.planning.tiling.ordering import Ordering, to_assembly
-from learn2assemble.planning.tiling.planners import PLANNERS
+from learn2assemble.planning.tiling.planners import (
+    BY_EXACT,
+    EXACT,
+    PLANNERS,
+    PlanLimits,
+    PlannerChoice,
+)
 from learn2assemble.planning.tiling.tile import Tiling, placement_cells, strange_cells
 from learn2assemble.statics.proofs import TIGHT, Bounds
-
-EXACT = "exact"
 
 
 def plan_cells(
@@ -36,10 +39,7 @@ def plan_cells(
     props: bool = True,
     seconds: float = 60.0,
     progress: Callable[[str], None] = lambda text: None,
-    planner: str = EXACT,
-    agent: object = None,
-    seed: int = 0,
-    hand: Any = None,
+    planner: PlannerChoice = BY_EXACT,
 ) -> Plan:
     """Blocks, order and proof for a design of cells.
 
@@ -53,10 +53,7 @@ def plan_cells(
         props: whether temporary blocks may be used; the agent uses none.
         seconds: wall-clock limit of planning and proof.
         progress: told what is being done.
-        planner: by name, see :data:`~.planners.PLANNERS`.
-        agent: of a planner that has some, itself or its name or file.
-        seed: of its search.
-        hand: an arm that makes the placements, for a planner that asks it.
+        planner: who chooses blocks and order.
 
     Returns:
         The plan, with the assembly in :attr:`~.plan.Plan.assembly`.
@@ -69,21 +66,12 @@ def plan_cells(
     if not isinstance(kit, Kit):
         kit = load_kit(kit or design.kit or DEFAULT_KIT).at_pitch(design.cell)
     progress("choosing blocks and proving their order")
-    tiling, ordering, search, played = PLANNERS[planner].choose(
-        design.wanted,
-        kit,
-        seconds=max(seconds - (time.perf_counter() - started), 1.0),
-        progress=progress,
-        friction=friction,
-        gap=gap,
-        props=props,
-        shades=design.shades,
-        agent=agent,
-        seed=seed,
-        hand=hand,
-    )
+    left = max(seconds - (time.perf_counter() - started), 1.0)
+    limits = PlanLimits(friction, gap, props, left)
+    chosen = PLANNERS[planner.name].choose(design, kit, limits, planner, progress)
+    tiling, ordering, search, played = chosen
     empty = tiling.missing or not tiling.placements
-    if tiling.status == "refused" and empty and not kit.limited and planner == EXACT:
+    if tiling.status == "refused" and empty and not kit.limited and planner.name == EXACT:
         raise InputError("kit", kit.name, f"one that fills every cell ({tiling.reason})")
     return report_plan(
         design,
@@ -91,7 +79,7 @@ def plan_cells(
         tiling,
         ordering,
         seconds=time.perf_counter() - started,
-        planner=planner,
+        planner=planner.name,
         agent=played,
         search=search,
     )
