@@ -15,16 +15,17 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "learn2assemble"
 SOURCE = ROOT / "src" / PACKAGE
 
-_BASE = {"errors", "registry", "files", "constants"}
+_BASE = {"errors", "registry", "files", "constants", "progress"}
 _ARM = _BASE | {"geometry", "robot", "motion"}
 _PRODUCT = _ARM | {"linear_programs", "assembly", "design", "statics", "planning", "simulation"}
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
     "constants": set(),
+    "progress": set(),
     "registry": {"errors"},
     "files": {"errors"},
     "workers": {"errors"},
-    "linear_programs": {"errors"},
+    "linear_programs": {"errors", "progress"},
     "geometry": set(),
     "assembly": _BASE | {"geometry"},
     "design": _BASE | {"geometry", "assembly"},

@@ -14,6 +14,7 @@ import highspy
 import numpy as np
 
 from learn2assemble.errors import Learn2AssembleError
+from learn2assemble.progress import EVERY, Detail, Progress, silent
 
 INF = math.inf
 _COLUMNWISE = int(highspy.MatrixFormat.kColwise)
@@ -254,11 +255,24 @@ class Clock:
 
     Args:
         timer: that tells the seconds: of a clock, or of the processor.
+        progress: told how far a phase has come.
     """
 
-    def __init__(self, seconds: float, timer: Callable[[], float] = time.monotonic) -> None:
-        self.limit, self.timer = float(seconds), timer
-        self._start = timer()
+    def __init__(
+        self,
+        seconds: float,
+        timer: Callable[[], float] = time.monotonic,
+        progress: Progress = silent,
+    ) -> None:
+        self.limit, self.timer, self.progress = float(seconds), timer, progress
+        self._start = self._told = timer()
+
+    def tell(self, what: str) -> None:
+        """Say how far a phase has come and what time is left, but not too often."""
+        now = self.timer()
+        if now - self._told >= EVERY:
+            self._told = now
+            self.progress(Detail(what, self.left))
 
     @property
     def spent(self) -> float:

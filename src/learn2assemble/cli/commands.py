@@ -194,6 +194,7 @@ def _build(options: argparse.Namespace, output: Output) -> int:
         needs.append(("av", "video", "--no-video"))
     require(*needs)
     with claim_folder(options.out, options.resume):
+        output.phase(f"reading {options.design}")
         plan = build(
             options.design,
             **{name: getattr(options, name) for name in _BUILD},
@@ -202,6 +203,7 @@ def _build(options: argparse.Namespace, output: Output) -> int:
             progress=output.progress,
             **reading_of(options),
         )
+        output.phase("writing the files of the plan")
         files = plan.save(options.out, video=video, progress=output.progress)
         if state is not None and plan.complete:
             state.unlink(missing_ok=True)  # Everything is in the files of the plan now.

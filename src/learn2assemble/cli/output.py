@@ -15,6 +15,7 @@ from typing import Any
 
 from learn2assemble.errors import InputError
 from learn2assemble.files import printable, write_file
+from learn2assemble.progress import Detail
 
 QUIET = 1.5
 """So long nothing may be shown on a terminal before a line says what is going on [s]."""
@@ -103,8 +104,16 @@ class Output:
         self.heartbeat.stop()
         self.console.print(text, markup=False)
 
+    def phase(self, text: str) -> None:
+        """What begins, for the line that takes the place of silence."""
+        self.heartbeat.phase = text
+
     def progress(self, text: str) -> None:
         """One line on standard error: what begins, or has been reached."""
+        if isinstance(text, Detail) and sys.stderr.isatty():
+            # The heartbeat shows it until the next one, and the time that is left where it has it.
+            self.heartbeat.phase = str(text) if self.heartbeat.limit is None else text.what
+            return
         self.heartbeat.clear(text)
         sys.stderr.write(f"l2a: {text}\n")
         sys.stderr.flush()

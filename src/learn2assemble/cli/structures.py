@@ -158,6 +158,7 @@ def _check(options: argparse.Namespace, output: Output) -> int:
         assembly = read_assembly(options.file, unit=options.unit, kit=options.kit)
         if options.capacity is not None:
             assembly = assembly.with_capacity(options.capacity)
+        output.phase(f"proving whether {len(assembly.blocks)} blocks stand")
         found = check(assembly, friction=options.friction)
         held = found.margin_n is not None
         rows = [

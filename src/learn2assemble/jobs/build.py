@@ -111,7 +111,8 @@ def build(
         seed: of the search, and of the problem of a task.
         seconds: limit of planning and proof, or of the widest search of a task [s]; by default
             60 and 20.
-        progress: called with a line of text for everything that takes long.
+        progress: called with a line of text for everything that takes long, and every 1.5 s with
+            how far it has come, the best so far and the time that is left.
         tool: what the arm holds blocks with, ``"suction"`` (the default), ``"suction-side"`` or
             ``"gripper"``.
         physics: in which cell an exact plan is carried out, ``"dynamic"`` or ``"kinematic"``.

@@ -84,14 +84,14 @@ def plan_goals(
         limit = seconds
         if EXACT in ways:
             limit = min(SEARCH_SECONDS[min(goals.shape[:2]) > 1], seconds / 3)
-        found = search(problem, seconds=limit, seed=seed, timer=timer)
+        found = search(problem, seconds=limit, seed=seed, timer=timer, progress=progress)
         blocks, chosen = found.placements, SEARCH
         stages.append(plans.SearchStage(SEARCH, _words(found), round(found.seconds, 3)))
         reason = "" if blocks else _nothing(found, limit)
     if EXACT in ways and not blocks and status != "refused":
         progress("solving the exact program")
         spent = time.perf_counter() - started if stages else 0.0
-        exact = plan_program(problem, seconds=seconds - spent)
+        exact = plan_program(problem, seconds=seconds - spent, progress=progress)
         blocks, chosen = exact.placements, EXACT
         words = f"{exact.status}: {len(blocks)} blocks, at least {exact.bound}"
         stages.append(plans.SearchStage("exact program", words, round(exact.seconds, 3)))

@@ -30,6 +30,7 @@ from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.standing import add_forces, face_points, find_faces
 from learn2assemble.planning.tiling.tile import BlockPlacement, owners
 from learn2assemble.planning.tiling.world import LatticeWorld
+from learn2assemble.progress import Progress, silent
 
 MOST = 24
 """Blocks of a structure the program looks for."""
@@ -50,19 +51,23 @@ class ProgramResult:
     seconds: float
 
 
-def plan_program(problem: GoalProblem, *, seconds: float = 60.0, most: int = MOST) -> ProgramResult:
+def plan_program(
+    problem: GoalProblem, *, seconds: float = 60.0, most: int = MOST, progress: Progress = silent
+) -> ProgramResult:
     """The structure with the fewest blocks that meets the goals, and an order.
 
     Args:
         seconds: wall-clock limit.
         most: blocks of a structure at most.
+        progress: told how many blocks there are at least.
     """
-    clock = Clock(seconds)
+    clock = Clock(seconds, progress=progress)
     goals = problem.goals
     cases: list[tuple[Surface, ...]] = [goals.loads]
     ruled_out: list[np.ndarray] = []
     bound = 1
     while True:
+        clock.tell(f"solving the exact program: at least {bound} blocks")
         answer = solve(_program(problem, cases, ruled_out, most), clock.left, gap=0.0)
         if answer.status == "infeasible":
             status = "infeasible" if not ruled_out else "time"

@@ -42,6 +42,7 @@ from learn2assemble.planning.goals.world import (
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.tile import BlockPlacement, owners
 from learn2assemble.planning.tiling.world import LatticeWorld, grow
+from learn2assemble.progress import Progress, silent
 from learn2assemble.statics.step_proof import Proof, Stack
 
 WEIGHTS = 3.0, 1.0
@@ -197,6 +198,8 @@ class Search:
         world = LatticeWorld(self.problem.site)
         push(self.expand(world, relax(self.problem, world), 0.0), 0)
         while queue:
+            best = "none that meets all" if self.best is None else f"{self.fewest:g} blocks"
+            clock.tell(f"searching for a structure: {self.expanded} looked at, best so far: {best}")
             if clock.left <= 0 or self.expanded > limit or len(seen) > MAX_SEEN:
                 return False
             _, _, index, node = heapq.heappop(queue)
@@ -226,13 +229,15 @@ def search(
     seconds: float = 10.0,
     seed: int = 0,
     timer: Callable[[], float] = time.monotonic,
+    progress: Progress = silent,
 ) -> Found:
     """A structure for some goals with as few blocks as can be found.
 
     Args:
         seconds: limit, as ``timer`` tells them.
+        progress: told how many were looked at, and the best so far.
     """
-    clock, found = Clock(seconds, timer), Search(problem, seed)
+    clock, found = Clock(seconds, timer, progress), Search(problem, seed)
     best = Found((), 0, 0.0)
     end, runs = clock, 0
     exhausted = not len(problem.site) or not np.isfinite(
@@ -248,7 +253,7 @@ def search(
         made = Found(trim(problem, found.best), 0, 0.0)
         best = made if not best.placements or made.blocks < best.blocks else best
         found.fewest = best.blocks
-        end = Clock(min(clock.left, PATIENCE[0] + PATIENCE[1] * clock.spent), timer)
+        end = Clock(min(clock.left, PATIENCE[0] + PATIENCE[1] * clock.spent), timer, progress)
     return Found(best.placements, found.expanded, clock.spent, exhausted)
 
 

@@ -50,7 +50,11 @@ def advise(
             continue
         progress(f"trying whether {text}")
         made, ordering = plan_exact(
-            wanted, blocks, seconds=min(_MOST, _SHARE * clock.left), **{**options, **changed}
+            wanted,
+            blocks,
+            seconds=min(_MOST, _SHARE * clock.left),
+            progress=progress,
+            **{**options, **changed},
         )
         if (ordering or made).status == "complete":
             return text
@@ -72,7 +76,9 @@ def advised_exact(
         options, shades: as :func:`.exact.plan_exact` takes them.
     """
     clock = Clock(seconds)
-    tiling, ordering = plan_exact(wanted, kit, seconds=seconds, shades=shades, **options)
+    tiling, ordering = plan_exact(
+        wanted, kit, seconds=seconds, shades=shades, progress=progress, **options
+    )
     if (ordering or tiling).status in ("refused", "not found") and tiling.placements:
         help_ = advise(tiling, kit, clock.left, progress, **options)
         why = f"{(ordering or tiling).reason}; {help_ or NO_ADVICE}"

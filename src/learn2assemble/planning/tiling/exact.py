@@ -47,6 +47,7 @@ from learn2assemble.planning.tiling.tile import (
     placement_cells,
     tile,
 )
+from learn2assemble.progress import Progress, silent
 from learn2assemble.statics.proofs import BED, FRICTIONLESS, TIGHT, Bounds, value_range
 from learn2assemble.statics.step_proof import Proof, Stack, find_ring, lies_above
 
@@ -90,6 +91,7 @@ def plan_exact(
     gap: Bounds = None,
     props_allowed: bool = True,
     shades: np.ndarray | None = None,
+    progress: Progress = silent,
 ) -> tuple[Tiling, Ordering | None]:
     """Blocks of ``kit`` that fill ``wanted`` exactly, and an order in which every state stands.
 
@@ -99,18 +101,19 @@ def plan_exact(
         friction, gap: as for :func:`learn2assemble.planning.tiling.ordering.order`.
         props_allowed: whether temporary blocks may be used.
         shades: int[X, Y, Z], equal where cells have one colour; blocks keep to one where they can.
+        progress: told the phase, the best so far and the time that is left.
 
     Returns:
         the tiling with its props; the order, None where there was nothing to order. Status and
         reason of the last of the two say how it went.
     """
-    clock = Clock(seconds)
+    clock = Clock(seconds, progress=progress)
     mu = value_range(friction, kit.friction, "friction")
     tight = value_range(gap, kit.joint_gap, "gap")[1] == 0
     wanted = check_cells(wanted)
     if reason := _impossible(wanted, kit):
         return Tiling((), wanted, "refused", reason), None
-    tiling = tile(wanted, kit, seconds=seconds, shades=shades)
+    tiling = tile(wanted, kit, seconds=seconds, shades=shades, progress=progress)
     if tiling.status != "complete":
         return tiling, None
     _check_size(len(tiling.placements), kit)
@@ -212,6 +215,7 @@ class _Search:
         tiling: Tiling | None = self.first
         whole = False  # whether what is barred are whole tilings
         while tiling is not None:
+            self.clock.tell(f"tiling {len(self.tried) + 1} of at most {self.most}")
             stood = self._stand(tiling)
             if stood.status != "complete":
                 # That the others fall says nothing of those that were barred.
@@ -364,6 +368,7 @@ def stand_by_friction(
     for number in range(rounds + 1):
         if len(tiling.placements) > MAX_COUPLED or clock.left <= 0:
             break
+        clock.tell(f"looking for blocks that {what} carries: tiling {number + 1}")
         coupled = Coupled(tiling, kit, friction, law, gap)
         if coupled.margin(np.ones(len(tiling.placements), bool)) is not None:
             return tiling
@@ -416,6 +421,7 @@ def prop_and_order(
     largest: int | None = None
     count, tiling, ordering = len(structure.placements), structure, None
     for _ in range(MAX_ROUNDS):
+        clock.tell(f"choosing props for {len(demands)} of {count} blocks")
         props = choose_props(structure, kit, demands, clock.left, largest)
         if props is None and not tight:
             if ordering is None:
@@ -424,7 +430,15 @@ def prop_and_order(
         if props is None:
             demands = {}
         tiling = replace(structure, placements=structure.placements + tuple(props or ()))
-        ordering = order(tiling, kit, friction=friction, gap=gap, seconds=clock.left, law=law)
+        ordering = order(
+            tiling,
+            kit,
+            friction=friction,
+            gap=gap,
+            seconds=clock.left,
+            law=law,
+            progress=clock.progress,
+        )
         if ordering.status != "not found" or not props_allowed or props is None:
             break
         new = [b for b in ordering.stuck if b < count and b not in demands]
@@ -500,6 +514,10 @@ def stand(tiling: Tiling, kit: Kit, clock: Clock, again: Retiling | None = None)
         held = part[held_there].tolist()
         if clock.left <= 0 or not held:
             return _too_late(tiling, kit, clock)
+        clock.tell(
+            f"looking for blocks that stand: tiling {number + 1} of at most {rounds}, "
+            f"{len(held)} of {len(stack)} blocks fall"
+        )
         status, better = "unknown", None
         if number >= CUT_ROUNDS:
             status, better = near.decide(tiling, stack, held)

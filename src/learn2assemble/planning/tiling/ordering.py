@@ -29,6 +29,7 @@ from learn2assemble.planning.tiling.tile import (
     Tiling,
     placement_cells,
 )
+from learn2assemble.progress import Progress, silent
 from learn2assemble.statics.proofs import (
     BED,
     FRICTIONLESS,
@@ -187,6 +188,14 @@ class _Site:
         """Whether time has run out."""
         return self.clock.left <= 0 or self.timed_out
 
+    def tell(self) -> None:
+        """How far the order has come."""
+        weakest = min((step.margin_g for step in self.steps), default=0.0)
+        self.clock.tell(
+            f"proving the order: {len(self.steps)} steps of {len(self.blocks)} blocks, the "
+            f"weakest withstands {weakest:.3f} g"
+        )
+
     def fill(self, block: int, there: bool) -> None:
         """Mark the cells of a block."""
         self.filled[tuple(self.cells[block].T)] = there
@@ -202,6 +211,7 @@ class _Site:
         Args:
             raising: look for larger margins than those of the state before.
         """
+        self.tell()
         method = self._proven(block, place)
         if method is None:
             return False
@@ -348,6 +358,7 @@ def order(
     seconds: float = 60.0,
     law: str = FRICTIONLESS,
     given: bool = False,
+    progress: Progress = silent,
 ) -> Ordering:
     """The order of building ``tiling``, every state proven before the next.
 
@@ -358,8 +369,9 @@ def order(
         seconds: wall-clock limit.
         law: what may carry a state: ``FRICTIONLESS``, ``BED`` or, where the gap is 0, ``TIGHT``.
         given: try the blocks in the order of the tiling instead of from below.
+        progress: told how many steps are proven, and what the weakest withstands.
     """
-    clock = Clock(seconds)
+    clock = Clock(seconds, progress=progress)
     ends = value_range(friction, kit.friction, "friction")
     widest = value_range(gap, kit.joint_gap, "gap")[1]
     if law == TIGHT and widest > 0:
@@ -408,6 +420,7 @@ def order(
 def _firm(site: _Site) -> None:
     """Look again, by programs, for the margins of the weakest steps that bed faces carry."""
     for _ in range(_FIRMED):
+        site.tell()
         weakest = min(range(len(site.steps)), key=lambda n: site.steps[n].margin_g)
         step = site.steps[weakest]
         if step.margin_g >= _WEAK or step.proof not in (LOCAL, PROGRAM) or site.late:
@@ -469,6 +482,7 @@ def _widest_gap(
     for _ in range(_GAP_TRIALS if high > low else 0):
         if clock.left <= 0 or low == high:
             break
+        clock.tell(f"how wide joints may be: {1e3 * low:.2f} mm so far")
         if _holds(tiling, kit, steps, trial, clock):
             low = trial
         else:

@@ -81,6 +81,7 @@ def _improve(layers: _Layers, tiling: Tiling, kit: Kit, clock: Clock) -> None:
         low, better = 0, False
         while low < len(size):
             high = low + max(1, int((np.cumsum(size[low:]) <= MAX_CANDIDATES).sum()))
+            clock.tell(f"bridging joints of levels {low + 1} to {high} of {len(size)}")
             before = _continued(layers, wanted, kit, low, high)
             if before and size[low:high].sum() <= MAX_CANDIDATES and clock.left > 0:
                 made = _window(layers, wanted, kit, found, price, low, high, clock)

@@ -32,6 +32,7 @@ import numpy as np
 from learn2assemble.assembly.kit import Cell, Kit, Orientation, orientations, parts_of
 from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import INF, Answer, Clock, Model, solve
+from learn2assemble.progress import Progress, silent
 
 MAX_EXTENT, MAX_CELLS = 64, 64 * 64 * 64
 STRIP = 240
@@ -531,6 +532,9 @@ class _Layers:
             layer = self.wanted[:, :, z]
             below = np.ones_like(layer) if z == 0 else self.wanted[:, :, z - 1]
             seams = find_seams(owner)
+            self.clock.tell(
+                f"choosing blocks: level {z + 1} of {self.wanted.shape[2]}, {len(chosen)} so far"
+            )
             owner = np.full_like(owner, -1)
             for part in [layer] if heaps else parts_of(layer):
                 for block in self._part(part, below, seams, z, heaps[z] if heaps else None):
@@ -625,7 +629,12 @@ class _Layers:
 
 
 def tile(
-    wanted: np.ndarray, kit: Kit, *, seconds: float = 60.0, shades: np.ndarray | None = None
+    wanted: np.ndarray,
+    kit: Kit,
+    *,
+    seconds: float = 60.0,
+    shades: np.ndarray | None = None,
+    progress: Progress = silent,
 ) -> Tiling:
     """Fill the cells of ``wanted``, and no others, with blocks of ``kit``.
 
@@ -633,12 +642,13 @@ def tile(
         wanted: bool[X, Y, Z], z up from the table.
         seconds: wall-clock limit.
         shades: int[X, Y, Z], equal where cells have one colour; blocks keep to one where they can.
+        progress: told how many blocks there are.
 
     Raises:
         InputError: for cells that cannot be used, see :func:`check_cells`.
     """
     wanted = check_cells(wanted)
-    clock = Clock(seconds)
+    clock = Clock(seconds, progress=progress)
     layers = _Layers(wanted, kit, clock, shades)
     short: dict[int, int] = {}
     if kit.flat and not kit.limited:

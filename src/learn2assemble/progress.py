@@ -1,0 +1,37 @@
+"""What is going on, told in lines of text: phases, and how far one has come."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+Progress = Callable[[str], None]
+"""Called with a line of text for everything that takes long."""
+EVERY = 1.5
+"""How far a phase has come is told after so long [s]."""
+
+
+class Detail(str):
+    """How far a phase has come: the best so far, and what is left of the limit.
+
+    The next one takes its place, where lines can be taken away.
+
+    Args:
+        what: without the time that is left.
+        left: of the limit [s].
+    """
+
+    __slots__ = ("what",)
+
+    what: str
+
+    def __new__(cls, what: str, left: float = math.inf) -> Detail:
+        """The line."""
+        rest = f", at most {left:.0f} s left" if math.isfinite(left) else ""
+        made = super().__new__(cls, f"{what}{rest}")
+        made.what = what
+        return made
+
+
+def silent(text: str) -> None:
+    """Tell nobody."""
