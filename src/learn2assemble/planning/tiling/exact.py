@@ -75,6 +75,8 @@ MAX_WHOLE = 600
 """Of a building of more blocks, the uppermost part that falls is looked at first, and alone."""
 MAX_COUPLED = 400
 """Of a building of more blocks it is not asked whether friction carries it; that takes minutes."""
+MAX_EXACT = 120
+"""Cells of a part of a level, of which a program soon says which cannot be filled."""
 MAX_PLACEMENTS = 10_000
 """Blocks of a plan."""
 
@@ -111,8 +113,9 @@ def plan_exact(
     mu = value_range(friction, kit.friction, "friction")
     tight = value_range(gap, kit.joint_gap, "gap")[1] == 0
     wanted = check_cells(wanted)
-    if reason := _impossible(wanted, kit):
-        return Tiling((), wanted, "refused", reason), None
+    reason, cells = _impossible(wanted, kit)
+    if reason:
+        return Tiling((), wanted, "refused", reason, missing=to_cells(cells)), None
     tiling = tile(wanted, kit, seconds=seconds, shades=shades, progress=progress)
     if tiling.status != "complete":
         return tiling, None
@@ -142,30 +145,45 @@ def plan_exact(
     return replace(made, status=status), None
 
 
-def _impossible(wanted: np.ndarray, kit: Kit) -> str:
-    """Why numbers alone rule a design out, in one line; empty where they do not."""
+def _impossible(wanted: np.ndarray, kit: Kit) -> tuple[str, np.ndarray]:
+    """Why numbers alone rule a design out, in one line (empty where they do not), and the cells
+    that they rule out (int64[n, 3])."""
     sizes = [len(kind.cells) for kind in kit.kinds]
-    count, step = int(wanted.sum()), reduce(math.gcd, sizes)
-    _check_size(-(-count // max(sizes)), kit)
+    cells, none = np.argwhere(wanted), np.empty((0, 3), np.int64)
+    _check_size(-(-len(cells) // max(sizes)), kit)
+    if reason := _uneven(cells, kit, "the design"):
+        return reason, none
+    if kit.flat:
+        # Blocks that are one cell high fill every part of a level on its own.
+        for level in range(wanted.shape[2]):
+            for part in parts_of(wanted[:, :, level]):
+                at = np.argwhere(part)
+                what = f"a part of level {level}"
+                if len(at) > MAX_EXACT and (reason := _uneven(at, kit, what)):
+                    return reason, np.insert(at, 2, level, axis=1)
+    heap = [kind.count for kind in kit.kinds]
+    most = sum(n * size for n, size in zip(heap, sizes, strict=True) if n is not None)
+    if None not in heap and most < len(cells):
+        return f"the heap of kit `{kit.name}` has {most} cells; the design has {len(cells)}", none
+    return "", none
+
+
+def _uneven(cells: np.ndarray, kit: Kit, what: str) -> str:
+    """Why no blocks of ``kit`` fill ``cells`` (int64[n, 2 or 3]), by their numbers alone."""
+    sizes = [len(kind.cells) for kind in kit.kinds]
+    count, step = len(cells), reduce(math.gcd, sizes)
     if count % step:
-        return (
-            f"all blocks of kit `{kit.name}` have a multiple of {step} cells; "
-            f"the design has {count}"
-        )
+        return f"all blocks of kit `{kit.name}` have a multiple of {step} cells; {what} has {count}"
     # On a checkerboard in space, how many cells more of one colour a block has does not depend on
     # where it lies.
     uneven = [abs(int(np.sum((-1) ** np.sum(kind.cells, axis=1)))) for kind in kit.kinds]
-    odd = abs(int(np.sum((-1) ** np.argwhere(wanted).sum(1))))
+    odd = abs(int(np.sum((-1) ** cells.sum(1))))
     most_odd = count * max(n / size for n, size in zip(uneven, sizes, strict=True))
     if odd > most_odd + 1e-6:
         return (
-            f"on a checkerboard the design has {odd} cells more of one colour; blocks of kit "
+            f"on a checkerboard {what} has {odd} cells more of one colour; blocks of kit "
             f"`{kit.name}` that fill it have at most {int(most_odd + 1e-6)}"
         )
-    heap = [kind.count for kind in kit.kinds]
-    most = sum(n * size for n, size in zip(heap, sizes, strict=True) if n is not None)
-    if None not in heap and most < count:
-        return f"the heap of kit `{kit.name}` has {most} cells; the design has {count}"
     return ""
 
 
