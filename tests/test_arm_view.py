@@ -336,7 +336,7 @@ const tools = {
   cube() {
     const group = new THREE.Group();
     cells.push(group);
-    return { group, material: nothing };
+    return { group, material: nothing, sides: new THREE.BoxGeometry(1, 1, 1) };
   },
 };
 const arm = createArm(data, tools), clock = armClock(data);

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from scipy.spatial import HalfspaceIntersection
 
 import learn2assemble as l2a
 from learn2assemble.robot import scene
@@ -35,16 +36,29 @@ def stone(rng: np.random.Generator, number: int) -> l2a.Block:
     return l2a.hull_block(made.id, made.vertices - made.centroid, density=DENSITY)
 
 
-def stones(count: int = 20, seed: int = 0, spread: float = 0.03) -> l2a.Assembly:
+def cut_stone(rng: np.random.Generator, number: int) -> l2a.Block:
+    """A stone with six plane faces, 5 to 9 cm long, none of them parallel but by chance."""
+    half = rng.uniform([0.032, 0.028, 0.022], [0.045, 0.038, 0.03])
+    normals = np.vstack([np.eye(3), -np.eye(3)]) + rng.normal(scale=0.09, size=(6, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    planes = np.column_stack([normals, -np.tile(half, 2)])
+    made = l2a.hull_block(
+        f"stone{number}", HalfspaceIntersection(planes, np.zeros(3)).intersections
+    )
+    return l2a.hull_block(made.id, made.vertices - made.centroid, density=DENSITY)
+
+
+def stones(count: int = 20, seed: int = 0, spread: float = 0.03, cut: bool = False) -> l2a.Assembly:
     """A free heap: stones put down one by one on the ground or on what lies there already.
 
     Args:
         count: how many.
         seed: of their shapes and of where they come down.
         spread: standard deviation of where they come down about the middle [m].
+        cut: they have plane faces that a cup can hold.
     """
     rng = np.random.default_rng(seed)
-    shapes = [stone(rng, k) for k in range(count)]
+    shapes = [(cut_stone if cut else stone)(rng, k) for k in range(count)]
     model, data = _scene(shapes)
     pose = data.qpos.reshape(-1, 7)
     for k, shape in enumerate(shapes):

@@ -31,6 +31,7 @@ from learn2assemble.cell.workcell import (
     STOCK,
     TRIES,
     Arranged,
+    Direction,
     Disturbance,
     Job,
     Progress,
@@ -207,9 +208,9 @@ class Building:
         """The first way the kinematic cell allows, after as many as have failed in reality."""
         k, goal = action.block, action.goal
         rows, why, first = rows_of(self.world, self.known.belief, k), "", None
-        into = DOWN
+        into: tuple[Direction, ...] = (DOWN,)
         if action.what in ("place", "again"):
-            into = self.known.structure.way_in(k, self.known.standing() - {k})
+            into = self.known.structure.ways_in(k, self.known.standing() - {k})
         for move in moves(self.world, rows, k, goal, into):
             found = self.kinematic.attempt(rows.scene, move)
             if found.reached:

@@ -25,6 +25,7 @@ from learn2assemble.cell.pieces import Piece, pieces_of
 from learn2assemble.cell.site import Obstacle, Site, Source
 from learn2assemble.errors import InputError
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_quaternion
+from learn2assemble.planning.clearance import ways_out
 from learn2assemble.robot.arm import Arm, get_arm
 from learn2assemble.robot.bodies import Shape
 from learn2assemble.robot.grasps import WAY, facing
@@ -55,6 +56,9 @@ LEANING = 0.02
 """A joint leans where the height of its normal is neither 0 nor 1 by more."""
 STEEP_JOINT = 0.9
 """Where the height of its normal is less, a block does not come straight down on a joint."""
+LOW_WAY, MORE_WAYS = 0.3, 2
+"""Height of the directions from which a block may come, at least, and how many further ones are
+tried where blocks lean."""
 TRIES = 3
 """Attempts at one step before others come first."""
 
@@ -295,8 +299,15 @@ def rows_of(world: World, poses: np.ndarray, moving: int, masses: np.ndarray | N
     return Rows(scene, np.array(owner, np.int64), np.array(part, np.int64))
 
 
-DOWN = (0.0, 0.0, -1.0)
+Direction = tuple[float, float, float]
+"""A unit vector."""
+DOWN: Direction = (0.0, 0.0, -1.0)
 """The way on which blocks come to their places, if nothing leans."""
+
+
+def _direction(way: np.ndarray) -> Direction:
+    x, y, z = (way.round(9) + 0.0).tolist()
+    return x, y, z
 
 
 def moves(
@@ -304,7 +315,7 @@ def moves(
     rows: Rows,
     moving: int,
     goal: np.ndarray,
-    into: tuple[float, float, float] = DOWN,
+    into: Sequence[Direction] = (DOWN,),
 ) -> Iterator[Move]:
     """Ways to bring a block to a pose: where it is held, and how the hand turns; cups at the side
     of a tool last, and drawn out only as far as it takes to come out from below others.
@@ -312,7 +323,7 @@ def moves(
     Args:
         rows: the scene, in which the block waits.
         goal: float64[7]: the pose it shall have.
-        into: unit vector along which it comes there.
+        into: unit vectors along which it may come there.
     """
     piece, arm = world.pieces[moving], world.job.arm
     now = quaternion_matrix(rows.pose(moving, piece.shape)[3:])
@@ -329,9 +340,11 @@ def moves(
             if far is None:
                 continue
             grasp = grasp._replace(way=far)
-        if np.abs(place.insertion() - into).max() > 1e-9:
-            place = place._replace(into=into)
-        yield Move(of_part[way.hold.part], goal[:3] + way.goal @ centre, grasp, place)
+        target = goal[:3] + way.goal @ centre
+        for one in into:
+            apart = np.abs(place.insertion() - one).max() > 1e-9
+            there = place._replace(into=one) if apart else place
+            yield Move(of_part[way.hold.part], target, grasp, there)
 
 
 def way_out(rows: Rows, mine: np.ndarray, way: np.ndarray) -> float | None:
@@ -427,26 +440,32 @@ class Structure:
                 self._rests(a, b, float(normal[2]))
         return found
 
-    def way_in(self, block: int, standing: set[int]) -> tuple[float, float, float]:
-        """Unit vector along which a block comes to its place: straight down, or at right angles to
-        the joints on which it comes to lean where that is not along them."""
+    def ways_in(self, block: int, standing: set[int]) -> tuple[Direction, ...]:
+        """Unit vectors along which a block may come to its place, the best ones first: straight
+        down, or at right angles to the joints on which it comes to lean where these are steep;
+        where blocks lean also others that lead away from all it touches."""
         if not self.leans:
-            return DOWN
+            return (DOWN,)
         faces = self.contacts
-        up = [
+        touched = [
             normal if b == block else -normal
             for a, b, normal in zip(faces.a.tolist(), faces.b.tolist(), faces.normal, strict=True)
             if block in (a, b) and (a if b == block else b) in {*standing, -1}
         ]
-        carried = [normal for normal in up if normal[2] > LEANING]
-        if not carried or min(float(normal[2]) for normal in carried) > STEEP_JOINT:
-            return DOWN
+        carried = [normal for normal in touched if normal[2] > LEANING]
+        if not carried:
+            return (DOWN,)
+        normals, up = np.array(touched), np.array([0.0, 0.0, 1.0])
         mean = np.sum(carried, axis=0)
-        mean = mean / np.linalg.norm(mean)
-        if min(float(mean @ normal) for normal in up) < -1e-6:
-            return DOWN
-        x, y, z = (-mean).round(9).tolist()
-        return x, y, z
+        best = [mean / np.linalg.norm(mean), up]
+        if min(float(normal[2]) for normal in carried) > STEEP_JOINT:
+            best.reverse()
+        best = [way for way in best if way is up or (normals @ way).min() > -1e-6]
+        others = ways_out(normals)
+        others = others[others[:, 2] > LOW_WAY]
+        room = (others @ normals.T).min(1)
+        best += list(others[np.argsort(-room, kind="stable")[:MORE_WAYS]])
+        return tuple(_direction(-way) for way in best)
 
     def stands(self, standing: frozenset[int]) -> bool:
         """Whether these pieces stand without the others, by the proof of the plan or another."""
@@ -561,7 +580,7 @@ def _arrange(
                 if not structure.stands(frozenset(after)):
                     stuck.setdefault(step.block, "it would fall")
                     continue
-                why = try_step(world, cell, step, structure.way_in(step.block, standing))
+                why = try_step(world, cell, step, structure.ways_in(step.block, standing))
                 if why is None:
                     break
                 if job.hands and job.pieces[step.block].prop:
@@ -587,12 +606,12 @@ def try_step(
     world: World,
     cell: KinematicCell,
     step: StepOf,
-    into: tuple[float, float, float] = DOWN,
+    into: Sequence[Direction] = (DOWN,),
 ) -> str | None:
     """Why the arm cannot do a step in a world where everything is as planned; None if it can.
 
     Args:
-        into: unit vector along which the block comes to its place.
+        into: unit vectors along which the block may come to its place.
     """
     k = step.block
     before = world.pose[k].copy(), world.state[k]
@@ -606,7 +625,7 @@ def try_step(
         if not step.remove:
             world.pose[k] = at
         rows = rows_of(world, world.pose, k)
-        for move in moves(world, rows, k, goal, DOWN if step.remove else into):
+        for move in moves(world, rows, k, goal, (DOWN,) if step.remove else into):
             found = cell.attempt(rows.scene, move)
             if found.reached:
                 world.pose[k] = before[0]

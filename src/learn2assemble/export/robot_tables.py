@@ -32,6 +32,7 @@ from learn2assemble.motion.program import (
     stand,
 )
 from learn2assemble.robot.arm import Arm, Limits, get_arm
+from learn2assemble.robot.hulls import Hull, hull_of
 from learn2assemble.robot.moves import STAGES
 
 FORMAT, VERSION = "learn2assemble-robot-program", 1
@@ -69,11 +70,15 @@ def header(program: Program, arm: Arm) -> dict[str, Any]:
             "edge": blocks.edge,
             "half": blocks.half,
             "density": blocks.density,
+            "hull": None
+            if blocks.hull is None
+            else [None if hull is None else hull.points for hull in blocks.hull],
             "objects": blocks.objects,
             "start": blocks.start,
             "end": blocks.end,
             "supply": [one._asdict() | {"time": round(one.time, 6)} for one in blocks.supply],
         },
+        "hands": [hand._asdict() for hand in program.hands],
         "steps": [
             {
                 "step": step.number,
@@ -140,6 +145,7 @@ def read_header(data: Any, source: str, name: str) -> Header:
             _array(told["end"], count, 7),
             supply,
             density,
+            None if told.get("hull") is None else tuple(map(_hull, told["hull"])),
         )
         steps = tuple(
             ProgramStep(
@@ -163,6 +169,10 @@ def read_header(data: Any, source: str, name: str) -> Header:
             raise
         got = f"no {error}" if isinstance(error, KeyError) else str(error)
         raise InputError(f"{source}: header", got, "that of an exported program") from None
+
+
+def _hull(corners: Any) -> Hull | None:
+    return None if corners is None else hull_of(_array(corners, len(corners), 3))
 
 
 def _check_limits(given: Any, joints: int, source: str) -> None:

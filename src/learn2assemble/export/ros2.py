@@ -42,6 +42,7 @@ from learn2assemble.motion.program import (
     usage,
 )
 from learn2assemble.robot.arm import Arm
+from learn2assemble.robot.hulls import Hull
 from learn2assemble.robot.kinematics import forward_many, get_chain
 from learn2assemble.robot.moves import STAGES
 
@@ -174,7 +175,9 @@ def _scene_messages(program: Program, arm: Arm) -> Iterator[Message]:
     markers = []
     for number, cells in enumerate(blocks.objects):
         colour = colorsys.hsv_to_rgb(number * 0.381966 % 1, 0.55, 0.85)
-        markers += [_marker(c, 2 * blocks.halves[c], colour) for c in cells]
+        for cell in cells:
+            hull = None if blocks.hull is None else blocks.hull[cell]
+            markers.append(_marker(cell, 2 * blocks.halves[cell], colour, hull))
     yield 0, "/blocks", {"markers": markers}
     time = _grid(program)
     joints = np.ascontiguousarray(program.knots.at(time)[0])
@@ -243,17 +246,24 @@ def _transform(time: int, parent: str, child: str, pose: np.ndarray) -> dict[str
     }
 
 
-def _marker(cell: int, size: np.ndarray, colour: tuple[float, float, float]) -> dict[str, Any]:
-    """A cube in the frame of its cell; what is not told is 0 or empty."""
+def _marker(
+    cell: int, size: np.ndarray, colour: tuple[float, float, float], hull: Hull | None
+) -> dict[str, Any]:
+    """A cube, or the triangles of a hull, in the frame of its cell; what is not told is 0 or
+    empty."""
+    solid: dict[str, Any] = {"type": 1, "scale": dict(zip("xyz", size.tolist(), strict=True))}
+    if hull is not None:
+        corners = hull.triangles().reshape(-1, 3).tolist()
+        points = [dict(zip("xyz", corner, strict=True)) for corner in corners]
+        solid = {"type": 11, "scale": {"x": 1.0, "y": 1.0, "z": 1.0}, "points": points}
     return {
         "header": {"frame_id": f"cell_{cell}"},
         "ns": "blocks",
         "id": cell,
-        "type": 1,
         "pose": {"orientation": {"w": 1.0}},
-        "scale": dict(zip("xyz", size.tolist(), strict=True)),
         "color": {**dict(zip("rgb", colour, strict=True)), "a": 1.0},
         "frame_locked": True,
+        **solid,
     }
 
 

@@ -209,12 +209,16 @@ def _told(program: Program, arm: Arm) -> Iterator[_Line]:
             + (
                 f"# step {step.number}, block {step.cells[0]}\n"
                 f"if (l2a_resume_from <= {step.number}):\n"
+                f"{_pauses(program, k)}"
                 f"l2a_start({step.number}, [{_list(first)}], {state.width:.4f}, {state.speed:.3f})"
             ),
         )
         for time in step.checks:
             yield _Line(time, f"l2a_check({step.number}, {step.cells[0]})")
         begin = step.end
+    last = _pauses(program, len(program.steps))
+    if last:
+        yield _Line(begin, last.removesuffix("\n"))
     (first, _), *later = changes(program)
     was_closed = bool(first.force) or first.vacuum
     for state, new in later:
@@ -226,6 +230,12 @@ def _told(program: Program, arm: Arm) -> Iterator[_Line]:
             call = f"close({numbers}, {state.force:.1f})" if closed else f"open({numbers})"
             yield _Line(state.time, f"l2a_{call}")
         was_closed = closed
+
+
+def _pauses(program: Program, done: int) -> str:
+    """Calls that wait for what is done by hand after so many steps, one a line."""
+    words = (hand.words.replace('"', "'") for hand in program.hands if hand.after == done)
+    return "".join(f'popup("{word}, then go on", title="l2a", blocking=True)\n' for word in words)
 
 
 def _payload(program: Program, arm: Arm, time: float, load: float) -> str:
@@ -253,7 +263,7 @@ def held_centre(program: Program, arm: Arm, step: ProgramStep, index: int) -> np
     before = program.steps[index - 1].after if index else None
     poses = blocks.start if before is None else before
     masses = np.array([blocks.mass([cell]) for cell in cells])
-    centre = masses @ poses[cells, :3] / masses.sum()
+    centre = masses @ blocks.middles(cells, poses) / masses.sum()
     q = np.ascontiguousarray(program.knots.at(np.array([step.held[0]]))[0])
     (tool,), (turn,) = forward_many(get_chain(arm), q)
     tcp = driver_of(arm).tcp

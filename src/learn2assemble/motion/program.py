@@ -26,7 +26,7 @@ from learn2assemble.geometry.rotations import (
     quaternion_matrix,
     yaw_quaternion,
 )
-from learn2assemble.motion.record import ArmFacts, BuildRecord, Samples, require_sound
+from learn2assemble.motion.record import ArmFacts, BuildRecord, ByHand, Samples, require_sound
 from learn2assemble.robot.arm import Arm, Limits, arm_model, get_arm
 from learn2assemble.robot.hulls import Hull
 from learn2assemble.robot.moves import DENSITY, STAGES, Outcome
@@ -272,6 +272,15 @@ class Blocks(NamedTuple):
             volume[k] = volume[k] if hull is None else hull.volume
         return float((density * volume).sum())
 
+    def middles(self, cells: Sequence[int], poses: np.ndarray) -> np.ndarray:
+        """float64[m, 3]: centres of mass of some cells at poses float64[C, 7] of all [m]."""
+        found = poses[list(cells), :3].copy()
+        for k, cell in enumerate(cells):
+            hull = None if self.hull is None else self.hull[cell]
+            if hull is not None:
+                found[k] += quaternion_matrix(poses[cell, 3:]) @ hull.centroid
+        return found
+
 
 @dataclass(frozen=True, eq=False)
 class Program:
@@ -296,6 +305,8 @@ class Program:
     blocks: Blocks
     stretch: float = 1.0
     """Largest factor by which the time of a motion was stretched."""
+    hands: tuple[ByHand, ...] = ()
+    """What is done by hand between the steps, while the robot waits."""
 
     @property
     def seconds(self) -> float:
@@ -448,6 +459,7 @@ def make_program(record: BuildRecord, arm: Arm) -> Program:
             record.hull,
         ),
         stretch,
+        record.hands,
     )
     return _with_tool(program, record, arm, samples)
 

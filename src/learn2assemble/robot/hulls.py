@@ -139,6 +139,16 @@ class Hull:
         """float64[n, 3]: corners of a face."""
         return self.points[list(self.faces[face])]
 
+    def triangles(self) -> np.ndarray:
+        """float64[t, 3, 3]: its faces as triangles [m]."""
+        return np.array(
+            [
+                self.points[[face[0], face[k], face[k + 1]]]
+                for face in self.faces
+                for k in range(1, len(face) - 1)
+            ]
+        )
+
     def shrunk(self, room: float) -> Hull:
         """The hull with every face moved inwards [m]; itself where nothing would be left."""
         from scipy.spatial import HalfspaceIntersection, QhullError

@@ -147,13 +147,15 @@ def arm_data(playback: Playback, labels: Labels) -> dict[str, Any]:
                 "kind": colour,
                 "fixed": fixed,
                 "half": size,
+                "corners": None if hull is None else hull.triangles().ravel(),
                 "position": position,
                 "quaternion": quaternion,
             }
-            for colour, fixed, size, position, quaternion in zip(
+            for colour, fixed, size, hull, position, quaternion in zip(
                 labels.colours,
                 labels.fixed,
                 playback.half,
+                record.hull or [None] * record.num_cells,
                 *split(record.steps[0].before),
                 strict=True,
             )

@@ -135,7 +135,11 @@ class Frames:
         bodies.add(TOP, self._table(), renderer.GROUND)
         for k, part in enumerate(playback.shape.parts):
             bodies.add(PARTS + k, part.mesh, renderer.LIT)
-        for cell, half in enumerate(playback.half):
+        hulls = playback.record.hull or [None] * len(playback.half)
+        for cell, (half, hull) in enumerate(zip(playback.half, hulls, strict=True)):
+            if hull is not None:
+                bodies.add(self.cells + cell, _flat(hull.triangles()), renderer.LIT)
+                continue
             block = box(half)
             # What is left and right, below and above on each face: all but where it looks.
             marks = (block.vertices[np.abs(block.normals) < 0.5] > 0).reshape(-1, 2)
@@ -342,3 +346,11 @@ def moments(duration: float, speed: float) -> np.ndarray:
     count = math.ceil(duration / speed * FRAMES_PER_SECOND)
     moving = np.minimum(np.arange(count) * (speed / FRAMES_PER_SECOND), duration)
     return np.concatenate([moving, np.full(round(_HOLD * FRAMES_PER_SECOND), duration)])
+
+
+def _flat(triangles: np.ndarray) -> Mesh:
+    """Triangles float64[t, 3, 3], each with its own normal [m]."""
+    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-15)
+    faces = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
+    return Mesh(triangles.reshape(-1, 3), np.repeat(across, 3, axis=0), faces)

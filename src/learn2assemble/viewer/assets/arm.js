@@ -98,9 +98,10 @@ function createArm(data, tools) {
     states.push(poses);
     put(segment.after);
   }
+  const outlines = new Map();
   const ghostLine = coloured(new THREE.LineBasicMaterial({ transparent: true, opacity: 0.9 }), "current");
   const ghost = new THREE.LineSegments(
-    new THREE.EdgesGeometry(new THREE.BoxGeometry(1, 1, 1)), ghostLine);
+    new THREE.EdgesGeometry(cells[0].sides), ghostLine);
   group.add(ghost);
   const toolPlace = new THREE.Vector3(), toolTurn = new THREE.Quaternion();
 
@@ -125,7 +126,7 @@ function createArm(data, tools) {
     const [x, y, z, ...quaternion] = segment.target;
     ghost.position.set(x, y, z);
     ghost.quaternion.copy(turned(quaternion));
-    ghost.scale.set(...arm.cells[segment.cells[0]].half.map((v) => 2 * v));
+    ghost.geometry = outline(segment.cells[0]);
   }
 
   function pose(time) {
@@ -166,8 +167,15 @@ function createArm(data, tools) {
     return owner.has(cell) && owner.get(cell) < k ? kind : "waiting";
   }
 
-  function makeCell({ half }) {
-    const cube = tools.cube(half);
+  function outline(cell) {
+    if (!outlines.has(cell)) {
+      outlines.set(cell, new THREE.EdgesGeometry(cells[cell].sides));
+    }
+    return outlines.get(cell);
+  }
+
+  function makeCell({ half, corners }) {
+    const cube = tools.cube(half, corners);
     group.add(cube.group);
     return cube;
   }

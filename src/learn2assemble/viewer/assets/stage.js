@@ -39,7 +39,7 @@ function createStage(canvas, data) {
   addUnbuilt();
   // An arm moves every block on its own; the mesh of all is for the layers then.
   const arm = data.arm
-    ? createArm(data, { cube: box, coloured: view.coloured, colours: view.colours }) : null;
+    ? createArm(data, { cube: solid, coloured: view.coloured, colours: view.colours }) : null;
   if (arm) view.scene.add(arm.group);
   const overlays = { joints: addJoints(), forces: addForces() };
 
@@ -187,15 +187,20 @@ function createStage(canvas, data) {
     view.scene.add(made, bundle(edges, "blamed"));
   }
 
-  function box(half) {
-    const sides = new THREE.BoxGeometry(...half.map((v) => 2 * v));
+  /* A box, or the solid whose triangles have these corners. */
+  function solid(half, corners) {
+    const sides = corners ? new THREE.BufferGeometry() : new THREE.BoxGeometry(...half.map((v) => 2 * v));
+    if (corners) {
+      sides.setAttribute("position", new THREE.Float32BufferAttribute(corners, 3));
+      sides.computeVertexNormals();
+    }
     const material = new THREE.MeshLambertMaterial({
       polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 2,
     });
     const piece = new THREE.Mesh(sides, material);
     piece.castShadow = piece.receiveShadow = true;
     const group = new THREE.Group().add(piece, new THREE.LineSegments(new THREE.EdgesGeometry(sides), rim));
-    return { group, material };
+    return { group, material, sides };
   }
 
   /* How far above its place a block is, and its colour; null where it is not there. */

@@ -1,0 +1,438 @@
+"""An arm takes blocks of any shape at any pose: faces to hold and to rest on, hulls, hands."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import runpy
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import learn2assemble as l2a
+from learn2assemble.assembly.blocks import Assembly, Block, box_block, hull_block
+from learn2assemble.cell.pieces import overlaps, pieces_of, solids, ways_to_rest, with_rests
+from learn2assemble.cell.reach import check_held
+from learn2assemble.errors import InputError
+from learn2assemble.export.robot_programs import export_program, replay_program
+from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.motion.files import read_record, write_record
+from learn2assemble.motion.record import find_fault
+from learn2assemble.planning.plan import Plan
+from learn2assemble.robot.arm import get_arm
+from learn2assemble.robot.bodies import Part, Shape, body_of
+from learn2assemble.robot.holding import PAD, attitudes, free_face, holds_of, ways_to_turn
+from learn2assemble.robot.hulls import Hull, hull_of, resting_turns, rotations_onto
+from learn2assemble.robot.kinematic import BlockChecker
+from learn2assemble.robot.moves import Move, Scene, carried, put_down
+
+STRUCTURES = Path(__file__).resolve().parents[1] / "examples/structures"
+UR5E, PANDA = get_arm("ur5e", "suction"), get_arm("panda")
+# A stair of three boxes: parts cover faces of one another.
+STAIR: Shape = (
+    Part((-0.04, 0.0, -0.02), (0.02, 0.03, 0.02)),
+    Part((0.02, 0.0, 0.0), (0.04, 0.03, 0.04)),
+)
+
+
+def stone(seed: int) -> Hull:
+    """The hull of some points in a box of 12 x 10 x 8 cm."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-1, 1, (int(rng.integers(5, 12)), 3)) * [0.06, 0.05, 0.04]
+    found = hull_of(points)
+    low, high = found.points.min(0), found.points.max(0)
+    return hull_of(found.points - (low + high) / 2)
+
+
+def turn_of(rng: np.random.Generator) -> np.ndarray:
+    turn = rng.normal(size=4)
+    return quaternion_matrix(turn / np.linalg.norm(turn))
+
+
+# ---------------------------------------------------------------- hulls
+
+
+@settings(deadline=None, max_examples=15)
+@given(st.integers(0, 10**6))
+def test_what_rests_lies_on_a_face_and_falls_when_it_is_tilted_by_more_than_its_margin(
+    seed: int,
+) -> None:
+    hull = stone(seed)
+    for rest in resting_turns(hull, hull.centroid, 0.0):
+        points = (hull.points - hull.centroid) @ rest.turn.T
+        ground = points[points[:, 2] < points[:, 2].min() + 1e-6]
+        assert len(ground) >= 3
+        foot = shapely.MultiPoint(ground[:, :2]).convex_hull
+        assert foot.buffer(1e-9).contains(shapely.Point(0, 0))
+        # The margin is the smallest tilt about an edge that brings the centre over it.
+        height, inside = -points[:, 2].min(), foot.exterior.distance(shapely.Point(0, 0))
+        assert math.tan(rest.margin) == pytest.approx(inside / height, abs=1e-6)
+
+
+@settings(deadline=None, max_examples=15)
+@given(st.integers(0, 10**6))
+def test_a_stone_is_one_shape_in_every_pose_and_its_mirror_image_another(seed: int) -> None:
+    rng, hull = np.random.default_rng(seed + 1), stone(seed)
+    poses = [(turn_of(rng), rng.uniform(0.2, 1, 3)) for _ in range(3)]
+    blocks = [hull_block(f"b{k}", hull.points @ t.T + p) for k, (t, p) in enumerate(poses)]
+    mirrored = hull_block("mirrored", hull.points * [1, 1, -1] + [0.5, 0.5, 0.5])
+    pieces = pieces_of(Assembly((*blocks, mirrored)))
+    same = any(rotations_onto(hull.points, hull.points * [1, 1, -1], 1e-6))
+    assert len({piece.shape for piece in pieces[:3]}) == 1
+    assert (pieces[3].shape == pieces[0].shape) == same
+    for piece, block in zip(pieces, (*blocks, mirrored), strict=True):
+        far = np.linalg.norm(piece.corners(piece.pose)[:, None] - block.vertices, axis=2)
+        assert max(far.min(0).max(), far.min(1).max()) < 1e-5
+        assert piece.mass == pytest.approx(block.mass, rel=1e-4)
+
+
+# ---------------------------------------------------------------- holds
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(0, 10**6), st.booleans())
+def test_a_cup_lies_on_a_face_that_nothing_covers(seed: int, stair: bool) -> None:
+    shape = STAIR if stair else (Part((0.0, 0.0, 0.0), (0.06, 0.05, 0.04), stone(seed)),)
+    up = turn_of(np.random.default_rng(seed))[2]
+    holds = holds_of(UR5E, shape, up)
+    assert holds or not stair
+    angle = np.linspace(0, 2 * np.pi, 24)
+    for hold in holds:
+        axis, across = np.array(hold.axis), np.array(hold.across)
+        ring = np.outer(np.cos(angle), across) + np.outer(np.sin(angle), np.cross(axis, across))
+        lip = np.array(hold.point) + 0.015 * ring
+        solid, centre = shape[hold.part].solid, np.array(shape[hold.part].centre)
+        depth = (lip - centre) @ solid.normals.T - solid.offsets
+        assert depth.max() < 2e-6, "the lip is on the block"
+        assert np.abs(depth.max(1)).max() < 2e-6, "and all of it on its surface"
+        for other in shape:
+            outside = (lip - 1e-3 * axis - np.array(other.centre)) @ other.solid.normals.T
+            assert ((outside - other.solid.offsets).max(1) > 0).all(), "no part is in front of it"
+
+
+def test_faces_that_other_parts_cover_are_left_out() -> None:
+    """The riser of the stair: below the tread it is glued to the lower box."""
+    for part, face in ((0, 0), (1, 3)):
+        normals = STAIR[part].solid.normals
+        assert {tuple(n) for n in normals.round(9).tolist()} >= {(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)}
+        assert face < len(normals)
+    inner = int(np.argmax(STAIR[0].solid.normals[:, 0]))
+    assert free_face(STAIR, 0, inner).area < 1e-12
+    riser = int(np.argmin(STAIR[1].solid.normals[:, 0]))
+    assert free_face(STAIR, 1, riser).area == pytest.approx(0.06 * 0.04, rel=1e-6)
+
+
+@settings(deadline=None, max_examples=15)
+@given(st.floats(0.012, 0.05), st.floats(0.012, 0.034), st.floats(0.012, 0.05), st.floats(0, 0.3))
+def test_fingers_close_on_two_parallel_faces(x: float, y: float, z: float, lean: float) -> None:
+    """A prism whose upright ends lean: its two other sides stay parallel."""
+    points = [
+        (sx * x + sz * z * math.tan(lean), sy * y, sz * z)
+        for sx in (-1, 1)
+        for sy in (-1, 1)
+        for sz in (-1, 1)
+    ]
+    hull = hull_of(np.array(points))
+    half = np.abs(hull.points).max(0).tolist()
+    shape = (Part((0.0, 0.0, 0.0), (half[0], half[1], half[2]), hull),)
+    for hold in holds_of(PANDA, shape, np.array([0.0, 0.0, 1.0])):
+        axis, across = np.array(hold.axis), np.array(hold.across)
+        assert abs(axis @ across) < 1e-9
+        ends = [np.array(hold.point) + side * hold.width / 2 * across for side in (-1, 1)]
+        depth = np.array([(end @ hull.normals.T - hull.offsets).max() for end in ends])
+        np.testing.assert_allclose(depth, 0, atol=1e-8)
+        assert hold.width + 0.008 <= PANDA.gripper.max_width
+    flat = [h for h in attitudes(PANDA, shape) if not h.tilt]
+    if z > 0.012 and x > PAD:
+        assert flat
+
+
+def test_a_tilted_hand_turns_a_block_into_its_pose() -> None:
+    """Whatever the hold, the move takes the block to its goal exactly."""
+    rng = np.random.default_rng(5)
+    hull = runpy.run_path(str(STRUCTURES / "stones.py"))["cut_stone"](rng, 0)
+    piece = pieces_of(Assembly((dataclasses.replace(hull, vertices=hull.vertices + 0.3),)))[0]
+    part = piece.shape[0]
+    tried = 0
+    for _ in range(30):
+        now, goal = turn_of(rng), turn_of(rng)
+        for way in ways_to_turn(UR5E, piece.shape, now, [goal])[:2]:
+            tried += 1
+            np.testing.assert_allclose(way.place @ way.grasp.T @ now, goal, atol=1e-9)
+            np.testing.assert_allclose(way.grasp[:, 2], now @ np.array(way.hold.axis), atol=1e-9)
+    assert tried > 10
+    assert part.hull is not None
+
+
+# ---------------------------------------------------------------- what collides
+
+
+@settings(deadline=None, max_examples=15)
+@given(st.integers(0, 10**9))
+def test_hulls_collide_where_their_distances_say_so(seed: int) -> None:
+    """On the table and in the hand: as every pair of geoms by itself shows."""
+    rng = np.random.default_rng(seed)
+    hulls = [stone(k) for k in rng.integers(0, 3, 5).tolist()]
+    known = frozenset(stone(k) for k in range(3))
+    model = CHECKERS.setdefault(
+        "panda", BlockChecker(get_arm("panda", "suction"), 8, True, 4, known)
+    )
+    half = np.array([np.abs(hull.points).max(0) for hull in hulls])
+    position = rng.uniform([-0.4, -0.3, 0.0], [0.2, 0.3, 0.5], (5, 3))
+    turns = rng.normal(size=(5, 4))
+    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+    scene = Scene(position, np.zeros(5), np.arange(5), 1, half, None, turns, (*hulls[:4], None))
+    model.place(scene)
+    model.hang(scene, np.zeros(1, np.int64), np.zeros((1, 3)), np.eye(3)[None])
+    joints = rng.uniform(model.arm.lower, model.arm.upper)
+    hit = model.check(joints)
+    m, d = model.model, model.data
+    mujoco.mj_kinematics(m, d)
+    body = [m.body(b).name for b in m.geom_bodyid]
+    things = [g for g in range(m.ngeom) if body[g].startswith(("table", "block"))]
+    held = [g for g in range(m.ngeom) if body[g] == "carried 0"]
+    links = [g for g in range(m.ngeom) if m.geom_contype[g] and g not in (*things, *held)]
+    links = [g for g in links if not body[g].startswith(("carried", "meshes"))]
+    # Where a hull is, its corners are.
+    geom = next(g for g in things if body[g] == "block 0")
+    assert m.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH
+    corners = position[0] + hulls[0].points @ quaternion_matrix(turns[0]).T
+    mesh = m.geom_dataid[geom]
+    first, count = m.mesh_vertadr[mesh], m.mesh_vertnum[mesh]
+    shown = (
+        d.geom_xpos[geom] + m.mesh_vert[first : first + count] @ d.geom_xmat[geom].reshape(3, 3).T
+    )
+    far = np.linalg.norm(corners[:, None] - shown, axis=2)
+    assert far.min(1).max() < 1e-6
+    nearest = min(
+        mujoco.mj_geomDistance(m, d, a, b, 0.05, None)
+        for a in (*links, *held)
+        for b in things
+        if body[a] != "link0"
+    )
+    if abs(nearest) < 1e-3:
+        return
+    if nearest < 0:
+        assert hit is not None
+    elif hit is not None:
+        assert not hit.other.startswith(("table", "block"))
+
+
+CHECKERS: dict[str, BlockChecker] = {}
+
+
+def test_the_hull_of_what_is_held_collides_not_its_box() -> None:
+    """A wedge hangs from the hand; a thin block where its box has a corner and it has none."""
+    hull = hull_of(
+        np.array(
+            [
+                [x, y, z]
+                for y in (-0.03, 0.03)
+                for x, z in ((-0.05, 0.05), (0.05, 0.05), (0.05, -0.05))
+            ]
+        )
+    )
+    arm = get_arm("panda", "suction")
+    half = np.array([[0.05, 0.03, 0.05], [0.004, 0.03, 0.004]])
+    hit = {}
+    for own in (None, hull):
+        model = BlockChecker(arm, 2, True, 2, frozenset({hull}))
+        model.move_arm(arm.home)
+        site = model.data.site(arm.tool)
+        tool, turn = site.xpos.copy(), site.xmat.reshape(3, 3).copy()
+        held = np.array([0.0, 0.0, 0.06])
+        # Inside the box of the wedge, at the corner that it lacks.
+        corner = tool + turn @ (held + np.array([-0.04, 0.0, -0.04]))
+        scene = Scene(
+            np.array([[2.0, 0.0, 0.05], corner]),
+            np.zeros(2),
+            np.arange(2),
+            1,
+            half,
+            None,
+            np.tile([1.0, 0, 0, 0], (2, 1)),
+            (own, None),
+        )
+        model.place(scene)
+        model.hang(scene, np.zeros(1, np.int64), held[None], np.eye(3)[None])
+        found = model.check(arm.home)
+        hit[own is None] = found is not None and found.part == "carried 0"
+    assert hit == {True: True, False: False}
+
+
+def test_put_down_turns_all_parts_about_one_another() -> None:
+    rng = np.random.default_rng(0)
+    shape, now = STAIR, np.eye(3)
+    way = next(w for w in ways_to_turn(UR5E, shape, now, [turn_of(rng) for _ in range(40)]))
+    from learn2assemble.robot.grasps import facing
+
+    position = np.array([part.centre for part in shape])
+    scene = Scene(
+        position,
+        np.zeros(2),
+        np.zeros(2, int),
+        0,
+        np.array([p.half for p in shape]),
+        None,
+        np.tile([1.0, 0, 0, 0], (2, 1)),
+    )
+    move = Move(0, np.array([0.3, 0.0, 0.2]), facing(way.grasp), facing(way.place))
+    there, turned = carried(scene, move, np.arange(2))
+    after = put_down(scene, move)
+    assert after.quaternion is not None
+    turn = quaternion_matrix(turned[0])
+    np.testing.assert_allclose(there[1] - there[0], turn @ (position[1] - position[0]), atol=1e-9)
+    np.testing.assert_allclose(after.position, there)
+    np.testing.assert_allclose(abs((after.quaternion * turned).sum(1)), 1)
+
+
+# ---------------------------------------------------------------- waiting
+
+
+def test_the_voussoirs_of_an_arch_are_one_kind_and_wait_where_the_hand_leans_least() -> None:
+    arch = runpy.run_path(str(STRUCTURES / "arch.py"))["arch"](9)
+    pieces = with_rests(pieces_of(arch), UR5E)
+    assert len({piece.shape for piece in pieces}) == 1
+    assert len({piece.rest.tobytes() for piece in pieces}) == 2
+    for piece in pieces:
+        goals = [piece.turn @ turn for turn in piece.turns()]
+        tilts = [
+            ways[0].tilt
+            for rest in ways_to_rest(piece)
+            if (ways := ways_to_turn(UR5E, piece.shape, rest, goals))
+        ]
+        chosen = ways_to_turn(UR5E, piece.shape, piece.rest, goals)[0].tilt
+        assert chosen <= min(tilts) + math.radians(1.0)
+        assert chosen < math.radians(41.0)
+        points = body_of(piece.shape).points @ piece.rest.T
+        assert (points[:, 2] < points[:, 2].min() + 1e-6).sum() == 4
+
+
+# ---------------------------------------------------------------- built
+
+
+def turned_bricks(count: int) -> Assembly:
+    """The first bricks of the turned wall, half as large."""
+    made = runpy.run_path(str(STRUCTURES / "turned_wall.py"))["turned_wall"](count, 2)
+    blocks = [dataclasses.replace(b, vertices=0.5 * b.vertices) for b in made.blocks]
+    return Assembly(tuple(blocks), friction=made.friction, name="turned")
+
+
+@pytest.mark.parametrize(("arm", "tool"), [("panda", "suction"), ("ur5e", "gripper")])
+def test_turned_bricks_are_built(arm: str, tool: str) -> None:
+    plan = l2a.build(turned_bricks(5), arm=arm, tool=tool)
+    assert plan.complete, plan.reason
+    assert plan.arm is not None
+    assert plan.arm.attempts == 5
+    assert plan.arm.error_worst is not None
+    assert plan.arm.error_worst < 1e-3
+    assert plan.record is not None
+    assert find_fault(plan.record) is None
+
+
+@pytest.fixture(scope="module")
+def arch() -> Plan:
+    return l2a.build(runpy.run_path(str(STRUCTURES / "arch.py"))["arch"](9), arm="ur5e")
+
+
+def test_an_arch_is_built_on_posts_and_stands_when_they_are_gone(arch: Plan) -> None:
+    assert arch.complete, arch.reason
+    assert arch.arm is not None
+    assert arch.record is not None
+    assert arch.arm.attempts == 9
+    assert arch.arm.error_worst is not None
+    assert arch.arm.error_worst < 1e-3
+    assert arch.blocks.used == 9
+    hands = [step for step in arch.steps if step.by_hand]
+    assert hands
+    assert all(step.prop and step.grasp == "by hand" and step.outcome is None for step in hands)
+    assert len(arch.record.hands) == len(hands)
+    assert find_fault(arch.record) is None
+    # What was placed by hand is there from the next step of the arm on, and gone at the end.
+    cells = {cell for hand in arch.record.hands for cell in hand.cells}
+    assert (arch.record.steps[-1].after[sorted(cells), 2] < 0).all()
+    assert len(arch.record.steps) == 9
+
+
+def test_a_build_with_hulls_and_hands_is_written_read_and_played(
+    arch: Plan, tmp_path: Path
+) -> None:
+    record = arch.record
+    assert record is not None
+    write_record(record, tmp_path / "trajectory.json")
+    again = read_record(tmp_path / "trajectory.json")
+    assert again.hands == record.hands
+    assert again.hull is not None
+    assert record.hull is not None
+    for one, two in zip(again.hull, record.hull, strict=True):
+        assert (one is None) == (two is None)
+        if one is not None and two is not None:
+            far = np.linalg.norm(one.points[:, None] - two.points, axis=2)
+            assert far.min(0).max() < 2e-6
+    export_program(again, "csv", tmp_path / "program.csv")
+    assert replay_program(tmp_path / "program.csv", "ur5e").same
+
+
+def test_a_urscript_waits_for_what_is_done_by_hand(arch: Plan, tmp_path: Path) -> None:
+    plan = arch
+    assert plan.record is not None
+    export_program(plan.record, "urscript", tmp_path / "arch.script")
+    lines = [line.strip() for line in (tmp_path / "arch.script").read_text().splitlines()]
+    waits = [line for line in lines if line.startswith('popup("by hand')]
+    assert len(waits) == len(plan.record.hands)
+    for hand, line in zip(plan.record.hands, waits, strict=True):
+        assert hand.words in line
+        assert "blocking=True" in line
+        step = next(
+            (k for k, text in enumerate(lines) if text.startswith(f"# step {hand.after + 1},")),
+            len(lines),
+        )
+        assert lines.index(line) > step or step == len(lines)
+
+
+# ---------------------------------------------------------------- what is refused
+
+
+def needle(name: str, x: float) -> Block:
+    return hull_block(name, [[x, 0, 0], [x + 0.02, 0, 0], [x, 0.02, 0], [x, 0, 0.06]])
+
+
+def test_blocks_that_no_face_lets_the_tool_hold_are_named_before_planning(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def planned(*args: object, **more: object) -> None:
+        raise AssertionError("planned first")
+
+    monkeypatch.setattr("learn2assemble.planning.given.plan_assembly", planned)
+    wall = [box_block("sill", [0.1, 0.0, 0.0], [0.2, 0.1, 0.05])]
+    needles = Assembly((needle("n1", 0.0), *wall, needle("n2", 0.3)))
+    with pytest.raises(InputError, match=r"^tool suction: got 'n1, n2: .* too small for a cup of"):
+        l2a.build(needles, arm="ur5e")
+    with pytest.raises(InputError, match=r"n1, n2: .* no two parallel faces for fingers"):
+        l2a.build(needles, arm="ur5e", tool="gripper")
+    heavy = dataclasses.replace(wall[0], density=20_000.0)
+    with pytest.raises(InputError, match=r"sill: 10\.00 kg is too heavy"):
+        l2a.build(Assembly((heavy,)), arm="panda")
+
+
+def test_blocks_that_cannot_be_turned_are_named() -> None:
+    """A thin plate that stands on its edge: lying or standing, the cup has no face for both."""
+    plate = box_block("plate", [0, 0, 0], [0.2, 0.02, 0.1])
+    pieces = pieces_of(Assembly((plate,)))
+    with pytest.raises(InputError, match=r"plate: .* no face for the cup both as it waits and as"):
+        check_held(UR5E, pieces)
+
+
+def test_solids_overlap_where_they_share_room() -> None:
+    piece = pieces_of(Assembly((needle("n", 0.0),)))[0]
+    near, far = piece.pose.copy(), piece.pose.copy()
+    near[0] += 0.005
+    far[0] += 0.021
+    mine = solids(piece.shape, piece.pose)
+    assert overlaps(mine, solids(piece.shape, near), 1e-4)
+    assert not overlaps(mine, solids(piece.shape, far), 1e-4)
