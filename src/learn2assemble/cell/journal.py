@@ -146,8 +146,9 @@ class Recording:
         """Before the first attempt; the pads are ``width`` apart [m]."""
         poses, objects, half, density, hull = self._there()
         self.recorder = BuildRecorder(
-            self.job.arm, joints, width, poses, objects, self.words, half, density, hull
+            self.job.arm, joints, width, poses, objects, self.words, half, density
         )
+        self.recorder.hull = hull
 
     def by_hand(self, k: int, place: bool) -> None:
         """A block is about to be placed or taken away by hand."""

@@ -391,7 +391,6 @@ class BuildRecorder:
         simulated_by: what the outcomes come from, in words.
         half: float64[C, 3], half extents of the cells' boxes where they are no cubes [m].
         density: float64[C] of them [kg/m3].
-        hull: what they are where they are no boxes.
     """
 
     def __init__(
@@ -404,12 +403,12 @@ class BuildRecorder:
         simulated_by: str,
         half: np.ndarray | None = None,
         density: np.ndarray | None = None,
-        hull: tuple[Hull | None, ...] | None = None,
     ) -> None:
         self.arm, self.poses = arm, np.array(poses, float)
         self.objects = tuple(tuple(cells) for cells in objects)
         self.simulated_by, self.half, self.density = simulated_by, half, density
-        self.hull = hull
+        self.hull: tuple[Hull | None, ...] | None = None
+        """Of every cell, where not all are boxes."""
         self.steps: list[StepRecord] = []
         self._first = np.array(joints, float), float(width)
         self._count = 0
