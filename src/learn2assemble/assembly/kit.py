@@ -89,6 +89,15 @@ class Kit:
     """How joints hold."""
 
     @property
+    def cell(self) -> tuple[float, float, float]:
+        """Edges of a cell of a design for it [m]: of its lattice; of bricks that clutch, which come
+        in layers of plates, one stud wide and a brick high."""
+        x, y, z = self.pitch
+        if self.joint.law != "clutch":
+            return self.pitch
+        return x, y, z * max(cell[2] + 1 for kind in self.kinds for cell in kind.cells)
+
+    @property
     def limited(self) -> bool:
         """Whether there is a limited number of any kind."""
         return any(kind.count is not None for kind in self.kinds)

@@ -71,6 +71,7 @@ _BUILD = (
     "supports",
     "holds",
     "hands",
+    "shell",
 )
 """Options that are arguments of :func:`learn2assemble.build`."""
 
@@ -120,6 +121,13 @@ _BUILD = (
             action="store_const",
             const="none",
             help="the same as --supports none",
+        ),
+        arg(
+            "--shell",
+            type=count,
+            default=None,
+            metavar="N",
+            help="of a design of bricks that clutch: hollow, with walls N cells thick",
         ),
         arg(
             "--hands",

@@ -108,7 +108,7 @@ class Reading:
         elif kit is not None:
             from learn2assemble.assembly.kit import load_kit
 
-            edges = list(load_kit(kit).pitch)
+            edges = list(load_kit(kit).cell)
         else:
             edges = list(DEFAULT_CELL)
         if len(edges) not in (1, 3):

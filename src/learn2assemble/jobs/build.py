@@ -67,6 +67,7 @@ def build(
     supports: str = "auto",
     holds: int = 0,
     hands: bool = False,
+    shell: int | None = None,
     arm: str | None = None,
     agent: str | Path | object | None = None,
     layout: str | Path | Site | None = None,
@@ -102,6 +103,8 @@ def build(
         holds: of an assembly, how many blocks a hand may hold while the next one comes.
         hands: of bricks that clutch, whether they may come from below, and several as one, built
             beside; a hand then holds one while the next one comes.
+        shell: of a design of bricks that clutch, how many cells its walls are thick; by default it
+            is not hollow.
         arm: name of the arm that builds; by default none, for a task its own.
         agent: of a design, a builder by name or ``.safetensors`` file; of a task, an agent, a
             shipped one by name, a ``.safetensors`` file or the folder of a training; by default one
@@ -149,6 +152,7 @@ def build(
             "supports": supports != "auto",
             "holds": holds,
             "hands": hands,
+            "shell": shell is not None,
             "noise": any(noise),
             "physics": physics != PHYSICS[0],
             **dict.fromkeys(reading, True),
@@ -187,7 +191,9 @@ def build(
         "progress": progress,
         "seconds": EXACT_SECONDS if seconds is None else seconds,
     }
-    help_ = supports, holds, hands
+    if shell is not None and not is_whole(shell, 1, 64):
+        raise InputError("shell", shell, "a whole number of cells from 1 to 64")
+    help_ = _Help(supports, holds, hands, shell)
     return _build_design(design, kit, help_, reading, how, choice, given)
 
 
@@ -297,6 +303,15 @@ def _is(value: Any, *kinds: type) -> bool:
     return isinstance(value, kinds)
 
 
+class _Help(NamedTuple):
+    """What may help blocks to stand; fields as the arguments of :func:`build`."""
+
+    supports: str
+    holds: int
+    hands: bool
+    shell: int | None
+
+
 class _ArmChoice(NamedTuple):
     """How an arm carries out an exact plan; fields as the arguments of :func:`build`."""
 
@@ -332,7 +347,7 @@ class _ArmChoice(NamedTuple):
 def _build_design(
     design: object,
     kit: Any,
-    help_: tuple[str, int, bool],
+    help_: _Help,
     reading: dict[str, Any],
     how: _ArmChoice | None,
     planner: PlannerChoice,
@@ -341,19 +356,19 @@ def _build_design(
     """Plan what is no task, and carry it out where an arm is named.
 
     Args:
-        help_: supports, holds and hands.
         given: friction, gap, seconds and progress, as every planner takes them.
     """
     from learn2assemble.assembly.blocks import Assembly
-    from learn2assemble.assembly.kit import DEFAULT_KIT, load_kit
     from learn2assemble.design.cells import CellDesign
     from learn2assemble.design.goals import Goals
+    from learn2assemble.linear_programs import Clock
+    from learn2assemble.planning.brick_order import BrickHelp
     from learn2assemble.planning.given import plan_assembly
     from learn2assemble.planning.tiling.construct import plan_cells
 
     kit = _kit(kit)
     source = Path(design).name if isinstance(design, str | Path) else ""
-    supports, holds, hands = help_
+    supports, holds, hands, shell = help_
     props = supports != "none"
     design = _goals(design, kit, props, reading) or _read(design, kit, reading)
     if isinstance(design, Assembly):
@@ -365,7 +380,10 @@ def _build_design(
             raise InputError("planner", planner.name, "exact, for goals instead of a design")
     elif not isinstance(design, CellDesign):
         raise InputError("design", _called(design), "a file, cells or an assembly")
-    if not isinstance(design, Assembly) and (holds or hands or supports == "posts"):
+    clutch = isinstance(design, CellDesign) and _kit_of(design, kit).joint.law == "clutch"
+    if shell is not None and not clutch:
+        raise InputError("shell", shell, "a design of cells and a kit that clutches, such as lego")
+    if not (isinstance(design, Assembly) or clutch) and (holds or hands or supports == "posts"):
         got = f"holds={holds}" if holds else "hands" if hands else f"supports={supports!r}"
         raise InputError("design", got, "an assembly of given blocks for posts and holds")
     workcell, progress = None if how is None else how.workcell(), given["progress"]
@@ -391,8 +409,18 @@ def _build_design(
 
         joint = design.kit.joint_gap if isinstance(design, Goals) else 0.0
         return carry_out(plan, workcell, joint=joint, progress=progress)
+    kit = _kit_of(design, kit)
+    if clutch:
+        from learn2assemble.planning.tiling.bricks import plan_brick_cells
+
+        _check_bricks(design, kit, help_, given, planner.name, workcell)
+        holds = max(holds, 1) if hands else holds
+        bricks, clock = BrickHelp(hands, holds), Clock(given["seconds"])
+        return plan_brick_cells(
+            design, kit, bricks, clock, progress, shell=shell, seed=planner.seed
+        )
     # Blocks are as large as the cells that were asked for.
-    kit = (kit or load_kit(design.kit or DEFAULT_KIT)).at_pitch(design.cell)
+    kit = kit.at_pitch(design.cell)
 
     def plan_with(blocks: Kit, hand: Any = None) -> Plan:
         options: dict[str, Any] = given if blocks is kit else {**given, "gap": None}
@@ -430,6 +458,34 @@ def _for_given(design: Assembly, workcell: Workcell) -> Workcell:
     return replace(workcell, hands=True)
 
 
+def _kit_of(design: CellDesign, kit: Kit | None) -> Kit:
+    """The kit that a design of cells is built with."""
+    from learn2assemble.assembly.kit import DEFAULT_KIT, load_kit
+
+    return kit or load_kit(design.kit or DEFAULT_KIT)
+
+
+def _check_bricks(
+    design: CellDesign,
+    kit: Kit,
+    help_: _Help,
+    given: Mapping[str, Any],
+    planner: str,
+    workcell: Workcell | None,
+) -> None:
+    """Refuse what bricks that clutch do not take."""
+    if not np.allclose(design.cell, kit.cell, rtol=1e-6):
+        raise InputError("cell", list(design.cell), f"cells of kit {kit.name}, {list(kit.cell)} m")
+    if given["gap"] is not None or given["friction"] is not None:
+        raise InputError("gap, friction", "given", f"none: bricks of kit {kit.name} clutch")
+    if help_.supports in ("props", "posts"):
+        raise InputError("supports", help_.supports, f"hands: bricks of kit {kit.name} clutch")
+    if planner != EXACT:
+        raise InputError("planner", planner, f"exact, for bricks of kit {kit.name}")
+    if workcell is not None:
+        raise InputError("arm", workcell.arm, "none: an arm presses no bricks home yet")
+
+
 def _with_joints(design: Assembly, kit: Kit | None) -> Assembly:
     """Given blocks whose joints hold as those of a kit do, where nothing else is said of them."""
     if kit is None or design.holds:
@@ -464,7 +520,7 @@ def _read(design: object, kit: Kit | None, reading: Mapping[str, Any]) -> object
             _refuse(reading, "a design of cells; a file of bricks says it all")
             return read_assembly(design, kit=kit)
     if isinstance(design, str | Path | np.ndarray):
-        cell = {} if kit is None or "cell" in reading else {"cell": kit.pitch}
+        cell = {} if kit is None or "cell" in reading else {"cell": kit.cell}
         given = cast("str | Path | np.ndarray", design)
         return read_design(given, **cell, **reading)
     if reading:

@@ -10,10 +10,12 @@ order of building: hands put bricks in from below, and attach what they have bui
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.bricks.lattice import GROUND, StudLattice
@@ -21,11 +23,14 @@ from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.sequence import Action, Sequenced, SequenceStep, list_ids
 from learn2assemble.statics.holding import Balance, Push
-from learn2assemble.statics.holding_check import stands_by_joints, words_of
+from learn2assemble.statics.holding_check import JointAnswer, stands_by_joints, words_of
+from learn2assemble.statics.holding_forces import forces_of
 from learn2assemble.statics.proofs import CLUTCH, CLUTCH_TIGHT
 
 _TRIES = 300, 10
 """Bricks taken away before the search gives up: so many, and so many for each one there is."""
+_LARGE, _NARROW = 100, 0.75
+"""Bricks from which programs are made anew, when so small a share of theirs is there."""
 _HELPERS = 6
 """Bricks that are tried to be held for one that does not stand."""
 Way = Literal["above", "below", "beside"]
@@ -78,7 +83,7 @@ def order_bricks(
         reason = f"the finished structure falls: {words_of(found.need)}"
         reason += f"; {list_ids(blocks, moving)} would move first" if moving else ""
         return Sequenced(blocks, (), "refused", reason, tuple(moving))
-    search = _TakingApart(assembly, help_, found.balance, clock, progress)
+    search = _TakingApart(assembly, help_, found, clock, progress)
     hanging = search.hanging()
     if hanging and not help_.hands:
         names = list_ids(blocks, hanging)
@@ -103,7 +108,7 @@ def follow_bricks(
     found = stands_by_joints(assembly.finished)
     if not found.need.stands:
         return None, None
-    search = _TakingApart(assembly.finished, help_, found.balance, clock, lambda text: None)
+    search = _TakingApart(assembly.finished, help_, found, clock, lambda text: None)
     index = {block.id: k for k, block in enumerate(search.blocks)}
     present = search.fixed.copy()
     nobody = np.zeros_like(present)
@@ -134,10 +139,11 @@ class _TakingApart:
         self,
         assembly: Assembly,
         help_: BrickHelp,
-        balance: Balance,
+        found: JointAnswer,
         clock: Clock,
         progress: Callable[[str], None],
     ) -> None:
+        balance, sides = found.balance, found.tight
         joint = assembly.joint
         if joint.law != "clutch" or assembly.joints:
             raise InputError("joints", "several laws", "one clutch for all, for an order of bricks")
@@ -160,6 +166,8 @@ class _TakingApart:
             self.lower[b].append(a)
             if a != GROUND:
                 self.upper[a].append(b)
+        lower = np.where(clutches.lower == GROUND, count, clutches.lower)
+        self._pairs = lower, clutches.upper
         self.based = np.array([GROUND in lower for lower in self.lower])
         low, high = lattice.low, lattice.high
         meet = (low[:, None, :2] < high[None, :, :2]).all(2) & (
@@ -169,6 +177,8 @@ class _TakingApart:
         self.over = [np.flatnonzero(row) for row in over]
         self.under = [np.flatnonzero(row) for row in over.T]
         self.rank = np.lexsort((low[:, 1], low[:, 0], -high[:, 2])).tolist()
+        self.whole, self.sides = assembly, sides
+        self._scope, self._narrow = np.arange(count), balance
         self.done = False
         self.stuck: tuple[int, ...] = ()
         self._known: dict[tuple[bytes, bytes, Push | None], bool] = {}
@@ -223,20 +233,24 @@ class _TakingApart:
         free = present & ~self.fixed
         some = [b for b in self.rank if free[b]]
         single: list[tuple[int, Way, np.ndarray]] = []
-        groups: list[tuple[int, np.ndarray]] = []
+        covered: list[tuple[int, np.ndarray]] = []
         for b in some:
             way = self.way([b], present)
-            if way is None and not self.help.hands:
-                continue
             rest = present.copy()
             rest[b] = False
+            if way is None:
+                covered.append((b, rest))
+                continue
             loose = self.loose(rest, held)
             if len(loose):
-                if self.help.hands and not held[b]:
-                    groups.append((b, loose))
-            elif way is not None and (held[b] or self._meets(b, way, rest)):
+                covered.append((b, rest))
+            elif held[b] or self._meets(b, way, rest):
                 single.append((b, way, rest))
                 yield from self._single(b, way, present, rest, held)
+        groups = []
+        if self.help.hands:
+            groups = [(b, self.loose(rest, held)) for b, rest in covered if not held[b]]
+            groups = [(b, loose) for b, loose in groups if len(loose)]
         for b, loose in sorted(groups, key=lambda one: len(one[1])):
             yield from self._several(b, loose, present, held)
         if held.sum() < self.help.holds:
@@ -405,13 +419,13 @@ class _TakingApart:
                 most, chosen = own, b
         if total == 0:
             return self.middle(Push(chosen, 0.0, (0.0, 0.0)))
-        x, y = (where / total).tolist()
+        x, y = (round(v, 9) for v in (where / total).tolist())
         return Push(chosen, self.press if way == "above" else -self.press, (x, y))
 
     def middle(self, push: Push) -> Push:
         """The same force at the middle of the brick."""
         x, y = self.blocks[push.block].centroid[:2].tolist()
-        return push._replace(at=(x, y))
+        return push._replace(at=(round(x, 9), round(y, 9)))
 
     def way(self, group: list[int], present: np.ndarray) -> Way | None:
         """Along which way some bricks come off together."""
@@ -431,14 +445,15 @@ class _TakingApart:
 
     def loose(self, present: np.ndarray, held: np.ndarray) -> np.ndarray:
         """int64[n]: bricks that hang on nothing that stands."""
-        reached = present & (self.fixed | held | self.based)
-        queue = np.flatnonzero(reached).tolist()
-        while queue:
-            for mate in self._mates(queue.pop()):
-                if present[mate] and not reached[mate]:
-                    reached[mate] = True
-                    queue.append(mate)
-        return np.flatnonzero(present & ~reached)
+        count = len(present)
+        a, b = self._pairs
+        on = present[b] & ((a == count) | present[np.minimum(a, count - 1)])
+        still = np.flatnonzero(present & (self.fixed | held))
+        first = np.concatenate([a[on], np.full(len(still), count)])
+        last = np.concatenate([b[on], still])
+        graph = sp.coo_matrix((np.ones(len(first)), (first, last)), (count + 1, count + 1))
+        piece = connected_components(graph, directed=False)[1]
+        return np.flatnonzero(present & (piece[:count] != piece[count]))
 
     def _mates(self, block: int) -> list[int]:
         return [m for m in (*self.lower[block], *self.upper[block]) if m != GROUND]
@@ -447,5 +462,17 @@ class _TakingApart:
         """Whether a state stands; answers are kept."""
         key = present.tobytes(), held.tobytes(), push
         if key not in self._known:
-            self._known[key] = self.balance.stands(present, held, push)
+            self._known[key] = self._asked(present, held, push)
         return self._known[key]
+
+    def _asked(self, present: np.ndarray, held: np.ndarray, push: Push | None) -> bool:
+        """The answer of a program over not many more bricks than are there."""
+        scope = self._scope
+        few = len(scope) > _LARGE and present.sum() < _NARROW * len(scope)
+        if few or present[scope].sum() != present.sum():
+            self._scope = scope = np.flatnonzero(present if few else np.ones_like(present))
+            some = replace(self.whole, blocks=tuple(self.blocks[k] for k in scope.tolist()))
+            self._narrow = Balance(some, forces_of(some), self.sides)
+        if push is not None:
+            push = push._replace(block=int(np.searchsorted(scope, push.block)))
+        return self._narrow.stands(present[scope], held[scope], push)
