@@ -27,7 +27,7 @@ from learn2assemble.export.formats import bill_of_blocks, export_assembly
 from learn2assemble.export.pictures import booklet
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
-from learn2assemble.statics.proofs import BED, FORCES
+from learn2assemble.statics.proofs import BED
 from learn2assemble.viewer.page import render_assembly_page
 from learn2assemble.viewer.tables import StepNote
 from read_back import ALLOWED, PRINTED, arch, largest_error, visible_text
@@ -247,14 +247,13 @@ def test_a_proof_is_told_in_words_that_fit(tmp_path: Path) -> None:
     plan = planned("holds")
     steps = list(plan.steps)
     assert {step.proof for step in steps} == {BED}, "the plan keeps what it has always said"
-    steps[2] = steps[2].with_proof(FORCES, None)
+    steps[2] = steps[2].with_proof(BED, None)
     plan = replace(plan, steps=tuple(steps))
     assert plan.without_margin == 1
     plan.save(tmp_path)
     page = (tmp_path / "view.html").read_text()
     text = visible_text(page)
     assert "bed faces" not in text
-    assert f"{FORCES} (rigid blocks only" in text
     assert "|not computed|–|" in text
     assert "What push it withstands was not computed." in caption(page, 3)
     assert "Withstands" in caption(page, 2)

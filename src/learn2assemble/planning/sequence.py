@@ -33,8 +33,6 @@ _SETS = 4000
 """... as long as these are no more, over the cube of the number of blocks."""
 _TRIES = 4000
 """Moves looked at before the search gives up."""
-_BROAD = 200
-"""Blocks from which, before the end, only what is near a prop is looked at to take it away."""
 _TOGETHER = 3
 """Most posts that are placed at once."""
 _NEAREST = 8
@@ -119,9 +117,10 @@ def find_sequence(
     Without help first, then with hands as far as they are there, at last with posts. Of a few
     blocks the fewest posts are found; of many, those that were placed where nothing else helped.
     """
-    plain = _Search(problem, [], 0, clock, progress)
+    plain = _Search(problem, Supports(), clock, progress)
     end, last = plain.end(), plain.laws[-1]
-    if plain.law(end) is None:
+    law = plain.law(end)
+    if law is None:
         certain, moving = last.falls(end), last.moving(end)
         names = list_ids(plain.blocks, moving) or "some blocks"
         reason = f"the finished structure falls: {names} would move first"
@@ -129,21 +128,31 @@ def find_sequence(
             reason = f"that the finished structure stands is not proven: {names} may move"
         status = "refused" if certain else "not found"
         return replace(plain.run(), status=status, reason=reason, stuck=tuple(moving))
-    found = plain.run()
-    if found.status == "complete" or clock.left <= 0:
-        return found
-    if supports.holds:
-        held = _Search(problem, [], supports.holds, clock, progress).run()
-        if held.status == "complete":
-            return held
-        found = max(found, held, key=lambda one: len(one.steps))
-    if supports.posts and clock.left > 0:
-        posts = _posts_of(problem)
-        search = _Search(problem, posts, supports.holds, clock, progress)
-        posted = search.run()
-        if posted.status == "complete":
-            return search.fewest(posted)
-        found = max(found, posted, key=lambda one: len(one.steps))
+    # What the finished structure does not need mostly carries nothing on the way to it.
+    found, layers = None, len(problem.layers)
+    for count in sorted({max(law - len(plain.laws) + layers, 0) + 1, layers}):
+        found = _best(found, plain.limited(count).run())
+        if found.status == "complete" or clock.left <= 0:
+            return found
+        if supports.holds:
+            hands = Supports(False, supports.holds)
+            found = _best(found, _Search(problem, hands, clock, progress).limited(count).run())
+        if supports.posts and found.status != "complete" and clock.left > 0:
+            search = _Search(problem, supports, clock, progress).limited(count)
+            posted = search.run()
+            if posted.status == "complete":
+                return search.fewest(posted)
+            found = _best(found, posted)
+        if found.status == "complete":
+            return found
+    assert found is not None
+    return found
+
+
+def _best(found: Sequenced | None, other: Sequenced) -> Sequenced:
+    """The one that is complete, or else the longer one."""
+    if found is None or other.status == "complete" or len(other.steps) > len(found.steps):
+        return other
     return found
 
 
@@ -151,7 +160,7 @@ def follow_steps(
     problem: Problem, clock: Clock, progress: Callable[[str], None] = lambda text: None
 ) -> Sequenced:
     """Proof of the steps that an assembly comes with, up to the first state that is not proven."""
-    search = _Search(problem, [], 0, clock, progress)
+    search = _Search(problem, Supports(), clock, progress)
     index = problem.assembly.index
     steps: list[tuple[Action, int]] = [
         (step.action, index(step.block)) for step in problem.assembly.steps
@@ -182,20 +191,19 @@ class _Search:
     """Depth first over what comes next.
 
     Args:
-        posts: that may be placed.
-        holds: blocks that may be held while the next one comes.
+        supports: that may be used.
     """
 
     def __init__(
         self,
         problem: Problem,
-        posts: list[Post],
-        holds: int,
+        supports: Supports,
         clock: Clock,
         progress: Callable[[str], None],
     ) -> None:
         given = problem.assembly.blocks
-        self.problem, self.posts, self.holds = problem, posts, holds
+        posts = _posts_of(problem) if supports.posts else []
+        self.problem, self.posts, self.holds = problem, posts, supports.holds
         self.clock, self.progress, self.count = clock, progress, len(given)
         made = _distinct(given, [post.block for post in posts])
         whole = Assembly((*given, *made), friction=problem.assembly.friction)
@@ -210,8 +218,10 @@ class _Search:
             layers = tuple(one._replace(contacts=_joined(one.contacts, own)) for one in layers)
         self.contacts = layers[-1].contacts
         self.laws: list[Law] = [ByForces(whole, *layer, friction) for layer in layers]
-        if not posts and not holds and ByLoads.fits(layers[0].contacts):
+        if not posts and not supports.holds and ByLoads.fits(layers[0].contacts):
             self.laws.insert(0, ByLoads(whole, layers[0].contacts, friction[0], clock))
+        self.most = len(self.laws) - 1
+        """The last law that is asked."""
         self.near = _neighbours(self.contacts, len(self.blocks))
         self.below = _lies_on(layers[0].contacts, self.count, self.fixed)
         depth = float(contact_tolerance(given).max())
@@ -227,9 +237,15 @@ class _Search:
         self.allowed = set(range(self.count, len(self.blocks)))
         self.guards: dict[int, set[int]] = {}
         """Blocks that close the way out of props, which have to go before."""
-        self._known: dict[bytes, int | None] = {}
+        self._known: dict[bytes, tuple[int, int | None]] = {}
+        """Of a state, the last law that was asked, and by which it stands."""
         self._kept: set[tuple[int, bytes]] = set()
         self._ways: dict[tuple[int, bytes], bool] = {}
+
+    def limited(self, layers: int) -> _Search:
+        """This search, when only the first layers may carry."""
+        self.most = len(self.laws) - len(self.problem.layers) + layers - 1
+        return self
 
     def start(self) -> State:
         """What stands before the first step."""
@@ -241,24 +257,23 @@ class _Search:
 
     # ------------------------------------------------------------ states
 
-    def law(self, state: State, thorough: bool = True) -> int | None:
-        """The number of the first law by which a state stands, or None."""
-        if state.key in self._known:
-            return self._known[state.key]
-        unsure = False
-        for number, law in enumerate(self.laws):
-            answer = law.answer(state, thorough)
-            if answer == "stands":
-                self._known[state.key] = number
-                return number
-            unsure |= answer == "not found"
-        if not unsure:
-            self._known[state.key] = None
-        return None
+    def law(self, state: State, most: int | None = None) -> int | None:
+        """The number of the first law by which a state stands, or None.
 
-    def stands(self, state: State, new: Iterable[int] = (), thorough: bool = True) -> bool:
-        """Whether a state is proven, and its ``new`` blocks rest in it."""
-        number = self.law(state, thorough)
+        Args:
+            most: laws behind this one are not asked.
+        """
+        last = self.most if most is None else most
+        asked, found = self._known.get(state.key, (-1, None))
+        for number in range(asked + 1, last + 1):
+            if found is None:
+                asked, found = number, number if self.laws[number].stands(state) else None
+        self._known[state.key] = asked, found
+        return found
+
+    def stands(self, state: State, new: Iterable[int] = (), most: int | None = None) -> bool:
+        """Whether a state is proven, and its ``new`` blocks rest in it; ``most`` as in law."""
+        number = self.law(state, most)
         return number is not None and all(self.laws[number].rests(state, b) for b in new)
 
     def pushing(self, state: State, block: int) -> np.ndarray:
@@ -367,18 +382,17 @@ class _Search:
                 yield Move(steps, after)
             ready = [b for b in ready if b not in waits]
         alone = [b for b in ready if self._rests(state.change(place=[b]), b)]
-        for thorough in (False, True):
-            for b in alone:
-                after = state.change(place=[b])
-                if self.stands(after, [b], thorough):
-                    yield Move((("place", b),), after)
+        for b in alone:
+            after = state.change(place=[b])
+            if self.stands(after, [b]):
+                yield Move((("place", b),), after)
         if self.holds:
             yield from self._holding(state, ready)
         if self.posts:
             yield from self._posted(state, ready)
 
     def _rests(self, state: State, block: int) -> bool:
-        return any(law.rests(state, block) for law in self.laws)
+        return any(law.rests(state, block) for law in self.laws[: self.most + 1])
 
     def _holding(self, state: State, ready: list[int]) -> Iterator[Move]:
         """A block that is held as it comes, while others may be let go."""
@@ -409,7 +423,7 @@ class _Search:
                 if move is not None:
                     yield move
         for b in ready:
-            moving = self.laws[-1].moving(state.change(place=[b]))
+            moving = self.laws[self.most].moving(state.change(place=[b]))
             posts = {p for m in moving if m < self.count for p in self.under[m]}
             some = sorted(posts & self.allowed, key=lambda p: -self.rank[p])[:_NEAREST]
             for size in range(1, _TOGETHER + 1):
@@ -457,8 +471,8 @@ class _Search:
                     continue
                 after = state.change(remove=[p])
                 carried = [n for n in self.near[p] if state.present[n] and not self.fixed[n]]
-                thorough = last or len(self.blocks) < _BROAD
-                if self.stands(after, carried, thorough) and self.enters(state, p):
+                most = None if last else self.law(state)
+                if self.stands(after, carried, most) and self.enters(state, p):
                     steps.append(("remove", p))
                     state, again = after, True
                 else:

@@ -11,8 +11,8 @@ motion in which it starts to. Where it is zero forces *can* balance, not that th
 may squeeze itself, as in a bar pinched between two posts. The coupled analysis (CRA, Kao et al.
 2022) refuses those. It is reproduced here with elastic joints: the energy
 :math:`\sum f_n^2/k_n + |f_t|^2/k_t` is least subject to :math:`|f_t| \le r_p`, where :math:`r_p` is
-friction times the normal force of the round before (non-associated friction by fixed point,
-Haslinger 1983). The assembly stands where a fixed point without holding force is found.
+friction times the normal force (non-associated friction by fixed point, Haslinger 1983; found in
+:mod:`.elastic_joints`). The assembly stands where a fixed point without holding force is found.
 
 Inside, lengths are in edges of a median block and forces in mean weights of a block.
 """
@@ -20,6 +20,7 @@ Inside, lengths are in edges of a median block and forces in mean weights of a b
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import clarabel
@@ -30,18 +31,15 @@ from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.contacts import Contacts, across
 from learn2assemble.constants import GRAVITY
 from learn2assemble.errors import InputError, Learn2AssembleError
+from learn2assemble.statics.elastic_joints import Joined
 
 _conic: Any = clarabel
 """A compiled module without types."""
 
 HELD, HELD_BLOCK = 5e-4, 1e-2
 """Holding forces taken for rounding: all, in the whole weight; of one block, in its weight."""
-SLIP = 1e-3
-"""Violation of Coulomb's law at a block taken for rounding, in its normal forces."""
-_ROUNDS = (6, 30, 100_000)
-"""Of the fixed point: fewest and most rounds, and corners times rounds in between."""
-_STAYS = 4
-"""Rounds in which a holding force does not shrink, after which it is taken to be needed."""
+BALANCED, BALANCED_COUPLED = 1e-6, 1e-4
+"""Force that may be missing at a block, in its weight: of RBE and of the coupled analysis."""
 _ITERATIONS = 100
 """Of the cone solver."""
 _TOLERANCES = (1e-8, 1e-6, 1e-5)
@@ -53,13 +51,9 @@ _STUCK = (
     _conic.SolverStatus.NumericalError,
     _conic.SolverStatus.MaxIterations,
 )
-_STEP, _MIX = 0.5, (-3.0, 0.5)
-"""Damping of the fixed point, and bounds of how the round before is mixed in (Anderson 1965)."""
-_FIRM = 1e-8
-"""Of the ground spring that holds a block during the rounds: its compliance is 1 / this."""
 _EXACT = 1e4
 """Price of a holding force against elastic energy; the largest displacement that is not a fall."""
-_MOVES = 0.1
+MOVES = 0.1
 """A block moves where its part of the motion is this share of the largest."""
 MOST_G = 10.0
 """Margins are cut here [g]."""
@@ -115,33 +109,45 @@ class System:
         self.radius = np.array(reach) / self._length
         self._frame = corner_frames(contacts)
         self.upright = bool((np.abs(contacts.normal[:, 2]) > 1 - 1e-6).all())
-        self._soft = corner_softness(contacts, self._length)
-        self._bodies = [
-            np.where((body >= 0) & free[body], number[body], -1)[contacts.patch]
-            for body in (contacts.a, contacts.b)
-        ]
+        soft = corner_softness(contacts, self._length)
+        self._soft, points = soft, contacts.points
+        self._bodies = np.stack(
+            [
+                np.where((body >= 0) & free[body], number[body], -1)[contacts.patch]
+                for body in (contacts.a, contacts.b)
+            ]
+        )
         self.centre = centre / self._length
-        self.balance = self._balance(contacts.points, centre)
+        reach, frame = self.radius * self._length, self._frame
+        # Of what bears any load there is no row, whatever stands in its place here.
+        self._wrench = np.zeros((2, self.corners, 3, 6))
+        for body, sign, wrench in zip(self._bodies, (-1.0, 1.0), self._wrench, strict=True):
+            if self.count:
+                wrench[:] = _wrenches(points - centre[body], sign * frame, reach[body])
+        self.balance = self._balance()
         weight = np.zeros((self.count, 6))
         weight[:, 2] = self.mass
         self.weight = weight.reshape(-1)
 
-    def _balance(self, points: np.ndarray, centre: np.ndarray) -> sp.csc_matrix:
+    def _balance(self) -> sp.csc_matrix:
         """Wrench [6 count] of the corner forces in their frames; column 3 p is a normal force."""
         rows, columns, values = [], [], []
-        reach, frame = self.radius * self._length, self._frame
-        for body, sign in zip(self._bodies, (-1.0, 1.0), strict=True):
+        for body, wrench in zip(self._bodies, self._wrench, strict=True):
             corner = np.flatnonzero(body >= 0)
-            of = body[corner]
-            wrench = _wrenches(points[corner] - centre[of], sign * frame[corner], reach[of])
-            row = 6 * of[:, None, None] + np.arange(6)
+            row = 6 * body[corner][:, None, None] + np.arange(6)
             column = 3 * corner[:, None, None] + np.arange(3)[:, None]
-            rows.append(np.broadcast_to(row, wrench.shape).ravel())
-            columns.append(np.broadcast_to(column, wrench.shape).ravel())
-            values.append(wrench.ravel())
+            shape = len(corner), 3, 6
+            rows.append(np.broadcast_to(row, shape).ravel())
+            columns.append(np.broadcast_to(column, shape).ravel())
+            values.append(wrench[corner].ravel())
         index = np.concatenate(rows), np.concatenate(columns)
         shape = 6 * self.count, 3 * self.corners
         return sp.csc_matrix((np.concatenate(values), index), shape)
+
+    @cached_property
+    def joined(self) -> Joined:
+        """The joints as springs."""
+        return Joined(self._bodies, self._wrench, 1 / self._soft, self.mass)
 
     def excess(self, held: np.ndarray) -> float:
         """Holding forces in what is taken for rounding."""
@@ -164,28 +170,17 @@ class System:
     ) -> Equilibrium:
         """The answer where holding forces are needed."""
         size = np.linalg.norm(motion, axis=1)
-        moving = self.free[size >= _MOVES * size.max()]
+        moving = self.free[size >= MOVES * size.max()]
         total = float(held.sum()) * self._newton
         return Equilibrium(False, method, total, moving, self.newtons(forces))
 
-    def frictionless(self) -> np.ndarray | None:
-        """Normal forces [N] that balance everything without friction, or None."""
-        normal = self.balance[:, ::3]
-        rows = np.unique(normal.indices)
-        zero = np.setdiff1d(np.arange(6 * self.count), rows)
-        if np.abs(self.weight[zero]).any():
-            return None
-        count = self.corners
-        matrix = sp.vstack([normal[rows], -sp.identity(count)]).tocsc()
-        bound = np.concatenate([self.weight[rows], np.zeros(count)])
-        cones = [_conic.ZeroConeT(len(rows)), _conic.NonnegativeConeT(count)]
-        answer = _run(sp.diags(self._soft), np.zeros(count), matrix, bound, cones)
-        if answer is None:
-            return None
-        forces = np.zeros((count, 3))
-        forces[:, 0] = np.maximum(answer.x, 0)
-        rest = (self.weight - self.balance @ forces.reshape(-1)).reshape(-1, 6)
-        return self.newtons(forces) if self.excess(np.linalg.norm(rest, axis=1)) <= 1 else None
+    def nearest(self, friction: float) -> np.ndarray | None:
+        """Forces float64[corners, 3] in Coulomb's cone that balance everything; None where none
+        were found, which proves nothing."""
+        near, limit = np.zeros((self.corners, 3)), np.full(self.corners, friction)
+        load = self.weight.reshape(-1, 6)
+        found, answer = self.joined.nearest(load, limit, near, BALANCED)
+        return answer.forces if found else None
 
     def least_holding(self, friction: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """RBE: forces [corners, 3], holding forces [count], motion [count, 6]."""
@@ -195,71 +190,29 @@ class System:
             1e-6 * np.repeat(self._soft, 3), 1.0, cone, np.zeros(3 * self.corners), parts
         )
 
-    def coupled(
+    def coupled(self, friction: float, stiffness: float) -> tuple[bool, np.ndarray]:
+        """CRA: whether a fixed point stands, and its forces, or the last ones."""
+        limit = np.full(self.corners, friction)
+        found, answer = self.joined.coupled(
+            self.weight.reshape(-1, 6), limit, stiffness, BALANCED_COUPLED
+        )
+        return found, answer.forces
+
+    def held_back(
         self, friction: float, forces: np.ndarray, stiffness: float
-    ) -> tuple[bool, np.ndarray, np.ndarray, np.ndarray]:
-        """CRA from the forces of RBE: whether a fixed point stands, and as least_holding."""
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """As least_holding, of elastic joints whose friction is what these forces allow."""
+        corners = self.corners
         soft = (self._soft[:, None] * [1.0, 1 / stiffness, 1 / stiffness]).reshape(-1)
-        count, corners = 6 * self.count, self.corners
-        energy = sp.diags(np.concatenate([soft, np.full(count, 1 / _FIRM)]))
         disc = sp.diags(np.tile([0.0, -1.0, -1.0], corners))
         pick = sp.csc_matrix(
             (-np.ones(corners), (np.arange(corners), 3 * np.arange(corners))),
             (corners, 3 * corners),
         )
-        signs = sp.vstack([pick, disc])
-        matrix = sp.bmat([[self.balance, sp.identity(count)], [signs, None]]).tocsc()
-        discs = [_conic.SecondOrderConeT(3)] * corners
-        cones = [_conic.ZeroConeT(count), _conic.NonnegativeConeT(corners), *discs]
-        radius = friction * np.maximum(forces[:, 0], 0)
-        solver, before = None, None
-        needed: list[float] = []
-        fewest, most, work = _ROUNDS
-        for _ in range(int(np.clip(work // max(corners, 1), fewest, most))):
-            limits = np.zeros(4 * corners)
-            limits[corners::3] = radius
-            bound = np.concatenate([self.weight, limits])
-            if solver is None:
-                cost = np.zeros(3 * corners + count)
-                solver = _solver(energy, cost, matrix, bound, cones, _TOLERANCES[1])
-            else:
-                solver.update(b=bound)
-            answer = solver.solve()
-            if answer.status not in _SOLVED:
-                break
-            x = np.array(answer.x)
-            forces = x[: 3 * corners].reshape(-1, 3)
-            held = np.linalg.norm(x[3 * corners :].reshape(-1, 6), axis=1)
-            if self._slip(forces, friction) <= SLIP:
-                if self.excess(held) <= 1:
-                    return True, forces, held, np.zeros((self.count, 6))
-                break
-            # Holding forces that stay, round after round, do not go away.
-            needed.append(self.excess(held))
-            last = needed[-_STAYS:]
-            if len(last) == _STAYS and min(last) > max(10.0, 0.8 * last[0]):
-                break
-            change = friction * np.maximum(forces[:, 0], 0) - radius
-            ahead, mix = radius + _STEP * change, 0.0
-            last_ahead, last_change = before or (ahead, change)
-            if before is not None:
-                turn = change - last_change
-                mix = float(np.clip(change @ turn / max(turn @ turn, 1e-300), *_MIX))
-            before = ahead, change
-            radius = np.maximum((1 - mix) * ahead + mix * last_ahead, 0)
-        parts = [_conic.NonnegativeConeT(corners), *discs]
-        return False, *self._with_holding(soft, _EXACT, signs, limits, parts)
-
-    def _slip(self, forces: np.ndarray, friction: float) -> float:
-        """Largest violation of Coulomb's law at a block, in its normal forces or its weight."""
-        excess = np.hypot(forces[:, 1], forces[:, 2]) - friction * forces[:, 0]
-        sums = []
-        for value in (np.maximum(excess, 0), np.maximum(forces[:, 0], 0)):
-            at = [
-                np.bincount(body[body >= 0], value[body >= 0], self.count) for body in self._bodies
-            ]
-            sums.append(at[0] + at[1])
-        return float((sums[0] / np.maximum(sums[1], self.mass)).max())
+        limits = np.zeros(4 * corners)
+        limits[corners::3] = friction * np.maximum(forces[:, 0], 0)
+        parts = [_conic.NonnegativeConeT(corners), *[_conic.SecondOrderConeT(3)] * corners]
+        return self._with_holding(soft, _EXACT, sp.vstack([pick, disc]), limits, parts)
 
     def _with_holding(
         self, soft: np.ndarray, price: float, signs: Any, limits: np.ndarray, parts: list

@@ -13,9 +13,9 @@ import numpy as np
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import Contacts, shrunk
 from learn2assemble.linear_programs import Clock
-from learn2assemble.statics.proofs import FORCES, LOCAL, PROGRAM
+from learn2assemble.statics.proofs import LOCAL, PROGRAM
 from learn2assemble.statics.sideways import Sideways
-from learn2assemble.statics.states import Answer, State, States
+from learn2assemble.statics.states import Pushes, State, States
 from learn2assemble.statics.step_proof import (
     EDGE_INSET,
     Proof,
@@ -24,16 +24,14 @@ from learn2assemble.statics.step_proof import (
     stack_of_contacts,
 )
 
-_COUPLED_WORK = 3_000
-"""Corners of contacts, summed over states, that the coupled analysis and margins are given."""
 _LEVEL = 1 - 1e-6
 
 
 class Law(Protocol):
     """What may carry."""
 
-    def answer(self, state: State, thorough: bool) -> Answer:
-        """Whether a state stands; where it does, its forces are the ones to go on from."""
+    def stands(self, state: State) -> bool:
+        """Whether a state is proven; where it is, its forces are the ones to go on from."""
         ...
 
     def rests(self, state: State, block: int) -> bool:
@@ -54,48 +52,39 @@ class Law(Protocol):
 
 
 class ByForces:
-    """Forces in Coulomb's cone, and while there is work left for it the coupled analysis.
+    """Forces of elastic joints with Coulomb friction: the coupled analysis.
 
     Args:
-        proof: what a step is called whose state the coupled analysis proves.
+        proof: what a step is called whose state it proves.
         friction: coefficients at which a state has to stand, the smallest first.
     """
 
     def __init__(
         self, assembly: Assembly, contacts: Contacts, proof: str, friction: list[float]
     ) -> None:
-        self.states = States(assembly, contacts, friction[0])
-        self.friction, self.proof = friction, proof
-        self.spent = 0
-        self._coupled: dict[bytes, bool] = {}
+        self.states = States(assembly, contacts, friction)
+        self.proof = proof
+        self._pushes = Pushes(self.states, friction[0])
         self._rests: dict[tuple[int, bytes], bool] = {}
 
-    def answer(self, state: State, thorough: bool) -> Answer:
-        answer = self.states.answer(state, thorough=thorough)
-        if answer != "stands" or self.spent > _COUPLED_WORK:
-            return answer
-        if state.key not in self._coupled:
-            self.spent += self.states.corners(state)
-            self._coupled[state.key] = all(self.states.coupled(state, mu) for mu in self.friction)
-        return "stands" if self._coupled[state.key] else "falls"
+    def stands(self, state: State) -> bool:
+        return self.states.stands(state)
 
     def rests(self, state: State, block: int) -> bool:
-        near = sorted(self.states.near(block))
+        near = sorted(self.states.near[block])
         key = block, state.present[near].tobytes()
         if key not in self._rests:
             self._rests[key] = bool(state.held[block]) or self.states.rests(state, block)
         return self._rests[key]
 
     def report(self, state: State) -> tuple[str, float | None]:
-        if state.key not in self._coupled:
-            return FORCES, None
-        return self.proof, min(self.states.margin(state), self.friction[0])
+        return self.proof, self._pushes.follow(state)
 
     def moving(self, state: State) -> list[int]:
         return self.states.moving(state)
 
     def falls(self, state: State) -> bool:
-        return self.states.answer(state) == "falls"
+        return self.states.falls(state)
 
 
 class ByLoads:
@@ -122,14 +111,12 @@ class ByLoads:
         """Whether all contacts are level."""
         return bool((np.abs(contacts.normal[:, 2]) > _LEVEL).all())
 
-    def answer(self, state: State, thorough: bool) -> Answer:
-        if state.held.any():
-            return "not found"
+    def stands(self, state: State) -> bool:
         placed = state.present & ~self.fixed
-        if self._balance(self.proof, self._before, placed) is None:
-            return "falls"
+        if state.held.any() or self._balance(self.proof, self._before, placed) is None:
+            return False
         self._before = placed
-        return "stands"
+        return True
 
     def rests(self, state: State, block: int) -> bool:
         return True  # Without friction nothing is squeezed.

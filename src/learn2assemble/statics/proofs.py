@@ -13,8 +13,6 @@ POINTS = "edges and points"
 """Proof of a step of given blocks that rest on edges or points, too."""
 CLUTCH, CLUTCH_TIGHT = "joints that hold", "joints that hold and tight joints"
 """Proof of a step of bricks that clutch, also under its press: without and with side faces."""
-FORCES = "balance of forces"
-"""Of a step whose state was too much for the coupled analysis."""
 
 Bounds = float | tuple[float, float] | None
 """A number, or the smallest and the largest of a range; None: that of the kit."""

@@ -46,9 +46,6 @@ LEVEL = 0.995
 """It leans, neither vertical nor level, when that part is less than this (6 degrees)."""
 STIFFNESS = (1.0, 0.2)
 """Tangential over normal stiffness of a joint; a fixed point with either one is one."""
-_HOPELESS = 100.0
-"""Holding force, in what is taken for rounding, above which no other stiffness is tried: all of the
-weight of one block, or a twentieth of everything."""
 _MARGIN_GAP = 0.01
 _FIRST = np.pi / 8 + np.pi / 2 * np.arange(4)
 """Directions looked at first [rad]: across none of the sides of what is built along x and y, or
@@ -330,26 +327,27 @@ def solve(
     if system.count == 0:
         return _standing("frictionless", system.newtons(None))
     if system.upright:
-        # Forces that need no friction are a fixed point, and cost a third.
-        still = system.frictionless()
+        # Forces that need no friction are a fixed point.
+        still = system.nearest(0.0)
         if still is not None:
-            return _standing("frictionless", still)
+            return _standing("frictionless", system.newtons(still))
+    if not coupled:
+        forces = system.nearest(friction)
+        if forces is not None:
+            return _standing("rbe", system.newtons(forces))
+    last = []
+    for ratio in stiffness if coupled else ():
+        stands, forces = system.coupled(friction, ratio)
+        if stands:
+            return _standing("cra", system.newtons(forces), ratio)
+        last.append((forces, ratio))
     forces, held, motion = system.least_holding(friction)
     if system.excess(held) > 1:
         return system.fall("rbe", forces, held, motion)
     if not coupled:
         return _standing("rbe", system.newtons(forces))
-    best = None
-    for ratio in stiffness:
-        fixed, *found = system.coupled(friction, forces, ratio)
-        if fixed:
-            return _standing("cra", system.newtons(found[0]), ratio)
-        if best is None or found[1].sum() < best[1].sum():
-            best = found
-        if system.excess(found[1]) > _HOPELESS:
-            break
-    assert best is not None
-    return system.fall("cra", *best)
+    found = [system.held_back(friction, *one) for one in last]
+    return system.fall("cra", *min(found, key=lambda one: one[1].sum()))
 
 
 def margin(

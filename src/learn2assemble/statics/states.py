@@ -1,37 +1,44 @@
-"""Whether one state of an assembly after another stands, by changing few contact forces each time.
+"""Whether one state of an assembly after another stands, and what pushes it withstands.
 
-The states of a building differ by one block, one support or one hand. The forces that balance a
-state are kept, and only those near a block that they no longer balance are found again: by a cone
-program over that block and what is within a few contacts of it, all other forces as they are; then
-over more, at last over everything. A solution of any of these is a solution of the whole (rigid-
-block equilibrium, :mod:`.block_forces`), so nothing is called balanced that is not; only the
-program over everything can say that a state falls.
+The states of a building differ by one block, one support or one hand. Each is proven by the coupled
+analysis from the motion of the state before (:mod:`.elastic_joints`), in a few sparse
+factorisations, and its margin follows from the forces of the state before, of which only those near
+a block that they no longer balance are found again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.contacts import Contacts
-from learn2assemble.statics.block_forces import balancing_forces, corner_softness, corner_wrenches
-from learn2assemble.statics.rigid_blocks import margin, solve
+from learn2assemble.geometry.reach import inner_circle
+from learn2assemble.statics.block_forces import (
+    BALANCED,
+    BALANCED_COUPLED,
+    MOVES,
+    corner_softness,
+    corner_wrenches,
+)
+from learn2assemble.statics.elastic_joints import Joined
+from learn2assemble.statics.rigid_blocks import STIFFNESS, solve
 
-HOPS = 2
-"""Contacts by which the region grows from one program to the next."""
-FEW = 16
-"""Blocks up to which everything is looked at at once."""
-LOCAL = 60
-"""Blocks of the largest region before everything."""
-_BALANCED = 1e-6
-"""Imbalance of a block, in its own weight, that is rounding."""
-
-Answer = Literal["stands", "falls", "not found"]
+_ROUNDS = 20
+"""Of the coupled analysis: what friction just holds is not looked at for long."""
+_HOPS = 2
+"""Contacts by which what a change reaches grows before everything is looked at."""
+_DIRECTIONS = 8
+"""In how many directions a push is proven; all others follow from these."""
+_LOWER, _HIGHER = 0.75, 1.5
+"""By how much pushes that are tried next differ."""
+_LEAST = 1e-3
+"""Smallest push that is looked for [g]."""
+_PAUSE = 16
+"""Most states between two looks for larger pushes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,171 +80,292 @@ class State:
 
 
 class States:
-    """Answers for the states of one assembly, and the forces of the last one that stands.
+    """Answers for the states of one assembly, one after another.
 
     Args:
         assembly: blocks where they stand.
         contacts: of that assembly; the patches that may carry.
-        friction: Coulomb coefficient.
+        friction: Coulomb coefficients at which a state has to stand.
     """
 
-    def __init__(self, assembly: Assembly, contacts: Contacts, friction: float) -> None:
-        self.assembly, self.contacts, self.friction = assembly, contacts, friction
+    def __init__(self, assembly: Assembly, contacts: Contacts, friction: Sequence[float]) -> None:
+        self.assembly, self.contacts, self.friction = assembly, contacts, tuple(friction)
         blocks = assembly.blocks
         mass = np.array([block.mass for block in blocks])
-        self._mass = mass / mass.mean()
-        self._wrench = corner_wrenches(blocks, contacts)
+        self.mass = mass / mass.mean()
+        self.centre = np.array([block.centroid for block in blocks])
         length = float(np.median([block.volume for block in blocks])) ** (1 / 3)
-        self._soft = corner_softness(contacts, length)
+        self._stiffness = 1 / corner_softness(contacts, length)
+        self._wrench = np.stack(corner_wrenches(blocks, contacts))
+        self.body = np.stack([contacts.a, contacts.b])[:, contacts.patch]
         self._fixed = np.array([block.support for block in blocks])
-        self._near: list[set[int]] = [set() for _ in blocks]
+        self._radius = np.array(
+            [
+                np.linalg.norm(block.vertices - at, axis=1).max()
+                for block, at in zip(blocks, self.centre, strict=True)
+            ]
+        )
+        self.near: list[set[int]] = [set() for _ in blocks]
+        """Blocks that share a patch with each block."""
         for a, b in zip(contacts.a.tolist(), contacts.b.tolist(), strict=True):
             if a >= 0:
-                self._near[a].add(b)
-                self._near[b].add(a)
-        self.forces = np.zeros((len(contacts.points), 3))
-        """In the frame of their patch, in mean weights; zero where nothing is."""
-        self._a, self._b = contacts.a[contacts.patch], contacts.b[contacts.patch]
-        self.programs = 0
-        """Solved so far: the measure of work."""
+                self.near[a].add(b)
+                self.near[b].add(a)
+        count = len(blocks)
+        self._motion = {mu: np.zeros((count, 6)) for mu in self.friction}
+        self._last = State(self._fixed.copy(), np.zeros(count, bool))
 
-    def answer(self, state: State, *, thorough: bool = True) -> Answer:
-        """Whether a state stands; where it does, its forces are kept.
+    def stands(self, state: State) -> bool:
+        """Whether the coupled analysis holds a state with every friction."""
+        free = self.free(state)
+        near = self._changed(state, free)
+        if 2 * len(near) < len(free):
+            # What others cannot hold that bear any load, nothing holds.
+            joined, corners = self.part(state, near)
+            start = np.zeros((len(near), 6))
+            for mu in self.friction:
+                if self._coupled(joined, len(corners), near, mu, start) is None:
+                    return False
+        joined, corners = self.part(state, free)
+        motions = {}
+        for mu in self.friction:
+            start = self._start(free, self._motion[mu])
+            motions[mu] = self._coupled(joined, len(corners), free, mu, start)
+            if motions[mu] is None:
+                return False
+        for mu, motion in motions.items():
+            self._motion[mu][free] = motion
+        self._last = state
+        return True
 
-        Args:
-            thorough: look at everything where a region finds nothing; without it the answer may be
-                ``not found``.
-        """
-        bears = self._fixed | state.held
-        free = state.present & ~bears
-        live = self._live(state)
-        kept = np.where(live[:, None], self.forces, 0.0)
-        off = self._imbalance(kept)
-        dirty = np.flatnonzero(free & (off > _BALANCED * self._mass))
-        region, last = set(dirty.tolist()), 0
-        everything = int(free.sum())
-        if region and everything <= FEW:
-            region = set(np.flatnonzero(free).tolist())
-        while region and len(region) > last:
-            if len(region) > LOCAL and len(region) < everything:
-                break
-            found = self._balance(sorted(region), live, bears, kept)
-            if found is not None:
-                self.forces = found
-                return "stands"
-            last = len(region)
-            region = self._grown(region, free)
-        if not region:
-            self.forces = kept
-            return "stands"
-        if last == everything or not thorough:
-            return "falls" if last == everything else "not found"
-        found = self._balance(np.flatnonzero(free).tolist(), live, bears, kept)
-        if found is None:
-            return "falls"
-        self.forces = found
-        return "stands"
+    def _changed(self, state: State, free: np.ndarray) -> np.ndarray:
+        """int64: free blocks near what is not as it was in the last state that stands."""
+        other = (state.present != self._last.present) | (state.held != self._last.held)
+        blocks = np.flatnonzero(other).tolist()
+        touched = {n for block in blocks for n in (block, *self.near[block])} & set(free.tolist())
+        return self.grown(np.array(sorted(touched), np.int64), free)
 
     def rests(self, state: State, block: int) -> bool:
         """Whether the coupled analysis holds a block where every other one bears any load.
 
         A block that friction could squeeze in, but that nothing presses, does not pass.
         """
-        held = np.ones(len(self._fixed), bool)
-        held[block] = False
-        near = np.zeros(len(self._fixed), bool)
-        near[[block, *self._near[block]]] = True
-        found = solve(
-            self.assembly, self.contacts, self.friction, present=near & state.present, held=held
-        )
-        return found.stands
-
-    def corners(self, state: State) -> int:
-        """Corners of the contacts between what is there: the size of a program over everything."""
-        return int(self._live(state).sum())
-
-    def coupled(self, state: State, friction: float) -> bool:
-        """Whether the coupled analysis holds the whole of a state."""
-        return solve(
-            self.assembly, self.contacts, friction, present=state.present, held=state.held
-        ).stands
-
-    def margin(self, state: State) -> float:
-        """Sideways acceleration that a state withstands in every direction [g]."""
-        return margin(
-            self.assembly, self.contacts, self.friction, present=state.present, held=state.held
+        alone = np.array([block])
+        joined, corners = self.part(state, alone)
+        start = np.zeros((1, 6))
+        return all(
+            self._coupled(joined, len(corners), alone, mu, start) is not None
+            for mu in self.friction
         )
 
-    def _live(self, state: State) -> np.ndarray:
-        """bool[C]: corners between blocks that are there."""
-        return state.present[self._b] & ((self._a < 0) | state.present[self._a])
-
-    def moving(self, state: State) -> list[int]:
-        """Blocks that move first in a state that falls."""
+    def falls(self, state: State) -> bool:
+        """Whether no forces balance a state: it falls for certain."""
         found = solve(
             self.assembly,
             self.contacts,
-            self.friction,
+            self.friction[0],
             present=state.present,
             held=state.held,
             coupled=False,
         )
-        return found.moving.tolist()
+        return not found.stands
 
-    def near(self, block: int) -> set[int]:
-        """Blocks that share a patch with this one."""
-        return self._near[block]
+    def moving(self, state: State) -> list[int]:
+        """Blocks that move first in a state that does not stand."""
+        free = self.free(state)
+        joined, corners = self.part(state, free)
+        limit = np.full(len(corners), self.friction[0])
+        load = self.weight(free)
+        found, answer = joined.nearest(load, limit, np.zeros((len(corners), 3)), BALANCED)
+        if found:
+            _, answer = joined.coupled(load, limit, STIFFNESS[0], BALANCED_COUPLED, rounds=_ROUNDS)
+        size = np.linalg.norm(answer.motion, axis=1)
+        return free[size > MOVES * size.max(initial=0.0)].tolist()
 
-    def _grown(self, region: set[int], free: np.ndarray) -> set[int]:
-        for _ in range(HOPS):
-            region = region | {n for block in region for n in self._near[block] if free[n]}
-        return region
+    # ------------------------------------------------------------ parts
 
-    def _imbalance(self, forces: np.ndarray) -> np.ndarray:
-        """float64[B]: size of the wrench that is missing at every block, in mean weights."""
-        rest = np.zeros((len(self._mass), 6))
-        rest[:, 2] = self._mass
-        for body, wrench in zip((self._a, self._b), self._wrench, strict=True):
-            on = body >= 0
-            np.subtract.at(rest, body[on], np.einsum("ck,ckw->cw", forces[on], wrench[on]))
-        return np.abs(rest).max(1)
+    def free(self, state: State) -> np.ndarray:
+        """int64: the blocks that have to be balanced."""
+        return np.flatnonzero(state.present & ~self._fixed & ~state.held)
 
-    def _balance(
-        self, region: list[int], live: np.ndarray, bears: np.ndarray, kept: np.ndarray
+    def live(self, state: State) -> np.ndarray:
+        """bool[C]: corners between blocks that are there."""
+        a, b = self.body
+        return state.present[b] & ((a < 0) | state.present[a])
+
+    def part(
+        self, state: State, blocks: np.ndarray, bears: np.ndarray | None = None
+    ) -> tuple[Joined, np.ndarray]:
+        """Some blocks and the corners between them and what bears any load.
+
+        Args:
+            blocks: int64, ascending.
+            bears: bool[B], the other blocks that do; all others by default.
+
+        Returns:
+            The part, and which corners of the contacts are its own (int64).
+        """
+        number = np.full(len(self.mass) + 1, -1)
+        number[blocks] = np.arange(len(blocks))
+        body = number[self.body]
+        mine = self.live(state) & (body >= 0).any(0)
+        if bears is not None:
+            may = np.append(bears, True)
+            may[blocks] = True
+            mine &= may[self.body].all(0)
+        corners = np.flatnonzero(mine)
+        joined = Joined(
+            body[:, corners], self._wrench[:, corners], self._stiffness[corners], self.mass[blocks]
+        )
+        return joined, corners
+
+    def weight(self, blocks: np.ndarray) -> np.ndarray:
+        """float64[n, 6]: what has to be balanced at some blocks."""
+        load = np.zeros((len(blocks), 6))
+        load[:, 2] = self.mass[blocks]
+        return load
+
+    def bears(self, state: State) -> np.ndarray:
+        """bool[B]: blocks that bear any load."""
+        return self._fixed | state.held
+
+    def loads(self, forces: np.ndarray) -> np.ndarray:
+        """float64[B, 6]: what forces float64[C, 3] at the corners do to all blocks."""
+        count = len(self.mass)
+        result = np.zeros((count + 1) * 6)
+        for body, wrench in zip(self.body, self._wrench, strict=True):
+            at = 6 * np.where(body >= 0, body, count)[:, None] + np.arange(6)
+            on = np.einsum("ck,ckw->cw", forces, wrench)
+            result += np.bincount(at.reshape(-1), on.reshape(-1), len(result))
+        return result.reshape(-1, 6)[:count]
+
+    def grown(self, blocks: np.ndarray, free: np.ndarray, hops: int = _HOPS) -> np.ndarray:
+        """int64: free blocks within some contacts of the given ones."""
+        may, region = set(free.tolist()), set(blocks.tolist())
+        front = region
+        for _ in range(hops):
+            front = {n for block in front for n in self.near[block] if n in may} - region
+            region |= front
+        return np.array(sorted(region), np.int64)
+
+    def _start(self, free: np.ndarray, known: np.ndarray) -> np.ndarray:
+        """float64[n, 6]: motions to start from, of what is new as if one with what it touches."""
+        start, last = known[free].copy(), self._last
+        moved = last.present & ~last.held & ~self._fixed
+        for k, block in enumerate(free.tolist()):
+            if not moved[block]:
+                start[k] = 0.0
+                base = next((n for n in sorted(self.near[block]) if moved[n]), None)
+                if base is not None:
+                    turn = known[base, 3:] / self._radius[base]
+                    arm = self.centre[block] - self.centre[base]
+                    start[k, :3] = known[base, :3] + np.cross(turn, arm)
+                    start[k, 3:] = turn * self._radius[block]
+        return start
+
+    def _coupled(
+        self, joined: Joined, corners: int, blocks: np.ndarray, friction: float, start: np.ndarray
     ) -> np.ndarray | None:
-        """Forces of which only those between blocks of a region, and what bears them, are new."""
-        inside = np.zeros(len(bears) + 1, bool)
-        inside[region] = True
-        rigid = np.append(bears, True)  # index -1: the ground
-        touch = live & (inside[self._a] | inside[self._b])
-        new = touch & (inside | rigid)[self._a] & (inside | rigid)[self._b]
-        self.programs += 1
-        row = np.full(len(bears), -1)
-        row[region] = np.arange(len(region))
-        corners = np.flatnonzero(new)
-        load = np.zeros((len(region), 6))
-        load[:, 2] = self._mass[region]
-        entries = []
-        for body, wrench in zip((self._a, self._b), self._wrench, strict=True):
-            on = touch & inside[body]
-            old = np.flatnonzero(on & ~new)
-            np.subtract.at(load, row[body[old]], np.einsum("ck,ckw->cw", kept[old], wrench[old]))
-            mine = np.flatnonzero(on[corners])
-            at = 6 * row[body[corners[mine]]][:, None, None] + np.arange(6)
-            column = 3 * mine[:, None, None] + np.arange(3)[:, None]
-            entries.append(
-                (
-                    np.broadcast_to(at, (len(mine), 3, 6)).ravel(),
-                    np.broadcast_to(column, (len(mine), 3, 6)).ravel(),
-                    wrench[corners[mine]].ravel(),
-                )
-            )
-        rows, columns, values = map(np.concatenate, zip(*entries, strict=True))
-        shape = 6 * len(region), 3 * len(corners)
-        matrix = sp.csc_matrix((values, (rows, columns)), shape)
-        found = balancing_forces(matrix, load.reshape(-1), self._soft[corners], self.friction)
-        if found is None:
-            return None
-        result = kept.copy()
-        result[corners] = found
-        return result
+        """A motion at which forces of the coupled law balance some blocks, or None."""
+        load = self.weight(blocks)
+        limit = np.full(corners, friction)
+        found, answer = joined.coupled(load, limit, STIFFNESS[0], BALANCED_COUPLED, start, _ROUNDS)
+        return answer.motion if found else None
+
+
+class Pushes:
+    """Sideways accelerations that states withstand for certain, in directions all round.
+
+    Forces that balance a state under an acceleration prove it, and what lies in the hull of what is
+    proven is proven, too. They are kept from state to state.
+
+    Args:
+        states: of the assembly.
+        most: no larger acceleration is looked for [g].
+    """
+
+    def __init__(self, states: States, most: float) -> None:
+        self.states, self.most, self.friction = states, most, states.friction[0]
+        angle = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+        self.ways = np.stack([np.cos(angle), np.sin(angle)], 1)
+        self.level = np.full(_DIRECTIONS, most)
+        self.forces = np.zeros((_DIRECTIONS, states.body.shape[1], 3))
+        self._wait = self._waited = 0
+
+    def follow(self, state: State) -> float:
+        """An acceleration that this state, the next one, withstands in every direction [g]."""
+        free = self.states.free(state)
+        if not len(free):
+            return self.most
+        self.forces[:, ~self.states.live(state)] = 0.0
+        off = np.array([self._unbalanced(k, free) for k in range(_DIRECTIONS)])
+        lost = np.flatnonzero(off.any(1)).tolist()
+        if lost:
+            region = self.states.grown(free[off.any(0)], free)
+            for blocks in (region, free) if len(region) < len(free) else (free,):
+                part = self._part(state, blocks)
+                lost = [k for k in lost if not self._settle(k, self.level[k], part)]
+                if not lost:
+                    break
+        whole = self._part(state, free)
+        for k in lost:
+            self._lower(k, whole)
+        self._raise(whole)
+        return inner_circle(self.level[:, None] * self.ways)[0]
+
+    def _part(self, state: State, blocks: np.ndarray) -> _Part:
+        bears = self.states.bears(state)
+        return _Part(blocks, *self.states.part(state, blocks, bears))
+
+    def _load(self, k: int, level: float) -> np.ndarray:
+        load = np.zeros((len(self.states.mass), 6))
+        load[:, 2] = self.states.mass
+        load[:, :2] = level * self.states.mass[:, None] * self.ways[k]
+        return load
+
+    def _unbalanced(self, k: int, free: np.ndarray) -> np.ndarray:
+        """bool[n]: free blocks that the forces along a direction do not balance."""
+        rest = self._load(k, self.level[k]) - self.states.loads(self.forces[k])
+        return np.linalg.norm(rest[free], axis=1) > BALANCED * self.states.mass[free]
+
+    def _settle(self, k: int, level: float, part: _Part) -> bool:
+        """Balance some blocks under an acceleration along a direction; False: nothing changed."""
+        blocks, joined, corners = part
+        other = self.forces[k].copy()
+        near = other[corners]
+        other[corners] = 0.0
+        load = (self._load(k, level) - self.states.loads(other))[blocks]
+        limit = np.full(len(corners), self.friction)
+        found, answer = joined.nearest(load, limit, near, 0.5 * BALANCED)
+        if found:
+            self.forces[k][corners], self.level[k] = answer.forces, level
+        return found
+
+    def _lower(self, k: int, whole: _Part) -> None:
+        level = self.level[k] * _LOWER
+        while level >= _LEAST:
+            if self._settle(k, level, whole):
+                return
+            level *= _LOWER
+        self.level[k] = 0.0
+        self._settle(k, 0.0, whole)
+
+    def _raise(self, whole: _Part) -> None:
+        """Look for larger pushes in the weakest directions, less often where there are none."""
+        self._waited += 1
+        if self._waited < self._wait or self.level.min() >= self.most:
+            return
+        raised = False
+        while self.level.min() < self.most:
+            k = int(self.level.argmin())
+            higher = min(max(_HIGHER * self.level[k], 4 * _LEAST), self.most)
+            if not self._settle(k, higher, whole):
+                break
+            raised = True
+        self._waited, self._wait = 0, 0 if raised else min(max(2 * self._wait, 1), _PAUSE)
+
+
+class _Part(NamedTuple):
+    blocks: np.ndarray
+    joined: Joined
+    corners: np.ndarray

@@ -41,12 +41,10 @@ def proof_words(proof: str, leaning: bool) -> str:
         leaning: whether blocks have joints that lean, such as those of an arch.
     """
     # These load compiled code.
-    from learn2assemble.statics.proofs import BED, FORCES
+    from learn2assemble.statics.proofs import BED
 
     if proof == BED and leaning:
         return "joints that weight presses"
-    if proof == FORCES:
-        return f"{FORCES} (rigid blocks only: the coupled analysis was not run, the state is large)"
     return proof
 
 
