@@ -119,8 +119,7 @@ def find_sequence(
     """
     plain = _Search(problem, Supports(), clock, progress)
     end, last = plain.end(), plain.laws[-1]
-    law = plain.law(end)
-    if law is None:
+    if plain.law(end) is None:
         certain, moving = last.falls(end), last.moving(end)
         names = list_ids(plain.blocks, moving) or "some blocks"
         reason = f"the finished structure falls: {names} would move first"
@@ -128,30 +127,23 @@ def find_sequence(
             reason = f"that the finished structure stands is not proven: {names} may move"
         status = "refused" if certain else "not found"
         return replace(plain.run(), status=status, reason=reason, stuck=tuple(moving))
-    # What the finished structure does not need mostly carries nothing on the way to it.
-    found, layers = None, len(problem.layers)
-    for count in sorted({max(law - len(plain.laws) + layers, 0) + 1, layers}):
-        found = _best(found, plain.limited(count).run())
-        if found.status == "complete" or clock.left <= 0:
-            return found
-        if supports.holds:
-            hands = Supports(False, supports.holds)
-            found = _best(found, _Search(problem, hands, clock, progress).limited(count).run())
-        if supports.posts and found.status != "complete" and clock.left > 0:
-            search = _Search(problem, supports, clock, progress).limited(count)
-            posted = search.run()
-            if posted.status == "complete":
-                return search.fewest(posted)
-            found = _best(found, posted)
-        if found.status == "complete":
-            return found
-    assert found is not None
+    found = plain.run()
+    if found.status == "complete" or clock.left <= 0:
+        return found
+    if supports.holds:
+        found = _best(
+            found, _Search(problem, Supports(False, supports.holds), clock, progress).run()
+        )
+    if supports.posts and found.status != "complete" and clock.left > 0:
+        search = _Search(problem, supports, clock, progress)
+        posted = search.run()
+        found = search.fewest(posted) if posted.status == "complete" else _best(found, posted)
     return found
 
 
-def _best(found: Sequenced | None, other: Sequenced) -> Sequenced:
+def _best(found: Sequenced, other: Sequenced) -> Sequenced:
     """The one that is complete, or else the longer one."""
-    if found is None or other.status == "complete" or len(other.steps) > len(found.steps):
+    if other.status == "complete" or len(other.steps) > len(found.steps):
         return other
     return found
 
@@ -220,8 +212,6 @@ class _Search:
         self.laws: list[Law] = [ByForces(whole, *layer, friction) for layer in layers]
         if not posts and not supports.holds and ByLoads.fits(layers[0].contacts):
             self.laws.insert(0, ByLoads(whole, layers[0].contacts, friction[0], clock))
-        self.most = len(self.laws) - 1
-        """The last law that is asked."""
         self.near = _neighbours(self.contacts, len(self.blocks))
         self.below = _lies_on(layers[0].contacts, self.count, self.fixed)
         depth = float(contact_tolerance(given).max())
@@ -242,11 +232,6 @@ class _Search:
         self._kept: set[tuple[int, bytes]] = set()
         self._ways: dict[tuple[int, bytes], bool] = {}
 
-    def limited(self, layers: int) -> _Search:
-        """This search, when only the first layers may carry."""
-        self.most = len(self.laws) - len(self.problem.layers) + layers - 1
-        return self
-
     def start(self) -> State:
         """What stands before the first step."""
         return State(self.fixed.copy(), np.zeros_like(self.fixed))
@@ -263,7 +248,7 @@ class _Search:
         Args:
             most: laws behind this one are not asked.
         """
-        last = self.most if most is None else most
+        last = len(self.laws) - 1 if most is None else most
         asked, found = self._known.get(state.key, (-1, None))
         for number in range(asked + 1, last + 1):
             if found is None:
@@ -392,7 +377,7 @@ class _Search:
             yield from self._posted(state, ready)
 
     def _rests(self, state: State, block: int) -> bool:
-        return any(law.rests(state, block) for law in self.laws[: self.most + 1])
+        return any(law.rests(state, block) for law in self.laws)
 
     def _holding(self, state: State, ready: list[int]) -> Iterator[Move]:
         """A block that is held as it comes, while others may be let go."""
@@ -423,7 +408,7 @@ class _Search:
                 if move is not None:
                     yield move
         for b in ready:
-            moving = self.laws[self.most].moving(state.change(place=[b]))
+            moving = self.laws[-1].moving(state.change(place=[b]))
             posts = {p for m in moving if m < self.count for p in self.under[m]}
             some = sorted(posts & self.allowed, key=lambda p: -self.rank[p])[:_NEAREST]
             for size in range(1, _TOGETHER + 1):

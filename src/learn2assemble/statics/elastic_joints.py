@@ -157,7 +157,7 @@ class Joined:
                 break
             matrix = layout.matrix(bodies, slope[now], leak, law.springs)
             change = layout.solve(matrix, left[now])
-            if not np.isfinite(change).all():
+            if change is None or not np.isfinite(change).all():
                 break
             size, rate = float((left[now] ** 2).sum()), float((left[now] * change).sum())
             step, nearer = 1.0, False
@@ -214,8 +214,8 @@ class _Layout:
         row, column = np.broadcast_arrays(known[:, None], known[None])
         self.at = self._place(row.reshape(-1), column.reshape(-1)).reshape(row.shape)
         self.stride = self._stride(column.reshape(-1)).reshape(row.shape)
-        diagonal = self._place(body, body)[:, None] + (self._stride(body)[:, None] + 1) * range(6)
-        self.diagonal = diagonal.reshape(-1)
+        along = (self._stride(body)[:, None] + 1) * np.arange(6)
+        self.diagonal: np.ndarray = (self._place(body, body)[:, None] + along).reshape(-1)
         self.data = np.zeros(self.size)
 
     def _sparse(self, count: int, a: np.ndarray, b: np.ndarray) -> None:
@@ -248,19 +248,22 @@ class _Layout:
         self.data[self.diagonal] += _SPRING + 1e-12 * self.data[self.diagonal].max(initial=0.0)
         return self.data
 
-    def solve(self, data: np.ndarray, right: np.ndarray) -> np.ndarray:
-        size = 6 * self.count
-        if self.count <= _DENSE:
-            return np.linalg.solve(data.reshape(size, size).T, right.reshape(-1)).reshape(-1, 6)
-        matrix = sp.csc_matrix((data, self.index, self.start), (size, size))
-        # Nearly symmetric: pivots are taken from the diagonal while they are not small.
-        factors = splu(
-            matrix,
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=1e-3,
-            options={"SymmetricMode": True},
-        )
-        return factors.solve(right.reshape(-1)).reshape(-1, 6)
+    def solve(self, data: np.ndarray, right: np.ndarray) -> np.ndarray | None:
+        """The change of motion float64[n, 6] by which a derivative gives ``right``, or None."""
+        size, flat = 6 * self.count, right.reshape(-1)
+        try:
+            if self.count <= _DENSE:
+                return np.linalg.solve(data.reshape(size, size).T, flat).reshape(-1, 6)
+            # Nearly symmetric: pivots are taken from the diagonal while they are not small.
+            factors = splu(
+                sp.csc_matrix((data, self.index, self.start), (size, size)),
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=1e-3,
+                options={"SymmetricMode": True},
+            )
+        except (np.linalg.LinAlgError, RuntimeError):  # exactly singular
+            return None
+        return factors.solve(flat).reshape(-1, 6)
 
 
 # ---------------------------------------------------------------- compiled

@@ -120,12 +120,12 @@ class States:
         free = self.free(state)
         near = self._changed(state, free)
         if 2 * len(near) < len(free):
-            # What others cannot hold that bear any load, nothing holds.
+            # Forces that balance everything balance these blocks, too, whatever bears the others.
             joined, corners = self.part(state, near)
-            start = np.zeros((len(near), 6))
-            for mu in self.friction:
-                if self._coupled(joined, len(corners), near, mu, start) is None:
-                    return False
+            limit = np.full(len(corners), self.friction[0])
+            load, zero = self.weight(near), np.zeros((len(corners), 3))
+            if not joined.nearest(load, limit, zero, BALANCED)[0]:
+                return False
         joined, corners = self.part(state, free)
         motions = {}
         for mu in self.friction:
@@ -269,8 +269,11 @@ class States:
         """A motion at which forces of the coupled law balance some blocks, or None."""
         load = self.weight(blocks)
         limit = np.full(corners, friction)
-        found, answer = joined.coupled(load, limit, STIFFNESS[0], BALANCED_COUPLED, start, _ROUNDS)
-        return answer.motion if found else None
+        for ratio in STIFFNESS:
+            found, answer = joined.coupled(load, limit, ratio, BALANCED_COUPLED, start, _ROUNDS)
+            if found:
+                return answer.motion
+        return None
 
 
 class Pushes:
