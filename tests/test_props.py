@@ -243,7 +243,7 @@ def test_props_of_a_bridge_are_taken_away(bridge: tuple[Plan, Kit], arm: str) ->
     refused = carry_out(plan, Workcell(arm, "suction", physics="kinematic"), joint=kit.joint_gap)
     assert refused.status == "refused"
     assert "take away prop" in (refused.reason or "")
-    assert "--tool suction-side" in (refused.reason or "")
+    assert "`tool=suction-side`" in (refused.reason or "")
 
 
 def test_only_what_carries_is_lower(bridge: tuple[Plan, Kit]) -> None:

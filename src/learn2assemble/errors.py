@@ -10,6 +10,7 @@ import dataclasses
 import difflib
 import importlib
 import math
+import re
 from collections.abc import Callable, Collection, Generator, Hashable, Iterable, Mapping
 from contextlib import contextmanager
 from numbers import Integral, Real
@@ -22,6 +23,15 @@ MANY, NEAREST = 20, 6
 
 class Learn2AssembleError(Exception):
     """Base of every error this package raises on purpose."""
+
+
+def as_options(text: str) -> str:
+    """A text that names arguments, as `` `seconds=` `` or `` `tool=suction-side` ``, with options
+    of the command line instead."""
+    return _ARGUMENT.sub(lambda found: f"--{found[1].replace('_', '-')} {found[2]}".strip(), text)
+
+
+_ARGUMENT = re.compile(r"`([a-z_]+)=([^`=\n]*)`")
 
 
 class Remedy(NamedTuple):
@@ -68,7 +78,7 @@ class InputError(Learn2AssembleError, ValueError):
 
     def for_command_line(self) -> str:
         """The message, what would help as options of the command line."""
-        return self._message(remedy.as_option for remedy in self.remedies)
+        return as_options(self._message(remedy.as_option for remedy in self.remedies))
 
 
 class UnknownNameError(InputError):

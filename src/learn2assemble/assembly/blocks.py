@@ -267,7 +267,7 @@ class Assembly:
             InputError: where no joint is a clutch, or for a capacity that is none.
         """
         if all(joint.law != "clutch" for joint in self.laws):
-            raise InputError("capacity", capacity, "an assembly whose joints clutch (--kit lego)")
+            raise InputError("capacity", capacity, "an assembly whose joints clutch (`kit=lego`)")
 
         def changed(joint: Joint) -> Joint:
             return replace(joint, capacity=capacity) if joint.law == "clutch" else joint

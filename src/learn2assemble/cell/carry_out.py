@@ -498,7 +498,7 @@ def carry_out(
         what = "take away" if gone else "place"
         reason = f"the arm cannot {what} {listed}: {job.pieces[number].id}: {why}"
         if gone and not (job.arm.suction and job.arm.suction.cups[1:]):
-            reason += "; a tool that also takes hold of side faces, --tool suction-side, may"
+            reason += "; a tool that also takes hold of side faces, `tool=suction-side`, may"
         report = _report(job, workcell, None)
         return replace(
             plan,

@@ -283,7 +283,7 @@ def check_held(arm: Arm, pieces: Sequence[Piece]) -> None:
     raise InputError(
         f"tool {arm.tool_name}",
         "; ".join(words[:6]) + more,
-        f"blocks it can hold; --tool {other} may",
+        f"blocks it can hold; `tool={other}` may",
     )
 
 
@@ -436,7 +436,7 @@ def _supplied(job: Job, given: list[Source], site: Site) -> Job:
             if job.hands and all(piece.prop for piece in of_shape):
                 continue
             got = f"no room for a magazine of kind {of_shape[0].name} within reach"
-            raise InputError("supply", got, "a layout with places for it (--layout)")
+            raise InputError("supply", got, "a layout with places for it (`layout=`)")
         source = Source(shape, place, None, True, rests=rests_of(job.pieces, shape))
         made.append(source)
         taken.append(source.area.buffer(APART))

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from learn2assemble.errors import InputError
+from learn2assemble.errors import InputError, as_options
 from learn2assemble.files import printable, write_file
 from learn2assemble.progress import Detail
 
@@ -102,7 +102,7 @@ class Output:
     def say(self, text: str) -> None:
         """One line for people: the command has its result."""
         self.heartbeat.stop()
-        self.console.print(text, markup=False)
+        self.console.print(as_options(text), markup=False)
 
     def phase(self, text: str) -> None:
         """What begins, for the line that takes the place of silence."""
@@ -115,7 +115,7 @@ class Output:
             self.heartbeat.phase = str(text) if self.heartbeat.limit is None else text.what
             return
         self.heartbeat.clear(text)
-        sys.stderr.write(f"l2a: {text}\n")
+        sys.stderr.write(f"l2a: {as_options(text)}\n")
         sys.stderr.flush()
 
     def table(self, title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
@@ -157,7 +157,7 @@ class Output:
     def finish(self, result: dict[str, Any]) -> None:
         """The result as JSON on the last line of standard output, if it was asked for."""
         if self.as_json:
-            sys.stdout.write(json.dumps(result) + "\n")
+            sys.stdout.write(as_options(json.dumps(result)) + "\n")
             sys.stdout.flush()
 
 
@@ -193,4 +193,4 @@ def _cell(value: Any) -> str:
         return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:.3f}"
-    return str(value)
+    return as_options(str(value))

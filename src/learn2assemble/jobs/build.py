@@ -183,7 +183,7 @@ def build(
                 "physics": physics != PHYSICS[0],
                 "noise": any(noise),
             },
-            "an arm to build with (--arm)",
+            "an arm to build with (`arm=`)",
         )
     given = {
         "friction": friction,

@@ -87,7 +87,7 @@ def order_bricks(
     hanging = search.hanging()
     if hanging and not help_.hands:
         names = list_ids(blocks, hanging)
-        reason = f"{names} hang on bricks above: they have to come from below (--hands)"
+        reason = f"{names} hang on bricks above: they have to come from below (`hands=`)"
         return Sequenced(blocks, (), "refused", reason, tuple(hanging))
     steps = search.run()
     proof = CLUTCH_TIGHT if found.tight else CLUTCH

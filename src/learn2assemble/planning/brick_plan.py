@@ -50,7 +50,7 @@ def plan_bricks(
         more = order_bricks(assembly, BrickHelp(True, max(1, help_.holds)), clock)
         if more.status == "complete":
             held = sum(step.action == "hold" for step in more.steps)
-            reason = f"{found.reason}; with hands it is built (--hands), which hold {held} times"
+            reason = f"{found.reason}; with hands it is built (`hands=`), which hold {held} times"
             found = replace(found, reason=reason)
     friction = assembly.friction, assembly.friction
     plan = plan_of(assembly, found, friction, None, source, started)

@@ -396,7 +396,7 @@ def build_task(
     if seed < 0:
         raise InputError("seed", seed, "a whole number of at least 0")
     if task.has_arm and task.objects != "cubes":
-        raise InputError("task", task.name, "one of cubes, for a build by an arm (or --arm none)")
+        raise InputError("task", task.name, "one of cubes, for a build by an arm (or `arm=none`)")
     if not isinstance(agent, Agent):
         agent = load_agent(str(agent or default_agent(task.name)))
     network = agent.network.config

@@ -16,7 +16,7 @@ from learn2assemble.planning.plan import SearchReport, SearchStage
 from learn2assemble.planning.tiling.exact import prop_and_order
 from learn2assemble.planning.tiling.ordering import Ordering, order
 from learn2assemble.planning.tiling.planners import PlanLimits, PlannerChoice
-from learn2assemble.planning.tiling.tile import TIME_OPTION, Tiling
+from learn2assemble.planning.tiling.tile import MORE_TIME, Tiling
 from learn2assemble.planning.tiling.world import LatticeWorld, make_site, run
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ def _reason(outcome: Outcome, seconds: float) -> str:
     x, y, z = min(cells, key=lambda cell: cell[::-1])
     what = f"{len(cells)} cells are open, the first at ({x}, {y}, {z})"
     if outcome.timed_out:
-        return f"time ran out after {seconds:g} s: {what}; {TIME_OPTION} gives more"
+        return f"time ran out after {seconds:g} s: {what}; {MORE_TIME}"
     never = np.flatnonzero(world.site.wanted.reshape(-1) & (np.diff(world.site.over_start) == 0))
     if len(never):
         what += f"; {len(never)} cells need a prop, which the agent does not use"

@@ -28,7 +28,13 @@ from learn2assemble.planning.tiling.construct import report_plan
 from learn2assemble.planning.tiling.ordering import order
 from learn2assemble.planning.tiling.planners import EXACT, PlanLimits
 from learn2assemble.planning.tiling.stack import find_stack
-from learn2assemble.planning.tiling.tile import BlockPlacement, Tiling, owners, placement_cells
+from learn2assemble.planning.tiling.tile import (
+    MORE_TIME,
+    BlockPlacement,
+    Tiling,
+    owners,
+    placement_cells,
+)
 from learn2assemble.planning.tiling.world import LatticeWorld
 from learn2assemble.statics.proofs import Bounds, value_range
 
@@ -95,7 +101,7 @@ def plan_goals(
         blocks, chosen = exact.placements, EXACT
         words = f"{exact.status}: {len(blocks)} blocks, at least {exact.bound}"
         stages.append(plans.SearchStage("exact program", words, round(exact.seconds, 3)))
-        reason = "" if blocks else f"time ran out after {seconds:g} s; --seconds gives more"
+        reason = "" if blocks else f"time ran out after {seconds:g} s; {MORE_TIME}"
         if exact.status == "infeasible":
             status = "refused"
             reason = (
@@ -268,4 +274,4 @@ def _words(found: Found) -> str:
 def _nothing(found: Found, limit: float) -> str:
     if found.exhausted:
         return "the search has tried everything it can"
-    return f"no structure was found in {limit:g} s; --seconds gives more"
+    return f"no structure was found in {limit:g} s; {MORE_TIME}"

@@ -38,7 +38,7 @@ from learn2assemble.planning.tiling.standing import (
     tile_standing,
 )
 from learn2assemble.planning.tiling.tile import (
-    TIME_OPTION,
+    MORE_TIME,
     BlockPlacement,
     Tiling,
     check_cells,
@@ -588,7 +588,7 @@ def _too_late(tiling: Tiling, kit: Kit, clock: Clock) -> Tiling:
     reason = f"time ran out after {clock.limit:g} s while looking for blocks that stand"
     if len(cells):
         reason += f" ({describe_lack(kit, tiling.wanted, cells)})"
-    reason += f"; {TIME_OPTION} gives more"
+    reason += f"; {MORE_TIME}"
     return replace(tiling, status="time", reason=reason)
 
 

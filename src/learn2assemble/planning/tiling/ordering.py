@@ -25,7 +25,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import INF, Clock
 from learn2assemble.planning.tiling.stack import find_stack
 from learn2assemble.planning.tiling.tile import (
-    TIME_OPTION,
+    MORE_TIME,
     Tiling,
     placement_cells,
 )
@@ -387,10 +387,7 @@ def order(
     steps, status, reason, falls = site.steps, "complete", "", ()
     if stuck and site.late:
         status, stuck = "time", []
-        reason = (
-            f"time ran out after {seconds:g} s with {len(steps)} steps proven; "
-            f"{TIME_OPTION} gives more"
-        )
+        reason = f"time ran out after {seconds:g} s with {len(steps)} steps proven; {MORE_TIME}"
     elif stuck:
         status, reason = "not found", _why_stuck(site, stuck[0])
         if not blocks[stuck[0]].prop:

@@ -28,7 +28,7 @@ from learn2assemble.assembly.kit import Kit, parts_of
 from learn2assemble.linear_programs import INF, Clock, Model, solve
 from learn2assemble.planning.tiling.tile import (
     COSTS,
-    TIME_OPTION,
+    MORE_TIME,
     BlockPlacement,
     Candidates,
     Tiling,
@@ -307,7 +307,7 @@ class Retiling:
         if answer.status == "infeasible":
             return None
         if answer.status == "time":
-            reason = f"time ran out after {seconds:g} s; {TIME_OPTION} gives more"
+            reason = f"time ran out after {seconds:g} s; {MORE_TIME}"
             return replace(old, status="time", reason=reason)
         first = [placement_cells(block, kit)[0] for block in old.placements]
         again = live[np.ravel_multi_index(tuple(np.array(first).T), old.wanted.shape)]

@@ -37,8 +37,8 @@ from learn2assemble.progress import Progress, silent
 MAX_EXTENT, MAX_CELLS = 64, 64 * 64 * 64
 STRIP = 240
 """Cells of a layer that one program decides; wider parts are cut into strips of about as many."""
-TIME_OPTION = "--seconds"
-"""The option of the command line that gives more time; named where time ran out."""
+MORE_TIME = "`seconds=` gives more"
+"""Said where time ran out."""
 
 
 @dataclass(frozen=True)
@@ -698,7 +698,7 @@ def _judged(
     if timed_out and made.missing:
         reason = (
             f"time ran out after {seconds:g} s with {len(made.missing)} of "
-            f"{int(made.wanted.sum())} cells open; {TIME_OPTION} gives more"
+            f"{int(made.wanted.sum())} cells open; {MORE_TIME}"
         )
         return replace(made, status="time", reason=reason)
     if short:
