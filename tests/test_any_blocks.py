@@ -1,5 +1,6 @@
 """An arm takes blocks of any shape at any pose: faces to hold and to rest on, hulls, hands."""
 
+# pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
 
 import dataclasses
@@ -70,7 +71,7 @@ def test_what_rests_lies_on_a_face_and_falls_when_it_is_tilted_by_more_than_its_
         foot = shapely.MultiPoint(ground[:, :2]).convex_hull
         assert foot.buffer(1e-9).contains(shapely.Point(0, 0))
         # The margin is the smallest tilt about an edge that brings the centre over it.
-        height, inside = -points[:, 2].min(), foot.exterior.distance(shapely.Point(0, 0))
+        height, inside = -points[:, 2].min(), foot.boundary.distance(shapely.Point(0, 0))
         assert math.tan(rest.margin) == pytest.approx(inside / height, abs=1e-6)
 
 
