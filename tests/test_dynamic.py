@@ -36,7 +36,7 @@ from learn2assemble.simulation.execution import (
 )
 from learn2assemble.simulation.model import TIMESTEP, take_order
 from learn2assemble.simulation.prepare import Failure, WorldChecker, prepare
-from learn2assemble.simulation.simulation import Drives, Simulation, SimulationDivergedError
+from learn2assemble.simulation.simulation import Drives, Simulation, SimulationDivergedError, Trace
 from robot_scenes import GROUND, PITCH, cell, scene
 
 AA, AB, BA, BB = get_grasps("paper")
@@ -91,7 +91,7 @@ def test_a_way_home_is_sought_anew_where_a_block_is_in_it(panda: DynamicCell) ->
     world = panda.world(order.objects)
     course = prepare(PANDA, world, order, None, True)
     above = course.home[0]
-    sim = Simulation(PANDA, world, order.poses, order.names, order.target, above, OPENING, 10)
+    sim = Simulation(PANDA, world, order.poses, order.names, order.target, above, OPENING, Trace())
     run = Execution(sim, order, course, panda.limits, panda.loaded)
     np.testing.assert_array_equal(run.checked(course.home, "home"), course.home)
     middle = forward(get_chain(PANDA), (course.home[0] + course.home[-1]) / 2)[0]
@@ -147,7 +147,7 @@ def test_limits_hold_in_random_moves(name: str, sample_steps: int, seed: int) ->
     """Whatever becomes of them; recovery included."""
     rng = np.random.default_rng(seed)
     arm = get_arm(name)
-    tested = DynamicCell(arm, sample_steps=sample_steps, recover=True, precheck=False, speed=1.0)
+    tested = DynamicCell(arm, trace=Trace(sample_steps), recover=True, precheck=False, speed=1.0)
     position = np.array([rng.uniform([-0.3, -0.4, GROUND], [0.25, -0.12, GROUND]), cell(0, 0, 0)])
     world = Scene(position[::-1].copy(), np.zeros(2), np.arange(2), 1)
     target = cell(*rng.integers([-2, 0, 0], [3, 2, 3]))
@@ -384,7 +384,7 @@ def test_a_diverged_simulation_is_dumped(monkeypatch: pytest.MonkeyPatch, tmp_pa
         return honest(self, *args)
 
     monkeypatch.setattr(Drives, "commands", burst)
-    broken = DynamicCell(PANDA, dump=tmp_path / "dump")
+    broken = DynamicCell(PANDA, trace=Trace(dump=tmp_path / "dump"))
     with pytest.raises(SimulationDivergedError, match="dump") as caught:
         broken.attempt(ONE, ON_TOP)
     assert "\n" not in str(caught.value)
@@ -412,9 +412,12 @@ def test_bad_questions_are_refused(panda: DynamicCell, change: dict, words: str)
         panda.attempt(asked.pop("scene"), asked.pop("move"), **asked)
 
 
-@pytest.mark.parametrize("bad", [{"speed": 0.0}, {"speed": 1.5}, {"sample_steps": 0}])
-def test_bad_settings_are_refused(bad: dict) -> None:
-    with pytest.raises(InputError, match=next(iter(bad))):
+@pytest.mark.parametrize(
+    ("word", "bad"),
+    [("speed", {"speed": 0.0}), ("speed", {"speed": 1.5}), ("sample_steps", {"trace": Trace(0)})],
+)
+def test_bad_settings_are_refused(word: str, bad: dict) -> None:
+    with pytest.raises(InputError, match=word):
         DynamicCell(PANDA, **bad)
 
 

@@ -29,7 +29,7 @@ from learn2assemble.robot.registry import TOOLS
 from learn2assemble.robot.shape import arm_shape
 from learn2assemble.robot.tool import load_suction
 from learn2assemble.simulation.cell import DynamicCell
-from learn2assemble.simulation.cup import Load, peak_load
+from learn2assemble.simulation.cup import Payload, peak_load
 from robot_scenes import hands
 
 ARMS = [get_arm(name, "suction-side", (-0.5, 0.0, 0.0, 0.0)) for name in ("panda", "ur5e")]
@@ -149,7 +149,7 @@ def test_a_block_is_drawn_out_until_nothing_is_above_it(over: float, way: int, s
 def test_a_block_that_hangs_by_its_side_loads_the_cup_as_by_hand() -> None:
     """Its weight along the face, and half its width times it as a tilting moment."""
     half, mass = np.array([0.05, 0.03, 0.02]), 0.4
-    load = Load(mass, np.add(SIDE.lip.at, (half[1], 0.0, 0.0)), np.zeros((3, 3)))
+    load = Payload(mass, np.add(SIDE.lip.at, (half[1], 0.0, 0.0)), np.zeros((3, 3)))
     still = np.tile(ARMS[0].home, (4, 1))
     off, slip = peak_load(SIDE, get_chain(ARMS[0]), load, still, 0.01)
     weight = mass * GRAVITY

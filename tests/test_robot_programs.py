@@ -46,7 +46,7 @@ from learn2assemble.motion.program import (
     slow_down,
     usage,
 )
-from learn2assemble.motion.record import BuildRecord, BuildRecorder, find_fault, upright
+from learn2assemble.motion.record import BuildRecord, BuildRecorder, CellShapes, find_fault, upright
 from learn2assemble.motion.settings import ToolOutput
 from learn2assemble.robot.arm import Arm, Limits, arm_model, get_arm
 from learn2assemble.robot.grasps import Attitude
@@ -1027,7 +1027,7 @@ def built(arm: Arm, state: Scene, targets: list[np.ndarray], hand: Attitude) -> 
         upright(state.position, state.yaw),
         [[k] for k in range(cells)],
         "MuJoCo",
-        state.half,
+        CellShapes(state.half),
     )
     numbers, joints, turns = np.arange(cells), None, None
     for target in targets:

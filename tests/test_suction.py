@@ -31,11 +31,11 @@ from learn2assemble.robot.moves import (
 from learn2assemble.robot.registry import TOOLS
 from learn2assemble.robot.shape import arm_shape
 from learn2assemble.robot.tool import load_suction
-from learn2assemble.simulation.cell import DynamicCell
-from learn2assemble.simulation.cup import Load, Vacuum, peak_load
+from learn2assemble.simulation.cell import DynamicCell, WorldForces
+from learn2assemble.simulation.cup import Payload, Vacuum, peak_load
 from learn2assemble.simulation.model import free_cells, take_order
 from learn2assemble.simulation.prepare import Failure, WorldChecker, prepare
-from learn2assemble.simulation.simulation import Simulation
+from learn2assemble.simulation.simulation import Simulation, Trace
 from robot_scenes import hands
 from suction_moves import random_moves
 
@@ -131,7 +131,9 @@ def held(mass: float, half: np.ndarray = BRICK, off: float = 0.0) -> Simulation:
     world = Scene(np.array([[0.0, 0, 0.5]]), np.zeros(1), np.zeros(1, int), 0, half[None], density)
     order = take_order(world, Move(0, np.array([0, 0, 0.5]), Attitude(), Attitude()))
     poses = order.poses.copy()
-    sim = Simulation(PANDA, cell.world(order.objects), poses, order.names, 0, PANDA.home, 0.0, 10)
+    sim = Simulation(
+        PANDA, cell.world(order.objects), poses, order.names, 0, PANDA.home, 0.0, Trace()
+    )
     position, rotation = sim.tool()
     sim.poses[0, :3] = position + rotation @ np.array([off, 0, half[2]])
     sim.poses[0, 3:] = [0.0, 1.0, 0.0, 0.0]
@@ -330,7 +332,7 @@ def test_a_brick_is_lowered_into_a_slot_of_its_size(arm: object, gap: float) -> 
 
 
 def test_a_recording_says_when_the_cup_holds() -> None:
-    cell = DynamicCell(UR5E, sample_steps=1)
+    cell = DynamicCell(UR5E, trace=Trace(1))
     world, place = field(5e-4, 4, BRICK)
     grasp = hands(UR5E, BRICK)[0]
     found = cell.attempt(world, Move(8, place, grasp, grasp))
@@ -367,14 +369,14 @@ def test_the_way_up_ends_at_rest_however_little_of_it_is_above_others(
     world = Scene(np.array([[0.05, -0.3, height / 2]]), np.zeros(1), np.arange(1), 0, half)
     grasp = hands(arm, half[0])[0]
     target = np.array([0.0, 0.1, height / 2])
-    found = DynamicCell(arm, sample_steps=1).attempt(world, Move(0, target, grasp, grasp))
+    found = DynamicCell(arm, trace=Trace(1)).attempt(world, Move(0, target, grasp, grasp))
     assert found.reached, found.detail
     assert found.trajectory is not None
     assert_follows(arm, found.trajectory)
 
 
 def test_kinematic_and_dynamic_agree_on_moves_of_varied_boxes() -> None:
-    cells = [(KinematicCell(arm), DynamicCell(arm, sample_steps=1)) for arm in (PANDA, UR5E)]
+    cells = [(KinematicCell(arm), DynamicCell(arm, trace=Trace(1))) for arm in (PANDA, UR5E)]
     outcomes = set()
     for k, (kind, world, move) in zip(range(12), random_moves(3), strict=False):
         meant, real = (cell.attempt(world, move) for cell in cells[k % 2])
@@ -470,7 +472,7 @@ def test_a_heavy_lintel_is_moved_so_that_it_does_not_slip(
 
 def test_the_load_of_a_motion_is_what_a_hand_computes() -> None:
     """A kilogram 0.1 m below the tool, hanging still, and turned by the last joint."""
-    load = Load(1.0, np.array([0.0, 0.0, 0.1]), np.diag([0.0, 0.0, 0.02]))
+    load = Payload(1.0, np.array([0.0, 0.0, 0.1]), np.diag([0.0, 0.0, 0.02]))
     still = np.tile(PANDA.home, (20, 1))
     off, slip = peak_load(CUP, get_chain(PANDA), load, still, 0.01)
     assert off == pytest.approx(GRAVITY / CUP.pull_off, rel=0.01)
@@ -487,7 +489,7 @@ def test_a_whole_structure_is_let_go_at_once(over: float, stands: bool) -> None:
     wall = [[0.1001 * c + 0.03 * (r % 2), 0.6, 0.025 + 0.05 * r] for r in range(10) for c in (0, 1)]
     position = np.array([*wall, [-0.4, 0.6, 0.025], [-0.4 + over, 0.6, 0.075]])
     world = Scene(position, np.zeros(22), np.arange(22), 22, np.tile(BRICK, (22, 1)))
-    after, turns, rests = DynamicCell(PANDA, friction=0.5).settle(world)
+    after, turns, rests = DynamicCell(PANDA, forces=WorldForces(friction=0.5)).settle(world)
     off = np.linalg.norm(after.position - position, axis=1)
     assert off[:20].max() < 1e-3
     assert (off[21] < 1e-3) == stands

@@ -32,7 +32,7 @@ from learn2assemble.cell.workcell import (
     STANDING,
     Disturbance,
     Structure,
-    World,
+    WorkcellBlocks,
     rows_of,
 )
 from learn2assemble.design.cells import CellDesign
@@ -169,7 +169,7 @@ def test_what_falls_is_refused_by_the_structure(window: Plan) -> None:
 
 def test_scene_rows_are_the_boxes_where_they_are(window: Plan) -> None:
     job = prepare(window, quick(), KIT.joint_gap)[0]
-    world = World(job)
+    world = WorkcellBlocks(job)
     for k in range(4):
         world.pose[k], world.state[k] = world.target(k), STANDING
     rows = rows_of(world, world.pose, 3)

@@ -57,7 +57,7 @@ def test_the_scene_is_that_of_the_build() -> None:
     blocks = tuple(site.placement(c) for c in [*world.placed, nxt])
     assembly = to_assembly(Tiling(blocks, site.wanted, "complete"), None, site.kit)
     job = replace(hand.job, pieces=pieces_of(assembly), steps=(), assembly=assembly)
-    other = workcell.World(job)
+    other = workcell.WorkcellBlocks(job)
     for k in range(len(world.placed)):
         other.pose[k], other.state[k] = other.target(k), workcell.STANDING
     last = len(world.placed)

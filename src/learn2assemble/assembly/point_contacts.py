@@ -41,7 +41,7 @@ class PointPatch(NamedTuple):
     """Whether there is only one normal."""
 
 
-class _Body(NamedTuple):
+class _PointSolid(NamedTuple):
     vertices: np.ndarray
     normals: np.ndarray
     edges: np.ndarray
@@ -53,7 +53,7 @@ def between(blocks: Sequence[Block], pairs: np.ndarray, width: np.ndarray) -> li
     Args:
         width: float64[B], the tolerance of each block [m]; the smaller one of a pair counts.
     """
-    bodies: dict[int, list[_Body]] = {}
+    bodies: dict[int, list[_PointSolid]] = {}
     found = []
     for a, b in pairs.tolist():
         for k in (a, b):
@@ -82,7 +82,7 @@ def on_ground(blocks: Sequence[Block], indices: np.ndarray, width: np.ndarray) -
     return found
 
 
-def _body(block: Block) -> _Body:
+def _body(block: Block) -> _PointSolid:
     xyz = block.vertices
     centre = xyz.mean(0)
     normals, edges = [], []
@@ -99,15 +99,17 @@ def _body(block: Block) -> _Body:
     along = xyz[ends[:, 1]] - xyz[ends[:, 0]]
     length = np.linalg.norm(along, axis=1)
     along = along[length > 0] / length[length > 0, None]
-    return _Body(xyz, np.array(normals), along)
+    return _PointSolid(xyz, np.array(normals), along)
 
 
-def _apart(one: _Body, two: _Body, axes: np.ndarray) -> np.ndarray:
+def _apart(one: _PointSolid, two: _PointSolid, axes: np.ndarray) -> np.ndarray:
     """Distance of two bodies along unit axes that point from the first to the second."""
     return (two.vertices @ axes.T).min(0) - (one.vertices @ axes.T).max(0)
 
 
-def _touch(one: _Body, two: _Body, width: float) -> tuple[np.ndarray, np.ndarray, bool] | None:
+def _touch(
+    one: _PointSolid, two: _PointSolid, width: float
+) -> tuple[np.ndarray, np.ndarray, bool] | None:
     axes = np.concatenate([one.normals, -two.normals])
     apart = _apart(one, two, axes)
     if apart.max() > width:

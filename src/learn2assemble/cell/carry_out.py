@@ -547,9 +547,9 @@ def carry_out_cells(
 def _physical(job: Job, physics: str, change: float) -> DynamicCell | None:
     if physics == "kinematic":
         return None
-    from learn2assemble.simulation.cell import DynamicCell
+    from learn2assemble.simulation.cell import DynamicCell, WorldForces
 
-    return DynamicCell(job.arm, recover=True, friction=job.friction * (1 + change))
+    return DynamicCell(job.arm, recover=True, forces=WorldForces(job.friction * (1 + change)))
 
 
 def _words(job: Job, workcell: Workcell) -> str:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from learn2assemble.cell.workcell import HIDDEN, OBSTACLE_DENSITY, Rows, World
+from learn2assemble.cell.workcell import HIDDEN, OBSTACLE_DENSITY, Rows, WorkcellBlocks
 from learn2assemble.errors import InputError
 from learn2assemble.files import append_line, unwritable, write_file
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_quaternion
@@ -24,6 +24,7 @@ from learn2assemble.motion.record import (
     BuildRecord,
     BuildRecorder,
     ByHand,
+    CellShapes,
     Samples,
     Stage,
     StepRecord,
@@ -129,7 +130,9 @@ class Recording:
         words: what the outcomes come from.
     """
 
-    def __init__(self, world: World, joints: np.ndarray, masses: np.ndarray, words: str) -> None:
+    def __init__(
+        self, world: WorkcellBlocks, joints: np.ndarray, masses: np.ndarray, words: str
+    ) -> None:
         self.world, self.job, self.words = world, world.job, words
         count = len(world.pieces)
         self.body = list(range(count))
@@ -146,9 +149,8 @@ class Recording:
         """Before the first attempt; the pads are ``width`` apart [m]."""
         poses, objects, half, density, hull = self._there()
         self.recorder = BuildRecorder(
-            self.job.arm, joints, width, poses, objects, self.words, half, density
+            self.job.arm, joints, width, poses, objects, self.words, CellShapes(half, density, hull)
         )
-        self.recorder.hull = hull
 
     def by_hand(self, k: int, place: bool) -> None:
         """A block is about to be placed or taken away by hand."""

@@ -33,7 +33,7 @@ from learn2assemble.cell.workcell import (
     Job,
     Rows,
     StepOf,
-    World,
+    WorkcellBlocks,
     moves,
     rows_of,
     try_step,
@@ -353,10 +353,10 @@ def set_up(job: Job, name: str, tool: str, site: Site) -> Job:
     raise _out_of_reach(name, pieces, best, best)
 
 
-def removals(job: Job, shape: Shape | None = None) -> Iterator[tuple[World, StepOf]]:
+def removals(job: Job, shape: Shape | None = None) -> Iterator[tuple[WorkcellBlocks, StepOf]]:
     """Worlds in which a block, perhaps one of a shape, is to be taken away, everything else as the
     plan has it then."""
-    world = World(replace(job, sources=tuple(s for s in job.sources if s.magazine)))
+    world = WorkcellBlocks(replace(job, sources=tuple(s for s in job.sources if s.magazine)))
     for step in job.steps:
         k = step.block
         if step.remove and shape in (None, job.pieces[k].shape):
@@ -456,7 +456,7 @@ def _magazine_places(
     they wait, and if ``back`` those that are taken away from it can be put."""
     import shapely
 
-    world = World(replace(job, sources=()))
+    world = WorkcellBlocks(replace(job, sources=()))
     kept = {s.block for s in job.steps} - {s.block for s in job.steps if s.remove}
     for k in kept:
         world.pose[k], world.state[k] = world.target(k), STANDING
@@ -496,7 +496,7 @@ def _magazine_places(
 
 
 def _waiting(
-    world: World, shape: Shape, rests: Sequence[Turn], yaw: float, top: float
+    world: WorkcellBlocks, shape: Shape, rests: Sequence[Turn], yaw: float, top: float
 ) -> list[tuple[Rows, list[Move]]]:
     """Scenes in which a block waits at the origin in each of the ways it may, and the moves with
     which it can be lifted above everything."""

@@ -31,7 +31,7 @@ from learn2assemble.cell.workcell import (
     Job,
     StepOf,
     Structure,
-    World,
+    WorkcellBlocks,
     supply_of,
 )
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix, yaw_quaternion
@@ -83,7 +83,7 @@ def read_back(
     belief[3:] = matrix_quaternion(quaternion_matrix(spun) @ quaternion_matrix(true[3:]))
 
 
-def fitted(world: World, belief: np.ndarray, standing: set[int], k: int) -> np.ndarray:
+def fitted(world: WorkcellBlocks, belief: np.ndarray, standing: set[int], k: int) -> np.ndarray:
     """Where a block goes, shifted by the little that its neighbours are off: on those that carry
     it, and between those beside it.
 
@@ -203,7 +203,7 @@ class Choice:
     def __init__(self, job: Job, found: Arranged, structure: Structure) -> None:
         self.job, self.order, self.structure = job, found.steps, structure
         self.by_hand = found.by_hand
-        self.world = World(job)
+        self.world = WorkcellBlocks(job)
         self.believe()
         self.fails: Counter[tuple[int, str]] = Counter()
         """By block and what was tried: failures since the last success."""

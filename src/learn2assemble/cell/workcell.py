@@ -167,7 +167,7 @@ STOCK, STANDING, LOOSE, LOST, RETURNED = range(5)
 lies where it cannot, or is a prop that has been returned."""
 
 
-class World:
+class WorkcellBlocks:
     """Poses of all blocks, and which is where.
 
     Args:
@@ -263,7 +263,9 @@ class Rows(NamedTuple):
         return np.array([*(self.scene.position[row] - quaternion_matrix(turn) @ centre), *turn])
 
 
-def rows_of(world: World, poses: np.ndarray, moving: int, masses: np.ndarray | None = None) -> Rows:
+def rows_of(
+    world: WorkcellBlocks, poses: np.ndarray, moving: int, masses: np.ndarray | None = None
+) -> Rows:
     """The scene in which ``moving`` waits and everything else is in its place.
 
     Args:
@@ -311,7 +313,7 @@ def _direction(way: np.ndarray) -> Direction:
 
 
 def moves(
-    world: World,
+    world: WorkcellBlocks,
     rows: Rows,
     moving: int,
     goal: np.ndarray,
@@ -565,7 +567,7 @@ def _arrange(
     key: Callable[[int], Any],
     progress: Progress,
 ) -> Arranged:
-    world = World(job)
+    world = WorkcellBlocks(job)
     standing: set[int] = set()
     order: list[StepOf] = []
     by_hand: set[StepOf] = set()
@@ -603,7 +605,7 @@ def _arrange(
 
 
 def try_step(
-    world: World,
+    world: WorkcellBlocks,
     cell: KinematicCell,
     step: StepOf,
     into: Sequence[Direction] = (DOWN,),
@@ -640,7 +642,7 @@ def describe(found: Attempt) -> str:
     return f"{found.outcome.label} ({found.stage}): {found.detail}"
 
 
-def named(text: str, rows: Rows, world: World) -> str:
+def named(text: str, rows: Rows, world: WorkcellBlocks) -> str:
     """Words of a cell, which counts the rows of its scene, with the names of the plan."""
 
     def name(found: re.Match[str]) -> str:
@@ -651,7 +653,7 @@ def named(text: str, rows: Rows, world: World) -> str:
     return re.sub(r"block (\d+)", name, text)
 
 
-def supply_of(world: World, k: int) -> list[int]:
+def supply_of(world: WorkcellBlocks, k: int) -> list[int]:
     """Sources a block can come from; for a prop, those it may return to."""
     if world.source[k] is not None:
         return [n for n in (world.source[k],) if n is not None]

@@ -400,9 +400,8 @@ def _build_design(
                 raise InputError("arm", workcell.arm, "none: an arm presses no bricks home yet")
             if workcell is not None:
                 workcell = _for_given(design, workcell)
-            plan = plan_assembly(
-                design, source=source, supports=supports, holds=holds, hands=hands, **given
-            )
+            plan = plan_assembly(design, supports=supports, holds=holds, hands=hands, **given)
+            plan = replace(plan, design=replace(plan.design, source=source))
         if workcell is None:
             return plan
         from learn2assemble.cell.carry_out import carry_out

@@ -380,6 +380,20 @@ class StepMotion(NamedTuple):
     release: float | None = None
 
 
+class CellShapes(NamedTuple):
+    """What cells are where they are no cubes."""
+
+    half: np.ndarray | None = None
+    """float64[C, 3]: half extents of their boxes [m]."""
+    density: np.ndarray | None = None
+    """float64[C] of them [kg/m3]."""
+    hull: tuple[Hull | None, ...] | None = None
+    """What they are where they are no boxes."""
+
+
+_CUBES = CellShapes()
+
+
 class BuildRecorder:
     """Appends steps to a record and puts them on its clock.
 
@@ -389,8 +403,6 @@ class BuildRecorder:
             :class:`StepRecord`.
         objects: cells of every rigid object.
         simulated_by: what the outcomes come from, in words.
-        half: float64[C, 3], half extents of the cells' boxes where they are no cubes [m].
-        density: float64[C] of them [kg/m3].
     """
 
     def __init__(
@@ -401,14 +413,12 @@ class BuildRecorder:
         poses: np.ndarray,
         objects: Sequence[Sequence[int]],
         simulated_by: str,
-        half: np.ndarray | None = None,
-        density: np.ndarray | None = None,
+        shapes: CellShapes = _CUBES,
     ) -> None:
         self.arm, self.poses = arm, np.array(poses, float)
         self.objects = tuple(tuple(cells) for cells in objects)
-        self.simulated_by, self.half, self.density = simulated_by, half, density
-        self.hull: tuple[Hull | None, ...] | None = None
-        """Of every cell, where not all are boxes."""
+        self.simulated_by = simulated_by
+        self.half, self.density, self.hull = shapes
         self.steps: list[StepRecord] = []
         self._first = np.array(joints, float), float(width)
         self._count = 0

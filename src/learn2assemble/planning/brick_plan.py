@@ -21,7 +21,6 @@ def plan_bricks(
     help_: BrickHelp,
     clock: Clock,
     progress: Callable[[str], None],
-    source: str,
 ) -> Plan:
     """Order and proof of bricks.
 
@@ -33,7 +32,6 @@ def plan_bricks(
         help_: what may help.
         clock: limits the search.
         progress: called with a line of text for everything that takes long.
-        source: the file.
 
     Raises:
         InputError: for blocks that are no bricks on one lattice.
@@ -53,7 +51,7 @@ def plan_bricks(
             reason = f"{found.reason}; with hands it is built (`hands=`), which hold {held} times"
             found = replace(found, reason=reason)
     friction = assembly.friction, assembly.friction
-    plan = plan_of(assembly, found, friction, None, source, started)
+    plan = plan_of(assembly, found, friction, None, started)
     verified = "balance of joints that hold, in every step, also under its press"
     design = replace(plan.design, note=note)
     return replace(plan, verified_by=verified, design=design)

@@ -25,13 +25,13 @@ _PARALLEL = 1e-6
 """Sine of the angle below which two edges have no normal in common."""
 
 
-class _Hull(NamedTuple):
+class _ConvexSolid(NamedTuple):
     vertices: np.ndarray
     normals: np.ndarray
     edges: np.ndarray
 
 
-Parts = tuple[_Hull, ...]
+Parts = tuple[_ConvexSolid, ...]
 """The convex parts of a block."""
 
 
@@ -138,7 +138,7 @@ def ways_out(normals: np.ndarray) -> np.ndarray:
     return ways[np.argsort(-ways[:, 2], kind="stable")][:_WAYS]
 
 
-def _part(block: Block) -> _Hull:
+def _part(block: Block) -> _ConvexSolid:
     xyz = np.array(block.vertices)
     normals = []
     for face in block.faces:
@@ -154,7 +154,7 @@ def _part(block: Block) -> _Hull:
         )
     )
     along = xyz[ends[:, 1]] - xyz[ends[:, 0]]
-    return _Hull(xyz, _directions(np.array(normals)), _directions(along))
+    return _ConvexSolid(xyz, _directions(np.array(normals)), _directions(along))
 
 
 def _directions(vectors: np.ndarray) -> np.ndarray:

@@ -17,8 +17,8 @@ from learn2assemble.planning.brick_plan import plan_bricks
 from learn2assemble.planning.given_plan import plan_of
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.sequence import (
-    Layer,
-    Problem,
+    ContactLayer,
+    OrderProblem,
     Sequenced,
     Supports,
     find_sequence,
@@ -47,7 +47,6 @@ def plan_assembly(
     hands: bool = False,
     seconds: float = 60.0,
     progress: Progress = lambda text: None,
-    source: str = "",
 ) -> Plan:
     """Order, supports and proof for blocks that are given where they stand.
 
@@ -87,14 +86,14 @@ def plan_assembly(
             got = "a gap" if gap is not None else "posts"
             raise InputError("bricks that clutch", got, "hands and holds alone to help them")
         help_ = BrickHelp(hands, max(holds, 1) if hands else holds)
-        return plan_bricks(assembly, help_, Clock(seconds), progress, source)
+        return plan_bricks(assembly, help_, Clock(seconds), progress)
     if hands:
         raise InputError("hands", hands, "bricks that clutch (a kit such as lego)")
     check_overlaps(assembly)
     ends = value_range(friction, assembly.friction, "friction")
     widest = value_range(gap, 0.0, "gap")[1]
     joints = Joints(assembly)
-    problem = Problem(assembly, _layers(assembly, joints, widest), tuple(sorted(set(ends))))
+    problem = OrderProblem(assembly, _layers(assembly, joints, widest), tuple(sorted(set(ends))))
     clock = Clock(seconds)
     if assembly.steps:
         found = follow_steps(problem, clock, progress)
@@ -107,27 +106,27 @@ def plan_assembly(
             found = replace(found, status="not found", reason=reason)
         elif found.status == "not found":
             found = _advised(found, problem, joints, Supports(supports != "none", holds), clock)
-    return plan_of(assembly, found, ends, None if gap is None else (0.0, widest), source, started)
+    return plan_of(assembly, found, ends, None if gap is None else (0.0, widest), started)
 
 
-def _layers(assembly: Assembly, joints: Joints, gap: float) -> tuple[Layer, ...]:
+def _layers(assembly: Assembly, joints: Joints, gap: float) -> tuple[ContactLayer, ...]:
     """What may carry, what needs the least of the joints first."""
     faces = joints.faces
     if gap > 0:
         least = min(float(np.ptp(b.vertices, axis=0)[:2].min()) for b in assembly.blocks)
         if gap >= least:
             raise InputError("gap", gap, f"less than the narrowest block, {least:g} m")
-        return (Layer(shrunk(faces.only(bed_patches(faces)), gap / 2), BED),)
+        return (ContactLayer(shrunk(faces.only(bed_patches(faces)), gap / 2), BED),)
     pressed = pressed_patches(faces)
-    layers = [Layer(faces.only(pressed), BED)]
-    layers += [] if pressed.all() else [Layer(faces, TIGHT)]
+    layers = [ContactLayer(faces.only(pressed), BED)]
+    layers += [] if pressed.all() else [ContactLayer(faces, TIGHT)]
     every = joints.every[0]
-    layers += [Layer(every, POINTS)] if len(every.a) > len(faces.a) else []
+    layers += [ContactLayer(every, POINTS)] if len(every.a) > len(faces.a) else []
     return tuple(layers)
 
 
 def _advised(
-    found: Sequenced, problem: Problem, joints: Joints, supports: Supports, clock: Clock
+    found: Sequenced, problem: OrderProblem, joints: Joints, supports: Supports, clock: Clock
 ) -> Sequenced:
     """What was not found, with what would help, which is tried first."""
     if not found.steps or clock.left <= 0:
@@ -141,5 +140,5 @@ def _advised(
     return found
 
 
-def _completes(problem: Problem, supports: Supports, clock: Clock) -> bool:
+def _completes(problem: OrderProblem, supports: Supports, clock: Clock) -> bool:
     return find_sequence(problem, supports, clock).status == "complete"

@@ -18,7 +18,6 @@ def plan_of(
     found: Sequenced,
     ends: tuple[float, float],
     gaps: tuple[float, float] | None,
-    source: str,
     started: float,
 ) -> Plan:
     """The plan of blocks in an order.
@@ -28,7 +27,6 @@ def plan_of(
         found: their order.
         ends: friction it is proven for.
         gaps: widths of vertical joints it is proven for.
-        source: the file.
         started: when planning began, of ``time.perf_counter``.
     """
     support = np.array([block.support for block in found.blocks])
@@ -51,7 +49,7 @@ def plan_of(
         )
     blocks = replace(assembly, blocks=found.blocks, steps=tuple(made), not_built=())
     return Plan(
-        design=PlanDesign(name=assembly.name or "assembly", source=source, block_edge=1.0),
+        design=PlanDesign(name=assembly.name or "assembly", source="", block_edge=1.0),
         status="incomplete" if found.status == "not found" and found.steps else found.status,
         reason=found.reason,
         blocks=plans.BlockSupply(int(wanted.sum()), int((present & wanted).sum()), ()),

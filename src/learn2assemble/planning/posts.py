@@ -70,11 +70,11 @@ def find_posts(
     Returns:
         At most three posts a block, of different widths, in the order of the blocks.
     """
-    site = _Site(blocks, contacts, ground)
+    site = _PostSite(blocks, contacts, ground)
     return [post for k, block in enumerate(blocks) if not block.support for post in site.posts(k)]
 
 
-class _Site:
+class _PostSite:
     """What is in the way of posts, and what they can stand on."""
 
     def __init__(self, blocks: Sequence[Block], contacts: Contacts, ground: float | None) -> None:

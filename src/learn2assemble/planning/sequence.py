@@ -64,14 +64,14 @@ class SequenceStep(NamedTuple):
     """Of a brick, whence it comes: ``above``, ``below``, or ``beside``, where it was built."""
 
 
-class Move(NamedTuple):
+class Transition(NamedTuple):
     """Steps that belong together, and the state after them."""
 
     steps: tuple[tuple[Action, int], ...]
     state: State
 
 
-class Layer(NamedTuple):
+class ContactLayer(NamedTuple):
     """Contacts that may carry, and what a step is called that is proven with them."""
 
     contacts: Contacts
@@ -79,7 +79,7 @@ class Layer(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Problem:
+class OrderProblem:
     """Blocks to put in order.
 
     Attributes:
@@ -89,7 +89,7 @@ class Problem:
     """
 
     assembly: Assembly
-    layers: tuple[Layer, ...]
+    layers: tuple[ContactLayer, ...]
     friction: tuple[float, ...]
 
 
@@ -107,7 +107,7 @@ class Sequenced:
 
 
 def find_sequence(
-    problem: Problem,
+    problem: OrderProblem,
     supports: Supports,
     clock: Clock,
     progress: Callable[[str], None] = lambda text: None,
@@ -117,7 +117,7 @@ def find_sequence(
     Without help first, then with hands as far as they are there, at last with posts. Of a few
     blocks the fewest posts are found; of many, those that were placed where nothing else helped.
     """
-    plain = _Search(problem, Supports(), clock, progress)
+    plain = _OrderSearch(problem, Supports(), clock, progress)
     end, last = plain.end(), plain.laws[-1]
     if plain.law(end) is None:
         certain, moving = last.falls(end), last.moving(end)
@@ -132,10 +132,10 @@ def find_sequence(
         return found
     if supports.holds:
         found = _best(
-            found, _Search(problem, Supports(False, supports.holds), clock, progress).run()
+            found, _OrderSearch(problem, Supports(False, supports.holds), clock, progress).run()
         )
     if supports.posts and found.status != "complete" and clock.left > 0:
-        search = _Search(problem, supports, clock, progress)
+        search = _OrderSearch(problem, supports, clock, progress)
         posted = search.run()
         found = search.fewest(posted) if posted.status == "complete" else _best(found, posted)
     return found
@@ -149,10 +149,10 @@ def _best(found: Sequenced, other: Sequenced) -> Sequenced:
 
 
 def follow_steps(
-    problem: Problem, clock: Clock, progress: Callable[[str], None] = lambda text: None
+    problem: OrderProblem, clock: Clock, progress: Callable[[str], None] = lambda text: None
 ) -> Sequenced:
     """Proof of the steps that an assembly comes with, up to the first state that is not proven."""
-    search = _Search(problem, Supports(), clock, progress)
+    search = _OrderSearch(problem, Supports(), clock, progress)
     index = problem.assembly.index
     steps: list[tuple[Action, int]] = [
         (step.action, index(step.block)) for step in problem.assembly.steps
@@ -173,13 +173,13 @@ def follow_steps(
     return search.sequenced(steps[:proven], done, steps[proven][1:] if not done else ())
 
 
-def _posts_of(problem: Problem) -> list[Post]:
+def _posts_of(problem: OrderProblem) -> list[Post]:
     lowest = [float(b.vertices[:, 2].min()) for b in problem.assembly.blocks if b.support]
     contacts = problem.layers[-1].contacts
     return find_posts(problem.assembly.blocks, contacts, min(lowest) if lowest else 0.0)
 
 
-class _Search:
+class _OrderSearch:
     """Depth first over what comes next.
 
     Args:
@@ -188,7 +188,7 @@ class _Search:
 
     def __init__(
         self,
-        problem: Problem,
+        problem: OrderProblem,
         supports: Supports,
         clock: Clock,
         progress: Callable[[str], None],
@@ -293,9 +293,9 @@ class _Search:
             return self.sequenced(steps, True, ())
         return self.sequenced(steps, False, self._stuck(state))
 
-    def _descend(self) -> list[Move]:
-        path: list[Move] = []
-        best: list[Move] = []
+    def _descend(self) -> list[Transition]:
+        path: list[Transition] = []
+        best: list[Transition] = []
         start, end = self.start(), self.end()
         queue, seen, tries = [self.moves(start)], set(), 0
         while queue and self.clock.left > 0 and tries < _TRIES:
@@ -313,7 +313,7 @@ class _Search:
             if state.key in seen:
                 continue
             seen.add(state.key)
-            path.append(Move((*move.steps, *more), state))
+            path.append(Transition((*move.steps, *more), state))
             if len(path) > len(best):
                 best = list(path)
                 there = int(state.present[self.wanted].sum())
@@ -329,7 +329,7 @@ class _Search:
             queue.append(self.moves(state))
         return best
 
-    def _closed_in(self, path: list[Move]) -> int | None:
+    def _closed_in(self, path: list[Transition]) -> int | None:
         """The first move that closed the way out of a prop that should go; None where none did, or
         where that was known."""
         last, first = path[-1].state, None
@@ -356,7 +356,7 @@ class _Search:
         # Stones that lie on one another in a ring have no first one.
         return sorted(found or left, key=lambda b: self.rank[b])
 
-    def moves(self, state: State) -> Iterator[Move]:
+    def moves(self, state: State) -> Iterator[Transition]:
         """What may come next, the least help first."""
         ready = [b for b in self.ready(state) if not self.prop[b] or not self.posts]
         ready = [b for b in ready if self.enters(state, b)]
@@ -364,13 +364,13 @@ class _Search:
         if waits:
             steps, after = self.shed(state, True)
             if steps:
-                yield Move(steps, after)
+                yield Transition(steps, after)
             ready = [b for b in ready if b not in waits]
         alone = [b for b in ready if self._rests(state.change(place=[b]), b)]
         for b in alone:
             after = state.change(place=[b])
             if self.stands(after, [b]):
-                yield Move((("place", b),), after)
+                yield Transition((("place", b),), after)
         if self.holds:
             yield from self._holding(state, ready)
         if self.posts:
@@ -379,7 +379,7 @@ class _Search:
     def _rests(self, state: State, block: int) -> bool:
         return any(law.rests(state, block) for law in self.laws)
 
-    def _holding(self, state: State, ready: list[int]) -> Iterator[Move]:
+    def _holding(self, state: State, ready: list[int]) -> Iterator[Transition]:
         """A block that is held as it comes, while others may be let go."""
         held = np.flatnonzero(state.held).tolist()
         left = np.flatnonzero(~state.present[: self.count]).tolist()
@@ -397,10 +397,10 @@ class _Search:
                     after = taken.change(release=gone)
                     if self.stands(after, gone):
                         steps: list[tuple[Action, int]] = [("place", b), ("hold", b)]
-                        yield Move((*steps, *(("release", h) for h in gone)), after)
+                        yield Transition((*steps, *(("release", h) for h in gone)), after)
                         break
 
-    def _posted(self, state: State, ready: list[int]) -> Iterator[Move]:
+    def _posted(self, state: State, ready: list[int]) -> Iterator[Transition]:
         """A block with a post under it, or under what would move with it."""
         for b in ready:
             for p in self.under[b]:
@@ -417,7 +417,7 @@ class _Search:
                     if move is not None:
                         yield move
 
-    def _with(self, state: State, block: int, posts: tuple[int, ...]) -> Move | None:
+    def _with(self, state: State, block: int, posts: tuple[int, ...]) -> Transition | None:
         """A block placed after some posts, if all of it is proven."""
         steps: list[tuple[Action, int]] = []
         for p in posts:
@@ -431,7 +431,7 @@ class _Search:
             state = after
         after = state.change(place=[block])
         if self.enters(state, block) and self.stands(after, [block]):
-            return Move((*steps, ("place", block)), after)
+            return Transition((*steps, ("place", block)), after)
         return None
 
     def shed(self, state: State, last: bool) -> tuple[tuple[tuple[Action, int], ...], State]:

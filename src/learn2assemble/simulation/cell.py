@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -34,14 +33,14 @@ from learn2assemble.simulation.model import (
     Failure,
     Objects,
     Order,
-    World,
+    SimulatedWorld,
     compile_world,
     hold_still,
     rigid_objects,
     take_order,
 )
 from learn2assemble.simulation.prepare import WorldChecker, prepare, require_held, rest_pose
-from learn2assemble.simulation.simulation import PUSH, Rules, Simulation
+from learn2assemble.simulation.simulation import PUSH, Rules, Simulation, Trace
 from learn2assemble.simulation.trajectory import Motion, load_ruckig
 
 LOADED_SPEED = 0.6
@@ -49,6 +48,18 @@ LOADED_SPEED = 0.6
 SETTLE_TIME = 2.0
 """Longest time to wait for a whole structure to rest [s]."""
 _MAX_WORLDS = 32
+
+
+class WorldForces(NamedTuple):
+    """What acts on blocks."""
+
+    friction: float = FRICTION
+    """Between blocks, and of blocks on the table."""
+    gravity: float = GRAVITY
+    """[m/s^2]"""
+
+
+_USUAL, _TRACE = WorldForces(), Trace()
 
 
 class DynamicCell:
@@ -63,10 +74,8 @@ class DynamicCell:
         precheck: report an occupied target without moving; else the motion has to find it.
         skip_free_motion: let only the time pass while the empty hand travels far from everything.
         shift_rule: how far other blocks may be moved.
-        friction: between blocks, and of blocks on the table.
-        gravity: [m/s^2].
-        sample_steps: simulation steps of 2 ms between samples of the trajectory.
-        dump: folder for model and state should the simulation diverge; a new one by default.
+        forces: of the world.
+        trace: what simulations leave.
 
     Attempts depend on their arguments only. One instance serves one thread.
 
@@ -86,23 +95,22 @@ class DynamicCell:
         precheck: bool = True,
         skip_free_motion: bool = False,
         shift_rule: ShiftRule | None = None,
-        friction: float = FRICTION,
-        gravity: float = GRAVITY,
-        sample_steps: int = 10,
-        dump: Path | None = None,
+        forces: WorldForces = _USUAL,
+        trace: Trace = _TRACE,
     ) -> None:
         if not 0 < speed <= 1:
             raise InputError("speed", speed, "a share, above 0 and at most 1")
-        if sample_steps < 1:
-            raise InputError("sample_steps", sample_steps, "1 or more")
+        if trace.sample_steps < 1:
+            raise InputError("sample_steps", trace.sample_steps, "1 or more")
         load_ruckig()
         self.arm = arm
         self.limits, self.loaded = arm.bounds.scaled(speed), arm.bounds.scaled(LOADED_SPEED)
         self.recover, self.precheck, self.skip_free_motion = recover, precheck, skip_free_motion
         self.shift_rule = shift_rule or ShiftRule()
-        self.friction, self.gravity = friction, gravity
-        self.sample_steps, self.dump = sample_steps, dump
-        self._worlds: OrderedDict[tuple[object, int, frozenset[Hull]], World] = OrderedDict()
+        self.forces, self.trace = forces, trace
+        self._worlds: OrderedDict[tuple[object, int, frozenset[Hull]], SimulatedWorld] = (
+            OrderedDict()
+        )
 
     def attempt(
         self,
@@ -147,8 +155,7 @@ class DynamicCell:
             order.target,
             course.there[0],
             width,
-            self.sample_steps,
-            self.dump,
+            self.trace,
         )
         if scene.half is not None:
             sim.contacts.along = move.place.insertion()
@@ -186,14 +193,16 @@ class DynamicCell:
         objects, poses, names = rigid_objects(scene, quaternion)
         world = self.world(objects)
         joints = rest_pose(self.arm, WorldChecker(self.arm, world, poses, names))
-        sim = Simulation(self.arm, world, poses, names, 0, joints, 0.0, 10**9, self.dump)
+        sim = Simulation(
+            self.arm, world, poses, names, 0, joints, 0.0, self.trace._replace(sample_steps=10**9)
+        )
         sim.wait(round(SETTLE_TIME / TIMESTEP), "home", BLIND._replace(until=sim.asleep))
         position, turns, yaw = objects.cells(sim.poses)
         there = None if scene.quaternion is None else turns
         after = scene._replace(position=position, yaw=yaw, quaternion=there)
         return after, turns, sim.asleep()
 
-    def world(self, objects: Objects) -> World:
+    def world(self, objects: Objects) -> SimulatedWorld:
         """The compiled cell for these objects; remembered."""
         count = len(objects.still)
         room = 64 * math.ceil(count / 64)
@@ -206,7 +215,9 @@ class DynamicCell:
         key = known[0] if known else (objects.shape, room, hulls)
         world = self._worlds.get(key)
         if world is None:
-            world = compile_world(self.arm, objects.shape, self.friction, room, hulls, self.gravity)
+            world = compile_world(
+                self.arm, objects.shape, self.forces.friction, room, hulls, self.forces.gravity
+            )
             self._worlds[key] = world
             if len(self._worlds) > _MAX_WORLDS:
                 self._worlds.popitem(last=False)
@@ -290,8 +301,7 @@ def play(program: Program, arm: Arm) -> DryRun:
                 int(objects.owner[move.cell]),
                 start,
                 float(told[first]),
-                count + 10**6,
-                None,
+                Trace(count + 10**6),
             )
             span = slice(first, last)
             motion = Motion(np.zeros((last - first, 3)), *program.knots.at(clock[span]))

@@ -22,7 +22,7 @@ from learn2assemble.robot.holding import FACING
 from learn2assemble.robot.kinematics import Chain, forward_many
 from learn2assemble.robot.scene import rotation_matrix
 from learn2assemble.robot.tool import Cup, Suction
-from learn2assemble.simulation.model import SHRINK, TIMESTEP, World
+from learn2assemble.simulation.model import SHRINK, TIMESTEP, SimulatedWorld
 
 RIM = 16
 """Points at which the lip is looked at."""
@@ -45,7 +45,7 @@ class Vacuum:
         data: its state.
     """
 
-    def __init__(self, suction: Suction, world: World, data: mujoco.MjData) -> None:
+    def __init__(self, suction: Suction, world: SimulatedWorld, data: mujoco.MjData) -> None:
         self.suction, self.world, self.model, self.data = suction, world, world.model, data
         self.held: int | None = None
         """Number of the object in the cup."""
@@ -192,7 +192,7 @@ class Vacuum:
         values[6:10] = now
 
 
-class Load(NamedTuple):
+class Payload(NamedTuple):
     """What hangs from the tool, in its frame."""
 
     mass: float
@@ -203,17 +203,17 @@ class Load(NamedTuple):
     """float64[3, 3]: about it [kg m2]."""
 
 
-def hanging(world: World, data: mujoco.MjData, number: int) -> Load:
+def hanging(world: SimulatedWorld, data: mujoco.MjData, number: int) -> Payload:
     """An object as it is in the hand now."""
     m, body = world.model, world.first + number
     tool = data.site_xmat[world.tool].reshape(3, 3)
     own = tool.T @ data.ximat[body].reshape(3, 3)
     centre = tool.T @ (data.xipos[body] - data.site_xpos[world.tool])
-    return Load(float(m.body_mass[body]), centre, own * m.body_inertia[body] @ own.T)
+    return Payload(float(m.body_mass[body]), centre, own * m.body_inertia[body] @ own.T)
 
 
 def peak_load(
-    cup: Cup, chain: Chain, load: Load, joints: np.ndarray, period: float
+    cup: Cup, chain: Chain, load: Payload, joints: np.ndarray, period: float
 ) -> tuple[float, float]:
     """Largest shares of pull-off force and friction on a motion that is followed exactly.
 

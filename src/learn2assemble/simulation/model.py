@@ -67,7 +67,7 @@ PLAN_MARGIN = 0.005
 LOOK = 0.02
 """Distances up to this are measured when ways are planned [m]."""
 TABLE, ARM, PAD = -1, -2, -3
-"""Kinds of geoms in :attr:`World.kind` that belong to no object."""
+"""Kinds of geoms in :attr:`SimulatedWorld.kind` that belong to no object."""
 
 _ARM_BIT, _THING_BIT, _HELD_BIT = 1, 2, 4
 _FAR = (0.0, 0.0, 50.0)
@@ -245,7 +245,7 @@ def free_cells(scene: Scene, quaternion: np.ndarray, move: Move) -> np.ndarray:
     return found[number]
 
 
-class World(NamedTuple):
+class SimulatedWorld(NamedTuple):
     """A compiled cell and where things are in it."""
 
     spec: mujoco.MjSpec
@@ -287,7 +287,7 @@ def compile_world(
     num_still: int = 0,
     hulls: frozenset[Hull] = frozenset(),
     gravity: float = GRAVITY,
-) -> World:
+) -> SimulatedWorld:
     """The cell with these objects, somewhere.
 
     Args:
@@ -342,7 +342,7 @@ def compile_world(
     return world
 
 
-def hold_still(world: World, objects: Objects) -> None:
+def hold_still(world: SimulatedWorld, objects: Objects) -> None:
     """Put the cells that are held still where they are; for every simulation that begins now."""
     count = len(objects.still)
     bodies = world.first + len(objects.shape) + np.arange(world.num_still)
@@ -354,7 +354,7 @@ def hold_still(world: World, objects: Objects) -> None:
         reshape(model, geoms, objects.still_half, objects.still_hull)
 
 
-def set_held(world: World, held: int | None) -> None:
+def set_held(world: SimulatedWorld, held: int | None) -> None:
     """In the model for planning, one object is in the hand: it and the arm do not meet, but it
     and all other things do."""
     model, kind = world.plan, world.kind
@@ -375,14 +375,14 @@ def _world(
     plan: mujoco.MjModel,
     shape: tuple[tuple[Box, ...], ...],
     num_still: int,
-) -> World:
+) -> SimulatedWorld:
     body, count = model.geom_bodyid, len(shape)
     first = model.body("object0").id if count else model.nbody
     kind = np.where(body >= first, body - first, ARM)
     kind[model.geom("table").id] = TABLE
     kind[[model.geom(name).id for name in arm.gripper.pads]] = PAD  # none for a cup
     drive = np.array([_drive_of(model, name) for name in arm.joints])
-    return World(
+    return SimulatedWorld(
         spec,
         model,
         plan,

@@ -34,7 +34,7 @@ from learn2assemble.simulation.model import (
     TABLE,
     Failure,
     Order,
-    World,
+    SimulatedWorld,
     set_held,
 )
 
@@ -64,7 +64,9 @@ class WorldChecker(CollisionChecker):
         names: what to call them.
     """
 
-    def __init__(self, arm: Arm, world: World, poses: np.ndarray, names: list[str]) -> None:
+    def __init__(
+        self, arm: Arm, world: SimulatedWorld, poses: np.ndarray, names: list[str]
+    ) -> None:
         super().__init__(arm, world.plan)
         self.world, self.names, m = world, names, self.model
         self._poses = self.data.qpos[world.pose :].reshape(-1, 7)
@@ -186,7 +188,7 @@ class WorldChecker(CollisionChecker):
         return "table" if kind == TABLE else self.model.body(self.model.geom_bodyid[geom]).name
 
 
-def _reaches(model: mujoco.MjModel, world: World) -> np.ndarray:
+def _reaches(model: mujoco.MjModel, world: SimulatedWorld) -> np.ndarray:
     """float64[n]: bounds of the distances of the arm's points from its joints' axes [m]."""
     first = model.jnt_bodyid[world.joint]
     length = np.linalg.norm(model.body_pos, axis=1)
@@ -355,7 +357,7 @@ def require_held(arm: Arm, scene: Scene, move: Move) -> None:
 
 
 def prepare(
-    arm: Arm, world: World, order: Order, joints: np.ndarray | None, precheck: bool
+    arm: Arm, world: SimulatedWorld, order: Order, joints: np.ndarray | None, precheck: bool
 ) -> Course:
     """The course of an attempt.
 

@@ -18,7 +18,15 @@ from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.joint_path import JointPath
 from learn2assemble.robot.moves import STAGES, Outcome, Trajectory
 from learn2assemble.simulation.cup import Vacuum
-from learn2assemble.simulation.model import ARM, PAD, TABLE, TIMESTEP, Failure, Objects, World
+from learn2assemble.simulation.model import (
+    ARM,
+    PAD,
+    TABLE,
+    TIMESTEP,
+    Failure,
+    Objects,
+    SimulatedWorld,
+)
 from learn2assemble.simulation.trajectory import (
     Motion,
     PathLimits,
@@ -73,7 +81,7 @@ class Watch(NamedTuple):
     """Brake as soon as this is so."""
 
 
-class Contacts:
+class SimulatedContacts:
     """The contacts of a simulation as they matter when one object is moved.
 
     Args:
@@ -83,7 +91,9 @@ class Contacts:
         target: number of the object that is moved.
     """
 
-    def __init__(self, world: World, data: mujoco.MjData, names: list[str], target: int) -> None:
+    def __init__(
+        self, world: SimulatedWorld, data: mujoco.MjData, names: list[str], target: int
+    ) -> None:
         self.world, self.data, self.names = world, data, names
         self.along: np.ndarray | None = None
         """float64[3]: unit vector along which the target comes to its place; what it slides along
@@ -176,7 +186,7 @@ class Drives:
     payload = 0.0
     """Mass at the tool point the controller was told of [kg]."""
 
-    def __init__(self, arm: Arm, world: World, data: mujoco.MjData) -> None:
+    def __init__(self, arm: Arm, world: SimulatedWorld, data: mujoco.MjData) -> None:
         self.arm, self.world, self.data = arm, world, data
         m, joint = world.model, world.joint
         self._damping = world.damping + m.dof_damping[joint]
@@ -242,7 +252,11 @@ class SimulationDivergedError(Learn2AssembleError, ArithmeticError):
 
 
 def diverged(
-    world: World, data: mujoco.MjData, time: float, folder: Path | None, **more: np.ndarray | str
+    world: SimulatedWorld,
+    data: mujoco.MjData,
+    time: float,
+    folder: Path | None,
+    **more: np.ndarray | str,
 ) -> SimulationDivergedError:
     """Write model and state into a folder, by default a new one, and return the error to raise."""
     folder = folder or Path(tempfile.mkdtemp(prefix="l2a-diverged-"))
@@ -258,6 +272,15 @@ SLIP = 0.01
 BLOCK = 10
 """Steps whose commands are computed at once; also between two looks at what need not be seen
 at once."""
+
+
+class Trace(NamedTuple):
+    """What a simulation leaves."""
+
+    sample_steps: int = 10
+    """Steps of 2 ms between samples of the trajectory."""
+    dump: Path | None = None
+    """Folder for model and state should the simulation diverge; a new one by default."""
 
 
 class Simulation:
@@ -279,16 +302,15 @@ class Simulation:
     def __init__(
         self,
         arm: Arm,
-        world: World,
+        world: SimulatedWorld,
         poses: np.ndarray,
         names: list[str],
         target: int,
         joints: np.ndarray,
         width: float,
-        sample_steps: int,
-        dump: Path | None = None,
+        trace: Trace,
     ) -> None:
-        self.arm, self.world, self.target, self.dump = arm, world, target, dump
+        self.arm, self.world, self.target, self.trace = arm, world, target, trace
         self.model, self.data = world.model, mujoco.MjData(world.model)
         self.poses = self.data.qpos[world.pose :].reshape(-1, 7)
         """float64[b, 7]: poses of the objects now; a view."""
@@ -297,8 +319,8 @@ class Simulation:
             self.data.qpos[world.finger] = width / len(world.finger)
         self.put_arm(joints)
         self.drives = Drives(arm, world, self.data)
-        self.contacts = Contacts(world, self.data, names, target)
-        self.stage, self.steps, self.sample_steps = "approach", 0, sample_steps
+        self.contacts = SimulatedContacts(world, self.data, names, target)
+        self.stage, self.steps = "approach", 0
         self._samples: list[tuple[Any, ...]] = []
         self.joints, self.velocity, self.width = joints.copy(), np.zeros_like(joints), width
         self.cup = None if arm.suction is None else Vacuum(arm.suction, world, self.data)
@@ -497,7 +519,7 @@ class Simulation:
         self.steps += 1
         if self.steps % BLOCK == 0:
             self._guard()
-        if self.steps % self.sample_steps == 0:
+        if self.steps % self.trace.sample_steps == 0:
             self._record()
 
     def _record(self) -> None:
@@ -530,4 +552,4 @@ class Simulation:
         d = self.data
         if not (np.isfinite(d.qpos).all() and np.isfinite(d.qvel).all()):
             began = self._samples[0][-1]
-            raise diverged(self.world, d, self.time, self.dump, began=began, stage=self.stage)
+            raise diverged(self.world, d, self.time, self.trace.dump, began=began, stage=self.stage)

@@ -46,7 +46,7 @@ _DENSE = 30
 _COUPLED, _NEAREST, _LIMITED = 0, 1, 2
 
 
-class Answer(NamedTuple):
+class ElasticAnswer(NamedTuple):
     """Forces that balance, and the motion they come from."""
 
     forces: np.ndarray
@@ -83,7 +83,7 @@ class Joined:
         balanced: float,
         motion: np.ndarray | None = None,
         rounds: int = 20,
-    ) -> tuple[bool, Answer]:
+    ) -> tuple[bool, ElasticAnswer]:
         """Forces of the coupled law that balance a load, or what was reached.
 
         Args:
@@ -96,7 +96,7 @@ class Joined:
         """
         zero = np.zeros((self.corners, 3))
         springs = np.stack([self.stiffness, ratio * self.stiffness])
-        law = _Law(_COUPLED, zero, springs, friction, friction)
+        law = _JointResponse(_COUPLED, zero, springs, friction, friction)
         still = np.zeros((self.count, 6))
         for start in (still,) if motion is None else (motion, still):
             balances, found = self._newton(load, law, start, balanced)
@@ -107,7 +107,7 @@ class Joined:
             return False, found
         limit, before, failed = friction * np.maximum(found.forces[:, 0], 0), None, 0
         for _ in range(rounds):
-            kept = _Law(_LIMITED, zero, springs, friction, limit)
+            kept = _JointResponse(_LIMITED, zero, springs, friction, limit)
             balances, found = self._newton(load, kept, found.motion, balanced)
             if balances and self._slip(found.forces, friction) <= _SLIP:
                 return True, found
@@ -126,11 +126,11 @@ class Joined:
 
     def nearest(
         self, load: np.ndarray, friction: np.ndarray, near: np.ndarray, balanced: float
-    ) -> tuple[bool, Answer]:
+    ) -> tuple[bool, ElasticAnswer]:
         """The forces in Coulomb's cone nearest to given ones that balance a load, or what was
         reached: where there are none, a motion that nothing holds back."""
         springs = np.stack([self.stiffness, self.stiffness])
-        law = _Law(_NEAREST, near, springs, friction, np.zeros(self.corners))
+        law = _JointResponse(_NEAREST, near, springs, friction, np.zeros(self.corners))
         return self._newton(load, law, np.zeros((self.count, 6)), balanced)
 
     def _slip(self, forces: np.ndarray, friction: np.ndarray) -> float:
@@ -144,8 +144,8 @@ class Joined:
         return float((sums[0] / np.maximum(sums[1], self.weight)).max(initial=0.0))
 
     def _newton(
-        self, load: np.ndarray, law: _Law, motion: np.ndarray, balanced: float
-    ) -> tuple[bool, Answer]:
+        self, load: np.ndarray, law: _JointResponse, motion: np.ndarray, balanced: float
+    ) -> tuple[bool, ElasticAnswer]:
         force, slope, layout = self._force, self._slope, self._layout
         bodies = self.body, self.wrench
         left = np.empty((2, self.count, 6))
@@ -182,10 +182,10 @@ class Joined:
         # What the ground springs bear is not balanced.
         near = np.abs(motion).max(initial=0.0) <= _FAR
         balances = bool(near and ((left[now] ** 2).sum(1) <= limit).all())
-        return balances, Answer(force[now].copy(), motion)
+        return balances, ElasticAnswer(force[now].copy(), motion)
 
 
-class _Law(NamedTuple):
+class _JointResponse(NamedTuple):
     """How corners answer to motion."""
 
     kind: int

@@ -31,7 +31,7 @@ class Sideways:
     """
 
     def __init__(self, stack: Stack, most: float) -> None:
-        self.loads = [_Load(stack, way, most) for way in _WAYS]
+        self.loads = [_SidewaysLoad(stack, way, most) for way in _WAYS]
         self.most = most
         self._radius: float | None = None
 
@@ -89,7 +89,7 @@ class Sideways:
             enough = min(enough, _ENOUGH * max(load.level, _LEAST))
 
 
-class _Load:
+class _SidewaysLoad:
     """The largest acceleration along one direction for which a proof is at hand."""
 
     def __init__(self, stack: Stack, way: np.ndarray, most: float) -> None:

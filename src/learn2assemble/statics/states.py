@@ -316,9 +316,9 @@ class Pushes:
         self._raise(whole)
         return inner_circle(self.level[:, None] * self.ways)[0]
 
-    def _part(self, state: State, blocks: np.ndarray) -> _Part:
+    def _part(self, state: State, blocks: np.ndarray) -> _StatePart:
         bears = self.states.bears(state)
-        return _Part(blocks, *self.states.part(state, blocks, bears))
+        return _StatePart(blocks, *self.states.part(state, blocks, bears))
 
     def _load(self, k: int, level: float) -> np.ndarray:
         load = np.zeros((len(self.states.mass), 6))
@@ -331,7 +331,7 @@ class Pushes:
         rest = self._load(k, self.level[k]) - self.states.loads(self.forces[k])
         return np.linalg.norm(rest[free], axis=1) > BALANCED * self.states.mass[free]
 
-    def _settle(self, k: int, level: float, part: _Part) -> bool:
+    def _settle(self, k: int, level: float, part: _StatePart) -> bool:
         """Balance some blocks under an acceleration along a direction; False: nothing changed."""
         blocks, joined, corners = part
         other = self.forces[k].copy()
@@ -344,7 +344,7 @@ class Pushes:
             self.forces[k][corners], self.level[k] = answer.forces, level
         return found
 
-    def _lower(self, k: int, whole: _Part) -> None:
+    def _lower(self, k: int, whole: _StatePart) -> None:
         level = self.level[k] * _LOWER
         while level >= _LEAST:
             if self._settle(k, level, whole):
@@ -353,7 +353,7 @@ class Pushes:
         self.level[k] = 0.0
         self._settle(k, 0.0, whole)
 
-    def _raise(self, whole: _Part) -> None:
+    def _raise(self, whole: _StatePart) -> None:
         """Look for larger pushes in the weakest directions, less often where there are none."""
         self._waited += 1
         if self._waited < self._wait or self.level.min() >= self.most:
@@ -368,7 +368,7 @@ class Pushes:
         self._waited, self._wait = 0, 0 if raised else min(max(2 * self._wait, 1), _PAUSE)
 
 
-class _Part(NamedTuple):
+class _StatePart(NamedTuple):
     blocks: np.ndarray
     joined: Joined
     corners: np.ndarray

@@ -23,6 +23,36 @@ OWN = 40
 NUM_FEATURES = OWN + 4 * SIDE
 NUM_SUMMARY = 24
 """Numbers that describe the whole."""
+_CELLS, _LONG, _SHORT, _HIGH, _LENGTH = range(5)
+"""Features of a candidate by name; there are eight of a length, and six of a heap."""
+(
+    _NARROW,
+    _PAIRED,
+    _BOX,
+    _SUPPORT,
+    _HANGING,
+    _OVERHANG,
+    _CARRIERS,
+    _BRIDGED,
+    _CONTINUED,
+    _ABOVE,
+    _ONLY,
+    _ONE_OTHER,
+    _FEWEST,
+    _FRAGILE,
+    _STRANDS,
+    _STRANDED,
+    _ONE_LEFT,
+    _LEAST,
+    _WEAK,
+    _RISE,
+    _LOWEST,
+    _HEAP,
+) = range(_LENGTH + 8, 34)
+_NEAR = _HEAP + 6
+_OPEN_SHARE, _TOTAL, _OPEN, _PLACED, _LEGAL, _LOWEST_LEVEL, _LIMITED, _SPARE, _DEAD = range(9)
+"""Features of a summary by name."""
+_COVERED, _KINDS, _LARGEST, _CUBE, _SIZES = 9, 13, 14, 15, 16
 
 
 def mirrored(features: np.ndarray, u: bool, v: bool) -> np.ndarray:
@@ -109,22 +139,22 @@ def _summary(
     cover = world.cover[open_mask]
     available = (world.heap != 0) & (places >= 0)
     out = np.zeros(NUM_SUMMARY, np.float32)
-    out[0] = world.open / total
-    out[1] = np.log1p(total) / 8
-    out[2] = np.log1p(world.open) / 8
-    out[3] = np.log1p(len(world.placed)) / 6
-    out[4] = np.log1p(legal) / 7
-    out[5] = lowest / max(wanted.shape[2], 1)
-    out[6] = limited
-    out[7] = np.clip((stock - world.open) / 8, -4, 4)
-    out[8] = np.log1p((cover == 0).sum())
+    out[_OPEN_SHARE] = world.open / total
+    out[_TOTAL] = np.log1p(total) / 8
+    out[_OPEN] = np.log1p(world.open) / 8
+    out[_PLACED] = np.log1p(len(world.placed)) / 6
+    out[_LEGAL] = np.log1p(legal) / 7
+    out[_LOWEST_LEVEL] = lowest / max(wanted.shape[2], 1)
+    out[_LIMITED] = limited
+    out[_SPARE] = np.clip((stock - world.open) / 8, -4, 4)
+    out[_DEAD] = np.log1p((cover == 0).sum())
     for k in range(1, 5):
-        out[8 + k] = (cover == k).sum() / max(len(cover), 1)
-    out[13] = available.sum() / 10
-    out[14] = sizes[available].max(initial=0) / 16
-    out[15] = float((sizes[available] == 1).any())
+        out[_COVERED + k - 1] = (cover == k).sum() / max(len(cover), 1)
+    out[_KINDS] = available.sum() / 10
+    out[_LARGEST] = sizes[available].max(initial=0) / 16
+    out[_CUBE] = float((sizes[available] == 1).any())
     for k, size in enumerate((1, 2, 3, 4, 5, 6, 8)):
-        out[16 + k] = float((sizes[available] == size).any())
+        out[_SIZES + k] = float((sizes[available] == size).any())
     return out
 
 
@@ -198,6 +228,7 @@ def _describe(
                         touched[touches] = q
                         touches += 1
                     lost[q] += 1
+        # Its own cells are filled: what they lose does not count.
         for j in range(first, last_cell):
             lost[cell[j]] = -lost[cell[j]]
         weak = 0.0
@@ -234,38 +265,38 @@ def _describe(
                     bridged += 1
                 elif wanted[nx, ny, pz]:
                     continued += 1
-        f[0] = count / 8.0
-        f[1] = long / 8.0
-        f[2] = short / 4.0
-        f[3] = ez / 4.0
+        f[_CELLS] = count / 8.0
+        f[_LONG] = long / 8.0
+        f[_SHORT] = short / 4.0
+        f[_HIGH] = ez / 4.0
         if long <= 8:
-            f[3 + long] = 1.0  # 4 to 11
-        f[12] = short == 1
-        f[13] = short == 2
-        f[14] = count == long * short * ez
-        f[15] = min(support[c], 2.0)
-        f[16] = hanging[c]
-        f[17] = hang / 4.0
-        f[18] = pieces / 4.0
-        f[19] = bridged / 4.0
-        f[20] = continued / 4.0
-        f[21] = above / count
-        f[22] = fewest == 1
-        f[23] = fewest == 2
-        f[24] = np.log(1.0 + fewest) / 4.0
-        f[25] = fragile / count
-        f[26] = stranded > 0
-        f[27] = min(stranded, 4) / 4.0
-        f[28] = least == 1
-        f[29] = np.log(1.0 + min(least, 200)) / 4.0
-        f[30] = weak / max(reach, 1)
-        f[31] = min(z - lowest, 8) / 4.0
-        f[32] = z == lowest
+            f[_LENGTH + long - 1] = 1.0
+        f[_NARROW] = short == 1
+        f[_PAIRED] = short == 2
+        f[_BOX] = count == long * short * ez
+        f[_SUPPORT] = min(support[c], 2.0)
+        f[_HANGING] = hanging[c]
+        f[_OVERHANG] = hang / 4.0
+        f[_CARRIERS] = pieces / 4.0
+        f[_BRIDGED] = bridged / 4.0
+        f[_CONTINUED] = continued / 4.0
+        f[_ABOVE] = above / count
+        f[_ONLY] = fewest == 1
+        f[_ONE_OTHER] = fewest == 2
+        f[_FEWEST] = np.log(1.0 + fewest) / 4.0
+        f[_FRAGILE] = fragile / count
+        f[_STRANDS] = stranded > 0
+        f[_STRANDED] = min(stranded, 4) / 4.0
+        f[_ONE_LEFT] = least == 1
+        f[_LEAST] = np.log(1.0 + min(least, 200)) / 4.0
+        f[_WEAK] = weak / max(reach, 1)
+        f[_RISE] = min(z - lowest, 8) / 4.0
+        f[_LOWEST] = z == lowest
         for k in range(6):
-            f[33 + k] = heap[kind[c], k]
+            f[_HEAP + k] = heap[kind[c], k]
         if last[0] >= 0:
             near = abs(origin[c, 0] - last[0]) + abs(origin[c, 1] - last[1])
-            f[39] = min(near + 2 * abs(z - last[2]), 20) / 10.0
+            f[_NEAR] = min(near + 2 * abs(z - last[2]), 20) / 10.0
         for side in range(4):
             # u-, u+, v-, v+ in the frame of the candidate.
             along_u = side < 2

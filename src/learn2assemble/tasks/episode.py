@@ -30,7 +30,7 @@ from learn2assemble.robot.grasps import get_grasps as grasps_of
 from learn2assemble.robot.kinematic import KinematicCell
 from learn2assemble.robot.moves import OPENING, Attempt, Move, Outcome, Scene
 from learn2assemble.robot.scene import rotation_matrix
-from learn2assemble.simulation.cell import DynamicCell
+from learn2assemble.simulation.cell import DynamicCell, WorldForces
 from learn2assemble.tasks.checkers import ArmPhysics, scene_of
 from learn2assemble.tasks.graph.features import node_offset
 from learn2assemble.tasks.graph.placements import distinct_placements
@@ -416,7 +416,11 @@ class _Build:
         self.real = None
         if task.has_arm:
             self.real = RealCell(
-                cell or DynamicCell(get_arm(task.arm), recover=True, gravity=GRAVITY), self.start
+                cell
+                or DynamicCell(
+                    get_arm(task.arm), recover=True, forces=WorldForces(gravity=GRAVITY)
+                ),
+                self.start,
             )
             self.kinematic = KinematicCell(get_arm(task.arm), int(self.start.num_blocks[0]))
             self.judge = Simulator(task, ArmPhysics(self.real, grasps_of(task.grasps)))

@@ -135,7 +135,7 @@ class Hand:
             )
             for o in job.obstacles
         ]
-        self.world = cells.World(replace(job, pieces=self.pieces, steps=()))
+        self.world = cells.WorkcellBlocks(replace(job, pieces=self.pieces, steps=()))
         self.middle = np.array([piece.target[:2] for piece in self.pieces])
         ends = np.array([piece.extent for piece in self.pieces])
         self.half = (ends[:, 1] - ends[:, 0])[:, :2] / 2

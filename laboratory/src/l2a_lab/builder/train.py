@@ -30,7 +30,7 @@ from l2a_lab.builder.network import (
 )
 from l2a_lab.builder.search import build, window
 from learn2assemble.errors import Learn2AssembleError, UnknownNameError, extra
-from learn2assemble.planning.tiling.tile import bond_cost, cover, seams_below
+from learn2assemble.planning.tiling.tile import CoverRules, bond_cost, cover, seams_below
 from learn2assemble.planning.tiling.world import LatticeSite, LatticeWorld
 from learn2assemble.tasks.design_features import NUM_SUMMARY, describe, mirrored
 from learn2assemble.tasks.designs import Solved, make_design
@@ -125,7 +125,9 @@ def complete(world: LatticeWorld, target: np.ndarray, level: int) -> np.ndarray 
     cost = bond_cost(part, seams)
     counts = {k: int(n) for k, n in enumerate(world.heap) if n >= 0}
     try:
-        answer, picked, _, _ = cover(part, cost, must, kit=site.kit, counts=counts, seconds=2.0)
+        answer, picked, _, _ = cover(
+            part, cost, must, kit=site.kit, rules=CoverRules(counts), seconds=2.0
+        )
     except Learn2AssembleError:  # The solver gave up: no teacher for this one.
         return None
     if answer.x is None:

@@ -49,7 +49,7 @@ class _File(NamedTuple):
     lines: list[_PartLine | None]
 
 
-class _Place(NamedTuple):
+class _PartPlace(NamedTuple):
     """A part where it is in the model."""
 
     turn: np.ndarray
@@ -77,7 +77,7 @@ def parse_ldraw(text: str, source: str, kit: Kit, name: str = "") -> BrickModel:
     _count(main, files, sizes, (), source)
     if not 0 < sizes[main] <= MAX_BLOCKS:
         raise InputError(f"{source}: parts", sizes[main], f"1 to {MAX_BLOCKS} bricks")
-    start = _Place(np.eye(3), np.zeros(3), None, main, source)
+    start = _PartPlace(np.eye(3), np.zeros(3), None, main, source)
     places = list(_expand(start, files, colours))
     stepped = any(line is None for file in files.values() for line in file.lines)
     title = files[main].title or name
@@ -204,15 +204,15 @@ def _count(
 
 
 def _expand(
-    place: _Place, files: dict[str, _File], colours: dict[int, tuple[int, int, int]]
-) -> Iterator[_Place]:
+    place: _PartPlace, files: dict[str, _File], colours: dict[int, tuple[int, int, int]]
+) -> Iterator[_PartPlace]:
     """All parts of a model, in the order of its lines."""
     for line in files[place.name].lines:
         if line is None:
             continue
         turn, at = place.turn @ line.turn, place.turn @ line.at + place.at
         colour = _colour(line, place.colour, colours)
-        inner = _Place(turn, at, colour, line.name.lower(), line.where)
+        inner = _PartPlace(turn, at, colour, line.name.lower(), line.where)
         if inner.name in files:
             yield from _expand(inner, files, colours)
         else:
@@ -238,7 +238,7 @@ def _colour(
 
 
 def _on_lattice(
-    places: list[_Place], kit: Kit, source: str, stepped: bool, title: str
+    places: list[_PartPlace], kit: Kit, source: str, stepped: bool, title: str
 ) -> BrickModel:
     """The parts as bricks on one lattice."""
     stud, layer = kit.pitch[0] / LDU, kit.pitch[2] / LDU

@@ -112,7 +112,7 @@ def plan_goals(
         blocks = _stack(problem, seconds, stages, progress)
         chosen, reason = (STACKS, "") if blocks else (chosen, reason)
     limits = PlanLimits(friction, gap, goals.props, seconds)
-    answer = _Answer(blocks, chosen, status, reason, time.perf_counter() - started)
+    answer = _GoalAnswer(blocks, chosen, status, reason, time.perf_counter() - started)
     plan = _report(goals, answer, limits)
     also = ", and under every set of the loads" if goals.loads else ""
     design = replace(plan.design, boxes=tuple(plans.PlanBox(*box) for box in goals.boxes()))
@@ -222,7 +222,7 @@ def check_loads(goals: Goals) -> None:
                 )
 
 
-class _Answer(NamedTuple):
+class _GoalAnswer(NamedTuple):
     """What the ways came to."""
 
     blocks: tuple[BlockPlacement, ...]
@@ -235,7 +235,7 @@ class _Answer(NamedTuple):
     seconds: float
 
 
-def _report(goals: Goals, answer: _Answer, limits: PlanLimits) -> Plan:
+def _report(goals: Goals, answer: _GoalAnswer, limits: PlanLimits) -> Plan:
     """The plan of blocks in their order, with the same proof as any other."""
     kit, blocks, gap = goals.kit, answer.blocks, limits.gap
     wanted = np.zeros(goals.shape, bool)

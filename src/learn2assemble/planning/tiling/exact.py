@@ -124,7 +124,7 @@ def plan_exact(
     first: tuple[Tiling, Ordering | None] | None = None
     proven = True
     for law in (FRICTIONLESS, BED, TIGHT) if tight else (FRICTIONLESS, BED):
-        search = _Search(tiling, kit, clock, law, mu, friction, gap, props_allowed)
+        search = _TilingSearch(tiling, kit, clock, law, mu, friction, gap, props_allowed)
         made, ordering = search.run()
         status = (ordering or made).status
         if status == "complete" or (status == "time" and first is None):
@@ -196,7 +196,7 @@ def _check_size(blocks: int, kit: Kit) -> None:
         )
 
 
-class _Search:
+class _TilingSearch:
     """Tilings of a design, one after the other, until one has an order.
 
     Args:

@@ -159,7 +159,7 @@ def _changed(
     return after, dirty
 
 
-class _Site:
+class _ProvenStack:
     """What stands, and the forces that prove it under gravity and under sideways acceleration."""
 
     def __init__(
@@ -381,7 +381,7 @@ def order(
         raise InputError("gap", widest, f"less than half the pitch, {limit:g} m")
     blocks = tiling.placements
     coupled = None if law == FRICTIONLESS else Coupled(tiling, kit, ends, law, widest)
-    site = _Site(tiling, kit, widest, ends[0], clock, coupled)
+    site = _ProvenStack(tiling, kit, widest, ends[0], clock, coupled)
     stuck = site.place_all(given) or site.remove([b for b in range(len(blocks)) if blocks[b].prop])
     stuck.sort(key=lambda b: blocks[b].prop)
     steps, status, reason, falls = site.steps, "complete", "", ()
@@ -414,7 +414,7 @@ def order(
     )
 
 
-def _firm(site: _Site) -> None:
+def _firm(site: _ProvenStack) -> None:
     """Look again, by programs, for the margins of the weakest steps that bed faces carry."""
     for _ in range(_FIRMED):
         site.tell()
@@ -432,7 +432,7 @@ def _firm(site: _Site) -> None:
         site.steps[weakest] = replace(step, margin_g=sideways.radius)
 
 
-def _why_stuck(site: _Site, number: int) -> str:
+def _why_stuck(site: _ProvenStack, number: int) -> str:
     """Why a block cannot be placed, or a prop not be taken away, in one line."""
     block = site.blocks[number]
     name = f"{'prop' if block.prop else 'block'} {block.kind} at {block.origin}"

@@ -31,6 +31,7 @@ from learn2assemble.planning.tiling.tile import (
     MORE_TIME,
     BlockPlacement,
     Candidates,
+    CoverRules,
     Tiling,
     bond_cost,
     cover,
@@ -294,14 +295,13 @@ class Retiling:
         cuts = [number[cut][number[cut] >= 0] for cut in self.cuts.values()]
         barred = [number[blocks] for blocks in self.barred.values()]
         must = np.flatnonzero(live & old.wanted.reshape(-1))
+        full = [blocks for blocks in barred if (blocks >= 0).all()]
         answer, picked, _, _ = cover(
             self.found.take(keep),
             self.cost[keep],
             must,
             kit=kit,
-            counts=heap_of(kit),
-            cuts=cuts,
-            barred=[blocks for blocks in barred if (blocks >= 0).all()],
+            rules=CoverRules(heap_of(kit), cuts=cuts, barred=full),
             seconds=clock.left,
         )
         if answer.status == "infeasible":

@@ -25,7 +25,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -439,6 +439,24 @@ def seams_bridged(tiling: Tiling, kit: Kit) -> tuple[int, int]:
 # ---------------------------------------------------------------- one program
 
 
+class CoverRules(NamedTuple):
+    """What a choice of candidates is held to, besides the cells."""
+
+    counts: dict[int, int] | None = None
+    """How many blocks there are of the kinds with these indices."""
+    exact: bool = False
+    """Use exactly so many."""
+    open_cost: float = 0.0
+    """Where positive, a cell may stay open and a heap may be exceeded at this price."""
+    cuts: Sequence[np.ndarray] = ()
+    """int64 each: of these candidates at least one is chosen."""
+    barred: Sequence[np.ndarray] = ()
+    """int64 each: of these candidates at least one is not chosen."""
+
+
+_FREE = CoverRules()
+
+
 def cover(
     candidates: Candidates,
     cost: np.ndarray,
@@ -446,11 +464,7 @@ def cover(
     *,
     may: np.ndarray | None = None,
     kit: Kit,
-    counts: dict[int, int] | None = None,
-    exact: bool = False,
-    open_cost: float = 0.0,
-    cuts: Sequence[np.ndarray] = (),
-    barred: Sequence[np.ndarray] = (),
+    rules: CoverRules = _FREE,
     seconds: float = INF,
 ) -> tuple[Answer, np.ndarray, np.ndarray, dict[int, int]]:
     """The cheapest choice of candidates that covers cells.
@@ -458,17 +472,13 @@ def cover(
     Args:
         must: int64[m], flat indices of cells to cover exactly once.
         may: of cells to cover once at most.
-        counts: how many blocks there are of the kinds with these indices.
-        exact: use exactly so many.
-        open_cost: where positive, a cell may stay open and a heap may be exceeded at this price.
-        cuts: int64 each: of these candidates at least one is chosen.
-        barred: int64 each: of these candidates at least one is not chosen.
 
     Returns:
         the solver's answer; the chosen candidates; cells of ``must`` left open; blocks that the
         heap does not have, by kind.
     """
     may = np.empty(0, np.int64) if may is None else may
+    counts, exact, open_cost, cuts, barred = rules
     limits, number = sorted(counts or {}), np.array([n for _, n in sorted((counts or {}).items())])
     cells = np.concatenate([must, may])
     row_of_cell = np.full(int(cells.max(initial=0)) + 1, -1)
@@ -613,9 +623,11 @@ class _Layers:
                 must,
                 may=may,
                 kit=self.kit,
-                counts=heap,
-                exact=heap is not None,
-                open_cost=0.0 if self.fills_any and heap is None else COSTS.open_cell,
+                rules=CoverRules(
+                    heap,
+                    exact=heap is not None,
+                    open_cost=0.0 if self.fills_any and heap is None else COSTS.open_cell,
+                ),
                 seconds=self.clock.left,
             )
             self.timed_out |= answer.status == "time"
@@ -660,8 +672,7 @@ def tile(
             standing_cost(found),
             np.flatnonzero(wanted),
             kit=kit,
-            counts=heap_of(kit),
-            open_cost=COSTS.open_cell,
+            rules=CoverRules(heap_of(kit), open_cost=COSTS.open_cell),
             seconds=clock.left,
         )
         layers.timed_out = answer.status == "time"

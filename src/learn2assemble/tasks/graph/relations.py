@@ -28,6 +28,9 @@ inward corner (coarse and, times eight, fine); both ends of the edge (right, up)
 stands before the face plane, and whether it lies in it; whether the edge is one of the roof of a
 five-sided outline, which binds only its own columns; height of the cell. Lengths in block edges,
 clipped and scaled to about one."""
+_NORMAL, _INSIDE, _MARGIN, _FINE_MARGIN, _BEGIN, _END = 0, 2, 3, 4, 5, 7
+"""The features by name; normals and ends have two numbers."""
+_DEPTH, _IN_PLANE, _ROOF, _HEIGHT = range(9, EDGE_FEATURES)
 REACH = 3
 """Offsets between a cell and a placed block are told apart up to this many blocks."""
 WINDOW = 2 * REACH + 1
@@ -62,12 +65,12 @@ def _line(a, b, turn, x, z, out):
     normal_x, normal_z = -turn * (bz - az) / length, turn * (bx - ax) / length
     inside = -(ax * normal_x + az * normal_z)
     margin = inside + 0.5 * (abs(normal_x) + abs(normal_z))
-    out[0], out[1] = normal_x, normal_z
-    out[2] = _clip(inside, 4.0) / 2
-    out[3] = _clip(margin, 1.0)
-    out[4] = _clip(8 * margin, 1.0)
-    out[5], out[6] = _clip(ax, 6.0) / 2, _clip(az, 6.0) / 2
-    out[7], out[8] = _clip(bx, 6.0) / 2, _clip(bz, 6.0) / 2
+    out[_NORMAL], out[_NORMAL + 1] = normal_x, normal_z
+    out[_INSIDE] = _clip(inside, 4.0) / 2
+    out[_MARGIN] = _clip(margin, 1.0)
+    out[_FINE_MARGIN] = _clip(8 * margin, 1.0)
+    out[_BEGIN], out[_BEGIN + 1] = _clip(ax, 6.0) / 2, _clip(az, 6.0) / 2
+    out[_END], out[_END + 1] = _clip(bx, 6.0) / 2, _clip(bz, 6.0) / 2
 
 
 @njit(cache=True)
@@ -100,6 +103,7 @@ def _relate(
     for row in range(len(num_targets)):
         targets, placed = num_targets[row], num_placed[row]
         first = 0
+        # The corners of an outline follow each other and share a number, one for each side.
         while first < targets:
             side = -1 - object_id[row, first]
             last = first
@@ -111,6 +115,7 @@ def _relate(
             out_x, out_y = right_y, -right_x
             middle_x, middle_y = frames[side, 2], frames[side, 3]
             area = 0.0
+            # Corners are taken where the mask shows them, as rewards are counted in its pixels.
             for k in range(last - first):
                 node = nodes[row, first + k]
                 x = (node[0] - middle_x) * right_x + (node[1] - middle_y) * right_y
@@ -133,13 +138,14 @@ def _relate(
                     n = (k + 1) % (last - first)
                     out = edges[row, c, side, k]
                     _line(corner[k], corner[n], turn, x, z, out)
-                    out[9] = _clip(depth, 2.0)
-                    out[10] = 1.0 if abs(depth) < 0.25 else 0.0
-                    out[11] = 1.0 if last - first == 5 and (k == 1 or k == 2) else 0.0
-                    out[12] = z / EDGE / 4
+                    out[_DEPTH] = _clip(depth, 2.0)
+                    out[_IN_PLANE] = 1.0 if abs(depth) < 0.25 else 0.0
+                    out[_ROOF] = 1.0 if last - first == 5 and (k == 1 or k == 2) else 0.0
+                    out[_HEIGHT] = z / EDGE / 4
                 for b in range(placed):
                     node = nodes[row, targets + b]
                     dx, dy = node[0] - cells[row, c, 0], node[1] - cells[row, c, 1]
+                    # What is out of sight keeps the number beyond all offsets.
                     if max(abs(dx) / pitch, abs(dy) / pitch, abs(node[2] - z) / EDGE) > sight:
                         continue
                     offsets[row, c, side, b] = offset_number(
@@ -237,6 +243,7 @@ def _look(
             for axis in range(3):
                 place[row, n, axis] = held[axis]
                 place[row, n, 3 + axis] = nodes[row, block, axis]
+            # Three kinds follow one another without gaps; numbers tell them apart.
             out, last = around[row, n], 0
             for other in range(first, end):
                 out[last] = _seen(held, nodes[row, other], put, spec.pitch)

@@ -142,6 +142,8 @@ def outside_hull(points, count, x, y, tolerance):
             beyond = (ex * (y - points[a, 1]) - ey * (x - points[a, 0])) / length
             if beyond >= -tolerance:
                 continue
+            # The point is right of a to b; that counts where no other point is: an edge of the
+            # hull. Few points make this cheaper than building the hull.
             edge = True
             for c in range(count):
                 side = ex * (points[c, 1] - points[a, 1]) - ey * (points[c, 0] - points[a, 0])
@@ -160,6 +162,7 @@ def classify_object(position, first, count, half):
     Returns STABLE or UNSTABLE where one of the proofs above decides, OVERLAP or BELOW_GROUND for
     any of its cells, FLOATING where nothing is below any of them, and UNDECIDED otherwise.
     """
+    # An overlap of any cell is told before one of another with the ground.
     below_ground = False
     for k in range(first, count):
         found = classify_cube(position, first, position[k, 0], position[k, 1], position[k, 2], half)
@@ -201,6 +204,8 @@ def classify_object(position, first, count, half):
                 if depth_x <= OVERLAP_TOLERANCE or depth_y <= OVERLAP_TOLERANCE:
                     continue
                 rise = z - position[j, 2]
+                # Something rests on the object: its forces may hold it, so it is not proven to
+                # fall.
                 if abs(rise + edge) <= CONTACT_TOLERANCE:
                     covered = True
                 if abs(rise - edge) > CONTACT_TOLERANCE:
@@ -208,6 +213,7 @@ def classify_object(position, first, count, half):
                 middle_x, middle_y = (x + position[j, 0]) / 2, (y + position[j, 1]) / 2
                 reach_x, reach_y = depth_x / 2, depth_y / 2
                 is_firm = reaches_ground(position, first, j, half)
+            # More patches than there is room for are left to the program.
             if num_points + 4 > len(points):
                 return UNDECIDED
             lowest, highest = min(lowest, z), max(highest, z)

@@ -44,6 +44,7 @@ class Outcomes(NamedTuple):
 @njit(cache=True)
 def _verdict(position, object_id, placed, count):
     """Static verdict on the object with cells ``position[placed:count]``."""
+    # The column rule for cubes holds only where everything that stands is a cube, too.
     single = count == placed + 1
     for k in range(1, placed):
         single &= object_id[k] != object_id[k - 1]
@@ -59,10 +60,12 @@ def _cover(state, row, frames, depths, position, placed, count, covered, occlude
     first, last = state.mask_rows[row, 0], state.mask_rows[row, 1]
     plane, complete = 0, 0
     for side in range(covered.shape[0]):
+        # Only rows with pixels of the mask count, so only these are copied.
         for r in range(first, last):
             for w in range(covered.shape[2]):
                 covered[side, r, w] = state.covered[row, side, r, w]
                 occluded[side, r, w] = state.occluded[row, side, r, w]
+        # Boxes are drawn in the frame of the viewer of the side.
         c, s = frames[side, 0], frames[side, 1]
         for k in range(placed, count):
             wx, wy = position[k, 0] - frames[side, 2], position[k, 1] - frames[side, 3]
@@ -91,6 +94,7 @@ def _try_all(
     covered,
     occluded,
 ):
+    # The cells of a trial are written behind what stands.
     position = np.empty((state.position.shape[1] + 8, 3))
     for row in range(len(count)):
         placed = state.num_placed[row]
@@ -114,6 +118,7 @@ def _try_all(
                 spec.pitch,
             )
             verdict = _verdict(position, state.object_id[row], placed, end)
+            # What only the program could tell stays zero in all fields.
             if verdict == UNDECIDED:
                 continue
             if verdict != STABLE:
