@@ -74,16 +74,17 @@ def plan_brick_cells(
     progress(f"{len(tiler.bricks)} bricks in {tiler.pieces()} pieces")
     assembly = _standing(tiler, design, kit, clock)
     planned = time.perf_counter() - started
-    plan = plan_bricks(assembly, help_, clock, progress, design.source)
+    plan = plan_bricks(assembly, help_, clock, progress)
     if (not plan.complete and plan.status != "refused") or "hang on" in (plan.reason or ""):
         hands = BrickHelp(True, max(help_.holds, 1))
-        more = plan_bricks(assembly, hands, clock, progress, design.source)
+        more = plan_bricks(assembly, hands, clock, progress)
         plan = more if more.complete else plan
     x, y, z = design.wanted.shape
     cell = tuple(round(float(edge), 9) for edge in design.cell)
     told = replace(
         plan.design,
         name=design.name,
+        source=design.source,
         block_edge=cell[2],
         shape=(x, y, z),
         cell=(cell[0], cell[1], cell[2]),
