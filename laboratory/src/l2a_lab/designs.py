@@ -157,11 +157,11 @@ def _planned(
 
 
 def shape_entry(wanted: np.ndarray, kit: Kit) -> Result:
-    """Blocks, order and proof of one design; where it is refused, with tight joints, too."""
+    """Blocks, order and proof of one design; where none is found, with tight joints, too."""
     *_, result = _planned(wanted, kit, friction=FRICTION)
     if result["props"]:
         result["props_at_least"] = least_props(wanted, kit)
-    if result["status"] == "refused":
+    if result["status"] in ("refused", "not found"):
         *_, tight = _planned(wanted, kit, seconds=TIGHT_SECONDS, friction=FRICTION, gap=0.0)
         result["gap_0"] = tight
     return result
