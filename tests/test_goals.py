@@ -396,9 +396,9 @@ def test_goals_for_which_nothing_is_found_end_in_exit_code_1(
     planner = "learn2assemble.planning.goals.planner"
     monkeypatch.setattr(f"{planner}.search", lambda problem, **given: Found((), 1, 0.0))
     monkeypatch.setattr(
-        f"{planner}.plan_program", lambda problem, seconds: ProgramResult("time", (), 1, 0)
+        f"{planner}.plan_program", lambda problem, **given: ProgramResult("time", (), 1, 0)
     )
-    monkeypatch.setattr(f"{planner}.find_stacks", lambda problem, seconds: ())
+    monkeypatch.setattr(f"{planner}.find_stacks", lambda problem, **given: ())
     file = tmp_path / "goals.json"
     file.write_text(json.dumps(GOOD))
     assert main(["build", str(file), "--out", str(tmp_path / "out")]) == 1

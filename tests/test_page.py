@@ -288,7 +288,7 @@ def test_blocks_and_layers_follow_the_timeline(browser: str, tmp_path: Path) -> 
     for name in ("flat", "spatial"):
         (tmp_path / name).mkdir()
         path = tmp_path / name / "view.html"
-        write_assembly_page(path, assembly, title="wall", status="complete")
+        write_assembly_page(path, assembly, title="wall", verdict=Verdict("complete"))
     half = len(assembly.steps) // 2
     anchors = ("step=0", f"step={half}", f"step={len(assembly.steps)}")
     flat, log = shoot(browser, tmp_path / "flat", anchors, (1000, 900), *FLAT)

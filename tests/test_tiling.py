@@ -301,7 +301,7 @@ def test_time_that_ran_out_is_called_so() -> None:
     tiling = tile(shapes.big_house(), LINTELS, seconds=0.0)
     assert tiling.status == "time"
     assert "time ran out after 0 s" in tiling.reason
-    assert "--seconds" in tiling.reason
+    assert "`seconds=`" in tiling.reason
 
 
 def program(**changes: object) -> LinearProgram:
