@@ -190,12 +190,17 @@ class System:
             1e-6 * np.repeat(self._soft, 3), 1.0, cone, np.zeros(3 * self.corners), parts
         )
 
-    def coupled(self, friction: float, stiffness: float) -> tuple[bool, np.ndarray]:
-        """CRA: whether a fixed point stands, and its forces, or the last ones."""
-        limit = np.full(self.corners, friction)
-        found, answer = self.joined.coupled(
-            self.weight.reshape(-1, 6), limit, stiffness, BALANCED_COUPLED
-        )
+    def coupled(
+        self, friction: float, stiffness: float, forces: np.ndarray | None = None
+    ) -> tuple[bool, np.ndarray]:
+        """CRA: whether a fixed point stands, and its forces, or the last ones.
+
+        Args:
+            forces: of RBE, float64[corners, 3], to look for it from.
+        """
+        load, joined = self.weight.reshape(-1, 6), self.joined
+        terms = load, np.full(self.corners, friction), stiffness, BALANCED_COUPLED
+        found, answer = joined.coupled(*terms) if forces is None else joined.settled(*terms, forces)
         return found, answer.forces
 
     def held_back(

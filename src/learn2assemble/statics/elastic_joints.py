@@ -33,10 +33,11 @@ _FAR = 1e6
 _LEAK, _LEAST_LEAK, _MOST_LEAK = 1.0, 1e-9, 1.0
 """How much an open or sliding corner still resists in a step, as a share of its springs: at first,
 at least and at most. Without it a block that lifts off would move without bounds."""
-_STEPS, _HALVINGS = 25, 8
+_STEPS, _HALVINGS = 40, 8
 _STALLS = 3
 """Steps in a row that bring forces no nearer to balance, after which limits of friction are kept
 for a round."""
+_ROUNDS = 30
 _STEP, _MIX = 0.5, (-3.0, 0.5)
 """Damping of the rounds, and bounds of how the round before is mixed in (Anderson 1965)."""
 _SLIP = 1e-3
@@ -82,7 +83,6 @@ class Joined:
         ratio: float,
         balanced: float,
         motion: np.ndarray | None = None,
-        rounds: int = 20,
     ) -> tuple[bool, ElasticAnswer]:
         """Forces of the coupled law that balance a load, or what was reached.
 
@@ -92,7 +92,6 @@ class Joined:
             ratio: of the springs across to those along the normal.
             balanced: force that may be missing at every block, in its weight.
             motion: float64[n, 6] to start from.
-            rounds: most of them, where Newton's method stalls.
         """
         zero = np.zeros((self.corners, 3))
         springs = np.stack([self.stiffness, ratio * self.stiffness])
@@ -102,11 +101,26 @@ class Joined:
             balances, found = self._newton(load, law, start, balanced)
             if balances:
                 return True, found
-        balances, found = self.nearest(load, friction, zero, balanced)
+        balances, near = self.nearest(load, friction, zero, balanced)
         if not balances:
             return False, found
-        limit, before, failed = friction * np.maximum(found.forces[:, 0], 0), None, 0
-        for _ in range(rounds):
+        return self.settled(load, friction, ratio, balanced, near.forces)
+
+    def settled(
+        self,
+        load: np.ndarray,
+        friction: np.ndarray,
+        ratio: float,
+        balanced: float,
+        forces: np.ndarray,
+    ) -> tuple[bool, ElasticAnswer]:
+        """As coupled, by rounds: friction is limited by the normal forces of the round before,
+        at first by those of given ones (float64[c, 3])."""
+        zero = np.zeros((self.corners, 3))
+        springs = np.stack([self.stiffness, ratio * self.stiffness])
+        found = ElasticAnswer(zero, np.zeros((self.count, 6)))
+        limit, before, failed = friction * np.maximum(forces[:, 0], 0), None, 0
+        for _ in range(_ROUNDS):
             kept = _JointResponse(_LIMITED, zero, springs, friction, limit)
             balances, found = self._newton(load, kept, found.motion, balanced)
             if balances and self._slip(found.forces, friction) <= _SLIP:
@@ -152,7 +166,7 @@ class Joined:
         limit = (balanced * self.weight) ** 2
         value = _respond(motion, load, *bodies, *law, force[0], slope[0], left[0])
         now, stalls, leak = 0, 0, _LEAK
-        for _ in range(_STEPS):
+        for number in range(_STEPS):
             if ((left[now] ** 2).sum(1) <= limit).all():
                 break
             matrix = layout.matrix(bodies, slope[now], leak, law.springs)
@@ -177,7 +191,8 @@ class Joined:
             leak = max(0.01 * leak, _LEAST_LEAK) if step == 1 else min(10 * leak, _MOST_LEAK)
             stalls = 0 if nearer else stalls + 1
             motion, now, value = there, 1 - now, after
-            if np.abs(motion).max() > _FAR or stalls == _STALLS:
+            # What is soft comes back from far in the first steps.
+            if (number >= _STALLS and np.abs(motion).max() > _FAR) or stalls == _STALLS:
                 break
         # What the ground springs bear is not balanced.
         near = np.abs(motion).max(initial=0.0) <= _FAR

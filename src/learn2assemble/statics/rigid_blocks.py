@@ -335,18 +335,21 @@ def solve(
         forces = system.nearest(friction)
         if forces is not None:
             return _standing("rbe", system.newtons(forces))
-    last = []
     for ratio in stiffness if coupled else ():
         stands, forces = system.coupled(friction, ratio)
         if stands:
             return _standing("cra", system.newtons(forces), ratio)
-        last.append((forces, ratio))
     forces, held, motion = system.least_holding(friction)
     if system.excess(held) > 1:
         return system.fall("rbe", forces, held, motion)
     if not coupled:
         return _standing("rbe", system.newtons(forces))
-    found = [system.held_back(friction, *one) for one in last]
+    found = []
+    for ratio in stiffness:
+        stands, last = system.coupled(friction, ratio, forces)
+        if stands:
+            return _standing("cra", system.newtons(last), ratio)
+        found.append(system.held_back(friction, last, ratio))
     return system.fall("cra", *min(found, key=lambda one: one[1].sum()))
 
 

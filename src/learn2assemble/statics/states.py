@@ -27,8 +27,6 @@ from learn2assemble.statics.block_forces import (
 from learn2assemble.statics.elastic_joints import Joined
 from learn2assemble.statics.rigid_blocks import STIFFNESS, solve
 
-_ROUNDS = 20
-"""Of the coupled analysis: what friction just holds is not looked at for long."""
 _HOPS = 2
 """Contacts by which what a change reaches grows before everything is looked at."""
 _DIRECTIONS = 8
@@ -178,7 +176,7 @@ class States:
         load = self.weight(free)
         found, answer = joined.nearest(load, limit, np.zeros((len(corners), 3)), BALANCED)
         if found:
-            _, answer = joined.coupled(load, limit, STIFFNESS[0], BALANCED_COUPLED, rounds=_ROUNDS)
+            _, answer = joined.coupled(load, limit, STIFFNESS[0], BALANCED_COUPLED)
         size = np.linalg.norm(answer.motion, axis=1)
         return free[size > MOVES * size.max(initial=0.0)].tolist()
 
@@ -270,7 +268,7 @@ class States:
         load = self.weight(blocks)
         limit = np.full(corners, friction)
         for ratio in STIFFNESS:
-            found, answer = joined.coupled(load, limit, ratio, BALANCED_COUPLED, start, _ROUNDS)
+            found, answer = joined.coupled(load, limit, ratio, BALANCED_COUPLED, start)
             if found:
                 return answer.motion
         return None
