@@ -557,7 +557,7 @@ def test_time_that_ran_out_is_called_so() -> None:
     tiling = tile(shapes.SHAPES["wall"](), LINTELS)
     made = order(tiling, LINTELS, seconds=0.0)
     assert made.status == "time"
-    assert "--seconds" in made.reason
+    assert "`seconds=`" in made.reason
 
 
 # ---------------------------------------------------------------- as an assembly
