@@ -21,6 +21,7 @@ from learn2assemble.cell.pieces import overlaps, pieces_of, solids, ways_to_rest
 from learn2assemble.cell.reach import check_held
 from learn2assemble.errors import InputError
 from learn2assemble.export.robot_programs import export_program, replay_program
+from learn2assemble.geometry.hulls import Hull, hull_of, resting_turns, rotations_onto
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.files import read_record, write_record
 from learn2assemble.motion.record import find_fault
@@ -28,7 +29,6 @@ from learn2assemble.planning.plan import Plan
 from learn2assemble.robot.arm import get_arm
 from learn2assemble.robot.bodies import Part, Shape, body_of
 from learn2assemble.robot.holding import PAD, attitudes, free_face, holds_of, ways_to_turn
-from learn2assemble.robot.hulls import Hull, hull_of, resting_turns, rotations_onto
 from learn2assemble.robot.kinematic import BlockChecker
 from learn2assemble.robot.moves import Move, Scene, carried, put_down
 

@@ -59,7 +59,7 @@ LIGHT = [
 ]
 ONLY: dict[str, set[str]] = {
     "errors": set(),
-    "geometry": {"numpy", "numba"},
+    "geometry": {"numpy", "numba", "scipy"},
     "tasks.search": {"numpy"},
     "tasks.task": set(),
     "tasks.simulator": {"numpy", "numba"},

@@ -17,6 +17,7 @@ import numpy as np
 from learn2assemble.assembly.joints import DRY, Joint, JointOf
 from learn2assemble.errors import InputError, is_number
 from learn2assemble.geometry.crossings import find_crossing
+from learn2assemble.geometry.hulls import convex_hull
 
 MAX_VERTICES = 20_000
 """Of one block; also the limit of its faces."""
@@ -30,8 +31,6 @@ MAX_PARTS = 200
 _FLAT = 1e-6
 """How far a vertex may stand over a face of a convex block, in extents of the block."""
 
-_ONE_PLANE = 1e-7
-"""How far a point of a hull may be from a plane to lie in it, in extents of the hull."""
 
 _CROSSING = 0.05
 """How deep an edge passes through a face of its own block, in extents, to be an error."""
@@ -337,36 +336,13 @@ def hull_block(id: str, points: Sequence[Sequence[float]] | np.ndarray, **kwargs
     Raises:
         InputError: where the points lie in a plane, or are no points.
     """
-    from scipy.spatial import ConvexHull, QhullError
-
     where = f"block {id!r}"
-    corners = _vertices(points, where)
+    given = _vertices(points, where)
     try:
-        hull = ConvexHull(corners - corners[0])
-    except QhullError:
+        corners, faces = convex_hull(given)
+    except ValueError:
         raise InputError(f"{where}: points", "points in a plane", "a hull with volume") from None
-    corners = corners[hull.vertices]
-    triangles = np.searchsorted(hull.vertices, hull.simplices)
-    a, b, c = np.moveaxis(corners[triangles], 1, 0)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    width = _ONE_PLANE * float(np.ptp(corners, axis=0).max())
-    # Planes of large triangles are known best; slivers along an edge lie in two of them.
-    left, planes = np.ones(len(triangles), bool), []
-    for k in np.argsort(-area):
-        if left[k]:
-            normal = hull.equations[k, :3]
-            inside = np.abs((corners - corners[triangles[k, 0]]) @ normal) < width
-            left &= ~inside[triangles].all(1)
-            planes.append((normal, inside))
-    # What fewer than three planes meet in is a point of a face or of an edge.
-    corner = np.sum([inside for _, inside in planes], axis=0) >= 3
-    number, faces = np.cumsum(corner) - 1, []
-    for normal, inside in planes:
-        face = np.flatnonzero(inside & corner)
-        arm = corners[face] - corners[face].mean(0)
-        turn = np.arctan2(arm @ np.cross(normal, arm[0]), arm @ arm[0])
-        faces.append(tuple(number[face[np.argsort(turn)]].tolist()))
-    return Block(id, corners[corner], tuple(faces), **kwargs)
+    return Block(id, corners, faces, **kwargs)
 
 
 def check_friction(friction: float) -> None:

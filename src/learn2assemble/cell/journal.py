@@ -19,6 +19,7 @@ import numpy as np
 from learn2assemble.cell.workcell import HIDDEN, OBSTACLE_DENSITY, Rows, WorkcellBlocks
 from learn2assemble.errors import InputError
 from learn2assemble.files import append_line, unwritable, write_file
+from learn2assemble.geometry.hulls import Hull
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_quaternion
 from learn2assemble.motion.record import (
     BuildRecord,
@@ -29,7 +30,6 @@ from learn2assemble.motion.record import (
     Stage,
     StepRecord,
 )
-from learn2assemble.robot.hulls import Hull
 from learn2assemble.robot.moves import Outcome
 
 FORMAT, VERSION = "learn2assemble-build", 3

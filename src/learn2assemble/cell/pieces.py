@@ -17,6 +17,12 @@ import numpy as np
 
 from learn2assemble.assembly.appearance import millimetres
 from learn2assemble.assembly.blocks import Assembly, Block, convex_parts
+from learn2assemble.geometry.hulls import (
+    hull_of,
+    resting_turns,
+    rotations_onto,
+    separation,
+)
 from learn2assemble.geometry.rotations import (
     matrix_quaternion,
     quaternion_matrix,
@@ -26,12 +32,6 @@ from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.bodies import Part, Shape, body_of
 from learn2assemble.robot.grasps import UPRIGHT as STRAIGHT
 from learn2assemble.robot.holding import ways_to_turn
-from learn2assemble.robot.hulls import (
-    hull_of,
-    resting_turns,
-    rotations_onto,
-    separation,
-)
 
 QUARTER = math.pi / 2
 GRAIN = 2e-6

@@ -34,8 +34,8 @@ from learn2assemble.cell.workcell import (
     WorkcellBlocks,
     supply_of,
 )
+from learn2assemble.geometry.hulls import separation
 from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix, yaw_quaternion
-from learn2assemble.robot.hulls import separation
 
 # ---------------------------------------------------------------- beliefs
 

@@ -20,6 +20,7 @@ import numpy as np
 
 from learn2assemble.errors import InputError
 from learn2assemble.files import load_json, read_bytes, write_file
+from learn2assemble.geometry.hulls import Hull, hull_of
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.program import (
     Blocks,
@@ -32,7 +33,6 @@ from learn2assemble.motion.program import (
     stand,
 )
 from learn2assemble.robot.arm import Arm, Limits, get_arm
-from learn2assemble.robot.hulls import Hull, hull_of
 from learn2assemble.robot.moves import STAGES
 
 FORMAT, VERSION = "learn2assemble-robot-program", 1

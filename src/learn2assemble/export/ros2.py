@@ -28,6 +28,7 @@ from learn2assemble.export.robot_tables import (
     to_json,
 )
 from learn2assemble.files import load_json, read_bytes, write_file
+from learn2assemble.geometry.hulls import Hull
 from learn2assemble.geometry.rotations import (
     matrix_quaternion,
     quaternion_matrix,
@@ -42,7 +43,6 @@ from learn2assemble.motion.program import (
     usage,
 )
 from learn2assemble.robot.arm import Arm
-from learn2assemble.robot.hulls import Hull
 from learn2assemble.robot.kinematics import forward_many, get_chain
 from learn2assemble.robot.moves import STAGES
 

@@ -18,8 +18,8 @@ import numpy as np
 
 from learn2assemble.errors import InputError, UnknownNameError
 from learn2assemble.files import integer, read_json, write_file
+from learn2assemble.geometry.hulls import Hull, hull_of
 from learn2assemble.motion.record import ArmFacts, BuildRecord, ByHand, Samples, Stage, StepRecord
-from learn2assemble.robot.hulls import Hull, hull_of
 from learn2assemble.robot.moves import STAGES, Outcome
 
 FORMAT, VERSION = "learn2assemble-trajectory", 4

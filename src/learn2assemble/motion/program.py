@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from learn2assemble.errors import InputError
+from learn2assemble.geometry.hulls import Hull
 from learn2assemble.geometry.rotations import (
     matrix_quaternion,
     quaternion_matrix,
@@ -28,7 +29,6 @@ from learn2assemble.geometry.rotations import (
 )
 from learn2assemble.motion.record import ArmFacts, BuildRecord, ByHand, Samples, require_sound
 from learn2assemble.robot.arm import Arm, Limits, arm_model, get_arm
-from learn2assemble.robot.hulls import Hull
 from learn2assemble.robot.moves import DENSITY, STAGES, Outcome
 
 REST = 2e-6

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from learn2assemble.robot.hulls import Hull, box_hull, hull_of
+from learn2assemble.geometry.hulls import Hull, box_hull, hull_of
 
 
 class Part(NamedTuple):

@@ -16,10 +16,10 @@ import mujoco
 import numpy as np
 
 from learn2assemble.constants import HALF
+from learn2assemble.geometry.hulls import Hull
 from learn2assemble.geometry.rotations import quaternion_matrix, yaw_quaternion
 from learn2assemble.robot.approach import RISE, ApproachCache
 from learn2assemble.robot.arm import Arm, arm_spec
-from learn2assemble.robot.hulls import Hull
 from learn2assemble.robot.moves import (
     GAP,
     ROOM,

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from learn2assemble.constants import EDGE, GRAVITY, HALF, MASS
+from learn2assemble.geometry.hulls import Hull
 from learn2assemble.geometry.rotations import (
     matrix_quaternion,
     quaternion_matrix,
@@ -23,7 +24,6 @@ from learn2assemble.geometry.rotations import (
 from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.grasps import Attitude
 from learn2assemble.robot.holding import ROOM, why_not_held
-from learn2assemble.robot.hulls import Hull
 
 if TYPE_CHECKING:
     from learn2assemble.robot.arm import Arm

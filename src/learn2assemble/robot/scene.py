@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 
 from learn2assemble.constants import FRICTION, GRAVITY, MASS
-from learn2assemble.robot.hulls import Hull
+from learn2assemble.geometry.hulls import Hull
 
 mujoco.set_mju_user_warning(logging.getLogger("learn2assemble.mujoco").warning)
 

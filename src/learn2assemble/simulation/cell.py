@@ -13,11 +13,11 @@ import numpy as np
 
 from learn2assemble.constants import FRICTION, GRAVITY
 from learn2assemble.errors import InputError
+from learn2assemble.geometry.hulls import Hull
 from learn2assemble.geometry.rotations import cube_yaw, quaternion_matrix
 from learn2assemble.motion.program import Blocks, Program, ProgramStep
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.grasps import Attitude, facing
-from learn2assemble.robot.hulls import Hull
 from learn2assemble.robot.moves import Attempt, Move, Outcome, Scene
 from learn2assemble.simulation.execution import (
     BLIND,

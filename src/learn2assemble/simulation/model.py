@@ -22,6 +22,7 @@ import numpy as np
 
 from learn2assemble.constants import GRAVITY, HALF
 from learn2assemble.errors import InputError
+from learn2assemble.geometry.hulls import Hull
 from learn2assemble.geometry.rotations import (
     cube_yaw,
     quaternion_matrix,
@@ -30,7 +31,6 @@ from learn2assemble.geometry.rotations import (
 from learn2assemble.robot.arm import Arm, arm_spec
 from learn2assemble.robot.bodies import Part
 from learn2assemble.robot.grasps import Attitude
-from learn2assemble.robot.hulls import Hull
 from learn2assemble.robot.moves import (
     IMMOVABLE,
     ROOM,

@@ -257,26 +257,8 @@ _SEEDS: _Seeds = {
 """Of every family the first seeds. A seed is left out only where its goals contradict one another,
 are proven impossible (by a bound or by the exact program), or are those of another task."""
 _DEVELOPED: _Seeds = {
-    PLANAR: {
-        "bridge": (0, 1, 2, 3),
-        "corbel": (0, 1, 2, 3),
-        "tower": (0, 1, 2, 3),
-        "cantilever": (0, 1, 2, 3),
-        "table": (0, 1, 2, 3),
-        "joined": (0, 1, 2),
-        "stairs": (0, 1, 2),
-        "arch": (0, 1, 2, 3),
-    },
-    SPATIAL: {
-        "bridge": (0, 1, 2),
-        "corbel": (0, 1),
-        "tower": (0, 1, 2),
-        "cantilever": (0, 1),
-        "table": (0, 1, 2),
-        "joined": (0, 1),
-        "stairs": (0, 1),
-        "arch": (0, 1, 2),
-    },
+    family: {name: tuple(range(count)) for name, count in zip(_SEEDS[family], counts, strict=True)}
+    for family, counts in ((PLANAR, (4, 4, 4, 4, 4, 3, 3, 4)), (SPATIAL, (3, 2, 3, 2, 3, 2, 2, 3)))
 }
 """The search was tuned on these; the first seeds whose goals the plain search had met."""
 IMPOSSIBLE = "impossible"
