@@ -13,8 +13,9 @@ import torch
 from torch import nn
 
 import learn2assemble as l2a
-from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.registry import Registry
+from learn2assemble.cli.parser import COMMANDS, Command, CommandLine, make_parser
+from learn2assemble.errors import InputError, UnknownNameError, check_name
+from learn2assemble.registry import Registry, add_plugin
 from learn2assemble.tasks.evaluation.episodes import make_policy, run_episodes
 from learn2assemble.tasks.graph.batch import GraphTensors
 from learn2assemble.tasks.graph.features import NUM_FEATURES
@@ -337,3 +338,20 @@ def test_blocks_and_worlds_of_nonsense_are_bad_input() -> None:
         ):
             with pytest.raises(InputError):
                 call(wrong)
+
+
+def test_names_of_a_distribution_that_is_missing_are_said_to_be_elsewhere(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Without the laboratory, its planner and its commands are no misspelt names of others."""
+    table: Registry[int] = Registry("missing thing", {"here": 1})
+    add_plugin("no_such_distribution.things", "missing thing", optional=True)
+    with pytest.raises(UnknownNameError, match=r"one of here.* \(a checkout of the source"):
+        _ = table["there"]
+    with pytest.raises(UnknownNameError, match="with its laboratory, has more"):
+        check_name("missing thing", "there", table)
+    commands: Registry[Command] = Registry("missing command", dict(COMMANDS))
+    add_plugin("no_such_distribution.commands", "missing command", optional=True)
+    with pytest.raises(SystemExit):
+        make_parser(["tabel"], CommandLine("l2a", "", "", commands)).parse_args(["tabel"])
+    assert "with its laboratory, has more" in capsys.readouterr().err

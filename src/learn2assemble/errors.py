@@ -91,7 +91,8 @@ class UnknownNameError(InputError):
         shown = ", ".join(names) or "none"
         if len(names) > MANY:
             shown = f"{len(names)} names such as {', '.join(near or names[:NEAREST])}"
-        super().__init__(what, got, f"one of {shown}{hint}")
+        elsewhere = getattr(valid, "elsewhere", "")
+        super().__init__(what, got, f"one of {shown}{hint}{elsewhere}")
 
 
 def check_name(what: str, name: object, valid: Collection[str]) -> None:

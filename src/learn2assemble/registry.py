@@ -15,6 +15,7 @@ _PLAIN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 PLAIN_NAME = "a word of letters, digits, '.', '_' and '-'"
 _plugins: dict[str, list[str]] = {}
 """Modules that add values of a kind, and are not imported yet."""
+_ELSEWHERE = " (a checkout of the source repository, with its laboratory, has more)"
 _optional: set[str] = set()
 """Those of distributions that may be missing."""
 
@@ -58,6 +59,8 @@ class Registry(Mapping[str, T]):
         self._loading = False
         self.listeners: list[Callable[[str], None]] = []
         """Called with every name that is added."""
+        self.elsewhere = ""
+        """What a message about an unknown name adds where the distribution of others is missing."""
 
     def register(self, name: str, value: T, *, replace: bool = False) -> None:
         """Add ``value`` under ``name``.
@@ -84,7 +87,9 @@ class Registry(Mapping[str, T]):
         try:
             register = f"register_{self.kind.replace(' ', '_')}"
             module = modules.pop(0)
-            if module not in _optional or importlib.util.find_spec(module.partition(".")[0]):
+            if module in _optional and not importlib.util.find_spec(module.partition(".")[0]):
+                self.elsewhere = _ELSEWHERE
+            else:
                 getattr(importlib.import_module(module), register)(self)
         finally:
             self._loading = False
@@ -96,7 +101,7 @@ class Registry(Mapping[str, T]):
 
     def __getitem__(self, name: str) -> T:
         if name not in self:
-            raise UnknownNameError(self.kind, name, self._entries)
+            raise UnknownNameError(self.kind, name, self)
         if self._make is not None and name in self._unmade:
             self._entries[name] = self._make(name, self._entries[name])
             self._unmade.discard(name)

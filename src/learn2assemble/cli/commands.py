@@ -30,7 +30,7 @@ from learn2assemble.cli.parser import (
     workers_arguments,
 )
 from learn2assemble.cli.structures import COMMANDS as STRUCTURES
-from learn2assemble.errors import InputError, MissingExtraError, require
+from learn2assemble.errors import InputError, MissingExtraError, check_name, require
 from learn2assemble.files import check_exists, claim_folder, to_plain
 from learn2assemble.registry import Registry
 from learn2assemble.robot.registry import ARMS
@@ -184,17 +184,21 @@ def _build(options: argparse.Namespace, output: Output) -> int:
     if options.preview is not None:
         return _preview(options, output)
     from learn2assemble.jobs.build import build, builds_with_arm, is_task
+    from learn2assemble.planning.tiling.planners import PLANNERS
 
     with_arm, task = builds_with_arm(options.design, options.arm), is_task(options.design)
     video = options.video and with_arm
     state = options.out / STATE if options.arm and not task else None
     if options.resume and (state is None or not state.exists()):
         return _resume_finished(options, output)
+    planner = options.planner or (None if options.agent is None or task else "agent")
+    if planner is not None:
+        check_name("planner", planner, PLANNERS)
     # What is missing shows before the work, not after it.
     needs: list[tuple[str, str, str]] = []
     if task:
         needs.append(("torch", "learn", ""))
-    elif options.planner == "agent" or options.agent is not None:
+    elif planner == "agent":
         needs.append(("safetensors", "learn", ""))
     if with_arm and options.physics != "kinematic":
         needs.append(("ruckig", "robot", "" if task else "--physics kinematic"))

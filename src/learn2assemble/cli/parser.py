@@ -95,6 +95,8 @@ class _Parser(argparse.ArgumentParser):
     """
 
     fill: Callable[[argparse.ArgumentParser], None] | None = None
+    elsewhere = ""
+    """What a message about an unknown command adds, see :class:`Registry`."""
 
     def parse_known_args(  # pyright: ignore[reportIncompatibleMethodOverride]
         self, args: Any = None, namespace: Any = None
@@ -123,7 +125,7 @@ class _Parser(argparse.ArgumentParser):
         got = head.split("invalid choice: ", 1)[1].strip("'")
         valid = [choice.strip(" ')") for choice in choices.split(",")]
         near = difflib.get_close_matches(got, valid, n=1, cutoff=0.4)
-        return text + (f"; did you mean {near[0]!r}?" if near else "")
+        return text + (f"; did you mean {near[0]!r}?" if near else "") + self.elsewhere
 
 
 def number(cast: type, low: float, high: float, words: str) -> Callable[[str], Any]:
@@ -272,6 +274,8 @@ def make_parser(words: Sequence[str] = (), program: CommandLine = L2A) -> argpar
     )
     parser.add_argument("--version", action="version", version=f"learn2assemble {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True, parser_class=_Parser)
+    if isinstance(table, Registry):
+        parser.elsewhere = table.elsewhere
     for name in names:
         command = table[name]
         added = commands.add_parser(
