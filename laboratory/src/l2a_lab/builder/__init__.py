@@ -10,7 +10,7 @@ from learn2assemble.errors import InputError
 from learn2assemble.files import check_exists
 
 if TYPE_CHECKING:
-    from l2a_lab.builder.network import Builder
+    from l2a_lab.builder.tasks import TaskPlayer
     from learn2assemble.assembly.kit import Kit
     from learn2assemble.design.cells import CellDesign
     from learn2assemble.planning.plan import Plan
@@ -70,10 +70,11 @@ class Builders:
 
         return is_builder(name_or_path)
 
-    def load(self, name_or_path: str | Path) -> Builder:
+    def load(self, name_or_path: str | Path) -> TaskPlayer:
         from l2a_lab.builder.network import load_builder
+        from l2a_lab.builder.tasks import TaskPlayer
 
-        return load_builder(name_or_path)
+        return TaskPlayer(load_builder(name_or_path))
 
 
 def register_planner(table: Registry[Planner]) -> None:

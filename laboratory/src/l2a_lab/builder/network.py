@@ -10,17 +10,13 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from learn2assemble.errors import InputError, check_name, extra
 from learn2assemble.files import check_exists, mapping, read_json, write_file
 from learn2assemble.tasks.design_features import NUM_FEATURES, NUM_SUMMARY
-
-if TYPE_CHECKING:
-    from learn2assemble.tasks.simulator import Simulator
-    from learn2assemble.tasks.world_model import WorldModel
 
 FORMAT = "learn2assemble-builder"
 FOLDER = Path(__file__).parents[1] / "builders"
@@ -48,12 +44,6 @@ class Builder:
             summary: float32[NUM_SUMMARY].
         """
         return forward(self.weights, candidates, summary[None])
-
-    def world_model(self, simulator: Simulator) -> WorldModel:
-        """Itself as the model of a search, see :mod:`.tasks`."""
-        from l2a_lab.builder.tasks import TaskModel
-
-        return TaskModel(simulator, self)
 
 
 def forward(weights: Any, candidates: Any, summary: Any) -> Any:

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections import Counter, OrderedDict
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -224,3 +225,19 @@ class TaskModel(WorldModel):
             if candidate >= 0:
                 world.put(int(candidate))
         return world
+
+
+class TaskPlayer(NamedTuple):
+    """A builder that plays tasks.
+
+    Implements :class:`learn2assemble.tasks.evaluation.episodes.Player`.
+    """
+
+    builder: Builder
+
+    @property
+    def name(self) -> str:
+        return self.builder.name
+
+    def world_model(self, simulator: Simulator) -> TaskModel:
+        return TaskModel(simulator, self.builder)
