@@ -41,7 +41,7 @@ from learn2assemble.simulation.model import (
 )
 from learn2assemble.simulation.prepare import WorldChecker, prepare, require_held, rest_pose
 from learn2assemble.simulation.simulation import PUSH, Rules, Simulation, Trace
-from learn2assemble.simulation.trajectory import Motion, load_ruckig
+from learn2assemble.simulation.trajectory import PathSamples, load_ruckig
 
 LOADED_SPEED = 0.6
 """Share of the arm's speed that is used while the hand holds something."""
@@ -304,7 +304,7 @@ def play(program: Program, arm: Arm) -> DryRun:
                 Trace(count + 10**6),
             )
             span = slice(first, last)
-            motion = Motion(np.zeros((last - first, 3)), *program.knots.at(clock[span]))
+            motion = PathSamples(np.zeros((last - first, 3)), *program.knots.at(clock[span]))
             watch = BLIND
             if step.reached and len(objects.still):
                 watch = BLIND._replace(rules=Rules(PUSH, None, None))

@@ -28,8 +28,8 @@ from learn2assemble.simulation.model import (
     SimulatedWorld,
 )
 from learn2assemble.simulation.trajectory import (
-    Motion,
     PathLimits,
+    PathSamples,
     Segment,
     limits_along,
     motion,
@@ -406,7 +406,7 @@ class Simulation:
 
     def run(
         self,
-        run: Motion,
+        run: PathSamples,
         widths: np.ndarray,
         stage: str,
         watch: Watch,
@@ -424,7 +424,7 @@ class Simulation:
         other, a step each."""
         still = np.zeros((2, len(widths), len(self.joints)))
         there = np.tile(self.joints, (len(widths), 1))
-        run = Motion(np.zeros((len(widths), 3)), there, *still)
+        run = PathSamples(np.zeros((len(widths), 3)), there, *still)
         return self.run(run, widths, stage, watch, payloads)
 
     def load(self, payload: float, steps: int, stage: str, watch: Watch) -> bool:
@@ -454,7 +454,7 @@ class Simulation:
 
     def _play(
         self,
-        run: Motion,
+        run: PathSamples,
         begin: int,
         end: int,
         watch: Watch,

@@ -72,7 +72,7 @@ def reachable_speed(speed: float, way: float, bounds: PathLimits) -> float:
     return float(np.sqrt(speed**2 + peak * way))
 
 
-class Motion(NamedTuple):
+class PathSamples(NamedTuple):
     """Where the joints shall be at equal steps of time; the first sample is one step after now."""
 
     progress: np.ndarray
@@ -101,7 +101,7 @@ def motion(
     bounds: PathLimits,
     step: float,
     segments: tuple[Segment, ...] = (),
-) -> Motion:
+) -> PathSamples:
     """Move along a path, from rest at its beginning, by default to rest at its end.
 
     Args:
@@ -120,7 +120,7 @@ def motion(
 
 def stop(
     path: JointPath, bounds: PathLimits, step: float, start: tuple[float, float, float]
-) -> Motion:
+) -> PathSamples:
     """Come to rest on the path as soon as possible; ``start`` is s with two derivatives, now."""
     return _sample(path, [_profile(bounds, start, None)], step)
 
@@ -152,7 +152,7 @@ def _profile(
     raise InputError("motion", str(wanted), "a motion within the limits of the path")
 
 
-def _sample(path: JointPath, parts: list[ruckig.Trajectory], step: float) -> Motion:
+def _sample(path: JointPath, parts: list[ruckig.Trajectory], step: float) -> PathSamples:
     progress, begun = [], 0.0
     for part in parts:
         first = len(progress) + 1
@@ -164,7 +164,7 @@ def _sample(path: JointPath, parts: list[ruckig.Trajectory], step: float) -> Mot
     sampled = np.array(progress).reshape(-1, 3)
     s, rate, change = sampled[:, 0], sampled[:, 1:2], sampled[:, 2:]
     q, slope, bend = path.at(np.clip(s, 0.0, path.length))
-    return Motion(sampled, q, slope * rate, slope * change + bend * rate**2)
+    return PathSamples(sampled, q, slope * rate, slope * change + bend * rate**2)
 
 
 def _now(part: ruckig.Trajectory, time: float) -> tuple[float, float, float]:
