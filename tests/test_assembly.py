@@ -12,16 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from learn2assemble.assembly.blocks import (
-    Assembly,
-    AssemblyStep,
-    Block,
-    box_block,
-    check_simple,
-    convex_parts,
-    shells,
-    to_manifold,
-)
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, box_block
 from learn2assemble.assembly.compas import from_compas, to_compas, write_compas
 from learn2assemble.assembly.contacts import (
     GROUND,
@@ -36,6 +27,7 @@ from learn2assemble.assembly.files import (
     to_json,
     write_assembly,
 )
+from learn2assemble.assembly.parts import check_simple, convex_parts, shells, to_manifold
 from learn2assemble.errors import InputError
 
 TETRAHEDRON = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))

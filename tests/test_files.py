@@ -26,17 +26,15 @@ from learn2assemble.errors import InputError
 from learn2assemble.files import (
     MAX_BYTES,
     MAX_DEPTH,
-    Range,
     append_line,
     claim_folder,
-    from_plain,
     load_json,
     read_bytes,
     read_json_lines,
     replacing,
-    to_plain,
     write_file,
 )
+from learn2assemble.values import Range, from_plain, to_plain
 
 JSON = st.recursive(
     st.none()

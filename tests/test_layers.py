@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "learn2assemble"
 SOURCE = ROOT / "src" / PACKAGE
 
-_BASE = {"errors", "registry", "files", "constants", "progress"}
+_BASE = {"errors", "registry", "values", "files", "constants", "progress"}
 _ARM = _BASE | {"geometry", "robot", "motion"}
 _PRODUCT = _ARM | {"linear_programs", "assembly", "design", "statics", "planning", "simulation"}
 ALLOWED: dict[str, set[str]] = {
@@ -23,7 +23,8 @@ ALLOWED: dict[str, set[str]] = {
     "constants": set(),
     "progress": set(),
     "registry": {"errors"},
-    "files": {"errors"},
+    "values": {"errors"},
+    "files": {"errors", "values"},
     "workers": {"errors"},
     "linear_programs": {"errors", "progress"},
     "geometry": set(),

@@ -10,10 +10,11 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, box_block, to_manifold
+from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, box_block
 from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.assembly.cuts import POST
 from learn2assemble.assembly.kit import load_kit
+from learn2assemble.assembly.parts import to_manifold
 from learn2assemble.errors import InputError
 from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.clearance import LEVEL, Clearance, overlap, parts_of

@@ -22,7 +22,7 @@ from l2a_lab.bounds import best_returns, has_bound
 from l2a_lab.builder.network import builder_files
 from l2a_lab.tables import FARTHER, LOOK_AHEAD, MENDED, RANDOM, Row, Table
 from learn2assemble.errors import InputError, extra
-from learn2assemble.files import check_exists, from_plain, write_file
+from learn2assemble.files import check_exists, write_file
 from learn2assemble.tasks.evaluation.episodes import (
     BATCH,
     DISCOUNTS,
@@ -45,6 +45,7 @@ from learn2assemble.tasks.simulator import Simulator
 from learn2assemble.tasks.task import Task
 from learn2assemble.tasks.world.state import State
 from learn2assemble.tasks.world_model import WorldModel, lookahead_actions
+from learn2assemble.values import from_plain
 from learn2assemble.workers import run_all
 
 with extra("torch", "learn"):

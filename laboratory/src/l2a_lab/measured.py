@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from learn2assemble.errors import InputError
-from learn2assemble.files import check_output, mapping, read_json, write_file
+from learn2assemble.files import check_output, read_json, write_file
 from learn2assemble.tasks.learning.run import provenance
+from learn2assemble.values import mapping
 from learn2assemble.workers import run_all
 
 VERSION = 1

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly, Block, fan_triangles, to_manifold
+from learn2assemble.assembly.blocks import Assembly, Block, fan_triangles
 from learn2assemble.assembly.cuts import POST
+from learn2assemble.assembly.parts import to_manifold
 
 PALETTE = (
     "#c96f4a",

@@ -15,26 +15,18 @@ from uuid import NAMESPACE_URL, uuid5
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, box_block
-from learn2assemble.assembly.values import (
-    DIGITS,
-    any_colour,
+from learn2assemble.assembly.blocks import (
+    Assembly,
+    AssemblyStep,
+    Block,
+    box_block,
     check_count,
-    compact,
-    coordinates,
     outward,
 )
+from learn2assemble.assembly.values import DIGITS, any_colour, compact, coordinates
 from learn2assemble.errors import InputError
-from learn2assemble.files import (
-    boolean,
-    from_plain,
-    mapping,
-    number,
-    sequence,
-    text,
-    to_plain,
-    write_file,
-)
+from learn2assemble.files import write_file
+from learn2assemble.values import boolean, from_plain, mapping, number, sequence, text, to_plain
 
 _COMPAS_ASSEMBLIES = (
     "compas_cra.datastructures/CRA_Assembly",

@@ -15,7 +15,8 @@ import numpy as np
 import shapely
 
 from learn2assemble.assembly import point_contacts
-from learn2assemble.assembly.blocks import Assembly, Block, check_simple, to_manifold
+from learn2assemble.assembly.blocks import Assembly, Block
+from learn2assemble.assembly.parts import check_simple, to_manifold
 from learn2assemble.errors import InputError
 
 GROUND = -1

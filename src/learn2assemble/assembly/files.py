@@ -23,47 +23,30 @@ from typing import Any, Literal
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Assembly, AssemblyStep, Block, shells
+from learn2assemble.assembly.blocks import Assembly, Block, check_count, outward
 from learn2assemble.assembly.bricks.files import brick_format, of_stablelego, read_bricks
 from learn2assemble.assembly.bricks.stablelego import is_stablelego
 from learn2assemble.assembly.compas import from_compas
 from learn2assemble.assembly.joints import (
     DRY,
-    joint_of_json,
     joint_to_json,
-    joints_of_json,
     joints_to_json,
 )
 from learn2assemble.assembly.kit import Kit, load_kit
 from learn2assemble.assembly.meshes import KINDS, mesh_kind, read_parts
-from learn2assemble.assembly.values import (
-    DIGITS,
-    any_colour,
-    check_count,
-    compact,
-    coordinates,
-    outward,
-)
+from learn2assemble.assembly.parts import shells
+from learn2assemble.assembly.values import DIGITS, compact
 from learn2assemble.errors import InputError, UnknownNameError, check_instance, is_number, look_up
 from learn2assemble.files import (
     UNITS,
     as_path,
-    boolean,
-    check_keys,
     decoded,
-    from_plain,
-    integer,
     load_json,
-    mapping,
-    number,
     printable,
     read_bytes,
-    read_head,
-    sequence,
-    text,
-    to_plain,
     write_file,
 )
+from learn2assemble.values import mapping, read_document, to_plain
 
 FORMAT, VERSION = "learn2assemble-assembly", 1
 KIND = "file of blocks: JSON, a mesh, or a folder of meshes"
@@ -72,19 +55,6 @@ MAX_BYTES = 64_000_000
 NAME = "assembly.json"
 """What the blocks of a plan are called, in its folder."""
 MESH_SUFFIXES = tuple(f".{kind}" for kind in KINDS)
-_BLOCK_KEYS = ("id", "kind", "density", "support", "prop", "colour", "vertices", "faces")
-_KEYS = (
-    "format",
-    "version",
-    "units",
-    "name",
-    "friction",
-    "joint",
-    "joints",
-    "blocks",
-    "steps",
-    "not_built",
-)
 
 
 def read_assembly(
@@ -155,16 +125,7 @@ def write_assembly(assembly: Assembly, path: str | Path) -> None:
 def to_json(assembly: Assembly) -> dict[str, Any]:
     """The JSON document of our format."""
     blocks = [
-        {
-            "id": block.id,
-            "kind": block.kind,
-            "density": block.density,
-            "support": block.support,
-            "prop": block.prop,
-            **({"colour": list(block.colour)} if block.colour else {}),
-            "vertices": np.round(block.vertices, DIGITS).tolist(),
-            "faces": [list(face) for face in block.faces],
-        }
+        {**to_plain(block), "vertices": np.round(block.vertices, DIGITS).tolist()}
         for block in assembly.blocks
     ]
     return {
@@ -187,34 +148,10 @@ def from_json(document: Any, source: str = "assembly") -> Assembly:
     Raises:
         InputError: with the path of what is wrong; unknown keys are refused.
     """
-    root = read_head(document, source, FORMAT, VERSION, _KEYS, ("format", "version", "blocks"))
-    given = sequence(root["blocks"], f"{source}: blocks", "a list of blocks")
-    check_count(len(given), source)
-    blocks = []
-    for place, entry in enumerate(given):
-        where = f"blocks[{place}]"
-        block = mapping(entry, f"{source}: {where}")
-        check_keys(block, source, where, _BLOCK_KEYS, ("id", "vertices", "faces"))
-        where = f"{source}: {where}"
-        blocks.append(
-            Block(
-                text(block["id"], f"{where}.id"),
-                coordinates(block["vertices"], f"{where}.vertices"),
-                _indices(block["faces"], f"{where}.faces"),
-                kind=text(block.get("kind", ""), f"{where}.kind"),
-                density=number(block.get("density", 1000.0), f"{where}.density"),
-                support=boolean(block.get("support", False), f"{where}.support"),
-                prop=boolean(block.get("prop", False), f"{where}.prop"),
-                colour=_own_colour(block.get("colour"), f"{where}.colour"),
-            )
-        )
-    friction = number(root.get("friction", 0.5), f"{source}: friction")
-    steps = from_plain(tuple[AssemblyStep, ...], root.get("steps", ()), source, "steps")
-    name = text(root.get("name", ""), f"{source}: name")
-    left = from_plain(tuple[str, ...], root.get("not_built", ()), source, "not_built")
-    joint = joint_of_json(root.get("joint", {}), f"{source}: joint")
-    joints = joints_of_json(root.get("joints", []), f"{source}: joints")
-    return Assembly(tuple(blocks), steps, friction, name, left, joint, joints)
+    blocks = mapping(document, source).get("blocks")
+    if isinstance(blocks, list):
+        check_count(len(blocks), source)
+    return read_document(Assembly, document, source, FORMAT, VERSION)[0]
 
 
 def _read_json(
@@ -233,23 +170,6 @@ def _read_json(
             raise InputError(source, sorted(document)[:6], expected)
         assembly = from_json(document, source)
     return assembly if assembly.name else replace(assembly, name=path.stem)
-
-
-def _indices(faces: Any, where: str) -> tuple[tuple[int, ...], ...]:
-    expected = "a list of lists of vertex numbers"
-    rows = sequence(faces, where, expected)
-    return tuple(
-        tuple(integer(k, f"{where}[{n}]") for k in sequence(row, f"{where}[{n}]", expected))
-        for n, row in enumerate(rows)
-    )
-
-
-def _own_colour(value: Any, where: str) -> tuple[int, int, int] | None:
-    """A colour of our own format."""
-    found = any_colour(value)
-    if value is not None and (found is None or not all(0 <= k <= 255 for k in found)):
-        raise InputError(where, value, "three whole numbers from 0 to 255")
-    return found
 
 
 def _with_supports(assembly: Assembly, supports: Collection[str]) -> Assembly:

@@ -6,11 +6,12 @@ forces is :mod:`learn2assemble.statics.holding`.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from learn2assemble.errors import InputError, check_name, is_number
-from learn2assemble.files import check_keys, mapping, number, text
+from learn2assemble.values import check_keys, from_plain, mapping, sequence, text
 
 Law = Literal["dry", "clutch", "mortar"]
 Base = Literal["grips", "table"]
@@ -116,22 +117,20 @@ def joint_of_json(value: Any, where: str, **defaults: Any) -> Joint:
     law = text(given.get("law", "dry"), f"{where}.law")
     check_name(f"{where}.law", law, LAWS)
     check_keys(given, where, "", ("law", *_OF_LAW[law]), ())
-    made = {k: v for k, v in defaults.items() if k in _OF_LAW[law]}
-    for key, one in given.items():
-        made[key] = _value(key, one, f"{where}.{key}")
+    given = {**{k: v for k, v in defaults.items() if k in _OF_LAW[law]}, **given}
+    source, _, path = where.rpartition(": ")
     try:
-        return Joint(**made)
+        return from_plain(Joint, given, source, path)
     except InputError as error:
-        raise InputError(error.what.replace("joint", where, 1), error.got, error.expected) from None
+        what = re.sub(r"^joint(?=\.\w+$)", lambda _: where, error.what)
+        raise InputError(what, error.got, error.expected) from None
 
 
 def joints_of_json(rows: Any, where: str) -> tuple[JointOf, ...]:
     """The laws of single joints, see :class:`JointOf`."""
-    if not isinstance(rows, list):
-        raise InputError(where, rows, "a list of laws of joints")
     made = []
-    for number_, row in enumerate(rows):
-        at = f"{where}[{number_}]"
+    for number, row in enumerate(sequence(rows, where, "a list of laws of joints")):
+        at = f"{where}[{number}]"
         given = dict(mapping(row, at))
         kind, pair = given.pop("kind", ""), given.pop("blocks", None)
         named = isinstance(pair, list) and len(pair) == 2 and all(type(p) is str for p in pair)
@@ -151,13 +150,3 @@ def joints_to_json(joints: tuple[JointOf, ...]) -> list[dict[str, Any]]:
         }
         for one in joints
     ]
-
-
-def _value(key: str, value: Any, where: str) -> Any:
-    if key in ("law", "base"):
-        return text(value, where)
-    if key == "pitch":
-        if not isinstance(value, list) or len(value) != 2:
-            raise InputError(where, value, "two lengths [m]")
-        return number(value[0], where), number(value[1], where)
-    return number(value, where)

@@ -39,8 +39,10 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from learn2assemble.assembly.joints import DRY, Joint, joint_of_json
+from learn2assemble.assembly.values import Colour
 from learn2assemble.errors import InputError, look_up
-from learn2assemble.files import Range, from_plain, printable, read_head, read_text, sequence
+from learn2assemble.files import printable, read_text
+from learn2assemble.values import By, Range, from_plain, read_document
 
 Cell = tuple[int, int, int]
 FORMAT, VERSION = "learn2assemble-kit", 1
@@ -53,7 +55,6 @@ Density = Annotated[float, Range(1.0, 30_000.0, "kg/m3")]
 Mass = Annotated[float, Range(1e-6, 1e5, "kg")]
 _Size = Annotated[int, Range(1, MAX_EXTENT, "cells")]
 _Place = Annotated[int, Range(-MAX_EXTENT, MAX_EXTENT, "cells")]
-_Byte = Annotated[int, Range(0, 255)]
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class Kind:
     """Lattice cells at turn 0, sorted, with their smallest corner at (0, 0, 0)."""
     count: int | None = None
     """How many there are; None: no limit."""
-    colour: tuple[int, int, int] | None = None
+    colour: Colour | None = None
     density: float | None = None
     """[kg/m3]; None: that of the kit."""
     turns: Turns = "z"
@@ -133,13 +134,23 @@ class Kit:
         return look_up("kind of block", name, {kind.name: kind for kind in self.kinds})
 
 
+def _colour(value: Any, where: str) -> Colour:
+    """Red, green and blue, from numbers or ``#rrggbb``."""
+    if not isinstance(value, str):
+        return from_plain(Colour, value, where)
+    if not re.fullmatch("#?[0-9a-fA-F]{6}", value):
+        raise InputError(where, value, "'#rrggbb' or three whole numbers from 0 to 255")
+    red, green, blue = bytes.fromhex(value.removeprefix("#"))
+    return red, green, blue
+
+
 @dataclass(frozen=True)
 class _KindFile:
     name: str
     box: tuple[_Size, _Size, _Size] | None = None
     cells: tuple[tuple[_Place, _Place, _Place], ...] | None = None
     count: Annotated[int, Range(0, MAX_COUNT, "blocks")] | None = None
-    colour: tuple[_Byte, _Byte, _Byte] | None = None
+    colour: Annotated[Colour, By(_colour)] | None = None
     density: Density | None = None
     mass: Mass | None = None
     turns: Turns = "z"
@@ -257,19 +268,9 @@ def parse_kit(content: str, source: str = "kit") -> Kit:
         root = tomllib.loads(content)
     except (tomllib.TOMLDecodeError, ValueError, RecursionError) as error:
         raise InputError(source, printable(str(error)), "TOML") from None
-    keys = tuple(_KitFile.__dataclass_fields__)
-    known = ("format", "version", "units", "joint", *keys)
-    head = read_head(root, source, FORMAT, VERSION, known, ("format", "version", "name", "kinds"))
-    given = [
-        {**entry, "colour": _from_hex(entry["colour"], f"{source}: kinds[{k}].colour")}
-        if isinstance(entry, dict) and isinstance(entry.get("colour"), str)
-        else entry
-        for k, entry in enumerate(sequence(head["kinds"], f"{source}: kinds", "a list of kinds"))
-    ]
-    if not 1 <= len(given) <= MAX_KINDS:
-        raise InputError(f"{source}: kinds", f"{len(given)} kinds", f"1 to {MAX_KINDS}")
-    plain = {**{key: head[key] for key in keys if key in head}, "kinds": given}
-    file: _KitFile = from_plain(_KitFile, plain, source)
+    file, head = read_document(_KitFile, root, source, FORMAT, VERSION, "joint")
+    if not 1 <= len(file.kinds) <= MAX_KINDS:
+        raise InputError(f"{source}: kinds", f"{len(file.kinds)} kinds", f"1 to {MAX_KINDS}")
     if file.joint_gap > min(file.pitch) / 4:
         expected = f"0 to {min(file.pitch) / 4:g} m, a quarter of the pitch"
         raise InputError(f"{source}: joint_gap", file.joint_gap, expected)
@@ -326,13 +327,6 @@ def _kind(given: _KindFile, where: str, cell: float) -> Kind:
 def _check_name(name: str, where: str) -> None:
     if not (name and len(name) <= MAX_NAME and name.isprintable() and name == name.strip()):
         raise InputError(where, name, f"1 to {MAX_NAME} printable characters")
-
-
-def _from_hex(digits: str, where: str) -> list[int]:
-    """Red, green and blue of ``#rrggbb``."""
-    if not re.fullmatch("#?[0-9a-fA-F]{6}", digits):
-        raise InputError(where, digits, "'#rrggbb' or three whole numbers from 0 to 255")
-    return list(bytes.fromhex(digits.removeprefix("#")))
 
 
 def _checked(listed: tuple[Cell, ...], where: str) -> tuple[Cell, ...]:

@@ -16,7 +16,8 @@ import shapely
 from shapely import MultiPoint
 from shapely.geometry.base import BaseGeometry
 
-from learn2assemble.assembly.blocks import Block, convex_parts
+from learn2assemble.assembly.blocks import Block
+from learn2assemble.assembly.parts import convex_parts
 
 LOOSE = 2.0
 """Widest gap and deepest overlap of such a contact, in those of two faces: poses that were measured

@@ -3,37 +3,23 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import MAX_BLOCKS, Block
 from learn2assemble.errors import InputError
-from learn2assemble.files import number, sequence
+from learn2assemble.values import Range, number, sequence
 
 DIGITS = 9
 """Of coordinates written."""
-
-
-def outward(id: str, vertices: np.ndarray, faces: tuple[tuple[int, ...], ...], **kwargs) -> Block:
-    """A block whose faces may all be turned inside; arguments as :class:`Block`."""
-    try:
-        return Block(id, vertices, faces, **kwargs)
-    except InputError as error:
-        if not error.what.endswith(": volume"):
-            raise
-    return Block(id, vertices, tuple(face[::-1] for face in faces), **kwargs)
+Byte = Annotated[int, Range(0, 255)]
+Colour = tuple[Byte, Byte, Byte]
+"""Red, green, blue."""
 
 
 def compact(document: dict[str, Any]) -> str:
     """JSON text without spaces."""
     return json.dumps(document, separators=(",", ":"))
-
-
-def check_count(count: int, source: str) -> None:
-    """Refuse a file of no blocks, or of too many."""
-    if not 0 < count <= MAX_BLOCKS:
-        raise InputError(f"{source}: blocks", count, f"1 to {MAX_BLOCKS} blocks")
 
 
 def coordinates(rows: Any, where: str) -> np.ndarray:

@@ -16,7 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from learn2assemble.assembly.appearance import millimetres
-from learn2assemble.assembly.blocks import Assembly, Block, convex_parts
+from learn2assemble.assembly.blocks import Assembly, Block
+from learn2assemble.assembly.parts import convex_parts
 from learn2assemble.geometry.hulls import (
     hull_of,
     resting_turns,

@@ -26,21 +26,10 @@ from learn2assemble.cell.pieces import (
     waiting,
 )
 from learn2assemble.errors import InputError, check_name
-from learn2assemble.files import (
-    check_keys,
-    integer,
-    load_json,
-    mapping,
-    number,
-    read_bytes,
-    read_head,
-    read_text,
-    sequence,
-    text,
-    too_deep,
-)
+from learn2assemble.files import load_json, read_bytes, read_text, too_deep
 from learn2assemble.motion.settings import LAYOUT, SECTION, ProgramSettings, parse_settings
 from learn2assemble.robot.bodies import Part, Shape
+from learn2assemble.values import check_keys, integer, mapping, number, read_head, sequence, text
 
 if TYPE_CHECKING:
     from learn2assemble.design.goals import Goals

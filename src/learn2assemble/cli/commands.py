@@ -31,10 +31,11 @@ from learn2assemble.cli.parser import (
 )
 from learn2assemble.cli.structures import COMMANDS as STRUCTURES
 from learn2assemble.errors import InputError, MissingExtraError, check_name, require
-from learn2assemble.files import check_exists, claim_folder, to_plain
+from learn2assemble.files import check_exists, claim_folder
 from learn2assemble.registry import Registry
 from learn2assemble.robot.registry import ARMS
 from learn2assemble.tasks.search.config import SEARCHES, TO_THE_END
+from learn2assemble.values import to_plain
 
 if TYPE_CHECKING:
     from learn2assemble.cli.output import Output

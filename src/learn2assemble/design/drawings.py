@@ -13,16 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.files import (
-    FARTHEST,
-    MAX_BYTES,
-    Range,
-    decoded,
-    from_plain,
-    load_json,
-    mapping,
-    read_head,
-)
+from learn2assemble.files import FARTHEST, MAX_BYTES, decoded, load_json
+from learn2assemble.values import Range, mapping, read_document
 
 if TYPE_CHECKING:
     from manifold3d import CrossSection
@@ -110,10 +102,8 @@ def read_elevations(content: bytes, source: str) -> Drawing:
     if len(content) > MAX_BYTES:
         raise InputError(source, f"{len(content)} bytes", f"at most {MAX_BYTES} bytes")
     root = mapping(load_json(decoded(content, source), source, _FORMAT), source)
-    keys = tuple(_Elevations.__dataclass_fields__)
-    valid = ("format", "version", "units", *keys, *_IGNORED)
-    root = read_head({"version": 1, **root}, source, _FORMAT, 1, valid, ("elevations",))
-    file: _Elevations = from_plain(_Elevations, {k: root[k] for k in keys if k in root}, source)
+    root = {"format": _FORMAT, "version": 1, **root}
+    file, _ = read_document(_Elevations, root, source, _FORMAT, 1, *_IGNORED)
     if not 1 <= len(file.elevations) <= len(SIDES):
         got = f"{len(file.elevations)} of them"
         raise InputError(f"{source}: elevations", got, "1 to 4 elevations")

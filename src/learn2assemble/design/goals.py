@@ -19,20 +19,11 @@ from learn2assemble.constants import GRAVITY
 from learn2assemble.design.drawings import check_line
 from learn2assemble.design.lattice import MAX_CELLS
 from learn2assemble.errors import InputError, look_up
-from learn2assemble.files import (
-    Range,
-    as_path,
-    from_plain,
-    integer,
-    load_json,
-    mapping,
-    read_head,
-    read_text,
-)
+from learn2assemble.files import as_path, load_json, read_text
+from learn2assemble.values import Range, integer, mapping, read_document
 
 FORMAT, VERSION = "learn2assemble-goals", 1
 MAX_GOALS, MAX_LOADS = 64, 5
-_HEAD = ("format", "version", "units", "heap")
 _GRAIN = 1e-3
 """Share of a cell that counts as rounding."""
 
@@ -178,11 +169,7 @@ def parse_goals(
     cell: float | Sequence[float] | None = None,
 ) -> Goals:
     """The goals of parsed JSON; see :func:`read_goals`."""
-    keys = tuple(GoalsFile.__dataclass_fields__)
-    root = read_head(given, source, FORMAT, VERSION, (*_HEAD, *keys), ("format", "version", "site"))
-    file: GoalsFile = from_plain(
-        GoalsFile, {key: value for key, value in root.items() if key in keys}, source
-    )
+    file, root = read_document(GoalsFile, given, source, FORMAT, VERSION, "heap")
     check_line(file.name, f"{source}: name")
     if not isinstance(kit, Kit):
         kit = load_kit(kit or file.kit or DEFAULT_KIT)

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from learn2assemble.assembly.blocks import Block, convex_parts
+from learn2assemble.assembly.blocks import Block
 from learn2assemble.assembly.instructions import Group, Instructions
+from learn2assemble.assembly.parts import convex_parts
 
 _TOWARDS = np.array([-0.55, -1.0, 0.75])
 TOWARDS = _TOWARDS / np.linalg.norm(_TOWARDS)

@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.files import integer, read_json, write_file
+from learn2assemble.files import read_json, write_file
 from learn2assemble.geometry.hulls import Hull, hull_of
 from learn2assemble.motion.record import ArmFacts, BuildRecord, ByHand, Samples, Stage, StepRecord
 from learn2assemble.robot.moves import STAGES, Outcome
+from learn2assemble.values import integer
 
 FORMAT, VERSION = "learn2assemble-trajectory", 4
 DECIMALS = 6

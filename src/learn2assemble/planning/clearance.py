@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from learn2assemble.assembly.blocks import Block, convex_parts
+from learn2assemble.assembly.blocks import Block
+from learn2assemble.assembly.parts import convex_parts
 
 _STEPS = 4
 """Positions looked at for every least extent of a block on its way."""

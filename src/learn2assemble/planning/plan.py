@@ -15,18 +15,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from learn2assemble.errors import InputError
-from learn2assemble.files import (
-    MAX_GENERATED,
-    Range,
-    as_path,
-    from_plain,
-    integer,
-    mapping,
-    read_json,
-    to_plain,
-    write_file,
-)
+from learn2assemble.files import MAX_GENERATED, as_path, read_json, write_file
 from learn2assemble.registry import Registry
+from learn2assemble.values import Range, from_plain, integer, mapping, to_plain
 
 if TYPE_CHECKING:
     from learn2assemble.assembly.blocks import Assembly, Block

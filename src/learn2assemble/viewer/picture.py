@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from learn2assemble.assembly.appearance import COLOURS, kinds_and_colours, rgb
-from learn2assemble.assembly.blocks import Assembly, convex_parts
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.parts import convex_parts
 from learn2assemble.errors import InputError
 from learn2assemble.files import write_file
 from learn2assemble.planning.plan import Plan, PlanBox

@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from learn2assemble.assembly.appearance import Section, kinds_and_colours, sections
-from learn2assemble.assembly.blocks import Assembly, Block, fan_triangles, to_manifold
+from learn2assemble.assembly.blocks import Assembly, Block, fan_triangles
 from learn2assemble.assembly.contacts import Contacts
+from learn2assemble.assembly.parts import to_manifold
 from learn2assemble.viewer.arm import Labels
 from learn2assemble.viewer.html import packed, to_base64
 

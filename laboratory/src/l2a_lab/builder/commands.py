@@ -16,7 +16,8 @@ from learn2assemble.cli.parser import (
     positive,
 )
 from learn2assemble.errors import InputError
-from learn2assemble.files import check_exists, claim_folder, mapping, read_json
+from learn2assemble.files import check_exists, claim_folder, read_json
+from learn2assemble.values import mapping
 
 if TYPE_CHECKING:
     from learn2assemble.cli.output import Output

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from learn2assemble.errors import InputError, check_name, extra
-from learn2assemble.files import check_exists, mapping, read_json, write_file
+from learn2assemble.files import check_exists, read_json, write_file
 from learn2assemble.tasks.design_features import NUM_FEATURES, NUM_SUMMARY
+from learn2assemble.values import mapping
 
 FORMAT = "learn2assemble-builder"
 FOLDER = Path(__file__).parents[1] / "builders"

@@ -14,7 +14,7 @@ from typing import Any
 from learn2assemble.assembly.blocks import MAX_BLOCKS
 from learn2assemble.assembly.bricks.model import Brick, BrickModel
 from learn2assemble.errors import InputError, is_number, look_up
-from learn2assemble.files import integer, mapping, sequence, text
+from learn2assemble.values import integer, mapping, sequence, text
 
 _LIBRARY = {
     "1": (2, 2, 0.2),

@@ -36,19 +36,16 @@ from learn2assemble.files import (
     as_path,
     check_exists,
     claim_folder,
-    integer,
     load_json,
-    mapping,
-    number,
     read_json,
     read_text,
-    text,
     write_file,
 )
 from learn2assemble.tasks.learning.config import CONFIGS, TrainConfig, fit_to, override
 from learn2assemble.tasks.learning.trainer import Trainer
 from learn2assemble.tasks.networks.agent import Agent, load_agent, save_agent
 from learn2assemble.tasks.task import NO_ARM, Task, get_task
+from learn2assemble.values import integer, mapping, number, text
 from learn2assemble.workers import run_all
 
 with extra("torch", "learn"):

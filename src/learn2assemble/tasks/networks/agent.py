@@ -17,10 +17,11 @@ from pathlib import Path
 from typing import Any
 
 from learn2assemble.errors import InputError, extra, look_up
-from learn2assemble.files import as_path, check_exists, mapping, read_json, replacing, write_file
+from learn2assemble.files import as_path, check_exists, read_json, replacing, write_file
 from learn2assemble.tasks.networks.config import NETWORKS, NetworkConfig
 from learn2assemble.tasks.networks.placement import PlacementNetwork, PlacementValues
 from learn2assemble.tasks.networks.qnetwork import QFactors, QNetwork
+from learn2assemble.values import mapping
 
 with extra("torch", "learn"):
     import torch
