@@ -15,7 +15,7 @@ from learn2assemble.assembly.bricks.parts import COLOURS, PARTS, SIZES
 from learn2assemble.assembly.files import read_assembly, write_assembly
 from learn2assemble.assembly.joints import DRY, Joint
 from learn2assemble.assembly.kit import load_kit, parse_kit
-from learn2assemble.design.cells import read_design
+from learn2assemble.design.read import read_design
 from learn2assemble.errors import InputError
 from learn2assemble.export.formats import export_assembly
 

@@ -18,7 +18,8 @@ from learn2assemble.assembly.blocks import Assembly, AssemblyStep, box_block
 from learn2assemble.assembly.compas import write_compas
 from learn2assemble.assembly.kit import Kind, Kit, load_kit
 from learn2assemble.cli import main
-from learn2assemble.design.cells import CellDesign, read_design
+from learn2assemble.design.cells import CellDesign
+from learn2assemble.design.read import read_design
 from learn2assemble.errors import InputError
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import BlamedCells, Plan

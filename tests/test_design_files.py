@@ -21,8 +21,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from PIL import Image
 
-from learn2assemble.design.cells import CellDesign, kind_of, read_design
+from learn2assemble.design.cells import CellDesign
+from learn2assemble.design.files import kind_of
 from learn2assemble.design.lattice import fit, shares
+from learn2assemble.design.read import read_design
 from learn2assemble.design.solids import crossed
 from learn2assemble.design.svg.walk import read_svg
 from learn2assemble.errors import InputError, MissingExtraError

@@ -13,8 +13,9 @@ from PIL import Image
 
 import learn2assemble as l2a
 from learn2assemble.cli import main
-from learn2assemble.design.cells import CellDesign, read_design
+from learn2assemble.design.cells import CellDesign
 from learn2assemble.design.holes import close_holes
+from learn2assemble.design.read import read_design
 from learn2assemble.errors import InputError, Remedy
 from learn2assemble.viewer.preview import busiest, section
 

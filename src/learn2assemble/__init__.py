@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from learn2assemble.assembly.kit import Kind, Kit, load_kit
     from learn2assemble.cell.site import Site
     from learn2assemble.design.cells import CellDesign
-    from learn2assemble.design.cells import read_design as load_design
     from learn2assemble.design.goals import Goals
     from learn2assemble.design.goals import read_goals as load_goals
+    from learn2assemble.design.read import read_design as load_design
     from learn2assemble.envs.assembly import AssemblyEnv, AssemblyVectorEnv
     from learn2assemble.errors import InputError, Learn2AssembleError
     from learn2assemble.export.formats import export_assembly
@@ -47,7 +47,8 @@ _HOME = {
     "assembly.blocks": "Assembly AssemblyStep Block box_block hull_block",
     "assembly.files": "read_assembly write_assembly",
     "assembly.kit": "Kind Kit load_kit",
-    "design.cells": "CellDesign load_design=read_design",
+    "design.cells": "CellDesign",
+    "design.read": "load_design=read_design",
     "design.goals": "Goals load_goals=read_goals",
     "envs.assembly": "AssemblyEnv AssemblyVectorEnv",
     "errors": "InputError Learn2AssembleError",

@@ -23,7 +23,8 @@ from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
 from learn2assemble.cell.carry_out import Workcell, carry_out, carry_out_cells
 from learn2assemble.cell.workcell import Disturbance
-from learn2assemble.design.cells import CellDesign, read_design
+from learn2assemble.design.cells import CellDesign
+from learn2assemble.design.read import read_design
 from learn2assemble.planning.given import plan_assembly
 from learn2assemble.planning.plan import Plan
 from learn2assemble.planning.tiling.construct import plan_cells

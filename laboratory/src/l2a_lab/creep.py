@@ -17,7 +17,7 @@ import numpy as np
 from l2a_lab import shapes
 from learn2assemble.assembly.blocks import Assembly
 from learn2assemble.assembly.kit import load_kit
-from learn2assemble.design.cells import read_design
+from learn2assemble.design.read import read_design
 from learn2assemble.export.formats import mjcf
 from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.planning.tiling.ordering import to_assembly

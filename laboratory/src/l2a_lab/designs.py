@@ -24,7 +24,8 @@ from l2a_lab.measured import Figures, Result
 from learn2assemble.assembly.blocks import Assembly, Block
 from learn2assemble.assembly.contacts import find_contacts
 from learn2assemble.assembly.kit import Kit, load_kit, orientations
-from learn2assemble.design.cells import CellDesign, read_design
+from learn2assemble.design.cells import CellDesign
+from learn2assemble.design.read import read_design
 from learn2assemble.errors import InputError
 from learn2assemble.planning.tiling.construct import plan_cells
 from learn2assemble.planning.tiling.exact import plan_exact

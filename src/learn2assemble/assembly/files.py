@@ -16,7 +16,7 @@ they are dry. COMPAS JSON is :mod:`.compas`; files of bricks are :mod:`.bricks.f
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -97,20 +97,42 @@ def read_assembly(
     if not is_number(unit, 1e-6, 1e6):
         raise InputError("unit", unit, "metres in a unit of the file, from 1e-6 to 1e6")
     if path.is_dir():
-        assembly = _read_folder(path, source, unit, up)
+        assembly = _with_joints(_read_folder(path, source, unit, up), kit)
     else:
         content, source = read_bytes(path, KIND, MAX_BYTES)
-        if content.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] in (b"{", b"["):
-            assembly = _read_json(content, path, source, unit, kit)
-        elif brick_format(content) is not None:
-            assembly = read_bricks(content, source, path.stem, kit)
-        else:
-            blocks = _mesh_blocks(content, source, "block", unit, up)
-            assembly = Assembly(tuple(blocks), name=path.stem)
-    if kit is not None and assembly.joint == DRY and not assembly.joints:
-        joint = kit.joint if isinstance(kit, Kit) else load_kit(kit).joint
-        assembly = replace(assembly, joint=joint)
+        assembly = parse_assembly(content, source, path.stem, unit=unit, up=up, kit=kit)
     return _with_supports(assembly, supports)
+
+
+def parse_assembly(
+    content: bytes,
+    source: str,
+    name: str,
+    *,
+    document: Any = None,
+    unit: float = 1.0,
+    up: Literal["y", "z"] | None = None,
+    kit: str | Kit | None = None,
+) -> Assembly:
+    """The assembly of the content of a file; see :func:`read_assembly`.
+
+    Args:
+        source: what messages call the file.
+        name: of the assembly, where the file has none.
+        document: the value in it, where it is JSON that has been parsed.
+        unit: of the file [m].
+    """
+    if content.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] in (b"{", b"["):
+        if document is None:  # Every block has vertices: far too many are not even parsed.
+            check_count(max(content.count(b'"vertices"'), 1), source)
+            document = load_json(decoded(content, source), source, FORMAT)
+        assembly = _of_document(mapping(document, source), source, name, unit, kit)
+    elif brick_format(content) is not None:
+        assembly = read_bricks(content, source, name, kit)
+    else:
+        blocks = _mesh_blocks(content, source, "block", unit, up)
+        assembly = Assembly(tuple(blocks), name=name)
+    return _with_joints(assembly, kit)
 
 
 def write_assembly(assembly: Assembly, path: str | Path) -> None:
@@ -154,14 +176,18 @@ def from_json(document: Any, source: str = "assembly") -> Assembly:
     return read_document(Assembly, document, source, FORMAT, VERSION)[0]
 
 
-def _read_json(
-    content: bytes, path: Path, source: str, unit: float, kit: str | Kit | None
+def _with_joints(assembly: Assembly, kit: str | Kit | None) -> Assembly:
+    """With the joints of a kit where nothing is said of them."""
+    if kit is None or assembly.joint != DRY or assembly.joints:
+        return assembly
+    return replace(assembly, joint=kit.joint if isinstance(kit, Kit) else load_kit(kit).joint)
+
+
+def _of_document(
+    document: Mapping[str, Any], source: str, name: str, unit: float, kit: str | Kit | None
 ) -> Assembly:
-    # Every block has vertices: far too many are refused before they are read.
-    check_count(max(content.count(b'"vertices"'), 1), source)
-    document = mapping(load_json(decoded(content, source), source, FORMAT), source)
     if is_stablelego(document):
-        return of_stablelego(document, source, path.stem, kit)
+        return of_stablelego(document, source, name, kit)
     if "dtype" in document:
         assembly = from_compas(document, source, unit)
     else:
@@ -169,7 +195,7 @@ def _read_json(
             expected = f'"format": "{FORMAT}", or the "dtype" of a COMPAS assembly'
             raise InputError(source, sorted(document)[:6], expected)
         assembly = from_json(document, source)
-    return assembly if assembly.name else replace(assembly, name=path.stem)
+    return assembly if assembly.name else replace(assembly, name=name)
 
 
 def _with_supports(assembly: Assembly, supports: Collection[str]) -> Assembly:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from learn2assemble.errors import InputError, UnknownNameError
-from learn2assemble.files import FARTHEST, MAX_BYTES, decoded, load_json
+from learn2assemble.files import FARTHEST
 from learn2assemble.values import Range, mapping, read_document
 
 if TYPE_CHECKING:
@@ -97,12 +97,9 @@ class _Elevations:
     blocks: Annotated[int, Range(1, 1e9)] | None = None
 
 
-def read_elevations(content: bytes, source: str) -> Drawing:
+def read_elevations(document: Any, source: str) -> Drawing:
     """The elevation JSON of ``docs/designs.md``; its two format keys may be missing."""
-    if len(content) > MAX_BYTES:
-        raise InputError(source, f"{len(content)} bytes", f"at most {MAX_BYTES} bytes")
-    root = mapping(load_json(decoded(content, source), source, _FORMAT), source)
-    root = {"format": _FORMAT, "version": 1, **root}
+    root = {"format": _FORMAT, "version": 1, **mapping(document, source)}
     file, _ = read_document(_Elevations, root, source, _FORMAT, 1, *_IGNORED)
     if not 1 <= len(file.elevations) <= len(SIDES):
         got = f"{len(file.elevations)} of them"

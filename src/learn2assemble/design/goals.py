@@ -143,12 +143,6 @@ def _point(values: np.ndarray) -> Point:
     return x, y, z
 
 
-def is_goals(content: bytes) -> bool:
-    """Whether a file holds goals."""
-    start = content[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
-    return start[:1] == b"{" and f'"{FORMAT}"'.encode() in content
-
-
 def read_goals(
     path: str | Path, kit: Kit | str | None = None, cell: float | Sequence[float] | None = None
 ) -> Goals:

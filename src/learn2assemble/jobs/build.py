@@ -1,8 +1,7 @@
 """The main job: from a design to a plan, every step of which is proven or carried out by an arm.
 
 The exact planner (:mod:`~learn2assemble.planning.tiling.construct`) fills the cells of a design
-with the blocks of a kit, or the
-learned builder does where it is asked to or the record of both is for it, and an arm carries that
+with the blocks of a kit, or the learned builder does where it is asked to, and an arm carries that
 out where one is named. The agent of the paper builds random problems of its tasks
 (:mod:`~learn2assemble.tasks.episode`).
 """
@@ -13,24 +12,21 @@ import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeGuard, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeGuard
 
 import numpy as np
 
+from learn2assemble.assembly.blocks import Assembly
+from learn2assemble.assembly.kit import DEFAULT_KIT, Kit, load_kit
+from learn2assemble.design.cells import CellDesign
+from learn2assemble.design.files import open_design
+from learn2assemble.design.goals import Goals
 from learn2assemble.errors import (
     InputError,
-    UnknownNameError,
     check_arguments,
     check_name,
     is_number,
     is_whole,
-)
-from learn2assemble.files import (
-    MAX_BYTES,
-    MAX_GENERATED,
-    load_json,
-    nearest,
-    read_bytes,
 )
 from learn2assemble.jobs.problems import NO_ARM, PROBLEMS
 from learn2assemble.planning.plan import Plan
@@ -38,13 +34,9 @@ from learn2assemble.planning.tiling.planners import EXACT, PLANNERS, PlannerChoi
 from learn2assemble.robot.registry import ARMS, TOOLS
 
 if TYPE_CHECKING:
-    from learn2assemble.assembly.blocks import Assembly
-    from learn2assemble.assembly.kit import Kit
     from learn2assemble.cell.carry_out import Workcell
     from learn2assemble.cell.reach import ReachReport
     from learn2assemble.cell.site import Site
-    from learn2assemble.design.cells import CellDesign
-    from learn2assemble.design.goals import Goals
 
 DEFAULT_TOOL = "suction"
 """Of an arm that carries out an exact plan: with fingers, blocks cannot stand close."""
@@ -164,8 +156,8 @@ def build(
         return PROBLEMS[design].build(
             arm=arm, agent=agent, seed=seed, seconds=limit, progress=progress
         )
-    if isinstance(design, str | Path):
-        _check_file(Path(design))
+    source = Path(design).name if isinstance(design, str | Path) else ""
+    opened = open_design(design, PROBLEMS) if isinstance(design, str | Path) else design
     if agent is not None:
         planner = planner or "agent"
         agent = PLANNERS[planner].resolve_agent(agent)
@@ -193,8 +185,20 @@ def build(
     }
     if shell is not None and not is_whole(shell, 1, 64):
         raise InputError("shell", shell, "a whole number of cells from 1 to 64")
+    kit = _kit(kit)
     help_ = _Help(supports, holds, hands, shell)
-    return _build_design(design, kit, help_, reading, how, choice, given)
+    found = _read(opened, kit, supports != "none", reading)
+    _check_asked(found, kit, help_, choice.name)
+    workcell = None if how is None else how.workcell()
+    if isinstance(found, Goals):
+        return _plan_goals(found, workcell, choice, given)
+    if isinstance(found, Assembly):
+        plan = _plan_blocks(found, workcell, help_, given)
+        return replace(plan, design=replace(plan.design, source=source))
+    kit = _kit_of(found, kit)
+    if kit.joint.law == "clutch":
+        return _plan_bricks(found, kit, workcell, help_, choice, given)
+    return _plan_cells(found, kit, workcell, supports != "none", choice, given)
 
 
 def reach(
@@ -245,12 +249,10 @@ def cells_of(
     if is_task(design):
         raise InputError("design", design, "a design of cells; a task has none")
     _check_names(function, reading)
-    if isinstance(design, str | Path):
-        _check_file(Path(design))
-    from learn2assemble.design.cells import CellDesign
+    from learn2assemble.design.read import read_given
 
-    kit = _kit(kit)
-    found = None if _goals(design, kit, True, reading) else _read(design, kit, reading)
+    opened = open_design(design, PROBLEMS) if isinstance(design, str | Path) else design
+    found = read_given(opened, _kit(kit), reading)
     if not isinstance(found, CellDesign):
         raise InputError("design", _called(design), "a design of cells, for a picture of them")
     return found
@@ -344,80 +346,103 @@ class _ArmChoice(NamedTuple):
         return Workcell(self.arm, tool, site, self.physics, self.seed, self.noise, log=self.state)
 
 
-def _build_design(
-    design: object,
-    kit: Any,
+def _read(
+    design: object, kit: Kit | None, props: bool, reading: Mapping[str, Any]
+) -> Assembly | CellDesign | Goals:
+    """What is to be planned, from what a caller gives."""
+    from learn2assemble.design.read import read_given
+
+    found = read_given(design, kit, reading)
+    if isinstance(found, Assembly):
+        return _with_joints(found, kit)
+    if isinstance(found, Goals):
+        return found if props else replace(found, props=False)
+    if not isinstance(found, CellDesign):
+        raise InputError("design", _called(found), "a file, cells or an assembly")
+    return found
+
+
+def _check_asked(
+    design: Assembly | CellDesign | Goals, kit: Kit | None, help_: _Help, planner: str
+) -> None:
+    """Refuse what a kind of design has no use for."""
+    given, clutch = isinstance(design, Assembly), False
+    if isinstance(design, CellDesign):
+        clutch = _kit_of(design, kit).joint.law == "clutch"
+    elif planner != EXACT:
+        words = "blocks that are given" if given else "goals instead of a design"
+        raise InputError("planner", planner, f"exact, for {words}")
+    _, holds, hands, shell = help_
+    if shell is not None and not clutch:
+        raise InputError("shell", shell, "a design of cells and a kit that clutches, such as lego")
+    if not (given or clutch) and (holds or hands or help_.supports == "posts"):
+        got = f"holds={holds}" if holds else "hands" if hands else f"supports={help_.supports!r}"
+        raise InputError("design", got, "an assembly of given blocks for posts and holds")
+
+
+def _plan_goals(
+    goals: Goals, workcell: Workcell | None, planner: PlannerChoice, given: dict[str, Any]
+) -> Plan:
+    from learn2assemble.planning.goals.planner import plan_goals
+
+    plan = plan_goals(goals, seed=planner.seed, **given)
+    if workcell is None:
+        return plan
+    from learn2assemble.cell.carry_out import carry_out
+    from learn2assemble.cell.site import with_obstacles
+
+    workcell = replace(workcell, site=with_obstacles(workcell.site, goals))
+    joint = goals.kit.joint_gap
+    return carry_out(plan, workcell, joint=joint, progress=given["progress"])
+
+
+def _plan_blocks(
+    blocks: Assembly, workcell: Workcell | None, help_: _Help, given: dict[str, Any]
+) -> Plan:
+    from learn2assemble.planning.given import plan_assembly
+
+    if workcell is not None and blocks.holds:
+        raise InputError("arm", workcell.arm, "none: an arm presses no bricks home yet")
+    if workcell is not None:
+        workcell = _for_given(blocks, workcell)
+    supports, holds, hands, _ = help_
+    plan = plan_assembly(blocks, supports=supports, holds=holds, hands=hands, **given)
+    if workcell is None:
+        return plan
+    from learn2assemble.cell.carry_out import carry_out
+
+    return carry_out(plan, workcell, joint=0.0, progress=given["progress"])
+
+
+def _plan_bricks(
+    design: CellDesign,
+    kit: Kit,
+    workcell: Workcell | None,
     help_: _Help,
-    reading: dict[str, Any],
-    how: _ArmChoice | None,
     planner: PlannerChoice,
     given: dict[str, Any],
 ) -> Plan:
-    """Plan what is no task, and carry it out where an arm is named.
-
-    Args:
-        given: friction, gap, seconds and progress, as every planner takes them.
-    """
-    from learn2assemble.assembly.blocks import Assembly
-    from learn2assemble.design.cells import CellDesign
-    from learn2assemble.design.goals import Goals
     from learn2assemble.linear_programs import Clock
     from learn2assemble.planning.brick_order import BrickHelp
-    from learn2assemble.planning.given import plan_assembly
+    from learn2assemble.planning.tiling.bricks import plan_brick_cells
+
+    _check_bricks(design, kit, help_, given, planner.name, workcell)
+    _, holds, hands, shell = help_
+    bricks = BrickHelp(hands, max(holds, 1) if hands else holds)
+    clock, progress = Clock(given["seconds"]), given["progress"]
+    return plan_brick_cells(design, kit, bricks, clock, progress, shell=shell, seed=planner.seed)
+
+
+def _plan_cells(
+    design: CellDesign,
+    kit: Kit,
+    workcell: Workcell | None,
+    props: bool,
+    planner: PlannerChoice,
+    given: dict[str, Any],
+) -> Plan:
     from learn2assemble.planning.tiling.construct import plan_cells
 
-    kit = _kit(kit)
-    source = Path(design).name if isinstance(design, str | Path) else ""
-    supports, holds, hands, shell = help_
-    props = supports != "none"
-    design = _goals(design, kit, props, reading) or _read(design, kit, reading)
-    if isinstance(design, Assembly):
-        design = _with_joints(design, kit)
-        if planner.name != EXACT:
-            raise InputError("planner", planner.name, "exact, for blocks that are given")
-    elif isinstance(design, Goals):
-        if planner.name != EXACT:
-            raise InputError("planner", planner.name, "exact, for goals instead of a design")
-    elif not isinstance(design, CellDesign):
-        raise InputError("design", _called(design), "a file, cells or an assembly")
-    clutch = isinstance(design, CellDesign) and _kit_of(design, kit).joint.law == "clutch"
-    if shell is not None and not clutch:
-        raise InputError("shell", shell, "a design of cells and a kit that clutches, such as lego")
-    if not (isinstance(design, Assembly) or clutch) and (holds or hands or supports == "posts"):
-        got = f"holds={holds}" if holds else "hands" if hands else f"supports={supports!r}"
-        raise InputError("design", got, "an assembly of given blocks for posts and holds")
-    workcell, progress = None if how is None else how.workcell(), given["progress"]
-    if not isinstance(design, CellDesign):
-        if isinstance(design, Goals):
-            from learn2assemble.cell.site import with_obstacles
-            from learn2assemble.planning.goals.planner import plan_goals
-
-            plan = plan_goals(design, seed=planner.seed, **given)
-            if workcell is not None:
-                workcell = replace(workcell, site=with_obstacles(workcell.site, design))
-        else:
-            if workcell is not None and design.holds:
-                raise InputError("arm", workcell.arm, "none: an arm presses no bricks home yet")
-            if workcell is not None:
-                workcell = _for_given(design, workcell)
-            plan = plan_assembly(design, supports=supports, holds=holds, hands=hands, **given)
-            plan = replace(plan, design=replace(plan.design, source=source))
-        if workcell is None:
-            return plan
-        from learn2assemble.cell.carry_out import carry_out
-
-        joint = design.kit.joint_gap if isinstance(design, Goals) else 0.0
-        return carry_out(plan, workcell, joint=joint, progress=progress)
-    kit = _kit_of(design, kit)
-    if clutch:
-        from learn2assemble.planning.tiling.bricks import plan_brick_cells
-
-        _check_bricks(design, kit, help_, given, planner.name, workcell)
-        holds = max(holds, 1) if hands else holds
-        bricks, clock = BrickHelp(hands, holds), Clock(given["seconds"])
-        return plan_brick_cells(
-            design, kit, bricks, clock, progress, shell=shell, seed=planner.seed
-        )
     # Blocks are as large as the cells that were asked for.
     kit = kit.at_pitch(design.cell)
 
@@ -431,10 +456,10 @@ def _build_design(
         return plan_with(kit)
     by_arm = PLANNERS[planner.name].carry_out
     if by_arm is not None:
-        return by_arm(plan_with, design.wanted, kit, workcell, progress)
+        return by_arm(plan_with, design.wanted, kit, workcell, given["progress"])
     from learn2assemble.cell.carry_out import carry_out_cells
 
-    return carry_out_cells(plan_with(kit), kit, workcell, progress, plan_with)
+    return carry_out_cells(plan_with(kit), kit, workcell, given["progress"], plan_with)
 
 
 def _for_given(design: Assembly, workcell: Workcell) -> Workcell:
@@ -459,8 +484,6 @@ def _for_given(design: Assembly, workcell: Workcell) -> Workcell:
 
 def _kit_of(design: CellDesign, kit: Kit | None) -> Kit:
     """The kit that a design of cells is built with."""
-    from learn2assemble.assembly.kit import DEFAULT_KIT, load_kit
-
     return kit or load_kit(design.kit or DEFAULT_KIT)
 
 
@@ -497,8 +520,6 @@ def _with_joints(design: Assembly, kit: Kit | None) -> Assembly:
 
 def _kit(kit: Any) -> Kit | None:
     """The kit that is given, or named."""
-    from learn2assemble.assembly.kit import Kit, load_kit
-
     if isinstance(kit, str | Path):
         kit = load_kit(str(kit))
     if not (kit is None or isinstance(kit, Kit)):
@@ -506,58 +527,6 @@ def _kit(kit: Any) -> Kit | None:
     return kit
 
 
-def _read(design: object, kit: Kit | None, reading: Mapping[str, Any]) -> object:
-    """The design in a file or an array; all else as it is."""
-    from learn2assemble.design.cells import read_design
-
-    if isinstance(design, str | Path):
-        from learn2assemble.assembly.bricks.files import is_of_bricks
-
-        if is_of_bricks(read_bytes(Path(design), "design file", MAX_GENERATED)[0]):
-            from learn2assemble.assembly.files import read_assembly
-
-            _refuse(reading, "a design of cells; a file of bricks says it all")
-            return read_assembly(design, kit=kit)
-    if isinstance(design, str | Path | np.ndarray):
-        cell = {} if kit is None or "cell" in reading else {"cell": kit.cell}
-        given = cast("str | Path | np.ndarray", design)
-        return read_design(given, **cell, **reading)
-    if reading:
-        raise InputError(
-            ", ".join(sorted(reading)),
-            "given",
-            "a design file or an array, which it tells how to read",
-        )
-    return design
-
-
 def _called(design: object) -> str:
     """What a message calls a design that is none."""
     return str(design) if isinstance(design, str | Path) else type(design).__name__
-
-
-def _goals(
-    design: object, kit: Kit | None, props: bool, reading: Mapping[str, Any]
-) -> Goals | None:
-    """The goals that are given instead of a design, or that a file holds; else None."""
-    from learn2assemble.design.cells import MAX_FILE
-    from learn2assemble.design.goals import Goals, is_goals, read_goals
-
-    if isinstance(design, str | Path) and is_goals(
-        read_bytes(Path(design), "design file", MAX_FILE)[0]
-    ):
-        if other := sorted(set(reading) - {"cell"}):
-            raise InputError(", ".join(other), "given", "no option but cell, for goals")
-        design = read_goals(design, kit, reading.get("cell"))
-    if not isinstance(design, Goals):
-        return None
-    return design if props else replace(design, props=False)
-
-
-def _check_file(path: Path) -> None:
-    """Refuse what is no file, a word that may be a misspelt task, and damaged JSON."""
-    if path.suffix == "" and len(path.parts) < 2 and not (path.exists() or nearest(path)):
-        raise UnknownNameError("design", str(path), PROBLEMS)
-    content, source = read_bytes(path, "design file", MAX_GENERATED)
-    if content.lstrip()[:1] in (b"{", b"[") and len(content) <= MAX_BYTES:
-        load_json(content.decode("utf-8-sig", "replace"), source, "design file")

@@ -21,7 +21,8 @@ from l2a_lab.builder.network import Builder
 from l2a_lab.builder.planner import plan_with_agent
 from l2a_lab.builder.search import BUDGET, build
 from learn2assemble.assembly.kit import Kit, load_kit
-from learn2assemble.design.cells import CellDesign, read_design
+from learn2assemble.design.cells import CellDesign
+from learn2assemble.design.read import read_design
 from learn2assemble.planning.tiling.exact import plan_exact
 from learn2assemble.planning.tiling.planners import PlanLimits, PlannerChoice
 from learn2assemble.tasks.designs import Solved, draw_letter, make_design, with_exact_heap
