@@ -34,6 +34,7 @@ ALLOWED: dict[str, set[str]] = {
     "robot": _BASE | {"geometry"},
     "motion": _BASE | {"geometry", "robot"},
     "simulation": _ARM,
+    "controllers": _ARM,
     "planning": _BASE | {"geometry", "linear_programs", "assembly", "design", "statics", "motion"},
     "cell": _PRODUCT,
     "jobs": _PRODUCT | {"cell"},

@@ -151,3 +151,4 @@ def __dir__() -> list[str]:
 add_plugin("l2a_lab", "physics", "search model", optional=True)
 add_plugin("learn2assemble.viewer", "export")
 add_plugin("learn2assemble.export", "export")
+add_plugin("learn2assemble.controllers", "plant")

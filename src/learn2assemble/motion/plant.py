@@ -20,6 +20,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from learn2assemble.errors import InputError, Learn2AssembleError
+from learn2assemble.motion.settings import ProgramSettings
 from learn2assemble.registry import Registry
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.bodies import Shape
@@ -253,6 +254,26 @@ class BlockKind(NamedTuple):
     """[kg/m3]; from :data:`~learn2assemble.robot.moves.IMMOVABLE` on nothing moves it."""
 
 
+class Surroundings(NamedTuple):
+    """What belongs to a cell beside the controller of its arm; a simulated one needs none of it."""
+
+    program: ProgramSettings = ProgramSettings()
+    """Which output and input the tool is wired to, and how far the arm may be from where a motion
+    begins."""
+    look: Callable[[], Sequence[BlockReading]] | None = None
+    """Cameras or tags: called whenever the plant is asked what it senses; None: no block is ever
+    seen."""
+    serve: Callable[[Request], None] | None = None
+    """Magazines and people: returns when a request has been met; None: all are met at once, as by
+    magazines that are never empty."""
+    patience: float = 0.25
+    """Longest silence towards the controller before the arm stops by itself [s of its clock]."""
+    silence: float = 0.25
+    """Longest silence of the controller before it counts as lost [s of this machine]."""
+    answer: float = 2.0
+    """In which a controller has to begin with what it was told [s of this machine]."""
+
+
 class Setup(NamedTuple):
     """The cell as its owner describes it, that is, as it is meant to be."""
 
@@ -269,6 +290,7 @@ class Setup(NamedTuple):
     """Of blocks on one another and on the table."""
     joints: np.ndarray | None = None
     """float64[n] where the arm stands [rad]; None: at home."""
+    around: Surroundings = Surroundings()
 
 
 PLANTS: Registry[Callable[[str, Setup], Plant]] = Registry("plant", {})

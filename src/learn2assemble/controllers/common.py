@@ -1,0 +1,150 @@
+"""What all controllers have in common: addresses, clocks, and what is not theirs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from learn2assemble.errors import InputError
+from learn2assemble.motion.plant import (
+    Guard,
+    Motion,
+    PlantError,
+    Stop,
+    ToolCommand,
+    ToolReading,
+)
+
+BACK = 1e-6
+"""By so much the clock of a controller may go back [s]."""
+JUMP, FASTEST = 10.0, 100.0
+"""It has jumped where it went on by more than this [s], and so many times faster than ours; a
+simulated controller may be faster than time."""
+
+
+class Address(NamedTuple):
+    """Where a controller is."""
+
+    host: str
+    port: int
+
+    @classmethod
+    def read(cls, scheme: str, text: str, port: int) -> Address:
+        """The place in an address.
+
+        Args:
+            text: what follows ``SCHEME://``: a host, and perhaps its port.
+            port: where none is told.
+
+        Raises:
+            InputError: naming the address.
+        """
+        host, mark, number = text.rstrip("/").rpartition(":") if ":" in text else (text, "", "")
+        host = host.rstrip("/")
+        fine = host and not set(host) & set("/?#@ :")
+        if not fine or (mark and not (number.isdigit() and 0 < int(number) < 65536)):
+            raise InputError(
+                "robot", f"{scheme}://{text}", f"{scheme}://HOST or {scheme}://HOST:PORT"
+            )
+        return cls(host, int(number) if mark else port)
+
+
+def marks_of(
+    motion: Motion, commands: Sequence[ToolCommand], guards: Sequence[Guard]
+) -> list[float]:
+    """The times of a motion at which something changes [s]."""
+    told = [one.at for one in commands] + [one.begin for one in guards]
+    return sorted({min(max(at, 0.0), motion.seconds) for at in told})
+
+
+def away(joints: np.ndarray, motion: Motion) -> float:
+    """How far the arm is from where a motion begins [rad]; 0 where it does not move."""
+    if not len(motion.time):
+        return 0.0
+    return float(np.abs(joints - motion.joints[0]).max())
+
+
+def refused(why: str) -> PlantError:
+    """The error of a controller that is not what it has to be."""
+    return PlantError(Stop.REFUSED, why)
+
+
+def lost(why: str) -> PlantError:
+    """The error of a connection that is none any more."""
+    return PlantError(Stop.LOST, why)
+
+
+class ControllerClock:
+    """Whether the clock of a controller goes on as that of this machine does.
+
+    Args:
+        silence: longest time without a new state [s of this machine].
+    """
+
+    def __init__(self, silence: float) -> None:
+        self.silence, self.last, self._wall = silence, -math.inf, -math.inf
+
+    def odd(self, now: float, wall: float) -> str:
+        """What is wrong with the time that was told, in words; empty where nothing is.
+
+        Args:
+            now: of the controller [s].
+            wall: of this machine [s].
+        """
+        before, waited = self.last, wall - self._wall
+        self.last = now
+        if now < before - BACK:
+            return f"the controller's clock went back by {before - now:.3f} s"
+        if now == before:
+            return f"no state for {waited:.2f} s" if waited > self.silence else ""
+        self._wall = wall
+        if before > -math.inf and now - before > JUMP + FASTEST * waited:
+            return f"the controller's clock jumped by {now - before:.1f} s"
+        return ""
+
+
+DEBOUNCE = 0.04
+"""So long the tool may say that nothing is held before that is believed [s]."""
+
+
+class WatchedHere:
+    """The guards of a motion, where the controller does not look at them itself: the arm stops
+    later by as long as the network takes.
+
+    Args:
+        guards: of the motion.
+    """
+
+    def __init__(self, guards: Sequence[Guard]) -> None:
+        self._left, self._now = sorted(guards, key=lambda one: one.begin), Guard()
+        self._gone = -1.0
+
+    def broken(self, past: float, tool: ToolReading) -> tuple[Stop, str] | None:
+        """What ends the motion, and why in words; None: nothing does.
+
+        Args:
+            past: since it began [s].
+            tool: what the tool feels.
+        """
+        while self._left and self._left[0].begin <= past:
+            self._now, self._gone = self._left.pop(0), -1.0
+        guard, size = self._now, float(np.linalg.norm(tool.force))
+        empty = tool.vacuum is False
+        self._gone = (past if self._gone < 0 else self._gone) if empty else -1.0
+        if guard.hold == "made" and (tool.vacuum or (tool.grip or 0.0) > 0):
+            return Stop.HELD, ""
+        if guard.hold == "kept" and empty and past - self._gone > DEBOUNCE:
+            return Stop.VACUUM, "the tool says that nothing is held"
+        limits = [force for force in (guard.force, guard.held) if force is not None]
+        if limits and size > min(limits):
+            return Stop.FORCE, f"{size:.1f} N, more than {min(limits):g} N"
+        if guard.contact is not None and size > guard.contact:
+            return Stop.CONTACT, ""
+        if guard.width is not None and tool.width is not None:
+            low, high = guard.width
+            if not low <= tool.width <= high:
+                return Stop.WIDTH, f"the fingers are {1e3 * tool.width:.1f} mm apart"
+        return None

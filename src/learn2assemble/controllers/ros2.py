@@ -1,0 +1,377 @@
+"""Controllers behind ROS 2: ``ros2://HOST`` or ``ros2://HOST:PORT`` of a rosbridge (port 9090).
+
+Motions are goals of ``FollowJointTrajectory``; joint states, the tool and stops are topics
+(:data:`TOPICS`). Nothing in a trajectory controller notices that the connection is gone: the arm
+then goes on to the end of the motion that was sent, and stands.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import threading
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from learn2assemble.controllers.common import (
+    Address,
+    ControllerClock,
+    WatchedHere,
+    away,
+    lost,
+    marks_of,
+    refused,
+)
+from learn2assemble.errors import extra
+from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.motion.cubics import thinned
+from learn2assemble.motion.plant import (
+    Guard,
+    Motion,
+    PlantError,
+    Readings,
+    Report,
+    Request,
+    Setup,
+    Stop,
+    ToolCommand,
+    ToolReading,
+)
+from learn2assemble.motion.program import driver_of
+
+PORT = 9090
+ACTION = "/joint_trajectory_controller/follow_joint_trajectory"
+TOPICS = {
+    "/joint_states": "sensor_msgs/msg/JointState",
+    "/suction/held": "std_msgs/msg/Bool",
+    "/gripper/width": "std_msgs/msg/Float64",
+    "/tool/wrench": "geometry_msgs/msg/WrenchStamped",
+    "/robot/stopped": "std_msgs/msg/Bool",
+    "/robot_description": "std_msgs/msg/String",
+}
+"""What is listened to; the first one has to come, in the frame of the base where it has one."""
+COMMANDS = {
+    "/suction/vacuum": "std_msgs/msg/Bool",
+    "/gripper/command": "control_msgs/msg/GripperCommand",
+    "/tool/load": "std_msgs/msg/Float64",
+}
+"""What the tool is told, as in the bags of :mod:`learn2assemble.export.ros2`."""
+CONNECT = 3.0
+"""Longest wait for an answer while connecting [s]."""
+POLL = 0.004
+"""Between two looks at the state [s]."""
+LATE, SLACK = 1.5, 2.0
+"""A motion that takes longer than its time by this factor, and so much more [s], is late."""
+BRAKE = 0.3
+"""Time in which the arm comes to rest where a motion is broken off [s]."""
+STANDS = 0.005
+"""Slower joints stand [rad/s]."""
+SUCCEEDED, CANCELED = 4, 5
+INVALID = (-1, -2, -3)
+"""Error codes of goals that were not taken."""
+
+
+class RosPlant:
+    """An arm behind a rosbridge.
+
+    Args:
+        place: host and port of the bridge.
+        setup: the cell.
+
+    Raises:
+        InputError: for an address that is none.
+        MissingExtraError: without the extra ``ros2``.
+        PlantError: where nobody answers, and for other joints or another robot.
+    """
+
+    def __init__(self, place: str, setup: Setup) -> None:
+        self.place, self.arm, self.around = (
+            Address.read("ros2", place, PORT),
+            setup.arm,
+            setup.around,
+        )
+        self.settings, self.driver = self.around.program, driver_of(setup.arm)
+        with extra("roslibpy", "ros2"):
+            import roslibpy
+        self._lib: Any = roslibpy
+        self._said: dict[str, Any] = {}
+        self._known = False
+        self._came = threading.Condition()
+        self._clock = ControllerClock(self.around.silence)
+        self._base = quaternion_matrix(self.driver.base[3:])
+        self._ros: Any = roslibpy.Ros(self.place.host, self.place.port, transport="twisted")
+        try:
+            self._ros.run(CONNECT)
+        except roslibpy.core.RosTimeoutError:
+            self.close()
+            raise lost(f"{self.place.host}:{self.place.port}: no rosbridge answers") from None
+        # A connection that comes back by itself would go on with half a motion.
+        self._ros.factory.stopTrying()
+        self._action = roslibpy.ActionClient(
+            self._ros, ACTION, "control_msgs/action/FollowJointTrajectory"
+        )
+        self._heard = [roslibpy.Topic(self._ros, name, kind) for name, kind in TOPICS.items()]
+        for topic in self._heard:
+            topic.subscribe(lambda said, name=topic.name: self._hear(name, said))
+        self._told = {n: roslibpy.Topic(self._ros, n, kind) for n, kind in COMMANDS.items()}
+        for topic in self._told.values():
+            topic.advertise()
+        self._check()
+        self._known = True
+
+    def _hear(self, name: str, said: dict[str, Any]) -> None:
+        with self._came:
+            self._said[name] = said
+            self._came.notify_all()
+
+    def _check(self) -> None:
+        """Whether this is the robot of the plan.
+
+        Raises:
+            PlantError: where it is not, or says nothing.
+        """
+        with self._came:
+            known = self._came.wait_for(lambda: "/joint_states" in self._said, CONNECT)
+            self._came.wait_for(lambda: "/robot_description" in self._said, 0.2)
+        if not known:
+            self.close()
+            raise lost(f"no /joint_states within {CONNECT:g} s")
+        names = self._said["/joint_states"].get("name", [])
+        missing = [name for name in self.driver.joints if name not in names]
+        told = self._said.get("/robot_description", {}).get("data", "")
+        found = re.search(r"<robot[^>]*\bname\s*=\s*[\"']([^\"']*)", told)
+        if missing:
+            self.close()
+            raise refused(f"joints {', '.join(names)}; {', '.join(missing)} is missing")
+        if found and self.arm.name not in found[1].lower():
+            self.close()
+            raise refused(f"the robot is {found[1]!r}, not {self.arm.name!r}")
+
+    # ------------------------------------------------------------ what is sensed
+
+    def sense(self) -> Readings:
+        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        why = self._silence()
+        if why:
+            raise lost(why)
+        now, joints, velocity = self._joints()
+        moving = float(np.abs(velocity).max()) > STANDS
+        state = "stopped" if self._stopped() else "moving" if moving else "ready"
+        look = self.around.look
+        blocks = () if look is None else tuple(look())
+        return Readings(now, joints, velocity, blocks, self._tool(), self.arm.name, state)
+
+    def _joints(self) -> tuple[float, np.ndarray, np.ndarray]:
+        """Time [s], positions and velocities of the joints in the order of the arm."""
+        said = self._said["/joint_states"]
+        stamp = said["header"]["stamp"]
+        row = [said["name"].index(name) for name in self.driver.joints]
+        position = np.array(said["position"], float)[row]
+        velocity = np.array(said.get("velocity") or np.zeros(len(said["name"])), float)[row]
+        now = stamp.get("sec", stamp.get("secs", 0)) + 1e-9 * stamp.get(
+            "nanosec", stamp.get("nsecs", 0)
+        )
+        return now, position, velocity
+
+    def _tool(self) -> ToolReading:
+        held, width = self._said.get("/suction/held"), self._said.get("/gripper/width")
+        force = self._said.get("/tool/wrench", {}).get("wrench", {}).get("force", {})
+        x, y, z = (self._base @ [float(force.get(axis, 0.0)) for axis in "xyz"]).tolist()
+        return ToolReading(
+            vacuum=None if held is None else bool(held["data"]),
+            width=None if width is None else float(width["data"]),
+            force=(x, y, z),
+        )
+
+    def _stopped(self) -> bool:
+        return bool(self._said.get("/robot/stopped", {}).get("data", False))
+
+    def _silence(self) -> str:
+        """What is wrong with the connection, in words; empty where nothing is."""
+        if not self._ros.is_connected:
+            return "the rosbridge closed the connection"
+        try:
+            now = self._joints()[0]
+        except (KeyError, ValueError, IndexError, TypeError) as error:
+            return f"/joint_states without {error}"
+        return self._clock.odd(now, time.monotonic())
+
+    # ------------------------------------------------------------ what is carried out
+
+    def execute(
+        self,
+        motion: Motion,
+        commands: Sequence[ToolCommand] = (),
+        guards: Sequence[Guard] = (),
+    ) -> Report:
+        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        now = self.sense()
+        if now.state == "stopped":
+            return self._report(Stop.PROTECTIVE, motion, 0.0, now.time, "the robot is stopped")
+        off = away(now.joints, motion)
+        if off > self.settings.start_tolerance:
+            why = f"the arm is {off:.3f} rad from where the motion begins"
+            return self._report(Stop.REFUSED, motion, 0.0, now.time, why)
+        left = sorted(commands, key=lambda one: one.at)
+        thin, result = thinned(motion, marks_of(motion, commands, guards)), _Result()
+        try:
+            goal = self._go(thin, result) if motion.seconds else ""
+            stop, why = self._watch(motion, left, guards, result)
+            past = self._joints()[0] - now.time
+            if stop is Stop.END:
+                self._tell(left)
+            elif goal:
+                self._stand(goal)
+        except (PlantError, OSError) as error:
+            stop, why, past = Stop.LOST, getattr(error, "why", str(error)), 0.0
+        share = 1.0 if stop is Stop.END else min(max(past / max(motion.seconds, 1e-9), 0.0), 1.0)
+        return self._report(stop, motion, share, now.time, why)
+
+    def _watch(
+        self, motion: Motion, left: list[ToolCommand], guards: Sequence[Guard], result: _Result
+    ) -> tuple[Stop, str]:
+        """Tell the tool what is due, until the motion has ended or something ends it."""
+        begun, sent, watched = self._joints()[0], time.monotonic(), WatchedHere(guards)
+        while True:
+            why = self._silence()
+            if why:
+                return Stop.LOST, why
+            if self._stopped():
+                return Stop.PROTECTIVE, "the robot is stopped"
+            now = self._joints()[0]
+            past = now - begun
+            due = [one for one in left if one.at <= min(past, motion.seconds) + 1e-6]
+            self._tell(due)
+            del left[: len(due)]
+            found = watched.broken(past, self._tool())
+            if found is not None:
+                return found
+            if result.came.is_set() or not motion.seconds:
+                return result.stop()
+            if not result.begun.is_set() and time.monotonic() - sent > self.around.answer:
+                with contextlib.suppress(PlantError):
+                    if np.abs(self._joints()[2]).max() <= STANDS:
+                        return Stop.REFUSED, "the controller did not begin with the motion"
+                result.begun.set()
+            if past > LATE * motion.seconds + SLACK:
+                return Stop.LATE, f"not there after {past:.1f} s"
+            time.sleep(POLL)
+
+    def _go(self, motion: Motion, result: _Result) -> str:
+        """Send a motion as a goal; its name."""
+        points = [
+            {
+                "positions": q.tolist(),
+                "velocities": v.tolist(),
+                "time_from_start": {"sec": int(t), "nanosec": int(round((t % 1) * 1e9)) % 10**9},
+            }
+            for t, q, v in zip(motion.time[1:], motion.joints[1:], motion.velocity[1:], strict=True)
+        ]
+        goal = {"trajectory": {"joint_names": list(self.driver.joints), "points": points}}
+        name: Any = self._action.send_goal(
+            self._lib.Goal(goal), result.take, lambda _: result.begun.set(), result.take
+        )
+        return name
+
+    def _stand(self, goal: str) -> None:
+        """The arm comes to rest: the goal is cancelled, and as not every bridge passes that on, a
+        short one takes its place.
+
+        Raises:
+            PlantError: where it still moves after :data:`CONNECT`.
+        """
+        if goal:
+            self._action.cancel_goal(goal)
+        _, q, v = self._joints()
+        there = np.clip(q + v * BRAKE / 2, self.arm.lower, self.arm.upper)
+        rest = np.zeros_like(q)
+        brake = Motion("", np.array([0.0, BRAKE]), np.stack([q, there]), np.stack([v, rest]))
+        self._go(brake, _Result())
+        until, still = time.monotonic() + CONNECT, 0
+        while time.monotonic() < until and self._ros.is_connected:
+            still = still + 1 if np.abs(self._joints()[2]).max() <= STANDS else 0
+            if still > 3 or self._stopped():
+                return
+            time.sleep(2 * POLL)
+        if self._ros.is_connected:
+            raise PlantError(Stop.LATE, "the arm does not stop")
+
+    def _tell(self, commands: Sequence[ToolCommand]) -> None:
+        """Tell the tool."""
+        for one in commands:
+            if one.vacuum is not None:
+                self._told["/suction/vacuum"].publish({"data": one.vacuum})
+            if one.width is not None:
+                said = {"position": one.width, "max_effort": one.force}
+                self._told["/gripper/command"].publish(said)
+            if one.load is not None:
+                self._told["/tool/load"].publish({"data": one.load})
+
+    def _report(
+        self, stop: Stop, motion: Motion, done: float, begun: float, why: str = ""
+    ) -> Report:
+        now, joints, _ = self._joints()
+        return Report(stop, done, joints, max(now - begun, 0.0), why, self._tool())
+
+    def request(self, request: Request) -> Report:
+        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        begun = self.sense().time
+        if self.around.serve is not None:
+            self.around.serve(request)
+        return self._report(Stop.END, Motion(request.what, *[np.zeros(0)] * 3), 1.0, begun)
+
+    def stop(self) -> None:
+        """The arm stands when this returns, or nobody can be told to stop it.
+
+        Raises:
+            PlantError: where it still moves after :data:`CONNECT`.
+        """
+        if not self._ros.is_connected or self._stopped():
+            return
+        if np.abs(self._joints()[2]).max() > STANDS:
+            self._stand("")
+
+    def close(self) -> None:
+        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        if self._known:
+            with contextlib.suppress(PlantError):
+                self.stop()
+        with contextlib.suppress(self._lib.core.RosTimeoutError):
+            self._ros.close(1.0)
+        self._ros.factory.stopTrying()
+
+
+class _Result:
+    """What comes of a goal."""
+
+    def __init__(self) -> None:
+        self.begun, self.came = threading.Event(), threading.Event()
+        self.said: dict[str, Any] = {}
+
+    def take(self, said: Any) -> None:
+        """The answer, of whatever kind."""
+        self.said = dict(said) if isinstance(said, dict) else dict(getattr(said, "data", {}))
+        self.came.set()
+
+    def stop(self) -> tuple[Stop, str]:
+        """As the end of a motion."""
+        if not self.said:
+            return Stop.END, ""
+        status = self.said.get("status")
+        status = getattr(status, "value", status)
+        values = self.said.get("values") or {}
+        code, words = 0, ""
+        if isinstance(values, dict):
+            values = values.get("result", values)
+            code, words = int(values.get("error_code", 0)), str(values.get("error_string", ""))
+        else:
+            words = str(values)
+        if status == SUCCEEDED and code == 0:
+            return Stop.END, ""
+        what = words or f"status {status}, error code {code}"
+        if code in INVALID or status not in (SUCCEEDED, CANCELED, 6):
+            return Stop.REFUSED, what
+        return Stop.PROTECTIVE, what

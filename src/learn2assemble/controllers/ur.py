@@ -1,0 +1,421 @@
+"""Controllers of Universal Robots: ``ur://HOST`` or ``ur://HOST:PORT``.
+
+State comes through ``ur-rtde`` from port 30004, motions go as programs to the secondary interface
+(``PORT``, by default 30002), and the dashboard (29999), where it answers, is asked for the model. A
+second connection to port 30004 carries the beat by which the controller knows that somebody
+watches: the arm stops by itself where that ends.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import struct
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from learn2assemble.controllers.common import (
+    Address,
+    ControllerClock,
+    away,
+    lost,
+    marks_of,
+    refused,
+)
+from learn2assemble.controllers.ur_motion import (
+    BEAT,
+    OUTCOME,
+    PROGRESS,
+    SERIAL,
+    ScriptOutcome,
+    motion_script,
+    stop_script,
+)
+from learn2assemble.errors import InputError, extra
+from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.motion.cubics import thinned
+from learn2assemble.motion.plant import (
+    Guard,
+    Motion,
+    PlantError,
+    Readings,
+    Report,
+    Request,
+    Setup,
+    Stop,
+    ToolCommand,
+    ToolReading,
+)
+from learn2assemble.motion.program import driver_of
+
+STATE, SCRIPTS, DASHBOARD = 30004, 30002, 29999
+"""Ports."""
+RATE = 125.0
+"""States per second."""
+CONNECT = 3.0
+"""Longest wait for an answer while connecting [s]."""
+POLL = 0.004
+"""Between two looks at the state [s]."""
+LATE, SLACK = 1.5, 2.0
+"""A motion that takes longer than its time by this factor, and so much more [s], is late."""
+ENDED = 0.1
+"""So long a program may seem to have ended without saying what came of it [s]: what is read of the
+state may be of two instants."""
+RUNNING, STANDS = 7, 0.005
+"""Mode of a robot that may move; slower joints stand [rad/s]."""
+VARIABLES = (
+    "timestamp",
+    "actual_q",
+    "actual_qd",
+    "actual_TCP_force",
+    "actual_digital_input_bits",
+    "standard_analog_input0",
+    "standard_analog_input1",
+    "robot_mode",
+    "runtime_state",
+    "safety_status_bits",
+    f"output_int_register_{SERIAL}",
+    f"output_int_register_{OUTCOME}",
+    f"output_int_register_{PROGRESS}",
+)
+_PLAYING = 2
+_SAFE = 0b011
+"""Safety bits of a robot that may move: normal and reduced mode."""
+_STOPS = {
+    ScriptOutcome.DONE: Stop.END,
+    ScriptOutcome.CONTACT: Stop.CONTACT,
+    ScriptOutcome.HELD: Stop.HELD,
+    ScriptOutcome.FORCE: Stop.FORCE,
+    ScriptOutcome.RELEASED: Stop.VACUUM,
+    ScriptOutcome.SILENCE: Stop.LOST,
+}
+
+
+class UrPlant:
+    """An arm behind its controller.
+
+    Args:
+        place: host, and port of the secondary interface where it is another one.
+        setup: the cell; its arm has to be a UR5e with a tool on a digital output.
+
+    Raises:
+        InputError: for an address that is none, another arm, and an input that cannot be read.
+        MissingExtraError: without the extra ``ur``.
+        PlantError: where nobody answers, or somebody else.
+    """
+
+    def __init__(self, place: str, setup: Setup) -> None:
+        self.place, self.arm, self.around = (
+            Address.read("ur", place, SCRIPTS),
+            setup.arm,
+            setup.around,
+        )
+        self.settings, self.driver = self.around.program, driver_of(setup.arm)
+        if setup.arm.name != "ur5e":
+            raise InputError("robot", f"ur://{place}", f"a controller of the arm {setup.arm.name}")
+        held = self.settings.input
+        if held.threshold is not None and held.bank == "tool":
+            got = "an analog input of the tool connector"
+            raise InputError(
+                "program.input", got, "a digital one, or one of the standard connector"
+            )
+        with extra("ur-rtde", "ur"):
+            import rtde_receive
+        # Another connection's programs have other numbers.
+        self.serial = int.from_bytes(os.urandom(2)) * 30_000
+        self._beat = _Beat(self.place.host)
+        self._model()
+        try:
+            self._state: Any = rtde_receive.RTDEReceiveInterface(
+                self.place.host, RATE, list(VARIABLES), False, True
+            )
+        except (RuntimeError, ValueError) as error:
+            self._beat.close()
+            raise lost(" ".join(str(error).split())) from None
+        self._clock = ControllerClock(self.around.silence)
+        self._base = quaternion_matrix(self.driver.base[3:])
+
+    # ------------------------------------------------------------ what is sensed
+
+    def sense(self) -> Readings:
+        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        why = self._silence()
+        if why:
+            raise lost(why)
+        moving = self._state.getRuntimeState() == _PLAYING or self._speed() > STANDS
+        state = "stopped" if self._stopped() else "moving" if moving else "ready"
+        look = self.around.look
+        return Readings(
+            self._state.getTimestamp(),
+            np.array(self._state.getActualQ()),
+            np.array(self._state.getActualQd()),
+            () if look is None else tuple(look()),
+            self._tool(),
+            self.arm.name,
+            state,
+        )
+
+    def _tool(self) -> ToolReading:
+        force = self._base @ np.array(self._state.getActualTCPForce()[:3])
+        x, y, z = force.tolist()
+        suction = self.arm.suction is not None
+        return ToolReading(vacuum=self._held() if suction else None, force=(x, y, z))
+
+    def _held(self) -> bool:
+        held = self.settings.input
+        if held.threshold is not None:
+            volts = getattr(self._state, f"getStandardAnalogInput{held.number}")()
+            return (volts >= held.threshold) == held.held
+        first = 16 if held.bank == "tool" else 0
+        bits = self._state.getActualDigitalInputBits()
+        return bool(bits >> (first + held.number) & 1) == held.held
+
+    def _stopped(self) -> str:
+        """Why the controller does not let the arm move, in words; empty where it does."""
+        bits = self._state.getSafetyStatusBits()
+        if bits & ~_SAFE:
+            return "protective stop" if bits & 4 else f"safety stop (status bits {bits:#x})"
+        mode = self._state.getRobotMode()
+        return "" if mode == RUNNING else f"the robot is not running (mode {mode})"
+
+    def _speed(self) -> float:
+        return float(np.abs(self._state.getActualQd()).max())
+
+    def _silence(self) -> str:
+        """What is wrong with the connection, in words; empty where nothing is."""
+        if not self._state.isConnected():
+            return "the controller closed the connection"
+        return self._clock.odd(self._state.getTimestamp(), time.monotonic())
+
+    # ------------------------------------------------------------ what is carried out
+
+    def execute(
+        self,
+        motion: Motion,
+        commands: Sequence[ToolCommand] = (),
+        guards: Sequence[Guard] = (),
+    ) -> Report:
+        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        now = self.sense()
+        off = away(now.joints, motion)
+        if now.state == "stopped":
+            return self._report(Stop.PROTECTIVE, motion, 0.0, now.time, self._stopped())
+        if off > self.settings.start_tolerance:
+            why = f"the arm is {off:.3f} rad from where the motion begins"
+            return self._report(Stop.REFUSED, motion, 0.0, now.time, why)
+        self.serial += 1
+        thin = thinned(motion, marks_of(motion, commands, guards))
+        script = motion_script(
+            thin,
+            sorted(commands, key=lambda one: one.at),
+            sorted(guards, key=lambda one: one.begin),
+            self.driver,
+            self.settings,
+            self.serial,
+            self.around.patience,
+        )
+        return self._watched(script, motion)
+
+    def _watched(self, script: str, motion: Motion) -> Report:
+        """Send a program, and wait for what comes of it."""
+        state, sent, begun, ended = self._state, time.monotonic(), -1.0, -1.0
+        first = state.getTimestamp()
+        try:
+            with self._connection(self.place.port) as scripts:
+                scripts.sendall(script.encode("ascii"))
+                while True:
+                    self._beat.beat()
+                    wall, why = time.monotonic(), self._silence()
+                    if why:
+                        where = Stop.LOST
+                        break
+                    why = self._stopped()
+                    if why:
+                        where = Stop.PROTECTIVE
+                        break
+                    now, ours = state.getTimestamp(), self._ours()
+                    outcome = state.getOutputIntRegister(OUTCOME) if ours else 0
+                    if outcome:
+                        where = _STOPS[ScriptOutcome(outcome)]
+                        why = _WORDS.get(where, "")
+                        break
+                    begun = now if begun < 0 and ours else begun
+                    if begun < 0 and wall - sent > self.around.answer:
+                        where, why = Stop.REFUSED, "the controller did not begin with the program"
+                        break
+                    runs = ours and state.getRuntimeState() == _PLAYING
+                    ended = -1.0 if runs or begun < 0 else wall if ended < 0 else ended
+                    if ended > 0 and wall - ended > ENDED:
+                        where, why = Stop.REFUSED, "the program was ended by somebody else"
+                        break
+                    late = LATE * motion.seconds + SLACK
+                    if begun >= 0 and now - begun > late:
+                        where, why = Stop.LATE, f"not there after {late:.1f} s"
+                        break
+                    time.sleep(POLL)
+        except (OSError, PlantError) as error:
+            where, why = Stop.LOST, getattr(error, "why", str(error))
+        if where is not Stop.END:
+            with contextlib.suppress(PlantError):
+                self.stop()
+        share = 1.0
+        if where is not Stop.END:
+            past = state.getOutputIntRegister(PROGRESS) / 1000 if self._ours() else 0.0
+            share = min(past / motion.seconds, 1.0) if motion.seconds else 0.0
+        return self._report(where, motion, share, first, why)
+
+    def _ours(self) -> bool:
+        """Whether the last program that has begun is the last one that was sent."""
+        return self._state.getOutputIntRegister(SERIAL) == self.serial
+
+    def _report(
+        self, stop: Stop, motion: Motion, done: float, begun: float, why: str = ""
+    ) -> Report:
+        joints = np.array(self._state.getActualQ())
+        seconds = max(self._state.getTimestamp() - begun, 0.0)
+        return Report(stop, done, joints, seconds, why, self._tool())
+
+    def request(self, request: Request) -> Report:
+        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        begun = self.sense().time
+        if self.around.serve is not None:
+            self.around.serve(request)
+        return self._report(Stop.END, Motion(request.what, *[np.zeros(0)] * 3), 1.0, begun)
+
+    def stop(self) -> None:
+        """The arm stands when this returns, or nobody can be told to stop it, and it stops by
+        itself.
+
+        Raises:
+            PlantError: where it still moves after :data:`CONNECT`.
+        """
+        until = time.monotonic() + CONNECT
+        with contextlib.suppress(OSError), self._connection(self.place.port) as scripts:
+            scripts.sendall(stop_script().encode("ascii"))
+            while time.monotonic() < until and self._state.isConnected():
+                still = self._speed() <= STANDS
+                if still and (self._stopped() or self._state.getRuntimeState() != _PLAYING):
+                    return
+                time.sleep(POLL)
+        if self._state.isConnected() and not self._silence() and self._speed() > STANDS:
+            raise PlantError(Stop.LATE, "the arm does not stop")
+
+    def close(self) -> None:
+        """See :class:`~learn2assemble.motion.plant.Plant`."""
+        if self._state.isConnected() and self._state.getRuntimeState() == _PLAYING:
+            with contextlib.suppress(PlantError):
+                self.stop()
+        self._beat.close()
+        self._state.disconnect()
+
+    # ------------------------------------------------------------ connections
+
+    def _connection(self, port: int) -> socket.socket:
+        return socket.create_connection((self.place.host, port), CONNECT)
+
+    def _model(self) -> None:
+        """Ask the dashboard, where there is one, which robot this is.
+
+        Raises:
+            PlantError: for another one.
+        """
+        try:
+            with self._connection(DASHBOARD) as connection, connection.makefile("rw") as lines:
+                lines.readline()
+                lines.write("get robot model\n")
+                lines.flush()
+                model = lines.readline().strip()
+        except (OSError, UnicodeDecodeError):
+            return  # Not every controller lets one in.
+        if not model.upper().startswith("UR5"):
+            self._beat.close()
+            raise refused(f"the robot is a {model!r}, not a UR5e")
+
+
+_WORDS = {
+    Stop.VACUUM: "the input says that nothing is held",
+    Stop.LOST: "the controller heard nothing from here",
+    Stop.FORCE: "the force is larger than it may be",
+}
+
+
+class _Beat:
+    """A number that the controller sees change as long as we watch; and the first look at whether
+    it is one: the client library waits without end for one that does not answer.
+
+    Args:
+        host: of the controller.
+
+    Raises:
+        PlantError: where nobody answers, or something else than a controller.
+    """
+
+    def __init__(self, host: str) -> None:
+        self.number = 0
+        try:
+            self.connection = socket.create_connection((host, STATE), CONNECT)
+        except OSError as error:
+            raise lost(f"{host}:{STATE}: {_line(error)}") from None
+        try:
+            self.connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            if self._ask(b"V", struct.pack("!H", 2)) != b"\1":
+                raise refused(f"{host}:{STATE} does not speak version 2 of RTDE")
+            major = struct.unpack("!4I", self._ask(b"v", b""))[0]
+            if major < 5:
+                raise refused(f"{host} is a controller of version {major}, not of an e-Series")
+            recipe = self._ask(b"I", f"input_int_register_{BEAT}".encode())
+            if recipe[:1] == b"\0" or b"INT32" not in recipe:
+                raise refused(f"input register {BEAT} of {host} is in use")
+            self._recipe = recipe[:1]
+        except (OSError, struct.error) as error:
+            self.connection.close()
+            raise refused(f"{host}:{STATE} is no controller: {_line(error)}") from None
+        except PlantError:
+            self.connection.close()
+            raise
+
+    def _ask(self, kind: bytes, content: bytes) -> bytes:
+        self._send(kind, content)
+        while True:
+            size, found = struct.unpack("!Hc", self._exactly(3))
+            answer = self._exactly(size - 3)
+            if found == kind:
+                return answer
+            if found != b"M":  # Messages may come at any time.
+                raise OSError(f"an answer of kind {found!r}")
+
+    def _send(self, kind: bytes, content: bytes) -> None:
+        self.connection.sendall(struct.pack("!Hc", 3 + len(content), kind) + content)
+
+    def _exactly(self, count: int) -> bytes:
+        found = b""
+        while len(found) < count:
+            part = self.connection.recv(count - len(found))
+            if not part:
+                raise OSError("it closed the connection")
+            found += part
+        return found
+
+    def beat(self) -> None:
+        """Change the number.
+
+        Raises:
+            PlantError: where the connection is lost.
+        """
+        self.number = (self.number + 1) % 10**6
+        try:
+            self._send(b"U", self._recipe + struct.pack("!i", self.number))
+        except OSError as error:
+            raise lost(_line(error)) from None
+
+    def close(self) -> None:
+        """Give the connection back."""
+        self.connection.close()
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

@@ -1,0 +1,284 @@
+"""A controller of Universal Robots for tests: RTDE (port 30004, which the client library does not
+let one choose), scripts on a secondary interface, and the dashboard's answer to the model."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Generator
+from typing import Any
+
+import numpy as np
+
+from fake_controller import CYCLE, FakeController
+from urscript import Halt, Script, ScriptError
+
+RTDE_PORT = 30004
+_STOPPED, _PLAYING = 1, 2
+_RUNNING = 7
+
+
+class FakeUr(FakeController):
+    """See the module. The vacuum is output 0 of the tool connector, and input 0 says that it is
+    made."""
+
+    def __init__(self, host: str, rate: float) -> None:
+        super().__init__(host, rate)
+        self.program: Generator[None, None, None] | None = None
+        self.outputs: dict[int, int] = {}
+        self.inputs: dict[int, int] = {}
+        self.scripts = 0
+        self._subscribers: list[tuple[socket.socket, int, list[str], float, float]] = []
+        self._open: list[socket.socket] = []
+        self._wait = 0
+        for name, port, serve in (
+            ("rtde", RTDE_PORT, self._rtde),
+            ("script", 0, self._script),
+            ("dashboard", 29999, self._dashboard),
+        ):
+            listener = socket.create_server((host, port))
+            self.ports[name] = listener.getsockname()[1]
+            threading.Thread(target=self._accept, args=(listener, serve), daemon=True).start()
+
+    # ------------------------------------------------------------ the program
+
+    def cycle(self) -> None:
+        """One step of the program."""
+        if self.program is None:
+            self.velocity = self.velocity * 0
+            return
+        self._wait += 1
+        if self._wait < self.slow:
+            self.velocity = self.velocity * 0
+            return
+        self._wait = 0
+        try:
+            next(self.program)
+        except (StopIteration, Halt, RuntimeError):
+            self.program, self.velocity = None, self.velocity * 0
+
+    def end(self) -> None:
+        """The program is over."""
+        self.program = None
+
+    def servoj(
+        self, q: list[float], t: float = 0.002, lookahead_time: float = 0.1, gain: int = 300
+    ) -> Generator[None, None, None]:
+        self.move(np.array(q))
+        for _ in range(max(round(t / CYCLE), 1)):
+            yield
+
+    def stopj(self, a: float) -> Generator[None, None, None]:
+        speed = self.velocity.copy()
+        while np.abs(speed).max() > 1e-9:
+            speed = np.sign(speed) * np.maximum(np.abs(speed) - a * CYCLE, 0.0)
+            self.move(self.joints + speed * CYCLE)
+            yield
+
+    def sleep(self, t: float) -> Generator[None, None, None]:
+        for _ in range(max(round(t / CYCLE), 1)):
+            yield
+
+    def sync(self) -> Generator[None, None, None]:
+        yield
+
+    def get_steptime(self) -> float:
+        return CYCLE
+
+    def norm(self, a: Any) -> float:
+        return float(np.linalg.norm(a))
+
+    def get_tcp_force(self) -> list[float]:
+        return [0.0] * 6
+
+    def get_actual_joint_positions(self) -> list[float]:
+        return self.joints.tolist()
+
+    def set_tcp(self, pose: Any) -> None: ...
+
+    def set_payload(self, m: float, cog: Any) -> None: ...
+
+    def textmsg(self, text: Any) -> None: ...
+
+    def set_tool_digital_out(self, n: int, on: bool) -> None:
+        if n == 0:
+            self.vacuum = bool(on)
+            self.world.advance(self.joints, self.vacuum)
+
+    def set_standard_digital_out(self, n: int, on: bool) -> None: ...
+
+    def get_tool_digital_in(self, n: int) -> bool:
+        return n == 0 and self.world.held is not None
+
+    def get_standard_digital_in(self, n: int) -> bool:
+        return False
+
+    def get_standard_analog_in(self, n: int) -> float:
+        return 0.0
+
+    def write_output_integer_register(self, n: int, value: float) -> None:
+        self.outputs[n] = int(value)
+
+    def read_input_integer_register(self, n: int) -> int:
+        return self.inputs.get(n, 0)
+
+    # ------------------------------------------------------------ connections
+
+    def _accept(self, listener: socket.socket, serve: Callable[[socket.socket], None]) -> None:
+        while True:
+            connection, _ = listener.accept()
+            if time.perf_counter() < self.cut_until:
+                connection.close()
+                continue
+            self._open.append(connection)
+            threading.Thread(target=self._served, args=(connection, serve), daemon=True).start()
+
+    def _served(self, connection: socket.socket, serve: Callable[[socket.socket], None]) -> None:
+        with contextlib.suppress(OSError, struct.error):
+            serve(connection)
+        connection.close()
+
+    def cut(self) -> None:
+        """All connections break; nobody is let in for a while."""
+        self._subscribers.clear()
+        for connection in self._open:
+            with contextlib.suppress(OSError):
+                connection.shutdown(socket.SHUT_RDWR)
+        self._open.clear()
+
+    def _script(self, connection: socket.socket) -> None:
+        """Programs as text: from ``def`` to an ``end`` in the first column."""
+        with connection.makefile("r", encoding="ascii") as lines:
+            text = ""
+            for line in lines:
+                text += line
+                if line.rstrip() != "end":
+                    continue
+                with self.lock:
+                    self._take(text)
+                text = ""
+
+    def _take(self, text: str) -> None:
+        self.scripts += 1
+        if self.protective:
+            return
+        if self.refused and "servoj" in text:
+            self.refused -= 1
+            return
+        try:
+            self.program = Script(text).run(self)
+        except ScriptError as error:
+            print(f"refused: {error}", flush=True)
+
+    def _dashboard(self, connection: socket.socket) -> None:
+        connection.sendall(b"Connected: Universal Robots Dashboard Server\n")
+        with connection.makefile("r") as lines:
+            for line in lines:
+                answer = "UR5" if line.strip() == "get robot model" else "?"
+                connection.sendall(f"{answer}\n".encode())
+
+    def _rtde(self, connection: socket.socket) -> None:
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        recipes: list[list[str]] = []
+        wanted: tuple[list[str], float] = ([], 125.0)
+
+        def answer(kind: int, content: bytes) -> None:
+            with self.lock:  # Nothing may come between its parts.
+                connection.sendall(struct.pack("!HB", 3 + len(content), kind) + content)
+
+        while True:
+            size, kind = struct.unpack("!HB", _exactly(connection, 3))
+            content = _exactly(connection, size - 3)
+            if kind == ord("V"):
+                answer(kind, bytes([struct.unpack("!H", content)[0] <= 2]))
+            elif kind == ord("v"):
+                answer(kind, struct.pack("!4I", 5, 12, 0, 0))
+            elif kind == ord("O"):
+                names = [name for name in content[8:].decode().split(",") if name]
+                wanted = names, struct.unpack("!d", content[:8])[0]
+                kinds = [self._value(name)[0] for name in names]
+                answer(kind, bytes([1]) + ",".join(kinds).encode())
+            elif kind == ord("I"):
+                names = [name for name in content.decode().split(",") if name]
+                recipes.append(names)
+                kinds = [_input_type(name) for name in names]
+                answer(kind, bytes([len(recipes)]) + ",".join(kinds).encode())
+            elif kind == ord("S"):
+                answer(kind, b"\1")
+                with self.lock:
+                    self._subscribers.append((connection, 1, wanted[0], 1 / wanted[1], 0.0))
+            elif kind == ord("P"):
+                answer(kind, b"\1")
+            elif kind == ord("U"):
+                at = 1
+                for name in recipes[content[0] - 1]:
+                    code = _CODES[_input_type(name)]
+                    (value,) = struct.unpack_from(code, content, at)
+                    at += struct.calcsize(code)
+                    if name.startswith("input_int_register_"):
+                        with self.lock:
+                            self.inputs[int(name.rpartition("_")[2])] = value
+
+    def _value(self, name: str) -> tuple[str, Any]:
+        """Type and value of an output."""
+        if name.startswith("output_int_register_"):
+            return "INT32", self.outputs.get(int(name.rpartition("_")[2]), 0)
+        bits = int(self.world.held is not None) << 16
+        return {
+            "timestamp": ("DOUBLE", self.time + self.jump),
+            "actual_q": ("VECTOR6D", self.joints),
+            "actual_qd": ("VECTOR6D", self.velocity),
+            "actual_TCP_force": ("VECTOR6D", np.zeros(6)),
+            "actual_digital_input_bits": ("UINT64", bits),
+            "standard_analog_input0": ("DOUBLE", 0.0),
+            "standard_analog_input1": ("DOUBLE", 0.0),
+            "robot_mode": ("INT32", _RUNNING),
+            "runtime_state": ("UINT32", _STOPPED if self.program is None else _PLAYING),
+            "safety_status_bits": ("UINT32", 4 if self.protective else 1),
+        }.get(name, ("NOT_FOUND", 0))
+
+    def publish(self) -> None:
+        """A data package to everybody who wants one."""
+        now = time.perf_counter()
+        for k, (connection, recipe, names, period, last) in enumerate(self._subscribers):
+            if now - last < period:
+                continue
+            self._subscribers[k] = connection, recipe, names, period, now
+            content = bytes([recipe])
+            for name in names:
+                kind, value = self._value(name)
+                if kind == "VECTOR6D":
+                    content += struct.pack("!6d", *value)
+                else:
+                    content += struct.pack(_CODES[kind], value)
+            with contextlib.suppress(OSError):
+                connection.sendall(struct.pack("!HB", 3 + len(content), ord("U")) + content)
+
+
+_CODES = {"DOUBLE": "!d", "INT32": "!i", "UINT32": "!I", "UINT64": "!Q", "UINT8": "!B"}
+
+
+def _input_type(name: str) -> str:
+    if "int_register" in name or name == "speed_slider_mask":
+        return "UINT32" if name == "speed_slider_mask" else "INT32"
+    if "double_register" in name or name.startswith("standard_analog_output_"):
+        return "UINT8" if name.endswith(("mask", "type")) else "DOUBLE"
+    return "DOUBLE" if name == "speed_slider_fraction" else "UINT8"
+
+
+def _exactly(connection: socket.socket, count: int) -> bytes:
+    """So many bytes.
+
+    Raises:
+        OSError: where the other side ends before.
+    """
+    found = b""
+    while len(found) < count:
+        part = connection.recv(count - len(found))
+        if not part:
+            raise OSError("closed")
+        found += part
+    return found
