@@ -101,7 +101,7 @@ def test_what_bricks_do_not_take_is_refused() -> None:
         ({"cell": 0.02}, "cells of kit lego"),
         ({"gap": 0.001}, "clutch"),
         ({"supports": "props"}, "hands: bricks"),
-        ({"arm": "panda"}, "presses no bricks"),
+        ({"arm": "panda", "tool": "suction"}, "does not hold on studs"),
         ({"shell": 0}, "from 1 to 64"),
     )
     for words, message in wrong:

@@ -534,7 +534,72 @@ def _figures(module: str, title: str, help: str, example: str) -> Command:
     return Command(help, example, arguments, run)
 
 
+# ---------------------------------------------------------------- workbenchmark
+
+
+def _workbenchmark_arguments(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--tasks", type=named, required=True, metavar="FILE", help="tasks as JSON lines, .gz too")
+    add("--only", default="", metavar="TIER", help="tasks of this tier (3), or one task (3/012)")
+    add(
+        "--physics",
+        default="kinematic",
+        choices=("kinematic", "dynamic"),
+        help="cell in which the arm builds (kinematic)",
+    )
+    add(
+        "--out", type=named, default=None, help="file of the results (results/workbenchmark-*.json)"
+    )
+    add("--resume", action="store_true", help="keep what the file of the results has already")
+    add("--workers", type=count, default=1, help="tasks played at once")
+
+
+def _run_workbenchmark(options: argparse.Namespace, output: Output) -> None:
+    from l2a_lab import workbenchmark
+    from l2a_lab.measured import measure
+
+    check_exists(options.tasks, "--tasks")
+    figures = workbenchmark.figures(options.tasks, options.physics)
+    names = figures.names()
+    only: str = options.only
+    wanted = [name for name in names if only in ("", name, name.split("/")[0])]
+    if not wanted:
+        tiers = ", ".join(sorted({name.split("/")[0] for name in names}))
+        raise InputError("--only", only, f"a tier ({tiers}) or a task such as {names[0]}")
+    out: Path = options.out or Path(f"results/workbenchmark-{options.physics}.json")
+    _prepare(out.parent)
+    found = measure(
+        dataclasses.replace(figures, names=lambda: wanted),
+        out,
+        again=not options.resume,
+        workers=options.workers,
+        progress=output.progress,
+    )
+    entries = {name: found["entries"][name] for name in wanted}
+    rows = figures.summary(entries)
+    title = f"WorkBenchMark, known state, {options.physics} cell"
+    output.table(title, ("tasks", "asked", "solved"), rows)
+    shares = workbenchmark.success(entries)
+    every = shares.pop("all")
+    output.finish(
+        {
+            "success": shares,
+            "all": every,
+            "tasks": len(entries),
+            "state": "known",
+            "physics": options.physics,
+            "file": str(out),
+        }
+    )
+
+
 _COMMANDS = {
+    "workbenchmark": Command(
+        "play the tasks of WorkBenchMark, and print what was solved beside what is published",
+        "l2a-lab workbenchmark --tasks workbenchmark.jsonl.gz --only 3",
+        _workbenchmark_arguments,
+        _run_workbenchmark,
+    ),
     "measure-goals": _figures(
         "goals",
         "figures of goals without a drawing",

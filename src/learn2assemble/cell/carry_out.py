@@ -17,10 +17,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from learn2assemble.assembly.blocks import AssemblyStep
+from learn2assemble.cell.bricks import BrickStructure
 from learn2assemble.cell.journal import Recording, append_state, packed, read_states
 from learn2assemble.cell.pieces import QUARTER, overlaps, solids
 from learn2assemble.cell.reach import cells_of, set_up
 from learn2assemble.cell.state import STEADY, STEADY_YAW, Action, Choice, Done, read_back
+from learn2assemble.cell.taking_apart import arrange_bricks, plan_in_order
 from learn2assemble.cell.workcell import (
     DOWN,
     FLAT,
@@ -60,6 +62,10 @@ if TYPE_CHECKING:
     from learn2assemble.assembly.kit import Kit
     from learn2assemble.simulation.cell import DynamicCell
 
+PLACING = ("place", "again", "attach")
+"""Actions after which a block is in its place."""
+ASIDE = ("away", "attach")
+"""Actions that are no step of a plan."""
 GONE = 0.02
 """A block farther from its place than this is not in its place any more [m]."""
 PUSH, DROP = 0.015, (0.07, 0.04)
@@ -148,7 +154,7 @@ class Building:
                 self._replace(k)
                 return False
             self.known.fails[key] += TRIES
-            if action.what in ("place", "remove"):
+            if action.what in ("place", "remove", "attach"):
                 self.known.refused[k] = why
             return False
         if before[1] == STOCK and action.source is not None:
@@ -171,7 +177,7 @@ class Building:
         self.known.refused.clear()
         if len(self.known.done) in self.disturbance.push:
             self._push(rng)
-        placed = action.what in ("place", "again") and found.reached
+        placed = action.what in PLACING and found.reached
         self._read(k, action.goal if placed else None, rng)
         self._append()
         return True
@@ -207,7 +213,7 @@ class Building:
     def _look(self, action: Action, skip: int) -> tuple[Move | None, str]:
         """The first way the kinematic cell allows, after as many as have failed in reality."""
         k, goal = action.block, action.goal
-        rows, why, first = rows_of(self.world, self.known.belief, k), "", None
+        rows, why, first = rows_of(self.world, self.known.belief, k, group=action.group), "", None
         into: tuple[Direction, ...] = (DOWN,)
         if action.what in ("place", "again"):
             into = self.known.structure.ways_in(k, self.known.standing() - {k})
@@ -223,7 +229,7 @@ class Building:
 
     def _carry_out(self, action: Action, move: Move, rng: np.random.Generator) -> Attempt:
         k, number = action.block, len(self.known.done) + 1
-        rows = rows_of(self.world, self.world.pose, k, self.recording.masses)
+        rows = rows_of(self.world, self.world.pose, k, self.recording.masses, action.group)
         if number in self.disturbance.drop:
             away = self.job.base - move.target[:2]
             beside = DROP[0] * away / np.linalg.norm(away)
@@ -237,6 +243,9 @@ class Building:
                     where[:2] = move.target[:2]
                     where[2] -= self.world.pieces[k].corners(where)[:, 2].min()
                     found = found._replace(outcome=Outcome.DROPPED, stage="place", detail="let go")
+            if found.reached:
+                for n in action.group:
+                    self.world.pose[n, :3] += where[:3] - self.world.pose[k, :3]
             self.world.pose[k] = where
             return found
         found = self.physical.attempt(rows.scene, move, joints=self.joints)
@@ -303,7 +312,9 @@ class Building:
     def _update(self, action: Action, found: Attempt) -> None:
         """Which block is where now."""
         world, k = self.world, action.block
-        placing = action.what in ("place", "again")
+        placing = action.what in PLACING
+        if found.reached and action.what == "attach":
+            world.beside[[k, *action.group]] = 0.0
         if found.reached and not placing:
             back = action.source is not None and world.job.sources[action.source].magazine
             world.state[k] = RETURNED if action.what == "remove" else STOCK if back else LOOSE
@@ -462,8 +473,11 @@ def prepare(
     """
     job = job_of(plan, workcell.arm, joint, workcell.hands)
     job = set_up(job, workcell.arm, workcell.tool, workcell.site)
-    structure = Structure(job)
     cell = KinematicCell(job.arm, cells_of(job))
+    if job.assembly.holds:
+        bricks = BrickStructure(job)
+        return Prepared(job, bricks, arrange_bricks(job, bricks, cell, progress), cell)
+    structure = Structure(job)
     return Prepared(job, structure, arrange(job, structure, cell, progress), cell)
 
 
@@ -510,6 +524,8 @@ def carry_out(
             blocks=replace(plan.blocks, used=0),
             assembly=replace(plan.assembly, steps=(), not_built=()),
         )
+    if plan.assembly.holds:
+        plan = plan_in_order(plan, order.steps)
     building = Building(found, workcell, _key(plan, workcell))
     reason = building.run(progress)
     return _carried_out(plan, building, workcell, reason, time.perf_counter() - started)
@@ -634,9 +650,11 @@ def _carried_out(
     last = {
         d.step: d
         for d in building.known.done
-        if d.outcome == Outcome.REACHED.label and d.what != "away"
+        if d.outcome == Outcome.REACHED.label and d.what not in ASIDE
     }
-    done = [step for step in building.known.order if building.known.satisfied(step)]
+    order = [step for step in building.known.order if not step.group]
+    apart = {step.block for step in order if step.beside is not None}
+    done = [step.plain for step in order if building.known.satisfied(step)]
     done.sort(key=lambda step: last[step].number if step in last else 0)
     proven = {StepOf(s.block, s.action == "remove"): s for s in plan.steps}
     same, standing, covered, before = done == list(proven), set[int](), 0.0, 0.0
@@ -666,6 +684,7 @@ def _carried_out(
                 quaternion=(w, a, b, c),
                 coverage=round(covered, 6),
                 outcome=attempt.outcome if attempt and not hand else None,
+                way="beside" if step.block in apart else old.way,
                 grasp="by hand" if hand else how,
                 by_hand=hand,
             )
@@ -691,7 +710,7 @@ def _carried_out(
         record = replace(
             record,
             steps=tuple(
-                replace(step, plan_step=numbers.get(d.step) if d.what != "away" else None)
+                replace(step, plan_step=None if d.what in ASIDE else numbers.get(d.step))
                 for step, d in zip(record.steps, building.known.attempts(), strict=True)
             ),
         )

@@ -96,14 +96,14 @@ def fitted(world: WorkcellBlocks, belief: np.ndarray, standing: set[int], k: int
         float64[7]: in the middle of a slot that is too narrow for half a joint on both sides.
     """
     piece, goal, joint = world.pieces[k], world.target(k), world.job.joint
-    mine, (low, high) = solids(piece.shape, goal), piece.extent
+    mine, (low, high) = solids(piece.shape, piece.pose), piece.extent
     beds: list[tuple[np.ndarray, float]] = []
     sides: list[tuple[np.ndarray, float]] = []
     for n in sorted(standing):
         other = world.pieces[n]
         if (np.maximum(other.extent[0] - high, low - other.extent[1]) > WITHIN).any():
             continue
-        shift = belief[n, :3] - other.target
+        shift = belief[n, :3] - world.target(n)[:3]
         for one, two in product(mine, solids(other.shape, other.pose)):
             gap, way = separation(one, two)
             if gap > WITHIN or not _faces(one, two, gap, way):
@@ -115,7 +115,7 @@ def fitted(world: WorkcellBlocks, belief: np.ndarray, standing: set[int], k: int
     if beds:
         ways, off = (np.array(column) for column in zip(*beds, strict=True))
         goal[:3] += np.linalg.pinv(ways, rcond=1e-3) @ off
-    return _between(goal, goal[:3] - piece.target, sides)
+    return _between(goal, goal[:3] - world.target(k)[:3], sides)
 
 
 def _faces(one: Solid, two: Solid, gap: float, way: np.ndarray) -> bool:
@@ -164,10 +164,12 @@ class Action(NamedTuple):
     goal: np.ndarray
     """float64[7]: pose the block shall have."""
     what: str
-    """``place``, ``remove``, ``again`` (from where it stands wrongly), ``away``, or ``hand``: the
-    step is done by hand."""
+    """``place``, ``remove``, ``again`` (from where it stands wrongly), ``away``, ``attach`` (with
+    what was built beside), or ``hand``: the step is done by hand."""
     source: int | None = None
     """Where it comes from, or where it goes to where it is taken away."""
+    group: tuple[int, ...] = ()
+    """What it brings along."""
 
 
 @dataclasses.dataclass
@@ -204,6 +206,9 @@ class Choice:
         self.job, self.order, self.structure = job, found.steps, structure
         self.by_hand = found.by_hand
         self.world = WorkcellBlocks(job)
+        for step in self.order:
+            if step.beside is not None:
+                self.world.beside[step.block] = step.beside
         self.believe()
         self.fails: Counter[tuple[int, str]] = Counter()
         """By block and what was tried: failures since the last success."""
@@ -231,6 +236,8 @@ class Choice:
             "belief": self.belief.tolist(),
             "variance": self.variance.tolist(),
             "accepted": sorted(self.accepted),
+            "beside": self.world.beside.tolist(),
+            "home": sorted(self.world.home),
             "fails": [[k, what, n] for (k, what), n in self.fails.items()],
         }
 
@@ -239,6 +246,8 @@ class Choice:
         self.done = [Done(**one) for one in done]
         self.belief, self.variance = np.array(state["belief"]), np.array(state["variance"])
         self.accepted = set(state["accepted"])
+        self.world.beside = np.array(state["beside"])
+        self.world.home = {(a, b) for a, b in state["home"]}
         self.fails = Counter({(k, what): n for k, what, n in state["fails"]})
 
     def attempts(self) -> list[Done]:
@@ -252,6 +261,9 @@ class Choice:
     def satisfied(self, step: StepOf) -> bool:
         """Whether a step is done and holds."""
         state = self.world.state[step.block]
+        if step.group:
+            there = [self.world.state[k] == STANDING for k in (step.block, *step.group)]
+            return all(there) and not self.world.beside[step.block].any()
         return state == RETURNED or (not step.remove and state == STANDING)
 
     def choose(self) -> Action | str | None:
@@ -268,19 +280,15 @@ class Choice:
                 if not ready and not blocked:
                     ready.append(step)
                 break
-            missing = {
-                k
-                for k in self.structure.below[step.block] - standing
-                if self.world.state[k] != RETURNED
-            }
-            if missing:
+            if self._missing(step, standing):
                 blocked[step.block] = WAITING
             elif not self.structure.stands(frozenset(standing | {step.block})):
                 blocked[step.block] = "it would fall"
             else:
                 ready.append(step)
-        ready = [step for step in ready if self._left(step.block, "place") > 0]
-        ready.sort(key=lambda step: self.fails[step.block, "place"] // TRIES)
+        what = {step: "attach" if step.group else "place" for step in ready}
+        ready = [step for step in ready if self._left(step.block, what[step]) > 0]
+        ready.sort(key=lambda step: self.fails[step.block, what[step]] // TRIES)
         for step in ready:
             why = self.refused.get(step.block)
             if why is None:
@@ -312,6 +320,9 @@ class Choice:
         world, k = self.world, step.block
         if step in self.by_hand:
             return Action(k, self.fitted(k), "hand")
+        if step.group:
+            goal = self.fitted(k, step.group)
+            return Action(k, goal, "attach", None, step.group)
         if step.remove:
             goal = self._away(k)
             return goal if isinstance(goal, str) else goal._replace(what="remove")
@@ -329,7 +340,7 @@ class Choice:
         world, standing = self.world, self.standing()
         wrong = [k for k in sorted(standing - self.accepted) if self._wrong(k)]
         for k in wrong:
-            top = next(iter(self.structure.loads(k, standing)), k)
+            top = next(iter(self.structure.loads(k, standing & self._together(k))), k)
             whole = self._bed(top) <= standing | self.accepted
             if top == k and whole and self._left(k, "again") > 2 * TRIES:
                 return Action(k, self.fitted(k), "again")
@@ -363,7 +374,24 @@ class Choice:
 
     def _bed(self, k: int) -> set[int]:
         """What a piece stands on and that is not meant to be gone."""
-        return {b for b in self.structure.below[k] if self.world.state[b] != RETURNED}
+        below = self.structure.below[k] & self._together(k)
+        return {b for b in below if self.world.state[b] != RETURNED}
+
+    def _together(self, k: int) -> set[int]:
+        """Pieces of the same part of the structure as things are."""
+        return set(np.flatnonzero(self.world.together(k)).tolist())
+
+    def _missing(self, step: StepOf, standing: set[int]) -> set[int]:
+        """What a step needs to be there that is not."""
+        k, below = step.block, self.structure.below
+        if step.group:
+            group = {k, *step.group}
+            there = {n for n in standing if not self.world.beside[n].any()}
+            return group - standing | set[int]().union(*(below[n] for n in group)) - group - there
+        if self.world.beside[k].any():
+            return self._bed(k) - standing
+        there = standing & self._together(k)
+        return {n for n in below[k] - there if self.world.state[n] != RETURNED}
 
     def _wrong(self, k: int) -> bool:
         """Whether a block has to be taken up again."""
@@ -426,9 +454,16 @@ class Choice:
             return True
         return any(source.magazine and source.area.intersects(near) for source in self.job.sources)
 
-    def fitted(self, k: int) -> np.ndarray:
-        """float64[7]: where a block goes, see :func:`fitted`."""
-        return fitted(self.world, self.belief, self.standing() - {k}, k)
+    def fitted(self, k: int, group: tuple[int, ...] = ()) -> np.ndarray:
+        """float64[7]: where a block goes, with what it brings along, see :func:`fitted`."""
+        world, taken = self.world, [k, *group]
+        beside = world.beside[taken].copy()
+        if group:
+            world.beside[taken] = 0.0
+        others = (self.standing() & self._together(k)) - set(taken)
+        goal = fitted(world, self.belief, others, k)
+        world.beside[taken] = beside
+        return goal
 
 
 def area(piece: Piece, pose: np.ndarray) -> Any:

@@ -63,12 +63,26 @@ TRIES = 3
 """Attempts at one step before others come first."""
 
 
+Offset = tuple[float, float, float]
+"""[m]"""
+
+
 class StepOf(NamedTuple):
     """A step of the order."""
 
     block: int
     """Index of the piece."""
     remove: bool = False
+    beside: Offset | None = None
+    """How far from its place it is put: it is part of a piece of the structure that is built
+    beside, on the table."""
+    group: tuple[int, ...] = ()
+    """The other blocks of such a piece, which it brings along to their places."""
+
+    @property
+    def plain(self) -> StepOf:
+        """The step of a plan, which does not know where its blocks are built."""
+        return StepOf(self.block, self.remove)
 
 
 @dataclass(frozen=True)
@@ -183,6 +197,11 @@ class WorkcellBlocks:
         self.source: list[int | None] = [None] * count
         """Where each is taken from."""
         self.used = [0] * len(job.sources)
+        self.beside = np.zeros((count, 3))
+        """float64[N, 3]: how far from its place each is to stand now [m], see
+        :attr:`StepOf.beside`."""
+        self.home: set[tuple[int, int]] = set()
+        """Joints of studs that are pressed home: their lower and upper piece, -1 for the ground."""
         for n, source in enumerate(job.sources):
             if source.magazine:
                 continue
@@ -205,6 +224,7 @@ class WorkcellBlocks:
         """A further block like ``piece``, in stock; its number."""
         self.pieces.append(self.pieces[piece])
         self.pose = np.vstack([self.pose, self.pose[piece]])
+        self.beside = np.vstack([self.beside, np.zeros(3)])
         self.state.append(STOCK)
         self.source.append(None)
         self.hide(len(self.pieces) - 1)
@@ -229,8 +249,16 @@ class WorkcellBlocks:
         )
 
     def target(self, piece: int) -> np.ndarray:
-        """float64[7]: the pose it has in the finished structure."""
-        return self.pieces[piece].pose.copy()
+        """float64[7]: the pose it has in the finished structure, or beside it where it is built
+        there."""
+        pose = self.pieces[piece].pose.copy()
+        pose[:3] += self.beside[piece]
+        return pose
+
+    def together(self, piece: int) -> np.ndarray:
+        """bool[N]: which pieces belong to the same part of the structure now: what is built beside
+        is apart."""
+        return (self.beside == self.beside[piece]).all(1)
 
     def visible(self) -> list[int]:
         """Blocks that are on the table or in the structure."""
@@ -264,22 +292,29 @@ class Rows(NamedTuple):
 
 
 def rows_of(
-    world: WorkcellBlocks, poses: np.ndarray, moving: int, masses: np.ndarray | None = None
+    world: WorkcellBlocks,
+    poses: np.ndarray,
+    moving: int,
+    masses: np.ndarray | None = None,
+    group: tuple[int, ...] = (),
 ) -> Rows:
     """The scene in which ``moving`` waits and everything else is in its place.
 
     Args:
         poses: float64[N, 7] that blocks are taken to have.
         masses: float64[N], factors of their densities.
+        group: blocks that it brings along, as one with it.
     """
-    others = [k for k in world.visible() if k != moving]
+    taken = (moving, *group)
+    others = [k for k in world.visible() if k not in taken]
     columns: list[tuple[Any, ...]] = []
-    for k in [*others, moving]:
+    for k in [*others, *taken]:
+        one = moving if k in taken else k
         piece, turn = world.pieces[k], quaternion_matrix(poses[k, 3:])
         density = piece.density * (1.0 if masses is None else masses[k])
         for number, part in enumerate(piece.shape):
             place = poses[k, :3] + turn @ np.array(part.centre)
-            columns.append((place, poses[k, 3:], k, part.half, part.hull, density, k, number))
+            columns.append((place, poses[k, 3:], one, part.half, part.hull, density, k, number))
     fixed: list[tuple[Any, ...]] = []
     for n, obstacle in enumerate(world.job.obstacles):
         size, number = np.array(obstacle.size) / 2, len(world.pieces) + n
@@ -287,7 +322,8 @@ def rows_of(
         fixed.append((obstacle.middle, turn, number, size, None, OBSTACLE_DENSITY, -1, n))
     columns = fixed + columns
     place, turn, number, half, hull, density, owner, part = zip(*columns, strict=True)
-    placed, axes = len(place) - len(world.pieces[moving].shape), quaternion_matrix(np.array(turn))
+    carried = sum(len(world.pieces[k].shape) for k in taken)
+    placed, axes = len(place) - carried, quaternion_matrix(np.array(turn))
     scene = Scene(
         np.array(place, float),
         np.arctan2(axes[:, 1, 0], axes[:, 0, 0]),
@@ -323,16 +359,19 @@ def moves(
     of a tool last, and drawn out only as far as it takes to come out from below others.
 
     Args:
-        rows: the scene, in which the block waits.
+        rows: the scene, in which the block waits; what it brings along is not turned.
         goal: float64[7]: the pose it shall have.
         into: unit vectors along which it may come there.
     """
+    alone = (rows.scene.object_id == moving).sum() == len(world.pieces[moving].shape)
     piece, arm = world.pieces[moving], world.job.arm
     now = quaternion_matrix(rows.pose(moving, piece.shape)[3:])
     wanted = quaternion_matrix(goal[3:])
     mine = np.flatnonzero(rows.owner == moving)
     of_part = dict(zip(rows.part[mine].tolist(), mine.tolist(), strict=True))
     goals = [wanted @ turn for turn in piece.turns()]
+    if not alone:
+        goals = [goal for goal in goals if np.trace(now.T @ goal) > 1 + 2 * math.cos(FLAT)]
     for way in ways_to_turn(arm, piece.shape, now, goals):
         centre = np.array(piece.shape[way.hold.part].centre)
         grasp = attitude(way.hold, centre, now, way.grasp)
@@ -616,25 +655,33 @@ def try_step(
         into: unit vectors along which the block may come to its place.
     """
     k = step.block
-    before = world.pose[k].copy(), world.state[k]
-    places = supply_of(world, k)
-    if not places:
-        return "no supply"
-    why = ""
-    for source in places:
+    before = world.pose[k].copy()
+    try:
+        why, supplied = "", False
+        for at, goal in _ends(world, step):
+            supplied = True
+            if at is not None:
+                world.pose[k] = at
+            rows = rows_of(world, world.pose, k, group=step.group)
+            for move in moves(world, rows, k, goal, (DOWN,) if step.remove else into):
+                found = cell.attempt(rows.scene, move)
+                if found.reached:
+                    return None
+                why = why or named(describe(found), rows, world)
+        return why or ("the tool cannot hold it" if supplied else "no supply")
+    finally:
+        world.pose[k] = before
+
+
+def _ends(world: WorkcellBlocks, step: StepOf) -> Iterator[tuple[np.ndarray | None, np.ndarray]]:
+    """Where the block of a step may come from, None for where it stands, and where it goes."""
+    k = step.block
+    if step.group:
+        yield None, world.pieces[k].pose
+        return
+    for source in supply_of(world, k):
         at = world.presented(k, source)
-        goal = at if step.remove else world.target(k)
-        if not step.remove:
-            world.pose[k] = at
-        rows = rows_of(world, world.pose, k)
-        for move in moves(world, rows, k, goal, (DOWN,) if step.remove else into):
-            found = cell.attempt(rows.scene, move)
-            if found.reached:
-                world.pose[k] = before[0]
-                return None
-            why = why or named(describe(found), rows, world)
-        world.pose[k] = before[0]
-    return why or "the tool cannot hold it"
+        yield (None, at) if step.remove else (at, world.target(k))
 
 
 def describe(found: Attempt) -> str:

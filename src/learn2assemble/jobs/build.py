@@ -38,8 +38,9 @@ if TYPE_CHECKING:
     from learn2assemble.cell.reach import ReachReport
     from learn2assemble.cell.site import Site
 
-DEFAULT_TOOL = "suction"
-"""Of an arm that carries out an exact plan: with fingers, blocks cannot stand close."""
+DEFAULT_TOOL, FINGERS = "suction", "gripper"
+"""Of an arm that carries out an exact plan: with fingers, blocks cannot stand close; but what has
+studs is held by fingers alone."""
 PHYSICS = ("dynamic", "kinematic")
 """Cells in which an arm carries out exact plans."""
 SUPPORTS = ("auto", "none", "props", "posts")
@@ -189,7 +190,7 @@ def build(
     help_ = _Help(supports, holds, hands, shell)
     found = _read(opened, kit, supports != "none", reading)
     _check_asked(found, kit, help_, choice.name)
-    workcell = None if how is None else how.workcell()
+    workcell = None if how is None else how.workcell(_has_studs(found, kit))
     if isinstance(found, Goals):
         return _plan_goals(found, workcell, choice, given)
     if isinstance(found, Assembly):
@@ -332,8 +333,12 @@ class _ArmChoice(NamedTuple):
             check_name("tool", self.tool, TOOLS)
         check_name("physics", self.physics, PHYSICS)
 
-    def workcell(self) -> Workcell:
-        """The same with defaults, the layout read."""
+    def workcell(self, studs: bool = False) -> Workcell:
+        """The same with defaults, the layout read.
+
+        Args:
+            studs: whether blocks have them.
+        """
         from learn2assemble.cell.carry_out import Workcell
         from learn2assemble.cell.site import Site, read_site
 
@@ -342,7 +347,12 @@ class _ArmChoice(NamedTuple):
             site = read_site(Path(site))
         if not isinstance(site, Site):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise InputError("layout", site, "a layout (docs/layouts.md) or its file")
-        tool = self.tool or DEFAULT_TOOL
+        tool = self.tool or (FINGERS if studs else DEFAULT_TOOL)
+        if studs and tool != FINGERS:
+            raise InputError("tool", tool, f"{FINGERS}: a cup does not hold on studs")
+        if studs and self.physics != "kinematic":
+            expected = "kinematic, for studs: no other cell has them yet"
+            raise InputError("physics", self.physics, expected)
         return Workcell(self.arm, tool, site, self.physics, self.seed, self.noise, log=self.state)
 
 
@@ -399,16 +409,18 @@ def _plan_goals(
 def _plan_blocks(
     blocks: Assembly, workcell: Workcell | None, help_: _Help, given: dict[str, Any]
 ) -> Plan:
+    from learn2assemble.planning.brick_plan import plan_for_arm
     from learn2assemble.planning.given import plan_assembly
 
-    if workcell is not None and blocks.holds:
-        raise InputError("arm", workcell.arm, "none: an arm presses no bricks home yet")
-    if workcell is not None:
-        workcell = _for_given(blocks, workcell)
     supports, holds, hands, _ = help_
-    plan = plan_assembly(blocks, supports=supports, holds=holds, hands=hands, **given)
-    if workcell is None:
-        return plan
+    if workcell is None or not blocks.holds:
+        plan = plan_assembly(blocks, supports=supports, holds=holds, hands=hands, **given)
+        if workcell is None:
+            return plan
+    else:
+        _check_pressed(blocks)
+        plan = plan_for_arm(blocks)
+    workcell = _for_given(blocks, workcell)
     from learn2assemble.cell.carry_out import carry_out
 
     return carry_out(plan, workcell, joint=0.0, progress=given["progress"])
@@ -424,13 +436,20 @@ def _plan_bricks(
 ) -> Plan:
     from learn2assemble.linear_programs import Clock
     from learn2assemble.planning.brick_order import BrickHelp
+    from learn2assemble.planning.brick_plan import plan_for_arm
     from learn2assemble.planning.tiling.bricks import plan_brick_cells
 
-    _check_bricks(design, kit, help_, given, planner.name, workcell)
+    _check_bricks(design, kit, help_, given, planner.name)
     _, holds, hands, shell = help_
     bricks = BrickHelp(hands, max(holds, 1) if hands else holds)
     clock, progress = Clock(given["seconds"]), given["progress"]
-    return plan_brick_cells(design, kit, bricks, clock, progress, shell=shell, seed=planner.seed)
+    plan = plan_brick_cells(design, kit, bricks, clock, progress, shell=shell, seed=planner.seed)
+    if workcell is None or plan.assembly is None or not plan.complete:
+        return plan
+    from learn2assemble.cell.carry_out import carry_out
+
+    ordered = replace(plan_for_arm(plan.assembly), design=plan.design, seconds=plan.seconds)
+    return carry_out(ordered, _for_given(plan.assembly, workcell), joint=0.0, progress=progress)
 
 
 def _plan_cells(
@@ -493,7 +512,6 @@ def _check_bricks(
     help_: _Help,
     given: Mapping[str, Any],
     planner: str,
-    workcell: Workcell | None,
 ) -> None:
     """Refuse what bricks that clutch do not take."""
     if not np.allclose(design.cell, kit.cell, rtol=1e-6):
@@ -504,8 +522,21 @@ def _check_bricks(
         raise InputError("supports", help_.supports, f"hands: bricks of kit {kit.name} clutch")
     if planner != EXACT:
         raise InputError("planner", planner, f"exact, for bricks of kit {kit.name}")
-    if workcell is not None:
-        raise InputError("arm", workcell.arm, "none: an arm presses no bricks home yet")
+
+
+def _has_studs(design: Assembly | CellDesign | Goals, kit: Kit | None) -> bool:
+    """Whether what a design is built of clutches."""
+    if isinstance(design, Goals):
+        return False
+    joint = _kit_of(design, kit).joint if isinstance(design, CellDesign) else design.joint
+    return joint.law == "clutch" and joint.holds
+
+
+def _check_pressed(blocks: Assembly) -> None:
+    """Refuse joints that an arm cannot make."""
+    if blocks.joints or blocks.joint.law != "clutch":
+        laws = ", ".join(sorted({joint.law for joint in blocks.laws}))
+        raise InputError("joints", laws, "clutch alone, for an arm: it lays no mortar")
 
 
 def _with_joints(design: Assembly, kit: Kit | None) -> Assembly:

@@ -11,9 +11,33 @@ from learn2assemble.linear_programs import Clock
 from learn2assemble.planning.brick_order import BrickHelp, follow_bricks, order_bricks
 from learn2assemble.planning.given_plan import plan_of
 from learn2assemble.planning.plan import Plan
+from learn2assemble.planning.sequence import Sequenced, SequenceStep
+from learn2assemble.statics.holding_check import stands_by_joints, words_of
+from learn2assemble.statics.proofs import CLUTCH, CLUTCH_TIGHT
 
+VERIFIED = "balance of joints that hold, in every step, also under its press"
 _LEAST = 1.0
 """Seconds that are left to try what would help."""
+
+
+def plan_for_arm(assembly: Assembly) -> Plan:
+    """Bricks that an arm orders itself, since that depends on how it holds them: listed from below,
+    nothing but the finished structure proven.
+
+    Raises:
+        InputError: for blocks that are no bricks on one lattice.
+    """
+    started, assembly = time.perf_counter(), assembly.finished
+    found, blocks = stands_by_joints(assembly), assembly.blocks
+    friction = assembly.friction, assembly.friction
+    if not found.need.stands:
+        reason = f"the finished structure falls: {words_of(found.need)}"
+        return plan_of(assembly, Sequenced(blocks, (), "refused", reason), friction, None, started)
+    proof = CLUTCH_TIGHT if found.tight else CLUTCH
+    rank = sorted(range(len(blocks)), key=lambda k: round(float(blocks[k].vertices[:, 2].min()), 6))
+    steps = tuple(SequenceStep("place", k, proof, None, "above") for k in rank)
+    plan = plan_of(assembly, Sequenced(blocks, steps, "complete"), friction, None, started)
+    return replace(plan, verified_by=VERIFIED)
 
 
 def plan_bricks(
@@ -52,6 +76,5 @@ def plan_bricks(
             found = replace(found, reason=reason)
     friction = assembly.friction, assembly.friction
     plan = plan_of(assembly, found, friction, None, started)
-    verified = "balance of joints that hold, in every step, also under its press"
     design = replace(plan.design, note=note)
-    return replace(plan, verified_by=verified, design=design)
+    return replace(plan, verified_by=VERIFIED, design=design)

@@ -28,10 +28,15 @@ ROOM = 0.008
 retreating [m]: enough for a millimetre or two of error, not so much that neighbours are touched."""
 GRIP_DEPTH = 0.025
 """A taller block is held so far below its top [m], as the hand is not far above the fingertips."""
-TIP_ROOM = 0.002
-"""Fingertips stay so far above what a block stands on [m]."""
+TIP_ROOM = 0.0055
+"""Fingertips stay so far above what a block stands on [m]: above the studs of large bricks, too."""
+LEAST_GRIP = 0.008
+"""So much of the height of a pad is on the block at least [m]."""
 PAD = 0.0075
 """Half the width of a pad [m]."""
+ALONG = (0.0, 0.5, -0.5, 1.0, -1.0)
+"""Where fingers hold a block along its faces: shares of how far a pad can be from where it is best,
+which is tried first."""
 HEADROOM = 0.005
 """A tool that comes from the side stays so far above what a block stands on [m]."""
 CAPTURE = 0.0005
@@ -241,22 +246,24 @@ def _between_faces(
         flat = axes @ axis
         aside = np.array([-flat[1], flat[0]])
         room = area.buffer(-PAD) if area.buffer(-PAD).area > 0 else area
-        near = shapely.get_coordinates(shapely.shortest_line(room, shapely.Point(middle)))[0]
-        line = shapely.LineString([near - 10 * flat, near + 10 * flat])
-        ends = shapely.get_coordinates(area.intersection(line)) @ flat
-        if not len(ends):
-            continue
-        # Along the way of the hand: where it enters the faces, where it would leave them.
-        first, last = float(ends.min()), float(ends.max())
-        depth = min(first + GRIP_DEPTH, last - gripper.tip - TIP_ROOM, (first + last) / 2)
-        if depth < first:
-            continue
-        at = aside * float(near @ aside) + flat * depth
-        centre = middle - at
-        off = abs(float(centre @ aside))
-        yield Hold(
-            number, _tuple(inwards + at @ axes), _tuple(axis), _tuple(normal), width, FIRST, off
-        )
+        best = shapely.get_coordinates(shapely.shortest_line(room, shapely.Point(middle)))[0]
+        reach = shapely.get_coordinates(room) @ aside - float(best @ aside)
+        shifts = (share * float(reach.max() if share > 0 else -reach.min()) for share in ALONG)
+        for shift in dict.fromkeys(round(one, 6) for one in shifts):
+            near = best + shift * aside
+            line = shapely.LineString([near - 10 * flat, near + 10 * flat])
+            ends = shapely.get_coordinates(area.intersection(line)) @ flat
+            if not len(ends):
+                continue
+            # Along the way of the hand: where it enters the faces, where it would leave them.
+            first, last = float(ends.min()), float(ends.max())
+            depth = min(first + GRIP_DEPTH, last - gripper.tip - TIP_ROOM, (first + last) / 2)
+            if depth + gripper.tip < first + LEAST_GRIP:
+                continue
+            at = aside * float(near @ aside) + flat * depth
+            off = abs(float((middle - at) @ aside))
+            point = _tuple(inwards + at @ axes)
+            yield Hold(number, point, _tuple(axis), _tuple(normal), width, FIRST, off)
 
 
 def _rings(area: Any) -> list[np.ndarray]:

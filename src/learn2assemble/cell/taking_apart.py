@@ -1,0 +1,267 @@
+"""In which order an arm presses bricks together, and how it holds each, found by taking them apart.
+
+From the finished structure bricks are taken off upwards, one by one: the highest first, where what
+is left stands, stood while the brick was pressed home, and the arm can bring it there among what is
+left; order and grasp are chosen together. Where a brick cannot be pressed on alone, it is taken off
+together with what it carries: that part is built beside, on the table, and brought as one. Read
+backwards, that is an order of building.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from learn2assemble.assembly.bricks.lattice import GROUND
+from learn2assemble.cell.bricks import BrickStates, BrickStructure
+from learn2assemble.cell.workcell import (
+    STANDING,
+    Arranged,
+    Job,
+    Offset,
+    Progress,
+    StepOf,
+    WorkcellBlocks,
+    try_step,
+)
+from learn2assemble.robot.kinematic import KinematicCell
+
+if TYPE_CHECKING:
+    from learn2assemble.planning.plan import Plan
+
+TRIES = 300, 10
+"""Bricks taken off before the search gives up: so many, and so many for each one there is."""
+MOST_BESIDE, MOST_PLACES = 12, 6
+"""Bricks of a part that is built beside, and places on the table that are tried for it."""
+APART, GRID = 0.05, 0.04
+"""Between what is built beside and everything else, and between places that are tried [m]."""
+
+
+class _Subassembly(NamedTuple):
+    """What is taken apart: all, or a part that is built beside."""
+
+    bricks: tuple[int, ...]
+    states: BrickStates
+    number: dict[int, int]
+    """Of each brick in the states."""
+    beside: Offset | None = None
+    rest: frozenset[int] = frozenset()
+    """What stands in the structure meanwhile."""
+
+    def of(self, bricks: frozenset[int]) -> frozenset[int]:
+        """The same bricks as the states number them."""
+        return frozenset(self.number[b] for b in bricks)
+
+
+class _TakenOff(NamedTuple):
+    """A state after something was taken off, and the steps that put it there."""
+
+    present: frozenset[int]
+    steps: tuple[StepOf, ...]
+
+
+def arrange_bricks(
+    job: Job,
+    structure: BrickStructure,
+    cell: KinematicCell,
+    progress: Progress = lambda text: None,
+) -> Arranged:
+    """The first order in which the arm presses everything home; else why there is none."""
+    search = _Disassembly(job, structure, cell, progress)
+    every = tuple(range(len(job.pieces)))
+    part = _Subassembly(every, structure.states, {k: k for k in every})
+    steps = search.take_apart(part)
+    if steps is None:
+        stuck = {k: search.why.get(k, "what stands before it falls") for k in search.stuck}
+        return Arranged((), stuck or dict.fromkeys(every, "it falls"))
+    done: set[int] = set()
+    for step in steps:
+        done |= {step.block, *step.group}
+        structure.prove(frozenset(done))
+    return Arranged(tuple(steps), {})
+
+
+def plan_in_order(plan: Plan, steps: tuple[StepOf, ...]) -> Plan:
+    """The plan of bricks in the order in which an arm brings them."""
+    old = {step.block: step for step in plan.steps}
+    order = [step for step in steps if not step.group]
+    made = tuple(
+        replace(
+            old[step.block],
+            step=number,
+            coverage=round(number / len(order), 6),
+            way="above" if step.beside is None else "beside",
+        )
+        for number, step in enumerate(order, 1)
+    )
+    return replace(plan, steps=made)
+
+
+class _Disassembly:
+    """Depth first over what is taken off next."""
+
+    def __init__(
+        self, job: Job, structure: BrickStructure, cell: KinematicCell, progress: Progress
+    ) -> None:
+        self.job, self.structure, self.cell, self.progress = job, structure, cell, progress
+        self.world = WorkcellBlocks(job)
+        self._waits = self.world.pose.copy(), list(self.world.state)
+        low = np.array([piece.extent[0] for piece in job.pieces])
+        away = np.linalg.norm((low[:, :2] - job.base), axis=1).round(4)
+        self.rank = np.lexsort((away, -low[:, 2].round(4))).tolist()
+        self.why: dict[int, str] = {}
+        """By brick, why the arm cannot bring it, as was last found."""
+        self.stuck: tuple[int, ...] = ()
+        self._known: dict[tuple[Any, ...], bool] = {}
+
+    def take_apart(self, part: _Subassembly) -> list[StepOf] | None:
+        """The steps of building a part, or None."""
+        start = frozenset(part.bricks)
+        path: list[_TakenOff] = []
+        queue: list[Iterator[_TakenOff]] = [self._removals(part, start)]
+        seen, tries, fewest = {start}, 0, len(start) + 1
+        most = TRIES[0] + TRIES[1] * len(start)
+        while queue and tries < most:
+            removal = next(queue[-1], None)
+            tries += 1
+            if removal is None:
+                queue.pop()
+                if path:
+                    path.pop()
+                continue
+            if removal.present in seen:
+                continue
+            seen.add(removal.present)
+            path.append(removal)
+            if not removal.present:
+                return [step for one in reversed(path) for step in one.steps]
+            if len(removal.present) < fewest:
+                fewest = len(removal.present)
+                if part.beside is None:
+                    self.stuck = tuple(sorted(removal.present))
+                    self.progress(
+                        f"an order the arm can reach: {len(start) - fewest} of {len(start)} bricks"
+                    )
+            queue.append(self._removals(part, removal.present))
+        if part.beside is None and not self.stuck:
+            self.stuck = tuple(sorted(start))
+        return None
+
+    def _removals(self, part: _Subassembly, present: frozenset[int]) -> Iterator[_TakenOff]:
+        """What may be taken off: alone, then with what it carries."""
+        over, covered = self.structure.states.over, []
+        for b in (b for b in self.rank if b in present):
+            rest = present - {b}
+            loose = part.states.loose(part.of(rest))
+            if over[b] & present or loose:
+                covered.append(b)
+            elif self._pressed(part, (b,), rest):
+                step = StepOf(b, beside=part.beside)
+                if self._fits(step, rest, part):
+                    yield _TakenOff(rest, (step,))
+        if part.beside is not None:
+            return
+        groups = [(b, part.states.loose(present - {b})) for b in covered]
+        for b, loose in sorted(groups, key=lambda one: len(one[1])):
+            group = frozenset({b, *loose})
+            rest = present - group
+            free = not any(over[g] & rest for g in group)
+            if loose and free and len(group) <= MOST_BESIDE:
+                yield from self._beside(part, group, rest)
+
+    def _pressed(self, part: _Subassembly, group: tuple[int, ...], rest: frozenset[int]) -> bool:
+        """Whether what is left stands, and what comes to it, also while that is pressed home."""
+        states, left = part.states, part.of(rest)
+        own = tuple(part.number[b] for b in group)
+        if not any(a == GROUND or a in left for b in own for a in states.lower[b]):
+            return False
+        if left and not states.stands(left):
+            return False
+        return states.stands(left | set(own)) and states.stands_pressed(own, left)
+
+    def _beside(
+        self, part: _Subassembly, group: frozenset[int], rest: frozenset[int]
+    ) -> Iterator[_TakenOff]:
+        """Bricks that are built beside and brought together."""
+        if not self._pressed(part, tuple(sorted(group)), rest):
+            return
+        bricks = tuple(sorted(group))
+        table = self.structure.states.on_table(bricks)
+        if not table.need.stands:
+            return
+        holders = [g for g in self.rank if g in group and part.states.stands(group, g)]
+        for place in self._places(bricks, rest):
+            own = _Subassembly(bricks, table, {b: n for n, b in enumerate(bricks)}, place, rest)
+            for g in holders:
+                step = StepOf(g, group=tuple(b for b in bricks if b != g))
+                if not self._fits(step, rest, own):
+                    continue
+                steps = self.take_apart(own)
+                if steps is not None:
+                    yield _TakenOff(rest, (*steps, step))
+                    return
+                break
+
+    def _places(self, bricks: tuple[int, ...], rest: frozenset[int]) -> Iterator[Offset]:
+        """Where on the table some bricks may be built, the nearest places first."""
+        import shapely
+
+        job, pieces = self.job, self.job.pieces
+        lying = [pieces[k].face() for k in range(len(pieces))]
+        lying += [source.area for source in job.sources]
+        taken = shapely.union_all(lying).buffer(APART)
+        face = shapely.union_all([pieces[b].face() for b in bricks])
+        ground = min(float(pieces[b].extent[0][2]) for b in bricks)
+        middle = np.array([face.centroid.x, face.centroid.y])
+        steps = np.arange(-15, 16) * GRID
+        shifts = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
+        there = np.linalg.norm(middle + shifts - job.base, axis=1)
+        shifts = shifts[(there > 0.3) & (there < 0.65)]
+        shifts = shifts[np.argsort(np.linalg.norm(shifts, axis=1), kind="stable")]
+        found = 0
+        for x, y in shifts.round(6).tolist():
+            if not shapely.affinity.translate(face, x, y).intersects(taken):
+                yield x, y, -ground
+                found += 1
+                if found >= MOST_PLACES:
+                    return
+
+    # ------------------------------------------------------------ the arm
+
+    def _fits(self, step: StepOf, rest: frozenset[int], part: _Subassembly) -> bool:
+        """Whether the arm can do a step when ``rest`` stands: of the structure, or, where a part is
+        built beside, of that."""
+        staged = frozenset[int]()
+        standing = rest
+        if part.beside is not None:
+            staged = frozenset(part.bricks) if step.group else rest
+            standing = part.rest
+        key = step, standing, staged, part.beside
+        if key not in self._known:
+            self._known[key] = self._reached(step, standing, staged, part.beside)
+        return self._known[key]
+
+    def _reached(
+        self,
+        step: StepOf,
+        standing: frozenset[int],
+        staged: frozenset[int],
+        beside: Offset | None,
+    ) -> bool:
+        world = self.world
+        pose, state = self._waits
+        world.pose[:], world.state[:] = pose, state
+        world.beside[:] = 0.0
+        for k in staged:
+            world.beside[k] = beside or 0.0
+        if step.beside is not None:
+            world.beside[step.block] = step.beside
+        for k in standing | staged:
+            world.pose[k], world.state[k] = world.target(k), STANDING
+        why = try_step(world, self.cell, step)
+        if why is not None:
+            self.why[step.block] = why
+        return why is None
