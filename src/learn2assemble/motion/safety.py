@@ -15,7 +15,6 @@ import mujoco
 import numpy as np
 
 from learn2assemble.errors import InputError
-from learn2assemble.files import check_keys, mapping, number, sequence
 from learn2assemble.motion.cubics import between, slower
 from learn2assemble.motion.plant import (
     Guard,
@@ -29,6 +28,7 @@ from learn2assemble.motion.plant import (
 )
 from learn2assemble.robot.arm import Arm, arm_spec
 from learn2assemble.robot.kinematics import forward_many, get_chain
+from learn2assemble.values import check_keys, mapping, number, sequence
 
 SECTION = "safety"
 """Key of the rules in a layout file."""
