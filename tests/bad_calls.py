@@ -101,6 +101,25 @@ def read(name: str, *words: str) -> list[str]:
     return ["build", f"{{d}}/read/{name}", "--out", "{d}/new", *words]
 
 
+BLOCKS = {
+    "overlap": "blocks that only touch",
+    "open": "a closed surface",
+    "inside_out": "faces counter-clockwise from outside",
+    "flat": "volume: got 0.0",
+    "thin": "thickness: got 9.99",
+    "speck": "thickness: got 4",
+    "specks": "thickness: got 4",
+    "hung": "a block that touches one",
+    "many": "got 100000, expected 1 to 10000 blocks",
+}
+"""Files of blocks that are refused, and what is said of each."""
+
+
+def given(name: str, *words: str) -> list[str]:
+    """A build of blocks that are given."""
+    return ["build", f"{{d}}/blocks/{name}.json", "--out", "{d}/new", *words]
+
+
 def prepare_files(folder: Path) -> None:
     """Files of designs that cannot be read, in a new folder."""
     folder.mkdir()
@@ -137,6 +156,34 @@ def prepare_files(folder: Path) -> None:
     (folder / "units.off").write_text(f"OFF\n4 4 0\n{corners.replace('1', '300')}{sides}")
 
 
+def prepare_blocks(folder: Path) -> None:
+    """Files of blocks that cannot be built, in a new folder."""
+    folder.mkdir()
+    corners = np.array([[x, y, z] for z in (0, 0.1) for y in (0, 0.1) for x in (0, 0.2)])
+    faces = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
+    above = corners + [0, 0, 0.1]
+
+    def write(name: str, *more: dict[str, object], scale: float = 1.0) -> None:
+        first = {"id": "a", "vertices": (scale * corners).tolist()}
+        both = {"faces": faces, "density": 500}
+        blocks = [both | first, *(both | {"id": f"b{k}"} | b for k, b in enumerate(more))]
+        document = {"format": "learn2assemble-assembly", "version": 1, "blocks": blocks}
+        (folder / f"{name}.json").write_text(json.dumps(document))
+
+    write("overlap", {"vertices": (above - [0, 0, 0.05]).tolist()})
+    write("open", {"vertices": above.tolist(), "faces": faces[1:]})
+    write("inside_out", {"vertices": above.tolist(), "faces": [face[::-1] for face in faces]})
+    write("flat", {"vertices": (above * [1, 1, 0]).tolist()})
+    write("thin", {"vertices": (corners * [1, 1, 1e-8] + [0, 0, 0.1]).tolist()})
+    write("speck", {"vertices": (1e-9 * above).tolist()})
+    write("specks", {"vertices": (1e-9 * above).tolist()}, scale=1e-9)
+    write("hung", {"vertices": (above + [0, 0, 3]).tolist(), "support": True})
+    write("loose", {"vertices": (corners + [1, 0, 0.3]).tolist(), "prop": True})
+    many = ", ".join(['{"vertices": []}'] * 100_000)
+    head = '"format": "learn2assemble-assembly", "version": 1'
+    (folder / "many.json").write_text(f'{{{head}, "blocks": [{many}]}}')
+
+
 def prepare(folder: Path, agent: Path, run: Path, design: Path, log: Path) -> None:
     """Fill ``folder`` with what the calls name.
 
@@ -152,6 +199,7 @@ def prepare(folder: Path, agent: Path, run: Path, design: Path, log: Path) -> No
     shutil.copy(log, folder / "log.jsonl")
     (folder / "file.txt").write_text("mine")
     prepare_files(folder / "read")
+    prepare_blocks(folder / "blocks")
     head = {
         "format": "learn2assemble-robot-program",
         "version": 1,
@@ -311,6 +359,21 @@ BAD = [
     BadCall(
         "a path below a file as design", ["build", "{d}/file.txt/a.json", *build()[2:]], "a.json"
     ),
+    # blocks that are given
+    *(
+        BadCall(f"check blocks: {name}", ["check", f"{{d}}/blocks/{name}.json"], words)
+        for name, words in BLOCKS.items()
+    ),
+    *(BadCall(f"build blocks: {name}", given(name), words) for name, words in BLOCKS.items()),
+    BadCall(
+        "an arm for blocks that overlap", given("overlap", "--arm", "ur5e"), "blocks that only"
+    ),
+    BadCall("a prop in the air", given("loose"), "b0 in the air"),
+    BadCall(
+        "a prop in the air, held", given("loose", "--supports", "posts", "--holds", "1"), "b0 in"
+    ),
+    BadCall("holds of 0 for blocks", given("loose", "--holds", "0"), "a whole number from 1"),
+    BadCall("props for blocks", given("loose", "--supports", "props"), "given blocks have no kit"),
     # reading
     BadCall("an empty array", read("empty.npy"), "shape [0, 3, 3]"),
     BadCall("an array of 65 cells each way", read("wide.npy"), "shape [65, 65, 65]"),

@@ -618,6 +618,12 @@ _COMMANDS = {
         "measure the exact planner and the check on shapes and drawings",
         "l2a-lab measure-designs --only shape/ --workers 2",
     ),
+    "measure-structures": _figures(
+        "structures",
+        "figures of given blocks",
+        "measure order, supports and proof of given blocks, and their states in simulation",
+        "l2a-lab measure-structures --only pile/ --workers 2",
+    ),
     "table": Command(
         "measure a table of the paper and print it beside the paper's numbers",
         "l2a-lab table T2",

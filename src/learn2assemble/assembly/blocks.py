@@ -27,6 +27,8 @@ LARGEST, THINNEST = 1e6, 1e-9
 """Largest coordinate, and volume of a block against the cube of its extent."""
 MAX_RATIO = 1e4
 """Of the extents of the largest and the smallest block of one assembly."""
+SMALLEST = 1e-6
+"""Size and thickness of a block of an assembly, at least [m]."""
 FLAT = 1e-6
 """How far a vertex may stand over a face of a convex block, in extents of the block."""
 
@@ -110,6 +112,13 @@ class Block:
         """[kg]."""
         return self.volume * self.density
 
+    @property
+    def thickness(self) -> float:
+        """The volume over half of the surface, which of a plate is how thick it is [m]."""
+        a, b, c = fan_triangles(self.vertices, self.faces).swapaxes(0, 1)
+        surface = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
+        return 2 * self.volume / surface
+
     @cached_property
     def is_convex(self) -> bool:
         """Whether no vertex stands over any face."""
@@ -178,8 +187,8 @@ class Assembly:
 
     Raises:
         InputError: for ids that repeat, steps that place or remove what they cannot, a friction
-            that is not a number >= 0, blocks of absurdly different sizes, or blocks that are
-            placed and not built.
+            that is not a number >= 0, blocks that are thinner than :data:`SMALLEST` or of absurdly
+            different sizes, or blocks that are placed and not built.
     """
 
     blocks: tuple[Block, ...]
@@ -213,6 +222,11 @@ class Assembly:
             raise InputError("block id", twice, "every id once")
         object.__setattr__(self, "_index", index)
         sizes = [float(np.ptp(block.vertices, axis=0).max()) for block in self.blocks]
+        for block, size in zip(self.blocks, sizes, strict=True):
+            thin = block.volume < 3 * SMALLEST * size**2 and block.thickness < SMALLEST
+            if size < SMALLEST or thin:
+                got = block.thickness if thin else size
+                raise InputError(f"block {block.id!r}: thickness", got, f"at least {SMALLEST} m")
         if max(sizes) > MAX_RATIO * min(sizes):
             small = self.blocks[int(np.argmin(sizes))].id
             raise InputError(

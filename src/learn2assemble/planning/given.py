@@ -73,8 +73,8 @@ def plan_assembly(
 
     Raises:
         InputError: for gaps, posts or hands where joints do not take them, for blocks that overlap,
-            where nothing stands on a support or the ground, for joints wider than the blocks, and
-            for supports that are none.
+            where nothing stands on a support or the ground, for props that stand on nothing, for
+            joints wider than the blocks, and for supports that are none.
     """
     started = time.perf_counter()
     if supports not in ("auto", "none", "posts"):
@@ -93,6 +93,7 @@ def plan_assembly(
     ends = value_range(friction, assembly.friction, "friction")
     widest = value_range(gap, 0.0, "gap")[1]
     joints = Joints(assembly)
+    _check_props(assembly, joints)
     problem = OrderProblem(assembly, _layers(assembly, joints, widest), tuple(sorted(set(ends))))
     clock = Clock(seconds)
     if assembly.steps:
@@ -107,6 +108,20 @@ def plan_assembly(
         elif found.status == "not found":
             found = _advised(found, problem, joints, Supports(supports != "none", holds), clock)
     return plan_of(assembly, found, ends, None if gap is None else (0.0, widest), started)
+
+
+def _check_props(assembly: Assembly, joints: Joints) -> None:
+    """Refuse props that stand on nothing."""
+    loose = {k for k, block in enumerate(assembly.blocks) if block.prop}
+    for find in (lambda: joints.faces, lambda: joints.every[0]):
+        if not loose:
+            return
+        contacts = find()
+        upper = np.where(contacts.normal[:, 2] > 0, contacts.b, contacts.a)
+        loose -= set(upper[bed_patches(contacts)].tolist())
+    if loose:
+        names = list_ids(assembly.blocks, sorted(loose))
+        raise InputError("props", f"{names} in the air", "props on the ground or on a block")
 
 
 def _layers(assembly: Assembly, joints: Joints, gap: float) -> tuple[ContactLayer, ...]:

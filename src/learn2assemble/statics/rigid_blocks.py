@@ -208,7 +208,8 @@ class Joints:
         self.assembly, self.tolerance = assembly, tolerance
         self.faces = find_contacts(assembly, tolerance)
         self.support = np.array([block.support for block in assembly.blocks])
-        self.supported = bool(self.support.any() or (self.faces.a < 0).any())
+        touched = self.support[self.faces.a] != self.support[self.faces.b]
+        self.supported = bool((touched | (self.faces.a < 0)).any() or self.support.all())
         _check_supported(assembly, self.faces if self.supported else self.every[0])
 
     @cached_property
@@ -399,7 +400,12 @@ def margin(
 
 def _check_supported(assembly: Assembly, contacts: Contacts) -> None:
     """Refuse an assembly that has nothing to stand on, or that reaches below the ground."""
-    if any(block.support for block in assembly.blocks):
+    fixed = np.array([block.support for block in assembly.blocks])
+    if fixed.any():
+        if not (fixed.all() or (fixed[contacts.a] != fixed[contacts.b]).any()):
+            first = assembly.blocks[int(np.argmax(fixed))].id
+            expected = "a block that touches one; with supports, the plane z = 0 is no ground"
+            raise InputError(f"support {first!r}", "no support that a block touches", expected)
         return
     lows = [float(block.vertices[:, 2].min()) for block in assembly.blocks]
     lowest = assembly.blocks[int(np.argmin(lows))]

@@ -1,0 +1,104 @@
+"""Every state of a plan of blocks, and how far simulated blocks get in it.
+
+What is proven of a state rests on blocks that touch exactly. MuJoCo is the other judge: blocks are
+let go all at once with joints that are open by a tenth of a millimetre.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from l2a_lab.creep import largest_move
+from learn2assemble.assembly.blocks import Assembly, Block
+from learn2assemble.statics.rigid_blocks import SIDE
+
+GAP = 1e-4
+"""Width of the joints that are open [m]."""
+SECONDS = 1.0
+"""Of every simulation."""
+
+
+def states_of(assembly: Assembly) -> Iterator[Assembly]:
+    """What stands after each step, as a structure without steps.
+
+    Props are blocks like others, and what a hand holds is a support. Between putting a block down
+    and holding it there is no state: the hand that placed it has it still.
+    """
+    there = {block.id for block in assembly.blocks if block.support}
+    held: set[str] = set()
+    for number, step in enumerate(assembly.steps):
+        known = held if step.action in ("hold", "release") else there
+        (known.add if step.action in ("place", "hold") else known.remove)(step.block)
+        after = assembly.steps[number + 1 : number + 2]
+        if after and after[0].hold == step.block:
+            continue
+        blocks = tuple(
+            replace(block, prop=False, support=block.support or block.id in held)
+            for block in assembly.blocks
+            if block.id in there
+        )
+        yield replace(assembly, blocks=blocks, steps=(), not_built=())
+
+
+def upright(normals: np.ndarray) -> np.ndarray:
+    """bool[F]: faces that no weight presses by itself, of unit normals float64[F, 3]."""
+    return np.abs(normals[:, 2]) <= SIDE
+
+
+def every(normals: np.ndarray) -> np.ndarray:
+    """bool[F]: all faces, of unit normals float64[F, 3]."""
+    return np.ones(len(normals), bool)
+
+
+def opened(
+    assembly: Assembly, gap: float = GAP, which: Callable[[np.ndarray], np.ndarray] = upright
+) -> Assembly:
+    """An assembly with joints of some width: faces are drawn in by half of it.
+
+    Args:
+        assembly: blocks where they stand.
+        gap: width of a joint [m].
+        which: the faces, of their unit normals float64[F, 3] as bool[F].
+    """
+    blocks = tuple(_drawn_in(block, gap / 2, which) for block in assembly.blocks)
+    return replace(assembly, blocks=blocks)
+
+
+def _drawn_in(block: Block, depth: float, which: Callable[[np.ndarray], np.ndarray]) -> Block:
+    """A block with some of its faces moved inwards; corners of many faces as well as they can."""
+    corners = [block.vertices[list(face)] for face in block.faces]
+    normals = np.array([np.cross(c - c[0], np.roll(c, -1, 0) - c[0]).sum(0) for c in corners])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    moves = np.where(which(normals), -depth, 0.0)
+    vertices = block.vertices.copy()
+    for k in range(len(vertices)):
+        mine = [n for n, face in enumerate(block.faces) if k in face]
+        vertices[k] += np.linalg.lstsq(normals[mine], moves[mine], rcond=1e-6)[0]
+    return replace(block, vertices=vertices)
+
+
+def largest_moves(
+    assembly: Assembly,
+    which: Callable[[np.ndarray], np.ndarray] = upright,
+    *,
+    gap: float = GAP,
+    seconds: float = SECONDS,
+    most: int | None = None,
+) -> list[float]:
+    """Of every state, the largest distance of a block from its place at any time [m].
+
+    Args:
+        assembly: blocks and steps.
+        which: faces that are drawn in, as of :func:`opened`.
+        gap: width of the joints [m].
+        seconds: of every simulation.
+        most: how many states are looked at, evenly spread, the last one among them; all by default.
+    """
+    states = list(states_of(assembly))
+    if most is not None and len(states) > most:
+        chosen = np.linspace(0, len(states) - 1, most).round().astype(int)
+        states = [states[k] for k in chosen.tolist()]
+    return [largest_move(opened(state, gap, which), seconds) for state in states]
