@@ -161,7 +161,7 @@ def prepare_blocks(folder: Path) -> None:
     folder.mkdir()
     corners = np.array([[x, y, z] for z in (0, 0.1) for y in (0, 0.1) for x in (0, 0.2)])
     faces = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
-    above = corners + [0, 0, 0.1]
+    above = corners + np.array([0, 0, 0.1])
 
     def write(name: str, *more: dict[str, object], scale: float = 1.0) -> None:
         first = {"id": "a", "vertices": (scale * corners).tolist()}
@@ -177,8 +177,8 @@ def prepare_blocks(folder: Path) -> None:
     write("thin", {"vertices": (corners * [1, 1, 1e-8] + [0, 0, 0.1]).tolist()})
     write("speck", {"vertices": (1e-9 * above).tolist()})
     write("specks", {"vertices": (1e-9 * above).tolist()}, scale=1e-9)
-    write("hung", {"vertices": (above + [0, 0, 3]).tolist(), "support": True})
-    write("loose", {"vertices": (corners + [1, 0, 0.3]).tolist(), "prop": True})
+    write("hung", {"vertices": (above + np.array([0, 0, 3])).tolist(), "support": True})
+    write("loose", {"vertices": (corners + np.array([1, 0, 0.3])).tolist(), "prop": True})
     many = ", ".join(['{"vertices": []}'] * 100_000)
     head = '"format": "learn2assemble-assembly", "version": 1'
     (folder / "many.json").write_text(f'{{{head}, "blocks": [{many}]}}')
@@ -747,6 +747,16 @@ BAD = [
         "a builder into a folder with something in it",
         ["train-builder", "--out", "{d}/run"],
         "new or empty folder",
+    ),
+    BadCall(
+        "figures of given blocks over a design",
+        ["measure-structures", "--out", "{d}/design.json"],
+        "a new file, or a result of this command",
+    ),
+    BadCall(
+        "figures of given blocks that are not there",
+        ["measure-structures", "--out", "{d}/new.json", "--only", "nosuch"],
+        "part of the name",
     ),
     BadCall(
         "measured designs into another file",

@@ -71,9 +71,7 @@ def armadillo() -> Assembly:
     """The recorded shell of 399 blocks."""
     case = _document(ARMADILLO)
     blocks = [
-        Block(
-            str(b["id"]), b["vertices"], b["faces"], density=b["density"], support=b["support"]
-        )
+        Block(str(b["id"]), b["vertices"], b["faces"], density=b["density"], support=b["support"])
         for b in case["blocks"]
     ]
     return Assembly(tuple(blocks), friction=case["friction"], name=case["name"])
