@@ -36,7 +36,8 @@ ALLOWED: dict[str, set[str]] = {
     "simulation": _ARM,
     "controllers": _ARM,
     "planning": _BASE | {"geometry", "linear_programs", "assembly", "design", "statics", "motion"},
-    "cell": _PRODUCT,
+    "sensing": _ARM | {"assembly"},
+    "cell": _PRODUCT | {"sensing"},
     "jobs": _PRODUCT | {"cell"},
     "export": _ARM | {"assembly", "simulation"},
     "viewer": _ARM | {"assembly", "design", "statics", "planning", "jobs"},
@@ -212,7 +213,7 @@ def test_only_designs_and_tilings_know_cells() -> None:
 @pytest.mark.parametrize(
     ("library", "parts"),
     [
-        ("mujoco", {"robot", "motion", "simulation", "cell", "tasks"}),
+        ("mujoco", {"robot", "motion", "simulation", "sensing", "cell", "tasks"}),
         ("ruckig", {"simulation"}),
         ("ezdxf", {"design"}),
         ("rhino3dm", {"design"}),

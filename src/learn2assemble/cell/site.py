@@ -29,6 +29,7 @@ from learn2assemble.errors import InputError, check_name
 from learn2assemble.files import load_json, read_bytes, read_text, too_deep
 from learn2assemble.motion.settings import LAYOUT, SECTION, ProgramSettings, parse_settings
 from learn2assemble.robot.bodies import Part, Shape
+from learn2assemble.sensing.camera import DepthCamera, check_names, parse_camera
 from learn2assemble.values import check_keys, integer, mapping, number, read_head, sequence, text
 
 if TYPE_CHECKING:
@@ -49,6 +50,7 @@ _KEYS = (
     "magazines",
     "pallets",
     "positions",
+    "cameras",
     SECTION,
 )
 TABLE = (1.5, 1.0)
@@ -133,6 +135,8 @@ class Site:
     source: str = "layout"
     program: ProgramSettings = field(default_factory=ProgramSettings)
     """For programs of the real robot that are exported later."""
+    cameras: tuple[DepthCamera, ...] = ()
+    """Where they are taken to be."""
 
 
 def read_site(path: Path) -> Site:
@@ -176,7 +180,9 @@ def _site(value: Any, source: str, folder: Path) -> Site:
         every("positions", _position, MAX_PLACES),
         source,
         parse_settings(root.get(SECTION, {}), f"{source}: {SECTION}"),
+        every("cameras", parse_camera),
     )
+    check_names(site.cameras, f"{source}: cameras")
     blocks = len(site.positions) + sum(p.rows * p.columns for p in site.pallets)
     if blocks > MAX_PLACES:
         raise InputError(f"{source}: pallets", f"{blocks} blocks", f"at most {MAX_PLACES}")

@@ -1,0 +1,1 @@
+"""What a cell sees: depth cameras, poses of blocks and tags, calibration."""
