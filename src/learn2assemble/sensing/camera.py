@@ -173,7 +173,8 @@ def parse_camera(value: Any, where: str) -> DepthCamera:
     Raises:
         InputError: naming the key that is wrong.
     """
-    given = from_plain(_Entry, mapping(value, where), where)
+    source, _, path = where.rpartition(": ")
+    given = from_plain(_Entry, mapping(value, where), source, path)
     if not given.name.strip():
         raise InputError(f"{where}.name", given.name, "a name")
     columns, rows = given.resolution

@@ -89,7 +89,7 @@ class SimulatedCamera:
         self.rng = np.random.default_rng(seed)
         columns, rows = camera.resolution
         grid = self.rng.standard_normal(WAVES)
-        self.waves = zoom(grid, (rows / WAVES[0], columns / WAVES[1]), order=1)
+        self.waves = np.asarray(zoom(grid, (rows / WAVES[0], columns / WAVES[1]), order=1))
 
     def look(self, model: mujoco.MjModel, data: mujoco.MjData, time: float = 0.0) -> DepthPicture:
         """What it sees of a simulated scene, see :func:`true_depth` and :func:`noisy`."""

@@ -425,7 +425,7 @@ def _outlines(picture, camera, block, shape, noise, seen_faces, reach, sums):
 # ---------------------------------------------------------------- one block
 
 
-class _View(NamedTuple):
+class PreparedPicture(NamedTuple):
     """A picture with its camera as compiled code takes them."""
 
     depth: np.ndarray
@@ -436,7 +436,9 @@ class _View(NamedTuple):
     device: DepthCamera
 
 
-def views_of(pictures: Sequence[DepthPicture], cameras: Sequence[DepthCamera]) -> tuple[_View, ...]:
+def views_of(
+    pictures: Sequence[DepthPicture], cameras: Sequence[DepthCamera]
+) -> tuple[PreparedPicture, ...]:
     """Pictures with the cameras of their names, for :func:`register`; those of other cameras and of
     another size are left out."""
     named = {camera.name: camera for camera in cameras}
@@ -449,11 +451,11 @@ def views_of(pictures: Sequence[DepthPicture], cameras: Sequence[DepthCamera]) -
         place = camera.position, np.ascontiguousarray(camera.turn), camera.focal, camera.middle
         scale = camera.sigma(0.0) / camera.noise.floor if camera.noise.floor else 1.0
         noise = max(scale * camera.noise.floor, 1e-5), scale * camera.noise.growth
-        found.append(_View(depth, camera.rays, place, noise, camera.noise.waves, camera))
+        found.append(PreparedPicture(depth, camera.rays, place, noise, camera.noise.waves, camera))
     return tuple(found)
 
 
-def _window(view: _View, corners: np.ndarray, most: int) -> np.ndarray | None:
+def _window(view: PreparedPicture, corners: np.ndarray, most: int) -> np.ndarray | None:
     """int64[5]: rows, columns and stride of the pixels that may show a block with these corners;
     None: none do.
 
@@ -484,7 +486,7 @@ class _Sums(NamedTuple):
 
 
 def _normal_equations(
-    views: Sequence[_View],
+    views: Sequence[PreparedPicture],
     shape: Faceted,
     pose: np.ndarray,
     gate: float,
@@ -529,7 +531,7 @@ def _stepped(pose: np.ndarray, step: np.ndarray) -> np.ndarray:
     return np.array([*(pose[:3] + step[:3]), *(turned / np.linalg.norm(turned))])
 
 
-def register(views: Sequence[_View], believed: Believed) -> Seen:
+def register(views: Sequence[PreparedPicture], believed: Believed) -> Seen:
     """Where a block is, from pictures.
 
     Args:
@@ -571,7 +573,7 @@ def register(views: Sequence[_View], believed: Believed) -> Seen:
     )
 
 
-def _looks(counts: np.ndarray, views: Sequence[_View]) -> Look:
+def _looks(counts: np.ndarray, views: Sequence[PreparedPicture]) -> Look:
     """Whether a block is where it was looked for, from how many pixels are what."""
     on, border, before, behind, missing = counts.tolist()
     there = on + border
@@ -581,7 +583,7 @@ def _looks(counts: np.ndarray, views: Sequence[_View]) -> Look:
 
 
 def _of_cameras(
-    views: Sequence[_View], pose: np.ndarray, of_face: Sequence[np.ndarray]
+    views: Sequence[PreparedPicture], pose: np.ndarray, of_face: Sequence[np.ndarray]
 ) -> np.ndarray:
     """float64[6, 6]: what the uncertain poses of cameras add, by how much each has seen."""
     total, added = sum(float(k.sum()) for k in of_face) + 1e-9, np.zeros((6, 6))

@@ -1,0 +1,204 @@
+"""Depth cameras, and poses of blocks from their pictures (``docs/sensing.md``)."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from learn2assemble.cell.site import read_site
+from learn2assemble.errors import InputError
+from learn2assemble.geometry.hulls import hull_of
+from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matrix
+from learn2assemble.robot.bodies import Part
+from learn2assemble.sensing.camera import DepthCamera, DepthNoise, looking
+from learn2assemble.sensing.pictures import SimulatedCamera, still_scene, true_depth
+from learn2assemble.sensing.registration import Believed, Look, Seen, register, views_of
+from seen_scenes import BRICK, CORNER, TURNS, lying, off_by, shifted
+
+WEDGE = hull_of(np.array([[0, 0, 0], [8, 0, 0], [0, 5, 0], [8, 5, 0], [0, 0, 4], [0, 5, 4]]) / 100)
+SHIFTED = tuple((np.array(WEDGE.corners) - [0.04, 0.025, 0.02]).tolist())
+
+
+def looked(camera: DepthCamera, solids: list, believed: Believed, seed: int = 0) -> Seen:
+    model, data = still_scene(solids)
+    picture = SimulatedCamera(camera, seed=seed).look(model, data)
+    return register(views_of([picture], [camera]), believed)
+
+
+# ---------------------------------------------------------------- pictures
+
+
+def test_a_picture_shows_the_table_and_what_stands_on_it() -> None:
+    camera = DepthCamera("above", (0.0, 0.0, 1.0, *looking(np.array([0.0, 0.0, -1.0]))), (80, 60))
+    depth = true_depth(*still_scene([(BRICK, lying(0.0, 0.0, 0.0))]), camera)
+    assert depth[30, 40] == pytest.approx(0.97, abs=1e-6)
+    assert depth[0, 0] == pytest.approx(1.0, abs=1e-6)
+    # Straight down, x of the world is to the right and y up.
+    rows, columns = np.nonzero(depth < 0.99)
+    assert np.ptp(columns) > 1.5 * np.ptp(rows)
+    points = camera.points(depth)
+    assert np.abs(camera.project(points)[..., 2] - depth).max() < 1e-9
+
+
+def test_noise_grows_with_distance_and_edges_are_lost() -> None:
+    noise = DepthNoise(0.001, 0.002, 0.0, 1.0, 0.0)
+    for height, sigma in ((1.0, 0.003), (2.0, 0.009)):
+        pose = (0.0, 0.0, height, *looking(np.array([0.0, 0.0, -1.0])))
+        camera = DepthCamera("above", pose, frames=1, noise=noise)
+        depth = SimulatedCamera(camera).look(*still_scene([(BRICK, lying(0.0, 0.0, 0.0))])).depth
+        assert np.std(depth[:100]) == pytest.approx(sigma, rel=0.05)
+        assert 50 < (depth == 0).sum() < 1000
+    many = SimulatedCamera(replace(camera, frames=9)).look(*still_scene([])).depth
+    assert np.std(many[:100]) < 0.5 * sigma
+    assert many.dtype == np.float32
+
+
+def test_a_camera_in_a_block_and_one_that_looks_away_see_nothing() -> None:
+    model, data = still_scene([(BRICK, lying(0.0, 0.0, 0.0))])
+    inside = DepthCamera("inside", (0.0, 0.0, 0.015, *looking(np.array([1.0, 0.0, 0.0]))))
+    away = DepthCamera("away", (0.0, 0.0, 1.0, *looking(np.array([0.3, 0.0, 1.0]))))
+    for camera in (inside, away):
+        picture = SimulatedCamera(camera).look(model, data)
+        assert picture.blind
+        seen = register(views_of([picture], [camera]), Believed("a", BRICK, lying(0.0, 0.0, 0.0)))
+        assert seen.look == Look.HIDDEN
+
+
+# ---------------------------------------------------------------- poses
+
+
+def test_a_block_alone_is_found_within_its_covariance() -> None:
+    rng = np.random.default_rng(0)
+    far, turned, spread = [], [], []
+    for seed in range(24):
+        true = lying(*rng.uniform(-0.15, 0.15, 2), rng.uniform(-3, 3))
+        near = shifted(true, rng.normal(0, 0.002, 2))
+        seen = looked(CORNER, [(BRICK, true)], Believed("a", BRICK, near, TURNS), seed)
+        assert seen.look == Look.SEEN
+        off = off_by(seen.pose, true)
+        far.append(np.linalg.norm(off[:3]))
+        turned.append(np.linalg.norm(off[3:]))
+        spread.append(off @ np.linalg.solve(seen.covariance, off) / 6)
+    assert np.median(far) < 0.0007
+    assert np.degrees(np.median(turned)) < 0.8
+    assert 0.2 < np.mean(spread) < 2.5
+
+
+def test_an_equivalent_pose_near_the_one_believed_is_returned() -> None:
+    true = lying(0.05, -0.04, 0.3)
+    for turn in TURNS:
+        other = looked(CORNER, [(BRICK, true)], Believed("a", BRICK, true, TURNS))
+        asked = true.copy()
+        asked[3:] = matrix_quaternion(quaternion_matrix(true[3:]) @ turn)
+        seen = looked(CORNER, [(BRICK, true)], Believed("a", BRICK, asked, TURNS))
+        assert np.abs(off_by(seen.pose, asked)).max() < 0.02
+        assert np.abs(seen.pose[:3] - other.pose[:3]).max() < 3e-4
+
+
+def test_a_block_of_no_box_is_found() -> None:
+    shape = (Part((0.0, 0.0, 0.0), (0.04, 0.025, 0.02), hull_of(np.array(SHIFTED))),)
+    true = lying(0.03, 0.02, 0.7, 0.02)
+    near = shifted(true, [0.003, -0.002])
+    seen = looked(CORNER, [(shape, true)], Believed("a", shape, near))
+    assert seen.look == Look.SEEN
+    assert np.linalg.norm(seen.pose[:3] - true[:3]) < 0.0015
+
+
+def test_what_a_picture_cannot_say_stays_open() -> None:
+    """Along a wall of bricks that touch, nothing tells where one ends."""
+    true = lying(0.0, 0.0, 0.4)
+    along = np.array([np.cos(0.4), np.sin(0.4), 0.0])
+    wall = [(BRICK, shifted(true, side * 0.0801 * along)) for side in (-1, 1)]
+    alone = looked(CORNER, [(BRICK, true)], Believed("a", BRICK, true, TURNS))
+    near = shifted(true, 0.001 * along)
+    seen = looked(CORNER, [(BRICK, true), *wall], Believed("a", BRICK, near, TURNS))
+    assert seen.look == Look.SEEN
+    across = np.array([-along[1], along[0], 0.0])
+    assert along @ seen.covariance[:3, :3] @ along > 0.002**2
+    assert along @ alone.covariance[:3, :3] @ along < 0.0005**2
+    assert across @ seen.covariance[:3, :3] @ across < 0.0008**2
+    assert np.linalg.norm(seen.pose[:3] - true[:3]) < 0.003
+
+
+def test_blocks_that_are_not_there_and_blocks_behind_others_are_told_apart() -> None:
+    true = lying(0.0, 0.0, 0.2)
+    gone = looked(CORNER, [], Believed("a", BRICK, true, TURNS))
+    assert gone.look == Look.ABSENT
+    wide = (Part((0.0, 0.0, 0.0), (0.1, 0.1, 0.01)),)
+    above = np.array([0.06, 0.05, 0.13, 1.0, 0.0, 0.0, 0.0])
+    hidden = looked(CORNER, [(BRICK, true), (wide, above)], Believed("a", BRICK, true, TURNS))
+    assert hidden.look == Look.HIDDEN
+    assert np.array_equal(hidden.pose, true)
+
+
+def test_what_is_not_known_of_the_camera_is_not_known_of_the_block() -> None:
+    true = lying(0.0, 0.0, 0.2)
+    model, data = still_scene([(BRICK, true)])
+    picture = SimulatedCamera(CORNER).look(model, data)
+    sure = register(views_of([picture], [CORNER]), Believed("a", BRICK, true, TURNS))
+    spread = np.diag([1e-6] * 3 + [1e-4] * 3)
+    unsure = replace(CORNER, covariance=tuple(map(tuple, spread.tolist())))
+    seen = register(views_of([picture], [unsure]), Believed("a", BRICK, true, TURNS))
+    more = seen.covariance - sure.covariance
+    far = np.linalg.norm(CORNER.position - true[:3])
+    assert np.trace(more[:3, :3]) == pytest.approx(3e-6 + 2 * 1e-4 * far**2, rel=0.02)
+
+
+# ---------------------------------------------------------------- layouts
+
+GOOD = {"name": "above", "position": [0, 0, 1], "look_at": [0, 0, 0]}
+
+
+def layout(folder: Path, *cameras: object) -> Path:
+    path = folder / "layout.json"
+    head = {"format": "learn2assemble-layout", "version": 2, "cameras": list(cameras)}
+    path.write_text(json.dumps(head))
+    return path
+
+
+def test_cameras_of_a_layout(tmp_path: Path) -> None:
+    more = GOOD | {"name": "b", "resolution": [320, 240], "noise": {"growth": 0.002}, "rate": 5.0}
+    site = read_site(layout(tmp_path, GOOD, more))
+    assert [camera.name for camera in site.cameras] == ["above", "b"]
+    assert site.cameras[1].resolution == (320, 240)
+    assert site.cameras[1].noise == DepthNoise(growth=0.002)
+    assert np.allclose(site.cameras[0].turn[:, 2], [0, 0, -1])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"resolution": [0, 480]}, "cameras[0].resolution"),
+        ({"resolution": [10**6, 10**6]}, "pixels at most"),
+        ({"noise": {"floor": -0.001}}, "cameras[0].noise.floor"),
+        ({"noise": {"flor": 0.001}}, "did you mean 'floor'"),
+        ({"noise": {"edges": 1.5}}, "cameras[0].noise.edges"),
+        ({"position": [0, 0, float("nan")]}, "finite"),
+        ({"position": [0, 0, 1e5]}, "cameras[0].position[2]"),
+        ({"look_at": [0, 0, 1]}, "away from the camera"),
+        ({"quaternion": [1, 0, 0, 0]}, "one of look_at and quaternion"),
+        ({"look_at": None, "quaternion": [0, 0, 0, 0]}, "length 1"),
+        ({"field_of_view": 0.0}, "cameras[0].field_of_view"),
+        ({"range": [1.0, 0.5]}, "cameras[0].range"),
+        ({"rate": 0.0}, "cameras[0].rate"),
+        ({"frames": 0}, "cameras[0].frames"),
+        ({"covariance": [[1.0]]}, "6 x 6"),
+        ({"name": " "}, "cameras[0].name"),
+    ],
+)
+def test_a_camera_that_is_none_is_refused_in_one_line(
+    tmp_path: Path, change: dict, words: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        read_site(layout(tmp_path, GOOD | change))
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_two_cameras_of_one_name_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"cameras\[1\].name"):
+        read_site(layout(tmp_path, GOOD, GOOD))
