@@ -117,35 +117,33 @@ def find_sequence(
     Without help first, then with hands as far as they are there, at last with posts. Of a few
     blocks the fewest posts are found; of many, those that were placed where nothing else helped.
     """
-    plain = _OrderSearch(problem, Supports(), clock, progress)
-    end, last = plain.end(), plain.laws[-1]
-    if plain.law(end) is None:
-        certain, moving = last.falls(end), last.moving(end)
-        names = list_ids(plain.blocks, moving) or "some blocks"
-        reason = f"the finished structure falls: {names} would move first"
-        if not certain:
-            reason = f"that the finished structure stands is not proven: {names} may move"
-        status = "refused" if certain else "not found"
-        return replace(plain.run(), status=status, reason=reason, stuck=tuple(moving))
-    found = plain.run()
-    if found.status == "complete" or clock.left <= 0:
+    search = _OrderSearch(problem, supports, clock, progress)
+    end, last = search.end(), search.laws[-1]
+    stands = search.law(end) is not None
+    order = search.run()
+    # What is known of states without help stays known with it.
+    if stands and supports.holds and not order.complete and clock.left > 0:
+        search.allow(holds=supports.holds)
+        order = _longer(order, search.run())
+    if stands and supports.posts and not order.complete and clock.left > 0:
+        search.allow(posts=True, holds=supports.holds)
+        order = _longer(order, search.run())
+        order = search.fewest(order) if order.complete else order
+    found = search.sequenced(order)
+    if stands:
         return found
-    if supports.holds:
-        found = _best(
-            found, _OrderSearch(problem, Supports(False, supports.holds), clock, progress).run()
-        )
-    if supports.posts and found.status != "complete" and clock.left > 0:
-        search = _OrderSearch(problem, supports, clock, progress)
-        posted = search.run()
-        found = search.fewest(posted) if posted.status == "complete" else _best(found, posted)
-    return found
+    certain, moving = last.falls(end), last.moving(end)
+    names = list_ids(search.blocks, moving) or "some blocks"
+    reason = f"the finished structure falls: {names} would move first"
+    if not certain:
+        reason = f"that the finished structure stands is not proven: {names} may move"
+    status = "refused" if certain else "not found"
+    return replace(found, status=status, reason=reason, stuck=tuple(moving))
 
 
-def _best(found: Sequenced, other: Sequenced) -> Sequenced:
+def _longer(order: _FoundOrder, other: _FoundOrder) -> _FoundOrder:
     """The one that is complete, or else the longer one."""
-    if other.status == "complete" or len(other.steps) > len(found.steps):
-        return other
-    return found
+    return other if other.complete or len(other.steps) > len(order.steps) else order
 
 
 def follow_steps(
@@ -170,7 +168,8 @@ def follow_steps(
         proven = number + 1
         progress(f"step {proven}: {search.blocks[block].id}")
     done = proven == len(steps)
-    return search.sequenced(steps[:proven], done, steps[proven][1:] if not done else ())
+    order = _FoundOrder(steps[:proven], done, steps[proven][1:] if not done else ())
+    return search.sequenced(order)
 
 
 def _posts_of(problem: OrderProblem) -> list[Post]:
@@ -179,11 +178,19 @@ def _posts_of(problem: OrderProblem) -> list[Post]:
     return find_posts(problem.assembly.blocks, contacts, min(lowest) if lowest else 0.0)
 
 
+class _FoundOrder(NamedTuple):
+    """Steps of which every state is proven."""
+
+    steps: list[tuple[Action, int]]
+    complete: bool
+    stuck: tuple[int, ...] = ()
+
+
 class _OrderSearch:
     """Depth first over what comes next.
 
     Args:
-        supports: that may be used.
+        supports: that may be allowed; at first none are.
     """
 
     def __init__(
@@ -195,7 +202,7 @@ class _OrderSearch:
     ) -> None:
         given = problem.assembly.blocks
         posts = _posts_of(problem) if supports.posts else []
-        self.problem, self.posts, self.holds = problem, posts, supports.holds
+        self.problem, self.posts, self.holds = problem, posts, 0
         self.clock, self.progress, self.count = clock, progress, len(given)
         made = _distinct(given, [post.block for post in posts])
         whole = Assembly((*given, *made), friction=problem.assembly.friction)
@@ -210,10 +217,11 @@ class _OrderSearch:
             layers = tuple(one._replace(contacts=_joined(one.contacts, own)) for one in layers)
         self.contacts = layers[-1].contacts
         self.laws: list[Law] = [ByForces(whole, *layer, friction) for layer in layers]
-        if not posts and not supports.holds and ByLoads.fits(layers[0].contacts):
-            self.laws.insert(0, ByLoads(whole, layers[0].contacts, friction[0], clock))
+        level = problem.layers[0].contacts
+        if ByLoads.fits(level):
+            self.laws.insert(0, ByLoads(problem.assembly, level, friction[0], clock))
         self.near = _neighbours(self.contacts, len(self.blocks))
-        self.below = _lies_on(layers[0].contacts, self.count, self.fixed)
+        self.below = _lies_on(level, self.count, self.fixed)
         depth = float(contact_tolerance(given).max())
         self.clearance = Clearance(self.blocks, 2 * depth)
         self.rank = _from_below(self.blocks)
@@ -224,7 +232,8 @@ class _OrderSearch:
             )
             for k in range(self.count)
         ]
-        self.allowed = set(range(self.count, len(self.blocks)))
+        self.allowed: set[int] = set()
+        """Posts that may be used."""
         self.guards: dict[int, set[int]] = {}
         """Blocks that close the way out of props, which have to go before."""
         self._known: dict[bytes, tuple[int, int | None]] = {}
@@ -240,20 +249,26 @@ class _OrderSearch:
         """What stands after the last one."""
         return State(self.wanted | self.fixed, np.zeros_like(self.fixed))
 
+    def allow(self, *, posts: bool = False, holds: int = 0) -> None:
+        """What may be used from now on."""
+        self.allowed = set(range(self.count, len(self.blocks))) if posts else set()
+        self.holds = holds
+
     # ------------------------------------------------------------ states
 
     def law(self, state: State, most: int | None = None) -> int | None:
         """The number of the first law by which a state stands, or None.
 
         Args:
-            most: laws behind this one are not asked.
+            most: laws behind this one are not asked, and others give up early.
         """
         last = len(self.laws) - 1 if most is None else most
         asked, found = self._known.get(state.key, (-1, None))
         for number in range(asked + 1, last + 1):
-            if found is None:
-                asked, found = number, number if self.laws[number].stands(state) else None
-        self._known[state.key] = asked, found
+            if found is None and self.laws[number].stands(state, most is None):
+                asked, found = number, number
+        if most is None or found is not None:
+            self._known[state.key] = last, found
         return found
 
     def stands(self, state: State, new: Iterable[int] = (), most: int | None = None) -> bool:
@@ -284,14 +299,14 @@ class _OrderSearch:
 
     # ------------------------------------------------------------ search
 
-    def run(self) -> Sequenced:
+    def run(self) -> _FoundOrder:
         """The first complete order that is found, or the longest one."""
         path = self._descend()
         steps = [step for move in path for step in move.steps]
         state = path[-1].state if path else self.start()
         if state.key == self.end().key:
-            return self.sequenced(steps, True, ())
-        return self.sequenced(steps, False, self._stuck(state))
+            return _FoundOrder(steps, True)
+        return _FoundOrder(steps, False, self._stuck(state))
 
     def _descend(self) -> list[Transition]:
         path: list[Transition] = []
@@ -304,7 +319,7 @@ class _OrderSearch:
                 queue.pop()
                 if path:
                     path.pop()
-                if not self.posts and not self.holds and len(best) > _SMALL:
+                if not self.allowed and not self.holds and len(best) > _SMALL:
                     break  # What helps is tried next.
                 continue
             tries += 1
@@ -358,7 +373,7 @@ class _OrderSearch:
 
     def moves(self, state: State) -> Iterator[Transition]:
         """What may come next, the least help first."""
-        ready = [b for b in self.ready(state) if not self.prop[b] or not self.posts]
+        ready = [b for b in self.ready(state) if not self.prop[b] or not self.allowed]
         ready = [b for b in ready if self.enters(state, b)]
         waits = [b for b in ready if any(state.present[p] for p in self.guards.get(b, ()))]
         if waits:
@@ -373,7 +388,7 @@ class _OrderSearch:
                 yield Transition((("place", b),), after)
         if self.holds:
             yield from self._holding(state, ready)
-        if self.posts:
+        if self.allowed:
             yield from self._posted(state, ready)
 
     def _rests(self, state: State, block: int) -> bool:
@@ -473,9 +488,9 @@ class _OrderSearch:
 
     # ------------------------------------------------------------ results
 
-    def fewest(self, found: Sequenced) -> Sequenced:
+    def fewest(self, found: _FoundOrder) -> _FoundOrder:
         """An order with fewer posts than one that was found, where the blocks are few."""
-        used = {block.id for block in found.blocks[self.count :]}
+        used = {block for _, block in found.steps if block >= self.count}
         count = int(self.wanted.sum())
         if count > _SMALL or len(used) < 2:
             return found
@@ -491,14 +506,13 @@ class _OrderSearch:
                 self.allowed = set(some)
                 self._kept.clear()
                 answer = self.run()
-                if answer.status == "complete":
+                if answer.complete:
                     return answer
         return found
 
-    def sequenced(
-        self, steps: list[tuple[Action, int]], complete: bool, stuck: tuple[int, ...]
-    ) -> Sequenced:
+    def sequenced(self, order: _FoundOrder) -> Sequenced:
         """The steps with what is proven of every state, and the posts they use."""
+        steps = order.steps
         used = sorted({b for _, b in steps if b >= self.count})
         number = {b: b for b in range(self.count)} | {b: self.count + k for k, b in enumerate(used)}
         state, made = self.start(), []
@@ -512,9 +526,10 @@ class _OrderSearch:
             proof, margin = self.laws[law].report(shown)
             made.append(SequenceStep(action, number[block], proof, margin))
         blocks = (*self.blocks[: self.count], *(self.blocks[b] for b in used))
-        if complete:
+        if order.complete:
             return Sequenced(blocks, tuple(made), "complete")
-        return Sequenced(blocks, tuple(made), "not found", self._why(state, stuck), stuck)
+        reason = self._why(state, order.stuck)
+        return Sequenced(blocks, tuple(made), "not found", reason, order.stuck)
 
     def _stuck(self, state: State) -> tuple[int, ...]:
         """What could not be placed, or not be taken away."""

@@ -11,7 +11,7 @@ motion in which it starts to. Where it is zero forces *can* balance, not that th
 may squeeze itself, as in a bar pinched between two posts. The coupled analysis (CRA, Kao et al.
 2022) refuses those. It is reproduced here with elastic joints: the energy
 :math:`\sum f_n^2/k_n + |f_t|^2/k_t` is least subject to :math:`|f_t| \le r_p`, where :math:`r_p` is
-friction times the normal force (non-associated friction by fixed point, Haslinger 1983; found in
+friction times the normal force (non-associated friction, Haslinger 1983; found in
 :mod:`.elastic_joints`). The assembly stands where a fixed point without holding force is found.
 
 Inside, lengths are in edges of a median block and forces in mean weights of a block.
@@ -198,9 +198,15 @@ class System:
         Args:
             forces: of RBE, float64[corners, 3], to look for it from.
         """
-        load, joined = self.weight.reshape(-1, 6), self.joined
-        terms = load, np.full(self.corners, friction), stiffness, BALANCED_COUPLED
-        found, answer = joined.coupled(*terms) if forces is None else joined.settled(*terms, forces)
+        joined, limit = self.joined, np.full(self.corners, friction)
+        terms = self.weight.reshape(-1, 6), limit, stiffness, BALANCED_COUPLED
+        found = False
+        if forces is None:
+            found, answer = joined.coupled(*terms)
+            forces = np.zeros((self.corners, 3))
+        if not found:
+            balances, near = joined.nearest(*terms[:2], forces, BALANCED)
+            found, answer = joined.coupled_by_rounds(*terms, near) if balances else (False, near)
         return found, answer.forces
 
     def held_back(

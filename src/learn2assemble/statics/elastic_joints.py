@@ -12,13 +12,20 @@ elastic joints with springs :math:`k` answer with a force in Coulomb's cone. Two
   :math:`k`: the multipliers of that program are the motion.
 
 Both are solved by Newton's method with the derivatives of the laws, one factorisation a step; it
-starts from the motion or the forces of the state before and then takes few steps. The coupled law
-is not the gradient of anything, so that Newton's method may stall. Then the limits of friction are
-those of the round before (Haslinger 1983), which makes every round convex, until they agree.
+starts from the motion or the forces of the state before and then takes few steps.
+
+The nearest law is the gradient of a convex energy, so that steps are shortened until it falls. The
+coupled law is the gradient of nothing, and its residual has valleys in which such a search stalls.
+Its steps are those of an implicit relaxation in time instead: corners that are open or slide keep a
+share of their springs, which falls as the residual does and rises where it does (pseudo-transient
+continuation, Kelley and Keyes 1998), and the residual may rise on the way. Where that fails from
+the motions at hand, motions of the nearest law are tried: it opens a joint by :math:`\mu` times the
+slip, and with this subtracted round by round the two laws become one (Cadoux 2009).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -35,16 +42,19 @@ _LEAK, _LEAST_LEAK, _MOST_LEAK = 1.0, 1e-9, 1.0
 at least and at most. Without it a block that lifts off would move without bounds."""
 _STEPS, _HALVINGS = 40, 8
 _STALLS = 3
-"""Steps in a row that bring forces no nearer to balance, after which limits of friction are kept
-for a round."""
-_ROUNDS = 30
-_STEP, _MIX = 0.5, (-3.0, 0.5)
-"""Damping of the rounds, and bounds of how the round before is mixed in (Anderson 1965)."""
-_SLIP = 1e-3
-"""Violation of Coulomb's law at a block taken for rounding, in its normal forces."""
+"""Steps in a row that bring nearest forces no nearer to balance, after which there are none."""
+_RELAXED, _SHORTER = 60, 4
+"""Steps of the coupled law, and how often one is halved."""
+_WORSE = 3.0
+"""By how much a step of the coupled law may raise the sum of squares of what is left."""
+_WAIT = 12
+"""Steps of the coupled law that need not halve that sum, and after which motions may not be far:
+what is soft comes back from there in the first steps."""
+_TRIED = (0, 1, 2, 3, 5, 7, 10, 14)
+"""Rounds of the nearest law after which the coupled law is tried."""
 _DENSE = 30
 """Blocks up to which matrices are not sparse."""
-_COUPLED, _NEAREST, _LIMITED = 0, 1, 2
+_COUPLED, _NEAREST = 0, 1
 
 
 class ElasticAnswer(NamedTuple):
@@ -75,6 +85,7 @@ class Joined:
         self._layout = _Layout(self.count, body)
         self._force = np.zeros((2, self.corners, 3))
         self._slope = np.zeros((2, self.corners, 3, 3))
+        self._left = np.empty((2, self.count, 6))
 
     def coupled(
         self,
@@ -82,7 +93,7 @@ class Joined:
         friction: np.ndarray,
         ratio: float,
         balanced: float,
-        motion: np.ndarray | None = None,
+        starts: Sequence[np.ndarray] = (),
     ) -> tuple[bool, ElasticAnswer]:
         """Forces of the coupled law that balance a load, or what was reached.
 
@@ -91,100 +102,83 @@ class Joined:
             friction: float64[c], Coulomb coefficients.
             ratio: of the springs across to those along the normal.
             balanced: force that may be missing at every block, in its weight.
-            motion: float64[n, 6] to start from.
+            starts: motions float64[n, 6] to start from, in turn; one of none by default.
         """
-        zero = np.zeros((self.corners, 3))
         springs = np.stack([self.stiffness, ratio * self.stiffness])
-        law = _JointResponse(_COUPLED, zero, springs, friction, friction)
-        still = np.zeros((self.count, 6))
-        for start in (still,) if motion is None else (motion, still):
-            balances, found = self._newton(load, law, start, balanced)
+        law = _JointResponse(_COUPLED, np.zeros((self.corners, 3)), springs, friction)
+        found = ElasticAnswer(law.near, np.zeros((self.count, 6)))
+        for start in starts or (found.motion,):
+            balances, found = self._relaxed(load, law, start, balanced)
             if balances:
                 return True, found
-        balances, near = self.nearest(load, friction, zero, balanced)
-        if not balances:
-            return False, found
-        return self.settled(load, friction, ratio, balanced, near.forces)
+        return False, found
 
-    def settled(
+    def coupled_by_rounds(
         self,
         load: np.ndarray,
         friction: np.ndarray,
         ratio: float,
         balanced: float,
-        forces: np.ndarray,
+        found: ElasticAnswer,
     ) -> tuple[bool, ElasticAnswer]:
-        """As coupled, by rounds: friction is limited by the normal forces of the round before,
-        at first by those of given ones (float64[c, 3])."""
-        zero = np.zeros((self.corners, 3))
-        springs = np.stack([self.stiffness, ratio * self.stiffness])
-        found = ElasticAnswer(zero, np.zeros((self.count, 6)))
-        limit, before, failed = friction * np.maximum(forces[:, 0], 0), None, 0
-        for _ in range(_ROUNDS):
-            kept = _JointResponse(_LIMITED, zero, springs, friction, limit)
-            balances, found = self._newton(load, kept, found.motion, balanced)
-            if balances and self._slip(found.forces, friction) <= _SLIP:
-                return True, found
-            failed = 0 if balances else failed + 1
-            if failed == _STALLS or np.abs(found.motion).max() > _FAR:
+        """As coupled, from motions of the nearest law: of ``found``, at first."""
+        balances = True
+        for number in range(_TRIED[-1] + 1):
+            if not balances or np.abs(found.motion).max(initial=0.0) > _FAR:
                 break
-            change = friction * np.maximum(found.forces[:, 0], 0) - limit
-            ahead, mix = limit + _STEP * change, 0.0
-            last_ahead, last_change = before or (ahead, change)
-            if before is not None:
-                turn = change - last_change
-                mix = float(np.clip(change @ turn / max(turn @ turn, 1e-300), *_MIX))
-            before = ahead, change
-            limit = np.maximum((1 - mix) * ahead + mix * last_ahead, 0)
+            if number in _TRIED:
+                done, answer = self.coupled(load, friction, ratio, balanced, (found.motion,))
+                if done:
+                    return True, answer
+            # What the cone cuts off across has opened the joint by friction times as much.
+            force = self.stiffness[:, None] * self._strain(found.motion)[:, 1:]
+            cut = np.hypot(*force.T) - np.hypot(*found.forces[:, 1:].T)
+            near = np.zeros((self.corners, 3))
+            near[:, 0] = -friction * np.maximum(cut, 0)
+            balances, found = self.nearest(load, friction, near, balanced, found.motion)
         return False, found
 
     def nearest(
-        self, load: np.ndarray, friction: np.ndarray, near: np.ndarray, balanced: float
+        self,
+        load: np.ndarray,
+        friction: np.ndarray,
+        near: np.ndarray,
+        balanced: float,
+        motion: np.ndarray | None = None,
     ) -> tuple[bool, ElasticAnswer]:
         """The forces in Coulomb's cone nearest to given ones that balance a load, or what was
         reached: where there are none, a motion that nothing holds back."""
-        springs = np.stack([self.stiffness, self.stiffness])
-        law = _JointResponse(_NEAREST, near, springs, friction, np.zeros(self.corners))
-        return self._newton(load, law, np.zeros((self.count, 6)), balanced)
+        law = _JointResponse(_NEAREST, near, np.stack([self.stiffness] * 2), friction)
+        motion = np.zeros((self.count, 6)) if motion is None else motion
+        return self._descended(load, law, motion, balanced)
 
-    def _slip(self, forces: np.ndarray, friction: np.ndarray) -> float:
-        """Largest violation of Coulomb's law at a block, in its normal forces or its weight."""
-        normal = np.maximum(forces[:, 0], 0)
-        excess = np.maximum(np.hypot(forces[:, 1], forces[:, 2]) - friction * normal, 0)
-        sums = [
-            sum(np.bincount(body[body >= 0], value[body >= 0], self.count) for body in self.body)
-            for value in (excess, normal)
-        ]
-        return float((sums[0] / np.maximum(sums[1], self.weight)).max(initial=0.0))
+    def _strain(self, motion: np.ndarray) -> np.ndarray:
+        """float64[c, 3]: how the two blocks at every corner move into one another."""
+        known = np.concatenate([motion, np.zeros((1, 6))])
+        return np.einsum("scrw,scw->cr", self.wrench, known[self.body])
 
-    def _newton(
+    def _descended(
         self, load: np.ndarray, law: _JointResponse, motion: np.ndarray, balanced: float
     ) -> tuple[bool, ElasticAnswer]:
-        force, slope, layout = self._force, self._slope, self._layout
-        bodies = self.body, self.wrench
-        left = np.empty((2, self.count, 6))
+        """Newton's method where the law has an energy that falls."""
         limit = (balanced * self.weight) ** 2
-        value = _respond(motion, load, *bodies, *law, force[0], slope[0], left[0])
         now, stalls, leak = 0, 0, _LEAK
+        value = self._respond(motion, load, law, now)
+        left = self._left
         for number in range(_STEPS):
             if ((left[now] ** 2).sum(1) <= limit).all():
                 break
-            matrix = layout.matrix(bodies, slope[now], leak, law.springs)
-            change = layout.solve(matrix, left[now])
-            if change is None or not np.isfinite(change).all():
+            change = self._change(law, now, leak)
+            if change is None:
                 break
             size, rate = float((left[now] ** 2).sum()), float((left[now] * change).sum())
             step, nearer = 1.0, False
             for _ in range(_HALVINGS):
                 there = motion + step * change
-                after = _respond(
-                    there, load, *bodies, *law, force[1 - now], slope[1 - now], left[1 - now]
-                )
+                after = self._respond(there, load, law, 1 - now)
                 found = float((left[1 - now] ** 2).sum())
                 # Close to the end the energy is too coarse to tell.
-                nearer = found < (1 - 0.2 * step) * size or (
-                    law.kind != _COUPLED and after <= value - 1e-4 * step * rate
-                )
+                nearer = found < (1 - 0.2 * step) * size or after <= value - 1e-4 * step * rate
                 if nearer:
                     break
                 step /= 2
@@ -194,10 +188,62 @@ class Joined:
             # What is soft comes back from far in the first steps.
             if (number >= _STALLS and np.abs(motion).max() > _FAR) or stalls == _STALLS:
                 break
+        return self._answer(motion, limit, now)
+
+    def _relaxed(
+        self, load: np.ndarray, law: _JointResponse, motion: np.ndarray, balanced: float
+    ) -> tuple[bool, ElasticAnswer]:
+        """Newton's method where the law has no energy: a relaxation in time, with large steps."""
+        limit = (balanced * self.weight) ** 2
+        now, waited, leak, left = 0, 0, _LEAK, self._left
+        self._respond(motion, load, law, now)
+        size = best = float((left[now] ** 2).sum())
+        for number in range(_RELAXED):
+            if ((left[now] ** 2).sum(1) <= limit).all():
+                break
+            change = self._change(law, now, leak)
+            if change is None:
+                break
+            step = 1.0
+            for _ in range(_SHORTER):
+                there = motion + step * change
+                self._respond(there, load, law, 1 - now)
+                found = float((left[1 - now] ** 2).sum())
+                if found <= _WORSE * size:
+                    break
+                step /= 2
+            if step == 1 and found < 0.64 * size:
+                leak *= 0.01
+            else:
+                leak *= 0.5 if found < size else 10
+            leak = min(max(leak, _LEAST_LEAK), _MOST_LEAK)
+            motion, now, size = there, 1 - now, found
+            best, waited = (size, 0) if size < 0.5 * best else (best, waited + 1)
+            if waited > _WAIT or (number > _WAIT and np.abs(motion).max() > _FAR):
+                break
+        return self._answer(motion, limit, now)
+
+    def _respond(
+        self, motion: np.ndarray, load: np.ndarray, law: _JointResponse, now: int
+    ) -> float:
+        """The energy at a motion; forces, derivatives and what is left go to place ``now``."""
+        place = self._force[now], self._slope[now], self._left[now]
+        return _respond(motion, load, self.body, self.wrench, *law, *place)
+
+    def _change(self, law: _JointResponse, now: int, leak: float) -> np.ndarray | None:
+        """The change of motion of a step of Newton's method, or None."""
+        bodies = self.body, self.wrench
+        matrix = self._layout.matrix(bodies, self._slope[now], leak, law.springs)
+        change = self._layout.solve(matrix, self._left[now])
+        return change if change is not None and np.isfinite(change).all() else None
+
+    def _answer(
+        self, motion: np.ndarray, limit: np.ndarray, now: int
+    ) -> tuple[bool, ElasticAnswer]:
         # What the ground springs bear is not balanced.
         near = np.abs(motion).max(initial=0.0) <= _FAR
-        balances = bool(near and ((left[now] ** 2).sum(1) <= limit).all())
-        return balances, ElasticAnswer(force[now].copy(), motion)
+        balances = bool(near and ((self._left[now] ** 2).sum(1) <= limit).all())
+        return balances, ElasticAnswer(self._force[now].copy(), motion)
 
 
 class _JointResponse(NamedTuple):
@@ -209,8 +255,6 @@ class _JointResponse(NamedTuple):
     springs: np.ndarray
     """float64[2, c]: along the normal and across."""
     friction: np.ndarray
-    limit: np.ndarray
-    """float64[c]: longest forces across, where they do not follow the normal ones."""
 
 
 class _Layout:
@@ -285,7 +329,7 @@ class _Layout:
 
 
 @njit(cache=True)
-def _respond(motion, load, body, wrench, kind, near, springs, friction, limit, force, slope, left):
+def _respond(motion, load, body, wrench, kind, near, springs, friction, force, slope, left):
     """Forces of a law at a motion, their derivatives by the motion of the corners, and what is
     left of the load, all in place. Returns the energy, which the coupled law has none of."""
     energy = 0.0
@@ -300,6 +344,7 @@ def _respond(motion, load, body, wrench, kind, near, springs, friction, limit, f
             e[r] = force[p, r] = 0.0
             for c in range(3):
                 slope[p, r, c] = 0.0
+        # Both blocks move; the wrench of the other one has the opposite sign already.
         for side in range(2):
             block = body[side, p]
             if block >= 0:
@@ -309,33 +354,34 @@ def _respond(motion, load, body, wrench, kind, near, springs, friction, limit, f
         k, kt, mu, d = springs[0, p], springs[1, p], friction[p], slope[p]
         n, u, v = near[p, 0] + k * e[0], near[p, 1] + kt * e[1], near[p, 2] + kt * e[2]
         size = np.sqrt(u * u + v * v)
-        most = limit[p] if kind == _LIMITED else mu * n
-        f = n
+        f, most = n, mu * n
         if kind == _NEAREST and size > most:
+            # The nearest point of the cone lies on its side, and presses more than the spring:
+            # a corner that is pulled apart while it slides may still be in contact.
             f = (n + mu * size) / (1.0 + mu * mu)
             most = mu * f
-        if f <= 0.0 and kind != _LIMITED:
-            continue
-        f = max(f, 0.0)
+        if f <= 0.0:
+            continue  # open: no force, and no derivative
         d[0, 0] = k if n > 0.0 else 0.0
         if kind == _NEAREST:
             energy += (f * f + min(size, most) ** 2) / (2 * k)
-        elif size <= most:
-            energy += f * f / (2 * k) + size * size / (2 * kt)
-        else:
-            energy += f * f / (2 * k) + most * (size - most / 2) / kt
         if size <= most:
+            # It sticks: springs in all directions.
             force[p, 0], force[p, 1], force[p, 2] = f, u, v
             d[1, 1] = d[2, 2] = kt
         else:
+            # It slides: the force across turns with the motion and grows with the normal force
+            # alone, not with how far it slides.
             u, v = u / size, v / size
             force[p, 0], force[p, 1], force[p, 2] = f, most * u, most * v
             turn = most / size * kt
             d[1, 1], d[2, 2] = turn * (1 - u * u), turn * (1 - v * v)
             d[1, 2] = d[2, 1] = -turn * u * v
             if kind == _COUPLED:
+                # Friction follows the normal force, not the other way round: not symmetric.
                 d[1, 0], d[2, 0] = mu * u * k, mu * v * k
-            elif kind == _NEAREST:
+            else:
+                # On the side of the cone forces change along its line through the tip.
                 along[0], along[1], along[2] = 1.0, mu * u, mu * v
                 d[0, 0] = 0.0
                 for r in range(3):
@@ -353,7 +399,11 @@ def _respond(motion, load, body, wrench, kind, near, springs, friction, limit, f
 
 @njit(cache=True)
 def _assemble(body, wrench, slope, leak, springs, at, stride, data):
-    """Add wrench.T @ slope @ wrench of both sides of every corner to the blocks of a matrix."""
+    """Add wrench.T @ slope @ wrench of both sides of every corner to the blocks of a matrix.
+
+    A corner couples the two blocks it lies between, each with itself and with the other one: up to
+    four blocks of 6 x 6, at places that depend on which blocks touch only and are known (``at``).
+    """
     for k in range(len(data)):
         data[k] = 0.0
     d, turned = np.empty((3, 3)), np.empty((3, 6))
@@ -361,6 +411,7 @@ def _assemble(body, wrench, slope, leak, springs, at, stride, data):
         for r in range(3):
             for c in range(3):
                 d[r, c] = slope[p, r, c]
+            # Open and sliding corners resist a little, or a loose block would make it singular.
             d[r, r] += leak * springs[min(r, 1), p]
         for column in range(2):
             if body[column, p] < 0:

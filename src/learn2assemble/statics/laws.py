@@ -30,8 +30,12 @@ _LEVEL = 1 - 1e-6
 class Law(Protocol):
     """What may carry."""
 
-    def stands(self, state: State) -> bool:
-        """Whether a state is proven; where it is, its forces are the ones to go on from."""
+    def stands(self, state: State, thorough: bool = True) -> bool:
+        """Whether a state is proven; where it is, its forces are the ones to go on from.
+
+        Args:
+            thorough: False gives up early where it is not close to the last state that stands.
+        """
         ...
 
     def rests(self, state: State, block: int) -> bool:
@@ -67,8 +71,8 @@ class ByForces:
         self._pushes = Pushes(self.states, friction[0])
         self._rests: dict[tuple[int, bytes], bool] = {}
 
-    def stands(self, state: State) -> bool:
-        return self.states.stands(state)
+    def stands(self, state: State, thorough: bool = True) -> bool:
+        return self.states.stands(state, thorough)
 
     def rests(self, state: State, block: int) -> bool:
         near = sorted(self.states.near[block])
@@ -89,6 +93,9 @@ class ByForces:
 
 class ByLoads:
     """Loads passed down through level joints, without friction; hands hold nothing here.
+
+    States may have more blocks than the assembly, behind its own: what stands on these is not
+    proven here.
 
     Args:
         contacts: level ones only.
@@ -111,9 +118,11 @@ class ByLoads:
         """Whether all contacts are level."""
         return bool((np.abs(contacts.normal[:, 2]) > _LEVEL).all())
 
-    def stands(self, state: State) -> bool:
-        placed = state.present & ~self.fixed
-        if state.held.any() or self._balance(self.proof, self._before, placed) is None:
+    def stands(self, state: State, thorough: bool = True) -> bool:
+        placed = self._placed(state)
+        if state.held.any() or state.present[len(placed) :].any():
+            return False
+        if self._balance(self.proof, self._before, placed) is None:
             return False
         self._before = placed
         return True
@@ -123,7 +132,7 @@ class ByLoads:
 
     def report(self, state: State) -> tuple[str, float | None]:
         """States come in the order in which they are built."""
-        placed = state.present & ~self.fixed
+        placed = self._placed(state)
         dirty = self._dirty(self._told, placed)
         method = self._balance(self._upright, self._told, placed)
         assert method is not None
@@ -136,10 +145,14 @@ class ByLoads:
         return method, self._sideways.radius
 
     def moving(self, state: State) -> list[int]:
-        return self.proof.held(state.present & ~self.fixed, self.clock.left)
+        return self.proof.held(self._placed(state), self.clock.left)
 
     def falls(self, state: State) -> bool:
         return False  # With friction it may stand.
+
+    def _placed(self, state: State) -> np.ndarray:
+        """bool[n]: blocks that have to be carried."""
+        return state.present[: len(self.fixed)] & ~self.fixed
 
     def _balance(self, proof: Proof, before: np.ndarray, placed: np.ndarray) -> str | None:
         """How the forces of a state are made those of the next, or None where it falls."""

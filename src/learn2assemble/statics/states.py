@@ -32,7 +32,7 @@ _HOPS = 2
 _DIRECTIONS = 8
 """In how many directions a push is proven; all others follow from these."""
 _LOWER, _HIGHER = 0.75, 1.5
-"""By how much pushes that are tried next differ."""
+"""By how much pushes that are tried next differ, at first."""
 _LEAST = 1e-3
 """Smallest push that is looked for [g]."""
 _PAUSE = 16
@@ -112,9 +112,15 @@ class States:
         count = len(blocks)
         self._motion = {mu: np.zeros((count, 6)) for mu in self.friction}
         self._last = State(self._fixed.copy(), np.zeros(count, bool))
+        self._springs = STIFFNESS[0]
 
-    def stands(self, state: State) -> bool:
-        """Whether the coupled analysis holds a state with every friction."""
+    def stands(self, state: State, thorough: bool = True) -> bool:
+        """Whether the coupled analysis holds a state with every friction.
+
+        Args:
+            thorough: False looks only near the motions of the last state, which takes a fraction of
+                the time where there are no forces.
+        """
         free = self.free(state)
         near = self._changed(state, free)
         if 2 * len(near) < len(free):
@@ -124,15 +130,15 @@ class States:
             load, zero = self.weight(near), np.zeros((len(corners), 3))
             if not joined.nearest(load, limit, zero, BALANCED)[0]:
                 return False
-        joined, corners = self.part(state, free)
-        motions = {}
+        part, moved = self.part(state, free), {}
         for mu in self.friction:
             start = self._start(free, self._motion[mu])
-            motions[mu] = self._coupled(joined, len(corners), free, mu, start)
-            if motions[mu] is None:
+            moved[mu] = self._coupled(part, free, mu, start, thorough)
+            if moved[mu] is None:
                 return False
-        for mu, motion in motions.items():
-            self._motion[mu][free] = motion
+        for mu, found in moved.items():
+            self._motion[mu][free] = found.motion
+            self._springs = found.springs
         self._last = state
         return True
 
@@ -149,12 +155,8 @@ class States:
         A block that friction could squeeze in, but that nothing presses, does not pass.
         """
         alone = np.array([block])
-        joined, corners = self.part(state, alone)
-        start = np.zeros((1, 6))
-        return all(
-            self._coupled(joined, len(corners), alone, mu, start) is not None
-            for mu in self.friction
-        )
+        part, start = self.part(state, alone), np.zeros((1, 6))
+        return all(self._coupled(part, alone, mu, start) is not None for mu in self.friction)
 
     def falls(self, state: State) -> bool:
         """Whether no forces balance a state: it falls for certain."""
@@ -262,16 +264,45 @@ class States:
         return start
 
     def _coupled(
-        self, joined: Joined, corners: int, blocks: np.ndarray, friction: float, start: np.ndarray
-    ) -> np.ndarray | None:
+        self,
+        part: tuple[Joined, np.ndarray],
+        blocks: np.ndarray,
+        friction: float,
+        start: np.ndarray,
+        thorough: bool = True,
+    ) -> _JointMotion | None:
         """A motion at which forces of the coupled law balance some blocks, or None."""
-        load = self.weight(blocks)
-        limit = np.full(corners, friction)
-        for ratio in STIFFNESS:
-            found, answer = joined.coupled(load, limit, ratio, BALANCED_COUPLED, start)
+        joined, corners = part
+        load, limit = self.weight(blocks), np.full(len(corners), friction)
+        # Joints like those of the last state come first: its motions are theirs.
+        springs = sorted(STIFFNESS, key=lambda ratio: ratio != self._springs)
+        still, near = np.zeros_like(start), None
+        zero = np.zeros((len(corners), 3))
+        for ratio in springs if thorough else springs[:1]:
+            found, answer = joined.coupled(load, limit, ratio, BALANCED_COUPLED, (start,))
+            if not found and thorough and near is None:
+                balances, near = joined.nearest(load, limit, zero, BALANCED_COUPLED)
+                if not balances:
+                    return None  # Where no forces at all balance the blocks, no law will.
+            if not found:
+                found, answer = joined.coupled(load, limit, ratio, BALANCED_COUPLED, (still,))
             if found:
-                return answer.motion
+                return _JointMotion(answer.motion, ratio)
+        for ratio in springs:
+            if near is None:
+                break
+            terms = load, limit, ratio, BALANCED_COUPLED
+            found, answer = joined.coupled_by_rounds(*terms, near)
+            if found:
+                return _JointMotion(answer.motion, ratio)
         return None
+
+
+class _JointMotion(NamedTuple):
+    """A motion at which forces balance, and the springs across of the joints, over those along."""
+
+    motion: np.ndarray
+    springs: float
 
 
 class Pushes:
@@ -343,11 +374,11 @@ class Pushes:
         return found
 
     def _lower(self, k: int, whole: _StatePart) -> None:
-        level = self.level[k] * _LOWER
-        while level >= _LEAST:
+        share = _LOWER
+        while (level := self.level[k] * share) >= _LEAST:
             if self._settle(k, level, whole):
                 return
-            level *= _LOWER
+            share *= share  # Where much has changed, a few tries lead far down.
         self.level[k] = 0.0
         self._settle(k, 0.0, whole)
 
