@@ -115,7 +115,7 @@ class FakeController:
             if op == "present":
                 world.present(said["name"], said["half"], said["pose"])
             elif op == "take":
-                world.take(said["name"])
+                world.take(said.get("name") or world.held or "")
             elif op == "drop":
                 world.drop()
             elif op == "protective":
@@ -128,6 +128,10 @@ class FakeController:
                 self.slow = said["factor"]
             elif op == "clock":
                 self.jump += said["by"]
+            elif op == "stand":
+                self.arm = get_arm(self.arm.name, "suction", tuple(said["base"]))
+                self.world = KinematicWorld(self.arm)
+                self.joints = np.array(said["joints"], float)
             elif op == "joints":
                 self.joints = np.array(said["joints"], float)
             elif op == "cut":

@@ -115,6 +115,7 @@ class FakeRosbridge(FakeController):
                 "velocity": self.velocity.tolist(),
                 "effort": [],
             },
+            "/tool/wrench": {"wrench": {"force": {"x": 0.0, "y": 0.0, "z": self.world.force}}},
             "/suction/held": {"data": self.world.held is not None},
             "/robot/stopped": {"data": self.protective},
             "/robot_description": {"data": f'<?xml version="1.0"?><robot name="{self.arm.name}">'},

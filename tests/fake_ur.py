@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import socket
 import struct
+import sys
 import threading
 import time
 from collections.abc import Callable, Generator
@@ -14,6 +15,8 @@ from typing import Any
 import numpy as np
 
 from fake_controller import CYCLE, FakeController
+from learn2assemble.geometry.rotations import quaternion_matrix
+from learn2assemble.motion.program import driver_of
 from urscript import Halt, Script, ScriptError
 
 RTDE_PORT = 30004
@@ -27,6 +30,7 @@ class FakeUr(FakeController):
 
     def __init__(self, host: str, rate: float) -> None:
         super().__init__(host, rate)
+        self._to_base = quaternion_matrix(driver_of(self.arm).base[3:]).T
         self.program: Generator[None, None, None] | None = None
         self.outputs: dict[int, int] = {}
         self.inputs: dict[int, int] = {}
@@ -92,7 +96,7 @@ class FakeUr(FakeController):
         return float(np.linalg.norm(a))
 
     def get_tcp_force(self) -> list[float]:
-        return [0.0] * 6
+        return [*(self._to_base @ [0.0, 0.0, self.world.force]).tolist(), 0.0, 0.0, 0.0]
 
     def get_actual_joint_positions(self) -> list[float]:
         return self.joints.tolist()
@@ -100,6 +104,8 @@ class FakeUr(FakeController):
     def set_tcp(self, pose: Any) -> None: ...
 
     def set_payload(self, m: float, cog: Any) -> None: ...
+
+    def zero_ftsensor(self) -> None: ...
 
     def textmsg(self, text: Any) -> None: ...
 
@@ -171,7 +177,7 @@ class FakeUr(FakeController):
         try:
             self.program = Script(text).run(self)
         except ScriptError as error:
-            print(f"refused: {error}", flush=True)
+            print(f"refused: {error}", file=sys.stderr, flush=True)
 
     def _dashboard(self, connection: socket.socket) -> None:
         connection.sendall(b"Connected: Universal Robots Dashboard Server\n")
@@ -231,7 +237,7 @@ class FakeUr(FakeController):
             "timestamp": ("DOUBLE", self.time + self.jump),
             "actual_q": ("VECTOR6D", self.joints),
             "actual_qd": ("VECTOR6D", self.velocity),
-            "actual_TCP_force": ("VECTOR6D", np.zeros(6)),
+            "actual_TCP_force": ("VECTOR6D", self.get_tcp_force()),
             "actual_digital_input_bits": ("UINT64", bits),
             "standard_analog_input0": ("DOUBLE", 0.0),
             "standard_analog_input1": ("DOUBLE", 0.0),

@@ -11,6 +11,9 @@ from learn2assemble.geometry.rotations import matrix_quaternion, quaternion_matr
 from learn2assemble.robot.arm import Arm
 from learn2assemble.robot.kinematics import forward, get_chain
 
+STIFF, DEEPEST, BESIDE = 1e5, 0.01, 1e-3
+"""Of what is pressed on something [N/m]; deeper it is beside it, not on it [m]; and so is what
+overlaps it by less [m]."""
 CLOSE = 0.004
 """A cup so near to a face takes hold of it [m]."""
 
@@ -28,19 +31,24 @@ class KinematicWorld:
         self.pose: dict[str, np.ndarray] = {}
         self.held: str | None = None
         self.on = False
+        self.force = 0.0
+        """Upwards on what is held [N]."""
         self._in_hand = np.eye(3), np.zeros(3)
+        self._boxes: dict[str, tuple[np.ndarray, np.ndarray]] = {}
 
     def present(self, name: str, half: Any, pose: Any) -> None:
         """A block is on the table."""
         self.half[name], self.pose[name] = np.array(half, float), np.array(pose, float)
+        self._boxes.pop(name, None)
 
     def take(self, name: str) -> None:
-        """A block is gone."""
+        """A block is gone, also from the hand."""
         self.pose.pop(name, None)
+        self.held = None if self.held == name else self.held
 
     def drop(self) -> None:
         """What hangs on the cup falls off, though that is still on."""
-        self.held, self.on = None, True
+        self.held, self.on, self.force = None, True, 0.0
 
     def advance(self, joints: np.ndarray, vacuum: bool) -> None:
         """The arm is there now, and its vacuum on or off."""
@@ -48,13 +56,15 @@ class KinematicWorld:
             self.on = vacuum
             return
         position, turn = forward(self.chain, joints)
+        self.force = 0.0
         if self.held is not None:
             inner, offset = self._in_hand
             self.pose[self.held] = np.concatenate(
                 [position + turn @ offset, matrix_quaternion(turn @ inner)]
             )
+            self.force = STIFF * self._depth(self.held)
             if not vacuum:
-                self.held = None
+                self.held, self.force = None, 0.0
         elif vacuum and not self.on:
             self.held = self._under(position)
             if self.held is not None:
@@ -64,6 +74,30 @@ class KinematicWorld:
                     turn.T @ (pose[:3] - position),
                 )
         self.on = vacuum
+
+    def _depth(self, name: str) -> float:
+        """By how much a block is in the table or in what it is lowered on [m]."""
+        middle, half = self._bounds(name)
+        low, found = middle[2] - half[2], max(half[2] - middle[2], 0.0)
+        for other in self.pose:
+            if other == name:
+                continue
+            there, size = self._bounds(other)
+            shared = (half + size - np.abs(middle - there))[:2].min()
+            deep = there[2] + size[2] - low
+            if shared > BESIDE and 0 < deep < DEEPEST:
+                found = max(found, deep)
+        return float(found)
+
+    def _bounds(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Middle and half extents of the box along the axes around a block [m]."""
+        known = self._boxes.get(name)
+        if known is not None and name != self.held:
+            return known
+        turn = np.abs(quaternion_matrix(self.pose[name][3:]))
+        found = self.pose[name][:3], turn @ self.half[name]
+        self._boxes[name] = found
+        return found
 
     def _under(self, tip: np.ndarray) -> str | None:
         """The block on whose face the lip lies."""

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from fake_controller import FakeProcess
-from learn2assemble.controllers.common import Address, ControllerClock
+from learn2assemble.controllers.common import Address, ControllerClock, felt
 from learn2assemble.controllers.ur import STATE, UrPlant
 from learn2assemble.controllers.ur_motion import motion_script
 from learn2assemble.errors import InputError, MissingExtraError
@@ -372,6 +372,13 @@ def test_without_the_extra_the_error_names_it(monkeypatch: pytest.MonkeyPatch) -
         monkeypatch.setitem(sys.modules, module, None)
         with pytest.raises(MissingExtraError, match=rf"\[{name}\]"):
             open_plant(address, Setup(ARM, {}, {}))
+
+
+def test_a_robot_feels_only_what_is_more_than_noise() -> None:
+    guards = [Guard(1.0, force=30.0), Guard(contact=1.0, force=0.5, held=40.0)]
+    first, second = felt(guards, 8.0)
+    assert (first.begin, first.contact, first.force, first.held) == (0.0, 8.0, 20.0, None)
+    assert (second.begin, second.contact, second.force) == (1.0, None, 30.0)
 
 
 def test_clocks() -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from learn2assemble.cell.site import read_site
 from learn2assemble.errors import InputError
 from learn2assemble.motion.cubics import between
 from learn2assemble.motion.plant import (
@@ -241,3 +244,17 @@ def test_rules_that_are_wrong_are_refused_in_one_line(value: Any) -> None:
     with pytest.raises(InputError, match="layout: safety") as error:
         parse_safety(value, "layout: safety")
     assert "\n" not in str(error.value)
+
+
+def test_a_layout_says_them(tmp_path: Path) -> None:
+    file = tmp_path / "layout.json"
+    rules = {"speed": 0.3, "keep_out": [[[-1, -2, 1], [1, 2, 3]]]}
+    head = {"format": "learn2assemble-layout", "version": 2}
+    file.write_text(json.dumps({**head, "safety": rules}))
+    site = read_site(file)
+    assert site.safety == parse_safety(rules, "")
+    (kept,) = site.kept_out
+    assert (kept.middle, kept.size) == ((0, 0, 2), (2, 4, 2))
+    file.write_text(json.dumps({**head, "safety": {"speed": -1}}))
+    with pytest.raises(InputError, match=r"safety\.speed"):
+        read_site(file)

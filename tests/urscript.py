@@ -22,6 +22,7 @@ ARITY: dict[str, tuple[int, set[str]]] = {
     "get_steptime": (0, set()),
     "norm": (1, set()),
     "get_tcp_force": (0, set()),
+    "zero_ftsensor": (0, set()),
     "get_actual_joint_positions": (0, set()),
     "set_tcp": (1, set()),
     "set_payload": (2, set()),

@@ -72,6 +72,8 @@ FOLDED = 0.35
 """Nearer to the base an arm has to fold so far that there is no steady way down [m]."""
 CLEAR, APART = 0.06, 0.01
 """Between magazines and the structure, and between two of them [m]."""
+OVERHEAD = 0.5
+"""Blocks may wait below obstacles that begin above this [m]."""
 GRID, MOST_TRIED = 0.04, 150
 """Between places that are tried for a magazine [m], and how many are."""
 MOST_WAYS = 12
@@ -314,7 +316,7 @@ def set_up(job: Job, name: str, tool: str, site: Site) -> Job:
             most), and where there is no room for a magazine.
     """
     every = with_rests(job.pieces, get_arm(name, tool))
-    job = replace(job, obstacles=site.obstacles, pieces=every)
+    job = replace(job, obstacles=(*site.obstacles, *site.kept_out), pieces=every)
     # What can be done by hand asks nothing of the arm.
     pieces = [piece for piece in every if not (job.hands and piece.prop)]
     check_held(get_arm(name, tool), pieces)
@@ -423,7 +425,7 @@ def _supplied(job: Job, given: list[Source], site: Site) -> Job:
     cell = KinematicCell(job.arm, cells_of(job))
     structure = shapely.union_all([p.face() for p in job.pieces]).buffer(CLEAR)
     taken = [source.area.buffer(APART) for source in given]
-    taken += [outline(o).buffer(2 * APART) for o in job.obstacles]
+    taken += [outline(o).buffer(2 * APART) for o in job.obstacles if o.bottom < OVERHEAD]
     taken.append(shapely.Point(*job.base).buffer(0.16))
     table = shapely.box(*(-np.array(site.table) / 2), *(np.array(site.table) / 2))
     made: list[Source] = []

@@ -27,6 +27,8 @@ from learn2assemble.cell.pieces import (
 )
 from learn2assemble.errors import InputError, check_name
 from learn2assemble.files import load_json, read_bytes, read_text, too_deep
+from learn2assemble.motion.safety import SECTION as SAFETY
+from learn2assemble.motion.safety import Safety, parse_safety
 from learn2assemble.motion.settings import LAYOUT, SECTION, ProgramSettings, parse_settings
 from learn2assemble.robot.bodies import Part, Shape
 from learn2assemble.sensing.camera import DepthCamera, check_names, parse_camera
@@ -52,6 +54,7 @@ _KEYS = (
     "positions",
     "cameras",
     SECTION,
+    SAFETY,
 )
 TABLE = (1.5, 1.0)
 """Size of the table along x and y, its middle at the origin [m]."""
@@ -134,9 +137,21 @@ class Site:
     positions: tuple[Position, ...] = ()
     source: str = "layout"
     program: ProgramSettings = field(default_factory=ProgramSettings)
-    """For programs of the real robot that are exported later."""
+    """For the real robot, and programs of it that are exported later."""
     cameras: tuple[DepthCamera, ...] = ()
     """Where they are taken to be."""
+    safety: Safety = field(default_factory=Safety)
+    """What the arm may not do."""
+
+    @property
+    def kept_out(self) -> tuple[Obstacle, ...]:
+        """The boxes that the arm may not enter, as what nothing may touch."""
+        found = []
+        for k, (low, high) in enumerate(self.safety.keep_out):
+            (u, v, _), (a, b, c) = np.add(low, high) / 2, np.subtract(high, low)
+            at, name = (float(u), float(v)), f"safety.keep_out[{k}]"
+            found.append(Obstacle(at, (float(a), float(b), float(c)), 0.0, low[2], name))
+        return tuple(found)
 
 
 def read_site(path: Path) -> Site:
@@ -181,6 +196,7 @@ def _site(value: Any, source: str, folder: Path) -> Site:
         source,
         parse_settings(root.get(SECTION, {}), f"{source}: {SECTION}"),
         every("cameras", parse_camera),
+        parse_safety(root.get(SAFETY, {}), f"{source}: {SAFETY}"),
     )
     check_names(site.cameras, f"{source}: cameras")
     blocks = len(site.positions) + sum(p.rows * p.columns for p in site.pallets)

@@ -10,6 +10,7 @@ import numpy as np
 
 from learn2assemble.errors import InputError
 from learn2assemble.motion.plant import (
+    UNWANTED,
     Guard,
     Motion,
     PlantError,
@@ -58,6 +59,22 @@ def marks_of(
     """The times of a motion at which something changes [s]."""
     told = [one.at for one in commands] + [one.begin for one in guards]
     return sorted({min(max(at, 0.0), motion.seconds) for at in told})
+
+
+def felt(guards: Sequence[Guard], feel: float) -> list[Guard]:
+    """Guards in the order of their times, with forces that a robot can tell from noise; it does not
+    tell those on the arm from those on what it holds.
+
+    Args:
+        feel: smallest force that counts [N].
+    """
+    found = []
+    for one in sorted(guards, key=lambda guard: guard.begin):
+        given = [force for force in (one.force, one.held) if force is not None]
+        least = max(min(given), UNWANTED * feel) if given else None
+        contact = None if one.contact is None else max(one.contact, feel)
+        found.append(one._replace(force=least, held=None, contact=contact))
+    return found
 
 
 def away(joints: np.ndarray, motion: Motion) -> float:
@@ -115,11 +132,11 @@ class WatchedHere:
     later by as long as the network takes.
 
     Args:
-        guards: of the motion.
+        guards: of the motion, as :func:`felt` gives them.
     """
 
     def __init__(self, guards: Sequence[Guard]) -> None:
-        self._left, self._now = sorted(guards, key=lambda one: one.begin), Guard()
+        self._left, self._now = list(guards), Guard()
         self._gone = -1.0
 
     def broken(self, past: float, tool: ToolReading) -> tuple[Stop, str] | None:
@@ -138,9 +155,8 @@ class WatchedHere:
             return Stop.HELD, ""
         if guard.hold == "kept" and empty and past - self._gone > DEBOUNCE:
             return Stop.VACUUM, "the tool says that nothing is held"
-        limits = [force for force in (guard.force, guard.held) if force is not None]
-        if limits and size > min(limits):
-            return Stop.FORCE, f"{size:.1f} N, more than {min(limits):g} N"
+        if guard.force is not None and size > guard.force:
+            return Stop.FORCE, f"{size:.1f} N, more than {guard.force:g} N"
         if guard.contact is not None and size > guard.contact:
             return Stop.CONTACT, ""
         if guard.width is not None and tool.width is not None:

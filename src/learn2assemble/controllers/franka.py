@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from learn2assemble.controllers.common import Address, WatchedHere, away, lost, marks_of
+from learn2assemble.controllers.common import Address, WatchedHere, away, felt, lost, marks_of
 from learn2assemble.errors import InputError, extra
 from learn2assemble.geometry.rotations import quaternion_matrix
 from learn2assemble.motion.cubics import thinned
@@ -129,7 +129,9 @@ class FrankaPlant:
             if moves:
                 thin = thinned(motion, marks_of(motion, commands, guards))
                 self._robot.move(self._waypoints(thin), asynchronous=True)
-            stop, why = self._watch(motion, left, WatchedHere(guards), now.time, moves)
+            stop, why = self._watch(
+                motion, left, WatchedHere(felt(guards, self.around.feel)), now.time, moves
+            )
             if stop is Stop.END:
                 self._tell(left)
             elif moves:

@@ -21,6 +21,7 @@ from learn2assemble.controllers.common import (
     ControllerClock,
     WatchedHere,
     away,
+    felt,
     lost,
     marks_of,
     refused,
@@ -234,7 +235,11 @@ class RosPlant:
         self, motion: Motion, left: list[ToolCommand], guards: Sequence[Guard], result: _Result
     ) -> tuple[Stop, str]:
         """Tell the tool what is due, until the motion has ended or something ends it."""
-        begun, sent, watched = self._joints()[0], time.monotonic(), WatchedHere(guards)
+        begun, sent, watched = (
+            self._joints()[0],
+            time.monotonic(),
+            WatchedHere(felt(guards, self.around.feel)),
+        )
         while True:
             why = self._silence()
             if why:

@@ -22,6 +22,7 @@ from learn2assemble.controllers.common import (
     Address,
     ControllerClock,
     away,
+    felt,
     lost,
     marks_of,
     refused,
@@ -212,7 +213,7 @@ class UrPlant:
         script = motion_script(
             thin,
             sorted(commands, key=lambda one: one.at),
-            sorted(guards, key=lambda one: one.begin),
+            felt(guards, self.around.feel),
             self.driver,
             self.settings,
             self.serial,
@@ -259,12 +260,13 @@ class UrPlant:
                     time.sleep(POLL)
         except (OSError, PlantError) as error:
             where, why = Stop.LOST, getattr(error, "why", str(error))
-        if where is not Stop.END:
+        past = state.getOutputIntRegister(PROGRESS) / 1000 if self._ours() else 0.0
+        if where in (Stop.LOST, Stop.LATE, Stop.REFUSED, Stop.PROTECTIVE):
+            # Others were found by the program, which has stopped the arm.
             with contextlib.suppress(PlantError):
                 self.stop()
         share = 1.0
         if where is not Stop.END:
-            past = state.getOutputIntRegister(PROGRESS) / 1000 if self._ours() else 0.0
             share = min(past / motion.seconds, 1.0) if motion.seconds else 0.0
         return self._report(where, motion, share, first, why)
 
@@ -294,11 +296,12 @@ class UrPlant:
             PlantError: where it still moves after :data:`CONNECT`.
         """
         until = time.monotonic() + CONNECT
+        self.serial += 1
         with contextlib.suppress(OSError), self._connection(self.place.port) as scripts:
-            scripts.sendall(stop_script().encode("ascii"))
+            scripts.sendall(stop_script(self.serial).encode("ascii"))
             while time.monotonic() < until and self._state.isConnected():
-                still = self._speed() <= STANDS
-                if still and (self._stopped() or self._state.getRuntimeState() != _PLAYING):
+                stood = self._ours() and self._state.getOutputIntRegister(OUTCOME)
+                if self._speed() <= STANDS and (stood or self._stopped()):
                     return
                 time.sleep(POLL)
         if self._state.isConnected() and not self._silence() and self._speed() > STANDS:

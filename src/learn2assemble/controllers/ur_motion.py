@@ -58,7 +58,7 @@ def motion_script(
     Args:
         motion: thinned, with a sample wherever something changes.
         commands: by their times.
-        guards: by their times.
+        guards: as :func:`~.common.felt` gives them.
         driver: of the arm, for its frames and the mass of its tool.
         settings: which output and input the tool is wired to.
         serial: number of the program.
@@ -96,6 +96,8 @@ def motion_script(
             lines.append(_command(left.pop(0), driver, settings))
 
     time, q, v = motion.time, motion.joints, motion.velocity
+    if any(guard.contact is not None for guard in guards):
+        lines.append("zero_ftsensor()")  # The arm stands, and touches nothing yet.
     due(0.0)
     for k, (begin, end) in enumerate(pairwise(time.tolist())):
         numbers = ", ".join(f"[{_list(one)}]" for one in (q[k], v[k], q[k + 1], v[k + 1]))
@@ -109,9 +111,16 @@ def motion_script(
     return "def l2a_motion():\n" + "".join(f"  {line}\n" for line in body) + "end\n"
 
 
-def stop_script() -> str:
+def stop_script(serial: int) -> str:
     """A program that takes the place of whatever runs, and brings the arm to rest."""
-    return f"def l2a_stop():\n  stopj({STOP_RATE})\nend\n"
+    return (
+        "def l2a_stop():\n"
+        f"  write_output_integer_register({OUTCOME}, 0)\n"
+        f"  write_output_integer_register({SERIAL}, {serial})\n"
+        f"  stopj({STOP_RATE})\n"
+        f"  write_output_integer_register({OUTCOME}, {ScriptOutcome.DONE.value})\n"
+        "end\n"
+    )
 
 
 _HEAD = """\
@@ -214,8 +223,8 @@ def _held(settings: ProgramSettings) -> str:
 
 
 def _guard(guard: Guard) -> str:
-    """What is looked at from now on; this controller does not tell what is held from the arm."""
-    force = min((f for f in (guard.force, guard.held) if f is not None), default=-1.0)
+    """What is looked at from now on."""
+    force = -1.0 if guard.force is None else guard.force
     contact = -1.0 if guard.contact is None else guard.contact
     return (
         f"l2a_contact = {contact:.3f}\nl2a_force = {force:.3f}\nl2a_gone = 0.0\n"

@@ -254,6 +254,10 @@ class BlockKind(NamedTuple):
     """[kg/m3]; from :data:`~learn2assemble.robot.moves.IMMOVABLE` on nothing moves it."""
 
 
+UNWANTED = 2.5
+"""See :attr:`Surroundings.feel`."""
+
+
 class Surroundings(NamedTuple):
     """What belongs to a cell beside the controller of its arm; a simulated one needs none of it."""
 
@@ -266,6 +270,11 @@ class Surroundings(NamedTuple):
     serve: Callable[[Request], None] | None = None
     """Magazines and people: returns when a request has been met; None: all are met at once, as by
     magazines that are never empty."""
+    feel: float = 8.0
+    """Smallest force that the robot can tell from noise [N]: so much counts as a contact that is
+    wanted, and :data:`UNWANTED` times as much as one that is not."""
+    trust_placements: bool = False
+    """Where nothing sees blocks, they are taken to be where they were put."""
     patience: float = 0.25
     """Longest silence towards the controller before the arm stops by itself [s of its clock]."""
     silence: float = 0.25
